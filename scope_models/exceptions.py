@@ -1,0 +1,21 @@
+"""Warnings of the package."""
+
+from astropy.utils.exceptions import AstropyUserWarning
+
+__all__ = ["DetrendingWarning", "IntegrationWarning", "LostLightWarning", "ScopeModelsWarning"]
+
+
+class ScopeModelsWarning(AstropyUserWarning):
+    """Base of all warnings of this package."""
+
+
+class LostLightWarning(ScopeModelsWarning):
+    """A star loses part of its light off the stamp."""
+
+
+class DetrendingWarning(ScopeModelsWarning):
+    """Data are left out or replaced before a light curve is de-trended."""
+
+
+class IntegrationWarning(ScopeModelsWarning):
+    """An integral over a pixel has not converged."""

@@ -1,0 +1,24 @@
+# Licensed under a 3-clause BSD style license - see LICENSE
+"""Models of light, of the response of pixels, of their integrals, and of stars' variability."""
+
+from scope_models.models.integration import integrate_pixels
+from scope_models.models.prf import PRF
+from scope_models.models.psf import BivariateGaussianPSF
+from scope_models.models.sensitivity import SensitivityPolynomial
+from scope_models.models.signals import TransitModel
+from scope_models.models.variability import (
+    sinusoidal_signal,
+    stochastic_signal,
+    tabulated_signal,
+)
+
+__all__ = [
+    "PRF",
+    "BivariateGaussianPSF",
+    "SensitivityPolynomial",
+    "TransitModel",
+    "integrate_pixels",
+    "sinusoidal_signal",
+    "stochastic_signal",
+    "tabulated_signal",
+]

@@ -1,0 +1,278 @@
+# Licensed under a 3-clause BSD style license - see LICENSE
+"""The sum-of-products form of a compound model, which is what gets integrated."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from astropy import units as u
+from astropy.modeling import CompoundModel
+from astropy.modeling.models import Const2D, Gaussian2D
+
+from scope_models.models.psf import BivariateGaussianPSF
+from scope_models.models.sensitivity import SensitivityPolynomial
+
+__all__ = ["Factor", "Term", "expand", "is_pixel_integrated", "leaves"]
+
+_FWHM = 2 * np.sqrt(2 * np.log(2))
+# photutils' models whose values are fluxes of pixels; its names for densities end in PSF.
+_INTEGRATED_NAMES = {"ImagePSF", "GriddedPSFModel", "EPSFModel", "FittableImageModel"}
+# Parameters that tell the width of a density, and by what they exceed a standard deviation.
+_WIDTHS = {
+    "sigma": 1.0,
+    "sigma_x": 1.0,
+    "sigma_y": 1.0,
+    "x_stddev": 1.0,
+    "y_stddev": 1.0,
+    "fwhm": _FWHM,
+    "x_fwhm": _FWHM,
+    "y_fwhm": _FWHM,
+    "gamma": 1.0,
+    "alpha": 1.0,
+    "radius": 3.0,
+    "r_eff": 1.0,
+}
+_SCALE_OF_OTHERS = 0.3
+
+
+@dataclass(frozen=True, eq=False)
+class Factor:
+    """
+    A model with the numbers to evaluate it with.
+
+    Parameters
+    ----------
+    model : `~astropy.modeling.Model`
+        What to evaluate.
+    values : dict
+        Parameter name to float, array or `~astropy.units.Quantity`. Arrays have shape ``(n,)``.
+    """
+
+    model: object
+    values: dict
+
+    @classmethod
+    def of(cls, model):
+        """The factor that holds a model's present parameters."""
+        if isinstance(model, CompoundModel):
+            names = model.param_names
+            if any(np.ndim(getattr(model, name).value) for name in names):
+                raise ValueError(
+                    f"parameters with more than one value work in sums and products of models, "
+                    f"not in the operator '{model.op}'"
+                )
+        values = {}
+        for name in model.param_names:
+            parameter = getattr(model, name)
+            values[name] = (
+                np.asarray(parameter.value)
+                if parameter.unit is None
+                else (np.asarray(parameter.value) * parameter.unit)
+            )
+        return cls(model, values)
+
+    @property
+    def size(self):
+        """Number of values per parameter: () for one, (n,) for n."""
+        return np.broadcast_shapes(*(np.shape(v) for v in self.values.values()))
+
+    @property
+    def scale(self):
+        """Smallest width in pixels, as far as the parameters' names tell it."""
+        widths = [
+            np.min(np.abs(_pixels(value))) / _WIDTHS[name]
+            for name, value in self.values.items()
+            if name in _WIDTHS
+        ]
+        if not widths:
+            return _SCALE_OF_OTHERS
+        rho = np.max(np.abs(self.values.get("rho", 0.0)))
+        return max(float(min(widths) * np.sqrt(1 - rho**2)), 1e-3)
+
+    def gaussian(self):
+        """
+        The bivariate normal density that the model is, or None.
+
+        Returns
+        -------
+        flux, x_0, y_0, sigma_x, sigma_y, rho : tuple
+            Numbers or arrays in pixels, flux possibly a quantity.
+        """
+        values = self.values
+        name = type(self.model).__name__
+        if isinstance(self.model, BivariateGaussianPSF):
+            x_0, y_0, sigma_x, sigma_y = (
+                _pixels(values[n]) for n in ("x_0", "y_0", "sigma_x", "sigma_y")
+            )
+            return values["flux"], x_0, y_0, sigma_x, sigma_y, values["rho"]
+        if isinstance(self.model, Gaussian2D):
+            long, wide = _pixels(values["x_stddev"]), _pixels(values["y_stddev"])
+            flux = values["amplitude"] * (2 * np.pi * long * wide)
+            if isinstance(values["x_mean"], u.Quantity):
+                flux = flux * values["x_mean"].unit ** 2
+            center = _pixels(values["x_mean"]), _pixels(values["y_mean"])
+            return flux, *center, *_from_axes(long, wide, _radians(values["theta"], u.rad))
+        if _is_photutils(self.model) and name in {"GaussianPSF", "CircularGaussianPSF"}:
+            center = _pixels(values["x_0"]), _pixels(values["y_0"])
+            if name == "CircularGaussianPSF":
+                sigma = _pixels(values["fwhm"]) / _FWHM
+                return values["flux"], *center, sigma, sigma, np.asarray(0.0)
+            long, wide = (_pixels(values[n]) / _FWHM for n in ("x_fwhm", "y_fwhm"))
+            angle = _radians(values["theta"], u.deg)
+            return values["flux"], *center, *_from_axes(long, wide, angle)
+        return None
+
+    def evaluate(self, x, y, index):
+        """
+        Value of the model at positions.
+
+        Parameters
+        ----------
+        x, y : `~numpy.ndarray`
+            Positions in pixels, shape ``(m, ...)``.
+        index : `~numpy.ndarray` of int
+            Which value of each parameter belongs to each of the m entries, shape ``(m,)``.
+
+        Returns
+        -------
+        value : `~numpy.ndarray` or `~astropy.units.Quantity`
+            Shape ``(m, ...)``; with a unit, it is that of the density times square pixels.
+        """
+        shape = (-1,) + (1,) * (np.ndim(x) - 1)
+        values = [v if np.ndim(v) == 0 else v[index].reshape(shape) for v in self.values.values()]
+        units = self.model.input_units
+        if units and any(units.values()):
+            x, y = x * u.pixel, y * u.pixel
+        result = self.model.evaluate(x, y, *values)
+        if isinstance(result, u.Quantity) and isinstance(x, u.Quantity):
+            result = result * u.pixel**2
+        return result
+
+
+@dataclass(frozen=True, eq=False)
+class Term:
+    """
+    A product: a number, densities and sensitivities.
+
+    Parameters
+    ----------
+    scale : float or array
+        What is constant over the pixels.
+    densities : tuple of Factor
+        Everything that is neither constant nor a sensitivity.
+    sensitivities : tuple of Factor
+        The `SensitivityPolynomial` among the factors.
+    """
+
+    scale: object = 1.0
+    densities: tuple = field(default=())
+    sensitivities: tuple = field(default=())
+
+    def __mul__(self, other):
+        """The product of two terms is a term."""
+        return Term(
+            self.scale * other.scale,
+            self.densities + other.densities,
+            self.sensitivities + other.sensitivities,
+        )
+
+    def polynomials(self):
+        """Coefficients along x and along y of the product of all sensitivities."""
+        along_x, along_y = np.ones(1), np.ones(1)
+        for factor in self.sensitivities:
+            coefficients = [float(value) for value in factor.values.values()]
+            n_x = len(factor.model.x_coefficients)
+            along_x = np.polynomial.polynomial.polymul(along_x, coefficients[:n_x])
+            along_y = np.polynomial.polynomial.polymul(along_y, coefficients[n_x:])
+        return along_x, along_y
+
+
+def _pixels(value):
+    return value.to_value(u.pixel) if isinstance(value, u.Quantity) else value
+
+
+def _radians(angle, unit):
+    angle = angle if isinstance(angle, u.Quantity) else angle * unit
+    return angle.to_value(u.rad)
+
+
+def _from_axes(long, wide, angle):
+    """Standard deviations along x and y and their correlation, from those along the axes."""
+    cos, sin = np.cos(angle), np.sin(angle)
+    sigma_x = np.hypot(long * cos, wide * sin)
+    sigma_y = np.hypot(long * sin, wide * cos)
+    return sigma_x, sigma_y, (long**2 - wide**2) * sin * cos / (sigma_x * sigma_y)
+
+
+def _is_photutils(model):
+    return any(base.__module__.startswith("photutils.") for base in type(model).__mro__)
+
+
+def is_pixel_integrated(model):
+    """
+    Whether the values of a model are fluxes of pixels rather than a density.
+
+    Parameters
+    ----------
+    model : `~astropy.modeling.Model`
+        A model that is no compound.
+
+    Returns
+    -------
+    answer : bool
+        True for `~scope_models.PRF` and photutils' PRF and image models.
+    """
+    if getattr(model, "pixel_integrated", False):
+        return True
+    names = {base.__name__ for base in type(model).__mro__}
+    return _is_photutils(model) and bool(
+        names & _INTEGRATED_NAMES or type(model).__name__.endswith("PRF")
+    )
+
+
+def leaves(model):
+    """
+    The models that a compound is made of.
+
+    Parameters
+    ----------
+    model : `~astropy.modeling.Model`
+        Any model.
+
+    Returns
+    -------
+    leaves : list of `~astropy.modeling.Model`
+        From left to right.
+    """
+    if isinstance(model, CompoundModel):
+        return leaves(model.left) + leaves(model.right)
+    return [model]
+
+
+def expand(model):
+    """
+    The terms whose sum a model is.
+
+    Parameters
+    ----------
+    model : `~astropy.modeling.Model`
+        Any model; sums, differences and products are taken apart, everything else is left whole.
+
+    Returns
+    -------
+    terms : list of Term
+        The terms.
+    """
+    if isinstance(model, CompoundModel):
+        if model.op == "+":
+            return expand(model.left) + expand(model.right)
+        if model.op == "-":
+            return expand(model.left) + [Term(scale=-1.0) * t for t in expand(model.right)]
+        if model.op == "*":
+            left, right = expand(model.left), expand(model.right)
+            return [a * b for a in left for b in right]
+    if isinstance(model, Const2D):
+        amplitude = model.amplitude
+        return [Term(scale=amplitude.value if amplitude.unit is None else amplitude.quantity)]
+    if isinstance(model, SensitivityPolynomial):
+        return [Term(sensitivities=(Factor.of(model),))]
+    return [Term(densities=(Factor.of(model),))]

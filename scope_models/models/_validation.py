@@ -1,0 +1,74 @@
+# Licensed under a 3-clause BSD style license - see LICENSE
+"""Checks of model parameters where they enter."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+__all__ = ["Domain", "check_model_parameters"]
+
+_TESTS = {
+    "finite": np.isfinite,
+    "positive": lambda value: np.isfinite(value) & (value > 0),
+    "inside (-1, 1)": lambda value: np.abs(value) < 1,
+}
+
+
+@dataclass(frozen=True)
+class Domain:
+    """
+    Validator of a parameter; a class, so that models that hold it can be pickled.
+
+    Parameters
+    ----------
+    name : str
+        Name of the parameter.
+    condition : {"finite", "positive", "inside (-1, 1)"}
+        Where its values must lie.
+    """
+
+    name: str
+    condition: str
+
+    def __call__(self, model, value):  # noqa: ARG002
+        """
+        Raise where a value lies outside the domain.
+
+        Parameters
+        ----------
+        model : `~astropy.modeling.Model`
+            The model; not used.
+        value : float, `~numpy.ndarray` or `~astropy.units.Quantity`
+            The value.
+
+        Raises
+        ------
+        ValueError
+            If a value lies outside.
+        """
+        value = np.asarray(getattr(value, "value", value), dtype=float)
+        wrong = ~_TESTS[self.condition](value)
+        if np.any(wrong):
+            raise ValueError(f"`{self.name}` must be {self.condition}, got {value[wrong].flat[0]}")
+
+
+def check_model_parameters(model):
+    """
+    Raise where a parameter of a model is not finite or outside its domain.
+
+    Parameters
+    ----------
+    model : `~astropy.modeling.Model`
+        The model.
+
+    Raises
+    ------
+    ValueError
+        If a parameter holds NaN or infinity, or its validator refuses it.
+    """
+    for name in model.param_names:
+        parameter = getattr(model, name)
+        Domain(name, "finite")(model, parameter.value)
+        validator = parameter._validator  # noqa: SLF001
+        if isinstance(validator, Domain):
+            validator(model, parameter.value)

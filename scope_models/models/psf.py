@@ -1,0 +1,192 @@
+# Licensed under a 3-clause BSD style license - see LICENSE
+"""Point spread functions: the light of a star before the pixel, as densities."""
+
+import numpy as np
+from astropy.modeling import Fittable2DModel, Parameter
+from astropy.units import UnitsError
+
+from scope_models.models._validation import Domain, check_model_parameters
+
+__all__ = ["BivariateGaussianPSF"]
+
+_TINY = float(np.finfo(np.float32).tiny)
+_LARGEST_RHO = 1 - 1e-9
+
+
+class BivariateGaussianPSF(Fittable2DModel):
+    r"""
+    Bivariate normal density times a flux.
+
+    .. math::
+
+        P(x, y) = \frac{F}{2 \pi \sigma_x \sigma_y \sqrt{1 - \rho^2}}
+        \exp\left[-\frac{z_x^2 - 2 \rho z_x z_y + z_y^2}{2 (1 - \rho^2)}\right],
+        \qquad z_x = \frac{x - x_0}{\sigma_x}, \quad z_y = \frac{y - y_0}{\sigma_y}.
+
+    The density is the light before the pixel; `~scope_models.integrate_pixels` and
+    `~scope_models.PRF` integrate it. A sum of several is a PSF of several components whose total
+    flux is the sum of theirs. Equation 3 of Saunders et al. (2019) has an extra factor 1/2 on the
+    two squared terms in print, with which it neither integrates to its amplitude nor is positive
+    definite for :math:`|\rho| \ge 1/2`; this is the standard density.
+
+    Parameters
+    ----------
+    flux : float or `~astropy.units.Quantity`
+        Integral of the density over the plane, usually in electrons per second.
+    x_0, y_0 : float or `~astropy.units.Quantity`
+        Position of the star in pixels; x is the column, y the row.
+    sigma_x, sigma_y : float or `~astropy.units.Quantity`
+        Standard deviations along the axes in pixels.
+    rho : float
+        Correlation coefficient.
+    **kwargs
+        Keywords of `~astropy.modeling.Model`, such as ``fixed``, ``bounds`` and ``name``.
+
+    Raises
+    ------
+    ValueError
+        If a parameter is not finite, sigma_x or sigma_y is not positive, or ``|rho| >= 1``.
+
+    Notes
+    -----
+    Parameters of shape ``(n,)`` make `~scope_models.integrate_pixels` return ``n`` images.
+
+    References
+    ----------
+    Saunders, N. et al. 2019, "The Pointing Limits of Transiting Exoplanet Light Curve
+    Characterization with Pixel Level De-correlation", equation 3 (corrected).
+
+    Examples
+    --------
+    >>> from scope_models import BivariateGaussianPSF
+    >>> psf = BivariateGaussianPSF(flux=1000, sigma_x=0.5, sigma_y=0.4, rho=0.2)
+    >>> print(f"{psf(0, 0):.1f}")
+    812.2
+    """
+
+    flux = Parameter(default=1.0, description="Integral of the density")
+    x_0 = Parameter(default=0.0, description="Column of the star (pixel)")
+    y_0 = Parameter(default=0.0, description="Row of the star (pixel)")
+    sigma_x = Parameter(
+        default=0.5, bounds=(_TINY, None), description="Standard deviation along x (pixel)"
+    )
+    sigma_y = Parameter(
+        default=0.5, bounds=(_TINY, None), description="Standard deviation along y (pixel)"
+    )
+    rho = Parameter(
+        default=0.0,
+        bounds=(-_LARGEST_RHO, _LARGEST_RHO),
+        description="Correlation coefficient",
+    )
+    sigma_x.validator(Domain("sigma_x", "positive"))
+    sigma_y.validator(Domain("sigma_y", "positive"))
+    rho.validator(Domain("rho", "inside (-1, 1)"))
+
+    def __init__(
+        self,
+        flux=flux.default,
+        x_0=x_0.default,
+        y_0=y_0.default,
+        sigma_x=sigma_x.default,
+        sigma_y=sigma_y.default,
+        rho=rho.default,
+        **kwargs,
+    ):
+        super().__init__(
+            flux=flux, x_0=x_0, y_0=y_0, sigma_x=sigma_x, sigma_y=sigma_y, rho=rho, **kwargs
+        )
+        check_model_parameters(self)
+
+    @staticmethod
+    def evaluate(x, y, flux, x_0, y_0, sigma_x, sigma_y, rho):
+        """
+        Density at the positions.
+
+        Parameters
+        ----------
+        x, y : array_like
+            Positions in pixels.
+        flux, x_0, y_0, sigma_x, sigma_y, rho : array_like
+            As for the class.
+
+        Returns
+        -------
+        density : `~numpy.ndarray`
+            In units of flux per square pixel.
+        """
+        z_x = (x - x_0) / sigma_x
+        z_y = (y - y_0) / sigma_y
+        rest = 1 - rho**2
+        norm = flux / (2 * np.pi * sigma_x * sigma_y * np.sqrt(rest))
+        return norm * np.exp(-0.5 * ((z_x - rho * z_y) ** 2 / rest + z_y**2))
+
+    @staticmethod
+    def fit_deriv(x, y, flux, x_0, y_0, sigma_x, sigma_y, rho):
+        """
+        Derivatives of the density with respect to the parameters.
+
+        Parameters
+        ----------
+        x, y : array_like
+            Positions in pixels.
+        flux, x_0, y_0, sigma_x, sigma_y, rho : array_like
+            As for the class.
+
+        Returns
+        -------
+        derivatives : list of `~numpy.ndarray`
+            One array per parameter, in their order.
+        """
+        z_x = (x - x_0) / sigma_x
+        z_y = (y - y_0) / sigma_y
+        rest = 1 - rho**2
+        unit = BivariateGaussianPSF.evaluate(x, y, 1.0, x_0, y_0, sigma_x, sigma_y, rho)
+        density = flux * unit
+        slope_x = (z_x - rho * z_y) / rest
+        slope_y = (z_y - rho * z_x) / rest
+        distance = z_x * slope_x + z_y * slope_y
+        return [
+            unit,
+            density * slope_x / sigma_x,
+            density * slope_y / sigma_y,
+            density * (z_x * slope_x - 1) / sigma_x,
+            density * (z_y * slope_y - 1) / sigma_y,
+            density * (rho + z_x * z_y - rho * distance) / rest,
+        ]
+
+    def bounding_box(self, factor=6.5):
+        """
+        Rectangle outside which less than 2e-10 of the flux lies.
+
+        Parameters
+        ----------
+        factor : float, optional
+            Half-width in standard deviations.
+
+        Returns
+        -------
+        bounding_box : tuple
+            ``((y_low, y_high), (x_low, x_high))``, as astropy orders it.
+        """
+        d_x, d_y = factor * self.sigma_x, factor * self.sigma_y
+        return ((self.y_0 - d_y, self.y_0 + d_y), (self.x_0 - d_x, self.x_0 + d_x))
+
+    @property
+    def input_units(self):
+        """Units of x and y, or None."""
+        unit = self.x_0.input_unit
+        if unit is None:
+            return None
+        return {self.inputs[0]: unit, self.inputs[1]: self.y_0.input_unit}
+
+    def _parameter_units_for_data_units(self, inputs_unit, outputs_unit):
+        unit = inputs_unit[self.inputs[0]]
+        if unit != inputs_unit[self.inputs[1]]:
+            raise UnitsError("units of x and y must be the same")
+        return {
+            "flux": outputs_unit[self.outputs[0]] * unit**2,
+            "x_0": unit,
+            "y_0": unit,
+            "sigma_x": unit,
+            "sigma_y": unit,
+        }

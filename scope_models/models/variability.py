@@ -1,0 +1,170 @@
+"""Variability of stars: sinusoids, arrays and red noise of a stated CDPP, with mean 1."""
+
+import numpy as np
+from astropy.modeling.models import Const1D, Sine1D, Tabular1D
+from celerite2 import GaussianProcess, terms
+from scipy.signal import savgol_coeffs
+
+__all__ = ["sinusoidal_signal", "stochastic_signal", "tabulated_signal"]
+
+#: Savitzky-Golay filter of lightkurve's CDPP: span in days (101 Kepler long cadences) and order.
+_FILTER_DAYS, _FILTER_ORDER = 101 * 0.0204336, 2
+
+
+def sinusoidal_signal(amplitude, period, phase=0.0):
+    r"""
+    Make a sinusoidal signal, :math:`1 + A \sin 2\pi (t / P + \phi)`.
+
+    Parameters
+    ----------
+    amplitude : float
+        Relative semi-amplitude :math:`A`, between 0 and 1.
+    period : float
+        Period :math:`P` in days.
+    phase : float, optional
+        Phase :math:`\phi` at time 0 in cycles.
+
+    Returns
+    -------
+    `~astropy.modeling.CompoundModel`
+        ``Const1D + Sine1D``, which astropy fits and multiplies.
+
+    Raises
+    ------
+    ValueError
+        If an argument is outside its domain.
+
+    Examples
+    --------
+    >>> from scope_models.models import sinusoidal_signal
+    >>> print(sinusoidal_signal(0.01, period=4)(1.0))
+    1.01
+    """
+    if not 0 <= amplitude < 1:
+        raise ValueError(f"`amplitude` must be at least 0 and below 1, got {amplitude}")
+    if not (np.isfinite(period) and period > 0):
+        raise ValueError(f"`period` must be positive, got {period}")
+    return Const1D(1.0) + Sine1D(amplitude, 1 / period, phase)
+
+
+def tabulated_signal(time, flux):
+    """
+    Make a signal of given values, linear between them.
+
+    Parameters
+    ----------
+    time : array_like
+        Times ``(n,)`` in days, increasing.
+    flux : array_like
+        Relative flux ``(n,)`` at these times, not negative.
+
+    Returns
+    -------
+    `~astropy.modeling.models.Tabular1D`
+        The signal. Outside `time` the first and the last value hold.
+
+    Raises
+    ------
+    ValueError
+        If the arrays do not match or hold values outside their domain.
+
+    Examples
+    --------
+    >>> from scope_models.models import tabulated_signal
+    >>> print(tabulated_signal([0, 1, 2], [1, 0.9, 1])([0.5, 1, 5]))
+    [0.95 0.9  1.  ]
+    """
+    time, flux = np.asarray(time, dtype=float), np.asarray(flux, dtype=float)
+    _require_times(time)
+    if flux.shape != time.shape:
+        raise ValueError(f"`flux` must have the shape {time.shape} of `time`, got {flux.shape}")
+    if not (np.isfinite(flux).all() and flux.min() >= 0):
+        raise ValueError("`flux` must be finite and not negative")
+    # one more point on either side, so far away that no time lies beyond it
+    points = np.concatenate([[-1e12], time, [1e12]])
+    table = np.concatenate([flux[:1], flux, flux[-1:]])
+    return Tabular1D(points, table, method="linear")
+
+
+def stochastic_signal(time, cdpp, *, timescale=0.25, quality=0.5**0.5, duration=6.5, seed=None):
+    r"""
+    Draw red noise, such as granulation, whose CDPP has a stated expected value.
+
+    The noise is a Gaussian process of a damped, stochastically driven
+    harmonic oscillator (celerite2's ``SHOTerm`` [1]_): with the default
+    quality :math:`1/\sqrt{2}` its power is flat at low frequency and falls
+    as the fourth power of the frequency, as granulation's does. It is scaled
+    so that the root mean square of lightkurve's CDPP is `cdpp`: the variance
+    of its running mean after the Savitzky-Golay filter follows from the
+    covariance. The estimator's clipping and the edges of the filter raise
+    its mean by up to 3 %.
+
+    Parameters
+    ----------
+    time : array_like
+        Times ``(n,)`` in days, increasing, at which it is drawn; linear in
+        between, so give times as dense as the noise needs.
+    cdpp : float
+        Expected CDPP in ppm, in lightkurve's convention.
+    timescale : float, optional
+        Period of the oscillator in days.
+    quality : float, optional
+        Quality factor of the oscillator; well above 1 for
+        quasi-periodic variability.
+    duration : float, optional
+        Time scale of the CDPP in hours.
+    seed : int or `~numpy.random.Generator`, optional
+        Seed of the draw.
+
+    Returns
+    -------
+    `~astropy.modeling.models.Tabular1D`
+        The signal; a new draw for every seed.
+
+    Raises
+    ------
+    ValueError
+        If an argument is outside its domain.
+
+    References
+    ----------
+    .. [1] Foreman-Mackey et al. 2017, AJ 154, 220.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from scope_models.models import stochastic_signal
+    >>> from scope_models.photometry import cdpp
+    >>> time = np.arange(4000) * 0.0204336
+    >>> print(f"{cdpp(stochastic_signal(time, cdpp=50, seed=1)(time)):.0f}")
+    51
+    """
+    time = np.asarray(time, dtype=float)
+    _require_times(time)
+    values = {"cdpp": cdpp, "timescale": timescale, "quality": quality, "duration": duration}
+    for name, value in values.items():
+        if not (np.isfinite(value) and value > 0):
+            raise ValueError(f"`{name}` must be positive, got {value}")
+    kernel = terms.SHOTerm(sigma=1.0, w0=2 * np.pi / timescale, Q=quality)
+    sigma = 1e-6 * cdpp / _unit_cdpp(kernel, np.median(np.diff(time)), duration)
+    process = GaussianProcess(kernel)
+    process.compute(time, diag=np.full(len(time), 1e-12))
+    noise = process.dot_tril(np.random.default_rng(seed).standard_normal(len(time)))
+    return tabulated_signal(time, 1 + sigma * noise)
+
+
+def _unit_cdpp(kernel, cadence, duration):
+    """Root mean square of the filtered running mean of a process, by its covariance."""
+    width = max(1, round(duration / 24 / cadence))
+    length = max(3, 2 * int(_FILTER_DAYS / cadence // 2) + 1)
+    high_pass = -savgol_coeffs(length, _FILTER_ORDER)
+    high_pass[length // 2] += 1
+    weights = np.convolve(high_pass, np.full(width, 1 / width))
+    products = np.correlate(weights, weights, mode="full")[len(weights) - 1 :]
+    covariance = kernel.get_value(cadence * np.arange(len(weights)))
+    return np.sqrt(products[0] * covariance[0] + 2 * products[1:] @ covariance[1:])
+
+
+def _require_times(time):
+    if time.ndim != 1 or len(time) < 2 or not (np.diff(time) > 0).all():
+        raise ValueError("`time` must be one-dimensional and increasing, with at least two values")
