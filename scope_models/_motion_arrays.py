@@ -1,0 +1,156 @@
+"""Checks and repairs of the arrays that a motion is made of."""
+
+import numpy as np
+
+__all__ = [
+    "TIME_FORMATS",
+    "as_floats",
+    "as_int32",
+    "check_increasing",
+    "check_time_format",
+    "plain",
+    "repair",
+]
+
+TIME_FORMATS = ("bkjd", "btjd")
+# Offsets of this many pixels and more are no positions (archive files have -83 to -1023 px).
+_ABSURD = 50.0
+_NO_DATA = 65536
+# "Manual exclude" in the quality flags of the archive manuals of Kepler and TESS.
+_EXCLUDED = {"bkjd": 256, "btjd": 128}
+
+
+def check_time_format(value):
+    """Raise an error unless the value is the name of a time format."""
+    if value not in TIME_FORMATS:
+        raise ValueError(f'`time_format` must be "bkjd" or "btjd", got {value!r}')
+
+
+def as_floats(value, name, n):
+    """Return a new one-dimensional float64 array of n numbers."""
+    try:
+        array = np.array(value, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise TypeError(f"`{name}` must hold numbers: {error}") from error
+    return _checked_shape(array, name, n)
+
+
+def as_int32(value, name, n):
+    """Return a new one-dimensional int32 array of n integers."""
+    array = np.asarray(value)
+    if array.dtype.kind not in "iu":
+        raise TypeError(f"`{name}` must hold integers, got {array.dtype}")
+    limits = np.iinfo(np.int32)
+    if array.size and (array.max() > limits.max or array.min() < limits.min):
+        raise ValueError(f"`{name}` must fit into 32 bits, got {array.min()} to {array.max()}")
+    return _checked_shape(array.astype(np.int32), name, n)
+
+
+def _checked_shape(array, name, n):
+    if array.ndim != 1:
+        raise ValueError(f"`{name}` must be one-dimensional, got shape {array.shape}")
+    if len(array) != n:
+        raise ValueError(f"`{name}` must have the length of `time`, {n}, got {len(array)}")
+    return array
+
+
+def check_increasing(values, name):
+    """Raise an error unless the values increase strictly."""
+    steps = np.flatnonzero(~(np.diff(values) > 0))
+    if len(steps):
+        i = steps[0] + 1
+        raise ValueError(
+            f"`{name}` must increase strictly, got {values[i]} after {values[i - 1]} at index {i}"
+        )
+
+
+def plain(value):
+    """Return the plain array of a time, quantity or column, with NaN where it is masked."""
+    value = getattr(value, "value", value)
+    mask = getattr(value, "mask", None)
+    if mask is None:
+        return np.asarray(value)
+    values = np.array(getattr(value, "unmasked", getattr(value, "data", value)))
+    if np.any(mask):
+        values = values.astype(float)
+        values[np.broadcast_to(mask, values.shape)] = np.nan
+    return values
+
+
+def repair(time, x, y, quality, cadenceno, *, time_format, bad):
+    """Interpolate, drop or refuse cadences without a usable time or position.
+
+    Parameters
+    ----------
+    time, x, y : array_like, shape (n,)
+        Times in days, and offsets in pixels.
+    quality, cadenceno : array_like of int, shape (n,), or None
+        Quality flags, and cadence numbers.
+    time_format : {"bkjd", "btjd"}
+        Zero of the times, which decides about the flags to set.
+    bad : {"interpolate", "drop", "error"}
+        What to do.
+
+    Returns
+    -------
+    time, x, y, quality, cadenceno : ndarray
+        New arrays without unusable values.
+    n_bad : int
+        The number of cadences that had some.
+    """
+    if bad not in {"interpolate", "drop", "error"}:
+        raise ValueError(f'`bad` must be "interpolate", "drop" or "error", got {bad!r}')
+    check_time_format(time_format)
+    n = np.size(time)
+    if n == 0:
+        raise ValueError("`time` is empty: a motion must have at least one cadence")
+    time, x, y = as_floats(time, "time", n), as_floats(x, "x", n), as_floats(y, "y", n)
+    flags = as_int32(np.zeros(n, np.int32) if quality is None else quality, "quality", n)
+    number = as_int32(np.arange(1, n + 1) if cadenceno is None else cadenceno, "cadenceno", n)
+    check_increasing(number, "cadenceno")
+
+    lost = ~((np.abs(x) < _ABSURD) & (np.abs(y) < _ABSURD))
+    timeless = ~np.isfinite(time)
+    unusable = lost | timeless
+    _check_usable(lost, timeless, bad)
+    if bad == "drop":
+        time, x, y, flags, number = (v[~unusable] for v in (time, x, y, flags, number))
+    else:
+        excluded = _EXCLUDED[time_format]
+        flags[lost] |= excluded
+        flags[timeless] |= _NO_DATA | (excluded if time_format == "btjd" else 0)
+        x = np.interp(number, number[~lost], x[~lost])
+        y = np.interp(number, number[~lost], y[~lost])
+        time = _fill_times(time, number, timeless)
+    return time, x, y, flags, number, int(unusable.sum())
+
+
+def _check_usable(lost, timeless, bad):
+    if lost.all():
+        raise ValueError(
+            f"no usable position: all of {len(lost)} are NaN or at least {_ABSURD:g} px"
+        )
+    if timeless.all():
+        raise ValueError(f"no usable time: all of {len(timeless)} are NaN")
+    unusable = lost | timeless
+    if unusable.all():
+        raise ValueError("no cadence with both a usable time and a usable position")
+    if bad == "error" and unusable.any():
+        raise ValueError(
+            f"{lost.sum()} positions are NaN or at least {_ABSURD:g} px, and {timeless.sum()} "
+            f"times are NaN, the first of them at index {np.flatnonzero(unusable)[0]}"
+        )
+
+
+def _fill_times(time, number, timeless):
+    """Interpolate times in cadence number; beyond the ends they go on at the median pace."""
+    if not timeless.any():
+        return time
+    known, values = number[~timeless].astype(float), time[~timeless]
+    check_increasing(values, "time")
+    if len(values) == 1:
+        raise ValueError("`time` must have at least two usable values to interpolate others")
+    pace = np.median(np.diff(values) / np.diff(known))
+    filled = np.interp(number, known, values)
+    filled += pace * (np.minimum(number - known[0], 0) + np.maximum(number - known[-1], 0))
+    return np.where(timeless, filled, time)

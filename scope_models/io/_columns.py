@@ -1,0 +1,239 @@
+"""The columns of the pixel table, and the checks of what goes into them."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+__all__ = ["PixelColumn", "checked_columns", "pixel_columns", "table_rows"]
+
+NO_DATA = 65536  # the QUALITY bit of Kepler and K2 for cadences without data
+_ROLLING_BAND_DURATIONS = 5
+_LATEST_DAY = 1e5
+_DTYPES = {"D": np.dtype(">f8"), "E": np.dtype(">f4"), "J": np.dtype(">i4")}
+
+
+@dataclass(frozen=True)
+class PixelColumn:
+    """One column of the pixel table."""
+
+    name: str
+    kind: str
+    title: str
+    unit: str = ""
+    display: str = ""
+    null: int | None = None
+    is_pixels: bool = False
+
+    def image_shape(self, shape):
+        """Return rows and columns of what a cell holds, () for a number."""
+        if self.name == "RB_LEVEL":
+            return shape[0], _ROLLING_BAND_DURATIONS
+        return tuple(shape) if self.is_pixels else ()
+
+    def form(self, shape):
+        """Return TFORM."""
+        size = self.image_shape(shape)
+        return f"{size[0] * size[1]}{self.kind}" if size else self.kind
+
+    def dtype(self, shape):
+        """Return the field of a numpy structured type, in FITS byte order."""
+        return self.name, _DTYPES[self.kind], self.image_shape(shape)
+
+
+_TIME = PixelColumn("TIME", "D", "times of mid-cadence")
+_COLUMNS = (
+    _TIME,
+    PixelColumn("TIMECORR", "E", "barycentric minus spacecraft time", "d"),
+    PixelColumn("CADENCENO", "J", "number of the cadence", display="I10"),
+    PixelColumn("RAW_CNTS", "J", "raw counts", "count", "I8", -1, is_pixels=True),
+    PixelColumn("FLUX", "E", "flux less background", "e-/s", is_pixels=True),
+    PixelColumn("FLUX_ERR", "E", "standard deviation of it", "e-/s", is_pixels=True),
+    PixelColumn("FLUX_BKG", "E", "background", "e-/s", is_pixels=True),
+    PixelColumn("FLUX_BKG_ERR", "E", "its uncertainty", "e-/s", is_pixels=True),
+    PixelColumn("COSMIC_RAYS", "E", "cosmic rays", "e-/s", is_pixels=True),
+    PixelColumn("QUALITY", "J", "quality flags"),
+    PixelColumn("POS_CORR1", "E", "offset in columns", "pixel"),
+    PixelColumn("POS_CORR2", "E", "offset in rows", "pixel"),
+    PixelColumn("RB_LEVEL", "E", "rolling bands, none sought", "sigma"),
+)
+_ABSENT = {"Kepler": {"RB_LEVEL"}, "K2": set(), "TESS": {"COSMIC_RAYS", "RB_LEVEL"}}
+
+
+def pixel_columns(metadata):
+    """Return the columns of the mission's pixel table.
+
+    Parameters
+    ----------
+    metadata : TPFMetadata
+        The facts.
+
+    Returns
+    -------
+    tuple of PixelColumn
+        The columns in order.
+    """
+    layout = metadata.layout
+    displays = dict(zip("DE", layout.displays[:2], strict=True)) | {"J": layout.displays[2]}
+    columns = []
+    for column in _COLUMNS:
+        if column.name in _ABSENT[metadata.mission]:
+            continue
+        display = column.display or displays[column.kind]
+        unit = layout.time_unit if column is _TIME else column.unit
+        columns.append(replace(column, display=display, unit=unit))
+    return tuple(columns)
+
+
+def table_rows(columns, values, shape):
+    """Return the rows of the pixel table, as they are in the file.
+
+    Parameters
+    ----------
+    columns : tuple of PixelColumn
+        The columns.
+    values : dict of str to ndarray
+        The values of each; NaN, or the null value, where there are none.
+    shape : tuple of int
+        Cadences, rows and columns.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        A structured array in FITS byte order.
+    """
+    n_cadences, *stamp = shape
+    rows = np.empty(n_cadences, dtype=[column.dtype(stamp) for column in columns])
+    as_bytes = rows.view(np.uint8).reshape(n_cadences, -1)
+    for column in columns:
+        given = values.get(column.name)
+        field, start = rows.dtype.fields[column.name]
+        if given is None:
+            rows[column.name] = np.nan if column.null is None else column.null
+        elif given.ndim == 3:
+            # One swap of bytes in one piece, then rows of bytes: 5 times faster than by field.
+            swapped = np.ascontiguousarray(given, dtype=field.base)
+            cells = swapped.view(np.uint8).reshape(n_cadences, -1)
+            as_bytes[:, start : start + field.itemsize] = cells
+        else:
+            rows[column.name] = given
+    return rows
+
+
+def checked_columns(metadata, values):
+    """Check the arrays of a target pixel file against each other.
+
+    Parameters
+    ----------
+    metadata : TPFMetadata
+        The facts.
+    values : dict of str to array_like or None
+        Lower-case names of the columns; None for what is absent.
+
+    Returns
+    -------
+    dict of str to ndarray
+        The columns by their names in the file; those that are absent are left out.
+
+    Raises
+    ------
+    TypeError
+        If integers are not integers.
+    ValueError
+        If shapes do not agree, or values are outside their domain.
+    """
+    flux = np.asarray(values["flux"])
+    if flux.ndim != 3 or 0 in flux.shape:
+        raise ValueError(f"`flux` must have the shape (n_cadences, ny, nx), got {flux.shape}")
+    checked = {"TIME": _checked_time(metadata, values["time"], len(flux))}
+    checked["CADENCENO"] = _checked_cadenceno(values["cadenceno"], len(flux))
+    checked["QUALITY"] = _checked_quality(metadata, values["quality"], checked["TIME"])
+    checked["FLUX"] = _floats("flux", flux, flux.shape)
+    for name in ("flux_err", "flux_bkg", "flux_bkg_err", "cosmic_rays"):
+        if values[name] is not None:
+            checked[name.upper()] = _floats(name, values[name], flux.shape, broadcast=True)
+    for name in ("pos_corr1", "pos_corr2", "timecorr"):
+        if values[name] is not None:
+            checked[name.upper()] = _floats(name, values[name], flux.shape[:1])
+    _check_errors(checked)
+    if values["raw_cnts"] is not None:
+        checked["RAW_CNTS"] = _integers("raw_cnts", values["raw_cnts"], flux.shape)
+        if checked["RAW_CNTS"].min() < -1:
+            raise ValueError("`raw_cnts` must not be negative, but for -1 where there are no data")
+    return checked
+
+
+def _checked_time(metadata, time, n_cadences):
+    """Return times that grow, with NaN where there are none."""
+    time = _floats("time", time, (n_cadences,))
+    known = time[np.isfinite(time)]
+    if known.size == 0:
+        raise ValueError("`time` must have a finite value")
+    if np.any(np.diff(known) <= 0):
+        raise ValueError("`time` must increase from cadence to cadence")
+    if np.abs(known[[0, -1]]).max() > _LATEST_DAY:
+        raise ValueError(
+            f"`time` must be {metadata.layout.time_unit.removesuffix(', days')} in days, "
+            f"got {known[0]} to {known[-1]}"
+        )
+    return time
+
+
+def _checked_cadenceno(cadenceno, n_cadences):
+    """Return cadence numbers that are positive and grow."""
+    cadenceno = _integers("cadenceno", cadenceno, (n_cadences,))
+    if cadenceno[0] < 1 or np.any(np.diff(cadenceno) <= 0):
+        raise ValueError(f"`cadenceno` must increase from at least 1, got {cadenceno[0]} first")
+    return cadenceno
+
+
+def _checked_quality(metadata, quality, time):
+    """Return quality flags, with that for no data where Kepler and K2 have no time."""
+    quality = _integers("quality", quality, time.shape)
+    if quality.min() < 0:
+        raise ValueError(f"`quality` must not be negative, got {quality.min()}")
+    if metadata.mission == "TESS":
+        return quality
+    return quality | np.where(np.isnan(time), NO_DATA, 0).astype(np.int32)
+
+
+def _check_errors(checked):
+    """Check that errors are positive where there is flux."""
+    error, background_error = checked["FLUX_ERR"], checked["FLUX_BKG_ERR"]
+    if np.any(error <= 0):
+        raise ValueError(f"`flux_err` must be positive, got {np.nanmin(error)}")
+    if np.any(np.isnan(error) & ~np.isnan(checked["FLUX"])):
+        raise ValueError("`flux_err` must not be NaN where `flux` is not")
+    if np.any(background_error < 0):
+        raise ValueError(f"`flux_bkg_err` must not be negative, got {np.nanmin(background_error)}")
+
+
+def _floats(name, values, shape, *, broadcast=False):
+    """Return an array of floats of a shape, without infinities."""
+    array = np.asarray(values)
+    if array.dtype.kind not in "iufb":
+        raise TypeError(f"`{name}` must be an array of numbers, got {array.dtype}")
+    if broadcast:
+        try:
+            array = np.broadcast_to(array, shape)
+        except ValueError:
+            raise ValueError(f"`{name}` must fit the shape {shape}, got {array.shape}") from None
+    if array.shape != shape:
+        raise ValueError(f"`{name}` must have the shape {shape}, got {array.shape}")
+    if array.dtype.kind != "f":
+        return array.astype(float)
+    if np.any(np.isinf(array)):
+        raise ValueError(f"`{name}` must not be infinite")
+    return array
+
+
+def _integers(name, values, shape):
+    """Return an array of 32-bit integers of a shape."""
+    array = np.asarray(values)
+    if array.dtype.kind not in "iu":
+        raise TypeError(f"`{name}` must be an array of integers, got {array.dtype}")
+    if array.shape != shape:
+        raise ValueError(f"`{name}` must have the shape {shape}, got {array.shape}")
+    limits = np.iinfo(np.int32)
+    if array.dtype.itemsize >= 4 and (array.min() < limits.min or array.max() > limits.max):
+        raise ValueError(f"`{name}` must fit 32-bit integers, got {array.min()} to {array.max()}")
+    return array.astype(np.int32, copy=False)

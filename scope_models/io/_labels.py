@@ -1,0 +1,45 @@
+"""Comments of the cards that have no value, because a simulated star lacks what they tell."""
+
+__all__ = ["LABELS"]
+
+_BANDS = {"GMAG": "g", "RMAG": "r", "IMAG": "i", "ZMAG": "z", "JMAG": "J", "HMAG": "H", "KMAG": "K"}
+
+LABELS = {
+    "SKYGROUP": "channel at the same place of the sky",
+    "DATA_REL": "data release",
+    "TTABLEID": "table of targets",
+    "PXTABLE": "table of pixels",
+    "PMRA": "proper motion in right ascension",
+    "PMDEC": "proper motion in declination",
+    "PMTOTAL": "proper motion",
+    "PARALLAX": "[arcsec] parallax",
+    "GLON": "[deg] galactic longitude",
+    "GLAT": "[deg] galactic latitude",
+    **{keyword: f"[mag] {band} magnitude" for keyword, band in _BANDS.items()},
+    "D51MAG": "[mag] magnitude about 510 nm",
+    "GRCOLOR": "[mag] g - r",
+    "JKCOLOR": "[mag] J - K",
+    "GKCOLOR": "[mag] g - K",
+    "TEFF": "[K] effective temperature",
+    "LOGG": "[cm/s2] log10 of surface gravity",
+    "FEH": "[log10([Fe/H])] metallicity",
+    "MH": "[log10([M/H])] metallicity",
+    "EBMINUSV": "[mag] reddening B - V",
+    "AV": "[mag] extinction in V",
+    "RADIUS": "[solar radii] radius of the star",
+    "TMINDEX": "number in 2MASS",
+    "SCPID": "number of the processing",
+    "TICVER": "version of the input catalogue",
+    "CRBLKSZ": "[exposures] block of the mitigation",
+    "TIERRELA": "[d] relative error of time",
+    "TIERABSO": "[d] absolute error of time",
+    "TIMSLICE": "time slice of the read-out",
+    **{f"CDPP{hours}_0": f"[ppm] CDPP over {hours} h" for hours in (1, 2, 3, 6, 12)},
+    "CDPP0_5": "[ppm] CDPP over 0.5 h",
+    "CROWDSAP": "target flux / all flux in the aperture",
+    "FLFRCSAP": "part of the target flux in the aperture",
+    "DBCOLCO": "last column of the black model",
+    "DBTHRES": "[e-/s] flux limit of the black model",
+    **{f"RBTDUR{n}": f"[cadences] rolling-band duration {n}" for n in range(1, 6)},
+    "BLKALGO": "black model",
+}

@@ -1,0 +1,323 @@
+"""What the headers of a target pixel file say, and how the missions' layouts differ."""
+
+import datetime as dt
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from scope_models._checks import checked_integer, checked_number
+
+__all__ = ["LAYOUTS", "Layout", "TPFMetadata"]
+
+_SECONDS_PER_DAY = 86400.0
+_LONG_CADENCE = 0.01  # days: between the 58.8 s and the 29.4 min of the Kepler photometer
+_MODULES = (2, 3, 4, *range(6, 21), 22, 23, 24)  # those at the corners are fine-guidance sensors
+_RUNS = ("quarter", "campaign", "sector")
+
+
+@dataclass(frozen=True)
+class Layout:
+    """What differs between the missions' target pixel files."""
+
+    telescope: str
+    id_keyword: str
+    magnitude_keyword: str
+    bjd_reference: int
+    time_unit: str
+    table_name: str
+    file_version: str
+    displays: tuple[str, str, str]  # of 64-bit floats, 32-bit floats and flags
+    run: str
+    places: tuple[str, ...]
+    field_centre: tuple[float, float]
+
+
+LAYOUTS = {
+    "Kepler": Layout(
+        telescope="Kepler",
+        id_keyword="KEPLERID",
+        magnitude_keyword="KEPMAG",
+        bjd_reference=2454833,
+        time_unit="BJD - 2454833",
+        table_name="TARGETTABLES",
+        file_version="3.0",
+        # The archive's B16.16 of the flags is too narrow for bit 65536, which stands for no data.
+        displays=("D12.7", "E13.6", "B24.24"),
+        run="quarter",
+        places=("channel", "module", "output"),
+        field_centre=(290.6667, 44.5),
+    ),
+    "K2": Layout(
+        telescope="Kepler",
+        id_keyword="KEPLERID",
+        magnitude_keyword="KEPMAG",
+        bjd_reference=2454833,
+        time_unit="BJD - 2454833",
+        table_name="TARGETTABLES",
+        file_version="6.1",
+        displays=("D14.7", "E14.7", "B24.24"),
+        run="campaign",
+        places=("channel", "module", "output"),
+        field_centre=(336.6667, -11.0967),
+    ),
+    "TESS": Layout(
+        telescope="TESS",
+        id_keyword="TICID",
+        magnitude_keyword="TESSMAG",
+        bjd_reference=2457000,
+        time_unit="BJD - 2457000, days",
+        table_name="PIXELS",
+        file_version="1.0",
+        displays=("D14.7", "E14.7", "B16.16"),
+        run="sector",
+        places=("camera", "ccd"),
+        field_centre=(270.0, 66.5607),
+    ),
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class TPFMetadata:
+    """Facts for the headers of a target pixel file.
+
+    What is None and has no default below becomes a card without a value, as in archive files.
+
+    Parameters
+    ----------
+    mission : {"Kepler", "K2", "TESS"}
+        The layout of the file.
+    target_id : int
+        KEPLERID or TICID, at least 1.
+    pixel_scale : float
+        Size of a pixel on the sky, arcsec.
+    int_time, read_time : float
+        Exposure and read-out time of one frame, s.
+    n_frames : int
+        Frames per cadence.
+    object_name : str, optional
+        OBJECT; by default "SIM" and the number, for the star is not the one of a catalogue.
+    ra, dec : float, optional
+        Position, deg; by default the middle of a field of the mission (for TESS the north
+        ecliptic pole).
+    x_0, y_0 : float, optional
+        The pixel (0-based, in the stamp) that looks at ``ra`` and ``dec``; by default the middle
+        of the stamp.
+    orientation : float, optional
+        Position angle of the direction of growing rows, deg from north to east. At 0, rows grow
+        to the north and columns to the west.
+    magnitude : float, optional
+        KEPMAG or TESSMAG.
+    quarter, campaign, sector : int, optional
+        When it was observed; only that of the mission may be given.
+    channel, module, output : int, optional
+        Where on the Kepler photometer; a channel implies its module and output, and conversely.
+    camera, ccd : int, optional
+        Where on TESS.
+    column, row : int, optional
+        Detector column and row of the first pixel of the stamp.
+    n_readouts : int, optional
+        Frames that are summed up; by default ``n_frames``.
+    time_delta : float, optional
+        Length of a cadence, days; by default that of the frames.
+    gain : float, optional
+        Electrons per count.
+    read_noise : float, optional
+        Standard deviation of one read, electrons.
+    mean_black : int, optional
+        Black level of one read, counts.
+    fixed_offset : int, optional
+        Number added to RAW_CNTS, counts.
+    seed : int, optional
+        Seed of the simulation, for the card SEED.
+    date : datetime.date, optional
+        Day on which the file is made; by default today, UTC.
+    extra_cards : mapping, optional
+        Further cards: keyword to value, or to value and comment. Keywords that the layout has
+        without a value (TEFF, CROWDSAP, TTABLEID, ...) are filled where they are, others are
+        added to the primary header.
+
+    Raises
+    ------
+    TypeError
+        If a field is of the wrong kind.
+    ValueError
+        If a field is outside its domain, or belongs to another mission.
+
+    Examples
+    --------
+    >>> from scope_models.io import TPFMetadata
+    >>> metadata = TPFMetadata(mission="K2", target_id=7, pixel_scale=3.98, int_time=6.02,
+    ...                        read_time=0.52, n_frames=270, channel=48)
+    >>> metadata.name, metadata.module_and_output, round(metadata.cadence_days, 4)
+    ('SIM 7', (14, 4), 0.0204)
+    """
+
+    mission: str
+    target_id: int
+    pixel_scale: float
+    int_time: float
+    read_time: float
+    n_frames: int
+    object_name: str | None = None
+    ra: float | None = None
+    dec: float | None = None
+    x_0: float | None = None
+    y_0: float | None = None
+    orientation: float = 0.0
+    magnitude: float | None = None
+    quarter: int | None = None
+    campaign: int | None = None
+    sector: int | None = None
+    channel: int | None = None
+    module: int | None = None
+    output: int | None = None
+    camera: int | None = None
+    ccd: int | None = None
+    column: int = 500
+    row: int = 500
+    n_readouts: int | None = None
+    time_delta: float | None = None
+    gain: float | None = None
+    read_noise: float | None = None
+    mean_black: int | None = None
+    fixed_offset: int | None = None
+    seed: int | None = None
+    date: dt.date | None = None
+    extra_cards: Mapping = field(default_factory=dict)
+
+    def __post_init__(self):
+        """Check every field and bring it to its type."""
+        if self.mission not in LAYOUTS:
+            known = ", ".join(map(repr, LAYOUTS))
+            raise ValueError(f"`mission` must be one of {known}, got {self.mission!r}")
+        self._check_numbers()
+        if self.dec is not None and abs(self.dec) > 90:
+            raise ValueError(f"`dec` must be within -90 to 90, got {self.dec}")
+        if self.n_readouts is not None and self.n_readouts > self.n_frames:
+            raise ValueError(
+                f"`n_readouts` must not exceed `n_frames`, got {self.n_readouts} of {self.n_frames}"
+            )
+        if self.object_name is not None and not (
+            isinstance(self.object_name, str) and self.object_name.isascii()
+        ):
+            raise TypeError(f"`object_name` must be ASCII text, got {self.object_name!r}")
+        if self.date is not None and not isinstance(self.date, dt.date):
+            raise TypeError(f"`date` must be a datetime.date, got {self.date!r}")
+        if not isinstance(self.extra_cards, Mapping):
+            raise TypeError(f"`extra_cards` must be a mapping, got {self.extra_cards!r}")
+        self._check_place()
+
+    def _check_numbers(self):
+        """Check the fields that are numbers."""
+        kinds = {
+            "positive": ("pixel_scale", "int_time", "time_delta", "gain"),
+            "not negative": ("read_time", "read_noise"),
+            "any sign": ("ra", "dec", "x_0", "y_0", "orientation", "magnitude"),
+        }
+        for kind, names in kinds.items():
+            for name in names:
+                self._set(
+                    name,
+                    checked_number,
+                    positive=kind == "positive",
+                    any_sign=kind == "any sign",
+                )
+        smallest = {
+            **dict.fromkeys(("target_id", "n_frames", "n_readouts"), 1),
+            **dict.fromkeys(("channel", "module", "output", "camera", "ccd", "sector"), 1),
+            **dict.fromkeys(("quarter", "campaign", "column", "row", "seed"), 0),
+            **dict.fromkeys(("mean_black", "fixed_offset"), 0),
+        }
+        for name, least in smallest.items():
+            self._set(name, checked_integer, smallest=least)
+
+    def _set(self, name, check, **limits):
+        """Replace a field that may be None by what its check returns."""
+        value = getattr(self, name)
+        optional = type(self).__dataclass_fields__[name].default is None
+        if value is not None or not optional:
+            object.__setattr__(self, name, check(name, value, **limits))
+
+    def _check_place(self):
+        """Check that time and place are those of the mission, and a channel is one."""
+        layout = self.layout
+        for name in (*_RUNS, "channel", "module", "output", "camera", "ccd"):
+            if getattr(self, name) is not None and name not in {layout.run, *layout.places}:
+                raise ValueError(
+                    f"`{name}` must not be given for {self.mission}, got {getattr(self, name)}"
+                )
+        if self.channel is not None and self.channel > 4 * len(_MODULES):
+            raise ValueError(f"`channel` must be at most {4 * len(_MODULES)}, got {self.channel}")
+        if self.module is not None and self.module not in _MODULES:
+            raise ValueError(f"`module` must be one of {_MODULES}, got {self.module}")
+        for name, largest in (("output", 4), ("camera", 4), ("ccd", 4)):
+            if (getattr(self, name) or 0) > largest:
+                raise ValueError(f"`{name}` must be at most {largest}, got {getattr(self, name)}")
+        for name, given in (("module", self.module), ("output", self.output)):
+            implied = dict(zip(("module", "output"), self.module_and_output, strict=True))[name]
+            if given is not None and given != implied:
+                raise ValueError(
+                    f"`{name}` must be {implied} for channel {self.channel}, got {given}"
+                )
+
+    @property
+    def layout(self):
+        """What is special in the mission's files."""
+        return LAYOUTS[self.mission]
+
+    @property
+    def name(self):
+        """The name of the target."""
+        return f"SIM {self.target_id}" if self.object_name is None else self.object_name
+
+    @property
+    def position(self):
+        """Right ascension (0 to 360) and declination, deg."""
+        default_ra, default_dec = self.layout.field_centre
+        ra = default_ra if self.ra is None else self.ra % 360.0
+        return ra, default_dec if self.dec is None else self.dec
+
+    @property
+    def module_and_output(self):
+        """Module and output of the channel, or those given."""
+        if self.channel is None:
+            return self.module, self.output
+        return _MODULES[(self.channel - 1) // 4], (self.channel - 1) % 4 + 1
+
+    @property
+    def full_channel(self):
+        """The channel, or that of the module and output."""
+        if self.channel is None and self.module is not None and self.output is not None:
+            return 4 * _MODULES.index(self.module) + self.output
+        return self.channel
+
+    @property
+    def frame_time(self):
+        """Length of a frame, s."""
+        return self.int_time + self.read_time
+
+    @property
+    def reads(self):
+        """Number of frames that are summed up."""
+        return self.n_frames if self.n_readouts is None else self.n_readouts
+
+    @property
+    def cadence_days(self):
+        """Length of a cadence, days."""
+        if self.time_delta is not None:
+            return self.time_delta
+        return self.n_frames * self.frame_time / _SECONDS_PER_DAY
+
+    @property
+    def is_long_cadence(self):
+        """Whether this is what the Kepler photometer calls a long cadence."""
+        return self.cadence_days > _LONG_CADENCE
+
+    @property
+    def live_fraction(self):
+        """Part of a cadence in which light is gathered."""
+        return self.int_time / self.frame_time * self.reads / self.n_frames
+
+    @property
+    def creation_date(self):
+        """The day on which the file is made, as text."""
+        return (self.date or dt.datetime.now(dt.UTC).date()).isoformat()[:10]

@@ -1,0 +1,301 @@
+"""Columns of archive files: Kepler, K2 and TESS target pixel and light-curve files.
+
+Only arrays and header cards leave this module. Whatever is wrong with a file ends in one
+`ValueError` (or `FileNotFoundError`, `IsADirectoryError`) that names the file.
+"""
+
+import warnings
+import zlib
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from astropy.utils.exceptions import AstropyUserWarning
+
+__all__ = [
+    "PositionColumns",
+    "TableColumns",
+    "open_fits",
+    "read_columns",
+    "read_positions",
+    "time_format_of",
+]
+
+_TIME_FORMATS = {2454833: "bkjd", 2457000: "btjd"}
+_UNREADABLE = (OSError, EOFError, ValueError, TypeError, KeyError, IndexError, zlib.error)
+_FACTS = {
+    "mission": ("MISSION", "TELESCOP"),
+    "object": ("OBJECT",),
+    "campaign": ("CAMPAIGN",),
+    "quarter": ("QUARTER",),
+    "sector": ("SECTOR",),
+    "channel": ("CHANNEL",),
+    "camera": ("CAMERA",),
+    "ccd": ("CCD",),
+    "ra": ("RA_OBJ",),
+    "dec": ("DEC_OBJ",),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class TableColumns:
+    """Some columns of the first binary table of a FITS file.
+
+    Attributes
+    ----------
+    columns : dict of str to ndarray
+        The columns that were asked for and are there, by upper-case name; floats are float64 and
+        integers keep their type, all in native byte order.
+    header : dict
+        Cards of the primary header, overridden by those of the table.
+    path : pathlib.Path
+        The file.
+    """
+
+    columns: dict
+    header: dict
+    path: Path
+
+
+@dataclass(frozen=True, eq=False)
+class PositionColumns:
+    """Where a star was, as an archive file has it: unchecked values.
+
+    Attributes
+    ----------
+    time : ndarray, shape (n,)
+        Times in days; NaN where there is none.
+    pos_corr1, pos_corr2 : ndarray, shape (n,)
+        Column and row offset in pixels; NaN or absurd where unknown.
+    quality : ndarray, shape (n,), or None
+        QUALITY or SAP_QUALITY, if the file has it.
+    cadenceno : ndarray, shape (n,), or None
+        CADENCENO, if the file has it.
+    time_format : {"bkjd", "btjd"} or None
+        What the header says of the zero of time; None if it says nothing.
+    meta : dict
+        What the header says of the source: any of mission, object, campaign, quarter, sector,
+        channel, camera, ccd, ra and dec, and the name of the file as filename.
+    """
+
+    time: np.ndarray
+    pos_corr1: np.ndarray
+    pos_corr2: np.ndarray
+    quality: np.ndarray | None
+    cadenceno: np.ndarray | None
+    time_format: str | None
+    meta: dict
+
+
+@contextmanager
+def open_fits(path):
+    """Open a FITS file to read, with one kind of error for whatever is wrong with it.
+
+    Parameters
+    ----------
+    path : str or path-like
+        The file, which may be compressed by gzip.
+
+    Yields
+    ------
+    astropy.io.fits.HDUList
+        The file. Do no more than read from it within the context, which has the same errors.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    IsADirectoryError
+        If it is a folder.
+    ValueError
+        If it is empty, truncated or no FITS file.
+
+    Examples
+    --------
+    >>> from scope_models.io.reading import open_fits
+    >>> with open_fits("absent.fits") as hdus:
+    ...     pass
+    Traceback (most recent call last):
+    FileNotFoundError: no such file: absent.fits
+    """
+    # Not imported with the package: it takes a quarter of the time that the package has for that.
+    from astropy.io import fits
+
+    path = Path(path)
+    if path.is_dir():
+        raise IsADirectoryError(f"{path} is a folder, not a FITS file")
+    if not path.exists():
+        raise FileNotFoundError(f"no such file: {path}")
+    if path.stat().st_size == 0:
+        raise ValueError(f"{path} is empty")
+    with warnings.catch_warnings():
+        warnings.filterwarnings("error", message="File may have been truncated")
+        try:
+            # astropy leaves some broken files open, so this opens and closes them itself.
+            with path.open("rb") as stream, fits.open(stream, memmap=False) as hdus:
+                yield hdus
+        except _Refused as error:
+            raise ValueError(str(error)) from None
+        except (*_UNREADABLE, fits.VerifyError, AstropyUserWarning) as error:
+            reason = " ".join(str(error).split())
+            raise ValueError(f"{path} is no readable FITS file, or truncated: {reason}") from error
+
+
+def read_columns(path, required, optional=()):
+    """Read one-dimensional columns of numbers from the first binary table of a FITS file.
+
+    Parameters
+    ----------
+    path : str or path-like
+        The file, which may be compressed by gzip.
+    required : iterable of str
+        Names of columns that must be there; upper and lower case are the same.
+    optional : iterable of str, optional
+        Names of columns to read if they are there.
+
+    Returns
+    -------
+    TableColumns
+        The columns, and the header.
+
+    Raises
+    ------
+    FileNotFoundError, IsADirectoryError
+        If there is no such file, or it is a folder.
+    ValueError
+        If it cannot be read as a FITS file, has no binary table, lacks a required column, has
+        no rows, or if a column does not hold one number per row.
+
+    Examples
+    --------
+    >>> from astropy.table import Table
+    >>> from scope_models.io.reading import read_columns
+    >>> Table({"TIME": [1.0, 2.0]}).write("times.fits")
+    >>> read_columns("times.fits", ["TIME"]).columns
+    {'TIME': array([1., 2.])}
+    >>> read_columns("times.fits", ["POS_CORR1"])
+    Traceback (most recent call last):
+    ValueError: times.fits has no column POS_CORR1 in its first table; it has TIME
+    """
+    from astropy.io import fits
+
+    with open_fits(path) as hdus:
+        table = next((hdu for hdu in hdus if isinstance(hdu, fits.BinTableHDU)), None)
+        if table is None:
+            raise _Refused(f"{path} has no binary table")
+        present = [name.upper() for name in table.columns.names]
+        missing = [name for name in required if name.upper() not in present]
+        if missing:
+            raise _Refused(
+                f"{path} has no column {' or '.join(missing)} in its first table; "
+                f"it has {', '.join(present) or 'none'}"
+            )
+        names = [name.upper() for name in (*required, *optional) if name.upper() in present]
+        columns = {name: _numbers(table.data[name], name, path) for name in names}
+        if len(table.data) == 0:
+            raise _Refused(f"{path} has no rows in its first table")
+        header = {**hdus[0].header, **table.header}
+    return TableColumns(columns, header, Path(path))
+
+
+def read_positions(path):
+    """Read time, POS_CORR1, POS_CORR2, quality and cadence numbers from an archive file.
+
+    Kepler, K2 and TESS target pixel files and light-curve files, .fits or .fits.gz, or any FITS
+    file whose first table has TIME, POS_CORR1 and POS_CORR2.
+
+    Parameters
+    ----------
+    path : str or path-like
+        The file.
+
+    Returns
+    -------
+    PositionColumns
+        The columns as they are, and what the header says.
+
+    Raises
+    ------
+    FileNotFoundError, IsADirectoryError
+        If there is no such file, or it is a folder.
+    ValueError
+        If it cannot be read as a FITS file, or lacks a column, or has no rows.
+
+    Examples
+    --------
+    >>> from astropy.table import Table
+    >>> from scope_models.io.reading import read_positions
+    >>> Table({"TIME": [1.0], "POS_CORR1": [0.25], "POS_CORR2": [-0.5]}).write("motion.fits")
+    >>> positions = read_positions("motion.fits")
+    >>> float(positions.pos_corr1[0]), positions.meta
+    (0.25, {'filename': 'motion.fits'})
+    """
+    table = read_columns(
+        path, ("TIME", "POS_CORR1", "POS_CORR2"), ("QUALITY", "SAP_QUALITY", "CADENCENO")
+    )
+    columns, header = table.columns, table.header
+    meta = {}
+    for fact, cards in _FACTS.items():
+        values = [header[card] for card in cards if header.get(card) not in {None, ""}]
+        # A blank card has a value of its own class, which is neither text nor a number.
+        values = [value for value in values if isinstance(value, str | int | float)]
+        if values:
+            meta[fact] = values[0]
+    return PositionColumns(
+        columns["TIME"].astype(float),
+        columns["POS_CORR1"].astype(float),
+        columns["POS_CORR2"].astype(float),
+        columns.get("QUALITY", columns.get("SAP_QUALITY")),
+        columns.get("CADENCENO"),
+        time_format_of(header),
+        {**meta, "filename": table.path.name},
+    )
+
+
+def time_format_of(header):
+    """Return the format of the times of an archive file.
+
+    Parameters
+    ----------
+    header : mapping
+        Cards of the header: BJDREFI, else TELESCOP, decide.
+
+    Returns
+    -------
+    {"bkjd", "btjd"} or None
+        BJD - 2454833 (Kepler, K2), BJD - 2457000 (TESS), or None if the header does not say.
+
+    Raises
+    ------
+    ValueError
+        If BJDREFI is another day.
+
+    Examples
+    --------
+    >>> from scope_models.io.reading import time_format_of
+    >>> time_format_of({"BJDREFI": 2457000})
+    'btjd'
+    """
+    reference = header.get("BJDREFI")
+    if isinstance(reference, int | float):
+        day = reference + (header.get("BJDREFF") or 0)
+        if day not in _TIME_FORMATS:
+            raise ValueError(f"`BJDREFI` must be 2454833 or 2457000, got {day}")
+        return _TIME_FORMATS[day]
+    return {"kepler": "bkjd", "k2": "bkjd", "tess": "btjd"}.get(
+        str(header.get("TELESCOP")).strip().lower()
+    )
+
+
+class _Refused(Exception):  # noqa: N818 (never leaves this module)
+    """A readable file does not have what is asked for."""
+
+
+def _numbers(column, name, path):
+    """Return a column in native byte order, one number per row."""
+    values = np.asarray(column)
+    if values.ndim != 1 or values.dtype.kind not in "iuf":
+        raise _Refused(f"column {name} of {path} must hold one number per row")
+    kind = values.dtype.newbyteorder("=")
+    return values.astype(np.float64 if kind.kind == "f" else kind)

@@ -1,0 +1,355 @@
+"""Target pixel files with truth, in the layouts of Kepler, K2 and TESS."""
+
+import gzip
+from pathlib import Path
+
+import numpy as np
+
+from scope_models.io._atomic import atomic_path
+from scope_models.io._columns import checked_columns, pixel_columns, table_rows
+from scope_models.io._extra_cards import with_extra_cards
+from scope_models.io._headers import aperture_cards, column_cards, primary_cards, time_cards
+from scope_models.io._metadata import TPFMetadata
+from scope_models.io._truth import TPFTruth, map_hdus, scene_hdu, truth_hdu, truth_of
+from scope_models.io.reading import open_fits
+
+__all__ = [
+    "TPFMetadata",
+    "TPFTruth",
+    "make_tpf_hdulist",
+    "read_truth",
+    "write_hdulist",
+    "write_tpf",
+]
+
+_COSMIC_RAYS = "TARGET COSMIC RAY"
+_COLLECTED, _OPTIMAL = 1, 2
+_COMPRESSION = 6
+
+
+def make_tpf_hdulist(
+    *,
+    metadata,
+    time,
+    cadenceno,
+    raw_cnts,
+    flux,
+    flux_err,
+    flux_bkg,
+    flux_bkg_err,
+    quality,
+    pos_corr1,
+    pos_corr2,
+    timecorr=None,
+    cosmic_rays=None,
+    aperture=None,
+    truth_columns=None,
+    truth_maps=None,
+    scene=None,
+):
+    """Make a target pixel file in memory.
+
+    Parameters
+    ----------
+    metadata : TPFMetadata
+        Facts for the headers; its mission chooses the layout.
+    time : array_like, shape (n,)
+        Barycentric times of mid-cadence, days (BKJD or BTJD); NaN where there is none.
+    cadenceno : array_like of int, shape (n,)
+        Numbers of the cadences, growing, from 1 at least.
+    raw_cnts : array_like of int, shape (n, ny, nx), or None
+        Counts as read; -1 or None where there are none.
+    flux, flux_err : array_like, shape (n, ny, nx)
+        Flux less background and its standard deviation, e-/s; NaN where there is none.
+    flux_bkg, flux_bkg_err : array_like, broadcast to (n, ny, nx)
+        Background and its uncertainty, e-/s.
+    quality : array_like of int, shape (n,)
+        Quality flags. Kepler and K2 get bit 65536 wherever time is NaN.
+    pos_corr1, pos_corr2 : array_like, shape (n,)
+        Offsets of the star along columns (x) and rows (y), pixels; NaN where unknown.
+    timecorr : array_like, shape (n,), optional
+        Barycentric minus spacecraft time, days; NaN by default.
+    cosmic_rays : array_like, shape (n, ny, nx), optional
+        Cosmic rays that were taken out, e-/s; NaN where there were none.
+    aperture : array_like of bool or int, shape (ny, nx), optional
+        The optimal aperture; or bits, 1 for collected and 2 for optimal. By default every pixel is
+        collected and none is chosen.
+    truth_columns : dict of str to array_like of shape (n, ...), optional
+        True values at each cadence, for the TRUTH table.
+    truth_maps : dict of str to array_like of shape (ny, nx), optional
+        Images, each one an extension of its name.
+    scene : dict, optional
+        What can be text in JSON, for the SCENE table.
+
+    Returns
+    -------
+    astropy.io.fits.HDUList
+        The file, which lightkurve's ``KeplerTargetPixelFile`` and ``TessTargetPixelFile`` take
+        as it is. It shares no memory with the arguments.
+
+    Raises
+    ------
+    TypeError
+        If an argument is of the wrong kind.
+    ValueError
+        If shapes do not agree, or values are outside their domain.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from scope_models.io import TPFMetadata, make_tpf_hdulist
+    >>> metadata = TPFMetadata(mission="K2", target_id=7, pixel_scale=3.98, int_time=6.02,
+    ...                        read_time=0.52, n_frames=270)
+    >>> flux = np.ones((3, 5, 4))
+    >>> hdus = make_tpf_hdulist(
+    ...     metadata=metadata, time=[1.0, 1.02, 1.04], cadenceno=[1, 2, 3], raw_cnts=None,
+    ...     flux=flux, flux_err=0.1 * flux, flux_bkg=0.0, flux_bkg_err=0.0, quality=[0, 0, 0],
+    ...     pos_corr1=np.zeros(3), pos_corr2=np.zeros(3), truth_columns={"X": [2.0, 2.1, 2.2]})
+    >>> [hdu.name for hdu in hdus]
+    ['PRIMARY', 'TARGETTABLES', 'APERTURE', 'TRUTH']
+    """
+    from astropy.io import fits
+
+    if not isinstance(metadata, TPFMetadata):
+        raise TypeError(f"`metadata` must be a TPFMetadata, got {metadata!r}")
+    given = {
+        "time": time,
+        "timecorr": timecorr,
+        "cadenceno": cadenceno,
+        "raw_cnts": raw_cnts,
+        "flux": flux,
+        "flux_err": flux_err,
+        "flux_bkg": flux_bkg,
+        "flux_bkg_err": flux_bkg_err,
+        "cosmic_rays": cosmic_rays,
+        "quality": quality,
+        "pos_corr1": pos_corr1,
+        "pos_corr2": pos_corr2,
+    }
+    values = checked_columns(metadata, given)
+    aperture = _aperture_bits(aperture, values["FLUX"].shape[1:])
+    hdus = fits.HDUList(_standard_hdus(metadata, values, aperture))
+    if metadata.mission == "TESS":
+        hdus.append(_cosmic_ray_hdu(metadata, values))
+    if not (truth_columns is None and truth_maps is None and scene is None):
+        hdus.append(truth_hdu(values["CADENCENO"], truth_columns or {}))
+        hdus.extend(map_hdus(truth_maps or {}))
+    if scene is not None:
+        hdus.append(scene_hdu(scene))
+    hdus[0].header.set("NEXTEND", len(hdus) - 1, "number of extensions", after="EXTEND")
+    return hdus
+
+
+def write_tpf(path, *, overwrite=False, **contents):
+    """Write a target pixel file, as a whole or not at all.
+
+    Parameters
+    ----------
+    path : str or path-like
+        The file; compressed if the name ends in .gz.
+    overwrite : bool, optional
+        Whether a file that exists is replaced.
+    **contents
+        The arguments of `make_tpf_hdulist`.
+
+    Returns
+    -------
+    pathlib.Path
+        The file.
+
+    Raises
+    ------
+    TypeError, ValueError
+        As `make_tpf_hdulist` does.
+    OSError
+        If the file exists, or cannot be written; what was there before is still there.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> import numpy as np
+    >>> from scope_models.io import TPFMetadata, read_truth, write_tpf
+    >>> metadata = TPFMetadata(mission="TESS", target_id=7, pixel_scale=21.0, int_time=1.98,
+    ...                        read_time=0.02, n_frames=60, n_readouts=48)
+    >>> contents = dict(
+    ...     metadata=metadata, time=[1.0, 2.0], cadenceno=[1, 2], raw_cnts=None,
+    ...     flux=np.ones((2, 5, 4)), flux_err=0.1, flux_bkg=0.0, flux_bkg_err=0.0,
+    ...     quality=[0, 0], pos_corr1=[0.0, 0.1], pos_corr2=[0.0, 0.2], scene={"mag": 12.0})
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = write_tpf(Path(folder) / "star.fits", **contents)
+    ...     read_truth(path).scene
+    {'mag': 12.0}
+    """
+    return write_hdulist(make_tpf_hdulist(**contents), path, overwrite=overwrite)
+
+
+def write_hdulist(hdulist, path, *, overwrite=False):
+    """Write a FITS file with checksums, as a whole or not at all.
+
+    Parameters
+    ----------
+    hdulist : astropy.io.fits.HDUList
+        What to write. Its headers get the checksums, too.
+    path : str or path-like
+        The file; compressed if the name ends in .gz.
+    overwrite : bool, optional
+        Whether a file that exists is replaced.
+
+    Returns
+    -------
+    pathlib.Path
+        The file.
+
+    Raises
+    ------
+    OSError
+        If the file exists, or cannot be written; what was there before is still there.
+
+    Examples
+    --------
+    >>> from astropy.io import fits
+    >>> from scope_models.io import write_hdulist
+    >>> write_hdulist(fits.HDUList([fits.PrimaryHDU()]), "absent/star.fits")
+    Traceback (most recent call last):
+    FileNotFoundError: cannot write absent/star.fits: there is no folder ...absent
+    """
+    with atomic_path(path, overwrite=overwrite) as temporary:
+        _write_whole(hdulist, temporary)
+    return Path(path)
+
+
+def read_truth(source):
+    """Read what a simulated target pixel file knows beyond its pixels.
+
+    Parameters
+    ----------
+    source : str, path-like, astropy.io.fits.HDUList or lightkurve.TargetPixelFile
+        The target pixel file. After slicing in lightkurve, the truth is still that of all
+        cadences: `TPFTruth.at_cadences` chooses.
+
+    Returns
+    -------
+    TPFTruth
+        The truth, exactly as it went in.
+
+    Raises
+    ------
+    FileNotFoundError, IsADirectoryError
+        If there is no such file, or it is a folder.
+    ValueError
+        If it is truncated, no FITS file, or holds no truth.
+
+    Examples
+    --------
+    >>> from scope_models.io import read_truth
+    >>> read_truth("absent.fits")
+    Traceback (most recent call last):
+    FileNotFoundError: no such file: absent.fits
+    """
+    from astropy.io import fits
+
+    hdus = getattr(source, "hdu", source)
+    if isinstance(hdus, fits.HDUList):
+        truth = truth_of(hdus)
+        name = "the target pixel file"
+    else:
+        with open_fits(source) as opened:
+            truth = truth_of(opened)
+        name = source
+    if truth is None:
+        raise ValueError(f"{name} holds no truth: it has no TRUTH table with CADENCENO")
+    return truth
+
+
+def _standard_hdus(metadata, values, aperture):
+    """Return the three HDUs that every target pixel file has."""
+    from astropy.io import fits
+
+    shape = values["FLUX"].shape
+    columns = pixel_columns(metadata)
+    used = np.isfinite(values["TIME"]) & np.isfinite(values["FLUX"]).any(axis=(1, 2))
+    timecorr = values.get("TIMECORR", np.full(shape[0], np.nan))
+    span = time_cards(metadata, values["TIME"], timecorr, int(used.sum()))
+    primary, table, image = with_extra_cards(
+        metadata.extra_cards,
+        primary_cards(metadata, span),
+        span.values(),
+        aperture_cards(metadata, aperture),
+    )
+    definitions = [
+        card
+        for number, column in enumerate(columns, 1)
+        for card in column_cards(number, column, metadata, shape[1:])
+    ]
+    return [
+        fits.PrimaryHDU(header=fits.Header(primary)),
+        _table_hdu(table_rows(columns, values, shape), columns, [*definitions, *table]),
+        fits.ImageHDU(aperture, fits.Header(image)),
+    ]
+
+
+def _table_hdu(rows, columns, cards):
+    """Return a table whose rows are already as FITS has them, without a copy."""
+    from astropy.io import fits
+
+    hdu = fits.BinTableHDU()
+    hdu.data = rows
+    for column, description in zip(hdu.columns, columns, strict=True):
+        column.disp = description.display
+        if description.unit:
+            column.unit = description.unit
+        if description.null is not None:
+            column.null = description.null
+    hdu.header = fits.Header([*hdu.header.cards[:8], *cards])
+    return hdu
+
+
+def _cosmic_ray_hdu(metadata, values):
+    """Return TESS's list of cosmic rays."""
+    from astropy.io import fits
+
+    rays = values.get("COSMIC_RAYS", np.full((1, 1, 1), np.nan))
+    cadence, row, column = np.nonzero(np.isfinite(rays))
+    hdu = fits.BinTableHDU.from_columns(
+        [
+            fits.Column("CADENCENO", "J", array=values["CADENCENO"][cadence], disp="I10"),
+            fits.Column("RAWX", "I", "pixel", array=metadata.column + column, disp="I4"),
+            fits.Column("RAWY", "I", "pixel", array=metadata.row + row, disp="I4"),
+            fits.Column("COSMIC_RAY", "E", "e-/s", array=rays[cadence, row, column], disp="E14.7"),
+        ],
+        name=_COSMIC_RAYS,
+    )
+    hdu.header.insert("EXTNAME", ("INHERIT", True, "the primary header holds here too"))
+    hdu.header["EXTVER"] = (1, "version of extension")
+    hdu.header["SIMDATA"] = (True, "the data are simulated")
+    return hdu
+
+
+def _aperture_bits(aperture, shape):
+    """Return the aperture as int32 bits."""
+    if aperture is None:
+        return np.full(shape, _COLLECTED, dtype=np.int32)
+    aperture = np.asarray(aperture)
+    if aperture.shape != shape:
+        raise ValueError(f"`aperture` must have the shape {shape}, got {aperture.shape}")
+    if aperture.dtype.kind == "b":
+        return np.where(aperture, _COLLECTED | _OPTIMAL, _COLLECTED).astype(np.int32)
+    if aperture.dtype.kind not in "iu":
+        raise TypeError(f"`aperture` must be of booleans or integers, got {aperture.dtype}")
+    if aperture.min() < 0:
+        raise ValueError(f"`aperture` must not be negative, got {aperture.min()}")
+    return aperture.astype(np.int32)
+
+
+def _write_whole(hdulist, path):
+    """Write checksums and data to a path."""
+    for hdu in hdulist:
+        hdu.add_checksum(when="checksum of the FITS standard")
+    with path.open("wb") as stream:
+        if path.suffix == ".gz":
+            # No name and no time in it: the same contents give the same file.
+            with gzip.GzipFile("", "wb", _COMPRESSION, stream, mtime=0) as compressed:
+                hdulist.writeto(compressed)
+        else:
+            hdulist.writeto(stream)
