@@ -1,0 +1,49 @@
+"""Checks of arguments that several modules share."""
+
+from numbers import Integral, Real
+
+import numpy as np
+from astropy.modeling import Model
+
+__all__ = ["checked_integer", "checked_model", "checked_number", "checked_shape"]
+
+
+def checked_model(name, model):
+    """Return a copy of a model of two inputs and one output, or None."""
+    if model is None:
+        return None
+    if not isinstance(model, Model) or (model.n_inputs, model.n_outputs) != (2, 1):
+        raise TypeError(f"`{name}` must be a two-dimensional astropy model or None, got {model!r}")
+    return model.copy()
+
+
+def checked_number(name, value, *, positive=False, any_sign=False):
+    """Return a finite number as a float."""
+    if isinstance(value, bool) or not isinstance(value, Real):
+        raise TypeError(f"`{name}` must be a number, got {value!r}")
+    value = float(value)
+    if not np.isfinite(value):
+        raise ValueError(f"`{name}` must be finite, got {value}")
+    if positive and value <= 0:
+        raise ValueError(f"`{name}` must be positive, got {value}")
+    if value < 0 and not any_sign:
+        raise ValueError(f"`{name}` must not be negative, got {value}")
+    return value
+
+
+def checked_integer(name, value, smallest):
+    """Return an integer that is not too small."""
+    if isinstance(value, bool) or not isinstance(value, Integral):
+        raise TypeError(f"`{name}` must be an integer, got {value!r}")
+    if value < smallest:
+        raise ValueError(f"`{name}` must be at least {smallest}, got {value}")
+    return int(value)
+
+
+def checked_shape(shape):
+    """Return the shape as a tuple of two positive integers."""
+    try:
+        ny, nx = shape
+    except (TypeError, ValueError):
+        raise TypeError(f"`shape` must be two integers (ny, nx), got {shape!r}") from None
+    return checked_integer("shape", ny, 1), checked_integer("shape", nx, 1)

@@ -1,0 +1,22 @@
+"""Aperture masks, the fractions of light they hold, and the noise of light curves (CDPP)."""
+
+from scope_models.photometry.apertures import (
+    circular_aperture,
+    contamination_aperture,
+    crowding,
+    flux_fraction,
+    signal_to_noise_aperture,
+    threshold_aperture,
+)
+from scope_models.photometry.precision import LONG_CADENCE, cdpp
+
+__all__ = [
+    "LONG_CADENCE",
+    "cdpp",
+    "circular_aperture",
+    "contamination_aperture",
+    "crowding",
+    "flux_fraction",
+    "signal_to_noise_aperture",
+    "threshold_aperture",
+]

@@ -1,0 +1,328 @@
+"""Aperture masks and the fractions of light they hold.
+
+Masks are boolean with shape ``(ny, nx)``, as lightkurve takes them; images are in e-/s.
+"""
+
+import numpy as np
+
+__all__ = [
+    "circular_aperture",
+    "contamination_aperture",
+    "crowding",
+    "flux_fraction",
+    "signal_to_noise_aperture",
+    "threshold_aperture",
+]
+
+
+def threshold_aperture(target, threshold=None):
+    """
+    Select the pixels in which the target exceeds a threshold at some cadence.
+
+    This is the paper's aperture: it is drawn on the noise-free target and
+    holds the star wherever the motion takes it.
+
+    Parameters
+    ----------
+    target : array_like
+        Noise-free image ``(ny, nx)`` or cube ``(n_cadences, ny, nx)`` of the
+        target alone in e-/s.
+    threshold : float, optional
+        Lowest flux per pixel in e-/s; by default 0.1 % of the brightest
+        pixel of the whole cube.
+
+    Returns
+    -------
+    `~numpy.ndarray`
+        Boolean mask ``(ny, nx)``.
+
+    Raises
+    ------
+    ValueError
+        If no pixel exceeds the threshold.
+
+    Examples
+    --------
+    >>> from scope_models.photometry import threshold_aperture
+    >>> threshold_aperture([[0, 3], [50, 100]], threshold=10)
+    array([[False, False],
+           [ True,  True]])
+    """
+    target = _images(target, "target")
+    brightest = np.max(target, axis=0)
+    if threshold is None:
+        threshold = 1e-3 * brightest.max()
+    elif not (np.isfinite(threshold) and threshold > 0):
+        raise ValueError(f"`threshold` must be positive, got {threshold}")
+    return _not_empty(brightest > threshold, f"no pixel exceeds `threshold` of {threshold:g} e-/s")
+
+
+def signal_to_noise_aperture(
+    target, exposure_time, *, neighbors=None, background=0.0, read_noise=0.0, n_frames=1
+):
+    """
+    Grow the aperture of the highest signal-to-noise ratio.
+
+    From the pixel of highest ratio on, the pixel that raises the ratio of
+    the sum most is added, until none does [1]_. The variance of a pixel
+    holds the photons of target, neighbours and background, and the read
+    noise of all frames.
+
+    Parameters
+    ----------
+    target : array_like
+        Noise-free image ``(ny, nx)`` or cube ``(n_cadences, ny, nx)`` of the
+        target alone in e-/s; a cube is averaged over cadences.
+    exposure_time : float
+        Light-gathering time of a cadence in seconds.
+    neighbors : array_like, optional
+        The same of all other stars.
+    background : float or array_like, optional
+        Background in e-/s per pixel, scalar or ``(ny, nx)``.
+    read_noise : float, optional
+        Read noise in e- per read.
+    n_frames : int, optional
+        Number of reads co-added in a cadence.
+
+    Returns
+    -------
+    `~numpy.ndarray`
+        Boolean mask ``(ny, nx)``.
+
+    Raises
+    ------
+    ValueError
+        If an argument is out of its domain or the target has no light.
+
+    References
+    ----------
+    .. [1] Bryson et al. 2010, Proc. SPIE 7740, 77401D.
+
+    Examples
+    --------
+    >>> from scope_models.photometry import signal_to_noise_aperture
+    >>> signal_to_noise_aperture([[0, 10], [10, 1000]], 100.0, background=1000)
+    array([[False, False],
+           [False,  True]])
+    """
+    signal = np.mean(_images(target, "target"), axis=0)
+    if not exposure_time > 0:
+        raise ValueError(f"`exposure_time` must be positive, got {exposure_time}")
+    if np.any(np.asarray(background) < 0) or read_noise < 0 or n_frames < 1:
+        raise ValueError("`background`, `read_noise` and `n_frames` must not be negative")
+    flux = signal + background
+    if neighbors is not None:
+        flux = flux + np.mean(_images(neighbors, "neighbors", signal.shape), axis=0)
+    variance = flux / exposure_time + n_frames * (read_noise / exposure_time) ** 2
+    order = _grow(signal.ravel(), variance.ravel())
+    mask = np.zeros(signal.size, dtype=bool)
+    mask[order] = True
+    return _not_empty(mask.reshape(signal.shape), "`target` has no light")
+
+
+def _grow(signal, variance):
+    """Return the pixels that each raise the ratio of the sums, in the order found."""
+    chosen, total, total_variance, best = [], 0.0, 0.0, 0.0
+    free = signal > 0
+    while free.any():
+        ratio = np.zeros_like(signal)
+        ratio[free] = (total + signal[free]) / np.sqrt(total_variance + variance[free])
+        index = int(np.argmax(ratio))
+        if ratio[index] <= best:
+            break
+        best = ratio[index]
+        chosen.append(index)
+        free[index] = False
+        total += signal[index]
+        total_variance += variance[index]
+    return chosen
+
+
+def contamination_aperture(target, neighbors, *, min_fraction=0.5, threshold=None):
+    """
+    Select the target's pixels that neighbours do not dominate.
+
+    Parameters
+    ----------
+    target : array_like
+        Noise-free image ``(ny, nx)`` or cube ``(n_cadences, ny, nx)`` of the
+        target alone in e-/s.
+    neighbors : array_like
+        The same of all other stars.
+    min_fraction : float, optional
+        Lowest share of the target in a pixel's starlight, summed over
+        cadences, between 0 and 1.
+    threshold : float, optional
+        As in `threshold_aperture`, applied first.
+
+    Returns
+    -------
+    `~numpy.ndarray`
+        Boolean mask ``(ny, nx)``.
+
+    Raises
+    ------
+    ValueError
+        If neighbours dominate every pixel of the target.
+
+    Examples
+    --------
+    >>> from scope_models.photometry import contamination_aperture
+    >>> contamination_aperture([[20, 100, 20]], [[0, 10, 80]])
+    array([[ True,  True, False]])
+    """
+    target = _images(target, "target")
+    neighbors = _images(neighbors, "neighbors", target.shape[1:])
+    if not 0 <= min_fraction <= 1:
+        raise ValueError(f"`min_fraction` must be between 0 and 1, got {min_fraction}")
+    light, other = np.mean(target, axis=0), np.mean(neighbors, axis=0)
+    mask = threshold_aperture(target, threshold) & (light >= min_fraction * (light + other))
+    return _not_empty(mask, "neighbours dominate every pixel of the target")
+
+
+def circular_aperture(shape, x_0, y_0, radius, *, min_overlap=0.5):
+    """
+    Select the pixels that lie mostly within a circle.
+
+    Parameters
+    ----------
+    shape : tuple of int
+        Shape ``(ny, nx)`` of the mask.
+    x_0, y_0 : float
+        Centre (column, row) in pixels.
+    radius : float
+        Radius in pixels.
+    min_overlap : float, optional
+        Lowest fraction of a pixel's area within the circle, above 0 and at
+        most 1.
+
+    Returns
+    -------
+    `~numpy.ndarray`
+        Boolean mask ``(ny, nx)``.
+
+    Raises
+    ------
+    ValueError
+        If an argument is out of its domain or no pixel is selected.
+
+    Examples
+    --------
+    >>> from scope_models.photometry import circular_aperture
+    >>> circular_aperture((3, 3), 1, 1, 1.2).astype(int)
+    array([[0, 1, 0],
+           [1, 1, 1],
+           [0, 1, 0]])
+    """
+    from photutils.aperture import CircularAperture  # slow to import
+
+    if not (np.isfinite(radius) and radius > 0):
+        raise ValueError(f"`radius` must be positive, got {radius}")
+    if not 0 < min_overlap <= 1:
+        raise ValueError(f"`min_overlap` must be above 0 and at most 1, got {min_overlap}")
+    overlap = CircularAperture((x_0, y_0), radius).to_mask(method="exact").to_image(shape)
+    if overlap is None:
+        overlap = np.zeros(shape)
+    where = f"no pixel of {shape} lies within `radius` {radius} of ({x_0}, {y_0})"
+    return _not_empty(overlap > min_overlap * (1 - 1e-12), where)
+
+
+def crowding(target, neighbors, aperture):
+    """
+    Share of the target in the starlight of an aperture (CROWDSAP).
+
+    Parameters
+    ----------
+    target : array_like
+        Image ``(ny, nx)`` or cube ``(n_cadences, ny, nx)`` of the target
+        alone in e-/s, without background.
+    neighbors : array_like or None
+        The same of all other stars; None if there are none.
+    aperture : array_like of bool
+        Mask ``(ny, nx)``.
+
+    Returns
+    -------
+    float
+        Target flux over total flux in the aperture, averaged over cadences;
+        a signal of relative depth d is diluted to d times this number.
+
+    Examples
+    --------
+    >>> from scope_models.photometry import crowding
+    >>> print(crowding([[90, 10]], [[10, 90]], [[True, False]]))
+    0.9
+    """
+    target = _images(target, "target")
+    aperture = _mask(aperture, target.shape[1:])
+    own = target[:, aperture].sum()
+    if not own > 0:
+        raise ValueError("`target` has no light in `aperture`")
+    if neighbors is None:
+        return 1.0
+    neighbors = _images(neighbors, "neighbors", target.shape[1:])
+    other = neighbors[:, aperture].sum() * len(target) / len(neighbors)
+    return float(own / (own + other))
+
+
+def flux_fraction(target, aperture, total=None):
+    """
+    Share of an aperture in the light of the target (FLFRCSAP).
+
+    Parameters
+    ----------
+    target : array_like
+        Image ``(ny, nx)`` or cube ``(n_cadences, ny, nx)`` of the target
+        alone in e-/s, without background.
+    aperture : array_like of bool
+        Mask ``(ny, nx)``.
+    total : float or array_like, optional
+        Total flux of the target in e-/s, one number or one per cadence; by
+        default what the image holds, which misses light beyond its edges.
+
+    Returns
+    -------
+    float
+        Target flux in the aperture over its total flux, averaged over
+        cadences.
+
+    Examples
+    --------
+    >>> from scope_models.photometry import flux_fraction
+    >>> print(flux_fraction([[90, 10]], [[True, False]], total=120))
+    0.75
+    """
+    target = _images(target, "target")
+    aperture = _mask(aperture, target.shape[1:])
+    total = target.sum(axis=(1, 2)).mean() if total is None else np.mean(total)
+    if not total > 0:
+        raise ValueError(f"`total` flux of the target must be positive, got {total}")
+    return float(target[:, aperture].sum(axis=1).mean() / total)
+
+
+def _images(images, name, shape=None):
+    """Return a cube (n, ny, nx) of finite values; pixels without data hold no light."""
+    images = np.asarray(images, dtype=float)
+    if images.ndim not in (2, 3) or 0 in images.shape:
+        raise ValueError(
+            f"`{name}` must have shape (ny, nx) or (n_cadences, ny, nx), got {images.shape}"
+        )
+    if shape is not None and images.shape[-2:] != tuple(shape):
+        raise ValueError(f"`{name}` must have {tuple(shape)} pixels, got {images.shape[-2:]}")
+    return np.nan_to_num(images.reshape(-1, *images.shape[-2:]), nan=0.0)
+
+
+def _mask(aperture, shape):
+    aperture = np.asarray(aperture)
+    if aperture.dtype != bool or aperture.shape != tuple(shape):
+        raise ValueError(
+            f"`aperture` must be a boolean mask of shape {tuple(shape)}, "
+            f"got {aperture.dtype} {aperture.shape}"
+        )
+    return _not_empty(aperture, "`aperture` has no pixels")
+
+
+def _not_empty(mask, message):
+    if not mask.any():
+        raise ValueError(message)
+    return mask

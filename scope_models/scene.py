@@ -1,0 +1,220 @@
+"""Scenes: all that a simulation starts from, as Python objects and as what a file holds."""
+
+import importlib
+import operator
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+
+import numpy as np
+from astropy.modeling import CompoundModel, Model
+
+from scope_models.detector import Detector
+from scope_models.io import read_truth
+from scope_models.models import SensitivityPolynomial
+from scope_models.motion import Motion
+from scope_models.star import Star
+
+__all__ = ["Scene", "read_scene"]
+
+_VERSION = 1
+_OPERATORS = {"+": operator.add, "-": operator.sub, "*": operator.mul}
+# Modules that reading a file may import; others must have been imported before.
+_TRUSTED = {"scope_models", "astropy", "photutils"}
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """The arguments of a simulation.
+
+    Iterating gives the stars, the detector and the motion, so that
+    ``simulate(*scene, **scene.options)`` gives the same pixels again.
+
+    Parameters
+    ----------
+    stars : tuple of Star
+        The stars; the first is the target.
+    detector : Detector
+        The detector.
+    motion : Motion
+        The motion that the stars share.
+    options : mapping, optional
+        Keyword arguments of `simulate`: seed, noise and n_sub.
+
+    Examples
+    --------
+    >>> from scope_models import Detector, Motion, Star
+    >>> from scope_models.scene import Scene
+    >>> scene = Scene((Star(12.0),), Detector.k2(), Motion.still(10), {"seed": 1})
+    >>> stars, detector, motion = scene
+    >>> len(motion)
+    10
+    """
+
+    stars: tuple[Star, ...]
+    detector: Detector
+    motion: Motion
+    options: Mapping = None
+
+    def __iter__(self):
+        return iter((self.stars, self.detector, self.motion))
+
+
+def read_scene(path):
+    """Read the scene from a target pixel file that this package wrote.
+
+    Parameters
+    ----------
+    path : str or path-like
+        The file.
+
+    Returns
+    -------
+    Scene
+        The stars, detector, motion and options. Signals are given as arrays, cadence by cadence.
+
+    Raises
+    ------
+    ValueError
+        If the file holds no scene, or one whose models cannot be made here.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from scope_models import Detector, Motion, Star, simulate
+    >>> from scope_models.scene import read_scene
+    >>> observation = simulate(Star(12.0), Detector.k2(), Motion.still(10), seed=1)
+    >>> path = observation.write("star.fits")
+    >>> scene = read_scene(path)
+    >>> again = simulate(*scene, **scene.options)
+    >>> np.array_equal(again.flux, observation.flux)
+    True
+    """
+    truth = read_truth(path)
+    if not truth.scene:
+        raise ValueError(f"{path} holds no scene to simulate again")
+    if truth.scene["version"] > _VERSION:
+        raise ValueError(f"{path} holds a scene of a later version of this package")
+    detector = _detector(truth.scene["detector"], truth.maps["INTERPIXEL"])
+    stars = [_star(star, i, truth.table) for i, star in enumerate(truth.scene["stars"], start=1)]
+    table, described = truth.table, truth.scene["motion"]
+    motion = Motion(
+        time=table["TIME"],
+        x=table["MOTION_X"],
+        y=table["MOTION_Y"],
+        quality=np.asarray(table["QUALITY"], dtype=np.int32),
+        cadenceno=table["CADENCENO"],
+        time_format=described["time_format"],
+        meta=described["meta"],
+    )
+    return Scene(tuple(stars), detector, motion, truth.scene["options"])
+
+
+def describe_scene(scene):
+    """Return a scene without its arrays as values that JSON can hold."""
+    return {
+        "version": _VERSION,
+        "stars": [
+            {
+                "mag": star.mag,
+                "x_0": star.x_0,
+                "y_0": star.y_0,
+                "psf": _describe_model(star.psf),
+                "signal": star.signal is not None,
+            }
+            for star in scene.stars
+        ],
+        "detector": _describe_detector(scene.detector),
+        "motion": {
+            "time_format": scene.motion.time_format,
+            "meta": {key: _plain(value) for key, value in scene.motion.meta.items()},
+        },
+        "options": dict(scene.options or {}),
+    }
+
+
+def scene_columns(scene, relative_flux):
+    """Return the arrays of a scene, cadence by cadence, as columns of a table."""
+    columns = {
+        "TIME": scene.motion.time,
+        "QUALITY": scene.motion.quality,
+        "MOTION_X": scene.motion.x,
+        "MOTION_Y": scene.motion.y,
+    }
+    for i, signal in enumerate(relative_flux, start=1):
+        columns[f"SIGNAL{i}"] = signal
+    return columns
+
+
+def _describe_detector(detector):
+    """Return the fields of a detector; the interpixel map is stored elsewhere."""
+    described = {item.name: getattr(detector, item.name) for item in fields(detector)}
+    for name in ("sensitivity", "psf"):
+        described[name] = _describe_model(described[name])
+    described["shape"] = list(detector.shape)
+    described["interpixel"] = detector.interpixel is not None
+    return described
+
+
+def _detector(described, interpixel):
+    """Return the detector of a description."""
+    values = dict(described)
+    for name in ("sensitivity", "psf"):
+        values[name] = _model(values[name])
+    values["shape"] = tuple(values["shape"])
+    values["interpixel"] = interpixel if values["interpixel"] else None
+    return Detector(**values)
+
+
+def _star(described, number, table):
+    """Return the star of a description."""
+    signal = np.asarray(table[f"SIGNAL{number}"]) if described["signal"] else None
+    psf = _model(described["psf"])
+    return Star(described["mag"], described["x_0"], described["y_0"], psf, signal)
+
+
+def _describe_model(model):
+    """Return a model as the names of its classes and the values of its parameters."""
+    if model is None:
+        return None
+    if isinstance(model, CompoundModel):
+        left, right = _describe_model(model.left), _describe_model(model.right)
+        return {"operator": model.op, "left": left, "right": right}
+    described = {
+        "module": type(model).__module__,
+        "class": type(model).__qualname__,
+        "parameters": {
+            name: np.asarray(getattr(model, name).value).tolist() for name in model.param_names
+        },
+    }
+    if isinstance(model, SensitivityPolynomial):
+        described["parameters"] = {
+            "x_coefficients": list(model.x_coefficients),
+            "y_coefficients": list(model.y_coefficients),
+        }
+    return described
+
+
+def _model(described):
+    """Return the model of a description."""
+    if described is None:
+        return None
+    if "operator" in described:
+        combine = _OPERATORS[described["operator"]]
+        return combine(_model(described["left"]), _model(described["right"]))
+    module = described["module"]
+    if module not in sys.modules and module.partition(".")[0] not in _TRUSTED:
+        raise ValueError(f"import {module} before reading a scene with its {described['class']}")
+    kind = importlib.import_module(module)
+    for part in described["class"].split("."):
+        kind = getattr(kind, part, None)
+    if not (isinstance(kind, type) and issubclass(kind, Model)):
+        raise TypeError(f"{module}.{described['class']} is not a model")
+    return kind(**described["parameters"])
+
+
+def _plain(value):
+    """Return a value that JSON can hold."""
+    if isinstance(value, np.generic):
+        return value.item()
+    return value if isinstance(value, (str, int, float, bool, type(None))) else str(value)

@@ -1,0 +1,234 @@
+"""The detector: numbers of the presets, checks, and what follows from the fields."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from astropy.io import fits
+from astropy.modeling.models import Const1D, Gaussian2D
+from photutils.psf import GaussianPSF, MoffatPSF
+from scipy.stats import kstest, norm, uniform
+
+from scope_models import Detector
+from scope_models.models import BivariateGaussianPSF, SensitivityPolynomial
+
+CUSTOM = {"shape": (5, 7), "zero_point": 1e5, "zero_point_mag": 10.0, "int_time": 2.0}
+PRESETS = {"kepler": Detector.kepler, "k2": Detector.k2, "tess": Detector.tess}
+
+
+@pytest.mark.parametrize(
+    "detector, name",
+    [
+        (Detector.kepler(), "kepler_tpf/kplr009002278-2010174085026_lpd-targ.fits.gz"),
+        (Detector.k2(), "k2_tpf/ktwo211983544-c18_lpd-targ.fits.gz"),
+        (Detector.tess(), "tess_tpf/tesssip_tpf1.fits"),
+    ],
+    ids=["kepler", "k2", "tess"],
+)
+def test_presets_agree_with_archive_files(shared_data, detector, name):
+    with fits.open(shared_data / name) as hdus:
+        header = hdus[1].header
+        background = np.nanmedian(hdus[1].data["FLUX_BKG"])
+    assert detector.int_time == pytest.approx(header["INT_TIME"], rel=1e-12)
+    assert detector.read_time == pytest.approx(header["READTIME"], rel=1e-12)
+    assert detector.frame_time == pytest.approx(header["FRAMETIM"], rel=1e-9)
+    assert detector.n_frames == header["NUM_FRM"]
+    assert detector.n_reads == header["NREADOUT"]
+    assert detector.cadence_days == pytest.approx(header["TIMEDEL"], rel=1e-8)
+    # Kepler's EXPOSURE is the time of the series; DEADC is live time over time.
+    live = detector.exposure_time / (detector.cadence_days * 86400)
+    assert live == pytest.approx(header["DEADC"], rel=1e-8)
+    gain = header["GAIN"] if "GAIN" in header else header["GAINA"]
+    assert detector.gain == pytest.approx(gain, rel=0.05)
+    read_noise = header["READNOIS"] if "READNOIS" in header else header["READNOIA"]
+    assert detector.read_noise == pytest.approx(read_noise, rel=0.25)
+    black = header["MEANBLCK"] if "MEANBLCK" in header else header["MEANBLCA"]
+    assert detector.mean_black == pytest.approx(black, rel=0.05)
+    offset = header["LCFXDOFF"] if "LCFXDOFF" in header else header["FXDOFF"]
+    assert detector.fixed_offset == offset
+    assert detector.background == pytest.approx(background, rel=0.1)
+
+
+def test_short_cadence():
+    long, short = Detector.kepler(), Detector.kepler(cadence="short")
+    assert (long.n_frames, short.n_frames) == (270, 9)
+    assert long.exposure_time == pytest.approx(1625.347, abs=1e-3)
+    assert short.exposure_time == pytest.approx(long.exposure_time / 30, rel=1e-12)
+    assert short.cadence_days * 86400 == pytest.approx(58.8488, abs=1e-4)
+    assert (long.fixed_offset, short.fixed_offset) == (419400, 219400)
+
+
+@pytest.mark.parametrize(
+    "cadence, n_reads, exposure",
+    [(20, 10, 19.8), (120, 48, 95.04), (200, 80, 158.4), (600, 240, 475.2), (1800, 720, 1425.6)],
+)
+def test_tess_cadences(cadence, n_reads, exposure):
+    detector = Detector.tess(cadence=cadence)
+    assert detector.cadence_days * 86400 == pytest.approx(cadence, rel=1e-12)
+    assert detector.n_reads == n_reads
+    assert detector.exposure_time == pytest.approx(exposure, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    "preset, options, message",
+    [
+        ("kepler", {"cadence": "medium"}, "`cadence` must be 'long' or 'short', got 'medium'"),
+        ("tess", {"cadence": 30}, "`cadence` must be one of 20, 120, 200, 600, 1800 s, got 30"),
+    ],
+)
+def test_unknown_cadences(preset, options, message):
+    with pytest.raises(ValueError, match=message):
+        PRESETS[preset](**options)
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_every_field_can_be_overridden(preset):
+    changes = {
+        "shape": (4, 6),
+        "zero_point": 1e4,
+        "zero_point_mag": 9.0,
+        "int_time": 1.0,
+        "mission": "other",
+        "pixel_scale": 2.0,
+        "read_time": 0.5,
+        "n_frames": 10,
+        "live_fraction": 0.5,
+        "gain": 3.0,
+        "read_noise": 4.0,
+        "background": 5.0,
+        "well_depth": None,
+        "fixed_offset": 7,
+        "mean_black": 8,
+        "sensitivity": None,
+        "interpixel": np.full((4, 6), 0.9),
+        "interpixel_scatter": 0.0,
+        "interpixel_distribution": "normal",
+        "psf": None,
+    }
+    assert set(changes) == {item.name for item in dataclasses.fields(Detector)}
+    detector = PRESETS[preset](**changes)
+    replaced = PRESETS[preset]().replace(**changes)
+    for name, value in changes.items():
+        assert np.array_equal(getattr(detector, name), value)
+        assert np.array_equal(getattr(replaced, name), value)
+
+
+def test_misspelt_fields_are_errors():
+    for make in (Detector.k2, Detector.tess, Detector.k2().replace):
+        with pytest.raises(TypeError, match="readnoise"):
+            make(readnoise=3.0)
+
+
+@pytest.mark.parametrize(
+    "changes, error, message",
+    [
+        ({"shape": 5}, TypeError, r"`shape` must be two integers \(ny, nx\), got 5"),
+        ({"shape": (5, 0)}, ValueError, "`shape` must be at least 1, got 0"),
+        ({"shape": (5.0, 5)}, TypeError, "`shape` must be an integer, got 5.0"),
+        ({"zero_point": 0.0}, ValueError, "`zero_point` must be positive, got 0.0"),
+        ({"zero_point": "best"}, ValueError, "`zero_point` must be a number or one of"),
+        ({"zero_point_mag": np.nan}, ValueError, "`zero_point_mag` must be finite, got nan"),
+        ({"int_time": -1.0}, ValueError, "`int_time` must be positive, got -1.0"),
+        ({"mission": 3}, TypeError, "`mission` must be a string, got 3"),
+        ({"pixel_scale": 0}, ValueError, "`pixel_scale` must be positive, got 0.0"),
+        ({"read_time": -0.1}, ValueError, "`read_time` must not be negative, got -0.1"),
+        ({"n_frames": 0}, ValueError, "`n_frames` must be at least 1, got 0"),
+        ({"n_frames": 2.0}, TypeError, "`n_frames` must be an integer, got 2.0"),
+        ({"live_fraction": 1.1}, ValueError, "`live_fraction` must not be above 1, got 1.1"),
+        ({"gain": np.inf}, ValueError, "`gain` must be finite, got inf"),
+        ({"read_noise": "5"}, TypeError, "`read_noise` must be a number, got '5'"),
+        ({"background": -1}, ValueError, "`background` must not be negative, got -1.0"),
+        ({"well_depth": 0.0}, ValueError, "`well_depth` must be positive, got 0.0"),
+        (
+            {"well_depth": 10.0, "background": 6.0},
+            ValueError,
+            "`well_depth` must exceed the background of a frame, 12 e-, got 10",
+        ),
+        ({"fixed_offset": -1}, ValueError, "`fixed_offset` must be at least 0, got -1"),
+        ({"sensitivity": 1.0}, TypeError, "`sensitivity` must be a two-dimensional astropy model"),
+        ({"psf": Const1D()}, TypeError, "`psf` must be a two-dimensional astropy model"),
+        ({"psf": Gaussian2D()}, ValueError, "a component needs flux, x_0 and y_0"),
+        ({"sensitivity": Gaussian2D()}, ValueError, "must be one density times sensitivities"),
+        ({"interpixel": np.ones((7, 5))}, ValueError, r"shape \(5, 7\), got \(7, 5\)"),
+        ({"interpixel": np.full((5, 7), np.nan)}, ValueError, "`interpixel` must be finite and"),
+        ({"interpixel": np.full((5, 7), -0.1)}, ValueError, "`interpixel` must be finite and"),
+        ({"interpixel_scatter": 2.0}, ValueError, "`interpixel_scatter` must not be above 1"),
+        (
+            {"interpixel_distribution": "flat"},
+            ValueError,
+            "`interpixel_distribution` must be one of uniform, normal, got 'flat'",
+        ),
+    ],
+)
+def test_bad_fields(changes, error, message):
+    with pytest.raises(error, match=message):
+        Detector(**(CUSTOM | changes))
+
+
+def test_flux_from_mag():
+    detector = Detector.k2()
+    assert detector.flux_from_mag(12.0) == pytest.approx(1.74e5)
+    np.testing.assert_allclose(detector.flux_from_mag([9.5, 14.5]), [1.74e6, 1.74e4])
+    assert Detector.k2(zero_point="focal plane").flux_from_mag(12) == pytest.approx(2.141e5)
+    # T = 10 gives 1.5e4 e-/s.
+    assert Detector.tess().flux_from_mag(10.0) == pytest.approx(1.5e4, rel=1e-3)
+    with pytest.raises(ValueError, match="`mag` must be finite, got nan"):
+        detector.flux_from_mag(np.nan)
+
+
+def test_presets_have_the_sensitivity_of_the_paper():
+    for detector in (Detector.kepler(), Detector.k2(), Detector.tess()):
+        assert detector.sensitivity.x_coefficients == (1, 0, -0.05)
+        assert detector.sensitivity.y_coefficients == (1, 0, -0.05)
+        assert detector.interpixel_scatter == 0.01
+
+
+def test_interpixel_map_is_drawn_from_the_seed():
+    detector = Detector.k2(shape=(60, 50))
+    response = detector.interpixel_map(3)
+    assert np.array_equal(response, detector.interpixel_map(3))
+    assert not np.array_equal(response, detector.interpixel_map(4))
+    assert kstest(response.ravel(), uniform(0.99, 0.02).cdf).pvalue > 1e-3
+    normal = detector.replace(interpixel_distribution="normal").interpixel_map(3)
+    assert kstest(normal.ravel(), norm(1, 0.01).cdf).pvalue > 1e-3
+
+
+def test_given_interpixel_map():
+    response = np.linspace(0.5, 1.5, 35).reshape(5, 7)
+    detector = Detector(**CUSTOM, interpixel=response)
+    assert np.array_equal(detector.interpixel_map(1), response)
+    response[0, 0] = 0.0
+    assert detector.interpixel[0, 0] == 0.5
+    with pytest.raises(ValueError, match="read-only"):
+        detector.interpixel[0, 0] = 0.0
+
+
+def test_without_sensitivity():
+    detector = Detector.k2(interpixel=np.full((11, 11), 0.9)).without_sensitivity()
+    assert detector.sensitivity is None
+    assert np.array_equal(detector.interpixel_map(1), np.ones((11, 11)))
+
+
+def test_frozen_and_independent_of_its_arguments():
+    psf = BivariateGaussianPSF(sigma_x=0.5)
+    sensitivity = SensitivityPolynomial()
+    detector = Detector(**CUSTOM, psf=psf, sensitivity=sensitivity)
+    psf.sigma_x = 2.0
+    sensitivity.ax2 = 0.0
+    assert detector.psf.sigma_x == 0.5
+    assert detector.sensitivity.ax2 == -0.05
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        detector.gain = 2.0
+
+
+def test_other_models_are_allowed():
+    psf = MoffatPSF(alpha=1.0) + GaussianPSF(x_fwhm=2.0)
+    response = SensitivityPolynomial() * SensitivityPolynomial((1, 0.1), (1,))
+    detector = Detector(**CUSTOM, psf=psf, sensitivity=response)
+    assert detector.psf.n_submodels == detector.sensitivity.n_submodels == 2
+
+
+def test_repr_names_what_matters():
+    text = repr(Detector.tess())
+    for part in ("TESS", "11 x 11 px", "21 arcsec", "60 frames", "read noise 10 e-"):
+        assert part in text

@@ -1,0 +1,168 @@
+"""Observations as target pixel files and light curves, read by lightkurve."""
+
+import numpy as np
+import pytest
+from astropy.io import fits
+from lightkurve import (
+    KeplerLightCurve,
+    KeplerTargetPixelFile,
+    TessLightCurve,
+    TessTargetPixelFile,
+)
+
+from scope_models import Detector, Motion, Star, simulate
+from scope_models.exceptions import LostLightWarning
+from scope_models.io import read_truth
+from scope_models.models import BivariateGaussianPSF
+
+DETECTORS = {"kepler": Detector.kepler(), "k2": Detector.k2(), "tess": Detector.tess()}
+
+
+@pytest.fixture(scope="module")
+def observation():
+    stars = [Star(12.0), Star(14.0, 8.5, 2.0)]
+    return simulate(stars, Detector.k2(), Motion.k2_roll(60), seed=3)
+
+
+@pytest.mark.parametrize("name", DETECTORS)
+def test_to_tpf_and_light_curve(name):
+    detector = DETECTORS[name]
+    time_format = "btjd" if name == "tess" else "bkjd"
+    motion = Motion.still(30, start=2000.0, cadence=detector.cadence_days, time_format=time_format)
+    observation = simulate(Star(11.0), detector, motion, seed=1)
+    tpf = observation.to_tpf(metadata={"target_id": 1234})
+    assert isinstance(tpf, TessTargetPixelFile if name == "tess" else KeplerTargetPixelFile)
+    assert tpf.time.format == time_format
+    np.testing.assert_allclose(tpf.time.value, motion.time, rtol=0, atol=1e-9)
+    assert np.array_equal(tpf.flux.value, observation.flux)
+    assert np.array_equal(tpf.flux_err.value, observation.flux_err)
+    assert np.array_equal(tpf.flux_bkg.value, observation.flux_bkg)
+    assert tpf.targetid == 1234
+    assert np.array_equal(tpf.pipeline_mask, observation.aperture)
+    light_curve = observation.to_lightcurve()
+    assert isinstance(light_curve, TessLightCurve if name == "tess" else KeplerLightCurve)
+    expected = observation.flux[:, observation.aperture].sum(axis=1, dtype=float)
+    np.testing.assert_allclose(light_curve.flux.value, expected, rtol=1e-6)
+    variance = (observation.flux_err[:, observation.aperture].astype(float) ** 2).sum(axis=1)
+    np.testing.assert_allclose(light_curve.flux_err.value, np.sqrt(variance), rtol=1e-6)
+    mask = np.zeros(detector.shape, dtype=bool)
+    mask[5, 4:6] = True
+    pair = observation.to_lightcurve(mask).flux.value
+    np.testing.assert_allclose(pair, observation.flux[:, 5, 4:6].sum(axis=1), rtol=1e-6)
+
+
+def test_times_are_those_of_the_mission():
+    motion = Motion.still(5, start=2500.0)
+    observation = simulate(Star(11.0), Detector.tess(), motion, seed=1)
+    # BKJD is BJD - 2454833, BTJD is BJD - 2457000.
+    expected = motion.time + 2454833 - 2457000
+    np.testing.assert_allclose(observation.to_tpf().time.value, expected, rtol=0, atol=1e-9)
+    assert np.array_equal(observation.time, motion.time)
+
+
+def test_quality_and_cadence_numbers_are_those_of_the_motion():
+    motion = Motion(
+        time=np.arange(4.0),
+        x=np.zeros(4),
+        y=np.zeros(4),
+        quality=[0, 1048576, 0, 1],
+        cadenceno=[10, 11, 13, 14],
+    )
+    observation = simulate(Star(12.0), Detector.k2(), motion, seed=1)
+    tpf = observation.to_tpf(quality_bitmask="none")
+    assert tpf.quality.tolist() == [0, 1048576, 0, 1]
+    assert tpf.cadenceno.tolist() == [10, 11, 13, 14]
+    assert observation.to_tpf().cadenceno.tolist() == [10, 13]
+
+
+def test_aperture_holds_the_target(observation):
+    assert observation.aperture[5, 5]
+    assert not observation.aperture[2, 8]
+    assert 5 <= observation.aperture.sum() <= 30
+    with pytest.warns(LostLightWarning):
+        dark = simulate(Star(12.0, -50.0, 5.0), Detector.k2(), Motion.still(3), seed=1)
+    assert dark.aperture.all()
+    assert dark.to_tpf().flux.shape == (3, 11, 11)
+
+
+def test_aperture_cards(observation, tmp_path):
+    path = observation.write(tmp_path / "star.fits")
+    with fits.open(path) as hdus:
+        header = hdus[1].header
+        aperture = (hdus["APERTURE"].data & 2) > 0
+    scene = {"detector": observation.detector, "motion": observation.motion, "seed": 3}
+    target = simulate(observation.stars[0], noise=False, **scene).model()
+    every = observation.model()
+    crowding = (target[:, aperture].sum(axis=1) / every[:, aperture].sum(axis=1)).mean()
+    assert header["CROWDSAP"] == pytest.approx(crowding, abs=1e-6)
+    fraction = target[:, aperture].sum(axis=1).mean() / 1.74e5
+    assert header["FLFRCSAP"] == pytest.approx(fraction, abs=1e-6)
+
+
+def test_write_and_read(observation, tmp_path):
+    path = observation.write(tmp_path / "star.fits", metadata={"object_name": "a star"})
+    assert path == tmp_path / "star.fits"
+    with fits.open(path, memmap=False) as hdus:
+        hdus.verify("exception")
+        tpf = KeplerTargetPixelFile(hdus, quality_bitmask="none")
+        assert np.array_equal(tpf.flux.value, observation.flux)
+        assert tpf.get_header()["OBJECT"] == "a star"
+        assert np.array_equal(hdus[1].data["RAW_CNTS"], observation.raw_cnts)
+        header = hdus[1].header
+        # The counts belong to the flux, by the facts in the header.
+        exposure = header["INT_TIME"] * header["NUM_FRM"]
+        electrons = (hdus[1].data["RAW_CNTS"] - header["LCFXDOFF"]) * header["GAIN"]
+        flux = electrons / exposure - hdus[1].data["FLUX_BKG"]
+        np.testing.assert_allclose(flux, observation.flux, atol=0.6 * header["GAIN"] / exposure)
+    truth = read_truth(path)
+    assert np.array_equal(truth.table["X1"], observation.truth.x[0])
+    assert np.array_equal(truth.table["Y2"], observation.truth.y[1])
+    assert np.array_equal(truth.maps["INTERPIXEL"], observation.truth.interpixel)
+
+
+def test_existing_and_unwritable_files(observation, tmp_path):
+    path = tmp_path / "star.fits"
+    path.write_bytes(b"something else")
+    with pytest.raises(OSError, match=r"star\.fits"):
+        observation.write(path)
+    assert path.read_bytes() == b"something else"
+    observation.write(path, overwrite=True)
+    with fits.open(path) as hdus:
+        assert len(hdus[1].data) == 60
+    with pytest.raises(OSError, match="no folder"):
+        observation.write(tmp_path / "absent" / "star.fits")
+
+
+def test_missions_without_target_pixel_files(tmp_path):
+    detector = Detector.k2(mission="Other")
+    observation = simulate(Star(12.0), detector, Motion.still(3), seed=1)
+    with pytest.raises(ValueError, match=r"`mission` must be Kepler, K2 or TESS .* got 'Other'"):
+        observation.write(tmp_path / "star.fits")
+    assert not list(tmp_path.iterdir())
+
+
+def test_misspelt_metadata(observation):
+    with pytest.raises(TypeError, match="targetid"):
+        observation.to_tpf(metadata={"targetid": 3})
+
+
+def test_repr_and_read_only(observation):
+    text = "<Observation K2: 60 cadences of 11 x 11 pixels, 2 stars, seed 3>"
+    assert repr(observation) == text
+    with pytest.raises(ValueError, match="read-only"):
+        observation.flux[0, 0, 0] = 1.0
+
+
+def test_centroids_follow_the_motion_of_a_real_file(shared_data, tmp_path):
+    motion = Motion.from_file(shared_data / "poscorr" / "ktwo211117077-c04_llc.fits")
+    psf = BivariateGaussianPSF(sigma_x=0.6, sigma_y=0.6)
+    observation = simulate(Star(12.0, psf=psf), Detector.k2(), motion, seed=1)
+    with fits.open(observation.write(tmp_path / "star.fits"), memmap=False) as hdus:
+        tpf = KeplerTargetPixelFile(hdus)
+        column, row = (q.value for q in tpf.estimate_centroids(aperture_mask="all"))
+        assert np.corrcoef(column, tpf.pos_corr1)[0, 1] > 0.99
+        assert np.corrcoef(row, tpf.pos_corr2)[0, 1] > 0.99
+        truth = read_truth(tpf).at_cadences(tpf.cadenceno)
+    assert np.std(column - tpf.column - truth["X1"]) < 0.02
+    assert np.mean(column - tpf.column - truth["X1"]) == pytest.approx(0, abs=0.02)
+    assert np.mean(row - tpf.row - truth["Y1"]) == pytest.approx(0, abs=0.02)

@@ -1,0 +1,99 @@
+"""Scenes: what a file holds gives the same pixels again, bit for bit."""
+
+import numpy as np
+import pytest
+from photutils.psf import MoffatPSF
+
+from scope_models import Detector, Motion, Star, simulate
+from scope_models.io import read_truth
+from scope_models.models import BivariateGaussianPSF, SensitivityPolynomial
+from scope_models.scene import read_scene
+
+CORE = BivariateGaussianPSF(0.7, sigma_x=0.45, sigma_y=0.55, rho=-0.3)
+WINGS = BivariateGaussianPSF(0.3, 0.1, -0.05, sigma_x=1.2, sigma_y=1.1)
+SCENES = {
+    "defaults": ([Star(12.0)], Detector.k2(), Motion.k2_roll(40, seed=1), {}),
+    "everything": (
+        [
+            Star(9.0, 4.9, 5.2, CORE + WINGS, signal=lambda time: 1 + 0.01 * np.sin(time)),
+            Star(13.5, 6.0, 3.0, MoffatPSF(flux=2.0, alpha=0.9, beta=3.5), signal=np.ones(40)),
+        ],
+        Detector.kepler(
+            interpixel=np.random.default_rng(1).uniform(0.98, 1.02, (11, 11)),
+            sensitivity=SensitivityPolynomial((1, 0.01, -0.06), (1, 0, -0.04, 0, 0.1)),
+            cadence="short",
+        ),
+        3 * Motion.k2_roll(40, seed=2),
+        {"noise": ("photon", "read", "quantization"), "n_sub": 3},
+    ),
+    "tess": (
+        [Star(10.0)],
+        Detector.tess(shape=(9, 13), interpixel_distribution="normal", zero_point=1.1),
+        Motion.still(40, cadence=1 / 720, time_format="btjd"),
+        {"noise": False},
+    ),
+}
+
+
+@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize("suffix", [".fits", ".fits.gz"])
+def test_scene_in_a_file_gives_the_same_pixels(name, suffix, tmp_path):
+    stars, detector, motion, options = SCENES[name]
+    observation = simulate(stars, detector, motion, seed=12, **options)
+    scene = read_scene(observation.write(tmp_path / f"star{suffix}"))
+    again = simulate(*scene, **scene.options)
+    for cube in ("flux", "flux_err", "flux_bkg", "raw_cnts"):
+        assert np.array_equal(getattr(again, cube), getattr(observation, cube))
+    assert np.array_equal(again.model(), observation.model())
+    for quantity in ("time", "x", "y", "quality", "cadenceno"):
+        assert np.array_equal(getattr(scene.motion, quantity), getattr(motion, quantity))
+    assert scene.motion.time_format == motion.time_format
+    assert repr(scene.detector) == repr(detector)
+    # The scene of an observation is the one that it was made of.
+    direct = simulate(*observation.scene, **observation.scene.options)
+    assert np.array_equal(direct.flux, observation.flux)
+
+
+def test_default_places_and_psfs_stay_defaults(tmp_path):
+    observation = simulate(Star(12.0), Detector.k2(), Motion.still(3), seed=1)
+    star = read_scene(observation.write(tmp_path / "star.fits")).stars[0]
+    assert (star.mag, star.x_0, star.y_0, star.psf, star.signal) == (12.0, None, None, None, None)
+
+
+def test_files_without_a_scene(shared_data, tmp_path):
+    with pytest.raises(ValueError, match="holds no truth"):
+        read_scene(shared_data / "tess_tpf" / "tesssip_tpf1.fits")
+    with pytest.raises(FileNotFoundError, match=r"absent\.fits"):
+        read_scene(tmp_path / "absent.fits")
+
+
+def test_scene_of_a_later_version(tmp_path, monkeypatch):
+    observation = simulate(Star(12.0), Detector.k2(), Motion.still(3), seed=1)
+    monkeypatch.setattr("scope_models.scene._VERSION", 2)
+    path = observation.write(tmp_path / "star.fits")
+    monkeypatch.setattr("scope_models.scene._VERSION", 1)
+    with pytest.raises(ValueError, match="a scene of a later version"):
+        read_scene(path)
+
+
+@pytest.mark.parametrize(
+    "module, name, error, message",
+    [
+        ("unknown_package.psf", "PSF", ValueError, r"import unknown_package\.psf before reading"),
+        (
+            "scope_models.io",
+            "read_truth",
+            TypeError,
+            r"scope_models\.io\.read_truth is not a model",
+        ),
+        ("astropy.modeling.models", "NoModel", TypeError, "NoModel is not a model"),
+    ],
+)
+def test_only_models_are_made(module, name, error, message, tmp_path, monkeypatch):
+    observation = simulate(Star(12.0, psf=CORE), Detector.k2(), Motion.still(3), seed=1)
+    path = observation.write(tmp_path / "star.fits")
+    truth = read_truth(path)
+    truth.scene["stars"][0]["psf"] |= {"module": module, "class": name}
+    monkeypatch.setattr("scope_models.scene.read_truth", lambda _: truth)
+    with pytest.raises(error, match=message):
+        read_scene(path)
