@@ -1,0 +1,28 @@
+"""Figures: arrays in, `~matplotlib.axes.Axes` out.
+
+Images are in e-/s with axes in pixels (0-based, an integer is a pixel's centre), times in days.
+Every figure can be read in black and white: colour maps grow in lightness, series differ in
+lightness, marker and size. All functions draw into the Axes given as ``ax``, or into a new figure.
+"""
+
+from scope_models.plotting.images import (
+    animate_pixels,
+    plot_detector,
+    plot_motion,
+    plot_pixels,
+    plot_psf,
+    plot_sensitivity,
+)
+from scope_models.plotting.light_curves import plot_fold, plot_light_curve, plot_summary
+
+__all__ = [
+    "animate_pixels",
+    "plot_detector",
+    "plot_fold",
+    "plot_light_curve",
+    "plot_motion",
+    "plot_pixels",
+    "plot_psf",
+    "plot_sensitivity",
+    "plot_summary",
+]

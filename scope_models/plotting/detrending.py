@@ -1,0 +1,106 @@
+"""Figures of a corrector: what it removed, what it left, and from which pixels."""
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+from scope_models.photometry import cdpp
+
+__all__ = ["plot_detrending", "plot_detrending_masks"]
+
+_DARK, _LIGHT, _GREY = "#08306b", "#f08a24", "0.65"
+
+
+def plot_detrending(
+    time, flux, corrected, *, systematics=None, trend=None, outliers=None, masked=None
+):
+    """
+    Draw a light curve before and after de-trending, and the model.
+
+    Parameters
+    ----------
+    time, flux, corrected : array_like
+        Times in days and fluxes before and after ``(n_cadences,)``.
+    systematics, trend : array_like, optional
+        The two parts of the model in the unit of the flux.
+    outliers, masked : array_like of bool, optional
+        Cadences that the fit left out, by itself or because it was told to.
+
+    Returns
+    -------
+    `~numpy.ndarray` of `~matplotlib.axes.Axes`
+        Three panels: before, model, after.
+
+    Examples
+    --------
+    >>> from scope_models.plotting.detrending import plot_detrending
+    >>> axes = plot_detrending([0, 1, 2], [99, 100, 103], [100, 101, 100])
+    >>> [ax.get_ylabel() for ax in axes]
+    ['measured', 'model', 'corrected']
+    """
+    time, flux, corrected = (np.asarray(values, dtype=float) for values in (time, flux, corrected))
+    _, axes = plt.subplots(3, 1, figsize=(9, 7), sharex=True, layout="constrained")
+    axes[0].plot(time, flux, ".", ms=2, color=_GREY, label=_label("measured", flux))
+    for values, color, name in ((systematics, _DARK, "systematics"), (trend, _LIGHT, "trend")):
+        if values is not None:
+            axes[1].plot(time, values, ".", ms=2, color=color, label=name)
+    axes[2].plot(time, corrected, ".", ms=2, color=_DARK, label=_label("corrected", corrected))
+    for mask, marker, name in ((outliers, "x", "outliers"), (masked, "+", "not in the fit")):
+        if mask is not None and np.any(mask):
+            axes[2].plot(time[mask], corrected[mask], marker, ms=5, color=_LIGHT, label=name)
+    finite = corrected[np.isfinite(corrected)]
+    if finite.size:
+        low, high = np.percentile(finite, [0.5, 99.5])
+        room = 0.3 * (high - low) or 1.0
+        axes[2].set_ylim(low - room, high + room)
+    for ax, name in zip(axes, ("measured", "model", "corrected"), strict=True):
+        ax.set_ylabel(name)
+        if ax.get_legend_handles_labels()[0]:
+            ax.legend(loc="upper right", fontsize="small")
+    axes[2].set_xlabel("Time (d)")
+    return axes
+
+
+def _label(name, flux):
+    """Add the noise, where there are enough cadences to tell."""
+    try:
+        return f"{name}, CDPP {cdpp(flux, method='everest'):.0f} ppm"
+    except ValueError:
+        return name
+
+
+def plot_detrending_masks(image, aperture, scatter):
+    """
+    Draw an aperture over the star and over the pixels' share in the systematics.
+
+    Parameters
+    ----------
+    image : array_like
+        Typical image in e-/s, ``(ny, nx)``.
+    aperture : array_like of bool
+        Pixels that are summed.
+    scatter : array_like
+        Standard deviation of each pixel's fraction of the light.
+
+    Returns
+    -------
+    `~numpy.ndarray` of `~matplotlib.axes.Axes`
+        Two panels.
+
+    Examples
+    --------
+    >>> from scope_models.plotting.detrending import plot_detrending_masks
+    >>> axes = plot_detrending_masks([[1, 9]], [[False, True]], [[0, 0.1]])
+    >>> [ax.get_title() for ax in axes]
+    ['Flux (e-/s)', 'Scatter of the pixel fractions']
+    """
+    aperture = np.asarray(aperture, dtype=bool)
+    _, axes = plt.subplots(1, 2, figsize=(9, 4), layout="constrained")
+    titles = ("Flux (e-/s)", "Scatter of the pixel fractions")
+    for ax, values, title in zip(axes, (image, scatter), titles, strict=True):
+        drawn = ax.imshow(np.asarray(values, dtype=float), origin="lower", cmap="cividis")
+        ax.figure.colorbar(drawn, ax=ax)
+        for row, column in np.argwhere(aperture):
+            frame = plt.Rectangle((column - 0.5, row - 0.5), 1, 1, fill=False, color="w", lw=0.8)
+            ax.add_patch(frame)
+        ax.set(title=title, xlabel="column (px)", ylabel="row (px)")
+    return axes

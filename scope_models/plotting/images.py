@@ -1,0 +1,307 @@
+"""Figures of pixels: maps, stamps, tracks and animations."""
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.animation import FuncAnimation
+from matplotlib.collections import LineCollection
+from matplotlib.colors import LogNorm
+from matplotlib.patheffects import Normal, Stroke
+
+__all__ = [
+    "animate_pixels",
+    "plot_detector",
+    "plot_motion",
+    "plot_pixels",
+    "plot_psf",
+    "plot_sensitivity",
+]
+
+
+def plot_pixels(image, aperture=None, *, log=False, title="Pixel image", ax=None):
+    """
+    Draw a pixel image, with the outline of an aperture.
+
+    Parameters
+    ----------
+    image : array_like
+        Flux per pixel ``(ny, nx)`` in e-/s.
+    aperture : array_like of bool, optional
+        Mask ``(ny, nx)`` whose outline is drawn.
+    log : bool, optional
+        Scale the colours logarithmically, over at most four decades.
+    title : str, optional
+        Title of the Axes.
+    ax : `~matplotlib.axes.Axes`, optional
+        Where to draw; a new figure by default.
+
+    Returns
+    -------
+    `~matplotlib.axes.Axes`
+        The Axes.
+
+    Examples
+    --------
+    >>> import matplotlib
+    >>> matplotlib.use("agg")
+    >>> from scope_models.plotting import plot_pixels
+    >>> plot_pixels([[1, 2], [3, 4]], [[False, True], [True, True]]).get_xlabel()
+    'Column (pixel)'
+    """
+    image = _image(image)
+    norm = None
+    if log:
+        top = np.nanmax(image)
+        norm = LogNorm(vmin=max(np.nanmin(image), 1e-4 * top), vmax=top, clip=True)
+    ax = _draw_image(image, 1, "Flux (e$^-$ s$^{-1}$)", title, ax, cmap="viridis", norm=norm)
+    if aperture is not None:
+        _outline(ax, np.asarray(aperture, dtype=bool))
+    return ax
+
+
+def plot_sensitivity(sensitivity, oversample=1, *, title="Sensitivity", ax=None):
+    """
+    Draw the sensitivity of the detector at sub-pixel resolution.
+
+    Parameters
+    ----------
+    sensitivity : array_like
+        Relative response ``(ny * oversample, nx * oversample)``.
+    oversample : int, optional
+        Samples per pixel along each axis.
+    title : str, optional
+        Title of the Axes.
+    ax : `~matplotlib.axes.Axes`, optional
+        Where to draw; a new figure by default.
+
+    Returns
+    -------
+    `~matplotlib.axes.Axes`
+        The Axes.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from scope_models.plotting import plot_sensitivity
+    >>> plot_sensitivity(np.ones((20, 30)), oversample=10).get_xlim()
+    (np.float64(-0.5), np.float64(2.5))
+    """
+    image = _image(sensitivity)
+    return _draw_image(image, oversample, "Relative sensitivity", title, ax, cmap="gray")
+
+
+def plot_psf(psf, oversample=1, *, title="PSF on the detector", ax=None):
+    """
+    Draw the light that falls on the detector at sub-pixel resolution.
+
+    Parameters
+    ----------
+    psf : array_like
+        Density ``(ny * oversample, nx * oversample)`` in e-/s per square
+        pixel.
+    oversample : int, optional
+        Samples per pixel along each axis.
+    title : str, optional
+        Title of the Axes.
+    ax : `~matplotlib.axes.Axes`, optional
+        Where to draw; a new figure by default.
+
+    Returns
+    -------
+    `~matplotlib.axes.Axes`
+        The Axes.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from scope_models.plotting import plot_psf
+    >>> plot_psf(np.ones((20, 30)), oversample=10).get_title()
+    'PSF on the detector'
+    """
+    label = "Flux density (e$^-$ s$^{-1}$ pixel$^{-2}$)"
+    return _draw_image(_image(psf), oversample, label, title, ax, cmap="viridis")
+
+
+def plot_detector(sensitivity, psf, image, oversample=1, *, aperture=None, axes=None):
+    """
+    Draw sensitivity, PSF and pixel image side by side, as the paper's figure 3.
+
+    Parameters
+    ----------
+    sensitivity, psf : array_like
+        Maps ``(ny * oversample, nx * oversample)`` of relative response and
+        of flux density in e-/s per square pixel.
+    image : array_like
+        The pixels ``(ny, nx)`` in e-/s.
+    oversample : int, optional
+        Samples per pixel of the first two along each axis.
+    aperture : array_like of bool, optional
+        Mask ``(ny, nx)`` whose outline is drawn on the image.
+    axes : sequence of `~matplotlib.axes.Axes`, optional
+        Three Axes to draw into; a new figure by default.
+
+    Returns
+    -------
+    `~numpy.ndarray`
+        The three Axes.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from scope_models.plotting import plot_detector
+    >>> fine = np.ones((20, 30))
+    >>> axes = plot_detector(fine, fine, np.eye(2, 3), oversample=10)
+    >>> [ax.get_title() for ax in axes]
+    ['(a) Sensitivity', '(b) PSF on the detector', '(c) Pixel image']
+    """
+    if axes is None:
+        _, axes = plt.subplots(1, 3, figsize=(13, 3.8), layout="constrained")
+    plot_sensitivity(sensitivity, oversample, title="(a) Sensitivity", ax=axes[0])
+    plot_psf(psf, oversample, title="(b) PSF on the detector", ax=axes[1])
+    plot_pixels(image, aperture, title="(c) Pixel image", ax=axes[2])
+    return np.asarray(axes)
+
+
+def plot_motion(time, x, y, shape=None, *, time_label="Time (d)", title="Motion", ax=None):
+    """
+    Draw the track of a star over the pixel grid, coloured by time.
+
+    Parameters
+    ----------
+    time : array_like
+        Times ``(n_cadences,)`` in days.
+    x, y : array_like
+        Positions ``(n_cadences,)`` in pixels.
+    shape : tuple of int, optional
+        Shape ``(ny, nx)`` of the stamp; by default the track's surroundings
+        are drawn.
+    time_label, title : str, optional
+        Label of the colour bar and title of the Axes.
+    ax : `~matplotlib.axes.Axes`, optional
+        Where to draw; a new figure by default.
+
+    Returns
+    -------
+    `~matplotlib.axes.Axes`
+        The Axes.
+
+    Examples
+    --------
+    >>> from scope_models.plotting import plot_motion
+    >>> plot_motion([0, 1, 2], [2, 2.3, 2.1], [3, 3.1, 3], shape=(6, 5)).get_ylim()
+    (np.float64(-0.5), np.float64(5.5))
+    """
+    time, x, y = (np.asarray(values, dtype=float) for values in (time, x, y))
+    ax = _axes(ax)
+    points = np.column_stack([x, y])
+    track = LineCollection(
+        np.stack([points[:-1], points[1:]], axis=1), cmap="viridis", lw=0.6, alpha=0.5
+    )
+    track.set_array(time[:-1])
+    ax.add_collection(track)
+    dots = ax.scatter(x, y, c=time, s=5, cmap="viridis", zorder=3)
+    ax.plot(x[0], y[0], "kx", ms=7, mew=1.5, zorder=4, label="first cadence")
+    ax.legend(loc="upper right", fontsize="small")
+    if shape is None:
+        limits = [(np.floor(v.min() + 0.5) - 0.5, np.ceil(v.max() - 0.5) + 0.5) for v in (x, y)]
+    else:
+        limits = [(-0.5, shape[1] - 0.5), (-0.5, shape[0] - 0.5)]
+    _pixel_axes(ax, *limits)
+    ax.set_title(title)
+    ax.figure.colorbar(dots, ax=ax, label=time_label, shrink=0.85)
+    return ax
+
+
+def animate_pixels(cube, time=None, aperture=None, *, interval=50, time_label="Time (d)", ax=None):
+    """
+    Animate a stamp, cadence by cadence.
+
+    Parameters
+    ----------
+    cube : array_like
+        Flux per pixel ``(n_cadences, ny, nx)`` in e-/s.
+    time : array_like, optional
+        Times ``(n_cadences,)`` in days, written into the title.
+    aperture : array_like of bool, optional
+        Mask ``(ny, nx)`` whose outline is drawn.
+    interval : float, optional
+        Milliseconds per frame.
+    time_label : str, optional
+        What the title calls the times.
+    ax : `~matplotlib.axes.Axes`, optional
+        Where to draw; a new figure by default.
+
+    Returns
+    -------
+    `~matplotlib.animation.FuncAnimation`
+        The animation; keep it, and show it or ``.save()`` it.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from scope_models.plotting import animate_pixels
+    >>> animation = animate_pixels(np.random.default_rng(1).random((3, 4, 5)))
+    >>> html = animation.to_jshtml()
+    """
+    cube = np.asarray(cube, dtype=float)
+    if cube.ndim != 3:
+        raise ValueError(f"`cube` must have shape (n_cadences, ny, nx), got {cube.shape}")
+    ax = plot_pixels(cube[0], aperture, title="", ax=ax)
+    picture = ax.images[0]
+    picture.set_clim(np.nanmin(cube), np.nanmax(cube))
+
+    def draw(frame):
+        picture.set_data(cube[frame])
+        name = f"cadence {frame + 1}" if time is None else f"{time_label}: {time[frame]:.4f}"
+        return picture, ax.set_title(name)
+
+    return FuncAnimation(ax.figure, draw, frames=len(cube), interval=interval)
+
+
+def _axes(ax):
+    if ax is None:
+        _, ax = plt.subplots(figsize=(5, 4.2), layout="constrained")
+    return ax
+
+
+def _image(image):
+    image = np.asarray(image, dtype=float)
+    if image.ndim != 2:
+        raise ValueError(f"an image must have two dimensions, got shape {image.shape}")
+    return image
+
+
+def _draw_image(image, oversample, label, title, ax, **kwargs):
+    ax = _axes(ax)
+    ny, nx = (size / oversample for size in image.shape)
+    extent = (-0.5, nx - 0.5, -0.5, ny - 0.5)
+    shown = ax.imshow(image, origin="lower", extent=extent, interpolation="nearest", **kwargs)
+    _pixel_axes(ax, extent[:2], extent[2:])
+    ax.set_title(title)
+    ax.figure.colorbar(shown, ax=ax, label=label, shrink=0.85)
+    return ax
+
+
+def _pixel_axes(ax, x_limits, y_limits):
+    """Label the axes in whole pixels and draw the pixels' edges."""
+    ax.set(xlim=x_limits, ylim=y_limits, xlabel="Column (pixel)", ylabel="Row (pixel)")
+    ax.set_aspect("equal")
+    for axis, (low, high) in ((ax.xaxis, x_limits), (ax.yaxis, y_limits)):
+        centers = np.arange(np.ceil(low), np.floor(high) + 1)
+        axis.set_ticks(centers[:: 1 + len(centers) // 12])
+        axis.set_ticks(np.arange(low, high + 0.5), minor=True)
+        axis.set_tick_params(which="minor", length=0)
+    ax.grid(which="minor", color="0.6", lw=0.5)
+
+
+def _outline(ax, aperture):
+    """Draw the edges between pixels inside and outside, white on black."""
+    padded = np.pad(aperture, 1)
+    lines = []
+    for row, column in zip(*np.nonzero(padded[1:] != padded[:-1]), strict=True):
+        lines.append([(column - 1.5, row - 0.5), (column - 0.5, row - 0.5)])
+    for row, column in zip(*np.nonzero(padded[:, 1:] != padded[:, :-1]), strict=True):
+        lines.append([(column - 0.5, row - 1.5), (column - 0.5, row - 0.5)])
+    edges = LineCollection(lines, colors="w", lw=2, zorder=3, capstyle="round", clip_on=False)
+    edges.set_path_effects([Stroke(linewidth=4.5, foreground="k"), Normal()])
+    edges.set_label("aperture")
+    ax.add_collection(edges, autolim=False)

@@ -1,0 +1,238 @@
+"""Figures of light curves, and the summary of a star."""
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+from scope_models.plotting.images import plot_motion, plot_pixels
+
+__all__ = [
+    "plot_fold",
+    "plot_light_curve",
+    "plot_summary",
+]
+
+_DARK, _LIGHT = "#08306b", "#f08a24"  # far apart in lightness too
+
+
+def plot_light_curve(
+    time,
+    flux,
+    corrected=None,
+    *,
+    cdpp=None,
+    corrected_cdpp=None,
+    model=None,
+    time_label="Time (d)",
+    title="Light curve",
+    ax=None,
+):
+    """
+    Draw a raw light curve and, over it, the de-trended one.
+
+    Parameters
+    ----------
+    time, flux : array_like
+        Times in days and fluxes ``(n_cadences,)`` in any unit.
+    corrected : array_like, optional
+        The de-trended fluxes ``(n_cadences,)``.
+    cdpp, corrected_cdpp : float, optional
+        Noise of the two in ppm, written into the legend.
+    model : array_like, optional
+        Expected relative flux ``(n_cadences,)``, drawn as a line.
+    time_label, title : str, optional
+        Label of the time axis and title of the Axes.
+    ax : `~matplotlib.axes.Axes`, optional
+        Where to draw; a new figure by default.
+
+    Returns
+    -------
+    `~matplotlib.axes.Axes`
+        The Axes.
+
+    Examples
+    --------
+    >>> from scope_models.plotting import plot_light_curve
+    >>> ax = plot_light_curve([0, 1, 2], [99, 100, 103], [100, 101, 100], cdpp=23.14)
+    >>> [text.get_text() for text in ax.get_legend().get_texts()]
+    ['raw, CDPP 23.1 ppm', 'de-trended']
+    """
+    if ax is None:
+        _, ax = plt.subplots(figsize=(8, 3.2), layout="constrained")
+    relative = np.asarray(flux, dtype=float) / np.nanmedian(flux)
+    ax.plot(time, relative, ".", ms=3.5, color=_LIGHT, label=_with_cdpp("raw", cdpp))
+    if corrected is not None:
+        relative = np.asarray(corrected, dtype=float) / np.nanmedian(corrected)
+        label = _with_cdpp("de-trended", corrected_cdpp)
+        ax.plot(time, relative, ".", ms=2.5, color=_DARK, label=label)
+    if model is not None:
+        ax.plot(time, model, "-", lw=0.9, color="k", label="model")
+    _label(ax, time_label, title)
+    return ax
+
+
+def plot_fold(
+    time, flux, period, t0, *, model=None, window=None, n_bins=60, title="Folded", ax=None
+):
+    """
+    Draw a light curve folded on a period, with the means of phase bins.
+
+    Parameters
+    ----------
+    time, flux : array_like
+        Times in days and relative fluxes ``(n_cadences,)``.
+    period, t0 : float
+        Period in days and time of mid-transit.
+    model : array_like, optional
+        Relative flux of a model at the same times, drawn as a line.
+    window : float, optional
+        Hours to draw on either side of mid-transit; half a period by
+        default.
+    n_bins : int, optional
+        Number of bins over the window.
+    title : str, optional
+        Title of the Axes.
+    ax : `~matplotlib.axes.Axes`, optional
+        Where to draw; a new figure by default.
+
+    Returns
+    -------
+    `~matplotlib.axes.Axes`
+        The Axes.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from scope_models.plotting import plot_fold
+    >>> time = np.arange(200) / 48
+    >>> plot_fold(time, np.ones(200), 1.5, 0.5, window=6).get_xlabel()
+    'Time from mid-transit (h)'
+    """
+    time, flux = np.asarray(time, dtype=float), np.asarray(flux, dtype=float)
+    if not period > 0:
+        raise ValueError(f"`period` must be positive, got {period}")
+    window = 12 * period if window is None else window
+    phase = 24 * ((time - t0 + period / 2) % period - period / 2)
+    near = np.isfinite(flux) & (np.abs(phase) <= window)
+    if not near.any():
+        raise ValueError(f"`window` of {window} h around mid-transit holds no cadence")
+    if ax is None:
+        _, ax = plt.subplots(figsize=(6, 3.6), layout="constrained")
+    ax.plot(phase[near], flux[near], ".", ms=3, color="0.75", label="cadences")
+    edges = np.linspace(-window, window, n_bins + 1)
+    count, _ = np.histogram(phase[near], edges)
+    total, _ = np.histogram(phase[near], edges, weights=flux[near])
+    used = count > 0
+    centers = (edges[:-1] + edges[1:]) / 2
+    ax.plot(centers[used], total[used] / count[used], "o", ms=4.5, color=_DARK, label="binned")
+    if model is not None:
+        order = np.argsort(phase[near])
+        ax.plot(phase[near][order], np.asarray(model)[near][order], color=_LIGHT, label="model")
+    _label(ax, "Time from mid-transit (h)", title)
+    return ax
+
+
+def plot_summary(
+    time,
+    image,
+    flux,
+    x,
+    y,
+    *,
+    corrected=None,
+    aperture=None,
+    cdpp=None,
+    corrected_cdpp=None,
+    model=None,
+    time_label="Time (d)",
+    title=None,
+):
+    """
+    Draw image with aperture, motion and light curves of a star in one figure.
+
+    Parameters
+    ----------
+    time : array_like
+        Times ``(n_cadences,)`` in days.
+    image : array_like
+        Pixel image ``(ny, nx)`` in e-/s, such as the first cadence.
+    flux : array_like
+        Raw light curve ``(n_cadences,)``.
+    x, y : array_like
+        Positions of the star ``(n_cadences,)`` in pixels.
+    corrected : array_like, optional
+        De-trended light curve ``(n_cadences,)``.
+    aperture : array_like of bool, optional
+        Mask ``(ny, nx)``.
+    cdpp, corrected_cdpp : float, optional
+        Noise of the two light curves in ppm.
+    model : array_like, optional
+        Expected relative flux ``(n_cadences,)``, drawn over the de-trended
+        light curve.
+    time_label, title : str, optional
+        Label of the time axes and title of the figure.
+
+    Returns
+    -------
+    dict
+        The Axes ``"image"``, ``"motion"``, ``"light curve"`` and, with
+        `corrected`, ``"de-trended"``; ``axes["image"].figure`` is the figure.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from scope_models.plotting import plot_summary
+    >>> axes = plot_summary([0, 1, 2], np.eye(5), [99, 100, 103], [2, 2.1, 2], [2, 2, 2.1])
+    >>> sorted(axes)
+    ['image', 'light curve', 'motion']
+    """
+    mosaic = [["image", "motion"], ["light curve", "light curve"]]
+    if corrected is not None:
+        mosaic.append(["de-trended", "de-trended"])
+    heights = [1.5] + [1] * (len(mosaic) - 1)
+    figure, axes = plt.subplot_mosaic(
+        mosaic, figsize=(9, 2 + 2.4 * len(mosaic)), layout="constrained", height_ratios=heights
+    )
+    plot_pixels(image, aperture, title="First cadence", ax=axes["image"])
+    plot_motion(time, x, y, np.shape(image), time_label=time_label, ax=axes["motion"])
+    plot_light_curve(
+        time,
+        flux,
+        corrected,
+        cdpp=cdpp,
+        corrected_cdpp=corrected_cdpp,
+        time_label=time_label,
+        ax=axes["light curve"],
+    )
+    if corrected is not None:
+        _plot_corrected(axes["de-trended"], time, corrected, model, time_label)
+    figure.suptitle(title)
+    return axes
+
+
+def _plot_corrected(ax, time, corrected, model, time_label):
+    """Draw the de-trended light curve alone, on its own scale."""
+    relative = np.asarray(corrected, dtype=float) / np.nanmedian(corrected)
+    ax.plot(time, relative, ".", ms=2.5, color=_DARK, label="de-trended")
+    if model is not None:
+        ax.plot(time, model, "-", lw=1.2, color=_LIGHT, label="truth")
+    _label(ax, time_label, "De-trended light curve")
+
+
+def _label(ax, xlabel, title):
+    """Label the axes; the legend stands above them, where it hides no data."""
+    ax.set(xlabel=xlabel, ylabel="Relative flux")
+    ax.set_title(title, loc="left")
+    ax.ticklabel_format(axis="y", useOffset=False)
+    ax.legend(
+        loc="lower right",
+        bbox_to_anchor=(1, 1),
+        ncols=3,
+        fontsize="small",
+        markerscale=1.5,
+        frameon=False,
+        borderaxespad=0.2,
+    )
+
+
+def _with_cdpp(name, cdpp):
+    return name if cdpp is None else f"{name}, CDPP {cdpp:.1f} ppm"
