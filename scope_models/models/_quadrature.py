@@ -6,7 +6,7 @@ import warnings
 import numpy as np
 
 from scope_models.exceptions import IntegrationWarning
-from scope_models.models._gaussian import gauss_legendre
+from scope_models.models._axis import gauss_legendre
 
 __all__ = ["integrate_adaptively"]
 

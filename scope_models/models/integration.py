@@ -47,7 +47,7 @@ class PixelPoints:
         size = self.columns.size * self.rows.size
         # Points that are scattered rather than on a grid are better done one by one.
         self.on_grid = size <= 4 * self.x.size
-        self._whole = size == self.x.size and bool(
+        self.whole = size == self.x.size and bool(
             np.all(self._row * self.columns.size + self._column == np.arange(size))
         )
 
@@ -60,26 +60,40 @@ class PixelPoints:
             raise ValueError(f"`shape` must be (ny, nx), got {shape!r}") from error
         if ny < 1 or nx < 1:
             raise ValueError(f"`shape` must be positive, got {shape!r}")
-        return cls(np.arange(nx), np.arange(ny)[:, np.newaxis])
+        points = cls.__new__(cls)
+        points.shape = (ny, nx)
+        points.columns, points.rows = np.arange(nx, dtype=float), np.arange(ny, dtype=float)
+        points.x, points.y = np.tile(points.columns, ny), np.repeat(points.rows, nx)
+        points.on_grid = points.whole = True
+        return points
 
     def gather(self, images):
         """Values at the points from images on the grid, ``(..., ny, nx) -> (..., *shape)``."""
-        if not self._whole:
+        if not self.whole:
             images = images[..., self._row, self._column]
             return images.reshape((*images.shape[:-1], *self.shape))
         return images.reshape((*images.shape[:-2], *self.shape))
 
-    def gaussian(self, engine, x_0, y_0, *others):
+    def closed_form(self, engine, x_0, y_0, sigma_x, sigma_y, along_x, along_y):
+        """Apply a model's own closed form: ``(..., *shape)``."""
+
+        def with_rho(x, y, x_0, y_0, sigma_x, sigma_y, _, along_x, along_y):
+            return engine(x, y, x_0, y_0, sigma_x, sigma_y, along_x, along_y)
+
+        return self.gaussian(with_rho, (x_0, y_0, sigma_x, sigma_y, 0.0), (along_x, along_y))
+
+    def gaussian(self, engine, parameters, polynomials, **flux):
         """Apply `gaussian_pixels` or `gaussian_derivatives`: ``(..., *shape)``."""
         if self.on_grid:
-            return self.gather(engine(self.columns, self.rows, x_0, y_0, *others))
+            return self.gather(engine(self.columns, self.rows, *parameters, *polynomials, **flux))
         # One pixel at the origin, with the star where it is as seen from each point.
-        lead = np.broadcast_shapes(*(np.shape(p) for p in (x_0, y_0, *others[:3])))
-        shaped = [np.broadcast_to(p, lead)[..., np.newaxis] for p in (x_0, y_0, *others[:3])]
+        lead = np.broadcast_shapes(*(np.shape(p) for p in (*parameters, *flux.values())))
+        x_0, y_0, *others = (np.broadcast_to(p, lead)[..., np.newaxis] for p in parameters)
+        flux = {name: np.broadcast_to(p, lead)[..., np.newaxis] for name, p in flux.items()}
         origin = np.zeros(1)
-        images = engine(
-            origin, origin, shaped[0] - self.x, shaped[1] - self.y, *shaped[2:], *others[3:]
-        )[..., 0, 0]
+        images = engine(origin, origin, x_0 - self.x, y_0 - self.y, *others, *polynomials, **flux)[
+            ..., 0, 0
+        ]
         return images.reshape((*images.shape[:-1], *self.shape))
 
 
@@ -92,6 +106,13 @@ def _number_and_unit(value):
 def _spread(number, points):
     """Give numbers of shape (n,) the trailing axes of the points."""
     return np.reshape(number, np.shape(number) + (1,) * len(points.shape))
+
+
+def split_values(factor):
+    """Flux, position and widths of a model with a closed form of its own, and its coefficients."""
+    flux, x_0, y_0, sigma_x, sigma_y, *coefficients = factor.values.values()
+    position = (_number_and_unit(value)[0] for value in (x_0, y_0, sigma_x, sigma_y))
+    return flux, *position, coefficients
 
 
 def integrate_density(term, points, evaluate=None):
@@ -173,7 +194,13 @@ def integrate_term(term, points, method="auto"):
     gaussian = term.densities[0].gaussian() if len(term.densities) == 1 else None
     if gaussian is not None and method != "quadrature":
         flux, *parameters = gaussian
-        images = points.gaussian(gaussian_pixels, *parameters, along_x, along_y)
+        flux, unit = _number_and_unit(term.scale * flux)
+        images = points.gaussian(gaussian_pixels, parameters, (along_x, along_y), flux=flux)
+        return images if unit is None else images * unit
+    engine = getattr(term.densities[0].model, "pixel_engine", None)
+    if engine is not None and len(term.densities) == 1 and method != "quadrature":
+        flux, *parameters, coefficients = split_values(term.densities[0])
+        images = points.closed_form(engine(coefficients), *parameters, along_x, along_y)
         return _spread(term.scale * flux, points) * images
     if method == "analytic":
         names = " * ".join(type(factor.model).__name__ for factor in term.densities)

@@ -203,10 +203,10 @@ class PRF(Fittable2DModel):
             return values[component.fraction]
         return 1.0 - sum(values[c.fraction] for c in self._components if c.fraction)
 
-    def _term(self, component, values):
-        """The term of unit flux of one component at the given parameter values."""
+    def _term(self, component, values, flux=1.0):
+        """The term of one component at the given parameter values."""
         own = {name: values[source] for name, source in component.shape.items()}
-        own["flux"] = 1.0
+        own["flux"] = flux
         for name, offset in zip(("x_0", "y_0"), component.offsets or (None, None), strict=True):
             own[name] = values[name] + values[offset] if offset else values[name]
         own = {name: np.asarray(own[name]) for name in component.model.param_names}
@@ -217,13 +217,13 @@ class PRF(Fittable2DModel):
             sensitivities.append(Factor(self._sensitivities[number], numbers))
         return Term(densities=(Factor(component.model, own),), sensitivities=tuple(sensitivities))
 
-    def _unit_images(self, points, values):
-        """Image of a star of unit flux."""
-        total = 0.0
+    def _images(self, points, values):
+        """Images of the star at the given parameter values."""
+        total = None
         for component in self._components:
-            image = integrate_term(self._term(component, values), points)
-            fraction = np.asarray(self._fraction(component, values))
-            total = total + fraction.reshape(fraction.shape + (1,) * len(points.shape)) * image
+            flux = values["flux"] * self._fraction(component, values)
+            image = integrate_term(self._term(component, values, flux), points)
+            total = image if total is None else np.add(total, image, out=total)
         return total
 
     def evaluate(self, x, y, *parameters):
@@ -243,13 +243,13 @@ class PRF(Fittable2DModel):
             Of the common shape.
         """
         values = dict(zip(self.param_names, parameters, strict=True))
-        flux = values["flux"]
+        unit = getattr(values["flux"], "unit", None)
         x, y = _plain(x), _plain(y)
         values = {name: _plain(value) for name, value in values.items()}
         if all(np.size(value) == 1 for value in values.values()):
             values = {name: float(np.reshape(value, -1)[0]) for name, value in values.items()}
-            flux = flux if np.ndim(flux) == 0 else flux[(0,) * np.ndim(flux)]
-            return flux * self._unit_images(PixelPoints(x, y), values)
+            images = self._images(PixelPoints(x, y), values)
+            return images if unit is None else images * unit
         # One star per pixel, seen from that pixel.
         x, y, *arrays = np.broadcast_arrays(x, y, *values.values())
         values = {name: a.reshape(-1) for name, a in zip(values, arrays, strict=True)}
@@ -257,7 +257,8 @@ class PRF(Fittable2DModel):
         for number in range(len(self._sensitivities)):
             for name in self._sensitivity_names(number).values():
                 values[name] = _only(name, values[name])
-        return flux * self._unit_images(PixelPoints(0.0, 0.0), values).reshape(x.shape)
+        images = self._images(PixelPoints(0.0, 0.0), values).reshape(x.shape)
+        return images if unit is None else images * unit
 
     def fit_deriv(self, x, y, *parameters):
         """
@@ -310,7 +311,7 @@ class PRF(Fittable2DModel):
 
     def render(self, shape, flux=None, x_0=None, y_0=None):
         """
-        Images of a star at many positions and fluxes.
+        Draw images of a star at many positions and fluxes.
 
         Parameters
         ----------
@@ -349,11 +350,8 @@ class PRF(Fittable2DModel):
                 "`flux`, `x_0` and `y_0` must have the same length, got shapes "
                 f"{np.shape(flux)}, {values['x_0'].shape} and {values['y_0'].shape}"
             ) from error
-        images = self._unit_images(PixelPoints.from_shape(shape), values)
-        if np.ndim(flux) == 0:
-            images *= _plain(flux)
-        else:
-            images = images * _plain(flux)[:, np.newaxis, np.newaxis]
+        values["flux"] = _plain(flux)
+        images = self._images(PixelPoints.from_shape(shape), values)
         return images * flux.unit if isinstance(flux, u.Quantity) else images
 
     # -----------------------------------------------------------------------------------------
@@ -477,7 +475,7 @@ def _by_coefficient(term, which, name, points):
 def _gaussian_parts(term, points):
     """Image of a Gaussian and its derivatives by its own parameters."""
     _, *parameters = term.densities[0].gaussian()
-    parts = points.gaussian(gaussian_derivatives, *parameters, *term.polynomials())
+    parts = points.gaussian(gaussian_derivatives, parameters, term.polynomials())
     return parts[0], dict(zip(("x_0", "y_0", "sigma_x", "sigma_y", "rho"), parts[1:], strict=True))
 
 

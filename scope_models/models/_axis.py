@@ -1,0 +1,278 @@
+# Licensed under a 3-clause BSD style license - see LICENSE
+"""
+Integrals over pixels along one axis: normal densities, Hermite functions and polynomials.
+
+The functions are ``h_k(z) = He_k(z) phi(z) / sqrt(k!)`` with the probabilists' Hermite polynomials,
+of which ``dh_k/dz = -sqrt(k + 1) h_{k+1}``; `scope_models.models._gaussian` says what for.
+"""
+
+from functools import cache
+
+import numpy as np
+from scipy.special import erf
+
+__all__ = [
+    "AxisTable",
+    "axis_integrals",
+    "gauss_legendre",
+    "gaussian_nodes",
+    "hermite_functions",
+]
+
+# Largest growth of rounding errors, in units of epsilon, that the closed form may have.
+_MAX_GROWTH = 1e5
+# Chebyshev coefficients, as part of the total flux, below which an interpolation is cut.
+_CHEBYSHEV_TOLERANCE = 1e-14
+# So few positions are never interpolated: each is then independent of the others to the last bit.
+_FEW = 100
+
+
+@cache
+def gauss_legendre(n):
+    """
+    Nodes and weights of the Gauss-Legendre rule on a pixel.
+
+    Parameters
+    ----------
+    n : int
+        Number of nodes.
+
+    Returns
+    -------
+    nodes, weights : `~numpy.ndarray`
+        Nodes in (-1/2, 1/2) and weights that sum to 1, both of shape ``(n,)``, read-only.
+    """
+    nodes, weights = np.polynomial.legendre.leggauss(n)
+    nodes, weights = nodes / 2, weights / 2
+    nodes.flags.writeable = weights.flags.writeable = False
+    return nodes, weights
+
+
+def gaussian_nodes(scale, degree):
+    """
+    Node count per pixel and axis that integrates a Gaussian to about 1e-13 of its flux.
+
+    Parameters
+    ----------
+    scale : float
+        Smallest width of the density (standard deviation), in pixels.
+    degree : int
+        Degree of the polynomial that multiplies it.
+
+    Returns
+    -------
+    n : int
+        Number of Gauss-Legendre nodes.
+    """
+    return int(np.ceil(5 + 2.1 / scale)) + (degree + 1) // 2
+
+
+def hermite_functions(z, n):
+    """``h_0 .. h_{n-1}`` at z, stacked on a new first axis."""
+    table = np.empty((n, *z.shape))
+    table[0] = np.exp(-0.5 * z * z) / np.sqrt(2 * np.pi)
+    if n > 1:
+        np.multiply(z, table[0], out=table[1])
+    for k in range(1, n - 1):
+        np.multiply(z, table[k], out=table[k + 1])
+        table[k + 1] -= np.sqrt(k) * table[k - 1]
+        table[k + 1] *= 1 / np.sqrt(k + 1)
+    return table
+
+
+def _derivatives_of(coefficients):
+    """Coefficients of a polynomial and of all its derivatives, the constant last."""
+    rows = [coefficients.tolist()]
+    while len(rows[-1]) > 1:
+        rows.append([n * c for n, c in enumerate(rows[-1])][1:])
+    return rows
+
+
+def _horner(coefficients, x):
+    """Value of a polynomial; for a few numbers this is faster than array code."""
+    value = 0.0
+    for coefficient in reversed(coefficients):
+        value = value * x + coefficient
+    return value
+
+
+def _monomial_integrals(cumulative, low, high, mu, sigma, degree):
+    """
+    ``M_n``, the integral of u^n times the normal density, for n up to degree.
+
+    Integration by parts gives ``M_n = mu M_{n-1} + (n-1) sigma^2 M_{n-2} - sigma [u^{n-1} h_0]``.
+    """
+    moments = [cumulative]
+    for n in range(1, degree + 1):
+        boundary = high - low if n % 2 else high + low
+        moment = mu * moments[n - 1] - (0.5 ** (n - 1) * sigma) * boundary
+        if n > 1:
+            moment += ((n - 1) * sigma**2) * moments[n - 2]
+        moments.append(moment)
+    return moments
+
+
+def _axis_closed_form(pixels, center, sigma, coefficients, n_orders):
+    """
+    Closed form of `axis_integrals`, by parts from the pixel's edges.
+
+    ``sqrt(k) X_k[p] = -[p h_{k-1}] + sigma X_{k-1}[p']``, repeated until p or k is used up.
+    """
+    offset = pixels[:, np.newaxis] - center
+    z = np.stack([offset - 0.5, offset + 0.5]) / sigma
+    table = hermite_functions(z, max(n_orders - 1, 1))
+    cumulative = erf(z * np.sqrt(0.5))
+    rows = _derivatives_of(coefficients)
+    moments = _monomial_integrals(
+        (cumulative[1] - cumulative[0]) / 2, *table[0], -offset, sigma, len(rows) - 1
+    )
+    integrals = np.zeros((n_orders, *offset.shape))
+    factor = np.ones((n_orders, 1, sigma.size))
+    for j, row in enumerate(rows[:n_orders]):
+        # Orders above j still have boundary terms, order j is an integral over h_0.
+        for n, coefficient in enumerate(row):
+            if coefficient:
+                integrals[j] += factor[j] * coefficient * moments[n]
+        k = np.arange(j + 1, n_orders)[:, np.newaxis, np.newaxis]
+        factor[j + 1 :] /= np.sqrt(k - j)
+        if j == n_orders - 1:
+            break
+        low, high = _horner(row, -0.5), _horner(row, 0.5)
+        part = table[: n_orders - 1 - j]
+        integrals[j + 1 :] -= factor[j + 1 :] * (high * part[:, 1] - low * part[:, 0])
+        factor[j + 1 :] *= sigma
+    return integrals
+
+
+def _axis_quadrature(pixels, center, sigma, coefficients, n_orders):
+    """Gauss-Legendre form of `axis_integrals`, for wide densities and high degrees."""
+    # The oscillation of h_k near its centre shortens the scale.
+    scale = np.min(sigma) / np.sqrt(1 + 0.3 * n_orders)
+    nodes, weights = gauss_legendre(gaussian_nodes(scale, coefficients.size - 1))
+    weights = weights * np.polynomial.polynomial.polyval(nodes, coefficients)
+    z = ((pixels[:, np.newaxis] + nodes)[..., np.newaxis] - center) / sigma
+    return np.einsum("kpqm,q->kpm", hermite_functions(z, n_orders), weights) / sigma
+
+
+def _axis_direct(pixels, center, sigma, coefficients, n_orders):
+    """The integrals at each position, shape ``(m, n_orders, n)``."""
+    grows = (6 * np.max(sigma)) ** (coefficients.size - 1) > _MAX_GROWTH
+    method = _axis_quadrature if grows else _axis_closed_form
+    return method(pixels, center, sigma, coefficients, n_orders).transpose(2, 0, 1)
+
+
+@cache
+def _chebyshev_rule(n):
+    """Chebyshev nodes of the first kind, and the matrix from values there to coefficients."""
+    angle = np.pi * (np.arange(n) + 0.5) / n
+    matrix = np.cos(np.arange(n)[:, np.newaxis] * angle) * (2 / n)
+    matrix[0] /= 2
+    return np.cos(angle), matrix
+
+
+def _chebyshev_vandermonde(x, n):
+    """``T_0 .. T_{n-1}`` at x, shape ``(n, m)``, by ``T_{k+j} = 2 T_k T_j - T_{k-j}``."""
+    table = np.empty((max(n, 2), x.size))
+    table[0] = 1
+    table[1] = x
+    k = 1
+    while k + 1 < n:
+        stop = min(2 * k, n - 1)
+        part = table[k + 1 : stop + 1]
+        np.multiply(table[1 : stop - k + 1], 2 * table[k], out=part)
+        part -= table[k - 1 :: -1][: stop - k]
+        k = stop
+    return table[:n]
+
+
+class AxisTable:
+    """
+    Integrals along one axis at many positions, of a polynomial times the functions ``h_k``.
+
+    ``X_k = integral of p(u) h_k((x - center) / sigma) / sigma`` over each pixel, where u is
+    measured from the pixel's centre.
+
+    Parameters
+    ----------
+    pixels : `~numpy.ndarray`
+        Pixel centres, shape ``(n,)``.
+    center, sigma : `~numpy.ndarray`
+        Positions and widths of the densities in pixels, shape ``(m,)``; sigma may be ``(1,)``.
+    coefficients : `~numpy.ndarray`
+        Coefficients of p, the constant first.
+    n_orders : int
+        Number of orders k, from 0.
+    rho : float
+        Largest correlation coefficient: order k needs to be exact to ``1 / |rho|^(k/2)`` only.
+    """
+
+    def __init__(self, pixels, center, sigma, coefficients, n_orders, rho=0.0):
+        self._arguments = pixels, coefficients, n_orders
+        self._center, self._sigma = center, sigma
+        self._expansion = None
+        self._buffer = np.empty(0)
+        if sigma.size == 1 and center.size > _FEW:
+            self._interpolate(rho)
+
+    def _interpolate(self, rho):
+        """Expand the integrals in Chebyshev polynomials of the position, if that pays."""
+        pixels, coefficients, n_orders = self._arguments
+        low, high = np.min(self._center), np.max(self._center)
+        self._middle, self._half = (low + high) / 2, max((high - low) / 2, 1e-6)
+        cycles = 7.7 / self._sigma[0] * self._half
+        n = int(cycles + 5 * np.cbrt(cycles) + 8 + 0.5 * n_orders)
+        if 3 * n > self._center.size:
+            return
+        nodes, matrix = _chebyshev_rule(n)
+        positions = self._middle + self._half * nodes
+        values = _axis_direct(pixels, positions, self._sigma, coefficients, n_orders)
+        expansion = matrix @ values.reshape(n, -1)
+        needed = np.abs(rho) ** (0.5 * np.arange(n_orders)) / _CHEBYSHEV_TOLERANCE
+        sizes = np.abs(expansion).reshape(n, n_orders, -1).max(axis=2) @ needed
+        if np.all(sizes[-2:] <= 1):
+            self._expansion = expansion[: np.flatnonzero(sizes > 1)[-1] + 1]
+
+    def __call__(self, part):
+        """
+        The integrals at a slice of the positions.
+
+        Parameters
+        ----------
+        part : slice
+            Which positions.
+
+        Returns
+        -------
+        integrals : `~numpy.ndarray`
+            Shape ``(m, n_orders, n)``; valid until the next call, which may use its memory.
+        """
+        pixels, coefficients, n_orders = self._arguments
+        center = self._center[part]
+        if self._expansion is None:
+            sigma = self._sigma if self._sigma.size == 1 else self._sigma[part]
+            return _axis_direct(pixels, center, sigma, coefficients, n_orders)
+        n, width = self._expansion.shape
+        if self._buffer.size < center.size * width:
+            self._buffer = np.empty(center.size * width)
+        table = self._buffer[: center.size * width].reshape(center.size, width)
+        basis = _chebyshev_vandermonde((center - self._middle) / self._half, n)
+        np.matmul(basis.T, self._expansion, out=table)
+        return table.reshape(-1, n_orders, pixels.size)
+
+
+def axis_integrals(pixels, center, sigma, coefficients, n_orders=1, rho=0.0):
+    """
+    All integrals of an `AxisTable`.
+
+    Parameters
+    ----------
+    pixels, center, sigma, coefficients, n_orders, rho
+        See `AxisTable`.
+
+    Returns
+    -------
+    integrals : `~numpy.ndarray`
+        Shape ``(m, n_orders, n)``.
+    """
+    table = AxisTable(pixels, center, sigma, coefficients, n_orders, rho)
+    return table(slice(None))
