@@ -1,0 +1,115 @@
+"""What holds for the package as a whole: metadata, names, documentation, imports."""
+
+import importlib
+import importlib.metadata
+import inspect
+import pkgutil
+import re
+import subprocess
+import sys
+import tomllib
+
+import pytest
+
+import scope_models
+
+MODULES = sorted(
+    module.name for module in pkgutil.walk_packages(scope_models.__path__, "scope_models.")
+)
+PUBLIC_MODULES = [
+    "scope_models",
+    *(name for name in MODULES if not any(part.startswith("_") for part in name.split("."))),
+]
+HEAVY_MODULES = ["lightkurve", "matplotlib", "pandas", "photutils"]
+
+
+def public_objects():
+    """Return the functions and classes in `__all__` of the public modules, each one once."""
+    objects = {}
+    for module_name in PUBLIC_MODULES:
+        module = importlib.import_module(module_name)
+        for name in module.__all__:
+            value = getattr(module, name)
+            if inspect.isclass(value) or inspect.isfunction(value):
+                objects[f"{value.__module__}.{value.__qualname__}"] = value
+    return objects
+
+
+PUBLIC_OBJECTS = public_objects()
+
+
+@pytest.fixture(scope="module")
+def pyproject(repository):
+    return tomllib.loads((repository / "pyproject.toml").read_text(encoding="utf-8"))
+
+
+@pytest.mark.parametrize("name", ["scope_models", *MODULES])
+def test_all_is_true(name):
+    # ruff (RUF022) sees to the order.
+    module = importlib.import_module(name)
+    assert len(module.__all__) == len(set(module.__all__))
+    assert [item for item in module.__all__ if not hasattr(module, item)] == []
+
+
+@pytest.mark.parametrize("name", sorted(PUBLIC_OBJECTS))
+def test_public_names_have_an_example(name):
+    value = PUBLIC_OBJECTS[name]
+    if inspect.isclass(value) and issubclass(value, Warning):
+        return
+    docstring = inspect.getdoc(value)
+    assert "Examples\n--------" in docstring
+    assert ">>> " in docstring
+
+
+def test_import_is_light():
+    code = f"import sys, scope_models; print([m for m in {HEAVY_MODULES} if m in sys.modules])"
+    result = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
+    assert result.stdout.strip() == "[]"
+
+
+def test_version_is_the_same_everywhere(repository):
+    citation = (repository / "CITATION.cff").read_text(encoding="utf-8")
+    assert re.search(r"^version: (.*)$", citation, re.MULTILINE)[1] == scope_models.__version__
+    changes = (repository / "CHANGES.rst").read_text(encoding="utf-8")
+    release = re.sub(r"\.?dev\d+$", "", scope_models.__version__)
+    assert changes.startswith(release)
+
+
+def test_installed_metadata():
+    try:
+        metadata = importlib.metadata.metadata("scope_models")
+    except importlib.metadata.PackageNotFoundError:
+        pytest.skip("scope_models is not installed")
+    assert metadata["Version"] == scope_models.__version__
+    scripts = importlib.metadata.entry_points(group="console_scripts", name="scope-models")
+    assert [script.value for script in scripts] == ["scope_models.cli:main"]
+
+
+def test_oldest_versions_in_tox_are_those_of_the_metadata(repository, pyproject):
+    minimum = dict(
+        requirement.split(">=")
+        for requirement in pyproject["project"]["dependencies"]
+        + pyproject["project"]["optional-dependencies"]["test"]
+    )
+    oldest = (repository / "tox.ini").read_text(encoding="utf-8")
+    oldest = oldest.split("[testenv:oldest]")[1].split("[testenv:")[0]
+    pins = dict(re.findall(r"^    ([\w-]+)==([\d.]+?)(?:\.\*)?$", oldest, re.MULTILINE))
+    assert {name: pins.get(name) for name in minimum} == minimum
+
+
+def test_reference_names_every_public_module(repository):
+    pages = (repository / "docs" / "reference").glob("*.rst")
+    text = "\n".join(page.read_text(encoding="utf-8") for page in pages)
+    documented = set(re.findall(r"^\.\. automodapi:: (\S+)$", text, re.MULTILINE))
+    # `scope_models.models` and others are packages whose names their parts only provide.
+    assert documented <= set(PUBLIC_MODULES)
+    names = {
+        f"{value.__module__}.{value.__qualname__}"
+        for module_name in documented
+        for module in [importlib.import_module(module_name)]
+        for value in (getattr(module, name) for name in module.__all__)
+        if hasattr(value, "__qualname__")
+    }
+    assert sorted(set(PUBLIC_OBJECTS) - names) == []
