@@ -3,12 +3,14 @@
 import contextlib
 import io
 import os
+import sys
 from pathlib import Path
 
 from scope_models import __version__
 from scope_models.cli import main
 
 os.environ["MPLBACKEND"] = "Agg"
+sys.path.insert(0, str(Path(__file__).parent / "_ext"))
 
 project = "scope_models"
 author = "scope_models developers"
@@ -17,10 +19,10 @@ version = __version__
 release = __version__
 
 extensions = [
+    "mathml",
     "matplotlib.sphinxext.plot_directive",
     "numpydoc",
     "sphinx.ext.autodoc",
-    "sphinx.ext.mathjax",
     "sphinx_automodapi.automodapi",
     "sphinx_copybutton",
 ]
@@ -48,6 +50,14 @@ html_theme = "pydata_sphinx_theme"
 html_title = f"{project} {release}"
 html_static_path = ["_static"]
 html_show_sourcelink = False
+html_math_renderer = "mathml"
+html_sidebars = {  # pages without pages below them
+    name: []
+    for name in (
+        "changelog", "command_line", "development", "fitting", "getting_started", "index",
+        "models", "motion", "pld", "signals", "target",
+    )
+}  # fmt: skip
 html_theme_options = {
     "navigation_with_keys": False,
     "secondary_sidebar_items": ["page-toc"],
