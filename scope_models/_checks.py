@@ -5,7 +5,14 @@ from numbers import Integral, Real
 import numpy as np
 from astropy.modeling import Model
 
-__all__ = ["checked_integer", "checked_model", "checked_number", "checked_shape"]
+__all__ = [
+    "checked_integer",
+    "checked_mask",
+    "checked_model",
+    "checked_number",
+    "checked_pair",
+    "checked_shape",
+]
 
 
 def checked_model(name, model):
@@ -38,6 +45,29 @@ def checked_integer(name, value, smallest):
     if value < smallest:
         raise ValueError(f"`{name}` must be at least {smallest}, got {value}")
     return int(value)
+
+
+def checked_pair(name, pair):
+    """Return column and row as two finite floats."""
+    try:
+        column, row = pair
+    except (TypeError, ValueError) as error:
+        raise type(error)(f"`{name}` must be (column, row), got {pair!r}") from None
+    return tuple(checked_number(name, value, any_sign=True) for value in (column, row))
+
+
+def checked_mask(name, mask, shape):
+    """Return a boolean mask of a shape that chooses one pixel at least."""
+    mask = np.asarray(mask)
+    is_mask = mask.dtype.kind == "b" or (mask.dtype.kind in "iu" and np.isin(mask, (0, 1)).all())
+    if not is_mask or mask.shape != tuple(shape):
+        raise ValueError(
+            f"`{name}` must be a boolean mask of shape {tuple(shape)}, "
+            f"got {mask.dtype} {mask.shape}"
+        )
+    if not mask.any():
+        raise ValueError(f"`{name}` has no pixels")
+    return mask.astype(bool)
 
 
 def checked_shape(shape):

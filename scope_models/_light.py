@@ -98,7 +98,8 @@ class Light:
     def lost_fractions(self):
         """Return the largest part of each star's light that the motion takes off the stamp."""
         x, y = self.motion.x, self.motion.y
-        extremes = np.unique([x.argmin(), x.argmax(), y.argmin(), y.argmax()])
+        # Farthest along the axes and along the diagonals.
+        extremes = np.unique([f(u) for u in (x, y, x + y, x - y) for f in (np.argmin, np.argmax)])
         inside = [
             PRF(psf).render(
                 self.detector.shape,

@@ -2,7 +2,13 @@
 
 from astropy.utils.exceptions import AstropyUserWarning
 
-__all__ = ["DetrendingWarning", "IntegrationWarning", "LostLightWarning", "ScopeModelsWarning"]
+__all__ = [
+    "DetrendingWarning",
+    "FitWarning",
+    "IntegrationWarning",
+    "LostLightWarning",
+    "ScopeModelsWarning",
+]
 
 
 class ScopeModelsWarning(AstropyUserWarning):
@@ -19,3 +25,7 @@ class DetrendingWarning(ScopeModelsWarning):
 
 class IntegrationWarning(ScopeModelsWarning):
     """An integral over a pixel has not converged."""
+
+
+class FitWarning(ScopeModelsWarning):
+    """A fit has left data out, has not converged, or does not determine a parameter."""

@@ -21,7 +21,7 @@ from scope_models._motion_arrays import (
 )
 from scope_models._motion_statistics import MotionStatistics
 from scope_models._roll import K2Roll
-from scope_models.io.reading import read_positions
+from scope_models.io.reading import facts_of, read_positions
 from scope_models.noise import check_seed, fresh_seed, stream
 
 __all__ = ["K2Roll", "Motion", "MotionStatistics"]
@@ -331,17 +331,20 @@ class Motion:
             )
         time_format = getattr(time, "format", "bkjd")
         quality, cadenceno = (getattr(tpf, name, None) for name in ("quality", "cadenceno"))
-        header = getattr(tpf, "meta", {})
-        facts = {k: header.get(k.upper()) for k in ("mission", "object", "campaign", "sector")}
+        times = plain(time)
+        if hasattr(tpf, "pipeline_mask"):
+            # A target pixel file: lightkurve has 0 where there is no time.
+            known = np.isfinite(tpf.hdu[1].data["TIME"][tpf.quality_mask])
+            times = np.where(known, times, np.nan)
         return cls.from_arrays(
-            plain(time),
+            times,
             plain(x),
             plain(y),
             None if quality is None else plain(quality),
             cadenceno=None if cadenceno is None else plain(cadenceno),
             time_format=time_format if time_format in TIME_FORMATS else "bkjd",
             bad=bad,
-            meta={k: v for k, v in facts.items() if v is not None},
+            meta=facts_of(getattr(tpf, "meta", {})),
         )
 
     @classmethod

@@ -6,11 +6,12 @@ from functools import cached_property
 
 import numpy as np
 
+from scope_models._checks import checked_mask
 from scope_models._light import Light
 from scope_models.detector import Detector
 from scope_models.io import TPFMetadata, make_tpf_hdulist, write_tpf
 from scope_models.motion import Motion
-from scope_models.photometry import crowding, flux_fraction, signal_to_noise_aperture
+from scope_models.photometry import signal_to_noise_aperture
 from scope_models.scene import Scene, describe_scene, scene_columns
 from scope_models.star import Star
 
@@ -49,6 +50,13 @@ class Truth:
     model : ndarray of shape (n_cadences, ny, nx) or None
         Expected flux without noise and background, e-/s, if ``keep_model`` asked for it.
         `Observation.model` computes it at any time.
+
+    Examples
+    --------
+    >>> from scope_models import Detector, Motion, Star, simulate
+    >>> observation = simulate(Star(12.0, x_0=4.5), Detector.k2(), Motion.still(50), seed=1)
+    >>> observation.truth.seed, float(observation.truth.x[0, 0])
+    (1, 4.5)
     """
 
     x: np.ndarray
@@ -240,15 +248,23 @@ class Observation:
         >>> observation.target_share().round(2)
         array([0.86, 0.86, 0.86])
         """
-        mask = self.aperture if aperture_mask is None else np.asarray(aperture_mask, dtype=bool)
+        return _share(self._light_in(self._checked_aperture(aperture_mask)))
+
+    def _checked_aperture(self, aperture_mask):
+        """Return the pixels of an aperture."""
+        if aperture_mask is None:
+            return self.aperture
+        return checked_mask("aperture_mask", aperture_mask, self.detector.shape)
+
+    def _light_in(self, aperture):
+        """Return the flux of each star in an aperture, shape (n_stars, n_cadences)."""
         light = self._light
         sums = np.empty((len(self.stars), len(self.motion)))
         for cadences in light.pieces():
             for number in range(len(self.stars)):
-                images = light.star(number, cadences)[:, mask]
-                sums[number, cadences] = images @ light.interpixel[mask]
-        total = sums.sum(axis=0)
-        return np.divide(sums[0], total, out=np.full(len(total), np.nan), where=total > 0)
+                images = light.star(number, cadences)[:, aperture]
+                sums[number, cadences] = images @ light.interpixel[aperture]
+        return sums
 
     def to_tpf(self, *, aperture_mask=None, metadata=None, quality_bitmask="default"):
         """Return the observation as lightkurve's target pixel file.
@@ -270,7 +286,8 @@ class Observation:
         Raises
         ------
         ValueError
-            If the detector is of a mission without target pixel files.
+            If the detector is of a mission without target pixel files, or the aperture has no
+            pixels.
 
         Examples
         --------
@@ -292,13 +309,20 @@ class Observation:
         ----------
         aperture_mask : array_like of bool, shape (ny, nx), or str, optional
             The pixels, or what lightkurve understands. The default is `aperture`.
-        metadata, quality_bitmask
+        metadata : mapping, optional
+            See `to_tpf`.
+        quality_bitmask : str or int, optional
             See `to_tpf`.
 
         Returns
         -------
         lightkurve.KeplerLightCurve or lightkurve.TessLightCurve
             The light curve.
+
+        Raises
+        ------
+        ValueError
+            If the aperture has no pixels.
 
         Examples
         --------
@@ -308,7 +332,9 @@ class Observation:
         50
         """
         tpf = self.to_tpf(metadata=metadata, quality_bitmask=quality_bitmask)
-        mask = self.aperture if aperture_mask is None else aperture_mask
+        mask = aperture_mask
+        if not isinstance(mask, str):
+            mask = self._checked_aperture(mask)
         return tpf.to_lightcurve(aperture_mask=mask)
 
     def write(self, path, overwrite=False, *, aperture_mask=None, metadata=None):
@@ -335,7 +361,8 @@ class Observation:
         OSError
             If the file exists and is not to be replaced, or cannot be written.
         ValueError
-            If the detector is of a mission without target pixel files.
+            If the detector is of a mission without target pixel files, or the aperture has no
+            pixels.
 
         Examples
         --------
@@ -347,8 +374,8 @@ class Observation:
         arguments = self._tpf_arguments(metadata, aperture_mask)
         return write_tpf(path, overwrite=overwrite, **arguments)
 
-    def _metadata(self, changes, aperture):
-        """Return the facts for the headers."""
+    def _metadata(self, changes, light):
+        """Return the facts for the headers, given the flux of each star in the aperture."""
         detector, target = self.detector, self.stars[0]
         if detector.mission not in _TIME_FORMATS:
             raise ValueError(
@@ -372,26 +399,23 @@ class Observation:
             "mean_black": detector.mean_black,
             "fixed_offset": detector.fixed_offset,
             "seed": self.truth.seed,
-            "extra_cards": self._aperture_cards(aperture),
-        }
-        return TPFMetadata(**(facts | dict(changes or {})))
+        } | dict(changes or {})
+        facts["extra_cards"] = self._aperture_cards(light) | dict(facts.get("extra_cards") or {})
+        return TPFMetadata(**facts)
 
-    def _aperture_cards(self, aperture):
+    def _aperture_cards(self, light):
         """Return the cards on the target's light in the aperture."""
-        target, others = self._images
-        if not target[:, aperture].any():
+        own = light[0].sum()
+        if not own > 0:
             return {}
-        some = slice(None, None, -(-len(self.motion) // _APERTURE_CADENCES))
-        total = self.truth.flux[0] * self.truth.relative_flux[0, some].mean()
-        return {
-            "CROWDSAP": crowding(target, others, aperture),
-            "FLFRCSAP": flux_fraction(target, aperture, total),
-        }
+        total = self.truth.flux[0] * self.truth.relative_flux[0].sum()
+        return {"CROWDSAP": float(own / light.sum()), "FLFRCSAP": float(own / total)}
 
     def _tpf_arguments(self, metadata: Mapping | None, aperture_mask):
         """Return what the writer of target pixel files takes."""
-        aperture = self.aperture if aperture_mask is None else np.asarray(aperture_mask, dtype=bool)
-        metadata = self._metadata(metadata, aperture)
+        aperture = self._checked_aperture(aperture_mask)
+        light = self._light_in(aperture)
+        metadata = self._metadata(metadata, light)
         zero = _ZERO_OF_TIME[_TIME_FORMATS[metadata.mission]]
         return {
             "metadata": metadata,
@@ -406,15 +430,21 @@ class Observation:
             "pos_corr1": self.motion.x,
             "pos_corr2": self.motion.y,
             "aperture": aperture,
-            "truth_columns": self._truth_columns(aperture),
+            "truth_columns": self._truth_columns(light),
             "truth_maps": {"INTERPIXEL": self.truth.interpixel},
             "scene": describe_scene(self.scene),
         }
 
-    def _truth_columns(self, aperture):
+    def _truth_columns(self, light):
         """Return the truth of each cadence as columns of a table."""
         columns = scene_columns(self.scene, self.truth.relative_flux)
-        columns["TARGET_SHARE"] = self.target_share(aperture)
+        columns["TARGET_SHARE"] = _share(light)
         for i, (x, y) in enumerate(zip(self.truth.x, self.truth.y, strict=True), start=1):
             columns |= {f"X{i}": x, f"Y{i}": y}
         return columns
+
+
+def _share(light):
+    """Return the target's share in the flux of all stars, NaN where there is none."""
+    total = light.sum(axis=0)
+    return np.divide(light[0], total, out=np.full(len(total), np.nan), where=total > 0)

@@ -1,26 +1,19 @@
 """Scenes: all that a simulation starts from, as Python objects and as what a file holds."""
 
-import importlib
-import operator
-import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 
 import numpy as np
-from astropy.modeling import CompoundModel, Model
 
 from scope_models.detector import Detector
 from scope_models.io import read_truth
-from scope_models.models import SensitivityPolynomial
+from scope_models.models._description import describe_model, make_model
 from scope_models.motion import Motion
 from scope_models.star import Star
 
 __all__ = ["Scene", "read_scene"]
 
 _VERSION = 1
-_OPERATORS = {"+": operator.add, "-": operator.sub, "*": operator.mul}
-# Modules that reading a file may import; others must have been imported before.
-_TRUSTED = {"scope_models", "astropy", "photutils"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,7 +112,7 @@ def describe_scene(scene):
                 "mag": star.mag,
                 "x_0": star.x_0,
                 "y_0": star.y_0,
-                "psf": _describe_model(star.psf),
+                "psf": describe_model(star.psf),
                 "signal": star.signal is not None,
             }
             for star in scene.stars
@@ -150,7 +143,7 @@ def _describe_detector(detector):
     """Return the fields of a detector; the interpixel map is stored elsewhere."""
     described = {item.name: getattr(detector, item.name) for item in fields(detector)}
     for name in ("sensitivity", "psf"):
-        described[name] = _describe_model(described[name])
+        described[name] = describe_model(described[name])
     described["shape"] = list(detector.shape)
     described["interpixel"] = detector.interpixel is not None
     return described
@@ -160,7 +153,7 @@ def _detector(described, interpixel):
     """Return the detector of a description."""
     values = dict(described)
     for name in ("sensitivity", "psf"):
-        values[name] = _model(values[name])
+        values[name] = make_model(values[name])
     values["shape"] = tuple(values["shape"])
     values["interpixel"] = interpixel if values["interpixel"] else None
     return Detector(**values)
@@ -169,48 +162,8 @@ def _detector(described, interpixel):
 def _star(described, number, table):
     """Return the star of a description."""
     signal = np.asarray(table[f"SIGNAL{number}"]) if described["signal"] else None
-    psf = _model(described["psf"])
+    psf = make_model(described["psf"])
     return Star(described["mag"], described["x_0"], described["y_0"], psf, signal)
-
-
-def _describe_model(model):
-    """Return a model as the names of its classes and the values of its parameters."""
-    if model is None:
-        return None
-    if isinstance(model, CompoundModel):
-        left, right = _describe_model(model.left), _describe_model(model.right)
-        return {"operator": model.op, "left": left, "right": right}
-    described = {
-        "module": type(model).__module__,
-        "class": type(model).__qualname__,
-        "parameters": {
-            name: np.asarray(getattr(model, name).value).tolist() for name in model.param_names
-        },
-    }
-    if isinstance(model, SensitivityPolynomial):
-        described["parameters"] = {
-            "x_coefficients": list(model.x_coefficients),
-            "y_coefficients": list(model.y_coefficients),
-        }
-    return described
-
-
-def _model(described):
-    """Return the model of a description."""
-    if described is None:
-        return None
-    if "operator" in described:
-        combine = _OPERATORS[described["operator"]]
-        return combine(_model(described["left"]), _model(described["right"]))
-    module = described["module"]
-    if module not in sys.modules and module.partition(".")[0] not in _TRUSTED:
-        raise ValueError(f"import {module} before reading a scene with its {described['class']}")
-    kind = importlib.import_module(module)
-    for part in described["class"].split("."):
-        kind = getattr(kind, part, None)
-    if not (isinstance(kind, type) and issubclass(kind, Model)):
-        raise TypeError(f"{module}.{described['class']} is not a model")
-    return kind(**described["parameters"])
 
 
 def _plain(value):

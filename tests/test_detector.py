@@ -10,10 +10,18 @@ from photutils.psf import GaussianPSF, MoffatPSF
 from scipy.stats import kstest, norm, uniform
 
 from scope_models import Detector
-from scope_models.models import BivariateGaussianPSF, SensitivityPolynomial
+from scope_models.models import PRF, BivariateGaussianPSF, SensitivityPolynomial
 
 CUSTOM = {"shape": (5, 7), "zero_point": 1e5, "zero_point_mag": 10.0, "int_time": 2.0}
 PRESETS = {"kepler": Detector.kepler, "k2": Detector.k2, "tess": Detector.tess}
+
+
+def test_psf_of_tess_puts_the_light_where_a_real_star_has_it(shared_data):
+    with fits.open(shared_data / "tess_tpf/tesssip_tpf1.fits") as hdus:
+        fraction, aperture = hdus[1].header["FLFRCSAP"], (hdus[2].data & 2) > 0
+    # the star's position in the mean image
+    image = PRF(Detector.tess().psf).render(aperture.shape, x_0=5.4, y_0=4.87)
+    assert image[aperture].sum() == pytest.approx(fraction, abs=0.02)
 
 
 @pytest.mark.parametrize(

@@ -219,6 +219,24 @@ def test_lightkurve_objects_give_what_their_files_give(shared_data, name):
     assert motion.time_format == whole.time_format
 
 
+@pytest.mark.parametrize("name", FILES[:3])
+def test_cadences_without_a_time_in_lightkurve_objects(shared_data, name):
+    """lightkurve sets the times of such cadences to 0."""
+    import lightkurve
+
+    source = lightkurve.read(shared_data / name, quality_bitmask="none")
+    assert np.any(source.time.value == 0)
+    motion, part = Motion.from_tpf(source), Motion.from_tpf(source[90:1500])
+    source.hdu.close()
+    whole = Motion.from_file(shared_data / name)
+    for column in ("time", "x", "y", "quality", "cadenceno"):
+        assert np.array_equal(getattr(motion, column), getattr(whole, column))
+        assert len(getattr(part, column)) == 1410
+    assert np.array_equal(part.time[3:-3], whole.time[93:1497])
+    facts = {key: value for key, value in whole.meta.items() if key != "filename"}
+    assert motion.meta == pytest.approx(facts)
+
+
 def test_objects_without_positions():
     from lightkurve import LightCurve
 

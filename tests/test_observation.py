@@ -93,10 +93,49 @@ def test_aperture_cards(observation, tmp_path):
     scene = {"detector": observation.detector, "motion": observation.motion, "seed": 3}
     target = simulate(observation.stars[0], noise=False, **scene).model()
     every = observation.model()
-    crowding = (target[:, aperture].sum(axis=1) / every[:, aperture].sum(axis=1)).mean()
-    assert header["CROWDSAP"] == pytest.approx(crowding, abs=1e-6)
+    crowding = target[:, aperture].sum() / every[:, aperture].sum()
+    assert header["CROWDSAP"] == pytest.approx(crowding, abs=1e-12)
     fraction = target[:, aperture].sum(axis=1).mean() / 1.74e5
-    assert header["FLFRCSAP"] == pytest.approx(fraction, abs=1e-6)
+    assert header["FLFRCSAP"] == pytest.approx(fraction, abs=1e-12)
+
+
+def test_aperture_cards_are_of_all_cadences_and_stay_with_extra_cards():
+    dims = np.where(np.arange(400) % 7 == 3, 0.2, 1.0)  # no regular choice of cadences sees this
+    stars = [Star(12.0, signal=dims), Star(13.0, 6.5, 5.0)]
+    observation = simulate(stars, Detector.k2(), Motion.k2_roll(400), seed=3)
+    tpf = observation.to_tpf(metadata={"extra_cards": {"TEFF": 5000}}, quality_bitmask="none")
+    cubes = [simulate(s, Detector.k2(), observation.motion, seed=3).model() for s in stars]
+    own, other = (cube[:, observation.aperture].sum() for cube in cubes)
+    header = tpf.hdu[1].header
+    assert header["CROWDSAP"] == pytest.approx(own / (own + other), abs=1e-12)
+    assert header["FLFRCSAP"] == pytest.approx(own / (1.74e5 * dims.sum()), abs=1e-12)
+    assert tpf.hdu[0].header["TEFF"] == 5000
+
+
+@pytest.mark.parametrize(
+    "mask, message",
+    [
+        (np.zeros((11, 11), dtype=bool), "`aperture_mask` has no pixels"),
+        (np.ones((3, 3), dtype=bool), r"boolean mask of shape \(11, 11\), got bool \(3, 3\)"),
+        (np.full((11, 11), 0.5), r"boolean mask of shape \(11, 11\), got float64"),
+    ],
+)
+def test_bad_apertures(observation, mask, message, tmp_path):
+    calls = (
+        observation.to_lightcurve,
+        observation.target_share,
+        lambda mask: observation.to_tpf(aperture_mask=mask),
+        lambda mask: observation.write(tmp_path / "star.fits", aperture_mask=mask),
+    )
+    for call in calls:
+        with pytest.raises(ValueError, match=message):
+            call(mask)
+    assert not list(tmp_path.iterdir())
+
+
+def test_apertures_by_name_and_of_integers(observation):
+    ours = observation.to_lightcurve(observation.aperture.astype(int))
+    assert np.array_equal(ours.flux, observation.to_lightcurve("pipeline").flux)
 
 
 def test_write_and_read(observation, tmp_path):

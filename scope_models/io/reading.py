@@ -4,6 +4,8 @@ Only arrays and header cards leave this module. Whatever is wrong with a file en
 `ValueError` (or `FileNotFoundError`, `IsADirectoryError`) that names the file.
 """
 
+import gzip
+import io
 import warnings
 import zlib
 from contextlib import contextmanager
@@ -16,6 +18,7 @@ from astropy.utils.exceptions import AstropyUserWarning
 __all__ = [
     "PositionColumns",
     "TableColumns",
+    "facts_of",
     "open_fits",
     "read_columns",
     "read_positions",
@@ -24,6 +27,7 @@ __all__ = [
 
 _TIME_FORMATS = {2454833: "bkjd", 2457000: "btjd"}
 _UNREADABLE = (OSError, EOFError, ValueError, TypeError, KeyError, IndexError, zlib.error)
+_GZIP = b"\x1f\x8b"
 _FACTS = {
     "mission": ("MISSION", "TELESCOP"),
     "object": ("OBJECT",),
@@ -51,6 +55,14 @@ class TableColumns:
         Cards of the primary header, overridden by those of the table.
     path : pathlib.Path
         The file.
+
+    Examples
+    --------
+    >>> from astropy.table import Table
+    >>> from scope_models.io.reading import read_columns
+    >>> Table({"TIME": [0.0, 0.5]}).write("times.fits")
+    >>> read_columns("times.fits", ["TIME"]).columns
+    {'TIME': array([0. , 0.5])}
     """
 
     columns: dict
@@ -77,6 +89,15 @@ class PositionColumns:
     meta : dict
         What the header says of the source: any of mission, object, campaign, quarter, sector,
         channel, camera, ccd, ra and dec, and the name of the file as filename.
+
+    Examples
+    --------
+    >>> from astropy.table import Table
+    >>> from scope_models.io.reading import read_positions
+    >>> columns = {"TIME": [0.0, 0.5], "POS_CORR1": [0.0, 0.1], "POS_CORR2": [0.0, 800.0]}
+    >>> Table(columns).write("positions.fits")
+    >>> read_positions("positions.fits").pos_corr2
+    array([  0., 800.])
     """
 
     time: np.ndarray
@@ -131,9 +152,10 @@ def open_fits(path):
         raise ValueError(f"{path} is empty")
     with warnings.catch_warnings():
         warnings.filterwarnings("error", message="File may have been truncated")
+        warnings.filterwarnings("error", message="Error validating header")
         try:
             # astropy leaves some broken files open, so this opens and closes them itself.
-            with path.open("rb") as stream, fits.open(stream, memmap=False) as hdus:
+            with path.open("rb") as stream, fits.open(_plain(stream), memmap=False) as hdus:
                 yield hdus
         except _Refused as error:
             raise ValueError(str(error)) from None
@@ -235,13 +257,6 @@ def read_positions(path):
         path, ("TIME", "POS_CORR1", "POS_CORR2"), ("QUALITY", "SAP_QUALITY", "CADENCENO")
     )
     columns, header = table.columns, table.header
-    meta = {}
-    for fact, cards in _FACTS.items():
-        values = [header[card] for card in cards if header.get(card) not in {None, ""}]
-        # A blank card has a value of its own class, which is neither text nor a number.
-        values = [value for value in values if isinstance(value, str | int | float)]
-        if values:
-            meta[fact] = values[0]
     return PositionColumns(
         columns["TIME"].astype(float),
         columns["POS_CORR1"].astype(float),
@@ -249,8 +264,37 @@ def read_positions(path):
         columns.get("QUALITY", columns.get("SAP_QUALITY")),
         columns.get("CADENCENO"),
         time_format_of(header),
-        {**meta, "filename": table.path.name},
+        {**facts_of(header), "filename": table.path.name},
     )
+
+
+def facts_of(header):
+    """Return what the header of an archive file says of the source.
+
+    Parameters
+    ----------
+    header : mapping
+        The cards.
+
+    Returns
+    -------
+    dict
+        Any of mission, object, campaign, quarter, sector, channel, camera, ccd, ra and dec.
+
+    Examples
+    --------
+    >>> from scope_models.io.reading import facts_of
+    >>> facts_of({"TELESCOP": "TESS", "SECTOR": 15, "CAMERA": None})
+    {'mission': 'TESS', 'sector': 15}
+    """
+    facts = {}
+    for fact, cards in _FACTS.items():
+        # A blank card has a value of its own class, which is neither text nor a number.
+        values = [header.get(card) for card in cards]
+        values = [value for value in values if isinstance(value, str | int | float) and value != ""]
+        if values:
+            facts[fact] = values[0]
+    return facts
 
 
 def time_format_of(header):
@@ -286,6 +330,13 @@ def time_format_of(header):
     return {"kepler": "bkjd", "k2": "bkjd", "tess": "btjd"}.get(
         str(header.get("TELESCOP")).strip().lower()
     )
+
+
+def _plain(stream):
+    """Return a stream without compression; astropy does not tell of a truncated one."""
+    start = stream.read(len(_GZIP))
+    stream.seek(0)
+    return io.BytesIO(gzip.GzipFile(fileobj=stream).read()) if start == _GZIP else stream
 
 
 class _Refused(Exception):  # noqa: N818 (never leaves this module)

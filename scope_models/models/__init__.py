@@ -1,6 +1,7 @@
 # Licensed under a 3-clause BSD style license - see LICENSE
 """Models of light, of the response of pixels, of their integrals, and of stars' variability."""
 
+from scope_models.models.empirical import GaussHermitePSF
 from scope_models.models.integration import integrate_pixels
 from scope_models.models.prf import PRF
 from scope_models.models.psf import BivariateGaussianPSF
@@ -15,6 +16,7 @@ from scope_models.models.variability import (
 __all__ = [
     "PRF",
     "BivariateGaussianPSF",
+    "GaussHermitePSF",
     "SensitivityPolynomial",
     "TransitModel",
     "integrate_pixels",

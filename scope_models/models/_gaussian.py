@@ -38,7 +38,7 @@ _TENSOR_CHUNK = 1 << 16
 _SERIES_CHUNK = 1 << 15
 # Fewest and most densities in a step of the series: fewer are not worth its overhead, and fresh
 # large arrays cost more than what is computed in them.
-_FEWEST, _MOST = 32, 1024
+_FEWEST, _MOST = 32, 512
 
 
 def _n_terms(rho):
@@ -82,7 +82,7 @@ def _tables(x, y, parameters, coefficients, n_orders):
 
 def _series_step(n_terms, x, y):
     """Number of densities whose tables fit into the cache together."""
-    return int(np.clip(_SERIES_CHUNK / (n_terms * max(x.size, y.size)), _FEWEST, _MOST))
+    return min(max(_SERIES_CHUNK // (n_terms * max(x.size, y.size)), _FEWEST), _MOST)
 
 
 def _series_image(x, y, parameters, coefficients, out):
@@ -91,8 +91,9 @@ def _series_image(x, y, parameters, coefficients, out):
     step = _series_step(n, x, y)
     for start in range(0, out.shape[1], step):
         part = slice(start, start + step)
-        weight = powers if len(powers) == 1 else powers[part]
-        _contract(weight * y_axis(part), x_axis(part), out[0, part])
+        y_table = y_axis(part)
+        y_table *= powers if len(powers) == 1 else powers[part]
+        _contract(y_table, x_axis(part), out[0, part])
 
 
 def _moved(table, sigma):

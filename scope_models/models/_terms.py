@@ -179,10 +179,10 @@ class Term:
         """Coefficients along x and along y of the product of all sensitivities."""
         along_x, along_y = np.ones(1), np.ones(1)
         for factor in self.sensitivities:
-            coefficients = [float(value) for value in factor.values.values()]
-            n_x = len(factor.model.x_coefficients)
-            along_x = np.polynomial.polynomial.polymul(along_x, coefficients[:n_x])
-            along_y = np.polynomial.polynomial.polymul(along_y, coefficients[n_x:])
+            names, numbers = list(factor.values), [float(v) for v in factor.values.values()]
+            n_x = names.index("ay0")
+            along_x = np.convolve(along_x, numbers[:n_x])
+            along_y = np.convolve(along_y, numbers[n_x:])
         return along_x, along_y
 
 

@@ -98,6 +98,9 @@ class TransitModel(Fittable1DModel):
         super().__init__(*args, **kwargs)
         if len(self.parameters) != len(self.param_names):
             raise ValueError("the parameters of a TransitModel must be scalars")
+        for name in self.param_names:
+            value = getattr(self, name).value
+            _require(np.isfinite(value), name, "finite", value)
         for name in ("period", "a"):
             _require(getattr(self, name).value > 0, name, "positive", getattr(self, name).value)
         _require(self.rp.value >= 0, "rp", "at least 0", self.rp.value)

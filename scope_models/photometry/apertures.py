@@ -5,6 +5,8 @@ Masks are boolean with shape ``(ny, nx)``, as lightkurve takes them; images are 
 
 import numpy as np
 
+from scope_models._checks import checked_mask
+
 __all__ = [
     "circular_aperture",
     "contamination_aperture",
@@ -254,7 +256,7 @@ def crowding(target, neighbors, aperture):
     0.9
     """
     target = _images(target, "target")
-    aperture = _mask(aperture, target.shape[1:])
+    aperture = checked_mask("aperture", aperture, target.shape[1:])
     own = target[:, aperture].sum()
     if not own > 0:
         raise ValueError("`target` has no light in `aperture`")
@@ -293,7 +295,7 @@ def flux_fraction(target, aperture, total=None):
     0.75
     """
     target = _images(target, "target")
-    aperture = _mask(aperture, target.shape[1:])
+    aperture = checked_mask("aperture", aperture, target.shape[1:])
     total = target.sum(axis=(1, 2)).mean() if total is None else np.mean(total)
     if not total > 0:
         raise ValueError(f"`total` flux of the target must be positive, got {total}")
@@ -310,16 +312,6 @@ def _images(images, name, shape=None):
     if shape is not None and images.shape[-2:] != tuple(shape):
         raise ValueError(f"`{name}` must have {tuple(shape)} pixels, got {images.shape[-2:]}")
     return np.nan_to_num(images.reshape(-1, *images.shape[-2:]), nan=0.0)
-
-
-def _mask(aperture, shape):
-    aperture = np.asarray(aperture)
-    if aperture.dtype != bool or aperture.shape != tuple(shape):
-        raise ValueError(
-            f"`aperture` must be a boolean mask of shape {tuple(shape)}, "
-            f"got {aperture.dtype} {aperture.shape}"
-        )
-    return _not_empty(aperture, "`aperture` has no pixels")
 
 
 def _not_empty(mask, message):

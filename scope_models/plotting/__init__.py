@@ -5,6 +5,7 @@ Every figure can be read in black and white: colour maps grow in lightness, seri
 lightness, marker and size. All functions draw into the Axes given as ``ax``, or into a new figure.
 """
 
+from scope_models.plotting.fitting import plot_fit, plot_twin
 from scope_models.plotting.images import (
     animate_pixels,
     plot_detector,
@@ -18,6 +19,7 @@ from scope_models.plotting.light_curves import plot_fold, plot_light_curve, plot
 __all__ = [
     "animate_pixels",
     "plot_detector",
+    "plot_fit",
     "plot_fold",
     "plot_light_curve",
     "plot_motion",
@@ -25,4 +27,5 @@ __all__ = [
     "plot_psf",
     "plot_sensitivity",
     "plot_summary",
+    "plot_twin",
 ]

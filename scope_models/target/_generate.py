@@ -1,6 +1,6 @@
 """Making a `Target` with one call."""
 
-from scope_models._checks import checked_integer, checked_number
+from scope_models._checks import checked_integer, checked_number, checked_pair
 from scope_models.detector import Detector
 from scope_models.motion import Motion
 from scope_models.noise import check_seed, fresh_seed
@@ -186,9 +186,7 @@ def _reference_position(coords, shape):
     ny, nx = shape
     if coords is None:
         return (nx - 1) / 2, (ny - 1) / 2
-    if len(coords) != 2:
-        raise ValueError(f"`coords` must be (column, row), got {coords!r}")
-    x_0, y_0 = (checked_number("coords", value, any_sign=True) for value in coords)
+    x_0, y_0 = checked_pair("coords", coords)
     if not (-0.5 <= x_0 <= nx - 0.5 and -0.5 <= y_0 <= ny - 0.5):
         raise ValueError(f"`coords` must be on the stamp of {ny} x {nx} pixels, got {coords!r}")
     return x_0, y_0

@@ -4,7 +4,7 @@ import warnings
 
 import numpy as np
 
-from scope_models._checks import checked_number
+from scope_models._checks import checked_number, checked_pair
 from scope_models.exceptions import LostLightWarning
 from scope_models.models import TransitModel, sinusoidal_signal
 from scope_models.noise import check_seed, fresh_seed, stream
@@ -274,7 +274,7 @@ class TargetScene:
         if position is None:
             x_0, y_0 = self._direction(checked_number("dist", dist), angle)
         else:
-            x_0, y_0 = (checked_number("position", value, any_sign=True) for value in position)
+            x_0, y_0 = checked_pair("position", position)
         if not self._on_stamp(x_0, y_0):
             ny, nx = self.detector.shape
             raise ValueError(

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from scope_models._checks import checked_mask
 from scope_models.photometry import (
     cdpp,
     circular_aperture,
@@ -172,8 +173,9 @@ class Target(TargetScene, TargetFigures):
 
         Parameters
         ----------
-        aperture_mask : array_like of bool, optional
-            Mask ``(ny, nx)``; by default `aperture`.
+        aperture_mask : array_like of bool, or str, optional
+            Mask ``(ny, nx)``, or what lightkurve understands; by default
+            `aperture`.
         **options
             Options of `to_tpf`.
 
@@ -181,6 +183,11 @@ class Target(TargetScene, TargetFigures):
         -------
         `~lightkurve.KeplerLightCurve`
             The light curve.
+
+        Raises
+        ------
+        ValueError
+            If the aperture has no pixels.
 
         Examples
         --------
@@ -190,6 +197,8 @@ class Target(TargetScene, TargetFigures):
         50
         """
         mask = self.aperture if aperture_mask is None else aperture_mask
+        if not isinstance(mask, str):
+            mask = checked_mask("aperture_mask", mask, self.detector.shape)
         return self.to_tpf(**options).to_lightcurve(aperture_mask=mask)
 
     def write(self, path, overwrite=False, *, metadata=None):

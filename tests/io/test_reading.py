@@ -145,7 +145,7 @@ def test_truncated_file(path, fraction, packed):
         path = path.with_suffix(".fits.gz")
         content = gzip.compress(content)
     path.write_bytes(content[: int(fraction * len(content))])
-    with pytest.raises(ValueError, match=r"is no readable FITS file, or truncated|no binary table"):
+    with pytest.raises(ValueError, match=r"star_llc\.fits\S* is no readable FITS file, or trunc"):
         read_positions(path)
 
 

@@ -13,6 +13,7 @@ from astropy.modeling.fitting import TRFLSQFitter
 
 import scope_models.models
 from scope_models import PRF, BivariateGaussianPSF, SensitivityPolynomial, TransitModel
+from scope_models.models import GaussHermitePSF
 
 RATE = u.electron / u.s
 
@@ -34,6 +35,14 @@ MODELS = {
         "output_unit": RATE / u.pix**2,
         "bounded": True,
         "free": None,
+    },
+    "GaussHermitePSF": {
+        "model": GaussHermitePSF(5.0, 0.1, -0.2, 0.6, 0.5, order=3, c_2_0=0.1, c_1_2=-0.05),
+        "units": {"flux": RATE, "x_0": u.pix, "y_0": u.pix, "sigma_x": u.pix, "sigma_y": u.pix},
+        "input_unit": u.pix,
+        "output_unit": RATE / u.pix**2,
+        "bounded": True,
+        "free": {"flux", "c_2_0", "c_1_2", "c_3_0"},
     },
     "SensitivityPolynomial": {
         "model": SensitivityPolynomial((1, 0.02, -0.05), (1, 0, -0.04, 0.3)),

@@ -225,6 +225,8 @@ def test_shapes_and_missing_times():
     "call, message",
     [
         (lambda: TransitModel(period=0), "`period` must be positive, got 0"),
+        (lambda: TransitModel(inc=np.nan), "`inc` must be finite, got nan"),
+        (lambda: TransitModel(t0=np.inf), "`t0` must be finite, got inf"),
         (lambda: TransitModel(a=-1), "`a` must be positive, got -1"),
         (lambda: TransitModel(rp=-0.1), "`rp` must be at least 0, got -0.1"),
         (lambda: TransitModel(ecc=1), "`ecc` must be at least 0 and below 1, got 1"),

@@ -1,0 +1,98 @@
+"""Time and memory of PLDCorrector, beside lightkurve's PLDCorrector in the same run.
+
+The targets: 1000 cadences of 40 aperture pixels at order 2 in at most twice lightkurve's time;
+3,600 cadences in at most 6 s; 40,000 cadences in less than 4 GiB, and time linear in cadences.
+
+Run as ``OMP_NUM_THREADS=1 python benchmarks/pld.py``.
+"""
+
+import logging
+import os
+import platform
+import resource
+import time
+import warnings
+
+import celerite2
+import numpy as np
+import scipy
+
+import scope_models
+from scope_models import Detector, Motion, Star, simulate
+from scope_models.correctors import PLDCorrector
+
+REPEATS = 5
+
+
+def seconds(function, repeats=REPEATS):
+    """Return the shortest of several times."""
+    times = []
+    for _ in range(repeats):
+        start = time.perf_counter()
+        function()
+        times.append(time.perf_counter() - start)
+    return min(times)
+
+
+def report_environment():
+    threads = os.environ.get("OMP_NUM_THREADS", "not set")
+    print(f"{platform.platform()}, {os.cpu_count()} cores, OMP_NUM_THREADS {threads}")
+    versions = {"scope_models": scope_models, "numpy": np, "scipy": scipy, "celerite2": celerite2}
+    versions = ", ".join(f"{name} {module.__version__}" for name, module in versions.items())
+    print(f"Python {platform.python_version()}, {versions}\n")
+
+
+def make_tpf(n, scale=3.0):
+    """Return the target pixel file of a star of 12th magnitude on 9 x 9 pixels."""
+    motion = scale * Motion.k2_roll(n, seed=10)
+    return simulate(Star(12.0), Detector.k2(shape=(9, 9)), motion, seed=1).to_tpf()
+
+
+def make_aperture():
+    mask = np.zeros((9, 9), dtype=bool)
+    mask[2:7, 1:] = True
+    return mask
+
+
+def correct(tpf, order=2):
+    return PLDCorrector(tpf, make_aperture()).correct(order)
+
+
+def correct_with_lightkurve(tpf, order=2):
+    from lightkurve.correctors import PLDCorrector as LightkurveCorrector
+
+    corrector = LightkurveCorrector(tpf, make_aperture())
+    return corrector.correct(pld_order=order, pld_aperture_mask=make_aperture())
+
+
+def report_against_lightkurve():
+    print(f"{make_aperture().sum()} aperture pixels; corrector made and run, shortest of {REPEATS}")
+    print("cadences  order   ours (s)   lightkurve (s)   ratio")
+    for n in (1000, 3600):
+        tpf = make_tpf(n)
+        for order in (1, 2, 3):
+            ours = seconds(lambda tpf=tpf, order=order: correct(tpf, order))
+            other = seconds(lambda tpf=tpf, order=order: correct_with_lightkurve(tpf, order))
+            print(f"{n:8d} {order:6d} {ours:10.3f} {other:16.3f} {ours / other:7.2f}")
+
+
+def report_growth():
+    print("\nOrder 2, ours")
+    print("cadences   time (s)   per 1000 cadences (ms)   peak memory of the process (MiB)")
+    for n in (2500, 5000, 10_000, 20_000, 40_000):
+        tpf = make_tpf(n)
+        spent = seconds(lambda tpf=tpf: correct(tpf), 1)
+        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+        print(f"{n:8d} {spent:10.2f} {1e6 * spent / n:24.1f} {peak:34.0f}", flush=True)
+
+
+def main():
+    logging.getLogger("lightkurve").setLevel(logging.ERROR)
+    warnings.simplefilter("ignore")
+    report_environment()
+    report_against_lightkurve()
+    report_growth()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,120 @@
+"""``scope-models demo``: a star on K2's roll, its files, its figure and its noise."""
+
+from pathlib import Path
+
+import numpy as np
+from tqdm import tqdm
+
+from scope_models.detector import Detector
+from scope_models.io._atomic import atomic_path
+from scope_models.motion import Motion
+from scope_models.photometry import cdpp, threshold_aperture
+from scope_models.simulation import simulate
+from scope_models.star import Star
+
+__all__ = ["add_parser", "run"]
+
+_PIXELS, _LIGHT_CURVE, _FIGURE = "pixels.fits", "light-curve.fits", "summary.png"
+_CONVENTIONS = ("lightkurve", "everest")
+_MAGNITUDE = 12.0
+
+
+def add_parser(commands):
+    """Add the command to the parser of the command line."""
+    parser = commands.add_parser(
+        "demo",
+        help="simulate and de-trend a star, without any input",
+        description="Simulate a star of magnitude 12 on the roll of K2, write its target pixel "
+        "file, its light curve and a figure, and print its noise. Needs no file and no network.",
+    )
+    parser.add_argument(
+        "--output-dir",
+        default="scope-models-demo",
+        metavar="FOLDER",
+        help="where the files go; it is made if need be (default: scope-models-demo)",
+    )
+    parser.add_argument("--overwrite", action="store_true", help="replace files that exist")
+    parser.add_argument("--seed", type=int, default=1, help="seed of the noise (default: 1)")
+    parser.set_defaults(run=run)
+
+
+def run(arguments):
+    """Simulate and de-trend the star, write the files and print the table."""
+    from scope_models.correctors import PLDCorrector  # imports lightkurve
+    from scope_models.correctors._files import make_lightcurve_hdulist
+
+    folder = Path(arguments.output_dir)
+    paths = [folder / name for name in (_PIXELS, _LIGHT_CURVE, _FIGURE)]
+    _check_free(paths, overwrite=arguments.overwrite)
+    folder.mkdir(parents=True, exist_ok=True)
+    with tqdm(total=4, leave=False, disable=None) as bar:
+        bar.set_description("simulating")
+        motion = Motion.k2_roll()
+        observation = _observe(motion, arguments.seed)
+        still = _observe(Motion.still(len(motion)), arguments.seed)
+        aperture = threshold_aperture(observation.model())
+        bar.update()
+        bar.set_description("de-trending")
+        tpf = observation.to_tpf()
+        raw = tpf.to_lightcurve(aperture_mask=aperture)
+        corrector = PLDCorrector(tpf, aperture_mask=aperture)
+        corrected = corrector.correct()
+        bar.update()
+        bar.set_description("writing")
+        observation.write(paths[0], overwrite=arguments.overwrite)
+        with atomic_path(paths[1], overwrite=arguments.overwrite) as temporary:
+            make_lightcurve_hdulist(corrector).writeto(temporary, checksum=True)
+        bar.update()
+        bar.set_description("drawing")
+        curves = {"raw": raw, "de-trended": corrected}
+        curves["without motion"] = still.to_lightcurve(aperture)
+        noise = {
+            name: [cdpp(lc, method=way) for way in _CONVENTIONS] for name, lc in curves.items()
+        }
+        figure = _draw(observation, aperture, curves, noise)
+        with atomic_path(paths[2], overwrite=arguments.overwrite) as temporary:
+            figure.savefig(temporary, dpi=110)
+        bar.update()
+    print(_table(noise))
+    print("\n".join(["", "Written:", *(f"  {path}" for path in paths)]))
+
+
+def _check_free(paths, *, overwrite):
+    """Refuse to begin where files would be replaced."""
+    for path in paths:
+        if path.exists() and not overwrite:
+            raise FileExistsError(f"{path} exists; --overwrite replaces it")
+
+
+def _observe(motion, seed):
+    """Return the demonstration's star on a motion."""
+    return simulate(Star(_MAGNITUDE), Detector.k2(), motion, seed=seed)
+
+
+def _draw(observation, aperture, curves, noise):
+    """Return the figure: image, motion and light curves."""
+    from scope_models.plotting import plot_summary
+
+    raw, corrected = curves["raw"], curves["de-trended"]
+    used = np.isin(observation.cadenceno, raw.cadenceno)
+    axes = plot_summary(
+        raw.time.value,
+        observation.flux[used][0],
+        raw.flux.value,
+        observation.truth.x[0, used],
+        observation.truth.y[0, used],
+        corrected=corrected.flux.value,
+        aperture=aperture,
+        cdpp=noise["raw"][0],
+        corrected_cdpp=noise["de-trended"][0],
+        time_label="Time (BKJD)",
+        title=f"A star of magnitude {_MAGNITUDE:g} on the roll of K2",
+    )
+    return axes["image"].figure
+
+
+def _table(noise):
+    """Return the noise of each light curve in both conventions as lines of text."""
+    lines = [f"{'6.5-hour CDPP (ppm)':20s}" + "".join(f"{way:>12s}" for way in _CONVENTIONS)]
+    lines += [f"{name:20s}" + "".join(f"{v:12.1f}" for v in row) for name, row in noise.items()]
+    return "\n".join(lines)

@@ -1,0 +1,70 @@
+"""``scope-models detrend``: the light curve of a target pixel file, without its systematics."""
+
+from pathlib import Path
+
+from scope_models.photometry import cdpp
+
+__all__ = ["add_parser", "run"]
+
+
+def add_parser(commands):
+    """Add the command to the parser of the command line."""
+    parser = commands.add_parser(
+        "detrend",
+        help="correct the light curve of a target pixel file",
+        description="Remove pointing systematics from a target pixel file of Kepler, K2 or TESS, "
+        "or of a simulation, by pixel level decorrelation. Writes a light-curve file that "
+        "lightkurve opens, and a figure.",
+    )
+    parser.add_argument("input", metavar="IN", help="the target pixel file")
+    parser.add_argument("--output", required=True, metavar="OUT", help="the light-curve file")
+    parser.add_argument(
+        "--figure", metavar="FILE", help="the figure (default: the output's name with .png)"
+    )
+    parser.add_argument("--overwrite", action="store_true", help="replace files that exist")
+    parser.add_argument(
+        "--order", type=int, default=2, help="pixel fractions that are multiplied (default: 2)"
+    )
+    parser.add_argument(
+        "--trend",
+        choices=("gp", "quadratic"),
+        default="gp",
+        help="model of the long-term variability (default: gp)",
+    )
+    parser.add_argument(
+        "--remove-trend", action="store_true", help="remove the long-term variability too"
+    )
+    parser.add_argument(
+        "--method",
+        choices=("likelihood", "leave-one-out"),
+        default="likelihood",
+        help="what the hyper-parameters maximise (default: likelihood)",
+    )
+    parser.set_defaults(run=run)
+
+
+def run(arguments):
+    """Run the command."""
+    from scope_models.correctors import detrend_file  # imports lightkurve
+
+    figure = Path(arguments.figure or Path(arguments.output).with_suffix(".png"))
+    if figure.exists() and not arguments.overwrite:
+        raise FileExistsError(f"{figure} exists already; pass --overwrite to replace it")
+    corrector = detrend_file(
+        arguments.input,
+        arguments.output,
+        figure=figure,
+        overwrite=arguments.overwrite,
+        order=arguments.order,
+        trend=arguments.trend,
+        restore_trend=not arguments.remove_trend,
+        method=arguments.method,
+    )
+    print(f"{arguments.output}: {_summary(corrector)}")
+
+
+def _summary(corrector):
+    """Return what became of the noise."""
+    lcs = corrector.original_lc, corrector.corrected_lc
+    raw, corrected = (cdpp(lc, method="everest") for lc in lcs)
+    return f"CDPP {raw:.1f} -> {corrected:.1f} ppm (6.5 h, EVEREST's convention)"

@@ -1,0 +1,90 @@
+"""``scope-models fit``: one model for all pixels and cadences of a target pixel file."""
+
+from pathlib import Path
+
+from scope_models.fitting import fit_tpf
+from scope_models.models import SensitivityPolynomial
+
+__all__ = ["add_parser", "run"]
+
+
+def add_parser(commands):
+    """Add the command to the parser of the command line."""
+    parser = commands.add_parser(
+        "fit",
+        help="fit PSF, sensitivity, positions and fluxes to a target pixel file",
+        description="Fit one model to all pixels and cadences of a target pixel file, and write "
+        "the parameters with their errors, the light curve and the model's pixels to a FITS file.",
+    )
+    parser.add_argument("input", metavar="IN.fits", help="the target pixel file")
+    parser.add_argument("--output", required=True, metavar="FIT.fits", help="the file to write")
+    parser.add_argument("--overwrite", action="store_true", help="replace the file if it exists")
+    parser.add_argument(
+        "--components",
+        type=int,
+        choices=(1, 2, 3),
+        default=2,
+        help="Gaussian components of the PSF (default: 2)",
+    )
+    parser.add_argument(
+        "--empirical",
+        type=int,
+        default=0,
+        metavar="N",
+        help="order of an empirical term in the PSF (default: none)",
+    )
+    parser.add_argument(
+        "--sensitivity", action="store_true", help="fit a quadratic response within the pixels"
+    )
+    parser.add_argument(
+        "--interpixel",
+        type=float,
+        default=0.01,
+        metavar="S",
+        help="standard deviation of the response between pixels; 0: none (default: 0.01)",
+    )
+    parser.add_argument(
+        "--positions",
+        choices=("start", "free", "prior", "path"),
+        default="start",
+        help="what POS_CORR is used for (default: start)",
+    )
+    parser.add_argument(
+        "--robust", action="store_true", help="a loss that suits data with cosmic rays"
+    )
+    parser.add_argument("--cadences", type=int, metavar="N", help="only the first N cadences")
+    parser.set_defaults(run=run)
+
+
+def run(arguments):
+    """Fit the file and write the result."""
+    import lightkurve
+
+    if Path(arguments.output).exists() and not arguments.overwrite:
+        raise FileExistsError(f"{arguments.output} exists; --overwrite replaces it")
+    if not Path(arguments.input).exists():
+        raise FileNotFoundError(f"{arguments.input} does not exist")
+    if arguments.cadences is not None and arguments.cadences < 1:
+        raise ValueError(f"--cadences must be at least 1, got {arguments.cadences}")
+    tpf = lightkurve.read(arguments.input)
+    sensitivity = None
+    if arguments.sensitivity:
+        sensitivity = SensitivityPolynomial(fixed={"ax1": True, "ay1": True})
+    try:
+        fit = fit_tpf(
+            tpf[: arguments.cadences] if arguments.cadences else tpf,
+            arguments.components,
+            sensitivity,
+            empirical=arguments.empirical,
+            interpixel=arguments.interpixel,
+            positions=arguments.positions,
+            loss="soft_l1" if arguments.robust else "linear",
+        )
+    finally:
+        tpf.hdu.close()
+    path = fit.write(arguments.output, overwrite=arguments.overwrite)
+    table = fit.table()
+    for row in table[~table["fixed"]]:
+        print(f"{row['name']:18s} {row['value']:12.6g} +- {row['error']:<10.2g} {row['unit']}")
+    print(f"chi-squared per degree of freedom {fit.reduced_chi2:.4g}")
+    print(f"{path}: {len(fit.time)} cadences")

@@ -1,0 +1,83 @@
+"""The command line's entry: its commands, and what becomes of errors and warnings."""
+
+import argparse
+import sys
+import warnings
+
+from scope_models._version import __version__
+from scope_models.cli import _demo, _detrend, _fit, _simulate
+
+__all__ = ["main"]
+
+# A command is a module with `add_parser(commands)`, which sets `run(arguments)` as the default
+# of `run`. The next one is added here.
+_COMMANDS = (_demo, _simulate, _detrend, _fit)
+
+
+class _Parser(argparse.ArgumentParser):
+    """An argument parser whose errors are one line."""
+
+    def error(self, message):
+        self.exit(2, f"{self.prog}: error: {message} (see {self.prog} --help)\n")
+
+
+def main(argv=None):
+    """Run the command line.
+
+    Parameters
+    ----------
+    argv : sequence of str, optional
+        The arguments; those of the process by default.
+
+    Returns
+    -------
+    int
+        0, or 2 after an error, which is told in one line on the standard error.
+
+    Examples
+    --------
+    >>> from scope_models.cli import main
+    >>> main(["simulate", "--mag", "12", "--psf", "-1", "1", "0", "--output", "star.fits"])
+    2
+    """
+    arguments = _make_parser().parse_args(argv)
+    with warnings.catch_warnings():
+        warnings.showwarning = _show_warning
+        # lightkurve says at import that an optional part of it is absent
+        warnings.filterwarnings("ignore", ".*tpfmodel submodule is not available", UserWarning)
+        try:
+            arguments.run(arguments)
+        except (OSError, TypeError, ValueError) as error:
+            _tell("error", error)
+            return 2
+        except KeyboardInterrupt:
+            _tell("error", "interrupted")
+            return 130
+    return 0
+
+
+def _make_parser():
+    """Return the parser of all commands."""
+    parser = _Parser(
+        prog="scope-models",
+        description="Simulate what a space telescope records of a moving star.",
+        epilog="`scope-models COMMAND --help` tells more of a command.",
+    )
+    parser.add_argument("--version", action="version", version=f"%(prog)s {__version__}")
+    commands = parser.add_subparsers(metavar="COMMAND", required=True)
+    for command in _COMMANDS:
+        command.add_parser(commands)
+    return parser
+
+
+def _show_warning(message, *_):
+    """Tell of a warning in one line."""
+    _tell("warning", message)
+
+
+def _tell(kind, message):
+    """Write a message as one line to the standard error."""
+    if isinstance(message, OSError) and message.strerror and message.filename is not None:
+        message = f"{message.filename}: {message.strerror}"
+    text = " ".join(str(message).split()) or type(message).__name__
+    print(f"scope-models: {kind}: {text}", file=sys.stderr)

@@ -1,0 +1,165 @@
+"""``scope-models simulate``: a target pixel file of one star, and its neighbours."""
+
+from pathlib import Path
+
+from scope_models.detector import Detector
+from scope_models.models import BivariateGaussianPSF
+from scope_models.models.signals import TransitModel
+from scope_models.motion import Motion
+from scope_models.noise import NOISE_TERMS
+from scope_models.simulation import simulate
+from scope_models.star import Star
+
+__all__ = ["add_parser", "run"]
+
+_PRESETS = {"kepler": Detector.kepler, "k2": Detector.k2, "tess": Detector.tess}
+
+
+def add_parser(commands):
+    """Add the command to the parser of the command line."""
+    parser = commands.add_parser(
+        "simulate",
+        help="write a target pixel file of a star",
+        description="Simulate the pixels of a star along a spacecraft's motion, and write them "
+        "with the truth to a target pixel file that lightkurve opens.",
+    )
+    parser.add_argument("--output", required=True, metavar="FILE", help="the file to write")
+    parser.add_argument("--overwrite", action="store_true", help="replace the file if it exists")
+    parser.add_argument("--seed", type=int, help="makes the result reproducible")
+    parser.add_argument("--target-id", type=int, default=1, metavar="N", help="KEPLERID or TICID")
+    parser.add_argument("--name", help="name of the target in the file")
+    _add_motion(parser.add_argument_group("motion"))
+    _add_star(parser.add_argument_group("star"))
+    _add_detector(parser.add_argument_group("detector"))
+    parser.set_defaults(run=run)
+
+
+def _add_motion(group):
+    """Add the options of the motion."""
+    group.add_argument(
+        "--motion",
+        metavar="FILE",
+        help="target pixel or light-curve file of Kepler, K2 or TESS whose POS_CORR columns the "
+        "star follows (default: a generated K2 roll)",
+    )
+    group.add_argument("--scale", type=float, default=1.0, help="factor on the motion (default: 1)")
+    group.add_argument("--cadences", type=int, metavar="N", help="only the first N cadences")
+    group.add_argument(
+        "--n-sub",
+        type=int,
+        default=1,
+        metavar="N",
+        help="exposures within a cadence to average the motion over (default: 1)",
+    )
+
+
+def _add_star(group):
+    """Add the options of the star."""
+    group.add_argument("--mag", type=float, required=True, help="magnitude, Kp or T")
+    group.add_argument(
+        "--position",
+        type=float,
+        nargs=2,
+        metavar=("X", "Y"),
+        help="column and row, pixels from 0 (default: the middle)",
+    )
+    group.add_argument(
+        "--psf",
+        type=float,
+        nargs=3,
+        metavar=("SIGMA_X", "SIGMA_Y", "RHO"),
+        help="widths, in pixels, and correlation of a Gaussian PSF (default: the detector's)",
+    )
+    group.add_argument(
+        "--transit",
+        type=float,
+        nargs=4,
+        metavar=("PERIOD", "T0", "DEPTH", "DURATION"),
+        help="a planet: period and first mid-transit after the first cadence, relative drop, and "
+        "duration; times in days",
+    )
+    group.add_argument(
+        "--neighbor",
+        type=float,
+        nargs=3,
+        action="append",
+        default=[],
+        metavar=("MAG", "X", "Y"),
+        help="another star on the stamp; may be repeated",
+    )
+
+
+def _add_detector(group):
+    """Add the options of the detector."""
+    group.add_argument(
+        "--detector", choices=_PRESETS, default="k2", help="the preset (default: k2)"
+    )
+    group.add_argument(
+        "--shape", type=int, nargs=2, metavar=("NY", "NX"), help="rows and columns of the stamp"
+    )
+    group.add_argument(
+        "--no-sensitivity",
+        action="store_true",
+        help="pixels that all respond alike, and evenly within: the control",
+    )
+    noise = group.add_mutually_exclusive_group()
+    noise.add_argument(
+        "--noise",
+        nargs="+",
+        choices=NOISE_TERMS,
+        help="only these noise terms (default: photon, background and read)",
+    )
+    noise.add_argument("--no-noise", action="store_true", help="expected counts without noise")
+
+
+def run(arguments):
+    """Simulate the star and write the file."""
+    if Path(arguments.output).exists() and not arguments.overwrite:
+        raise FileExistsError(f"{arguments.output} exists; --overwrite replaces it")
+    motion = _make_motion(arguments)
+    detector = _make_detector(arguments)
+    stars = _make_stars(arguments, detector, motion.time[0])
+    noise = arguments.noise or not arguments.no_noise
+    observation = simulate(
+        stars, detector, motion, seed=arguments.seed, noise=noise, n_sub=arguments.n_sub
+    )
+    metadata = {"target_id": arguments.target_id, "object_name": arguments.name}
+    observation.write(arguments.output, overwrite=arguments.overwrite, metadata=metadata)
+    rows, columns = detector.shape
+    print(f"{arguments.output}: {len(motion)} cadences of {rows} x {columns} pixels")
+
+
+def _make_motion(arguments):
+    """Return the motion that the options ask for."""
+    number = arguments.cadences
+    if number is not None and number < 1:
+        raise ValueError(f"--cadences must be at least 1, got {number}")
+    if arguments.motion is None:
+        return arguments.scale * (Motion.k2_roll() if number is None else Motion.k2_roll(number))
+    motion = Motion.from_file(arguments.motion)
+    if number is not None and number > len(motion):
+        raise ValueError(f"--cadences must be at most {len(motion)}, the motion's, got {number}")
+    return arguments.scale * motion[:number]
+
+
+def _make_detector(arguments):
+    """Return the detector that the options ask for."""
+    changes = {} if arguments.shape is None else {"shape": tuple(arguments.shape)}
+    detector = _PRESETS[arguments.detector](**changes)
+    return detector.without_sensitivity() if arguments.no_sensitivity else detector
+
+
+def _make_stars(arguments, detector, start):
+    """Return the star and its neighbours that the options ask for."""
+    x_0, y_0 = arguments.position or (None, None)
+    psf = signal = None
+    if arguments.psf is not None:
+        sigma_x, sigma_y, rho = arguments.psf
+        psf = BivariateGaussianPSF(sigma_x=sigma_x, sigma_y=sigma_y, rho=rho)
+    if arguments.transit is not None:
+        period, t0, depth, duration = arguments.transit
+        signal = TransitModel.from_depth_duration(
+            depth, duration, period, start + t0, exposure_time=detector.cadence_days
+        )
+    star = Star(arguments.mag, x_0, y_0, psf, signal)
+    return [star, *(Star(mag, x, y, psf) for mag, x, y in arguments.neighbor)]

@@ -1,0 +1,216 @@
+"""Long-term variability and white noise: a covariance that is solved in linear time."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from celerite2 import backprop, driver
+
+__all__ = ["LongTerm", "Noise"]
+
+
+class Noise:
+    """White noise alone, with the interface of `LongTerm`.
+
+    Parameters
+    ----------
+    variance : ndarray
+        Variance of the noise, ``(n,)``.
+    """
+
+    def __init__(self, variance):
+        self.variance = variance
+        self.log_determinant = float(np.sum(np.log(variance)))
+
+    def whiten(self, columns):
+        """Return ``Z`` with ``Z.T @ Z = columns.T @ inv(K) @ columns``."""
+        return columns / np.sqrt(self.variance)[:, None]
+
+    def solve(self, columns):
+        """Return ``inv(K) @ columns``."""
+        return columns / self.variance[:, None]
+
+    def inverse_blocks(self, starts, width):
+        """Return the diagonal blocks of ``inv(K)``, shape ``(n_blocks, width, width)``."""
+        index = starts[:, None] + np.arange(width)
+        blocks = np.zeros((len(starts), width, width))
+        diagonal = np.arange(width)
+        blocks[:, diagonal, diagonal] = 1 / self.variance[index]
+        return blocks
+
+
+@dataclass(frozen=True)
+class _Matrices:
+    """The matrices of a celerite kernel: decay rates, diagonal and the two generators."""
+
+    c: np.ndarray
+    a: np.ndarray
+    u: np.ndarray
+    v: np.ndarray
+
+
+def _make_matrices(time, variance, amplitude, period):
+    rate = np.sqrt(2) * np.pi / period
+    phase = rate * time
+    cos, sin = np.cos(phase), np.sin(phase)
+    return _Matrices(
+        np.array([rate, rate]),
+        variance + amplitude,
+        amplitude * np.stack([cos + sin, sin - cos], axis=1),
+        np.stack([cos, sin], axis=1),
+    )
+
+
+class LongTerm:
+    r"""
+    White noise plus a critically smooth stochastic oscillator, factorised by celerite2.
+
+    The kernel is that of a stochastically driven, damped oscillator of
+    quality :math:`1/\sqrt{2}`, :math:`k(\tau) = \sigma^2 e^{-w|\tau|}
+    (\cos w\tau + \sin w|\tau|)` with :math:`w = \sqrt{2}\,\pi/\rho`.
+
+    Parameters
+    ----------
+    time : ndarray
+        Increasing times ``(n,)`` in days.
+    variance : ndarray
+        Variance of the white noise, ``(n,)``.
+    amplitude : float
+        Variance of the process, :math:`\sigma^2`.
+    period : float
+        Undamped period :math:`\rho` in days: the time scale of the process.
+    """
+
+    def __init__(self, time, variance, amplitude, period):
+        self.time, self.variance = time, variance
+        self.amplitude, self.period = amplitude, period
+        self._matrices = _make_matrices(time, variance, amplitude, period)
+        self._state = np.empty((len(time), 2, 2))
+        m = self._matrices
+        self._d, self._w, self._state = backprop.factor_fwd(
+            time, m.c, m.a, m.u, m.v, np.empty_like(m.a), np.empty_like(m.v), self._state
+        )
+        self.log_determinant = float(np.sum(np.log(self._d)))
+
+    def whiten(self, columns):
+        """Return ``Z`` with ``Z.T @ Z = columns.T @ inv(K) @ columns``."""
+        z = np.array(columns, order="C")
+        m = self._matrices
+        z = driver.solve_lower(self.time, m.c, m.u, self._w, z, z)
+        z /= np.sqrt(self._d)[:, None]
+        return z
+
+    def solve(self, columns):
+        """Return ``inv(K) @ columns``."""
+        z = np.array(columns, order="C")
+        m = self._matrices
+        z = driver.solve_lower(self.time, m.c, m.u, self._w, z, z)
+        z /= self._d[:, None]
+        return driver.solve_upper(self.time, m.c, m.u, self._w, z, z)
+
+    def predict(self, residual, time):
+        """Return the mean of the process at other times, given what it should explain.
+
+        Parameters
+        ----------
+        residual : ndarray
+            ``inv(K) @ r`` of the data without their other components, ``(n,)``.
+        time : ndarray
+            Increasing times ``(m,)``.
+        """
+        m, alpha = self._matrices, np.ascontiguousarray(residual[:, None])
+        o = _make_matrices(time, np.zeros_like(time), self.amplitude, self.period)
+        mean = np.zeros((len(time), 1))
+        mean = driver.general_matmul_lower(time, self.time, m.c, o.u, m.v, alpha, mean)
+        return driver.general_matmul_upper(time, self.time, m.c, o.v, m.u, alpha, mean)[:, 0]
+
+    def gradient(self, columns, gram_bar):
+        """
+        Differentiate ``f(C.T @ inv(K) @ C) + log det(K) / 2``.
+
+        Parameters
+        ----------
+        columns : ndarray
+            ``C``, shape ``(n, r)``.
+        gram_bar : ndarray
+            Derivative of ``f`` by the elements of its argument, symmetric.
+
+        Returns
+        -------
+        variance_bar : ndarray
+            Derivative by the variance of the white noise, ``(n,)``.
+        amplitude_bar, period_bar : float
+            Derivatives by the logarithms of amplitude and period.
+        """
+        t, m, d, w = self.time, self._matrices, self._d, self._w
+        y = np.ascontiguousarray(columns)
+        z, f = np.empty_like(y), np.empty((len(t), 2, y.shape[1]))
+        z, f = backprop.solve_lower_fwd(t, m.c, m.u, w, y, z, f)
+        scaled = z / d[:, None]
+        z_bar = 2 * scaled @ gram_bar
+        d_bar = 0.5 / d - 0.5 * np.einsum("ij,ij->i", z_bar, scaled)
+        empty = np.zeros_like
+        _, c_bar, u_bar, w_bar, _ = backprop.solve_lower_rev(
+            t, m.c, m.u, w, y, z, f, z_bar, empty(t), empty(m.c), empty(m.u), empty(w), empty(y)
+        )
+        arrays = (empty(t), empty(m.c), empty(m.a), empty(m.u), empty(m.v))
+        _, c_more, a_bar, u_more, v_bar = backprop.factor_rev(
+            t, m.c, m.a, m.u, m.v, d, w, self._state, d_bar, w_bar, *arrays
+        )
+        return (a_bar, *self._chain(a_bar, c_bar + c_more, u_bar + u_more, v_bar))
+
+    def _chain(self, a_bar, c_bar, u_bar, v_bar):
+        """Carry derivatives by the matrices over to log amplitude and log period."""
+        m, phase = self._matrices, self._matrices.c[0] * self.time
+        amplitude_bar = self.amplitude * a_bar.sum() + np.sum(u_bar * m.u)
+        cos, sin = m.v.T
+        # d/d(phase) of the generators; a longer period turns the phase back
+        du = self.amplitude * np.stack([cos - sin, cos + sin], axis=1)
+        dv = np.stack([-sin, cos], axis=1)
+        turned = np.sum((u_bar * du + v_bar * dv) * phase[:, None])
+        return float(amplitude_bar), float(-turned - np.sum(c_bar * m.c))
+
+    def inverse_blocks(self, starts, width):
+        """
+        Return the diagonal blocks of ``inv(K)``, shape ``(n_blocks, width, width)``.
+
+        With K = L D L^T, a column of inv(L) is a recursion through a state of two numbers, so
+        that all rows below a block enter through one 2 x 2 matrix, which is summed from the
+        last row upwards.
+        """
+        m, d = self._matrices, self._d
+        decay = np.exp(-m.c[0] * np.diff(self.time))
+        below = np.concatenate([_sum_below(decay, m.u, self._w, d), np.zeros((1, 2, 2))])
+        decay = np.append(decay, 0.0)
+        rows = np.zeros((len(starts), width, width))
+        tails = np.empty((len(starts), width, 2))
+        for j in range(width):
+            column, state = np.ones(len(starts)), np.zeros((len(starts), 2))
+            for k in range(j, width):
+                here = starts + k
+                if k > j:
+                    column = -np.einsum("ij,ij->i", m.u[here], state)
+                rows[:, j, k] = column / np.sqrt(d[here])
+                state = decay[here, None] * (state + self._w[here] * column[:, None])
+            tails[:, j] = state
+        outside = tails @ below[starts + width] @ tails.transpose(0, 2, 1)
+        return rows @ rows.transpose(0, 2, 1) + outside
+
+
+def _sum_below(decay, u, w, d):
+    """S_m = u_m u_m^T / d_m + T^T S_(m+1) T with T = decay (1 - w_m u_m^T)."""
+    n = len(d)
+    s = np.empty((n, 2, 2))
+    s00 = s01 = s11 = 0.0
+    ul, wl, dl, pl = u.tolist(), w.tolist(), d.tolist(), [*(decay**2).tolist(), 0.0]
+    for i in range(n - 1, -1, -1):
+        (u0, u1), (w0, w1), p = ul[i], wl[i], pl[i]
+        a00, a01, a10, a11 = 1 - w0 * u0, -w0 * u1, -w1 * u0, 1 - w1 * u1
+        x0, x1 = s00 * a00 + s01 * a10, s00 * a01 + s01 * a11
+        y0, y1 = s01 * a00 + s11 * a10, s01 * a01 + s11 * a11
+        s00, s01, s11 = (
+            p * (a00 * x0 + a10 * y0) + u0 * u0 / dl[i],
+            p * (a00 * x1 + a10 * y1) + u0 * u1 / dl[i],
+            p * (a01 * x1 + a11 * y1) + u1 * u1 / dl[i],
+        )
+        s[i] = ((s00, s01), (s01, s11))
+    return s

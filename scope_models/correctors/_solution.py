@@ -1,0 +1,265 @@
+"""The fit of a light curve: hyper-parameters, outliers, and what follows from them."""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from scope_models.correctors._leave_one_out import fit_leave_one_out
+from scope_models.correctors._regression import (
+    Data,
+    Hyperparameters,
+    Posterior,
+    fit_hyperparameters,
+    log_likelihood,
+)
+
+__all__ = ["Solution", "fit"]
+
+_TREND_COLUMNS = {"gp": 1, "quadratic": 3}
+#: Largest number of fits of the hyper-parameters after outliers were found.
+_REFITS = 2
+
+
+@dataclass(frozen=True)
+class Solution:
+    """
+    A fitted model of the logarithm of the flux.
+
+    Parameters
+    ----------
+    time, y, variance : ndarray
+        Days from the first cadence in use, logarithm of the relative flux, and its variance;
+        ``(n,)``, all usable cadences.
+    use : ndarray of bool
+        Cadences in the fit.
+    regressors : Regressors
+        Groups of columns, for all usable cadences.
+    flat : ndarray
+        Columns with flat priors ``(n, m)``: constant, trend, transit.
+    scale : ndarray
+        What the flat columns were divided by.
+    hyper : Hyperparameters
+        The fitted variances and time scales.
+    """
+
+    time: np.ndarray
+    y: np.ndarray
+    variance: np.ndarray
+    use: np.ndarray
+    regressors: object
+    flat: np.ndarray
+    scale: np.ndarray
+    hyper: Hyperparameters
+
+    @cached_property
+    def columns(self):
+        return np.concatenate([self.regressors.columns, self.flat], axis=1)
+
+    @cached_property
+    def data(self):
+        use = self.use
+        return Data(
+            self.time[use],
+            self.y[use],
+            self.variance[use],
+            self.columns[use],
+            self.regressors.groups,
+            self.flat.shape[1],
+        )
+
+    @cached_property
+    def process(self):
+        return self.hyper.process(self.data.time, self.data.variance)
+
+    @cached_property
+    def posterior(self):
+        z = self.process.whiten(self.data.stacked)
+        return Posterior(z.T @ z, self.hyper.prior(self.data))
+
+    @property
+    def n_regressors(self):
+        return len(self.regressors.groups)
+
+    @cached_property
+    def log_likelihood(self):
+        return float(log_likelihood(self.data, self.hyper))
+
+    @cached_property
+    def solved(self):
+        """The columns and the data multiplied with the inverse covariance of noise and trend."""
+        return self.process.solve(self.data.stacked)
+
+    @cached_property
+    def alpha(self):
+        """What remains of the data, multiplied with the same inverse."""
+        return self.solved[:, -1] - self.solved[:, :-1] @ self.posterior.mean
+
+    @cached_property
+    def systematics(self):
+        k = self.n_regressors
+        return self.regressors.columns @ self.posterior.mean[:k]
+
+    @cached_property
+    def systematics_variance(self):
+        k = self.n_regressors
+        x = self.regressors.columns
+        return np.einsum("ij,ij->i", x @ self.posterior.covariance[:k, :k], x)
+
+    def trend(self, n_trend):
+        """Return the long-term variability, without its mean."""
+        k = self.n_regressors
+        trend = self.flat[:, 1:n_trend] @ self.posterior.mean[k + 1 : k + n_trend]
+        if self.hyper.amplitude is not None:
+            trend = trend + self.process.predict(self.alpha, self.time)
+        return trend - trend[self.use].mean()
+
+    @cached_property
+    def white_variance(self):
+        return self.hyper.noise_scale * self.variance
+
+    def blocks(self, starts, width):
+        """Blocks of the inverse covariance of everything, for windows of cadences in use."""
+        inverse = self.process.inverse_blocks(starts, width)
+        x = self.solved[starts[:, None] + np.arange(width), :-1]
+        return inverse - (x @ self.posterior.covariance) @ x.transpose(0, 2, 1)
+
+    def held_out(self, width):
+        """
+        Predict each window of cadences from all others.
+
+        Parameters
+        ----------
+        width : int
+            Cadences in a window; what remains at the end is left out.
+
+        Returns
+        -------
+        residual : ndarray
+            Measured minus predicted, ``(n_windows, width)``.
+        covariance : ndarray
+            Expected covariance of these, ``(n_windows, width, width)``.
+        """
+        starts = np.arange(len(self.alpha) // width) * width
+        covariance = np.linalg.inv(self.blocks(starts, width))
+        alpha = self.alpha[: len(starts) * width].reshape(-1, width, 1)
+        return (covariance @ alpha)[:, :, 0], covariance
+
+    @cached_property
+    def deviations(self):
+        """Leave-one-out residuals of the cadences in use in units of their standard deviation."""
+        precision = self.blocks(np.arange(len(self.alpha)), 1)[:, 0, 0]
+        return self.alpha / np.sqrt(np.maximum(precision, 1e-300))
+
+    def latent_variance(self):
+        """Variance of the model, systematics and trend together, at all usable cadences."""
+        # cadences that are not in use become data of next to no weight
+        variance = np.where(self.use, self.variance, 1e6 * self.variance)
+        whole = replace(self, variance=variance, use=np.ones_like(self.use))
+        white = whole.white_variance
+        precision = whole.blocks(np.arange(len(white)), 1)[:, 0, 0]
+        return np.clip(white - white**2 * precision, 0.0, None)
+
+    def with_flat(self, column, n_trend, use):
+        """Return the same model with another transit column and other cadences."""
+        scale = np.abs(column).max(axis=0)
+        flat = np.concatenate([self.flat[:, :n_trend], column / scale], axis=1)
+        return replace(self, flat=flat, scale=np.append(self.scale[:n_trend], scale), use=use)
+
+    def flat_coefficient(self, index):
+        """Return the coefficient of a flat column and its standard deviation."""
+        index = index + self.flat.shape[1] if index < 0 else index
+        k = self.n_regressors + index
+        error = np.sqrt(self.posterior.covariance[k, k])
+        return float(self.posterior.mean[k] / self.scale[index]), float(error / self.scale[index])
+
+    def group_variances(self):
+        """Return, per group, the variance of its part of the model in the cadences in use."""
+        groups, mean = self.regressors.groups, self.posterior.mean
+        x = self.regressors.columns[self.use]
+        parts = [
+            x[:, groups == g] @ mean[: len(groups)][groups == g]
+            for g in range(groups.max(initial=-1) + 1)
+        ]
+        return [float(np.var(part)) for part in parts]
+
+    def effective_parameters(self):
+        """Return, per group, the number of parameters that the data determine."""
+        used = 1 - self.posterior.shrinkage[: self.n_regressors]
+        return np.bincount(self.regressors.groups, used)
+
+    def survival(self, width):
+        """
+        Return the part of a box-shaped dip that the correction leaves when it is in the fit.
+
+        Averaged over all windows of ``width`` cadences in use.
+        """
+        k = self.n_regressors
+        n_windows = len(self.alpha) // width
+        shape = (n_windows, width, -1)
+        x = self.regressors.columns[self.use][: n_windows * width].reshape(shape).mean(axis=1)
+        solved = self.solved[: n_windows * width, :-1].reshape(shape).sum(axis=1)
+        return float(1 - np.mean(np.sum((x @ self.posterior.covariance[:k]) * solved, axis=1)))
+
+
+def fit(make_regressors, time, y, variance, use, flat_columns, options):
+    """
+    Fit, and leave out outliers until there are none.
+
+    Parameters
+    ----------
+    make_regressors : callable
+        Takes the mask of cadences in use and returns `Regressors`.
+    time, y, variance : ndarray
+        As in `Solution`.
+    use : ndarray of bool
+        Cadences that may be used.
+    flat_columns : ndarray
+        Transit column ``(n, m)``, m = 0 or 1.
+    options : FitOptions
+        Trend, method and clipping.
+    """
+    time = time - time[use][0]
+    flat, scale = _flat_columns(time, flat_columns, options.trend)
+    allowed, solution = use, None
+    for _ in range(_REFITS + 1):
+        hyper = None if solution is None else solution.hyper
+        centred = y - y[use].mean()
+        solution = Solution(time, centred, variance, use, make_regressors(use), flat, scale, hyper)
+        solution = replace(solution, hyper=_fit_hyper(solution, options))
+        use = _without_outliers(solution, allowed, options)
+        if (use == solution.use).all():
+            break
+    return solution
+
+
+def _without_outliers(solution, allowed, options):
+    """Leave out outliers at fixed hyper-parameters; return the cadences that remain."""
+    for _ in range(options.max_clips):
+        deviations = np.abs(solution.deviations)
+        spread = 1.4826 * np.median(deviations)  # outliers have raised the fitted noise
+        kept = deviations < options.sigma * spread
+        if kept.all() or kept.sum() < 0.5 * allowed.sum():
+            break
+        use = solution.use.copy()
+        use[np.flatnonzero(use)[~kept]] = False
+        solution = replace(solution, use=use)
+    return solution.use
+
+
+def _flat_columns(time, extra, trend):
+    x = time / max(time[-1], 1e-9)
+    columns = np.stack([x**k for k in range(_TREND_COLUMNS[trend])], axis=1)
+    columns = np.concatenate([columns, extra], axis=1)
+    scale = np.abs(columns).max(axis=0)
+    return columns / scale, scale
+
+
+def _fit_hyper(solution, options):
+    data, hyper = solution.data, solution.hyper
+    if hyper is not None and len(hyper.variances) != data.n_groups:
+        hyper = None
+    hyper = fit_hyperparameters(data, hyper, trend=options.trend == "gp")
+    if options.method == "leave-one-out":
+        hyper = fit_leave_one_out(data, hyper)
+    return hyper

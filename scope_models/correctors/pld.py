@@ -1,0 +1,396 @@
+"""Pixel level decorrelation of target pixel files."""
+
+import warnings
+
+import numpy as np
+from lightkurve.correctors.corrector import Corrector
+
+from scope_models.correctors._design import make_regressors
+from scope_models.correctors._inputs import (
+    FitOptions,
+    checked_count,
+    checked_mask,
+    design_options,
+    transit_column,
+)
+from scope_models.correctors._pixels import read_pixels
+from scope_models.correctors._result import make_result
+from scope_models.correctors._solution import fit
+from scope_models.exceptions import DetrendingWarning
+
+__all__ = ["PLDCorrector"]
+
+_FEWEST_CADENCES = 30
+
+
+class PLDCorrector(Corrector):
+    r"""
+    Remove pointing systematics with the help of the target's own pixels.
+
+    The logarithm of the flux summed over the aperture is modelled as
+
+    .. math::
+
+        \log F = \sum_l a_l p_l + \sum_{lm} b_{lm} p_l p_m + \dots + g(t)
+                 + \mathrm{const} + \mathrm{noise}, \qquad p_l = f_l / \sum_k f_k,
+
+    with all products of the pixel fractions up to order n. The coefficients
+    have Gaussian priors, one variance per order; the sums over the pixels of
+    products of neighbours, which are the same function of position in all
+    pixels, have their own. The long-term variability g is a Gaussian process or
+    a quadratic polynomial. The variances and time scales maximise the
+    marginal likelihood, so that there is nothing to tune.
+
+    A dimming of the star changes all pixels alike and leaves the fractions
+    as they are: the model can take a transit for systematics only by chance,
+    and `PLDResult.transit_survival` says how much.
+
+    Parameters
+    ----------
+    tpf : `~lightkurve.targetpixelfile.TargetPixelFile`
+        Kepler, K2, TESS or synthetic target pixel file. Cadences without a
+        finite time or with pixels that are NaN are left out and stay NaN.
+    aperture_mask : array_like of bool, optional
+        Pixels ``(ny, nx)`` that are summed. By default all connected pixels
+        that the star lights up at some time: large apertures cost little,
+        because the model weighs pixels by their light.
+
+    Attributes
+    ----------
+    aperture_mask : `~numpy.ndarray`
+        The pixels that are summed.
+    original_lc, corrected_lc : `~lightkurve.LightCurve`
+        Sum over the aperture before and after the correction.
+    cadence_mask, outlier_mask : `~numpy.ndarray`
+        Cadences that the last call of `correct` was allowed to fit, and those
+        of them that it left out as outliers.
+    result : `PLDResult`
+        Hyper-parameters and diagnostics of the last call.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If `aperture_mask` is not a mask of pixels with data, or the flux in it
+        is not positive.
+
+    See Also
+    --------
+    lightkurve.correctors.PLDCorrector
+
+    Notes
+    -----
+    Luger et al. 2016, AJ 152, 100, and 2018, AJ 156, 99, describe pixel level
+    decorrelation; Deming et al. 2015, ApJ 805, 132, introduced it.
+
+    Examples
+    --------
+    >>> from scope_models import Detector, Motion, Star, simulate
+    >>> from scope_models.correctors import PLDCorrector
+    >>> observation = simulate(
+    ...     Star(12, 4, 4), Detector.k2(shape=(9, 9)), Motion.k2_roll(400, seed=1), seed=1
+    ... )
+    >>> corrector = PLDCorrector(observation.to_tpf())
+    >>> lc = corrector.correct(order=2)
+    >>> bool(lc.estimate_cdpp() < corrector.original_lc.estimate_cdpp())
+    True
+    """
+
+    def __init__(self, tpf, aperture_mask=None):
+        self.tpf = tpf
+        self._set_aperture(aperture_mask)
+
+    def _set_aperture(self, aperture_mask):
+        pixels = read_pixels(self.tpf, aperture_mask)
+        steps = np.diff(pixels.time[pixels.usable])
+        if np.any(steps <= 0):
+            raise ValueError("the times of `tpf` must increase")
+        lc = self.tpf.to_lightcurve(aperture_mask=pixels.aperture.copy())
+        unit = lc.flux.unit
+        lc.flux = np.where(pixels.usable, pixels.total, np.nan) * unit
+        lc.flux_err = np.where(pixels.usable, pixels.total_err, np.nan) * unit
+        self._pixels = pixels
+        self.aperture_mask = pixels.aperture.copy()
+        self.original_lc = lc
+        self.cadence_mask = np.ones(len(lc), dtype=bool)
+        self._solution = self.result = None
+
+    def __repr__(self):
+        return f"PLDCorrector (ID: {self.original_lc.meta.get('LABEL', 'unknown')})"
+
+    def correct(
+        self,
+        order=2,
+        cadence_mask=None,
+        *,
+        transit_mask=None,
+        transit_model=None,
+        restore_trend=True,
+        trend="gp",
+        method="likelihood",
+        segments="auto",
+        aperture_mask=None,
+        background=0,
+        neighbors=(),
+        saturation="auto",
+        sigma=5.0,
+        max_clips=5,
+    ):
+        """
+        Correct the light curve.
+
+        Parameters
+        ----------
+        order : int, optional
+            Highest number of pixel fractions that are multiplied.
+        cadence_mask : array_like of bool, optional
+            True where a cadence may be used in the fit, ``(n_cadences,)``.
+            The others are corrected too.
+        transit_mask : array_like of bool, optional
+            True during transits: these cadences are not used in the fit.
+        transit_model : array_like or callable, optional
+            Relative flux ``(n_cadences,)``, 1 outside of transits, or what
+            returns it for times in days, as an astropy model does. Its
+            amplitude is fitted jointly, so that the correction leaves
+            unmasked transits alone; see `PLDResult.transit_scale`.
+        restore_trend : bool, optional
+            Whether the long-term variability stays in the light curve.
+        trend : {"gp", "quadratic"}, optional
+            Long-term variability: a Gaussian process or a polynomial.
+        method : {"likelihood", "leave-one-out"}, optional
+            What the hyper-parameters maximise: the marginal likelihood, or
+            the density of each datum predicted from all others.
+        segments : "auto", None or sequence of float, optional
+            Times (days) at which the coefficients of order 1 may change. By
+            default where the sense of the roll reverses. The change has a
+            prior variance of its own, which vanishes if nothing changes.
+        aperture_mask : array_like of bool, optional
+            Another aperture, from this call on.
+        background : int, optional
+            Number of principal components of the pixels outside of the
+            aperture that are regressors too.
+        neighbors : sequence of `~lightkurve.targetpixelfile.TargetPixelFile`, optional
+            Other stars whose pixel fractions are regressors too.
+        saturation : "auto", None or float, optional
+            Flux in e-/s above which a pixel is saturated, by default that of
+            the mission if it is known. A full pixel stays full when the star
+            dims, so that its share of the light would tell the model of a
+            transit: of columns with such pixels only the sum and the row
+            of the centre of light become regressors. None: all pixels do.
+        sigma : float, optional
+            Cadences that deviate by more standard deviations from what
+            all others predict are outliers.
+        max_clips : int, optional
+            Largest number of times that outliers are searched.
+
+        Returns
+        -------
+        `~lightkurve.LightCurve`
+            `corrected_lc`: `original_lc` divided by the systematics. The
+            errors hold the white noise and the uncertainty of the model.
+
+        Raises
+        ------
+        TypeError, ValueError
+            If an argument is outside its domain, or fewer than 30 cadences
+            are left to fit.
+
+        Warns
+        -----
+        DetrendingWarning
+            If there is nothing to correct, or data had to be replaced.
+        """
+        options = FitOptions(trend, method, sigma, max_clips)
+        order = checked_count("order", order, 1)
+        n = len(self._pixels.time)
+        mask = checked_mask("cadence_mask", cadence_mask, n, default=True)
+        in_transit = checked_mask("transit_mask", transit_mask, n, default=False)
+        if aperture_mask is not None:
+            self._set_aperture(aperture_mask)
+        extra = np.empty((n, 0))
+        if transit_model is not None:
+            extra = transit_column(transit_model, self._pixels.time)
+        allowed = (mask & ~in_transit)[self._pixels.usable]
+        if allowed.sum() < _FEWEST_CADENCES:
+            raise ValueError(
+                f"at least {_FEWEST_CADENCES} usable cadences are needed, got {allowed.sum()}"
+            )
+        design = design_options(
+            self.tpf, self._pixels, order, segments, background, neighbors, saturation
+        )
+        self._solution = self._fit(allowed, extra, design, options)
+        self._restore_trend, self._n_trend = restore_trend, 3 if trend == "quadratic" else 1
+        self.cadence_mask, self.transit_mask = mask & ~in_transit, in_transit
+        self._finish(allowed, design, transit=transit_model is not None)
+        return self.corrected_lc
+
+    def _fit(self, allowed, extra, design, options):
+        pixels = self._pixels
+        usable = pixels.usable
+        total = pixels.total[usable]
+
+        def make(use):
+            regressors = make_regressors(pixels, use, design)
+            if not regressors.columns.shape[1]:
+                raise _NothingToCorrectError
+            return regressors
+
+        y = np.log(total / np.median(total[allowed]))
+        variance = (pixels.total_err[usable] / total) ** 2
+        try:
+            return fit(make, pixels.time[usable], y, variance, allowed, extra[usable], options)
+        except _NothingToCorrectError:
+            message = "the pixel fractions do not vary: the light curve is left as it is"
+            warnings.warn(message, DetrendingWarning, stacklevel=3)
+            return None
+
+    def _finish(self, allowed, design, *, transit):
+        """Make the corrected light curve, the masks and the result."""
+        solution, usable = self._solution, self._pixels.usable
+        self.corrected_lc = self.original_lc.copy()
+        self.outlier_mask = np.zeros(len(usable), dtype=bool)
+        self.result = None
+        if solution is None:
+            return
+        self.outlier_mask[usable] = allowed & ~solution.use
+        removed, variance = solution.systematics, solution.systematics_variance
+        if not self._restore_trend:
+            removed = removed + solution.trend(self._n_trend)
+            variance = solution.latent_variance()
+        flux = self._pixels.total[usable] / np.exp(removed)
+        self._store("flux", flux)
+        self._store("flux_err", flux * np.sqrt(solution.white_variance + variance))
+        self.result = make_result(
+            solution, design.breaks, n_outliers=int(self.outlier_mask.sum()), transit=transit
+        )
+
+    def _store(self, column, values):
+        whole = np.full(len(self._pixels.usable), np.nan)
+        whole[self._pixels.usable] = values
+        setattr(self.corrected_lc, column, whole * getattr(self.original_lc, column).unit)
+
+    def fit_transit(self, transit_model):
+        """
+        Measure the depth of a transit, with all uncertainties of the last correction.
+
+        The amplitude of the model is fitted jointly with the systematics and
+        the long-term variability, whose hyper-parameters stay as `correct`
+        has found them. Used are the cadences of the fit and those of
+        ``transit_mask``. Errors of the corrected light curve are correlated;
+        here that is taken into account.
+
+        Parameters
+        ----------
+        transit_model : array_like or callable
+            As in `correct`.
+
+        Returns
+        -------
+        scale, error : float
+            Amplitude in units of the model's, and its standard deviation.
+        """
+        self._check_corrected()
+        solution = self._solution
+        if solution is None:
+            raise ValueError("the last correction found nothing to correct")
+        usable = self._pixels.usable
+        column = transit_column(transit_model, self._pixels.time)[usable]
+        use = solution.use | self.transit_mask[usable]
+        return solution.with_flat(column, self._n_trend, use).flat_coefficient(-1)
+
+    def held_out(self, width=13):
+        """
+        Predict windows of cadences by a model that has not seen them.
+
+        The hyper-parameters are those of the last correction; the coefficients and the
+        long-term variability are inferred anew for each window from all others, in closed form.
+
+        Parameters
+        ----------
+        width : int, optional
+            Cadences in a window, counted among those in the fit; 13 long cadences are 6.4 hours.
+
+        Returns
+        -------
+        residual : `~numpy.ndarray`
+            Mean of measured minus predicted relative flux, per window.
+        error : `~numpy.ndarray`
+            Its expected standard deviation: noise and model.
+        used : `~numpy.ndarray`
+            Indices of the cadences in the fit, which are the windows one after the other.
+        """
+        self._check_corrected()
+        if self._solution is None:
+            raise ValueError("the last correction found nothing to correct")
+        used = np.flatnonzero(self._pixels.usable)[self._solution.use]
+        width = checked_count("width", width, 1)
+        if len(used) < 2 * width:
+            raise ValueError(f"`width` must be at most {len(used) // 2}, got {width}")
+        residual, covariance = self._solution.held_out(width)
+        return residual.mean(axis=1), np.sqrt(covariance.sum(axis=(1, 2))) / width, used
+
+    def _check_corrected(self):
+        if not hasattr(self, "_corrected_lc"):
+            raise ValueError("call `correct` first")
+
+    def diagnose(self):
+        """
+        Draw the light curve before and after the last correction, and the model.
+
+        Returns
+        -------
+        `~numpy.ndarray` of `~matplotlib.axes.Axes`
+            The three panels.
+
+        Raises
+        ------
+        ValueError
+            If `correct` has not been called.
+        """
+        from scope_models.plotting.detrending import plot_detrending  # imports matplotlib
+
+        self._check_corrected()
+        lc, corrected = self.original_lc, self.corrected_lc
+        systematics = np.full(len(lc), np.nan)
+        trend = systematics.copy()
+        if self._solution is not None:
+            level = np.median(corrected.flux.value[self._pixels.usable])
+            usable = self._pixels.usable
+            systematics[usable] = level * np.exp(self._solution.systematics)
+            trend[usable] = level * np.exp(self._solution.trend(self._n_trend))
+        return plot_detrending(
+            lc.time.value,
+            lc.flux.value,
+            corrected.flux.value,
+            systematics=systematics,
+            trend=trend if self._restore_trend else None,
+            outliers=self.outlier_mask,
+            masked=~self.cadence_mask,
+        )
+
+    def diagnose_masks(self):
+        """
+        Draw the aperture and the light that the model gives to each pixel.
+
+        Returns
+        -------
+        `~numpy.ndarray` of `~matplotlib.axes.Axes`
+            Mean image with the aperture, and scatter of the pixel fractions.
+
+        Raises
+        ------
+        ValueError
+            If `correct` has not been called.
+        """
+        from scope_models.plotting.detrending import plot_detrending_masks  # imports matplotlib
+
+        self._check_corrected()
+        pixels = self._pixels
+        flux = pixels.flux[pixels.usable]
+        fractions = np.where(pixels.aperture, flux, 0) / pixels.total[pixels.usable, None, None]
+        return plot_detrending_masks(
+            np.median(flux, axis=0), pixels.aperture, np.std(fractions, axis=0)
+        )
+
+
+class _NothingToCorrectError(Exception):
+    """No regressor varies."""

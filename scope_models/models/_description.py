@@ -1,0 +1,57 @@
+# Licensed under a 3-clause BSD style license - see LICENSE
+"""Models as what JSON can hold, and back."""
+
+import importlib
+import operator
+import sys
+
+import numpy as np
+from astropy.modeling import CompoundModel, Model
+
+from scope_models.models.sensitivity import SensitivityPolynomial
+
+__all__ = ["describe_model", "make_model"]
+
+_OPERATORS = {"+": operator.add, "-": operator.sub, "*": operator.mul}
+# Modules that reading a file may import; others must have been imported before.
+_TRUSTED = {"scope_models", "astropy", "photutils"}
+
+
+def describe_model(model):
+    """Return a model as the names of its classes and the values of its parameters."""
+    if model is None:
+        return None
+    if isinstance(model, CompoundModel):
+        left, right = describe_model(model.left), describe_model(model.right)
+        return {"operator": model.op, "left": left, "right": right}
+    described = {
+        "module": type(model).__module__,
+        "class": type(model).__qualname__,
+        "parameters": {
+            name: np.asarray(getattr(model, name).value).tolist() for name in model.param_names
+        },
+    }
+    if isinstance(model, SensitivityPolynomial):
+        described["parameters"] = {
+            "x_coefficients": list(model.x_coefficients),
+            "y_coefficients": list(model.y_coefficients),
+        }
+    return described
+
+
+def make_model(described):
+    """Return the model of a description."""
+    if described is None:
+        return None
+    if "operator" in described:
+        combine = _OPERATORS[described["operator"]]
+        return combine(make_model(described["left"]), make_model(described["right"]))
+    module = described["module"]
+    if module not in sys.modules and module.partition(".")[0] not in _TRUSTED:
+        raise ValueError(f"import {module} before reading a scene with its {described['class']}")
+    kind = importlib.import_module(module)
+    for part in described["class"].split("."):
+        kind = getattr(kind, part, None)
+    if not (isinstance(kind, type) and issubclass(kind, Model)):
+        raise TypeError(f"{module}.{described['class']} is not a model")
+    return kind(**described["parameters"])

@@ -1,0 +1,298 @@
+# Licensed under a 3-clause BSD style license - see LICENSE
+"""An empirical PSF: a smooth surface of Gauss-Hermite functions, integrated in closed form."""
+
+import numpy as np
+from astropy.modeling import Fittable2DModel, Parameter
+from astropy.units import UnitsError
+
+from scope_models.models._axis import axis_integrals, hermite_functions
+from scope_models.models._validation import Domain, check_model_parameters
+from scope_models.models.psf import BivariateGaussianPSF
+
+__all__ = ["GaussHermitePSF"]
+
+# Positions whose tables fit into the processor's cache together.
+_BATCH = 512
+_LEADING = ("flux", "x_0", "y_0", "sigma_x", "sigma_y")
+
+
+class GaussHermitePSF(Fittable2DModel):
+    r"""
+    A Gaussian with a smooth surface of low order on it.
+
+    .. math::
+
+        P(x, y) = \frac{F}{\sigma_x \sigma_y} \sum_{k + m \le N} c_{km}\, h_k(z_x)\, h_m(z_y),
+        \qquad h_k(z) = \frac{He_k(z)}{\sqrt{k!}} \varphi(z), \quad c_{00} = 1,
+
+    with :math:`z_x = (x - x_0) / \sigma_x`, the probabilists' Hermite polynomials and the normal
+    density :math:`\varphi`. Only the first term has a total flux, so that F is that of the model.
+    The functions are orthogonal, and smooth on the scale :math:`\sigma / \sqrt{N}`. The density
+    may be negative somewhere: it describes, and does not explain.
+
+    Parameters
+    ----------
+    flux : float or `~astropy.units.Quantity`
+        Integral of the density over the plane.
+    x_0, y_0 : float or `~astropy.units.Quantity`
+        Centre in pixels.
+    sigma_x, sigma_y : float or `~astropy.units.Quantity`
+        Widths of the first term in pixels.
+    order : int, optional
+        Largest k + m. The default is what the given coefficients ask for, at least 4.
+    **kwargs
+        Coefficients ``c_k_m``, 0 by default, and keywords of `~astropy.modeling.Model`.
+
+    Raises
+    ------
+    ValueError
+        If a parameter is not finite, a width is not positive, or the order is not between 1 and
+        20 or too small for the coefficients.
+
+    Examples
+    --------
+    >>> from scope_models import integrate_pixels
+    >>> from scope_models.models import GaussHermitePSF
+    >>> psf = GaussHermitePSF(100, sigma_x=0.6, sigma_y=0.6, order=3, c_3_0=0.1)
+    >>> print(integrate_pixels(psf, x=[-1, 0, 1], y=[0, 0, 0]).round(2))
+    [12.11 35.44 11.24]
+    """
+
+    flux = Parameter(default=1.0, description="Integral of the density")
+    x_0 = Parameter(default=0.0, description="Column of the centre (pixel)")
+    y_0 = Parameter(default=0.0, description="Row of the centre (pixel)")
+    sigma_x = BivariateGaussianPSF.sigma_x.copy()
+    sigma_y = BivariateGaussianPSF.sigma_y.copy()
+    sigma_x.validator(Domain("sigma_x", "positive"))
+    sigma_y.validator(Domain("sigma_y", "positive"))
+
+    # Filled in by each instance: the number of parameters depends on the order.
+    _param_names = _LEADING
+
+    def __init__(self, flux=1.0, x_0=0.0, y_0=0.0, sigma_x=0.5, sigma_y=0.5, order=None, **kwargs):
+        given = [name for name in kwargs if name.startswith("c_")]
+        self.order = _checked_order(order, given)
+        values = dict.fromkeys(_coefficient_names(self.order), 0.0)
+        unknown = set(given) - set(values)
+        if unknown:
+            raise ValueError(
+                f"`order` {self.order} has no coefficient {', '.join(sorted(unknown))}"
+            )
+        self._param_names = (*_LEADING, *values)
+        for name in values:
+            k, m = _orders(name)
+            parameter = Parameter(name, default=0.0, description=f"Coefficient of h_{k} h_{m}")
+            parameter.model = self
+            self.__dict__[name] = parameter
+        values |= {"flux": flux, "x_0": x_0, "y_0": y_0, "sigma_x": sigma_x, "sigma_y": sigma_y}
+        super().__init__(**(values | kwargs))
+        check_model_parameters(self)
+
+    @property
+    def param_names(self):
+        """Names of the parameters."""
+        return self._param_names
+
+    def _matrix(self, coefficients):
+        """Coefficients as a matrix ``[m, k]``, and the places of the free ones in it."""
+        places = [_orders(name) for name in self._param_names[5:]]
+        matrix = np.zeros((self.order + 1, self.order + 1))
+        matrix[0, 0] = 1.0
+        for (k, m), value in zip(places, coefficients, strict=True):
+            matrix[m, k] = np.reshape(value, -1)[0]
+        return matrix, places
+
+    def evaluate(self, x, y, flux, x_0, y_0, sigma_x, sigma_y, *coefficients):
+        """
+        Density at the positions.
+
+        Parameters
+        ----------
+        x, y : array_like
+            Positions in pixels.
+        flux, x_0, y_0, sigma_x, sigma_y, *coefficients : array_like
+            The parameters, in their order.
+
+        Returns
+        -------
+        density : `~numpy.ndarray`
+            In units of flux per square pixel.
+        """
+        matrix, _ = self._matrix(coefficients)
+        along_x, along_y = (
+            hermite_functions(np.asarray((u - u_0) / sigma, dtype=float), self.order + 1)
+            for u, u_0, sigma in ((x, x_0, sigma_x), (y, y_0, sigma_y))
+        )
+        return np.einsum("lk,k...,l...->...", matrix, along_x, along_y) * (
+            flux / (sigma_x * sigma_y)
+        )
+
+    def fit_deriv(self, x, y, flux, x_0, y_0, sigma_x, sigma_y, *coefficients):
+        """
+        Derivatives of the density with respect to the parameters.
+
+        Parameters
+        ----------
+        x, y : array_like
+            Positions in pixels.
+        flux, x_0, y_0, sigma_x, sigma_y, *coefficients : array_like
+            The parameters, in their order.
+
+        Returns
+        -------
+        derivatives : list of `~numpy.ndarray`
+            One array per parameter, in their order.
+        """
+        matrix, places = self._matrix(coefficients)
+        tables = []
+        for u, u_0, sigma in ((x, x_0, sigma_x), (y, y_0, sigma_y)):
+            table = hermite_functions(np.asarray((u - u_0) / sigma, dtype=float), self.order + 3)
+            tables.append(np.moveaxis(table, 0, -1) / sigma)
+        unit, *parts = _derivatives(*tables, sigma_x, sigma_y, matrix, places, _outer_pointwise)
+        return [unit, *(flux * part for part in parts)]
+
+    def pixel_engine(self, coefficients, *, derivatives=False):
+        """
+        What integrates the density of unit flux over pixels.
+
+        Parameters
+        ----------
+        coefficients : sequence of float
+            Values of the ``c_k_m``, in their order.
+        derivatives : bool, optional
+            Whether the derivatives by position, widths and coefficients are wanted too.
+
+        Returns
+        -------
+        engine : callable
+            ``engine(x, y, x_0, y_0, sigma_x, sigma_y, x_coefficients, y_coefficients)``, with the
+            columns, the rows, positions of shape ``(...)`` and the polynomial response along the
+            axes, returns images ``(..., ny, nx)``, after an axis of derivatives if asked for.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> from scope_models.models import GaussHermitePSF
+        >>> psf = GaussHermitePSF(order=2)
+        >>> engine = psf.pixel_engine([0] * 5)
+        >>> one = np.ones(1)
+        >>> print(engine(np.arange(-1.0, 2), np.zeros(1), 0.0, 0.0, 0.5, 0.5, one, one).round(3))
+        [[0.107 0.466 0.107]]
+        """
+        matrix, places = self._matrix(coefficients)
+
+        def engine(x, y, x_0, y_0, sigma_x, sigma_y, along_x, along_y):
+            shape = np.broadcast_shapes(np.shape(x_0), np.shape(y_0))
+            flat = [np.broadcast_to(p, shape).reshape(-1).astype(float) for p in (x_0, y_0)]
+            widths = [np.reshape(p, -1)[:1].astype(float) for p in (sigma_x, sigma_y)]
+            n_images = 5 + len(places) if derivatives else 1
+            images = np.empty((n_images, flat[0].size, y.size, x.size))
+            n = self.order + (3 if derivatives else 1)
+            for start in range(0, flat[0].size, _BATCH):
+                part = slice(start, start + _BATCH)
+                tables = [
+                    axis_integrals(p, u_0[part], width, np.atleast_1d(along), n).transpose(0, 2, 1)
+                    for p, u_0, width, along in (
+                        (x, flat[0], widths[0], along_x),
+                        (y, flat[1], widths[1], along_y),
+                    )
+                ]
+                if derivatives:
+                    parts = _derivatives(*tables, *widths, matrix, places, _outer_pixels)
+                    images[:, part] = np.stack(parts)
+                else:
+                    images[0, part] = _outer_pixels(tables[0], tables[1] @ matrix)
+            return images.reshape((*images.shape[:1], *shape, y.size, x.size))[
+                slice(None) if derivatives else 0
+            ]
+
+        return engine
+
+    def bounding_box(self, factor=6.5):
+        """
+        Rectangle outside which hardly any flux lies.
+
+        Parameters
+        ----------
+        factor : float, optional
+            Half-width in standard deviations; the order adds its square root.
+
+        Returns
+        -------
+        bounding_box : tuple
+            ``((y_low, y_high), (x_low, x_high))``, as astropy orders it.
+        """
+        factor += np.sqrt(self.order)
+        d_x, d_y = factor * self.sigma_x, factor * self.sigma_y
+        return ((self.y_0 - d_y, self.y_0 + d_y), (self.x_0 - d_x, self.x_0 + d_x))
+
+    @property
+    def input_units(self):
+        """Units of x and y, or None."""
+        unit = self.x_0.input_unit
+        if unit is None:
+            return None
+        return {self.inputs[0]: unit, self.inputs[1]: self.y_0.input_unit}
+
+    def _parameter_units_for_data_units(self, inputs_unit, outputs_unit):
+        unit = inputs_unit[self.inputs[0]]
+        if unit != inputs_unit[self.inputs[1]]:
+            raise UnitsError("units of x and y must be the same")
+        units = dict.fromkeys(("x_0", "y_0", "sigma_x", "sigma_y"), unit)
+        return {"flux": outputs_unit[self.outputs[0]] * unit**2, **units}
+
+
+def _coefficient_names(order):
+    """Names of all coefficients but the first, by rising order."""
+    return [f"c_{n - m}_{m}" for n in range(1, order + 1) for m in range(n + 1)]
+
+
+def _orders(name):
+    """The orders along x and y that a coefficient's name tells."""
+    _, k, m = name.split("_")
+    return int(k), int(m)
+
+
+def _checked_order(order, given):
+    """The order, or the one that the names of coefficients ask for."""
+    if order is None:
+        order = max([4, *(sum(_orders(name)) for name in given)])
+    if isinstance(order, bool) or not isinstance(order, int | np.integer) or not 1 <= order <= 20:
+        raise ValueError(f"`order` must be an integer from 1 to 20, got {order!r}")
+    return int(order)
+
+
+def _outer_pointwise(along_x, along_y):
+    """Sum over the orders at single positions."""
+    return np.sum(along_x * along_y, axis=-1)
+
+
+def _outer_pixels(along_x, along_y):
+    """Sum over the orders on a grid: ``(m, nx, k), (m, ny, k) -> (m, ny, nx)``."""
+    return along_y @ along_x.transpose(0, 2, 1)
+
+
+def _derivatives(x_table, y_table, sigma_x, sigma_y, matrix, places, outer):
+    """
+    Unit image, and its derivatives by position, widths and coefficients.
+
+    The tables hold two orders more than the matrix, on the last axis. With
+    ``dh_k/dz = -sqrt(k + 1) h_{k + 1}``, all are sums of the same functions.
+    """
+    n = len(matrix)
+    order = np.arange(n)
+    rise, twice = np.sqrt(order + 1), np.sqrt((order + 1) * (order + 2))
+    base_x, base_y = x_table[..., :n], y_table[..., :n]
+    moved_x, moved_y = rise * x_table[..., 1 : n + 1], rise * y_table[..., 1 : n + 1]
+    wide_x = order * base_x + twice * x_table[..., 2:]
+    wide_y = order * base_y + twice * y_table[..., 2:]
+    weighted = base_y @ matrix
+    images = [
+        outer(base_x, weighted),
+        outer(moved_x, weighted) / sigma_x,
+        outer(base_x, moved_y @ matrix) / sigma_y,
+        outer(wide_x, weighted) / sigma_x,
+        outer(base_x, wide_y @ matrix) / sigma_y,
+    ]
+    images += [outer(base_x[..., k : k + 1], base_y[..., m : m + 1]) for k, m in places]
+    return images

@@ -1,0 +1,126 @@
+"""Regressors against products formed one by one."""
+
+from itertools import combinations_with_replacement, product
+
+import numpy as np
+import pytest
+
+from scope_models.correctors._design import DesignOptions, make_regressors, without_saturation
+from scope_models.correctors._features import (
+    Regressors,
+    centre,
+    power_columns,
+    principal_columns,
+    shared_columns,
+)
+from scope_models.correctors._pixels import Pixels
+
+
+@pytest.fixture
+def fractions():
+    values = np.random.default_rng(0).uniform(0.5, 1.5, (80, 5))
+    return values / values.sum(axis=1)[:, None]
+
+
+@pytest.mark.parametrize("order", [1, 2, 3, 4])
+def test_power_columns_span_all_products(fractions, order):
+    use = np.ones(80, dtype=bool)
+    columns, rest = power_columns(fractions, order, use, 1e-16, 80)
+    products = np.stack(
+        [fractions[:, list(c)].prod(axis=1) for c in product(range(5), repeat=order)], axis=1
+    )
+    np.testing.assert_allclose(columns @ columns.T, products @ products.T, rtol=1e-6)
+    assert columns.shape[1] <= len(list(combinations_with_replacement(range(5), order)))
+    assert rest < 1e-15
+
+
+def test_power_columns_stop_at_the_tolerance_and_the_rank(fractions):
+    use = np.arange(80) < 60
+    kernel = (fractions @ fractions.T) ** 2
+    columns, rest = power_columns(fractions, 2, use, 1e-6, 80)
+    left = np.diag(kernel - columns @ columns.T)
+    assert rest == pytest.approx(left[use].mean(), rel=1e-6)
+    assert 0 < rest < 1e-6
+    assert power_columns(fractions, 2, use, 1e-6, 3)[0].shape == (80, 3)
+
+
+def test_principal_columns_keep_the_kernel(fractions):
+    use = np.arange(80) < 60
+    columns = centre(fractions, use)
+    np.testing.assert_allclose(columns[use].mean(axis=0), 0, atol=1e-16)
+    rotated = principal_columns(columns, use, 0.0)
+    assert rotated.shape == (80, 4)  # fractions add up to one
+    np.testing.assert_allclose(rotated @ rotated.T, columns @ columns.T, atol=1e-15)
+    large = principal_columns(columns, use, np.mean(rotated[use, 1] ** 2) * 0.999)
+    np.testing.assert_allclose(large, rotated[:, :2], atol=1e-15)
+
+
+@pytest.mark.parametrize("order", [2, 3])
+def test_shared_columns(order):
+    images = np.random.default_rng(1).uniform(size=(3, 4, 5))
+    offsets = [d for d in product((-1, 0, 1), repeat=2) if order > 2 or d >= (0, 0)]
+    expected = np.zeros((3, len(offsets)))
+    for k, (dy, dx) in enumerate(offsets):
+        for y, x in product(range(4), range(5)):
+            if 0 <= y + dy < 4 and 0 <= x + dx < 5:
+                expected[:, k] += images[:, y, x] ** (order - 1) * images[:, y + dy, x + dx]
+    np.testing.assert_allclose(shared_columns(images, order, 1), expected, rtol=1e-13)
+
+
+def test_shared_columns_do_not_depend_on_the_place():
+    image = np.zeros((2, 9, 9))
+    star = np.random.default_rng(2).uniform(size=(3, 3))
+    image[0, 2:5, 1:4] = star
+    image[1, 3:6, 5:8] = star
+    columns = shared_columns(image, 2, 2)
+    np.testing.assert_allclose(columns[0], columns[1], rtol=1e-14)
+
+
+def test_regressors_join():
+    joined = Regressors.join({"a": np.zeros((4, 2)), "b": np.ones((4, 3))})
+    assert joined.names == ("a", "b")
+    np.testing.assert_array_equal(joined.groups, [0, 0, 1, 1, 1])
+    assert joined.columns.sum() == 12
+
+
+def test_saturated_columns_do_not_tell_the_brightness():
+    rng = np.random.default_rng(4)
+    aperture = np.ones((7, 5), dtype=bool)
+    aperture[0, 0] = False
+    star = rng.uniform(1, 2, (40, 7, 5))
+    star[:, 2:5, 2] += 100
+    fractions = []
+    for dimmed in (star, 0.99 * star):
+        full = np.minimum(dimmed, 50)
+        excess = (dimmed - full).sum(axis=1)
+        full[:, 1, 2] += excess[:, 2] / 2
+        full[:, 5, 2] += excess[:, 2] / 2
+        images = without_saturation(full, aperture, 45)
+        fractions.append(images / images.sum(axis=(1, 2), keepdims=True))
+        np.testing.assert_allclose(
+            images[:, :, 2].sum(axis=1), dimmed[:, :, 2].sum(axis=1), rtol=2e-3
+        )
+        np.testing.assert_array_equal(images[:, :, 3], dimmed[:, :, 3])
+    # bled light is as far from the middle on both sides, and the middle is not quite the centre
+    np.testing.assert_allclose(fractions[0], fractions[1], atol=2e-4)
+    np.testing.assert_array_equal(without_saturation(star, aperture, None)[:, 0, 0], 0)
+    np.testing.assert_array_equal(without_saturation(star, aperture, 1e9)[:, 1:], star[:, 1:])
+
+
+def test_segments_and_extra_groups(fractions):
+    flux = 100 * fractions.reshape(80, 1, 5)
+    extra = np.random.default_rng(3).normal(size=(80, 2))
+    extra[5] = np.nan
+    pixels = Pixels(
+        np.arange(80.0), flux, 0.01 * flux, np.ones((1, 5), dtype=bool),
+        np.full(80, 100.0), np.full(80, 1e-3), np.ones(80, dtype=bool),
+    )  # fmt: skip
+    use = np.arange(80) % 7 > 0
+    found = make_regressors(pixels, use, DesignOptions(1, None, (30.5,), {"extra": extra}))
+    assert found.names == ("order 1", "segments", "extra")
+    np.testing.assert_array_equal(np.bincount(found.groups), [4, 8, 2])
+    first, second = found.columns[:, 4:8], found.columns[:, 8:12]
+    np.testing.assert_array_equal(first[31:], 0)
+    np.testing.assert_array_equal(second[:31], 0)
+    np.testing.assert_allclose(first + second, found.columns[:, :4])
+    np.testing.assert_array_equal(found.columns[5, 12:], 0)

@@ -1,0 +1,98 @@
+"""Light-curve files of corrected stars, and the command that writes them."""
+
+import lightkurve
+import numpy as np
+import pytest
+from astropy.io import fits
+
+from scope_models.cli import main
+from scope_models.correctors import detrend_file
+
+
+@pytest.fixture(scope="module")
+def tpf_file(star, tmp_path_factory):
+    path = tmp_path_factory.mktemp("tpf") / "star.fits"
+    hdus = fits.HDUList([hdu.copy() for hdu in star.tpf.hdu])
+    hdus[1].data["FLUX"][7] = np.nan
+    hdus.writeto(path)
+    return path
+
+
+def test_lightkurve_reads_the_file(tpf_file, tmp_path):
+    output, figure = tmp_path / "lc.fits", tmp_path / "lc.png"
+    corrector = detrend_file(tpf_file, output, figure=figure, order=1)
+    assert figure.stat().st_size > 10_000
+    with fits.open(output, memmap=False, checksum=True) as hdus:
+        assert hdus[1].header["BJDREFI"] == 2454833
+        assert hdus[0].header["PLDORDER"] == 1
+        assert hdus[0].header["PLDNFIT"] == corrector.result.n_used
+        assert hdus[0].header["CDPP"] < hdus[0].header["RAWCDPP"]
+        assert hdus[0].header["DATE-OBS"].startswith("2014-11")
+        np.testing.assert_array_equal(hdus["APERTURE"].data & 2 > 0, corrector.aperture_mask)
+        lc = lightkurve.read(hdus)
+    corrected = corrector.corrected_lc
+    assert type(lc) is type(corrected)
+    np.testing.assert_array_equal(lc.time.value, corrected.time.value)
+    np.testing.assert_allclose(lc.flux.value, corrected.flux.value, rtol=1e-6)
+    np.testing.assert_allclose(lc.flux_err.value, corrected.flux_err.value, rtol=1e-6)
+    np.testing.assert_array_equal(lc.cadenceno, corrected.cadenceno)
+    raw = np.asarray(lc["raw_flux"].value, dtype=float)
+    np.testing.assert_allclose(raw, corrector.original_lc.flux.value, rtol=1e-6)
+    assert lc.flux.unit == corrected.flux.unit
+    assert lc.meta["TARGETID"] == 7
+
+
+def test_tess_file(shared_data, tmp_path):
+    source = shared_data / "tess_tpf" / "tesssip_tpf1.fits"
+    corrector = detrend_file(source, tmp_path / "lc.fits", order=1)
+    with fits.open(tmp_path / "lc.fits", memmap=False) as hdus:
+        lc = lightkurve.read(hdus)
+    assert type(lc).__name__ == "TessLightCurve"
+    np.testing.assert_allclose(lc.flux.value, corrector.corrected_lc.flux.value, rtol=1e-6)
+
+
+def test_existing_files_are_kept(tpf_file, tmp_path):
+    output = tmp_path / "lc.fits"
+    output.write_text("mine")
+    with pytest.raises(FileExistsError, match="exists already"):
+        detrend_file(tpf_file, output, order=1)
+    assert output.read_text() == "mine"
+    detrend_file(tpf_file, output, order=1, overwrite=True)
+    assert output.read_bytes().startswith(b"SIMPLE")
+
+
+def test_files_that_are_none(tmp_path):
+    with pytest.raises(FileNotFoundError, match="absent"):
+        detrend_file(tmp_path / "absent.fits", tmp_path / "lc.fits")
+    text = tmp_path / "text.fits"
+    text.write_text("no FITS at all")
+    with pytest.raises((OSError, ValueError), match="text"):
+        detrend_file(text, tmp_path / "lc.fits")
+    image = tmp_path / "image.fits"
+    fits.PrimaryHDU(np.zeros((3, 3))).writeto(image)
+    with pytest.raises(ValueError, match="not a target pixel file"):
+        detrend_file(image, tmp_path / "lc.fits")
+    assert {path.name for path in tmp_path.iterdir()} == {"text.fits", "image.fits"}
+
+
+def test_command(tpf_file, tmp_path, capsys):
+    output = tmp_path / "lc.fits"
+    arguments = ["detrend", str(tpf_file), "--order", "2", "--output", str(output)]
+    assert main(arguments) == 0
+    assert "CDPP" in capsys.readouterr().out
+    assert output.exists()
+    assert (tmp_path / "lc.png").exists()
+    assert main(arguments) == 2
+    assert "exists already" in capsys.readouterr().err
+    assert main([*arguments, "--overwrite", "--trend", "quadratic", "--remove-trend"]) == 0
+
+
+def test_command_with_bad_input(tpf_file, tmp_path, capsys):
+    output = ["--output", str(tmp_path / "lc.fits")]
+    assert main(["detrend", str(tmp_path / "absent.fits"), *output]) == 2
+    assert "absent.fits" in capsys.readouterr().err
+    assert main(["detrend", str(tpf_file), "--order", "0", *output]) == 2
+    error = capsys.readouterr().err
+    assert "`order` must be at least 1, got 0" in error
+    assert error.count("\n") == 1
+    assert not list(tmp_path.iterdir())

@@ -1,0 +1,580 @@
+"""`PLDCorrector` from outside."""
+
+import warnings
+
+import numpy as np
+import pytest
+from astropy.io import fits
+from lightkurve import KeplerLightCurve, KeplerTargetPixelFile, TessTargetPixelFile
+from lightkurve.correctors.corrector import Corrector
+
+from scope_models.correctors import PLDCorrector
+from scope_models.exceptions import DetrendingWarning
+from scope_models.photometry import cdpp
+
+
+def replaced(tpf, **columns):
+    """Return a target pixel file with other columns, which lightkurve keeps in its HDU list."""
+    hdus = tpf.hdu.__class__([hdu.copy() for hdu in tpf.hdu])
+    for name, values in columns.items():
+        hdus[1].data[name][:] = values
+    return KeplerTargetPixelFile(hdus)
+
+
+@pytest.fixture(scope="module")
+def corrected(star):
+    corrector = PLDCorrector(star.tpf)
+    corrector.correct()
+    return corrector
+
+
+def test_is_a_lightkurve_corrector(star):
+    corrector = PLDCorrector(star.tpf)
+    assert isinstance(corrector, Corrector)
+    with pytest.raises(AttributeError, match="correct"):
+        _ = corrector.corrected_lc
+    lc = corrector.correct()
+    assert lc is corrector.corrected_lc
+    assert type(lc) is KeplerLightCurve
+    original = corrector.original_lc
+    assert lc.meta.keys() == original.meta.keys()
+    assert (lc.meta["TARGETID"], lc.meta["MISSION"]) == (7, "K2")
+    np.testing.assert_array_equal(lc.time.value, original.time.value)
+    np.testing.assert_array_equal(lc.quality, original.quality)
+    assert lc.flux.unit == original.flux.unit == lc.flux_err.unit
+    assert "ID" in repr(corrector)
+
+
+def test_original_is_the_sum_over_the_aperture(star, corrected):
+    mask = corrected.aperture_mask
+    total = star.tpf.flux.value[:, mask].sum(axis=1)
+    np.testing.assert_allclose(corrected.original_lc.flux.value, total, rtol=1e-6)
+
+
+def test_reaches_the_noise(star, corrected):
+    """The pixels' noise alone has a CDPP that the corrected light curve does not exceed."""
+    mask = corrected.aperture_mask
+    level = star.expected[:, mask].sum(axis=1).mean()
+    floor = level + star.noise[:, mask].sum(axis=1)
+    for method in ("lightkurve", "everest"):
+        raw = cdpp(corrected.original_lc, method=method)
+        assert cdpp(corrected.corrected_lc, method=method) < 1.1 * cdpp(floor, method=method)
+        assert cdpp(corrected.corrected_lc, method=method) < 0.7 * raw
+
+
+def test_errors_are_the_scatter(corrected):
+    lc = corrected.corrected_lc
+    relative = (lc.flux / np.median(lc.flux)).value
+    # removing the mean and a few directions takes degrees of freedom
+    ratio = relative.std() / np.median(lc.flux_err / lc.flux).value
+    assert ratio == pytest.approx(1, abs=0.12)
+
+
+def test_identical_calls_agree(star, corrected):
+    again = PLDCorrector(star.tpf)
+    again.correct()
+    np.testing.assert_array_equal(again.corrected_lc.flux, corrected.corrected_lc.flux)
+    flux = again.corrected_lc.flux.copy()
+    again.correct(order=1)
+    np.testing.assert_array_equal(again.correct().flux, flux)
+    assert again.result.log_likelihood == corrected.result.log_likelihood
+
+
+@pytest.mark.parametrize("order", [1, 2, 3, 4])
+@pytest.mark.parametrize("method", ["likelihood", "leave-one-out"])
+def test_orders_and_methods(star, order, method):
+    corrector = PLDCorrector(star.tpf)
+    lc = corrector.correct(order, method=method)
+    assert f"order {order}" in corrector.result.groups
+    assert f"order {order + 1}" not in corrector.result.groups
+    assert cdpp(lc) < 0.8 * cdpp(corrector.original_lc)
+
+
+def test_result(corrected):
+    result = corrected.result
+    table = result.to_table()
+    assert list(table["group"]) == ["order 1", "order 2", "order 2, shared"]
+    used = table["effective_parameters"]
+    assert np.all(used >= -1e-6)
+    assert np.all(used <= table["n_columns"])
+    assert table.meta["noise_scale"] == result.noise_scale
+    assert 0.8 < result.transit_survival < 1.0
+    assert result.window == 13
+    assert result.n_used == 400 - result.n_outliers
+    assert np.isnan(result.transit_scale)
+
+
+def test_jitter_is_what_flux_err_does_not_say(star, corrected):
+    small = replaced(star.tpf, FLUX_ERR=star.tpf.flux_err.value / 2)
+    corrector = PLDCorrector(small, corrected.aperture_mask)
+    corrector.correct()
+    assert corrector.result.noise_scale == pytest.approx(4 * corrected.result.noise_scale, rel=0.02)
+    error = np.median(corrector.original_lc.flux_err / corrector.original_lc.flux).value
+    expected = error * np.sqrt(corrector.result.noise_scale - 1)
+    assert corrector.result.jitter == pytest.approx(expected, rel=0.01)
+    assert corrected.result.jitter < 0.5 * error
+
+
+def test_overfit_metric(corrected):
+    assert 0.5 < corrected.compute_overfit_metric(n_samples=2) <= 1
+
+
+def test_masked_cadences_are_corrected(star, corrected):
+    mask = np.ones(400, dtype=bool)
+    mask[100:110] = False
+    corrector = PLDCorrector(star.tpf)
+    lc = corrector.correct(cadence_mask=mask)
+    np.testing.assert_array_equal(corrector.cadence_mask, mask)
+    assert corrector.result.n_used + corrector.result.n_outliers == 390
+    difference = (lc.flux - corrected.corrected_lc.flux) / lc.flux_err
+    assert np.abs(difference[100:110]).max() < 1.5
+    assert np.all(lc.flux_err[100:110] > 0)
+
+
+def test_cadences_that_are_not_used_do_not_matter(star):
+    mask = np.ones(400, dtype=bool)
+    mask[100:110] = False
+    flux = star.tpf.flux.value.copy()
+    flux[100:110] *= 3.0
+    lcs = [
+        PLDCorrector(tpf, np.ones((9, 9), dtype=bool)).correct(cadence_mask=mask)
+        for tpf in (star.tpf, replaced(star.tpf, FLUX=flux))
+    ]
+    same = np.r_[0:100, 110:400]
+    np.testing.assert_allclose(lcs[1].flux[same], lcs[0].flux[same], rtol=1e-9)
+    # three times the light, the same fractions
+    np.testing.assert_allclose(lcs[1].flux[100:110], 3 * lcs[0].flux[100:110], rtol=1e-6)
+
+
+def test_nan_cadences_stay_nan(star):
+    flux = star.tpf.flux.value.copy()
+    flux[5] = np.nan
+    flux[17, 4, 4] = np.nan
+    mask = PLDCorrector(star.tpf).aperture_mask
+    corrector = PLDCorrector(replaced(star.tpf, FLUX=flux), mask)
+    lc = corrector.correct()
+    assert set(np.flatnonzero(np.isnan(lc.flux.value))) == {5, 17}
+    assert set(np.flatnonzero(np.isnan(lc.flux_err.value))) == {5, 17}
+    assert len(lc) == 400
+    assert corrector.result.n_used + corrector.result.n_outliers == 398
+    assert 0 < corrector.compute_overfit_metric(n_samples=1) <= 1
+
+
+def test_outliers_are_reported_and_not_fitted(star, corrected):
+    flux = star.tpf.flux.value.copy()
+    flux[[50, 200]] *= [[[1.01]], [[0.98]]]
+    corrector = PLDCorrector(replaced(star.tpf, FLUX=flux), corrected.aperture_mask)
+    lc = corrector.correct()
+    assert {50, 200} <= set(np.flatnonzero(corrector.outlier_mask))
+    assert corrector.result.n_outliers <= 3
+    ratio = (lc.flux / corrected.corrected_lc.flux).value
+    assert ratio[50] == pytest.approx(1.01, abs=2e-4)
+    assert ratio[200] == pytest.approx(0.98, abs=2e-4)
+
+
+def dips(n, depth):
+    signal = np.ones(n)
+    for start in range(40, n - 20, 97):
+        signal[start : start + 8] -= depth
+    return signal
+
+
+@pytest.mark.parametrize("how", ["masked", "joint"])
+def test_transits_keep_their_depth(fake_star, how):
+    signal = dips(500, 1e-3)
+    target = fake_star(500, seed=3, signal=signal)
+    corrector = PLDCorrector(target.tpf)
+    if how == "masked":
+        corrector.correct(transit_mask=signal < 1)
+        scale, error = corrector.fit_transit(signal)
+    else:
+        corrector.correct(transit_model=signal)
+        scale, error = corrector.result.transit_scale, corrector.result.transit_scale_err
+    assert error < 0.03
+    assert scale == pytest.approx(1, abs=3 * error)
+    lc = corrector.corrected_lc
+    flux = (lc.flux / np.median(lc.flux)).value
+    depth = np.mean(flux[signal == 1]) - np.mean(flux[signal < 1])
+    assert depth == pytest.approx(1e-3, rel=3.5 * error)
+
+
+def test_depths_are_calibrated(fake_star):
+    """Pulls of the depth over 24 stars, faint and bright, have unit variance."""
+    signal = dips(300, 1e-3)
+    pulls = []
+    for seed in range(24):
+        target = fake_star(300, seed=100 + seed, signal=signal, mag=11 + seed % 4)
+        corrector = PLDCorrector(target.tpf)
+        corrector.correct(transit_mask=signal < 1)
+        scale, error = corrector.fit_transit(signal)
+        pulls.append((scale - 1) / error)
+    assert np.mean(pulls) == pytest.approx(0, abs=3 / np.sqrt(24))
+    assert np.std(pulls) == pytest.approx(1, abs=3 / np.sqrt(48))
+
+
+def test_survival_tells_what_an_unmasked_transit_loses(fake_star):
+    signal = dips(500, 1e-3)
+    target = fake_star(500, seed=3, signal=signal)
+    corrector = PLDCorrector(target.tpf)
+    corrector.correct()
+    scale, error = corrector.fit_transit(signal)
+    assert scale == pytest.approx(1, abs=4 * error)
+    lc = corrector.corrected_lc
+    flux = (lc.flux / np.median(lc.flux)).value
+    depth = np.mean(flux[signal == 1]) - np.mean(flux[signal < 1])
+    survival = corrector.result.transit_survival
+    assert 0.85 < survival < 1
+    assert depth / 1e-3 == pytest.approx(survival, abs=0.06)
+
+
+def test_transit_model_may_be_a_function(fake_star):
+    signal = dips(500, 1e-3)
+    target = fake_star(500, seed=3, signal=signal)
+    time = target.tpf.time.value
+    corrector = PLDCorrector(target.tpf)
+    corrector.correct(transit_model=signal)
+    scale = corrector.result.transit_scale
+    corrector.correct(transit_model=lambda t: np.interp(t, time, signal))
+    assert corrector.result.transit_scale == pytest.approx(scale, rel=1e-9)
+
+
+@pytest.fixture(scope="module")
+def variable(fake_star):
+    """Return a star whose flux changes by a per cent within the observation."""
+    signal = 1 + 0.005 * np.sin(2 * np.pi * np.arange(500) / 150)
+    return fake_star(500, seed=4, signal=signal)
+
+
+@pytest.mark.parametrize("restore", [True, False])
+def test_long_term_variability(variable, restore):
+    corrector = PLDCorrector(variable.tpf)
+    lc = corrector.correct(restore_trend=restore)
+    flux = (lc.flux / np.median(lc.flux)).value
+    expected = variable.signal if restore else np.ones(500)
+    expected = expected / np.median(expected)
+    assert np.std(flux - expected) < 1.3 * np.median(lc.flux_err / lc.flux).value
+    assert np.std(variable.signal) > 20 * np.std(flux - expected)
+    assert np.all(lc.flux_err > 0)
+
+
+def test_quadratic_trend(fake_star):
+    t = np.linspace(-1, 1, 500)
+    target = fake_star(500, seed=5, signal=1 + 0.004 * t - 0.003 * t**2)
+    corrector = PLDCorrector(target.tpf)
+    lc = corrector.correct(trend="quadratic", restore_trend=False)
+    assert np.isnan(corrector.result.trend_sigma)
+    flux = (lc.flux / np.median(lc.flux)).value
+    assert np.std(flux) < 1.2 * np.median(lc.flux_err / lc.flux).value
+    restored = corrector.correct(trend="quadratic")
+    ratio = (restored.flux / lc.flux).value
+    np.testing.assert_allclose(
+        ratio / ratio.mean(), target.signal / target.signal.mean(), atol=1e-4
+    )
+
+
+def test_segments(fake_star):
+    target = fake_star(600, seed=6)
+    corrector = PLDCorrector(target.tpf)
+    middle = float(target.tpf.time.value[300])
+    corrector.correct(segments=[middle])
+    assert corrector.result.breaks == (middle,)
+    assert "segments" in corrector.result.groups
+    # the same pixels all the time: nothing changes at the break
+    assert corrector.result.effective_parameters[-1] < 3
+    corrector.correct(segments=None)
+    assert corrector.result.breaks == ()
+
+
+def test_background_and_neighbors(fake_star, star):
+    other = fake_star(400, seed=0, mag=11, scatter=0.02)
+    mask = np.zeros((9, 9), dtype=bool)
+    mask[2:7, 2:7] = True
+    corrector = PLDCorrector(star.tpf, mask)
+    lc = corrector.correct(background=3, neighbors=[other.tpf])
+    assert corrector.result.groups[-2:] == ("background", "neighbors")
+    assert corrector.result.n_columns[-2] == 3
+    assert cdpp(lc) < 0.7 * cdpp(corrector.original_lc)
+
+
+def test_background_that_leaks_is_removed(star):
+    """Scattered light in all pixels, which the fractions alone cannot tell from the star."""
+    rng = np.random.default_rng(0)
+    light = np.cumsum(rng.normal(0, 3, 400))
+    tpf = replaced(star.tpf, FLUX=star.tpf.flux.value + light[:, None, None])
+    mask = np.zeros((9, 9), dtype=bool)
+    mask[2:7, 2:7] = True
+    lc = PLDCorrector(tpf, mask).correct(background=2, order=1)
+    clean = PLDCorrector(star.tpf, mask).correct(order=1)
+    assert cdpp(lc) < 1.15 * cdpp(clean)
+
+
+def test_neighbors_need_common_cadences(star, fake_star):
+    other = fake_star(60)
+    tpf = replaced(other.tpf, CADENCENO=np.arange(60) + 5000)
+    with pytest.raises(ValueError, match="share cadences"):
+        PLDCorrector(star.tpf).correct(neighbors=[tpf])
+
+
+def test_saturation_of_the_mission(star):
+    corrector = PLDCorrector(star.tpf)
+    flux = {s: corrector.correct(saturation=s).flux.value for s in ("auto", None, 1e4)}
+    # no pixel of this star is full; some are above 1e4 e-/s
+    np.testing.assert_array_equal(flux["auto"], flux[None])
+    assert np.any(flux[1e4] != flux[None])
+    assert cdpp(flux[1e4]) < 0.7 * cdpp(corrector.original_lc)
+
+
+def test_full_pixels_do_not_eat_transits(fake_star):
+    """What a full pixel cannot hold bleeds: its share of the light tells of the transit."""
+    signal = dips(500, 1e-3)
+    target = fake_star(500, seed=8, signal=signal, mag=10.5)
+    flux = target.tpf.flux.value.astype(float)
+    excess = np.clip(flux - 1.7e5, 0, None)
+    flux -= excess
+    bled = 0.5 * excess.sum(axis=1)
+    flux[:, 2] += bled
+    flux[:, 6] += bled
+    corrector = PLDCorrector(replaced(target.tpf, FLUX=flux))
+    depths = {}
+    for saturation in ("auto", None):
+        corrector.correct(saturation=saturation)
+        lc = corrector.corrected_lc.flux.value
+        depths[saturation] = 1 - np.median(lc[signal < 1]) / np.median(lc[signal == 1])
+    assert depths["auto"] > 0.85e-3
+    assert depths[None] < 0.6e-3
+    corrector.correct(transit_mask=signal < 1)
+    scale, error = corrector.fit_transit(signal)
+    assert error < 0.03
+    assert scale == pytest.approx(1, abs=4 * error)
+
+
+def test_aperture(star):
+    corrector = PLDCorrector(star.tpf)
+    mask = np.zeros((9, 9), dtype=bool)
+    mask[3:6, 3:6] = True
+    lc = corrector.correct(aperture_mask=mask)
+    np.testing.assert_array_equal(corrector.aperture_mask, mask)
+    total = star.tpf.flux.value[:, mask].sum(axis=1)
+    assert np.median(lc.flux.value) == pytest.approx(np.median(total), rel=1e-3)
+
+
+def test_default_aperture_holds_the_star(fake_star):
+    target = fake_star(300, motion=5.0, shape=(13, 15))
+    mask = PLDCorrector(target.tpf).aperture_mask
+    inside = target.expected[:, mask].sum(axis=1) / target.expected.sum(axis=(1, 2))
+    assert inside.min() > 0.99
+
+
+def test_default_aperture_leaves_another_star_out(fake_star):
+    target = fake_star(300, shape=(9, 19))
+    flux = target.tpf.flux.value.copy()
+    flux[:, :, 15:18] += 0.5 * flux[:, :, 8:11]
+    mask = PLDCorrector(replaced(target.tpf, FLUX=flux)).aperture_mask
+    assert mask[4, 9]
+    assert not mask[:, 14:].any()
+
+
+def test_figures(corrected):
+    import matplotlib.pyplot as plt
+
+    axes = corrected.diagnose()
+    assert len(axes) == 3
+    assert "CDPP" in axes[2].get_legend().get_texts()[0].get_text()
+    assert len(corrected.diagnose_masks()) == 2
+    plt.close("all")
+
+
+@pytest.mark.parametrize("name", ["diagnose", "diagnose_masks"])
+def test_figures_need_a_correction(star, name):
+    with pytest.raises(ValueError, match="call `correct` first"):
+        getattr(PLDCorrector(star.tpf), name)()
+    with pytest.raises(ValueError, match="call `correct` first"):
+        PLDCorrector(star.tpf).fit_transit(np.ones(400))
+
+
+# Bad input
+
+
+@pytest.mark.parametrize(
+    ("options", "error", "match"),
+    [
+        ({"order": 0}, ValueError, "`order` must be at least 1, got 0"),
+        ({"order": 1.5}, TypeError, "`order` must be an integer"),
+        ({"order": True}, TypeError, "`order` must be an integer"),
+        ({"cadence_mask": np.ones(5, bool)}, ValueError, r"`cadence_mask` must have shape"),
+        ({"cadence_mask": np.ones(400)}, TypeError, "`cadence_mask` must be boolean"),
+        ({"transit_mask": np.arange(400)}, TypeError, "`transit_mask` must be boolean"),
+        ({"cadence_mask": np.arange(400) < 20}, ValueError, "at least 30 usable cadences.*got 20"),
+        ({"transit_mask": np.ones(400, bool)}, ValueError, "at least 30 usable cadences.*got 0"),
+        ({"transit_model": np.ones(7)}, ValueError, "`transit_model` must have shape"),
+        ({"transit_model": np.ones(400)}, ValueError, "`transit_model` must vary"),
+        ({"transit_model": np.arange(400) - 3.0}, ValueError, "`transit_model` must be positive"),
+        ({"trend": "spline"}, ValueError, "`trend` must be one of"),
+        ({"method": "guess"}, ValueError, "`method` must be one of"),
+        ({"segments": "all"}, ValueError, "`segments` must be"),
+        ({"segments": [np.nan]}, ValueError, "`segments` must be"),
+        ({"background": -1}, ValueError, "`background` must be at least 0"),
+        ({"saturation": "low"}, ValueError, "`saturation` must be"),
+        ({"saturation": -5}, ValueError, "`saturation` must be positive"),
+        ({"sigma": 0}, ValueError, "`sigma` must be positive"),
+        ({"max_clips": -1}, ValueError, "`max_clips` must be at least 0"),
+    ],
+)
+def test_bad_options(star, options, error, match):
+    with pytest.raises(error, match=match):
+        PLDCorrector(star.tpf).correct(**options)
+
+
+@pytest.mark.parametrize(
+    ("mask", "error", "match"),
+    [
+        (np.zeros((9, 9), bool), ValueError, "at least one pixel"),
+        (np.ones((9, 9)), TypeError, "must be boolean"),
+        (np.ones((3, 3), bool), ValueError, "must have shape"),
+    ],
+)
+def test_bad_aperture(star, mask, error, match):
+    with pytest.raises(error, match=match):
+        PLDCorrector(star.tpf, mask)
+
+
+def test_background_needs_pixels_outside(star):
+    corrector = PLDCorrector(star.tpf, np.ones((9, 9), dtype=bool))
+    with pytest.raises(ValueError, match="outside of `aperture_mask`"):
+        corrector.correct(background=2)
+
+
+def test_pixels_without_data(star):
+    flux = star.tpf.flux.value.copy()
+    flux[:, 0, 0] = np.nan
+    whole = np.ones((9, 9), dtype=bool)
+    with pytest.warns(DetrendingWarning, match="1 pixels of `aperture_mask` without data"):
+        corrector = PLDCorrector(replaced(star.tpf, FLUX=flux), whole)
+    assert corrector.aperture_mask.sum() == 80
+    assert np.isfinite(corrector.correct().flux).all()
+    flux[:] = np.nan
+    with pytest.raises(ValueError, match="only pixels without data"):
+        PLDCorrector(replaced(star.tpf, FLUX=flux), whole)
+    with pytest.raises(ValueError, match="no pixels with data"):
+        PLDCorrector(replaced(star.tpf, FLUX=flux))
+
+
+def test_default_aperture_with_a_pixel_without_data(star):
+    flux = star.tpf.flux.value.copy()
+    flux[:, 0, 0] = np.nan
+    mask = PLDCorrector(replaced(star.tpf, FLUX=flux)).aperture_mask
+    np.testing.assert_array_equal(mask, PLDCorrector(star.tpf).aperture_mask)
+
+
+def test_flux_that_is_not_positive(star):
+    flux = star.tpf.flux.value.copy()
+    flux[10:13] = 0
+    flux[20] = -flux[20]
+    whole = np.ones((9, 9), dtype=bool)
+    with pytest.warns(DetrendingWarning, match="4 cadences without a positive flux"):
+        corrector = PLDCorrector(replaced(star.tpf, FLUX=flux), whole)
+    lc = corrector.correct()
+    assert set(np.flatnonzero(np.isnan(lc.flux.value))) == {10, 11, 12, 20}
+    with pytest.raises(ValueError, match="must be positive in most cadences"):
+        PLDCorrector(replaced(star.tpf, FLUX=-flux), whole)
+
+
+def test_constant_flux(star):
+    flux = np.broadcast_to(star.expected[0], star.expected.shape)
+    corrector = PLDCorrector(replaced(star.tpf, FLUX=flux))
+    with pytest.warns(DetrendingWarning, match="do not vary"):
+        lc = corrector.correct()
+    np.testing.assert_array_equal(lc.flux, corrector.original_lc.flux)
+    assert corrector.result is None
+    assert len(corrector.diagnose()) == 3
+    with pytest.raises(ValueError, match="nothing to correct"):
+        corrector.fit_transit(dips(400, 1e-3))
+
+
+def test_flux_without_noise(fake_star):
+    """A star that moves, and not one photon of noise: the fit ends and removes the motion."""
+    target = fake_star(300, noisy=False)
+    corrector = PLDCorrector(target.tpf)
+    lc = corrector.correct()
+    assert np.isfinite(lc.flux).all()
+    assert np.std(lc.flux) < 0.1 * np.std(corrector.original_lc.flux)
+
+
+@pytest.mark.parametrize("bad", [0.0, np.nan])
+def test_some_errors_are_invalid(star, bad):
+    errors = star.tpf.flux_err.value.copy()
+    errors[7] = bad
+    whole = np.ones((9, 9), dtype=bool)
+    with pytest.warns(DetrendingWarning, match="1 cadences without a valid FLUX_ERR"):
+        corrector = PLDCorrector(replaced(star.tpf, FLUX_ERR=errors), whole)
+    assert np.isfinite(corrector.correct().flux).all()
+
+
+@pytest.mark.parametrize("bad", [0.0, np.nan])
+def test_all_errors_are_invalid(star, bad):
+    errors = np.full_like(star.tpf.flux_err.value, bad)
+    mask = PLDCorrector(star.tpf).aperture_mask
+    with pytest.warns(DetrendingWarning, match="FLUX_ERR has no valid values"):
+        corrector = PLDCorrector(replaced(star.tpf, FLUX_ERR=errors), mask)
+    lc = corrector.correct()
+    assert cdpp(lc) < 0.7 * cdpp(corrector.original_lc)
+
+
+def test_one_pixel(star):
+    mask = np.zeros((9, 9), dtype=bool)
+    mask[4, 4] = True
+    corrector = PLDCorrector(star.tpf, mask)
+    with pytest.warns(DetrendingWarning, match="do not vary"):
+        corrector.correct()
+
+
+def test_two_pixels(star):
+    mask = np.zeros((9, 9), dtype=bool)
+    mask[4, 4:6] = True
+    corrector = PLDCorrector(star.tpf, mask)
+    lc = corrector.correct(order=3)
+    assert cdpp(lc) < cdpp(corrector.original_lc)
+
+
+# Real files
+
+
+def real(shared_data, name):
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return KeplerTargetPixelFile(str(shared_data / name))
+
+
+@pytest.mark.parametrize(
+    ("name", "largest"),
+    [
+        ("k2_tpf/ktwo211956421-c05_lpd-targ.fits.gz", 800),
+        ("k2_tpf/ktwo211983544-c18_lpd-targ.fits.gz", 1280),
+    ],
+)
+def test_k2_stars(shared_data, name, largest):
+    """lightkurve's best orders reach 1292 and 8511 ppm, EVEREST 2 675 and 1121 ppm."""
+    tpf = real(shared_data, name)
+    corrector = PLDCorrector(tpf)
+    lc = corrector.correct()
+    assert cdpp(lc, method="everest") < largest
+    assert corrector.result.breaks
+    assert corrector.result.n_outliers < 0.04 * len(lc)
+
+
+def test_kepler_star_with_gaps(shared_data):
+    tpf = real(shared_data, "kepler_tpf/kplr009002278-2010174085026_lpd-targ.fits.gz")
+    corrector = PLDCorrector(tpf)
+    lc = corrector.correct()
+    missing = np.isnan(tpf.flux.value).all(axis=(1, 2))
+    np.testing.assert_array_equal(np.isnan(lc.flux.value), missing)
+    assert cdpp(lc) < cdpp(corrector.original_lc)
+
+
+def test_tess_star(shared_data):
+    path = shared_data / "tess_tpf" / "tesssip_tpf1.fits"
+    with fits.open(path, memmap=False, lazy_load_hdus=False) as hdus:
+        corrector = PLDCorrector(TessTargetPixelFile(hdus))
+        lc = corrector.correct(order=1)
+    assert type(lc).__name__ == "TessLightCurve"
+    assert np.isfinite(lc.flux).all()

@@ -1,0 +1,255 @@
+"""Likelihood, leave-one-out score and predictions against dense linear algebra."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import multivariate_normal
+
+from scope_models.correctors import _regression
+from scope_models.correctors._features import Regressors
+from scope_models.correctors._inputs import FitOptions
+from scope_models.correctors._leave_one_out import fit_leave_one_out, leave_one_out
+from scope_models.correctors._long_term import LongTerm
+from scope_models.correctors._regression import (
+    Data,
+    Hyperparameters,
+    fit_hyperparameters,
+    log_likelihood,
+)
+from scope_models.correctors._solution import Solution, fit
+
+N = 90
+
+
+def flat_variance(data):
+    """Flat means a standard deviation of a hundred times the data's."""
+    return 1e4 * max(np.var(data.y), np.median(data.variance))
+
+
+def dense_covariance(data, hyper):
+    """Return the covariance of the data, from its definition."""
+    dense = np.diag(hyper.noise_scale * data.variance)
+    if hyper.amplitude is not None:
+        w = np.sqrt(2) * np.pi / hyper.period
+        tau = np.abs(data.time[:, None] - data.time)
+        dense += hyper.amplitude * np.exp(-w * tau) * (np.cos(w * tau) + np.sin(w * tau))
+    prior = np.append(hyper.variances[data.groups], np.full(data.n_flat, flat_variance(data)))
+    return dense + data.columns * prior @ data.columns.T
+
+
+@pytest.fixture
+def data():
+    rng = np.random.default_rng(5)
+    time = np.sort(rng.uniform(0, 9, N))
+    time[0] = 0
+    columns = np.concatenate([rng.normal(size=(N, 7)), np.ones((N, 1))], axis=1)
+    groups = np.array([0, 0, 0, 0, 1, 1, 1])
+    y = columns[:, :4] @ rng.normal(0, 2, 4) + rng.normal(0, 1, N)
+    return Data(time, y, rng.uniform(0.5, 1.5, N), columns, groups, 1)
+
+
+@pytest.fixture(params=["gp", "none"])
+def hyper(request):
+    amplitude = 0.7 if request.param == "gp" else None
+    return Hyperparameters(1.3, np.array([3.0, 0.2]), amplitude, 2.5)
+
+
+def shifted(hyper, index, step):
+    """Move the logarithm of one hyper-parameter."""
+    factor = np.exp(step)
+    if index == 0:
+        return replace(hyper, noise_scale=hyper.noise_scale * factor)
+    if index <= 2:
+        variances = hyper.variances.copy()
+        variances[index - 1] *= factor
+        return replace(hyper, variances=variances)
+    if index == 3:
+        return replace(hyper, amplitude=hyper.amplitude * factor)
+    return replace(hyper, period=hyper.period * factor)
+
+
+def test_log_likelihood(data, hyper):
+    expected = multivariate_normal(cov=dense_covariance(data, hyper)).logpdf(data.y)
+    assert log_likelihood(data, hyper) == pytest.approx(expected, rel=1e-10)
+
+
+def test_log_likelihood_gradient(data, hyper):
+    value, slope = log_likelihood(data, hyper, gradient=True)
+    assert value == log_likelihood(data, hyper)
+    assert len(slope) == (3 if hyper.amplitude is None else 5)
+    for k, found in enumerate(slope):
+        up, down = (log_likelihood(data, shifted(hyper, k, h)) for h in (1e-5, -1e-5))
+        assert found == pytest.approx((up - down) / 2e-5, rel=1e-5, abs=1e-6)
+
+
+def test_leave_one_out_score(data, hyper):
+    dense = dense_covariance(data, hyper)
+    expected = 0.0
+    for i in range(N):
+        rest = np.delete(np.arange(N), i)
+        weights = np.linalg.solve(dense[np.ix_(rest, rest)], dense[rest, i])
+        variance = dense[i, i] - weights @ dense[rest, i]
+        error = data.y[i] - weights @ data.y[rest]
+        expected -= 0.5 * (np.log(2 * np.pi * variance) + error**2 / variance)
+    assert leave_one_out(data, hyper) == pytest.approx(expected, rel=1e-9)
+
+
+def test_leave_one_out_gradient(data, hyper):
+    _, slope = leave_one_out(data, hyper, gradient=True)
+
+    def moved(index, step):
+        trial = shifted(hyper, index, step)
+        if index == 0 and hyper.amplitude is not None:  # noise and process alike
+            trial = shifted(trial, 3, step)
+        return leave_one_out(data, trial)
+
+    for k, found in enumerate(slope):
+        assert found == pytest.approx((moved(k, 1e-5) - moved(k, -1e-5)) / 2e-5, rel=1e-5, abs=1e-6)
+
+
+def test_fit_leave_one_out_raises_the_score(data, hyper):
+    fitted = fit_leave_one_out(data, hyper)
+    assert leave_one_out(data, fitted) > leave_one_out(data, hyper) + 0.1
+    _, slope = leave_one_out(data, fitted, gradient=True)
+    inside = np.abs(np.log(fitted.variances / hyper.variances)) < 11.9
+    assert np.abs(slope[1:][inside]).max() < 0.02
+
+
+def draw(n, rng, hyper):
+    """Draw data from the model itself."""
+    time = 0.02 * np.arange(n)
+    columns = np.concatenate([rng.normal(size=(n, 40)), np.ones((n, 1))], axis=1)
+    groups = np.repeat([0, 1], 20)
+    data = Data(time, np.zeros(n), np.ones(n), columns, groups, 1)
+    covariance = dense_covariance(data, replace(hyper, variances=hyper.variances * 1.0))
+    covariance -= flat_variance(data)  # no offset
+    return replace(data, y=np.linalg.cholesky(covariance) @ rng.normal(size=n))
+
+
+def test_fit_finds_what_data_were_drawn_with():
+    truth = Hyperparameters(1.4, np.array([4.0, 0.25]), 9.0, 3.0)
+    found = []
+    for seed in range(6):
+        data = draw(500, np.random.default_rng(seed), truth)
+        fitted = fit_hyperparameters(data)
+        assert log_likelihood(data, fitted) > log_likelihood(data, truth) - 0.3
+        found.append([fitted.noise_scale, *fitted.variances, fitted.amplitude, fitted.period])
+    logs = np.log(found) - np.log([1.4, 4.0, 0.25, 9.0, 3.0])
+    # 500 data, 20 coefficients each, a handful of periods; six draws
+    assert np.all(np.abs(logs.mean(axis=0)) < [0.1, 0.4, 0.4, 0.9, 0.4])
+
+
+def test_compression_keeps_the_likelihood(data):
+    hyper = Hyperparameters(1.3, np.array([3.0, 0.2]), 0.7, 2.5)
+    process = hyper.process(data.time, data.variance)
+    z = process.whiten(data.stacked)
+    small = _regression._compressed(z.T @ z, data, hyper, smallest=1e-12)
+    same = replace(hyper, variances=np.ones(1))
+    assert log_likelihood(small, same) == pytest.approx(log_likelihood(data, hyper), rel=1e-12)
+
+
+@pytest.fixture
+def solution(data, hyper):
+    """Return a solution with given hyper-parameters, and every tenth cadence not in the fit."""
+    use = np.arange(N) % 10 != 3
+    regressors = Regressors(data.columns[:, :7], data.groups, ("a", "b"))
+    flat = data.columns[:, 7:]
+    return Solution(data.time, data.y, data.variance, use, regressors, flat, np.ones(1), hyper)
+
+
+def test_held_out_windows(solution):
+    dense = dense_covariance(solution.data, solution.hyper)
+    residual, covariance = solution.held_out(13)
+    y = solution.data.y
+    assert len(residual) == len(y) // 13
+    for k in range(len(residual)):
+        inside = np.arange(13 * k, 13 * k + 13)
+        rest = np.setdiff1d(np.arange(len(y)), inside)
+        weights = np.linalg.solve(dense[np.ix_(rest, rest)], dense[np.ix_(rest, inside)])
+        np.testing.assert_allclose(residual[k], y[inside] - weights.T @ y[rest], atol=1e-8)
+        expected = dense[np.ix_(inside, inside)] - weights.T @ dense[np.ix_(rest, inside)]
+        np.testing.assert_allclose(covariance[k], expected, atol=1e-8)
+
+
+def test_model_and_its_variance(solution):
+    whole = replace(solution, use=np.ones(N, dtype=bool))
+    hyper, use = solution.hyper, solution.use
+    latent = dense_covariance(whole.data, hyper) - np.diag(hyper.noise_scale * whole.variance)
+    noisy = (latent + np.diag(hyper.noise_scale * whole.variance))[np.ix_(use, use)]
+    gain = np.linalg.solve(noisy, latent[use]).T
+    model = solution.systematics + solution.flat[:, 0] * solution.posterior.mean[-1]
+    if hyper.amplitude is not None:
+        model = model + solution.process.predict(solution.alpha, solution.time)
+    np.testing.assert_allclose(model, gain @ solution.y[use], atol=1e-8)
+    variance = np.diag(latent - gain @ latent[use])
+    np.testing.assert_allclose(solution.latent_variance(), variance, rtol=1e-4)
+    x = solution.regressors.columns
+    prior = hyper.variances[solution.regressors.groups]
+    part = (x * prior) @ x.T
+    expected = np.diag(part - part[:, use] @ np.linalg.solve(noisy, part[use]))
+    np.testing.assert_allclose(solution.systematics_variance, expected, rtol=1e-7)
+
+
+def test_survival_of_a_dip(solution):
+    width = 9
+    y = solution.data.y
+    k = len(y) // width
+    taken = []
+    for i in range(k):
+        dip = np.zeros(len(solution.y))
+        inside = np.flatnonzero(solution.use)[i * width : (i + 1) * width]
+        dip[inside] = 1.0
+        changed = replace(solution, y=solution.y + dip)
+        taken.append(np.mean((changed.systematics - solution.systematics)[inside]))
+    assert solution.survival(width) == pytest.approx(1 - np.mean(taken), abs=1e-10)
+
+
+def test_parameters_and_variances_of_groups(solution):
+    used = solution.effective_parameters()
+    x = solution.data.columns[:, :7]
+    dense = dense_covariance(solution.data, solution.hyper)
+    for g in (0, 1):
+        member = solution.data.groups == g
+        part = solution.hyper.variances[g] * x[:, member] @ x[:, member].T
+        assert used[g] == pytest.approx(np.trace(np.linalg.solve(dense, part)), rel=1e-9)
+        values = part @ solution.data.columns[:, 0] * 0 + part @ np.linalg.solve(
+            dense, solution.data.y
+        )
+        assert solution.group_variances()[g] == pytest.approx(np.var(values), rel=1e-7)
+
+
+def test_transit_coefficient(solution):
+    column = np.where(np.abs(solution.time - 4) < 0.5, -0.02, 0.0)[:, None]
+    n_trend = solution.flat.shape[1]
+    found, error = solution.with_flat(column, n_trend, solution.use).flat_coefficient(-1)
+    dense = dense_covariance(solution.data, solution.hyper)
+    m = column[solution.use, 0]
+    precision = m @ np.linalg.solve(dense, m) + 0.02**2 / flat_variance(solution.data)
+    assert error == pytest.approx(precision**-0.5, rel=1e-8)
+    expected = m @ np.linalg.solve(dense, solution.data.y) / precision
+    assert found == pytest.approx(expected, rel=1e-8)
+
+
+def test_outliers_are_clipped(data):
+    y = data.y.copy()
+    y[[11, 50]] += [30, -40]
+    columns = data.columns[:, :7]
+
+    def make(use):
+        return Regressors(columns - columns[use].mean(axis=0), data.groups, ("a", "b"))
+
+    options = FitOptions("gp", "likelihood", 5.0, 5)
+    use = np.ones(N, dtype=bool)
+    use[60] = False
+    solution = fit(make, data.time, y, data.variance, use, np.empty((N, 0)), options)
+    assert set(np.flatnonzero(~solution.use)) == {11, 50, 60}
+    kept = fit(
+        make, data.time, y, data.variance, use, np.empty((N, 0)), replace(options, max_clips=0)
+    )
+    assert kept.use.sum() == N - 1
+
+
+def test_process_is_used(data, hyper):
+    kind = type(hyper.process(data.time, data.variance))
+    assert (kind is LongTerm) == (hyper.amplitude is not None)

@@ -1,0 +1,245 @@
+"""The command line: what it writes and prints, and how it fails."""
+
+import subprocess
+import sys
+from contextlib import contextmanager
+
+import lightkurve as lk
+import numpy as np
+import pytest
+from astropy.io import fits
+from astropy.table import Table
+from matplotlib.image import imread
+
+from scope_models import __version__, read_scene, simulate
+from scope_models.cli import main
+from scope_models.io import read_truth
+from scope_models.photometry import cdpp, threshold_aperture
+
+
+@pytest.fixture
+def command(tmp_path):
+    """Return a function that runs `simulate` with few cadences and returns status and file."""
+    path = tmp_path / "star.fits"
+
+    def run(*options):
+        status = main(
+            ["simulate", "--mag", "12", "--cadences", "60", "--output", str(path), *options]
+        )
+        return status, path
+
+    return run
+
+
+@pytest.fixture(scope="module")
+def demo(tmp_path_factory):
+    """Return the folder and the output of one run of the demonstration."""
+    folder = tmp_path_factory.mktemp("demo") / "new" / "folder"
+    code = "import sys; from scope_models.cli import main; sys.exit(main())"
+    command = [sys.executable, "-c", code, "demo", "--output-dir", str(folder)]
+    result = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert result.returncode == 0, result.stderr
+    return folder, result.stdout, result.stderr
+
+
+@contextmanager
+def read(path, **options):
+    """Read a file with lightkurve, and close it, which lightkurve leaves to its users."""
+    product = lk.read(path, **options)
+    yield product
+    if isinstance(product, lk.targetpixelfile.TargetPixelFile):
+        product.hdu.close()
+
+
+def noise_table(text):
+    """Return the numbers of the demonstration's table by name."""
+    lines = [line.rsplit(maxsplit=2) for line in text.splitlines()[1:4]]
+    return {name.strip(): (float(a), float(b)) for name, a, b in lines}
+
+
+class TestDemo:
+    def test_says_nothing_on_standard_error(self, demo):
+        assert demo[2] == ""
+
+    def test_pixels_are_read_by_lightkurve(self, demo):
+        with read(demo[0] / "pixels.fits") as tpf:
+            assert isinstance(tpf, lk.KeplerTargetPixelFile)
+            assert tpf.mission == "K2"
+            assert tpf.get_header()["SEED"] == 1
+
+    def test_light_curve_is_that_of_the_pixels(self, demo):
+        scene = read_scene(demo[0] / "pixels.fits")
+        aperture = threshold_aperture(simulate(*scene, **scene.options).model())
+        with read(demo[0] / "pixels.fits") as tpf:
+            expected = tpf.to_lightcurve(aperture_mask=aperture)
+        lc = lk.read(demo[0] / "light-curve.fits")
+        assert isinstance(lc, lk.KeplerLightCurve)
+        np.testing.assert_allclose(lc["raw_flux"].value, expected.flux.value, rtol=1e-6)
+        assert lc.flux.value.std() < 0.5 * expected.flux.value.std()
+
+    def test_table_is_the_noise_of_the_light_curves(self, demo):
+        printed = noise_table(demo[1])
+        table = fits.getdata(demo[0] / "light-curve.fits")
+        for name, column in {"raw": "RAW_FLUX", "de-trended": "FLUX"}.items():
+            lc = lk.LightCurve(time=table["TIME"], flux=table[column])
+            expected = [cdpp(lc, method=way) for way in ("lightkurve", "everest")]
+            assert printed[name] == pytest.approx(expected, abs=0.1)
+
+    def test_de_trending_helps(self, demo):
+        printed = noise_table(demo[1])
+        # What is left is at most the noise of the same star without motion, give or take the few
+        # per cent by which the CDPP of one realisation varies.
+        for de_trended, still in zip(printed["de-trended"], printed["without motion"], strict=True):
+            assert de_trended < 1.1 * still
+        assert printed["de-trended"][0] < 0.2 * printed["raw"][0]
+
+    def test_figure(self, demo):
+        image = imread(demo[0] / "summary.png")
+        assert image.shape[0] > 400
+        assert image.shape[1] > 600
+        assert image[..., :3].std() > 0.05
+
+    def test_does_not_replace_files(self, demo, capsys):
+        before = (demo[0] / "pixels.fits").read_bytes()
+        assert main(["demo", "--output-dir", str(demo[0])]) == 2
+        error = capsys.readouterr().err
+        assert error.count("\n") == 1
+        assert "--overwrite" in error
+        assert (demo[0] / "pixels.fits").read_bytes() == before
+
+
+class TestSimulate:
+    def test_default(self, command, capsys):
+        status, path = command("--seed", "3")
+        assert status == 0
+        assert capsys.readouterr().out == f"{path}: 60 cadences of 11 x 11 pixels\n"
+        with read(path, quality_bitmask="none") as tpf:
+            assert tpf.flux.shape == (60, 11, 11)
+            assert tpf.get_header()["SEED"] == 3
+            assert tpf.get_header()["KEPMAG"] == 12.0
+
+    def test_seed_makes_it_reproducible(self, command):
+        first = fits.getdata(command("--seed", "3")[1])["FLUX"].copy()
+        again = fits.getdata(command("--seed", "3", "--overwrite")[1])["FLUX"].copy()
+        other = fits.getdata(command("--seed", "4", "--overwrite")[1])["FLUX"].copy()
+        np.testing.assert_array_equal(first, again)
+        assert not np.array_equal(first, other)
+
+    def test_motion_of_a_real_file(self, command, shared_data):
+        source = shared_data / "poscorr" / "ktwo206103150-c03_llc.fits"
+        status, path = command("--motion", str(source), "--scale", "5")
+        assert status == 0
+        written, real = fits.getdata(path), fits.getdata(source)[:60]
+        used = np.abs(real["POS_CORR1"]) < 50
+        assert used.sum() > 50
+        for column in ("POS_CORR1", "POS_CORR2"):
+            np.testing.assert_allclose(written[column][used], 5 * real[column][used], rtol=1e-6)
+
+    def test_stars(self, command):
+        options = ["--position", "4.5", "6.25", "--neighbor", "14", "2", "3", "--neighbor", "15"]
+        status, path = command(*options, "8", "7", "--psf", "0.6", "0.5", "0.2", "--no-noise")
+        assert status == 0
+        truth = read_truth(path).table
+        motion_x, motion_y = truth["MOTION_X"], truth["MOTION_Y"]
+        for i, (x, y) in enumerate([(4.5, 6.25), (2, 3), (8, 7)], start=1):
+            np.testing.assert_allclose(truth[f"X{i}"] - motion_x, x, atol=1e-12)
+            np.testing.assert_allclose(truth[f"Y{i}"] - motion_y, y, atol=1e-12)
+
+    def test_transit(self, command):
+        status, path = command("--transit", "5", "0.5", "0.02", "0.2", "--no-noise", "--scale", "0")
+        assert status == 0
+        table = fits.getdata(path)
+        flux = np.nansum(table["FLUX"], axis=(1, 2))
+        assert flux.min() / flux.max() == pytest.approx(0.98, abs=2e-4)
+        middle = table["TIME"][flux < 0.99 * flux.max()].mean()
+        assert middle - table["TIME"][0] == pytest.approx(0.5, abs=0.0205)
+
+    def test_detector(self, command):
+        status, path = command("--detector", "tess", "--shape", "7", "9", "--no-sensitivity")
+        assert status == 0
+        with read(path, quality_bitmask="none") as tpf:
+            assert isinstance(tpf, lk.TessTargetPixelFile)
+            assert tpf.flux.shape[1:] == (7, 9)
+        assert np.all(read_truth(path).maps["INTERPIXEL"] == 1)
+
+    def test_noise_terms(self, command):
+        _, path = command("--noise", "read")
+        errors = fits.getdata(path)["FLUX_ERR"]
+        assert np.ptp(errors) == pytest.approx(0, abs=1e-3)
+        assert errors.mean() > 0
+
+
+ERRORS = {
+    "sigma": (["--psf", "-1", "1", "0"], "`sigma_x` must be positive"),
+    "cadences": (["--cadences", "0"], "--cadences must be at least 1, got 0"),
+    "missing": (["--motion", "no-such-file.fits"], "no-such-file.fits"),
+    "folder": (["--output", "no-such-folder/star.fits"], "no-such-folder"),
+    "depth": (["--transit", "3", "1", "2", "0.1"], "`depth` must be between 0 and 1"),
+    "seed": (["--seed", "-1"], "`seed` must not be negative"),
+}
+
+
+class TestErrors:
+    @pytest.mark.parametrize("name", ERRORS)
+    def test_is_one_line(self, command, capsys, name, tmp_path, monkeypatch):
+        monkeypatch.chdir(tmp_path)
+        options, message = ERRORS[name]
+        assert command(*options)[0] == 2
+        error = capsys.readouterr().err
+        assert error.startswith("scope-models: error: ")
+        assert message in error
+        assert error.count("\n") == 1
+        assert list(tmp_path.iterdir()) == []
+
+    def test_file_without_positions(self, command, capsys, tmp_path):
+        table = fits.BinTableHDU.from_columns([fits.Column("TIME", "D", array=[1.0, 2.0])])
+        table.writeto(tmp_path / "other.fits")
+        assert command("--motion", str(tmp_path / "other.fits"))[0] == 2
+        error = capsys.readouterr().err
+        assert "other.fits" in error
+        assert "POS_CORR1" in error
+
+    def test_more_cadences_than_the_motion_has(self, command, capsys, tmp_path):
+        rows = {"TIME": [1.0, 2.0], "POS_CORR1": [0.0, 0.1], "POS_CORR2": [0.0, 0.1]}
+        Table(rows).write(tmp_path / "short.fits")
+        assert command("--motion", str(tmp_path / "short.fits"))[0] == 2
+        assert "--cadences must be at most 2, the motion's, got 60" in capsys.readouterr().err
+        assert command("--cadences", "1200", "--shape", "5", "5")[0] == 0
+        assert ": 1200 cadences of 5 x 5 pixels" in capsys.readouterr().out
+
+    def test_existing_output(self, command, capsys):
+        _, path = command()
+        before = path.read_bytes()
+        assert command()[0] == 2
+        assert "--overwrite" in capsys.readouterr().err
+        assert path.read_bytes() == before
+
+    @pytest.mark.filterwarnings("always::scope_models.exceptions.LostLightWarning")
+    def test_warning_is_one_line(self, command, capsys):
+        assert command("--position", "0", "0")[0] == 0
+        error = capsys.readouterr().err
+        assert error.startswith("scope-models: warning: ")
+        assert "% of its light off the stamp" in error
+        assert error.count("\n") == 1
+
+    @pytest.mark.parametrize("argv", [[], ["no-such-command"], ["simulate"], ["demo", "--sead"]])
+    def test_misuse(self, capsys, argv):
+        with pytest.raises(SystemExit) as stop:
+            main(argv)
+        assert stop.value.code == 2
+        error = capsys.readouterr().err
+        assert error.count("\n") == 1
+        assert "--help" in error
+
+    @pytest.mark.parametrize("argv", [[], ["demo"], ["simulate"], ["detrend"]])
+    def test_help(self, capsys, argv):
+        with pytest.raises(SystemExit) as stop:
+            main([*argv, "--help"])
+        assert stop.value.code == 0
+        assert "usage: scope-models" in capsys.readouterr().out
+
+    def test_version(self, capsys):
+        with pytest.raises(SystemExit) as stop:
+            main(["--version"])
+        assert stop.value.code == 0
+        assert capsys.readouterr().out == f"scope-models {__version__}\n"
