@@ -69,7 +69,7 @@ def write_help(app):
     os.environ["COLUMNS"] = "88"
     folder = Path(app.srcdir) / "_generated"
     folder.mkdir(exist_ok=True)
-    for name in ("", "demo", "simulate", "detrend"):
+    for name in ("", "demo", "simulate", "detrend", "fit"):
         text = io.StringIO()
         with contextlib.redirect_stdout(text), contextlib.suppress(SystemExit):
             main([*name.split(), "--help"])

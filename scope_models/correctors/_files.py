@@ -1,5 +1,7 @@
 """From a target pixel file to the file of a corrected light curve."""
 
+import warnings
+
 import numpy as np
 from astropy.io import fits
 
@@ -106,7 +108,10 @@ def make_lightcurve_hdulist(corrector):
     identity = _identity(lc, corrector.tpf)
     lc = lc.copy()
     lc.meta["TELESCOP"] = identity["TELESCOP"]  # lightkurve logs its absence
-    hdus = LightCurve.to_fits(lc, **identity)
+    with warnings.catch_warnings():
+        # lightkurve 2.6 inverts bools with ~, of which Python 3.12 and later warn
+        warnings.filterwarnings("ignore", "Bitwise inversion", DeprecationWarning)
+        hdus = LightCurve.to_fits(lc, **identity)
     reference = _BJD_REFERENCE[lc.time.format]
     table = fits.BinTableHDU.from_columns(
         hdus[1].columns + fits.ColDefs(_columns(corrector)), name="LIGHTCURVE"

@@ -4,7 +4,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import cho_factor
+from scipy.linalg.lapack import dpotri
 from scipy.optimize import minimize
 
 from scope_models.correctors._long_term import LongTerm, Noise
@@ -122,12 +123,13 @@ class Posterior:
         root = np.sqrt(prior)
         m = root[:, None] * gram[:-1, :-1] * root
         m[np.diag_indices_from(m)] += 1
-        factor = cho_factor(m, lower=True, check_finite=False)
-        inverse = cho_solve(factor, np.eye(len(m)), check_finite=False)
+        factor, _ = cho_factor(m, lower=True, check_finite=False)
+        inverse, _ = dpotri(factor, lower=True)
+        inverse = np.tril(inverse) + np.tril(inverse, -1).T
         self.shrinkage = np.diag(inverse)
         self.covariance = root[:, None] * inverse * root
         self.mean = self.covariance @ gram[:-1, -1]
-        self.log_determinant = 2 * np.sum(np.log(np.diag(factor[0])))
+        self.log_determinant = 2 * np.sum(np.log(np.diag(factor)))
         #: y^T Q y with the inverse Q of the covariance of everything
         self.quadratic = gram[-1, -1] - gram[:-1, -1] @ self.mean
         self.residual = gram[-1, -1] - 2 * gram[:-1, -1] @ self.mean
@@ -293,8 +295,9 @@ def fit_hyperparameters(data, start=None, *, trend=True, tolerance=0.05, n_round
     """
     hyper = start if start is not None else _best_start(data, trend)
     value = log_likelihood(data, hyper)
-    for _ in range(n_rounds):
-        trial = _improve(data, _scanned(data, hyper))
+    for k in range(n_rounds):
+        scan = start is None or k == 0
+        trial = _improve(data, _scanned(data, hyper) if scan else hyper)
         improved = log_likelihood(data, trial)
         if improved > value:
             hyper = trial
