@@ -4,8 +4,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.linalg import cho_factor
-from scipy.linalg.lapack import dpotri
+from scipy.linalg.lapack import dpotrf, dpotri, dtrtri, dtrtrs
 from scipy.optimize import minimize
 
 from scope_models.correctors._long_term import LongTerm, Noise
@@ -122,18 +121,40 @@ class Posterior:
     def __init__(self, gram, prior):
         root = np.sqrt(prior)
         m = root[:, None] * gram[:-1, :-1] * root
-        m[np.diag_indices_from(m)] += 1
-        factor, _ = cho_factor(m, lower=True, check_finite=False)
-        inverse, _ = dpotri(factor, lower=True)
-        inverse = np.tril(inverse) + np.tril(inverse, -1).T
-        self.shrinkage = np.diag(inverse)
-        self.covariance = root[:, None] * inverse * root
-        self.mean = self.covariance @ gram[:-1, -1]
-        self.log_determinant = 2 * np.sum(np.log(np.diag(factor)))
+        m.flat[:: len(root) + 1] += 1
+        # The matrix is symmetric: its transpose is in the order that LAPACK wants.
+        lower, failed = dpotrf(m.T, lower=1, clean=1, overwrite_a=1)
+        if failed:
+            raise np.linalg.LinAlgError("the columns' covariance is not positive definite")
+        self._gram, self._prior, self._root, self._lower = gram, prior, root, lower
+        self._projected = dtrtrs(lower, root * gram[:-1, -1], lower=1)[0]
+        self.log_determinant = 2 * np.sum(np.log(np.diag(lower)))
         #: y^T Q y with the inverse Q of the covariance of everything
-        self.quadratic = gram[-1, -1] - gram[:-1, -1] @ self.mean
-        self.residual = gram[-1, -1] - 2 * gram[:-1, -1] @ self.mean
-        self.residual += self.mean @ gram[:-1, :-1] @ self.mean
+        self.quadratic = gram[-1, -1] - self._projected @ self._projected
+
+    @cached_property
+    def mean(self):
+        """Mean of the coefficients."""
+        return self._root * dtrtrs(self._lower, self._projected, lower=1, trans=1)[0]
+
+    @cached_property
+    def shrinkage(self):
+        """Variance of each coefficient in units of its prior's."""
+        inverse = dtrtri(self._lower, lower=1)[0]
+        return np.einsum("ij,ij->j", inverse, inverse)
+
+    @cached_property
+    def covariance(self):
+        """Covariance of the coefficients."""
+        inverse = dpotri(self._lower, lower=1)[0]
+        inverse = np.tril(inverse) + np.tril(inverse, -1).T
+        return self._root[:, None] * inverse * self._root
+
+    @cached_property
+    def residual(self):
+        """What the mean leaves of y: its square, weighted with the inverse of K."""
+        gram, mean = self._gram, self.mean
+        return gram[-1, -1] - 2 * gram[:-1, -1] @ mean + mean @ gram[:-1, :-1] @ mean
 
 
 def _gram(process, stacked):
