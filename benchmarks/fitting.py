@@ -1,0 +1,288 @@
+"""Fits of target pixel files: truth recovered, real pixels described, twins, time and memory.
+
+The targets: pulls of all parameters with a standard deviation of 0.9 to 1.1 over 50 stars; the
+sensitivity at the Cramer-Rao bound; the response of the pixels that a star crosses with five times
+the motion of K2 to 0.1 %; on real pixels a chi-squared per pixel below that of photutils'
+GaussianPRF for each cadence; 1000 cadences of 9 x 9 pixels with two components in 30 s and 3600 in
+two minutes, in less than 2 GiB.
+
+Run as ``OMP_NUM_THREADS=1 python benchmarks/fitting.py``, with any of ``pulls``, ``speed``,
+``real FOLDER`` and ``twin FOLDER`` and the folder of archive files.
+"""
+
+import os
+import platform
+import resource
+import sys
+import time
+import warnings
+from pathlib import Path
+
+import astropy
+import lightkurve as lk
+import numpy as np
+import scipy
+from astropy.modeling.fitting import TRFLSQFitter
+from astropy.modeling.models import Const2D
+from astropy.utils.exceptions import AstropyUserWarning
+
+import scope_models
+from scope_models import (
+    BivariateGaussianPSF,
+    Detector,
+    Motion,
+    SensitivityPolynomial,
+    Star,
+    fit_tpf,
+    simulate,
+)
+from scope_models.correctors import PLDCorrector
+from scope_models.photometry import cdpp
+
+FILES = {
+    "EPIC 211956421": "k2_tpf/ktwo211956421-c05_lpd-targ.fits.gz",
+    "EPIC 211983544": "k2_tpf/ktwo211983544-c18_lpd-targ.fits.gz",
+    "Kepler-62": "kepler_tpf/kplr009002278-2010174085026_lpd-targ.fits.gz",
+}
+TWO = BivariateGaussianPSF(0.75, 0, 0, 0.5, 0.45, 0.15) + BivariateGaussianPSF(
+    0.25, 0.1, -0.05, 1.1, 1.2, -0.1
+)
+N_STARS = 50
+N_CADENCES = 1000
+N_PHOTUTILS = 100
+EVERY = 6  # of the cadences of real files, for time's sake
+
+
+def report_environment():
+    threads = os.environ.get("OMP_NUM_THREADS", "not set")
+    print(f"{platform.platform()}, {os.cpu_count()} cores, OMP_NUM_THREADS {threads}")
+    versions = (("scope_models", scope_models), ("numpy", np), ("scipy", scipy))
+    versions = ", ".join(f"{name} {module.__version__}" for name, module in versions)
+    sys.stdout.reconfigure(line_buffering=True)
+    print(f"Python {platform.python_version()}, {versions}, astropy {astropy.__version__}\n")
+
+
+def curvature():
+    return SensitivityPolynomial(fixed={"ax1": True, "ay1": True})
+
+
+def truth_of(observation, fit):
+    """Return which cadences were fitted, and the response that belongs to the fluxes."""
+    used = np.isin(observation.cadenceno, fit.cadenceno)
+    weights = np.maximum(np.median(fit.observed, axis=0), 0)
+    return used, np.sum(weights * observation.truth.interpixel) / weights.sum()
+
+
+def one_star(seed, motion):
+    """Return the pulls of one simulated star, and some of its errors."""
+    generator = np.random.default_rng(seed)
+    side = (7, 9, 11)[seed % 3]
+    x, y = (side - 1) / 2 + generator.uniform(-0.5, 0.5, 2)
+    sigma_x, sigma_y = generator.uniform(0.45, 0.55, 2)
+    rho = generator.uniform(-0.4, 0.4)
+    psf = BivariateGaussianPSF(sigma_x=sigma_x, sigma_y=sigma_y, rho=rho)
+    # Wells without end: stars above Kp 11.5 saturate.
+    detector = Detector.k2(shape=(side, side), interpixel_distribution="normal", well_depth=None)
+    star = Star(generator.uniform(10, 13), x, y, psf=psf)
+    observation = simulate(star, detector, motion, seed=seed)
+    fit = fit_tpf(observation.to_tpf(quality_bitmask="none"), 1, curvature(), saturation=False)
+    used, response = truth_of(observation, fit)
+    truth = {"sigma_x": sigma_x, "sigma_y": sigma_y, "rho": rho, "ax2": -0.05, "ay2": -0.05}
+    pulls = {name: (fit.values[name] - value) / fit.errors[name] for name, value in truth.items()}
+    t = seed % len(fit.time)
+    pulls["x"] = (fit.x[t] - observation.truth.x[0, used][t]) / fit.x_err[t]
+    pulls["y"] = (fit.y[t] - observation.truth.y[0, used][t]) / fit.y_err[t]
+    pulls["flux"] = (fit.flux[t] - observation.truth.flux[0] * response) / fit.flux_err[t]
+    error = fit.interpixel - observation.truth.interpixel / response
+    crossed = np.zeros(fit.shape, dtype=bool)
+    rows, columns = (np.clip(np.rint(p), 0, side - 1).astype(int) for p in (fit.y, fit.x))
+    crossed[rows, columns] = True
+    others = [error[crossed], fit.errors["ax2"], fit.errors["ay2"], fit.reduced_chi2]
+    return pulls, others, fit.converged
+
+
+def report_pulls():
+    motion = Motion.k2_roll(N_CADENCES, seed=1)
+    for scale in (1, 5):
+        begin = time.perf_counter()
+        results = [one_star(s, scale * motion) for s in range(N_STARS)]
+        rows, others, converged = zip(*results, strict=True)
+        print(
+            f"{scale} x the motion of K2, {N_STARS} stars of Kp 10 to 13, {N_CADENCES} cadences, "
+            f"{time.perf_counter() - begin:.0f} s, {sum(converged)} converged"
+        )
+        for name in rows[0]:
+            values = np.array([row[name] for row in rows])
+            print(f"  {name:8s} mean {values.mean():6.2f}  standard deviation {values.std():5.2f}")
+        errors = np.concatenate([row[0] for row in others])
+        print(f"  b in {errors.size} crossed pixels: rms error {100 * errors.std():.3f} %")
+        for i, name in ((1, "ax2"), (2, "ay2")):
+            bound = [row[i] for row in others]
+            print(
+                f"  Cramer-Rao bound of {name}: median {np.median(bound):.4f}, "
+                f"{min(bound):.4f} to {max(bound):.4f}"
+            )
+        print(f"  chi-squared per degree of freedom {np.mean([row[3] for row in others]):.4f}\n")
+
+
+def report_speed():
+    print("Time and memory: 9 x 9 pixels, two components, b, sensitivity")
+    for n in (500, 1000, 2000, 3600):
+        detector = Detector.k2(shape=(9, 9))
+        motion = 5 * Motion.k2_roll(n, seed=1)
+        tpf = simulate(Star(12.0, psf=TWO), detector, motion, seed=1).to_tpf()
+        begin = time.perf_counter()
+        fit = fit_tpf(tpf, 2, curvature())
+        taken = time.perf_counter() - begin
+        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
+        print(
+            f"  {n:5d} cadences {taken:6.2f} s, {1e3 * taken / n:5.2f} ms each, "
+            f"{fit.n_steps} steps, process at most {peak:.2f} GiB"
+        )
+    print()
+
+
+def photutils_chi2(tpf):
+    """Return the chi-squared of each pixel per degree of freedom: one GaussianPRF per cadence."""
+    from photutils.psf import GaussianPRF
+
+    some = np.linspace(0, len(tpf.flux) - 1, N_PHOTUTILS).astype(int)
+    flux = tpf.flux.value[some].astype(float)
+    error = tpf.flux_err.value[some].astype(float)
+    y, x = np.mgrid[: flux.shape[1], : flux.shape[2]].astype(float)
+    squares = []
+    for data, sigma in zip(flux, error, strict=True):
+        good = np.isfinite(data)
+        if good.sum() <= 7:
+            continue
+        light = np.where(good & (data > 0.05 * np.nanmax(data)), data, 0)
+        center = (light * x).sum() / light.sum(), (light * y).sum() / light.sum()
+        best = None
+        for width in (0.8, 1.2, 1.8):
+            for theta in (0.0, 45.0):
+                model = GaussianPRF(
+                    flux=light.sum(), x_0=center[0], y_0=center[1], theta=theta,
+                    x_fwhm=width, y_fwhm=width,
+                )  # fmt: skip
+                for name in ("x_fwhm", "y_fwhm", "theta"):
+                    getattr(model, name).fixed = False
+                model.x_fwhm.bounds = model.y_fwhm.bounds = (0.2, 6)
+                fitted = TRFLSQFitter()(
+                    model + Const2D(0.0), x[good], y[good], data[good], weights=1 / sigma[good]
+                )
+                square = ((data - fitted(x, y)) / sigma) ** 2
+                if best is None or np.nansum(square) < np.nansum(best):
+                    best = square
+        squares.append(best)
+    squares = np.array(squares)
+    n = np.isfinite(squares).any(axis=0).sum()
+    return some, np.nanmean(squares, axis=0) * n / (n - 7)
+
+
+def report_real(folder):
+    cases = {
+        "1 component": {"psf": 1, "interpixel": 0},
+        "2 components": {"psf": 2, "interpixel": 0},
+        "3 components": {"psf": 3, "interpixel": 0},
+        "2, b": {"psf": 2},
+        "1, empirical 6": {"psf": 1, "empirical": 6, "interpixel": 0},
+        "1, empirical 6, b": {"psf": 1, "empirical": 6},
+        "2, empirical 8": {"psf": 2, "empirical": 8, "interpixel": 0},
+        "2, empirical 8, b": {"psf": 2, "empirical": 8},
+        "2, sensitivity": {"psf": 2, "interpixel": 0, "sensitivity": curvature()},
+        "1, emp. 6, sens.": {
+            "psf": 1, "empirical": 6, "interpixel": 0, "sensitivity": curvature(),
+        },
+    }  # fmt: skip
+    for star, name in FILES.items():
+        whole = lk.read(Path(folder) / name)
+        tpf = whole[::EVERY]
+        some, chi2 = photutils_chi2(tpf)
+        print(f"{star}: {tpf.flux.shape}")
+        print(f"  photutils, {len(some)} cadences: median chi-squared {np.median(chi2):.4g}")
+        for label, options in cases.items():
+            begin = time.perf_counter()
+            fit = fit_tpf(tpf, loss="soft_l1", **options)
+            same = np.isin(fit.cadenceno, np.asarray(tpf.cadenceno)[some])
+            part = ((fit.residual / fit.observed_err)[same] ** 2).mean(axis=0)
+            part *= fit.n_data / fit.dof
+            column, row = fit.path_r2()
+            print(
+                f"  {label:18s} median chi-squared per pixel {np.median(fit.chi2_pixels):8.4g} "
+                f"(same cadences {np.median(part):8.4g}), all {fit.reduced_chi2:8.4g}, typical "
+                f"cadence {np.median(fit.chi2_cadences):8.4g}; R2 {column:.4f} {row:.4f}; "
+                f"rms b {100 * fit.interpixel.std():.2f} %; {time.perf_counter() - begin:.1f} s"
+                f"{'' if fit.converged else ', not converged'}",
+                flush=True,
+            )
+            for a in ("ax2", "ay2"):
+                if a in fit.names:
+                    print(f"    {a} = {fit.values[a]:.3f} +- {fit.errors[a]:.3f}")
+        whole.hdu.close()
+        print()
+
+
+def light_curves(tpf):
+    """Return cadence numbers, times and the summed and de-trended light curves."""
+    corrector = PLDCorrector(tpf)
+    corrected = corrector.correct()
+    raw = tpf.to_lightcurve(aperture_mask=corrector.aperture_mask)
+    return [curve.remove_nans().normalize() for curve in (raw, corrected)]
+
+
+def report_twin(folder):
+    from matplotlib import pyplot as plt
+
+    from scope_models.plotting import plot_twin
+
+    print("Twins: 6.5-h CDPP (ppm), lightkurve's and EVEREST's convention")
+    for star in ("EPIC 211956421", "EPIC 211983544"):
+        tpf = lk.read(Path(folder) / FILES[star])
+        fit = fit_tpf(tpf, 3, interpixel=0, loss="soft_l1")
+        observation = simulate(*fit.scene(), seed=1)
+        twin = observation.to_tpf()
+        curves = {"real": light_curves(tpf), "twin": light_curves(twin)}
+        labels = {}
+        for kind, pair in curves.items():
+            row = [cdpp(curve, method=m) for curve in pair for m in ("lightkurve", "everest")]
+            print(
+                f"  {star} {kind}: summed {row[0]:.0f} {row[1]:.0f}, "
+                f"de-trended {row[2]:.0f} {row[3]:.0f}"
+            )
+            labels[kind] = f"(CDPP {row[1]:.0f}, {row[3]:.0f} ppm)"
+        residual = (observation.flux - observation.model()) / fit.observed_err
+        images = [np.nanstd(fit.residual / fit.observed_err, axis=0), residual.std(axis=0)]
+        n = min(len(curve) for pair in curves.values() for curve in pair)
+        axes = plot_twin(
+            curves["real"][0].time.value[:n],
+            *([curve.flux.value[:n] for curve in curves[kind]] for kind in ("real", "twin")),
+            images,
+            labels=labels,
+        )
+        path = f"twin_{star.split()[-1]}.png"
+        axes["raw"].figure.savefig(path, dpi=110)
+        plt.close("all")
+        print(
+            f"  scatter of residuals in errors, median pixel: {np.median(images[0]):.2f} real, "
+            f"{np.median(images[1]):.2f} twin; figure {path}"
+        )
+        tpf.hdu.close()
+
+
+def main():
+    warnings.simplefilter("ignore", AstropyUserWarning)
+    report_environment()
+    arguments = sys.argv[1:] or ["pulls", "speed"]
+    for i, argument in enumerate(arguments):
+        if argument == "pulls":
+            report_pulls()
+        elif argument == "speed":
+            report_speed()
+        elif argument == "real":
+            report_real(arguments[i + 1])
+        elif argument == "twin":
+            report_twin(arguments[i + 1])
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,139 @@
+"""Fits as FITS files."""
+
+import json
+from dataclasses import fields
+
+import numpy as np
+
+from scope_models.detector import Detector
+from scope_models.io._atomic import atomic_path
+from scope_models.io.reading import open_fits
+from scope_models.models import PRF
+from scope_models.models._derivatives import prf_psf, prf_sensitivity
+from scope_models.models._description import describe_model, make_model
+
+__all__ = ["read_fit", "write_fit"]
+
+_CREATOR, _VERSION = "scope_models fit", 1
+_COLUMNS = {
+    "time": "d",
+    "cadenceno": "",
+    "quality": "",
+    "x": "pixel",
+    "x_err": "pixel",
+    "y": "pixel",
+    "y_err": "pixel",
+    "flux": "e-/s",
+    "flux_err": "e-/s",
+    "flux_scatter": "e-/s",
+    "background": "e-/s",
+    "background_err": "e-/s",
+}
+_IMAGES = ("covariance", "interpixel", "interpixel_err", "observed", "observed_err", "fitted")
+_NUMBERS = ("chi2", "n_data", "n_parameters", "error_scale", "converged", "n_steps", "time_format")
+
+
+def write_fit(fit, path, *, overwrite):
+    """Write a fit; the file is there as a whole or not at all."""
+    from astropy.io import fits
+
+    primary = fits.PrimaryHDU()
+    primary.header["CREATOR"] = _CREATOR
+    primary.header["FITVERS"] = (_VERSION, "version of this format")
+    columns = []
+    for name, unit in _COLUMNS.items():
+        values = np.asarray(getattr(fit, name))
+        kind = "K" if values.dtype.kind in "iu" else "D"
+        columns.append(fits.Column(name.upper(), kind, unit=unit or None, array=values))
+    if fit.pos_corr is not None:
+        columns += [
+            fits.Column(f"POS_CORR{i + 1}", "D", unit="pixel", array=fit.pos_corr[:, i])
+            for i in (0, 1)
+        ]
+    table = fit.table()
+    parameters = fits.BinTableHDU(table, name="PARAMETERS")
+    text = np.frombuffer(json.dumps(_description(fit)).encode(), dtype=np.uint8)
+    hdus = [
+        primary,
+        fits.BinTableHDU.from_columns(columns, name="CADENCES"),
+        parameters,
+        *(fits.ImageHDU(np.array(getattr(fit, name)), name=name.upper()) for name in _IMAGES),
+        fits.ImageHDU(text, name="DESCRIPTION"),
+    ]
+    with atomic_path(path, overwrite=overwrite) as temporary:
+        fits.HDUList(hdus).writeto(temporary)
+    return type(temporary)(path)
+
+
+def read_fit(path):
+    """Return the fields of a fit that `write_fit` has written."""
+    with open_fits(path) as hdus:
+        if hdus[0].header.get("CREATOR") != _CREATOR:
+            raise ValueError(f"{path} is no fit of this package")
+        if hdus[0].header["FITVERS"] > _VERSION:
+            raise ValueError(f"{path} was written by a later version of this package")
+        table = hdus["CADENCES"].data
+        values = {name: _native(table[name.upper()]) for name in _COLUMNS}
+        values["pos_corr"] = None
+        if "POS_CORR1" in table.names:
+            corrections = [_native(table[f"POS_CORR{i}"]) for i in (1, 2)]
+            values["pos_corr"] = np.column_stack(corrections)
+        values |= {name: _native(hdus[name.upper()].data) for name in _IMAGES}
+        described = json.loads(_native(hdus["DESCRIPTION"].data).astype(np.uint8).tobytes())
+    model = _model(described.pop("model"))
+    detector = described.pop("detector")
+    detector["sensitivity"] = prf_sensitivity(model)
+    detector["interpixel"] = np.maximum(values["interpixel"], 0.0)
+    detector["shape"] = tuple(detector["shape"])
+    described["names"] = tuple(described["names"])
+    described["parameters"] = np.array(described["parameters"], dtype=float)
+    if described["options"]["interpixel"] is None:
+        described["options"]["interpixel"] = np.inf
+    return values | described | {"model": model, "detector": Detector(**detector)}
+
+
+def _description(fit):
+    """What is neither an array by cadence nor an image."""
+    model = fit.model
+    detector = {
+        item.name: getattr(fit.detector, item.name)
+        for item in fields(fit.detector)
+        if item.name not in {"sensitivity", "interpixel", "psf"}
+    }
+    names = model.param_names
+    options = dict(fit.options)
+    if not np.isfinite(options["interpixel"]):
+        options["interpixel"] = None
+    return {
+        "model": {
+            "psf": describe_model(prf_psf(model)),
+            "sensitivity": describe_model(prf_sensitivity(model)),
+            "values": {n: float(np.ravel(getattr(model, n).value)[0]) for n in names},
+            "fixed": {n: bool(getattr(model, n).fixed) for n in names},
+            "bounds": {n: list(getattr(model, n).bounds) for n in names},
+        },
+        "detector": detector,
+        "names": list(fit.names),
+        "parameters": fit.parameters.tolist(),
+        "options": options,
+        "meta": dict(fit.meta),
+        **{name: getattr(fit, name) for name in _NUMBERS},
+    }
+
+
+def _model(described):
+    """The PRF of a description."""
+    psf, sensitivity = make_model(described["psf"]), make_model(described["sensitivity"])
+    model = PRF(psf if sensitivity is None else psf * sensitivity)
+    for name, value in described["values"].items():
+        parameter = getattr(model, name)
+        parameter.value = value
+        parameter.fixed = described["fixed"][name]
+        parameter.bounds = tuple(described["bounds"][name])
+    return model
+
+
+def _native(values):
+    """An array of the machine's own byte order."""
+    values = np.asarray(values)
+    return values.astype(values.dtype.newbyteorder("="))

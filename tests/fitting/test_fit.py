@@ -1,0 +1,324 @@
+"""Fits of simulated pixels, against their truth; bad input; real pixels."""
+
+import warnings
+
+import lightkurve as lk
+import numpy as np
+import pytest
+from astropy import units as u
+from astropy.modeling.fitting import TRFLSQFitter
+from photutils.psf import CircularGaussianPSF
+
+from scope_models import (
+    PRF,
+    BivariateGaussianPSF,
+    Detector,
+    Motion,
+    SensitivityPolynomial,
+    Star,
+    fit_tpf,
+    simulate,
+)
+from scope_models.exceptions import FitWarning
+
+TRUE_SHAPE = {
+    "sigma_x_0": 0.5, "sigma_y_0": 0.45, "rho_0": 0.15, "sigma_x_1": 1.1, "sigma_y_1": 1.2,
+    "rho_1": -0.1, "flux_fraction_1": 0.25, "x_offset_1": 0.1, "y_offset_1": -0.05,
+    "ax2": -0.05, "ay2": -0.05,
+}  # fmt: skip
+
+
+class Pixels:
+    """The least that a fit needs of a target pixel file."""
+
+    def __init__(self, tpf, **changes):
+        self.time, self.meta = tpf.time, tpf.meta
+        self.flux = np.array(tpf.flux.value, dtype=float)
+        self.flux_err = np.array(tpf.flux_err.value, dtype=float)
+        self.pos_corr1, self.pos_corr2 = np.array(tpf.pos_corr1), np.array(tpf.pos_corr2)
+        self.cadenceno, self.quality = tpf.cadenceno, tpf.quality
+        for name, value in changes.items():
+            setattr(self, name, value)
+
+
+def make(motion=None, mag=12.0, shape=(7, 7), seed=1, n=80, **star):
+    """A target pixel file of a Gaussian star, as plain arrays."""
+    motion = 3 * Motion.k2_roll(n) if motion is None else motion
+    detector = Detector.k2(shape=shape, interpixel_distribution="normal")
+    return Pixels(simulate(Star(mag, **star), detector, motion, seed=seed).to_tpf())
+
+
+def messages_of(*arguments, **options):
+    """Fit, and return the fit and the warnings."""
+    with warnings.catch_warnings(record=True) as record:
+        warnings.simplefilter("always")
+        fit = fit_tpf(*arguments, **options)
+    assert all(issubclass(warning.category, FitWarning) for warning in record)
+    return fit, " | ".join(str(warning.message) for warning in record)
+
+
+def truth_of(observation, fit):
+    """Which cadences were fitted, and the mean response that belongs to the fluxes."""
+    used = np.isin(observation.cadenceno, fit.cadenceno)
+    weights = np.maximum(np.median(fit.observed, axis=0), 0)
+    return used, np.sum(weights * observation.truth.interpixel) / weights.sum()
+
+
+class TestTruth:
+    def test_chi2(self, fit):
+        assert fit.converged
+        assert abs(fit.reduced_chi2 - 1) < 5 * np.sqrt(2 / fit.dof)
+        assert fit.error_scale == 1
+
+    @pytest.mark.parametrize("name", sorted(TRUE_SHAPE))
+    def test_shape(self, fit, name):
+        assert abs(fit.values[name] - TRUE_SHAPE[name]) < 4 * fit.errors[name]
+
+    def test_positions_and_fluxes(self, fit, observation):
+        used, response = truth_of(observation, fit)
+        x, y = observation.truth.x[0, used], observation.truth.y[0, used]
+        flux = observation.truth.flux[0] * response
+        assert np.abs(fit.x - x).max() < 6 * fit.x_err.max()
+        assert np.abs(fit.y - y).max() < 6 * fit.y_err.max()
+        assert np.abs(fit.flux - flux).max() < 6 * fit.flux_err.max()
+        relative = (fit.flux - fit.flux.mean()) / fit.flux_scatter
+        assert 0.5 < relative.std() < 1.5
+
+    def test_interpixel_map(self, fit, observation):
+        _, response = truth_of(observation, fit)
+        pulls = (fit.interpixel - observation.truth.interpixel / response) / fit.interpixel_err
+        # They are correlated: a shift of the star is a gradient of the map.
+        assert np.abs(pulls).max() < 4.5
+        assert 0.6 < np.sqrt(np.mean(pulls**2)) < 1.5
+        # What crosses the pixel tells its response far better than the prior of 1 %.
+        assert fit.interpixel_err.min() < 0.0005
+        weights = np.maximum(np.median(fit.observed, axis=0), 0)
+        assert np.sum(weights * fit.interpixel) / weights.sum() == pytest.approx(1, abs=1e-9)
+
+    def test_model_is_the_simulators(self, fit, observation):
+        used, _ = truth_of(observation, fit)
+        model = observation.model()[used]
+        assert np.abs(fit.fitted - model).max() < 8 * fit.observed_err.max()
+        np.testing.assert_allclose(fit.residual, fit.observed - fit.fitted)
+
+    @pytest.mark.slow
+    def test_pulls(self):
+        """Over many stars, the errors are those of the parameters."""
+        pulls = []
+        curvature = SensitivityPolynomial(fixed={"ax1": True, "ay1": True})
+        detector = Detector.k2(shape=(7, 7), interpixel_distribution="normal", well_depth=None)
+        for seed in range(50):
+            x, y = np.random.default_rng(seed).uniform(2.8, 3.2, 2)
+            motion = (1 if seed % 2 else 5) * Motion.k2_roll(250)
+            star = Star(10 + 3 * (seed % 5) / 4, x, y, psf=BivariateGaussianPSF(rho=0.2))
+            observation = simulate(star, detector, motion, seed=seed)
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", FitWarning)  # 1x motion does not measure ax2
+                fit = fit_tpf(observation.to_tpf(), 1, curvature, saturation=False)
+            used, response = truth_of(observation, fit)
+            truth = {"sigma_x": 0.5, "sigma_y": 0.5, "rho": 0.2, "ax2": -0.05, "ay2": -0.05}
+            row = [(fit.values[k] - v) / fit.errors[k] for k, v in truth.items()]
+            row.append((fit.x[0] - observation.truth.x[0, used][0]) / fit.x_err[0])
+            row.append((fit.y[0] - observation.truth.y[0, used][0]) / fit.y_err[0])
+            row.append((fit.flux[0] - observation.truth.flux[0] * response) / fit.flux_err[0])
+            pulls.append(row)
+        pulls = np.array(pulls)
+        assert np.all(np.abs(pulls.mean(axis=0)) < 4 / np.sqrt(50))
+        assert np.all(np.abs(pulls.std(axis=0) - 1) < 4 / np.sqrt(100))
+
+
+class TestOptions:
+    def test_fixed_and_bounds_of_the_model(self):
+        psf = BivariateGaussianPSF(
+            sigma_x=0.6, fixed={"sigma_x": True}, bounds={"sigma_y": (0.55, 0.7)}
+        )
+        fit = fit_tpf(make(), psf)
+        assert "sigma_x" not in fit.names
+        assert fit.model.sigma_x == 0.6
+        assert fit.values["sigma_y"] == pytest.approx(0.55, abs=1e-12)
+
+    def test_one_cadence_as_astropy_fits_it(self):
+        tpf = make(Motion.still(1), mag=16.0, shape=(9, 9))
+        fit = fit_tpf(tpf, 1, interpixel=0, background="none")
+        prf = PRF(BivariateGaussianPSF(), flux=4e3, x_0=4, y_0=4)
+        y, x = np.mgrid[:9, :9]
+        weights = 1 / tpf.flux_err[0]
+        plain = TRFLSQFitter()(prf, x, y, tpf.flux[0], weights=weights)
+        for name in ("sigma_x", "sigma_y", "rho"):
+            assert fit.values[name] == pytest.approx(getattr(plain, name).value, abs=1e-6)
+        assert fit.x[0] == pytest.approx(plain.x_0.value, abs=1e-6)
+        assert fit.flux[0] == pytest.approx(plain.flux.value, rel=1e-6)
+        error = np.sqrt(np.diag(plain.cov_matrix.cov_matrix)) if plain.cov_matrix else None
+        if error is not None:
+            assert fit.errors["sigma_x"] > 0
+
+    def test_any_density(self):
+        psf = CircularGaussianPSF(fwhm=1.0)
+        psf.fwhm.fixed = False
+        fit = fit_tpf(make(n=20), psf)
+        assert fit.values["fwhm"] == pytest.approx(0.5 * np.sqrt(8 * np.log(2)), rel=0.01)
+
+    def test_path(self):
+        tpf = make()
+        fit = fit_tpf(tpf, 1, positions="path")
+        assert fit.values["x_by_corr1"] == pytest.approx(1, abs=0.02)
+        assert fit.values["y_by_corr1"] == pytest.approx(0, abs=0.02)
+        assert fit.x.std() > 0
+        assert np.all(fit.x_err > 0)
+        loose = fit_tpf(tpf, 1, positions="prior", position_error=1.0)
+        free = fit_tpf(tpf, 1, positions="free")
+        np.testing.assert_allclose(loose.x, free.x, atol=1e-3)
+        assert fit.path_r2() == (pytest.approx(1), pytest.approx(1))
+
+    def test_constant_background(self):
+        tpf = make()
+        tpf.flux += 7.0
+        fit = fit_tpf(tpf, 1, background="constant")
+        assert abs(fit.values["background"] - 7) < 5 * fit.errors["background"]
+        assert np.ptp(fit.background) == 0
+
+    def test_soft_loss_forgives_cosmic_rays(self):
+        tpf = make()
+        clean = fit_tpf(tpf, 1)
+        hit = np.random.default_rng(2).integers(0, 7, (40, 2))
+        for cadence, (row, column) in enumerate(hit):
+            tpf.flux[cadence, row, column] += 4000
+        hard, messages = messages_of(tpf, 1)
+        assert "does not describe" in messages
+        soft, _ = messages_of(tpf, 1, loss="soft_l1")
+        moved = [np.abs(fit.x - clean.x).max() for fit in (soft, hard)]
+        assert moved[0] < 0.3 * moved[1]
+
+    def test_empirical_term_describes_another_psf(self):
+        psf = BivariateGaussianPSF(0.6, 0, 0, 0.4, 0.5) + BivariateGaussianPSF(
+            0.4, 0.5, 0.3, 0.7, 0.6, 0.5
+        )
+        tpf = make(3 * Motion.k2_roll(100), psf=psf)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", FitWarning)
+            plain = fit_tpf(tpf, 1)
+            rich = fit_tpf(tpf, 1, empirical=4)
+        assert rich.reduced_chi2 < 0.2 * plain.reduced_chi2
+
+
+class TestBadInput:
+    def test_nan_pixels_cadences_and_columns(self):
+        tpf = make()
+        clean = fit_tpf(tpf, 1)
+        tpf.flux[3] = np.nan
+        tpf.flux[5, 2, 2] = np.nan
+        tpf.flux[:, :, 6] = np.nan
+        fit = fit_tpf(tpf, 1)
+        assert len(fit.time) == len(clean.time) - 1
+        assert np.isnan(fit.residual[:, :, 6]).all()
+        assert np.isnan(fit.chi2_pixels[:, 6]).all()
+        assert fit.values["sigma_x"] == pytest.approx(clean.values["sigma_x"], abs=0.002)
+
+    def test_errors_zero_or_absent(self):
+        tpf = make()
+        tpf.flux_err[:, 0, 0] = 0
+        with pytest.warns(FitWarning, match="80 pixel values|pixel values without a positive"):
+            fit_tpf(tpf, 1)
+        tpf.flux_err[:] = np.nan
+        with pytest.raises(ValueError, match="the file has no errors"):
+            fit_tpf(tpf, 1)
+        assert fit_tpf(tpf, 1, flux_err=20.0).converged
+        with pytest.raises(ValueError, match="must broadcast"):
+            fit_tpf(tpf, 1, flux_err=np.ones(5))
+
+    def test_star_at_the_edge(self):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            tpf = make(Motion.k2_roll(60), x_0=-0.3, y_0=3)
+        with pytest.warns(FitWarning, match="at the edge"):
+            fit = fit_tpf(tpf, 1)
+        assert np.median(fit.x) == pytest.approx(-0.3, abs=0.05)
+
+    def test_saturated_column(self):
+        tpf = make(Motion.k2_roll(60), mag=9.0, shape=(11, 11))
+        fit, messages = messages_of(tpf, 1)
+        assert "columns 4, 5, 6 hold saturated pixels" in messages
+        assert np.isnan(fit.residual[:, :, 5]).all()
+        # The light beside the full columns still tells where the star is.
+        assert np.median(fit.y) == pytest.approx(5, abs=0.2)
+        assert not np.isnan(fit_tpf(make(n=30), 1, saturation=False).residual).any()
+
+    def test_two_stars_with_one_model(self):
+        detector, motion = Detector.k2(shape=(9, 9)), Motion.k2_roll(60)
+        stars = [Star(12.0, 3, 4), Star(12.3, 5.5, 4)]
+        tpf = simulate(stars, detector, motion, seed=1).to_tpf()
+        fit, messages = messages_of(tpf, 1)
+        assert "does not describe the pixels" in messages
+        assert fit.error_scale > 2
+
+    def test_still_star_does_not_tell_the_sensitivity(self, curvature):
+        with pytest.warns(FitWarning, match="does not constrain the sensitivity"):
+            fit = fit_tpf(make(Motion.still(60)), 1, curvature)
+        assert fit.errors["ax2"] > 0.05
+
+    def test_far_start(self):
+        near = fit_tpf(make(), 1)
+        far = fit_tpf(make(), BivariateGaussianPSF(sigma_x=2.0, sigma_y=0.15, rho=-0.8))
+        assert far.values["sigma_x"] == pytest.approx(near.values["sigma_x"], abs=1e-4)
+
+    def test_too_few_steps(self):
+        fit, messages = messages_of(make(), 1, max_steps=1)
+        assert "has not converged after" in messages
+        assert not fit.converged
+        assert np.isfinite(fit.parameters).all()
+
+    @pytest.mark.parametrize(
+        "options, error, message",
+        [
+            ({"psf": 4}, ValueError, "`psf` must be 1, 2 or 3"),
+            ({"psf": "gauss"}, TypeError, "`psf` must be"),
+            ({"sensitivity": 1}, TypeError, "`sensitivity` must be"),
+            ({"background": "spline"}, ValueError, "`background` must be one of"),
+            ({"positions": "here"}, ValueError, "`positions` must be one of"),
+            ({"loss": "l2"}, ValueError, "`loss` must be one of"),
+            ({"interpixel": -1.0}, ValueError, "`interpixel` must not be negative"),
+            ({"empirical": 1.5}, TypeError, "`empirical` must be an integer"),
+            ({"max_steps": 0}, ValueError, "`max_steps` must be at least 1"),
+        ],
+    )
+    def test_options(self, options, error, message):
+        with pytest.raises(error, match=message):
+            fit_tpf(make(n=5), **options)
+
+    def test_not_a_file(self):
+        with pytest.raises(TypeError, match="`tpf` must be a target pixel file"):
+            fit_tpf(np.ones((3, 4, 5)))
+        tpf = make(n=5)
+        tpf.flux[:] = np.nan
+        with pytest.raises(ValueError, match="no finite value"):
+            fit_tpf(tpf)
+        tpf.flux[:] = -1.0
+        with pytest.raises(ValueError, match="no star to fit"):
+            fit_tpf(tpf)
+
+    def test_path_without_pos_corr(self):
+        tpf = make(n=5)
+        tpf.pos_corr1 = tpf.pos_corr2 = None
+        with pytest.raises(ValueError, match="has no POS_CORR"):
+            fit_tpf(tpf, positions="path")
+
+
+def test_real_star_follows_pos_corr(shared_data):
+    path = shared_data / "k2_tpf" / "ktwo211956421-c05_lpd-targ.fits.gz"
+    tpf = lk.read(path)
+    part = Pixels(tpf[::12])
+    tpf.hdu.close()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", FitWarning)
+        fit = fit_tpf(part, 2, interpixel=0, loss="soft_l1")
+    column, row = fit.path_r2()
+    assert column > 0.98
+    assert row > 0.9
+
+
+def test_light_curve(fit):
+    curve = fit.to_lightcurve()
+    assert curve.flux.unit == u.electron / u.s
+    assert curve.time.format == "bkjd"
+    np.testing.assert_array_equal(curve["cadenceno"], fit.cadenceno)
+    np.testing.assert_array_equal(curve.time.value, fit.time)

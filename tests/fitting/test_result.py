@@ -1,0 +1,107 @@
+"""What is done with a fit: tables, files, figures, the twin, the command line."""
+
+import numpy as np
+import pytest
+from astropy.io import fits
+from matplotlib import pyplot as plt
+
+from scope_models import TPFFit, simulate
+from scope_models.cli import main
+
+
+def test_table(fit):
+    table = fit.table()
+    assert table.colnames == ["name", "value", "error", "unit", "fixed"]
+    row = table[table["name"] == "sigma_x_0"][0]
+    assert row["value"] == fit.values["sigma_x_0"]
+    assert row["unit"] == "pix"
+    assert table[table["name"] == "ax0"]["fixed"][0]
+    correlation = fit.correlation()
+    assert correlation["ax2"][correlation["name"] == "ax2"][0] == pytest.approx(1)
+    matrix = np.array([correlation[name] for name in fit.names])
+    assert np.all(np.abs(matrix) <= 1 + 1e-9)
+
+
+def test_chi2_of_pixels_and_cadences(fit):
+    assert fit.chi2_pixels.shape == fit.shape
+    assert fit.chi2_cadences.shape == fit.time.shape
+    assert fit.chi2_pixels.mean() == pytest.approx(fit.reduced_chi2)
+    assert fit.chi2_cadences.mean() == pytest.approx(fit.reduced_chi2)
+
+
+def test_arrays_are_read_only(fit):
+    with pytest.raises(ValueError, match="read-only"):
+        fit.x[0] = 1
+
+
+def test_file_holds_everything(fit, tmp_path):
+    path = fit.write(tmp_path / "fit.fits")
+    again = TPFFit.read(path)
+    for name, value in vars(fit).items():
+        if name in {"residual", "_squares", "chi2_pixels", "chi2_cadences"}:
+            continue
+        other = getattr(again, name)
+        if isinstance(value, np.ndarray):
+            np.testing.assert_array_equal(other, value, err_msg=name)
+        elif name == "model":
+            np.testing.assert_array_equal(other.parameters, value.parameters)
+            assert other.fixed == value.fixed
+        elif name != "detector":
+            assert other == value, name
+    assert again.detector.read_noise == fit.detector.read_noise
+    np.testing.assert_array_equal(again.detector.interpixel, fit.detector.interpixel)
+    with fits.open(path) as hdus:
+        hdus.verify("exception")
+    with pytest.raises(FileExistsError, match="overwrite"):
+        fit.write(path)
+    fit.write(path, overwrite=True)
+    assert [file.name for file in tmp_path.iterdir()] == ["fit.fits"]
+
+
+def test_other_files_are_refused(tmp_path):
+    path = tmp_path / "other.fits"
+    fits.PrimaryHDU().writeto(path)
+    with pytest.raises(ValueError, match="is no fit of this package"):
+        TPFFit.read(path)
+
+
+def test_twin(fit):
+    stars, detector, motion = fit.scene()
+    twin = simulate(stars, detector, motion, seed=5)
+    noise = np.std((twin.flux - twin.model()) / fit.observed_err)
+    assert noise == pytest.approx(1, abs=0.02)
+    sums = [cube.sum(axis=(1, 2)).mean() for cube in (twin.flux, fit.observed)]
+    assert sums[0] == pytest.approx(sums[1], rel=1e-4)
+    exact = simulate(*fit.scene(signal="fitted"), noise=False)
+    fitted = fit.fitted - fit.background[:, None, None]
+    np.testing.assert_allclose(exact.flux, fitted, rtol=1e-5, atol=1e-2)
+
+
+def test_scene_options(fit):
+    stars, _, motion = fit.scene(positions="path", signal="constant")
+    assert stars[0].signal is None
+    assert np.abs(motion.x - (fit.x - np.median(fit.x))).max() < 0.05
+    with pytest.raises(ValueError, match="`positions` must be"):
+        fit.scene(positions="there")
+    with pytest.raises(ValueError, match="`signal` must be"):
+        fit.scene(signal="loud")
+
+
+def test_figure(fit):
+    axes = fit.plot()
+    assert sorted(axes) == ["data", "model", "positions", "residual", "sensitivity"]
+    limits = {axes[name].images[0].get_clim() for name in ("data", "model", "residual")}
+    assert len(limits) == 1
+    plt.close("all")
+
+
+def test_command(observation, tmp_path, capsys):
+    path, output = tmp_path / "star.fits", tmp_path / "fit.fits"
+    observation.write(path)
+    command = ["fit", str(path), "--components", "2", "--output", str(output)]
+    assert main([*command, "--cadences", "60", "--sensitivity"]) == 0
+    assert "chi-squared per degree of freedom" in capsys.readouterr().out
+    assert len(TPFFit.read(output).time) <= 60
+    assert main(command) == 2
+    assert "--overwrite" in capsys.readouterr().err
+    assert main(["fit", str(tmp_path / "none.fits"), "--output", str(tmp_path / "a.fits")]) == 2
