@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from scope_models.models._derivatives import unit_derivatives
+from scope_models.models.integration import PixelPoints
 
 __all__ = ["NormalEquations", "Problem", "State"]
 
@@ -179,7 +180,9 @@ class Problem:
         """Images of unit flux at the fitted pixels and their derivatives, ``(m, p)``."""
         x, y = self.xy(state)[part].T
         values = self.values(state) | {"x_0": x, "y_0": y}
-        image, derivatives = unit_derivatives(self.prf, self.data.shape, values)
+        image, derivatives = unit_derivatives(
+            self.prf, PixelPoints.from_shape(self.data.shape), values
+        )
         inside = self.data.pixels
         needed = (*self.names, "x_0", "y_0")
         return image[:, inside], {name: derivatives[name][:, inside] for name in needed}

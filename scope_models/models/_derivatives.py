@@ -5,7 +5,7 @@ import numpy as np
 
 from scope_models.models._gaussian import gaussian_derivatives
 from scope_models.models._terms import Term
-from scope_models.models.integration import PixelPoints, integrate_term, split_values
+from scope_models.models.integration import integrate_density, integrate_term, split_values
 from scope_models.models.psf import BivariateGaussianPSF
 
 __all__ = ["coefficient_names", "prf_psf", "prf_sensitivity", "unit_derivatives"]
@@ -14,7 +14,7 @@ __all__ = ["coefficient_names", "prf_psf", "prf_sensitivity", "unit_derivatives"
 _STEP = 1e-4
 
 
-def unit_derivatives(prf, shape, values):
+def unit_derivatives(prf, points, values):
     """
     Images of a star of unit flux, and their derivatives.
 
@@ -22,33 +22,30 @@ def unit_derivatives(prf, shape, values):
     ----------
     prf : `~scope_models.PRF`
         The model.
-    shape : tuple of int
-        Shape (ny, nx) of an image.
+    points : `~scope_models.models.integration.PixelPoints`
+        The pixels.
     values : dict
-        Value of each parameter; x_0 and y_0 have shape ``(n,)``, the others are numbers.
+        Value of each parameter; x_0 and y_0 may have shape ``(n,)``, the others are numbers.
 
     Returns
     -------
     image : `~numpy.ndarray`
-        Shape ``(n, ny, nx)``.
+        Shape ``(..., *points.shape)``.
     derivatives : dict of str to `~numpy.ndarray`
         By parameter, without the flux.
     """
     # The functions of this package's models work hand in hand.
-    points = PixelPoints.from_shape(shape)
     total, derivatives, images = 0.0, {}, []
     for component in prf._components:  # noqa: SLF001
         image, own = _component(prf, component, points, values)
         weight = prf._fraction(component, values)  # noqa: SLF001
         images.append(image)
         total = total + weight * image
-        for name, part in own.items():
-            derivative = weight * part
+        for name, derivative in own.items():
+            part = weight * derivative
             if component.offsets and name in {"x_0", "y_0"}:
-                derivatives[component.offsets[name == "y_0"]] = derivative
-            derivatives[name] = (
-                derivatives[name] + derivative if name in derivatives else derivative
-            )
+                derivatives[component.offsets[name == "y_0"]] = part
+            derivatives[name] = derivatives[name] + part if name in derivatives else part
     for component, image in zip(prf._components, images, strict=True):  # noqa: SLF001
         if component.fraction:
             derivatives[component.fraction] = image - images[0]
@@ -58,23 +55,24 @@ def unit_derivatives(prf, shape, values):
 def _component(prf, component, points, values):
     """Image of unit flux of a component, and its derivatives by parameter of the PRF."""
     term = prf._term(component, values)  # noqa: SLF001
-    along = term.polynomials()
+    along, factor = term.polynomials(), term.densities[0]
     if isinstance(component.model, BivariateGaussianPSF):
-        _, *parameters = term.densities[0].gaussian()
+        _, *parameters = factor.gaussian()
         names = ("x_0", "y_0", "sigma_x", "sigma_y", "rho")
         image, *parts = points.gaussian(gaussian_derivatives, parameters, along)
     elif hasattr(component.model, "pixel_engine"):
-        _, *parameters, coefficients = split_values(term.densities[0])
+        _, *parameters, coefficients = split_values(factor)
         names = component.model.param_names[1:]
         engine = component.model.pixel_engine(coefficients, derivatives=True)
         image, *parts = points.closed_form(engine, *parameters, *along)
     else:
-        image, names = integrate_term(term, points), component.model.param_names
-        names = tuple(name for name in names if name != "flux")
-        parts = [_difference(prf, component, points, values, name) for name in names]
+        names = tuple(name for name in component.model.param_names if name != "flux")
+        image = integrate_term(term, points)
+        parts = [_by_quadrature(prf, component, points, values, name) for name in names]
     own = dict(zip((component.shape.get(n, n) for n in names), parts, strict=True))
     for number in component.sensitivities:
         for name, source in prf._sensitivity_names(number).items():  # noqa: SLF001
+            # The integral is linear in it: a monomial takes the place of the polynomial.
             monomial = dict.fromkeys(_same_axis(prf, number, name), 0.0) | {source: 1.0}
             term = prf._term(component, values | monomial)  # noqa: SLF001
             own[source] = integrate_term(Term(1.0, term.densities, term.sensitivities), points)
@@ -85,6 +83,21 @@ def _same_axis(prf, number, name):
     """Parameters of the PRF that are coefficients along the same axis."""
     names = prf._sensitivity_names(number)  # noqa: SLF001
     return [source for own, source in names.items() if own[1] == name[1]]
+
+
+def _by_quadrature(prf, component, points, values, name):
+    """Derivative of a component's image by one of its own parameters, by quadrature."""
+    term = prf._term(component, values)  # noqa: SLF001
+    factor, number = term.densities[0], component.model.param_names.index(name)
+    if component.model.fit_deriv is None or factor.size:
+        return _difference(prf, component, points, values, name)
+    numbers = [np.reshape(value, -1)[0] for value in factor.values.values()]
+
+    def evaluate(x, y, _):
+        parts = factor.model.fit_deriv(x.reshape(-1), y.reshape(-1), *numbers)
+        return np.broadcast_to(np.asarray(parts[number]), x.size).reshape(x.shape)
+
+    return integrate_density(term, points, evaluate)
 
 
 def _difference(prf, component, points, values, name):

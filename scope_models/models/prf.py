@@ -7,11 +7,10 @@ import numpy as np
 from astropy import units as u
 from astropy.modeling import Fittable2DModel, Parameter
 
-from scope_models.models._gaussian import gaussian_derivatives
+from scope_models.models._derivatives import unit_derivatives
 from scope_models.models._terms import Factor, Term, expand, is_pixel_integrated
 from scope_models.models._validation import check_model_parameters
-from scope_models.models.integration import PixelPoints, integrate_density, integrate_term
-from scope_models.models.psf import BivariateGaussianPSF
+from scope_models.models.integration import PixelPoints, integrate_term
 
 __all__ = ["PRF"]
 
@@ -281,33 +280,9 @@ class PRF(Fittable2DModel):
             for name, value in zip(self.param_names, parameters, strict=True)
         }
         points = PixelPoints(_plain(x), _plain(y))
-        flux = values["flux"]
-        derivatives = {name: np.zeros(points.shape) for name in self.param_names}
-        images = []
-        for component in self._components:
-            image, own = self._component_derivatives(component, points, values)
-            images.append(image)
-            weight = self._fraction(component, values)
-            derivatives["flux"] += weight * image
-            for name, derivative in own.items():
-                derivatives[name] += flux * weight * derivative
-                if component.offsets and name in ("x_0", "y_0"):
-                    derivatives[component.offsets[name == "y_0"]] = flux * weight * derivative
-        for component, image in zip(self._components, images, strict=True):
-            if component.fraction:
-                derivatives[component.fraction] += flux * (image - images[0])
-        return list(derivatives.values())
-
-    def _component_derivatives(self, component, points, values):
-        """Image of unit flux of a component, and its derivatives by parameter of the PRF."""
-        term = self._term(component, values)
-        is_ours = isinstance(component.model, BivariateGaussianPSF)
-        image, parts = (_gaussian_parts if is_ours else _quadrature_parts)(term, points)
-        own = {component.shape.get(name, name): part for name, part in parts.items()}
-        for which, number in enumerate(component.sensitivities):
-            for name, source in self._sensitivity_names(number).items():
-                own[source] = _by_coefficient(term, which, name, points)
-        return image, own
+        image, derivatives = unit_derivatives(self, points, values)
+        names = self.param_names[1:]
+        return [image, *(values["flux"] * derivatives[name] for name in names)]
 
     def render(self, shape, flux=None, x_0=None, y_0=None):
         """
@@ -456,40 +431,3 @@ def _check_compound(compound, terms):
             raise ValueError("parameters with more than one value are not supported in a PRF")
         if isinstance(term.scale, u.Quantity) or np.ndim(term.scale):
             raise ValueError("constants of the compound must be plain numbers")
-
-
-def _by_coefficient(term, which, name, points):
-    """
-    Derivative of a term's integral with respect to a coefficient of one of its sensitivities.
-
-    The integral is linear in it: the monomial takes the place of the polynomial along its axis.
-    """
-    factor = term.sensitivities[which]
-    values = {n: v if n[1] != name[1] else np.asarray(0.0) for n, v in factor.values.items()}
-    values[name] = np.asarray(1.0)
-    sensitivities = list(term.sensitivities)
-    sensitivities[which] = Factor(factor.model, values)
-    return integrate_term(Term(1.0, term.densities, tuple(sensitivities)), points)
-
-
-def _gaussian_parts(term, points):
-    """Image of a Gaussian and its derivatives by its own parameters."""
-    _, *parameters = term.densities[0].gaussian()
-    parts = points.gaussian(gaussian_derivatives, parameters, term.polynomials())
-    return parts[0], dict(zip(("x_0", "y_0", "sigma_x", "sigma_y", "rho"), parts[1:], strict=True))
-
-
-def _quadrature_parts(term, points):
-    """As `_gaussian_parts`, for any density with derivatives of its own."""
-    factor = term.densities[0]
-    values = [np.reshape(value, -1)[0] for value in factor.values.values()]
-
-    def derivative(number):
-        def evaluate(x, y, _):
-            parts = factor.model.fit_deriv(x.reshape(-1), y.reshape(-1), *values)
-            return np.broadcast_to(np.asarray(parts[number]), x.size).reshape(x.shape)
-
-        return integrate_density(term, points, evaluate)
-
-    names = enumerate(factor.model.param_names)
-    return integrate_term(term, points), {n: derivative(i) for i, n in names if n != "flux"}

@@ -7,6 +7,7 @@ from scipy.integrate import dblquad
 from scope_models import PRF, BivariateGaussianPSF, SensitivityPolynomial, integrate_pixels
 from scope_models.models import GaussHermitePSF
 from scope_models.models._derivatives import prf_psf, prf_sensitivity, unit_derivatives
+from scope_models.models.integration import PixelPoints
 
 COEFFICIENTS = {"c_1_0": 0.1, "c_2_1": -0.07, "c_0_3": 0.05, "c_4_0": 0.12}
 
@@ -53,14 +54,15 @@ def test_derivatives_in_a_prf_are_differences():
     prf = PRF((gaussian + surface()) * SensitivityPolynomial((1, 0.02, -0.05), (1, 0, -0.2)))
     values = {name: float(getattr(prf, name).value) for name in prf.param_names}
     values["x_0"], values["y_0"] = np.random.default_rng(2).uniform(2, 4, (2, 5))
-    image, derivatives = unit_derivatives(prf, (7, 7), values)
+    points = PixelPoints.from_shape((7, 7))
+    image, derivatives = unit_derivatives(prf, points, values)
     np.testing.assert_allclose(
         image, prf.render((7, 7), flux=1, x_0=values["x_0"], y_0=values["y_0"]), atol=1e-14
     )
     assert set(derivatives) == set(prf.param_names) - {"flux"}
     for name, derivative in derivatives.items():
         high, low = (
-            unit_derivatives(prf, (7, 7), values | {name: values[name] + step})[0]
+            unit_derivatives(prf, points, values | {name: values[name] + step})[0]
             for step in (1e-5, -1e-5)
         )
         np.testing.assert_allclose(derivative, (high - low) / 2e-5, atol=3e-9, err_msg=name)
