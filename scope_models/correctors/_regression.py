@@ -9,7 +9,14 @@ from scipy.optimize import minimize
 
 from scope_models.correctors._long_term import LongTerm, Noise
 
-__all__ = ["Data", "Hyperparameters", "Posterior", "fit_hyperparameters", "log_likelihood"]
+__all__ = [
+    "Data",
+    "Hyperparameters",
+    "Posterior",
+    "fit_columns",
+    "fit_hyperparameters",
+    "log_likelihood",
+]
 
 #: A search ends when a step improves the likelihood's logarithm by about so much.
 _PRECISION = 1e-3
@@ -278,8 +285,24 @@ def _fit_process(data, hyper):
     )
 
 
-def _fit_columns(data, hyper):
-    """Maximise over the columns' parameters; return these and the Gram matrix that goes along."""
+def fit_columns(data, hyper):
+    """
+    Maximise over the columns' variances and a factor of the noise and the process alike.
+
+    Parameters
+    ----------
+    data : Data
+        The problem.
+    hyper : Hyperparameters
+        Where to begin.
+
+    Returns
+    -------
+    hyper : Hyperparameters
+        The best.
+    gram : ndarray
+        The Gram matrix that goes along.
+    """
     gram = _gram(hyper.process(data.time, data.variance), data.stacked)
     hyper, factor = _fit_scales(gram, data, hyper)
     return hyper, gram / factor
@@ -287,7 +310,7 @@ def _fit_columns(data, hyper):
 
 def _improve(data, hyper):
     """Maximise over the columns' parameters, then over those of the process."""
-    hyper, gram = _fit_columns(data, hyper)
+    hyper, gram = fit_columns(data, hyper)
     if hyper.amplitude is None:
         return hyper
     return _fit_process(_compressed(gram, data, hyper), hyper)
@@ -363,5 +386,5 @@ def _best_start(data, trend):
         Hyperparameters(1.0, part * unit, 0.1 * noise if a is None else a * data.spread, period)
         for a, part, period in _STARTS
     ]
-    fitted = [_fit_columns(data, hyper)[0] for hyper in starts]
+    fitted = [fit_columns(data, hyper)[0] for hyper in starts]
     return max(fitted, key=lambda hyper: log_likelihood(data, hyper))

@@ -10,6 +10,7 @@ from scope_models.correctors._regression import (
     Data,
     Hyperparameters,
     Posterior,
+    fit_columns,
     fit_hyperparameters,
     log_likelihood,
 )
@@ -19,6 +20,8 @@ __all__ = ["Solution", "fit"]
 _TREND_COLUMNS = {"gp": 1, "quadratic": 3}
 #: Largest number of fits of the hyper-parameters after outliers were found.
 _REFITS = 2
+#: Part of the cadences without which the time scales stay: only the variances are fitted again.
+_LITTLE = 0.01
 
 
 @dataclass(frozen=True)
@@ -223,10 +226,13 @@ def fit(make_regressors, time, y, variance, use, flat_columns, options):
     flat, scale = _flat_columns(time, flat_columns, options.trend)
     allowed, solution = use, None
     for _ in range(_REFITS + 1):
-        hyper = None if solution is None else solution.hyper
+        hyper, n_changed = None, len(use)
+        if solution is not None:
+            hyper, n_changed = solution.hyper, (use != solution.use).sum()
         centred = y - y[use].mean()
         solution = Solution(time, centred, variance, use, make_regressors(use), flat, scale, hyper)
-        solution = replace(solution, hyper=_fit_hyper(solution, options))
+        little = n_changed < _LITTLE * use.sum()
+        solution = replace(solution, hyper=_fit_hyper(solution, options, little=little))
         use = _without_outliers(solution, allowed, options)
         if (use == solution.use).all():
             break
@@ -255,11 +261,14 @@ def _flat_columns(time, extra, trend):
     return columns / scale, scale
 
 
-def _fit_hyper(solution, options):
+def _fit_hyper(solution, options, *, little):
     data, hyper = solution.data, solution.hyper
     if hyper is not None and len(hyper.variances) != data.n_groups:
         hyper = None
-    hyper = fit_hyperparameters(data, hyper, trend=options.trend == "gp")
+    if hyper is not None and little:
+        hyper = fit_columns(data, hyper)[0]
+    else:
+        hyper = fit_hyperparameters(data, hyper, trend=options.trend == "gp")
     if options.method == "leave-one-out":
         hyper = fit_leave_one_out(data, hyper)
     return hyper
