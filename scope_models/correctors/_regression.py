@@ -372,8 +372,11 @@ def _scanned(data, hyper):
 
 
 def _likelihood_of_columns(gram, data, hyper):
-    """Return what of the likelihood's logarithm depends on the columns."""
-    posterior = Posterior(gram, hyper.prior(data))
+    """Return what of the likelihood's logarithm depends on the columns; -inf where it fails."""
+    try:
+        posterior = Posterior(gram, hyper.prior(data))
+    except np.linalg.LinAlgError:
+        return -np.inf
     return -0.5 * (posterior.quadratic + posterior.log_determinant)
 
 

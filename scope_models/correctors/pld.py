@@ -238,6 +238,11 @@ class PLDCorrector(Corrector):
         variance = (pixels.total_err[usable] / total) ** 2
         try:
             return fit(make, pixels.time[usable], y, variance, allowed, extra[usable], options)
+        except np.linalg.LinAlgError as error:
+            raise ValueError(
+                "the pixels' covariance is singular to working precision: check FLUX_ERR and the "
+                "aperture, or lower `order`"
+            ) from error
         except _NothingToCorrectError:
             message = "the pixel fractions do not vary: the light curve is left as it is"
             warnings.warn(message, DetrendingWarning, stacklevel=3)

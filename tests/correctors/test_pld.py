@@ -500,6 +500,15 @@ def test_flux_without_noise(fake_star):
     assert np.std(lc.flux) < 0.1 * np.std(corrector.original_lc.flux)
 
 
+def test_a_singular_fit_is_a_clear_error(star, monkeypatch):
+    def fail(*_):
+        raise np.linalg.LinAlgError("not positive definite")
+
+    monkeypatch.setattr("scope_models.correctors.pld.fit", fail)
+    with pytest.raises(ValueError, match="singular to working precision"):
+        PLDCorrector(star.tpf).correct()
+
+
 @pytest.mark.parametrize("bad", [0.0, np.nan])
 def test_some_errors_are_invalid(star, bad):
     errors = star.tpf.flux_err.value.copy()
