@@ -38,7 +38,7 @@ _TENSOR_CHUNK = 1 << 16
 _SERIES_CHUNK = 1 << 15
 # Fewest and most densities in a step of the series: fewer are not worth its overhead, and fresh
 # large arrays cost more than what is computed in them.
-_FEWEST, _MOST = 32, 512
+_FEWEST, _MOST = 32, 1024
 
 
 def _n_terms(rho):

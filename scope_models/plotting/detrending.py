@@ -19,7 +19,8 @@ def plot_detrending(
     Parameters
     ----------
     time, flux, corrected : array_like
-        Times in days and fluxes before and after ``(n_cadences,)``.
+        Times in days and fluxes before and after in e-/s, ``(n_cadences,)``. Each panel is
+        scaled to all but the outermost per cent.
     systematics, trend : array_like, optional
         The two parts of the model in the unit of the flux.
     outliers, masked : array_like of bool, optional
@@ -35,7 +36,7 @@ def plot_detrending(
     >>> from scope_models.plotting.detrending import plot_detrending
     >>> axes = plot_detrending([0, 1, 2], [99, 100, 103], [100, 101, 100])
     >>> [ax.get_ylabel() for ax in axes]
-    ['measured', 'model', 'corrected']
+    ['Measured flux (e-/s)', 'Model (e-/s)', 'Corrected flux (e-/s)']
     """
     time, flux, corrected = (np.asarray(values, dtype=float) for values in (time, flux, corrected))
     _, axes = plt.subplots(3, 1, figsize=(9, 7), sharex=True, layout="constrained")
@@ -47,17 +48,24 @@ def plot_detrending(
     for mask, marker, name in ((outliers, "x", "outliers"), (masked, "+", "not in the fit")):
         if mask is not None and np.any(mask):
             axes[2].plot(time[mask], corrected[mask], marker, ms=5, color=_LIGHT, label=name)
-    finite = corrected[np.isfinite(corrected)]
-    if finite.size:
-        low, high = np.percentile(finite, [0.5, 99.5])
-        room = 0.3 * (high - low) or 1.0
-        axes[2].set_ylim(low - room, high + room)
-    for ax, name in zip(axes, ("measured", "model", "corrected"), strict=True):
+    names = ("Measured flux (e-/s)", "Model (e-/s)", "Corrected flux (e-/s)")
+    shown = (flux, flux if systematics is None else systematics, corrected)
+    for ax, name, values in zip(axes, names, shown, strict=True):
+        _scale(ax, np.asarray(values, dtype=float))
         ax.set_ylabel(name)
         if ax.get_legend_handles_labels()[0]:
             ax.legend(loc="upper right", fontsize="small")
     axes[2].set_xlabel("Time (d)")
     return axes
+
+
+def _scale(ax, values):
+    """Scale a panel to its values, without the outliers."""
+    finite = values[np.isfinite(values)]
+    if finite.size:
+        low, high = np.percentile(finite, [0.5, 99.5])
+        room = 0.3 * (high - low) or 1.0
+        ax.set_ylim(low - room, high + room)
 
 
 def _label(name, flux):
@@ -102,5 +110,5 @@ def plot_detrending_masks(image, aperture, scatter):
         for row, column in np.argwhere(aperture):
             frame = plt.Rectangle((column - 0.5, row - 0.5), 1, 1, fill=False, color="w", lw=0.8)
             ax.add_patch(frame)
-        ax.set(title=title, xlabel="column (px)", ylabel="row (px)")
+        ax.set(title=title, xlabel="Column (pixel)", ylabel="Row (pixel)")
     return axes
