@@ -6,12 +6,14 @@ The functions are ``h_k(z) = He_k(z) phi(z) / sqrt(k!)`` with the probabilists' 
 of which ``dh_k/dz = -sqrt(k + 1) h_{k+1}``; `scope_models.models._gaussian` says what for.
 """
 
+from copy import copy
 from functools import cache
 
 import numpy as np
 from scipy.special import erf
 
 __all__ = [
+    "FEW",
     "AxisTable",
     "axis_integrals",
     "gauss_legendre",
@@ -24,7 +26,7 @@ _MAX_GROWTH = 1e5
 # Chebyshev coefficients, as part of the total flux, below which an interpolation is cut.
 _CHEBYSHEV_TOLERANCE = 1e-14
 # So few positions are never interpolated: each is then independent of the others to the last bit.
-_FEW = 100
+FEW = 100
 
 
 @cache
@@ -211,7 +213,7 @@ class AxisTable:
         self._center, self._sigma = center, sigma
         self._expansion = None
         self._buffer = np.empty(0)
-        if sigma.size == 1 and center.size > _FEW:
+        if sigma.size == 1 and center.size > FEW:
             self._interpolate(rho)
 
     def _interpolate(self, rho):
@@ -231,6 +233,24 @@ class AxisTable:
         sizes = np.abs(expansion).reshape(n, n_orders, -1).max(axis=2) @ needed
         if np.all(sizes[-2:] <= 1):
             self._expansion = expansion[: np.flatnonzero(sizes > 1)[-1] + 1]
+
+    def moved(self, center):
+        """
+        A table for other positions within the range of the present ones.
+
+        Parameters
+        ----------
+        center : `~numpy.ndarray`
+            The positions, shape ``(m,)``.
+
+        Returns
+        -------
+        table : AxisTable
+            It uses the same expansion.
+        """
+        table = copy(self)
+        table._center, table._buffer = center, np.empty(0)  # noqa: SLF001
+        return table
 
     def __call__(self, part):
         """

@@ -25,7 +25,7 @@ last coefficients below the rounding error.
 
 import numpy as np
 
-from scope_models.models._axis import AxisTable, gauss_legendre, gaussian_nodes
+from scope_models.models._axis import FEW, AxisTable, gauss_legendre, gaussian_nodes
 
 __all__ = ["gaussian_derivatives", "gaussian_pixels"]
 
@@ -73,11 +73,25 @@ def _tables(x, y, parameters, coefficients, n_orders):
     flux, x_0, y_0, sigma_x, sigma_y, rho = parameters
     largest = np.max(np.abs(rho))
     powers = flux[:, np.newaxis] * rho[:, np.newaxis] ** np.arange(n_orders)
+    powers = powers[..., np.newaxis]
+    if _alike(x, y, parameters, coefficients):
+        both = AxisTable(x, np.append(x_0, y_0), sigma_x, coefficients[0], n_orders, largest)
+        return both.moved(x_0), both.moved(y_0), powers
     return (
         AxisTable(x, x_0, sigma_x, coefficients[0], n_orders, largest),
         AxisTable(y, y_0, sigma_y, coefficients[1], n_orders, largest),
-        powers[..., np.newaxis],
+        powers,
     )
+
+
+def _alike(x, y, parameters, coefficients):
+    """Whether one expansion in the position serves both axes."""
+    _, x_0, y_0, sigma_x, sigma_y, _ = parameters
+    if x_0.size <= FEW or sigma_x.size > 1 or sigma_y.size > 1 or sigma_x[0] != sigma_y[0]:
+        return False
+    same = all(np.array_equal(*pair) for pair in ((x, y), coefficients))
+    # Not for a star far from the diagonal, whose two ranges of positions lie apart.
+    return same and abs(x_0[0] - y_0[0]) < 1
 
 
 def _series_step(n_terms, x, y):
