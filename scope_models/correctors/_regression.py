@@ -133,7 +133,7 @@ class Posterior:
         lower, failed = dpotrf(m.T, lower=1, clean=1, overwrite_a=1)
         if failed:
             raise np.linalg.LinAlgError("the columns' covariance is not positive definite")
-        self._gram, self._prior, self._root, self._lower = gram, prior, root, lower
+        self._gram, self._root, self._lower = gram, root, lower
         self._projected = dtrtrs(lower, root * gram[:-1, -1], lower=1)[0]
         self.log_determinant = 2 * np.sum(np.log(np.diag(lower)))
         #: y^T Q y with the inverse Q of the covariance of everything
