@@ -43,6 +43,7 @@ class Light:
         self.background = detector.background * self.electrons_per_flux
         self.positions = [_position(star, detector.shape) for star in stars]
         self.fluxes = [detector.flux_from_mag(star.mag) for star in stars]
+        self.largest_spill = 0.0
         self.relative_flux = np.array([star.relative_flux(motion.time) for star in stars])
         self._psfs = [_psf(star, detector) for star in stars]
         response = detector.sensitivity
@@ -83,7 +84,12 @@ class Light:
         if self.detector.well_depth is None:
             return electrons
         depth = self.detector.well_depth * self.detector.n_reads
-        return bleed(electrons, depth, self.background)
+        charge = electrons.sum(axis=(1, 2))
+        bleed(electrons, depth, self.background)
+        kept = electrons.sum(axis=(1, 2))
+        spilled = 1.0 - np.divide(kept, charge, out=np.ones_like(kept), where=charge > 0)
+        self.largest_spill = max(self.largest_spill, float(spilled.max()))
+        return electrons
 
     def pieces(self, size=None):
         """Return the slices of cadences that together are all of them."""

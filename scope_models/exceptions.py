@@ -16,7 +16,7 @@ class ScopeModelsWarning(AstropyUserWarning):
 
 
 class LostLightWarning(ScopeModelsWarning):
-    """A star loses part of its light off the stamp."""
+    """Light or charge of a star is lost off the stamp."""
 
 
 class DetrendingWarning(ScopeModelsWarning):

@@ -80,7 +80,7 @@ def simulate(
     -----
     LostLightWarning
         If a star loses more than 5 % of its light off the stamp where the motion takes it
-        farthest.
+        farthest, or more than 5 % of the charge of a cadence bleeds off the stamp.
 
     Notes
     -----
@@ -117,6 +117,7 @@ def simulate(
     lost = light.lost_fractions()
     _warn_of_lost_light(light.positions, lost, detector.shape)
     cubes = _record(light, terms, seed, light.pieces(chunk_size), keep_model)
+    _warn_of_spilled_charge(light.largest_spill, detector.shape)
     truth = _truth(light, seed, terms, lost, cubes.pop("model"))
     background = (light.background / detector.exposure_time).astype(np.float32)
     cubes["flux_bkg"] = np.broadcast_to(background, cubes["flux"].shape)
@@ -241,3 +242,14 @@ def _warn_of_lost_light(positions, lost, shape):
                 LostLightWarning,
                 stacklevel=3,
             )
+
+
+def _warn_of_spilled_charge(fraction, shape):
+    """Warn of full columns whose charge bleeds off the stamp."""
+    if fraction > _LARGEST_LOSS:
+        warnings.warn(
+            f"up to {100 * fraction:.1f} % of the charge of a cadence bleeds off the stamp of "
+            f"{shape[0]} x {shape[1]} pixels along full columns",
+            LostLightWarning,
+            stacklevel=3,
+        )

@@ -160,6 +160,10 @@ class TestSimulate:
         with read(path, quality_bitmask="none") as tpf:
             assert isinstance(tpf, lk.TessTargetPixelFile)
             assert tpf.flux.shape[1:] == (7, 9)
+            assert tpf.time.format == "btjd"
+            assert tpf.time.value[0] == pytest.approx(1325.3, abs=0.1)
+            assert np.diff(tpf.time.value) == pytest.approx(120 / 86400, rel=1e-3)
+            assert np.all(tpf.pos_corr1 == 0)
         assert np.all(read_truth(path).maps["INTERPIXEL"] == 1)
 
     def test_noise_terms(self, command):
@@ -176,6 +180,7 @@ ERRORS = {
     "folder": (["--output", "no-such-folder/star.fits"], "no-such-folder"),
     "depth": (["--transit", "3", "1", "2", "0.1"], "`depth` must be between 0 and 1"),
     "seed": (["--seed", "-1"], "`seed` must not be negative"),
+    "scale": (["--detector", "tess", "--scale", "2"], "--scale needs --motion FILE"),
 }
 
 

@@ -288,6 +288,16 @@ def test_lost_light_of_a_star_that_moves_off():
     assert observation.truth.lost_fraction[0] == pytest.approx(norm.cdf(2), abs=1e-9)
 
 
+def test_charge_that_bleeds_off_the_stamp_is_a_warning():
+    star, motion = Star(7.0), Motion.still(3)
+    wells = PLAIN.replace(well_depth=1e5)
+    with pytest.warns(LostLightWarning, match=r"up to \d+\.\d % of the charge") as record:
+        observation = simulate(star, wells, motion, noise=False)
+    kept = observation.model().sum(axis=(1, 2)).min()
+    whole = simulate(star, PLAIN, motion, noise=False).model().sum(axis=(1, 2)).max()
+    assert f"up to {100 * (1 - kept / whole):.1f} %" in str(record[0].message)
+
+
 def test_model_is_kept_or_computed():
     arguments = ([Star(10.0), Star(13.0, 3.0, 3.0)], Detector.k2(), Motion.k2_roll(300))
     kept = simulate(*arguments, seed=1, keep_model=True)

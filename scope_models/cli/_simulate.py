@@ -13,6 +13,9 @@ from scope_models.star import Star
 __all__ = ["add_parser", "run"]
 
 _PRESETS = {"kepler": Detector.kepler, "k2": Detector.k2, "tess": Detector.tess}
+# About the beginnings of Kepler's quarter 1 and of TESS's sector 1, and the zero of the times.
+_STARTS = {"kepler": (131.5, "bkjd"), "tess": (1325.3, "btjd")}
+_CADENCES = 1000
 
 
 def add_parser(commands):
@@ -40,7 +43,8 @@ def _add_motion(group):
         "--motion",
         metavar="FILE",
         help="target pixel or light-curve file of Kepler, K2 or TESS whose POS_CORR columns the "
-        "star follows (default: a generated K2 roll)",
+        "star follows (default: a generated K2 roll for --detector k2; for the others the star "
+        "rests)",
     )
     group.add_argument("--scale", type=float, default=1.0, help="factor on the motion (default: 1)")
     group.add_argument("--cadences", type=int, metavar="N", help="only the first N cadences")
@@ -116,8 +120,8 @@ def run(arguments):
     """Simulate the star and write the file."""
     if Path(arguments.output).exists() and not arguments.overwrite:
         raise FileExistsError(f"{arguments.output} exists; --overwrite replaces it")
-    motion = _make_motion(arguments)
     detector = _make_detector(arguments)
+    motion = _make_motion(arguments, detector)
     stars = _make_stars(arguments, detector, motion.time[0])
     noise = arguments.noise or not arguments.no_noise
     observation = simulate(
@@ -129,17 +133,27 @@ def run(arguments):
     print(f"{arguments.output}: {len(motion)} cadences of {rows} x {columns} pixels")
 
 
-def _make_motion(arguments):
+def _make_motion(arguments, detector):
     """Return the motion that the options ask for."""
     number = arguments.cadences
     if number is not None and number < 1:
         raise ValueError(f"--cadences must be at least 1, got {number}")
     if arguments.motion is None:
-        return arguments.scale * (Motion.k2_roll() if number is None else Motion.k2_roll(number))
+        return _default_motion(arguments, detector, number or _CADENCES)
     motion = Motion.from_file(arguments.motion)
     if number is not None and number > len(motion):
         raise ValueError(f"--cadences must be at most {len(motion)}, the motion's, got {number}")
     return arguments.scale * motion[:number]
+
+
+def _default_motion(arguments, detector, number):
+    """Return the motion without a file: K2 rolls, the others point steadily."""
+    if arguments.detector == "k2":
+        return arguments.scale * Motion.k2_roll(number)
+    if arguments.scale != 1:
+        raise ValueError(f"--scale needs --motion FILE with --detector {arguments.detector}")
+    start, time_format = _STARTS[arguments.detector]
+    return Motion.still(number, start=start, cadence=detector.cadence_days, time_format=time_format)
 
 
 def _make_detector(arguments):
