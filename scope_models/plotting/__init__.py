@@ -5,6 +5,7 @@ Every figure can be read in black and white: colour maps grow in lightness, seri
 lightness, marker and size. All functions draw into the Axes given as ``ax``, or into a new figure.
 """
 
+from scope_models.plotting.experiments import plot_cdpp, plot_cdpp_panels, plot_map
 from scope_models.plotting.fitting import plot_fit, plot_twin
 from scope_models.plotting.images import (
     animate_pixels,
@@ -18,10 +19,13 @@ from scope_models.plotting.light_curves import plot_fold, plot_light_curve, plot
 
 __all__ = [
     "animate_pixels",
+    "plot_cdpp",
+    "plot_cdpp_panels",
     "plot_detector",
     "plot_fit",
     "plot_fold",
     "plot_light_curve",
+    "plot_map",
     "plot_motion",
     "plot_pixels",
     "plot_psf",

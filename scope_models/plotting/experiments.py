@@ -1,0 +1,202 @@
+"""Figures of the experiments: noise against magnitude, and maps of a grid."""
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.patheffects import Normal, Stroke
+
+__all__ = ["plot_cdpp", "plot_cdpp_panels", "plot_map"]
+
+_MARKERS = "os^Dvp*X"
+
+
+def plot_cdpp(series, reference=None, *, limits=(), title="", legend=True, ax=None):
+    """
+    Draw the noise of stars against their magnitude, over that of real ones.
+
+    Parameters
+    ----------
+    series : mapping of str to sequence of array_like
+        For each label magnitudes ``(n,)`` and CDPP ``(n,)`` in ppm, and, if wanted, the lower and
+        upper ends ``(n,)`` of bars. The first series is drawn lightest.
+    reference : mapping, optional
+        Real stars: "mag", "median", and, if wanted, "low" and "high" ``(n,)`` in ppm, which are
+        drawn as a band, and "label" and "band_label" for the legend.
+    limits : sequence of tuple, optional
+        ``(faintest magnitude, ppm, text)`` of each limit, drawn as a line that ends there.
+    title : str, optional
+        Title of the Axes.
+    legend : bool, optional
+        Whether to draw the legend.
+    ax : `~matplotlib.axes.Axes`, optional
+        Where to draw; a new figure by default.
+
+    Returns
+    -------
+    `~matplotlib.axes.Axes`
+        The Axes.
+
+    Examples
+    --------
+    >>> import matplotlib
+    >>> matplotlib.use("agg")
+    >>> from scope_models.plotting import plot_cdpp
+    >>> kepler = {"mag": [12, 13], "median": [25.6, 34.3], "label": "Kepler, median"}
+    >>> ax = plot_cdpp({"1x": ([12, 13], [17, 28])}, kepler)
+    >>> [text.get_text() for text in ax.get_legend().get_texts()]
+    ['Kepler, median', '1x']
+    """
+    if ax is None:
+        _, ax = plt.subplots(figsize=(5.6, 4.6), layout="constrained")
+    if reference is not None:
+        _draw_reference(ax, reference)
+    shades = plt.get_cmap("viridis_r")(np.linspace(0.15, 1, max(len(series), 2)))
+    for number, (label, values) in enumerate(series.items()):
+        mag, cdpp, *bars = (np.asarray(value, dtype=float) for value in values)
+        errors = None
+        if bars:
+            errors = [np.maximum(cdpp - bars[0], 0), np.maximum(bars[1] - cdpp, 0)]
+        ax.errorbar(
+            mag, cdpp, errors, color=shades[number], marker=_MARKERS[number % len(_MARKERS)],
+            ms=4.5, mec="k", mew=0.4, lw=1.1, elinewidth=0.8, capsize=2, label=label,
+        )  # fmt: skip
+    for faintest, ppm, text in limits:
+        _draw_limit(ax, faintest, ppm, text)
+    ax.set(yscale="log", xlabel="Magnitude (Kp)", ylabel="6.5-h CDPP (ppm)", title=title)
+    if legend:
+        ax.legend(fontsize="small")
+    return ax
+
+
+def _draw_reference(ax, reference):
+    mag = np.asarray(reference["mag"], dtype=float)
+    if "low" in reference:
+        ax.fill_between(
+            mag, reference["low"], reference["high"], color="0.85", lw=0, zorder=0,
+            label=reference.get("band_label"),
+        )  # fmt: skip
+    ax.plot(mag, reference["median"], "k--", lw=1.3, zorder=1, label=reference.get("label"))
+
+
+def _draw_limit(ax, faintest, ppm, text):
+    """Draw a line at a limit as far as it holds, in the units of the magnitudes."""
+    brightest = min(ax.dataLim.x0, faintest)
+    ax.plot([brightest, faintest], [ppm, ppm], color="0.35", lw=0.9, ls=":")
+    ax.plot(faintest, ppm, marker="|", color="0.35", ms=8)
+    note = ax.annotate(
+        text, (brightest, ppm), (0, 2), textcoords="offset points", fontsize="x-small", color="0.2"
+    )
+    note.set_path_effects([Stroke(linewidth=2, foreground="w"), Normal()])
+
+
+def plot_cdpp_panels(panels, reference=None, *, limits=(), suptitle=None):
+    """
+    Draw the noise against magnitude once per corrector, on one scale.
+
+    Parameters
+    ----------
+    panels : mapping of str to mapping
+        For each title the series of a panel, see `plot_cdpp`.
+    reference : mapping, optional
+        Real stars, see `plot_cdpp`.
+    limits : sequence of tuple, optional
+        Limits to draw into each panel, see `plot_cdpp`.
+    suptitle : str, optional
+        Title of the figure.
+
+    Returns
+    -------
+    dict of str to `~matplotlib.axes.Axes`
+        The panels by their titles.
+
+    Examples
+    --------
+    >>> import matplotlib
+    >>> matplotlib.use("agg")
+    >>> from scope_models.plotting import plot_cdpp_panels
+    >>> curve = {"1x": ([12, 13], [17, 28])}
+    >>> axes = plot_cdpp_panels({"PLD": curve, "SFF": curve})
+    >>> axes["SFF"].get_title()
+    'SFF'
+    """
+    figure, grid = plt.subplots(
+        1, len(panels), figsize=(1.2 + 4.1 * len(panels), 4.9), sharex=True, sharey=True,
+        squeeze=False, layout="constrained",
+    )  # fmt: skip
+    axes = dict(zip(panels, grid[0], strict=True))
+    for number, (title, series) in enumerate(panels.items()):
+        first = number == 0
+        plot_cdpp(
+            series, reference, limits=limits, title=title, legend=first, ax=axes[title]
+        ).label_outer()
+    figure.suptitle(suptitle)
+    return axes
+
+
+def plot_map(
+    values, rows, columns, *, row_label, column_label, label, text=".2f", span=None, title="",
+    ax=None,
+):  # fmt: skip
+    """
+    Draw a map of a grid, with the number in each cell.
+
+    Parameters
+    ----------
+    values : array_like
+        Values ``(n_rows, n_columns)``; cells that are NaN stay empty.
+    rows, columns : array_like
+        What belongs to each row and column; the first row is the lowest.
+    row_label, column_label, label : str
+        Labels, with units, of the axes and of the colours.
+    text : str, optional
+        Format of the numbers in the cells; "" leaves them out.
+    span : tuple of float, optional
+        Ends of the colours; by default those of the values.
+    title : str, optional
+        Title of the Axes.
+    ax : `~matplotlib.axes.Axes`, optional
+        Where to draw; a new figure by default.
+
+    Returns
+    -------
+    `~matplotlib.axes.Axes`
+        The Axes.
+
+    Raises
+    ------
+    ValueError
+        If there is not one value per row and column.
+
+    Examples
+    --------
+    >>> import matplotlib
+    >>> matplotlib.use("agg")
+    >>> from scope_models.plotting import plot_map
+    >>> ax = plot_map(
+    ...     [[1.0, 0.5]], [100], [12, 13], row_label="Depth (ppm)", column_label="Kp",
+    ...     label="Completeness",
+    ... )
+    >>> [text.get_text() for text in ax.texts]
+    ['1.00', '0.50']
+    """
+    values = np.asarray(values, dtype=float)
+    if values.shape != (len(rows), len(columns)):
+        raise ValueError(
+            f"`values` must have shape {(len(rows), len(columns))}, got {values.shape}"
+        )
+    if ax is None:
+        size = (2.4 + 0.55 * len(columns), 1.6 + 0.45 * len(rows))
+        _, ax = plt.subplots(figsize=np.clip(size, 3.6, 12), layout="constrained")
+    low, high = (None, None) if span is None else span
+    shown = ax.imshow(values, origin="lower", aspect="auto", cmap="viridis", vmin=low, vmax=high)
+    ax.set_xticks(range(len(columns)), [f"{value:g}" for value in columns])
+    ax.set_yticks(range(len(rows)), [f"{value:g}" for value in rows])
+    ax.set(xlabel=column_label, ylabel=row_label, title=title)
+    ax.figure.colorbar(shown, ax=ax, label=label)
+    for (row, column), value in np.ndenumerate(values):
+        if text and np.isfinite(value):
+            dark = shown.norm(value) < 0.55
+            ax.text(
+                column, row, format(value, text), ha="center", va="center", fontsize="small",
+                color="w" if dark else "k",
+            )  # fmt: skip
+    return ax
