@@ -1,0 +1,118 @@
+"""Runs a study from its configuration to its tables and its figure."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from astropy.table import Table
+
+from scope_models.experiments._tables import study_meta
+from scope_models.experiments.config import make_study
+from scope_models.experiments.study import Study
+from scope_models.experiments.sweep import SweepError, run_sweep
+from scope_models.io._atomic import atomic_path
+
+__all__ = ["ExperimentResult", "run_experiment"]
+
+
+@dataclass(frozen=True, eq=False)
+class ExperimentResult:
+    """What an experiment has found, and the files that it has written.
+
+    Attributes
+    ----------
+    table : astropy.table.Table
+        One row per star that did not fail, ``results.ecsv``.
+    summary : astropy.table.Table
+        What the results say, ``summary.ecsv``.
+    failures : astropy.table.Table
+        One row per star that failed, ``failures.ecsv``, which is there only if one did.
+    files : tuple of pathlib.Path
+        The tables and ``figure.png``.
+
+    Examples
+    --------
+    >>> from scope_models.experiments import run_experiment
+    >>> result = run_experiment("table1", "results", progress=False)
+    >>> [file.name for file in result.files]
+    ['results.ecsv', 'summary.ecsv', 'figure.png']
+    """
+
+    table: Table
+    summary: Table
+    failures: Table
+    files: tuple[Path, ...]
+
+
+def run_experiment(study, directory, executor=None, *, write_tpfs=False, progress=True):
+    """Run a study, and write its tables and its figure.
+
+    Parameters
+    ----------
+    study : Study or str
+        The study, or the name of one that runs with its defaults.
+    directory : str or path-like
+        The folder for the results. It is made if it is not there.
+    executor : concurrent.futures.Executor or int, optional
+        What computes the stars: see `run_sweep`.
+    write_tpfs : bool, optional
+        Whether to write the pixels of each star: see `run_sweep`.
+    progress : bool, optional
+        Whether to show a progress bar on the standard error.
+
+    Returns
+    -------
+    ExperimentResult
+        The tables and the files.
+
+    Raises
+    ------
+    SweepError
+        If all stars fail.
+    TypeError, ValueError, OSError
+        As `run_sweep` does.
+
+    Examples
+    --------
+    >>> from scope_models.experiments import run_experiment
+    >>> result = run_experiment("table1", "results", progress=False)
+    >>> len(result.table)
+    4
+    """
+    if isinstance(study, str):
+        study = make_study(study)
+    if not isinstance(study, Study):
+        raise TypeError(f"`study` must be a Study or the name of one, got {study!r}")
+    sweep = run_sweep(study, executor, directory, write_tpfs=write_tpfs, progress=progress)
+    folder = Path(directory)
+    folder.mkdir(parents=True, exist_ok=True)
+    files = [_write(sweep.table, folder / "results.ecsv")]
+    _write_failures(sweep.failures, folder / "failures.ecsv")
+    if not len(sweep.table):
+        raise SweepError(
+            f"all {len(sweep.failures)} stars failed, the first one with "
+            f"{sweep.failures['error'][0]}: see {folder / 'failures.ecsv'}"
+        )
+    summary = study.summarise(sweep.table)
+    summary.meta = study_meta(study) | summary.meta
+    files.append(_write(summary, folder / "summary.ecsv"))
+    figure = study.draw(sweep.table, summary)
+    with atomic_path(folder / "figure.png", overwrite=True) as temporary:
+        figure.savefig(temporary, dpi=150)
+    figure.clear()
+    files.append(folder / "figure.png")
+    return ExperimentResult(sweep.table, summary, sweep.failures, tuple(files))
+
+
+def _write(table, path):
+    """Write a table in one step and return its path."""
+    with atomic_path(path, overwrite=True) as temporary:
+        table.write(temporary, format="ascii.ecsv")
+    return path
+
+
+def _write_failures(failures, path):
+    """Write the table of failures, or take away that of an earlier run."""
+    if len(failures):
+        _write(failures, path)
+    else:
+        path.unlink(missing_ok=True)
