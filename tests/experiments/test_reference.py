@@ -1,0 +1,104 @@
+"""The tables of the noise of real stars."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from astropy.table import Table
+
+from scope_models.experiments.reference import (
+    PERCENTILES,
+    REFERENCES,
+    bin_noise,
+    read_reference,
+    reference_noise,
+)
+
+# Medians and 10th percentiles that the package's documentation quotes, as published with the
+# catalogues, at Kp 12, 13, 14, 15 and 15.5.
+QUOTED = {
+    "kepler": [(25.6, 17.2), (34.3, 26.8), (52.5, 43.1), (92.9, 76.7), (126.8, 103.3)],
+    "k2_c03_raw": [(189, 56), (202, 75), (225, 122), (442, 246), (635, 380)],
+    "k2_c03_everest": [(22.4, 16.9), (31.5, 25.0), (53.2, 42.2), (108, 79.8), (156, 109)],
+}
+
+
+@pytest.mark.parametrize("name", REFERENCES)
+def test_tables_have_the_quoted_values(name):
+    table = read_reference(name)
+    for mag, (median, p10) in zip((12, 13, 14, 15, 15.5), QUOTED[name], strict=True):
+        row = table[table["mag"] == mag]
+        assert row["median"][0] == pytest.approx(median, rel=0.005)
+        assert row["p10"][0] == pytest.approx(p10, rel=0.01)
+
+
+@pytest.mark.parametrize("name", REFERENCES)
+def test_tables_are_complete(name):
+    for stars in ("unsaturated", "saturated", "all"):
+        table = read_reference(name, stars)
+        percentiles = np.array([table[column] for column in PERCENTILES])
+        assert np.all(np.diff(percentiles, axis=0) > 0)
+        assert np.all(np.diff(table["mag"]) == 0.5)
+        assert "EVEREST project" in table.meta["source"]
+        assert "MIT" in table.meta["source"]
+        assert table["median"].unit == "ppm"
+    assert np.all(read_reference("kepler")["n"] > 100)
+
+
+def test_saturated_stars_are_apart():
+    everyone, some, rest = (
+        read_reference("k2_c03_raw", stars) for stars in ("all", "saturated", "unsaturated")
+    )
+    at_11 = [table[table["mag"] == 11.0] for table in (everyone, some, rest)]
+    assert at_11[0]["n"][0] == at_11[1]["n"][0] + at_11[2]["n"][0]
+    assert at_11[1]["median"][0] < at_11[0]["median"][0] < at_11[2]["median"][0]
+
+
+def test_bins_hold_their_lower_edge():
+    table = bin_noise([11.75, 12.0, 12.25], [1.0, 2.0, 3.0], [12.0, 12.5, 13.0])
+    assert table["n"].tolist() == [2, 1]
+    assert table["median"].tolist() == [1.5, 3.0]
+    assert len(bin_noise([12.0], [1.0], [12.0], fewest=2)) == 0
+
+
+def test_noise_between_bins():
+    low, high = (reference_noise("kepler", mag) for mag in (12.0, 12.5))
+    assert reference_noise("kepler", 12.25) == pytest.approx(np.sqrt(low * high))
+    assert reference_noise("kepler", [12.0, 12.5]) == pytest.approx([low, high])
+    assert reference_noise("kepler", 12.0, "p10") < low
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("tess", 12.0), "`name` must be one of kepler"),
+        (("kepler", 5.0), "`mag` must be within 9 and 16"),
+        (("kepler", 12.0, "p50"), "`column` must be one of p10"),
+        (("kepler", 12.0, "median", "some"), "`stars` must be unsaturated"),
+    ],
+)
+def test_arguments_are_checked(arguments, message):
+    with pytest.raises(ValueError, match=message):
+        reference_noise(*arguments)
+
+
+def test_tables_follow_from_the_catalogues(shared_data, repository, tmp_path):
+    script = repository / "benchmarks" / "derive_reference.py"
+    subprocess.run(
+        [sys.executable, script, shared_data / "cdpp", "--output", tmp_path],
+        check=True, capture_output=True, cwd=repository, env={"PYTHONPATH": str(repository)},
+    )  # fmt: skip
+    for name in REFERENCES:
+        text = (tmp_path / f"{name}.ecsv").read_text(encoding="utf-8")
+        kept = repository / "scope_models" / "experiments" / "data" / f"{name}.ecsv"
+        assert text == kept.read_text(encoding="utf-8")
+        Table.read(tmp_path / f"{name}.ecsv")
+
+
+def test_tables_are_part_of_the_package(repository):
+    import tomllib
+
+    settings = tomllib.loads((repository / "pyproject.toml").read_text(encoding="utf-8"))
+    data = settings["tool"]["setuptools"]["package-data"]["scope_models.experiments"]
+    assert data == ["data/*.ecsv"]
