@@ -12,6 +12,9 @@ from scope_models.cli import main
 os.environ["MPLBACKEND"] = "Agg"
 sys.path.insert(0, str(Path(__file__).parent / "_ext"))
 
+# Each has a section on the page on the command line.
+COMMANDS = ("demo", "simulate", "detrend", "fit")
+
 project = "scope_models"
 author = "scope_models developers"
 copyright = f"2026, {author}"  # noqa: A001 (Sphinx's name)
@@ -28,7 +31,15 @@ extensions = [
 ]
 exclude_patterns = ["_build"]
 default_role = "py:obj"
-nitpicky = False
+
+# Links within the package must work. Other packages' names are not linked, so that the build needs
+# no network; nor are names of arguments.
+nitpicky = True
+nitpick_ignore_regex = [
+    (r"py:.*", r"(astropy|collections|datetime|lightkurve|matplotlib|np|numpy|pathlib)\..*"),
+    (r"py:obj", r"[a-z_]+|ID"),
+    (r"py:class", r"Model|abc.ABC|scope_models\.target\._.*"),  # type hints; private base classes
+]
 
 # Reference
 numpydoc_show_class_members = False
@@ -51,31 +62,36 @@ html_title = f"{project} {release}"
 html_static_path = ["_static"]
 html_show_sourcelink = False
 html_math_renderer = "mathml"
-html_sidebars = {  # pages without pages below them
-    name: []
-    for name in (
-        "changelog", "command_line", "development", "fitting", "getting_started", "index",
-        "models", "motion", "pld", "signals", "target",
-    )
-}  # fmt: skip
+html_sidebars = {"index": [], "changelog": []}
 html_theme_options = {
+    "header_links_before_dropdown": 7,
     "navigation_with_keys": False,
     "secondary_sidebar_items": ["page-toc"],
+    "show_nav_level": 2,
+    "show_prev_next": True,
 }
 
 
-def write_help(app):
-    """Write the help of each command to a file that the page on the command line includes."""
-    os.environ["COLUMNS"] = "88"
+def run_command(words):
+    """Return what a command of the command line prints."""
+    text = io.StringIO()
+    with contextlib.redirect_stdout(text), contextlib.suppress(SystemExit):
+        main(words)
+    return text.getvalue()
+
+
+def write_outputs(app):
+    """Run the demonstration and the help of each command, for the pages to include."""
+    os.environ["COLUMNS"] = "80"
     folder = Path(app.srcdir) / "_generated"
     folder.mkdir(exist_ok=True)
-    for name in ("", "demo", "simulate", "detrend", "fit"):
-        text = io.StringIO()
-        with contextlib.redirect_stdout(text), contextlib.suppress(SystemExit):
-            main([*name.split(), "--help"])
-        (folder / f"help_{name}.txt").write_text(text.getvalue(), encoding="utf-8")
+    for command in ("", *COMMANDS):
+        help_text = run_command([*command.split(), "--help"])
+        (folder / f"help_{command}.txt").write_text(help_text, encoding="utf-8")
+    demo = run_command(["demo", "--overwrite", "--output-dir", str(folder / "demo")])
+    (folder / "demo.txt").write_text(demo, encoding="utf-8")
 
 
 def setup(app):
     """Connect what this file adds to Sphinx."""
-    app.connect("builder-inited", write_help)
+    app.connect("builder-inited", write_outputs)

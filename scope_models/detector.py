@@ -37,7 +37,7 @@ class Detector:
         Rows and columns ``(ny, nx)`` of the stamp.
     zero_point : float or str
         Electrons per second of a star of magnitude ``zero_point_mag``, or the name of one of the
-        mission's zero points in `ZERO_POINTS`.
+        mission's zero points in `~scope_models.detector.ZERO_POINTS`.
     zero_point_mag : float
         The magnitude that belongs to ``zero_point``.
     int_time : float

@@ -387,10 +387,11 @@ class Motion:
     def k2_roll(cls, n_cadences=1000, *, seed=10, start=_START, **parameters):
         """Generate the motion of a K2 star while the spacecraft rolls about its boresight.
 
-        The parameters' defaults describe EPIC 205998445 in campaign 3, and `K2Roll` says where they
-        come from. No series is rescaled to wanted statistics; the default seed is the first one
-        for which the 1000 cadences of the paper [1]_ have its row, 0.17 +- 0.12 px and at most
-        0.59 px, within 5 %. Cadences in which thrusters fire have the quality flag 1048576.
+        The parameters' defaults describe EPIC 205998445 in campaign 3, and
+        `~scope_models.motion.K2Roll` says where they come from. No series is rescaled to wanted
+        statistics; the default seed is the first one for which the 1000 cadences of the paper [1]_
+        have its row, 0.17 +- 0.12 px and at most 0.59 px, within 5 %. Cadences in which thrusters
+        fire have the quality flag 1048576.
 
         Parameters
         ----------
@@ -401,7 +402,8 @@ class Motion:
         start : float, optional
             Time of the first cadence, BKJD; the default is the beginning of campaign 3.
         **parameters
-            Fields of `K2Roll` that differ from their defaults, as ``field=(6.94, 0.0)``.
+            Fields of `~scope_models.motion.K2Roll` that differ from their defaults, as
+            ``field=(6.94, 0.0)``.
 
         Returns
         -------

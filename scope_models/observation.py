@@ -49,7 +49,7 @@ class Truth:
         Exposures within a cadence over which the motion is averaged.
     model : ndarray of shape (n_cadences, ny, nx) or None
         Expected flux without noise and background, e-/s, if ``keep_model`` asked for it.
-        `Observation.model` computes it at any time.
+        `~scope_models.Observation.model` computes it at any time.
 
     Examples
     --------

@@ -226,7 +226,7 @@ def read_truth(source):
     ----------
     source : str, path-like, astropy.io.fits.HDUList or lightkurve.TargetPixelFile
         The target pixel file. After slicing in lightkurve, the truth is still that of all
-        cadences: `TPFTruth.at_cadences` chooses.
+        cadences: `~scope_models.io.TPFTruth.at_cadences` chooses.
 
     Returns
     -------

@@ -77,7 +77,7 @@ def generate_target(
         The noise terms, see `~scope_models.simulate`.
     seed : int, optional
         Seed of noise, interpixel map and random positions of neighbours;
-        by default a new one, kept as `Target.seed`.
+        by default a new one, kept as ``Target.seed``.
 
     Returns
     -------

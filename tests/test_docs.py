@@ -1,0 +1,69 @@
+"""The documentation: every figure has a text, every block of code runs, every command exists."""
+
+import re
+import shlex
+
+import pytest
+
+from scope_models.cli._main import _make_parser
+
+IMAGE = re.compile(r"^( *)\.\. (?:image|figure|plot)::(.*)\n((?:\1 +\S.*\n|\s*\n)*)", re.MULTILINE)
+
+
+def pages(repository):
+    """Return the text of every page, by its name."""
+    folder = repository / "docs"
+    made_by_the_build = {"_build", "_generated", "api"}
+    paths = [p for p in folder.rglob("*.rst") if not made_by_the_build & set(p.parts)]
+    assert paths
+    return {
+        path.relative_to(folder).as_posix(): path.read_text(encoding="utf-8") for path in paths
+    }
+
+
+def blocks(text, language):
+    """Return the blocks of code of a language, without their indentation."""
+    found = re.findall(
+        rf"^( *)\.\. code-block:: {language}\n((?:\1 +.*\n|\s*\n)*)", text, re.MULTILINE
+    )
+    return ["\n".join(line.strip() for line in block.splitlines()) for _, block in found]
+
+
+def test_figures_have_a_text(repository):
+    missing = [
+        f"{name}: {target.strip() or 'plot'}"
+        for name, text in pages(repository).items()
+        for _, target, options in IMAGE.findall(text)
+        if not re.search(r":alt: +\S{3,}", options)
+    ]
+    assert missing == []
+
+
+def test_no_python_that_nothing_runs(repository):
+    # Doctests run in pytest and figures in the build; a bare block of code would run nowhere.
+    bare = [name for name, text in pages(repository).items() if blocks(text, "python")]
+    assert bare == []
+
+
+def commands(repository):
+    """Return the lines of the pages' shell blocks that call our command line."""
+    texts = [block for text in pages(repository).values() for block in blocks(text, "bash")]
+    readme = (repository / "README.md").read_text(encoding="utf-8")
+    texts += re.findall(r"^```bash\n(.*?)^```$", readme, re.MULTILINE | re.DOTALL)
+    lines = "\n".join(texts).replace("\\\n", " ").splitlines()
+    return [part.strip() for line in lines for part in line.split("&&") if "scope-models " in part]
+
+
+def test_commands_exist(repository):
+    parser = _make_parser()
+    found = [line for line in commands(repository) if line.startswith("scope-models ")]
+    assert len(found) >= 4
+    for line in found:
+        words = shlex.split(line, comments=True)[1:]
+        try:
+            parser.parse_args(words)
+        except SystemExit as error:
+            if error.code != 0:  # --help and --version end with 0
+                pytest.fail(f"the documented command is not accepted: {line}")
+
+
