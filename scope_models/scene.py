@@ -1,7 +1,11 @@
 """Scenes: all that a simulation starts from, as Python objects and as what a file holds."""
 
+import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
+from functools import reduce
+from operator import add, mul
+from pathlib import Path
 
 import numpy as np
 
@@ -11,9 +15,10 @@ from scope_models.models._description import describe_model, make_model
 from scope_models.motion import Motion
 from scope_models.star import Star
 
-__all__ = ["Scene", "read_scene"]
+__all__ = ["Scene", "read_detector", "read_scene"]
 
 _VERSION = 1
+_PRESETS = {"kepler": Detector.kepler, "k2": Detector.k2, "tess": Detector.tess}
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,6 +108,54 @@ def read_scene(path):
     return Scene(tuple(stars), detector, motion, truth.scene["options"])
 
 
+def read_detector(path):
+    r"""Read a detector from a TOML file.
+
+    Each key is a field of `~scope_models.Detector`. Three are written in a way of their own:
+
+    - ``preset``, "kepler", "k2" or "tess", takes all fields that are not given from that preset,
+      with the preset's ``cadence``;
+    - ``psf`` is a table, or several (``[[psf]]``) whose models are added: ``model`` is the name
+      of a PSF of `scope_models.models`, or the full name of another package's, as
+      "photutils.psf.MoffatPSF"; the other keys are its parameters;
+    - ``sensitivity`` is a table, or several that are multiplied, with the arguments of
+      `~scope_models.SensitivityPolynomial`, or of another ``model``; ``false`` is none.
+
+    Parameters
+    ----------
+    path : str or path-like
+        The file.
+
+    Returns
+    -------
+    Detector
+        The detector.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be read.
+    ValueError
+        If it is not TOML, or a field is unknown, is missing or outside its domain. The message
+        begins with the name of the file.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> from scope_models import read_detector
+    >>> text = 'preset = "k2"\nshape = [9, 9]\n'
+    >>> psf = '[psf]\nmodel = "BivariateGaussianPSF"\nsigma_x = 0.6\n'
+    >>> _ = Path("detector.toml").write_text(text + psf, encoding="utf-8")
+    >>> detector = read_detector("detector.toml")
+    >>> detector.shape, float(detector.psf.sigma_x.value)
+    ((9, 9), 0.6)
+    """
+    try:
+        return _detector_of_toml(tomllib.loads(Path(path).read_text(encoding="utf-8")))
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{path}: {error}") from error
+
+
 def describe_scene(scene):
     """Return a scene without its arrays as values that JSON can hold."""
     return {
@@ -157,6 +210,38 @@ def _detector(described, interpixel):
     values["shape"] = tuple(values["shape"])
     values["interpixel"] = interpixel if values["interpixel"] else None
     return Detector(**values)
+
+
+def _detector_of_toml(values):
+    """Return the detector of a parsed file."""
+    preset = values.pop("preset", None)
+    if preset is not None and preset not in _PRESETS:
+        raise ValueError(f"`preset` must be one of {', '.join(_PRESETS)}, got {preset!r}")
+    known = {item.name for item in fields(Detector)} | ({"cadence"} if preset else set())
+    for name in values:
+        if name not in known:
+            raise ValueError(f"`{name}` is not a field of a detector")
+    if "psf" in values:
+        values["psf"] = _combined(values["psf"], "psf", None, add)
+    given = values.get("sensitivity")
+    if given is False:
+        values["sensitivity"] = None
+    elif given is not None:
+        values["sensitivity"] = _combined(given, "sensitivity", "SensitivityPolynomial", mul)
+    return (_PRESETS[preset] if preset else Detector)(**values)
+
+
+def _combined(tables, name, default, combine):
+    """Return the sum or the product of the models that tables describe."""
+    models = []
+    for table in tables if isinstance(tables, list) else [tables]:
+        if not isinstance(table, dict) or not isinstance(table.get("model", default), str):
+            raise ValueError(f"`{name}` must be a table with the name of its `model`")  # noqa: TRY004
+        module, _, kind = table.get("model", default).rpartition(".")
+        parameters = {key: value for key, value in table.items() if key != "model"}
+        described = {"module": module or "scope_models.models", "class": kind}
+        models.append(make_model({**described, "parameters": parameters}))
+    return reduce(combine, models)
 
 
 def _star(described, number, table):

@@ -32,8 +32,8 @@ class Star:
         put at the star's position. None takes the detector's PSF.
     signal : astropy.modeling.Model or callable or array_like or None, optional
         Relative flux of each cadence: a one-dimensional model or a function of time (days), or
-        one number per cadence. It is the mean over the cadence: `~scope_models.TransitModel` averages
-        with its ``exposure_time``. None is constant.
+        one number per cadence. It is the mean over the cadence:
+        `~scope_models.TransitModel` averages with its ``exposure_time``. None is constant.
 
     Raises
     ------

@@ -166,6 +166,17 @@ class TestSimulate:
             assert np.all(tpf.pos_corr1 == 0)
         assert np.all(read_truth(path).maps["INTERPIXEL"] == 1)
 
+    def test_detector_of_a_file(self, command, tmp_path):
+        path = tmp_path / "detector.toml"
+        text = 'preset = "k2"\nmission = "Kepler"\nshape = [9, 9]\nread_noise = 0\nn_frames = 1\n'
+        path.write_text(text, encoding="utf-8")
+        status, output = command("--detector", str(path), "--shape", "7", "8", "--noise", "read")
+        assert status == 0
+        table = fits.getdata(output)
+        assert table["FLUX"].shape == (60, 7, 8)
+        assert np.diff(table["TIME"]) == pytest.approx(6.538751429414 / 86400, rel=1e-3)
+        assert np.all(table["POS_CORR1"] == 0)
+
     def test_noise_terms(self, command):
         _, path = command("--noise", "read")
         errors = fits.getdata(path)["FLUX_ERR"]
@@ -176,6 +187,8 @@ class TestSimulate:
 ERRORS = {
     "sigma": (["--psf", "-1", "1", "0"], "`sigma_x` must be positive"),
     "cadences": (["--cadences", "0"], "--cadences must be at least 1, got 0"),
+    "detector": (["--detector", "plato"], "--detector must be one of kepler, k2, tess or a .toml"),
+    "toml": (["--detector", "no-such-file.toml"], "no-such-file.toml"),
     "missing": (["--motion", "no-such-file.fits"], "no-such-file.fits"),
     "folder": (["--output", "no-such-folder/star.fits"], "no-such-folder"),
     "depth": (["--transit", "3", "1", "2", "0.1"], "`depth` must be between 0 and 1"),

@@ -7,7 +7,7 @@ from photutils.psf import MoffatPSF
 from scope_models import Detector, Motion, Star, simulate
 from scope_models.io import read_truth
 from scope_models.models import BivariateGaussianPSF, SensitivityPolynomial
-from scope_models.scene import read_scene
+from scope_models.scene import read_detector, read_scene
 
 CORE = BivariateGaussianPSF(0.7, sigma_x=0.45, sigma_y=0.55, rho=-0.3)
 WINGS = BivariateGaussianPSF(0.3, 0.1, -0.05, sigma_x=1.2, sigma_y=1.1)
@@ -97,3 +97,84 @@ def test_only_models_are_made(module, name, error, message, tmp_path, monkeypatc
     monkeypatch.setattr("scope_models.scene.read_truth", lambda _: truth)
     with pytest.raises(error, match=message):
         read_scene(path)
+
+
+DETECTOR = """
+mission = "balloon"
+shape = [7, 9]
+pixel_scale = 2.5
+zero_point = 1e5
+zero_point_mag = 12
+int_time = 10
+n_frames = 6
+read_noise = 5.0
+well_depth = 1e6
+
+[sensitivity]
+x_coefficients = [1, 0, -0.1]
+y_coefficients = [1, 0, -0.2]
+
+[[psf]]
+model = "BivariateGaussianPSF"
+flux = 0.7
+sigma_x = 0.6
+
+[[psf]]
+model = "photutils.psf.MoffatPSF"
+flux = 0.3
+alpha = 1.2
+beta = 3.0
+"""
+
+
+def test_detector_from_toml(tmp_path):
+    path = tmp_path / "detector.toml"
+    path.write_text(DETECTOR, encoding="utf-8")
+    detector = read_detector(path)
+    expected = Detector(
+        mission="balloon",
+        shape=(7, 9),
+        pixel_scale=2.5,
+        zero_point=1e5,
+        zero_point_mag=12.0,
+        int_time=10.0,
+        n_frames=6,
+        read_noise=5.0,
+        well_depth=1e6,
+        sensitivity=SensitivityPolynomial((1, 0, -0.1), (1, 0, -0.2)),
+        psf=BivariateGaussianPSF(0.7, sigma_x=0.6) + MoffatPSF(flux=0.3, alpha=1.2, beta=3.0),
+    )
+    assert repr(detector) == repr(expected)
+    images = [
+        simulate(Star(12.0), item, Motion.still(2), seed=1).flux for item in (detector, expected)
+    ]
+    assert np.array_equal(*images)
+
+
+def test_preset_in_toml(tmp_path):
+    path = tmp_path / "detector.toml"
+    path.write_text('preset = "kepler"\ncadence = "short"\nsensitivity = false\n', encoding="utf-8")
+    assert repr(read_detector(path)) == repr(Detector.kepler(cadence="short", sensitivity=None))
+
+
+@pytest.mark.parametrize(
+    "text, message",
+    [
+        ("shape = [7", "detector.toml: "),
+        ('preset = "plato"', "`preset` must be one of kepler, k2, tess, got 'plato'"),
+        ('preset = "k2"\nreed_noise = 1', "`reed_noise` is not a field of a detector"),
+        ('cadence = "long"', "`cadence` is not a field of a detector"),
+        ("shape = [7, 7]", "missing .* 'zero_point'"),
+        ('preset = "k2"\nread_noise = -1', "`read_noise` must not be negative, got -1"),
+        ('preset = "k2"\npsf = 0.5', "`psf` must be a table with the name of its `model`"),
+        ('preset = "k2"\n[psf]\nsigma_x = 0.5', "`psf` must be a table with the name"),
+        ('preset = "k2"\n[psf]\nmodel = "NoPSF"', "scope_models.models.NoPSF is not a model"),
+        ('preset = "k2"\n[psf]\nmodel = "unknown.PSF"', "import unknown before reading"),
+        ('preset = "k2"\n[psf]\nmodel = "BivariateGaussianPSF"\nsigma = 1', "sigma"),
+    ],
+)
+def test_wrong_detector_files(text, message, tmp_path):
+    path = tmp_path / "detector.toml"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(ValueError, match=message):
+        read_detector(path)

@@ -7,6 +7,7 @@ from scope_models.models import BivariateGaussianPSF
 from scope_models.models.signals import TransitModel
 from scope_models.motion import Motion
 from scope_models.noise import NOISE_TERMS
+from scope_models.scene import read_detector
 from scope_models.simulation import simulate
 from scope_models.star import Star
 
@@ -96,7 +97,10 @@ def _add_star(group):
 def _add_detector(group):
     """Add the options of the detector."""
     group.add_argument(
-        "--detector", choices=_PRESETS, default="k2", help="the preset (default: k2)"
+        "--detector",
+        default="k2",
+        metavar="NAME",
+        help="the preset, kepler, k2 or tess, or a TOML file of your own detector (default: k2)",
     )
     group.add_argument(
         "--shape", type=int, nargs=2, metavar=("NY", "NX"), help="rows and columns of the stamp"
@@ -148,18 +152,26 @@ def _make_motion(arguments, detector):
 
 def _default_motion(arguments, detector, number):
     """Return the motion without a file: K2 rolls, the others point steadily."""
-    if arguments.detector == "k2":
+    if detector.mission == "K2":
         return arguments.scale * Motion.k2_roll(number)
     if arguments.scale != 1:
         raise ValueError(f"--scale needs --motion FILE with --detector {arguments.detector}")
-    start, time_format = _STARTS[arguments.detector]
+    start, time_format = _STARTS["tess" if detector.mission == "TESS" else "kepler"]
     return Motion.still(number, start=start, cadence=detector.cadence_days, time_format=time_format)
 
 
 def _make_detector(arguments):
     """Return the detector that the options ask for."""
     changes = {} if arguments.shape is None else {"shape": tuple(arguments.shape)}
-    detector = _PRESETS[arguments.detector](**changes)
+    if arguments.detector in _PRESETS:
+        detector = _PRESETS[arguments.detector](**changes)
+    elif arguments.detector.endswith(".toml"):
+        detector = read_detector(arguments.detector).replace(**changes)
+    else:
+        raise ValueError(
+            f"--detector must be one of {', '.join(_PRESETS)} or a .toml file, "
+            f"got {arguments.detector!r}"
+        )
     return detector.without_sensitivity() if arguments.no_sensitivity else detector
 
 
