@@ -295,12 +295,16 @@ def _table_hdu(rows, columns, cards):
 
     hdu = fits.BinTableHDU()
     hdu.data = rows
+    # The columns find their arrays in the table. References of their own would close a ring
+    # through the arrays' bases, which Python's collector of garbage does not see.
+    hdu.columns.__dict__.pop("_arrays", None)
     for column, description in zip(hdu.columns, columns, strict=True):
         column.disp = description.display
         if description.unit:
             column.unit = description.unit
         if description.null is not None:
             column.null = description.null
+        column.__dict__.pop("array", None)
     hdu.header = fits.Header([*hdu.header.cards[:8], *cards])
     return hdu
 

@@ -1,8 +1,10 @@
 """Target pixel files: layout, checks, truth, and what lightkurve makes of them."""
 
+import gc
 import gzip
 import json
 import warnings
+import weakref
 
 import numpy as np
 import pytest
@@ -262,6 +264,14 @@ class TestData:
         ):
             hdus = make_tpf_hdulist(**(contents | {"flux": flux}))
             assert np.array_equal(hdus[1].data["FLUX"], expected)
+
+    def test_memory_is_given_back(self, mission):
+        hdulist = make_tpf_hdulist(**contents_of(mission))
+        assert hdulist[1].columns["FLUX"].array.shape == hdulist[1].data["FLUX"].shape
+        tables = [weakref.ref(hdu.data) for hdu in hdulist[1:]]
+        del hdulist
+        gc.collect()
+        assert all(table() is None for table in tables)
 
     def test_what_is_absent(self):
         contents = contents_of("K2", raw_cnts=None, timecorr=None, flux_bkg=3.0, flux_bkg_err=0)
