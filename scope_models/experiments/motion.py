@@ -1,0 +1,389 @@
+"""The paper's motion test: de-trended noise against magnitude at multiples of K2's motion."""
+
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+from astropy.table import Table
+
+from scope_models._checks import checked_integer, checked_number
+from scope_models.detector import Detector
+from scope_models.experiments._claims import (
+    CLAIMS,
+    TRANSIT_CLAIM,
+    TRANSIT_DEFINITION,
+    check_transits,
+    kepler_like_to,
+    paper_limit,
+)
+from scope_models.experiments._detrended import CONVENTIONS, noise_of, transit_amplitude
+from scope_models.experiments._lightkurve import best_setting, correct
+from scope_models.experiments.populations import draw_star, motion_from_name, stamp_around
+from scope_models.experiments.reference import read_reference, reference_noise
+from scope_models.experiments.study import Study
+from scope_models.models import TransitModel
+from scope_models.simulation import simulate
+
+__all__ = ["MotionTest"]
+
+_CORRECTORS = ("pld", "lightkurve_pld", "lightkurve_sff")
+_TITLES = {
+    "pld": "PLD (scope_models)",
+    "lightkurve_pld": "PLD (lightkurve, best order)",
+    "lightkurve_sff": "SFF (lightkurve)",
+}
+_COLUMNS_IN_PPM = (
+    *(f"{name}_{method}" for name in ("raw", "floor", *_CORRECTORS) for method in CONVENTIONS),
+    *(f"depth_{name}" for name in ("masked", "masked_error", "joint", "joint_error")),
+    *(f"depth_{name}" for name in _CORRECTORS[1:]),
+)
+_TRANSIT_SCALE = 5.0  # of the paper's claim on transits
+_PERIOD, _DURATION = 3.1, 0.25  # of the transits, days
+
+
+@dataclass(frozen=True, kw_only=True)
+class MotionTest(Study):
+    """De-trended noise of stars that move as K2's, and by multiples of it: the paper's figure 5.
+
+    Each star of the grid is drawn as `~scope_models.experiments.populations.draw_star` does, is
+    simulated on the paper's detector, and is de-trended by
+    `~scope_models.correctors.PLDCorrector` and, if wanted, by lightkurve's correctors in the same
+    aperture. At some motions a second simulation, with the same noise, has transits.
+
+    Parameters
+    ----------
+    seed : int, optional
+        Seed of stars and noise.
+    magnitudes : tuple of float, optional
+        Magnitudes Kp.
+    scales : tuple of float, optional
+        Multiples of the motion.
+    stars : int, optional
+        Stars per magnitude and multiple.
+    cadences : int, optional
+        Cadences per star.
+    motion : str, optional
+        Motion, as `~scope_models.experiments.populations.motion_from_name` takes it.
+    order : int, optional
+        Order of our PLD.
+    transit_depth : float, optional
+        Depth of the transits that are put in, ppm.
+    transit_scales : tuple of float, optional
+        Multiples of the motion at which transits are put in; those that are not in `scales` are
+        passed over.
+    lightkurve_pld, lightkurve_sff : bool, optional
+        Whether to run lightkurve's correctors too. PLD has the best of orders 1 to 3 in two
+        apertures, SFF the best of 5, 10 and 20 windows and the true positions.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If a field is of the wrong type or outside its domain.
+
+    References
+    ----------
+    Saunders, N. et al. 2019, "The Pointing Limits of Transiting Exoplanet Light Curve
+    Characterization with Pixel Level De-correlation", figure 5.
+
+    Examples
+    --------
+    >>> from scope_models.experiments.motion import MotionTest
+    >>> study = MotionTest(stars=1, magnitudes=(12,), scales=(1, 5), cadences=300)
+    >>> [task["key"] for task in study.tasks()]
+    ['kp12-x1-0', 'kp12-x5-0']
+    """
+
+    name: ClassVar[str] = "motion"
+    units: ClassVar[dict] = dict.fromkeys(_COLUMNS_IN_PPM, "ppm")
+
+    magnitudes: tuple[float, ...] = tuple(10 + 0.5 * k for k in range(12))
+    scales: tuple[float, ...] = (1.0, 2.0, 4.0, 5.0, 10.0)
+    stars: int = 5
+    cadences: int = 1000
+    motion: str = "k2_roll"
+    order: int = 2
+    transit_depth: float = 1000.0
+    transit_scales: tuple[float, ...] = (_TRANSIT_SCALE,)
+    lightkurve_pld: bool = True
+    lightkurve_sff: bool = True
+
+    def __post_init__(self):
+        super().__post_init__()
+        for name in ("stars", "order"):
+            checked_integer(name, getattr(self, name), 1)
+        checked_integer("cadences", self.cadences, 100)
+        for name in ("magnitudes", "scales"):
+            values = getattr(self, name)
+            if not values or len(set(values)) < len(values):
+                raise ValueError(f"`{name}` must be one or more different numbers, got {values}")
+        for name in ("scales", "transit_scales"):
+            for scale in getattr(self, name):
+                checked_number(name, scale, positive=True)
+        known = read_reference("kepler")["mag"]
+        if min(self.magnitudes) < known.min() or max(self.magnitudes) > known.max():
+            raise ValueError(
+                f"`magnitudes` must be within {known.min():g} and {known.max():g}, where Kepler's "
+                f"noise is known, got {self.magnitudes}"
+            )
+        if not 0 < self.transit_depth < 1e6:
+            raise ValueError(
+                f"`transit_depth` must be between 0 and 1e6 ppm, got {self.transit_depth}"
+            )
+
+    def tasks(self):
+        """Return one task per star, so that any beginning of them is a sample of the grid.
+
+        Returns
+        -------
+        list of dict
+            Keys "key", "mag", "scale" and "index".
+        """
+        return [
+            {"key": f"kp{mag:g}-x{scale:g}-{index}", "mag": mag, "scale": scale, "index": index}
+            for index in range(self.stars)
+            for scale in self.scales
+            for mag in self.magnitudes
+        ]
+
+    def input_files(self):
+        """Return the file of the motion, if it is one.
+
+        Returns
+        -------
+        list of str
+            Paths.
+        """
+        return [self.motion] if Path(self.motion).is_file() else []
+
+    def observation(self, task):
+        """Return the pixels of a star without transits.
+
+        Parameters
+        ----------
+        task : dict
+            One of `tasks`.
+
+        Returns
+        -------
+        Observation
+            The observation.
+        """
+        return simulate(*self._scene(task), seed=self.star_seed(task["key"], "noise"))
+
+    def _scene(self, task):
+        """Return star, detector and motion."""
+        motion = task["scale"] * _motion(self.motion, self.cadences)
+        shape, x_0, y_0 = stamp_around(motion)
+        detector = Detector.k2(shape=shape)
+        rng = self.star_rng(task["key"])
+        return draw_star(rng, task["mag"], detector, x_0=x_0, y_0=y_0), detector, motion
+
+    def _transit(self, task, motion, detector):
+        """Return the transit of a star; its first one is anywhere within a period."""
+        first = self.star_rng(task["key"], "transit").uniform(0, _PERIOD)
+        return TransitModel.from_depth_duration(
+            1e-6 * self.transit_depth, _DURATION, _PERIOD, motion.time[0] + first,
+            exposure_time=detector.cadence_days,
+        )  # fmt: skip
+
+    def measure(self, task, observation):
+        """Return the noise of a star before and after de-trending, and depths of transits.
+
+        Parameters
+        ----------
+        task : dict
+            One of `tasks`.
+        observation : Observation
+            Its pixels.
+
+        Returns
+        -------
+        dict
+            CDPP in ppm in both conventions: "raw", "floor" (of the noise alone in the aperture's
+            sum) and of each corrector, followed by the convention; "residual", that of ours over
+            the floor; the scores "held_out_mad" and "held_out_rms", see the page on PLD; and the
+            number of pixels in the aperture.
+            At `transit_scales` the depths in ppm, of ours with the transits masked and jointly
+            fitted, and the part of the depth that survives in each corrector if it is told
+            nothing of the transits.
+        """
+        from scope_models.correctors import PLDCorrector  # imports lightkurve
+
+        tpf = observation.to_tpf()
+        corrector = PLDCorrector(tpf)
+        corrector.correct(order=self.order)
+        aperture = corrector.aperture_mask
+        row = {"pixels": int(aperture.sum())} | noise_of(corrector, observation)
+        settings = {}
+        for name in _CORRECTORS[1:]:
+            if getattr(self, name):
+                lowest, best = best_setting(name, tpf, aperture)
+                row |= {f"{name}_{method}": value for method, value in lowest.items()}
+                if best is not None:
+                    settings[name] = best
+        if task["scale"] in self.transit_scales:
+            row |= self._depths(task, aperture, settings)
+        return row
+
+    def _depths(self, task, aperture, settings):
+        """Return the depths of transits that are put in."""
+        from scope_models.correctors import PLDCorrector
+
+        star, detector, motion = self._scene(task)
+        planet = self._transit(task, motion, detector)
+        seed = self.star_seed(task["key"], "noise")
+        tpf = simulate(star.replace(signal=planet), detector, motion, seed=seed).to_tpf()
+        transit = planet(tpf.time.value)
+        outside = transit == 1
+        corrector = PLDCorrector(tpf, aperture_mask=aperture)
+        corrector.correct(order=self.order, transit_mask=~outside)
+        found = {"masked": corrector.fit_transit(transit)}
+        corrector.correct(order=self.order, transit_model=transit)
+        result = corrector.result
+        found["joint"] = result.transit_scale, result.transit_scale_err
+        row = {}
+        for name, (scale, error) in found.items():
+            row[f"depth_{name}"] = scale * self.transit_depth
+            row[f"depth_{name}_error"] = error * self.transit_depth
+        flux = corrector.correct(order=self.order).flux.value
+        row["survival_pld"] = transit_amplitude(flux, transit)
+        for name, setting in settings.items():
+            for column, mask, unit in (
+                ("survival", None, 1),
+                ("depth", outside, self.transit_depth),
+            ):
+                flux = correct(name, setting, tpf, aperture, mask)
+                if flux is not None:
+                    row[f"{column}_{name}"] = unit * transit_amplitude(flux, transit)
+        return row
+
+    def summarise(self, table):
+        """Return medians per motion and magnitude beside Kepler's, and check the paper's claims.
+
+        Parameters
+        ----------
+        table : astropy.table.Table
+            The results.
+
+        Returns
+        -------
+        astropy.table.Table
+            One row per motion and magnitude: medians of the columns of `measure`, and the 16th
+            and 84th percentile of the CDPP in EVEREST's convention; Kepler's median,
+            10th and 90th percentile, and our CDPP over Kepler's median; and "below_paper", the
+            limit that the paper states over our CDPP. In ``meta``, "claims" has each claim of the
+            paper by its name: how it is defined, and for each corrector whether it holds and by
+            which number; "kepler_like_to" has the faintest magnitude to which each multiple of
+            the motion is Kepler-like.
+        """
+        cells = {}
+        for number, cell in enumerate(zip(table["scale"], table["mag"], strict=True)):
+            cells.setdefault(cell, []).append(number)
+        summary = Table([_cell(table[cells[cell]]) for cell in sorted(cells)])
+        mags = np.array(summary["mag"])
+        for name in ("median", "p10", "p90"):
+            summary[f"kepler_{name}"] = np.round(reference_noise("kepler", mags, name), 2)
+        summary["over_kepler"] = summary["pld_everest"] / summary["kepler_median"]
+        limits = [paper_limit(scale, mag) for scale, mag in summary.iterrows("scale", "mag")]
+        summary["below_paper"] = np.array(limits) / summary["pld_everest"]
+        summary.meta["claims"] = self._claims(table, summary)
+        summary.meta["kepler_like_to"] = {}
+        for scale in sorted(set(summary["scale"])):
+            part = summary[summary["scale"] == scale]
+            faintest = kepler_like_to(part["mag"], part["pld_everest"], part["kepler_median"])
+            summary.meta["kepler_like_to"][f"{scale:g}x"] = faintest
+        for name in summary.colnames:
+            if name.removesuffix("_low").removesuffix("_high") in self.units | _KEPLER_UNITS:
+                summary[name].unit = "ppm"
+        return summary
+
+    def _claims(self, table, summary):
+        """Return each claim by its name, with what each corrector says to it."""
+        scale, mag, kepler = (np.array(summary[k]) for k in ("scale", "mag", "kepler_median"))
+        claims = {}
+        for claim in CLAIMS:
+            claims[claim.name] = {"definition": claim.definition}
+            for name in _present(summary):
+                found = claim.check(scale, mag, np.array(summary[f"{name}_everest"]), kepler)
+                claims[claim.name][name] = found
+        claims[TRANSIT_CLAIM] = {"definition": TRANSIT_DEFINITION}
+        rows = table[table["scale"] == _TRANSIT_SCALE]
+        for name, how in (("pld", "masked"), ("pld_joint", "joint")):
+            depth, error = (_values(rows, f"depth_{how}{end}") for end in ("", "_error"))
+            claims[TRANSIT_CLAIM][name] = check_transits(depth, error, self.transit_depth)
+        return claims
+
+    def draw(self, table, summary):
+        """Draw CDPP against magnitude: a panel per corrector, a curve per multiple of the motion.
+
+        Parameters
+        ----------
+        table : astropy.table.Table
+            The results.
+        summary : astropy.table.Table
+            The summary of them.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            The figure.
+        """
+        from scope_models.plotting import plot_cdpp_panels  # imports matplotlib
+
+        scales = sorted(set(summary["scale"]))
+        panels = {}
+        for name in _present(summary):
+            panels[_TITLES[name]] = series = {}
+            for scale in scales:
+                part = summary[summary["scale"] == scale]
+                ends = [f"{name}_everest{end}" for end in ("", "_low", "_high")]
+                series[f"{scale:g}x"] = [np.array(part[k]) for k in ("mag", *ends)]
+        mags = np.array(sorted(set(summary["mag"])))
+        kepler = {"mag": mags, "label": "Kepler, median", "band_label": "Kepler, 10 % to 90 %"}
+        for key, column in (("median", "median"), ("low", "p10"), ("high", "p90")):
+            kepler[key] = reference_noise("kepler", mags, column)
+        limits = [
+            (claim.faintest, claim.limit, f"paper, {claim.scale:g}x")
+            for claim in CLAIMS
+            if claim.limit and claim.scale in scales and "caption" not in claim.name
+        ]
+        axes = plot_cdpp_panels(panels, kepler, limits=limits)
+        return next(iter(axes.values())).figure
+
+
+_KEPLER_UNITS = {f"kepler_{name}": "ppm" for name in ("median", "p10", "p90")}
+
+
+@lru_cache(maxsize=2)
+def _motion(name, cadences):
+    """Return a motion, which is the same for all stars."""
+    return motion_from_name(name, cadences)
+
+
+def _values(table, name):
+    """Return a column as floats, NaN where there is no value or no column."""
+    if name not in table.colnames:
+        return np.full(len(table), np.nan)
+    return np.ma.filled(np.ma.asarray(table[name], dtype=float), np.nan)
+
+
+def _cell(rows):
+    """Return the medians, of the stars of one motion and magnitude, of all columns."""
+    cell = {"scale": float(rows["scale"][0]), "mag": float(rows["mag"][0]), "stars": len(rows)}
+    for name in rows.colnames:
+        if name in {"key", "index", *cell}:
+            continue
+        values = _values(rows, name)
+        values = values[np.isfinite(values)]
+        cell[name] = float(np.median(values)) if len(values) else np.nan
+        if name in {f"{corrector}_everest" for corrector in _CORRECTORS}:
+            ends = np.percentile(values, [16, 84]) if len(values) else (np.nan, np.nan)
+            cell[f"{name}_low"], cell[f"{name}_high"] = (float(end) for end in ends)
+    return cell
+
+
+def _present(summary):
+    """Return the correctors of which there are results."""
+    return [name for name in _CORRECTORS if f"{name}_everest" in summary.colnames]
