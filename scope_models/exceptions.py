@@ -3,7 +3,9 @@
 from astropy.utils.exceptions import AstropyUserWarning
 
 __all__ = [
+    "DamagedResultWarning",
     "DetrendingWarning",
+    "FailedStarsWarning",
     "FitWarning",
     "IntegrationWarning",
     "LostLightWarning",
@@ -29,3 +31,11 @@ class IntegrationWarning(ScopeModelsWarning):
 
 class FitWarning(ScopeModelsWarning):
     """A fit has left data out, has not converged, or does not determine a parameter."""
+
+
+class DamagedResultWarning(ScopeModelsWarning):
+    """Part of the results of an earlier run cannot be read, and is computed again."""
+
+
+class FailedStarsWarning(ScopeModelsWarning):
+    """Some stars of a sweep have failed."""

@@ -5,13 +5,13 @@ import sys
 import warnings
 
 from scope_models._version import __version__
-from scope_models.cli import _demo, _detrend, _fit, _simulate
+from scope_models.cli import _demo, _detrend, _experiment, _fit, _simulate
 
 __all__ = ["main"]
 
 # A command is a module with `add_parser(commands)`, which sets `run(arguments)` as the default
 # of `run`. The next one is added here.
-_COMMANDS = (_demo, _simulate, _detrend, _fit)
+_COMMANDS = (_demo, _simulate, _detrend, _fit, _experiment)
 
 
 class _Parser(argparse.ArgumentParser):

@@ -20,7 +20,8 @@ __all__ = [
     "run_sweep",
 ]
 
-# Where each public name and each study lives: imported at first use, as in the package itself.
+# Where each public name lives, and each study: both are imported at first use, as in the package
+# itself. A new study is a line of _STUDIES.
 _SOURCES = {
     "ExperimentResult": "scope_models.experiments.experiment",
     "Study": "scope_models.experiments.study",
@@ -32,6 +33,8 @@ _SOURCES = {
     "run_sweep": "scope_models.experiments.sweep",
 }
 _STUDIES = {
+    "motion": ("scope_models.experiments.motion", "MotionTest"),
+    "no-motion": ("scope_models.experiments.no_motion", "NoMotion"),
     "table1": ("scope_models.experiments.table1", "Table1"),
 }
 

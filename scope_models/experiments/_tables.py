@@ -19,7 +19,7 @@ def study_meta(study):
     return {"creator": f"scope_models {__version__}", "study": config.pop("study"), **config}
 
 
-def results_table(study, tasks, rows):
+def results_table(study, tasks, store):
     """Return the results of all stars that did not fail, in the order of the tasks.
 
     Parameters
@@ -28,8 +28,8 @@ def results_table(study, tasks, rows):
         The study.
     tasks : list of dict
         All tasks.
-    rows : mapping
-        The result of a star, a dictionary, by its key.
+    store : Store
+        The rows.
 
     Returns
     -------
@@ -37,9 +37,16 @@ def results_table(study, tasks, rows):
         The columns of the tasks, then those of the results. Where a star lacks a column, its
         value is masked.
     """
-    done = [task | rows[task["key"]] for task in tasks if task["key"] in rows]
-    names = dict.fromkeys(name for row in done for name in row)
-    table = Table({name: _column([row.get(name) for row in done]) for name in names})
+    columns, n_rows = {}, 0
+    for task in tasks:
+        if task["key"] not in store.rows:
+            continue
+        for name, value in (task | store.row(task["key"])).items():
+            column = columns.setdefault(name, [])
+            column += [None] * (n_rows - len(column))
+            column.append(value)
+        n_rows += 1
+    table = Table({name: _column(values, n_rows) for name, values in columns.items()})
     for name, unit in study.units.items():
         if name in table.colnames:
             table[name].unit = unit
@@ -73,8 +80,9 @@ def failures_table(study, failures):
     return table
 
 
-def _column(values):
-    """Return values as a column; None is masked."""
+def _column(values, n_rows):
+    """Return values as a column; None, and what is lacking at the end, is masked."""
+    values = values + [None] * (n_rows - len(values))
     missing = [value is None for value in values]
     if not any(missing):
         return np.array(values)

@@ -1,5 +1,6 @@
 """Runs a study from its configuration to its tables and its figure."""
 
+import json
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -25,7 +26,8 @@ class ExperimentResult:
     summary : astropy.table.Table
         What the results say, ``summary.ecsv``.
     failures : astropy.table.Table
-        One row per star that failed, ``failures.ecsv``, which is there only if one did.
+        One row per star that failed, ``failures.ecsv``, which is there only if one did; its
+        tracebacks are JSON.
     files : tuple of pathlib.Path
         The tables and ``figure.png``.
 
@@ -43,7 +45,9 @@ class ExperimentResult:
     files: tuple[Path, ...]
 
 
-def run_experiment(study, directory, executor=None, *, write_tpfs=False, progress=True):
+def run_experiment(
+    study, directory, executor=None, *, write_tpfs=False, retry_failed=True, progress=True
+):
     """Run a study, and write its tables and its figure.
 
     Parameters
@@ -56,6 +60,8 @@ def run_experiment(study, directory, executor=None, *, write_tpfs=False, progres
         What computes the stars: see `run_sweep`.
     write_tpfs : bool, optional
         Whether to write the pixels of each star: see `run_sweep`.
+    retry_failed : bool, optional
+        Whether stars that failed in an earlier call are tried again.
     progress : bool, optional
         Whether to show a progress bar on the standard error.
 
@@ -82,24 +88,28 @@ def run_experiment(study, directory, executor=None, *, write_tpfs=False, progres
         study = make_study(study)
     if not isinstance(study, Study):
         raise TypeError(f"`study` must be a Study or the name of one, got {study!r}")
-    sweep = run_sweep(study, executor, directory, write_tpfs=write_tpfs, progress=progress)
     folder = Path(directory)
-    folder.mkdir(parents=True, exist_ok=True)
-    files = [_write(sweep.table, folder / "results.ecsv")]
+    sweep = run_sweep(
+        study,
+        executor,
+        folder,
+        write_tpfs=write_tpfs,
+        retry_failed=retry_failed,
+        progress=progress,
+    )
     _write_failures(sweep.failures, folder / "failures.ecsv")
+    files = [_write(sweep.table, folder / "results.ecsv")]
     if not len(sweep.table):
         raise SweepError(
             f"all {len(sweep.failures)} stars failed, the first one with "
-            f"{sweep.failures['error'][0]}: see {folder / 'failures.ecsv'}"
+            f"{sweep.failures['error'][0]}; see {folder / 'failures.ecsv'}"
         )
     summary = study.summarise(sweep.table)
     summary.meta = study_meta(study) | summary.meta
     files.append(_write(summary, folder / "summary.ecsv"))
-    figure = study.draw(sweep.table, summary)
-    with atomic_path(folder / "figure.png", overwrite=True) as temporary:
-        figure.savefig(temporary, dpi=150)
-    figure.clear()
-    files.append(folder / "figure.png")
+    files.append(_draw(study.draw(sweep.table, summary), folder / "figure.png"))
+    if len(sweep.failures):
+        files.append(folder / "failures.ecsv")
     return ExperimentResult(sweep.table, summary, sweep.failures, tuple(files))
 
 
@@ -110,9 +120,20 @@ def _write(table, path):
     return path
 
 
+def _draw(figure, path):
+    """Write a figure in one step and return its path."""
+    with atomic_path(path, overwrite=True) as temporary:
+        figure.savefig(temporary, dpi=150)
+    figure.clear()
+    return path
+
+
 def _write_failures(failures, path):
     """Write the table of failures, or take away that of an earlier run."""
     if len(failures):
+        failures = failures.copy()
+        # ECSV takes the blanks off the beginnings of the lines of a text
+        failures["traceback"] = [json.dumps(text) for text in failures["traceback"]]
         _write(failures, path)
     else:
         path.unlink(missing_ok=True)

@@ -2,6 +2,7 @@
 
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.ticker import FuncFormatter, NullLocator
 
 __all__ = ["plot_motion_statistics"]
 
@@ -34,8 +35,9 @@ def plot_motion_statistics(series, paper=None):
     >>> [ax.get_title() for ax in figure.axes]
     ['Mean', 'Standard deviation', 'Maximum']
     """
-    figure, axes = plt.subplots(1, 3, figsize=(10, 3.6), layout="constrained")
+    figure, axes = plt.subplots(1, 3, figsize=(10, 3.6), sharey=True, layout="constrained")
     shades = np.linspace(0, 0.7, max(len(series), 2))
+    ticks = sorted({float(scale) for values in series.values() for scale in values["scale"]})
     for ax, (name, title) in zip(axes, _TITLES.items(), strict=True):
         if paper is not None:
             ax.plot(paper["scale"], paper[name], "-", color="#f08a24", lw=2, label="paper")
@@ -43,9 +45,10 @@ def plot_motion_statistics(series, paper=None):
             marker, shade = _MARKERS[i % len(_MARKERS)], str(shades[i])
             ax.plot(values["scale"], values[name], marker, color=shade, mfc="none", label=label)
         ax.set(title=title, xlabel="Factor on the motion", xscale="log", yscale="log")
-        ticks = sorted({float(scale) for values in series.values() for scale in values["scale"]})
         ax.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
-        ax.minorticks_off()
+        ax.xaxis.set_minor_locator(NullLocator())
+        ax.grid(axis="y", color="0.9")
+    axes[0].yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axes[0].set_ylabel("Distance from the reference position (pixel)")
     axes[0].legend(fontsize="small")
     return figure

@@ -152,7 +152,7 @@ class TestReading:
     @pytest.mark.parametrize(
         "text, message",
         [
-            ('study = "table2"', "there is no study 'table2'; the studies are table1"),
+            ('study = "table2"', "there is no study 'table2'; the studies are "),
             ("cadences = 50", 'must name a study: study = "NAME"'),
             ("study = 3", "there is no study 3"),
             (

@@ -1,0 +1,647 @@
+"""Sweeps: the same table however they run, and nothing lost however they end."""
+
+import contextlib
+import errno
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
+from multiprocessing import get_context
+from pathlib import Path
+
+import numpy as np
+import pytest
+from astropy.table import Table
+from sweep_studies import Numbers, Pixels, blas_threads
+
+from scope_models.exceptions import DamagedResultWarning, FailedStarsWarning
+from scope_models.experiments import SweepError, run_experiment, run_sweep
+from scope_models.experiments import _store as store_module
+from scope_models.io._atomic import atomic_path
+
+
+def sweep(study, executor=None, directory=None, **options):
+    return run_sweep(study, executor, directory, progress=False, **options)
+
+
+def ecsv(table, path):
+    table.write(path, overwrite=True)
+    return path.read_bytes()
+
+
+def computed(log):
+    """Return the stars that were computed, in order."""
+    path = Path(log)
+    return [int(line.split()[0]) for line in path.read_text().splitlines()] if path.exists() else []
+
+
+def lines(directory):
+    """Return the lines on disk."""
+    paths = sorted((directory / "stars").glob("*"))
+    return [line for path in paths for line in path.read_bytes().splitlines(keepends=True)]
+
+
+class Backwards(Executor):
+    """Runs what it was given in the opposite order, once it is asked for results."""
+
+    def __init__(self):
+        self.largest = 0
+        self._waiting = []
+
+    def submit(self, function, *arguments):
+        future = Future()
+        self._waiting.append((future, function, arguments))
+        self.largest = max(self.largest, len(self._waiting))
+        if len(self._waiting) == 3:
+            self._run()
+        return future
+
+    def _run(self):
+        while self._waiting:
+            future, function, arguments = self._waiting.pop()
+            future.set_result(function(*arguments))
+
+
+@pytest.fixture(scope="module")
+def pool():
+    with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as executor:
+        yield executor
+
+
+@pytest.fixture(scope="module")
+def reference(tmp_path_factory):
+    """Return the table of the default study as a file."""
+    return ecsv(sweep(Numbers()).table, tmp_path_factory.mktemp("reference") / "results.ecsv")
+
+
+class TestTable:
+    def test_rows_and_columns(self):
+        table = sweep(Numbers(stars=3)).table
+        assert table.colnames == [
+            "key", "mag", "index", "noise", "undefined", "count", "name", "good", "threads",
+        ]  # fmt: skip
+        assert list(table["index"]) == [0, 1, 2]
+        assert table["noise"].unit == "ppm"
+        assert np.isnan(table["undefined"]).all()
+        assert table["good"].dtype == bool
+        assert table["count"].dtype == int
+
+    def test_is_read_back(self, tmp_path):
+        table = sweep(Numbers(stars=3)).table
+        path = tmp_path / "results.ecsv"
+        table.write(path)
+        again = Table.read(path)
+        assert list(again["name"]) == list(table["name"])
+        np.testing.assert_array_equal(again["noise"], table["noise"])
+        assert again["noise"].unit == "ppm"
+        assert again.meta["study"] == "numbers"
+        assert again.meta["stars"] == 3
+        assert again.meta["creator"].startswith("scope_models ")
+
+    def test_values_are_those_of_the_study(self):
+        study = Numbers(stars=3)
+        table = sweep(study).table
+        for task, row in zip(study.tasks(), table, strict=True):
+            assert row["noise"] == pytest.approx(study.run_star(task)["noise"], rel=1e-12)
+
+    def test_more_stars_leave_the_others(self):
+        few, many = (sweep(Numbers(stars=n)).table for n in (3, 6))
+        assert list(few["noise"]) == list(many["noise"][:3])
+
+    def test_columns_that_some_stars_lack(self):
+        class Ragged(Numbers):
+            def run_star(self, task):
+                return {"odd": 2.5} if task["index"] % 2 else {"even": "x"}
+
+        table = sweep(Ragged(stars=4)).table
+        assert table["odd"].mask.tolist() == [True, False, True, False]
+        assert table["even"].mask.tolist() == [False, True, False, True]
+        assert table["odd"].compressed().tolist() == [2.5, 2.5]
+
+
+class TestExecutors:
+    def test_processes(self, reference, tmp_path):
+        result = sweep(Numbers(), 2)
+        assert ecsv(result.table, tmp_path / "a.ecsv") == reference
+        assert result.n_computed == 8
+
+    def test_linear_algebra_has_one_thread(self, pool):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setenv("OMP_NUM_THREADS", "2")
+            patch.setenv("OPENBLAS_NUM_THREADS", "2")
+            for executor in (None, pool):
+                assert set(sweep(Numbers(), executor).table["threads"]) == {1}
+
+    def test_executor_stays_open(self, reference, tmp_path, pool):
+        for chunk_size in (1, 3, 100):
+            table = sweep(Numbers(), pool, chunk_size=chunk_size).table
+            assert ecsv(table, tmp_path / "a.ecsv") == reference
+
+    def test_threads(self, reference, tmp_path):
+        with ThreadPoolExecutor(3) as executor:
+            table = sweep(Numbers(), executor, tmp_path / "run").table
+        assert ecsv(table, tmp_path / "a.ecsv") == reference
+
+    def test_order(self, reference, tmp_path):
+        # 8 stars one by one would leave two that never run: the executor waits for three
+        executor = Backwards()
+        table = sweep(Numbers(stars=9), executor, in_flight=3).table
+        assert executor.largest == 3
+        table.remove_row(8)
+        table.meta["stars"] = 8
+        assert ecsv(table, tmp_path / "a.ecsv") == reference
+
+    def test_bounded_number_in_flight(self):
+        class Lazy(Executor):
+            def __init__(self):
+                self.pending = []
+
+            def submit(self, function, *arguments):
+                future = Future()
+                self.pending.append((future, function, arguments))
+                if len(self.pending) > 5:
+                    raise AssertionError("more than 5 in flight")
+                if len(self.pending) == 5:
+                    for waiting, call, values in self.pending:
+                        waiting.set_result(call(*values))
+                    self.pending.clear()
+                return future
+
+        assert len(sweep(Numbers(stars=20), Lazy(), in_flight=5).table) == 20
+
+    @pytest.mark.parametrize("executor", ["2", True, 1.5, object()])
+    def test_no_executor(self, executor):
+        with pytest.raises(TypeError, match="`executor` must be an executor, a number of proc"):
+            sweep(Numbers(), executor)
+
+    @pytest.mark.parametrize("options", [{"chunk_size": 0}, {"in_flight": 0}, {"executor": 0}])
+    def test_numbers_below_one(self, options):
+        with pytest.raises(ValueError, match=f"`{next(iter(options))}` must be at least 1, got 0"):
+            sweep(Numbers(), **options)
+
+    def test_progress_bar_is_on_standard_error(self, capsys):
+        run_sweep(Numbers(stars=3))
+        out, err = capsys.readouterr()
+        assert out == ""
+        assert "numbers: 100%" in err
+        assert "3/3" in err
+
+    def test_dask(self, reference, tmp_path):
+        distributed = pytest.importorskip("distributed")
+        import warnings
+
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # those of the cluster's own set-up
+            cluster = distributed.LocalCluster(
+                n_workers=2, threads_per_worker=1, dashboard_address=None
+            )
+            with cluster, distributed.Client(cluster) as client:
+                executor = client.get_executor()
+                result = sweep(Numbers(), executor, tmp_path / "run", in_flight=3)
+                with pytest.warns(FailedStarsWarning, match="1 stars failed"):
+                    failed = sweep(Numbers(failing=(3,)), executor)
+        assert ecsv(result.table, tmp_path / "a.ecsv") == reference
+        assert list(failed.failures["key"]) == ["star3"]
+        assert sweep(Numbers(), None, tmp_path / "run").n_computed == 0
+
+
+class TestResuming:
+    def test_nothing_is_computed_twice(self, tmp_path, reference):
+        study = Numbers()
+        assert sweep(study, None, tmp_path / "run").n_computed == 8
+        again = sweep(study, None, tmp_path / "run")
+        assert again.n_computed == 0
+        assert ecsv(again.table, tmp_path / "a.ecsv") == reference
+        assert len(lines(tmp_path / "run")) == 8
+        assert len(list((tmp_path / "run" / "stars").iterdir())) == 1
+
+    def test_killed_run_goes_on(self, tmp_path):
+        log, folder, whole = tmp_path / "log", tmp_path / "run", tmp_path / "whole"
+        study = Numbers(stars=12, sleep=0.15, log=str(log))
+        run_experiment(study, whole, progress=False)
+        log.unlink()
+        for workers in (None, 2):
+            kill_after(3, study, folder, workers)
+        done = {json.loads(line.split(b" ", 1)[1])["task"]["index"] for line in lines(folder)}
+        assert 6 <= len(done) < 12
+        log.unlink()
+        run_experiment(study, folder, progress=False)
+        assert computed(log) == [i for i in range(12) if i not in done]
+        for name in ("results.ecsv", "summary.ecsv"):
+            assert (folder / name).read_bytes() == (whole / name).read_bytes()
+
+    def test_workers_end_with_a_killed_parent(self, tmp_path):
+        log = tmp_path / "log"
+        study = Numbers(stars=50, sleep=0.1, log=str(log))
+        kill_after(2, study, tmp_path / "run", 2)
+        workers = {int(line.split()[1]) for line in log.read_text().splitlines()}
+        end = time.monotonic() + 20
+        while any(is_running(pid) for pid in workers) and time.monotonic() < end:
+            time.sleep(0.05)
+        assert not any(is_running(pid) for pid in workers)
+
+    def test_two_runs_in_one_directory(self, tmp_path, reference):
+        # as when a job is started twice by mistake
+        folder = tmp_path / "run"
+        with ThreadPoolExecutor(2) as threads:
+            runs = [threads.submit(sweep, Numbers(sleep=0.01), None, folder) for _ in range(2)]
+            tables = [run.result().table for run in runs]
+        assert list(tables[0]["noise"]) == list(tables[1]["noise"])
+        again = sweep(Numbers(sleep=0.01), None, folder)
+        assert again.n_computed == 0
+        again.table.meta["sleep"] = 0.0
+        assert ecsv(again.table, tmp_path / "a.ecsv") == reference
+
+    def test_another_configuration_is_refused(self, tmp_path):
+        sweep(Numbers(), None, tmp_path)
+        before = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*")}
+        message = r"differs in `seed` \(1 there, 2 here\), `stars` \(8 there, 9 here\); choose"
+        with pytest.raises(ValueError, match=message):
+            sweep(Numbers(seed=2, stars=9), None, tmp_path)
+        assert {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*")} == before
+
+    def test_another_study_is_refused(self, tmp_path):
+        sweep(Numbers(), None, tmp_path)
+        with pytest.raises(ValueError, match=r'`study` \("numbers" there, "pixels" here\)'):
+            sweep(Pixels(), None, tmp_path)
+
+    def test_another_version_is_refused(self, tmp_path, monkeypatch):
+        sweep(Numbers(), None, tmp_path)
+        monkeypatch.setattr(store_module, "__version__", "99.0")
+        with pytest.raises(ValueError, match=r'`creator` \(.* there, "scope_models 99.0" here\)'):
+            sweep(Numbers(), None, tmp_path)
+
+    def test_files_that_have_changed_are_refused(self, tmp_path):
+        file = tmp_path / "motion.fits"
+        file.write_text("old")
+        study = Numbers(motion=str(file))
+        sweep(study, None, tmp_path / "run")
+        file.write_text("new")
+        with pytest.raises(ValueError, match=r"differs in `contents of .*motion\.fits`"):
+            sweep(study, None, tmp_path / "run")
+
+    @pytest.mark.parametrize("name", ["results.ecsv", "stars", "figure.png"])
+    def test_folder_of_another_origin_is_refused(self, tmp_path, name):
+        (tmp_path / name).write_text("mine")
+        with pytest.raises(ValueError, match=f"it has {name}, but no config.json"):
+            sweep(Numbers(), None, tmp_path)
+        assert (tmp_path / name).read_text() == "mine"
+
+    def test_folder_with_other_files_is_used(self, tmp_path):
+        (tmp_path / "study.toml").touch()
+        assert sweep(Numbers(), None, tmp_path).n_computed == 8
+
+
+def kill_after(number, study, folder, workers):
+    """Start an experiment in a process, and kill it when further stars are on disk."""
+    fields = {name: value for name, value in study.config().items() if name != "study"}
+    code = (
+        "from scope_models.experiments import run_experiment\n"
+        "from sweep_studies import Numbers\n"
+        f"if __name__ == '__main__':\n"
+        f"    run_experiment(Numbers(**{fields!r}), {str(folder)!r}, {workers!r}, progress=False)\n"
+    )
+    script = folder.with_suffix(".py")
+    script.write_text(code)
+    paths = [str(Path(__file__).parent), *filter(None, sys.path)]
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join([os.getcwd(), *paths])}  # noqa: PTH109
+    before = len(lines(folder)) if folder.exists() else 0
+    process = subprocess.Popen([sys.executable, str(script)], env=environment)
+    try:
+        end = time.monotonic() + 60
+        while not (folder / "stars").exists() or len(lines(folder)) < before + number:
+            assert process.poll() is None, "the run ended by itself"
+            assert time.monotonic() < end
+            time.sleep(0.01)
+    finally:
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+
+
+def is_running(pid):
+    """Return whether a process is there and not just waiting to be collected."""
+    try:
+        state = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rsplit(")", 1)[1].split()[0]
+    except FileNotFoundError:
+        return False
+    return state != "Z"
+
+
+class TestFailures:
+    def test_are_recorded_and_the_rest_goes_on(self, tmp_path):
+        study = Numbers(failing=(2, 5))
+        with pytest.warns(FailedStarsWarning, match="2 stars failed, the first one, star2, with Z"):
+            result = sweep(study, None, tmp_path / "run")
+        assert list(result.table["index"]) == [0, 1, 3, 4, 6, 7]
+        assert list(result.failures["key"]) == ["star2", "star5"]
+        assert result.failures["error"][0] == "ZeroDivisionError: no star 2"
+        assert 'raise ZeroDivisionError(f"no star' in result.failures["traceback"][0]
+        assert json.loads(result.failures["task"][1]) == study.tasks()[5]
+        assert result.failures.meta["failing"] == [2, 5]
+
+    def test_are_written(self, tmp_path):
+        study = Numbers(failing=(2,), curable=str(tmp_path / "cure"))
+        with pytest.warns(FailedStarsWarning):
+            result = run_experiment(study, tmp_path / "run", progress=False)
+        path = tmp_path / "run" / "failures.ecsv"
+        assert result.files[-1] == path
+        table = Table.read(path)
+        assert table["key"][0] == "star2"
+        assert json.loads(table["traceback"][0]) == result.failures["traceback"][0]
+        (tmp_path / "cure").touch()
+        result = run_experiment(study, tmp_path / "run", progress=False)
+        assert len(result.failures) == 0
+        assert not path.exists()
+
+    def test_all_stars(self, tmp_path):
+        study = Numbers(stars=2, failing=(0, 1))
+        with (
+            pytest.warns(FailedStarsWarning),
+            pytest.raises(SweepError, match=r"all 2 stars failed, the first one with ZeroDiv.*see"),
+        ):
+            run_experiment(study, tmp_path, progress=False)
+        assert len(Table.read(tmp_path / "failures.ecsv")) == 2
+
+    @pytest.mark.parametrize("retry", [True, False])
+    def test_are_tried_again_if_wanted(self, tmp_path, retry):
+        cure, log = tmp_path / "cure", tmp_path / "log"
+        study = Numbers(failing=(2,), curable=str(cure), log=str(log))
+        with pytest.warns(FailedStarsWarning):
+            sweep(study, None, tmp_path / "run")
+        log.unlink()
+        cure.mkdir()
+        expected = contextlib.nullcontext() if retry else pytest.warns(FailedStarsWarning)
+        with expected:
+            result = sweep(study, None, tmp_path / "run", retry_failed=retry)
+        assert computed(log) == ([2] if retry else [])
+        assert len(result.table) == 7 + retry
+        assert len(result.failures) == 1 - retry
+
+    def test_exceptions_that_do_not_travel(self, pool):
+        study = Numbers(failing=(2,), unpicklable=True)
+        with pytest.warns(FailedStarsWarning, match="UnpicklableError"):
+            result = sweep(study, pool)
+        assert len(result.table) == 7
+
+    @pytest.mark.parametrize("value", [None, [1, 2], np.arange(3), 1j])
+    def test_results_that_are_no_numbers(self, value):
+        class Odd(Numbers):
+            def run_star(self, task):  # noqa: ARG002
+                return {"spectrum": value}
+
+        with pytest.warns(FailedStarsWarning, match="`spectrum` of a result must be a number"):
+            result = sweep(Odd(stars=1))
+        assert len(result.table) == 0
+
+    def test_process_that_dies_costs_its_own_star(self, tmp_path):
+        study = Numbers(deadly=(3,))
+        with pytest.warns(FailedStarsWarning, match="1 stars failed, the first one, star3, with W"):
+            result = sweep(study, 2, tmp_path / "run")
+        assert list(result.table["index"]) == [0, 1, 2, 4, 5, 6, 7]
+        assert "the process that computed this star died" in result.failures["error"][0]
+
+    def test_executor_that_breaks(self, tmp_path):
+        log = tmp_path / "log"
+        study = Numbers(stars=30, deadly=(20,), log=str(log))
+        with (
+            ProcessPoolExecutor(1, mp_context=get_context("spawn")) as executor,
+            pytest.raises(
+                SweepError, match=r"a worker died, with \d stars in flight \(star20, star21, "
+            ),
+        ):
+            sweep(study, executor, tmp_path / "run", in_flight=4)
+        assert len(lines(tmp_path / "run")) == 20
+
+    def test_executor_that_gives_stars_up(self):
+        class Weak(ThreadPoolExecutor):
+            def submit(self, function, chunk):
+                if chunk[0]["index"] == 4:
+                    return super().submit(self._give_up)
+                return super().submit(function, chunk)
+
+            def _give_up(self):
+                raise KeyError("worker lost")
+
+        with Weak(1) as executor, pytest.warns(FailedStarsWarning, match="KeyError: 'worker lost'"):
+            result = sweep(Numbers(), executor)
+        assert list(result.failures["key"]) == ["star4"]
+
+    def test_script_without_guard(self, tmp_path):
+        script = tmp_path / "script.py"
+        script.write_text(
+            "from scope_models.experiments import make_study, run_sweep\n"
+            "run_sweep(make_study('table1'), 1, progress=False)\n"
+        )
+        environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+        result = subprocess.run(
+            [sys.executable, str(script)], env=environment, capture_output=True, text=True,
+            check=False, timeout=100,
+        )  # fmt: skip
+        assert result.returncode == 1
+        last = result.stderr.strip().splitlines()[-1]
+        assert "worker processes die as they begin: a script must start its work under" in last
+
+
+class TestDamage:
+    @pytest.mark.parametrize(
+        "damage",
+        [
+            lambda line: line[:-20],
+            lambda line: line.replace(b'"noise": ', b'"noise": 1'),
+            lambda line: b"\0" * len(line[:-1]) + b"\n",
+            lambda line: line[:9] + b"\xff" + line[9:],
+            lambda _: b"\n",
+        ],
+        ids=["torn", "digit", "zeros", "byte", "empty"],
+    )
+    def test_is_reported_and_computed_again(self, tmp_path, reference, damage):
+        folder = tmp_path / "run"
+        sweep(Numbers(), None, folder)
+        (path,) = (folder / "stars").iterdir()
+        kept = path.read_bytes().splitlines(keepends=True)
+        path.write_bytes(b"".join([*kept[:-1], damage(kept[-1])]))
+        with pytest.warns(
+            DamagedResultWarning, match=r"jsonl: damaged results \(line 8\) are left"
+        ):
+            result = sweep(Numbers(), None, folder)
+        assert result.n_computed == 1
+        assert ecsv(result.table, tmp_path / "a.ecsv") == reference
+        assert sweep(Numbers(), None, folder).n_computed == 0
+
+    def test_any_bit_of_a_line_is_noticed(self, tmp_path):
+        sweep(Numbers(stars=1), None, tmp_path)
+        (line,) = lines(tmp_path)
+        assert store_module._decoded(line) is not None
+        for i in range(len(line)):
+            for bit in range(8):
+                changed = bytearray(line)
+                changed[i] ^= 1 << bit
+                assert store_module._decoded(bytes(changed)) is None
+
+    @pytest.mark.parametrize("text", ["", "{", "[1, 2]", "3"])
+    def test_configuration(self, tmp_path, text):
+        sweep(Numbers(), None, tmp_path)
+        (tmp_path / "config.json").write_text(text)
+        with pytest.raises(ValueError, match=r"config\.json is damaged: choose another directory"):
+            sweep(Numbers(), None, tmp_path)
+        assert len(lines(tmp_path)) == 8
+
+
+class TestDirectory:
+    def test_without_permission(self, tmp_path, monkeypatch):
+        # as root, permissions do not hold
+        def refused(*_, **__):
+            raise PermissionError(errno.EACCES, "Permission denied")
+
+        log = tmp_path / "log"
+        monkeypatch.setattr(Path, "mkdir", refused)
+        with pytest.raises(PermissionError, match=r"cannot make the folder .*: Permission denied"):
+            sweep(Numbers(log=str(log)), None, tmp_path / "run")
+        assert computed(log) == []
+
+    def test_stars_without_permission(self, tmp_path, monkeypatch):
+        log = tmp_path / "log"
+
+        def refused(*_, **__):
+            raise PermissionError(errno.EACCES, "Permission denied")
+
+        with pytest.warns(FailedStarsWarning):
+            sweep(Numbers(log=str(log), failing=(1,)), None, tmp_path / "run")
+        log.unlink()
+        monkeypatch.setattr(store_module.os, "open", refused)
+        with pytest.raises(PermissionError, match=r"cannot write to .*stars: Permission denied"):
+            sweep(Numbers(log=str(log), failing=(1,)), None, tmp_path / "run")
+        assert computed(log) == []
+
+    def test_is_a_file(self, tmp_path):
+        (tmp_path / "run").touch()
+        with pytest.raises(NotADirectoryError, match=r"cannot write to .*run: it is a file"):
+            sweep(Numbers(), None, tmp_path / "run")
+
+    @pytest.mark.parametrize("written", [0, 30])
+    @pytest.mark.parametrize("workers", [None, 2])
+    def test_full_disk_loses_nothing(self, tmp_path, monkeypatch, reference, written, workers):
+        folder, write = tmp_path / "run", os.write
+
+        def full(file, data):
+            if len(lines(folder)) >= 5 and data[8:16] == b' {"task"':
+                if written == 0:
+                    raise OSError(errno.ENOSPC, "No space left on device")
+                return write(file, data[:written])
+            if len(lines(folder)) >= 5 and len(data) > 100:
+                raise OSError(errno.ENOSPC, "No space left on device")
+            return write(file, data)
+
+        monkeypatch.setattr(store_module.os, "write", full)
+        message = "the 5 stars that are finished are kept, .* the reason is: No space left on dev"
+        with pytest.raises(OSError, match=message) as caught:
+            sweep(Numbers(), workers, folder)
+        assert caught.value.errno == errno.ENOSPC
+        monkeypatch.undo()
+        assert len(lines(folder)) == 5
+        result = sweep(Numbers(), None, folder)
+        assert result.n_computed == 3
+        assert ecsv(result.table, tmp_path / "a.ecsv") == reference
+
+    def test_full_disk_at_the_tables(self, tmp_path, monkeypatch):
+        from scope_models.experiments import experiment
+
+        @contextlib.contextmanager
+        def full(path, **_):
+            with atomic_path(path, overwrite=True):
+                raise OSError(errno.ENOSPC, "No space left on device", str(path))
+            yield
+
+        with monkeypatch.context() as patch:
+            patch.setattr(experiment, "atomic_path", full)
+            with pytest.raises(OSError, match="No space left"):
+                run_experiment(Numbers(), tmp_path, progress=False)
+        assert not list(tmp_path.glob("*.ecsv"))
+        assert sweep(Numbers(), None, tmp_path).n_computed == 0
+
+
+class TestTasks:
+    def test_no_stars(self):
+        with pytest.raises(ValueError, match="the study `numbers` has no stars"):
+            sweep(Numbers(stars=0))
+
+    @pytest.mark.parametrize(
+        "keys, message",
+        [
+            (["a", "a"], "must differ, got 'a' twice"),
+            (["a/b"], "must be a short, plain name, got 'a/b'"),
+            ([".."], "must be a short, plain name"),
+            ([""], "must be a short, plain name"),
+            (["a" * 201], "must be a short, plain name"),
+            ([3], "must be a short, plain name, got 3"),
+        ],
+    )
+    def test_keys(self, keys, message):
+        class Named(Numbers):
+            def tasks(self):
+                return [{"key": key} for key in keys]
+
+        with pytest.raises(ValueError, match=message):
+            sweep(Named())
+
+    def test_values(self):
+        class Listed(Numbers):
+            def tasks(self):
+                return [{"key": "a", "mags": [1, 2]}]
+
+        with pytest.raises(TypeError, match=r"`mags` of a task must be a number or a string, got"):
+            sweep(Listed())
+
+    def test_no_study(self):
+        with pytest.raises(TypeError, match="`study` must be a Study, got 'table1'"):
+            sweep("table1")
+
+
+class TestPixels:
+    def test_are_written(self, tmp_path):
+        import lightkurve
+
+        result = sweep(Pixels(), None, tmp_path, write_tpfs=True)
+        paths = sorted(tmp_path.glob("tpfs/*/*.fits"))
+        path = next(path for path in paths if path.name == "star1.fits")
+        assert len(paths) == 2
+        tpf = lightkurve.read(path)
+        assert tpf.meta["OBJECT"] == "star1"
+        assert tpf.flux.value.sum() == pytest.approx(result.table["flux"][1], rel=1e-6)
+        tpf.hdu.close()
+
+    def test_those_that_lack_are_made(self, tmp_path):
+        plain = sweep(Pixels(), None, tmp_path)
+        assert not (tmp_path / "tpfs").exists()
+        result = sweep(Pixels(), None, tmp_path, write_tpfs=True)
+        assert result.n_computed == 2
+        assert list(result.table["flux"]) == list(plain.table["flux"])
+        next(tmp_path.glob("tpfs/*/star0.fits")).unlink()
+        assert sweep(Pixels(), None, tmp_path, write_tpfs=True).n_computed == 1
+
+    @pytest.mark.parametrize("workers", [None, 1])
+    def test_full_disk(self, tmp_path, workers):
+        (tmp_path / "run").mkdir()
+        sweep(Pixels(), None, tmp_path / "run")
+        (tmp_path / "run" / "tpfs").touch()  # in the way of the folder
+        with pytest.raises(OSError, match=r"cannot write pixels; the 2 stars .* are kept.*star0"):
+            sweep(Pixels(), workers, tmp_path / "run", write_tpfs=True)
+
+    def test_need_a_directory(self):
+        with pytest.raises(ValueError, match="`write_tpfs` needs a `directory`"):
+            sweep(Pixels(), write_tpfs=True)
+
+    def test_need_pixels(self, tmp_path):
+        with pytest.raises(ValueError, match="`numbers` has no pixels that could be written"):
+            sweep(Numbers(), None, tmp_path, write_tpfs=True)
+
+
+def test_thread_limits_end_with_the_last_sweep():
+    before = blas_threads()
+    with ThreadPoolExecutor(3) as executor:
+        runs = [executor.submit(sweep, Numbers(stars=3, sleep=0.01 * k)) for k in range(3)]
+        assert all(set(run.result().table["threads"]) == {1} for run in runs)
+    assert blas_threads() == before
