@@ -33,9 +33,10 @@ _SOURCES = {
     "run_sweep": "scope_models.experiments.sweep",
 }
 _STUDIES = {
-    "motion": ("scope_models.experiments.motion", "MotionTest"),
-    "no-motion": ("scope_models.experiments.no_motion", "NoMotion"),
     "table1": ("scope_models.experiments.table1", "Table1"),
+    "no-motion": ("scope_models.experiments.no_motion", "NoMotion"),
+    "motion": ("scope_models.experiments.motion", "MotionTest"),
+    "recovery": ("scope_models.experiments.recovery", "Recovery"),
 }
 
 

@@ -6,6 +6,7 @@ import re
 import signal
 import threading
 import traceback
+import warnings
 from concurrent.futures import (
     FIRST_COMPLETED,
     BrokenExecutor,
@@ -306,8 +307,9 @@ def _pool(number):
             raise
 
 
-def _begin_worker():
-    """Leave interrupts to the parent, and end with it, however it ends."""
+def _begin_worker(filters):
+    """Leave interrupts to the parent, warn of what it warns, and end with it, however it ends."""
+    warnings.filters[:] = filters
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     parent = parent_process()
     threading.Thread(target=_end_with, args=(parent.sentinel,), daemon=True).start()

@@ -1,0 +1,152 @@
+"""Searches a light curve for transits, and measures those that it finds."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from astropy.timeseries import BoxLeastSquares
+from scipy.ndimage import median_filter
+from scipy.optimize import least_squares
+
+from scope_models.models import TransitModel
+
+__all__ = ["Found", "fit_shape", "flattened", "search"]
+
+# Days of the running median: several times the longest transit, less than K2's slow drifts.
+_FLAT_DAYS = 2.0
+_SHORTEST_PERIOD = 1.0
+_N_DURATIONS = 6
+
+
+@dataclass(frozen=True)
+class Found:
+    """The strongest periodic box in a light curve.
+
+    Parameters
+    ----------
+    period, t0, duration : float
+        Days; the middle of the first box.
+    snr : float
+        Depth over its error.
+    sde : float
+        Height of the peak over the mean of the periodogram in units of its standard deviation.
+    """
+
+    period: float
+    t0: float
+    duration: float
+    snr: float
+    sde: float
+
+    def in_transit(self, time, widths=0.5):
+        """Return which times are within so many durations of the middle of a box."""
+        phase = (time - self.t0 + 0.5 * self.period) % self.period - 0.5 * self.period
+        return np.abs(phase) < widths * self.duration
+
+    def matches(self, period, t0, duration, span):
+        """Return whether all boxes in a time span are within half a transit of true ones."""
+        first = (self.t0 - t0 + 0.5 * period) % period - 0.5 * period
+        last = first + (self.period - period) * (span // period)
+        return bool(max(abs(first), abs(last)) < 0.5 * max(duration, self.duration))
+
+
+def flattened(time, flux, masked=None):
+    """Return a light curve over its running median, as relative flux.
+
+    Parameters
+    ----------
+    time, flux : ndarray
+        Times in days and fluxes.
+    masked : ndarray of bool, optional
+        Cadences, as those in transit, that the median does not see.
+
+    Returns
+    -------
+    ndarray
+        Relative flux, about 1.
+    """
+    seen = np.isfinite(flux) if masked is None else np.isfinite(flux) & ~masked
+    width = int(_FLAT_DAYS / np.median(np.diff(time))) | 1
+    # straight lines across the mask keep the window in the middle
+    filled = np.interp(time, time[seen], flux[seen])
+    return flux / median_filter(filled, size=min(width, len(filled)), mode="reflect")
+
+
+def search(time, flux, shortest, longest):
+    """Return the strongest periodic box (box least squares).
+
+    Parameters
+    ----------
+    time, flux : ndarray
+        Times in days and relative fluxes, all finite.
+    shortest, longest : float
+        Shortest and longest transit to search for, days.
+
+    Returns
+    -------
+    Found
+        The box of the highest signal-to-noise ratio. Periods are from 1 d to half the time span.
+
+    References
+    ----------
+    Kovacs, G., Zucker, S. & Mazeh, T. 2002, A&A, 391, 369.
+    """
+    noise = 1.4826 * np.median(np.abs(flux - np.median(flux)))
+    model = BoxLeastSquares(time, flux, dy=noise)
+    durations = np.geomspace(0.7 * shortest, 1.2 * longest, _N_DURATIONS)
+    periods = model.autoperiod(
+        durations, minimum_period=_SHORTEST_PERIOD, maximum_period=0.5 * np.ptp(time),
+        minimum_n_transit=2, frequency_factor=2.0,
+    )  # fmt: skip
+    result = model.power(periods, durations, objective="snr", oversample=5)
+    best = int(np.argmax(result.power))
+    height = result.power[best] - np.mean(result.power)
+    return Found(
+        period=float(result.period[best]),
+        t0=float(result.transit_time[best]),
+        duration=float(result.duration[best]),
+        snr=float(result.depth_snr[best]),
+        sde=float(height / np.std(result.power)),
+    )
+
+
+def fit_shape(time, flux, error, found, exposure_time):
+    """Fit a transit to what a search has found.
+
+    Parameters
+    ----------
+    time, flux : ndarray
+        Times in days and relative fluxes, all finite.
+    error : float
+        Standard deviation of the fluxes.
+    found : Found
+        Where to begin.
+    exposure_time : float
+        Length of a cadence, days.
+
+    Returns
+    -------
+    model : TransitModel
+        A central transit of a star with the limb darkening that is TransitModel's default.
+    duration, duration_error : float
+        From first to fourth contact, days.
+    """
+    near = found.in_transit(time, widths=1.5)
+    time, flux = time[near], flux[near]
+    depth = max(1 - np.mean(flux[found.in_transit(time, widths=0.4)]), 1e-6)
+    # Period and mid-transit of the first and the last transit, rather than of the first and the
+    # period, so that the parameters hardly depend on each other.
+    n_periods = max(round((time[-1] - found.t0) / found.period), 1)
+    scale = np.array([depth, found.duration, 0.1 * found.duration, 0.1 * found.duration])
+
+    def make(values):
+        depth, duration, first, last = scale * values
+        period = found.period + (last - first) / n_periods
+        return TransitModel.from_depth_duration(
+            depth, duration, period, found.t0 + first, exposure_time=exposure_time
+        )
+
+    start = np.array([1.0, 1.0, 0.0, 0.0])
+    bounds = [0.05, 0.3, -8, -8], [min(20, 0.5 / depth), 3, 8, 8]
+    fit = least_squares(lambda values: (make(values)(time) - flux) / error, start, bounds=bounds)
+    covariance = np.linalg.pinv(fit.jac.T @ fit.jac)
+    return make(fit.x), scale[1] * fit.x[1], float(scale[1] * np.sqrt(covariance[1, 1]))

@@ -1,0 +1,406 @@
+"""Transits that are put in, and what is found of them after de-trending."""
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import ClassVar
+
+import numpy as np
+from astropy.table import Table
+
+from scope_models._checks import checked_integer, checked_number
+from scope_models.detector import Detector
+from scope_models.experiments._detrended import transit_amplitude
+from scope_models.experiments._search import fit_shape, flattened, search
+from scope_models.experiments.populations import draw_star, motion_from_name, stamp_around
+from scope_models.experiments.study import Study
+from scope_models.models import TransitModel
+from scope_models.simulation import simulate
+
+__all__ = ["Recovery"]
+
+# The mask of a transit that a search has found, in its durations on either side of the middle.
+_MASK_WIDTHS = 0.75
+
+
+@dataclass(frozen=True, kw_only=True)
+class Recovery(Study):
+    """Injection and recovery of transits, over depth, magnitude and motion.
+
+    Each star is drawn as `~scope_models.experiments.populations.draw_star` does, with a planet
+    on an orbit of its own, simulated on the paper's detector, and de-trended by
+    `~scope_models.correctors.PLDCorrector`, which is told nothing of the planet. A search by box
+    least squares follows. The planet is recovered if the strongest box is at least `threshold`
+    times its error deep, and all boxes are within half a transit of true ones. Then what was
+    found is masked, the star is de-trended again, and a transit is fitted.
+
+    Parameters
+    ----------
+    seed : int, optional
+        Seed of stars, planets and noise.
+    magnitudes : tuple of float, optional
+        Magnitudes Kp.
+    depths : tuple of float, optional
+        Depths at mid-transit in ppm. 0 is a star without planet, and counts false alarms.
+    scales : tuple of float, optional
+        Multiples of the motion.
+    stars : int, optional
+        Stars per magnitude, depth and multiple.
+    cadences : int, optional
+        Cadences per star.
+    motion : str, optional
+        Motion, as `~scope_models.experiments.populations.motion_from_name` takes it.
+    order : int, optional
+        Order of PLD.
+    periods : tuple of float, optional
+        Shortest and longest period in days; their logarithms are distributed uniformly.
+    durations : tuple of float, optional
+        Shortest and longest duration in days, distributed uniformly.
+    threshold : float, optional
+        Signal-to-noise ratio of a detection. The default is that of Kepler's pipeline.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If a field is of the wrong type or outside its domain.
+
+    References
+    ----------
+    Kovacs, G., Zucker, S. & Mazeh, T. 2002, A&A, 391, 369: box least squares. Jenkins, J. M.,
+    Caldwell, D. A. & Borucki, W. J. 2002, ApJ, 564, 495: the threshold.
+
+    Examples
+    --------
+    >>> from scope_models.experiments.recovery import Recovery
+    >>> study = Recovery(magnitudes=(12,), depths=(0, 1000), scales=(1,), stars=1)
+    >>> [task["key"] for task in study.tasks()]
+    ['kp12-x1-d0-0', 'kp12-x1-d1000-0']
+    >>> bool(study.run_star(study.tasks()[1])["recovered"])
+    True
+    """
+
+    name: ClassVar[str] = "recovery"
+    units: ClassVar[dict] = {
+        **dict.fromkeys(("period", "duration", "found_period", "found_duration"), "d"),
+        "found_duration_error": "d",
+        **dict.fromkeys(("depth", "found_depth", "found_depth_error"), "ppm"),
+        **dict.fromkeys(("joint_depth", "joint_depth_error", "white_noise"), "ppm"),
+    }
+
+    magnitudes: tuple[float, ...] = (11.0, 12.0, 13.0, 14.0, 15.0)
+    depths: tuple[float, ...] = (0.0, 50.0, 100.0, 200.0, 400.0, 800.0)
+    scales: tuple[float, ...] = (1.0, 5.0)
+    stars: int = 2
+    cadences: int = 1000
+    motion: str = "k2_roll"
+    order: int = 2
+    periods: tuple[float, ...] = (2.0, 6.0)
+    durations: tuple[float, ...] = (0.1, 0.25)
+    threshold: float = 7.1
+
+    def __post_init__(self):
+        super().__post_init__()
+        for name in ("stars", "order"):
+            checked_integer(name, getattr(self, name), 1)
+        checked_integer("cadences", self.cadences, 100)
+        checked_number("threshold", self.threshold, positive=True)
+        for name in ("magnitudes", "depths", "scales"):
+            values = getattr(self, name)
+            if not values or len(set(values)) < len(values):
+                raise ValueError(f"`{name}` must be one or more different numbers, got {values}")
+        for scale in self.scales:
+            checked_number("scales", scale, positive=True)
+        for depth in self.depths:
+            if not 0 <= depth < 1e6:
+                raise ValueError(f"`depths` must be at least 0 and below 1e6 ppm, got {depth}")
+        if max(self.depths) == 0:
+            raise ValueError("`depths` must hold one above 0")
+        for name in ("periods", "durations"):
+            values = getattr(self, name)
+            if len(values) != 2 or not 0 < values[0] <= values[1]:
+                raise ValueError(f"`{name}` must be the smallest and the largest, got {values}")
+        if self.durations[1] > 0.25 * self.periods[0]:
+            raise ValueError(
+                f"`durations` must be at most a quarter of the shortest period, "
+                f"{self.periods[0]:g} d, got {self.durations[1]:g} d"
+            )
+
+    def tasks(self):
+        """Return one task per star, so that any beginning of them is a sample of the grid.
+
+        Returns
+        -------
+        list of dict
+            Keys "key", "mag", "scale", "depth" and "index".
+        """
+        return [
+            {
+                "key": f"kp{mag:g}-x{scale:g}-d{depth:g}-{index}",
+                "mag": mag, "scale": scale, "depth": depth, "index": index,
+            }
+            for index in range(self.stars)
+            for scale in self.scales
+            for depth in self.depths
+            for mag in self.magnitudes
+        ]  # fmt: skip
+
+    def observation(self, task):
+        """Return the pixels of a star with its planet.
+
+        Parameters
+        ----------
+        task : dict
+            One of `tasks`.
+
+        Returns
+        -------
+        Observation
+            The observation.
+        """
+        motion = task["scale"] * _motion(self.motion, self.cadences)
+        shape, x_0, y_0 = stamp_around(motion)
+        detector = Detector.k2(shape=shape)
+        signal = None
+        if task["depth"]:
+            signal = self._planet(task, motion.time, detector.cadence_days)[0]
+        star = draw_star(
+            self.star_rng(task["key"]), task["mag"], detector, x_0=x_0, y_0=y_0, signal=signal
+        )
+        return simulate(star, detector, motion, seed=self.star_seed(task["key"], "noise"))
+
+    def _planet(self, task, time, exposure_time):
+        """Return the transits of a star, and their duration; two of them at least are there."""
+        rng = self.star_rng(task["key"], "planet")
+        period = float(np.exp(rng.uniform(*np.log(self.periods))))
+        duration = float(rng.uniform(*self.durations))
+        t0 = time[0] + rng.uniform(0.5 * duration, period)
+        if t0 + period > time[-1]:
+            raise ValueError(
+                f"`periods` must be at most half the time span of {np.ptp(time):.1f} d, so that "
+                f"two transits are seen, got {self.periods[1]:g} d"
+            )
+        model = TransitModel.from_depth_duration(
+            1e-6 * task["depth"], duration, period, t0, exposure_time=exposure_time
+        )
+        return model, duration
+
+    def measure(self, task, observation):
+        """Return what is found of the planet of a star.
+
+        Parameters
+        ----------
+        task : dict
+            One of `tasks`.
+        observation : Observation
+            Its pixels.
+
+        Returns
+        -------
+        dict
+            "white_noise", the least that a cadence can have (ppm), with the true image known;
+            "snr", "sde", "found_period" of the strongest box; "detected", whether it is above the
+            threshold, and "recovered", whether it is the planet too. Of a planet its "period" and
+            "duration"; "expected_snr", that of its transits in this noise; "survival", the
+            part of its depth that the first de-trending leaves; and "joint_depth" with its
+            error, fitted together with the systematics by the true shape. Of a recovered one
+            "found_depth" and "found_duration" with their errors, by the shape that was found.
+        """
+        from scope_models.correctors import PLDCorrector  # imports lightkurve
+
+        corrector = PLDCorrector(observation.to_tpf())
+        lc = corrector.correct(order=self.order)
+        good = np.isfinite(lc.flux.value)
+        time, flux = lc.time.value[good], lc.flux.value[good]
+        found = search(time, flattened(time, flux), *self.durations)
+        row = {
+            "white_noise": 1e6 * _white_noise(observation),
+            "snr": found.snr,
+            "sde": found.sde,
+            "found_period": found.period,
+            "detected": found.snr >= self.threshold,
+            "recovered": False,
+        }
+        if not task["depth"]:
+            return row
+        exposure = observation.detector.cadence_days
+        planet, duration = self._planet(task, observation.time, exposure)
+        drop = 1e6 * (1 - planet(time))
+        matches = found.matches(planet.period.value, planet.t0.value, duration, np.ptp(time))
+        row |= {
+            "period": planet.period.value,
+            "duration": duration,
+            "expected_snr": np.sqrt(np.sum(drop**2)) / row["white_noise"],
+            "survival": transit_amplitude(flux, planet(time)),
+            "recovered": row["detected"] and matches,
+        }
+        if row["recovered"]:
+            row |= self._shape(corrector, found, exposure)
+        corrector.correct(order=self.order, transit_model=planet)
+        result = corrector.result
+        row["joint_depth"] = task["depth"] * result.transit_scale
+        row["joint_depth_error"] = task["depth"] * result.transit_scale_err
+        return row
+
+    def _shape(self, corrector, found, exposure_time):
+        """Return depth and duration of what was found, masked in a second de-trending."""
+        mask = found.in_transit(corrector.original_lc.time.value, _MASK_WIDTHS)
+        lc = corrector.correct(order=self.order, transit_mask=mask)
+        good = np.isfinite(lc.flux.value)
+        time, flux = lc.time.value[good], lc.flux.value[good]
+        flux = flattened(time, flux, mask[good])
+        error = 1.4826 * np.median(np.abs(flux[~mask[good]] - 1))
+        model, duration, duration_error = fit_shape(time, flux, error, found, exposure_time)
+        scale, scale_error = corrector.fit_transit(model)
+        depth = 1e6 * model.depth
+        return {
+            "found_depth": depth * scale,
+            "found_depth_error": depth * scale_error,
+            "found_duration": duration,
+            "found_duration_error": duration_error,
+        }
+
+    def summarise(self, table):
+        """Return completeness and errors per motion, magnitude and depth.
+
+        Parameters
+        ----------
+        table : astropy.table.Table
+            The results.
+
+        Returns
+        -------
+        astropy.table.Table
+            One row per motion, magnitude and depth: the number of stars, "completeness", the
+            fraction that is recovered, and "expected", the fraction whose transits would be
+            above the threshold in the least white noise; medians of both signal-to-noise ratios
+            and of the survival; the median of found over true depth and duration of those that
+            are recovered, with half the range from the 16th to the 84th percentile; and, of all,
+            the median of the jointly fitted over the true depth, and of its error in units of
+            its standard deviation.
+            In ``meta``: "false_alarms", how many stars without planet have a detection, and
+            "half_complete", the depth (ppm) of 50 % completeness by motion and magnitude.
+        """
+        names = ("scale", "mag", "depth")
+        cells = {}
+        for number, cell in enumerate(zip(*(table[name] for name in names), strict=True)):
+            cells.setdefault(cell, []).append(number)
+        empty = [number for cell, rows in cells.items() if cell[2] == 0 for number in rows]
+        rows = [
+            dict(zip(names, cell, strict=True)) | self._cell(table[cells[cell]])
+            for cell in sorted(cells)
+            if cell[2] > 0
+        ]
+        summary = Table(rows, names=None if rows else names)
+        summary["depth"].unit = "ppm"
+        alarms = int(np.sum(table["detected"][empty])) if empty else 0
+        summary.meta["false_alarms"] = f"{alarms} of {len(empty)} stars without planet"
+        summary.meta["half_complete"] = {
+            f"{scale:g}x": {
+                f"Kp {mag:g}": half_complete(part["depth"], part["completeness"])
+                for mag in sorted(set(table["mag"]))
+                for part in [summary[(summary["scale"] == scale) & (summary["mag"] == mag)]]
+            }
+            for scale in sorted(set(table["scale"]))
+        }
+        return summary
+
+    def _cell(self, rows):
+        """Return what the stars of a cell say."""
+        recovered = np.array(rows["recovered"])
+        row = {
+            "stars": len(rows),
+            "completeness": recovered.mean(),
+            "expected": np.mean(_values(rows, "expected_snr") >= self.threshold),
+        }
+        for name in ("snr", "expected_snr", "survival"):
+            row[name] = np.median(_values(rows, name))
+        for name in ("depth", "duration"):
+            ratio = (_values(rows, f"found_{name}") / _values(rows, name))[recovered]
+            low, median, high = _percentiles(ratio)
+            row[f"{name}_ratio"] = median
+            row[f"{name}_ratio_scatter"] = 0.5 * (high - low)
+        depth, joint, error = (
+            _values(rows, name) for name in ("depth", "joint_depth", "joint_depth_error")
+        )
+        row["joint_ratio"] = np.median(joint / depth)
+        row["joint_pull"] = np.median((joint - depth) / error)
+        return row
+
+    def draw(self, table, summary):
+        """Draw maps of completeness, and of found over true depth, over depth and magnitude.
+
+        Parameters
+        ----------
+        table : astropy.table.Table
+            The results.
+        summary : astropy.table.Table
+            The summary of them.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            The figure: a column of panels per motion.
+        """
+        from scope_models.plotting.recovery import plot_recovery  # imports matplotlib
+
+        mags = sorted({float(mag) for mag in self.magnitudes})
+        depths = sorted({float(depth) for depth in self.depths if depth > 0})
+        panels = {}
+        for scale in sorted(self.scales):
+            maps = np.full((2, len(depths), len(mags)), np.nan)
+            for row in summary[summary["scale"] == scale]:
+                place = depths.index(row["depth"]), mags.index(row["mag"])
+                maps[(slice(None), *place)] = row["completeness"], row["depth_ratio"]
+            panels[f"{scale:g}x motion"] = maps
+        return plot_recovery(panels, depths, mags)
+
+
+@lru_cache(maxsize=8)
+def _motion(name, n_cadences):
+    """Return a motion, once per process."""
+    return motion_from_name(name, n_cadences)
+
+
+def _white_noise(observation):
+    """Return the relative white noise of a cadence if each pixel has the weight of its light."""
+    model = observation.model()
+    signal_to_noise = np.sum(np.square(model / observation.flux_err), axis=(1, 2))
+    return float(np.median(1 / np.sqrt(signal_to_noise)))
+
+
+def _values(rows, name):
+    """Return a column with NaN where stars lack it."""
+    if name not in rows.colnames:
+        return np.full(len(rows), np.nan)
+    return np.ma.filled(np.ma.asarray(rows[name], dtype=float), np.nan)
+
+
+def _percentiles(values):
+    """Return the 16th, 50th and 84th percentile, NaN without values."""
+    return np.percentile(values, [16, 50, 84]) if len(values) else np.full(3, np.nan)
+
+
+def half_complete(depths, completeness):
+    """Return the depth at which half of the planets are recovered.
+
+    Parameters
+    ----------
+    depths : array_like
+        Depths, increasing.
+    completeness : array_like
+        Fraction that is recovered at each.
+
+    Returns
+    -------
+    float
+        Interpolated in the logarithm of the depth, where the completeness last rises above one
+        half; 0 if it is above everywhere, infinite if it is below at the largest depth.
+    """
+    below = np.flatnonzero(np.asarray(completeness) < 0.5)
+    if len(below) == 0:
+        return 0.0
+    last = int(below[-1])
+    if last == len(depths) - 1:
+        return float("inf")
+    logarithms = np.log(depths[last : last + 2])
+    ends = completeness[last : last + 2]
+    return float(np.round(np.exp(np.interp(0.5, ends, logarithms)), 1))

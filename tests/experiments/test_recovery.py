@@ -1,0 +1,201 @@
+"""Injection and recovery of transits."""
+
+import numpy as np
+import pytest
+from astropy.table import Table
+
+from scope_models import TransitModel
+from scope_models.experiments import make_study, run_experiment, run_sweep
+from scope_models.experiments._search import Found, fit_shape, flattened, search
+from scope_models.experiments.recovery import Recovery, half_complete
+
+CADENCE = 0.0204336
+
+
+@pytest.fixture(scope="module")
+def result(tmp_path_factory):
+    """Return the results of a small grid."""
+    study = Recovery(
+        magnitudes=(12.0, 15.0), depths=(0.0, 50.0, 1000.0), scales=(1.0, 5.0), stars=1
+    )
+    return run_experiment(study, tmp_path_factory.mktemp("recovery") / "run", progress=False)
+
+
+def light_curve(depth, noise=100e-6, n=1000, seed=1):
+    """Return a light curve with transits in white noise, and its model."""
+    time = 2144.0 + CADENCE * np.arange(n)
+    planet = TransitModel.from_depth_duration(depth, 0.2, 3.3, 2145.1, exposure_time=CADENCE)
+    return time, planet(time) + np.random.default_rng(seed).normal(0, noise, n), planet
+
+
+class TestSearch:
+    @pytest.mark.parametrize("depth", [300e-6, 2e-3])
+    def test_planet_is_found(self, depth):
+        time, flux, _ = light_curve(depth)
+        found = search(time, flux, 0.1, 0.25)
+        assert found.matches(3.3, 2145.1, 0.2, np.ptp(time))
+        assert found.duration == pytest.approx(0.2, abs=0.05)
+        assert found.snr > 8
+
+    def test_ratio_grows_with_the_depth(self):
+        shallow, deep = (search(*light_curve(depth)[:2], 0.1, 0.25) for depth in (5e-4, 1e-3))
+        assert deep.snr == pytest.approx(2 * shallow.snr, rel=0.15)
+
+    def test_false_alarms_in_white_noise_are_below_the_threshold(self):
+        rng = np.random.default_rng(5)
+        time = CADENCE * np.arange(1000)
+        found = [search(time, rng.normal(1, 1e-4, 1000), 0.1, 0.25).snr for _ in range(12)]
+        assert 4 < np.median(found) < 5.5
+        assert max(found) < Recovery().threshold
+
+    @pytest.mark.parametrize(
+        "period, t0, expected",
+        [
+            (3.0, 10.0, True),
+            (3.0, 10.0 - 30.0, True),
+            (3.0, 10.09, True),
+            (3.0, 10.11, False),
+            (3.01, 10.0, True),
+            (3.01, 9.94, True),
+            (3.02, 10.0, False),
+            (6.0, 10.0, False),
+            (1.5, 10.0, False),
+        ],
+    )
+    def test_matches(self, period, t0, expected):
+        assert Found(period, t0, 0.2, 10.0, 5.0).matches(3.0, 10.0, 0.2, 20.0) is expected
+
+    def test_in_transit(self):
+        found = Found(3.0, 1.0, 0.2, 10.0, 5.0)
+        time = np.array([-2.0, 0.85, 0.95, 1.0, 1.05, 1.15, 2.5, 4.05])
+        expected = [True, False, True, True, True, False, False, True]
+        assert found.in_transit(time).tolist() == expected
+        assert found.in_transit(time, widths=1.0).sum() == 7
+
+    def test_slow_trends_are_flattened_and_transits_kept(self):
+        time, flux, planet = light_curve(1e-3, noise=1e-6)
+        trend = 1 + 0.01 * np.sin(2 * np.pi * time / 20)
+        flat = flattened(time, flux * trend, planet(time) < 1)
+        inside = slice(50, -50)  # where the window of two days is whole
+        np.testing.assert_allclose(flat[inside], planet(time)[inside], atol=1.5e-4)
+        np.testing.assert_allclose(flat, planet(time), atol=5e-4)
+
+
+class TestShape:
+    def test_depth_and_duration(self):
+        time, flux, planet = light_curve(1e-3)
+        found = search(time, flux, 0.1, 0.25)
+        model, duration, error = fit_shape(time, flux, 100e-6, found, CADENCE)
+        assert abs(duration - 0.2) < 4 * error
+        assert 0.001 < error < 0.01
+        assert model.depth == pytest.approx(1e-3, rel=0.1)
+        assert model.period.value == pytest.approx(3.3, abs=0.005)
+        np.testing.assert_allclose(model(time), planet(time), atol=1e-4)
+
+    @pytest.mark.slow
+    def test_errors_are_those_of_the_scatter(self):
+        pulls = []
+        for seed in range(25):
+            time, flux, _ = light_curve(1e-3, seed=seed)
+            found = Found(3.302, 2145.09, 0.17, 20.0, 8.0)
+            _, duration, error = fit_shape(time, flux, 100e-6, found, CADENCE)
+            pulls.append((duration - 0.2) / error)
+        assert 0.6 < np.std(pulls) < 1.5  # 25 numbers: 0.72 to 1.28 is two standard deviations
+        assert abs(np.mean(pulls)) < 0.6
+
+
+class TestStudy:
+    def test_deep_transits_are_recovered(self, result):
+        deep = result.table[result.table["depth"] == 1000.0]
+        assert deep["recovered"].all()
+        pulls = (deep["found_depth"] - deep["depth"]) / deep["found_depth_error"]
+        assert np.abs(pulls).max() < 3.5
+        assert (
+            np.abs(deep["joint_depth"] - deep["depth"]).max()
+            < 3.5 * deep["joint_depth_error"].max()
+        )
+        assert np.abs(deep["found_duration"] / deep["duration"] - 1).max() < 0.15
+        assert np.abs(deep["survival"] - 1).max() < 0.12
+
+    def test_shallow_ones_of_faint_stars_are_not(self, result):
+        rows = result.table[(result.table["depth"] == 50.0) & (result.table["mag"] == 15.0)]
+        assert len(rows) == 2
+        assert not rows["recovered"].any()
+        assert rows["found_depth"].mask.all()
+
+    def test_stars_without_planet_give_no_alarm(self, result):
+        empty = result.table[result.table["depth"] == 0.0]
+        assert not empty["detected"].any()
+        assert empty["period"].mask.all()
+        assert result.summary.meta["false_alarms"] == "0 of 4 stars without planet"
+
+    def test_expected_ratio_is_that_of_the_photons(self, result):
+        # the search cannot beat the least noise, and comes near it
+        deep = result.table[result.table["depth"] == 1000.0]
+        ratio = deep["snr"] / deep["expected_snr"]
+        assert np.all((ratio > 0.6) & (ratio < 1.1))
+        bright = deep["white_noise"][deep["mag"] == 12.0]
+        electrons = 1.74e5 * 1625.35
+        assert np.all((bright > 1e6 / np.sqrt(electrons)) & (bright < 1.4e6 / np.sqrt(electrons)))
+
+    def test_summary(self, result):
+        summary = result.summary
+        assert len(summary) == 8
+        assert summary["depth"].unit == "ppm"
+        rows = summary[summary["depth"] == 1000.0]
+        assert rows["completeness"].tolist() == [1.0] * 4
+        assert np.abs(rows["depth_ratio"] - 1).max() < 0.15
+        half = summary.meta["half_complete"]
+        assert set(half) == {"1x", "5x"}
+        assert all(50 < depth < 1000 for depth in (half["1x"]["Kp 15"], half["5x"]["Kp 15"]))
+
+    def test_tables_are_read_back(self, result):
+        table = Table.read(result.files[0])
+        assert table["found_depth"].unit == "ppm"
+        assert (
+            Table.read(result.files[1]).meta["half_complete"]
+            == result.summary.meta["half_complete"]
+        )
+
+    def test_stars_do_not_depend_on_the_grid(self, result):
+        study = Recovery(magnitudes=(15.0,), depths=(1000.0, 50.0), scales=(5.0,), stars=1)
+        (row, _) = run_sweep(study, progress=False).table
+        same = result.table[result.table["key"] == row["key"]][0]
+        assert row["snr"] == same["snr"]
+        assert row["joint_depth"] == same["joint_depth"]
+
+
+def test_half_complete():
+    depths = np.array([50.0, 100.0, 200.0])
+    assert half_complete(depths, np.array([0.0, 0.0, 1.0])) == pytest.approx(141.4, abs=0.1)
+    assert half_complete(depths, np.array([1.0, 0.5, 1.0])) == 0.0
+    assert half_complete(depths, np.array([1.0, 0.0, 0.5])) == 200.0
+    assert half_complete(depths, np.array([1.0, 1.0, 0.4])) == np.inf
+
+
+@pytest.mark.parametrize(
+    "fields, message",
+    [
+        ({"stars": 0}, "`stars` must be at least 1, got 0"),
+        ({"cadences": 99}, "`cadences` must be at least 100, got 99"),
+        ({"depths": ()}, "`depths` must be one or more different numbers, got ()"),
+        ({"depths": (0,)}, "`depths` must hold one above 0"),
+        ({"depths": (-1,)}, "`depths` must be at least 0 and below 1e6 ppm, got -1.0"),
+        ({"scales": (0,)}, "`scales` must be positive, got 0.0"),
+        ({"magnitudes": (12, 12)}, "`magnitudes` must be one or more different numbers"),
+        ({"periods": (3,)}, "`periods` must be the smallest and the largest, got (3.0,)"),
+        ({"durations": (0.3, 0.2)}, "`durations` must be the smallest and the largest"),
+        ({"durations": (0.1, 1.0)}, "`durations` must be at most a quarter of the shortest per"),
+        ({"threshold": 0}, "`threshold` must be positive, got 0.0"),
+    ],
+)
+def test_bad_fields(fields, message):
+    with pytest.raises(ValueError) as caught:  # noqa: PT011
+        make_study("recovery", fields)
+    assert message in str(caught.value)
+
+
+def test_periods_beyond_the_series():
+    study = Recovery(periods=(19.0, 20.0))
+    with pytest.raises(ValueError, match="`periods` must be at most half the time span of"):
+        study.run_star(study.tasks()[-1])
