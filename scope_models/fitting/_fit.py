@@ -19,8 +19,8 @@ _POSITIONS = ("free", "start", "prior", "path")
 _LOSSES = ("linear", "soft_l1")
 # Standard deviation of the coefficients of the empirical term, whose first one is 1.
 _RIDGE = 1.0
-# How often errors are scaled where the model is not true.
-_RESCALINGS = 2
+# How often errors are scaled, at most, where the model is not true.
+_RESCALINGS = 8
 
 
 def fit_tpf(
@@ -37,7 +37,7 @@ def fit_tpf(
     loss_scale=3.0,
     flux_err=None,
     saturation=True,
-    max_steps=100,
+    max_steps=200,
 ):
     r"""
     Fit one model to all pixels and cadences of a target pixel file at once.
@@ -62,6 +62,8 @@ def fit_tpf(
         constants are always fixed, because they are the flux. None: the response is 1.
     empirical : int, optional
         Order of a `~scope_models.models.GaussHermitePSF` that is added to the PSF; 0 for none.
+        Its width and its part of the flux are fixed, its coefficients have a prior of standard
+        deviation 1. For another width, give the term as a part of ``psf``.
     interpixel : float, optional
         Standard deviation, before the fit, of the response between pixels; 0 fixes it at 1.
     background : {"cadence", "constant", "none"}, optional
@@ -145,16 +147,26 @@ def fit_tpf(
     # What the shape of the PSF can imitate is freed when the shape is about right.
     late = (*coefficient_names(problem.prf), *problem.ridge)
     early = np.array([name not in late for name in problem.names] + [True] * n_others)
-    solution = solve(problem, state, *arguments, only=early)
-    solution = solve(problem, solution.state, *arguments, n_steps=solution.n_steps)
-    for _ in range(_RESCALINGS):
-        if not problem.rescale(solution.state):
-            break
-        solution = solve(problem, solution.state, *arguments, n_steps=solution.n_steps)
+    solution = _minimise(problem, state, early, arguments)
     errors = covariances(problem, solution, lower, upper, gauge)
     fit = make_result(problem, solution, errors, detector, tpf, options)
     warn_of_fit(fit, stacklevel=3)
     return fit
+
+
+def _minimise(problem, state, early, arguments):
+    """Fit the shape, then everything, with errors that are scaled to the residuals."""
+    # From the start: else all residuals are outliers to a robust loss.
+    problem.rescale(state)
+    solution = solve(problem, state, *arguments, only=early, loosely=True)
+    for remaining in reversed(range(_RESCALINGS)):
+        changed = problem.rescale(solution.state) and remaining > 0
+        solution = solve(
+            problem, solution.state, *arguments, n_steps=solution.n_steps, loosely=changed
+        )
+        if not changed:
+            return solution
+    return solution
 
 
 def _make_problem(tpf, psf, sensitivity, flux_err, options):

@@ -9,14 +9,23 @@ from scope_models.fitting._problem import State
 
 __all__ = ["Solution", "covariances", "solve"]
 
-_FIRST_DAMPING, _LEAST_DAMPING, _LARGEST_DAMPING = 1e-2, 1e-9, 1e8
-# A fit ends when a step lowers the cost by less than this, absolutely or relatively.
-_ABSOLUTE, _RELATIVE = 0.05, 1e-7
+# Less damping at the start lets a PSF that starts far off become a point, from which nothing leads
+# back.
+_FIRST_DAMPING, _LEAST_DAMPING, _LARGEST_DAMPING = 1e-1, 1e-8, 1e8
+# Damping where the start is the result of a fit.
+_LATER_DAMPING = 1e-3
+# Damping that makes a difference after a step that failed.
+_SOBER = 1e-5
+# A fit ends where an undamped step would lower the cost by less than this, absolutely or
+# relatively: all parameters together are within a tenth of a standard deviation of the minimum.
+_ABSOLUTE, _RELATIVE = 1e-2, 1e-6
+# ... the latter for a first guess.
+_LOOSE = 1e-4
 # Directions of the scaled matrix below this are not determined at all.
 _FLOOR = 1e-13
+# ... and below this their gradient is a rounding error.
+_KNOWN = 1e-11
 _LARGEST_MOVE = 0.3
-# With more damping than this a small gain does not mean that the end is near.
-_CALM = 1e-2
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,15 +40,18 @@ class Solution:
     equations : NormalEquations
         Expansion there.
     converged : bool
-        Whether the last step changed nothing.
+        Whether an undamped step would change next to nothing.
     n_steps : int
         Number of accepted steps.
+    distance : float
+        By how much an undamped step would lower the cost.
     """
 
     state: State
     equations: object
     converged: bool
     n_steps: int
+    distance: float
 
 
 class _Limits:
@@ -89,35 +101,78 @@ def _damped(matrix, damping):
     return matrix
 
 
-def _eliminate(equations, damping):
-    """Reduced matrix and gradient of the shared parameters, and what back-substitution needs."""
+@dataclass(frozen=True, eq=False)
+class _Reduced:
+    """Equations of the shared parameters alone, and what back-substitution needs."""
+
+    matrix: np.ndarray
+    gradient: np.ndarray
+    factor: np.ndarray
+    right: np.ndarray
+
+    @property
+    def cadence_gain(self):
+        """By how much steps of the cadences alone would lower the cost."""
+        return float(np.sum(self.right[..., -1] ** 2))
+
+
+def _eliminate(equations, damping=0.0):
+    """Eliminate the parameters of the cadences."""
     factor = np.linalg.cholesky(_damped(equations.cadence, damping))
     n, k, m = equations.mixed.shape
     right = np.concatenate([equations.mixed, equations.cadence_gradient[..., None]], axis=2)
     right = np.linalg.solve(factor, right)
     flat = right.reshape(n * k, m + 1)
     product = flat.T @ flat
-    matrix = equations.shared.copy()
-    matrix[np.arange(m), np.arange(m)] *= 1 + damping
-    matrix -= product[:m, :m]
-    return matrix, equations.shared_gradient - product[:m, m], factor, right
+    matrix = equations.shared - product[:m, :m]
+    return _Reduced(matrix, equations.shared_gradient - product[:m, m], factor, right)
 
 
-def _inverse(matrix):
+def _scales(matrix):
+    """Scales of parameters by the diagonal of a positive matrix; 0 for what is not in it."""
+    diagonal = np.diag(matrix)
+    return np.where(diagonal > 0, 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0)), 0.0)
+
+
+def _spectrum(matrix, whole):
+    """
+    Scales, eigenvalues and vectors of a reduced matrix in the scales of the whole one.
+
+    What is left of a direction that the cadences can imitate is a rounding error in these scales.
+    """
+    scale = _scales(whole)
+    values, vectors = np.linalg.eigh(matrix * scale[:, None] * scale)
+    return scale, values, vectors
+
+
+def _inverse(matrix, whole):
     """Inverse of a positive matrix; directions that are not determined get huge variances."""
     if matrix.shape[0] == 0:
         return matrix
-    diagonal = np.diag(matrix)
-    known = diagonal > 0  # rounding errors leave less of what is not determined
-    scale = np.where(known, 1 / np.sqrt(np.where(known, diagonal, 1.0)), 0.0)
-    values, vectors = np.linalg.eigh(matrix * scale[:, None] * scale)
+    scale, values, vectors = _spectrum(matrix, whole)
     values = np.maximum(values, _FLOOR * max(values[-1], 1e-300))
     return ((vectors / values) @ vectors.T) * scale[:, None] * scale
 
 
+def _distance(equations, limits, shared):
+    """By how much an undamped step would lower the cost."""
+    try:
+        reduced = _eliminate(equations)
+    except np.linalg.LinAlgError:
+        return np.inf
+    basis = limits.basis(limits.outward(shared, reduced.gradient))
+    if not basis.shape[1]:
+        return reduced.cadence_gain
+    matrix = basis.T @ reduced.matrix @ basis
+    scale, values, vectors = _spectrum(matrix, basis.T @ equations.shared @ basis)
+    known = values > _KNOWN * values[-1]
+    gradient = (vectors.T @ (scale * (basis.T @ reduced.gradient)))[known]
+    return reduced.cadence_gain + float(np.sum(gradient**2 / values[known]))
+
+
 def _reach(problem, state):
-    """How far the parameters of the PRF may move in one step, ``(s,)``."""
-    reach = np.full(len(problem.names), np.inf)
+    """How far the shared parameters may move in one step, ``(s,)``."""
+    reach = np.full(problem.n_shared, np.inf)
     for i, name in enumerate(problem.names):
         if name.startswith("sigma"):
             reach[i] = _LARGEST_MOVE * state.shared[i]
@@ -127,25 +182,32 @@ def _reach(problem, state):
 
 
 def _step(problem, state, equations, limits, damping):
-    """The state after one damped step, or None where rounding errors leave no step."""
+    """The state after one damped step and the gain it promises, or None if there is no step."""
     try:
-        matrix, gradient, factor, right = _eliminate(equations, damping)
+        # The cadences follow the shared parameters; only far from the minimum are they held too.
+        reduced = _eliminate(equations, damping * min(damping, 1.0))
     except np.linalg.LinAlgError:
-        return None
-    held = limits.outward(state.shared, gradient)
+        return None, 0.0
+    reach = _reach(problem, state)
+    brake = np.maximum(np.diag(reduced.matrix), _FLOOR * np.diag(equations.shared))
+    brake[: len(reach)] += 1 / reach**2
+    matrix = reduced.matrix + damping * np.diag(brake)
+    held = limits.outward(state.shared, reduced.gradient)
     while True:
         basis = limits.basis(held)
-        shared = basis @ (_inverse(basis.T @ matrix @ basis) @ (basis.T @ gradient))
+        inverse = _inverse(basis.T @ matrix @ basis, basis.T @ equations.shared @ basis)
+        shared = basis @ (inverse @ (basis.T @ reduced.gradient))
         more = limits.outward(state.shared, shared) & ~held
         if not more.any():
             break
         held |= more
-    m, reach = len(shared), _reach(problem, state)
-    with np.errstate(divide="ignore"):
-        shared *= min(1.0, np.min(reach / np.abs(shared[: len(reach)]), initial=1.0))
+    m = len(shared)
+    shared *= min(
+        1.0, np.min(reach / np.maximum(np.abs(shared[: len(reach)]), 1e-300), initial=1.0)
+    )
     shared *= limits.part_inside(state.shared, shared)
-    change = right[..., m] - right[..., :m] @ shared
-    change = np.linalg.solve(factor.transpose(0, 2, 1), change[..., None])[..., 0]
+    change = reduced.right[..., m] - reduced.right[..., :m] @ shared
+    change = np.linalg.solve(reduced.factor.transpose(0, 2, 1), change[..., None])[..., 0]
     if not problem.path:
         np.clip(change[:, :2], -_LARGEST_MOVE, _LARGEST_MOVE, out=change[:, :2])
     cadence = state.cadence + change
@@ -154,11 +216,21 @@ def _step(problem, state, equations, limits, damping):
         np.clip(cadence[:, :2], [-1, -1], [nx, ny], out=cadence[:, :2])
     new = np.clip(state.shared + shared[: problem.n_shared], limits.lower, limits.upper)
     interpixel = state.interpixel + shared[problem.n_shared :]
-    finite = all(np.isfinite(values).all() for values in (new, interpixel, cadence))
-    return State(new, interpixel, cadence) if finite else None
+    if not all(np.isfinite(values).all() for values in (new, interpixel, cadence)):
+        return None, 0.0
+    return State(new, interpixel, cadence), _promise(equations, shared, cadence - state.cadence)
 
 
-def solve(problem, state, lower, upper, gauge, max_steps, n_steps=0, only=None):
+def _promise(equations, shared, cadence):
+    """By how much a step would lower the cost if the equations held everywhere."""
+    gradient = equations.shared_gradient @ shared + np.sum(equations.cadence_gradient * cadence)
+    bend = shared @ equations.shared @ shared
+    bend += 2 * np.sum(cadence * (equations.mixed @ shared))
+    bend += np.einsum("nk,nkl,nl->", cadence, equations.cadence, cadence)
+    return float(2 * gradient - bend)
+
+
+def solve(problem, state, lower, upper, gauge, max_steps, *, n_steps=0, only=None, loosely=False):
     """
     Minimise the cost.
 
@@ -178,6 +250,8 @@ def solve(problem, state, lower, upper, gauge, max_steps, n_steps=0, only=None):
         Steps taken before.
     only : ndarray of bool, shape (s,), optional
         Shared parameters that are free while the others, and the interpixel map, wait.
+    loosely : bool, optional
+        Whether the result is only a start for what follows.
 
     Returns
     -------
@@ -188,25 +262,30 @@ def solve(problem, state, lower, upper, gauge, max_steps, n_steps=0, only=None):
     equations = problem.expand(state)
     if not np.isfinite(equations.cost):
         raise ValueError("the model is not finite at the starting values")
-    damping, converged, streak = _FIRST_DAMPING, False, 2
+    relative = _LOOSE if loosely else _RELATIVE
+    damping, growth = _LATER_DAMPING if n_steps else _FIRST_DAMPING, 2.0
+    distance = _distance(equations, limits, state.shared)
     for _ in range(max_steps):
-        trial = _step(problem, state, equations, limits, damping)
+        converged = distance < max(_ABSOLUTE, relative * equations.cost)
+        if (converged and loosely) or damping > _LARGEST_DAMPING:
+            break
+        trial, promise = _step(problem, state, equations, limits, damping)
         expanded = problem.expand(trial) if trial is not None else None
         gain = -np.inf if expanded is None else equations.cost - expanded.cost
-        small = max(_ABSOLUTE, _RELATIVE * equations.cost)
-        if gain >= 0:
-            state, equations, n_steps = trial, expanded, n_steps + 1
-            converged = gain < small and damping <= _CALM
-            # Soon after a step that failed, more courage would only fail again.
-            damping = max(damping / (10 if streak > 1 else 1.5), _LEAST_DAMPING)
-            streak += 1
-        else:
-            # Rounding errors: no step lowers the cost any more.
-            converged = bool(-gain < 1e-3 * small) and damping <= _CALM
-            damping, streak = max(damping * 4, 1e-5), 0
-        if converged or damping > _LARGEST_DAMPING:
+        if not gain > 0:
+            if converged:
+                break
+            damping, growth = max(damping * growth, _SOBER), growth * 2
+            continue
+        ratio = gain / promise if promise > 0 else 1.0
+        damping *= max(0.1, 1 - (2 * min(ratio, 1.0) - 1) ** 3)
+        damping, growth = max(damping, _LEAST_DAMPING), 2.0
+        state, equations, n_steps = trial, expanded, n_steps + 1
+        distance = _distance(equations, limits, state.shared)
+        if converged:  # that was one more step, to be nearer than asked for
             break
-    return Solution(state, equations, bool(converged), n_steps)
+    converged = distance < max(_ABSOLUTE, relative * equations.cost)
+    return Solution(state, equations, bool(converged), n_steps, float(distance))
 
 
 def covariances(problem, solution, lower, upper, gauge):
@@ -233,9 +312,10 @@ def covariances(problem, solution, lower, upper, gauge):
     """
     equations = solution.equations
     limits = _Limits(problem, lower, upper, gauge)
-    matrix, gradient, _, _ = _eliminate(equations, 0.0)
-    basis = limits.basis(limits.outward(solution.state.shared, gradient))
-    shared = basis @ _inverse(basis.T @ matrix @ basis) @ basis.T
+    reduced = _eliminate(equations)
+    basis = limits.basis(limits.outward(solution.state.shared, reduced.gradient))
+    inverse = _inverse(basis.T @ reduced.matrix @ basis, basis.T @ equations.shared @ basis)
+    shared = basis @ inverse @ basis.T
     alone = np.linalg.inv(_damped(equations.cadence, 0.0))
     along = alone @ equations.mixed
     cadence = alone + (along @ shared) @ along.transpose(0, 2, 1)

@@ -14,8 +14,9 @@ from scope_models.models._derivatives import coefficient_names
 __all__ = ["bounds_of", "free_names", "make_prf", "starting_state"]
 
 _SIGMAS, _FRACTIONS = (0.5, 1.1, 2.0), (0.7, 0.25, 0.05)
-# The empirical term: part of the flux, and width of its first function, at the start.
-_EMPIRICAL_FRACTION, _EMPIRICAL_SIGMA = 0.2, 0.7
+# The empirical term: part of the flux, and width of its first function. From 0.7 to 0.8 the real
+# stars of the documentation are described best.
+_EMPIRICAL_FRACTION, _EMPIRICAL_SIGMA = 0.2, 0.75
 # Narrower PSFs are the same to a pixel; tighter correlations only cost time.
 _LEAST_SIGMA, _LARGEST_RHO, _LARGEST_OFFSET = 0.1, 0.95, 2.0
 # Pixels that are brighter than this part of the brightest one give the first positions.
@@ -63,6 +64,10 @@ def make_prf(psf, sensitivity, empirical):
         for name in sensitivity.param_names:
             getattr(prf, name).fixed = bool(getattr(sensitivity, name).fixed)
     _hold_constants(prf)
+    if empirical:
+        # A change of either is a change of the coefficients, in which the model is linear.
+        for name in ("flux_fraction", "sigma_x", "sigma_y"):
+            getattr(prf, f"{name}_{n_components}").fixed = True
     if number:
         for k in range(1, n_components):
             for name in (f"x_offset_{k}", f"y_offset_{k}"):

@@ -322,3 +322,16 @@ def test_light_curve(fit):
     assert curve.time.format == "bkjd"
     np.testing.assert_array_equal(curve["cadenceno"], fit.cadenceno)
     np.testing.assert_array_equal(curve.time.value, fit.time)
+
+
+def test_rich_models_converge(psf):
+    """Terms that can imitate each other leave no doubt about where the minimum is."""
+    observation = simulate(
+        Star(12.0, 3.2, 2.9, psf=psf), Detector.k2(shape=(7, 7)), 3 * Motion.k2_roll(60), seed=2
+    )
+    fit = fit_tpf(observation.to_tpf(), psf=2, empirical=6)
+    assert fit.converged
+    assert fit.n_steps < 100
+    longer = fit_tpf(observation.to_tpf(), psf=2, empirical=6, max_steps=1000)
+    assert longer.chi2 == pytest.approx(fit.chi2, abs=0.1)
+    assert abs(fit.reduced_chi2 - 1) < 5 * np.sqrt(2 / fit.dof)
