@@ -162,9 +162,10 @@ def depth_scores(corrector, signal, name, options):
     result = corrector.result
     row |= {f"joint_{name}": result.transit_scale, f"joint_{name}_err": result.transit_scale_err}
     corrector.correct(order=options.order)
-    flux = corrector.corrected_lc.flux.value / np.nanmedian(corrector.corrected_lc.flux.value)
-    depth = np.nanmean(flux[signal == 1]) - np.nanmean(flux[signal < 1])
-    return row | {f"unmasked_{name}": depth / (1 - signal.min())}
+    lc = corrector.corrected_lc
+    flux, weight = lc.flux.value / np.nanmedian(lc.flux.value), lc.flux_err.value**-2.0
+    outside, inside = (np.average(flux[s], weights=weight[s]) for s in (signal == 1, signal < 1))
+    return row | {f"unmasked_{name}": (outside - inside) / (1 - signal.min())}
 
 
 def keys(options):

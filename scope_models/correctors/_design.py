@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import ndtr
 
 from scope_models.correctors._features import (
     Regressors,
@@ -12,16 +11,15 @@ from scope_models.correctors._features import (
     principal_columns,
     shared_columns,
 )
+from scope_models.correctors._saturation import without_saturation
 
-__all__ = ["DesignOptions", "make_regressors", "without_saturation"]
+__all__ = ["DesignOptions", "make_regressors"]
 
 #: Columns are dropped when they could not change the flux by this part of its noise's variance
 #: with coefficients of one; of higher orders, whose coefficients may be larger, earlier.
 _TOLERANCE, _HIGHER_TOLERANCE = 1e-2, 1e-3
 _SHARED_TOLERANCE = 1e-6
 _MAX_RANK = 300
-#: Width in pixels of the Gaussian that stands for a saturated column.
-_DRAWN_WIDTH = 0.6
 _REACH = 2
 
 
@@ -48,39 +46,6 @@ class DesignOptions:
     extra: dict
 
 
-def without_saturation(images, aperture, saturation):
-    """
-    Return images in which saturated columns do not tell how bright the star is.
-
-    A full pixel stays full when the star dims: its share of the light tells of the dimming, and
-    must not be a regressor. Charge bleeds up and down alike, so that the sum of each
-    column and the row of the centre of light do not depend on it. The columns are replaced by
-    images of these alone: a Gaussian along the column about the centre of light, as bright
-    as the column.
-
-    Parameters
-    ----------
-    images : ndarray
-        ``(n_cadences, ny, nx)``.
-    aperture : ndarray of bool
-        ``(ny, nx)``; outside of it the images become zero.
-    saturation : float or None
-        In the images' unit.
-    """
-    images = np.where(aperture, images, 0.0)
-    if saturation is None:
-        return images
-    columns = (np.percentile(images, 97, axis=0) > saturation).any(axis=0)
-    if columns.any():
-        sums = images[:, :, columns].sum(axis=1)
-        rows = np.arange(images.shape[1])
-        centre_of_light = images[:, :, columns].sum(axis=2) @ rows / sums.sum(axis=1)
-        low = (rows - 0.5 - centre_of_light[:, None]) / _DRAWN_WIDTH
-        profile = ndtr(low + 1 / _DRAWN_WIDTH) - ndtr(low)
-        images[:, :, columns] = profile[:, :, None] * sums[:, None, :]
-    return images
-
-
 def make_regressors(pixels, use, options):
     """
     Make the groups of regressors.
@@ -101,7 +66,10 @@ def make_regressors(pixels, use, options):
     """
     usable = pixels.usable
     total = pixels.total[usable]
-    images = without_saturation(pixels.flux[usable], pixels.aperture, options.saturation)
+    photons = float(np.median((pixels.total_err[usable] ** 2 / total)[use]))
+    images = without_saturation(
+        pixels.flux[usable], pixels.aperture, use, options.saturation, photons
+    )
     images /= total[:, None, None]
     fractions = images[:, pixels.aperture]
     noise = float(np.median((pixels.total_err[usable] / total)[use] ** 2))
@@ -115,18 +83,31 @@ def make_regressors(pixels, use, options):
             shared = centre(shared_columns(images, n, _REACH), use)
             parts["order 2, shared"] = principal_columns(shared, use, _SHARED_TOLERANCE * noise)
     if options.breaks:
-        parts["segments"] = _by_segment(first, pixels.time[usable], options.breaks, use)
+        parts["segments"] = _contrasts(first, pixels.time[usable], options.breaks, use)
     for name, columns in options.extra.items():
         parts[name] = _completed(columns[usable], use, noise)
     return Regressors.join(parts)
 
 
-def _by_segment(columns, time, breaks, use):
-    """Copies of the columns that differ from zero in one segment each."""
+def _contrasts(columns, time, breaks, use):
+    """
+    Return copies of the columns that differ between the segments and are the same in none.
+
+    A common part of the coefficients is left to the columns themselves: of k segments, k - 1
+    orthonormal contrasts remain.
+    """
     segment = np.searchsorted(np.asarray(breaks), time, side="right")
     present = np.unique(segment[use])
-    copies = [np.where((segment == s)[:, None], columns, 0.0) for s in present]
-    return np.concatenate(copies, axis=1)
+    member = (segment[:, None] == present).astype(float)
+    contrasts = member @ _orthonormal_contrasts(len(present))
+    return (contrasts[:, :, None] * columns[:, None, :]).reshape(len(columns), -1)
+
+
+def _orthonormal_contrasts(k):
+    """Return k - 1 orthonormal columns whose elements add up to zero (Helmert's)."""
+    contrasts = np.triu(np.ones((k, k - 1)))
+    contrasts[1:][np.diag_indices(k - 1)] = -np.arange(1, k)
+    return contrasts / np.sqrt(np.arange(1, k) * np.arange(2, k + 1))
 
 
 def _completed(columns, use, noise):

@@ -3,8 +3,12 @@
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import solve_triangular
 
 __all__ = ["Regressors", "centre", "power_columns", "principal_columns", "shared_columns"]
+
+#: Largest number of cadences of which the pivots of a factor are chosen.
+_CANDIDATES = 4000
 
 
 @dataclass(frozen=True)
@@ -80,7 +84,7 @@ def power_columns(fractions, order, use, tolerance, max_rank):
     order : int
         Number of factors.
     use : ndarray of bool
-        Cadences that may become pivots.
+        Cadences that may become pivots; of very many, evenly spaced ones.
     tolerance : float
         The factor ends when the mean of what is left of the kernel's
         diagonal, over the cadences in use, is below this.
@@ -92,21 +96,30 @@ def power_columns(fractions, order, use, tolerance, max_rank):
     columns : ndarray
         ``(n_cadences, rank)``.
     rest : float
-        Mean of what is left of the diagonal.
+        Mean of what is left of the diagonal, over the cadences that could be pivots.
     """
-    rest = np.einsum("ij,ij->i", fractions, fractions) ** order
-    rank = min(max_rank, int(use.sum()))
-    factor = np.empty((rank, len(fractions)))
-    for k in range(rank):
-        candidates = np.where(use, rest, -1.0)
-        pivot = int(np.argmax(candidates))
-        if candidates[use].mean() < tolerance or candidates[pivot] <= 0:
-            rank = k
+    few = np.flatnonzero(use)
+    few = few[:: -(-len(few) // _CANDIDATES)]
+    pivots, factor, rest = _pivoted_cholesky(fractions[few], order, tolerance, max_rank)
+    kernel = (fractions[few[pivots]] @ fractions.T) ** order
+    columns = solve_triangular(factor, kernel, lower=True, overwrite_b=True, check_finite=False)
+    return columns.T, rest
+
+
+def _pivoted_cholesky(points, order, tolerance, max_rank):
+    """Return the pivots, the triangular factor of their kernel, and the mean of what is left."""
+    rest = np.einsum("ij,ij->i", points, points) ** order
+    factor = np.zeros((min(max_rank, len(points)), len(points)))
+    pivots = []
+    for k in range(len(factor)):
+        pivot = int(np.argmax(rest))
+        if rest.mean() < tolerance or rest[pivot] <= 0:
             break
-        column = (fractions @ fractions[pivot]) ** order - factor[:k, pivot] @ factor[:k]
+        column = (points @ points[pivot]) ** order - factor[:k, pivot] @ factor[:k]
         factor[k] = column / np.sqrt(rest[pivot])
         rest = np.maximum(rest - factor[k] ** 2, 0.0)
-    return np.ascontiguousarray(factor[:rank].T), float(rest[use].mean())
+        pivots.append(pivot)
+    return pivots, factor[: len(pivots), pivots].T, float(rest.mean())
 
 
 def shared_columns(images, order, reach):

@@ -29,9 +29,8 @@ def leave_one_out(data, hyper, *, gradient=False):
         long-term process alike, and of the groups' variances.
     """
     process = hyper.process(data.time, data.variance)
-    n = len(data.y)
-    diagonal = process.inverse_blocks(np.arange(n), 1)[:, 0, 0]
-    return _score(data, process.solve(data.stacked), diagonal, hyper, gradient=gradient)
+    solved, diagonal = process.solve(data.stacked), process.inverse_diagonal()
+    return _score(data, solved, diagonal, hyper, gradient=gradient)
 
 
 def _score(data, solved, diagonal, hyper, *, gradient, scale=1.0):
@@ -73,7 +72,7 @@ def fit_leave_one_out(data, hyper):
     """Maximise the leave-one-out score over the columns' variances and the noise."""
     process = hyper.process(data.time, data.variance)
     solved = process.solve(data.stacked)
-    diagonal = process.inverse_blocks(np.arange(len(data.y)), 1)[:, 0, 0]
+    diagonal = process.inverse_diagonal()
 
     def objective(theta):
         trial = replace(hyper, variances=np.exp(theta[1:]))

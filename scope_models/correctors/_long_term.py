@@ -29,6 +29,10 @@ class Noise:
         """Return ``inv(K) @ columns``."""
         return columns / self.variance[:, None]
 
+    def inverse_diagonal(self):
+        """Return the diagonal of ``inv(K)``."""
+        return 1 / self.variance
+
     def inverse_blocks(self, starts, width):
         """Return the diagonal blocks of ``inv(K)``, shape ``(n_blocks, width, width)``."""
         index = starts[:, None] + np.arange(width)
@@ -168,6 +172,15 @@ class LongTerm:
         dv = np.stack([-sin, cos], axis=1)
         turned = np.sum((u_bar * du + v_bar * dv) * phase[:, None])
         return float(amplitude_bar), float(-turned - np.sum(c_bar * m.c))
+
+    def inverse_diagonal(self):
+        """Return the diagonal of ``inv(K)``: the derivative of log det K by that of K."""
+        m, empty = self._matrices, np.zeros_like
+        arrays = (empty(self.time), empty(m.c), empty(m.a), empty(m.u), empty(m.v))
+        return backprop.factor_rev(
+            self.time, m.c, m.a, m.u, m.v, self._d, self._w, self._state,
+            1 / self._d, empty(self._w), *arrays,
+        )[2]  # fmt: skip
 
     def inverse_blocks(self, starts, width):
         """

@@ -12,10 +12,11 @@ __all__ = ["Pixels", "choose_aperture", "read_pixels"]
 
 #: Share of the star's light that a pixel must hold to belong to the default aperture.
 _SMALLEST_SHARE = 1e-3
-#: ... in the brightest part of its cadences
-_BRIGHT_PART = 0.01
-#: ... and at least so many standard deviations of its noise; the mean of the
-#: brightest 1 % of pure noise is 2.7.
+#: ... in this part of the cadences, and in so many at least: light that a rare excursion carries
+#: out of the aperture would be lost
+_BRIGHT_PART, _FEWEST = 0.002, 3
+#: ... and at least so many standard deviations of its noise, which pure noise passes in
+#: less than one of 10^5 cadences.
 _SIGNIFICANCE = 4.5
 
 
@@ -68,8 +69,8 @@ def choose_aperture(flux, flux_err, pipeline=None):
         if finite.sum() < 3:
             raise ValueError("`tpf` has no pixels with data: no aperture can be chosen")
     values = np.where(np.isfinite(flux[finite]), flux[finite], 0.0)
-    count = max(3, round(_BRIGHT_PART * len(values)))
-    bright = np.partition(values, len(values) - count, axis=0)[-count:].mean(axis=0)
+    count = max(_FEWEST, round(_BRIGHT_PART * len(values)))
+    bright = np.partition(values, len(values) - count, axis=0)[-count]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # pixels without errors
         noise = np.nan_to_num(np.nanmedian(flux_err[finite], axis=0))

@@ -18,8 +18,13 @@ __all__ = [
     "log_likelihood",
 ]
 
+#: Twice as many cadences are averaged before the search: what is slow and how strong each group
+#: is shows in the means.
+_ENOUGH = 4000
 #: A search ends when a step improves the likelihood's logarithm by about so much.
 _PRECISION = 1e-3
+#: Steps of a search at most, and of those that only tell which start is the best.
+_STEPS, _FEW_STEPS = 60, 10
 #: Bound of the period in days: what is faster than a transit is not a trend.
 _SHORTEST_PERIOD = 0.5
 #: Variances of a group's part that are tried against others, in units of the data's.
@@ -81,6 +86,21 @@ class Data:
         square = np.mean(self.columns[:, : len(self.groups)] ** 2, axis=0)
         return np.bincount(self.groups, square, minlength=self.n_groups)
 
+    def averaged(self, width):
+        """Return the means of so many cadences each, one after the other."""
+        starts = np.arange(0, len(self.y) - width + 1, width)
+
+        def mean(values):
+            return np.add.reduceat(values[: len(starts) * width], starts, axis=0) / width
+
+        return replace(
+            self,
+            time=mean(self.time),
+            y=mean(self.y),
+            variance=mean(self.variance) / width,
+            columns=mean(self.columns),
+        )
+
 
 @dataclass(frozen=True)
 class Hyperparameters:
@@ -110,7 +130,9 @@ class Hyperparameters:
 
     def prior(self, data):
         """Return the prior variance of each column."""
-        return np.append(self.variances[data.groups], np.full(data.n_flat, _FLAT * data.spread))
+        prior = np.full(data.columns.shape[1], _FLAT * data.spread)
+        prior[: len(data.groups)] = self.variances[data.groups]
+        return prior
 
 
 class Posterior:
@@ -209,7 +231,7 @@ def log_likelihood(data, hyper, *, gradient=False):
     return value, -np.array([scale, *groups, *process_bar])
 
 
-def _fit_scales(gram, data, hyper):
+def _fit_scales(gram, data, hyper, n_steps):
     """Maximise over the variances and a factor of noise and long-term process alike."""
     n, n_groups = len(data.y), data.n_groups
 
@@ -228,7 +250,7 @@ def _fit_scales(gram, data, hyper):
 
     unit = np.log(data.spread / data.sizes)
     bounds = [(-12.0, 12.0), *zip(unit - 30, unit + np.log(_LARGEST), strict=True)]
-    factor, *variances = _minimize(objective, [1.0, *hyper.variances], bounds, n)
+    factor, *variances = _minimize(objective, [1.0, *hyper.variances], bounds, n, n_steps)
     return replace(
         hyper,
         noise_scale=hyper.noise_scale * factor,
@@ -237,10 +259,10 @@ def _fit_scales(gram, data, hyper):
     ), factor
 
 
-def _minimize(objective, start, bounds, n):
+def _minimize(objective, start, bounds, n, n_steps=_STEPS):
     """Minimise over positive parameters, and return these."""
     start = np.clip(np.log(start), *np.transpose(bounds))
-    options = {"maxiter": 60, "ftol": _PRECISION / n}
+    options = {"maxiter": n_steps, "ftol": _PRECISION / n}
     result = minimize(objective, start, jac=True, method="L-BFGS-B", bounds=bounds, options=options)
     return [float(value) for value in np.exp(result.x)]
 
@@ -285,7 +307,7 @@ def _fit_process(data, hyper):
     )
 
 
-def fit_columns(data, hyper):
+def fit_columns(data, hyper, n_steps=_STEPS):
     """
     Maximise over the columns' variances and a factor of the noise and the process alike.
 
@@ -295,6 +317,8 @@ def fit_columns(data, hyper):
         The problem.
     hyper : Hyperparameters
         Where to begin.
+    n_steps : int, optional
+        Largest number of steps.
 
     Returns
     -------
@@ -304,7 +328,7 @@ def fit_columns(data, hyper):
         The Gram matrix that goes along.
     """
     gram = _gram(hyper.process(data.time, data.variance), data.stacked)
-    hyper, factor = _fit_scales(gram, data, hyper)
+    hyper, factor = _fit_scales(gram, data, hyper, n_steps)
     return hyper, gram / factor
 
 
@@ -322,7 +346,8 @@ def fit_hyperparameters(data, start=None, *, trend=True, tolerance=0.05, n_round
 
     The columns' parameters are improved at fixed process, where only a small matrix enters,
     and the process' with the columns compressed, by turns. Whether a slow change
-    is variability or systematics can make two maxima, so that there are several starts.
+    is variability or systematics can make two maxima, so that there are several starts. Of very
+    many cadences, means are searched first.
 
     Parameters
     ----------
@@ -337,6 +362,11 @@ def fit_hyperparameters(data, start=None, *, trend=True, tolerance=0.05, n_round
     n_rounds : int, optional
         Largest number of rounds.
     """
+    width = len(data.y) // _ENOUGH
+    if width > 1:
+        options = {"trend": trend, "tolerance": tolerance, "n_rounds": n_rounds}
+        hyper = fit_hyperparameters(data.averaged(width), start, **options)
+        return fit_columns(data, hyper)[0]
     hyper = start if start is not None else _best_start(data, trend)
     value = log_likelihood(data, hyper)
     for k in range(n_rounds):
@@ -389,5 +419,5 @@ def _best_start(data, trend):
         Hyperparameters(1.0, part * unit, 0.1 * noise if a is None else a * data.spread, period)
         for a, part, period in _STARTS
     ]
-    fitted = [fit_columns(data, hyper)[0] for hyper in starts]
+    fitted = [fit_columns(data, hyper, _FEW_STEPS)[0] for hyper in starts]
     return max(fitted, key=lambda hyper: log_likelihood(data, hyper))

@@ -20,7 +20,8 @@ __all__ = ["Solution", "fit"]
 _TREND_COLUMNS = {"gp": 1, "quadratic": 3}
 #: Largest number of fits of the hyper-parameters after outliers were found.
 _REFITS = 2
-#: Part of the cadences without which the time scales stay: only the variances are fitted again.
+#: Part of the cadences without which the columns and the time scales stay: only the variances are
+#: fitted again.
 _LITTLE = 0.01
 
 
@@ -77,8 +78,7 @@ class Solution:
 
     @cached_property
     def posterior(self):
-        z = self.process.whiten(self.data.stacked)
-        return Posterior(z.T @ z, self.hyper.prior(self.data))
+        return Posterior(self.data.stacked.T @ self.solved, self.hyper.prior(self.data))
 
     @property
     def n_regressors(self):
@@ -148,11 +148,18 @@ class Solution:
         alpha = self.alpha[: len(starts) * width].reshape(-1, width, 1)
         return (covariance @ alpha)[:, :, 0], covariance
 
+    @property
+    def precision(self):
+        """Diagonal of the inverse covariance of everything, for the cadences in use."""
+        x = self.solved[:, :-1]
+        return self.process.inverse_diagonal() - np.einsum(
+            "ij,ij->i", x @ self.posterior.covariance, x
+        )
+
     @cached_property
     def deviations(self):
         """Leave-one-out residuals of the cadences in use in units of their standard deviation."""
-        precision = self.blocks(np.arange(len(self.alpha)), 1)[:, 0, 0]
-        return self.alpha / np.sqrt(np.maximum(precision, 1e-300))
+        return self.alpha / np.sqrt(np.maximum(self.precision, 1e-300))
 
     def latent_variance(self):
         """Variance of the model, systematics and trend together, at all usable cadences."""
@@ -160,8 +167,7 @@ class Solution:
         variance = np.where(self.use, self.variance, 1e6 * self.variance)
         whole = replace(self, variance=variance, use=np.ones_like(self.use))
         white = whole.white_variance
-        precision = whole.blocks(np.arange(len(white)), 1)[:, 0, 0]
-        return np.clip(white - white**2 * precision, 0.0, None)
+        return np.clip(white - white**2 * whole.precision, 0.0, None)
 
     def with_flat(self, column, n_trend, use):
         """Return the same model with another transit column and other cadences."""
@@ -225,15 +231,19 @@ def fit(make_regressors, time, y, variance, use, flat_columns, options):
     time = time - time[use][0]
     flat, scale = _flat_columns(time, flat_columns, options.trend)
     allowed, solution = use, None
-    for _ in range(_REFITS + 1):
-        hyper, n_changed = None, len(use)
+    for k in range(_REFITS + 1):
+        hyper, regressors, little = None, None, False
         if solution is not None:
-            hyper, n_changed = solution.hyper, (use != solution.use).sum()
+            hyper = solution.hyper
+            little = (use != solution.use).sum() < _LITTLE * use.sum()
+            regressors = solution.regressors if little else None
+        if regressors is None:
+            regressors = make_regressors(use)
         centred = y - y[use].mean()
-        solution = Solution(time, centred, variance, use, make_regressors(use), flat, scale, hyper)
-        little = n_changed < _LITTLE * use.sum()
+        solution = Solution(time, centred, variance, use, regressors, flat, scale, hyper)
         solution = replace(solution, hyper=_fit_hyper(solution, options, little=little))
-        use = _without_outliers(solution, allowed, options)
+        if k < _REFITS:
+            use = _without_outliers(solution, allowed, options)
         if (use == solution.use).all():
             break
     return solution

@@ -5,7 +5,8 @@ from itertools import combinations_with_replacement, product
 import numpy as np
 import pytest
 
-from scope_models.correctors._design import DesignOptions, make_regressors, without_saturation
+from scope_models.correctors import _features
+from scope_models.correctors._design import DesignOptions, _contrasts, make_regressors
 from scope_models.correctors._features import (
     Regressors,
     centre,
@@ -32,6 +33,19 @@ def test_power_columns_span_all_products(fractions, order):
     np.testing.assert_allclose(columns @ columns.T, products @ products.T, rtol=1e-6)
     assert columns.shape[1] <= len(list(combinations_with_replacement(range(5), order)))
     assert rest < 1e-15
+
+
+def test_pivots_of_some_cadences_are_enough(monkeypatch):
+    place = np.sin(np.linspace(0, 30, 3000))
+    fractions = np.exp(-0.5 * (place[:, None] - np.arange(-2, 3)) ** 2)
+    fractions /= fractions.sum(axis=1)[:, None]
+    use = np.arange(3000) % 3 > 0
+    monkeypatch.setattr(_features, "_CANDIDATES", 300)
+    columns, rest = power_columns(fractions, 2, use, 1e-12, 80)
+    left = np.sum(fractions**2, axis=1) ** 2 - np.sum(columns**2, axis=1)
+    assert columns.shape == (3000, len(columns.T))
+    assert rest < 1e-12
+    assert left.max() < 1e-9
 
 
 def test_power_columns_stop_at_the_tolerance_and_the_rank(fractions):
@@ -83,30 +97,6 @@ def test_regressors_join():
     assert joined.columns.sum() == 12
 
 
-def test_saturated_columns_do_not_tell_the_brightness():
-    rng = np.random.default_rng(4)
-    aperture = np.ones((7, 5), dtype=bool)
-    aperture[0, 0] = False
-    star = rng.uniform(1, 2, (40, 7, 5))
-    star[:, 2:5, 2] += 100
-    fractions = []
-    for dimmed in (star, 0.99 * star):
-        full = np.minimum(dimmed, 50)
-        excess = (dimmed - full).sum(axis=1)
-        full[:, 1, 2] += excess[:, 2] / 2
-        full[:, 5, 2] += excess[:, 2] / 2
-        images = without_saturation(full, aperture, 45)
-        fractions.append(images / images.sum(axis=(1, 2), keepdims=True))
-        np.testing.assert_allclose(
-            images[:, :, 2].sum(axis=1), dimmed[:, :, 2].sum(axis=1), rtol=2e-3
-        )
-        np.testing.assert_array_equal(images[:, :, 3], dimmed[:, :, 3])
-    # bled light is as far from the middle on both sides, and the middle is not quite the centre
-    np.testing.assert_allclose(fractions[0], fractions[1], atol=2e-4)
-    np.testing.assert_array_equal(without_saturation(star, aperture, None)[:, 0, 0], 0)
-    np.testing.assert_array_equal(without_saturation(star, aperture, 1e9)[:, 1:], star[:, 1:])
-
-
 def test_segments_and_extra_groups(fractions):
     flux = 100 * fractions.reshape(80, 1, 5)
     extra = np.random.default_rng(3).normal(size=(80, 2))
@@ -118,9 +108,20 @@ def test_segments_and_extra_groups(fractions):
     use = np.arange(80) % 7 > 0
     found = make_regressors(pixels, use, DesignOptions(1, None, (30.5,), {"extra": extra}))
     assert found.names == ("order 1", "segments", "extra")
-    np.testing.assert_array_equal(np.bincount(found.groups), [4, 8, 2])
-    first, second = found.columns[:, 4:8], found.columns[:, 8:12]
-    np.testing.assert_array_equal(first[31:], 0)
-    np.testing.assert_array_equal(second[:31], 0)
-    np.testing.assert_allclose(first + second, found.columns[:, :4])
-    np.testing.assert_array_equal(found.columns[5, 12:], 0)
+    np.testing.assert_array_equal(np.bincount(found.groups), [4, 4, 2])
+    sign = np.where(np.arange(80) < 31, 1, -1)[:, None]
+    np.testing.assert_allclose(found.columns[:, 4:8], sign * found.columns[:, :4] / 2**0.5)
+    np.testing.assert_array_equal(found.columns[5, 8:], 0)
+
+
+@pytest.mark.parametrize("breaks", [(), (30.5,), (10.5, 30.5), (200.0,)])
+def test_contrasts_are_copies_without_their_common_part(fractions, breaks):
+    """With the columns themselves they give the covariance of one copy per segment."""
+    time = np.arange(80.0)
+    columns = _contrasts(fractions, time, breaks, np.ones(80, dtype=bool))
+    segment = np.searchsorted(breaks, time)
+    k = len(np.unique(segment))
+    assert columns.shape == (80, 5 * (k - 1))
+    kernel = fractions @ fractions.T
+    copies = kernel * (segment[:, None] == segment)
+    np.testing.assert_allclose(columns @ columns.T, copies - kernel / k, atol=1e-14)

@@ -1,0 +1,159 @@
+"""Images of columns with full pixels, drawn anew without the charge that has bled."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import ndtr
+
+__all__ = ["RowCentres", "find_row_centres", "without_saturation"]
+
+#: A column counts as full if it is in this part of the cadences, and in so many at least.
+_PART, _FEWEST = 0.01, 3
+#: Standard deviation in pixels of the Gaussian that stands for the star along a full column.
+_DRAWN_WIDTH = 0.6
+#: Columns within so many pixels of the star tell its row; so far reaches its tilt.
+_REACH = 4
+#: A column tells the row if it holds this share of the light; with twice the share fully.
+_SMALLEST_SHARE = 5e-3
+#: ... and no pixel is fuller than 1, with 0.8 fully.
+_TAPER = 0.2
+#: Standard deviations: what a column's centre of light does not follow the model by (pixel), and
+#: the pixels' responses (relative).
+_MISFIT, _RESPONSE = 1e-3, 0.05
+#: Standard deviation in pixels of the centre of all light, where no column tells the row.
+_FALLBACK = 0.5
+
+
+@dataclass(frozen=True)
+class RowCentres:
+    """
+    Where the star is along the columns.
+
+    Parameters
+    ----------
+    star : ndarray
+        Row of the star, up to a smooth function of its place, ``(n_cadences,)``.
+    columns : ndarray
+        Row of the centre of the light in each column, ``(n_cadences, nx)``: where the image is
+        tilted it differs from column to column.
+    """
+
+    star: np.ndarray
+    columns: np.ndarray
+
+
+def without_saturation(images, aperture, use, saturation, noise):
+    """
+    Return images in which full columns do not tell how bright the star is.
+
+    A full pixel stays full when the star dims: its share of the light tells of the dimming, and
+    must not be a regressor. Charge bleeds along the columns, so that a column's sum does not
+    depend on it, and columns without full pixels tell the row of the star. Full columns
+    are replaced by images of these alone: a Gaussian along the column about the star's row,
+    as bright as the column.
+
+    Parameters
+    ----------
+    images : ndarray
+        ``(n_cadences, ny, nx)``.
+    aperture : ndarray of bool
+        ``(ny, nx)``; outside of it the images become zero.
+    use : ndarray of bool
+        Cadences that tell which columns are full and what the star looks like.
+    saturation : float or None
+        Flux of a full pixel, in the images' unit.
+    noise : float
+        Variance of the noise per flux, in the images' unit.
+    """
+    images = np.where(aperture, images, 0.0)
+    if saturation is None:
+        return images
+    count = max(_FEWEST, round(_PART * use.sum()))
+    full = (np.sum(images[use] > saturation, axis=0) >= count).any(axis=0)
+    if full.any():
+        centres = find_row_centres(images, aperture, use, saturation, noise).columns[:, full]
+        rows = np.arange(images.shape[1])
+        low = (rows[:, None] - 0.5 - centres[:, None, :]) / _DRAWN_WIDTH
+        profile = ndtr(low + 1 / _DRAWN_WIDTH) - ndtr(low)
+        images[:, :, full] = profile * images[:, :, full].sum(axis=1, keepdims=True)
+    return images
+
+
+def find_row_centres(images, aperture, use, saturation, noise):
+    r"""
+    Find the row of the star from the columns without full pixels.
+
+    The centre of light of column c is
+
+    .. math::
+
+        m_c = y + h(c - x) + \sum_r \beta_{rc}\, q_{rc}\, (r - m_c),
+
+    with the star's row y and column x (from the columns' sums), the tilt h of its image, a
+    piecewise linear function, and the pixels' responses :math:`1 + \beta_{rc}`, which move the
+    centre in proportion to the pixel's share q of the column and its lever. One linear
+    least-squares fit finds h and :math:`\beta` for all cadences: without them the row
+    would jump when the star comes to other columns.
+
+    Parameters
+    ----------
+    images, aperture, use, saturation, noise
+        As in `without_saturation`; the images are zero outside of the aperture.
+
+    Returns
+    -------
+    RowCentres
+        Rows of the star and of the light in each column.
+    """
+    rows, columns = np.arange(images.shape[1]), np.arange(images.shape[2])
+    sums = images.sum(axis=1)
+    total = sums.sum(axis=1)
+    distance = columns - (sums @ columns / total)[:, None]
+    safe = np.where(sums > 0, sums, np.inf)
+    share = images / safe[:, None, :]
+    centre = np.einsum("ijk,j->ik", share, rows)
+    lever = rows[:, None] - centre[:, None, :]
+    variance = noise * np.abs(np.sum(share * lever**2, axis=1)) / safe
+    weight = np.clip(sums / total[:, None] / _SMALLEST_SHARE - 1, 0, 1)
+    weight *= np.clip((1 - images.max(axis=1) / saturation) / _TAPER, 0, 1)
+    weight *= (np.abs(distance) < _REACH) / (variance + _MISFIT**2)
+    tilt = _hats(distance)
+    fallback = _FALLBACK**-2
+    weights = weight.sum(axis=1) + fallback
+    mean = np.sum(weight * centre, axis=1) + fallback * (images.sum(axis=2) @ rows / total)
+    mean /= weights
+    row, column = np.nonzero(aperture & (weight[use] > 0).any(axis=0))
+    pull = (share * lever)[:, row, column] * weight[:, column]
+    summed = np.concatenate([np.einsum("ij,ijk->ik", weight, tilt), pull], axis=1)
+    averaged = summed / weights[:, None]
+    normal, right = _normal_equations(*(a[use] for a in (tilt, pull, centre, weight)), column)
+    normal -= summed[use].T @ averaged[use]
+    right -= summed[use].T @ mean[use]
+    prior = np.append(np.ones(tilt.shape[-1]), np.full(len(row), _RESPONSE**-2))
+    normal.flat[:: len(prior) + 1] += prior
+    coefficients = np.linalg.solve(normal, right)
+    star = mean - averaged @ coefficients
+    return RowCentres(star, star[:, None] + tilt @ coefficients[: tilt.shape[-1]])
+
+
+def _hats(distance):
+    """Piecewise linear functions of the distance with knots at whole pixels, on a last axis."""
+    knots = np.arange(-_REACH, _REACH + 1)
+    return np.clip(1 - np.abs(distance[..., None] - knots), 0, None)
+
+
+def _normal_equations(tilt, pull, centre, weight, column):
+    """Return the normal equations of tilt and responses at given rows of the star."""
+    k = tilt.shape[-1]
+    normal = np.zeros((k + len(column), k + len(column)))
+    normal[:k, :k] = np.einsum("ij,ija,ijb->ab", weight, tilt, tilt, optimize=True)
+    right = np.einsum("ij,ijk->k", weight * centre, tilt, optimize=True)
+    right = np.append(right, np.einsum("ij,ij->j", pull, centre[:, column]))
+    for c in np.unique(column):  # a pixel moves the centre of its own column alone
+        here = np.flatnonzero(column == c)
+        seen = weight[:, c] > 0
+        part = pull[np.ix_(seen, here)]
+        normal[np.ix_(k + here, k + here)] = part.T @ (part / weight[seen, c, None])
+        normal[k + here, :k] = part.T @ tilt[seen, c]
+        normal[:k, k + here] = normal[k + here, :k].T
+    return normal, right
