@@ -69,9 +69,24 @@ def test_panels_share_their_scale():
     axes = plot_cdpp_panels({"PLD": SERIES, "SFF": {"1x": (MAG, [500, 600, 700])}}, KEPLER)
     assert list(axes) == ["PLD", "SFF"]
     assert axes["PLD"].get_ylim() == axes["SFF"].get_ylim()
-    assert axes["PLD"].get_legend() is not None
+    assert axes["PLD"].get_ylim()[1] > 700
+    assert sorted(legend(axes["PLD"])) == ["10x", "1x", "Kepler, 10 % to 90 %", "Kepler, median"]
     assert axes["SFF"].get_legend() is None
-    assert axes["SFF"].get_ylabel() == ""
+
+
+def test_residuals_are_the_last_panel():
+    panels = dict.fromkeys(("PLD", "SFF", "other"), SERIES)
+    axes = plot_cdpp_panels(panels, KEPLER, residuals={"1x": (MAG, [1.0, 0.9, 0.8])})
+    ax = axes["Residual over noise"]
+    assert list(axes) == [*panels, "Residual over noise"]
+    assert len(ax.figure.axes) == 4
+    assert_allclose(ax.containers[0].lines[0].get_ydata(), [1.0, 0.9, 0.8])
+    assert (ax.get_yscale(), ax.get_ylim()[0]) == ("linear", 0)
+    # Each label is explained once: the motions with the residuals, Kepler with the noise.
+    assert legend(ax) == ["1x"]
+    assert sorted(legend(axes["PLD"])) == ["10x", "Kepler, 10 % to 90 %", "Kepler, median"]
+    # Three panels leave no empty one.
+    assert len(plot_cdpp_panels(panels)["PLD"].figure.axes) == 3
 
 
 def test_map_shows_numbers_and_leaves_empty_cells():

@@ -273,10 +273,10 @@ class MotionTest(Study):
             One row per motion and magnitude: medians of the columns of `measure`, and the 16th
             and 84th percentile of the CDPP in EVEREST's convention; Kepler's median,
             10th and 90th percentile, and our CDPP over Kepler's median; and "below_paper", the
-            limit that the paper states over our CDPP. In ``meta``, "claims" has each claim of the
-            paper by its name: how it is defined, and for each corrector whether it holds and by
-            which number; "kepler_like_to" has the faintest magnitude to which each multiple of
-            the motion is Kepler-like.
+            limit that the paper states over our CDPP. In ``meta``, "claims" says of each claim of
+            the paper, by its name, whether it holds for ours; "claims_checked" has its definition,
+            and for each corrector whether it holds and by which number; "kepler_like_to" has the
+            faintest magnitude to which each multiple of the motion is Kepler-like.
         """
         cells = {}
         for number, cell in enumerate(zip(table["scale"], table["mag"], strict=True)):
@@ -288,7 +288,9 @@ class MotionTest(Study):
         summary["over_kepler"] = summary["pld_everest"] / summary["kepler_median"]
         limits = [paper_limit(scale, mag) for scale, mag in summary.iterrows("scale", "mag")]
         summary["below_paper"] = np.array(limits) / summary["pld_everest"]
-        summary.meta["claims"] = self._claims(table, summary)
+        checked = self._checked_claims(table, summary)
+        summary.meta["claims"] = {name: claim["pld"]["verdict"] for name, claim in checked.items()}
+        summary.meta["claims_checked"] = checked
         summary.meta["kepler_like_to"] = {}
         for scale in sorted(set(summary["scale"])):
             part = summary[summary["scale"] == scale]
@@ -299,8 +301,8 @@ class MotionTest(Study):
                 summary[name].unit = "ppm"
         return summary
 
-    def _claims(self, table, summary):
-        """Return each claim by its name, with what each corrector says to it."""
+    def _checked_claims(self, table, summary):
+        """Return each claim by its name: its definition, and what each corrector says to it."""
         scale, mag, kepler = (np.array(summary[k]) for k in ("scale", "mag", "kepler_median"))
         claims = {}
         for claim in CLAIMS:
@@ -349,8 +351,15 @@ class MotionTest(Study):
             for claim in CLAIMS
             if claim.limit and claim.scale in scales and "caption" not in claim.name
         ]
-        axes = plot_cdpp_panels(panels, kepler, limits=limits)
-        return next(iter(axes.values())).figure
+        residuals = {}
+        if "residual_everest" in summary.colnames:
+            for scale in scales:
+                part = summary[summary["scale"] == scale]
+                residuals[f"{scale:g}x"] = np.array(part["mag"]), np.array(part["residual_everest"])
+        axes = plot_cdpp_panels(panels, kepler, limits=limits, residuals=residuals)
+        if residuals:
+            axes["Residual over noise"].set_title(f"{_TITLES['pld']}, residual over noise")
+        return axes[_TITLES["pld"]].figure
 
 
 _KEPLER_UNITS = {f"kepler_{name}": "ppm" for name in ("median", "p10", "p90")}

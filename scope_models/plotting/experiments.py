@@ -7,6 +7,7 @@ from matplotlib.patheffects import Normal, Stroke
 __all__ = ["plot_cdpp", "plot_cdpp_panels", "plot_map"]
 
 _MARKERS = "os^Dvp*X"
+_RESIDUALS = "Residual over noise"
 
 
 def plot_cdpp(series, reference=None, *, limits=(), title="", legend=True, ax=None):
@@ -88,7 +89,7 @@ def _draw_limit(ax, faintest, ppm, text):
     note.set_path_effects([Stroke(linewidth=2, foreground="w"), Normal()])
 
 
-def plot_cdpp_panels(panels, reference=None, *, limits=(), suptitle=None):
+def plot_cdpp_panels(panels, reference=None, *, limits=(), residuals=None, columns=2):
     """
     Draw the noise against magnitude once per corrector, on one scale.
 
@@ -100,13 +101,16 @@ def plot_cdpp_panels(panels, reference=None, *, limits=(), suptitle=None):
         Real stars, see `plot_cdpp`.
     limits : sequence of tuple, optional
         Limits to draw into each panel, see `plot_cdpp`.
-    suptitle : str, optional
-        Title of the figure.
+    residuals : mapping of str to sequence of array_like, optional
+        For each label magnitudes ``(n,)`` and the ratio ``(n,)`` of the noise that is left to that
+        which must be there, drawn in a last panel.
+    columns : int, optional
+        Panels side by side.
 
     Returns
     -------
     dict of str to `~matplotlib.axes.Axes`
-        The panels by their titles.
+        The panels by their titles; that of the residuals is "Residual over noise".
 
     Examples
     --------
@@ -114,21 +118,35 @@ def plot_cdpp_panels(panels, reference=None, *, limits=(), suptitle=None):
     >>> matplotlib.use("agg")
     >>> from scope_models.plotting import plot_cdpp_panels
     >>> curve = {"1x": ([12, 13], [17, 28])}
-    >>> axes = plot_cdpp_panels({"PLD": curve, "SFF": curve})
-    >>> axes["SFF"].get_title()
-    'SFF'
+    >>> axes = plot_cdpp_panels({"PLD": curve, "SFF": curve}, residuals={"1x": ([12, 13], [1, 1])})
+    >>> list(axes)
+    ['PLD', 'SFF', 'Residual over noise']
     """
-    figure, grid = plt.subplots(
-        1, len(panels), figsize=(1.2 + 4.1 * len(panels), 4.9), sharex=True, sharey=True,
-        squeeze=False, layout="constrained",
+    titles = [*panels, *([_RESIDUALS] if residuals else [])]
+    columns = min(columns, len(titles))
+    rows = -(-len(titles) // columns)
+    _, grid = plt.subplots(
+        rows, columns, figsize=(0.7 + 4.1 * columns, 0.3 + 3.9 * rows), sharex=True, squeeze=False,
+        layout="constrained",
     )  # fmt: skip
-    axes = dict(zip(panels, grid[0], strict=True))
-    for number, (title, series) in enumerate(panels.items()):
-        first = number == 0
-        plot_cdpp(
-            series, reference, limits=limits, title=title, legend=first, ax=axes[title]
-        ).label_outer()
-    figure.suptitle(suptitle)
+    axes = dict(zip(titles, grid.flat, strict=False))
+    for ax in grid.flat[len(titles) :]:
+        ax.remove()
+    first = axes[titles[0]]
+    for title, series in panels.items():
+        if axes[title] is not first:
+            axes[title].sharey(first)
+        plot_cdpp(series, reference, limits=limits, title=title, legend=False, ax=axes[title])
+    handles, labels = first.get_legend_handles_labels()
+    if residuals:
+        ax = plot_cdpp(residuals, title=_RESIDUALS, legend=False, ax=axes[_RESIDUALS])
+        ax.axhline(1, color="k", lw=0.8, ls="--", zorder=0)
+        ax.set(yscale="linear", ylabel="CDPP over that of the noise", ylim=(0, None))
+        ax.legend(loc="lower left", fontsize="small")
+        shown = [number for number, label in enumerate(labels) if label not in residuals]
+        handles, labels = [handles[k] for k in shown], [labels[k] for k in shown]
+    if labels:
+        first.legend(handles, labels, loc="lower right", fontsize="small")
     return axes
 
 

@@ -1,0 +1,77 @@
+"""Store what the pages show of the study "motion": ``python docs/data/store_motion.py RESULTS``.
+
+RESULTS is the directory of ``scope-models experiment motion --directory RESULTS``. Written are,
+beside this file, the summary and two tables: the claims of the paper, and the noise.
+"""
+
+import csv
+import sys
+from pathlib import Path
+
+import numpy as np
+from astropy.table import Table
+
+FOLDER = Path(__file__).parent
+CORRECTORS = {
+    "pld": "ours",
+    "lightkurve_pld": "lightkurve's PLD",
+    "lightkurve_sff": "lightkurve's SFF",
+}
+
+
+def claims(checked):
+    """Return one row per claim: what the paper says, and what each corrector says to it."""
+    rows = [["claim", "limit (ppm)", "at Kp", *(f"{name} (ppm)" for name in CORRECTORS.values())]]
+    for name in sorted(checked, key=_order):
+        claim = checked[name]
+        ours = claim["pld"]
+        if "cdpp_ppm" in ours:
+            cells = [_cell(claim[key]) for key in CORRECTORS]
+            rows.append([name, f"{ours['limit_ppm']:.4g}", f"{ours['mag']:g}", *cells])
+    return rows
+
+
+def _order(name):
+    """Sort claims by the multiple of the motion with which their names begin."""
+    scale = name.partition("x")[0]
+    return float(scale) if scale.isdigit() else np.inf, name
+
+
+def _cell(found):
+    """Return the number that decides on a claim, and on which side of the limit it is."""
+    return f"{found['cdpp_ppm']:.3g}, {found['verdict']}"
+
+
+def noise(summary):
+    """Return one row per magnitude: Kepler, ours at each multiple, and lightkurve's at the last."""
+    scales = sorted(set(summary["scale"]))
+    header = ["Kp", "Kepler 50 %", "Kepler 10 %", *(f"ours {s:g}x" for s in scales)]
+    rows = [[*header, *(f"{name} {scales[-1]:g}x" for name in ("PLD", "SFF"))]]
+    for mag in sorted(set(summary["mag"])):
+        part = {row["scale"]: row for row in summary[summary["mag"] == mag]}
+        first = part[scales[0]]
+        values = [first["kepler_median"], first["kepler_p10"]]
+        values += [part[s]["pld_everest"] for s in scales]
+        for name in ("lightkurve_pld", "lightkurve_sff"):
+            values.append(part[scales[-1]][f"{name}_everest"])
+        rows.append([f"{mag:g}", *(f"{value:.3g}" for value in values)])
+    return rows
+
+
+def main(results):
+    """Write the tables."""
+    summary = Table.read(Path(results, "summary.ecsv"))
+    for name in summary.colnames:
+        if summary[name].dtype.kind == "f":
+            summary[name][:] = [float(f"{value:.5g}") for value in np.array(summary[name])]
+    summary.write(FOLDER / "motion.ecsv", overwrite=True)
+    for name, rows in (
+        ("claims", claims(summary.meta["claims_checked"])),
+        ("noise", noise(summary)),
+    ):
+        with (FOLDER / f"motion_{name}.csv").open("w", newline="", encoding="utf-8") as file:
+            csv.writer(file, lineterminator="\n").writerows(rows)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1])
