@@ -294,7 +294,12 @@ def _alone(job, task):
 def _pool(number):
     """Give a pool of processes that have begun to work."""
     # Not "fork", which copies the locks of other threads in whatever state they are.
-    pool = ProcessPoolExecutor(number, mp_context=get_context("spawn"), initializer=_begin_worker)
+    pool = ProcessPoolExecutor(
+        number,
+        mp_context=get_context("spawn"),
+        initializer=_begin_worker,
+        initargs=(warnings.filters[:],),
+    )
     with pool:
         try:
             pool.submit(os.getpid).result()

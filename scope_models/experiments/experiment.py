@@ -45,9 +45,7 @@ class ExperimentResult:
     files: tuple[Path, ...]
 
 
-def run_experiment(
-    study, directory, executor=None, *, write_tpfs=False, retry_failed=True, progress=True
-):
+def run_experiment(study, directory, executor=None, **options):
     """Run a study, and write its tables and its figure.
 
     Parameters
@@ -58,12 +56,8 @@ def run_experiment(
         The folder for the results. It is made if it is not there.
     executor : concurrent.futures.Executor or int, optional
         What computes the stars: see `run_sweep`.
-    write_tpfs : bool, optional
-        Whether to write the pixels of each star: see `run_sweep`.
-    retry_failed : bool, optional
-        Whether stars that failed in an earlier call are tried again.
-    progress : bool, optional
-        Whether to show a progress bar on the standard error.
+    **options
+        Those of `run_sweep`: write_tpfs, retry_failed, progress, chunk_size and in_flight.
 
     Returns
     -------
@@ -89,14 +83,7 @@ def run_experiment(
     if not isinstance(study, Study):
         raise TypeError(f"`study` must be a Study or the name of one, got {study!r}")
     folder = Path(directory)
-    sweep = run_sweep(
-        study,
-        executor,
-        folder,
-        write_tpfs=write_tpfs,
-        retry_failed=retry_failed,
-        progress=progress,
-    )
+    sweep = run_sweep(study, executor, folder, **options)
     _write_failures(sweep.failures, folder / "failures.ecsv")
     files = [_write(sweep.table, folder / "results.ecsv")]
     if not len(sweep.table):

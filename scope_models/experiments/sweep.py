@@ -75,7 +75,7 @@ class SweepResult:
 
 
 def run_sweep(
-    study,
+    config,
     executor=None,
     directory=None,
     *,
@@ -92,8 +92,8 @@ def run_sweep(
 
     Parameters
     ----------
-    study : Study
-        The study.
+    config : Study
+        The study, which is its own configuration.
     executor : concurrent.futures.Executor or int, optional
         What computes the stars: None is this process, a number that many processes, each with
         one thread for linear algebra. Executors are also those of Dask,
@@ -153,29 +153,29 @@ def run_sweep(
     chunk_size = checked_integer("chunk_size", chunk_size, 1)
     in_flight = checked_integer("in_flight", in_flight, 1)
     directory = None if directory is None else Path(directory).absolute()
-    job = _checked_job(study, executor, directory, write_tpfs=write_tpfs)
-    tasks = checked_tasks(study)
+    job = _checked_job(config, executor, directory, write_tpfs=write_tpfs)
+    tasks = checked_tasks(config)
     store = Store(directory)
-    store.begin(study)
+    store.begin(config)
     store.load(tasks)
     missing = _missing(tasks, store, job, retry_failed=retry_failed)
     if missing:
         records = _records(executor, job, cut(missing, chunk_size), in_flight)
-        bar = tqdm(total=len(tasks), initial=len(tasks) - len(missing), desc=study.name,
+        bar = tqdm(total=len(tasks), initial=len(tasks) - len(missing), desc=config.name,
                    unit="star", smoothing=0.05, disable=not progress)  # fmt: skip
         with closing(store), one_thread(), bar, closing(records):
             store.open()
             _keep(records, store, bar)
     failures = [store.failures[task["key"]] for task in tasks if task["key"] in store.failures]
     _warn_of(failures)
-    table = results_table(study, tasks, store)
-    return SweepResult(table, failures_table(study, failures), len(missing), directory)
+    table = results_table(config, tasks, store)
+    return SweepResult(table, failures_table(config, failures), len(missing), directory)
 
 
 def _checked_job(study, executor, directory, *, write_tpfs):
     """Return what computes stars, after a check of the arguments."""
     if not isinstance(study, Study):
-        raise TypeError(f"`study` must be a Study, got {study!r}")
+        raise TypeError(f"`config` must be a Study, got {study!r}")
     if isinstance(executor, Integral) and not isinstance(executor, bool):
         checked_integer("executor", executor, 1)
     elif executor is not None and not callable(getattr(executor, "submit", None)):
@@ -257,8 +257,8 @@ def _keep(records, store, bar):
         ) from error
     except WorkersDieError as error:
         raise SweepError(
-            "worker processes die as they begin: a script must start its work under "
-            '`if __name__ == "__main__":`'
+            "worker processes die as they begin, see their message; a script must start its work "
+            'under `if __name__ == "__main__":`'
         ) from error
 
 

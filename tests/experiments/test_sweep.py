@@ -442,7 +442,7 @@ class TestFailures:
         )  # fmt: skip
         assert result.returncode == 1
         last = result.stderr.strip().splitlines()[-1]
-        assert "worker processes die as they begin: a script must start its work under" in last
+        assert "worker processes die as they begin, see their message; a script must" in last
 
 
 class TestDamage:
@@ -596,7 +596,7 @@ class TestTasks:
             sweep(Listed())
 
     def test_no_study(self):
-        with pytest.raises(TypeError, match="`study` must be a Study, got 'table1'"):
+        with pytest.raises(TypeError, match="`config` must be a Study, got 'table1'"):
             sweep("table1")
 
 

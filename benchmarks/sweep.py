@@ -1,0 +1,202 @@
+"""Throughput and memory of sweeps.
+
+Three parts, or those that are named on the command line:
+
+throughput
+    The stars of the motion test without lightkurve's correctors and without transits (simulation,
+    PLD and CDPP) in one process and in two, one after the other, several times: rates, and the
+    gain of the second process. The target is 1.8. The processes have begun and have imported
+    everything before the clock starts; what that takes is told separately.
+scaling
+    10 to 10,000 stars of 150 cadences in two processes: rate, memory of all processes and what is
+    on disk. Memory must stay flat.
+overhead
+    100,000 stars that cost nothing, so that what is left is the sweep itself: keeping the stars,
+    resuming, and making the table.
+
+Run as ``OMP_NUM_THREADS=1 python benchmarks/sweep.py [PART ...]`` on a quiet machine.
+"""
+
+import argparse
+import multiprocessing
+import os
+import platform
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import ClassVar
+
+import astropy
+import numpy as np
+import scipy
+
+import scope_models
+from scope_models.experiments import make_study, run_sweep
+from scope_models.experiments.study import Study
+
+REPEATS = 5
+SIZES = (10, 100, 1000, 10000)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Draws(Study):
+    """Stars that cost nothing: a row of 15 random numbers."""
+
+    name: ClassVar[str] = "draws"
+    stars: int = 10
+
+    def tasks(self):
+        return [{"key": f"star{i}", "mag": 12.0, "index": i} for i in range(self.stars)]
+
+    def run_star(self, task):
+        values = self.star_rng(task["key"]).random(15)
+        return {f"value{i}": value for i, value in enumerate(values)}
+
+    def summarise(self, table):
+        return table
+
+    def draw(self, table, summary):
+        raise NotImplementedError
+
+
+def light_study(stars, cadences, magnitudes=(12.0,), scales=(1.0,)):
+    """Return stars of the motion test, for which lightkurve does nothing."""
+    return make_study(
+        "motion",
+        {
+            "magnitudes": magnitudes,
+            "scales": scales,
+            "stars": stars,
+            "cadences": cadences,
+            "lightkurve_pld": False,
+            "lightkurve_sff": False,
+            "transit_scales": (),
+        },
+    )
+
+
+def report_environment():
+    threads = os.environ.get("OMP_NUM_THREADS", "not set")
+    print(f"{platform.platform()}, {os.cpu_count()} cores, OMP_NUM_THREADS {threads}")
+    versions = (("scope_models", scope_models), ("numpy", np), ("scipy", scipy))
+    versions = ", ".join(f"{name} {module.__version__}" for name, module in versions)
+    print(f"Python {platform.python_version()}, {versions}, astropy {astropy.__version__}\n")
+
+
+def pool(number):
+    """Return processes as `run_sweep` makes them."""
+    return ProcessPoolExecutor(number, mp_context=multiprocessing.get_context("spawn"))
+
+
+def report_throughput(stars, cadences):
+    magnitudes, scales = (10.0, 12.0, 14.0, 15.5), (1.0, 5.0)
+    study = light_study(stars, cadences, magnitudes, scales)
+    n_stars = len(study.tasks())
+    print(f"Throughput: {n_stars} stars of {cadences} cadences, simulated, de-trended, measured")
+    print("  one process: s, stars/s;   two processes: s, stars/s;   gain;   load at the beginning")
+    with pool(1) as one, pool(2) as two:
+        for executor, number in ((one, 1), (two, 2)):
+            began = time.perf_counter()
+            run_sweep(replace(study, seed=2, stars=1), executor, progress=False)
+            print(f"  the first 8 stars of {number} processes, with all imports: "
+                  f"{time.perf_counter() - began:.1f} s")  # fmt: skip
+        gains = []
+        for _ in range(REPEATS):
+            load = os.getloadavg()[0]
+            single, double = (clock(study, executor) for executor in (one, two))
+            gains.append(single / double)
+            print(f"  {single:6.2f} {n_stars / single:7.2f}   {double:6.2f} {n_stars / double:7.2f}"
+                  f"   {gains[-1]:5.2f}   {load:.1f}", flush=True)  # fmt: skip
+            rate = n_stars / double
+    print(f"  gain: best {max(gains):.2f}, median {np.median(gains):.2f}")
+    print(f"  last pair: {rate * cadences:,.0f} stars x cadences per second in two processes\n")
+
+
+def clock(study, executor):
+    """Return the seconds that a sweep takes."""
+    began = time.perf_counter()
+    with tempfile.TemporaryDirectory() as folder:
+        result = run_sweep(study, executor, folder, progress=False)
+    assert len(result.failures) == 0  # noqa: S101
+    return time.perf_counter() - began
+
+
+def report_scaling(sizes):
+    print("Scaling: stars of 150 cadences in two processes, all times with the start")
+    print("  stars        s  stars/s   largest memory, MiB: parent, worker   on disk, kB/star")
+    for size in sizes:  # each in a process of its own, because memory is a maximum so far
+        command = [sys.executable, __file__, "--size", str(size)]
+        print(subprocess.run(command, check=True, capture_output=True, text=True).stdout, end="",
+              flush=True)  # fmt: skip
+    print()
+
+
+def report_size(size):
+    """Print one line of the scaling."""
+    with tempfile.TemporaryDirectory() as folder:
+        began = time.perf_counter()
+        result = run_sweep(light_study(size, 150), 2, folder, progress=False)
+        taken = time.perf_counter() - began
+        disk = sum(path.stat().st_size for path in Path(folder).rglob("*") if path.is_file())
+    assert len(result.table) == size  # noqa: S101
+    own, workers = (
+        resource.getrusage(who).ru_maxrss / 1024
+        for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
+    )
+    print(f"  {size:5d} {taken:8.1f} {size / taken:8.1f} {own:29.0f} {workers:7.0f}"
+          f" {disk / size / 1e3:18.2f}")  # fmt: skip
+
+
+def report_overhead(size):
+    print(f"Overhead: {size} stars that cost nothing, in this process")
+    study = Draws(stars=size)
+    with tempfile.TemporaryDirectory() as folder:
+        for title in ("computed, kept, table made", "resumed: read, table made"):
+            began, processor = time.perf_counter(), time.process_time()
+            result = run_sweep(study, None, folder, progress=False)
+            taken, used = time.perf_counter() - began, time.process_time() - processor
+            print(f"  {title:28s} {taken:6.1f} s, {used:6.1f} s of a core: "
+                  f"{1e3 * used / size:.3f} ms per star")  # fmt: skip
+        stored = list(Path(folder).rglob("*.jsonl"))
+        print(f"  on disk: {len(stored)} file, {stored[0].stat().st_size / 1e6:.1f} MB")
+        began = time.perf_counter()
+        path = Path(folder) / "results.ecsv"
+        result.table.write(path)
+        print(f"  results.ecsv: {time.perf_counter() - began:.1f} s, "
+              f"{path.stat().st_size / 1e6:.1f} MB")  # fmt: skip
+    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    print(f"  largest memory of the process: {memory:.0f} MiB")
+
+
+def main():
+    parts = ("throughput", "scaling", "overhead")
+    parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
+    parser.add_argument("parts", nargs="*", metavar="PART", help=f"{', '.join(parts)} (all)")
+    parser.add_argument("--stars", type=int, default=8, help="throughput: stars per cell (8)")
+    parser.add_argument("--cadences", type=int, default=1000, help="throughput: cadences (1000)")
+    parser.add_argument("--sizes", type=int, nargs="+", default=SIZES, help="scaling: stars")
+    parser.add_argument("--empty", type=int, default=100_000, help="overhead: stars (100000)")
+    parser.add_argument("--size", type=int, help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    if options.size is not None:
+        report_size(options.size)
+        return
+    report_environment()
+    for part in options.parts or parts:
+        if part == "throughput":
+            report_throughput(options.stars, options.cadences)
+        elif part == "scaling":
+            report_scaling(options.sizes)
+        elif part == "overhead":
+            report_overhead(options.empty)
+        else:
+            parser.error(f"PART must be {', '.join(parts)}, got {part!r}")
+
+
+if __name__ == "__main__":
+    main()
