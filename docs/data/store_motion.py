@@ -1,7 +1,7 @@
 """Store what the pages show of the study "motion": ``python docs/data/store_motion.py RESULTS``.
 
 RESULTS is the directory of ``scope-models experiment motion --directory RESULTS``. Written are,
-beside this file, the summary and two tables: the claims of the paper, and the noise.
+beside this file, the summary and the tables of the page on the paper.
 """
 
 import csv
@@ -58,6 +58,26 @@ def noise(summary):
     return rows
 
 
+def survival(survived):
+    """Return one row per corrector: which part of a transit's depth is left."""
+    rows = [["corrector", "median", "16 % to 84 %"]]
+    for name, title in CORRECTORS.items():
+        median, low, high = (
+            f"{100 * survived[name][key]:.0f} %" for key in ("median", "low", "high")
+        )
+        rows.append([title, median, f"{low} to {high}"])
+    return rows
+
+
+def tables(summary):
+    """Return the rows of all tables by their names."""
+    return {
+        "claims": claims(summary.meta["claims_checked"]),
+        "noise": noise(summary),
+        "survival": survival(summary.meta["survival"]),
+    }
+
+
 def main(results):
     """Write the tables."""
     summary = Table.read(Path(results, "summary.ecsv"))
@@ -65,10 +85,7 @@ def main(results):
         if summary[name].dtype.kind == "f":
             summary[name][:] = [float(f"{value:.5g}") for value in np.array(summary[name])]
     summary.write(FOLDER / "motion.ecsv", overwrite=True)
-    for name, rows in (
-        ("claims", claims(summary.meta["claims_checked"])),
-        ("noise", noise(summary)),
-    ):
+    for name, rows in tables(summary).items():
         with (FOLDER / f"motion_{name}.csv").open("w", newline="", encoding="utf-8") as file:
             csv.writer(file, lineterminator="\n").writerows(rows)
 

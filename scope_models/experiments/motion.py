@@ -10,6 +10,7 @@ from astropy.table import Table
 
 from scope_models._checks import checked_integer, checked_number
 from scope_models.detector import Detector
+from scope_models.experiments._cells import cell_medians, percentiles, values_of
 from scope_models.experiments._claims import (
     CLAIMS,
     TRANSIT_CLAIM,
@@ -39,6 +40,7 @@ _COLUMNS_IN_PPM = (
     *(f"depth_{name}" for name in ("masked", "masked_error", "joint", "joint_error")),
     *(f"depth_{name}" for name in _CORRECTORS[1:]),
 )
+_WITH_PERCENTILES = [f"{name}_everest" for name in _CORRECTORS]
 _TRANSIT_SCALE = 5.0  # of the paper's claim on transits
 _PERIOD, _DURATION = 3.1, 0.25  # of the transits, days
 
@@ -276,12 +278,15 @@ class MotionTest(Study):
             limit that the paper states over our CDPP. In ``meta``, "claims" says of each claim of
             the paper, by its name, whether it holds for ours; "claims_checked" has its definition,
             and for each corrector whether it holds and by which number; "kepler_like_to" has the
-            faintest magnitude to which each multiple of the motion is Kepler-like.
+            faintest magnitude to which each multiple of the motion is Kepler-like; "survival" has
+            the median, 16th and 84th percentile of the part of a transit's depth that is left.
         """
         cells = {}
         for number, cell in enumerate(zip(table["scale"], table["mag"], strict=True)):
             cells.setdefault(cell, []).append(number)
-        summary = Table([_cell(table[cells[cell]]) for cell in sorted(cells)])
+        summary = Table(
+            [cell_medians(table[cells[cell]], _WITH_PERCENTILES) for cell in sorted(cells)]
+        )
         mags = np.array(summary["mag"])
         for name in ("median", "p10", "p90"):
             summary[f"kepler_{name}"] = np.round(reference_noise("kepler", mags, name), 2)
@@ -291,6 +296,12 @@ class MotionTest(Study):
         checked = self._checked_claims(table, summary)
         summary.meta["claims"] = {name: claim["pld"]["verdict"] for name, claim in checked.items()}
         summary.meta["claims_checked"] = checked
+        summary.meta["survival"] = {
+            name: dict(zip(("median", "low", "high"), percentiles(values), strict=True))
+            for name in _CORRECTORS
+            for values in [values_of(table, f"survival_{name}")]
+            if np.isfinite(values).any()
+        }
         summary.meta["kepler_like_to"] = {}
         for scale in sorted(set(summary["scale"])):
             part = summary[summary["scale"] == scale]
@@ -313,7 +324,7 @@ class MotionTest(Study):
         claims[TRANSIT_CLAIM] = {"definition": TRANSIT_DEFINITION}
         rows = table[table["scale"] == _TRANSIT_SCALE]
         for name, how in (("pld", "masked"), ("pld_joint", "joint")):
-            depth, error = (_values(rows, f"depth_{how}{end}") for end in ("", "_error"))
+            depth, error = (values_of(rows, f"depth_{how}{end}") for end in ("", "_error"))
             claims[TRANSIT_CLAIM][name] = check_transits(depth, error, self.transit_depth)
         return claims
 
@@ -369,28 +380,6 @@ _KEPLER_UNITS = {f"kepler_{name}": "ppm" for name in ("median", "p10", "p90")}
 def _motion(name, cadences):
     """Return a motion, which is the same for all stars."""
     return motion_from_name(name, cadences)
-
-
-def _values(table, name):
-    """Return a column as floats, NaN where there is no value or no column."""
-    if name not in table.colnames:
-        return np.full(len(table), np.nan)
-    return np.ma.filled(np.ma.asarray(table[name], dtype=float), np.nan)
-
-
-def _cell(rows):
-    """Return the medians, of the stars of one motion and magnitude, of all columns."""
-    cell = {"scale": float(rows["scale"][0]), "mag": float(rows["mag"][0]), "stars": len(rows)}
-    for name in rows.colnames:
-        if name in {"key", "index", *cell}:
-            continue
-        values = _values(rows, name)
-        values = values[np.isfinite(values)]
-        cell[name] = float(np.median(values)) if len(values) else np.nan
-        if name in {f"{corrector}_everest" for corrector in _CORRECTORS}:
-            ends = np.percentile(values, [16, 84]) if len(values) else (np.nan, np.nan)
-            cell[f"{name}_low"], cell[f"{name}_high"] = (float(end) for end in ends)
-    return cell
 
 
 def _present(summary):

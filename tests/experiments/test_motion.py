@@ -223,7 +223,7 @@ def made_up(noise=20.0, **columns):
 
 def test_summary_has_medians_beside_kepler(tmp_path):
     depth = np.ma.masked_array(np.full(12, 990.0), mask=np.arange(12) >= 6)
-    table = made_up(depth_masked=depth, depth_masked_error=np.ma.array(depth / 99))
+    table = made_up(depth_masked=depth, depth_masked_error=depth / 99, survival_pld=depth / 1000)
     summary = MotionTest().summarise(table)
     assert list(summary.iterrows("scale", "mag", "stars")) == [
         (2, 12, 3), (2, 13, 3), (5, 12, 3), (5, 13, 3)
@@ -244,6 +244,7 @@ def test_summary_has_medians_beside_kepler(tmp_path):
     assert (transits["pld"]["verdict"], transits["pld"]["stars"]) == ("holds", 6)
     assert_allclose(transits["pld"]["ratio"], 0.99)
     assert transits["pld_joint"]["verdict"] == "not checked"
+    assert summary.meta["survival"] == {"pld": {"median": 0.99, "low": 0.99, "high": 0.99}}
     # The file keeps all of it.
     summary.write(tmp_path / "summary.ecsv")
     assert Table.read(tmp_path / "summary.ecsv").meta == summary.meta
@@ -348,10 +349,7 @@ def test_the_pages_show_the_stored_study(repository):
     summary = Table.read(folder / "motion.ecsv")
     config = {name: summary.meta[name] for name in MotionTest().config()}
     assert config == MotionTest().config()
-    for name, rows in (
-        ("claims", store["claims"](summary.meta["claims_checked"])),
-        ("noise", store["noise"](summary)),
-    ):
+    for name, rows in store["tables"](summary).items():
         with (folder / f"motion_{name}.csv").open(encoding="utf-8") as file:
             assert list(csv.reader(file)) == rows
     # Its claims follow from its numbers.
