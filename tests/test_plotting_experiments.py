@@ -85,8 +85,17 @@ def test_residuals_are_the_last_panel():
     # Each label is explained once: the motions with the residuals, Kepler with the noise.
     assert legend(ax) == ["1x"]
     assert sorted(legend(axes["PLD"])) == ["10x", "Kepler, 10 % to 90 %", "Kepler, median"]
-    # Three panels leave no empty one.
-    assert len(plot_cdpp_panels(panels)["PLD"].figure.axes) == 3
+
+
+def test_the_lowest_panels_have_the_labels_of_the_magnitudes():
+    axes = plot_cdpp_panels(dict.fromkeys(("PLD", "SFF", "other"), SERIES))
+    # Three panels in two columns: the second column ends above an empty place.
+    assert len(axes["PLD"].figure.axes) == 3
+    shown = {title: ax.xaxis.label.get_visible() for title, ax in axes.items()}
+    assert shown == {"PLD": False, "SFF": True, "other": True}
+    for title, ax in axes.items():
+        ticks = ax.xaxis.get_tick_params()["labelbottom"]
+        assert ticks is shown[title]
 
 
 def test_map_shows_numbers_and_leaves_empty_cells():

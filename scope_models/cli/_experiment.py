@@ -86,6 +86,8 @@ def run(arguments):
     except SweepError as error:
         raise ValueError(str(error)) from error
     print(f"{study.name}: {len(result.table)} stars, {len(result.failures)} failed")
+    for claim, verdict in result.summary.meta.get("claims", {}).items():
+        print(f"{verdict}: {claim}")
     for file in result.files:
         print(file)
 

@@ -353,7 +353,8 @@ class MotionTest(Study):
                 part = summary[summary["scale"] == scale]
                 ends = [f"{name}_everest{end}" for end in ("", "_low", "_high")]
                 series[f"{scale:g}x"] = [np.array(part[k]) for k in ("mag", *ends)]
-        mags = np.array(sorted(set(summary["mag"])))
+        mags = np.array(read_reference("kepler")["mag"])  # also beside the stars, if they are few
+        mags = mags[(mags >= min(summary["mag"]) - 0.5) & (mags <= max(summary["mag"]) + 0.5)]
         kepler = {"mag": mags, "label": "Kepler, median", "band_label": "Kepler, 10 % to 90 %"}
         for key, column in (("median", "median"), ("low", "p10"), ("high", "p90")):
             kepler[key] = reference_noise("kepler", mags, column)

@@ -147,6 +147,10 @@ def plot_cdpp_panels(panels, reference=None, *, limits=(), residuals=None, colum
         handles, labels = [handles[k] for k in shown], [labels[k] for k in shown]
     if labels:
         first.legend(handles, labels, loc="lower right", fontsize="small")
+    for number, title in enumerate(titles):
+        lowest = number + columns >= len(titles)
+        axes[title].tick_params(labelbottom=lowest)
+        axes[title].xaxis.label.set_visible(lowest)
     return axes
 
 

@@ -11,6 +11,7 @@ from astropy.table import Table
 from matplotlib import pyplot as plt
 from numpy.testing import assert_allclose
 
+from scope_models.cli import main
 from scope_models.experiments import _lightkurve
 from scope_models.experiments._claims import (
     CLAIMS,
@@ -288,7 +289,8 @@ def test_figure_shows_the_summary():
             assert_allclose(container.lines[0].get_xdata(), [12, 13])
             assert_allclose(container.lines[0].get_ydata(), part[f"{name}_everest"])
         kepler = next(line for line in ax.lines if line.get_label() == "Kepler, median")
-        assert_allclose(kepler.get_ydata(), reference_noise("kepler", [12.0, 13.0]))
+        assert_allclose(kepler.get_xdata(), np.arange(11.5, 13.6, 0.5))
+        assert_allclose(kepler.get_ydata(), reference_noise("kepler", kepler.get_xdata()))
         assert [note.get_text() for note in ax.texts] == ["paper, 2x", "paper, 5x"]
     plt.close(figure)
 
@@ -341,6 +343,21 @@ def test_a_motion_file_is_an_input(tmp_path):
     path = tmp_path / "motion.fits"
     path.touch()
     assert MotionTest(motion=str(path)).input_files() == [str(path)]
+
+
+def test_the_command_says_which_claims_hold(capsys, tmp_path):
+    options = {
+        "magnitudes": [13], "scales": [2], "stars": 1, "cadences": 200, "transit_scales": [],
+        "lightkurve_pld": "false", "lightkurve_sff": "false",
+    }  # fmt: skip
+    fields = [word for name, value in options.items() for word in ("--set", f"{name}={value}")]
+    assert main(["experiment", "motion", "--directory", str(tmp_path / "out"), *fields]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0] == "motion: 1 stars, 0 failed"
+    assert "holds: 2x is Kepler-like to Kp 13" in lines
+    assert "not checked: 10x is below 1000 ppm" in lines
+    assert f"not checked: {TRANSIT_CLAIM}" in lines
+    assert Table.read(tmp_path / "out" / "summary.ecsv").meta["transit_scales"] == []
 
 
 def test_the_pages_show_the_stored_study(repository):
