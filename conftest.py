@@ -2,9 +2,18 @@
 
 import gc
 import os
+import re
 import warnings
+from pathlib import Path
 
 import pytest
+
+# Where the files are that pages open. Such a page says so in a comment, ".. needs: FILE FILE". Real
+# archive files are beside the checkout.
+_FOLDERS = [
+    Path(__file__).resolve().parent / "docs" / "examples",
+    Path(__file__).resolve().parents[1] / "shared" / "data",
+]
 
 os.environ["MPLBACKEND"] = "Agg"
 # Many small matrices: threads of the linear algebra library only get in each other's way.
@@ -14,7 +23,10 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 @pytest.fixture(autouse=True)
 def _doctests_leave_no_files(request, tmp_path_factory, monkeypatch):
-    """Run each doctest in a temporary folder, and close the files that pages leave open."""
+    """Run each doctest in a temporary folder, and close the files that pages leave open.
+
+    The files that a page needs are in that folder; where one is absent the page is skipped.
+    """
     if not isinstance(request.node, pytest.DoctestItem):
         yield
         return
@@ -22,8 +34,19 @@ def _doctests_leave_no_files(request, tmp_path_factory, monkeypatch):
     if request.node.path.suffix != ".rst":
         yield
         return
+    _link_files(request.node.path)
     with warnings.catch_warnings():
         # lightkurve keeps a target pixel file open as long as the object lives
         warnings.filterwarnings("ignore", "unclosed file", ResourceWarning)
         yield
         gc.collect()
+
+
+def _link_files(page):
+    """Link the files that a page needs to the working folder, or skip the page."""
+    needed = re.search(r"^\.\. needs: (.+)$", page.read_text(encoding="utf-8"), re.MULTILINE)
+    for name in needed[1].split() if needed else ():
+        found = [path for folder in _FOLDERS for path in folder.rglob(name)]
+        if not found:
+            pytest.skip(f"the file {name} is absent")
+        Path(name).symlink_to(found[0])

@@ -13,7 +13,7 @@ os.environ["MPLBACKEND"] = "Agg"
 sys.path.insert(0, str(Path(__file__).parent / "_ext"))
 
 # Each has a section on the page on the command line.
-COMMANDS = ("demo", "simulate", "detrend", "fit")
+COMMANDS = ("demo", "simulate", "detrend", "fit", "experiment")
 
 project = "scope_models"
 author = "scope_models developers"
@@ -81,7 +81,9 @@ def run_command(words):
 
 
 def write_outputs(app):
-    """Run the demonstration and the help of each command, for the pages to include."""
+    """Write what the pages include: help of the commands, the demonstration, the presets."""
+    from presets import write_presets
+
     os.environ["COLUMNS"] = "80"
     folder = Path(app.srcdir) / "_generated"
     folder.mkdir(exist_ok=True)
@@ -90,6 +92,7 @@ def write_outputs(app):
         (folder / f"help_{command}.txt").write_text(help_text, encoding="utf-8")
     demo = run_command(["demo", "--overwrite", "--output-dir", str(folder / "demo")])
     (folder / "demo.txt").write_text(demo, encoding="utf-8")
+    write_presets(folder / "presets.csv")
 
 
 def setup(app):
