@@ -22,14 +22,16 @@ ZERO_POINTS = {
 _TESS_FRAMES = {20: 10, 120: 60, 200: 100, 600: 300, 1800: 900}
 _SECONDS_PER_DAY = 86400.0
 _DISTRIBUTIONS = ("uniform", "normal")
+# Response within a pixel that K2's noise asks for: see `Detector.k2_calibrated`.
+_CALIBRATED_A_2 = -1.75
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Detector:
     r"""The pixels of a stamp: geometry, exposure, noise and response.
 
-    The presets `kepler`, `k2` and `tess` hold the numbers of the missions with their sources. A
-    detector does not change; `replace` and `without_sensitivity` give new ones.
+    The presets `kepler`, `k2`, `k2_calibrated` and `tess` hold the numbers of the missions with
+    their sources. A detector does not change; `replace` and `without_sensitivity` give new ones.
 
     Parameters
     ----------
@@ -275,6 +277,74 @@ class Detector:
         'K2'
         """
         return cls._photometer("K2", cadence, 284.0, changes)
+
+    @classmethod
+    def k2_calibrated(cls, *, cadence="long", **changes):
+        r"""Return the K2 photometer with a response that gives K2's noise.
+
+        With the paper's response stars that move as in K2 are too quiet. Here the response within
+        pixels, that between them and the wings of the PSF are fitted to the noise of K2
+        campaign 3 before de-trending.
+
+        Parameters
+        ----------
+        cadence : {"long", "short"}, optional
+            270 frames in 29.4 min, or 9 frames in 58.8 s.
+        **changes
+            Any field of `Detector`, to replace the preset's value.
+
+        Returns
+        -------
+        Detector
+            The detector.
+
+        Raises
+        ------
+        ValueError
+            If ``cadence`` is unknown.
+        TypeError
+            If a field is misspelt.
+
+        Notes
+        -----
+        Every value is that of `k2` but these. The study is on the page on calibration; the fit is
+        ``python benchmarks/calibrate_k2_motion.py``.
+
+        ======================= ==================== ==========================================
+        field                   value                source
+        ======================= ==================== ==========================================
+        sensitivity             :math:`a_2 = -1.75`  fit; along both axes
+                                (-2 to -1.5)         :math:`(1 + a_2 u^2) / (1 + a_2 / 12)`, so
+                                                     that the mean over a pixel is 1
+        interpixel_scatter      0.0125, normal       fit
+                                (0.01 to 0.0175)
+        psf                     Gaussians: 90 % with wings of 10 %: fit; the widths follow from
+                                sigma 0.479 px, 10 % Kepler's PRF, 45 % of the light in the
+                                with 1.782 px        brightest pixel and 95 % within a diameter
+                                                     of 4.2 px (Kepler telescope page, medians)
+        ======================= ==================== ==========================================
+
+        The three go together: less wings ask for a stronger response within pixels, and that and
+        the response between pixels replace each other.
+
+        Examples
+        --------
+        >>> from scope_models import Detector
+        >>> detector = Detector.k2_calibrated()
+        >>> edge, centre = detector.sensitivity(0.5, 0.0), detector.sensitivity(0.0, 0.0)
+        >>> print(f"{edge / centre:.4f}")
+        0.5625
+        """
+        mean = 1 + _CALIBRATED_A_2 / 12
+        response = (1 / mean, 0.0, _CALIBRATED_A_2 / mean)
+        calibrated = {
+            "sensitivity": SensitivityPolynomial(response, response),
+            "interpixel_scatter": 0.0125,
+            "interpixel_distribution": "normal",
+            "psf": BivariateGaussianPSF(0.9, sigma_x=0.479, sigma_y=0.479)
+            + BivariateGaussianPSF(0.1, sigma_x=1.782, sigma_y=1.782),
+        }
+        return cls._photometer("K2", cadence, 284.0, calibrated | changes)
 
     @classmethod
     def _photometer(cls, mission, cadence, background, changes):

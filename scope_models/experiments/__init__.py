@@ -35,6 +35,7 @@ _SOURCES = {
 _STUDIES = {
     "table1": ("scope_models.experiments.table1", "Table1"),
     "no-motion": ("scope_models.experiments.no_motion", "NoMotion"),
+    "k2-motion": ("scope_models.experiments.k2_motion", "K2MotionNoise"),
     "motion": ("scope_models.experiments.motion", "MotionTest"),
     "recovery": ("scope_models.experiments.recovery", "Recovery"),
 }

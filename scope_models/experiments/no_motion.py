@@ -9,6 +9,7 @@ from scipy.special import ndtri
 
 from scope_models._checks import checked_integer, checked_number
 from scope_models.detector import Detector
+from scope_models.experiments._percentiles import compared, holds
 from scope_models.experiments.populations import draw_star
 from scope_models.experiments.reference import PERCENTILES, read_reference
 from scope_models.experiments.study import Study
@@ -17,7 +18,7 @@ from scope_models.motion import Motion
 from scope_models.photometry import cdpp
 from scope_models.simulation import simulate
 
-__all__ = ["NoMotion"]
+__all__ = ["NoMotion", "noise_parts"]
 
 # Cadences in the 6.5 hours of a CDPP.
 _WIDTH = 13
@@ -26,7 +27,6 @@ _BRIGHT = 11.5
 # Steps of an evenly spaced sequence in two dimensions: inverse powers of the plastic number.
 _STEPS = np.array([0.7548776662466927, 0.5698402909980532])
 _TOLERANCE = 0.1
-_RESAMPLES = 400
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,10 +55,11 @@ class NoMotion(Study):
         Long cadences per star.
     floor : float, optional
         CDPP of the floor, ppm: its standard deviation per cadence over :math:`\sqrt{13}`. Fitted.
-    dwarf_cdpp, giant_cdpp : float, optional
-        Medians of the CDPP (lightkurve's convention) of the variability, ppm. Fitted.
-    dwarf_scatter, giant_scatter : float, optional
-        Standard deviations of its natural logarithm. Fitted.
+    dwarf_cdpp, dwarf_scatter : float, optional
+        Median of the CDPP (lightkurve's convention) of dwarfs' variability, ppm, and standard
+        deviation of its natural logarithm. Fitted.
+    giant_cdpp, giant_scatter : float, optional
+        The same of giants. Fitted.
     giant_fraction, giant_decline : float, optional
         Part of giants :math:`f_g` at Kp 11.5, and its decline :math:`\gamma` per magnitude. Fitted.
 
@@ -237,8 +238,8 @@ class NoMotion(Study):
             if not len(stars):
                 continue
             row = {"mag": mag, "stars": len(stars)}
-            row |= _compared("detector", stars["detector_cdpp"], reference, mag, ("p10", "median"))
-            row |= _compared("star", stars["cdpp"], reference, mag, PERCENTILES)
+            row |= compared("detector", stars["detector_cdpp"], reference, mag, ("p10", "median"))
+            row |= compared("star", stars["cdpp"], reference, mag, PERCENTILES)
             for name in ("photon", "background", "read", "n_pixels"):
                 row[name] = float(np.median(stars[name]))
             rows.append(row)
@@ -251,7 +252,9 @@ class NoMotion(Study):
             )
         }  # fmt: skip
         summary.meta["claims"] = {
-            f"{text} within {100 * _TOLERANCE:.0f} % of Kepler's in every bin": _holds(ratios)
+            f"{text} within {100 * _TOLERANCE:.0f} % of Kepler's in every bin": holds(
+                ratios, _TOLERANCE
+            )
             for text, ratios in (
                 ("10th percentile with detector noise alone", summary["detector_p10_ratio"]),
                 ("median with variability", summary["star_median_ratio"]),
@@ -292,7 +295,17 @@ def noise_parts(observation, aperture):
     Returns
     -------
     dict
-        Nominal 6.5-hour noise in ppm: standard deviations per cadence over the root of 13.
+        "photon", "background" and "read": nominal 6.5-hour noise in ppm, the standard deviation per
+        cadence over the root of 13.
+
+    Examples
+    --------
+    >>> from scope_models import Detector, Motion, Star, simulate
+    >>> from scope_models.experiments.no_motion import noise_parts
+    >>> observation = simulate(Star(12.0), Detector.kepler(), Motion.still(50), seed=1)
+    >>> parts = noise_parts(observation, observation.aperture)
+    >>> {name: round(value, 1) for name, value in parts.items()}
+    {'photon': 16.6, 'background': 1.6, 'read': 4.4}
     """
     detector = observation.detector
     exposure = detector.exposure_time
@@ -305,28 +318,3 @@ def noise_parts(observation, aperture):
     }
     scale = 1e6 / electrons / _WIDTH**0.5
     return {name: float(scale * np.sqrt(value)) for name, value in variances.items()}
-
-
-def _compared(prefix, noise, reference, mag, names):
-    """Return percentiles of the noise with errors, and their ratios to the reference."""
-    noise = np.asarray(noise, dtype=float)
-    picks = np.random.default_rng(0).integers(len(noise), size=(_RESAMPLES, len(noise)))
-    row = {}
-    for name in names:
-        ours = np.percentile(noise, PERCENTILES[name])
-        error = np.std(np.percentile(noise[picks], PERCENTILES[name], axis=1))
-        known = reference[name][np.asarray(reference["mag"]) == mag]
-        theirs = float(known[0]) if len(known) else np.nan
-        row |= {
-            f"{prefix}_{name}": float(ours),
-            f"{prefix}_{name}_error": float(error),
-            f"kepler_{name}": theirs,
-            f"{prefix}_{name}_ratio": float(ours / theirs),
-        }
-    return row
-
-
-def _holds(ratios):
-    """Return whether all ratios are near 1, in words."""
-    near = np.all(np.abs(np.asarray(ratios, dtype=float) - 1) <= _TOLERANCE)
-    return "holds" if near else "does not hold"

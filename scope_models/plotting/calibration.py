@@ -3,7 +3,7 @@
 import matplotlib.pyplot as plt
 import numpy as np
 
-__all__ = ["plot_no_motion"]
+__all__ = ["plot_degeneracy", "plot_k2_motion", "plot_no_motion"]
 
 _BAND = "0.88"
 _ORANGE = "#d95f02"
@@ -72,4 +72,126 @@ def plot_no_motion(stars, summary, reference):
     bottom.axhline(1, color="0.5", lw=0.8, zorder=0)
     bottom.set(xlabel="Magnitude (Kp)", ylabel="Ours / Kepler", ylim=(0.7, 1.3))
     bottom.legend(fontsize="small", loc="upper right")
+    return figure
+
+
+def plot_k2_motion(series, reference):
+    """
+    Draw the noise of moving stars over that of K2 campaign 3, and what contributes to it.
+
+    Parameters
+    ----------
+    series : mapping of str to mapping
+        For each label per magnitude, ``(m,)`` each: "mag", "noise_p10", "noise_median", "noise_p90"
+        and the medians "white", "losses", "intrapixel" and "systematics", all in ppm. The
+        contributions of the last one are drawn.
+    reference : mapping of str to array_like
+        Real stars: "mag", "p10", "median" and "p90", ``(k,)`` each.
+
+    Returns
+    -------
+    `~matplotlib.figure.Figure`
+        Two panels: noise, and contributions.
+
+    Examples
+    --------
+    >>> from scope_models.plotting.calibration import plot_k2_motion
+    >>> names = ("noise_p10", "noise_median", "noise_p90", "white", "losses", "intrapixel")
+    >>> stars = {name: [90.0, 99.0] for name in (*names, "systematics")} | {"mag": [12.0, 13.0]}
+    >>> real = {"mag": [12, 13], "p10": [57, 75], "median": [189, 203], "p90": [489, 566]}
+    >>> figure = plot_k2_motion({"calibrated": stars}, real)
+    >>> [ax.get_title() for ax in figure.axes]
+    ['Noise before de-trending', 'What contributes: calibrated']
+    """
+    figure, (left, right) = plt.subplots(
+        1, 2, figsize=(10, 4.6), sharex=True, sharey=True, layout="constrained"
+    )
+    mag = np.asarray(reference["mag"], dtype=float)
+    for ax in (left, right):
+        ax.fill_between(mag, reference["p10"], reference["p90"], color=_BAND, lw=0,
+                        label="K2 campaign 3, 10 % to 90 %")  # fmt: skip
+        ax.plot(mag, reference["median"], "k--", lw=1.2, label="K2 campaign 3, median")
+        ax.set(yscale="log", xlabel="Magnitude (Kp)")
+    colors = (_BLUE, _ORANGE, "#1b9e77")
+    for number, (label, values) in enumerate(series.items()):
+        low, middle, high = (
+            np.asarray(values[f"noise_{name}"], dtype=float) for name in ("p10", "median", "p90")
+        )
+        place = np.asarray(values["mag"], dtype=float) + 0.06 * (number - (len(series) - 1) / 2)
+        left.errorbar(
+            place, middle, [middle - low, high - middle], fmt="os^"[number % 3], ms=5,
+            color=colors[number % 3], mec="k", mew=0.4, lw=1, capsize=2,
+            label=f"{label}: median, 10 % to 90 %",
+        )  # fmt: skip
+    label, values = list(series.items())[-1]
+    for name, text, style in (
+        ("white", "photons, background, reads", ":"),
+        ("losses", "light leaving the aperture", "-."),
+        ("intrapixel", "and response within pixels", "--"),
+        ("systematics", "and response between pixels", "-"),
+    ):
+        right.plot(values["mag"], values[name], style, color=_ORANGE, lw=1.6, label=text)
+    low, high = min(values["mag"]) - 0.3, max(values["mag"]) + 0.3
+    left.set(xlim=(low, high), ylim=(8, 4000), ylabel="6.5-h CDPP (ppm)")
+    left.set_title("Noise before de-trending")
+    right.set_title(f"What contributes: {label}")
+    for ax in (left, right):
+        ax.legend(fontsize="small", loc="upper left")
+    return figure
+
+
+def plot_degeneracy(grids, marks=None):
+    """
+    Draw how well the response within and between pixels explains the noise.
+
+    Parameters
+    ----------
+    grids : mapping of float to tuple
+        For each part of the light in the wings: a_2 ``(n,)``, standard deviation of b ``(m,)`` and
+        the cost ``(n, m)``, which is a chi square.
+    marks : mapping of str to tuple, optional
+        Points ``(a_2, standard deviation of b)`` to mark in each panel.
+
+    Returns
+    -------
+    `~matplotlib.figure.Figure`
+        One panel per wings, with contours of the cost above the lowest of all.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from scope_models.plotting.calibration import plot_degeneracy
+    >>> a_2, b = np.linspace(-2, 0, 5), np.linspace(0, 0.02, 4)
+    >>> cost = 30 + (a_2[:, np.newaxis] + 1) ** 2 + (b / 0.01 - 1) ** 2
+    >>> len(plot_degeneracy({0.1: (a_2, b, cost), 0.2: (a_2, b, cost + 5)}).axes)
+    3
+    """
+    columns = min(len(grids), 3)
+    rows = -(-len(grids) // columns)
+    figure, axes = plt.subplots(
+        rows, columns, figsize=(1 + 3.4 * columns, 0.6 + 3.2 * rows), sharex=True, sharey=True,
+        squeeze=False, layout="constrained",
+    )  # fmt: skip
+    lowest = min(np.min(cost) for _, _, cost in grids.values())
+    levels = [0, 2.3, 6.2, 11.8, 20, 40, 80]
+    for ax in axes.flat[len(grids) :]:
+        ax.remove()
+    for ax, (wings, (a_2, scatter, cost)) in zip(axes.flat, sorted(grids.items()), strict=False):
+        excess = np.asarray(cost) - lowest
+        order = np.argsort(a_2)
+        shown = ax.contourf(np.asarray(a_2)[order], 100 * np.asarray(scatter), excess[order].T,
+                            levels, cmap="Blues_r", extend="max")  # fmt: skip
+        ax.contour(np.asarray(a_2)[order], 100 * np.asarray(scatter), excess[order].T, levels[1:4],
+                   colors="k", linewidths=0.7)  # fmt: skip
+        for marker, (label, point) in zip("*o^s", (marks or {}).items(), strict=False):
+            ax.plot(point[0], 100 * point[1], marker, color=_ORANGE, mec="k", ms=9, ls="none",
+                    label=label, clip_on=False, zorder=5)  # fmt: skip
+        ax.set_title(f"{100 * wings:.0f} % in the wings")
+        ax.set(xlabel="$a_2$")
+        ax.label_outer()
+    for ax in axes[:, 0]:
+        ax.set_ylabel("Standard deviation of $b$ (%)")
+    if marks:
+        axes[0, 0].legend(fontsize="small", loc="upper left")
+    figure.colorbar(shown, ax=axes, label=r"$\chi^2$ above the lowest")
     return figure

@@ -1,0 +1,190 @@
+r"""Noise of many moving stars as a cheap function of the pixels' response.
+
+The flux of an aperture is linear in the deviations of b and, for the response
+:math:`(1 + a_2 u^2)(1 + a_2 v^2)` of the paper's Eq. 2, in :math:`1, a_2, a_2^2`:
+
+.. math:: f(t) = \sum_{k=0}^{2} a_2^k \left(A_k(t) + \beta B_k(t)\right), \qquad
+          A_k = \sum_i M_{k,i}, \quad B_k = \sum_i \xi_i M_{k,i},
+
+with the moments :math:`M_{k,i}` of the PSF over pixel i and :math:`b_i = 1 + \beta \xi_i`. The
+six series of a star are computed once; the noise for any :math:`(a_2, \beta)` costs a sum.
+"""
+
+import numpy as np
+from scipy.signal import savgol_filter
+from scipy.special import erf, erfinv
+
+from scope_models.models import PRF, BivariateGaussianPSF, SensitivityPolynomial
+
+__all__ = ["RollingStars", "everest_noise", "winged_psf"]
+
+# Kepler's PRF: part of the light in the brightest pixel, and the diameter that holds 95 % of it.
+# Medians over the field, Kepler telescope page.
+_BRIGHTEST = 0.45
+_DIAMETER = 4.2
+_WIDTH, _WINDOW = 13, 49
+_SQUARE = (0.0, 0.0, 1.0)
+# White noise of 1 per cadence is so much in EVEREST's convention: measured.
+_WHITE = 0.257
+
+
+def winged_psf(fraction, brightest=_BRIGHTEST, diameter=_DIAMETER):
+    """Return the sum of two round Gaussians, core and wings, that has Kepler's concentration.
+
+    Parameters
+    ----------
+    fraction : float
+        Part of the light in the wings: at least 0.06 and at most 0.6.
+    brightest : float, optional
+        Part of the light in the pixel on whose centre the star is.
+    diameter : float, optional
+        Diameter in pixels of the circle that holds 95 % of the light.
+
+    Returns
+    -------
+    astropy.modeling.Model
+        Sum of two `~scope_models.BivariateGaussianPSF` with a flux of 1.
+
+    Raises
+    ------
+    ValueError
+        If there is no such sum.
+    """
+    if not 0.06 <= fraction <= 0.6:
+        raise ValueError(f"`fraction` must be within 0.06 and 0.6, got {fraction}")
+    square, outside = (diameter / 2) ** 2, 0.05
+    for _ in range(100):  # the core matters little outside the circle, so that this converges
+        wings = np.sqrt(square / (2 * np.log(fraction / outside)))
+        rest = (brightest - fraction * _central(wings)) / (1 - fraction)
+        if not 0 < rest < 1:
+            raise ValueError(f"no core goes with `fraction` {fraction} and `brightest` {brightest}")
+        core = 0.5 / (np.sqrt(2) * erfinv(np.sqrt(rest)))
+        outside = 0.05 - (1 - fraction) * np.exp(-square / (2 * core**2))
+    return BivariateGaussianPSF(
+        1 - fraction, sigma_x=float(core), sigma_y=float(core)
+    ) + BivariateGaussianPSF(fraction, sigma_x=float(wings), sigma_y=float(wings))
+
+
+def _central(sigma):
+    """Return the part of a round Gaussian in the pixel on which it is centred."""
+    return erf(0.5 / (np.sqrt(2) * sigma)) ** 2
+
+
+def everest_noise(flux):
+    """Return the CDPP of many light curves in EVEREST's convention, without its clipping.
+
+    Parameters
+    ----------
+    flux : ndarray, shape (..., n_cadences)
+        Fluxes.
+
+    Returns
+    -------
+    ndarray, shape (...)
+        CDPP in ppm.
+    """
+    flux = flux / np.median(flux, axis=-1, keepdims=True)
+    residual = flux - savgol_filter(flux, _WINDOW, 2, axis=-1)
+    pad = [(0, 0)] * (flux.ndim - 1) + [(1, 0)]
+    first, second = (np.cumsum(np.pad(r, pad), axis=-1) for r in (residual, residual**2))
+    mean = (first[..., _WIDTH:] - first[..., :-_WIDTH]) / _WIDTH
+    square = (second[..., _WIDTH:] - second[..., :-_WIDTH]) / _WIDTH
+    spread = np.sqrt(np.maximum(square - mean**2, 0.0))
+    return 1e6 * np.median(spread, axis=-1) / _WIDTH**0.5
+
+
+class RollingStars:
+    """Moving stars, and the six series of each in apertures of several magnitudes.
+
+    Parameters
+    ----------
+    detector : Detector
+        The pixels: shape, PSF, zero point, background and read noise are used.
+    stars : sequence of tuple
+        For each star a `~scope_models.Star` (its position and PSF), a `~scope_models.Motion` and a
+        generator for the map of b.
+    magnitudes : array_like
+        Magnitudes that each star takes in turn.
+    apertures : sequence of callable
+        Each a function of the mean image (e-/s) that returns a mask.
+    """
+
+    def __init__(self, detector, stars, magnitudes, apertures):
+        self.magnitudes = np.asarray(magnitudes, dtype=float)
+        shape = (len(apertures), len(self.magnitudes), len(stars))
+        self.white, self.n_pixels = np.empty(shape), np.empty(shape)
+        self._series = None
+        for number, (star, motion, rng) in enumerate(stars):
+            moments = self._moments(detector, star, motion)
+            deviations = rng.standard_normal(detector.shape).ravel()
+            if self._series is None:
+                self._series = np.empty((*shape, 6, len(motion)), dtype=np.float32)
+            image = moments[0].mean(axis=0)
+            for row, aperture in enumerate(apertures):
+                for column, mag in enumerate(self.magnitudes):
+                    place = row, column, number
+                    mask = aperture(image * detector.flux_from_mag(mag))
+                    self._fill(place, detector, mag, moments, deviations, mask)
+
+    @staticmethod
+    def _moments(detector, star, motion):
+        """Return the moments M_0, M_1, M_2 over pixels, shape (3, n, ny, nx)."""
+        ones = np.ones(len(motion))
+
+        def moment(along_x, along_y):
+            prf = PRF(star.psf * SensitivityPolynomial(along_x, along_y))
+            return prf.render(
+                detector.shape, flux=ones, x_0=star.x_0 + motion.x, y_0=star.y_0 + motion.y
+            )
+
+        first = moment(_SQUARE, (1.0,)) + moment((1.0,), _SQUARE)
+        return np.array([moment((1.0,), (1.0,)), first, moment(_SQUARE, _SQUARE)])
+
+    def _fill(self, place, detector, mag, moments, deviations, mask):
+        """Sum the moments over an aperture, and note its noise."""
+        inside = moments[:, :, mask]
+        sums = inside.sum(axis=2)
+        scale = sums[0].mean()  # series are near 1, so that single precision does
+        self._series[place][:3] = sums / scale
+        self._series[place][3:] = inside @ deviations[mask.ravel()] / scale
+        exposure = detector.exposure_time
+        electrons = scale * detector.flux_from_mag(mag) * exposure
+        per_pixel = detector.background * exposure + detector.cadence_read_noise**2
+        self.white[place] = 1e6 * np.sqrt(electrons + mask.sum() * per_pixel) / electrons
+        self.n_pixels[place] = mask.sum()
+
+    def systematics(self, a_2, scatter, aperture=0):
+        """Return the noise by motion alone.
+
+        Parameters
+        ----------
+        a_2 : float
+            Coefficient of the square of the response along both axes.
+        scatter : float
+            Standard deviation of b.
+        aperture : int, optional
+            Number of the aperture.
+
+        Returns
+        -------
+        ndarray, shape (n_magnitudes, n_stars)
+            CDPP in ppm, in EVEREST's convention.
+        """
+        factors = np.array([1, a_2, a_2**2])
+        factors = np.concatenate([factors, scatter * factors])
+        return everest_noise(np.einsum("c,mnct->mnt", factors, self._series[aperture]))
+
+    def noise(self, a_2, scatter, aperture=0):
+        """Return the noise by motion, photons, background and read noise: a sum of squares.
+
+        Parameters
+        ----------
+        a_2, scatter, aperture
+            As for `systematics`.
+
+        Returns
+        -------
+        ndarray, shape (n_magnitudes, n_stars)
+            CDPP in ppm, in EVEREST's convention.
+        """
+        return np.hypot(self.systematics(a_2, scatter, aperture), _WHITE * self.white[aperture])

@@ -1,0 +1,337 @@
+"""Benchmark 2 of the paper: stars that move as in K2, against the raw noise of campaign 3."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+from astropy.table import Table
+
+from scope_models._checks import checked_integer, checked_number
+from scope_models.detector import Detector
+from scope_models.experiments._percentiles import compared, holds
+from scope_models.experiments.no_motion import noise_parts
+from scope_models.experiments.populations import draw_star, motion_from_name, stamp_around
+from scope_models.experiments.reference import PERCENTILES, read_reference
+from scope_models.experiments.study import Study
+from scope_models.photometry import cdpp
+from scope_models.simulation import simulate
+
+__all__ = ["DETECTORS", "K2MotionNoise", "field_motion"]
+
+#: Presets of the detector that the study compares.
+DETECTORS = {"paper": Detector.k2, "calibrated": Detector.k2_calibrated}
+# Largest distance from the boresight in degrees, 6278 px (arXiv:1512.06162).
+_EDGE = 6.94
+# Cadences of campaign 3, and what is generated at most.
+_CAMPAIGN = 3380
+_MARGIN = 7
+_TOLERANCE = 0.15
+_CLAIMED = (11.0, 14.5)
+_GOLDEN = 0.6180339887498949
+
+
+def field_motion(number, cadences, *, place=None, rng=None):
+    """Return the motion of a star somewhere in the field of view, at some time of a campaign.
+
+    Parameters
+    ----------
+    number : int
+        Seed of the motion.
+    cadences : int
+        Cadences without thruster firings, at most 3380.
+    place : float, optional
+        Part of the field, between 0 and 1, that is nearer to the boresight than the star. By
+        default it is drawn.
+    rng : numpy.random.Generator, optional
+        Source of the direction and of the time within the campaign.
+
+    Returns
+    -------
+    Motion
+        The motion, about its median.
+
+    Examples
+    --------
+    >>> from scope_models.experiments.k2_motion import field_motion
+    >>> motion = field_motion(3, 500, place=0.5)
+    >>> len(motion), round(float(abs(motion.x).max()), 1)
+    (500, 0.2)
+    """
+    rng = np.random.default_rng(number) if rng is None else rng
+    place = rng.uniform() if place is None else place
+    distance, angle = _EDGE * np.sqrt(place), rng.uniform(0, 360)
+    start = int(rng.integers(max(_CAMPAIGN - cadences, 0) + 1))
+    name = f"k2_roll:seed={number},distance={distance:.4f},angle={angle:.2f}"
+    motion = motion_from_name(name, _CAMPAIGN)[start : start + cadences]
+    return _about_median(motion)
+
+
+def _about_median(motion):
+    """Return a motion about its median."""
+    x, y = motion.x - np.median(motion.x), motion.y - np.median(motion.y)
+    return type(motion).from_arrays(motion.time, x, y, time_format=motion.time_format)
+
+
+@dataclass(frozen=True, kw_only=True)
+class K2MotionNoise(Study):
+    """Noise before de-trending of stars that move as in K2 (benchmark 2 of the paper).
+
+    The paper's sensitivity and the calibrated one, `Detector.k2_calibrated`, beside the noise of
+    K2 campaign 3. The aperture holds the pixels in which the star alone has more than a threshold
+    on average, as EVEREST's apertures follow the PRF.
+
+    Parameters
+    ----------
+    seed : int, optional
+        Seed of all random numbers.
+    magnitudes : tuple of float, optional
+        Magnitudes Kp.
+    detectors : tuple of str, optional
+        Out of `DETECTORS`.
+    motions : tuple of str, optional
+        ``"field"``, a generated motion of each star's own, evenly spread over the field of view and
+        over the time of a campaign, or motions as
+        `~scope_models.experiments.populations.motion_from_name` takes them.
+    stars : int, optional
+        Stars per magnitude, motion and detector. The paper has 5.
+    cadences : int, optional
+        Long cadences per star, or all of a motion if it has fewer.
+    shift : float, optional
+        Largest distance of a star from the middle of a pixel along each axis. The paper has 0.2;
+        real stars are anywhere.
+    threshold : float, optional
+        Threshold of the aperture, e-/s. Fitted. 0 takes the aperture of the highest
+        signal-to-noise ratio.
+    saturated_threshold : float, optional
+        The same of stars with a pixel above 90 % of its well, for which EVEREST takes
+        a larger aperture.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If a field is of the wrong type or outside its domain.
+
+    References
+    ----------
+    Saunders, N. et al. 2019, "The Pointing Limits of Transiting Exoplanet Light Curve
+    Characterization with Pixel Level De-correlation", section 3; Luger, R. et al. 2018, AJ, 156, 99
+    (EVEREST 2).
+
+    Examples
+    --------
+    >>> from scope_models.experiments.k2_motion import K2MotionNoise
+    >>> study = K2MotionNoise(magnitudes=(12,), stars=1, cadences=300)
+    >>> row = study.run_star(study.tasks()[0])
+    >>> row["cdpp"] > row["white"] > 15
+    True
+    """
+
+    name: ClassVar[str] = "k2-motion"
+    units: ClassVar[dict] = dict.fromkeys(
+        ("cdpp", "cdpp_lightkurve", "white", "losses", "intrapixel", "systematics"), "ppm"
+    )
+
+    magnitudes: tuple[float, ...] = tuple(11 + 0.5 * k for k in range(9))
+    detectors: tuple[str, ...] = ("paper", "calibrated")
+    motions: tuple[str, ...] = ("field",)
+    stars: int = 60
+    cadences: int = 1000
+    shift: float = 0.5
+    threshold: float = 90.0
+    saturated_threshold: float = 30.0
+
+    def __post_init__(self):
+        super().__post_init__()
+        checked_integer("stars", self.stars, 1)
+        checked_integer("cadences", self.cadences, 100)
+        for name in ("shift", "threshold", "saturated_threshold"):
+            checked_number(name, getattr(self, name))
+        for name in ("magnitudes", "detectors", "motions"):
+            values = getattr(self, name)
+            if not values or len(set(values)) < len(values):
+                raise ValueError(f"`{name}` must be one or more different values, got {values}")
+        for name in self.detectors:
+            if name not in DETECTORS:
+                raise ValueError(f"`detectors` must be among {', '.join(DETECTORS)}, got {name!r}")
+
+    def tasks(self):
+        """Return one task per star.
+
+        Returns
+        -------
+        list of dict
+            The tasks.
+        """
+        return [
+            {
+                "key": f"{detector}-motion{number}-kp{mag:g}-{index}",
+                "detector": detector, "motion": motion, "mag": mag, "index": index,
+                "star": f"motion{number}-kp{mag:g}-{index}",
+            }
+            for detector in self.detectors
+            for number, motion in enumerate(self.motions)
+            for mag in self.magnitudes
+            for index in range(self.stars)
+        ]  # fmt: skip
+
+    def observation(self, task):
+        """Return the pixels of a star; both detectors see the same star and motion.
+
+        Parameters
+        ----------
+        task : dict
+            One of `tasks`.
+
+        Returns
+        -------
+        Observation
+            The pixels.
+        """
+        rng = self.star_rng(task["star"])
+        if task["motion"] == "field":
+            shift = self.star_rng(f"kp{task['mag']:g}", "shift").uniform()
+            place = (shift + task["index"] * _GOLDEN) % 1.0
+            number = self.star_seed(task["star"], "motion") % 2**31
+            motion = field_motion(number, self.cadences, place=place, rng=rng)
+        else:
+            motion = _about_median(motion_from_name(task["motion"]))[: self.cadences]
+        shape, x_0, y_0 = stamp_around(motion, _MARGIN)
+        detector = DETECTORS[task["detector"]](shape=shape)
+        star = draw_star(rng, task["mag"], detector, x_0=x_0, y_0=y_0, shift=self.shift)
+        return simulate(star, detector, motion, seed=self.star_seed(task["star"], "pixels"))
+
+    def measure(self, task, observation):
+        """Return the noise of a star, and what contributes to it.
+
+        Parameters
+        ----------
+        task : dict
+            One of `tasks`.
+        observation : Observation
+            The star.
+
+        Returns
+        -------
+        dict
+            CDPP in both conventions; in EVEREST's convention and without noise, that by light
+            moving out of the aperture alone (``losses``), with the response within pixels
+            (``intrapixel``), and with that between pixels (``systematics``); ``white``, the
+            nominal noise of photons, background and reads; and what the aperture is.
+        """
+        detector = observation.detector
+        flat = self._noiseless(observation, detector.without_sensitivity())
+        depth = 0.9 * detector.well_depth / detector.int_time - detector.background
+        saturated = bool(np.percentile(flat, 97.5, axis=0).max() > depth)
+        aperture = self._aperture(observation, flat.mean(axis=0), saturated=saturated)
+        even = detector.replace(interpixel=np.ones(detector.shape))
+        cubes = {
+            "losses": flat,
+            "intrapixel": self._noiseless(observation, even),
+            "systematics": self._noiseless(observation, detector),
+        }
+        flux = observation.flux[:, aperture].sum(axis=1, dtype=float)
+        row = {"cdpp": cdpp(flux, method="everest"), "cdpp_lightkurve": cdpp(flux)}
+        parts = noise_parts(observation, aperture)
+        row["white"] = float(np.sqrt(sum(value**2 for value in parts.values())))
+        for name, cube in cubes.items():
+            row[name] = cdpp(cube[:, aperture].sum(axis=1, dtype=float), method="everest")
+        row |= {"n_pixels": int(aperture.sum()), "saturated": saturated}
+        statistics = observation.motion.statistics()
+        return row | {"distance": float(statistics.mean.value)}
+
+    @staticmethod
+    def _noiseless(observation, detector):
+        """Return the fluxes of the same star without noise, as another detector sees it."""
+        seed = observation.truth.seed
+        return simulate(
+            observation.stars, detector, observation.motion, seed=seed, noise=False
+        ).flux
+
+    def _aperture(self, observation, image, *, saturated):
+        """Return the pixels of the light curve."""
+        threshold = self.saturated_threshold if saturated else self.threshold
+        if threshold == 0:
+            return observation.aperture
+        return image > min(threshold, 0.5 * image.max())
+
+    def summarise(self, table):
+        """Return our noise beside that of campaign 3.
+
+        Parameters
+        ----------
+        table : astropy.table.Table
+            The results.
+
+        Returns
+        -------
+        astropy.table.Table
+            Per detector, motion and magnitude: percentiles of the noise with errors by resampling,
+            campaign 3's (saturated stars included, as they are in ours), the ratios, and medians of
+            the contributions. ``meta`` has what was fitted and what holds.
+        """
+        reference = read_reference("k2_c03_raw", "all")
+        rows = []
+        for detector in self.detectors:
+            for motion in self.motions:
+                for mag in self.magnitudes:
+                    chosen = (table["detector"] == detector) & (table["motion"] == motion)
+                    stars = table[chosen & (np.asarray(table["mag"]) == mag)]
+                    if len(stars):
+                        row = {"detector": detector, "motion": Path(motion).name, "mag": mag}
+                        rows.append(row | self._summary_of(stars, reference, mag))
+        summary = Table(rows=rows)
+        summary.meta["fitted"] = {
+            "calibrated": "Detector.k2_calibrated", "threshold": self.threshold,
+            "saturated_threshold": self.saturated_threshold,
+        }  # fmt: skip
+        summary.meta["claims"] = {
+            f"{name} sensitivity: median within {100 * _TOLERANCE:.0f} % of K2 campaign 3 in every "
+            f"bin, Kp {_CLAIMED[0]:g} to {_CLAIMED[1]:g}": holds(
+                _claimed(summary, name), _TOLERANCE
+            )
+            for name in self.detectors
+            if len(_claimed(summary, name))
+        }
+        return summary
+
+    @staticmethod
+    def _summary_of(stars, reference, mag):
+        """Return the summary of the stars of one magnitude."""
+        row = {"stars": len(stars)}
+        row |= compared("noise", stars["cdpp"], reference, mag, PERCENTILES, known="k2")
+        for name in ("cdpp_lightkurve", "white", "losses", "intrapixel", "systematics", "n_pixels"):
+            row[name] = float(np.median(stars[name]))
+        row["saturated"] = float(np.mean(stars["saturated"]))
+        return row
+
+    def draw(self, table, summary):
+        """Draw our noise over that of campaign 3, and what contributes to it.
+
+        Parameters
+        ----------
+        table : astropy.table.Table
+            The results.
+        summary : astropy.table.Table
+            The summary of them.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            The figure.
+        """
+        from scope_models.plotting.calibration import plot_k2_motion  # imports matplotlib
+
+        motion = summary["motion"][0]
+        series = {
+            name: summary[(summary["detector"] == name) & (summary["motion"] == motion)]
+            for name in self.detectors
+        }
+        return plot_k2_motion(series, read_reference("k2_c03_raw", "all"))
+
+
+def _claimed(summary, detector):
+    """Return the ratios of the medians for which the claim is made."""
+    mag = np.asarray(summary["mag"], dtype=float)
+    rows = (summary["detector"] == detector) & (summary["motion"] == "field")
+    return summary["noise_median_ratio"][rows & (mag >= _CLAIMED[0]) & (mag <= _CLAIMED[1])]

@@ -1,0 +1,190 @@
+"""Benchmark 2 of the paper: stars that move as in K2, before de-trending."""
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+
+from scope_models import Detector, SensitivityPolynomial, integrate_pixels, simulate
+from scope_models.correctors import PLDCorrector
+from scope_models.experiments import STUDIES, run_sweep
+from scope_models.experiments._response import RollingStars, everest_noise, winged_psf
+from scope_models.experiments.k2_motion import K2MotionNoise, field_motion
+from scope_models.experiments.populations import draw_star, motion_from_name, stamp_around
+from scope_models.experiments.reference import reference_noise
+from scope_models.photometry import cdpp
+
+mpl.use("agg")
+
+EPIC = "epic205998445_c03_poscorr.fits"
+
+
+def test_study_is_known():
+    assert STUDIES["k2-motion"] is K2MotionNoise
+
+
+@pytest.fixture(scope="module")
+def quick():
+    """Return a small study with its results."""
+    study = K2MotionNoise(magnitudes=(11.0, 13.0), stars=4, cadences=300)
+    return study, run_sweep(study, progress=False).table
+
+
+@pytest.mark.parametrize("fraction", [0.07, 0.1, 0.2, 0.4])
+def test_winged_psf_has_keplers_concentration(fraction):
+    psf = winged_psf(fraction)
+    image = integrate_pixels(psf, x=[0.0], y=[0.0])
+    assert image[0] == pytest.approx(0.45, abs=1e-6)
+    # Light within the circle, of two round Gaussians.
+    inside = sum(
+        flux * (1 - np.exp(-(2.1**2) / (2 * sigma**2)))
+        for flux, sigma in ((psf.flux_0, psf.sigma_x_0), (psf.flux_1, psf.sigma_x_1))
+    )
+    assert inside == pytest.approx(0.95, abs=1e-6)
+
+
+def test_winged_psf_is_checked():
+    with pytest.raises(ValueError, match="`fraction` must be within"):
+        winged_psf(0.01)
+    with pytest.raises(ValueError, match="no core goes with"):
+        winged_psf(0.1, brightest=0.95)
+
+
+def test_noise_without_clipping_is_everests():
+    rng = np.random.default_rng(3)
+    flux = 1 + 1e-4 * rng.standard_normal((20, 800)) + 1e-4 * np.sin(np.arange(800) / 2)
+    assert everest_noise(flux) == pytest.approx(cdpp(flux, method="everest"), rel=0.01)
+
+
+def test_linear_stars_are_the_simulators():
+    detector = Detector.k2(shape=(13, 13), psf=winged_psf(0.1))
+    motion = field_motion(4, 400, place=0.4)
+    star = draw_star(np.random.default_rng(2), 12.0, detector, shift=0.5)
+    apertures = [lambda image: image > 90.0]
+    stars = RollingStars(
+        detector, [(star, motion, np.random.default_rng(5))], (12.0, 14.0), apertures
+    )
+    b = 1 + 0.0125 * np.random.default_rng(5).standard_normal(detector.shape)
+    response = SensitivityPolynomial((1, 0, -1.2), (1, 0, -1.2))
+    pixels = detector.replace(sensitivity=response, interpixel=b)
+    flat = detector.without_sensitivity()
+    for row, mag in enumerate((12.0, 14.0)):
+        same = star.replace(mag=mag)
+        aperture = simulate(same, flat, motion, noise=False).flux.mean(axis=0) > 90.0
+        assert aperture.sum() == stars.n_pixels[0, row, 0]
+        flux = simulate(same, pixels, motion, noise=False).flux[:, aperture].sum(axis=1)
+        ours = stars.systematics(-1.2, 0.0125)[row, 0]
+        assert ours == pytest.approx(everest_noise(flux.astype(float)), rel=0.005)
+        nominal = 0.257 * stars.white[0, row, 0]
+        assert stars.noise(-1.2, 0.0125)[row, 0] == pytest.approx(np.hypot(ours, nominal))
+
+
+def test_field_motion_grows_outwards():
+    inner, outer = (field_motion(2, 1000, place=place) for place in (0.04, 0.64))
+    assert np.std(outer.x) + np.std(outer.y) > 2 * (np.std(inner.x) + np.std(inner.y))
+    assert abs(np.median(outer.x)) < 1e-12
+
+
+def test_both_detectors_see_the_same_star(quick):
+    study, table = quick
+    half = len(table) // 2
+    assert np.array_equal(table["distance"][:half], table["distance"][half:])
+    first, second = (study.observation(study.tasks()[i]) for i in (0, half))
+    assert first.stars[0].x_0 == second.stars[0].x_0
+    assert np.array_equal(first.motion.x, second.motion.x)
+
+
+def test_contributions(quick):
+    _, table = quick
+    calibrated = table[table["detector"] == "calibrated"]
+    paper = table[table["detector"] == "paper"]
+    assert np.median(calibrated["systematics"]) > 1.5 * np.median(paper["systematics"])
+    total = np.hypot(table["systematics"], 0.927 * np.asarray(table["white"]))
+    assert np.asarray(table["cdpp"]) == pytest.approx(total, rel=0.25)
+    # Saturated stars have larger apertures.
+    assert table["saturated"][np.asarray(table["mag"]) == 11.0].any()
+    assert not table["saturated"][np.asarray(table["mag"]) == 13.0].any()
+
+
+def test_a_star_does_not_depend_on_the_others(quick):
+    study, table = quick
+    task = study.tasks()[5]
+    alone = K2MotionNoise(magnitudes=(13.0,), stars=9, cadences=300, detectors=("paper",))
+    same = [t for t in alone.tasks() if t["key"] == task["key"]]
+    assert alone.run_star(same[0])["cdpp"] == table["cdpp"][5]
+
+
+def test_summary_and_figure(quick):
+    study, table = quick
+    summary = study.summarise(table)
+    assert list(summary["detector"]) == ["paper", "paper", "calibrated", "calibrated"]
+    assert summary["k2_median"][1] == pytest.approx(
+        reference_noise("k2_c03_raw", 13.0, stars="all")
+    )
+    assert len(summary.meta["claims"]) == 2
+    figure = study.draw(table, summary)
+    assert figure.axes[0].get_ylabel() == "6.5-h CDPP (ppm)"
+
+
+def test_a_file_as_motion(tmp_path):
+    from astropy.table import Table
+
+    motion = motion_from_name("k2_roll", 300)
+    columns = {"TIME": motion.time, "POS_CORR1": motion.x, "POS_CORR2": motion.y}
+    Table(columns).write(tmp_path / "motion.fits")
+    path = str(tmp_path / "motion.fits")
+    study = K2MotionNoise(magnitudes=(12.0,), stars=1, motions=(path,), detectors=("paper",))
+    summary = study.summarise(run_sweep(study, progress=False).table)
+    assert summary["motion"][0] == "motion.fits"
+    assert summary.meta["claims"] == {}
+
+
+def test_other_apertures():
+    tight = K2MotionNoise(magnitudes=(13.0,), stars=1, cadences=200, threshold=0.0)
+    task = tight.tasks()[0]
+    observation = tight.observation(task)
+    row = tight.measure(task, observation)
+    assert row["n_pixels"] == observation.aperture.sum()
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "message"),
+    [
+        ("stars", 0, "`stars` must be at least 1, got 0"),
+        ("cadences", 50, "`cadences` must be at least 100, got 50"),
+        ("detectors", ("tess",), "`detectors` must be among paper, calibrated, got 'tess'"),
+        ("motions", (), "`motions` must be one or more different values"),
+        ("threshold", -1.0, "`threshold` must not be negative"),
+    ],
+)
+def test_fields_are_checked(field, value, message):
+    with pytest.raises(ValueError, match=message):
+        K2MotionNoise(**{field: value})
+
+
+@pytest.mark.slow
+def test_epic_205998445(shared_data):
+    motion = motion_from_name(shared_data / "poscorr" / EPIC)
+    shape, x_0, y_0 = stamp_around(motion, 7)
+    detector = Detector.k2_calibrated(shape=shape)
+    raw, detrended = [], []
+    for number in range(60):
+        rng = np.random.default_rng([1, number])
+        star = draw_star(rng, 12.029, detector, x_0=x_0, y_0=y_0, shift=0.5)
+        observation = simulate(star, detector, motion, seed=number)
+        flat = simulate(star, detector.without_sensitivity(), motion, noise=False)
+        aperture = flat.flux.mean(axis=0) > K2MotionNoise().threshold
+        flux = observation.flux[:, aperture].sum(axis=1, dtype=float)
+        raw.append(cdpp(flux, method="everest"))
+        if number < 15:
+            tpf = observation.to_tpf(aperture_mask=aperture)
+            corrected = PLDCorrector(tpf, aperture_mask=aperture).correct(order=2)
+            detrended.append(cdpp(corrected, method="everest"))
+    assert np.median(raw) == pytest.approx(108.8, rel=0.25)
+    assert np.median(detrended) == pytest.approx(20.1, rel=0.15)
+
+
+@pytest.mark.slow
+def test_noise_is_that_of_campaign_3():
+    study = K2MotionNoise(stars=150, detectors=("calibrated",))
+    summary = study.summarise(run_sweep(study, progress=False).table)
+    assert list(summary.meta["claims"].values()) == ["holds"]
