@@ -9,7 +9,6 @@ import numpy as np
 from astropy.table import Table
 
 from scope_models._checks import checked_integer, checked_number
-from scope_models.detector import Detector
 from scope_models.experiments._cells import cell_medians, percentiles, values_of
 from scope_models.experiments._claims import (
     CLAIMS,
@@ -21,6 +20,7 @@ from scope_models.experiments._claims import (
 )
 from scope_models.experiments._detrended import CONVENTIONS, noise_of, transit_amplitude
 from scope_models.experiments._lightkurve import best_setting, correct
+from scope_models.experiments.k2_motion import DETECTORS
 from scope_models.experiments.populations import draw_star, motion_from_name, stamp_around
 from scope_models.experiments.reference import read_reference, reference_noise
 from scope_models.experiments.study import Study
@@ -41,6 +41,7 @@ _COLUMNS_IN_PPM = (
     *(f"depth_{name}" for name in _CORRECTORS[1:]),
 )
 _WITH_PERCENTILES = [f"{name}_everest" for name in _CORRECTORS]
+_MARGINS = {"paper": 5, "calibrated": 8}  # pixels; the calibrated PSF has wings
 _TRANSIT_SCALE = 5.0  # of the paper's claim on transits
 _PERIOD, _DURATION = 3.1, 0.25  # of the transits, days
 
@@ -50,7 +51,7 @@ class MotionTest(Study):
     """De-trended noise of stars that move as K2's, and by multiples of it: the paper's figure 5.
 
     Each star of the grid is drawn as `~scope_models.experiments.populations.draw_star` does, is
-    simulated on the paper's detector, and is de-trended by
+    simulated, and is de-trended by
     `~scope_models.correctors.PLDCorrector` and, if wanted, by lightkurve's correctors in the same
     aperture. At some motions a second simulation, with the same noise, has transits.
 
@@ -68,6 +69,9 @@ class MotionTest(Study):
         Cadences per star.
     motion : str, optional
         Motion, as `~scope_models.experiments.populations.motion_from_name` takes it.
+    detector : {"paper", "calibrated"}, optional
+        `Detector.k2 <scope_models.Detector.k2>` with the paper's response, or
+        `Detector.k2_calibrated <scope_models.Detector.k2_calibrated>`, which has K2's noise.
     order : int, optional
         Order of our PLD.
     transit_depth : float, optional
@@ -105,6 +109,7 @@ class MotionTest(Study):
     stars: int = 5
     cadences: int = 1000
     motion: str = "k2_roll"
+    detector: str = "paper"
     order: int = 2
     transit_depth: float = 1000.0
     transit_scales: tuple[float, ...] = (_TRANSIT_SCALE,)
@@ -120,6 +125,8 @@ class MotionTest(Study):
             values = getattr(self, name)
             if not values or len(set(values)) < len(values):
                 raise ValueError(f"`{name}` must be one or more different numbers, got {values}")
+        if self.detector not in DETECTORS:
+            raise ValueError(f"`detector` must be {' or '.join(DETECTORS)}, got {self.detector!r}")
         for name in ("scales", "transit_scales"):
             for scale in getattr(self, name):
                 checked_number(name, scale, positive=True)
@@ -177,8 +184,8 @@ class MotionTest(Study):
     def _scene(self, task):
         """Return star, detector and motion."""
         motion = task["scale"] * _motion(self.motion, self.cadences)
-        shape, x_0, y_0 = stamp_around(motion)
-        detector = Detector.k2(shape=shape)
+        shape, x_0, y_0 = stamp_around(motion, _MARGINS[self.detector])
+        detector = DETECTORS[self.detector](shape=shape)
         rng = self.star_rng(task["key"])
         return draw_star(rng, task["mag"], detector, x_0=x_0, y_0=y_0), detector, motion
 

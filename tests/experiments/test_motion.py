@@ -64,6 +64,7 @@ def test_the_paper_grid():
         ("scales", (), "`scales` must be one or more different numbers, got ()"),
         ("magnitudes", (12, 12), "`magnitudes` must be one or more different numbers"),
         ("magnitudes", (12, 19), "`magnitudes` must be within 9 and 16.*got .12.0, 19.0."),
+        ("detector", "tess", "`detector` must be paper or calibrated, got 'tess'"),
         ("transit_depth", 0, "`transit_depth` must be between 0 and 1e6 ppm, got 0"),
     ],
 )
@@ -90,6 +91,19 @@ def test_seeds_and_keys_change_the_star(study):
         )
     ]
     assert len({round(position, 6) for position in positions}) == 3
+
+
+def test_the_calibrated_detector_is_noisier_before_and_not_after():
+    options = {"magnitudes": (12,), "scales": (2,), "stars": 1, "cadences": 400}
+    paper, calibrated = (
+        MotionTest(detector=detector, **options, **OURS) for detector in ("paper", "calibrated")
+    )
+    (task,) = paper.tasks()
+    rows = [study.run_star(task) for study in (paper, calibrated)]
+    assert rows[1]["raw_everest"] > 2 * rows[0]["raw_everest"]
+    assert rows[1]["residual_everest"] < 1.2
+    # The stamp holds the wings too.
+    assert calibrated.observation(task).truth.lost_fraction.max() < 1e-4
 
 
 def test_lightkurve_is_optional_and_changes_nothing_else(study, row):
