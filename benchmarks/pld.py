@@ -6,12 +6,14 @@ The targets: 1000 cadences of 40 aperture pixels at order 2 in at most twice lig
 Run as ``OMP_NUM_THREADS=1 python benchmarks/pld.py``.
 """
 
+import itertools
 import logging
 import os
 import platform
 import resource
 import time
 import warnings
+from functools import partial
 
 import celerite2
 import numpy as np
@@ -24,14 +26,15 @@ from scope_models.correctors import PLDCorrector
 REPEATS = 5
 
 
-def seconds(function, repeats=REPEATS):
-    """Return the shortest of several times."""
-    times = []
+def seconds(*functions, repeats=REPEATS):
+    """Return the shortest of several processor times of each function, called in turn."""
+    times = [[] for _ in functions]
     for _ in range(repeats):
-        start = time.perf_counter()
-        function()
-        times.append(time.perf_counter() - start)
-    return min(times)
+        for function, spent in zip(functions, times, strict=True):
+            start = time.process_time()
+            function()
+            spent.append(time.process_time() - start)
+    return [min(spent) for spent in times]
 
 
 def report_environment():
@@ -76,21 +79,20 @@ def correct_with_lightkurve(tpf, order=2):
 
 def report_against_lightkurve():
     print(f"{make_aperture().sum()} aperture pixels; corrector made and run, shortest of {REPEATS}")
-    print("cadences  order   ours (s)   lightkurve (s)   ratio")
-    for n in (1000, 3600):
-        tpf = make_tpf(n)
-        for order in (1, 2, 3):
-            ours = seconds(lambda tpf=tpf, order=order: correct(tpf, order))
-            other = seconds(lambda tpf=tpf, order=order: correct_with_lightkurve(tpf, order))
-            print(f"{n:8d} {order:6d} {ours:10.3f} {other:16.3f} {ours / other:7.2f}")
+    print("cadences  motion  order   ours (s)   lightkurve (s)   ratio")
+    for n, scale, order in itertools.product((1000, 3600), (1, 3), (1, 2, 3)):
+        tpf = make_tpf(n, scale)
+        ways = (partial(way, tpf, order) for way in (correct, correct_with_lightkurve))
+        ours, other = seconds(*ways)
+        ratio = ours / other
+        print(f"{n:8d} {scale:6d}x {order:6d} {ours:10.3f} {other:16.3f} {ratio:7.2f}", flush=True)
 
 
 def report_growth():
     print("\nShort cadences, order 2, ours")
     print("cadences   time (s)   per 1000 cadences (ms)   peak memory of the process (MiB)")
     for n in (2500, 5000, 10_000, 20_000, 40_000):
-        tpf = make_short_tpf(n)
-        spent = seconds(lambda tpf=tpf: correct(tpf), 1)
+        (spent,) = seconds(partial(correct, make_short_tpf(n)), repeats=2)
         peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
         print(f"{n:8d} {spent:10.2f} {1e6 * spent / n:24.1f} {peak:34.0f}", flush=True)
 

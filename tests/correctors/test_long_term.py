@@ -51,6 +51,12 @@ def test_inverse_blocks(both, starts):
         np.testing.assert_allclose(block, inverse[part, part], atol=1e-12)
 
 
+def test_inverse_diagonal(both):
+    found, dense = both
+    expected = np.diag(np.linalg.inv(dense))
+    np.testing.assert_allclose(found.inverse_diagonal(), expected, atol=1e-12)
+
+
 def test_predict(problem):
     time, variance, columns = problem
     other = np.sort(np.random.default_rng(1).uniform(-1, 6, 20))

@@ -140,6 +140,33 @@ def test_fit_finds_what_data_were_drawn_with():
     assert np.all(np.abs(logs.mean(axis=0)) < [0.1, 0.4, 0.4, 0.9, 0.4])
 
 
+def test_averages(data):
+    few = data.averaged(4)
+    assert len(few.y) == N // 4
+    np.testing.assert_allclose(few.y[3], data.y[12:16].mean())
+    np.testing.assert_allclose(few.time[-1], data.time[84:88].mean())
+    np.testing.assert_allclose(few.variance[0], data.variance[:4].mean() / 4)
+    np.testing.assert_allclose(few.columns[1], data.columns[4:8].mean(axis=0))
+
+
+def test_means_of_many_cadences_find_the_same(monkeypatch):
+    """A search in means of four is as likely to a few units of the logarithm."""
+    rng = np.random.default_rng(7)
+    time, variance = 0.0007 * np.arange(6000), np.ones(6000)
+    slow = np.stack([np.sin((k + 1) * time) for k in range(8)], axis=1)
+    columns = np.concatenate([slow, np.ones((6000, 1))], axis=1)
+    truth = Hyperparameters(1.3, np.array([9.0]), 4.0, 1.0)
+    y = slow @ rng.normal(0, 3, 8) + rng.normal(0, 1.3**0.5, 6000)
+    y += 2 * np.sin(2 * np.pi * time / 0.9 + 1)
+    data = Data(time, y - y.mean(), variance, columns, np.zeros(8, dtype=int), 1)
+    values = []
+    for enough in (10_000, 1500):
+        monkeypatch.setattr(_regression, "_ENOUGH", enough)
+        values.append(log_likelihood(data, fit_hyperparameters(data)))
+    assert values[1] == pytest.approx(values[0], abs=2)
+    assert values[1] > log_likelihood(data, truth) - 0.3
+
+
 def test_compression_keeps_the_likelihood(data):
     hyper = Hyperparameters(1.3, np.array([3.0, 0.2]), 0.7, 2.5)
     process = hyper.process(data.time, data.variance)
