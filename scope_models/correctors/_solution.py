@@ -6,14 +6,8 @@ from functools import cached_property
 import numpy as np
 
 from scope_models.correctors._leave_one_out import fit_leave_one_out
-from scope_models.correctors._regression import (
-    Data,
-    Hyperparameters,
-    Posterior,
-    fit_columns,
-    fit_hyperparameters,
-    log_likelihood,
-)
+from scope_models.correctors._regression import Data, Hyperparameters, Posterior, log_likelihood
+from scope_models.correctors._search import fit_columns, fit_hyperparameters
 
 __all__ = ["Solution", "fit"]
 

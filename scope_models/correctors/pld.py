@@ -174,8 +174,8 @@ class PLDCorrector(Corrector):
             Flux in e-/s above which a pixel is saturated, by default that of
             the mission if it is known. A full pixel stays full when the star
             dims, so that its share of the light would tell the model of a
-            transit: of columns with such pixels only the sum and the row
-            of the centre of light become regressors. None: all pixels do.
+            transit: columns with such pixels are replaced by images of their
+            sum at the row that other columns tell. None: all pixels count.
         sigma : float, optional
             Cadences that deviate by more standard deviations from what
             all others predict are outliers.
