@@ -7,7 +7,7 @@ GaussianPRF for each cadence; 1000 cadences of 9 x 9 pixels with two components 
 two minutes, in less than 2 GiB.
 
 Run as ``OMP_NUM_THREADS=1 python benchmarks/fitting.py``, with any of ``pulls``, ``speed``,
-``real FOLDER`` and ``twin FOLDER`` and the folder of archive files.
+``real FOLDER``, ``drop FOLDER`` and ``twin FOLDER`` and the folder of archive files.
 """
 
 import os
@@ -50,7 +50,17 @@ TWO = BivariateGaussianPSF(0.75, 0, 0, 0.5, 0.45, 0.15) + BivariateGaussianPSF(
 N_STARS = 50
 N_CADENCES = 1000
 N_PHOTUTILS = 100
-EVERY = 6  # of the cadences of real files, for time's sake
+MODELS = {
+    "1 component": {"psf": 1},
+    "2 components": {"psf": 2},
+    "3 components": {"psf": 3},
+    "1, empirical 6": {"psf": 1, "empirical": 6},
+    "1, empirical 8": {"psf": 1, "empirical": 8},
+    "2 components, b": {"psf": 2, "interpixel": 0.01},
+    "1, empirical 6, b": {"psf": 1, "empirical": 6, "interpixel": 0.01},
+    "1, empirical 8, b": {"psf": 1, "empirical": 8, "interpixel": 0.01},
+}
+DROPS = ("2 components", "1, empirical 6", "1, empirical 8")
 
 
 def report_environment():
@@ -179,47 +189,55 @@ def photutils_chi2(tpf):
     return some, np.nanmean(squares, axis=0) * n / (n - 7)
 
 
-def report_real(folder):
-    cases = {
-        "1 component": {"psf": 1, "interpixel": 0},
-        "2 components": {"psf": 2, "interpixel": 0},
-        "3 components": {"psf": 3, "interpixel": 0},
-        "2, b": {"psf": 2},
-        "1, empirical 6": {"psf": 1, "empirical": 6, "interpixel": 0},
-        "1, empirical 6, b": {"psf": 1, "empirical": 6},
-        "2, empirical 8": {"psf": 2, "empirical": 8, "interpixel": 0},
-        "2, empirical 8, b": {"psf": 2, "empirical": 8},
-        "2, sensitivity": {"psf": 2, "interpixel": 0, "sensitivity": curvature()},
-        "1, emp. 6, sens.": {
-            "psf": 1, "empirical": 6, "interpixel": 0, "sensitivity": curvature(),
-        },
-    }  # fmt: skip
-    for star, name in FILES.items():
-        whole = lk.read(Path(folder) / name)
-        tpf = whole[::EVERY]
+def fit_model(tpf, model, **changes):
+    return fit_tpf(tpf, loss="soft_l1", **({"interpixel": 0} | MODELS[model] | changes))
+
+
+def report_real(folder, only=tuple(FILES)):
+    for star in only:
+        tpf = lk.read(Path(folder) / FILES[star])
         some, chi2 = photutils_chi2(tpf)
         print(f"{star}: {tpf.flux.shape}")
         print(f"  photutils, {len(some)} cadences: median chi-squared {np.median(chi2):.4g}")
-        for label, options in cases.items():
-            begin = time.perf_counter()
-            fit = fit_tpf(tpf, loss="soft_l1", **options)
+        for model in MODELS:
+            begin = time.process_time()
+            fit = fit_model(tpf, model)
             same = np.isin(fit.cadenceno, np.asarray(tpf.cadenceno)[some])
             part = ((fit.residual / fit.observed_err)[same] ** 2).mean(axis=0)
             part *= fit.n_data / fit.dof
             column, row = fit.path_r2()
             print(
-                f"  {label:18s} median chi-squared per pixel {np.median(fit.chi2_pixels):8.4g} "
+                f"  {model:18s} median chi-squared per pixel {np.median(fit.chi2_pixels):8.4g} "
                 f"(same cadences {np.median(part):8.4g}), all {fit.reduced_chi2:8.4g}, typical "
                 f"cadence {np.median(fit.chi2_cadences):8.4g}; R2 {column:.4f} {row:.4f}; "
-                f"rms b {100 * fit.interpixel.std():.2f} %; {time.perf_counter() - begin:.1f} s"
-                f"{'' if fit.converged else ', not converged'}",
+                f"rms b {100 * fit.interpixel.std():.2f} %; {time.process_time() - begin:.1f} s, "
+                f"{fit.n_steps} steps{'' if fit.converged else ', not converged'}",
                 flush=True,
             )
-            for a in ("ax2", "ay2"):
-                if a in fit.names:
-                    print(f"    {a} = {fit.values[a]:.3f} +- {fit.errors[a]:.3f}")
-        whole.hdu.close()
+        tpf.hdu.close()
         print()
+
+
+def report_drop(folder, only=tuple(FILES)):
+    """The sensitivity of real stars, over PSFs and over the halves of the series."""
+    print("Drop from the centre to the middle of an edge, %, along columns and rows")
+    for star in only:
+        tpf = lk.read(Path(folder) / FILES[star])
+        half = len(tpf.flux) // 2
+        parts = {"all": slice(None), "first half": slice(half), "second half": slice(half, None)}
+        for model in DROPS:
+            for part, cadences in parts.items():
+                fit = fit_model(tpf[cadences], model, sensitivity=curvature())
+                drops = [-25 * fit.values[name] for name in ("ax2", "ay2")]
+                errors = [25 * fit.errors[name] for name in ("ax2", "ay2")]
+                print(
+                    f"  {star} {model:16s} {part:12s} "
+                    f"{drops[0]:7.1f} +- {errors[0]:4.1f}  {drops[1]:7.1f} +- {errors[1]:4.1f}"
+                    f"{'' if fit.converged else '  not converged'}",
+                    flush=True,
+                )
+        tpf.hdu.close()
+    print()
 
 
 def light_curves(tpf):
@@ -280,6 +298,8 @@ def main():
             report_speed()
         elif argument == "real":
             report_real(arguments[i + 1])
+        elif argument == "drop":
+            report_drop(arguments[i + 1])
         elif argument == "twin":
             report_twin(arguments[i + 1])
 

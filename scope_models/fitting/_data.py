@@ -1,7 +1,7 @@
 """The pixels that are fitted: what of a target pixel file can be used."""
 
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -53,6 +53,12 @@ class PixelData:
     def shape(self):
         """Shape of an image."""
         return self.pixels.shape
+
+    def __getitem__(self, cadences):
+        """Return the data of some cadences."""
+        names = ("time", "cadenceno", "quality", "flux", "flux_err", "pos_corr", "light")
+        values = {name: getattr(self, name) for name in names}
+        return replace(self, **{k: v if v is None else v[cadences] for k, v in values.items()})
 
 
 def read_data(tpf, flux_err, detector, n_free, *, saturation):

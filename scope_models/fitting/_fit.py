@@ -1,5 +1,7 @@
 """`fit_tpf`: one model for all pixels and cadences of a target pixel file."""
 
+from dataclasses import replace
+
 import numpy as np
 from astropy.modeling import Model
 
@@ -9,7 +11,13 @@ from scope_models.fitting._gather import make_result
 from scope_models.fitting._gauge import interpixel_gauge, warn_of_fit
 from scope_models.fitting._problem import Problem
 from scope_models.fitting._solver import covariances, solve
-from scope_models.fitting._start import bounds_of, free_names, make_prf, starting_state
+from scope_models.fitting._start import (
+    bounds_of,
+    free_names,
+    linear_start,
+    make_prf,
+    starting_state,
+)
 from scope_models.models._derivatives import coefficient_names
 
 __all__ = ["fit_tpf"]
@@ -18,9 +26,11 @@ _BACKGROUNDS = ("cadence", "constant", "none")
 _POSITIONS = ("free", "start", "prior", "path")
 _LOSSES = ("linear", "soft_l1")
 # Standard deviation of the coefficients of the empirical term, whose first one is 1.
-_RIDGE = 1.0
+_RIDGE = 10.0
 # How often errors are scaled, at most, where the model is not true.
 _RESCALINGS = 8
+# So many cadences give the first guess for those of a long series.
+_FEW = 300
 
 
 def fit_tpf(
@@ -145,7 +155,7 @@ def fit_tpf(
     gauge = interpixel_gauge(problem.data) if problem.n_pixels else None
     arguments = (lower, upper, gauge, max_steps)
     # What the shape of the PSF can imitate is freed when the shape is about right.
-    late = (*coefficient_names(problem.prf), *problem.ridge)
+    late = coefficient_names(problem.prf)
     early = np.array([name not in late for name in problem.names] + [True] * n_others)
     solution = _minimise(problem, state, early, arguments)
     errors = covariances(problem, solution, lower, upper, gauge)
@@ -156,16 +166,26 @@ def fit_tpf(
 
 def _minimise(problem, state, early, arguments):
     """Fit the shape, then everything, with errors that are scaled to the residuals."""
-    # From the start: else all residuals are outliers to a robust loss.
-    problem.rescale(state)
-    solution = solve(problem, state, *arguments, only=early, loosely=True)
+    every = len(problem.flux) // _FEW
+    if every > 1:
+        # What all cadences share is known nearly as well from some of them.
+        few = replace(problem, data=problem.data[::every])
+        guess = _minimise(few, starting_state(few), early, arguments)
+        state = replace(state, shared=guess.state.shared, interpixel=guess.state.interpixel)
+        state = replace(state, cadence=linear_start(problem, state))
+        problem.rescale(state)
+        solution = solve(problem, state, *arguments, n_steps=guess.n_steps, loosely=True)
+    else:
+        # Scaled from the start: else all residuals are outliers to a robust loss.
+        problem.rescale(state)
+        solution = solve(problem, state, *arguments, only=early, loosely=True)
     for remaining in reversed(range(_RESCALINGS)):
         changed = problem.rescale(solution.state) and remaining > 0
         solution = solve(
             problem, solution.state, *arguments, n_steps=solution.n_steps, loosely=changed
         )
         if not changed:
-            return solution
+            break
     return solution
 
 

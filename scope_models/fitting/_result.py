@@ -281,17 +281,22 @@ class TPFFit:
         positions : {"fitted", "path"}, optional
             The fitted positions, with their noise, or those of the affine map of POS_CORR.
         signal : {"smooth", "fitted", "constant"}, optional
-            Relative flux: a running median over two days, the fitted fluxes with their noise,
-            or none.
+            Relative flux: the sum of the pixels smoothed over half a day, the fitted fluxes with
+            their noise, or none.
 
         Returns
         -------
         stars : tuple of Star
             The star.
         detector : Detector
-            The pixels, with the fitted sensitivity and response.
+            The pixels, with the fitted sensitivity and response, and the read noise with which
+            faint pixels scatter as those of the file do from one cadence to the next.
         motion : Motion
             The positions about their median.
+
+        Notes
+        -----
+        The fitted background is not in the scene: it is what the file left in the pixels.
         """
         from scope_models.fitting._scene import make_scene
 

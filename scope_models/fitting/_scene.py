@@ -1,7 +1,7 @@
 """The twin of a fitted star, and its sensitivity as a figure shows it."""
 
 import numpy as np
-from scipy.ndimage import median_filter
+from scipy.ndimage import median_filter, uniform_filter1d
 
 from scope_models.models import SensitivityPolynomial
 from scope_models.motion import Motion
@@ -9,7 +9,11 @@ from scope_models.star import Star
 
 __all__ = ["make_scene", "sensitivity_profiles"]
 
-_SMOOTHING_DAYS = 2.0
+# Two periods of the roll of K2: what is faster is the pixels', not the star's.
+_SMOOTHING_DAYS = 0.5
+# Pixels fainter than this part of the brightest one tell the noise without light.
+_FAINT = 0.05
+_FEWEST_CADENCES = 20
 
 
 def make_scene(fit, positions, signal):
@@ -28,7 +32,7 @@ def make_scene(fit, positions, signal):
     flux = float(np.median(fit.flux))
     if flux <= 0:
         raise ValueError(f"the star has no flux to simulate: its median is {flux:g} e-/s")
-    detector = fit.detector
+    detector = fit.detector.replace(read_noise=_read_noise(fit))
     mag = detector.zero_point_mag - 2.5 * np.log10(flux / detector.zero_point)
     star = Star(float(mag), *middle, psf=fit.psf, signal=_signal(fit, signal))
     motion = Motion(
@@ -48,10 +52,39 @@ def _signal(fit, kind):
         return None
     relative = fit.flux / np.median(fit.flux)
     if kind == "smooth":
-        step = np.median(np.diff(fit.time)) if len(fit.time) > 1 else 1.0
-        size = 2 * int(_SMOOTHING_DAYS / step / 2) + 1
-        relative = median_filter(relative, min(size, 2 * (len(relative) // 2) + 1), mode="nearest")
+        # Sums of pixels: unlike fitted fluxes they know nothing of errors of the PSF.
+        background = fit.background[:, None, None]
+        light = np.nansum(fit.observed - background, axis=(1, 2))
+        expected = np.nansum(fit.fitted - background, axis=(1, 2))
+        ratio = np.divide(light, expected, out=np.ones_like(light), where=expected > 0)
+        relative = _smooth(fit.time, relative * ratio)
+        relative /= np.median(relative)
     return np.maximum(relative, 0.0)
+
+
+def _smooth(time, values):
+    """Running mean of a running median."""
+    step = np.median(np.diff(time)) if len(time) > 1 else 1.0
+    size = min(2 * round(_SMOOTHING_DAYS / step / 2) + 1, 2 * (len(values) // 2) + 1)
+    values = median_filter(values, size, mode="nearest")
+    return uniform_filter1d(values, size, mode="nearest")
+
+
+def _read_noise(fit):
+    """Noise per read with which the faint pixels of a simulation scatter as those of the file."""
+    detector = fit.detector
+    if len(fit.time) < _FEWEST_CADENCES:
+        return detector.read_noise
+    seconds = detector.exposure_time
+    with np.errstate(invalid="ignore"):
+        steps = np.abs(np.diff(fit.residual, axis=0)) / 2**0.5
+        seen = np.isfinite(steps).any(axis=0)
+        flux = np.nanmedian(np.where(seen, fit.fitted, 0.0), axis=0)
+        scatter = 1.4826 * np.nanmedian(np.where(seen, steps, 0.0), axis=0) * seconds
+    faint = seen & (flux < max(_FAINT * flux.max(), np.median(flux[seen])))
+    light = np.maximum(flux + detector.background, 0.0) * seconds
+    variance = np.median((scatter**2 - light)[faint]) / detector.n_reads
+    return float(np.sqrt(max(variance, 0.0)))
 
 
 def sensitivity_profiles(fit):

@@ -11,12 +11,12 @@ from scope_models.models import (
 )
 from scope_models.models._derivatives import coefficient_names
 
-__all__ = ["bounds_of", "free_names", "make_prf", "starting_state"]
+__all__ = ["bounds_of", "free_names", "linear_start", "make_prf", "starting_state"]
 
 _SIGMAS, _FRACTIONS = (0.5, 1.1, 2.0), (0.7, 0.25, 0.05)
 # The empirical term: part of the flux, and width of its first function. From 0.7 to 0.8 the real
 # stars of the documentation are described best.
-_EMPIRICAL_FRACTION, _EMPIRICAL_SIGMA = 0.2, 0.75
+_EMPIRICAL_FRACTION, _EMPIRICAL_SIGMA = 0.02, 0.75
 # Narrower PSFs are the same to a pixel; tighter correlations only cost time.
 _LEAST_SIGMA, _LARGEST_RHO, _LARGEST_OFFSET = 0.1, 0.95, 2.0
 # Pixels that are brighter than this part of the brightest one give the first positions.
@@ -109,6 +109,7 @@ def bounds_of(prf, names, n_others, shape):
     A component that is wider than half the stamp is nothing but background.
     """
     lower, upper = np.full(len(names) + n_others, -np.inf), np.full(len(names) + n_others, np.inf)
+    coefficients = coefficient_names(prf)
     for i, name in enumerate(names):
         low, high = getattr(prf, name).bounds
         lower[i] = -np.inf if low is None else low
@@ -118,6 +119,10 @@ def bounds_of(prf, names, n_others, shape):
             upper[i] = min(upper[i], max(shape) / 2)
         elif name.startswith("rho"):
             lower[i], upper[i] = max(lower[i], -_LARGEST_RHO), min(upper[i], _LARGEST_RHO)
+        elif name in coefficients:
+            # At a pixel's edge no term takes away all of the response, or doubles it.
+            largest = 2.0 ** coefficients[name][1]
+            lower[i], upper[i] = max(lower[i], -largest), min(upper[i], largest)
         elif "offset" in name:
             lower[i], upper[i] = max(lower[i], -_LARGEST_OFFSET), min(upper[i], _LARGEST_OFFSET)
     return lower, upper
@@ -156,7 +161,7 @@ def starting_state(problem):
     if not problem.path:
         cadence[:, :2] = xy
     state = State(shared, np.zeros(problem.n_pixels), cadence)
-    return State(shared, state.interpixel, _linear_start(problem, state))
+    return State(shared, state.interpixel, linear_start(problem, state))
 
 
 def _centroids(data):
@@ -190,8 +195,22 @@ def _robust_map(basis, xy):
     return fitted
 
 
-def _linear_start(problem, state):
-    """Fluxes and backgrounds, in which the model is linear, of all cadences."""
+def linear_start(problem, state):
+    """
+    Find the fluxes and backgrounds, in which the model is linear.
+
+    Parameters
+    ----------
+    problem : Problem
+        What is fitted.
+    state : State
+        The other parameters.
+
+    Returns
+    -------
+    cadence : ndarray of shape (n, k)
+        Parameters of all cadences.
+    """
     cadence = state.cadence.copy()
     both = problem.background == "cadence"
     for part in problem.chunks():

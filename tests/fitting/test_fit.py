@@ -335,3 +335,25 @@ def test_rich_models_converge(psf):
     longer = fit_tpf(observation.to_tpf(), psf=2, empirical=6, max_steps=1000)
     assert longer.chi2 == pytest.approx(fit.chi2, abs=0.1)
     assert abs(fit.reduced_chi2 - 1) < 5 * np.sqrt(2 / fit.dof)
+
+
+def test_long_series_start_from_some_of_their_cadences(psf, curvature):
+    """The guess from a part leads to the fit of the whole, whose errors are those of all data."""
+    observation = simulate(
+        Star(13.0, 3.1, 3.0, psf=psf), Detector.k2(shape=(7, 7)), 5 * Motion.k2_roll(660), seed=4
+    )
+    tpf = observation.to_tpf()
+    whole, half = (fit_tpf(part, 2, curvature) for part in (tpf, tpf[::2]))
+    assert whole.converged
+    assert abs(whole.reduced_chi2 - 1) < 5 * np.sqrt(2 / whole.dof)
+    for name in ("sigma_x_0", "ax2", "ay2"):
+        assert whole.errors[name] == pytest.approx(half.errors[name] / 2**0.5, rel=0.1)
+        assert abs(whole.values[name] - TRUE_SHAPE[name]) < 4 * whole.errors[name]
+
+
+def test_sensitivity_stays_within_what_a_pixel_can_do(curvature):
+    """Where the PSF is wrong, the response at an edge is held between none and twice the centre."""
+    wrong = BivariateGaussianPSF(0.5, 0, 0, 0.2, 0.2) + BivariateGaussianPSF(0.5, 0.6, 0, 0.2, 0.2)
+    fit, _ = messages_of(make(n=40, psf=wrong), 1, curvature)
+    for name in ("ax2", "ay2"):
+        assert -4 <= fit.values[name] <= 4
