@@ -268,11 +268,11 @@ def in_processes(number, job, chunks, in_flight=None):
         If processes die before they get a task.
     """
     chunks = iter(chunks)
-    suspects = [True]
-    while suspects:
+    while (first := next(chunks, None)) is not None:
         suspects = []
         with _pool(number) as pool:
-            for chunk, future in completed(pool, job, chunks, in_flight or 2 * number):
+            rest = itertools.chain([first], chunks)
+            for chunk, future in completed(pool, job, rest, in_flight or 2 * number):
                 if _is_broken(future):
                     suspects += chunk
                 else:

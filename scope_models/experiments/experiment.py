@@ -82,6 +82,8 @@ def run_experiment(study, directory, executor=None, **options):
         study = make_study(study)
     if not isinstance(study, Study):
         raise TypeError(f"`study` must be a Study or the name of one, got {study!r}")
+    from scope_models.plotting._saving import save_figure  # imports matplotlib
+
     folder = Path(directory)
     sweep = run_sweep(study, executor, folder, **options)
     _write_failures(sweep.failures, folder / "failures.ecsv")
@@ -94,7 +96,9 @@ def run_experiment(study, directory, executor=None, **options):
     summary = study.summarise(sweep.table)
     summary.meta = study_meta(study) | summary.meta
     files.append(_write(summary, folder / "summary.ecsv"))
-    files.append(_draw(study.draw(sweep.table, summary), folder / "figure.png"))
+    files.append(folder / "figure.png")
+    with atomic_path(files[-1], overwrite=True) as temporary:
+        save_figure(study.draw(sweep.table, summary), temporary)
     if len(sweep.failures):
         files.append(folder / "failures.ecsv")
     return ExperimentResult(sweep.table, summary, sweep.failures, tuple(files))
@@ -104,14 +108,6 @@ def _write(table, path):
     """Write a table in one step and return its path."""
     with atomic_path(path, overwrite=True) as temporary:
         table.write(temporary, format="ascii.ecsv")
-    return path
-
-
-def _draw(figure, path):
-    """Write a figure in one step and return its path."""
-    with atomic_path(path, overwrite=True) as temporary:
-        figure.savefig(temporary, dpi=150)
-    figure.clear()
     return path
 
 

@@ -127,7 +127,7 @@ class Table1(Study):
         for name, paper in PAPER_PIXELS.items():
             ours = np.asarray(table[name], dtype=float)
             summary[name] = table[name]
-            summary[f"paper_{name}"] = paper * np.asarray(table["scale"], dtype=float)
+            summary[f"paper_{name}"] = np.round(paper * np.asarray(table["scale"]), 4)
             summary[f"paper_{name}"].unit = "pix"
             summary[f"ratio_{name}"] = ours / summary[f"paper_{name}"].value
         summary["extent"] = table["extent"]

@@ -157,7 +157,7 @@ class TestReading:
             ("study = 3", "there is no study 3"),
             (
                 'study = "table1"\nscale = 1',
-                "`table1` has no field `scale`; its fields are seed, mot",
+                "`table1` has no field `scale`; its fields are seed, ",
             ),
             ('study = "table1"\nscales = 1', "`scales` must be a list, got 1"),
             ('study = "table1"\ncadences = "x"', "`cadences` must be an integer, got 'x'"),

@@ -1,10 +1,11 @@
 """Table 1 of the paper."""
 
+import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
 from scope_models import Motion
-from scope_models.experiments import run_sweep
+from scope_models.experiments import run_experiment, run_sweep
 from scope_models.experiments.table1 import PAPER_PIXELS, Table1
 
 
@@ -47,6 +48,12 @@ def test_any_motion(tmp_path):
     assert table["mean_angle"].unit == "arcsec"
     assert table["maximum"][4:].tolist() == [0.0] * 4
     assert table["cadences"].tolist() == [50] * 4 + [1000] * 4
+
+
+def test_figures_are_closed(tmp_path):
+    before = plt.get_fignums()
+    run_experiment(Table1(scales=(1.0,)), tmp_path, progress=False)
+    assert plt.get_fignums() == before
 
 
 def test_figure_names_the_motions():
