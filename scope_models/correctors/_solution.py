@@ -155,6 +155,20 @@ class Solution:
         """Leave-one-out residuals of the cadences in use in units of their standard deviation."""
         return self.alpha / np.sqrt(np.maximum(self.precision, 1e-300))
 
+    def without_outliers(self, options):
+        """Leave out outliers at fixed hyper-parameters, as long as half of the cadences remain."""
+        solution = self
+        for _ in range(options.max_clips):
+            deviations = np.abs(solution.deviations)
+            spread = 1.4826 * np.median(deviations)  # outliers have raised the fitted noise
+            kept = deviations < options.sigma * spread
+            if kept.all() or kept.sum() < 0.5 * self.use.sum():
+                break
+            use = solution.use.copy()
+            use[np.flatnonzero(use)[~kept]] = False
+            solution = replace(solution, use=use)
+        return solution
+
     def latent_variance(self):
         """Variance of the model, systematics and trend together, at all usable cadences."""
         # cadences that are not in use become data of next to no weight
@@ -224,7 +238,7 @@ def fit(make_regressors, time, y, variance, use, flat_columns, options):
     """
     time = time - time[use][0]
     flat, scale = _flat_columns(time, flat_columns, options.trend)
-    allowed, solution = use, None
+    solution = None
     for k in range(_REFITS + 1):
         hyper, regressors, little = None, None, False
         if solution is not None:
@@ -237,24 +251,10 @@ def fit(make_regressors, time, y, variance, use, flat_columns, options):
         solution = Solution(time, centred, variance, use, regressors, flat, scale, hyper)
         solution = replace(solution, hyper=_fit_hyper(solution, options, little=little))
         if k < _REFITS:
-            use = _without_outliers(solution, allowed, options)
+            use = solution.without_outliers(options).use
         if (use == solution.use).all():
             break
     return solution
-
-
-def _without_outliers(solution, allowed, options):
-    """Leave out outliers at fixed hyper-parameters; return the cadences that remain."""
-    for _ in range(options.max_clips):
-        deviations = np.abs(solution.deviations)
-        spread = 1.4826 * np.median(deviations)  # outliers have raised the fitted noise
-        kept = deviations < options.sigma * spread
-        if kept.all() or kept.sum() < 0.5 * allowed.sum():
-            break
-        use = solution.use.copy()
-        use[np.flatnonzero(use)[~kept]] = False
-        solution = replace(solution, use=use)
-    return solution.use
 
 
 def _flat_columns(time, extra, trend):

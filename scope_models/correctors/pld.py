@@ -217,7 +217,7 @@ class PLDCorrector(Corrector):
         design = design_options(
             self.tpf, self._pixels, order, segments, background, neighbors, saturation
         )
-        self._solution = self._fit(allowed, extra, design, options)
+        self._solution, self._options = self._fit(allowed, extra, design, options), options
         self._restore_trend, self._n_trend = restore_trend, 3 if trend == "quadratic" else 1
         self.cadence_mask, self.transit_mask = mask & ~in_transit, in_transit
         self._finish(allowed, design, transit=transit_model is not None)
@@ -280,8 +280,9 @@ class PLDCorrector(Corrector):
         The amplitude of the model is fitted jointly with the systematics and
         the long-term variability, whose hyper-parameters stay as `correct`
         has found them. Used are the cadences of the fit and those of
-        ``transit_mask``. Errors of the corrected light curve are correlated;
-        here that is taken into account.
+        ``transit_mask`` that are no outliers from the model with the transit.
+        Errors of the corrected light curve are correlated; here that is
+        taken into account.
 
         Parameters
         ----------
@@ -300,7 +301,8 @@ class PLDCorrector(Corrector):
         usable = self._pixels.usable
         column = transit_column(transit_model, self._pixels.time)[usable]
         use = solution.use | self.transit_mask[usable]
-        return solution.with_flat(column, self._n_trend, use).flat_coefficient(-1)
+        solution = solution.with_flat(column, self._n_trend, use)
+        return solution.without_outliers(self._options).flat_coefficient(-1)
 
     def held_out(self, width=13):
         """

@@ -198,6 +198,21 @@ def test_transits_keep_their_depth(fake_star, how):
     assert depth == pytest.approx(1e-3, rel=3.5 * error)
 
 
+def test_an_outlier_in_a_masked_transit_does_not_count(fake_star):
+    signal = dips(500, 1e-3)
+    target = fake_star(500, seed=3, signal=signal)
+    flux = target.tpf.flux.value.copy()
+    flux[42] *= 1.01
+    scales = []
+    for tpf in (target.tpf, replaced(target.tpf, FLUX=flux)):
+        corrector = PLDCorrector(tpf, np.ones((9, 9), dtype=bool))
+        corrector.correct(transit_mask=signal < 1)
+        scales.append(corrector.fit_transit(signal))
+    (scale, error), (other, _) = scales
+    assert other == pytest.approx(scale, abs=error)
+    assert other == pytest.approx(1, abs=3 * error)
+
+
 def test_depths_are_calibrated(fake_star):
     """Pulls of the depth over 24 stars, faint and bright, have unit variance."""
     signal = dips(300, 1e-3)
