@@ -18,7 +18,12 @@ from scope_models.star import Star
 __all__ = ["Scene", "read_detector", "read_scene"]
 
 _VERSION = 1
-_PRESETS = {"kepler": Detector.kepler, "k2": Detector.k2, "tess": Detector.tess}
+_PRESETS = {
+    "kepler": Detector.kepler,
+    "k2": Detector.k2,
+    "k2_calibrated": Detector.k2_calibrated,
+    "tess": Detector.tess,
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,8 +118,8 @@ def read_detector(path):
 
     Each key is a field of `~scope_models.Detector`. Three are written in a way of their own:
 
-    - ``preset``, "kepler", "k2" or "tess", takes all fields that are not given from that preset,
-      with the preset's ``cadence``;
+    - ``preset``, "kepler", "k2", "k2_calibrated" or "tess", takes all fields that are not given
+      from that preset, with the preset's ``cadence``;
     - ``psf`` is a table, or several (``[[psf]]``) whose models are added: ``model`` is the name
       of a PSF of `scope_models.models`, or the full name of another package's, as
       "photutils.psf.MoffatPSF"; the other keys are its parameters;

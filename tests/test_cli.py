@@ -187,7 +187,10 @@ class TestSimulate:
 ERRORS = {
     "sigma": (["--psf", "-1", "1", "0"], "`sigma_x` must be positive"),
     "cadences": (["--cadences", "0"], "--cadences must be at least 1, got 0"),
-    "detector": (["--detector", "plato"], "--detector must be one of kepler, k2, tess or a .toml"),
+    "detector": (
+        ["--detector", "plato"],
+        "--detector must be one of kepler, k2, k2_calibrated, tess or a .toml",
+    ),
     "toml": (["--detector", "no-such-file.toml"], "no-such-file.toml"),
     "missing": (["--motion", "no-such-file.fits"], "no-such-file.fits"),
     "folder": (["--output", "no-such-folder/star.fits"], "no-such-folder"),

@@ -24,6 +24,7 @@ UNITS = {
 PRESETS = {
     "Kepler": Detector.kepler,
     "K2": Detector.k2,
+    "K2, calibrated": Detector.k2_calibrated,
     "TESS": Detector.tess,
 }
 

@@ -13,7 +13,12 @@ from scope_models.star import Star
 
 __all__ = ["add_parser", "run"]
 
-_PRESETS = {"kepler": Detector.kepler, "k2": Detector.k2, "tess": Detector.tess}
+_PRESETS = {
+    "kepler": Detector.kepler,
+    "k2": Detector.k2,
+    "k2_calibrated": Detector.k2_calibrated,
+    "tess": Detector.tess,
+}
 # About the beginnings of Kepler's quarter 1 and of TESS's sector 1, and the zero of the times.
 _STARTS = {"kepler": (131.5, "bkjd"), "tess": (1325.3, "btjd")}
 _CADENCES = 1000
@@ -100,7 +105,8 @@ def _add_detector(group):
         "--detector",
         default="k2",
         metavar="NAME",
-        help="the preset, kepler, k2 or tess, or a TOML file of your own detector (default: k2)",
+        help="the preset, kepler, k2, k2_calibrated or tess, or a TOML file of your own detector "
+        "(default: k2)",
     )
     group.add_argument(
         "--shape", type=int, nargs=2, metavar=("NY", "NX"), help="rows and columns of the stamp"
