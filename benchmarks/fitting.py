@@ -249,6 +249,7 @@ def light_curves(tpf):
 
 
 def report_twin(folder):
+    """Stars, as they are and without the fitted background, and their twins."""
     from matplotlib import pyplot as plt
 
     from scope_models.plotting import plot_twin
@@ -256,10 +257,15 @@ def report_twin(folder):
     print("Twins: 6.5-h CDPP (ppm), lightkurve's and EVEREST's convention")
     for star in ("EPIC 211956421", "EPIC 211983544"):
         tpf = lk.read(Path(folder) / FILES[star])
-        fit = fit_tpf(tpf, 3, interpixel=0, loss="soft_l1")
+        fit = fit_model(tpf, "1, empirical 6")
+        tpf = tpf[np.isin(tpf.cadenceno, fit.cadenceno)]
         observation = simulate(*fit.scene(), seed=1)
-        twin = observation.to_tpf()
-        curves = {"real": light_curves(tpf), "twin": light_curves(twin)}
+        files = {
+            "file": tpf,
+            "real": tpf - fit.background[:, None, None],
+            "twin": observation.to_tpf(quality_bitmask="none"),
+        }
+        curves = {kind: light_curves(pixels) for kind, pixels in files.items()}
         labels = {}
         for kind, pair in curves.items():
             row = [cdpp(curve, method=m) for curve in pair for m in ("lightkurve", "everest")]
@@ -268,9 +274,12 @@ def report_twin(folder):
                 f"de-trended {row[2]:.0f} {row[3]:.0f}"
             )
             labels[kind] = f"(CDPP {row[1]:.0f}, {row[3]:.0f} ppm)"
+        exact = simulate(*fit.scene(signal="constant"), noise=False)
+        flux = exact.flux.sum(axis=(1, 2), dtype=float)
+        print(f"  forward model alone: {cdpp(flux):.0f} {cdpp(flux, method='everest'):.0f}")
         residual = (observation.flux - observation.model()) / fit.observed_err
         images = [np.nanstd(fit.residual / fit.observed_err, axis=0), residual.std(axis=0)]
-        n = min(len(curve) for pair in curves.values() for curve in pair)
+        n = min(len(curve) for kind in ("real", "twin") for curve in curves[kind])
         axes = plot_twin(
             curves["real"][0].time.value[:n],
             *([curve.flux.value[:n] for curve in curves[kind]] for kind in ("real", "twin")),
@@ -284,7 +293,6 @@ def report_twin(folder):
             f"  scatter of residuals in errors, median pixel: {np.median(images[0]):.2f} real, "
             f"{np.median(images[1]):.2f} twin; figure {path}"
         )
-        tpf.hdu.close()
 
 
 def main():

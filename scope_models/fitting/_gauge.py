@@ -12,6 +12,8 @@ __all__ = ["interpixel_gauge", "warn_of_fit"]
 # The paper's sensitivity is lower by this at the edge of a pixel than at its centre: a coefficient
 # whose error there is larger has not been measured.
 _LARGEST_EDGE_ERROR = 0.0125
+# Scatter of the response between pixels, in standard deviations of its prior, that is no response.
+_LARGEST_SCATTER = 3.0
 # Reduced chi-squared from which a model does not describe the pixels.
 _LARGEST_CHI2 = 100.0
 
@@ -57,11 +59,22 @@ def warn_of_fit(fit, stacklevel):
         if name not in fit.names:
             continue
         error = fit.errors[name] * 0.5**power
+        if error == 0:
+            messages.append(
+                f"the sensitivity is at its bound, {name} = {fit.values[name]:.3g}: it describes "
+                "errors of the PSF, and is not measured"
+            )
         if not error < _LARGEST_EDGE_ERROR:
             messages.append(
                 f"the motion ({spread[axis]:.2g} px rms along {axis}) does not constrain the "
                 f"sensitivity: {name} = {fit.values[name]:.3g} +- {fit.errors[name]:.2g}"
             )
+    prior, scatter = fit.options["interpixel"], np.std(fit.interpixel - 1)
+    if prior and scatter > _LARGEST_SCATTER * prior:
+        messages.append(
+            f"the response between pixels scatters by {100 * scatter:.2g} % where the prior is "
+            f"{100 * prior:.2g} %: it describes errors of the PSF; interpixel=0 leaves it out"
+        )
     if fit.reduced_chi2 > _LARGEST_CHI2:
         row, column = np.unravel_index(np.nanargmax(fit.chi2_pixels), fit.chi2_pixels.shape)
         messages.append(

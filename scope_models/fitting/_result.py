@@ -304,7 +304,7 @@ class TPFFit:
 
     def plot(self):
         """
-        Draw data, model and residual, positions against POS_CORR, and the sensitivity.
+        Draw data, model and residual, positions against POS_CORR, chi-squared, the sensitivity.
 
         Returns
         -------
@@ -322,6 +322,7 @@ class TPFFit:
             self.y,
             pos_corr=self.pos_corr,
             sensitivity=sensitivity_profiles(self),
+            chi2=self.chi2_pixels,
         )
 
     def write(self, path, overwrite=False):

@@ -99,8 +99,8 @@ def sensitivity_profiles(fit):
     Returns
     -------
     profiles : dict or None
-        "offset" and, by axis, value and standard deviation, all of the same shape; None if there
-        is no polynomial.
+        "offset" and, by axis, value and standard deviation, all of the same shape; NaN where a
+        coefficient is at its bound. None if there is no polynomial.
     """
     model = fit.sensitivity
     if not isinstance(model, SensitivityPolynomial):
@@ -115,5 +115,6 @@ def sensitivity_profiles(fit):
         powers = np.array([offset ** int(name[2:]) for name in free]).reshape(len(free), -1)
         block = fit.covariance[np.ix_(index, index)]
         variance = np.einsum("iu,ij,ju->u", powers, block, powers)
-        profiles[axis] = value, np.sqrt(np.maximum(variance, 0.0))
+        known = all(fit.errors[name] > 0 for name in free)
+        profiles[axis] = value, np.sqrt(np.maximum(variance, 0.0)) if known else variance * np.nan
     return profiles

@@ -2,32 +2,38 @@
 
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.colors import AsinhNorm, LogNorm
 
 __all__ = ["plot_fit", "plot_twin"]
 
-_TITLES = {"data": "Data", "model": "Model", "residual": "Residual"}
+_TITLES = {"data": "Data, median", "model": "Model, median", "residual": "Residual, median"}
+# Part of the brightest pixel up to which the scale of the images is linear.
+_LINEAR = 0.01
 
 
-def plot_fit(data, model, residual, x, y, *, pos_corr=None, sensitivity=None):
+def plot_fit(data, model, residual, x, y, *, pos_corr=None, sensitivity=None, chi2=None):
     """
-    Draw data, model and residual, positions against POS_CORR, and the sensitivity.
+    Draw data, model and residual, positions against POS_CORR, chi-squared and the sensitivity.
 
     Parameters
     ----------
     data, model, residual : array_like
-        Images ``(ny, nx)`` in e-/s. They are drawn on one scale.
+        Images ``(ny, nx)`` in e-/s. They are drawn on one scale, linear for what is fainter than
+        a hundredth of the brightest pixel and logarithmic above.
     x, y : array_like
         Positions ``(n_cadences,)`` in pixels.
     pos_corr : array_like, optional
         POS_CORR ``(n_cadences, 2)`` in pixels; without it the positions are drawn as a track.
     sensitivity : dict, optional
         "offset" from the pixel's centre, and for "x" and "y" the response and its standard
-        deviation there.
+        deviation there, NaN where a coefficient is at its bound.
+    chi2 : array_like, optional
+        Chi-squared per degree of freedom of each pixel, ``(ny, nx)``.
 
     Returns
     -------
     dict of str to `~matplotlib.axes.Axes`
-        "data", "model", "residual", "positions" and, if given, "sensitivity".
+        "data", "model", "residual", "positions" and, if given, "chi2" and "sensitivity".
 
     Examples
     --------
@@ -40,24 +46,38 @@ def plot_fit(data, model, residual, x, y, *, pos_corr=None, sensitivity=None):
     >>> sorted(axes)
     ['data', 'model', 'positions', 'residual']
     """
-    names = [*_TITLES, "positions", *(("sensitivity",) if sensitivity else ())]
-    figure, drawn = plt.subplots(
-        1, len(names), figsize=(3.4 * len(names), 3.2), layout="constrained"
-    )
-    axes = dict(zip(names, drawn, strict=True))
+    below = [
+        name for name, part in (("chi2", chi2), ("sensitivity", sensitivity)) if part is not None
+    ]
+    names = [*_TITLES, "positions", *below]
+    figure = plt.figure(figsize=(11.5, 6.4), layout="constrained")
+    rows = figure.add_gridspec(2, 3)
+    axes = {name: figure.add_subplot(rows[i // 3, i % 3]) for i, name in enumerate(names)}
     images = {"data": data, "model": model, "residual": residual}
     top = np.nanmax(np.abs(data))
+    norm = AsinhNorm(_LINEAR * top, -top, top)
     for name, image in images.items():
-        ax = axes[name]
-        shown = ax.imshow(image, origin="lower", cmap="RdGy_r", vmin=-top, vmax=top)
-        ax.set(title=_TITLES[name], xlabel="Column (pixel)", ylabel="Row (pixel)")
+        shown = axes[name].imshow(image, origin="lower", cmap="RdGy_r", norm=norm)
+        _label_image(axes[name], _TITLES[name])
     largest = np.nanmax(np.abs(residual))
-    axes["residual"].set_title(f"Residual, at most {100 * largest / top:.2g} % of the data")
-    figure.colorbar(shown, ax=[axes[name] for name in images], label="Flux (e$^-$ s$^{-1}$)")
+    axes["residual"].set_title(f"Residual, median, to {100 * largest / top:.2g} %")
+    ticks = [sign * part * top for sign in (-1, 1) for part in (1, 0.1, _LINEAR)]
+    bar = figure.colorbar(shown, ax=axes["residual"], label="Flux (e$^-$ s$^{-1}$)")
+    bar.set_ticks([*ticks, 0.0], labels=[f"{tick:.3g}" for tick in (*ticks, 0.0)])
+    bar.minorticks_off()
     _draw_positions(axes["positions"], np.asarray(x), np.asarray(y), pos_corr)
+    if chi2 is not None:
+        shown = axes["chi2"].imshow(chi2, origin="lower", cmap="viridis", norm=LogNorm())
+        _label_image(axes["chi2"], f"Chi-squared, median {np.nanmedian(chi2):.3g}")
+        figure.colorbar(shown, ax=axes["chi2"], label="Per degree of freedom")
     if sensitivity:
         _draw_sensitivity(axes["sensitivity"], sensitivity)
     return axes
+
+
+def _label_image(ax, title):
+    """Label an image of pixels."""
+    ax.set(title=title, xlabel="Column (pixel)", ylabel="Row (pixel)")
 
 
 def _draw_positions(ax, x, y, pos_corr):
@@ -78,11 +98,15 @@ def _draw_sensitivity(ax, sensitivity):
     offset = sensitivity["offset"]
     for axis, color, line in (("x", "k", "-"), ("y", "0.5", "--")):
         value, error = sensitivity[axis]
-        ax.plot(
-            offset, value, line, color=color, label=f"along {'column' if axis == 'x' else 'row'}"
-        )
+        label = f"along {'columns' if axis == 'x' else 'rows'}"
+        label += ", at its bound" if np.isnan(error).any() else ""
+        ax.plot(offset, value, line, color=color, label=label)
         ax.fill_between(offset, value - error, value + error, color=color, alpha=0.25, lw=0)
-    ax.set(title="Sensitivity", xlabel="Offset from the pixel's centre", ylabel="Relative response")
+    ax.set(
+        title="Sensitivity",
+        xlabel="Offset from the pixel's centre (pixel)",
+        ylabel="Relative response",
+    )
     ax.legend(fontsize="small")
 
 
@@ -95,7 +119,8 @@ def plot_twin(time, real, twin, residuals, *, time_label="Time (d)", labels=None
     time : array_like
         Times ``(n_cadences,)`` in days.
     real, twin : sequence of array_like
-        Light curves ``(n_cadences,)`` relative to 1: as summed, and de-trended.
+        Light curves ``(n_cadences,)`` relative to 1: as summed, and de-trended. The axes leave out
+        outliers.
     residuals : sequence of array_like
         Standard deviation of data less model, in errors, of each pixel ``(ny, nx)``: of the
         star and of its twin.
@@ -121,6 +146,7 @@ def plot_twin(time, real, twin, residuals, *, time_label="Time (d)", labels=None
     'Twin'
     """
     labels = labels or {}
+    residuals = [np.asarray(image, dtype=float) for image in residuals]
     figure = plt.figure(figsize=(11, 5), layout="constrained")
     axes = figure.subplot_mosaic([["raw", "real"], ["corrected", "twin"]], width_ratios=[2.4, 1])
     for number, (name, title) in enumerate((("raw", "Summed"), ("corrected", "De-trended"))):
@@ -130,11 +156,19 @@ def plot_twin(time, real, twin, residuals, *, time_label="Time (d)", labels=None
             time, twin[number], ".", color="0.6", ms=1.5, label=f"twin {labels.get('twin', '')}"
         )
         ax.set(title=title, ylabel="Relative flux", xlabel=time_label)
+        ax.set_ylim(*_without_outliers([real[number], twin[number]]))
         ax.legend(fontsize="small", markerscale=4)
-    top = max(float(np.nanmax(image)) for image in residuals)
+    norm = LogNorm(*(f([f(image[image > 0]) for image in residuals]) for f in (np.min, np.max)))
     for name, image in zip(("real", "twin"), residuals, strict=True):
-        shown = axes[name].imshow(image, origin="lower", cmap="viridis", vmin=0, vmax=top)
+        shown = axes[name].imshow(image, origin="lower", cmap="viridis", norm=norm)
         axes[name].set(title=name.replace("real", "star").capitalize(), xlabel="Column (pixel)")
         axes[name].set_ylabel("Row (pixel)")
         figure.colorbar(shown, ax=axes[name], label="Scatter of residuals (errors)")
     return axes
+
+
+def _without_outliers(series):
+    """Limits of an axis that hold all but the outermost half per cent of the values."""
+    low, high = np.nanpercentile(np.concatenate([np.ravel(part) for part in series]), (0.5, 99.5))
+    margin = 0.3 * (high - low) or 0.01
+    return low - margin, high + margin

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from astropy import units as u
 from astropy.modeling.fitting import TRFLSQFitter
+from matplotlib import pyplot as plt
 from photutils.psf import CircularGaussianPSF
 
 from scope_models import (
@@ -132,7 +133,9 @@ class TestOptions:
         psf = BivariateGaussianPSF(
             sigma_x=0.6, fixed={"sigma_x": True}, bounds={"sigma_y": (0.55, 0.7)}
         )
-        fit = fit_tpf(make(), psf)
+        fit, messages = messages_of(make(), psf)
+        # The interpixel map takes up what the wrong width leaves, and the user is told.
+        assert "it describes errors of the PSF; interpixel=0 leaves it out" in messages
         assert "sigma_x" not in fit.names
         assert fit.model.sigma_x == 0.6
         assert fit.values["sigma_y"] == pytest.approx(0.55, abs=1e-12)
@@ -354,6 +357,10 @@ def test_long_series_start_from_some_of_their_cadences(psf, curvature):
 def test_sensitivity_stays_within_what_a_pixel_can_do(curvature):
     """Where the PSF is wrong, the response at an edge is held between none and twice the centre."""
     wrong = BivariateGaussianPSF(0.5, 0, 0, 0.2, 0.2) + BivariateGaussianPSF(0.5, 0.6, 0, 0.2, 0.2)
-    fit, _ = messages_of(make(n=40, psf=wrong), 1, curvature)
-    for name in ("ax2", "ay2"):
-        assert -4 <= fit.values[name] <= 4
+    fit, messages = messages_of(make(n=40, psf=wrong), 1, curvature)
+    assert abs(fit.values["ax2"]) == 4
+    assert "the sensitivity is at its bound, ax2" in messages
+    assert "along columns, at its bound" in [
+        text.get_text() for text in fit.plot()["sensitivity"].get_legend().get_texts()
+    ]
+    plt.close("all")

@@ -5,8 +5,10 @@ import pytest
 from astropy.io import fits
 from matplotlib import pyplot as plt
 
-from scope_models import TPFFit, simulate
+from scope_models import TPFFit, fit_tpf, simulate
 from scope_models.cli import main
+from scope_models.fitting._data import detector_of
+from scope_models.plotting import plot_twin
 
 
 def test_table(fit):
@@ -89,10 +91,35 @@ def test_scene_options(fit):
 
 def test_figure(fit):
     axes = fit.plot()
-    assert sorted(axes) == ["data", "model", "positions", "residual", "sensitivity"]
-    limits = {axes[name].images[0].get_clim() for name in ("data", "model", "residual")}
-    assert len(limits) == 1
+    assert sorted(axes) == ["chi2", "data", "model", "positions", "residual", "sensitivity"]
+    scales = {id(axes[name].images[0].norm) for name in ("data", "model", "residual")}
+    assert len(scales) == 1
+    np.testing.assert_array_equal(axes["chi2"].images[0].get_array(), fit.chi2_pixels)
+    for ax in axes.values():
+        assert ax.get_xlabel()
+        assert ax.get_ylabel()
     plt.close("all")
+
+
+def test_twin_figure_shows_the_series_and_not_the_outliers():
+    curve = 1 + 0.01 * np.sin(np.arange(400))
+    wild = curve.copy()
+    wild[7] = 5
+    axes = plot_twin(np.arange(400), [wild, curve], [curve, curve], [np.eye(3), np.ones((3, 3))])
+    assert axes["raw"].get_ylim()[1] < 1.1
+    assert axes["real"].images[0].get_clim() == axes["twin"].images[0].get_clim()
+    plt.close("all")
+
+
+def test_twin_has_the_noise_of_the_file(observation):
+    """Noise that the headers do not tell of is measured in the faint pixels."""
+    tpf = observation.to_tpf()
+    extra = 12.0 * np.random.default_rng(1).standard_normal(tpf.flux.shape)
+    fit = fit_tpf(tpf + extra, 2, flux_err=np.hypot(tpf.flux_err.value, 12.0))
+    detector = fit.scene()[1]
+    expected = np.hypot(90.0, 12.0 * detector.exposure_time / detector.n_reads**0.5)
+    assert detector.read_noise == pytest.approx(expected, rel=0.03)
+    assert detector_of(tpf).read_noise == 90.0
 
 
 def test_command(observation, tmp_path, capsys):
