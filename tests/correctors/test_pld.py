@@ -11,6 +11,7 @@ from lightkurve.correctors.corrector import Corrector
 from scope_models.correctors import PLDCorrector
 from scope_models.exceptions import DetrendingWarning
 from scope_models.photometry import cdpp
+from scope_models.saturation import bleed
 
 
 def replaced(tpf, **columns):
@@ -361,6 +362,29 @@ def test_full_pixels_do_not_eat_transits(fake_star):
     scale, error = corrector.fit_transit(signal)
     assert error < 0.03
     assert scale == pytest.approx(1, abs=4 * error)
+
+
+def test_a_full_star_that_moves_reaches_the_noise(fake_star):
+    """Charge bleeds over several rows, from columns that change as the star moves."""
+    signal = dips(600, 1e-3)
+    target = fake_star(600, seed=9, signal=signal, mag=10, motion=4.0, shape=(17, 15))
+    flux = bleed(target.tpf.flux.value.astype(float), 1.79e5)
+    corrector = PLDCorrector(replaced(target.tpf, FLUX=flux))
+    corrector.correct(transit_mask=signal < 1)
+    mask = corrector.aperture_mask
+    expected = target.expected[:, mask].sum(axis=1)
+    floor = 1 + target.noise[:, mask].sum(axis=1) / np.median(expected)
+    for method in ("lightkurve", "everest"):
+        raw = cdpp(corrector.original_lc.flux.value / signal, method=method)
+        left = cdpp(corrector.corrected_lc.flux.value / signal, method=method)
+        assert left < 1.1 * cdpp(floor, method=method)
+        assert left < 0.2 * raw
+    scale, error = corrector.fit_transit(signal)
+    assert error < 0.03
+    assert scale == pytest.approx(1, abs=3 * error)
+    corrector.correct()
+    lc = corrector.corrected_lc.flux.value
+    assert 1 - np.median(lc[signal < 1]) / np.median(lc[signal == 1]) > 0.8e-3
 
 
 def test_aperture(star):

@@ -1,6 +1,7 @@
 """The scores, and a small version of the grid of simulated stars."""
 
 import importlib.util
+import itertools
 import sys
 
 import numpy as np
@@ -106,5 +107,16 @@ def test_whole_grid(grid, shared_data, tmp_path):
     rows = grid.read(path)
     for scale, largest in ((1, 1.05), (2, 1.10), (5, 1.20), (10, 1.30)):
         assert medians(rows, "held_out_mad", scale) <= largest
+        for detector, mag in itertools.product(grid.DETECTORS, grid.MAGNITUDES):
+            cell = [
+                r for r in rows if (r["scale"], r["detector"], r["mag"]) == (scale, detector, mag)
+            ]
+            for method in ("lightkurve", "everest"):
+                assert np.median([r[f"residual_{method}"] for r in cell]) <= 1.10
     better = [row["cdpp_lightkurve"] < row["best_lightkurve"]["lightkurve"] for row in rows]
     assert np.mean(better) >= 0.95
+    bright = [row for row in rows if row["mag"] <= 13]
+    weights = [row["masked_1000_err"] ** -2.0 for row in bright]
+    assert np.average([row["masked_1000"] for row in bright], weights=weights) == pytest.approx(
+        1, abs=0.01
+    )
