@@ -9,7 +9,7 @@ from scipy.optimize import least_squares
 
 from scope_models.models import TransitModel
 
-__all__ = ["Found", "fit_shape", "flattened", "search"]
+__all__ = ["Found", "fit_shape", "flattened", "isolated", "search"]
 
 # Days of the running median: several times the longest transit, less than K2's slow drifts.
 _FLAT_DAYS = 2.0
@@ -69,6 +69,25 @@ def flattened(time, flux, masked=None):
     # straight lines across the mask keep the window in the middle
     filled = np.interp(time, time[seen], flux[seen])
     return flux / median_filter(filled, size=min(width, len(filled)), mode="reflect")
+
+
+def isolated(flux, sigma=6.0):
+    """Return which cadences stand out from both neighbours, as no transit does.
+
+    Parameters
+    ----------
+    flux : ndarray
+        Relative fluxes, all finite.
+    sigma : float, optional
+        By how many standard deviations.
+
+    Returns
+    -------
+    ndarray of bool
+        The cadences.
+    """
+    noise = 1.4826 * np.median(np.abs(flux - np.median(flux)))
+    return np.abs(flux - median_filter(flux, size=3, mode="mirror")) > sigma * noise
 
 
 def search(time, flux, shortest, longest):

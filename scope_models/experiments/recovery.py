@@ -10,7 +10,8 @@ from astropy.table import Table
 from scope_models._checks import checked_integer, checked_number
 from scope_models.detector import Detector
 from scope_models.experiments._detrended import transit_amplitude
-from scope_models.experiments._search import fit_shape, flattened, search
+from scope_models.experiments._recovered import by_motion, half_complete, percentiles, values_of
+from scope_models.experiments._search import fit_shape, flattened, isolated, search
 from scope_models.experiments.populations import draw_star, motion_from_name, stamp_around
 from scope_models.experiments.study import Study
 from scope_models.models import TransitModel
@@ -29,9 +30,10 @@ class Recovery(Study):
     Each star is drawn as `~scope_models.experiments.populations.draw_star` does, with a planet
     on an orbit of its own, simulated on the paper's detector, and de-trended by
     `~scope_models.correctors.PLDCorrector`, which is told nothing of the planet. A search by box
-    least squares follows. The planet is recovered if the strongest box is at least `threshold`
-    times its error deep, and all boxes are within half a transit of true ones. Then what was
-    found is masked, the star is de-trended again, and a transit is fitted.
+    least squares follows, without cadences that stand out from both neighbours. The planet is
+    recovered if the strongest box is at least `threshold` times its error deep, and all boxes are
+    within half a transit of true ones. Then what was found is masked, the star is de-trended
+    again, and a transit is fitted.
 
     Parameters
     ----------
@@ -210,7 +212,9 @@ class Recovery(Study):
         lc = corrector.correct(order=self.order)
         good = np.isfinite(lc.flux.value)
         time, flux = lc.time.value[good], lc.flux.value[good]
-        found = search(time, flattened(time, flux), *self.durations)
+        flat = flattened(time, flux)
+        keep = ~isolated(flat)
+        found = search(time[keep], flat[keep], *self.durations)
         row = {
             "white_noise": 1e6 * _white_noise(observation),
             "snr": found.snr,
@@ -248,14 +252,15 @@ class Recovery(Study):
         time, flux = lc.time.value[good], lc.flux.value[good]
         flux = flattened(time, flux, mask[good])
         error = 1.4826 * np.median(np.abs(flux[~mask[good]] - 1))
-        model, duration, duration_error = fit_shape(time, flux, error, found, exposure_time)
+        keep = ~isolated(flux)
+        model, *duration = fit_shape(time[keep], flux[keep], error, found, exposure_time)
         scale, scale_error = corrector.fit_transit(model)
         depth = 1e6 * model.depth
         return {
             "found_depth": depth * scale,
             "found_depth_error": depth * scale_error,
-            "found_duration": duration,
-            "found_duration_error": duration_error,
+            "found_duration": duration[0],
+            "found_duration_error": duration[1],
         }
 
     def summarise(self, table):
@@ -277,7 +282,8 @@ class Recovery(Study):
             the median of the jointly fitted over the true depth, and of its error in units of
             its standard deviation.
             In ``meta``: "false_alarms", how many stars without planet have a detection, and
-            "half_complete", the depth (ppm) of 50 % completeness by motion and magnitude.
+            "half_complete", the depth (ppm) of 50 % completeness by motion and magnitude; and
+            "by_motion", what all planets of a motion say together.
         """
         names = ("scale", "mag", "depth")
         cells = {}
@@ -301,6 +307,12 @@ class Recovery(Study):
             }
             for scale in sorted(set(table["scale"]))
         }
+        summary.meta["by_motion"] = {
+            f"{scale:g}x": by_motion(
+                table[(table["scale"] == scale) & (table["depth"] > 0)], self.threshold
+            )
+            for scale in sorted(set(table["scale"]))
+        }
         return summary
 
     def _cell(self, rows):
@@ -309,17 +321,17 @@ class Recovery(Study):
         row = {
             "stars": len(rows),
             "completeness": recovered.mean(),
-            "expected": np.mean(_values(rows, "expected_snr") >= self.threshold),
+            "expected": np.mean(values_of(rows, "expected_snr") >= self.threshold),
         }
         for name in ("snr", "expected_snr", "survival"):
-            row[name] = np.median(_values(rows, name))
+            row[name] = np.median(values_of(rows, name))
         for name in ("depth", "duration"):
-            ratio = (_values(rows, f"found_{name}") / _values(rows, name))[recovered]
-            low, median, high = _percentiles(ratio)
+            ratio = (values_of(rows, f"found_{name}") / values_of(rows, name))[recovered]
+            low, median, high = percentiles(ratio)
             row[f"{name}_ratio"] = median
             row[f"{name}_ratio_scatter"] = 0.5 * (high - low)
         depth, joint, error = (
-            _values(rows, name) for name in ("depth", "joint_depth", "joint_depth_error")
+            values_of(rows, name) for name in ("depth", "joint_depth", "joint_depth_error")
         )
         row["joint_ratio"] = np.median(joint / depth)
         row["joint_pull"] = np.median((joint - depth) / error)
@@ -365,42 +377,3 @@ def _white_noise(observation):
     model = observation.model()
     signal_to_noise = np.sum(np.square(model / observation.flux_err), axis=(1, 2))
     return float(np.median(1 / np.sqrt(signal_to_noise)))
-
-
-def _values(rows, name):
-    """Return a column with NaN where stars lack it."""
-    if name not in rows.colnames:
-        return np.full(len(rows), np.nan)
-    return np.ma.filled(np.ma.asarray(rows[name], dtype=float), np.nan)
-
-
-def _percentiles(values):
-    """Return the 16th, 50th and 84th percentile, NaN without values."""
-    return np.percentile(values, [16, 50, 84]) if len(values) else np.full(3, np.nan)
-
-
-def half_complete(depths, completeness):
-    """Return the depth at which half of the planets are recovered.
-
-    Parameters
-    ----------
-    depths : array_like
-        Depths, increasing.
-    completeness : array_like
-        Fraction that is recovered at each.
-
-    Returns
-    -------
-    float
-        Interpolated in the logarithm of the depth, where the completeness last rises above one
-        half; 0 if it is above everywhere, infinite if it is below at the largest depth.
-    """
-    below = np.flatnonzero(np.asarray(completeness) < 0.5)
-    if len(below) == 0:
-        return 0.0
-    last = int(below[-1])
-    if last == len(depths) - 1:
-        return float("inf")
-    logarithms = np.log(depths[last : last + 2])
-    ends = completeness[last : last + 2]
-    return float(np.round(np.exp(np.interp(0.5, ends, logarithms)), 1))

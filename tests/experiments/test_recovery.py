@@ -6,8 +6,9 @@ from astropy.table import Table
 
 from scope_models import TransitModel
 from scope_models.experiments import make_study, run_experiment, run_sweep
-from scope_models.experiments._search import Found, fit_shape, flattened, search
-from scope_models.experiments.recovery import Recovery, half_complete
+from scope_models.experiments._recovered import half_complete
+from scope_models.experiments._search import Found, fit_shape, flattened, isolated, search
+from scope_models.experiments.recovery import Recovery
 
 CADENCE = 0.0204336
 
@@ -81,6 +82,14 @@ class TestSearch:
         np.testing.assert_allclose(flat, planet(time), atol=5e-4)
 
 
+def test_single_cadences_stand_out_and_transits_do_not():
+    time, flux, planet = light_curve(5e-3)
+    assert planet(time).min() < 1 - 40 * 100e-6
+    assert not isolated(flux).any()
+    flux[[0, 500, 700, 999]] += [-2e-3, 1.5e-3, -1.5e-3, 2e-3]
+    assert np.flatnonzero(isolated(flux)).tolist() == [0, 500, 700, 999]
+
+
 class TestShape:
     def test_depth_and_duration(self):
         time, flux, planet = light_curve(1e-3)
@@ -148,6 +157,17 @@ class TestStudy:
         half = summary.meta["half_complete"]
         assert set(half) == {"1x", "5x"}
         assert all(50 < depth < 1000 for depth in (half["1x"]["Kp 15"], half["5x"]["Kp 15"]))
+
+    def test_motions(self, result):
+        said = result.summary.meta["by_motion"]["5x"]
+        rows = result.table[(result.table["scale"] == 5.0) & (result.table["depth"] > 0)]
+        assert (said["planets"], said["false"]) == (4, 0)
+        assert said["recovered"] == rows["recovered"].sum()
+        weights = (rows["depth"] / rows["joint_depth_error"]) ** 2
+        mean = np.sum(weights * rows["joint_depth"] / rows["depth"]) / np.sum(weights)
+        assert said["joint_depth_ratio"] == pytest.approx(mean, abs=1e-4)
+        assert abs(said["found_depth_ratio"] - 1) < 4 * said["found_depth_ratio_error"]
+        assert 0.9 < said["survival"] < 1.1
 
     def test_tables_are_read_back(self, result):
         table = Table.read(result.files[0])
