@@ -23,7 +23,7 @@ _TESS_FRAMES = {20: 10, 120: 60, 200: 100, 600: 300, 1800: 900}
 _SECONDS_PER_DAY = 86400.0
 _DISTRIBUTIONS = ("uniform", "normal")
 # Response within a pixel that K2's noise asks for: see `Detector.k2_calibrated`.
-_CALIBRATED_A_2 = -1.75
+_CALIBRATED_A_2 = -0.75
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -313,36 +313,36 @@ class Detector:
         ======================= ==================== ==========================================
         field                   value                source
         ======================= ==================== ==========================================
-        sensitivity             :math:`a_2 = -1.75`  fit; along both axes
-                                (-2 to -1.5)         :math:`(1 + a_2 u^2) / (1 + a_2 / 12)`, so
+        sensitivity             :math:`a_2 = -0.75`  fit; along both axes
+                                (-0.85 to -0.45)     :math:`(1 + a_2 u^2) / (1 + a_2 / 12)`, so
                                                      that the mean over a pixel is 1
-        interpixel_scatter      0.0125, normal       fit
-                                (0.01 to 0.0175)
-        psf                     Gaussians: 90 % with wings of 10 %: fit; the widths follow from
-                                sigma 0.479 px, 10 % Kepler's PRF, 45 % of the light in the
-                                with 1.782 px        brightest pixel and 95 % within a diameter
+        interpixel_scatter      0.011, normal        fit
+                                (0.0045 to 0.0135)
+        psf                     Gaussians: 80 % with wings of 20 %: chosen; the widths follow
+                                sigma 0.450 px, 20 % from Kepler's PRF, 45 % of the light in the
+                                with 1.261 px        brightest pixel and 95 % within a diameter
                                                      of 4.2 px (Kepler telescope page, medians)
         ======================= ==================== ==========================================
 
-        The three go together: less wings ask for a stronger response within pixels, and that and
-        the response between pixels replace each other.
+        The ranges hold for these wings. The three go together: with 10 % in the wings
+        :math:`a_2` is -1.35 to -1.1, and what one response explains the other need not.
 
         Examples
         --------
         >>> from scope_models import Detector
         >>> detector = Detector.k2_calibrated()
         >>> edge, centre = detector.sensitivity(0.5, 0.0), detector.sensitivity(0.0, 0.0)
-        >>> print(f"{edge / centre:.4f}")
-        0.5625
+        >>> print(f"{edge / centre:.3f}")
+        0.812
         """
         mean = 1 + _CALIBRATED_A_2 / 12
         response = (1 / mean, 0.0, _CALIBRATED_A_2 / mean)
         calibrated = {
             "sensitivity": SensitivityPolynomial(response, response),
-            "interpixel_scatter": 0.0125,
+            "interpixel_scatter": 0.011,
             "interpixel_distribution": "normal",
-            "psf": BivariateGaussianPSF(0.9, sigma_x=0.479, sigma_y=0.479)
-            + BivariateGaussianPSF(0.1, sigma_x=1.782, sigma_y=1.782),
+            "psf": BivariateGaussianPSF(0.8, sigma_x=0.45, sigma_y=0.45)
+            + BivariateGaussianPSF(0.2, sigma_x=1.261, sigma_y=1.261),
         }
         return cls._photometer("K2", cadence, 284.0, calibrated | changes)
 

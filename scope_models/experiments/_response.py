@@ -94,37 +94,37 @@ def everest_noise(flux):
 
 
 class RollingStars:
-    """Moving stars, and the six series of each in apertures of several magnitudes.
+    """Moving stars, and the six series of each in apertures of several sizes.
+
+    An aperture holds the pixels in which the star has more than a part of its flux on average.
 
     Parameters
     ----------
     detector : Detector
-        The pixels: shape, PSF, zero point, background and read noise are used.
+        Its shape is used.
     stars : sequence of tuple
         For each star a `~scope_models.Star` (its position and PSF), a `~scope_models.Motion` and a
         generator for the map of b.
-    magnitudes : array_like
-        Magnitudes that each star takes in turn.
-    apertures : sequence of callable
-        Each a function of the mean image (e-/s) that returns a mask.
+    thresholds : array_like
+        Parts of a star's flux.
+
+    Attributes
+    ----------
+    fraction, n_pixels : ndarray, shape (n_thresholds, n_stars)
+        Part of a star's light in the aperture, and its pixels.
     """
 
-    def __init__(self, detector, stars, magnitudes, apertures):
-        self.magnitudes = np.asarray(magnitudes, dtype=float)
-        shape = (len(apertures), len(self.magnitudes), len(stars))
-        self.white, self.n_pixels = np.empty(shape), np.empty(shape)
-        self._series = None
+    def __init__(self, detector, stars, thresholds):
+        shape = (len(thresholds), len(stars))
+        self.fraction, self.n_pixels = np.empty(shape), np.empty(shape)
+        self._series = np.empty((*shape, 6, len(stars[0][1])), dtype=np.float32)
         for number, (star, motion, rng) in enumerate(stars):
             moments = self._moments(detector, star, motion)
-            deviations = rng.standard_normal(detector.shape).ravel()
-            if self._series is None:
-                self._series = np.empty((*shape, 6, len(motion)), dtype=np.float32)
+            deviations = rng.standard_normal(detector.shape)
             image = moments[0].mean(axis=0)
-            for row, aperture in enumerate(apertures):
-                for column, mag in enumerate(self.magnitudes):
-                    place = row, column, number
-                    mask = aperture(image * detector.flux_from_mag(mag))
-                    self._fill(place, detector, mag, moments, deviations, mask)
+            for row, threshold in enumerate(thresholds):
+                mask = image > threshold
+                self._fill((row, number), moments[:, :, mask], deviations[mask])
 
     @staticmethod
     def _moments(detector, star, motion):
@@ -140,20 +140,16 @@ class RollingStars:
         first = moment(_SQUARE, (1.0,)) + moment((1.0,), _SQUARE)
         return np.array([moment((1.0,), (1.0,)), first, moment(_SQUARE, _SQUARE)])
 
-    def _fill(self, place, detector, mag, moments, deviations, mask):
-        """Sum the moments over an aperture, and note its noise."""
-        inside = moments[:, :, mask]
+    def _fill(self, place, inside, deviations):
+        """Sum the moments over an aperture."""
         sums = inside.sum(axis=2)
         scale = sums[0].mean()  # series are near 1, so that single precision does
         self._series[place][:3] = sums / scale
-        self._series[place][3:] = inside @ deviations[mask.ravel()] / scale
-        exposure = detector.exposure_time
-        electrons = scale * detector.flux_from_mag(mag) * exposure
-        per_pixel = detector.background * exposure + detector.cadence_read_noise**2
-        self.white[place] = 1e6 * np.sqrt(electrons + mask.sum() * per_pixel) / electrons
-        self.n_pixels[place] = mask.sum()
+        self._series[place][3:] = inside @ deviations / scale
+        self.fraction[place] = scale
+        self.n_pixels[place] = len(deviations)
 
-    def systematics(self, a_2, scatter, aperture=0):
+    def systematics(self, a_2, scatter):
         """Return the noise by motion alone.
 
         Parameters
@@ -162,29 +158,32 @@ class RollingStars:
             Coefficient of the square of the response along both axes.
         scatter : float
             Standard deviation of b.
-        aperture : int, optional
-            Number of the aperture.
 
         Returns
         -------
-        ndarray, shape (n_magnitudes, n_stars)
+        ndarray, shape (n_thresholds, n_stars)
             CDPP in ppm, in EVEREST's convention.
         """
         factors = np.array([1, a_2, a_2**2])
         factors = np.concatenate([factors, scatter * factors])
-        return everest_noise(np.einsum("c,mnct->mnt", factors, self._series[aperture]))
+        return everest_noise(np.einsum("c,mnct->mnt", factors, self._series))
 
-    def noise(self, a_2, scatter, aperture=0):
-        """Return the noise by motion, photons, background and read noise: a sum of squares.
+    def white(self, detector, mag):
+        """Return the noise of photons, background and reads.
 
         Parameters
         ----------
-        a_2, scatter, aperture
-            As for `systematics`.
+        detector : Detector
+            Zero point, background and read noise.
+        mag : float
+            Magnitude.
 
         Returns
         -------
-        ndarray, shape (n_magnitudes, n_stars)
+        ndarray, shape (n_thresholds, n_stars)
             CDPP in ppm, in EVEREST's convention.
         """
-        return np.hypot(self.systematics(a_2, scatter, aperture), _WHITE * self.white[aperture])
+        exposure = detector.exposure_time
+        electrons = self.fraction * detector.flux_from_mag(mag) * exposure
+        per_pixel = detector.background * exposure + detector.cadence_read_noise**2
+        return 1e6 * _WHITE * np.sqrt(electrons + self.n_pixels * per_pixel) / electrons

@@ -29,6 +29,7 @@ _MARGIN = 7
 _TOLERANCE = 0.15
 _CLAIMED = (11.0, 14.5)
 _GOLDEN = 0.6180339887498949
+_LAW_MAGNITUDE = 14.0
 
 
 def field_motion(number, cadences, *, place=None, rng=None):
@@ -78,8 +79,10 @@ class K2MotionNoise(Study):
     """Noise before de-trending of stars that move as in K2 (benchmark 2 of the paper).
 
     The paper's sensitivity and the calibrated one, `Detector.k2_calibrated`, beside the noise of
-    K2 campaign 3. The aperture holds the pixels in which the star alone has more than a threshold
-    on average, as EVEREST's apertures follow the PRF.
+    K2 campaign 3. EVEREST's apertures follow the PRF; here the aperture holds the pixels in which
+    the star alone has more than a threshold on average, :math:`T (F / F_{14})^g` for a flux F and
+    :math:`F_{14}` at Kp 14. Stars with a pixel above 90 % of its well have a larger aperture, as
+    EVEREST's.
 
     Parameters
     ----------
@@ -94,18 +97,19 @@ class K2MotionNoise(Study):
         over the time of a campaign, or motions as
         `~scope_models.experiments.populations.motion_from_name` takes them.
     stars : int, optional
-        Stars per magnitude, motion and detector. The paper has 5.
+        Stars per magnitude, motion and detector. The paper has 5. The same stars, but for their
+        magnitude, are in all bins.
     cadences : int, optional
-        Long cadences per star, or all of a motion if it has fewer.
+        Long cadences per star, at a random time of the campaign, or all of a motion if it has
+        fewer. A campaign has 3380.
     shift : float, optional
         Largest distance of a star from the middle of a pixel along each axis. The paper has 0.2;
         real stars are anywhere.
-    threshold : float, optional
-        Threshold of the aperture, e-/s. Fitted. 0 takes the aperture of the highest
-        signal-to-noise ratio.
-    saturated_threshold : float, optional
-        The same of stars with a pixel above 90 % of its well, for which EVEREST takes
-        a larger aperture.
+    threshold, exponent : float, optional
+        T in e-/s, and g. Fitted. A threshold of 0 takes the aperture of the highest signal-to-noise
+        ratio.
+    saturated_part : float, optional
+        Part of the flux of a saturated star that a pixel of its aperture has.
 
     Raises
     ------
@@ -138,14 +142,15 @@ class K2MotionNoise(Study):
     stars: int = 60
     cadences: int = 1000
     shift: float = 0.5
-    threshold: float = 90.0
-    saturated_threshold: float = 30.0
+    threshold: float = 125.0
+    exponent: float = 0.5
+    saturated_part: float = 1e-4
 
     def __post_init__(self):
         super().__post_init__()
         checked_integer("stars", self.stars, 1)
         checked_integer("cadences", self.cadences, 100)
-        for name in ("shift", "threshold", "saturated_threshold"):
+        for name in ("shift", "threshold", "exponent", "saturated_part"):
             checked_number(name, getattr(self, name))
         for name in ("magnitudes", "detectors", "motions"):
             values = getattr(self, name)
@@ -167,7 +172,7 @@ class K2MotionNoise(Study):
             {
                 "key": f"{detector}-motion{number}-kp{mag:g}-{index}",
                 "detector": detector, "motion": motion, "mag": mag, "index": index,
-                "star": f"motion{number}-kp{mag:g}-{index}",
+                "star": f"motion{number}-{index}",
             }
             for detector in self.detectors
             for number, motion in enumerate(self.motions)
@@ -190,7 +195,7 @@ class K2MotionNoise(Study):
         """
         rng = self.star_rng(task["star"])
         if task["motion"] == "field":
-            shift = self.star_rng(f"kp{task['mag']:g}", "shift").uniform()
+            shift = self.star_rng("field", "shift").uniform()
             place = (shift + task["index"] * _GOLDEN) % 1.0
             number = self.star_seed(task["star"], "motion") % 2**31
             motion = field_motion(number, self.cadences, place=place, rng=rng)
@@ -223,7 +228,7 @@ class K2MotionNoise(Study):
         flat = self._noiseless(observation, detector.without_sensitivity())
         depth = 0.9 * detector.well_depth / detector.int_time - detector.background
         saturated = bool(np.percentile(flat, 97.5, axis=0).max() > depth)
-        aperture = self._aperture(observation, flat.mean(axis=0), saturated=saturated)
+        aperture = self.aperture(observation, flat.mean(axis=0), saturated=saturated)
         even = detector.replace(interpixel=np.ones(detector.shape))
         cubes = {
             "losses": flat,
@@ -248,11 +253,30 @@ class K2MotionNoise(Study):
             observation.stars, detector, observation.motion, seed=seed, noise=False
         ).flux
 
-    def _aperture(self, observation, image, *, saturated):
-        """Return the pixels of the light curve."""
-        threshold = self.saturated_threshold if saturated else self.threshold
-        if threshold == 0:
+    def aperture(self, observation, image, *, saturated=False):
+        """Return the pixels of the light curve.
+
+        Parameters
+        ----------
+        observation : Observation
+            The star.
+        image : ndarray, shape (ny, nx)
+            Mean image of the star on pixels that respond alike, e-/s.
+        saturated : bool, optional
+            Whether pixels are saturated.
+
+        Returns
+        -------
+        ndarray of bool, shape (ny, nx)
+            The pixels.
+        """
+        if self.threshold == 0:
             return observation.aperture
+        flux = observation.truth.flux[0]
+        threshold = self.saturated_part * flux
+        if not saturated:
+            relative = flux / observation.detector.flux_from_mag(_LAW_MAGNITUDE)
+            threshold = self.threshold * relative**self.exponent
         return image > min(threshold, 0.5 * image.max())
 
     def summarise(self, table):
@@ -283,7 +307,7 @@ class K2MotionNoise(Study):
         summary = Table(rows=rows)
         summary.meta["fitted"] = {
             "calibrated": "Detector.k2_calibrated", "threshold": self.threshold,
-            "saturated_threshold": self.saturated_threshold,
+            "exponent": self.exponent,
         }  # fmt: skip
         summary.meta["claims"] = {
             f"{name} sensitivity: median within {100 * _TOLERANCE:.0f} % of K2 campaign 3 in every "

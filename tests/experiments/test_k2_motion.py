@@ -4,11 +4,12 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 
-from scope_models import Detector, SensitivityPolynomial, integrate_pixels, simulate
+from scope_models import Detector, Motion, SensitivityPolynomial, integrate_pixels, simulate
 from scope_models.correctors import PLDCorrector
 from scope_models.experiments import STUDIES, run_sweep
 from scope_models.experiments._response import RollingStars, everest_noise, winged_psf
 from scope_models.experiments.k2_motion import K2MotionNoise, field_motion
+from scope_models.experiments.no_motion import NoMotion
 from scope_models.experiments.populations import draw_star, motion_from_name, stamp_around
 from scope_models.experiments.reference import reference_noise
 from scope_models.photometry import cdpp
@@ -59,23 +60,22 @@ def test_linear_stars_are_the_simulators():
     detector = Detector.k2(shape=(13, 13), psf=winged_psf(0.1))
     motion = field_motion(4, 400, place=0.4)
     star = draw_star(np.random.default_rng(2), 12.0, detector, shift=0.5)
-    apertures = [lambda image: image > 90.0]
-    stars = RollingStars(
-        detector, [(star, motion, np.random.default_rng(5))], (12.0, 14.0), apertures
-    )
+    parts = (3e-4, 5e-3)
+    stars = RollingStars(detector, [(star, motion, np.random.default_rng(5))], parts)
     b = 1 + 0.0125 * np.random.default_rng(5).standard_normal(detector.shape)
     response = SensitivityPolynomial((1, 0, -1.2), (1, 0, -1.2))
     pixels = detector.replace(sensitivity=response, interpixel=b)
-    flat = detector.without_sensitivity()
-    for row, mag in enumerate((12.0, 14.0)):
-        same = star.replace(mag=mag)
-        aperture = simulate(same, flat, motion, noise=False).flux.mean(axis=0) > 90.0
-        assert aperture.sum() == stars.n_pixels[0, row, 0]
-        flux = simulate(same, pixels, motion, noise=False).flux[:, aperture].sum(axis=1)
+    image = simulate(star, detector.without_sensitivity(), motion, noise=False).flux.mean(axis=0)
+    for row, part in enumerate(parts):
+        aperture = image > part * 1.74e5
+        assert aperture.sum() == stars.n_pixels[row, 0]
+        assert image[aperture].sum() / 1.74e5 == pytest.approx(stars.fraction[row, 0], rel=1e-5)
+        flux = simulate(star, pixels, motion, noise=False).flux[:, aperture].sum(axis=1)
         ours = stars.systematics(-1.2, 0.0125)[row, 0]
         assert ours == pytest.approx(everest_noise(flux.astype(float)), rel=0.005)
-        nominal = 0.257 * stars.white[0, row, 0]
-        assert stars.noise(-1.2, 0.0125)[row, 0] == pytest.approx(np.hypot(ours, nominal))
+    still = simulate(star, detector.without_sensitivity(), Motion.still(4000), seed=3)
+    noise = cdpp(still.flux[:, aperture].sum(axis=1, dtype=float), method="everest")
+    assert stars.white(detector, 12.0)[1, 0] == pytest.approx(noise, rel=0.03)
 
 
 def test_field_motion_grows_outwards():
@@ -161,21 +161,39 @@ def test_fields_are_checked(field, value, message):
         K2MotionNoise(**{field: value})
 
 
+def test_calibrated_detector():
+    detector, paper = Detector.k2_calibrated(), Detector.k2()
+    assert detector.psf.parameters == pytest.approx(winged_psf(0.2).parameters, abs=1e-3)
+    # The mean over a pixel is 1, so that the zero point keeps its meaning.
+    assert integrate_pixels(detector.sensitivity, (1, 1))[0, 0] == pytest.approx(1, abs=1e-12)
+    centre, edge, corner = (detector.sensitivity(*at) for at in ((0, 0), (0.5, 0), (0.5, 0.5)))
+    assert edge / centre == pytest.approx(1 - 0.75 / 4)
+    assert corner / centre == pytest.approx((1 - 0.75 / 4) ** 2)
+    assert paper.sensitivity(0.5, 0.5) / paper.sensitivity(0, 0) == pytest.approx(0.9752, abs=1e-4)
+    assert detector.interpixel_distribution == "normal"
+    assert detector.interpixel_map(3).std() == pytest.approx(0.011, rel=0.2)
+    for name in ("zero_point", "background", "read_noise", "well_depth", "n_frames"):
+        assert getattr(detector, name) == getattr(paper, name)
+    assert Detector.k2_calibrated(cadence="short", shape=(9, 9)).shape == (9, 9)
+
+
 @pytest.mark.slow
 def test_epic_205998445(shared_data):
+    study, floor = K2MotionNoise(), NoMotion().floor
     motion = motion_from_name(shared_data / "poscorr" / EPIC)
     shape, x_0, y_0 = stamp_around(motion, 7)
     detector = Detector.k2_calibrated(shape=shape)
     raw, detrended = [], []
-    for number in range(60):
+    for number in range(120):
         rng = np.random.default_rng([1, number])
-        star = draw_star(rng, 12.029, detector, x_0=x_0, y_0=y_0, shift=0.5)
-        observation = simulate(star, detector, motion, seed=number)
-        flat = simulate(star, detector.without_sensitivity(), motion, noise=False)
-        aperture = flat.flux.mean(axis=0) > K2MotionNoise().threshold
+        star = draw_star(rng, 12.029, detector, x_0=x_0, y_0=y_0, shift=study.shift)
+        white = 1e-6 * floor * 13**0.5 * rng.standard_normal(len(motion))
+        observation = simulate(star.replace(signal=1 + white), detector, motion, seed=number)
+        flat = simulate(star, detector.without_sensitivity(), motion[::8], noise=False)
+        aperture = study.aperture(observation, flat.flux.mean(axis=0))
         flux = observation.flux[:, aperture].sum(axis=1, dtype=float)
         raw.append(cdpp(flux, method="everest"))
-        if number < 15:
+        if number < 12:
             tpf = observation.to_tpf(aperture_mask=aperture)
             corrected = PLDCorrector(tpf, aperture_mask=aperture).correct(order=2)
             detrended.append(cdpp(corrected, method="everest"))
