@@ -1,8 +1,7 @@
 """Compare the motion that `Motion.k2_roll` generates with that of real stars.
 
-The build of the documentation draws the figure. In the folder of this file, so does
-``python -c "import motion_series; motion_series.make_figure().savefig('motion_series.png')"``.
-Without the real files only the generated motion is drawn.
+The build of the documentation draws the figures. Without the real files only the generated motion is
+drawn.
 """
 
 from pathlib import Path
@@ -95,37 +94,37 @@ def draw_summary(axes, motions):
         bins = np.arange(3, 60, 6) - 0.05
         axes[1].hist(hours, bins, density=True, histtype="step", color=color, lw=1.4)
         axes[2].plot(motion.x, motion.y, ".", color=color, ms=1.5, alpha=0.5)
-        row = motion.statistics()
-        text = f"{label}: {row.mean.value:.2f} ± {row.std.value:.2f}, max {row.maximum.value:.2f}"
-        axes[2].plot([], [], "o", color=color, ms=4, label=text)
 
 
-def make_figure(folder=FOLDER):
-    """Return the figure: one row per star."""
-    plt.rcParams.update({"font.size": 9})
-    figure, grid = plt.subplots(
-        len(STARS), 5, figsize=(17, 10), layout="constrained", width_ratios=(1.6, 1.3, 1.2, 1, 1.2)
-    )
-    for axes, (title, (name, parameters)) in zip(grid, STARS.items(), strict=True):
-        motions = {}
-        path = Path(folder, name)
-        if path.exists():
-            real = Motion.from_file(path)
-            motions["real"] = real[(real.quality & UNUSABLE) == 0]
-        motions["generated"] = Motion.k2_roll(**parameters)
-        draw_series(axes[:2], motions)
-        draw_summary(axes[2:], motions)
-        axes[0].set(title=title, xlabel="day", ylabel="offset along roll (black: across), px")
-        axes[1].set(title="four days of it", xlabel="day")
-        axes[2].set(title="power spectrum", xlabel="cycles per day", ylabel="px² d")
-        axes[3].set(title="drift lengths", xlabel="hours between resets", ylabel="density")
-        axes[4].set(
-            title="track (px)", xlabel="x", ylabel="y", aspect="equal", adjustable="datalim"
-        )
-        axes[4].legend(fontsize=7, loc="upper center")
-    grid[0, 2].legend(fontsize=7)
+def read_motions(folder, name, parameters):
+    """Return the real motion, if its file is there, and the generated one."""
+    motions = {}
+    path = Path(folder, name)
+    if path.exists():
+        real = Motion.from_file(path)
+        motions["real"] = real[(real.quality & UNUSABLE) == 0]
+    motions["generated"] = Motion.k2_roll(**parameters)
+    return motions
+
+
+def make_series_figure(folder=FOLDER):
+    """Return the figure of the offsets against time: one row per star."""
+    figure, grid = plt.subplots(len(STARS), 2, figsize=(9, 9), layout="constrained")
+    for axes, (title, star) in zip(grid, STARS.items(), strict=True):
+        draw_series(axes, read_motions(folder, *star))
+        axes[0].set(title=title, xlabel="Time (d)", ylabel="Offset (pixel)")
+        axes[1].set(title="four days of it", xlabel="Time (d)")
     return figure
 
 
-if __name__ == "__main__":
-    make_figure()
+def make_summary_figure(folder=FOLDER):
+    """Return the figure of spectra, drift lengths and tracks: one row per star."""
+    figure, grid = plt.subplots(len(STARS), 3, figsize=(9, 9), layout="constrained")
+    for axes, (title, star) in zip(grid, STARS.items(), strict=True):
+        draw_summary(axes, read_motions(folder, *star))
+        axes[0].set(title=title, xlabel="Cycles per day", ylabel="Power (pixel² d)")
+        axes[1].set(title="drift lengths", xlabel="Hours between resets", ylabel="Density")
+        axes[2].set(title="track", xlabel="x (pixel)", ylabel="y (pixel)")
+        axes[2].set(aspect="equal", adjustable="datalim")
+    grid[0, 0].legend(fontsize=8)
+    return figure
