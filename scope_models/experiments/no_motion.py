@@ -33,8 +33,8 @@ _TOLERANCE = 0.1
 class NoMotion(Study):
     r"""Noise of stars that do not move, beside that of Kepler (benchmark 1 of the paper).
 
-    Photons, background and read noise are those of `Detector.kepler`. To these comes a *floor*,
-    white noise in proportion to the flux that all stars have, and in a second light curve of
+    Photons, background and read noise are those of `~scope_models.Detector.kepler`. To these comes
+    a *floor*, white noise in proportion to the flux that all stars have, and in a second light curve of
     each star its own variability, red noise
     (`~scope_models.models.stochastic_signal`) of a CDPP that is log-normal for dwarfs and, in
     another way, for giants. The part of giants is :math:`f_g e^{-\gamma (Kp - 11.5)}`.
@@ -73,7 +73,7 @@ class NoMotion(Study):
     The seven fitted numbers follow from the five percentiles of Kepler's table in the nine bins
     from Kp 11.5 to 15.5, with variability, and from its 10th percentiles with detector noise
     alone, by ``python benchmarks/calibrate_no_motion.py``. Everything else is an instrument number
-    of `Detector.kepler`.
+    of `~scope_models.Detector.kepler`.
 
     References
     ----------
