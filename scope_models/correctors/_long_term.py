@@ -1,6 +1,7 @@
 """Long-term variability and white noise: a covariance that is solved in linear time."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from celerite2 import backprop, driver
@@ -127,14 +128,17 @@ class LongTerm:
         mean = driver.general_matmul_lower(time, self.time, m.c, o.u, m.v, alpha, mean)
         return driver.general_matmul_upper(time, self.time, m.c, o.v, m.u, alpha, mean)[:, 0]
 
-    def gradient(self, columns, gram_bar):
+    def gradient(self, columns, whitened, gram_bar):
         """
         Differentiate ``f(C.T @ inv(K) @ C) + log det(K) / 2``.
 
+        With B = inv(K) C, a change dK of K changes the argument of f by -B^T dK B: no derivative
+        has to be carried through the factorisation's recursions for all columns.
+
         Parameters
         ----------
-        columns : ndarray
-            ``C``, shape ``(n, r)``.
+        columns, whitened : ndarray
+            ``C``, shape ``(n, r)``, and what `whiten` makes of it.
         gram_bar : ndarray
             Derivative of ``f`` by the elements of its argument, symmetric.
 
@@ -145,42 +149,49 @@ class LongTerm:
         amplitude_bar, period_bar : float
             Derivatives by the logarithms of amplitude and period.
         """
-        t, m, d, w = self.time, self._matrices, self._d, self._w
-        y = np.ascontiguousarray(columns)
-        z, f = np.empty_like(y), np.empty((len(t), 2, y.shape[1]))
-        z, f = backprop.solve_lower_fwd(t, m.c, m.u, w, y, z, f)
-        scaled = z / d[:, None]
-        z_bar = 2 * scaled @ gram_bar
-        d_bar = 0.5 / d - 0.5 * np.einsum("ij,ij->i", z_bar, scaled)
-        empty = np.zeros_like
-        _, c_bar, u_bar, w_bar, _ = backprop.solve_lower_rev(
-            t, m.c, m.u, w, y, z, f, z_bar, empty(t), empty(m.c), empty(m.u), empty(w), empty(y)
-        )
-        arrays = (empty(t), empty(m.c), empty(m.a), empty(m.u), empty(m.v))
-        _, c_more, a_bar, u_more, v_bar = backprop.factor_rev(
-            t, m.c, m.a, m.u, m.v, d, w, self._state, d_bar, w_bar, *arrays
-        )
-        return (a_bar, *self._chain(a_bar, c_bar + c_more, u_bar + u_more, v_bar))
+        m = self._matrices
+        z = whitened / np.sqrt(self._d)[:, None]
+        solved = driver.solve_upper(self.time, m.c, m.u, self._w, z, z)
+        weighted = solved @ gram_bar
+        by_noise = np.einsum("ij,ij->i", weighted, solved)
+        variance_bar, amplitude_bar, period_bar = self._determinant_gradient
+        # the process' part of K is K without the noise
+        by_process = np.vdot(weighted, columns) - by_noise @ self.variance
+        by_period = 2 * np.vdot(weighted, self._slope_below(solved))
+        return variance_bar - by_noise, amplitude_bar - by_process, period_bar - by_period
 
-    def _chain(self, a_bar, c_bar, u_bar, v_bar):
-        """Carry derivatives by the matrices over to log amplitude and log period."""
-        m, phase = self._matrices, self._matrices.c[0] * self.time
+    def _slope_below(self, columns):
+        r"""
+        Multiply the lower triangle of the kernel's derivative by log period with columns.
+
+        The derivative is :math:`2 \sigma^2 w\tau e^{-w\tau} \sin w\tau`; the factor
+        :math:`\tau` is a difference of times, so that four pairs of generators make it.
+        """
+        rate, t = self._matrices.c[0], self.time
+        cos, sin = self._matrices.v.T
+        u = 2 * self.amplitude * rate * np.stack([t * sin, t * cos, sin, cos], axis=1)
+        v = np.stack([cos, -sin, -t * cos, t * sin], axis=1)
+        return driver.matmul_lower(t, np.full(4, rate), u, v, columns, np.zeros_like(columns))
+
+    @cached_property
+    def _determinant_gradient(self):
+        """Derivatives of half of log det K, as of `gradient`."""
+        m, d, empty = self._matrices, self._d, np.zeros_like
+        arrays = (empty(self.time), empty(m.c), empty(m.a), empty(m.u), empty(m.v))
+        _, c_bar, a_bar, u_bar, v_bar = backprop.factor_rev(
+            self.time, m.c, m.a, m.u, m.v, d, self._w, self._state, 0.5 / d, empty(self._w), *arrays
+        )
         amplitude_bar = self.amplitude * a_bar.sum() + np.sum(u_bar * m.u)
         cos, sin = m.v.T
         # d/d(phase) of the generators; a longer period turns the phase back
         du = self.amplitude * np.stack([cos - sin, cos + sin], axis=1)
         dv = np.stack([-sin, cos], axis=1)
-        turned = np.sum((u_bar * du + v_bar * dv) * phase[:, None])
-        return float(amplitude_bar), float(-turned - np.sum(c_bar * m.c))
+        turned = np.sum((u_bar * du + v_bar * dv) * (m.c[0] * self.time)[:, None])
+        return a_bar, float(amplitude_bar), float(-turned - np.sum(c_bar * m.c))
 
     def inverse_diagonal(self):
         """Return the diagonal of ``inv(K)``: the derivative of log det K by that of K."""
-        m, empty = self._matrices, np.zeros_like
-        arrays = (empty(self.time), empty(m.c), empty(m.a), empty(m.u), empty(m.v))
-        return backprop.factor_rev(
-            self.time, m.c, m.a, m.u, m.v, self._d, self._w, self._state,
-            1 / self._d, empty(self._w), *arrays,
-        )[2]  # fmt: skip
+        return 2 * self._determinant_gradient[0]
 
     def inverse_blocks(self, starts, width):
         """

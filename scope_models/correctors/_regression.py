@@ -193,7 +193,8 @@ def log_likelihood(data, hyper, *, gradient=False):
     process = hyper.process(data.time, data.variance)
     stacked = data.stacked
     prior = hyper.prior(data)
-    posterior = Posterior(gram_matrix(process, stacked), prior)
+    z = process.whiten(stacked)
+    posterior = Posterior(z.T @ z, prior)
     n = len(data.y)
     value = -0.5 * (posterior.quadratic + posterior.log_determinant)
     value -= 0.5 * (process.log_determinant + n * np.log(2 * np.pi))
@@ -207,9 +208,8 @@ def log_likelihood(data, hyper, *, gradient=False):
     used = 1 - posterior.shrinkage - mean**2 / prior
     groups = 0.5 * np.bincount(data.groups, used[: len(data.groups)], minlength=data.n_groups)
     if hyper.amplitude is None:
-        z = process.whiten(stacked)
         variance_bar = 0.5 - np.einsum("ij,ij->i", z @ bar, z)
         return value, -np.array([variance_bar.sum(), *groups])
-    variance_bar, *process_bar = process.gradient(stacked, bar)
+    variance_bar, *process_bar = process.gradient(stacked, z, bar)
     scale = hyper.noise_scale * np.sum(variance_bar * data.variance)
     return value, -np.array([scale, *groups, *process_bar])

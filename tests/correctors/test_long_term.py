@@ -76,7 +76,9 @@ def test_gradient(problem):
         return np.sum(weights * gram) + 0.5 * np.linalg.slogdet(dense)[1]
 
     process = LongTerm(time, variance, AMPLITUDE, PERIOD)
-    by_variance, by_amplitude, by_period = process.gradient(columns, weights)
+    by_variance, by_amplitude, by_period = process.gradient(
+        columns, process.whiten(columns), weights
+    )
     a, p, h = np.log(AMPLITUDE), np.log(PERIOD), 1e-5
     numeric = (value(variance, a + h, p) - value(variance, a - h, p)) / (2 * h)
     assert by_amplitude == pytest.approx(numeric, rel=1e-6)

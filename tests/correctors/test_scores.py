@@ -74,13 +74,13 @@ def medians(rows, name, scale):
 
 
 def test_small_grid(grid, shared_data, tmp_path, capsys):
-    """Two magnitudes, two motions and both detectors reach what the whole grid must reach."""
+    """One magnitude, two motions and both detectors reach what the whole grid must reach."""
     path = tmp_path / "grid.jsonl"
-    few = options(shared_data, path, "--mags", "11.5", "14", "--scales", "1", "5", "--stars", "1")
+    few = options(shared_data, path, "--mags", "12", "--scales", "1", "5", "--stars", "1")
     few += ["--series", "WASP-47, C3", "--cadences", "700"]
     grid.main(few)
     rows = grid.read(path)
-    assert len(rows) == 8
+    assert len(rows) == 4
     for row in rows:
         # 53 windows a star
         assert row["held_out_mad"] < 1.5
@@ -94,7 +94,7 @@ def test_small_grid(grid, shared_data, tmp_path, capsys):
     # a second run has nothing left to do, and a report draws
     grid.main([*few, "--figure", str(tmp_path / "grid.png")])
     grid.main([*few])
-    assert len(grid.read(path)) == 8
+    assert len(grid.read(path)) == 4
     assert "ours lower in 100.0 % of stars" in capsys.readouterr().out
     assert (tmp_path / "grid.png").exists()
 
