@@ -79,10 +79,10 @@ class K2MotionNoise(Study):
     """Noise before de-trending of stars that move as in K2 (benchmark 2 of the paper).
 
     The paper's sensitivity and the calibrated one, `~scope_models.Detector.k2_calibrated`, beside
-    the noise of K2 campaign 3. EVEREST's apertures follow the PRF; here the aperture holds the pixels in which
-    the star alone has more than a threshold on average, :math:`T (F / F_{14})^g` for a flux F and
-    :math:`F_{14}` at Kp 14. Stars with a pixel above 90 % of its well have a larger aperture, as
-    EVEREST's.
+    the noise of K2 campaign 3. EVEREST's apertures follow the PRF; here the aperture holds the
+    pixels in which the star alone has more than a threshold on average,
+    :math:`T (F / F_{14})^g` for a flux F and :math:`F_{14}` at Kp 14. Stars with a pixel above 90 %
+    of its well have a larger aperture, as EVEREST's.
 
     Parameters
     ----------

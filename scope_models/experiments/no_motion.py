@@ -34,8 +34,8 @@ class NoMotion(Study):
     r"""Noise of stars that do not move, beside that of Kepler (benchmark 1 of the paper).
 
     Photons, background and read noise are those of `~scope_models.Detector.kepler`. To these comes
-    a *floor*, white noise in proportion to the flux that all stars have, and in a second light curve of
-    each star its own variability, red noise
+    a *floor*, white noise in proportion to the flux that all stars have, and in a second light
+    curve of each star its own variability, red noise
     (`~scope_models.models.stochastic_signal`) of a CDPP that is log-normal for dwarfs and, in
     another way, for giants. The part of giants is :math:`f_g e^{-\gamma (Kp - 11.5)}`.
 
