@@ -142,7 +142,7 @@ class K2MotionNoise(Study):
     stars: int = 60
     cadences: int = 1000
     shift: float = 0.5
-    threshold: float = 125.0
+    threshold: float = 140.0
     exponent: float = 0.5
     saturated_part: float = 1e-4
 
