@@ -39,7 +39,7 @@ BINS = (
     (10.0, "saturated"), (10.5, "saturated"), (12.0, "unsaturated"), (12.5, "unsaturated"),
     (13.0, "unsaturated"), (13.5, "unsaturated"), (14.0, "unsaturated"), (14.5, "unsaturated"),
 )  # fmt: skip
-WINGS = (0.1, 0.2, 0.15, 0.3)
+WINGS = (0.1, 0.2, 0.15)
 A_2 = np.array([-2.0, -1.6, -1.2, -0.8, -0.4, 0.0])
 SCATTER = np.array([0, 0.004, 0.008, 0.012, 0.016, 0.02])
 FINE_A_2, FINE_SCATTER = np.linspace(-2, 0, 41), np.linspace(0, 0.02, 41)
