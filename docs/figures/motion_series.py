@@ -1,7 +1,7 @@
 """Compare the motion that `Motion.k2_roll` generates with that of real stars.
 
-The build of the documentation draws the figures. Without the real files only the generated motion is
-drawn.
+The build of the documentation draws the figures. Without the real files only the generated motion
+is drawn.
 """
 
 from pathlib import Path
