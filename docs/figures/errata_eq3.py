@@ -17,7 +17,8 @@ def printed(x, y, sigma, rho):
 
 def make_figure():
     """Return the figure."""
-    figure, axes = plt.subplots(1, 4, figsize=(11, 3), layout="constrained")
+    figure, axes = plt.subplots(2, 2, figsize=(7, 6.4), layout="constrained")
+    axes = axes.ravel()
     side = np.linspace(-1.6, 1.6, 161)
     x, y = np.meshgrid(side, side)
     for ax, rho in zip(axes, (0.0, 0.3, 0.6), strict=False):

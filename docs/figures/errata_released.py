@@ -46,8 +46,8 @@ def make_figure():
     }
     panels = {"image": image} | changes
     names = list(panels)
-    mosaic = [names[:4], [*names[4:], "even pixels", "even pixels"]]
-    figure, axes = plt.subplot_mosaic(mosaic, figsize=(11, 5.4), layout="constrained")
+    mosaic = [names[:3], names[3:], ["even pixels"] * 3]
+    figure, axes = plt.subplot_mosaic(mosaic, figsize=(8, 7.6), layout="constrained")
     for title, values in panels.items():
         ax = axes[title]
         largest = 100 * np.abs(values).max()
