@@ -1,13 +1,14 @@
 """Fits of target pixel files: truth recovered, real pixels described, twins, time and memory.
 
-The targets: pulls of all parameters with a standard deviation of 0.9 to 1.1 over 50 stars; the
+The targets: pulls of all parameters with a standard deviation of 0.9 to 1.1 over many stars; the
 sensitivity at the Cramer-Rao bound; the response of the pixels that a star crosses with five times
 the motion of K2 to 0.1 %; on real pixels a chi-squared per pixel below that of photutils'
 GaussianPRF for each cadence; 1000 cadences of 9 x 9 pixels with two components in 30 s and 3600 in
 two minutes, in less than 2 GiB.
 
 Run as ``OMP_NUM_THREADS=1 python benchmarks/fitting.py``, with any of ``pulls``, ``speed``,
-``real FOLDER``, ``drop FOLDER`` and ``twin FOLDER`` and the folder of archive files.
+``real FOLDER``, ``terms FOLDER``, ``drop FOLDER`` and ``twin FOLDER``, where FOLDER has the archive
+files.
 """
 
 import os
@@ -47,7 +48,7 @@ FILES = {
 TWO = BivariateGaussianPSF(0.75, 0, 0, 0.5, 0.45, 0.15) + BivariateGaussianPSF(
     0.25, 0.1, -0.05, 1.1, 1.2, -0.1
 )
-N_STARS = 50
+N_STARS = 250
 N_CADENCES = 1000
 N_PHOTUTILS = 100
 MODELS = {
@@ -60,7 +61,9 @@ MODELS = {
     "1, empirical 6, b": {"psf": 1, "empirical": 6, "interpixel": 0.01},
     "1, empirical 8, b": {"psf": 1, "empirical": 8, "interpixel": 0.01},
 }
-DROPS = ("2 components", "1, empirical 6", "1, empirical 8")
+# Drops of the response from the centre of a pixel to the middle of an edge: the paper has 0.0125.
+DROPS = (0.0125, 0.05, 0.125, 0.25, 0.5, 0.75)
+EVERY = 12  # of the cadences of real files for the drops, for time's sake
 
 
 def report_environment():
@@ -218,25 +221,97 @@ def report_real(folder, only=tuple(FILES)):
         print()
 
 
-def report_drop(folder, only=tuple(FILES)):
-    """The sensitivity of real stars, over PSFs and over the halves of the series."""
-    print("Drop from the centre to the middle of an edge, %, along columns and rows")
-    for star in only:
-        tpf = lk.read(Path(folder) / FILES[star])
-        half = len(tpf.flux) // 2
-        parts = {"all": slice(None), "first half": slice(half), "second half": slice(half, None)}
-        for model in DROPS:
-            for part, cadences in parts.items():
-                fit = fit_model(tpf[cadences], model, sensitivity=curvature())
-                drops = [-25 * fit.values[name] for name in ("ax2", "ay2")]
-                errors = [25 * fit.errors[name] for name in ("ax2", "ay2")]
-                print(
-                    f"  {star} {model:16s} {part:12s} "
-                    f"{drops[0]:7.1f} +- {errors[0]:4.1f}  {drops[1]:7.1f} +- {errors[1]:4.1f}"
-                    f"{'' if fit.converged else '  not converged'}",
-                    flush=True,
-                )
+def images_of(fit, some, *, x=0.0, y=0.0, width=1.0):
+    """Model images of some cadences, moved or with a wider PSF."""
+    prf = fit.model.copy()
+    for name in prf.param_names:
+        if name.startswith("sigma"):
+            setattr(prf, name, width * getattr(prf, name).value)
+    return prf.render(fit.shape, flux=fit.flux[some], x_0=fit.x[some] + x, y_0=fit.y[some] + y)
+
+
+def report_terms(folder):
+    """What more freedom in each cadence would remove, to first order."""
+    print("Chi-squared per degree of freedom with more freedom: typical cadence, median pixel")
+    h = 0.01
+    for star, name in FILES.items():
+        tpf = lk.read(Path(folder) / name)
+        fit = fit_model(tpf, "1, empirical 6")
+        some = slice(None, None, EVERY)
+        image = images_of(fit, some)
+        moved = {
+            (axis, sign): images_of(fit, some, **{axis: sign * h})
+            for axis in "xy"
+            for sign in (1, -1)
+        }
+        slopes = [(moved[axis, 1] - moved[axis, -1]) / (2 * h) for axis in "xy"]
+        bends = [(moved[axis, 1] - 2 * image + moved[axis, -1]) / h**2 for axis in "xy"]
+        wider = (images_of(fit, some, width=1 + h) - images_of(fit, some, width=1 - h)) / (2 * h)
+        one = np.ones_like(image)
+        rows, columns = np.indices(fit.shape)
+        weight = 1 / fit.observed_err[some]
+        base = [*slopes, image, one]
+        terms = {
+            "as fitted": [],
+            "width": [wider],
+            "width along each axis": bends,
+            "gradient of background": [one * columns, one * rows],
+        }
+        for label, more in terms.items():
+            squares, spread = projected(fit.residual[some], weight, [*base, *more])
+            print(
+                f"  {star} {label:24s} {spread * np.median(squares.mean(1)):8.3g} "
+                f"{spread * np.median(squares.mean(0)):8.3g}"
+            )
+        # A star that moves by v in a cadence is wider by v^2/12 in variance.
+        speeds = [np.gradient(position)[some, None, None] for position in (fit.x, fit.y)]
+        smear = sum(v**2 / 24 * bend for v, bend in zip(speeds, bends, strict=True))
+        squares = [np.nanmedian(np.nanmean((r * weight) ** 2, axis=0)) for r in
+                   (fit.residual[some], fit.residual[some] - smear)]  # fmt: skip
+        print(f"  {star} smear, as the track tells it: {squares[0]:.4g} to {squares[1]:.4g}\n")
         tpf.hdu.close()
+
+
+def projected(residual, weight, columns):
+    """Squared residuals without what the columns explain in each cadence, and the lost freedom."""
+    good = np.isfinite(residual)
+    right = np.where(good, residual * weight, 0.0).reshape(len(residual), -1)
+    design = np.stack([np.where(good, c * weight, 0.0) for c in columns], axis=-1)
+    design = design.reshape(*right.shape, len(columns))
+    design /= np.sqrt(np.sum(design**2, axis=1, keepdims=True))
+    rest = [
+        b - a @ np.linalg.lstsq(a, b, rcond=None)[0] for a, b in zip(design, right, strict=True)
+    ]
+    n = right.shape[1]
+    return np.array(rest) ** 2, n / (n - len(columns))
+
+
+def cost_of_drop(tpf, model, drop, scale=None):
+    """Cost of a fit with a given drop of the response at the edges, and the scale of its errors."""
+    coefficients = (1, 0, -4 * drop)
+    sensitivity = SensitivityPolynomial(coefficients, coefficients)
+    for name in sensitivity.param_names:
+        getattr(sensitivity, name).fixed = True
+    fit = fit_model(tpf, model, sensitivity=sensitivity)
+    scale = scale or fit.error_scale
+    squares = (fit.residual / fit.observed_err / scale / 3) ** 2
+    return 18 * np.nansum(np.sqrt(1 + squares) - 1), scale
+
+
+def report_drop(folder):
+    """The response of real pixels at their edges, over PSFs and the halves of the series."""
+    print(f"Scaled cost less that without a drop; drops along both axes; every {EVERY}th cadence")
+    print(f"  {'':38s}" + "".join(f"{100 * drop:7.1f} %" for drop in DROPS))
+    for star in ("EPIC 211956421", "EPIC 211983544"):
+        tpf = lk.read(Path(folder) / FILES[star])[::EVERY]
+        half = len(tpf.flux) // 2
+        parts = {"all": slice(None), "1st half": slice(half), "2nd half": slice(half, None)}
+        for model in ("2 components", "1, empirical 6"):
+            for part, cadences in parts.items():
+                start, scale = cost_of_drop(tpf[cadences], model, 0.0)
+                costs = [cost_of_drop(tpf[cadences], model, d, scale)[0] - start for d in DROPS]
+                text = "".join(f"{cost:9.1f}" for cost in costs)
+                print(f"  {star} {model:14s} {part:8s}{text}", flush=True)
     print()
 
 
@@ -306,6 +381,8 @@ def main():
             report_speed()
         elif argument == "real":
             report_real(arguments[i + 1])
+        elif argument == "terms":
+            report_terms(arguments[i + 1])
         elif argument == "drop":
             report_drop(arguments[i + 1])
         elif argument == "twin":

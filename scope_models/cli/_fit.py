@@ -41,7 +41,8 @@ def add_parser(commands):
         type=float,
         default=0.01,
         metavar="S",
-        help="standard deviation of the response between pixels; 0: none (default: 0.01)",
+        help="standard deviation of the response between pixels; 0: all alike, which is better if "
+        "errors of the PSF are larger (default: 0.01)",
     )
     parser.add_argument(
         "--positions",

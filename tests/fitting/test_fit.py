@@ -21,6 +21,7 @@ from scope_models import (
     simulate,
 )
 from scope_models.exceptions import FitWarning
+from scope_models.fitting import _solver
 
 TRUE_SHAPE = {
     "sigma_x_0": 0.5, "sigma_y_0": 0.45, "rho_0": 0.15, "sigma_x_1": 1.1, "sigma_y_1": 1.2,
@@ -269,6 +270,24 @@ class TestBadInput:
         assert "has not converged after" in messages
         assert not fit.converged
         assert np.isfinite(fit.parameters).all()
+
+    def test_best_parameters_are_kept_when_steps_fail(self, monkeypatch):
+        """Where no step can be made any more, what was found before is returned."""
+        step, calls = _solver._step, []
+
+        def fails_later(*arguments):
+            calls.append(arguments[1])
+            return step(*arguments) if len(calls) <= 4 else (None, 0.0)
+
+        tpf = make(n=30)
+        start, _ = messages_of(tpf, 1, max_steps=1)
+        monkeypatch.setattr(_solver, "_step", fails_later)
+        fit, messages = messages_of(tpf, 1)
+        assert "has not converged" in messages
+        assert not fit.converged
+        assert fit.n_steps <= 4
+        assert fit.chi2 < start.chi2
+        np.testing.assert_array_equal(fit.parameters, calls[-1].shared)
 
     @pytest.mark.parametrize(
         "options, error, message",
