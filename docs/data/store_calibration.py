@@ -33,7 +33,7 @@ def noise_table(summary):
     """Return one row per magnitude: campaign 3, the paper's sensitivity, the calibrated one."""
     paper, ours = (summary[summary["detector"] == name] for name in ("paper", "calibrated"))
     rows = [["Kp", "C03", "paper", "C03 / paper", "calibrated", "calibrated / C03", "white",
-             "losses", "+ within pixels", "+ between pixels", "lightkurve"]]  # fmt: skip
+             "losses", "and within pixels", "and between pixels", "lightkurve"]]  # fmt: skip
     for first, second in zip(paper, ours, strict=True):
         error = second["noise_median_error"] / second["k2_median"]
         row = [f"{first['mag']:g}", f"{first['k2_median']:.0f}", f"{first['noise_median']:.0f}",
