@@ -3,6 +3,7 @@
 import gc
 import os
 import re
+import sys
 import warnings
 from pathlib import Path
 
@@ -23,7 +24,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 @pytest.fixture(autouse=True)
 def _doctests_leave_no_files(request, tmp_path_factory, monkeypatch):
-    """Run each doctest in a temporary folder, and close the files that pages leave open.
+    """Run each doctest in a temporary folder, and close the files and figures that it leaves open.
 
     The files that a page needs are in that folder; where one is absent the page is skipped.
     """
@@ -33,13 +34,21 @@ def _doctests_leave_no_files(request, tmp_path_factory, monkeypatch):
     monkeypatch.chdir(tmp_path_factory.mktemp("doctest"))
     if request.node.path.suffix != ".rst":
         yield
+        _close_figures()
         return
     _link_files(request.node.path)
     with warnings.catch_warnings():
         # lightkurve keeps a target pixel file open as long as the object lives
         warnings.filterwarnings("ignore", "unclosed file", ResourceWarning)
         yield
+        _close_figures()
         gc.collect()
+
+
+def _close_figures():
+    """Close the figures of pyplot, if it was imported."""
+    if pyplot := sys.modules.get("matplotlib.pyplot"):
+        pyplot.close("all")
 
 
 def _link_files(page):

@@ -55,7 +55,11 @@ def plot_cdpp(series, reference=None, *, limits=(), title="", legend=True, ax=No
         mag, cdpp, *bars = (np.asarray(value, dtype=float) for value in values)
         errors = None
         if bars:
-            errors = [np.maximum(cdpp - bars[0], 0), np.maximum(bars[1] - cdpp, 0)]
+            # As lists: matplotlib 3.10 takes the first element of arrays in a deprecated way.
+            errors = [
+                np.maximum(cdpp - bars[0], 0).tolist(),
+                np.maximum(bars[1] - cdpp, 0).tolist(),
+            ]
         ax.errorbar(
             mag, cdpp, errors, color=shades[number], marker=_MARKERS[number % len(_MARKERS)],
             ms=4.5, mec="k", mew=0.4, lw=1.1, elinewidth=0.8, capsize=2, label=label,
