@@ -172,7 +172,11 @@ def depth_scores(corrector, signal, name, options):
 def keys(options):
     """Return the stars of the grid, so that any beginning of it is a sample of all."""
     cells = itertools.product(
-        range(options.stars), options.scales, options.detectors, options.series, options.mags
+        range(options.first, options.first + options.stars),
+        options.scales,
+        options.detectors,
+        options.series,
+        options.mags,
     )
     return [(detector, mag, scale, series, k) for k, scale, detector, series, mag in cells]
 
@@ -326,6 +330,7 @@ def parse(arguments=None):
     parser.add_argument("--detectors", nargs="+", choices=DETECTORS, default=DETECTORS)
     parser.add_argument("--series", nargs="+", choices=tuple(SERIES), default=tuple(SERIES))
     parser.add_argument("--stars", type=int, default=5, help="stars per cell (default: 5)")
+    parser.add_argument("--first", type=int, default=0, help="number of a cell's first star")
     parser.add_argument("--cadences", type=int, default=1000, help="(default: 1000)")
     parser.add_argument("--order", type=int, default=2, help="(default: 2)")
     parser.add_argument("--no-transits", action="store_true", help="do not measure depths")
