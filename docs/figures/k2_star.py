@@ -34,7 +34,8 @@ def make_figure(path=PATH):
         len(curves), 1, figsize=(8, 2.2 * len(curves)), sharex=True, layout="constrained"
     )
     for ax, (name, (time, flux)) in zip(axes, curves.items(), strict=True):
-        ax.plot(time, np.asarray(flux) / np.nanmedian(flux), ".", color="tab:blue", ms=3)
+        flux = np.asarray(flux)
+        ax.plot(time, flux / np.nanmedian(flux), ".", color="tab:blue", ms=3)
         ax.set_title(name, loc="left")
         ax.set_ylabel("Relative flux")
     axes[-1].set_xlabel("Time (BKJD)")
