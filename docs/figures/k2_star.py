@@ -29,12 +29,12 @@ def make_figure(path=PATH):
     if real:
         table = Table.read(path, hdu=1, unit_parse_strict="silent")[:LAST]
         keep = np.isin(table["TIME"], curves["simulated, aperture of 9 pixels"][0])
-        curves = {"WASP-47, archive": (table["TIME"][keep], table["SAP_FLUX"][keep])} | curves
+        names = "TIME", "SAP_FLUX"
+        curves = {"WASP-47, archive": tuple(np.asarray(table[n][keep]) for n in names)} | curves
     figure, axes = plt.subplots(
         len(curves), 1, figsize=(8, 2.2 * len(curves)), sharex=True, layout="constrained"
     )
     for ax, (name, (time, flux)) in zip(axes, curves.items(), strict=True):
-        flux = np.asarray(flux)
         ax.plot(time, flux / np.nanmedian(flux), ".", color="tab:blue", ms=3)
         ax.set_title(name, loc="left")
         ax.set_ylabel("Relative flux")
