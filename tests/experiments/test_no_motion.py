@@ -118,6 +118,6 @@ def test_fields_are_checked(field, value, message):
 
 @pytest.mark.slow
 def test_noise_is_keplers():
-    study = NoMotion()  # with fewer stars the median at Kp 11.5, between dwarfs and giants, is loose
+    study = NoMotion()  # with fewer stars the median at Kp 11.5 is loose
     summary = study.summarise(run_sweep(study, progress=False).table)
     assert set(summary.meta["claims"].values()) == {"holds"}
