@@ -20,7 +20,7 @@ import scipy
 
 import scope_models
 from scope_models import BivariateGaussianPSF, Detector, Motion, Star, simulate
-from scope_models.noise import NOISE_TERMS
+from scope_models.effects.noise import NOISE_TERMS
 
 N_CADENCES = 3600
 REPEATS = 7

@@ -14,7 +14,7 @@ from astropy.coordinates import SkyCoord
 from astropy.io import fits
 from motion_series import principal_axes
 
-from scope_models.motion import Motion
+from scope_models.scene.motion import Motion
 
 # Boresights in degrees: campaign pages of the Kepler & K2 Science Center.
 BORESIGHTS = {

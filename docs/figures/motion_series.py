@@ -9,7 +9,7 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 
-from scope_models.motion import Motion
+from scope_models.scene.motion import Motion
 
 # From the folder of this file, in which the documentation's build runs it.
 FOLDER = Path("../../../shared/data/poscorr")

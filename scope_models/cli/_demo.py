@@ -5,12 +5,12 @@ from pathlib import Path
 import numpy as np
 from tqdm import tqdm
 
-from scope_models.detector import Detector
 from scope_models.io._atomic import atomic_path
-from scope_models.motion import Motion
 from scope_models.photometry import cdpp, threshold_aperture
+from scope_models.scene.detector import Detector
+from scope_models.scene.motion import Motion
+from scope_models.scene.star import Star
 from scope_models.simulation import simulate
-from scope_models.star import Star
 
 __all__ = ["add_parser", "run"]
 

@@ -2,14 +2,14 @@
 
 from pathlib import Path
 
-from scope_models.detector import Detector
+from scope_models.effects.noise import NOISE_TERMS
 from scope_models.models import BivariateGaussianPSF
 from scope_models.models.signals import TransitModel
-from scope_models.motion import Motion
-from scope_models.noise import NOISE_TERMS
 from scope_models.scene import read_detector
+from scope_models.scene.detector import Detector
+from scope_models.scene.motion import Motion
+from scope_models.scene.star import Star
 from scope_models.simulation import simulate
-from scope_models.star import Star
 
 __all__ = ["add_parser", "run"]
 

@@ -9,7 +9,7 @@ from scope_models.correctors._design import DesignOptions
 from scope_models.correctors._features import centre, principal_columns
 from scope_models.correctors._pixels import read_pixels
 from scope_models.correctors._segments import roll_reversals
-from scope_models.detector import Detector
+from scope_models.scene.detector import Detector
 
 __all__ = ["FitOptions", "checked_count", "checked_mask", "design_options", "transit_column"]
 

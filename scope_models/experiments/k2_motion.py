@@ -8,13 +8,13 @@ import numpy as np
 from astropy.table import Table
 
 from scope_models._checks import checked_integer, checked_number
-from scope_models.detector import Detector
 from scope_models.experiments._percentiles import compared, holds
 from scope_models.experiments.no_motion import noise_parts
 from scope_models.experiments.populations import draw_star, motion_from_name, stamp_around
 from scope_models.experiments.reference import PERCENTILES, read_reference
 from scope_models.experiments.study import Study
 from scope_models.photometry import cdpp
+from scope_models.scene.detector import Detector
 from scope_models.simulation import simulate
 
 __all__ = ["DETECTORS", "K2MotionNoise", "field_motion"]

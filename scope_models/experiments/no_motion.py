@@ -8,14 +8,14 @@ from astropy.table import Table
 from scipy.special import ndtri
 
 from scope_models._checks import checked_integer, checked_number
-from scope_models.detector import Detector
 from scope_models.experiments._percentiles import compared, holds
 from scope_models.experiments.populations import draw_star
 from scope_models.experiments.reference import PERCENTILES, read_reference
 from scope_models.experiments.study import Study
 from scope_models.models import stochastic_signal
-from scope_models.motion import Motion
 from scope_models.photometry import cdpp
+from scope_models.scene.detector import Detector
+from scope_models.scene.motion import Motion
 from scope_models.simulation import simulate
 
 __all__ = ["NoMotion", "noise_parts"]

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from scope_models._checks import checked_number
-from scope_models.motion import K2Roll, Motion
-from scope_models.star import Star
+from scope_models.scene.motion import K2Roll, Motion
+from scope_models.scene.star import Star
 
 __all__ = ["draw_star", "field_position", "motion_from_name", "stamp_around"]
 
@@ -122,7 +122,7 @@ def field_position(distance, angle=_ANGLE):
     -------
     tuple of float
         Distance along columns and rows in degrees, the ``field`` of
-        `~scope_models.motion.K2Roll`.
+        `~scope_models.scene.motion.K2Roll`.
 
     Examples
     --------
@@ -152,7 +152,7 @@ def motion_from_name(name, n_cadences=None):
         - ``"k2_roll"``, the generator `Motion.k2_roll <scope_models.Motion.k2_roll>`, or with
           parameters as ``"k2_roll:seed=3,distance=5.2,angle=120"``. They are ``seed``,
           ``distance`` and ``angle`` of `field_position`, and the numbers of
-          `~scope_models.motion.K2Roll`. Cadences in which thrusters fire are left out.
+          `~scope_models.scene.motion.K2Roll`. Cadences in which thrusters fire are left out.
     n_cadences : int, optional
         At most so many cadences. By default all of a file and 1000 of the others.
 

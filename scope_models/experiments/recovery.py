@@ -8,13 +8,13 @@ import numpy as np
 from astropy.table import Table
 
 from scope_models._checks import checked_integer, checked_number
-from scope_models.detector import Detector
 from scope_models.experiments._detrended import transit_amplitude
 from scope_models.experiments._recovered import by_motion, half_complete, percentiles, values_of
 from scope_models.experiments._search import fit_shape, flattened, isolated, search
 from scope_models.experiments.populations import draw_star, motion_from_name, stamp_around
 from scope_models.experiments.study import Study
 from scope_models.models import TransitModel
+from scope_models.scene.detector import Detector
 from scope_models.simulation import simulate
 
 __all__ = ["Recovery"]

@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from scope_models.detector import Detector
 from scope_models.exceptions import FitWarning
+from scope_models.scene.detector import Detector
 
 __all__ = ["PixelData", "detector_of", "read_data"]
 

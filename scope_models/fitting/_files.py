@@ -5,12 +5,12 @@ from dataclasses import fields
 
 import numpy as np
 
-from scope_models.detector import Detector
 from scope_models.io._atomic import atomic_path
 from scope_models.io.reading import open_fits
 from scope_models.models import PRF
 from scope_models.models._derivatives import prf_psf, prf_sensitivity
 from scope_models.models._description import describe_model, make_model
+from scope_models.scene.detector import Detector
 
 __all__ = ["read_fit", "write_fit"]
 

@@ -6,9 +6,9 @@ from functools import cached_property
 
 import numpy as np
 
-from scope_models.detector import Detector
 from scope_models.models import PRF
 from scope_models.models._derivatives import prf_psf, prf_sensitivity
+from scope_models.scene.detector import Detector
 
 __all__ = ["TPFFit"]
 

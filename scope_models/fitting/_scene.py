@@ -4,8 +4,8 @@ import numpy as np
 from scipy.ndimage import median_filter, uniform_filter1d
 
 from scope_models.models import SensitivityPolynomial
-from scope_models.motion import Motion
-from scope_models.star import Star
+from scope_models.scene.motion import Motion
+from scope_models.scene.star import Star
 
 __all__ = ["make_scene", "sensitivity_profiles"]
 

@@ -1,10 +1,10 @@
 """Making a `Target` with one call."""
 
 from scope_models._checks import checked_integer, checked_number, checked_pair
-from scope_models.detector import Detector
-from scope_models.motion import Motion
-from scope_models.noise import check_seed, fresh_seed
-from scope_models.star import Star
+from scope_models.effects.noise import check_seed, fresh_seed
+from scope_models.scene.detector import Detector
+from scope_models.scene.motion import Motion
+from scope_models.scene.star import Star
 from scope_models.target._target import Target
 
 __all__ = ["generate_target"]

@@ -5,12 +5,12 @@ import warnings
 import numpy as np
 
 from scope_models._checks import checked_number, checked_pair
+from scope_models.effects.noise import check_seed, fresh_seed, stream
 from scope_models.exceptions import LostLightWarning
 from scope_models.models import TransitModel, sinusoidal_signal
-from scope_models.noise import check_seed, fresh_seed, stream
 from scope_models.photometry import crowding, threshold_aperture
+from scope_models.scene.star import Star
 from scope_models.simulation import simulate
-from scope_models.star import Star
 
 __all__ = ["TargetScene"]
 

@@ -9,9 +9,9 @@ from lightkurve import KeplerLightCurve, KeplerTargetPixelFile, TessTargetPixelF
 from lightkurve.correctors.corrector import Corrector
 
 from scope_models.correctors import PLDCorrector
+from scope_models.effects.saturation import bleed
 from scope_models.exceptions import DetrendingWarning
 from scope_models.photometry import cdpp
-from scope_models.saturation import bleed
 
 
 def replaced(tpf, **columns):

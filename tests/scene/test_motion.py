@@ -8,8 +8,8 @@ from astropy.io import fits
 from astropy.table import Table
 from scipy.spatial.distance import pdist
 
-from scope_models import _roll
-from scope_models.motion import K2Roll, Motion, MotionStatistics
+from scope_models.scene import _k2_roll as _roll
+from scope_models.scene.motion import K2Roll, Motion, MotionStatistics
 
 THRUSTER_FIRING = 1048576
 FILES = [

@@ -69,9 +69,9 @@ def test_files_without_a_scene(shared_data, tmp_path):
 
 def test_scene_of_a_later_version(tmp_path, monkeypatch):
     observation = simulate(Star(12.0), Detector.k2(), Motion.still(3), seed=1)
-    monkeypatch.setattr("scope_models.scene._VERSION", 2)
+    monkeypatch.setattr("scope_models.scene.scene._VERSION", 2)
     path = observation.write(tmp_path / "star.fits")
-    monkeypatch.setattr("scope_models.scene._VERSION", 1)
+    monkeypatch.setattr("scope_models.scene.scene._VERSION", 1)
     with pytest.raises(ValueError, match="a scene of a later version"):
         read_scene(path)
 
@@ -94,7 +94,7 @@ def test_only_models_are_made(module, name, error, message, tmp_path, monkeypatc
     path = observation.write(tmp_path / "star.fits")
     truth = read_truth(path)
     truth.scene["stars"][0]["psf"] |= {"module": module, "class": name}
-    monkeypatch.setattr("scope_models.scene.read_truth", lambda _: truth)
+    monkeypatch.setattr("scope_models.scene.scene.read_truth", lambda _: truth)
     with pytest.raises(error, match=message):
         read_scene(path)
 

@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from scope_models.effects.saturation import bleed
 from scope_models.models import PRF
-from scope_models.saturation import bleed
 
 __all__ = ["Light"]
 

@@ -100,7 +100,7 @@ FIGURES = {
 )
 @pytest.mark.parametrize("name", FIGURES)
 def test_images(name, scene, tmp_path):
-    """Compare with tests/baseline; after a wanted change copy the image that is named."""
+    """Compare with tests/plotting/baseline; after a wanted change copy the image that is named."""
     made = tmp_path / f"{name}.png"
     FIGURES[name](scene).figure.savefig(made, dpi=50, metadata={"Software": None})
     message = compare_images(str(BASELINE / f"{name}.png"), str(made), tol=2)

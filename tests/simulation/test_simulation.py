@@ -10,9 +10,9 @@ from scipy.integrate import dblquad
 from scipy.stats import norm
 
 from scope_models import Detector, Motion, Star, simulate
+from scope_models.effects.noise import NOISE_TERMS
 from scope_models.exceptions import LostLightWarning, ScopeModelsWarning
 from scope_models.models import BivariateGaussianPSF
-from scope_models.noise import NOISE_TERMS
 
 PLAIN = Detector.k2(well_depth=None).without_sensitivity()
 

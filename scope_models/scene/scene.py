@@ -9,11 +9,11 @@ from pathlib import Path
 
 import numpy as np
 
-from scope_models.detector import Detector
 from scope_models.io import read_truth
 from scope_models.models._description import describe_model, make_model
-from scope_models.motion import Motion
-from scope_models.star import Star
+from scope_models.scene.detector import Detector
+from scope_models.scene.motion import Motion
+from scope_models.scene.star import Star
 
 __all__ = ["Scene", "read_detector", "read_scene"]
 

@@ -6,11 +6,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from scope_models._checks import checked_integer
-from scope_models._light import Light
-from scope_models.detector import Detector
-from scope_models.exceptions import LostLightWarning
-from scope_models.motion import Motion
-from scope_models.noise import (
+from scope_models.effects.noise import (
     add_quantization,
     add_read_noise,
     check_seed,
@@ -19,8 +15,12 @@ from scope_models.noise import (
     poisson_counts,
     stream,
 )
-from scope_models.observation import Observation, Truth
-from scope_models.star import Star
+from scope_models.exceptions import LostLightWarning
+from scope_models.scene.detector import Detector
+from scope_models.scene.motion import Motion
+from scope_models.scene.star import Star
+from scope_models.simulation._light import Light
+from scope_models.simulation.observation import Observation, Truth
 
 __all__ = ["simulate"]
 
@@ -50,7 +50,7 @@ def simulate(
     motion : Motion
         The motion that all stars share.
     seed : int, optional
-        The seed of the interpixel map and of all noise; `~scope_models.observation.Truth` holds
+        The seed of the interpixel map and of all noise; `~scope_models.simulation.Truth` holds
         it. None takes one from the operating system.
     noise : bool or str or iterable of str, optional
         True for photon, background and read noise, False for none, or names out of "photon",

@@ -101,7 +101,7 @@ class K2Roll:
 
     Examples
     --------
-    >>> from scope_models.motion import K2Roll
+    >>> from scope_models.scene.motion import K2Roll
     >>> K2Roll(solar_rate=3.0).solar_rate
     3.0
     >>> K2Roll(deadband=-1.0)
@@ -165,8 +165,8 @@ class K2Roll:
 
         Examples
         --------
-        >>> from scope_models.motion import K2Roll
-        >>> from scope_models.noise import stream
+        >>> from scope_models.scene.motion import K2Roll
+        >>> from scope_models.effects.noise import stream
         >>> x, y, firing = K2Roll().track(500, lambda name: stream(1, name))
         >>> len(x)
         500

@@ -57,7 +57,7 @@ class MotionStatistics:
         Examples
         --------
         >>> import numpy as np
-        >>> from scope_models.motion import MotionStatistics
+        >>> from scope_models.scene.motion import MotionStatistics
         >>> MotionStatistics.of_positions(np.array([0.3]), np.array([0.4]), 3.98).mean
         <Quantity 0.5 pix>
         """

@@ -1,0 +1,190 @@
+"""The door for values with units: the one place where quantities, times and masks become arrays."""
+
+import numpy as np
+from astropy import units as u
+from astropy.time import Time
+
+__all__ = ["TIME_ZEROS", "plain_array", "plain_number", "plain_time", "unmasked"]
+
+# Barycentric Julian dates (TDB) of the zeros of Kepler's and TESS's times.
+TIME_ZEROS = {"bkjd": 2454833.0, "btjd": 2457000.0}
+# Times beyond this are Julian dates, which no mission's times reach.
+_LARGEST_DAY = 1e5
+
+
+def unmasked(value, fill=np.nan):
+    """Return an array without its mask, with ``fill`` where it is masked; keep its unit.
+
+    Parameters
+    ----------
+    value : array_like, Quantity, Masked, numpy.ma.MaskedArray, Column or Time
+        The values.
+    fill : float, optional
+        What stands in masked places. Integer arrays with masked places become float arrays.
+
+    Returns
+    -------
+    ndarray, Quantity or Time
+        The values.
+    """
+    mask = getattr(value, "mask", None)
+    if mask is None:
+        return value
+    if isinstance(value, Time):
+        days = np.array(value.unmasked.jd, dtype=float)
+        days[np.broadcast_to(mask, days.shape)] = fill
+        return days
+    plain = getattr(value, "unmasked", getattr(value, "data", value))
+    if not np.any(mask):
+        return plain
+    unit = getattr(plain, "unit", getattr(value, "unit", None))
+    filled = np.array(getattr(plain, "value", plain), dtype=float)
+    filled[np.broadcast_to(mask, filled.shape)] = fill
+    return filled if unit is None else filled << unit
+
+
+def plain_array(value, unit, name, *, pixel_scale=None, equivalencies=()):
+    """Return the values of an argument in its documented unit, as an array of floats.
+
+    Parameters
+    ----------
+    value : array_like, Quantity or sequence of Quantity
+        Plain numbers are taken to be in ``unit``; masked values become NaN.
+    unit : str or Unit
+        The documented unit; "" for numbers without one.
+    name : str
+        The argument's name, for messages.
+    pixel_scale : float, optional
+        Arcseconds per pixel: with it, angles convert to pixels and back. Without it they are
+        refused.
+    equivalencies : sequence, optional
+        Further conversions of `astropy.units`.
+
+    Returns
+    -------
+    ndarray
+        The values, float64.
+
+    Raises
+    ------
+    TypeError
+        If the argument holds no numbers.
+    ValueError
+        If its unit does not convert.
+    """
+    unit = u.Unit(unit)
+    if isinstance(value, Time):
+        raise TypeError(f"`{name}` must be numbers{_in(unit)}, got a Time")
+    value = unmasked(value)
+    if isinstance(value, (list, tuple)) and any(isinstance(item, u.Quantity) for item in value):
+        value = _joined(value, name)
+    found = getattr(value, "unit", None)
+    try:
+        if found is None:
+            array = np.asarray(value)
+            if array.dtype.kind not in "biuf":
+                array = np.asarray(value, dtype=np.float64)
+            return np.asarray(array, dtype=np.float64)
+        quantity = u.Quantity(value, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise TypeError(f"`{name}` must hold numbers{_in(unit)}, got {value!r}") from error
+    if pixel_scale is not None:
+        scale = float(pixel_scale) * u.arcsec / u.pix
+        equivalencies = [*equivalencies, *u.pixel_scale(scale)]
+    try:
+        return quantity.to_value(unit, equivalencies=list(equivalencies))
+    except u.UnitConversionError:
+        wanted = unit.to_string() or "a number without a unit"
+        hint = ""
+        if pixel_scale is None and quantity.unit.is_equivalent(u.arcsec) and unit == u.pix:
+            hint = "; there is no pixel scale here to convert an angle with"
+        raise ValueError(
+            f"`{name}` must be in {wanted}, or convert to it, got {quantity.unit}{hint}"
+        ) from None
+
+
+def plain_number(value, unit, name, **options):
+    """Return one value of an argument in its documented unit, as a float.
+
+    Parameters
+    ----------
+    value : float or Quantity
+        The value.
+    unit : str or Unit
+        The documented unit.
+    name : str
+        The argument's name, for messages.
+    **options
+        As in `plain_array`.
+
+    Returns
+    -------
+    float
+        The value.
+
+    Raises
+    ------
+    TypeError
+        If the argument is not one number.
+    ValueError
+        If its unit does not convert.
+    """
+    if isinstance(value, (bool, np.bool_, str)):
+        raise TypeError(f"`{name}` must be a number{_in(u.Unit(unit))}, got {value!r}")
+    array = plain_array(value, unit, name, **options)
+    if array.ndim:
+        raise TypeError(f"`{name}` must be one number{_in(u.Unit(unit))}, got {value!r}")
+    return float(array)
+
+
+def plain_time(value, time_format, name):
+    """Return times as days from a mission's zero of time.
+
+    Parameters
+    ----------
+    value : array_like, Quantity or Time
+        A Time of any scale and format, a Quantity of time or plain numbers since the zero.
+    time_format : {"bkjd", "btjd"} or None
+        The zero: BJD - 2454833 or BJD - 2457000 (TDB). None refuses a Time.
+    name : str
+        The argument's name, for messages.
+
+    Returns
+    -------
+    ndarray
+        Days.
+
+    Raises
+    ------
+    TypeError
+        If the argument holds no times.
+    ValueError
+        If its unit does not convert, or plain numbers are Julian dates.
+    """
+    if isinstance(value, Time):
+        if time_format is None:
+            raise TypeError(f"`{name}` must be in days from a zero of your own, got a Time")
+        mask = np.broadcast_to(getattr(value, "mask", False), value.shape)
+        plain = value.unmasked if hasattr(value, "unmasked") else value
+        zero = Time(TIME_ZEROS[time_format], format="jd", scale="tdb")
+        return np.where(mask, np.nan, (plain.tdb - zero).to_value(u.day))
+    days = plain_array(value, u.day, name)
+    if np.any(np.abs(days) > _LARGEST_DAY):
+        raise ValueError(
+            f"`{name}` must be in days since the mission's zero of time, got Julian dates "
+            f"(about {np.nanmax(np.abs(days)):.1f}); pass an astropy Time instead"
+        )
+    return days
+
+
+def _in(unit):
+    text = unit.to_string()
+    return f" ({text})" if text else ""
+
+
+def _joined(values, name):
+    """Return the quantity of a sequence of quantities."""
+    try:
+        return u.Quantity(values)
+    except (TypeError, u.UnitConversionError) as error:
+        raise TypeError(f"`{name}` mixes units: {error}") from error

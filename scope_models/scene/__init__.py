@@ -1,0 +1,18 @@
+"""Stars, detectors, motions and the scenes that hold them."""
+
+from scope_models.scene.detector import ZERO_POINTS, Detector
+from scope_models.scene.motion import K2Roll, Motion, MotionStatistics
+from scope_models.scene.scene import Scene, read_detector, read_scene
+from scope_models.scene.star import Star
+
+__all__ = [
+    "ZERO_POINTS",
+    "Detector",
+    "K2Roll",
+    "Motion",
+    "MotionStatistics",
+    "Scene",
+    "Star",
+    "read_detector",
+    "read_scene",
+]

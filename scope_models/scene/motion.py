@@ -1,0 +1,558 @@
+"""Where a star is at each cadence: read from real files, scaled, or generated."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from numbers import Integral, Real
+from types import MappingProxyType
+
+import astropy.units as u
+import numpy as np
+
+from scope_models._checks import checked_integer, checked_number
+from scope_models.effects.noise import check_seed, fresh_seed, stream
+from scope_models.io.reading import facts_of, read_positions
+from scope_models.scene._k2_roll import K2Roll
+from scope_models.scene._motion_arrays import (
+    TIME_FORMATS,
+    as_floats,
+    as_int32,
+    check_increasing,
+    check_time_format,
+    plain,
+    repair,
+)
+from scope_models.scene._motion_statistics import MotionStatistics
+
+__all__ = ["K2Roll", "Motion", "MotionStatistics"]
+
+# First time of K2 campaign 3, BKJD (ktwo206103150-c03_llc.fits).
+_START = 2144.1028
+_THRUSTER_FIRING = 1048576
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Motion:
+    """The positions of a star on the detector, cadence by cadence.
+
+    Positions are offsets from a reference position and always finite. Usually one of the class
+    methods makes the object: `from_file`, `from_tpf`, `from_arrays`, `still` or `k2_roll`.
+    ``c * motion`` scales the offsets, ``motion[a:b]`` and ``motion[mask]`` choose cadences (an
+    integer gives a motion of one cadence), and ``a + b`` joins two motions if the second one
+    begins after the first (else see `concatenate`). Two motions are equal only if they are the
+    same object.
+
+    Parameters
+    ----------
+    time : array_like, shape (n,)
+        Times in days, increasing strictly.
+    x, y : array_like, shape (n,)
+        Offsets along columns (POS_CORR1) and rows (POS_CORR2) in pixels.
+    quality : array_like of int, shape (n,), optional
+        Quality flags; the default is 0.
+    cadenceno : array_like of int, shape (n,), optional
+        Cadence numbers, increasing strictly; the default is 1, 2, ... n.
+    time_format : {"bkjd", "btjd"}, optional
+        Zero of the times: BJD - 2454833 (Kepler, K2) or BJD - 2457000 (TESS).
+    meta : mapping, optional
+        What is known of the source.
+
+    Raises
+    ------
+    ValueError
+        If there are no cadences, if the arrays differ in length, if a number is not finite, or if
+        times or cadence numbers do not increase.
+    TypeError
+        If flags or cadence numbers are not integers.
+
+    Examples
+    --------
+    >>> from scope_models import Motion
+    >>> motion = Motion(time=[0.0, 0.5, 1.0], x=[0.0, 0.1, 0.2], y=[0.0, 0.0, -0.1])
+    >>> (5 * motion).x
+    array([0. , 0.5, 1. ])
+    >>> len(motion[1:])
+    2
+    >>> len(motion + Motion([2.0], [0.0], [0.0], cadenceno=[7]))
+    4
+    """
+
+    time: np.ndarray
+    x: np.ndarray
+    y: np.ndarray
+    quality: np.ndarray | None = None
+    cadenceno: np.ndarray | None = None
+    time_format: str = "bkjd"
+    meta: Mapping = field(default_factory=dict)
+
+    # numpy's scalars leave `scalar * motion` to this class.
+    __array_ufunc__ = None
+
+    def __post_init__(self):
+        n = np.size(self.time)
+        if n == 0:
+            raise ValueError("`time` is empty: a motion must have at least one cadence")
+        quality = np.zeros(n, dtype=np.int32) if self.quality is None else self.quality
+        cadenceno = np.arange(1, n + 1) if self.cadenceno is None else self.cadenceno
+        values = {name: as_floats(getattr(self, name), name, n) for name in ("time", "x", "y")}
+        for name, value in values.items():
+            if not np.all(np.isfinite(value)):
+                raise ValueError(
+                    f"`{name}` must be finite, got {value[~np.isfinite(value)][0]}; "
+                    "`Motion.from_arrays` interpolates or drops such cadences"
+                )
+        values["quality"] = as_int32(quality, "quality", n)
+        values["cadenceno"] = as_int32(cadenceno, "cadenceno", n)
+        check_increasing(values["time"], "time")
+        check_increasing(values["cadenceno"], "cadenceno")
+        check_time_format(self.time_format)
+        for name, value in values.items():
+            value.flags.writeable = False
+            object.__setattr__(self, name, value)
+        object.__setattr__(self, "meta", MappingProxyType(dict(self.meta)))
+
+    def __reduce__(self):
+        arguments = (self.time, self.x, self.y, self.quality, self.cadenceno)
+        return type(self), (*arguments, self.time_format, dict(self.meta))
+
+    def __repr__(self):
+        first, last = self.time[0], self.time[-1]
+        return (
+            f"<Motion of {len(self)} cadences, {self.time_format.upper()} {first:.4f} to "
+            f"{last:.4f}, x {self.x.min():.3g} to {self.x.max():.3g}, "
+            f"y {self.y.min():.3g} to {self.y.max():.3g} px>"
+        )
+
+    def __len__(self):
+        return len(self.time)
+
+    def __getitem__(self, item):
+        if isinstance(item, Integral) and not isinstance(item, bool | np.bool_):
+            if not -len(self) <= item < len(self):
+                raise IndexError(f"cadence {item} is out of range for {len(self)} cadences")
+            item = [item]
+        return self._replace(
+            time=self.time[item],
+            x=self.x[item],
+            y=self.y[item],
+            quality=self.quality[item],
+            cadenceno=self.cadenceno[item],
+        )
+
+    def __mul__(self, factor):
+        if isinstance(factor, u.Quantity) and factor.unit.is_equivalent(u.one) and factor.isscalar:
+            factor = factor.to_value(u.one)[()]
+        if not isinstance(factor, Real) or isinstance(factor, bool):
+            return NotImplemented
+        if not math.isfinite(factor):
+            raise ValueError(f"the scale of a motion must be finite, got {factor}")
+        scale = factor * self.meta.get("scale", 1)
+        return self._replace(
+            x=factor * self.x, y=factor * self.y, meta={**self.meta, "scale": scale}
+        )
+
+    __rmul__ = __mul__
+
+    def __add__(self, other):
+        if not isinstance(other, Motion):
+            return NotImplemented
+        return Motion.concatenate([self, other])
+
+    def _replace(self, **changes):
+        values = {name: getattr(self, name) for name in self.__dataclass_fields__}
+        return type(self)(**{**values, **changes})
+
+    @classmethod
+    def from_arrays(
+        cls,
+        time,
+        x,
+        y,
+        quality=None,
+        *,
+        cadenceno=None,
+        time_format="bkjd",
+        bad="interpolate",
+        meta=None,
+    ):
+        """Make a motion of arrays that may hold unusable values.
+
+        A position is unusable if x or y is not finite, or is 50 px or more: archive files have
+        such values where no position was measured. A time is unusable if it is not finite.
+
+        Parameters
+        ----------
+        time : array_like, shape (n,)
+            Times in days.
+        x, y : array_like, shape (n,)
+            Offsets along columns and rows in pixels.
+        quality : array_like of int, shape (n,), optional
+            Quality flags; the default is 0.
+        cadenceno : array_like of int, shape (n,), optional
+            Cadence numbers, increasing strictly; the default is 1, 2, ... n.
+        time_format : {"bkjd", "btjd"}, optional
+            Zero of the times: BJD - 2454833 (Kepler, K2) or BJD - 2457000 (TESS).
+        bad : {"interpolate", "drop", "error"}, optional
+            What becomes of cadences with an unusable value. "interpolate" (the default) replaces
+            it by a straight line in cadence number between its usable neighbours (before the first
+            and after the last, positions stay and times go on at the same pace) and sets a
+            quality flag that lightkurve's default bitmask rejects: "manual exclude" (256, in TESS
+            times 128) for a position, "no data" (65536; in TESS times "manual exclude" too) for
+            a time. "drop" leaves the cadence out, "error" raises.
+        meta : mapping, optional
+            What is known of the source; "n_bad", the number of cadences with unusable values,
+            is added to it.
+
+        Returns
+        -------
+        Motion
+            The motion.
+
+        Raises
+        ------
+        ValueError
+            If the arrays differ in length, if no position is usable, if times do not increase, or
+            if ``bad="error"`` and there are unusable values.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> from scope_models import Motion
+        >>> motion = Motion.from_arrays([0, 1, 2], [0.1, -548.1, 0.3], [0.0, -393.2, np.nan])
+        >>> motion.x, motion.y
+        (array([0.1, 0.1, 0.1]), array([0., 0., 0.]))
+        >>> motion.quality
+        array([  0, 256, 256], dtype=int32)
+        >>> len(Motion.from_arrays([0, 1, 2], [0.1, -548.1, 0.3], [0, 0, 0], bad="drop"))
+        2
+        """
+        columns = repair(time, x, y, quality, cadenceno, time_format=time_format, bad=bad)
+        *columns, n_bad = columns
+        return cls(*columns, time_format, {**(meta or {}), "n_bad": n_bad})
+
+    @classmethod
+    def from_file(cls, path, *, bad="interpolate", time_format=None):
+        """Read the motion of a Kepler, K2 or TESS target pixel or light-curve file.
+
+        The file's first table must have the columns TIME, POS_CORR1 and POS_CORR2; QUALITY (or
+        SAP_QUALITY) and CADENCENO are read if they are there. No cadence is left out because of
+        its quality flags.
+
+        Parameters
+        ----------
+        path : str or path-like
+            The file: .fits or .fits.gz.
+        bad : {"interpolate", "drop", "error"}, optional
+            What becomes of cadences with an unusable time or position: see `from_arrays`.
+        time_format : {"bkjd", "btjd"}, optional
+            Zero of the times. The default is what the header says, and "bkjd" if it says nothing.
+
+        Returns
+        -------
+        Motion
+            The motion; its ``meta`` has what the header says of mission, object, campaign, quarter
+            or sector, position on the sky and detector, and the name of the file.
+
+        Raises
+        ------
+        FileNotFoundError, IsADirectoryError
+            If there is no such file, or it is a folder.
+        ValueError
+            If it cannot be read as a FITS file, if it lacks a column (both are named), or if its
+            columns are refused by `from_arrays`.
+
+        Examples
+        --------
+        >>> from astropy.table import Table
+        >>> from scope_models import Motion
+        >>> columns = {"TIME": [0.0, 0.02], "POS_CORR1": [0.0, 0.1], "POS_CORR2": [0.0, -0.2]}
+        >>> Table(columns).write("motion.fits")
+        >>> Motion.from_file("motion.fits")
+        <Motion of 2 cadences, BKJD 0.0000 to 0.0200, x 0 to 0.1, y -0.2 to 0 px>
+        """
+        columns = read_positions(path)
+        try:
+            return cls.from_arrays(
+                columns.time,
+                columns.pos_corr1,
+                columns.pos_corr2,
+                columns.quality,
+                cadenceno=columns.cadenceno,
+                time_format=time_format or columns.time_format or "bkjd",
+                bad=bad,
+                meta=columns.meta,
+            )
+        except (ValueError, TypeError) as error:
+            raise ValueError(f"{path}: {error}") from error
+
+    @classmethod
+    def from_tpf(cls, tpf, *, bad="interpolate"):
+        """Take the motion of a lightkurve target pixel file or light curve.
+
+        The cadences are those that the object has: lightkurve leaves out cadences by their quality
+        flags when it reads a file, unless told otherwise.
+
+        Parameters
+        ----------
+        tpf : lightkurve.TargetPixelFile or lightkurve.LightCurve
+            The object. Light curves have positions if they were read from archive files.
+        bad : {"interpolate", "drop", "error"}, optional
+            What becomes of cadences with an unusable time or position: see `from_arrays`.
+
+        Returns
+        -------
+        Motion
+            The motion.
+
+        Raises
+        ------
+        TypeError
+            If the object has no time, or no POS_CORR1 and POS_CORR2.
+        ValueError
+            If its values are refused by `from_arrays`.
+
+        Examples
+        --------
+        >>> from lightkurve import LightCurve
+        >>> from scope_models import Motion
+        >>> lc = LightCurve(time=[1.0, 2.0], flux=[1.0, 1.0])
+        >>> lc["pos_corr1"], lc["pos_corr2"] = [0.0, 0.2], [0.1, 0.1]
+        >>> Motion.from_tpf(lc).x
+        array([0. , 0.2])
+        """
+        time = getattr(tpf, "time", None)
+        try:
+            x, y = tpf.pos_corr1, tpf.pos_corr2
+        except (AttributeError, KeyError):
+            x = y = None
+        if time is None or x is None or y is None:
+            raise TypeError(
+                f"`tpf` must have time, POS_CORR1 and POS_CORR2, but {type(tpf).__name__} has not"
+            )
+        time_format = getattr(time, "format", "bkjd")
+        quality, cadenceno = (getattr(tpf, name, None) for name in ("quality", "cadenceno"))
+        times = plain(time)
+        if hasattr(tpf, "pipeline_mask"):
+            # A target pixel file: lightkurve has 0 where there is no time.
+            known = np.isfinite(tpf.hdu[1].data["TIME"][tpf.quality_mask])
+            times = np.where(known, times, np.nan)
+        return cls.from_arrays(
+            times,
+            plain(x),
+            plain(y),
+            None if quality is None else plain(quality),
+            cadenceno=None if cadenceno is None else plain(cadenceno),
+            time_format=time_format if time_format in TIME_FORMATS else "bkjd",
+            bad=bad,
+            meta=facts_of(getattr(tpf, "meta", {})),
+        )
+
+    @classmethod
+    def still(cls, n_cadences, *, start=_START, cadence=K2Roll.cadence, time_format="bkjd"):
+        """Make a motion that stays at the reference position.
+
+        Parameters
+        ----------
+        n_cadences : int
+            Number of cadences.
+        start : float, optional
+            Time of the first cadence in days; the default is the beginning of K2 campaign 3.
+        cadence : float, optional
+            Time between cadences in days; the default is Kepler's long cadence.
+        time_format : {"bkjd", "btjd"}, optional
+            Zero of the times.
+
+        Returns
+        -------
+        Motion
+            The motion.
+
+        Raises
+        ------
+        ValueError
+            If the number or the cadence is not positive.
+
+        Examples
+        --------
+        >>> from scope_models import Motion
+        >>> Motion.still(3).x
+        array([0., 0., 0.])
+        """
+        n = checked_integer("n_cadences", n_cadences, 1)
+        cadence = checked_number("cadence", cadence, positive=True)
+        time = start + cadence * np.arange(n)
+        return cls(time, np.zeros(n), np.zeros(n), time_format=time_format)
+
+    @classmethod
+    def k2_roll(cls, n_cadences=1000, *, seed=10, start=_START, **parameters):
+        """Generate the motion of a K2 star while the spacecraft rolls about its boresight.
+
+        The parameters' defaults describe EPIC 205998445 in campaign 3, and
+        `~scope_models.scene.K2Roll` says where they come from. No series is rescaled to wanted
+        statistics; the default seed is the first one for which the 1000 cadences of the paper [1]_
+        have its row, 0.17 +- 0.12 px and at most 0.59 px, within 5 %. Cadences in which thrusters
+        fire have the quality flag 1048576.
+
+        Parameters
+        ----------
+        n_cadences : int, optional
+            Number of long cadences. A longer series begins like a shorter one.
+        seed : int or None, optional
+            Seed of all random numbers; None takes a new one, which ``meta["seed"]`` tells.
+        start : float, optional
+            Time of the first cadence, BKJD; the default is the beginning of campaign 3.
+        **parameters
+            Fields of `~scope_models.scene.motion.K2Roll` that differ from their defaults, as
+            ``field=(6.94, 0.0)``.
+
+        Returns
+        -------
+        Motion
+            The motion.
+
+        Raises
+        ------
+        ValueError
+            If a number is not finite, or out of its range.
+        TypeError
+            If the number of cadences or the seed is not an integer, or a parameter has another
+            name.
+
+        References
+        ----------
+        .. [1] Saunders, N. et al., "The Pointing Limits of Transiting Exoplanet Light Curve
+           Characterization with Pixel Level De-correlation", table 1.
+
+        Examples
+        --------
+        >>> from scope_models import Motion
+        >>> print(Motion.k2_roll().statistics())
+        0.170 +- 0.118 px, max 0.595 px, extent 1.07 px
+        >>> edge = Motion.k2_roll(field=(6.94, 0.0))
+        >>> print(edge.statistics())
+        0.247 +- 0.171 px, max 0.862 px, extent 1.56 px
+        """
+        n = checked_integer("n_cadences", n_cadences, 1)
+        roll = K2Roll(**parameters)
+        seed = fresh_seed() if seed is None else check_seed(seed)
+        x, y, firing = roll.track(n, lambda name: stream(seed, f"k2_roll {name}"))
+        return cls(
+            start + roll.cadence * np.arange(n),
+            x,
+            y,
+            np.where(firing, _THRUSTER_FIRING, 0),
+            meta={"mission": "K2", "generator": asdict(roll), "seed": seed},
+        )
+
+    @classmethod
+    def concatenate(cls, motions, *, shift=False):
+        """Join motions one after the other.
+
+        Parameters
+        ----------
+        motions : iterable of Motion
+            The motions, in order.
+        shift : bool, optional
+            If true, the times and cadence numbers of each motion after the first are shifted by
+            a constant so that it begins one cadence (the median time between cadences of the
+            motion before it, or its own) after the one before it.
+
+        Returns
+        -------
+        Motion
+            The motion; its ``meta`` is what all of them agree on.
+
+        Raises
+        ------
+        ValueError
+            If there are no motions, if their time formats differ, or, without ``shift``, if
+            times or cadence numbers do not increase.
+
+        Examples
+        --------
+        >>> from scope_models import Motion
+        >>> motion = Motion.still(3)
+        >>> len(motion[:1] + motion[1:])
+        3
+        >>> Motion.concatenate([motion, motion], shift=True).cadenceno
+        array([1, 2, 3, 4, 5, 6], dtype=int32)
+        """
+        motions = list(motions)
+        if not motions:
+            raise ValueError("`motions` is empty")
+        first = motions[0]
+        if any(motion.time_format != first.time_format for motion in motions):
+            raise ValueError("`motions` must have one time format, got BKJD and BTJD")
+        joined = [first]
+        for motion in motions[1:]:
+            joined.append(_shifted(motion, joined[-1]) if shift else motion)
+            before, after = joined[-2:]
+            if not (before.time[-1] < after.time[0] and before.cadenceno[-1] < after.cadenceno[0]):
+                raise ValueError(
+                    "times and cadence numbers must go on increasing from one motion to the next; "
+                    "`Motion.concatenate(motions, shift=True)` shifts them"
+                )
+        columns = (
+            np.concatenate([getattr(motion, name) for motion in joined])
+            for name in ("time", "x", "y", "quality", "cadenceno")
+        )
+        common = {
+            key: value
+            for key, value in first.meta.items()
+            if all(key in motion.meta and motion.meta[key] == value for motion in joined)
+        }
+        return cls(*columns, first.time_format, common)
+
+    def statistics(self, pixel_scale=3.98, *, exclude=0):
+        r"""Return how far the star is from its reference position.
+
+        Mean, standard deviation and maximum are those of :math:`r = \sqrt{x^2 + y^2}`, as in
+        table 1 of the paper [1]_; the extent is the largest distance between any two positions.
+
+        Parameters
+        ----------
+        pixel_scale : float, optional
+            Size of a pixel in arcsec; the default is Kepler's.
+        exclude : int, optional
+            Cadences with any of these quality flags are left out.
+
+        Returns
+        -------
+        MotionStatistics
+            The statistics.
+
+        Raises
+        ------
+        ValueError
+            If the pixel scale is not positive, or no cadence is left.
+
+        References
+        ----------
+        .. [1] Saunders, N. et al., "The Pointing Limits of Transiting Exoplanet Light Curve
+           Characterization with Pixel Level De-correlation", table 1.
+
+        Examples
+        --------
+        >>> from scope_models import Motion
+        >>> statistics = Motion([0, 1, 2], [0.0, 0.3, 0.0], [0.1, 0.4, -0.1]).statistics()
+        >>> statistics.maximum, statistics.extent.round(3)
+        (<Quantity 0.5 pix>, <Quantity 0.583 pix>)
+        >>> statistics.in_arcsec().maximum
+        <Quantity 1.99 arcsec>
+        """
+        pixel_scale = checked_number("pixel_scale", pixel_scale, positive=True)
+        keep = (self.quality & exclude) == 0
+        if not keep.any():
+            raise ValueError(f"all cadences have quality flags of `exclude`, {exclude}")
+        return MotionStatistics.of_positions(self.x[keep], self.y[keep], pixel_scale)
+
+
+def _shifted(motion, before):
+    """Return the motion shifted in time to begin one cadence after another one."""
+    steps = np.diff(before.time) if len(before) > 1 else np.diff(motion.time)
+    step = np.median(steps) if len(steps) else K2Roll.cadence
+    number = motion.cadenceno.astype(np.int64)
+    return motion._replace(
+        time=motion.time - motion.time[0] + (before.time[-1] + step),
+        cadenceno=number - number[0] + (before.cadenceno[-1] + 1),
+    )

@@ -1,0 +1,166 @@
+"""A star: what shines, where, how bright and how variable."""
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from astropy.modeling import Model
+
+from scope_models._checks import checked_model, checked_number
+from scope_models.models import PRF
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+__all__ = ["Star"]
+
+
+@dataclass(frozen=True, eq=False)
+class Star:
+    """A star on the stamp.
+
+    Parameters
+    ----------
+    mag : float
+        Magnitude in the mission's band (Kp or T).
+    x_0, y_0 : float or None, optional
+        Column and row of the reference position on the stamp, pixels from 0, to which the motion
+        is added. None is the centre of the stamp.
+    psf : astropy.modeling.Model or None, optional
+        A density with the parameters flux, x_0 and y_0, as `BivariateGaussianPSF` or photutils'
+        PSFs, or a sum of several. It is scaled to a total flux of 1, and its first component is
+        put at the star's position. None takes the detector's PSF.
+    signal : astropy.modeling.Model or callable or array_like or None, optional
+        Relative flux of each cadence: a one-dimensional model or a function of time (days), or
+        one number per cadence. It is the mean over the cadence:
+        `~scope_models.TransitModel` averages with its ``exposure_time``. None is constant.
+
+    Raises
+    ------
+    TypeError
+        If an argument is of the wrong kind.
+    ValueError
+        If a number is not finite, the signal negative or not finite, or the PSF not a sum of
+        densities.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from scope_models import Star
+    >>> star = Star(12.0, 5.1, 4.9, signal=lambda time: 1 - 0.01 * (np.abs(time - 1) < 0.1))
+    >>> star.relative_flux(np.array([0.5, 1.0, 1.5]))
+    array([1.  , 0.99, 1.  ])
+    >>> star.replace(mag=13.0).mag
+    13.0
+    """
+
+    mag: float
+    x_0: float | None = None
+    y_0: float | None = None
+    psf: "Model | None" = None
+    signal: "Model | Callable | np.ndarray | None" = None
+
+    def __post_init__(self):
+        """Check every field and bring it to its type."""
+        put = object.__setattr__
+        put(self, "mag", checked_number("mag", self.mag, any_sign=True))
+        for name in ("x_0", "y_0"):
+            if getattr(self, name) is not None:
+                put(self, name, checked_number(name, getattr(self, name), any_sign=True))
+        put(self, "psf", checked_model("psf", self.psf))
+        if self.psf is not None:
+            PRF(self.psf)  # fails if it cannot be integrated over pixels
+        put(self, "signal", _checked_signal(self.signal))
+
+    def relative_flux(self, time):
+        """Return the relative flux of each cadence.
+
+        Parameters
+        ----------
+        time : array_like of shape (n,)
+            Middle of each cadence, days.
+
+        Returns
+        -------
+        ndarray of shape (n,)
+            Finite and not negative; 1 is the star's magnitude.
+
+        Raises
+        ------
+        ValueError
+            If the signal has another length, or is negative or not finite.
+
+        Examples
+        --------
+        >>> from scope_models import Star
+        >>> Star(12.0).relative_flux([0.0, 1.0])
+        array([1., 1.])
+        """
+        time = np.asarray(time, dtype=float)
+        if self.signal is None:
+            return np.ones(time.shape)
+        signal = self.signal(time) if callable(self.signal) else self.signal
+        signal = np.array(signal, dtype=float)
+        if signal.shape != time.shape:
+            raise ValueError(
+                f"`signal` must give one number for each of the {len(time)} cadences, "
+                f"got the shape {signal.shape}"
+            )
+        return _check_values(signal)
+
+    def replace(self, **changes):
+        """Return a star with some fields changed.
+
+        Parameters
+        ----------
+        **changes
+            Fields of `Star` and their new values.
+
+        Returns
+        -------
+        Star
+            The new star.
+
+        Raises
+        ------
+        TypeError
+            If a field is misspelt.
+
+        Examples
+        --------
+        >>> from scope_models import Star
+        >>> Star(12.0).replace(x_0=4.5).x_0
+        4.5
+        """
+        return replace(self, **changes)
+
+
+def _checked_signal(signal):
+    """Return a signal of an allowed kind; arrays are copied, checked and made read-only."""
+    if isinstance(signal, Model):
+        if (signal.n_inputs, signal.n_outputs) != (1, 1):
+            raise TypeError(f"`signal` must be a model of time alone, got {signal!r}")
+        return signal.copy()
+    if signal is None or callable(signal):
+        return signal
+    try:
+        values = np.array(signal, dtype=float)
+    except (TypeError, ValueError):
+        values = np.array(0.0)
+    if values.ndim != 1:
+        raise TypeError(
+            f"`signal` must be a model, a function of time, a one-dimensional array or None, "
+            f"got {signal!r}"
+        )
+    _check_values(values)
+    values.flags.writeable = False
+    return values
+
+
+def _check_values(signal):
+    """Check that relative fluxes are finite and not negative."""
+    if not np.all(np.isfinite(signal)):
+        raise ValueError("`signal` must be finite in every cadence")
+    if np.any(signal < 0):
+        raise ValueError(f"`signal` must not be negative, got {signal.min()}")
+    return signal
