@@ -85,8 +85,8 @@ class QualityBits:
     safe_mode: int = 2
     coarse_point: int = 4
     earth_point: int = 8
-    desaturation: int = 32
     no_fine_point: int = 0
+    desaturation: int = 32
     thruster_firing: int = 0
     possible_thruster_firing: int = 0
     argabrightening: int
