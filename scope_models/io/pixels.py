@@ -150,7 +150,7 @@ class PixelSeries:
     @property
     def time_format(self):
         """Name of the zero of the times, "bkjd" or "btjd"; "bkjd" if the headers name none."""
-        return time_format_of(self.header) or (self.mission.time_format if self.mission else "bkjd")
+        return time_format_of(self.header) or "bkjd"
 
     def without_flagged(self, quality_bitmask="default"):
         """Leave out cadences by their quality flags, as lightkurve does when it reads a file.

@@ -15,6 +15,8 @@ from pathlib import Path
 import numpy as np
 from astropy.utils.exceptions import AstropyUserWarning
 
+from scope_models.missions import TIME_ZEROS, Mission
+
 __all__ = [
     "PositionColumns",
     "TableColumns",
@@ -25,7 +27,7 @@ __all__ = [
     "time_format_of",
 ]
 
-_TIME_FORMATS = {2454833: "bkjd", 2457000: "btjd"}
+_TIME_FORMATS = {zero: name for name, zero in TIME_ZEROS.items()}
 _UNREADABLE = (OSError, EOFError, ValueError, TypeError, KeyError, IndexError, zlib.error)
 _NO_FACTS = {"", "COMMENT", "HISTORY", "CHECKSUM", "DATASUM", "SIMPLE", "XTENSION", "BITPIX"}
 _NO_FACTS |= {"EXTEND", "PCOUNT", "GCOUNT", "TFIELDS"}
@@ -301,7 +303,7 @@ def time_format_of(header):
     Parameters
     ----------
     header : mapping
-        Cards of the header: BJDREFI, else TELESCOP, decide.
+        Cards of the header: BJDREFI, else the mission, decide.
 
     Returns
     -------
@@ -325,9 +327,8 @@ def time_format_of(header):
         if day not in _TIME_FORMATS:
             raise ValueError(f"`BJDREFI` must be 2454833 or 2457000, got {day}")
         return _TIME_FORMATS[day]
-    return {"kepler": "bkjd", "k2": "bkjd", "tess": "btjd"}.get(
-        str(header.get("TELESCOP")).strip().lower()
-    )
+    mission = Mission.from_header(header)
+    return mission and mission.time_format
 
 
 def _plain(stream):

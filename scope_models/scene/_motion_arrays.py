@@ -124,7 +124,8 @@ def _check_usable(lost, timeless, bad):
     if bad == "error" and unusable.any():
         raise ValueError(
             f"{lost.sum()} positions are NaN or at least {LARGEST_OFFSET:g} px, "
-            f"and {timeless.sum()} times are NaN, the first of them at index {np.flatnonzero(unusable)[0]}"
+            f"and {timeless.sum()} times are NaN, "
+            f"the first of them at index {np.flatnonzero(unusable)[0]}"
         )
 
 
