@@ -1,6 +1,6 @@
 """The door in, from target pixel files to arrays, and the door out, with the truth."""
 
-from scope_models.io.pixels import PixelSeries, read_pixels, read_tpf
+from scope_models.io.pixels import PixelSeries, read_pixels, read_tpf, usable_positions
 from scope_models.io.tpf import (
     TPFMetadata,
     TPFTruth,
@@ -18,6 +18,7 @@ __all__ = [
     "read_pixels",
     "read_tpf",
     "read_truth",
+    "usable_positions",
     "write_hdulist",
     "write_tpf",
 ]

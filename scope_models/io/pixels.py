@@ -23,15 +23,7 @@ from scope_models.io.reading import (
 )
 from scope_models.missions import TIME_ZEROS, Mission
 
-__all__ = [
-    "LARGEST_OFFSET",
-    "PixelSeries",
-    "pos_corr_of",
-    "positions_of",
-    "read_pixels",
-    "read_tpf",
-    "usable_positions",
-]
+__all__ = ["PixelSeries", "read_pixels", "read_tpf", "usable_positions"]
 
 _OPTIMAL = 2  # the bit of the optimal aperture in the APERTURE extension
 _FLUX = "electron / s"
