@@ -36,6 +36,14 @@ class SkyScore:
         Part of the cadences that have a corrected flux.
     floor : float
         Expected photon, background and read noise of a 6.5-h bin, ppm.
+
+    Examples
+    --------
+    >>> from scope_models.experiments.skies import make_sky, score
+    >>> sky = make_sky("k2-1x-delta-scuti", seed=2, n_cadences=300)
+    >>> lc = sky.to_tpf().to_lightcurve(aperture_mask="pipeline")
+    >>> bool(0.9 < score(lc, sky).amplitude < 1.1)
+    True
     """
 
     full: float

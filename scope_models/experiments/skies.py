@@ -83,6 +83,13 @@ class SkyRegime:
         Background that the file's own subtraction leaves, e-/s per pixel.
     shape : tuple of int, optional
         Rows and columns.
+
+    Examples
+    --------
+    >>> from scope_models.experiments.skies import SkyRegime, make_sky
+    >>> regime = SkyRegime("faint", magnitude=16.5, neighbors=((1.0, 3.0, 0.0),))
+    >>> make_sky(regime, seed=1, n_cadences=100).flux.shape
+    (100, 9, 9)
     """
 
     name: str
@@ -206,6 +213,13 @@ class MessyStar:
         The file's aperture: the pixels whose sum, uncorrected, is expected to scatter least.
     noise : ndarray, shape (n, ny, nx)
         Expected photon, background and read noise of each pixel.
+
+    Examples
+    --------
+    >>> from scope_models.experiments.skies import make_sky
+    >>> sky = make_sky("tess-crowded", seed=1, n_cadences=100)
+    >>> sky.to_tpf().mission, sky.true_flux.shape
+    ('TESS', (100,))
     """
 
     regime: SkyRegime
@@ -241,6 +255,13 @@ class MessyStar:
         -------
         float
             Median over the cadences of photon, background and read noise over the star's light.
+
+        Examples
+        --------
+        >>> from scope_models.experiments.skies import make_sky
+        >>> sky = make_sky("k2-1x-kp14", seed=1, n_cadences=100)
+        >>> sky.floor() < sky.floor(sky.aperture | True)
+        True
         """
         mask = self.aperture if aperture is None else np.asarray(aperture, dtype=bool)
         noise = np.sqrt((self.noise[:, mask] ** 2).sum(axis=1))
@@ -258,6 +279,12 @@ class MessyStar:
         -------
         lightkurve.KeplerTargetPixelFile or lightkurve.TessTargetPixelFile
             The file, without truth.
+
+        Examples
+        --------
+        >>> from scope_models.experiments.skies import make_sky
+        >>> make_sky("k2-1x-kp14", seed=6, n_cadences=100).to_tpf().targetid
+        7
         """
         from lightkurve import KeplerTargetPixelFile, TessTargetPixelFile
 
@@ -366,6 +393,14 @@ def score(lc, sky, *, aperture=None):
     ------
     ValueError
         If the light curve has no column ``cadenceno``.
+
+    Examples
+    --------
+    >>> from scope_models.experiments.skies import make_sky, score
+    >>> sky = make_sky("k2-1x-transits-1pct", seed=1, n_cadences=300)
+    >>> lc = sky.to_tpf().to_lightcurve(aperture_mask="pipeline")
+    >>> bool(0.7 < score(lc, sky).depth < 1.3)
+    True
     """
     if "cadenceno" not in getattr(lc, "columns", ()):
         raise ValueError("`lc` must have the column cadenceno")
