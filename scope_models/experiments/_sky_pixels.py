@@ -121,7 +121,10 @@ def make_response(rng, shape, *, drop, scatter):
     size = max(shape) + 2 * _MARGIN
     response = PixelResponse(shape, np.empty(0), size)
     rows, columns = response.modes
-    phase_y, phase_x = np.exp(1j * np.outer(rows, u)), np.exp(1j * np.outer(columns, u))
+    # The maps are constant within each of their cells, whose transform is a sinc.
+    cell = 2 * np.pi * _OVERSAMPLING
+    phase_y = np.exp(1j * np.outer(rows, u)) * np.sinc(rows / cell)[:, None]
+    phase_x = np.exp(1j * np.outer(columns, u)) * np.sinc(columns / cell)[:, None]
     local = np.einsum("ki,pij,lj->pkl", phase_y, maps, phase_x, optimize=True) / len(u) ** 2
     place_y = np.exp(1j * np.outer(np.arange(ny), rows)).repeat(nx, axis=0)
     place_x = np.tile(np.exp(1j * np.outer(np.arange(nx), columns)), (ny, 1))

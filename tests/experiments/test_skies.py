@@ -19,7 +19,7 @@ def test_pixels_are_integrals_of_the_psf():
     psf = make_psf(rng, 0.55)
     flat = make_response(rng, (9, 9), drop=0.0, scatter=0.0)
     image = render(flat, psf, np.array([4.3]), np.array([3.8]), np.array([1.0]))[0]
-    total = dblquad(psf, -8.5, 8.5, -8.5, 8.5, epsabs=1e-4)[0]
+    total = dblquad(psf, -8.5, 8.5, -8.5, 8.5, epsabs=1e-6)[0]
     for row, column in ((4, 4), (4, 5), (2, 6)):
         expected = dblquad(
             lambda x, y: psf(x - 4.3, y - 3.8), row - 0.5, row + 0.5, column - 0.5, column + 0.5
