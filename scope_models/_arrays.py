@@ -4,10 +4,10 @@ import numpy as np
 from astropy import units as u
 from astropy.time import Time
 
-__all__ = ["TIME_ZEROS", "plain_array", "plain_number", "plain_time", "unmasked"]
+from scope_models.missions import TIME_ZEROS
 
-# Barycentric Julian dates (TDB) of the zeros of Kepler's and TESS's times.
-TIME_ZEROS = {"bkjd": 2454833.0, "btjd": 2457000.0}
+__all__ = ["plain_array", "plain_number", "plain_time", "unmasked"]
+
 # Times beyond this are Julian dates, which no mission's times reach.
 _LARGEST_DAY = 1e5
 

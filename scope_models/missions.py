@@ -1,0 +1,418 @@
+"""The missions: every number and name that a mission fixes, once, with its source."""
+
+import math
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+
+__all__ = ["MISSIONS", "TIME_ZEROS", "Cadence", "Mission", "QualityBits"]
+
+#: Barycentric Julian date (TDB) of the zero of each time format.
+TIME_ZEROS = MappingProxyType({"bkjd": 2454833.0, "btjd": 2457000.0})
+_SECONDS_PER_DAY = 86400.0
+# A length names the cadence that differs by less: a Kepler long cadence is called 30 minutes.
+_CADENCE_TOLERANCE = 0.03
+
+
+@dataclass(frozen=True)
+class Cadence:
+    """A kind of cadence that a mission records.
+
+    Parameters
+    ----------
+    name : str
+        Its name, as "long" or "120 s".
+    n_frames : int
+        Frames per cadence.
+    fixed_offset : int
+        Number added to each pixel of the raw counts, DN.
+    live_fraction : float, optional
+        Part of the frames that is summed.
+
+    Examples
+    --------
+    >>> from scope_models.missions import MISSIONS
+    >>> MISSIONS["Kepler"].cadence("short").n_frames
+    9
+    """
+
+    name: str
+    n_frames: int
+    fixed_offset: int
+    live_fraction: float = 1.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class QualityBits:
+    """Bits of the QUALITY column, by meaning; 0 where a mission has no such bit.
+
+    Parameters
+    ----------
+    attitude_tweak, safe_mode, coarse_point, earth_point, no_fine_point : int
+        State of the spacecraft.
+    desaturation : int
+        Momentum dump of the reaction wheels.
+    thruster_firing, possible_thruster_firing : int
+        Firings of K2's thrusters, certain and possible.
+    argabrightening : int
+        Diffuse flash of light on the detectors.
+    scattered_light : int
+        Light of Earth or Moon that makes data unusable.
+    cosmic_ray, collateral_cosmic_ray : int
+        Cosmic rays in the optimal aperture, and in the collateral data.
+    sensitivity_dropout : int
+        Sudden loss of a pixel's sensitivity.
+    rolling_band, detector_anomaly, impulsive_outlier : int
+        Artifacts of the electronics, and cadences found to be outliers.
+    manual_exclude : int
+        Left out by hand; also set here where no position or time was measured.
+    no_data : int
+        No data, and no time.
+    rejected : int
+        The bits of the cadences that lightkurve leaves out by default.
+
+    Examples
+    --------
+    >>> from scope_models.missions import MISSIONS
+    >>> MISSIONS["K2"].quality.thruster_firing
+    1048576
+    >>> MISSIONS["TESS"].quality.no_data
+    0
+    """
+
+    attitude_tweak: int = 1
+    safe_mode: int = 2
+    coarse_point: int = 4
+    earth_point: int = 8
+    no_fine_point: int = 0
+    desaturation: int = 32
+    thruster_firing: int = 0
+    possible_thruster_firing: int = 0
+    argabrightening: int
+    scattered_light: int = 0
+    cosmic_ray: int
+    collateral_cosmic_ray: int
+    sensitivity_dropout: int = 0
+    rolling_band: int = 0
+    detector_anomaly: int = 0
+    impulsive_outlier: int
+    manual_exclude: int
+    no_data: int = 0
+    rejected: int
+
+
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Mission:
+    """What a mission fixes for all its stars.
+
+    `~scope_models.missions.MISSIONS` holds Kepler, K2 and TESS by their names.
+
+    Parameters
+    ----------
+    name : str
+        Name, as in the card MISSION and in `Detector.mission <scope_models.Detector>`.
+    telescope, instrument : str
+        The cards TELESCOP and INSTRUME.
+    band : str
+        Name of the band in which magnitudes are given.
+    time_format : {"bkjd", "btjd"}
+        Format of times in lightkurve, which fixes `time_zero`.
+    time_unit : str
+        Unit of the column TIME (TUNIT) in archive files.
+    start : float
+        Time of a first cadence, days since `time_zero`, where a motion is made up.
+    int_time, read_time : float
+        Exposure of a frame, and the time per frame in which none is recorded, s.
+    cadences : tuple of Cadence
+        The cadences; the first is the usual one.
+    full_well : float
+        Electrons at which the shallowest pixels are full in one frame.
+    quality : QualityBits
+        Bits of the quality flags.
+    quality_column : str
+        Name of the quality flags in light-curve files.
+    id_keyword, magnitude_keyword, gain_keyword, read_noise_keyword : str
+        Cards of the target's number and magnitude, and of the detector's gain and read noise.
+    run : {"quarter", "campaign", "sector"}
+        What an observing run is called.
+    places : tuple of str
+        What tells the place on the focal plane.
+    table_name : str
+        Name of the pixel table in target pixel files.
+    file_version : str
+        FILEVER of the archive files that ours follow.
+    displays : tuple of str
+        Display formats of 64-bit floats, 32-bit floats and flags.
+    field_center : tuple of float
+        Right ascension and declination of the middle of a field, deg.
+    tpf_class : str
+        The class of lightkurve that holds its target pixel files.
+
+    Examples
+    --------
+    >>> from scope_models import Mission
+    >>> mission = Mission.from_header({"TELESCOP": "Kepler", "CAMPAIGN": 5})
+    >>> mission
+    <Mission K2: BJD - 2454833, cadences long, short>
+    >>> mission.quality.no_data, mission.cadence("long").n_frames
+    (65536, 270)
+    """
+
+    name: str
+    telescope: str
+    instrument: str
+    band: str
+    time_format: str
+    time_unit: str
+    start: float
+    int_time: float
+    read_time: float
+    cadences: tuple[Cadence, ...]
+    full_well: float
+    quality: QualityBits
+    quality_column: str
+    id_keyword: str
+    magnitude_keyword: str
+    gain_keyword: str
+    read_noise_keyword: str
+    run: str
+    places: tuple[str, ...]
+    table_name: str
+    file_version: str
+    displays: tuple[str, str, str]
+    field_center: tuple[float, float]
+    tpf_class: str
+
+    def __repr__(self):
+        names = ", ".join(item.name for item in self.cadences)
+        return f"<Mission {self.name}: BJD - {self.time_zero:.0f}, cadences {names}>"
+
+    @classmethod
+    def from_header(cls, cards):
+        """Return the mission of an archive file.
+
+        Parameters
+        ----------
+        cards : mapping
+            Cards of the headers: MISSION, else TELESCOP with CAMPAIGN for K2, decide.
+
+        Returns
+        -------
+        Mission or None
+            The mission, None if the cards name none of `MISSIONS`.
+
+        Examples
+        --------
+        >>> from scope_models import Mission
+        >>> Mission.from_header({"TELESCOP": "TESS"}).time_zero
+        2457000.0
+        >>> Mission.from_header({"TELESCOP": "HST"}) is None
+        True
+        """
+        known = {name.lower(): mission for name, mission in MISSIONS.items()}
+        for keyword in ("MISSION", "TELESCOP"):
+            mission = known.get(str(cards.get(keyword)).strip().lower())
+            if mission is not None:
+                break
+        else:
+            return None
+        if keyword == "TELESCOP" and mission.name == "Kepler":
+            campaign = cards.get("CAMPAIGN")
+            if isinstance(campaign, int | np.integer) and not isinstance(campaign, bool):
+                return MISSIONS["K2"]
+        return mission
+
+    @property
+    def time_zero(self):
+        """Barycentric Julian date (TDB) from which its days are counted."""
+        return TIME_ZEROS[self.time_format]
+
+    @property
+    def frame_time(self):
+        """Length of a frame, s."""
+        return self.int_time + self.read_time
+
+    @property
+    def full_flux(self):
+        """Flux, with background, from which a pixel of an archive file may be full, e-/s."""
+        return self.full_well / self.int_time
+
+    def cadence(self, choice=None):
+        """Return one of the mission's cadences.
+
+        Parameters
+        ----------
+        choice : str, float or Quantity, optional
+            The cadence's name or its length, in seconds or with a unit; a length within 3 %
+            names it. None is the mission's usual cadence.
+
+        Returns
+        -------
+        Cadence
+            The cadence.
+
+        Raises
+        ------
+        ValueError
+            If the mission has no such cadence.
+
+        Examples
+        --------
+        >>> import astropy.units as u
+        >>> from scope_models.missions import MISSIONS
+        >>> MISSIONS["TESS"].cadence(2 * u.min).n_frames
+        60
+        >>> MISSIONS["Kepler"].cadence(30 * u.min).name
+        'long'
+        """
+        if choice is None:
+            return self.cadences[0]
+        wanted = choice
+        if not isinstance(choice, str):
+            from scope_models._arrays import plain_number
+
+            wanted = plain_number(choice, "s", "cadence")
+        for item in self.cadences:
+            if wanted == item.name:
+                return item
+            if isinstance(wanted, float) and math.isclose(
+                wanted, self.cadence_length(item), rel_tol=_CADENCE_TOLERANCE
+            ):
+                return item
+        names = ", ".join(
+            f"{item.name!r} ({self.cadence_length(item):.6g} s)" for item in self.cadences
+        )
+        raise ValueError(f"`cadence` must be one of {names}, got {choice!r}")
+
+    def cadence_length(self, choice=None):
+        """Return the length of a cadence.
+
+        Parameters
+        ----------
+        choice : Cadence, str, float or Quantity, optional
+            A cadence, or what `cadence` takes.
+
+        Returns
+        -------
+        float
+            The length in seconds.
+
+        Raises
+        ------
+        ValueError
+            If the mission has no such cadence.
+
+        Examples
+        --------
+        >>> from scope_models.missions import MISSIONS
+        >>> round(MISSIONS["K2"].cadence_length("long"), 3)
+        1765.463
+        """
+        item = choice if isinstance(choice, Cadence) else self.cadence(choice)
+        return item.n_frames * self.frame_time
+
+
+# Kepler Archive Manual (KDMC-10008), table of the QUALITY flags; K2 Handbook for the thrusters.
+_KEPLER_BITS = QualityBits(
+    argabrightening=64,
+    cosmic_ray=128,
+    manual_exclude=256,
+    sensitivity_dropout=1024,
+    impulsive_outlier=2048,
+    collateral_cosmic_ray=8192,
+    detector_anomaly=16384,
+    no_fine_point=32768,
+    no_data=65536,
+    rolling_band=131072,
+    possible_thruster_firing=524288,
+    thruster_firing=1048576,
+    rejected=1130799,
+)
+# TESS Science Data Products Description Document (EXP-TESS-ARC-ICD-0014), table of the flags.
+_TESS_BITS = QualityBits(
+    argabrightening=16,
+    cosmic_ray=64,
+    manual_exclude=128,
+    impulsive_outlier=512,
+    collateral_cosmic_ray=1024,
+    scattered_light=4096,
+    rejected=17087,
+)
+# Headers of target pixel files; the full well is that of the shallowest of 84 channels
+# (KSCI-19033, table 13).
+_PHOTOMETER = {
+    "telescope": "Kepler",
+    "instrument": "Kepler Photometer",
+    "band": "Kp",
+    "time_format": "bkjd",
+    "time_unit": "BJD - 2454833",
+    "int_time": 6.019802903270,
+    "read_time": 0.518948526144,
+    "cadences": (Cadence("long", 270, 419400), Cadence("short", 9, 219400)),
+    "full_well": 0.947e6,
+    "quality": _KEPLER_BITS,
+    "quality_column": "SAP_QUALITY",
+    "id_keyword": "KEPLERID",
+    "magnitude_keyword": "KEPMAG",
+    "gain_keyword": "GAIN",
+    "read_noise_keyword": "READNOIS",
+    "places": ("channel", "module", "output"),
+    "table_name": "TARGETTABLES",
+    "tpf_class": "KeplerTargetPixelFile",
+}
+_KEPLER = Mission(
+    name="Kepler",
+    start=131.5,  # about the beginning of quarter 1
+    run="quarter",
+    file_version="3.0",
+    # The archive's B16.16 of the flags is too narrow for bit 65536, which stands for no data.
+    displays=("D12.7", "E13.6", "B24.24"),
+    field_center=(290.6667, 44.5),
+    **_PHOTOMETER,
+)
+_K2 = Mission(
+    name="K2",
+    start=2144.1028,  # first time of campaign 3 (ktwo206103150-c03_llc.fits)
+    run="campaign",
+    file_version="6.1",
+    displays=("D14.7", "E14.7", "B24.24"),
+    field_center=(336.6667, -11.0967),
+    **_PHOTOMETER,
+)
+_TESS = Mission(
+    name="TESS",
+    telescope="TESS",
+    instrument="TESS Photometer",
+    band="T",
+    time_format="btjd",
+    time_unit="BJD - 2457000, days",
+    start=1325.3,  # about the beginning of sector 1
+    # Headers of target pixel files; the mitigation of cosmic rays on board drops the highest and
+    # lowest of ten reads (TESS Instrument Handbook), not in 20-s data.
+    int_time=1.98,
+    read_time=0.02,
+    cadences=(
+        Cadence("120 s", 60, 209700, 0.8),
+        Cadence("20 s", 10, 209700),
+        Cadence("200 s", 100, 209700, 0.8),
+        Cadence("600 s", 300, 209700, 0.8),
+        Cadence("1800 s", 900, 209700, 0.8),
+    ),
+    full_well=0.877 * 2e5,  # TESS Instrument Handbook; assumed: the spread of Kepler's channels
+    quality=_TESS_BITS,
+    quality_column="QUALITY",
+    id_keyword="TICID",
+    magnitude_keyword="TESSMAG",
+    gain_keyword="GAINA",
+    read_noise_keyword="READNOIA",
+    run="sector",
+    places=("camera", "ccd"),
+    table_name="PIXELS",
+    file_version="1.0",
+    displays=("D14.7", "E14.7", "B16.16"),
+    field_center=(270.0, 66.5607),  # the north ecliptic pole
+    tpf_class="TessTargetPixelFile",
+)
+#: The missions by name; read-only.
+MISSIONS = MappingProxyType({mission.name: mission for mission in (_KEPLER, _K2, _TESS)})
