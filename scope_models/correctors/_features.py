@@ -40,7 +40,19 @@ class Regressors:
 
     @classmethod
     def join(cls, parts):
-        """Join a mapping from names to columns, without the empty ones."""
+        """
+        Join groups, without the empty ones.
+
+        Parameters
+        ----------
+        parts : dict
+            From names to columns ``(n_cadences, m)``.
+
+        Returns
+        -------
+        Regressors
+            All columns.
+        """
         first = next(iter(parts.values()))
         parts = {name: columns for name, columns in parts.items() if columns.shape[1]}
         if not parts:

@@ -140,7 +140,7 @@ class PLDModel:
 
     See Also
     --------
-    PLDCorrector : corrects a target pixel file.
+    PLDCorrector : Correct a target pixel file.
 
     Examples
     --------

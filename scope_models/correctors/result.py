@@ -360,6 +360,11 @@ def transit_column(model, time):
         Relative flux, or what returns it for times in days.
     time : ndarray
         Times of the cadences.
+
+    Returns
+    -------
+    ndarray
+        Logarithms, 0 where the time is unknown.
     """
     known = np.isfinite(time)
     if callable(model):
