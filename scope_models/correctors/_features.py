@@ -32,6 +32,14 @@ class Regressors:
         Group of each column, an index into ``names``.
     names : tuple of str
         Names of the groups.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from scope_models.correctors import Regressors
+    >>> matrix = Regressors.join({"position": np.ones((5, 2)), "focus": np.ones((5, 1))})
+    >>> matrix.columns.shape, matrix.names
+    ((5, 3), ('position', 'focus'))
     """
 
     columns: np.ndarray
