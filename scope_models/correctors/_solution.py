@@ -8,13 +8,17 @@ import numpy as np
 from scope_models.correctors._regression import Data, Hyperparameters, Posterior, log_likelihood
 from scope_models.correctors._search import fit_columns, fit_hyperparameters
 
-__all__ = ["Solution", "fit"]
+__all__ = ["NothingToCorrectError", "Solution", "fit"]
 
 #: Largest number of fits of the hyper-parameters after outliers were found.
 _REFITS = 2
 #: Part of the cadences without which the columns and the time scales stay: only the variances are
 #: fitted again.
 _LITTLE = 0.01
+
+
+class NothingToCorrectError(ValueError):
+    """No regressor varies."""
 
 
 @dataclass(frozen=True)
@@ -253,6 +257,8 @@ def fit(make_regressors, time, y, variance, use, flat_columns, options):
             regressors = solution.regressors if little else None
         if regressors is None:
             regressors = make_regressors(use)
+            if not regressors.columns.shape[1]:
+                raise NothingToCorrectError("the pixel fractions do not vary")
         centered = y - y[use].mean()
         solution = Solution(time, centered, variance, use, regressors, flat, scale, hyper)
         solution = replace(solution, hyper=_fit_hyper(solution, options, little=little))

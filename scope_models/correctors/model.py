@@ -21,7 +21,7 @@ from scope_models.correctors._pixels import Pixels, read_pixels
 from scope_models.correctors._solution import fit
 from scope_models.correctors.result import PLDFit, transit_column
 
-__all__ = ["NothingToCorrectError", "PLDModel", "PLDOptions"]
+__all__ = ["PLDModel", "PLDOptions"]
 
 _FEWEST_CADENCES = 30
 _TRENDS = {"gp": 1, "quadratic": 3}
@@ -259,10 +259,9 @@ class PLDModel:
 
         Raises
         ------
-        NothingToCorrectError
-            If no regressor varies.
         ValueError
-            If fewer than 30 cadences are left, or the covariance is singular.
+            If no regressor varies, fewer than 30 cadences are left, or the covariance is
+            singular.
         """
         pixels, n = self.pixels, len(self.pixels.time)
         usable = pixels.usable
@@ -281,7 +280,7 @@ class PLDModel:
         variance = (pixels.total_err[usable] / total) ** 2
         try:
             solution = fit(
-                self._varying_regressors,
+                lambda use: make_regressors(pixels, use, self.design),
                 pixels.time[usable],
                 y,
                 variance,
@@ -297,13 +296,3 @@ class PLDModel:
         return PLDFit(
             self, solution, mask & ~in_transit, in_transit, joint=transit_model is not None
         )
-
-    def _varying_regressors(self, use):
-        regressors = make_regressors(self.pixels, use, self.design)
-        if not regressors.columns.shape[1]:
-            raise NothingToCorrectError("the pixel fractions do not vary")
-        return regressors
-
-
-class NothingToCorrectError(ValueError):
-    """No regressor varies."""

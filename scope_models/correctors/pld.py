@@ -7,7 +7,8 @@ from lightkurve.correctors.corrector import Corrector
 
 from scope_models._checks import checked_cadences
 from scope_models.correctors._pixels import read_pixels
-from scope_models.correctors.model import NothingToCorrectError, PLDModel, PLDOptions
+from scope_models.correctors._solution import NothingToCorrectError
+from scope_models.correctors.model import PLDModel, PLDOptions
 from scope_models.exceptions import DetrendingWarning
 
 __all__ = ["PLDCorrector"]
