@@ -3,9 +3,9 @@
 
 from scope_models.correctors._features import Regressors
 from scope_models.correctors._files import detrend_file
+from scope_models.correctors._result import PLDFit
 from scope_models.correctors.model import PLDModel, PLDOptions
 from scope_models.correctors.pld import PLDCorrector
-from scope_models.correctors.result import PLDFit
 
 __all__ = [
     "PLDCorrector",

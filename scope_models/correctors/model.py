@@ -18,8 +18,8 @@ from scope_models.correctors._design import (
 )
 from scope_models.correctors._features import Regressors
 from scope_models.correctors._pixels import Pixels, read_pixels
+from scope_models.correctors._result import PLDFit, transit_column
 from scope_models.correctors._solution import fit
-from scope_models.correctors.result import PLDFit, transit_column
 
 __all__ = ["PLDModel", "PLDOptions"]
 
