@@ -13,8 +13,9 @@ from scope_models.correctors._features import (
     roll_reversals,
     shared_columns,
 )
-from scope_models.correctors._pixels import read_pixels
+from scope_models.correctors._pixels import aperture_pixels
 from scope_models.correctors._saturation import without_saturation
+from scope_models.io import read_pixels
 from scope_models.scene.detector import Detector
 
 __all__ = [
@@ -166,11 +167,12 @@ def neighbor_columns(cadenceno, neighbors):
     """Return the first principal components of the pixel fractions of other target pixel files."""
     parts = []
     for other in neighbors:
-        pixels = read_pixels(other, None)
+        series = read_pixels(other)
+        pixels = aperture_pixels(series, None)
         rotated = _components(pixels.flux[pixels.usable][:, pixels.aperture], pixels)
         rotated = rotated[:, :_NEIGHBOR_COMPONENTS]
         _, here, there = np.intersect1d(
-            cadenceno, np.asarray(other.cadenceno)[pixels.usable], return_indices=True
+            cadenceno, series.cadenceno[pixels.usable], return_indices=True
         )
         if not len(here):
             raise ValueError("`neighbors` must share cadences with the target, got none")
