@@ -75,8 +75,11 @@ def _write_notebooks(app):
 
 def _add_link(app, docname, source):
     """Add the link to the notebook to the end of a tutorial."""
-    name = docname.removeprefix("tutorials/")
-    if (Path(app.srcdir) / "_generated" / "notebooks" / f"{name}.ipynb").exists():
+    folder, _, name = docname.rpartition("/")
+    if (
+        folder == "tutorials"
+        and (Path(app.srcdir) / "_generated" / "notebooks" / f"{name}.ipynb").exists()
+    ):
         source[0] += (
             f"\n\n:download:`Download this page as a notebook "
             f"<../_generated/notebooks/{name}.ipynb>`.\n"
