@@ -9,13 +9,10 @@ from scope_models.correctors._design import DesignOptions
 from scope_models.correctors._features import centre, principal_columns
 from scope_models.correctors._pixels import read_pixels
 from scope_models.correctors._segments import roll_reversals
-from scope_models.scene.detector import Detector
+from scope_models.missions import Mission
 
 __all__ = ["FitOptions", "checked_count", "checked_mask", "design_options", "transit_column"]
 
-#: Part of the median well at which the shallowest of Kepler's 84 channels are full:
-#: 0.947e6 over 1.08e6 electrons (KSCI-19033, table 13).
-_SHALLOWEST_WELL = 0.877
 _NEIGHBOR_COMPONENTS = 10
 
 _METHODS = ("likelihood", "leave-one-out")
@@ -97,20 +94,11 @@ def design_options(tpf, pixels, order, segments, background, neighbors, saturati
     if isinstance(saturation, str):
         if saturation != "auto":
             raise ValueError(f'`saturation` must be "auto", None or e-/s, got {saturation!r}')
-        saturation = _mission_saturation(tpf.meta)
+        mission = Mission.from_header(tpf.meta)
+        saturation = None if mission is None else mission.full_flux
     elif saturation is not None and not saturation > 0:
         raise ValueError(f"`saturation` must be positive, got {saturation}")
     return DesignOptions(order, saturation, _breaks(segments, pixels), extra)
-
-
-def _mission_saturation(meta):
-    """Return the flux of a full well in e-/s, None if it is unknown."""
-    mission = str(meta.get("MISSION") or meta.get("TELESCOP")).lower()
-    presets = {"kepler": Detector.kepler, "k2": Detector.k2, "tess": Detector.tess}
-    if mission not in presets:
-        return None
-    detector = presets[mission]()
-    return _SHALLOWEST_WELL * detector.well_depth / detector.int_time
 
 
 def _breaks(segments, pixels):

@@ -15,6 +15,8 @@ from pathlib import Path
 import numpy as np
 from astropy.utils.exceptions import AstropyUserWarning
 
+from scope_models.missions import TIME_ZEROS, Mission
+
 __all__ = [
     "PositionColumns",
     "TableColumns",
@@ -25,7 +27,6 @@ __all__ = [
     "time_format_of",
 ]
 
-_TIME_FORMATS = {2454833: "bkjd", 2457000: "btjd"}
 _UNREADABLE = (OSError, EOFError, ValueError, TypeError, KeyError, IndexError, zlib.error)
 _GZIP = b"\x1f\x8b"
 _FACTS = {
@@ -303,7 +304,7 @@ def time_format_of(header):
     Parameters
     ----------
     header : mapping
-        Cards of the header: BJDREFI, else TELESCOP, decide.
+        Cards of the header: BJDREFI, else MISSION and TELESCOP, decide.
 
     Returns
     -------
@@ -324,12 +325,12 @@ def time_format_of(header):
     reference = header.get("BJDREFI")
     if isinstance(reference, int | float):
         day = reference + (header.get("BJDREFF") or 0)
-        if day not in _TIME_FORMATS:
+        formats = {zero: name for name, zero in TIME_ZEROS.items()}
+        if day not in formats:
             raise ValueError(f"`BJDREFI` must be 2454833 or 2457000, got {day}")
-        return _TIME_FORMATS[day]
-    return {"kepler": "bkjd", "k2": "bkjd", "tess": "btjd"}.get(
-        str(header.get("TELESCOP")).strip().lower()
-    )
+        return formats[day]
+    mission = Mission.from_header(header)
+    return None if mission is None else mission.time_format
 
 
 def _plain(stream):
