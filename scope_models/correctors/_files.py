@@ -56,34 +56,16 @@ def detrend_file(path, output, *, figure=None, overwrite=False, **options):
     >>> corrector.result.groups
     ('order 1',)
     """
-    tpf = _read(path)
-    try:
-        corrector = PLDCorrector(tpf)
-        corrector.correct(**options)
-        with atomic_path(output, overwrite=overwrite) as temporary:
-            make_lightcurve_hdulist(corrector).writeto(temporary, checksum=True)
-        if figure is not None:
-            with atomic_path(figure, overwrite=overwrite) as temporary:
-                drawn = corrector.diagnose()[0].figure
-                drawn.savefig(temporary, dpi=120)
-                drawn.clear()
-    finally:
-        tpf.hdu.close()
+    corrector = PLDCorrector(path)
+    corrector.correct(**options)
+    with atomic_path(output, overwrite=overwrite) as temporary:
+        make_lightcurve_hdulist(corrector).writeto(temporary, checksum=True)
+    if figure is not None:
+        with atomic_path(figure, overwrite=overwrite) as temporary:
+            drawn = corrector.diagnose()[0].figure
+            drawn.savefig(temporary, dpi=120)
+            drawn.clear()
     return corrector
-
-
-def _read(path):
-    import lightkurve
-
-    with open(path, "rb"):  # noqa: PTH123 - tells what is wrong with the path
-        pass
-    try:
-        tpf = lightkurve.read(str(path))
-    except lightkurve.utils.LightkurveError as error:
-        raise ValueError(f"{path} is not a target pixel file") from error
-    if not hasattr(tpf, "pipeline_mask"):
-        raise ValueError(f"{path} is not a target pixel file")
-    return tpf
 
 
 def make_lightcurve_hdulist(corrector):

@@ -1,7 +1,6 @@
 """The detector: what the pixels do with the light of stars."""
 
 from dataclasses import dataclass, replace
-from os import PathLike
 from typing import TYPE_CHECKING
 
 import astropy.units as u
@@ -10,8 +9,8 @@ import numpy as np
 from scope_models._arrays import DIGITAL, PER_PIXEL, plain_array
 from scope_models._checks import checked_integer, checked_model, checked_number, checked_shape
 from scope_models.effects.noise import stream
-from scope_models.io.reading import open_fits
-from scope_models.missions import MISSIONS, Mission, full_flux
+from scope_models.io.pixels import read_pixels
+from scope_models.missions import MISSIONS, full_flux
 from scope_models.models import PRF, BivariateGaussianPSF
 from scope_models.models._description import value_key
 from scope_models.scene.presets import PRESETS
@@ -475,7 +474,7 @@ class Detector:
         Parameters
         ----------
         tpf : lightkurve.TargetPixelFile, str or path-like
-            The object, or the file.
+            What `~scope_models.io.read_pixels` takes.
         **changes
             Any field of `Detector`, to replace these values. ``mission`` names the preset where
             the file does not.
@@ -487,12 +486,12 @@ class Detector:
 
         Raises
         ------
-        FileNotFoundError, IsADirectoryError
-            If there is no such file, or it is a folder.
-        ValueError
-            If the file cannot be read, or names none of the missions.
         TypeError
-            If a field is misspelt.
+            If ``tpf`` is no target pixel file, or a field is misspelt.
+        OSError
+            If the file cannot be opened.
+        ValueError
+            If it cannot be read, or names none of the missions.
 
         Examples
         --------
@@ -501,26 +500,16 @@ class Detector:
         >>> Detector.from_tpf(observation.to_tpf()).gain
         109.0
         """
-        if isinstance(tpf, (str, PathLike)):
-            with open_fits(tpf) as hdus:
-                table = hdus[1].data
-                flux, background = table["FLUX"], table["FLUX_BKG"]
-                cards = {**hdus[0].header, **hdus[1].header}
-        else:
-            flux, background = tpf.flux, getattr(tpf, "flux_bkg", np.nan)
-            cards = dict(tpf.meta)
-            for hdu in getattr(tpf, "hdu", [])[:2]:
-                cards |= hdu.header
-        mission = MISSIONS.get(changes.get("mission")) or Mission.from_header(cards)
+        series = read_pixels(tpf)
+        mission = MISSIONS.get(changes.get("mission")) or series.mission
         if mission is None:
             raise ValueError(
                 "`tpf` must be of Kepler, K2 or TESS by its card MISSION or TELESCOP; else pass "
                 "the `mission` whose detector it is"
             )
-        found = mission.detector_cards(cards) | {"shape": np.shape(flux)[1:]}
-        background = plain_array(background, _RATE, "flux_bkg", equivalencies=PER_PIXEL)
-        if np.isfinite(background).any():
-            found["background"] = float(max(np.nanmedian(background), 0.0))
+        found = mission.detector_cards(series.header) | {"shape": series.flux.shape[1:]}
+        if series.flux_bkg is not None and np.isfinite(series.flux_bkg).any():
+            found["background"] = float(max(np.nanmedian(series.flux_bkg), 0.0))
         return cls.preset(mission.name, **(found | changes))
 
     @property
