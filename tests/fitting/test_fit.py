@@ -21,7 +21,7 @@ from scope_models import (
     simulate,
 )
 from scope_models.exceptions import FitWarning
-from scope_models.fitting import _solver
+from scope_models.fitting import solver as _solver
 
 TRUE_SHAPE = {
     "sigma_x_0": 0.5, "sigma_y_0": 0.45, "rho_0": 0.15, "sigma_x_1": 1.1, "sigma_y_1": 1.2,

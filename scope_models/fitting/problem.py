@@ -1,0 +1,582 @@
+"""The joint model of all pixels and cadences: residuals, normal equations, priors."""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import pairwise
+
+import numpy as np
+
+from scope_models.fitting.parameters import FitParameter, fit_parameters
+
+__all__ = ["FitOptions", "FitStar", "Limits", "NormalEquations", "Problem", "State"]
+
+# Cadences whose derivatives are held at once.
+_CHUNK = 256
+# Mean squared residual from which the errors are scaled, and change of scale that is none.
+_UNTRUE, _SAME = 1.5, 0.02
+# Median of the square of a standard normal deviate.
+_MEDIAN_SQUARE = 0.4549364
+# Parameters of the path, and their kinds.
+_AFFINE = tuple(
+    (f"{axis}_{name}", "position" if name == "const" else "slope")
+    for axis in "xy"
+    for name in ("const", "by_corr1", "by_corr2")
+)
+_LARGEST_MOVE = 0.3
+# How far another star may be from its first guess, pixels.
+_STAR_MOVE = 1.0
+
+
+@dataclass(frozen=True)
+class FitOptions:
+    """
+    Options of a fit, as `~scope_models.fit_tpf` takes them.
+
+    Parameters
+    ----------
+    empirical : int
+        Order of the empirical term.
+    interpixel : float
+        Standard deviation of the response between pixels; 0 fixes it at 1.
+    background : {"cadence", "constant", "none"}
+        Background left in the pixels.
+    positions : {"start", "free", "prior", "path"}
+        What ties positions to POS_CORR.
+    position_error : float
+        Standard deviation about the path for "prior", pixels.
+    loss : {"linear", "soft_l1"}
+        Loss.
+    loss_scale : float
+        Residual, in standard deviations, from which "soft_l1" grows only linearly.
+    saturation : bool
+        Whether saturated columns are left out.
+
+    Examples
+    --------
+    >>> from scope_models.fitting.problem import FitOptions
+    >>> FitOptions(loss="soft_l1").soft
+    3.0
+    """
+
+    empirical: int = 0
+    interpixel: float = 0.01
+    background: str = "cadence"
+    positions: str = "start"
+    position_error: float = 0.01
+    loss: str = "linear"
+    loss_scale: float = 3.0
+    saturation: bool = True
+
+    @property
+    def soft(self):
+        """Scale of the robust loss, or None."""
+        return self.loss_scale if self.loss == "soft_l1" else None
+
+
+@dataclass(frozen=True)
+class FitStar:
+    """
+    A star of a fit, relative to the first one.
+
+    Parameters
+    ----------
+    x, y : float, optional
+        Its first guess in pixels of its stamp, less that of the first star.
+    stamp : int, optional
+        Which file it is in.
+    constant : bool, optional
+        Whether its flux is the same in all cadences.
+
+    Examples
+    --------
+    >>> from scope_models.fitting.problem import FitStar
+    >>> FitStar(3.3, 0.2, constant=True).stamp
+    0
+    """
+
+    x: float = 0.0
+    y: float = 0.0
+    stamp: int = 0
+    constant: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """
+    Values of all free parameters.
+
+    Parameters
+    ----------
+    shared : ndarray of shape (s,)
+        What `Problem.parameters` lists.
+    interpixel : ndarray of shape (p,)
+        Response of each fitted pixel less 1.
+    cadence : ndarray of shape (n, k)
+        Per cadence what `Problem.columns` names.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from scope_models.fitting.problem import State
+    >>> State(np.ones(3), np.zeros(0), np.zeros((5, 4))).cadence.shape
+    (5, 4)
+    """
+
+    shared: np.ndarray
+    interpixel: np.ndarray
+    cadence: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Limits:
+    """
+    What a step may do, as numbers.
+
+    Parameters
+    ----------
+    lower, upper : ndarray of shape (s,)
+        Bounds of the shared parameters.
+    largest_step : ndarray of shape (s,)
+        How far they may move in one step.
+    relative : ndarray of bool, shape (s,)
+        Whether that is a part of their values.
+    gauge : ndarray of shape (p,) or None
+        Weights of the fitted pixels whose mean response is held at 1.
+    cadence_lower, cadence_upper, cadence_step : ndarray of shape (k,)
+        Bounds and largest steps of the parameters of a cadence.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from scope_models.fitting.problem import Limits
+    >>> one, three = np.ones(1), np.ones(3)
+    >>> limits = Limits(0 * one, one, one, one > 1, None, -three, three, three)
+    >>> limits.reach(np.array([0.5]))
+    array([1.])
+    """
+
+    lower: np.ndarray
+    upper: np.ndarray
+    largest_step: np.ndarray
+    relative: np.ndarray
+    gauge: np.ndarray | None
+    cadence_lower: np.ndarray
+    cadence_upper: np.ndarray
+    cadence_step: np.ndarray
+
+    def reach(self, shared):
+        """How far the shared parameters may move from where they are, ``(s,)``."""
+        return self.largest_step * np.where(self.relative, np.abs(shared), 1.0)
+
+
+@dataclass(frozen=True, eq=False)
+class NormalEquations:
+    """
+    Second-order expansion of half the cost: ``cost/2 - g d + d H d / 2``.
+
+    Parameters
+    ----------
+    cost : float
+        Chi-squared, with the loss, and the priors.
+    shared, shared_gradient : ndarray of shape (m, m), (m,)
+        Block of shared parameters and interpixel map.
+    mixed : ndarray of shape (n, k, m)
+        Cadence by shared.
+    cadence, cadence_gradient : ndarray of shape (n, k, k), (n, k)
+        Blocks of the cadences.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from scope_models.fitting.problem import NormalEquations
+    >>> one = np.ones((1, 1))
+    >>> NormalEquations(2.0, one, one[0], one[None], one[None], one).cost
+    2.0
+    """
+
+    cost: float
+    shared: np.ndarray
+    shared_gradient: np.ndarray
+    mixed: np.ndarray
+    cadence: np.ndarray
+    cadence_gradient: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """
+    What is fitted to what.
+
+    Parameters
+    ----------
+    stamps : tuple of PixelData
+        The pixels of each file, in the same cadences.
+    prf : PRF
+        The model; its parameters hold starts, bounds and fixed values.
+    options : FitOptions
+        The options.
+    stars : tuple of FitStar, optional
+        The stars, the first one without offsets.
+    error_scale : float, optional
+        Factor of all errors.
+
+    Examples
+    --------
+    >>> from scope_models import PRF, BivariateGaussianPSF
+    >>> from scope_models.fitting.problem import FitOptions, Problem
+    >>> problem = Problem((), PRF(BivariateGaussianPSF()), FitOptions())
+    >>> problem.columns
+    ('x', 'y', 'flux', 'background')
+    """
+
+    stamps: tuple
+    prf: object
+    options: FitOptions
+    stars: tuple = (FitStar(),)
+    error_scale: float = 1.0
+
+    # --- data -----------------------------------------------------------------------------
+    @property
+    def data(self):
+        """The pixels of the first file."""
+        return self.stamps[0]
+
+    @cached_property
+    def flux(self):
+        """Fluxes of the fitted pixels, shape ``(n, p)``, 0 where there are none."""
+        flux = np.concatenate([s.flux[:, s.pixels] for s in self.stamps], axis=1)
+        return np.where(np.isfinite(flux), flux, 0.0)
+
+    @cached_property
+    def _given_weight(self):
+        flux = np.concatenate([s.flux[:, s.pixels] for s in self.stamps], axis=1)
+        error = np.concatenate([s.flux_err[:, s.pixels] for s in self.stamps], axis=1)
+        good = np.isfinite(flux)
+        return np.where(good, 1 / np.where(good, error, 1.0), 0.0)
+
+    @cached_property
+    def weight(self):
+        """Inverse errors of the fitted pixels, shape ``(n, p)``, 0 where there are no data."""
+        return self._given_weight / self.error_scale
+
+    @cached_property
+    def slices(self):
+        """Which of the fitted pixels belong to each file."""
+        ends = [0, *np.cumsum([s.pixels.sum() for s in self.stamps]).tolist()]
+        return [slice(start, end) for start, end in pairwise(ends)]
+
+    @property
+    def n_data(self):
+        """Number of pixel values."""
+        return int(np.count_nonzero(self._given_weight))
+
+    @cached_property
+    def basis(self):
+        """What the path is linear in, shape ``(n, 3)``."""
+        offsets = self.data.pos_corr - np.median(self.data.pos_corr, axis=0)
+        return np.column_stack([np.ones(len(offsets)), offsets])
+
+    def thinned(self, every):
+        """Return the problem with a part of the cadences."""
+        return replace(self, stamps=tuple(s[::every] for s in self.stamps))
+
+    # --- parameters -----------------------------------------------------------------------
+    @property
+    def path(self):
+        """Whether the positions are an affine map of POS_CORR."""
+        return self.options.positions == "path"
+
+    @property
+    def n_affine(self):
+        """Number of parameters of the path."""
+        return 6 if self.options.positions in {"path", "prior"} else 0
+
+    @property
+    def n_pixels(self):
+        """Number of pixels with a response of their own."""
+        return self.slices[-1].stop if self.options.interpixel else 0
+
+    @cached_property
+    def parameters(self):
+        """The shared parameters, in their order."""
+        shape = np.max([s.shape for s in self.stamps], axis=0) if self.stamps else (1, 1)
+        result = list(fit_parameters(self.prf, shape))
+        result += [FitParameter(name, kind) for name, kind in _AFFINE[: self.n_affine]]
+        for k, star in enumerate(self.stars[1:], start=1):
+            for axis, start in (("x", star.x), ("y", star.y)):
+                result.append(
+                    FitParameter(
+                        f"{axis}_star_{k}",
+                        "position",
+                        start - _STAR_MOVE,
+                        start + _STAR_MOVE,
+                        _LARGEST_MOVE,
+                        start=start,
+                    )
+                )
+        result += [
+            FitParameter(f"flux_star_{k}", "flux")
+            for k, star in enumerate(self.stars)
+            if star.constant
+        ]
+        if self.options.background == "constant":
+            names = ["background", *(f"background_{i}" for i in range(1, len(self.stamps)))]
+            result += [FitParameter(name, "flux") for name in names]
+        return tuple(result)
+
+    @cached_property
+    def names(self):
+        """Names of the shared parameters."""
+        return tuple(p.name for p in self.parameters)
+
+    @property
+    def n_shared(self):
+        """Number of shared parameters."""
+        return len(self.parameters)
+
+    @cached_property
+    def n_shape(self):
+        """Number of free parameters of the PRF, which come first."""
+        return len(fit_parameters(self.prf, (1, 1)))
+
+    @cached_property
+    def columns(self):
+        """Names of the parameters of a cadence."""
+        position = () if self.path else ("x", "y")
+        fluxes = tuple(
+            f"flux_{k}" if k else "flux" for k, s in enumerate(self.stars) if not s.constant
+        )
+        number = max(len(self.stamps), 1) if self.options.background == "cadence" else 0
+        return (*position, *fluxes, *(f"background_{i}" if i else "background"
+                                      for i in range(number)))  # fmt: skip
+
+    @cached_property
+    def limits(self):
+        """What a step may do."""
+        low, high, step = (np.full(len(self.columns), v) for v in (-np.inf, np.inf, np.inf))
+        if not self.path:
+            ny, nx = self.data.shape
+            low[:2], high[:2], step[:2] = -1.0, (nx, ny), _LARGEST_MOVE
+        parameters = self.parameters
+        return Limits(
+            np.array([p.lower for p in parameters], dtype=float),
+            np.array([p.upper for p in parameters], dtype=float),
+            np.array([p.largest_step for p in parameters], dtype=float),
+            np.array([p.relative for p in parameters], dtype=bool),
+            self._gauge() if self.n_pixels else None,
+            low,
+            high,
+            step,
+        )
+
+    def _gauge(self):
+        """Weights of the pixels whose mean response is 1: their parts of the light."""
+        weights = [np.nanmedian(s.flux[:, s.pixels], axis=0) for s in self.stamps]
+        weights = np.maximum(np.concatenate(weights), 0.0)
+        return weights / weights.sum()
+
+    def rescaled(self, state):
+        """Return the problem with errors scaled to the residuals where the model is not true."""
+        residual = self._given_weight * (self.flux - self.model(state))
+        residual[self._given_weight == 0] = np.nan
+        # Medians: neither cosmic rays nor single bad pixels count.
+        typical = np.median(np.nanmedian(residual**2, axis=0)) / _MEDIAN_SQUARE
+        n_free = self.n_shared + self.n_pixels + state.cadence.size
+        typical *= self.n_data / max(self.n_data - n_free, 1)
+        scale = float(np.sqrt(typical)) if typical > _UNTRUE else 1.0
+        if abs(scale / self.error_scale - 1) > _SAME:
+            return replace(self, error_scale=scale)
+        return self
+
+    # --- parts of a state -----------------------------------------------------------------
+    def _shared_value(self, state, name):
+        return float(state.shared[self.names.index(name)])
+
+    def values(self, state):
+        """Values of the free parameters of the PRF."""
+        free = state.shared[: self.n_shape]
+        return dict(zip(self.names[: self.n_shape], map(float, free), strict=True))
+
+    def affine(self, state):
+        """The affine map of the path, shape ``(2, 3)``."""
+        return state.shared[self.n_shape : self.n_shape + 6].reshape(2, 3)
+
+    def xy(self, state, star=0):
+        """Positions of a star in its stamp, shape ``(n, 2)``."""
+        first = self.basis @ self.affine(state).T if self.path else state.cadence[:, :2]
+        if star == 0:
+            return first
+        return first + [self._shared_value(state, f"{axis}_star_{star}") for axis in "xy"]
+
+    def fluxes(self, state, star=0):
+        """Fluxes of a star, shape ``(n,)``."""
+        if self.stars[star].constant:
+            return np.full(len(state.cadence), self._shared_value(state, f"flux_star_{star}"))
+        return state.cadence[:, self.columns.index(f"flux_{star}" if star else "flux")]
+
+    def backgrounds(self, state, stamp=0):
+        """Backgrounds of a file, shape ``(n,)``."""
+        name = f"background_{stamp}" if stamp else "background"
+        if self.options.background == "cadence":
+            return state.cadence[:, self.columns.index(name)]
+        constant = self.options.background == "constant"
+        value = self._shared_value(state, name) if constant else 0.0
+        return np.full(len(state.cadence), value)
+
+    # --- model ----------------------------------------------------------------------------
+    def chunks(self):
+        """Slices of cadences."""
+        n = len(self.flux)
+        return [slice(start, min(start + _CHUNK, n)) for start in range(0, n, _CHUNK)]
+
+    def unit_images(self, state, part, star=0, *, derivatives=False):
+        """Images of unit flux at the fitted pixels of the star's stamp, ``(m, p)``."""
+        stamp = self.stamps[self.stars[star].stamp]
+        x, y = self.xy(state, star)[part].T
+        result = self.prf.unit_images(
+            stamp.shape, x, y, values=self.values(state), derivatives=derivatives
+        )
+        if not derivatives:
+            return result[:, stamp.pixels]
+        image, by = result
+        needed = (*self.names[: self.n_shape], "x_0", "y_0")
+        return image[:, stamp.pixels], {name: by[name][:, stamp.pixels] for name in needed}
+
+    def model(self, state):
+        """Model of the fitted pixels, shape ``(n, p)``."""
+        model = np.zeros(self.flux.shape)
+        for part in self.chunks():
+            for k, star in enumerate(self.stars):
+                flux = self.fluxes(state, k)[part, None]
+                model[part, self.slices[star.stamp]] += flux * self.unit_images(state, part, k)
+        if self.n_pixels:
+            model *= 1 + state.interpixel
+        for i, pixels in enumerate(self.slices):
+            model[:, pixels] += self.backgrounds(state, i)[:, None]
+        return model
+
+    def expand(self, state):
+        """
+        Cost and its normal equations.
+
+        Parameters
+        ----------
+        state : State
+            Where to expand.
+
+        Returns
+        -------
+        NormalEquations
+            The expansion.
+        """
+        n, k, m = len(self.flux), len(self.columns), self.n_shared + self.n_pixels
+        shared, gradient = np.zeros((m, m)), np.zeros(m)
+        mixed, block, block_gradient = np.zeros((n, k, m)), np.zeros((n, k, k)), np.zeros((n, k))
+        cost, soft, s = 0.0, self.options.soft, self.n_shared
+        for part in self.chunks():
+            residual, by_shared, by_pixel, by_cadence = self._linearise(state, part)
+            weight = self.weight[part]
+            residual *= weight
+            if soft is None:
+                cost += np.sum(residual**2)
+            else:
+                scaled = (residual / soft) ** 2
+                cost += 2 * soft**2 * np.sum(np.sqrt(1 + scaled) - 1)
+                factor = (1 + scaled) ** -0.25
+                residual *= factor
+                weight = weight * factor
+            by_shared *= weight[..., None]
+            by_cadence *= weight[..., None]
+            flat = by_shared.reshape(-1, s)
+            shared[:s, :s] += flat.T @ flat
+            gradient[:s] += residual.ravel() @ flat
+            block[part] = by_cadence.transpose(0, 2, 1) @ by_cadence
+            block_gradient[part] = np.einsum("npk,np->nk", by_cadence, residual)
+            mixed[part, :, :s] = by_cadence.transpose(0, 2, 1) @ by_shared
+            if self.n_pixels:
+                by_pixel *= weight
+                shared[:s, s:] += np.einsum("nps,np->sp", by_shared, by_pixel)
+                shared[range(s, m), range(s, m)] += np.sum(by_pixel**2, axis=0)
+                gradient[s:] += np.sum(by_pixel * residual, axis=0)
+                mixed[part, :, s:] = (by_cadence * by_pixel[..., None]).transpose(0, 2, 1)
+        shared[s:, :s] = shared[:s, s:].T
+        equations = NormalEquations(cost, shared, gradient, mixed, block, block_gradient)
+        return self._with_priors(state, equations)
+
+    def _linearise(self, state, part):
+        """Residuals and derivatives of the model in a slice of cadences."""
+        size = self.flux[part].shape
+        by_shared = np.zeros((*size, self.n_shared))
+        by_cadence = np.zeros((*size, len(self.columns)))
+        light = np.zeros(size)
+        response = 1 + (state.interpixel if self.n_pixels else np.zeros(size[1]))
+        for k, star in enumerate(self.stars):
+            pixels = self.slices[star.stamp]
+            light[:, pixels] += self._add_star(
+                state, part, k, response[pixels], by_shared[:, pixels], by_cadence[:, pixels]
+            )
+        residual = self.flux[part] - response * light
+        for i, pixels in enumerate(self.slices):
+            name = f"background_{i}" if i else "background"
+            residual[:, pixels] -= self.backgrounds(state, i)[part, None]
+            if self.options.background == "constant":
+                by_shared[:, pixels, self.names.index(name)] = 1.0
+            elif self.options.background == "cadence":
+                by_cadence[:, pixels, self.columns.index(name)] = 1.0
+        return residual, by_shared, light, by_cadence
+
+    def _add_star(self, state, part, k, response, by_shared, by_cadence):
+        """Add the derivatives of a star to those of its pixels; return its light."""
+        image, derivatives = self.unit_images(state, part, k, derivatives=True)
+        flux = self.fluxes(state, k)[part, None]
+        scale = response * flux
+        for i, name in enumerate(self.names[: self.n_shape]):
+            by_shared[..., i] += scale * derivatives[name]
+        for axis, name in enumerate("xy"):
+            moved = scale * derivatives[f"{name}_0"]
+            if self.path:
+                for i in range(3):
+                    along = self.n_shape + 3 * axis + i
+                    by_shared[..., along] += self.basis[part, i, None] * moved
+            else:
+                by_cadence[..., axis] += moved
+            if k:
+                by_shared[..., self.names.index(f"{name}_star_{k}")] = moved
+        if self.stars[k].constant:
+            by_shared[..., self.names.index(f"flux_star_{k}")] = response * image
+        else:
+            by_cadence[..., self.columns.index(f"flux_{k}" if k else "flux")] = response * image
+        return flux * image
+
+    def _with_priors(self, state, equations):
+        """Add the priors to an expansion."""
+        cost, shared, gradient = equations.cost, equations.shared, equations.shared_gradient
+        for i, parameter in enumerate(self.parameters):
+            if np.isfinite(parameter.prior):
+                cost += (state.shared[i] / parameter.prior) ** 2
+                shared[i, i] += parameter.prior**-2
+                gradient[i] -= state.shared[i] / parameter.prior**2
+        if self.n_pixels and np.isfinite(self.options.interpixel):
+            # The prior does not constrain a common factor of all pixels: that is the flux.
+            deviation = state.interpixel - state.interpixel.mean()
+            precision = self.options.interpixel**-2
+            cost += precision * np.sum(deviation**2)
+            s, p = self.n_shared, self.n_pixels
+            shared[s:, s:] += precision * (np.eye(p) - 1 / p)
+            gradient[s:] -= precision * deviation
+        if self.options.positions == "prior":
+            cost += self._position_prior(state, equations)
+        return replace(equations, cost=cost)
+
+    def _position_prior(self, state, equations):
+        """Add the prior of the positions about the path; return its cost."""
+        precision, start = self.options.position_error**-2, self.n_shape
+        deviation = state.cadence[:, :2] - self.basis @ self.affine(state).T
+        for axis in (0, 1):
+            i = slice(start + 3 * axis, start + 3 * axis + 3)
+            equations.cadence[:, axis, axis] += precision
+            equations.cadence_gradient[:, axis] -= precision * deviation[:, axis]
+            equations.mixed[:, axis, i] -= precision * self.basis
+            equations.shared[i, i] += precision * self.basis.T @ self.basis
+            equations.shared_gradient[i] += precision * deviation[:, axis] @ self.basis
+        return precision * np.sum(deviation**2)
