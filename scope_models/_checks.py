@@ -6,6 +6,7 @@ import numpy as np
 from astropy.modeling import Model
 
 __all__ = [
+    "checked_cadences",
     "checked_integer",
     "checked_mask",
     "checked_model",
@@ -77,3 +78,15 @@ def checked_shape(shape):
     except (TypeError, ValueError):
         raise TypeError(f"`shape` must be two integers (ny, nx), got {shape!r}") from None
     return checked_integer("shape", ny, 1), checked_integer("shape", nx, 1)
+
+
+def checked_cadences(name, mask, n, *, default):
+    """Return a boolean mask of n cadences; None stands for the default in all of them."""
+    if mask is None:
+        return np.full(n, default)
+    mask = np.asarray(mask)
+    if mask.dtype != bool:
+        raise TypeError(f"`{name}` must be boolean, got {mask.dtype}")
+    if mask.shape != (n,):
+        raise ValueError(f"`{name}` must have shape ({n},), got {mask.shape}")
+    return mask.copy()

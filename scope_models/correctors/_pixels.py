@@ -4,12 +4,15 @@ import warnings
 from dataclasses import dataclass
 
 import numpy as np
+from astropy import units as u
 from scipy import ndimage
 
+from scope_models._arrays import plain_array
 from scope_models.exceptions import DetrendingWarning
 
 __all__ = ["Pixels", "choose_aperture", "read_pixels"]
 
+_FLUX = u.electron / u.s
 #: Share of the star's light that a pixel must hold to belong to the default aperture.
 _SMALLEST_SHARE = 1e-3
 #: ... in this part of the cadences, and in so many at least: light that a rare excursion carries
@@ -104,7 +107,8 @@ def read_pixels(tpf, aperture):
         If the aperture is no mask of pixels with data, or the sums are not positive.
     """
     time = np.array(tpf.time.value, dtype=float)
-    flux, flux_err = _plain(tpf.flux), _plain(tpf.flux_err)
+    flux = plain_array(tpf.flux, _FLUX, "tpf.flux")
+    flux_err = plain_array(tpf.flux_err, _FLUX, "tpf.flux_err")
     if aperture is None:
         aperture = choose_aperture(flux, flux_err, np.asarray(tpf.pipeline_mask))
     else:
@@ -121,14 +125,6 @@ def read_pixels(tpf, aperture):
         _warn(f"{finite.sum() - positive.sum()} cadences without a positive flux are left out")
     total_err = _filled_errors(total, total_err, positive)
     return Pixels(time, flux, flux_err, aperture, total, total_err, positive)
-
-
-def _plain(quantity):
-    """Return the values as floats, NaN where masked."""
-    values = getattr(quantity, "value", quantity)
-    if hasattr(values, "filled"):
-        values = values.filled(np.nan)
-    return np.array(values, dtype=float)
 
 
 def _checked_aperture(aperture, flux):

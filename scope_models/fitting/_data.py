@@ -6,11 +6,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from scope_models.exceptions import FitWarning
+from scope_models.io.pixels import usable_positions
 from scope_models.scene.detector import Detector
 
 __all__ = ["PixelData", "detector_of", "read_data"]
 
-_LARGEST_OFFSET = 50.0
 # Part of a well's depth from which a pixel is taken to be saturated.
 _FULL = 0.95
 _PRESETS = {"kepler": Detector.kepler, "k2": Detector.k2, "tess": Detector.tess}
@@ -191,8 +191,7 @@ def _pos_corr(tpf, cadences):
     if any(column is None for column in columns):
         return None
     offsets = np.column_stack([_numbers(column) for column in columns])[cadences]
-    with np.errstate(invalid="ignore"):
-        good = (np.abs(offsets) < _LARGEST_OFFSET).all(axis=1)
+    good = usable_positions(offsets)
     if good.sum() < 3:
         return None
     number = np.arange(len(offsets))
