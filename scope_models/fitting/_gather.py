@@ -20,7 +20,7 @@ _LARGEST_SCATTER = 3.0
 _LARGEST_CHI2 = 100.0
 
 
-def make_result(problem, solution, errors, detector, tpf):
+def make_result(problem, solution, errors, detector, series):
     """Gather a fit from what the solver gives."""
     state, data = solution.state, problem.data
     shared, cadence, relative = errors
@@ -67,7 +67,7 @@ def make_result(problem, solution, errors, detector, tpf):
         time_format=data.time_format,
         detector=detector,
         options=asdict(problem.options),
-        meta={k: _plain(tpf.meta[k]) for k in _FACTS if k in getattr(tpf, "meta", {})},
+        meta={k: _plain(series.header[k]) for k in _FACTS if series.header.get(k) is not None},
         **by_cadence,
     )
 

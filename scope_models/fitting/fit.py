@@ -1,6 +1,7 @@
 """`fit_tpf`: one model for all pixels and cadences of a target pixel file."""
 
 from dataclasses import replace
+from os import PathLike
 
 import numpy as np
 from astropy.modeling import Model
@@ -11,6 +12,7 @@ from scope_models.fitting._gather import make_result, warn_of_fit
 from scope_models.fitting._start import linear_start, make_prf, starting_state
 from scope_models.fitting.problem import FitOptions, Problem
 from scope_models.fitting.solver import covariances, solve
+from scope_models.io.pixels import read_pixels
 
 __all__ = ["fit_tpf"]
 
@@ -51,8 +53,9 @@ def fit_tpf(
 
     Parameters
     ----------
-    tpf : `~lightkurve.targetpixelfile.TargetPixelFile`
-        The pixels, without the background of its column FLUX_BKG.
+    tpf : `~lightkurve.targetpixelfile.TargetPixelFile`, str or path-like
+        The pixels, without the background of its column FLUX_BKG: the object, or a file, whose
+        cadences with bad quality flags are left out as lightkurve does.
     psf : int or `~astropy.modeling.Model`, optional
         1, 2 or 3 Gaussian components with free offsets; or a density or sum of densities, as for
         `~scope_models.PRF`; or a `~scope_models.PRF`. A model gives the starting values, and
@@ -78,7 +81,7 @@ def fit_tpf(
         for data with cosmic rays.
     loss_scale : float, optional
         In standard deviations.
-    flux_err : array_like, optional
+    flux_err : array_like or `~astropy.units.Quantity`, optional
         Errors of the pixels, e-/s, in place of those of the file.
     saturation : bool, optional
         Whether columns with pixels near the depth of their wells are left out.
@@ -137,11 +140,11 @@ def fit_tpf(
     max_steps = checked_integer("max_steps", max_steps, 1)
     if not isinstance(psf, int | Model):
         raise TypeError(f"`psf` must be a number of components or a model, got {psf!r}")
-    problem, detector = _make_problem(tpf, psf, sensitivity, flux_err, options)
+    problem, series, detector = _make_problem(tpf, psf, sensitivity, flux_err, options)
     # What the shape of the PSF can imitate is freed when the shape is about right.
     early = np.array([p.kind != "response" for p in problem.parameters], dtype=bool)
     problem, solution = _minimise(problem, starting_state(problem), early, max_steps)
-    fit = make_result(problem, solution, covariances(problem, solution), detector, tpf)
+    fit = make_result(problem, solution, covariances(problem, solution), detector, series)
     warn_of_fit(fit, stacklevel=3)
     return fit
 
@@ -174,16 +177,19 @@ def _minimise(problem, state, early, max_steps):
 
 
 def _make_problem(tpf, psf, sensitivity, flux_err, options):
-    """What is fitted, and the detector that recorded it."""
-    if not all(hasattr(tpf, name) for name in ("time", "flux", "flux_err")):
-        raise TypeError(f"`tpf` must be a target pixel file, got {type(tpf).__name__}")
+    """What is fitted, the pixels of the file, and the detector that recorded them."""
+    series = read_pixels(tpf, quality_bitmask="default" if _is_path(tpf) else "none")
     prf = make_prf(psf, sensitivity, options.empirical)
-    detector = detector_of(tpf)
+    detector = detector_of(series)
     n_free = 1 + 2 * (options.positions != "path") + (options.background == "cadence")
-    data = read_data(tpf, flux_err, detector, n_free, saturation=options.saturation)
+    data = read_data(series, flux_err, detector, n_free, saturation=options.saturation)
     if data.pos_corr is None and options.positions in {"prior", "path"}:
         raise ValueError(f"`positions` is {options.positions!r}, but `tpf` has no POS_CORR")
-    return Problem((data,), prf, options), detector
+    return Problem((data,), prf, options), series, detector
+
+
+def _is_path(source):
+    return isinstance(source, str | PathLike)
 
 
 def _one_of(name, value, allowed):
