@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from scope_models.fitting.problem import State
+from scope_models.fitting._problem import State
 from scope_models.models import (
     PRF,
     BivariateGaussianPSF,

@@ -9,9 +9,9 @@ from astropy.modeling import Model
 from scope_models._checks import checked_integer, checked_number
 from scope_models.fitting._data import detector_of, read_data
 from scope_models.fitting._gather import make_result, warn_of_fit
+from scope_models.fitting._problem import FitOptions, Problem
+from scope_models.fitting._solver import covariances, solve
 from scope_models.fitting._start import linear_start, make_prf, starting_state
-from scope_models.fitting.problem import FitOptions, Problem
-from scope_models.fitting.solver import covariances, solve
 from scope_models.io.pixels import read_pixels
 
 __all__ = ["fit_tpf"]

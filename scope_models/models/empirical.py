@@ -218,7 +218,7 @@ class GaussHermitePSF(InstanceParameters, Fittable2DModel):
 
     def closed_form(self, values):
         """
-        Integrals over pixels in closed form.
+        Return the integrals over pixels in closed form.
 
         Parameters
         ----------

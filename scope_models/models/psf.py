@@ -162,7 +162,7 @@ class BivariateGaussianPSF(Fittable2DModel):
     @staticmethod
     def closed_form(values):
         """
-        Integrals over pixels in closed form.
+        Return the integrals over pixels in closed form.
 
         Parameters
         ----------

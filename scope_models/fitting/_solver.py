@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import null_space
 
-from scope_models.fitting.problem import State
+from scope_models.fitting._problem import State
 
 __all__ = ["Solution", "covariances", "solve"]
 
@@ -44,12 +44,6 @@ class Solution:
         Number of accepted steps.
     distance : float
         By how much an undamped step would lower the cost.
-
-    Examples
-    --------
-    >>> from scope_models.fitting.solver import Solution
-    >>> Solution(None, None, converged=True, n_steps=5, distance=0.001).n_steps
-    5
     """
 
     state: State
@@ -244,14 +238,6 @@ def solve(problem, state, max_steps, *, n_steps=0, only=None, loosely=False):
     -------
     Solution
         The best state.
-
-    Examples
-    --------
-    `~scope_models.fit_tpf` shows its use:
-
-    >>> from scope_models.fitting.solver import solve
-    >>> callable(solve)
-    True
     """
     walls = _Walls(problem, only)
     equations = problem.expand(state)
@@ -302,14 +288,6 @@ def covariances(problem, solution):
         Likewise, with that of the shared ones.
     relative : ndarray of shape (n, k, k)
         Likewise, of the parameters of a cadence less their mean over all cadences.
-
-    Examples
-    --------
-    `~scope_models.fit_tpf` shows its use:
-
-    >>> from scope_models.fitting.solver import covariances
-    >>> callable(covariances)
-    True
     """
     equations = solution.equations
     walls = _Walls(problem)

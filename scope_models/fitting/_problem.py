@@ -50,12 +50,6 @@ class FitOptions:
         Residual, in standard deviations, from which "soft_l1" grows only linearly.
     saturation : bool
         Whether saturated columns are left out.
-
-    Examples
-    --------
-    >>> from scope_models.fitting.problem import FitOptions
-    >>> FitOptions(loss="soft_l1").soft
-    3.0
     """
 
     empirical: int = 0
@@ -86,12 +80,6 @@ class FitStar:
         Which file it is in.
     constant : bool, optional
         Whether its flux is the same in all cadences.
-
-    Examples
-    --------
-    >>> from scope_models.fitting.problem import FitStar
-    >>> FitStar(3.3, 0.2, constant=True).stamp
-    0
     """
 
     x: float = 0.0
@@ -113,13 +101,6 @@ class State:
         Response of each fitted pixel less 1.
     cadence : ndarray of shape (n, k)
         Per cadence what `Problem.columns` names.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from scope_models.fitting.problem import State
-    >>> State(np.ones(3), np.zeros(0), np.zeros((5, 4))).cadence.shape
-    (5, 4)
     """
 
     shared: np.ndarray
@@ -144,15 +125,6 @@ class Limits:
         Weights of the fitted pixels whose mean response is held at 1.
     cadence_lower, cadence_upper, cadence_step : ndarray of shape (k,)
         Bounds and largest steps of the parameters of a cadence.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from scope_models.fitting.problem import Limits
-    >>> one, three = np.ones(1), np.ones(3)
-    >>> limits = Limits(0 * one, one, one, one > 1, None, -three, three, three)
-    >>> limits.reach(np.array([0.5]))
-    array([1.])
     """
 
     lower: np.ndarray
@@ -184,14 +156,6 @@ class NormalEquations:
         Cadence by shared.
     cadence, cadence_gradient : ndarray of shape (n, k, k), (n, k)
         Blocks of the cadences.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from scope_models.fitting.problem import NormalEquations
-    >>> one = np.ones((1, 1))
-    >>> NormalEquations(2.0, one, one[0], one[None], one[None], one).cost
-    2.0
     """
 
     cost: float
@@ -219,14 +183,6 @@ class Problem:
         The stars, the first one without offsets.
     error_scale : float, optional
         Factor of all errors.
-
-    Examples
-    --------
-    >>> from scope_models import PRF, BivariateGaussianPSF
-    >>> from scope_models.fitting.problem import FitOptions, Problem
-    >>> problem = Problem((), PRF(BivariateGaussianPSF()), FitOptions())
-    >>> problem.columns
-    ('x', 'y', 'flux', 'background')
     """
 
     stamps: tuple
