@@ -13,10 +13,6 @@ from scope_models.scene.detector import Detector
 
 __all__ = ["PixelData", "detector_of", "read_data"]
 
-# Part of a well's depth from which a pixel is taken to be saturated.
-_FULL = 0.95
-_PRESETS = {"kepler": Detector.kepler, "k2": Detector.k2, "tess": Detector.tess}
-
 
 @dataclass(frozen=True, eq=False)
 class PixelData:
@@ -144,9 +140,7 @@ def _drop_bad_errors(flux, error):
 
 def _drop_saturated(flux, detector):
     """Leave out the columns of pixels whose wells are full: the light runs along them."""
-    if detector.well_depth is None:
-        return
-    limit = _FULL * detector.well_depth / detector.int_time - detector.background
+    limit = detector.full_flux
     with np.errstate(invalid="ignore"):
         full = flux > limit
     columns = np.flatnonzero(full.mean(axis=0).max(axis=0) > 0.01)
@@ -188,25 +182,5 @@ def detector_of(tpf):
         A preset with the file's exposure, gain, read noise and background.
     """
     series = read_pixels(tpf)
-    name = series.mission.name.lower() if series.mission else "kepler"
-    preset = _PRESETS.get(name, Detector.kepler)
-    changes = {"shape": series.flux.shape[1:], "psf": None, "sensitivity": None}
-    for field, names in _CARDS.items():
-        for card in names:
-            value = series.header.get(card)
-            if isinstance(value, int | float) and not isinstance(value, bool) and value > 0:
-                changes[field] = type(_ZERO[field])(value)
-                break
-    if series.flux_bkg is not None and np.isfinite(series.flux_bkg).any():
-        changes["background"] = float(max(np.nanmedian(series.flux_bkg), 0.0))
-    return preset(**changes)
-
-
-_CARDS = {
-    "int_time": ("INT_TIME",),
-    "read_time": ("READTIME",),
-    "n_frames": ("NUM_FRM",),
-    "gain": ("GAIN", "GAINA"),
-    "read_noise": ("READNOIS", "READNOIA"),
-}
-_ZERO = {"int_time": 0.0, "read_time": 0.0, "n_frames": 0, "gain": 0.0, "read_noise": 0.0}
+    changes = {} if series.mission else {"mission": "Kepler"}
+    return Detector.from_tpf(series, psf=None, sensitivity=None, **changes)

@@ -183,17 +183,17 @@ class PixelSeries:
         )
 
 
-def read_pixels(source, *, quality_bitmask="none"):
+def read_pixels(source, *, quality_bitmask=None):
     """Read the pixels of a target pixel file.
 
     Parameters
     ----------
     source : lightkurve.TargetPixelFile, str, path-like, astropy.io.fits.HDUList or PixelSeries
         A target pixel file of Kepler, K2, TESS, TESScut or a simulation: the object, with the
-        cadences that it has, or a file, .fits or .fits.gz, with all its cadences.
+        cadences that it has, or a file, .fits or .fits.gz.
     quality_bitmask : {"none", "default"} or int, optional
-        Quality flags whose cadences are left out: see `PixelSeries.without_flagged`. "default" is
-        lightkurve's when it reads a file.
+        Quality flags whose cadences are left out: see `PixelSeries.without_flagged`. By default
+        "default" for the path of a file, as ``lightkurve.read`` does, and "none" for objects.
 
     Returns
     -------
@@ -220,7 +220,7 @@ def read_pixels(source, *, quality_bitmask="none"):
     >>> from scope_models import Detector, Motion, Star, simulate
     >>> from scope_models.io import read_pixels
     >>> observation = simulate(Star(12.0), Detector.k2(), Motion.still(50), seed=1)
-    >>> series = read_pixels(observation.write("star.fits"), quality_bitmask="default")
+    >>> series = read_pixels(observation.write("star.fits"))
     >>> series.flux.shape, series.header["OBJECT"], series.mission.name
     ((50, 11, 11), 'SIM 1', 'K2')
     """
@@ -242,18 +242,20 @@ def read_pixels(source, *, quality_bitmask="none"):
         series = _of_tpf(source)
     if series is not source:
         _check_times(series, name)
+    if quality_bitmask is None:
+        quality_bitmask = "default" if isinstance(source, str | PathLike) else "none"
     return series.without_flagged(quality_bitmask)
 
 
-def read_tpf(path, *, quality_bitmask="default"):
+def read_tpf(source, *, quality_bitmask="default"):
     """Read a target pixel file as lightkurve's object, after the checks of `read_pixels`.
 
     The object is wholly in memory: no file stays open.
 
     Parameters
     ----------
-    path : str or path-like
-        The file, .fits or .fits.gz.
+    source : str, path-like or lightkurve.TargetPixelFile
+        The file, .fits or .fits.gz; an object is returned as it is.
     quality_bitmask : {"default", "none"} or int, optional
         Quality flags whose cadences are left out, as in ``lightkurve.read``.
 
@@ -275,17 +277,17 @@ def read_tpf(path, *, quality_bitmask="default"):
     >>> read_tpf(observation.write("star.fits")).flux.shape
     (50, 11, 11)
     """
+    if not isinstance(source, str | PathLike):
+        return source
     import lightkurve
     from astropy.io import fits
 
-    with open_fits(path) as hdus:
-        series = _of_hdus(hdus, path)
-        for hdu in hdus:
-            _ = hdu.data
-        whole = fits.HDUList(list(hdus))
-    _check_times(series, path)
+    with open_fits(source) as hdus:
+        series = _of_hdus(hdus, source)
+        whole = fits.HDUList([hdu for hdu in hdus if hdu.data is None or len(hdu.data) >= 0])
+    _check_times(series, source)
     if series.mission is None:
-        raise ValueError(f"{path} names no known mission in MISSION or TELESCOP")
+        raise ValueError(f"{source} names no known mission in MISSION or TELESCOP")
     series.without_flagged(quality_bitmask)
     kind = getattr(lightkurve, series.mission.tpf_class)
     return kind(whole, quality_bitmask=quality_bitmask)
@@ -318,13 +320,16 @@ def usable_positions(pos_corr):
 
 def _of_hdus(hdus, name):
     """Return the pixels of an HDU list."""
-    table = first_table(hdus, name)
+    try:
+        table = first_table(hdus, name)
+    except RefusedError as error:
+        raise RefusedError(f"{name} is not a target pixel file: {error}") from None
     columns = {key.upper(): key for key in table.columns.names}
 
     def pixels(key, required=False):
         if key not in columns:
             if required:
-                raise RefusedError(f"{name} has no column {key}: it is no target pixel file")
+                raise RefusedError(f"{name} is not a target pixel file: it has no column {key}")
             return None
         return column_of(table, columns[key], name, ndim=3)
 
