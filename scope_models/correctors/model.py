@@ -12,7 +12,6 @@ from scope_models.correctors._design import (
     DesignOptions,
     background_columns,
     make_regressors,
-    mission_saturation,
     neighbor_columns,
     segment_breaks,
 )
@@ -209,7 +208,7 @@ class PLDModel:
             extra["neighbors"] = neighbor_columns(series.cadenceno, options.neighbors)
         saturation = options.saturation
         if saturation == "auto":
-            saturation = mission_saturation(series.header)
+            saturation = series.mission and series.mission.full_flux
         breaks = segment_breaks(options.segments, pixels)
         return cls(pixels, options, DesignOptions(options.order, saturation, breaks, extra))
 

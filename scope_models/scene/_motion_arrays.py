@@ -3,6 +3,7 @@
 import numpy as np
 
 from scope_models.io.pixels import LARGEST_OFFSET, usable_positions
+from scope_models.missions import MISSIONS, TIME_ZEROS
 
 __all__ = [
     "TIME_FORMATS",
@@ -13,10 +14,9 @@ __all__ = [
     "repair",
 ]
 
-TIME_FORMATS = ("bkjd", "btjd")
-_NO_DATA = 65536
-# "Manual exclude" in the quality flags of the archive manuals of Kepler and TESS.
-_EXCLUDED = {"bkjd": 256, "btjd": 128}
+TIME_FORMATS = tuple(TIME_ZEROS)
+# Flags of the mission that has a time format.
+_QUALITY = {mission.time_format: mission.quality for mission in MISSIONS.values()}
 
 
 def check_time_format(value):
@@ -102,9 +102,9 @@ def repair(time, x, y, quality, cadenceno, *, time_format, bad):
     if bad == "drop":
         time, x, y, flags, number = (v[~unusable] for v in (time, x, y, flags, number))
     else:
-        excluded = _EXCLUDED[time_format]
-        flags[lost] |= excluded
-        flags[timeless] |= _NO_DATA | (excluded if time_format == "btjd" else 0)
+        bits = _QUALITY[time_format]
+        flags[lost] |= bits.manual_exclude
+        flags[timeless] |= bits.no_data or bits.manual_exclude
         x = np.interp(number, number[~lost], x[~lost])
         y = np.interp(number, number[~lost], y[~lost])
         time = _fill_times(time, number, timeless)

@@ -13,6 +13,7 @@ from scope_models._checks import checked_integer, checked_number
 from scope_models.effects.noise import check_seed, fresh_seed, stream
 from scope_models.io.pixels import positions_of
 from scope_models.io.reading import read_positions
+from scope_models.missions import MISSIONS
 from scope_models.scene._k2_roll import K2Roll
 from scope_models.scene._motion_arrays import (
     as_floats,
@@ -25,9 +26,7 @@ from scope_models.scene._motion_statistics import MotionStatistics
 
 __all__ = ["K2Roll", "Motion", "MotionStatistics"]
 
-# First time of K2 campaign 3, BKJD (ktwo206103150-c03_llc.fits).
-_START = 2144.1028
-_THRUSTER_FIRING = 1048576
+_K2 = MISSIONS["K2"]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -332,7 +331,7 @@ class Motion:
         )
 
     @classmethod
-    def still(cls, n_cadences, *, start=_START, cadence=K2Roll.cadence, time_format="bkjd"):
+    def still(cls, n_cadences, *, start=_K2.start, cadence=K2Roll.cadence, time_format="bkjd"):
         """Make a motion that stays at the reference position.
 
         Parameters
@@ -368,7 +367,7 @@ class Motion:
         return cls(time, np.zeros(n), np.zeros(n), time_format=time_format)
 
     @classmethod
-    def k2_roll(cls, n_cadences=1000, *, seed=10, start=_START, **parameters):
+    def k2_roll(cls, n_cadences=1000, *, seed=10, start=_K2.start, **parameters):
         """Generate the motion of a K2 star while the spacecraft rolls about its boresight.
 
         The parameters' defaults describe EPIC 205998445 in campaign 3, and
@@ -424,7 +423,7 @@ class Motion:
             start + roll.cadence * np.arange(n),
             x,
             y,
-            np.where(firing, _THRUSTER_FIRING, 0),
+            np.where(firing, _K2.quality.thruster_firing, 0),
             meta={"mission": "K2", "generator": asdict(roll), "seed": seed},
         )
 
