@@ -44,6 +44,13 @@ class Conf(config.ConfigNamespace):
         Largest size of a FITS file that is read, in bytes after decompression.
     max_ratio : int
         Largest factor by which a compressed file may grow beyond 64 MiB.
+
+    Examples
+    --------
+    >>> from scope_models.io import conf
+    >>> with conf.set_temp("max_bytes", 4 * 2**30):
+    ...     conf.max_bytes
+    4294967296
     """
 
     rootname = "scope_models"
