@@ -13,15 +13,14 @@ from scope_models.correctors._features import (
     roll_reversals,
     shared_columns,
 )
-from scope_models.correctors._pixels import read_pixels
+from scope_models.correctors._pixels import aperture_pixels
 from scope_models.correctors._saturation import without_saturation
-from scope_models.scene.detector import Detector
+from scope_models.io import read_pixels
 
 __all__ = [
     "DesignOptions",
     "background_columns",
     "make_regressors",
-    "mission_saturation",
     "neighbor_columns",
     "segment_breaks",
 ]
@@ -33,9 +32,6 @@ _SHARED_TOLERANCE = 1e-6
 _MAX_RANK = 300
 _REACH = 2
 _NEIGHBOR_COMPONENTS = 10
-#: Part of the median well at which the shallowest of Kepler's 84 channels are full:
-#: 0.947e6 over 1.08e6 electrons (KSCI-19033, table 13).
-_SHALLOWEST_WELL = 0.877
 
 
 @dataclass(frozen=True)
@@ -141,16 +137,6 @@ def _components(flux, pixels):
     return principal_columns(center(relative, everything), everything, 0.0)
 
 
-def mission_saturation(meta):
-    """Return the flux of a full well in e-/s from a file's header, None if it is unknown."""
-    mission = str(meta.get("MISSION") or meta.get("TELESCOP")).lower()
-    presets = {"kepler": Detector.kepler, "k2": Detector.k2, "tess": Detector.tess}
-    if mission not in presets:
-        return None
-    detector = presets[mission]()
-    return _SHALLOWEST_WELL * detector.well_depth / detector.int_time
-
-
 def background_columns(pixels, n_components):
     """Return the principal components of the pixels outside of the aperture over the flux."""
     outside = ~pixels.aperture & np.isfinite(pixels.flux[pixels.usable]).all(axis=0)
@@ -166,11 +152,12 @@ def neighbor_columns(cadenceno, neighbors):
     """Return the first principal components of the pixel fractions of other target pixel files."""
     parts = []
     for other in neighbors:
-        pixels = read_pixels(other, None)
+        series = read_pixels(other)
+        pixels = aperture_pixels(series, None)
         rotated = _components(pixels.flux[pixels.usable][:, pixels.aperture], pixels)
         rotated = rotated[:, :_NEIGHBOR_COMPONENTS]
         _, here, there = np.intersect1d(
-            cadenceno, np.asarray(other.cadenceno)[pixels.usable], return_indices=True
+            cadenceno, series.cadenceno[pixels.usable], return_indices=True
         )
         if not len(here):
             raise ValueError("`neighbors` must share cadences with the target, got none")

@@ -12,14 +12,14 @@ from scope_models.correctors._design import (
     DesignOptions,
     background_columns,
     make_regressors,
-    mission_saturation,
     neighbor_columns,
     segment_breaks,
 )
 from scope_models.correctors._features import Regressors
-from scope_models.correctors._pixels import Pixels, read_pixels
+from scope_models.correctors._pixels import Pixels, aperture_pixels
 from scope_models.correctors._result import PLDFit, transit_column
 from scope_models.correctors._solution import fit
+from scope_models.io import read_pixels
 
 __all__ = ["PLDModel", "PLDOptions"]
 
@@ -166,7 +166,7 @@ class PLDModel:
 
         Parameters
         ----------
-        tpf : `~lightkurve.targetpixelfile.TargetPixelFile`
+        tpf : `~lightkurve.targetpixelfile.TargetPixelFile`, str or path-like
             As in `PLDCorrector`.
         aperture_mask : array_like of bool, optional
             As in `PLDCorrector`.
@@ -178,10 +178,12 @@ class PLDModel:
         PLDModel
             The model.
         """
-        return cls.from_pixels(read_pixels(tpf, aperture_mask), PLDOptions(**options), tpf)
+        series = read_pixels(tpf)
+        pixels = aperture_pixels(series, aperture_mask)
+        return cls.from_pixels(pixels, PLDOptions(**options), series)
 
     @classmethod
-    def from_pixels(cls, pixels, options, tpf):
+    def from_pixels(cls, pixels, options, series):
         """
         Make the model of pixels that have been read already.
 
@@ -191,7 +193,7 @@ class PLDModel:
             Pixels and aperture.
         options : PLDOptions
             The options.
-        tpf : `~lightkurve.targetpixelfile.TargetPixelFile`
+        series : PixelSeries
             Their file, for its mission and cadence numbers.
 
         Returns
@@ -203,10 +205,10 @@ class PLDModel:
         if options.background:
             extra["background"] = background_columns(pixels, options.background)
         if len(options.neighbors):
-            extra["neighbors"] = neighbor_columns(np.asarray(tpf.cadenceno), options.neighbors)
+            extra["neighbors"] = neighbor_columns(series.cadenceno, options.neighbors)
         saturation = options.saturation
         if saturation == "auto":
-            saturation = mission_saturation(tpf.meta)
+            saturation = series.mission and series.mission.full_flux
         breaks = segment_breaks(options.segments, pixels)
         return cls(pixels, options, DesignOptions(options.order, saturation, breaks, extra))
 

@@ -6,10 +6,11 @@ import numpy as np
 from lightkurve.correctors.corrector import Corrector
 
 from scope_models._checks import checked_cadences
-from scope_models.correctors._pixels import read_pixels
+from scope_models.correctors._pixels import aperture_pixels
 from scope_models.correctors._solution import NothingToCorrectError
 from scope_models.correctors.model import PLDModel, PLDOptions
 from scope_models.exceptions import DetrendingWarning
+from scope_models.io import read_pixels, read_tpf
 
 __all__ = ["PLDCorrector"]
 
@@ -38,8 +39,8 @@ class PLDCorrector(Corrector):
 
     Parameters
     ----------
-    tpf : `~lightkurve.targetpixelfile.TargetPixelFile`
-        Kepler, K2, TESS or synthetic target pixel file. Cadences without a
+    tpf : `~lightkurve.targetpixelfile.TargetPixelFile`, str or path-like
+        Kepler, K2, TESS or synthetic target pixel file, or the path of one. Cadences without a
         finite time or with pixels that are NaN are left out and stay NaN.
     aperture_mask : array_like of bool, optional
         Pixels ``(ny, nx)`` that are summed. By default all connected pixels
@@ -87,14 +88,12 @@ class PLDCorrector(Corrector):
     """
 
     def __init__(self, tpf, aperture_mask=None):
-        self.tpf = tpf
+        self.tpf = read_tpf(tpf)
+        self._series = read_pixels(self.tpf)
         self._set_aperture(aperture_mask)
 
     def _set_aperture(self, aperture_mask):
-        pixels = read_pixels(self.tpf, aperture_mask)
-        steps = np.diff(pixels.time[pixels.usable])
-        if np.any(steps <= 0):
-            raise ValueError("the times of `tpf` must increase")
+        pixels = aperture_pixels(self._series, aperture_mask)
         lc = self.tpf.to_lightcurve(aperture_mask=pixels.aperture.copy())
         unit = lc.flux.unit
         lc.flux = np.where(pixels.usable, pixels.total, np.nan) * unit
@@ -203,7 +202,7 @@ class PLDCorrector(Corrector):
         in_transit = checked_cadences("transit_mask", transit_mask, n, default=False)
         if aperture_mask is not None:
             self._set_aperture(aperture_mask)
-        self.model = PLDModel.from_pixels(self._pixels, options, self.tpf)
+        self.model = PLDModel.from_pixels(self._pixels, options, self._series)
         self._restore_trend = restore_trend
         try:
             self.result = self.model.fit(mask, transit_mask=in_transit, transit_model=transit_model)

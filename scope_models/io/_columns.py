@@ -6,7 +6,6 @@ import numpy as np
 
 __all__ = ["PixelColumn", "checked_columns", "pixel_columns", "table_rows"]
 
-NO_DATA = 65536  # the QUALITY bit of Kepler and K2 for cadences without data
 _ROLLING_BAND_DURATIONS = 5
 _LATEST_DAY = 1e5
 _DTYPES = {"D": np.dtype(">f8"), "E": np.dtype(">f4"), "J": np.dtype(">i4")}
@@ -56,7 +55,6 @@ _COLUMNS = (
     PixelColumn("POS_CORR2", "E", "offset in rows", "pixel"),
     PixelColumn("RB_LEVEL", "E", "rolling bands, none sought", "sigma"),
 )
-_ABSENT = {"Kepler": {"RB_LEVEL"}, "K2": set(), "TESS": {"COSMIC_RAYS", "RB_LEVEL"}}
 
 
 def pixel_columns(metadata):
@@ -76,7 +74,7 @@ def pixel_columns(metadata):
     displays = dict(zip("DE", layout.displays[:2], strict=True)) | {"J": layout.displays[2]}
     columns = []
     for column in _COLUMNS:
-        if column.name in _ABSENT[metadata.mission]:
+        if column.name in layout.absent_columns:
             continue
         display = column.display or displays[column.kind]
         unit = layout.time_unit if column is _TIME else column.unit
@@ -191,9 +189,7 @@ def _checked_quality(metadata, quality, time):
     quality = _integers("quality", quality, time.shape)
     if quality.min() < 0:
         raise ValueError(f"`quality` must not be negative, got {quality.min()}")
-    if metadata.mission == "TESS":
-        return quality
-    return quality | np.where(np.isnan(time), NO_DATA, 0).astype(np.int32)
+    return quality | np.where(np.isnan(time), metadata.layout.quality.no_data, 0).astype(np.int32)
 
 
 def _check_errors(checked):
