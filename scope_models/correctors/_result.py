@@ -202,7 +202,7 @@ class PLDFit:
 
     @cached_property
     def periodic(self):
-        """Logarithm of the periodic variability, which always stays, ``(n_cadences,)``."""
+        """Logarithm of the variability faster than a day and its overtones, ``(n_cadences,)``."""
         return self._whole(self.solution.periodic)
 
     def corrected(self, *, restore_trend=True):

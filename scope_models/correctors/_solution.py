@@ -16,6 +16,8 @@ _REFITS = 2
 #: Part of the cadences without which the columns and the time scales stay: only the variances are
 #: fitted again.
 _LITTLE = 0.01
+#: Cycles per day: a star without any frequency above this has long-term variability alone.
+_FAST = 1.0
 
 
 class NothingToCorrectError(ValueError):
@@ -113,6 +115,12 @@ class Solution:
         x = self.regressors.columns
         return np.einsum("ij,ij->i", x @ self.posterior.covariance[:k, :k], x)
 
+    @property
+    def _first_periodic(self):
+        """First flat column that is not the trend's: slow waves alone are long-term."""
+        fast = max(self.frequencies, default=0.0) > _FAST
+        return self.n_trend - 2 * len(self.frequencies) * fast
+
     def _flat_part(self, first, last):
         """Return what flat columns contribute."""
         k = self.n_regressors
@@ -121,7 +129,7 @@ class Solution:
     @cached_property
     def trend(self):
         """The long-term variability, without its mean."""
-        trend = self._flat_part(1, self.n_trend - 2 * len(self.frequencies))
+        trend = self._flat_part(1, self._first_periodic)
         if self.hyper.amplitude is not None:
             trend = trend + self.process.predict(self.alpha, self.time)
         return trend - trend[self.use].mean()
@@ -129,7 +137,7 @@ class Solution:
     @cached_property
     def periodic(self):
         """The periodic variability, without its mean."""
-        periodic = self._flat_part(self.n_trend - 2 * len(self.frequencies), self.n_trend)
+        periodic = self._flat_part(self._first_periodic, self.n_trend)
         return periodic - periodic[self.use].mean()
 
     @cached_property

@@ -144,7 +144,7 @@ class PLDCorrector(Corrector):
             unmasked transits alone; see `PLDResult.transit_scale`.
         restore_trend : bool, optional
             Whether the long-term variability stays in the light curve.
-            Periodic variability always stays.
+            Periodic variability with parts faster than a day always stays.
         trend : {"gp", "quadratic"}, optional
             Long-term variability: a Gaussian process or a polynomial.
         method : {"likelihood"}, optional
