@@ -6,14 +6,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from scope_models.exceptions import FitWarning
+from scope_models.io.pixels import usable_positions
+from scope_models.missions import Mission
 from scope_models.scene.detector import Detector
 
 __all__ = ["PixelData", "detector_of", "read_data"]
-
-_LARGEST_OFFSET = 50.0
-# Part of a well's depth from which a pixel is taken to be saturated.
-_FULL = 0.95
-_PRESETS = {"kepler": Detector.kepler, "k2": Detector.k2, "tess": Detector.tess}
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,9 +137,7 @@ def _drop_bad_errors(flux, error):
 
 def _drop_saturated(flux, detector):
     """Leave out the columns of pixels whose wells are full: the light runs along them."""
-    if detector.well_depth is None:
-        return
-    limit = _FULL * detector.well_depth / detector.int_time - detector.background
+    limit = detector.full_flux
     with np.errstate(invalid="ignore"):
         full = flux > limit
     columns = np.flatnonzero(full.mean(axis=0).max(axis=0) > 0.01)
@@ -191,8 +186,7 @@ def _pos_corr(tpf, cadences):
     if any(column is None for column in columns):
         return None
     offsets = np.column_stack([_numbers(column) for column in columns])[cadences]
-    with np.errstate(invalid="ignore"):
-        good = (np.abs(offsets) < _LARGEST_OFFSET).all(axis=1)
+    good = usable_positions(offsets)
     if good.sum() < 3:
         return None
     number = np.arange(len(offsets))
@@ -213,29 +207,6 @@ def detector_of(tpf):
     Detector
         A preset with the file's exposure, gain, read noise and background.
     """
-    mission = str(tpf.meta.get("MISSION") or tpf.meta.get("TELESCOP") or "Kepler").strip().lower()
-    preset = _PRESETS.get(mission, Detector.kepler)
-    changes = {"shape": tuple(np.shape(tpf.flux)[1:]), "psf": None, "sensitivity": None}
-    cards = {}
-    for hdu in getattr(tpf, "hdu", [])[:2]:
-        cards |= dict(hdu.header)
-    for field, names in _CARDS.items():
-        for name in names:
-            value = cards.get(name)
-            if isinstance(value, int | float) and not isinstance(value, bool) and value > 0:
-                changes[field] = type(_ZERO[field])(value)
-                break
-    background = _numbers(getattr(tpf, "flux_bkg", np.nan))
-    if np.isfinite(background).any():
-        changes["background"] = float(max(np.nanmedian(background), 0.0))
-    return preset(**changes)
-
-
-_CARDS = {
-    "int_time": ("INT_TIME",),
-    "read_time": ("READTIME",),
-    "n_frames": ("NUM_FRM",),
-    "gain": ("GAIN", "GAINA"),
-    "read_noise": ("READNOIS", "READNOIA"),
-}
-_ZERO = {"int_time": 0.0, "read_time": 0.0, "n_frames": 0, "gain": 0.0, "read_noise": 0.0}
+    unknown = Mission.from_header(tpf.meta) is None
+    changes = {"mission": "Kepler"} if unknown else {}
+    return Detector.from_tpf(tpf, psf=None, sensitivity=None, **changes)

@@ -1,5 +1,6 @@
-"""Reading columns of archive files, writing target pixel files with truth."""
+"""The door in, from target pixel files to arrays, and the door out, with the truth."""
 
+from scope_models.io.pixels import PixelSeries, read_pixels, read_tpf, usable_positions
 from scope_models.io.tpf import (
     TPFMetadata,
     TPFTruth,
@@ -10,10 +11,14 @@ from scope_models.io.tpf import (
 )
 
 __all__ = [
+    "PixelSeries",
     "TPFMetadata",
     "TPFTruth",
     "make_tpf_hdulist",
+    "read_pixels",
+    "read_tpf",
     "read_truth",
+    "usable_positions",
     "write_hdulist",
     "write_tpf",
 ]

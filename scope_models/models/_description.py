@@ -2,15 +2,18 @@
 """Models as what JSON can hold, and back."""
 
 import importlib
+import json
 import operator
 import sys
+from collections.abc import Mapping
+from dataclasses import fields
 
 import numpy as np
 from astropy.modeling import CompoundModel, Model
 
 from scope_models.models.sensitivity import SensitivityPolynomial
 
-__all__ = ["describe_model", "make_model"]
+__all__ = ["describe_model", "make_model", "value_key"]
 
 _OPERATORS = {"+": operator.add, "-": operator.sub, "*": operator.mul}
 # Modules that reading a file may import; others must have been imported before.
@@ -55,3 +58,29 @@ def make_model(described):
     if not (isinstance(kind, type) and issubclass(kind, Model)):
         raise TypeError(f"{module}.{described['class']} is not a model")
     return kind(**described["parameters"])
+
+
+def value_key(value):
+    """Return what is equal, and hashes alike, for equal values.
+
+    Parameters
+    ----------
+    value : object
+        A frozen dataclass, whose fields are compared, or what such a field holds.
+
+    Returns
+    -------
+    hashable
+        The key. Callables are compared by identity.
+    """
+    if isinstance(value, Model):
+        return json.dumps(describe_model(value), sort_keys=True)
+    if isinstance(value, np.ndarray):
+        return value.shape, value.dtype.str, value.tobytes()
+    if isinstance(value, Mapping):
+        return frozenset((key, value_key(item)) for key, item in value.items())
+    if isinstance(value, (list, tuple)):
+        return tuple(value_key(item) for item in value)
+    if hasattr(value, "__dataclass_fields__"):
+        return tuple(value_key(getattr(value, item.name)) for item in fields(value))
+    return value

@@ -8,6 +8,7 @@ import numpy as np
 
 from scope_models._checks import checked_mask
 from scope_models.io import TPFMetadata, make_tpf_hdulist, write_tpf
+from scope_models.missions import MISSIONS, TIME_ZEROS
 from scope_models.photometry import signal_to_noise_aperture
 from scope_models.scene.detector import Detector
 from scope_models.scene.motion import Motion
@@ -17,8 +18,6 @@ from scope_models.simulation._light import Light
 
 __all__ = ["Observation", "Truth"]
 
-_ZERO_OF_TIME = {"bkjd": 2454833, "btjd": 2457000}
-_TIME_FORMATS = {"Kepler": "bkjd", "K2": "bkjd", "TESS": "btjd"}
 # Cadences that are enough to choose an aperture.
 _APERTURE_CADENCES = 64
 
@@ -377,31 +376,21 @@ class Observation:
     def _metadata(self, changes, light):
         """Return the facts for the headers, given the flux of each star in the aperture."""
         detector, target = self.detector, self.stars[0]
-        if detector.mission not in _TIME_FORMATS:
+        if detector.mission not in MISSIONS:
             raise ValueError(
                 f"`mission` must be Kepler, K2 or TESS to make a target pixel file, got "
                 f"{detector.mission!r}"
             )
         x_0, y_0 = self._light.positions[0]
         facts = {
-            "mission": detector.mission,
             "target_id": 1,
             "magnitude": target.mag,
             "x_0": x_0,
             "y_0": y_0,
-            "pixel_scale": detector.pixel_scale,
-            "int_time": detector.int_time,
-            "read_time": detector.read_time,
-            "n_frames": detector.n_frames,
-            "n_readouts": detector.n_reads,
-            "gain": detector.gain,
-            "read_noise": detector.read_noise,
-            "mean_black": detector.mean_black,
-            "fixed_offset": detector.fixed_offset,
             "seed": self.truth.seed,
         } | dict(changes or {})
         facts["extra_cards"] = self._aperture_cards(light) | dict(facts.get("extra_cards") or {})
-        return TPFMetadata(**facts)
+        return TPFMetadata.of(detector, **facts)
 
     def _aperture_cards(self, light):
         """Return the cards on the target's light in the aperture."""
@@ -416,10 +405,10 @@ class Observation:
         aperture = self._checked_aperture(aperture_mask)
         light = self._light_in(aperture)
         metadata = self._metadata(metadata, light)
-        zero = _ZERO_OF_TIME[_TIME_FORMATS[metadata.mission]]
+        zero = MISSIONS[metadata.mission].time_zero
         return {
             "metadata": metadata,
-            "time": self.time + (_ZERO_OF_TIME[self.motion.time_format] - zero),
+            "time": self.time + (TIME_ZEROS[self.motion.time_format] - zero),
             "cadenceno": self.cadenceno,
             "raw_cnts": self.raw_cnts,
             "flux": self.flux,

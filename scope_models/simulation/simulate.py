@@ -50,8 +50,8 @@ def simulate(
     motion : Motion
         The motion that all stars share.
     seed : int, optional
-        The seed of the interpixel map and of all noise; `~scope_models.simulation.Truth` holds
-        it. None takes one from the operating system.
+        The seed of the interpixel map and of all noise, which the truth of the observation holds.
+        None takes one from the operating system.
     noise : bool or str or iterable of str, optional
         True for photon, background and read noise, False for none, or names out of "photon",
         "background", "read" and "quantization". The level of the background is subtracted in any
