@@ -232,7 +232,8 @@ class AxisTable:
         needed = np.abs(rho) ** (0.5 * np.arange(n_orders)) / _CHEBYSHEV_TOLERANCE
         sizes = np.abs(expansion).reshape(n, n_orders, -1).max(axis=2) @ needed
         if np.all(sizes[-2:] <= 1):
-            self._expansion = expansion[: np.flatnonzero(sizes > 1)[-1] + 1]
+            # Beyond the reach of the density nothing is needed, and one term serves.
+            self._expansion = expansion[: np.flatnonzero(sizes > 1).max(initial=0) + 1]
 
     def moved(self, center):
         """
