@@ -1,6 +1,7 @@
 """The door in, from target pixel files to arrays, and the door out, with the truth."""
 
 from scope_models.io._opening import Conf, conf
+from scope_models.io.light_curves import make_light_curve_hdulist
 from scope_models.io.pixels import PixelSeries, read_pixels, read_tpf, usable_positions
 from scope_models.io.tpf import (
     TPFMetadata,
@@ -17,6 +18,7 @@ __all__ = [
     "TPFMetadata",
     "TPFTruth",
     "conf",
+    "make_light_curve_hdulist",
     "make_tpf_hdulist",
     "read_pixels",
     "read_tpf",
