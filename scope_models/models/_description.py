@@ -4,13 +4,15 @@
 import importlib
 import operator
 import sys
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
 
 import numpy as np
 from astropy.modeling import CompoundModel, Model
 
 from scope_models.models.sensitivity import SensitivityPolynomial
 
-__all__ = ["describe_model", "make_model"]
+__all__ = ["describe_model", "equal_values", "make_model"]
 
 _OPERATORS = {"+": operator.add, "-": operator.sub, "*": operator.mul}
 # Modules that reading a file may import; others must have been imported before.
@@ -55,3 +57,23 @@ def make_model(described):
     if not (isinstance(kind, type) and issubclass(kind, Model)):
         raise TypeError(f"{module}.{described['class']} is not a model")
     return kind(**described["parameters"])
+
+
+def equal_values(one, other):
+    """Return whether two values are equal: arrays, models, mappings and dataclasses of them.
+
+    Functions are equal only if they are the same object.
+    """
+    if isinstance(one, np.ndarray) or isinstance(other, np.ndarray):
+        one, other = np.asarray(one), np.asarray(other)
+        return one.dtype.kind == other.dtype.kind and np.array_equal(one, other)
+    if isinstance(one, tuple | list) and isinstance(other, tuple | list):
+        return len(one) == len(other) and all(map(equal_values, one, other))
+    if isinstance(one, Mapping) and isinstance(other, Mapping):
+        return one.keys() == other.keys() and all(equal_values(one[k], other[k]) for k in one)
+    if type(one) is type(other) and isinstance(one, Model):
+        return describe_model(one) == describe_model(other)
+    if type(one) is type(other) and is_dataclass(one):
+        names = [item.name for item in fields(one)]
+        return all(equal_values(getattr(one, name), getattr(other, name)) for name in names)
+    return bool(one == other)
