@@ -22,7 +22,7 @@ from tqdm import tqdm
 
 from scope_models import simulate
 from scope_models.correctors import PLDCorrector
-from scope_models.correctors._features import Regressors, centre
+from scope_models.correctors._features import Regressors, center
 from scope_models.correctors._regression import Hyperparameters
 from scope_models.correctors._scores import robust_scatter
 
@@ -34,11 +34,11 @@ SCATTER = {"paper": 0.01, "harsh": 0.03}
 
 def held_out_when_known(corrector, observation, expected, scatter):
     """Return the windows' mean residuals of the regression that misses only b."""
-    mask, solution = corrector.aperture_mask, corrector._solution  # noqa: SLF001
+    mask, solution = corrector.aperture_mask, corrector.result.solution
     alike = expected[:, mask]  # of pixels that are all alike
     total = alike.sum(axis=1)
     measured = np.log(observation.flux[:, mask].sum(axis=1) / total)
-    shares = centre(alike / total[:, None], solution.use)
+    shares = center(alike / total[:, None], solution.use)
     groups = np.zeros(mask.sum(), dtype=int)
     known = replace(
         solution,

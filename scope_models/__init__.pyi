@@ -20,6 +20,9 @@ from . import (
     io as io,
 )
 from . import (
+    missions as missions,
+)
+from . import (
     models as models,
 )
 from . import (
@@ -41,6 +44,7 @@ from ._version import __version__ as __version__
 from .fitting import TPFFit as TPFFit
 from .fitting import fit_tpf as fit_tpf
 from .io import read_truth as read_truth
+from .missions import Mission as Mission
 from .models import (
     PRF as PRF,
 )

@@ -107,6 +107,7 @@ def _draw(observation, aperture, curves, noise):
         aperture=aperture,
         cdpp=noise["raw"][0],
         corrected_cdpp=noise["de-trended"][0],
+        noise=float(np.nanmedian(raw.flux_err.value / raw.flux.value)),
         time_label="Time (BKJD)",
         title=f"A star of magnitude {_MAGNITUDE:g} on the roll of K2",
     )

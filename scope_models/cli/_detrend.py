@@ -1,5 +1,6 @@
 """``scope-models detrend``: the light curve of a target pixel file, without its systematics."""
 
+from argparse import SUPPRESS
 from pathlib import Path
 
 from scope_models.photometry import cdpp
@@ -36,9 +37,8 @@ def add_parser(commands):
     )
     parser.add_argument(
         "--method",
-        choices=("likelihood", "leave-one-out"),
         default="likelihood",
-        help="what the hyper-parameters maximise (default: likelihood)",
+        help=SUPPRESS,  # of the first version; others than the likelihood are refused
     )
     parser.set_defaults(run=run)
 

@@ -1,8 +1,21 @@
 # Licensed under a 3-clause BSD style license - see LICENSE
 """Correctors of light curves."""
 
+from scope_models.correctors._features import Regressors
 from scope_models.correctors._files import detrend_file
-from scope_models.correctors._result import PLDResult
+from scope_models.correctors._result import PLDFit
+from scope_models.correctors.model import PLDModel, PLDOptions
 from scope_models.correctors.pld import PLDCorrector
 
-__all__ = ["PLDCorrector", "PLDResult", "detrend_file"]
+__all__ = [
+    "PLDCorrector",
+    "PLDFit",
+    "PLDModel",
+    "PLDOptions",
+    "PLDResult",
+    "Regressors",
+    "detrend_file",
+]
+
+#: The fit's name in the first version.
+PLDResult = PLDFit

@@ -1,19 +1,29 @@
 """The design matrix: which groups of regressors there are, and their columns."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from scope_models.correctors._features import (
     Regressors,
-    centre,
+    center,
+    contrast_columns,
     power_columns,
     principal_columns,
+    roll_reversals,
     shared_columns,
 )
+from scope_models.correctors._pixels import aperture_pixels
 from scope_models.correctors._saturation import without_saturation
+from scope_models.io import read_pixels
 
-__all__ = ["DesignOptions", "make_regressors"]
+__all__ = [
+    "DesignOptions",
+    "background_columns",
+    "make_regressors",
+    "neighbor_columns",
+    "segment_breaks",
+]
 
 #: Columns are dropped when they could not change the flux by this part of its noise's variance
 #: with coefficients of one; of higher orders, whose coefficients may be larger, earlier.
@@ -21,12 +31,13 @@ _TOLERANCE, _HIGHER_TOLERANCE = 1e-2, 1e-3
 _SHARED_TOLERANCE = 1e-6
 _MAX_RANK = 300
 _REACH = 2
+_NEIGHBOR_COMPONENTS = 10
 
 
 @dataclass(frozen=True)
 class DesignOptions:
     """
-    What goes into the design matrix beside the fractions' products.
+    What goes into the design matrix.
 
     Parameters
     ----------
@@ -41,9 +52,9 @@ class DesignOptions:
     """
 
     order: int
-    saturation: float | None
-    breaks: tuple
-    extra: dict
+    saturation: float | None = None
+    breaks: tuple = ()
+    extra: dict = field(default_factory=dict)
 
 
 def make_regressors(pixels, use, options):
@@ -62,7 +73,7 @@ def make_regressors(pixels, use, options):
     Returns
     -------
     Regressors
-        Columns for the usable cadences, centred on the cadences in use.
+        Columns for the usable cadences, centered on the cadences in use.
     """
     usable = pixels.usable
     total = pixels.total[usable]
@@ -73,41 +84,20 @@ def make_regressors(pixels, use, options):
     images /= total[:, None, None]
     fractions = images[:, pixels.aperture]
     noise = float(np.median((pixels.total_err[usable] / total)[use] ** 2))
-    first = principal_columns(centre(fractions, use), use, _TOLERANCE * noise)
+    first = principal_columns(center(fractions, use), use, _TOLERANCE * noise)
     parts = {"order 1": first}
     for n in range(2, options.order + 1):
         columns, _ = power_columns(fractions, n, use, _TOLERANCE * noise, _MAX_RANK)
-        columns = centre(columns, use)
+        columns = center(columns, use)
         parts[f"order {n}"] = principal_columns(columns, use, _HIGHER_TOLERANCE * noise)
         if n == 2:
-            shared = centre(shared_columns(images, n, _REACH), use)
+            shared = center(shared_columns(images, n, _REACH), use)
             parts["order 2, shared"] = principal_columns(shared, use, _SHARED_TOLERANCE * noise)
     if options.breaks:
-        parts["segments"] = _contrasts(first, pixels.time[usable], options.breaks, use)
+        parts["segments"] = contrast_columns(first, pixels.time[usable], options.breaks, use)
     for name, columns in options.extra.items():
         parts[name] = _completed(columns[usable], use, noise)
     return Regressors.join(parts)
-
-
-def _contrasts(columns, time, breaks, use):
-    """
-    Return copies of the columns that differ between the segments and are the same in none.
-
-    A common part of the coefficients is left to the columns themselves: of k segments, k - 1
-    orthonormal contrasts remain.
-    """
-    segment = np.searchsorted(np.asarray(breaks), time, side="right")
-    present = np.unique(segment[use])
-    member = (segment[:, None] == present).astype(float)
-    contrasts = member @ _orthonormal_contrasts(len(present))
-    return (contrasts[:, :, None] * columns[:, None, :]).reshape(len(columns), -1)
-
-
-def _orthonormal_contrasts(k):
-    """Return k - 1 orthonormal columns whose elements add up to zero (Helmert's)."""
-    contrasts = np.triu(np.ones((k, k - 1)))
-    contrasts[1:][np.diag_indices(k - 1)] = -np.arange(1, k)
-    return contrasts / np.sqrt(np.arange(1, k) * np.arange(2, k + 1))
 
 
 def _completed(columns, use, noise):
@@ -116,5 +106,62 @@ def _completed(columns, use, noise):
     fit = use & known
     if not fit.any():
         return np.empty((len(columns), 0))
-    centred = np.where(known[:, None], columns - columns[fit].mean(axis=0), 0.0)
-    return principal_columns(centred, fit, _TOLERANCE * noise)
+    centered = np.where(known[:, None], columns - columns[fit].mean(axis=0), 0.0)
+    return principal_columns(centered, fit, _TOLERANCE * noise)
+
+
+def segment_breaks(segments, pixels):
+    """
+    Return the times at which segments begin, found or given.
+
+    Parameters
+    ----------
+    segments : "auto", None or sequence of float
+        As in `PLDOptions`.
+    pixels : Pixels
+        The pixels.
+    """
+    if segments is None:
+        return ()
+    time = pixels.time[pixels.usable]
+    if not (isinstance(segments, str) and segments == "auto"):
+        return tuple(float(b) for b in np.sort(segments) if time[0] < b <= time[-1])
+    tracks = _components(pixels.flux[pixels.usable][:, pixels.aperture], pixels)
+    return roll_reversals(time, tracks[:, 0]) if tracks.shape[1] else ()
+
+
+def _components(flux, pixels):
+    """Return the principal components of pixels over the sum, at usable cadences."""
+    relative = flux / pixels.total[pixels.usable][:, None]
+    everything = np.ones(len(relative), dtype=bool)
+    return principal_columns(center(relative, everything), everything, 0.0)
+
+
+def background_columns(pixels, n_components):
+    """Return the principal components of the pixels outside of the aperture over the flux."""
+    outside = ~pixels.aperture & np.isfinite(pixels.flux[pixels.usable]).all(axis=0)
+    if not outside.any():
+        raise ValueError("`background` needs pixels with data outside of `aperture_mask`")
+    rotated = _components(pixels.flux[pixels.usable][:, outside], pixels)[:, :n_components]
+    columns = np.full((len(pixels.time), rotated.shape[1]), np.nan)
+    columns[pixels.usable] = rotated
+    return columns
+
+
+def neighbor_columns(cadenceno, neighbors):
+    """Return the first principal components of the pixel fractions of other target pixel files."""
+    parts = []
+    for other in neighbors:
+        series = read_pixels(other)
+        pixels = aperture_pixels(series, None)
+        rotated = _components(pixels.flux[pixels.usable][:, pixels.aperture], pixels)
+        rotated = rotated[:, :_NEIGHBOR_COMPONENTS]
+        _, here, there = np.intersect1d(
+            cadenceno, series.cadenceno[pixels.usable], return_indices=True
+        )
+        if not len(here):
+            raise ValueError("`neighbors` must share cadences with the target, got none")
+        columns = np.full((len(cadenceno), rotated.shape[1]), np.nan)
+        columns[here] = rotated[there]
+        parts.append(columns)
+    return np.concatenate(parts, axis=1)

@@ -1,11 +1,20 @@
-"""Regressors of pixel level decorrelation: products of pixel fractions."""
+"""Regressors of pixel level decorrelation: products of pixel fractions, and their segments."""
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from scipy.linalg import solve_triangular
 
-__all__ = ["Regressors", "centre", "power_columns", "principal_columns", "shared_columns"]
+__all__ = [
+    "Regressors",
+    "center",
+    "contrast_columns",
+    "power_columns",
+    "principal_columns",
+    "roll_reversals",
+    "shared_columns",
+]
 
 #: Largest number of cadences of which the pivots of a factor are chosen.
 _CANDIDATES = 4000
@@ -23,6 +32,14 @@ class Regressors:
         Group of each column, an index into ``names``.
     names : tuple of str
         Names of the groups.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from scope_models.correctors import Regressors
+    >>> matrix = Regressors.join({"position": np.ones((5, 2)), "focus": np.ones((5, 1))})
+    >>> matrix.columns.shape, matrix.names
+    ((5, 3), ('position', 'focus'))
     """
 
     columns: np.ndarray
@@ -31,7 +48,19 @@ class Regressors:
 
     @classmethod
     def join(cls, parts):
-        """Join a mapping from names to columns, without the empty ones."""
+        """
+        Join groups, without the empty ones.
+
+        Parameters
+        ----------
+        parts : dict
+            From names to columns ``(n_cadences, m)``.
+
+        Returns
+        -------
+        Regressors
+            All columns.
+        """
         first = next(iter(parts.values()))
         parts = {name: columns for name, columns in parts.items() if columns.shape[1]}
         if not parts:
@@ -44,7 +73,7 @@ class Regressors:
         )
 
 
-def centre(columns, use):
+def center(columns, use):
     """Subtract from each column its mean over the cadences in use."""
     return columns - columns[use].mean(axis=0)
 
@@ -124,7 +153,7 @@ def _pivoted_cholesky(points, order, tolerance, max_rank):
 
 def shared_columns(images, order, reach):
     r"""
-    Products of neighbouring fractions, summed over all pixels.
+    Products of neighboring fractions, summed over all pixels.
 
     When all pixels have the same intra-pixel response, products of order n
     with the same offsets have the same coefficients: only their sums over
@@ -153,3 +182,69 @@ def shared_columns(images, order, reach):
             shifted = padded[:, reach + dy : reach + dy + ny, reach + dx : reach + dx + nx]
             columns.append(np.einsum("ijk,ijk->i", powers, shifted))
     return np.stack(columns, axis=1)
+
+
+def contrast_columns(columns, time, breaks, use):
+    """
+    Return copies of the columns that differ between the segments and are the same in none.
+
+    A common part of the coefficients is left to the columns themselves: of k segments, k - 1
+    orthonormal contrasts remain.
+    """
+    segment = np.searchsorted(np.asarray(breaks), time, side="right")
+    present = np.unique(segment[use])
+    member = (segment[:, None] == present).astype(float)
+    contrasts = member @ _orthonormal_contrasts(len(present))
+    return (contrasts[:, :, None] * columns[:, None, :]).reshape(len(columns), -1)
+
+
+def _orthonormal_contrasts(k):
+    """Return k - 1 orthonormal columns whose elements add up to zero (Helmert's)."""
+    contrasts = np.triu(np.ones((k, k - 1)))
+    contrasts[1:][np.diag_indices(k - 1)] = -np.arange(1, k)
+    return contrasts / np.sqrt(np.arange(1, k) * np.arange(2, k + 1))
+
+
+def roll_reversals(time, track, window=2.0):
+    """
+    Find the times at which the sense of the spacecraft's roll reverses.
+
+    Between two thruster firings the star drifts one way, and each firing
+    throws it back. The sense of the drift is the sign of the median step
+    within a window; a reversal counts when it lasts.
+
+    Parameters
+    ----------
+    time : ndarray
+        Increasing times in days.
+    track : ndarray
+        Position of the star along the direction in which it moves most.
+    window : float, optional
+        Length of the windows in days.
+
+    Returns
+    -------
+    tuple of float
+        Times of the reversals.
+    """
+    width = round(window / np.median(np.diff(time)))
+    n_windows = len(time) // max(width, 1)
+    if width < 16 or n_windows < 4:
+        return ()
+    sense = [_sense(steps) for steps in np.array_split(np.diff(track), n_windows)]
+    drifting = np.flatnonzero(sense)
+    reversals = []
+    for i, j in pairwise(drifting):
+        before = sense[max(i - 2, 0) : i + 1].count(sense[i])
+        after = sense[j : j + 3].count(sense[j])
+        if sense[i] != sense[j] and min(before, after) >= 2:
+            reversals.append(float(time[(i + j + 1) * len(time) // (2 * n_windows)]))
+    return tuple(reversals)
+
+
+def _sense(steps):
+    """Return the sign of the median step, 0 if it is within three standard errors of none."""
+    median = np.median(steps)
+    scatter = 1.4826 * np.median(np.abs(steps - median))
+    error = 1.2533 * scatter / np.sqrt(len(steps))
+    return int(np.sign(median)) if np.abs(median) > 3 * error else 0

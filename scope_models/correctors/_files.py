@@ -8,11 +8,10 @@ from astropy.io import fits
 from scope_models._version import __version__
 from scope_models.correctors.pld import PLDCorrector
 from scope_models.io._atomic import atomic_path
+from scope_models.missions import TIME_ZEROS
 from scope_models.photometry import cdpp
 
 __all__ = ["detrend_file", "make_lightcurve_hdulist"]
-
-_BJD_REFERENCE = {"bkjd": 2454833, "btjd": 2457000}
 
 
 def detrend_file(path, output, *, figure=None, overwrite=False, **options):
@@ -57,34 +56,16 @@ def detrend_file(path, output, *, figure=None, overwrite=False, **options):
     >>> corrector.result.groups
     ('order 1',)
     """
-    tpf = _read(path)
-    try:
-        corrector = PLDCorrector(tpf)
-        corrector.correct(**options)
-        with atomic_path(output, overwrite=overwrite) as temporary:
-            make_lightcurve_hdulist(corrector).writeto(temporary, checksum=True)
-        if figure is not None:
-            with atomic_path(figure, overwrite=overwrite) as temporary:
-                drawn = corrector.diagnose()[0].figure
-                drawn.savefig(temporary, dpi=120)
-                drawn.clear()
-    finally:
-        tpf.hdu.close()
+    corrector = PLDCorrector(path)
+    corrector.correct(**options)
+    with atomic_path(output, overwrite=overwrite) as temporary:
+        make_lightcurve_hdulist(corrector).writeto(temporary, checksum=True)
+    if figure is not None:
+        with atomic_path(figure, overwrite=overwrite) as temporary:
+            drawn = corrector.diagnose()[0].figure
+            drawn.savefig(temporary, dpi=120)
+            drawn.clear()
     return corrector
-
-
-def _read(path):
-    import lightkurve
-
-    with open(path, "rb"):  # noqa: PTH123 - tells what is wrong with the path
-        pass
-    try:
-        tpf = lightkurve.read(str(path))
-    except lightkurve.utils.LightkurveError as error:
-        raise ValueError(f"{path} is not a target pixel file") from error
-    if not hasattr(tpf, "pipeline_mask"):
-        raise ValueError(f"{path} is not a target pixel file")
-    return tpf
 
 
 def make_lightcurve_hdulist(corrector):
@@ -112,7 +93,7 @@ def make_lightcurve_hdulist(corrector):
         # lightkurve 2.6 inverts bools with ~, of which Python 3.12 and later warn
         warnings.filterwarnings("ignore", "Bitwise inversion", DeprecationWarning)
         hdus = LightCurve.to_fits(lc, **identity)
-    reference = _BJD_REFERENCE[lc.time.format]
+    reference = int(TIME_ZEROS[lc.time.format])
     table = fits.BinTableHDU.from_columns(
         hdus[1].columns + fits.ColDefs(_columns(corrector)), name="LIGHTCURVE"
     )

@@ -67,7 +67,7 @@ def _make_matrices(time, variance, amplitude, period):
 
 class LongTerm:
     r"""
-    White noise plus a critically smooth stochastic oscillator, factorised by celerite2.
+    White noise plus a critically smooth stochastic oscillator, factorized by celerite2.
 
     The kernel is that of a stochastically driven, damped oscillator of
     quality :math:`1/\sqrt{2}`, :math:`k(\tau) = \sigma^2 e^{-w|\tau|}
@@ -133,7 +133,7 @@ class LongTerm:
         Differentiate ``f(C.T @ inv(K) @ C) + log det(K) / 2``.
 
         With B = inv(K) C, a change dK of K changes the argument of f by -B^T dK B: no derivative
-        has to be carried through the factorisation's recursions for all columns.
+        has to be carried through the factorization's recursions for all columns.
 
         Parameters
         ----------

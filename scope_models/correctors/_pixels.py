@@ -8,7 +8,7 @@ from scipy import ndimage
 
 from scope_models.exceptions import DetrendingWarning
 
-__all__ = ["Pixels", "choose_aperture", "read_pixels"]
+__all__ = ["Pixels", "aperture_pixels", "choose_aperture"]
 
 #: Share of the star's light that a pixel must hold to belong to the default aperture.
 _SMALLEST_SHARE = 1e-3
@@ -87,14 +87,14 @@ def choose_aperture(flux, flux_err, pipeline=None):
     return labels == labels.flat[peak]
 
 
-def read_pixels(tpf, aperture):
+def aperture_pixels(series, aperture):
     """
-    Return the pixels of a target pixel file.
+    Return the pixels of an aperture of a target pixel file.
 
     Parameters
     ----------
-    tpf : `~lightkurve.targetpixelfile.TargetPixelFile`
-        The file.
+    series : PixelSeries
+        The pixels.
     aperture : ndarray of bool or None
         Pixels to sum; None: chosen.
 
@@ -103,10 +103,9 @@ def read_pixels(tpf, aperture):
     TypeError, ValueError
         If the aperture is no mask of pixels with data, or the sums are not positive.
     """
-    time = np.array(tpf.time.value, dtype=float)
-    flux, flux_err = _plain(tpf.flux), _plain(tpf.flux_err)
+    time, flux, flux_err = series.time, series.flux, series.flux_err
     if aperture is None:
-        aperture = choose_aperture(flux, flux_err, np.asarray(tpf.pipeline_mask))
+        aperture = choose_aperture(flux, flux_err, series.aperture)
     else:
         aperture = _checked_aperture(aperture, flux)
     inside = flux[:, aperture]
@@ -121,14 +120,6 @@ def read_pixels(tpf, aperture):
         _warn(f"{finite.sum() - positive.sum()} cadences without a positive flux are left out")
     total_err = _filled_errors(total, total_err, positive)
     return Pixels(time, flux, flux_err, aperture, total, total_err, positive)
-
-
-def _plain(quantity):
-    """Return the values as floats, NaN where masked."""
-    values = getattr(quantity, "value", quantity)
-    if hasattr(values, "filled"):
-        values = values.filled(np.nan)
-    return np.array(values, dtype=float)
 
 
 def _checked_aperture(aperture, flux):

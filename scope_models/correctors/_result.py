@@ -1,59 +1,53 @@
-"""What a correction found, in numbers."""
+"""The fit of pixel level decorrelation: hyper-parameters, systematics, errors and diagnostics."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
-from astropy.table import Table
+from astropy.table import QTable
 
-__all__ = ["PLDResult", "make_result"]
+from scope_models._arrays import plain_array
+from scope_models._checks import checked_integer
+from scope_models.correctors._solution import Solution
+
+__all__ = ["PLDFit", "transit_column"]
 
 _TRANSIT_HOURS = 6.5
+#: Numbers of a fit that go into the metadata of its table.
+_NUMBERS = (
+    "noise_scale",
+    "jitter",
+    "trend_sigma",
+    "trend_period",
+    "log_likelihood",
+    "n_used",
+    "n_outliers",
+    "transit_survival",
+    "window",
+    "breaks",
+    "transit_scale",
+    "transit_scale_err",
+)
 
 
-@dataclass(frozen=True, eq=False)
-class PLDResult:
+@dataclass(frozen=True, eq=False, repr=False)
+class PLDFit:
     """
-    Hyper-parameters and diagnostics of a call of `PLDCorrector.correct`.
+    The fit of a `PLDModel`: hyper-parameters, systematics, errors and diagnostics.
 
-    All variances are of relative flux.
+    All variances are of relative flux. Arrays have one element per cadence of the file, NaN where
+    a cadence cannot be used.
 
     Parameters
     ----------
-    groups : tuple of str
-        Names of the groups of regressors: ``"order 1"``, ``"order 2"``, ``"order 2, shared"``,
-        ..., ``"segments"``, ``"background"``, ``"neighbors"``.
-    n_columns : tuple of int
-        Number of columns of each group.
-    prior_variance : tuple of float
-        Prior variance of each group's coefficients.
-    explained_variance : tuple of float
-        Variance of each group's part of the model. The parts are correlated: the variance of
-        their sum can be smaller.
-    effective_parameters : tuple of float
-        Number of parameters per group that the data determine.
-    noise_scale : float
-        Fitted variance of the white noise over FLUX_ERR squared. Above one there is more noise
-        than FLUX_ERR says; below one the model has removed noise of pixels with little light.
-    jitter : float
-        White noise (standard deviation, relative flux) that adds to FLUX_ERR in quadrature;
-        zero if ``noise_scale`` is not above one.
-    trend_sigma, trend_period : float
-        Standard deviation and undamped period (days) of the long-term Gaussian process; NaN
-        with ``trend="quadratic"``.
-    log_likelihood : float
-        Logarithm of the marginal likelihood of the relative flux' logarithm.
-    n_used, n_outliers : int
-        Number of cadences in the fit, and of those left out as outliers.
-    transit_survival : float
-        Part of a transit's depth that survives the correction if the transit is not masked:
-        1 minus what the regressors take out of a box of ``window`` cadences, averaged over all
-        positions.
-    window : int
-        Number of cadences in 6.5 hours, 13 for long cadences.
-    breaks : tuple of float
-        Times (days) at which segments begin.
-    transit_scale, transit_scale_err : float
-        Amplitude of the jointly fitted transit model (1: as given), NaN without one.
+    model : PLDModel
+        The model.
+    solution : Solution
+        The linear algebra: coefficients, covariances, cadences in the fit.
+    cadence_mask, transit_mask : ndarray of bool
+        Cadences that the fit was allowed to use, and those in transit, ``(n_cadences,)``.
+    joint : bool, optional
+        Whether a transit model was fitted jointly.
 
     Examples
     --------
@@ -66,23 +60,244 @@ class PLDResult:
     ('order 1', 'order 2')
     """
 
-    groups: tuple
-    n_columns: tuple
-    prior_variance: tuple
-    explained_variance: tuple
-    effective_parameters: tuple
-    noise_scale: float
-    jitter: float
-    trend_sigma: float
-    trend_period: float
-    log_likelihood: float
-    n_used: int
-    n_outliers: int
-    transit_survival: float
-    window: int
-    breaks: tuple = ()
-    transit_scale: float = field(default=np.nan)
-    transit_scale_err: float = field(default=np.nan)
+    model: object
+    solution: Solution
+    cadence_mask: np.ndarray
+    transit_mask: np.ndarray
+    joint: bool = False
+
+    # Hyper-parameters and diagnostics
+
+    @property
+    def groups(self):
+        """Names of the groups of regressors, as ``"order 1"``, ``"order 2, shared"``."""
+        return self.solution.regressors.names
+
+    @property
+    def n_columns(self):
+        """Number of columns of each group."""
+        return tuple(int(k) for k in np.bincount(self.solution.regressors.groups))
+
+    @property
+    def prior_variance(self):
+        """Prior variance of each group's coefficients."""
+        return tuple(float(v) for v in self.solution.hyper.variances)
+
+    @cached_property
+    def explained_variance(self):
+        """Variance of each group's part of the model; the parts are correlated."""
+        return tuple(self.solution.group_variances())
+
+    @cached_property
+    def effective_parameters(self):
+        """Number of parameters per group that the data determine."""
+        return tuple(float(v) for v in self.solution.effective_parameters())
+
+    @property
+    def noise_scale(self):
+        """Fitted variance of the white noise over FLUX_ERR squared."""
+        return self.solution.hyper.noise_scale
+
+    @property
+    def jitter(self):
+        """White noise (relative) that adds to FLUX_ERR in quadrature; 0 if there is none."""
+        return float(np.sqrt(max(self.noise_scale - 1, 0.0) * np.median(self.solution.variance)))
+
+    @property
+    def trend_sigma(self):
+        """Standard deviation of the long-term process, NaN with ``trend="quadratic"``."""
+        amplitude = self.solution.hyper.amplitude
+        return np.nan if amplitude is None else float(np.sqrt(amplitude))
+
+    @property
+    def trend_period(self):
+        """Undamped period of the long-term process in days, NaN with ``trend="quadratic"``."""
+        return np.nan if self.solution.hyper.amplitude is None else self.solution.hyper.period
+
+    @property
+    def log_likelihood(self):
+        """Logarithm of the marginal likelihood of the relative flux' logarithm."""
+        return self.solution.log_likelihood
+
+    @property
+    def breaks(self):
+        """Times (days) at which segments begin."""
+        return self.model.design.breaks
+
+    @property
+    def used(self):
+        """Cadences in the fit, ``(n_cadences,)``."""
+        return self._whole(self.solution.use, fill=False)
+
+    @property
+    def outliers(self):
+        """Cadences that were left out as outliers, ``(n_cadences,)``."""
+        usable = self.model.pixels.usable
+        return self._whole(self.cadence_mask[usable] & ~self.solution.use, fill=False)
+
+    @property
+    def n_used(self):
+        """Number of cadences in the fit."""
+        return int(self.solution.use.sum())
+
+    @property
+    def n_outliers(self):
+        """Number of cadences that were left out as outliers."""
+        return int(self.outliers.sum())
+
+    @cached_property
+    def window(self):
+        """Number of cadences in 6.5 hours, 13 for long cadences."""
+        step = float(np.median(np.diff(self.solution.time)))
+        return int(np.clip(round(_TRANSIT_HOURS / 24 / step), 1, len(self.solution.alpha) // 2))
+
+    @cached_property
+    def transit_survival(self):
+        """
+        Part of a transit's depth that survives if the transit is not masked.
+
+        1 minus what the regressors take out of a box of `window` cadences, averaged over all
+        positions.
+        """
+        return self.solution.survival(self.window)
+
+    @property
+    def transit_scale(self):
+        """Amplitude of the jointly fitted transit model (1: as given), NaN without one."""
+        return self._transit[0]
+
+    @property
+    def transit_scale_err(self):
+        """Standard deviation of `transit_scale`."""
+        return self._transit[1]
+
+    @cached_property
+    def _transit(self):
+        return self.solution.flat_coefficient(-1) if self.joint else (np.nan, np.nan)
+
+    # The light curve's parts
+
+    def _whole(self, values, fill=np.nan):
+        """Return an array over all cadences from one over the usable ones."""
+        usable = self.model.pixels.usable
+        whole = np.full(len(usable), fill)
+        whole[usable] = values
+        return whole
+
+    @cached_property
+    def systematics(self):
+        """Logarithm of the factor by which pointing changes the flux, ``(n_cadences,)``."""
+        return self._whole(self.solution.systematics)
+
+    @cached_property
+    def trend(self):
+        """Logarithm of the long-term variability, ``(n_cadences,)``."""
+        return self._whole(self.solution.trend(self.model.options.n_trend))
+
+    def corrected(self, *, restore_trend=True):
+        """
+        Return the corrected flux and its error.
+
+        Parameters
+        ----------
+        restore_trend : bool, optional
+            Whether the long-term variability stays in the flux.
+
+        Returns
+        -------
+        flux, flux_err : ndarray
+            In e-/s, ``(n_cadences,)``; the error holds the white noise and the uncertainty of the
+            model.
+        """
+        solution = self.solution
+        removed, variance = solution.systematics, solution.systematics_variance
+        if not restore_trend:
+            removed = removed + solution.trend(self.model.options.n_trend)
+            variance = solution.latent_variance()
+        flux = self.model.pixels.total[self.model.pixels.usable] / np.exp(removed)
+        error = flux * np.sqrt(solution.white_variance + variance)
+        return self._whole(flux), self._whole(error)
+
+    def covariance(self, cadences):
+        """
+        Return the covariance of the corrected relative flux.
+
+        The white noise, which is independent in each cadence, and the uncertainty of the
+        systematics, which is shared by cadences with the star in one place.
+
+        Parameters
+        ----------
+        cadences : array_like of int or bool
+            Which cadences, k of them; all must be usable.
+
+        Returns
+        -------
+        ndarray
+            ``(k, k)``, relative flux squared.
+        """
+        usable = self.model.pixels.usable
+        index = np.arange(len(usable))[np.asarray(cadences)]
+        if not usable[index].all():
+            raise ValueError("`cadences` must have usable pixels")
+        rows = (np.cumsum(usable) - 1)[index]
+        return self.solution.corrected_covariance(rows)
+
+    # Questions to the data at the fitted hyper-parameters
+
+    def fit_transit(self, transit_model):
+        """
+        Measure the depth of a transit with all uncertainties of the correction.
+
+        The amplitude of the model is fitted jointly with the systematics and the long-term
+        variability, whose hyper-parameters stay as they are. Used are the cadences of the fit and
+        those of ``transit_mask`` that are no outliers from the model with the transit.
+
+        Parameters
+        ----------
+        transit_model : array_like or callable
+            As in `PLDCorrector.correct`.
+
+        Returns
+        -------
+        scale, error : float
+            Amplitude in units of the model's, and its standard deviation.
+        """
+        usable = self.model.pixels.usable
+        column = transit_column(transit_model, self.model.pixels.time)[usable]
+        use = self.solution.use | self.transit_mask[usable]
+        options = self.model.options
+        solution = self.solution.with_flat(column, options.n_trend, use)
+        return solution.without_outliers(options).flat_coefficient(-1)
+
+    def held_out(self, width=13):
+        """
+        Predict windows of cadences by a model that has not seen them.
+
+        The hyper-parameters stay as they are; the coefficients and the long-term variability are
+        inferred anew for each window from all others, in closed form.
+
+        Parameters
+        ----------
+        width : int, optional
+            Cadences in a window, counted among those in the fit; 13 long cadences are 6.4 hours.
+
+        Returns
+        -------
+        residual : `~numpy.ndarray`
+            Mean of measured minus predicted relative flux, per window.
+        error : `~numpy.ndarray`
+            Its expected standard deviation: noise and model.
+        used : `~numpy.ndarray`
+            Indices of the cadences in the fit, which are the windows one after the other.
+        """
+        used = np.flatnonzero(self.used)
+        width = checked_integer("width", width, 1)
+        if len(used) < 2 * width:
+            raise ValueError(f"`width` must be at most {len(used) // 2}, got {width}")
+        residual, covariance = self.solution.held_out(width)
+        return residual.mean(axis=1), np.sqrt(covariance.sum(axis=(1, 2))) / width, used
+
+    # How it looks
 
     def to_table(self):
         """
@@ -90,41 +305,78 @@ class PLDResult:
 
         Returns
         -------
-        `~astropy.table.Table`
+        `~astropy.table.QTable`
             Columns ``group``, ``n_columns``, ``prior_variance``, ``explained_variance`` and
-            ``effective_parameters``.
+            ``effective_parameters``; ``meta`` has the other numbers, ``trend_period`` and
+            ``breaks`` in days.
         """
         names = ("n_columns", "prior_variance", "explained_variance", "effective_parameters")
-        table = Table({"group": list(self.groups), **{n: list(getattr(self, n)) for n in names}})
-        skip = {"groups", *names}
-        table.meta.update({k: v for k, v in vars(self).items() if k not in skip})
+        table = QTable({"group": list(self.groups), **{n: list(getattr(self, n)) for n in names}})
+        table.meta.update({name: getattr(self, name) for name in _NUMBERS})
         return table
 
+    def _rows(self):
+        """Return labels and values for the short table."""
+        rows = [
+            ("cadences in the fit", f"{self.n_used}"),
+            ("outliers", f"{self.n_outliers}"),
+            ("noise variance / FLUX_ERR^2", f"{self.noise_scale:.3f}"),
+            ("transit survival", f"{self.transit_survival:.3f}"),
+        ]
+        if np.isfinite(self.trend_sigma):
+            trend = f"{1e6 * self.trend_sigma:.0f} ppm, {self.trend_period:.2f} d"
+            rows.append(("trend", trend))
+        if self.joint:
+            rows.append(
+                ("transit scale", f"{self.transit_scale:.4f} +- {self.transit_scale_err:.4f}")
+            )
+        parts = zip(self.groups, self.n_columns, self.effective_parameters, strict=True)
+        rows += [(name, f"{used:.1f} of {n} parameters") for name, n, used in parts]
+        return rows
 
-def make_result(solution, breaks, *, n_outliers, transit):
-    """Return the numbers of a solution; the last flat column is a transit if ``transit``."""
-    hyper, regressors = solution.hyper, solution.regressors
-    window = round(_TRANSIT_HOURS / 24 / float(np.median(np.diff(solution.time))))
-    window = int(np.clip(window, 1, len(solution.alpha) // 2))
-    excess = max(hyper.noise_scale - 1, 0.0) * np.median(solution.variance)
-    scale, scale_err = solution.flat_coefficient(-1) if transit else (np.nan, np.nan)
-    process = hyper.amplitude is not None
-    return PLDResult(
-        groups=regressors.names,
-        n_columns=tuple(int(k) for k in np.bincount(regressors.groups)),
-        prior_variance=tuple(float(v) for v in hyper.variances),
-        explained_variance=tuple(solution.group_variances()),
-        effective_parameters=tuple(float(v) for v in solution.effective_parameters()),
-        noise_scale=hyper.noise_scale,
-        jitter=float(np.sqrt(excess)),
-        trend_sigma=float(np.sqrt(hyper.amplitude)) if process else np.nan,
-        trend_period=hyper.period if process else np.nan,
-        log_likelihood=solution.log_likelihood,
-        n_used=int(solution.use.sum()),
-        n_outliers=n_outliers,
-        transit_survival=solution.survival(window),
-        window=window,
-        breaks=breaks,
-        transit_scale=scale,
-        transit_scale_err=scale_err,
-    )
+    def __repr__(self):
+        return (
+            f"<PLDFit: order {self.model.options.order}, {self.n_used} cadences, "
+            f"{self.n_outliers} outliers, transit survival {self.transit_survival:.3f}>"
+        )
+
+    def __str__(self):
+        return "\n".join(f"{label:28} {value}" for label, value in self._rows())
+
+    def _repr_html_(self):
+        rows = "".join(
+            f"<tr><th>{label}</th><td>{value}</td></tr>" for label, value in self._rows()
+        )
+        return f"<table>{rows}</table>"
+
+
+def transit_column(model, time):
+    """
+    Return the logarithm of a transit model at all cadences, shape ``(n, 1)``.
+
+    Parameters
+    ----------
+    model : array_like or callable
+        Relative flux, or what returns it for times in days.
+    time : ndarray
+        Times of the cadences.
+
+    Returns
+    -------
+    ndarray
+        Logarithms, 0 where the time is unknown.
+    """
+    known = np.isfinite(time)
+    if callable(model):
+        values = np.ones(len(time))
+        values[known] = model(time[known])
+    else:
+        values = plain_array(model, "", "transit_model")
+    if values.shape != time.shape:
+        raise ValueError(f"`transit_model` must have shape {time.shape}, got {values.shape}")
+    if not np.isfinite(values[known]).all() or np.any(values[known] <= 0):
+        raise ValueError("`transit_model` must be positive and finite: it is a relative flux")
+    column = np.log(np.where(known, values, 1.0))
+    if not np.ptp(column[known]) > 0:
+        raise ValueError("`transit_model` must vary with time, got a constant")
+    return column[:, None]

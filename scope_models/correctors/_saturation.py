@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import ndtr
 
-__all__ = ["RowCentres", "find_row_centres", "without_saturation"]
+__all__ = ["RowCenters", "find_row_centers", "without_saturation"]
 
 #: A column counts as full if it is in this part of the cadences, and in so many at least.
 _PART, _FEWEST = 0.01, 3
@@ -17,15 +17,15 @@ _REACH = 4
 _SMALLEST_SHARE = 5e-3
 #: ... and no pixel is fuller than 1, with 0.8 fully.
 _TAPER = 0.2
-#: Standard deviations: what a column's centre of light does not follow the model by (pixel), and
+#: Standard deviations: what a column's center of light does not follow the model by (pixel), and
 #: the pixels' responses (relative).
 _MISFIT, _RESPONSE = 1e-3, 0.05
-#: Standard deviation in pixels of the centre of all light, where no column tells the row.
+#: Standard deviation in pixels of the center of all light, where no column tells the row.
 _FALLBACK = 0.5
 
 
 @dataclass(frozen=True)
-class RowCentres:
+class RowCenters:
     """
     Where the star is along the columns.
 
@@ -34,7 +34,7 @@ class RowCentres:
     star : ndarray
         Row of the star, up to a smooth function of its place, ``(n_cadences,)``.
     columns : ndarray
-        Row of the centre of the light in each column, ``(n_cadences, nx)``: where the image is
+        Row of the center of the light in each column, ``(n_cadences, nx)``: where the image is
         tilted it differs from column to column.
     """
 
@@ -71,19 +71,19 @@ def without_saturation(images, aperture, use, saturation, noise):
     count = max(_FEWEST, round(_PART * use.sum()))
     full = (np.sum(images[use] > saturation, axis=0) >= count).any(axis=0)
     if full.any():
-        centres = find_row_centres(images, aperture, use, saturation, noise).columns[:, full]
+        centers = find_row_centers(images, aperture, use, saturation, noise).columns[:, full]
         rows = np.arange(images.shape[1])
-        low = (rows[:, None] - 0.5 - centres[:, None, :]) / _DRAWN_WIDTH
+        low = (rows[:, None] - 0.5 - centers[:, None, :]) / _DRAWN_WIDTH
         profile = ndtr(low + 1 / _DRAWN_WIDTH) - ndtr(low)
         images[:, :, full] = profile * images[:, :, full].sum(axis=1, keepdims=True)
     return images
 
 
-def find_row_centres(images, aperture, use, saturation, noise):
+def find_row_centers(images, aperture, use, saturation, noise):
     r"""
     Find the row of the star from the columns without full pixels.
 
-    The centre of light of column c is
+    The center of light of column c is
 
     .. math::
 
@@ -91,7 +91,7 @@ def find_row_centres(images, aperture, use, saturation, noise):
 
     with the star's row y and column x (from the columns' sums), the tilt h of its image, a
     piecewise linear function, and the pixels' responses :math:`1 + \beta_{rc}`, which move the
-    centre in proportion to the pixel's share q of the column and its lever. One linear
+    center in proportion to the pixel's share q of the column and its lever. One linear
     least-squares fit finds h and :math:`\beta` for all cadences: without them the row
     would jump when the star comes to other columns.
 
@@ -102,7 +102,7 @@ def find_row_centres(images, aperture, use, saturation, noise):
 
     Returns
     -------
-    RowCentres
+    RowCenters
         Rows of the star and of the light in each column.
     """
     rows, columns = np.arange(images.shape[1]), np.arange(images.shape[2])
@@ -111,8 +111,8 @@ def find_row_centres(images, aperture, use, saturation, noise):
     distance = columns - (sums @ columns / total)[:, None]
     safe = np.where(sums > 0, sums, np.inf)
     share = images / safe[:, None, :]
-    centre = np.einsum("ijk,j->ik", share, rows)
-    lever = rows[:, None] - centre[:, None, :]
+    center = np.einsum("ijk,j->ik", share, rows)
+    lever = rows[:, None] - center[:, None, :]
     variance = noise * np.abs(np.sum(share * lever**2, axis=1)) / safe
     weight = np.clip(sums / total[:, None] / _SMALLEST_SHARE - 1, 0, 1)
     weight *= np.clip((1 - images.max(axis=1) / saturation) / _TAPER, 0, 1)
@@ -120,20 +120,20 @@ def find_row_centres(images, aperture, use, saturation, noise):
     tilt = _hats(distance)
     fallback = _FALLBACK**-2
     weights = weight.sum(axis=1) + fallback
-    mean = np.sum(weight * centre, axis=1) + fallback * (images.sum(axis=2) @ rows / total)
+    mean = np.sum(weight * center, axis=1) + fallback * (images.sum(axis=2) @ rows / total)
     mean /= weights
     row, column = np.nonzero(aperture & (weight[use] > 0).any(axis=0))
     pull = (share * lever)[:, row, column] * weight[:, column]
     summed = np.concatenate([np.einsum("ij,ijk->ik", weight, tilt), pull], axis=1)
     averaged = summed / weights[:, None]
-    normal, right = _normal_equations(*(a[use] for a in (tilt, pull, centre, weight)), column)
+    normal, right = _normal_equations(*(a[use] for a in (tilt, pull, center, weight)), column)
     normal -= summed[use].T @ averaged[use]
     right -= summed[use].T @ mean[use]
     prior = np.append(np.ones(tilt.shape[-1]), np.full(len(row), _RESPONSE**-2))
     normal.flat[:: len(prior) + 1] += prior
     coefficients = np.linalg.solve(normal, right)
     star = mean - averaged @ coefficients
-    return RowCentres(star, star[:, None] + tilt @ coefficients[: tilt.shape[-1]])
+    return RowCenters(star, star[:, None] + tilt @ coefficients[: tilt.shape[-1]])
 
 
 def _hats(distance):
@@ -142,14 +142,14 @@ def _hats(distance):
     return np.clip(1 - np.abs(distance[..., None] - knots), 0, None)
 
 
-def _normal_equations(tilt, pull, centre, weight, column):
+def _normal_equations(tilt, pull, center, weight, column):
     """Return the normal equations of tilt and responses at given rows of the star."""
     k = tilt.shape[-1]
     normal = np.zeros((k + len(column), k + len(column)))
     normal[:k, :k] = np.einsum("ij,ija,ijb->ab", weight, tilt, tilt, optimize=True)
-    right = np.einsum("ij,ijk->k", weight * centre, tilt, optimize=True)
-    right = np.append(right, np.einsum("ij,ij->j", pull, centre[:, column]))
-    for c in np.unique(column):  # a pixel moves the centre of its own column alone
+    right = np.einsum("ij,ijk->k", weight * center, tilt, optimize=True)
+    right = np.append(right, np.einsum("ij,ij->j", pull, center[:, column]))
+    for c in np.unique(column):  # a pixel moves the center of its own column alone
         here = np.flatnonzero(column == c)
         seen = weight[:, c] > 0
         part = pull[np.ix_(seen, here)]

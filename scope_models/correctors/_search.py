@@ -34,7 +34,7 @@ _LARGEST = 1e3
 
 
 def _fit_scales(gram, data, hyper, n_steps):
-    """Maximise over the variances and a factor of noise and long-term process alike."""
+    """Maximize over the variances and a factor of noise and long-term process alike."""
     n, n_groups = len(data.y), data.n_groups
 
     def objective(theta):
@@ -62,7 +62,7 @@ def _fit_scales(gram, data, hyper, n_steps):
 
 
 def _minimize(objective, start, bounds, n, n_steps=_STEPS):
-    """Minimise over positive parameters, and return these."""
+    """Minimize over positive parameters, and return these."""
     start = np.clip(np.log(start), *np.transpose(bounds))
     options = {"maxiter": n_steps, "ftol": _PRECISION / n}
     result = minimize(objective, start, jac=True, method="L-BFGS-B", bounds=bounds, options=options)
@@ -84,7 +84,7 @@ def _compressed(gram, data, hyper, smallest=1e-2):
 
 
 def _fit_process(data, hyper):
-    """Maximise over noise, long-term process and a factor of all prior variances."""
+    """Maximize over noise, long-term process and a factor of all prior variances."""
 
     def objective(theta):
         scale, variance, amplitude, period = np.exp(theta)
@@ -111,7 +111,7 @@ def _fit_process(data, hyper):
 
 def fit_columns(data, hyper, n_steps=_STEPS):
     """
-    Maximise over the columns' variances and a factor of the noise and the process alike.
+    Maximize over the columns' variances and a factor of the noise and the process alike.
 
     Parameters
     ----------
@@ -135,7 +135,7 @@ def fit_columns(data, hyper, n_steps=_STEPS):
 
 
 def _improve(data, hyper):
-    """Maximise over the columns' parameters, then over those of the process."""
+    """Maximize over the columns' parameters, then over those of the process."""
     hyper, gram = fit_columns(data, hyper)
     if hyper.amplitude is None:
         return hyper
@@ -144,7 +144,7 @@ def _improve(data, hyper):
 
 def fit_hyperparameters(data, start=None, *, trend=True, tolerance=0.05, n_rounds=5):
     """
-    Maximise the marginal likelihood.
+    Maximize the marginal likelihood.
 
     The columns' parameters are improved at fixed process, where only a small matrix enters,
     and the process' with the columns compressed, by turns. Whether a slow change

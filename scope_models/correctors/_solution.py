@@ -5,18 +5,20 @@ from functools import cached_property
 
 import numpy as np
 
-from scope_models.correctors._leave_one_out import fit_leave_one_out
 from scope_models.correctors._regression import Data, Hyperparameters, Posterior, log_likelihood
 from scope_models.correctors._search import fit_columns, fit_hyperparameters
 
-__all__ = ["Solution", "fit"]
+__all__ = ["NothingToCorrectError", "Solution", "fit"]
 
-_TREND_COLUMNS = {"gp": 1, "quadratic": 3}
 #: Largest number of fits of the hyper-parameters after outliers were found.
 _REFITS = 2
 #: Part of the cadences without which the columns and the time scales stay: only the variances are
 #: fitted again.
 _LITTLE = 0.01
+
+
+class NothingToCorrectError(ValueError):
+    """No regressor varies."""
 
 
 @dataclass(frozen=True)
@@ -114,6 +116,14 @@ class Solution:
     @cached_property
     def white_variance(self):
         return self.hyper.noise_scale * self.variance
+
+    def corrected_covariance(self, rows):
+        """Covariance of the corrected logarithm of the flux at rows of the usable cadences."""
+        k = self.n_regressors
+        x = self.regressors.columns[rows]
+        covariance = x @ self.posterior.covariance[:k, :k] @ x.T
+        covariance.flat[:: len(rows) + 1] += self.white_variance[rows]
+        return covariance
 
     def blocks(self, starts, width):
         """Blocks of the inverse covariance of everything, for windows of cadences in use."""
@@ -233,11 +243,11 @@ def fit(make_regressors, time, y, variance, use, flat_columns, options):
         Cadences that may be used.
     flat_columns : ndarray
         Transit column ``(n, m)``, m = 0 or 1.
-    options : FitOptions
-        Trend, method and clipping.
+    options : PLDOptions
+        Trend and clipping.
     """
     time = time - time[use][0]
-    flat, scale = _flat_columns(time, flat_columns, options.trend)
+    flat, scale = _flat_columns(time, flat_columns, options.n_trend)
     solution = None
     for k in range(_REFITS + 1):
         hyper, regressors, little = None, None, False
@@ -247,8 +257,10 @@ def fit(make_regressors, time, y, variance, use, flat_columns, options):
             regressors = solution.regressors if little else None
         if regressors is None:
             regressors = make_regressors(use)
-        centred = y - y[use].mean()
-        solution = Solution(time, centred, variance, use, regressors, flat, scale, hyper)
+            if not regressors.columns.shape[1]:
+                raise NothingToCorrectError("the pixel fractions do not vary")
+        centered = y - y[use].mean()
+        solution = Solution(time, centered, variance, use, regressors, flat, scale, hyper)
         solution = replace(solution, hyper=_fit_hyper(solution, options, little=little))
         if k < _REFITS:
             use = solution.without_outliers(options).use
@@ -257,9 +269,9 @@ def fit(make_regressors, time, y, variance, use, flat_columns, options):
     return solution
 
 
-def _flat_columns(time, extra, trend):
+def _flat_columns(time, extra, n_trend):
     x = time / max(time[-1], 1e-9)
-    columns = np.stack([x**k for k in range(_TREND_COLUMNS[trend])], axis=1)
+    columns = np.stack([x**k for k in range(n_trend)], axis=1)
     columns = np.concatenate([columns, extra], axis=1)
     scale = np.abs(columns).max(axis=0)
     return columns / scale, scale
@@ -270,9 +282,5 @@ def _fit_hyper(solution, options, *, little):
     if hyper is not None and len(hyper.variances) != data.n_groups:
         hyper = None
     if hyper is not None and little:
-        hyper = fit_columns(data, hyper)[0]
-    else:
-        hyper = fit_hyperparameters(data, hyper, trend=options.trend == "gp")
-    if options.method == "leave-one-out":
-        hyper = fit_leave_one_out(data, hyper)
-    return hyper
+        return fit_columns(data, hyper)[0]
+    return fit_hyperparameters(data, hyper, trend=options.trend == "gp")

@@ -5,29 +5,21 @@ import warnings
 import numpy as np
 from lightkurve.correctors.corrector import Corrector
 
-from scope_models.correctors._design import make_regressors
-from scope_models.correctors._inputs import (
-    FitOptions,
-    checked_count,
-    checked_mask,
-    design_options,
-    transit_column,
-)
-from scope_models.correctors._pixels import read_pixels
-from scope_models.correctors._result import make_result
-from scope_models.correctors._solution import fit
+from scope_models._checks import checked_cadences
+from scope_models.correctors._pixels import aperture_pixels
+from scope_models.correctors._solution import NothingToCorrectError
+from scope_models.correctors.model import PLDModel, PLDOptions
 from scope_models.exceptions import DetrendingWarning
+from scope_models.io import read_pixels, read_tpf
 
 __all__ = ["PLDCorrector"]
-
-_FEWEST_CADENCES = 30
 
 
 class PLDCorrector(Corrector):
     r"""
     Remove pointing systematics with the help of the target's own pixels.
 
-    The logarithm of the flux summed over the aperture is modelled as
+    The logarithm of the flux summed over the aperture is modeled as
 
     .. math::
 
@@ -36,9 +28,9 @@ class PLDCorrector(Corrector):
 
     with all products of the pixel fractions up to order n. The coefficients
     have Gaussian priors, one variance per order; the sums over the pixels of
-    products of neighbours, which are the same function of position in all
+    products of neighbors, which are the same function of position in all
     pixels, have their own. The long-term variability g is a Gaussian process or
-    a quadratic polynomial. The variances and time scales maximise the
+    a quadratic polynomial. The variances and time scales maximize the
     marginal likelihood, so that there is nothing to tune.
 
     A dimming of the star changes all pixels alike and leaves the fractions
@@ -47,8 +39,8 @@ class PLDCorrector(Corrector):
 
     Parameters
     ----------
-    tpf : `~lightkurve.targetpixelfile.TargetPixelFile`
-        Kepler, K2, TESS or synthetic target pixel file. Cadences without a
+    tpf : `~lightkurve.targetpixelfile.TargetPixelFile`, str or path-like
+        Kepler, K2, TESS or synthetic target pixel file, or the path of one. Cadences without a
         finite time or with pixels that are NaN are left out and stay NaN.
     aperture_mask : array_like of bool, optional
         Pixels ``(ny, nx)`` that are summed. By default all connected pixels
@@ -96,14 +88,12 @@ class PLDCorrector(Corrector):
     """
 
     def __init__(self, tpf, aperture_mask=None):
-        self.tpf = tpf
+        self.tpf = read_tpf(tpf)
+        self._series = read_pixels(self.tpf)
         self._set_aperture(aperture_mask)
 
     def _set_aperture(self, aperture_mask):
-        pixels = read_pixels(self.tpf, aperture_mask)
-        steps = np.diff(pixels.time[pixels.usable])
-        if np.any(steps <= 0):
-            raise ValueError("the times of `tpf` must increase")
+        pixels = aperture_pixels(self._series, aperture_mask)
         lc = self.tpf.to_lightcurve(aperture_mask=pixels.aperture.copy())
         unit = lc.flux.unit
         lc.flux = np.where(pixels.usable, pixels.total, np.nan) * unit
@@ -112,7 +102,7 @@ class PLDCorrector(Corrector):
         self.aperture_mask = pixels.aperture.copy()
         self.original_lc = lc
         self.cadence_mask = np.ones(len(lc), dtype=bool)
-        self._solution = self.result = None
+        self.model = self.result = None
 
     def __repr__(self):
         return f"PLDCorrector (ID: {self.original_lc.meta.get('LABEL', 'unknown')})"
@@ -156,9 +146,8 @@ class PLDCorrector(Corrector):
             Whether the long-term variability stays in the light curve.
         trend : {"gp", "quadratic"}, optional
             Long-term variability: a Gaussian process or a polynomial.
-        method : {"likelihood", "leave-one-out"}, optional
-            What the hyper-parameters maximise: the marginal likelihood, or
-            the density of each datum predicted from all others.
+        method : {"likelihood"}, optional
+            What the hyper-parameters maximize: the marginal likelihood.
         segments : "auto", None or sequence of float, optional
             Times (days) at which the coefficients of order 1 may change. By
             default where the sense of the roll reverses. The change has a
@@ -199,79 +188,47 @@ class PLDCorrector(Corrector):
         DetrendingWarning
             If there is nothing to correct, or data had to be replaced.
         """
-        options = FitOptions(trend, method, sigma, max_clips)
-        order = checked_count("order", order, 1)
+        if method != "likelihood":
+            raise ValueError(
+                '`method` must be one of ("likelihood",): leave-one-out was no better and has '
+                f"been removed, `held_out` measures predictions; got {method!r}"
+            )
+        options = PLDOptions(
+            order, trend, segments, background, neighbors, saturation, sigma, max_clips
+        )
         n = len(self._pixels.time)
-        mask = checked_mask("cadence_mask", cadence_mask, n, default=True)
-        in_transit = checked_mask("transit_mask", transit_mask, n, default=False)
+        mask = checked_cadences("cadence_mask", cadence_mask, n, default=True)
+        in_transit = checked_cadences("transit_mask", transit_mask, n, default=False)
         if aperture_mask is not None:
             self._set_aperture(aperture_mask)
-        extra = np.empty((n, 0))
-        if transit_model is not None:
-            extra = transit_column(transit_model, self._pixels.time)
-        allowed = (mask & ~in_transit)[self._pixels.usable]
-        if allowed.sum() < _FEWEST_CADENCES:
-            raise ValueError(
-                f"at least {_FEWEST_CADENCES} usable cadences are needed, got {allowed.sum()}"
-            )
-        design = design_options(
-            self.tpf, self._pixels, order, segments, background, neighbors, saturation
-        )
-        self._solution, self._options = self._fit(allowed, extra, design, options), options
-        self._restore_trend, self._n_trend = restore_trend, 3 if trend == "quadratic" else 1
+        self.model = PLDModel.from_pixels(self._pixels, options, self._series)
+        self._restore_trend = restore_trend
+        try:
+            self.result = self.model.fit(mask, transit_mask=in_transit, transit_model=transit_model)
+        except NothingToCorrectError:
+            message = "the pixel fractions do not vary: the light curve is left as it is"
+            warnings.warn(message, DetrendingWarning, stacklevel=2)
+            self.result = None
         self.cadence_mask, self.transit_mask = mask & ~in_transit, in_transit
-        self._finish(allowed, design, transit=transit_model is not None)
+        self._finish()
         return self.corrected_lc
 
-    def _fit(self, allowed, extra, design, options):
-        pixels = self._pixels
-        usable = pixels.usable
-        total = pixels.total[usable]
+    def _finish(self):
+        """Make the corrected light curve and the mask of outliers."""
+        lc = self.original_lc.copy()
+        self.outlier_mask = np.zeros(len(lc), dtype=bool)
+        if self.result is not None:
+            self.outlier_mask = self.result.outliers
+            flux, flux_err = self.result.corrected(restore_trend=self._restore_trend)
+            lc.flux, lc.flux_err = flux * lc.flux.unit, flux_err * lc.flux_err.unit
+        self.corrected_lc = lc
 
-        def make(use):
-            regressors = make_regressors(pixels, use, design)
-            if not regressors.columns.shape[1]:
-                raise _NothingToCorrectError
-            return regressors
-
-        y = np.log(total / np.median(total[allowed]))
-        variance = (pixels.total_err[usable] / total) ** 2
-        try:
-            return fit(make, pixels.time[usable], y, variance, allowed, extra[usable], options)
-        except np.linalg.LinAlgError as error:
-            raise ValueError(
-                "the pixels' covariance is singular to working precision: check FLUX_ERR and the "
-                "aperture, or lower `order`"
-            ) from error
-        except _NothingToCorrectError:
-            message = "the pixel fractions do not vary: the light curve is left as it is"
-            warnings.warn(message, DetrendingWarning, stacklevel=3)
-            return None
-
-    def _finish(self, allowed, design, *, transit):
-        """Make the corrected light curve, the masks and the result."""
-        solution, usable = self._solution, self._pixels.usable
-        self.corrected_lc = self.original_lc.copy()
-        self.outlier_mask = np.zeros(len(usable), dtype=bool)
-        self.result = None
-        if solution is None:
-            return
-        self.outlier_mask[usable] = allowed & ~solution.use
-        removed, variance = solution.systematics, solution.systematics_variance
-        if not self._restore_trend:
-            removed = removed + solution.trend(self._n_trend)
-            variance = solution.latent_variance()
-        flux = self._pixels.total[usable] / np.exp(removed)
-        self._store("flux", flux)
-        self._store("flux_err", flux * np.sqrt(solution.white_variance + variance))
-        self.result = make_result(
-            solution, design.breaks, n_outliers=int(self.outlier_mask.sum()), transit=transit
-        )
-
-    def _store(self, column, values):
-        whole = np.full(len(self._pixels.usable), np.nan)
-        whole[self._pixels.usable] = values
-        setattr(self.corrected_lc, column, whole * getattr(self.original_lc, column).unit)
+    def _fitted(self):
+        """Return the last fit, or raise an error."""
+        self._check_corrected()
+        if self.result is None:
+            raise ValueError("the last correction found nothing to correct")
+        return self.result
 
     def fit_transit(self, transit_model):
         """
@@ -294,15 +251,7 @@ class PLDCorrector(Corrector):
         scale, error : float
             Amplitude in units of the model's, and its standard deviation.
         """
-        self._check_corrected()
-        solution = self._solution
-        if solution is None:
-            raise ValueError("the last correction found nothing to correct")
-        usable = self._pixels.usable
-        column = transit_column(transit_model, self._pixels.time)[usable]
-        use = solution.use | self.transit_mask[usable]
-        solution = solution.with_flat(column, self._n_trend, use)
-        return solution.without_outliers(self._options).flat_coefficient(-1)
+        return self._fitted().fit_transit(transit_model)
 
     def held_out(self, width=13):
         """
@@ -325,15 +274,7 @@ class PLDCorrector(Corrector):
         used : `~numpy.ndarray`
             Indices of the cadences in the fit, which are the windows one after the other.
         """
-        self._check_corrected()
-        if self._solution is None:
-            raise ValueError("the last correction found nothing to correct")
-        used = np.flatnonzero(self._pixels.usable)[self._solution.use]
-        width = checked_count("width", width, 1)
-        if len(used) < 2 * width:
-            raise ValueError(f"`width` must be at most {len(used) // 2}, got {width}")
-        residual, covariance = self._solution.held_out(width)
-        return residual.mean(axis=1), np.sqrt(covariance.sum(axis=(1, 2))) / width, used
+        return self._fitted().held_out(width)
 
     def _check_corrected(self):
         if not hasattr(self, "_corrected_lc"):
@@ -359,11 +300,10 @@ class PLDCorrector(Corrector):
         lc, corrected = self.original_lc, self.corrected_lc
         systematics = np.full(len(lc), np.nan)
         trend = systematics.copy()
-        if self._solution is not None:
-            level = np.median(corrected.flux.value[self._pixels.usable])
-            usable = self._pixels.usable
-            systematics[usable] = level * np.exp(self._solution.systematics)
-            trend[usable] = level * np.exp(self._solution.trend(self._n_trend))
+        if self.result is not None:
+            level = np.nanmedian(corrected.flux.value)
+            systematics = level * np.exp(self.result.systematics)
+            trend = level * np.exp(self.result.trend)
         return plot_detrending(
             lc.time.value,
             lc.flux.value,
@@ -397,7 +337,3 @@ class PLDCorrector(Corrector):
         return plot_detrending_masks(
             np.median(flux, axis=0), pixels.aperture, np.std(fractions, axis=0)
         )
-
-
-class _NothingToCorrectError(Exception):
-    """No regressor varies."""

@@ -226,8 +226,7 @@ class K2MotionNoise(Study):
         """
         detector = observation.detector
         flat = self._noiseless(observation, detector.without_sensitivity())
-        depth = 0.9 * detector.well_depth / detector.int_time - detector.background
-        saturated = bool(np.percentile(flat, 97.5, axis=0).max() > depth)
+        saturated = bool(np.percentile(flat, 97.5, axis=0).max() > detector.full_flux)
         aperture = self.aperture(observation, flat.mean(axis=0), saturated=saturated)
         even = detector.replace(interpixel=np.ones(detector.shape))
         cubes = {

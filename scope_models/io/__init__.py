@@ -1,6 +1,7 @@
-"""Reading columns of archive files, writing target pixel files with truth."""
+"""The door in, from target pixel files to arrays, and the door out, with the truth."""
 
 from scope_models._moved import renamed
+from scope_models.io.pixels import PixelSeries, read_pixels, read_tpf, usable_positions
 from scope_models.io.tpf import (
     TPFMetadata,
     make_tpf_hdulist,
@@ -11,10 +12,14 @@ from scope_models.io.tpf import (
 from scope_models.io.truth import Truth
 
 __all__ = [
+    "PixelSeries",
     "TPFMetadata",
     "Truth",
     "make_tpf_hdulist",
+    "read_pixels",
+    "read_tpf",
     "read_truth",
+    "usable_positions",
     "write_hdulist",
     "write_tpf",
 ]

@@ -6,7 +6,6 @@ import numpy as np
 
 __all__ = ["PixelColumn", "checked_columns", "pixel_columns", "table_rows"]
 
-NO_DATA = 65536  # the QUALITY bit of Kepler and K2 for cadences without data
 _ROLLING_BAND_DURATIONS = 5
 _LATEST_DAY = 1e5
 _DTYPES = {"D": np.dtype(">f8"), "E": np.dtype(">f4"), "J": np.dtype(">i4")}
@@ -191,9 +190,7 @@ def _checked_quality(metadata, quality, time):
     quality = _integers("quality", quality, time.shape)
     if quality.min() < 0:
         raise ValueError(f"`quality` must not be negative, got {quality.min()}")
-    if metadata.mission == "TESS":
-        return quality
-    return quality | np.where(np.isnan(time), NO_DATA, 0).astype(np.int32)
+    return quality | np.where(np.isnan(time), metadata.layout.quality.no_data, 0).astype(np.int32)
 
 
 def _check_errors(checked):

@@ -40,7 +40,7 @@ def primary_cards(metadata, span):
         ("FILEVER", metadata.layout.file_version, "archive format that the file follows"),
         ("TIMVERSN", "OGIP/93-003", "conventions of the time cards"),
         ("TELESCOP", metadata.layout.telescope, "telescope"),
-        ("INSTRUME", f"{metadata.layout.telescope} Photometer", "detector"),
+        ("INSTRUME", metadata.layout.instrument, "detector"),
     ]
     cards += _tess_target(metadata) if tess else _kepler_target(metadata)
     seed = metadata.seed
@@ -218,7 +218,7 @@ def _extension(metadata, name):
         ("EXTVER", 1, "version of extension"),
         ("SIMDATA", True, "the data are simulated"),
         ("TELESCOP", metadata.layout.telescope, "telescope"),
-        ("INSTRUME", f"{metadata.layout.telescope} Photometer", "detector"),
+        ("INSTRUME", metadata.layout.instrument, "detector"),
         ("OBJECT", metadata.name, "name of the target"),
         (metadata.layout.id_keyword, metadata.target_id, "number of the target"),
         *_place(metadata),
@@ -247,15 +247,15 @@ def time_cards(metadata, time, timecorr, used):
     layout, delta = metadata.layout, metadata.cadence_days
     timed = np.flatnonzero(np.isfinite(time))[[0, -1]]
     start, stop = time[timed[0]] - delta / 2, time[timed[1]] + delta / 2
-    live = metadata.live_fraction
-    dates = _calendar_dates(layout.bjd_reference, (start, stop))
+    live = metadata.duty_cycle
+    dates = _calendar_dates(layout.time_zero, (start, stop))
     cards = [
         *_extension(metadata, layout.table_name),
         ("EXPOSURE", used * delta * live, "[d] time on source"),
         ("TIMEREF", "SOLARSYSTEM", "times are barycentric"),
         ("TASSIGN", "SPACECRAFT", "where times are assigned"),
         ("TIMESYS", "TDB", "barycentric dynamical time"),
-        ("BJDREFI", layout.bjd_reference, "day from which times are counted"),
+        ("BJDREFI", int(layout.time_zero), "day from which times are counted"),
         ("BJDREFF", 0.0, "fraction of that day"),
         ("TIMEUNIT", "d", "unit of TIME, TSTART and TSTOP"),
         ("TELAPSE", stop - start, "[d] TSTOP - TSTART"),
@@ -296,7 +296,7 @@ def _calendar_dates(reference, days):
 def _cadence_span(metadata, spacecraft_time):
     """Return LC_START and LC_END (SC_START, SC_END), which need a known TIMECORR."""
     prefix = "LC" if metadata.is_long_cadence else "SC"
-    mjd = spacecraft_time + (metadata.layout.bjd_reference - 2400000.5)
+    mjd = spacecraft_time + (metadata.layout.time_zero - 2400000.5)
     first, last = (value.item() if np.isfinite(value) else None for value in mjd)
     return [
         (f"{prefix}_START", first, "middle of the first cadence, MJD"),

@@ -15,6 +15,8 @@ from pathlib import Path
 import numpy as np
 from astropy.utils.exceptions import AstropyUserWarning
 
+from scope_models.missions import TIME_ZEROS, Mission
+
 __all__ = [
     "PositionColumns",
     "TableColumns",
@@ -25,8 +27,10 @@ __all__ = [
     "time_format_of",
 ]
 
-_TIME_FORMATS = {2454833: "bkjd", 2457000: "btjd"}
+_TIME_FORMATS = {zero: name for name, zero in TIME_ZEROS.items()}
 _UNREADABLE = (OSError, EOFError, ValueError, TypeError, KeyError, IndexError, zlib.error)
+_NO_FACTS = {"", "COMMENT", "HISTORY", "CHECKSUM", "DATASUM", "SIMPLE", "XTENSION", "BITPIX"}
+_NO_FACTS |= {"EXTEND", "PCOUNT", "GCOUNT", "TFIELDS"}
 _GZIP = b"\x1f\x8b"
 _FACTS = {
     "mission": ("MISSION", "TELESCOP"),
@@ -157,7 +161,7 @@ def open_fits(path):
             # astropy leaves some broken files open, so this opens and closes them itself.
             with path.open("rb") as stream, fits.open(_plain(stream), memmap=False) as hdus:
                 yield hdus
-        except _Refused as error:
+        except RefusedError as error:
             raise ValueError(str(error)) from None
         except (*_UNREADABLE, fits.VerifyError, AstropyUserWarning) as error:
             reason = " ".join(str(error).split())
@@ -200,24 +204,20 @@ def read_columns(path, required, optional=()):
     Traceback (most recent call last):
     ValueError: times.fits has no column POS_CORR1 in its first table; it has TIME
     """
-    from astropy.io import fits
-
     with open_fits(path) as hdus:
-        table = next((hdu for hdu in hdus if isinstance(hdu, fits.BinTableHDU)), None)
-        if table is None:
-            raise _Refused(f"{path} has no binary table")
+        table = first_table(hdus, path)
         present = [name.upper() for name in table.columns.names]
         missing = [name for name in required if name.upper() not in present]
         if missing:
-            raise _Refused(
+            raise RefusedError(
                 f"{path} has no column {' or '.join(missing)} in its first table; "
                 f"it has {', '.join(present) or 'none'}"
             )
         names = [name.upper() for name in (*required, *optional) if name.upper() in present]
-        columns = {name: _numbers(table.data[name], name, path) for name in names}
+        columns = {name: column_of(table, name, path) for name in names}
         if len(table.data) == 0:
-            raise _Refused(f"{path} has no rows in its first table")
-        header = {**hdus[0].header, **table.header}
+            raise RefusedError(f"{path} has no rows in its first table")
+        header = cards_of(hdus[0].header, table.header)
     return TableColumns(columns, header, Path(path))
 
 
@@ -303,7 +303,7 @@ def time_format_of(header):
     Parameters
     ----------
     header : mapping
-        Cards of the header: BJDREFI, else TELESCOP, decide.
+        Cards of the header: BJDREFI, else the mission, decide.
 
     Returns
     -------
@@ -327,9 +327,8 @@ def time_format_of(header):
         if day not in _TIME_FORMATS:
             raise ValueError(f"`BJDREFI` must be 2454833 or 2457000, got {day}")
         return _TIME_FORMATS[day]
-    return {"kepler": "bkjd", "k2": "bkjd", "tess": "btjd"}.get(
-        str(header.get("TELESCOP")).strip().lower()
-    )
+    mission = Mission.from_header(header)
+    return mission and mission.time_format
 
 
 def _plain(stream):
@@ -339,14 +338,88 @@ def _plain(stream):
     return io.BytesIO(gzip.GzipFile(fileobj=stream).read()) if start == _GZIP else stream
 
 
-class _Refused(Exception):  # noqa: N818 (never leaves this module)
+class RefusedError(ValueError):
     """A readable file does not have what is asked for."""
 
 
-def _numbers(column, name, path):
-    """Return a column in native byte order, one number per row."""
-    values = np.asarray(column)
-    if values.ndim != 1 or values.dtype.kind not in "iuf":
-        raise _Refused(f"column {name} of {path} must hold one number per row")
+def first_table(hdus, path):
+    """Return the first binary table of a file.
+
+    Parameters
+    ----------
+    hdus : astropy.io.fits.HDUList
+        The file.
+    path : str or path-like
+        Its name, for messages.
+
+    Returns
+    -------
+    astropy.io.fits.BinTableHDU
+        The table.
+
+    Raises
+    ------
+    ValueError
+        If there is none, or it has no rows.
+    """
+    from astropy.io import fits
+
+    table = next((hdu for hdu in hdus if isinstance(hdu, fits.BinTableHDU)), None)
+    if table is None:
+        raise RefusedError(f"{path} has no binary table")
+    return table
+
+
+def column_of(table, name, path, ndim=1):
+    """Return a column in native byte order, floats as float64.
+
+    Parameters
+    ----------
+    table : astropy.io.fits.BinTableHDU
+        The table.
+    name : str
+        The column, as the table has it.
+    path : str or path-like
+        The file's name, for messages.
+    ndim : {1, 3}, optional
+        Whether a row holds one number or an image.
+
+    Returns
+    -------
+    ndarray
+        The column.
+
+    Raises
+    ------
+    ValueError
+        If the column holds something else.
+    """
+    values = np.asarray(table.data[name])
+    if values.ndim != ndim or values.dtype.kind not in "iuf":
+        what = {1: "one number", 3: "an image of numbers"}[ndim]
+        raise RefusedError(f"column {name} of {path} must hold {what} per row")
     kind = values.dtype.newbyteorder("=")
-    return values.astype(np.float64 if kind.kind == "f" else kind)
+    return values.astype(np.float64 if kind.kind == "f" or ndim == 3 else kind)
+
+
+def cards_of(*headers):
+    """Return the cards of headers as a dict; later headers go before earlier ones.
+
+    Parameters
+    ----------
+    *headers : mapping
+        Headers.
+
+    Returns
+    -------
+    dict
+        Keywords and values: None for cards without a value. Comments, checksums and the sizes of
+        the file's parts are left out.
+    """
+    simple = (str, bool, int, float, complex)
+    return {
+        key: value if isinstance(value, simple) else None
+        for header in headers
+        for key, value in header.items()
+        if key not in _NO_FACTS and not key.startswith("NAXIS")
+    }

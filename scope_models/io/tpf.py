@@ -100,8 +100,7 @@ def make_tpf_hdulist(
     --------
     >>> import numpy as np
     >>> from scope_models.io import TPFMetadata, make_tpf_hdulist
-    >>> metadata = TPFMetadata(mission="K2", target_id=7, pixel_scale=3.98, int_time=6.02,
-    ...                        read_time=0.52, n_frames=270)
+    >>> metadata = TPFMetadata(mission="K2", target_id=7)
     >>> flux = np.ones((3, 5, 4))
     >>> hdus = make_tpf_hdulist(
     ...     metadata=metadata, time=[1.0, 1.02, 1.04], cadenceno=[1, 2, 3], raw_cnts=None,
@@ -170,8 +169,7 @@ def write_tpf(path, *, overwrite=False, **contents):
     >>> from pathlib import Path
     >>> import numpy as np
     >>> from scope_models.io import TPFMetadata, read_truth, write_tpf
-    >>> metadata = TPFMetadata(mission="TESS", target_id=7, pixel_scale=21.0, int_time=1.98,
-    ...                        read_time=0.02, n_frames=60, n_readouts=48)
+    >>> metadata = TPFMetadata(mission="TESS", target_id=7, n_readouts=48)
     >>> contents = dict(
     ...     metadata=metadata, time=[1.0, 2.0], cadenceno=[1, 2], raw_cnts=None,
     ...     flux=np.ones((2, 5, 4)), flux_err=0.1, flux_bkg=0.0, flux_bkg_err=0.0,

@@ -2,17 +2,18 @@
 """Models as what JSON can hold, and back."""
 
 import importlib
+import json
 import operator
 import sys
 from collections.abc import Mapping
-from dataclasses import fields, is_dataclass
+from dataclasses import fields
 
 import numpy as np
 from astropy.modeling import CompoundModel, Model
 
 from scope_models.models.sensitivity import SensitivityPolynomial
 
-__all__ = ["describe_model", "equal_values", "make_model"]
+__all__ = ["describe_model", "make_model", "value_key"]
 
 _OPERATORS = {"+": operator.add, "-": operator.sub, "*": operator.mul}
 # Modules that reading a file may import; others must have been imported before.
@@ -59,21 +60,27 @@ def make_model(described):
     return kind(**described["parameters"])
 
 
-def equal_values(one, other):
-    """Return whether two values are equal: arrays, models, mappings and dataclasses of them.
+def value_key(value):
+    """Return what is equal, and hashes alike, for equal values.
 
-    Functions are equal only if they are the same object.
+    Parameters
+    ----------
+    value : object
+        A frozen dataclass, whose fields are compared, or what such a field holds.
+
+    Returns
+    -------
+    hashable
+        The key. Callables are compared by identity.
     """
-    if isinstance(one, np.ndarray) or isinstance(other, np.ndarray):
-        one, other = np.asarray(one), np.asarray(other)
-        return one.dtype.kind == other.dtype.kind and np.array_equal(one, other)
-    if isinstance(one, tuple | list) and isinstance(other, tuple | list):
-        return len(one) == len(other) and all(map(equal_values, one, other))
-    if isinstance(one, Mapping) and isinstance(other, Mapping):
-        return one.keys() == other.keys() and all(equal_values(one[k], other[k]) for k in one)
-    if type(one) is type(other) and isinstance(one, Model):
-        return describe_model(one) == describe_model(other)
-    if type(one) is type(other) and is_dataclass(one):
-        names = [item.name for item in fields(one)]
-        return all(equal_values(getattr(one, name), getattr(other, name)) for name in names)
-    return bool(one == other)
+    if isinstance(value, Model):
+        return json.dumps(describe_model(value), sort_keys=True)
+    if isinstance(value, np.ndarray):
+        return value.shape, value.dtype.str, value.tobytes()
+    if isinstance(value, Mapping):
+        return frozenset((key, value_key(item)) for key, item in value.items())
+    if isinstance(value, (list, tuple)):
+        return tuple(value_key(item) for item in value)
+    if hasattr(value, "__dataclass_fields__"):
+        return tuple(value_key(getattr(value, item.name)) for item in fields(value))
+    return value

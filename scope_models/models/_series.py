@@ -105,14 +105,22 @@ def _number(value):
     return getattr(value, "value", value)
 
 
+def _gaussian(term):
+    """Return sigma_x, sigma_y and rho of a bivariate normal density, None of any other."""
+    form = term.closed_form()
+    if form is None or form.pixels is not gaussian_pixels:
+        return None
+    return tuple(float(value) for value in form.parameters[2:])
+
+
 def _window(parts, shape, x, y, widest):
     """Return the rows and columns that any component lights at any position."""
     windows = []
     for _, (dx, dy), term in parts:
-        gaussian = term.densities[0].gaussian()
+        gaussian = _gaussian(term)
         if gaussian is None:
             return slice(0, shape[0]), slice(0, shape[1])
-        _, _, _, sigma_x, sigma_y, _ = gaussian
+        sigma_x, sigma_y, _ = gaussian
         ends = np.array([1.0, widest])
         columns, rows = (
             reached(np.arange(n), np.add.outer(ends * d, [p.min(), p.max()]), widest * sigma)
@@ -125,11 +133,11 @@ def _window(parts, shape, x, y, widest):
 
 def _engine(term, columns, rows):
     """Return the function of positions and widths that renders one component."""
-    gaussian = term.densities[0].gaussian()
+    gaussian = _gaussian(term)
     along = term.polynomials()
     if gaussian is None:
         return _quadrature(term, columns, rows)
-    sigma_x, sigma_y, rho = (float(value) for value in gaussian[3:])
+    sigma_x, sigma_y, rho = gaussian
     if not uses_series(sigma_x, sigma_y, rho, max(c.size for c in along) - 1):
         return _tensor(columns, rows, (sigma_x, sigma_y, rho), along)
     n = n_terms(rho)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-__all__ = ["Domain", "check_model_parameters"]
+__all__ = ["Domain", "check_model_parameters", "one_number"]
 
 _TESTS = {
     "finite": np.isfinite,
@@ -72,3 +72,30 @@ def check_model_parameters(model):
         validator = parameter._validator  # noqa: SLF001
         if isinstance(validator, Domain):
             validator(model, parameter.value)
+
+
+def one_number(name, value):
+    """
+    Return the one value of an array that holds the same number everywhere.
+
+    Parameters
+    ----------
+    name : str
+        Name of the parameter.
+    value : array_like
+        The value.
+
+    Returns
+    -------
+    float
+        The number.
+
+    Raises
+    ------
+    ValueError
+        If the values differ.
+    """
+    value = np.reshape(value, -1)
+    if value.size > 1 and np.ptp(value):
+        raise ValueError(f"`{name}` must be one number, got {np.unique(value).size} values")
+    return value[0]

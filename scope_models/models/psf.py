@@ -5,6 +5,8 @@ import numpy as np
 from astropy.modeling import Fittable2DModel, Parameter
 from astropy.units import UnitsError
 
+from scope_models.models._closed_form import ClosedForm, pixels_of
+from scope_models.models._gaussian import gaussian_derivatives, gaussian_pixels
 from scope_models.models._validation import Domain, check_model_parameters
 
 __all__ = ["BivariateGaussianPSF"]
@@ -82,6 +84,9 @@ class BivariateGaussianPSF(Fittable2DModel):
     sigma_y.validator(Domain("sigma_y", "positive"))
     rho.validator(Domain("rho", "inside (-1, 1)"))
 
+    #: Kinds of the parameters in a fit.
+    parameter_kinds = {"sigma_x": "width", "sigma_y": "width", "rho": "correlation"}  # noqa: RUF012
+
     def __init__(
         self,
         flux=flux.default,
@@ -153,6 +158,27 @@ class BivariateGaussianPSF(Fittable2DModel):
             density * (z_y * slope_y - 1) / sigma_y,
             density * (rho + z_x * z_y - rho * distance) / rest,
         ]
+
+    @staticmethod
+    def closed_form(values):
+        """
+        Return the integrals over pixels in closed form.
+
+        Parameters
+        ----------
+        values : dict
+            Value of each parameter.
+
+        Returns
+        -------
+        form : ClosedForm
+            What `~scope_models.integrate_pixels` uses.
+        """
+        names = ("x_0", "y_0", "sigma_x", "sigma_y")
+        parameters = (*(pixels_of(values[name]) for name in names), values["rho"])
+        return ClosedForm(
+            values["flux"], parameters, gaussian_pixels, gaussian_derivatives, (*names, "rho")
+        )
 
     def bounding_box(self, factor=6.5):
         """

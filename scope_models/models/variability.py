@@ -5,10 +5,12 @@ from astropy.modeling.models import Const1D, Sine1D, Tabular1D
 from celerite2 import GaussianProcess, terms
 from scipy.signal import savgol_coeffs
 
+from scope_models.missions import MISSIONS
+
 __all__ = ["sinusoidal_signal", "stochastic_signal", "tabulated_signal"]
 
 #: Savitzky-Golay filter of lightkurve's CDPP: span in days (101 Kepler long cadences) and order.
-_FILTER_DAYS, _FILTER_ORDER = 101 * 0.0204336, 2
+_FILTER_DAYS, _FILTER_ORDER = 101 * MISSIONS["Kepler"].cadence_days("long"), 2
 
 
 def sinusoidal_signal(amplitude, period, phase=0.0):

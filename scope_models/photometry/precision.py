@@ -4,10 +4,12 @@ import astropy.units as u
 import numpy as np
 from scipy.signal import savgol_filter
 
+from scope_models.missions import MISSIONS
+
 __all__ = ["LONG_CADENCE", "cdpp"]
 
 #: Kepler and K2 long cadence (header keyword TIMEDEL), the default cadence of a bare array.
-LONG_CADENCE = 0.0204336 * u.day
+LONG_CADENCE = MISSIONS["Kepler"].cadence_days("long") * u.day
 
 #: Length of the Savitzky-Golay filter of each convention, in long cadences.
 _FILTER_CADENCES = {"lightkurve": 101, "everest": 49}

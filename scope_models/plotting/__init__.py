@@ -1,8 +1,10 @@
 """Figures: arrays in, `~matplotlib.axes.Axes` out.
 
-Images are in e-/s with axes in pixels (0-based, an integer is a pixel's centre), times in days.
-Every figure can be read in black and white: colour maps grow in lightness, series differ in
-lightness, marker and size. All functions draw into the Axes given as ``ax``, or into a new figure.
+Images are in e-/s with axes in pixels (0-based, an integer is a pixel's center), times in days.
+Figures share one style sheet, ``scope_models.plotting.scope_models``, which
+``matplotlib.style.use`` takes, too. Every figure can be read in black and white: color maps grow
+in lightness, series differ in lightness, marker and size. All functions draw into the Axes given
+as ``ax``, or into a new figure.
 """
 
 from scope_models.plotting.experiments import plot_cdpp, plot_cdpp_panels, plot_map

@@ -3,6 +3,8 @@
 import matplotlib.pyplot as plt
 import numpy as np
 
+from scope_models.plotting._style import styled
+
 __all__ = ["plot_degeneracy", "plot_k2_motion", "plot_no_motion"]
 
 _BAND = "0.88"
@@ -10,6 +12,7 @@ _ORANGE = "#d95f02"
 _BLUE = "#2c5aa0"
 
 
+@styled
 def plot_no_motion(stars, summary, reference):
     """
     Draw the noise of stars at rest over Kepler's, and the ratios.
@@ -75,6 +78,7 @@ def plot_no_motion(stars, summary, reference):
     return figure
 
 
+@styled
 def plot_k2_motion(series, reference):
     """
     Draw the noise of moving stars over that of K2 campaign 3, and what contributes to it.
@@ -140,6 +144,7 @@ def plot_k2_motion(series, reference):
     return figure
 
 
+@styled
 def plot_degeneracy(grids, marks=None):
     """
     Draw how well the response within and between pixels explains the noise.

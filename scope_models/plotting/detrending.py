@@ -4,12 +4,12 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from scope_models.photometry import cdpp
+from scope_models.plotting._style import DARK, GRAY, LIGHT, styled
 
 __all__ = ["plot_detrending", "plot_detrending_masks"]
 
-_DARK, _LIGHT, _GREY = "#08306b", "#f08a24", "0.65"
 
-
+@styled
 def plot_detrending(
     time, flux, corrected, *, systematics=None, trend=None, outliers=None, masked=None
 ):
@@ -40,14 +40,14 @@ def plot_detrending(
     """
     time, flux, corrected = (np.asarray(values, dtype=float) for values in (time, flux, corrected))
     _, axes = plt.subplots(3, 1, figsize=(9, 7), sharex=True, layout="constrained")
-    axes[0].plot(time, flux, ".", ms=2, color=_GREY, label=_label("measured", flux))
-    for values, color, name in ((systematics, _DARK, "systematics"), (trend, _LIGHT, "trend")):
+    axes[0].plot(time, flux, ".", ms=2, color=GRAY, label=_label("measured", flux))
+    for values, color, name in ((systematics, DARK, "systematics"), (trend, LIGHT, "trend")):
         if values is not None:
             axes[1].plot(time, values, ".", ms=2, color=color, label=name)
-    axes[2].plot(time, corrected, ".", ms=2, color=_DARK, label=_label("corrected", corrected))
+    axes[2].plot(time, corrected, ".", ms=2, color=DARK, label=_label("corrected", corrected))
     for mask, marker, name in ((outliers, "x", "outliers"), (masked, "+", "not in the fit")):
         if mask is not None and np.any(mask):
-            axes[2].plot(time[mask], corrected[mask], marker, ms=5, color=_LIGHT, label=name)
+            axes[2].plot(time[mask], corrected[mask], marker, ms=5, color=LIGHT, label=name)
     names = ("Measured flux (e-/s)", "Model (e-/s)", "Corrected flux (e-/s)")
     shown = (flux, flux if systematics is None else systematics, corrected)
     for ax, name, values in zip(axes, names, shown, strict=True):
@@ -76,6 +76,7 @@ def _label(name, flux):
         return name
 
 
+@styled
 def plot_detrending_masks(image, aperture, scatter):
     """
     Draw an aperture over the star and over the pixels' share in the systematics.

@@ -4,12 +4,15 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.patheffects import Normal, Stroke
 
+from scope_models.plotting._style import styled
+
 __all__ = ["plot_cdpp", "plot_cdpp_panels", "plot_map"]
 
 _MARKERS = "os^Dvp*X"
 _RESIDUALS = "Residual over noise"
 
 
+@styled
 def plot_cdpp(series, reference=None, *, limits=(), title="", legend=True, ax=None):
     """
     Draw the noise of stars against their magnitude, over that of real ones.
@@ -93,6 +96,7 @@ def _draw_limit(ax, faintest, ppm, text):
     note.set_path_effects([Stroke(linewidth=2, foreground="w"), Normal()])
 
 
+@styled
 def plot_cdpp_panels(panels, reference=None, *, limits=(), residuals=None, columns=2):
     """
     Draw the noise against magnitude once per corrector, on one scale.
@@ -158,6 +162,7 @@ def plot_cdpp_panels(panels, reference=None, *, limits=(), residuals=None, colum
     return axes
 
 
+@styled
 def plot_map(
     values, rows, columns, *, row_label, column_label, label, text=".2f", span=None, title="",
     ax=None,
@@ -172,11 +177,11 @@ def plot_map(
     rows, columns : array_like
         What belongs to each row and column; the first row is the lowest.
     row_label, column_label, label : str
-        Labels, with units, of the axes and of the colours.
+        Labels, with units, of the axes and of the colors.
     text : str, optional
         Format of the numbers in the cells; "" leaves them out.
     span : tuple of float, optional
-        Ends of the colours; by default those of the values.
+        Ends of the colors; by default those of the values.
     title : str, optional
         Title of the Axes.
     ax : `~matplotlib.axes.Axes`, optional

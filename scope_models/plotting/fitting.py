@@ -4,6 +4,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.colors import AsinhNorm, LogNorm
 
+from scope_models.plotting._style import styled
+
 __all__ = ["plot_fit", "plot_twin"]
 
 _TITLES = {"data": "Data, median", "model": "Model, median", "residual": "Residual, median"}
@@ -11,6 +13,7 @@ _TITLES = {"data": "Data, median", "model": "Model, median", "residual": "Residu
 _LINEAR = 0.01
 
 
+@styled
 def plot_fit(data, model, residual, x, y, *, pos_corr=None, sensitivity=None, chi2=None):
     """
     Draw data, model and residual, positions against POS_CORR, chi-squared and the sensitivity.
@@ -25,7 +28,7 @@ def plot_fit(data, model, residual, x, y, *, pos_corr=None, sensitivity=None, ch
     pos_corr : array_like, optional
         POS_CORR ``(n_cadences, 2)`` in pixels; without it the positions are drawn as a track.
     sensitivity : dict, optional
-        "offset" from the pixel's centre, and for "x" and "y" the response and its standard
+        "offset" from the pixel's center, and for "x" and "y" the response and its standard
         deviation there, NaN where a coefficient is at its bound.
     chi2 : array_like, optional
         Chi-squared per degree of freedom of each pixel, ``(ny, nx)``.
@@ -104,12 +107,13 @@ def _draw_sensitivity(ax, sensitivity):
         ax.fill_between(offset, value - error, value + error, color=color, alpha=0.25, lw=0)
     ax.set(
         title="Sensitivity",
-        xlabel="Offset from the pixel's centre (pixel)",
+        xlabel="Offset from the pixel's center (pixel)",
         ylabel="Relative response",
     )
     ax.legend(fontsize="small")
 
 
+@styled
 def plot_twin(time, real, twin, residuals, *, time_label="Time (d)", labels=None):
     """
     Compare a star with its simulated twin.

@@ -7,6 +7,8 @@ from matplotlib.collections import LineCollection
 from matplotlib.colors import LogNorm
 from matplotlib.patheffects import Normal, Stroke
 
+from scope_models.plotting._style import styled
+
 __all__ = [
     "animate_pixels",
     "plot_detector",
@@ -17,6 +19,7 @@ __all__ = [
 ]
 
 
+@styled
 def plot_pixels(image, aperture=None, *, log=False, title="Pixel image", ax=None):
     """
     Draw a pixel image, with the outline of an aperture.
@@ -28,7 +31,7 @@ def plot_pixels(image, aperture=None, *, log=False, title="Pixel image", ax=None
     aperture : array_like of bool, optional
         Mask ``(ny, nx)`` whose outline is drawn.
     log : bool, optional
-        Scale the colours logarithmically, over at most four decades.
+        Scale the colors logarithmically, over at most four decades.
     title : str, optional
         Title of the Axes.
     ax : `~matplotlib.axes.Axes`, optional
@@ -58,6 +61,7 @@ def plot_pixels(image, aperture=None, *, log=False, title="Pixel image", ax=None
     return ax
 
 
+@styled
 def plot_sensitivity(sensitivity, oversample=1, *, title="Sensitivity", ax=None):
     """
     Draw the sensitivity of the detector at sub-pixel resolution.
@@ -89,6 +93,7 @@ def plot_sensitivity(sensitivity, oversample=1, *, title="Sensitivity", ax=None)
     return _draw_image(image, oversample, "Relative sensitivity", title, ax, cmap="gray")
 
 
+@styled
 def plot_psf(psf, oversample=1, *, title="PSF on the detector", ax=None):
     """
     Draw the light that falls on the detector at sub-pixel resolution.
@@ -121,6 +126,7 @@ def plot_psf(psf, oversample=1, *, title="PSF on the detector", ax=None):
     return _draw_image(_image(psf), oversample, label, title, ax, cmap="viridis")
 
 
+@styled
 def plot_detector(sensitivity, psf, image, oversample=1, *, aperture=None, axes=None):
     """
     Draw sensitivity, PSF and pixel image side by side, as the paper's figure 3.
@@ -161,9 +167,10 @@ def plot_detector(sensitivity, psf, image, oversample=1, *, aperture=None, axes=
     return np.asarray(axes)
 
 
+@styled
 def plot_motion(time, x, y, shape=None, *, time_label="Time (d)", title="Motion", ax=None):
     """
-    Draw the track of a star over the pixel grid, coloured by time.
+    Draw the track of a star over the pixel grid, colored by time.
 
     Parameters
     ----------
@@ -172,10 +179,10 @@ def plot_motion(time, x, y, shape=None, *, time_label="Time (d)", title="Motion"
     x, y : array_like
         Positions ``(n_cadences,)`` in pixels.
     shape : tuple of int, optional
-        Shape ``(ny, nx)`` of the stamp; by default the track's surroundings
-        are drawn.
+        Shape ``(ny, nx)`` of the stamp, to draw all of it. By default the axes
+        are limited to the track, with the edges of the pixels that it crosses.
     time_label, title : str, optional
-        Label of the colour bar and title of the Axes.
+        Label of the color bar and title of the Axes.
     ax : `~matplotlib.axes.Axes`, optional
         Where to draw; a new figure by default.
 
@@ -198,19 +205,34 @@ def plot_motion(time, x, y, shape=None, *, time_label="Time (d)", title="Motion"
     )
     track.set_array(time[:-1])
     ax.add_collection(track)
-    dots = ax.scatter(x, y, c=time, s=5, cmap="viridis", zorder=3)
+    dots = ax.scatter(x, y, c=time, s=8, cmap="viridis", zorder=3)
     ax.plot(x[0], y[0], "kx", ms=7, mew=1.5, zorder=4, label="first cadence")
-    ax.legend(loc="upper right", fontsize="small")
+    ax.legend(loc="lower right", bbox_to_anchor=(1, 1), borderaxespad=0.2)
     if shape is None:
-        limits = [(np.floor(v.min() + 0.5) - 0.5, np.ceil(v.max() - 0.5) + 0.5) for v in (x, y)]
+        _draw_surroundings(ax, x, y)
     else:
-        limits = [(-0.5, shape[1] - 0.5), (-0.5, shape[0] - 0.5)]
-    _pixel_axes(ax, *limits)
-    ax.set_title(title)
+        _pixel_axes(ax, (-0.5, shape[1] - 0.5), (-0.5, shape[0] - 0.5))
+    ax.set_title(title, loc="left")
     ax.figure.colorbar(dots, ax=ax, label=time_label, shrink=0.85)
     return ax
 
 
+def _draw_surroundings(ax, x, y):
+    """Limit the axes to the track, and draw the edges of the pixels that it crosses."""
+    half = max(0.6 * max(np.ptp(x), np.ptp(y)), 0.15)
+    limits = []
+    for values in (x, y):
+        middle = (values.min() + values.max()) / 2
+        limits.append((middle - half, middle + half))
+    for draw, along, across in ((ax.vlines, *limits), (ax.hlines, *limits[::-1])):
+        edges = np.arange(np.ceil(along[0] + 0.5), along[1] + 0.5) - 0.5
+        draw(edges, *across, color="0.5", lw=0.9, zorder=0)
+    ax.set(xlim=limits[0], ylim=limits[1])
+    ax.set(xlabel="Column (pixel)", ylabel="Row (pixel)")
+    ax.set_aspect("equal")
+
+
+@styled
 def animate_pixels(cube, time=None, aperture=None, *, interval=50, time_label="Time (d)", ax=None):
     """
     Animate a stamp, cadence by cadence.

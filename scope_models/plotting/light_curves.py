@@ -3,6 +3,7 @@
 import matplotlib.pyplot as plt
 import numpy as np
 
+from scope_models.plotting._style import DARK, LIGHT, styled
 from scope_models.plotting.images import plot_motion, plot_pixels
 
 __all__ = [
@@ -11,9 +12,8 @@ __all__ = [
     "plot_summary",
 ]
 
-_DARK, _LIGHT = "#08306b", "#f08a24"  # far apart in lightness too
 
-
+@styled
 def plot_light_curve(
     time,
     flux,
@@ -59,17 +59,18 @@ def plot_light_curve(
     if ax is None:
         _, ax = plt.subplots(figsize=(8, 3.2), layout="constrained")
     relative = np.asarray(flux, dtype=float) / np.nanmedian(flux)
-    ax.plot(time, relative, ".", ms=3.5, color=_LIGHT, label=_with_cdpp("raw", cdpp))
+    ax.plot(time, relative, ".", ms=3.5, color=LIGHT, label=_with_cdpp("raw", cdpp))
     if corrected is not None:
         relative = np.asarray(corrected, dtype=float) / np.nanmedian(corrected)
         label = _with_cdpp("de-trended", corrected_cdpp)
-        ax.plot(time, relative, ".", ms=2.5, color=_DARK, label=label)
+        ax.plot(time, relative, ".", ms=2.5, color=DARK, label=label)
     if model is not None:
         ax.plot(time, model, "-", lw=0.9, color="k", label="model")
     _label(ax, time_label, title)
     return ax
 
 
+@styled
 def plot_fold(
     time, flux, period, t0, *, model=None, window=None, n_bins=60, title="Folded", ax=None
 ):
@@ -123,14 +124,15 @@ def plot_fold(
     total, _ = np.histogram(phase[near], edges, weights=flux[near])
     used = count > 0
     centers = (edges[:-1] + edges[1:]) / 2
-    ax.plot(centers[used], total[used] / count[used], "o", ms=4.5, color=_DARK, label="binned")
+    ax.plot(centers[used], total[used] / count[used], "o", ms=4.5, color=DARK, label="binned")
     if model is not None:
         order = np.argsort(phase[near])
-        ax.plot(phase[near][order], np.asarray(model)[near][order], color=_LIGHT, label="model")
+        ax.plot(phase[near][order], np.asarray(model)[near][order], color=LIGHT, label="model")
     _label(ax, "Time from mid-transit (h)", title)
     return ax
 
 
+@styled
 def plot_summary(
     time,
     image,
@@ -143,6 +145,7 @@ def plot_summary(
     cdpp=None,
     corrected_cdpp=None,
     model=None,
+    noise=None,
     time_label="Time (d)",
     title=None,
 ):
@@ -168,6 +171,9 @@ def plot_summary(
     model : array_like, optional
         Expected relative flux ``(n_cadences,)``, drawn over the de-trended
         light curve.
+    noise : float or array_like, optional
+        Expected relative standard deviation of a cadence, a number or
+        ``(n_cadences,)``: a band about the de-trended light curve.
     time_label, title : str, optional
         Label of the time axes and title of the figure.
 
@@ -193,7 +199,7 @@ def plot_summary(
         mosaic, figsize=(9, 2 + 2.4 * len(mosaic)), layout="constrained", height_ratios=heights
     )
     plot_pixels(image, aperture, title="First cadence", ax=axes["image"])
-    plot_motion(time, x, y, np.shape(image), time_label=time_label, ax=axes["motion"])
+    plot_motion(time, x, y, time_label=time_label, ax=axes["motion"])
     plot_light_curve(
         time,
         flux,
@@ -204,17 +210,24 @@ def plot_summary(
         ax=axes["light curve"],
     )
     if corrected is not None:
-        _plot_corrected(axes["de-trended"], time, corrected, model, time_label)
+        _plot_corrected(axes["de-trended"], time, corrected, model, noise, time_label)
     figure.suptitle(title)
     return axes
 
 
-def _plot_corrected(ax, time, corrected, model, time_label):
+def _plot_corrected(ax, time, corrected, model, noise, time_label):
     """Draw the de-trended light curve alone, on its own scale."""
     relative = np.asarray(corrected, dtype=float) / np.nanmedian(corrected)
-    ax.plot(time, relative, ".", ms=2.5, color=_DARK, label="de-trended")
+    ax.plot(time, relative, ".", ms=2.5, color=DARK, label="de-trended")
+    if noise is not None:
+        level = np.ones(len(relative)) if model is None else np.asarray(model, dtype=float)
+        noise = np.broadcast_to(noise, level.shape)
+        ax.fill_between(
+            time, level - noise, level + noise, color="0.85", lw=0, zorder=0,
+            label="expected noise, 1 sigma",
+        )  # fmt: skip
     if model is not None:
-        ax.plot(time, model, "-", lw=1.2, color=_LIGHT, label="truth")
+        ax.plot(time, model, "-", lw=1.2, color=LIGHT, label="truth")
     _label(ax, time_label, "De-trended light curve")
 
 
@@ -227,9 +240,7 @@ def _label(ax, xlabel, title):
         loc="lower right",
         bbox_to_anchor=(1, 1),
         ncols=3,
-        fontsize="small",
-        markerscale=1.5,
-        frameon=False,
+        markerscale=2,
         borderaxespad=0.2,
     )
 

@@ -3,11 +3,13 @@
 import matplotlib.pyplot as plt
 import numpy as np
 
+from scope_models.plotting._style import styled
 from scope_models.plotting.experiments import plot_map
 
 __all__ = ["plot_recovery"]
 
 
+@styled
 def plot_recovery(panels, depths, magnitudes):
     """
     Draw maps of what is recovered of transits over depth and magnitude.

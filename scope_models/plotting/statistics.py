@@ -4,12 +4,15 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.ticker import FuncFormatter, NullLocator
 
+from scope_models.plotting._style import styled
+
 __all__ = ["plot_motion_statistics"]
 
 _MARKERS = "os^Dvp*X"
 _TITLES = {"mean": "Mean", "std": "Standard deviation", "maximum": "Maximum"}
 
 
+@styled
 def plot_motion_statistics(series, paper=None):
     """
     Draw how far a star moves against the factor on its motion.

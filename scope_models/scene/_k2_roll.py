@@ -10,6 +10,7 @@ from typing import ClassVar
 import numpy as np
 
 from scope_models._checks import checked_number
+from scope_models.missions import MISSIONS
 
 __all__ = [
     "K2Roll",
@@ -126,9 +127,9 @@ class K2Roll:
     campaign: float = 80.0
     pixel_scale: float = 3.98
 
-    # Length of a long cadence in days (TIMEDEL of K2 target pixel files), not a parameter:
-    # the jitters are measured at this cadence.
-    cadence: ClassVar[float] = 0.02043359821692
+    # Length of a long cadence in days, with the digits of TIMEDEL in headers. Not a parameter: the
+    # jitters are measured at this cadence.
+    cadence: ClassVar[float] = round(MISSIONS["K2"].cadence_days("long"), 14)
 
     def __post_init__(self):
         pair = self.field

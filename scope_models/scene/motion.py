@@ -11,24 +11,22 @@ import numpy as np
 
 from scope_models._checks import checked_integer, checked_number
 from scope_models.effects.noise import check_seed, fresh_seed, stream
-from scope_models.io.reading import facts_of, read_positions
+from scope_models.io.pixels import positions_of
+from scope_models.io.reading import read_positions
+from scope_models.missions import MISSIONS
 from scope_models.scene._k2_roll import K2Roll
 from scope_models.scene._motion_arrays import (
-    TIME_FORMATS,
     as_floats,
     as_int32,
     check_increasing,
     check_time_format,
-    plain,
     repair,
 )
 from scope_models.scene._motion_statistics import MotionStatistics
 
 __all__ = ["K2Roll", "Motion", "MotionStatistics"]
 
-# First time of K2 campaign 3, BKJD (ktwo206103150-c03_llc.fits).
-_START = 2144.1028
-_THRUSTER_FIRING = 1048576
+_K2 = MISSIONS["K2"]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -320,35 +318,20 @@ class Motion:
         >>> Motion.from_tpf(lc).x
         array([0. , 0.2])
         """
-        time = getattr(tpf, "time", None)
-        try:
-            x, y = tpf.pos_corr1, tpf.pos_corr2
-        except (AttributeError, KeyError):
-            x = y = None
-        if time is None or x is None or y is None:
-            raise TypeError(
-                f"`tpf` must have time, POS_CORR1 and POS_CORR2, but {type(tpf).__name__} has not"
-            )
-        time_format = getattr(time, "format", "bkjd")
-        quality, cadenceno = (getattr(tpf, name, None) for name in ("quality", "cadenceno"))
-        times = plain(time)
-        if hasattr(tpf, "pipeline_mask"):
-            # A target pixel file: lightkurve has 0 where there is no time.
-            known = np.isfinite(tpf.hdu[1].data["TIME"][tpf.quality_mask])
-            times = np.where(known, times, np.nan)
+        columns = positions_of(tpf)
         return cls.from_arrays(
-            times,
-            plain(x),
-            plain(y),
-            None if quality is None else plain(quality),
-            cadenceno=None if cadenceno is None else plain(cadenceno),
-            time_format=time_format if time_format in TIME_FORMATS else "bkjd",
+            columns.time,
+            columns.pos_corr1,
+            columns.pos_corr2,
+            columns.quality,
+            cadenceno=columns.cadenceno,
+            time_format=columns.time_format or "bkjd",
             bad=bad,
-            meta=facts_of(getattr(tpf, "meta", {})),
+            meta=columns.meta,
         )
 
     @classmethod
-    def still(cls, n_cadences, *, start=_START, cadence=K2Roll.cadence, time_format="bkjd"):
+    def still(cls, n_cadences, *, start=_K2.start, cadence=K2Roll.cadence, time_format="bkjd"):
         """Make a motion that stays at the reference position.
 
         Parameters
@@ -384,11 +367,11 @@ class Motion:
         return cls(time, np.zeros(n), np.zeros(n), time_format=time_format)
 
     @classmethod
-    def k2_roll(cls, n_cadences=1000, *, seed=10, start=_START, **parameters):
+    def k2_roll(cls, n_cadences=1000, *, seed=10, start=_K2.start, **parameters):
         """Generate the motion of a K2 star while the spacecraft rolls about its boresight.
 
         The parameters' defaults describe EPIC 205998445 in campaign 3, and
-        `~scope_models.scene.K2Roll` says where they come from. No series is rescaled to wanted
+        `K2Roll` gives their sources. No series is rescaled to wanted
         statistics; the default seed is the first one for which the 1000 cadences of the paper [1]_
         have its row, 0.17 +- 0.12 px and at most 0.59 px, within 5 %. Cadences in which thrusters
         fire have the quality flag 1048576.
@@ -440,7 +423,7 @@ class Motion:
             start + roll.cadence * np.arange(n),
             x,
             y,
-            np.where(firing, _THRUSTER_FIRING, 0),
+            np.where(firing, _K2.quality.thruster_firing, 0),
             meta={"mission": "K2", "generator": asdict(roll), "seed": seed},
         )
 

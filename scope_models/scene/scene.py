@@ -17,21 +17,15 @@ from scope_models._checks import checked_integer
 from scope_models.effects.noise import check_seed, noise_terms
 from scope_models.io import read_truth, write_hdulist
 from scope_models.io.truth import truth_hdus
-from scope_models.models._description import describe_model, equal_values, make_model
+from scope_models.models._description import describe_model, make_model, value_key
 from scope_models.scene.detector import Detector
 from scope_models.scene.motion import Motion
+from scope_models.scene.presets import PRESETS
 from scope_models.scene.star import Star
 
 __all__ = ["Scene", "read_detector", "read_scene"]
 
 _VERSION = 2
-_PRESETS = {
-    "kepler": Detector.kepler,
-    "k2": Detector.k2,
-    "k2_calibrated": Detector.k2_calibrated,
-    "tess": Detector.tess,
-}
-_NOISE = noise_terms(True)
 # What a file of the scene's observation says of the star and of the place of the stamp.
 _IDENTITY = ("target_id", "object_name", "ra", "dec", "orientation", "column", "row")
 
@@ -152,9 +146,10 @@ class Scene:
     def __eq__(self, other):
         if not isinstance(other, Scene):
             return NotImplemented
-        return equal_values(self, other)
+        return value_key(self) == value_key(other)
 
-    __hash__ = None
+    def __hash__(self):
+        return hash(value_key(self))
 
     def __repr__(self):
         ny, nx = self.detector.shape
@@ -364,8 +359,8 @@ def read_detector(path):
 
     Each key is a field of `~scope_models.Detector`. Three are written in a way of their own:
 
-    - ``preset``, "kepler", "k2", "k2_calibrated" or "tess", takes all fields that are not given
-      from that preset, with the preset's ``cadence``;
+    - ``preset``, a name for `Detector.preset <scope_models.Detector.preset>` as "k2", takes all
+      fields that are not given from that preset, with the preset's ``cadence``;
     - ``psf`` is a table, or several (``[[psf]]``) whose models are added: ``model`` is the name
       of a PSF of `scope_models.models`, or the full name of another package's, as
       "photutils.psf.MoffatPSF"; the other keys are its parameters;
@@ -466,8 +461,8 @@ def _detector(described, interpixel):
 def _detector_of_toml(values):
     """Return the detector of a parsed file."""
     preset = values.pop("preset", None)
-    if preset is not None and preset not in _PRESETS:
-        raise ValueError(f"`preset` must be one of {', '.join(_PRESETS)}, got {preset!r}")
+    if preset is not None and preset not in PRESETS:
+        raise ValueError(f"`preset` must be one of {', '.join(PRESETS)}, got {preset!r}")
     known = {item.name for item in fields(Detector)} | ({"cadence"} if preset else set())
     for name in values:
         if name not in known:
@@ -479,7 +474,7 @@ def _detector_of_toml(values):
         values["sensitivity"] = None
     elif given is not None:
         values["sensitivity"] = _combined(given, "sensitivity", "SensitivityPolynomial", mul)
-    return (_PRESETS[preset] if preset else Detector)(**values)
+    return Detector.preset(preset, **values) if preset else Detector(**values)
 
 
 def _combined(tables, name, default, combine):

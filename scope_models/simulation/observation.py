@@ -7,13 +7,12 @@ import numpy as np
 
 from scope_models._checks import checked_mask
 from scope_models.io import TPFMetadata, Truth, make_tpf_hdulist, write_tpf
+from scope_models.missions import MISSIONS, TIME_ZEROS
 from scope_models.scene.scene import Scene
 from scope_models.simulation.light import fill_wells, gather, pieces, share_of_target, star_lights
 
 __all__ = ["Observation"]
 
-_ZERO_OF_TIME = {"bkjd": 2454833, "btjd": 2457000}
-_TIME_FORMATS = {"Kepler": "bkjd", "K2": "bkjd", "TESS": "btjd"}
 # Fields of a scene that are fields of a file's metadata, too.
 _IDENTITY = ("target_id", "object_name", "ra", "dec", "orientation", "column", "row")
 
@@ -289,27 +288,17 @@ class Observation:
     def _metadata(self, changes, aperture):
         """Return the facts for the headers of a file with an aperture."""
         detector, target = self.detector, self.stars[0]
-        if detector.mission not in _TIME_FORMATS:
+        if detector.mission not in MISSIONS:
             raise ValueError(
                 f"`mission` must be Kepler, K2 or TESS to make a target pixel file, got "
                 f"{detector.mission!r}"
             )
         x_0, y_0 = self.scene.positions[0].tolist()
         facts = {
-            "mission": detector.mission,
             "target_id": 1,
             "magnitude": target.mag,
             "x_0": x_0,
             "y_0": y_0,
-            "pixel_scale": detector.pixel_scale,
-            "int_time": detector.int_time,
-            "read_time": detector.read_time,
-            "n_frames": detector.n_frames,
-            "n_readouts": detector.n_reads,
-            "gain": detector.gain,
-            "read_noise": detector.read_noise,
-            "mean_black": detector.mean_black,
-            "fixed_offset": detector.fixed_offset,
             "seed": self.scene.seed,
         }
         identity = {name: getattr(self.scene, name) for name in _IDENTITY}
@@ -317,7 +306,7 @@ class Observation:
         facts |= self.scene.metadata | dict(changes or {})
         extra = facts.get("extra_cards") or {}
         facts["extra_cards"] = self._aperture_cards(aperture) | dict(extra)
-        return TPFMetadata(**facts)
+        return TPFMetadata.of(self.detector, **facts)
 
     def _aperture_cards(self, aperture):
         """Return the cards on the target's light in an aperture."""
@@ -333,10 +322,10 @@ class Observation:
         metadata = self._metadata(metadata, aperture)
         truth = {name: self.truth.table[name] for name in self.truth.table.colnames[1:]}
         truth["TARGET_SHARE"] = self.target_share(aperture)
-        zero = _ZERO_OF_TIME[_TIME_FORMATS[metadata.mission]]
+        zero = MISSIONS[metadata.mission].time_zero
         return {
             "metadata": metadata,
-            "time": self.time + (_ZERO_OF_TIME[self.motion.time_format] - zero),
+            "time": self.time + (TIME_ZEROS[self.motion.time_format] - zero),
             "cadenceno": self.cadenceno,
             "raw_cnts": self.raw_cnts,
             "flux": self.flux,

@@ -36,9 +36,9 @@ def roll(n, seed, *, amplitude=0.3, drift=0.1):
 
 def pixel_integrals(x_0, sigma, n, a_2):
     """Integrals over pixels of a normal density times (1 + a_2 u^2), by error functions."""
-    centres = np.arange(n)
-    low, high = centres - 0.5 - x_0[:, None], centres + 0.5 - x_0[:, None]
-    d = centres - x_0[:, None]
+    centers = np.arange(n)
+    low, high = centers - 0.5 - x_0[:, None], centers + 0.5 - x_0[:, None]
+    d = centers - x_0[:, None]
     i_0 = 0.5 * (erf(high / sigma / 2**0.5) - erf(low / sigma / 2**0.5))
 
     def density(v):

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from scope_models.correctors import _features
-from scope_models.correctors._design import DesignOptions, _contrasts, make_regressors
+from scope_models.correctors._design import DesignOptions, make_regressors
 from scope_models.correctors._features import (
     Regressors,
-    centre,
+    center,
+    contrast_columns,
     power_columns,
     principal_columns,
     shared_columns,
@@ -60,7 +61,7 @@ def test_power_columns_stop_at_the_tolerance_and_the_rank(fractions):
 
 def test_principal_columns_keep_the_kernel(fractions):
     use = np.arange(80) < 60
-    columns = centre(fractions, use)
+    columns = center(fractions, use)
     np.testing.assert_allclose(columns[use].mean(axis=0), 0, atol=1e-16)
     rotated = principal_columns(columns, use, 0.0)
     assert rotated.shape == (80, 4)  # fractions add up to one
@@ -118,7 +119,7 @@ def test_segments_and_extra_groups(fractions):
 def test_contrasts_are_copies_without_their_common_part(fractions, breaks):
     """With the columns themselves they give the covariance of one copy per segment."""
     time = np.arange(80.0)
-    columns = _contrasts(fractions, time, breaks, np.ones(80, dtype=bool))
+    columns = contrast_columns(fractions, time, breaks, np.ones(80, dtype=bool))
     segment = np.searchsorted(breaks, time)
     k = len(np.unique(segment))
     assert columns.shape == (80, 5 * (k - 1))

@@ -6,7 +6,7 @@ import pytest
 from astropy.io import fits
 
 from scope_models.cli import main
-from scope_models.correctors import detrend_file
+from scope_models.correctors import PLDCorrector, detrend_file
 
 
 @pytest.fixture(scope="module")
@@ -40,6 +40,15 @@ def test_lightkurve_reads_the_file(tpf_file, tmp_path):
     np.testing.assert_allclose(raw, corrector.original_lc.flux.value, rtol=1e-6)
     assert lc.flux.unit == corrected.flux.unit
     assert lc.meta["TARGETID"] == 7
+
+
+def test_path_gives_what_the_object_gives(tpf_file):
+    tpf = lightkurve.read(tpf_file)
+    expected = PLDCorrector(tpf).correct(order=1)
+    tpf.hdu.close()
+    corrected = PLDCorrector(tpf_file).correct(order=1)
+    np.testing.assert_array_equal(corrected.flux, expected.flux)
+    np.testing.assert_array_equal(corrected.cadenceno, expected.cadenceno)
 
 
 def test_tess_file(shared_data, tmp_path):

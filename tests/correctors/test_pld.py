@@ -1,14 +1,16 @@
 """`PLDCorrector` from outside."""
 
+import dataclasses
 import warnings
 
 import numpy as np
 import pytest
 from astropy.io import fits
+from astropy.table import QTable
 from lightkurve import KeplerLightCurve, KeplerTargetPixelFile, TessTargetPixelFile
 from lightkurve.correctors.corrector import Corrector
 
-from scope_models.correctors import PLDCorrector
+from scope_models.correctors import PLDCorrector, PLDModel, PLDResult
 from scope_models.effects.saturation import bleed
 from scope_models.exceptions import DetrendingWarning
 from scope_models.photometry import cdpp
@@ -82,10 +84,9 @@ def test_identical_calls_agree(star, corrected):
 
 
 @pytest.mark.parametrize("order", [1, 2, 3, 4])
-@pytest.mark.parametrize("method", ["likelihood", "leave-one-out"])
-def test_orders_and_methods(star, order, method):
+def test_orders(star, order):
     corrector = PLDCorrector(star.tpf)
-    lc = corrector.correct(order, method=method)
+    lc = corrector.correct(order)
     assert f"order {order}" in corrector.result.groups
     assert f"order {order + 1}" not in corrector.result.groups
     assert cdpp(lc) < 0.8 * cdpp(corrector.original_lc)
@@ -103,6 +104,44 @@ def test_result(corrected):
     assert result.window == 13
     assert result.n_used == 400 - result.n_outliers
     assert np.isnan(result.transit_scale)
+
+
+def test_result_is_frozen_and_short(corrected):
+    result = corrected.result
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        result.solution = None
+    assert isinstance(result, PLDResult)
+    assert isinstance(result.to_table(), QTable)
+    lines = str(result).splitlines()
+    assert len(lines) < 12
+    assert lines[0].split() == ["cadences", "in", "the", "fit", str(result.n_used)]
+    assert repr(result).startswith("<PLDFit: order 2, ")
+    assert "<th>outliers</th><td>" in result._repr_html_()
+
+
+def test_model_without_the_front(star, corrected):
+    """The model gives what the corrector gives, and shows its design matrix."""
+    model = PLDModel.from_tpf(star.tpf)
+    fitted = model.fit()
+    flux, flux_err = fitted.corrected()
+    np.testing.assert_array_equal(flux, corrected.corrected_lc.flux.value)
+    np.testing.assert_array_equal(flux_err, corrected.corrected_lc.flux_err.value)
+    matrix = model.design_matrix()
+    assert matrix.columns.shape == (400, sum(fitted.n_columns))
+    np.testing.assert_allclose(matrix.columns.mean(axis=0), 0, atol=1e-12)
+    assert matrix.names == fitted.groups
+
+
+def test_covariance_of_cadences(corrected):
+    result, lc = corrected.result, corrected.corrected_lc
+    covariance = result.covariance([7, 90, 200])
+    error = (lc.flux_err / lc.flux).value[[7, 90, 200]]
+    np.testing.assert_allclose(np.sqrt(np.diag(covariance)), error, rtol=1e-9)
+    np.testing.assert_allclose(covariance, covariance.T, rtol=1e-9)
+    # a mean over many cadences of one place on the roll is less certain than independent ones
+    phase = np.arange(400) % 12 == 0
+    joint = result.covariance(phase)
+    assert joint.sum() > np.trace(joint)
 
 
 def test_jitter_is_what_flux_err_does_not_say(star, corrected):
@@ -449,7 +488,7 @@ def test_figures_need_a_correction(star, name):
         ({"transit_model": np.ones(400)}, ValueError, "`transit_model` must vary"),
         ({"transit_model": np.arange(400) - 3.0}, ValueError, "`transit_model` must be positive"),
         ({"trend": "spline"}, ValueError, "`trend` must be one of"),
-        ({"method": "guess"}, ValueError, "`method` must be one of"),
+        ({"method": "leave-one-out"}, ValueError, "leave-one-out.*removed.*`held_out`"),
         ({"segments": "all"}, ValueError, "`segments` must be"),
         ({"segments": [np.nan]}, ValueError, "`segments` must be"),
         ({"background": -1}, ValueError, "`background` must be at least 0"),
@@ -543,7 +582,7 @@ def test_a_singular_fit_is_a_clear_error(star, monkeypatch):
     def fail(*_):
         raise np.linalg.LinAlgError("not positive definite")
 
-    monkeypatch.setattr("scope_models.correctors.pld.fit", fail)
+    monkeypatch.setattr("scope_models.correctors.model.fit", fail)
     with pytest.raises(ValueError, match="singular to working precision"):
         PLDCorrector(star.tpf).correct()
 

@@ -1,4 +1,4 @@
-"""Likelihood, leave-one-out score and predictions against dense linear algebra."""
+"""Likelihood and predictions against dense linear algebra."""
 
 from dataclasses import replace
 
@@ -8,12 +8,11 @@ from scipy.stats import multivariate_normal
 
 from scope_models.correctors import _search
 from scope_models.correctors._features import Regressors
-from scope_models.correctors._inputs import FitOptions
-from scope_models.correctors._leave_one_out import fit_leave_one_out, leave_one_out
 from scope_models.correctors._long_term import LongTerm
 from scope_models.correctors._regression import Data, Hyperparameters, log_likelihood
 from scope_models.correctors._search import fit_hyperparameters
 from scope_models.correctors._solution import Solution, fit
+from scope_models.correctors.model import PLDOptions
 
 N = 90
 
@@ -77,39 +76,6 @@ def test_log_likelihood_gradient(data, hyper):
     for k, found in enumerate(slope):
         up, down = (log_likelihood(data, shifted(hyper, k, h)) for h in (1e-5, -1e-5))
         assert found == pytest.approx((up - down) / 2e-5, rel=1e-5, abs=1e-6)
-
-
-def test_leave_one_out_score(data, hyper):
-    dense = dense_covariance(data, hyper)
-    expected = 0.0
-    for i in range(N):
-        rest = np.delete(np.arange(N), i)
-        weights = np.linalg.solve(dense[np.ix_(rest, rest)], dense[rest, i])
-        variance = dense[i, i] - weights @ dense[rest, i]
-        error = data.y[i] - weights @ data.y[rest]
-        expected -= 0.5 * (np.log(2 * np.pi * variance) + error**2 / variance)
-    assert leave_one_out(data, hyper) == pytest.approx(expected, rel=1e-9)
-
-
-def test_leave_one_out_gradient(data, hyper):
-    _, slope = leave_one_out(data, hyper, gradient=True)
-
-    def moved(index, step):
-        trial = shifted(hyper, index, step)
-        if index == 0 and hyper.amplitude is not None:  # noise and process alike
-            trial = shifted(trial, 3, step)
-        return leave_one_out(data, trial)
-
-    for k, found in enumerate(slope):
-        assert found == pytest.approx((moved(k, 1e-5) - moved(k, -1e-5)) / 2e-5, rel=1e-5, abs=1e-6)
-
-
-def test_fit_leave_one_out_raises_the_score(data, hyper):
-    fitted = fit_leave_one_out(data, hyper)
-    assert leave_one_out(data, fitted) > leave_one_out(data, hyper) + 0.1
-    _, slope = leave_one_out(data, fitted, gradient=True)
-    inside = np.abs(np.log(fitted.variances / hyper.variances)) < 11.9
-    assert np.abs(slope[1:][inside]).max() < 0.02
 
 
 def draw(n, rng, hyper):
@@ -262,7 +228,7 @@ def test_outliers_are_clipped(data):
     def make(use):
         return Regressors(columns - columns[use].mean(axis=0), data.groups, ("a", "b"))
 
-    options = FitOptions("gp", "likelihood", 5.0, 5)
+    options = PLDOptions()
     use = np.ones(N, dtype=bool)
     use[60] = False
     solution = fit(make, data.time, y, data.variance, use, np.empty((N, 0)), options)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.special import ndtr
 
-from scope_models.correctors._saturation import find_row_centres, without_saturation
+from scope_models.correctors._saturation import find_row_centers, without_saturation
 from scope_models.effects.saturation import bleed
 
 FULL = 0.2  # of the light
@@ -39,19 +39,19 @@ def everything(images):
 
 
 @pytest.mark.parametrize("tilt", [0.0, 0.3])
-def test_row_centres(track, tilt):
+def test_row_centers(track, tilt):
     x, y = track
     images, bled = make_images(x, y, tilt=tilt)
     assert np.mean(bled.max(axis=(1, 2)) == pytest.approx(FULL)) > 0.9
-    found = find_row_centres(bled, *everything(bled), FULL, NOISE)
-    # pixels of a narrow star move its centre of light by a function of the place in the pixel
+    found = find_row_centers(bled, *everything(bled), FULL, NOISE)
+    # pixels of a narrow star move its center of light by a function of the place in the pixel
     scatter = np.std(found.star - y)
     assert scatter < 0.03
     sums = images.sum(axis=1)
     bright = sums > 0.05
-    centre = np.einsum("ijk,j->ik", images, np.arange(17))[bright] / sums[bright]
-    assert np.std(found.columns[bright] - centre) < 0.03
-    # the centre of all light in the full columns is off by more
+    center = np.einsum("ijk,j->ik", images, np.arange(17))[bright] / sums[bright]
+    assert np.std(found.columns[bright] - center) < 0.03
+    # the center of all light in the full columns is off by more
     columns = bled[:, :, 5:8]
     light = np.einsum("ijk,j->i", columns, np.arange(17)) / columns.sum(axis=(1, 2))
     assert np.std(light - y) > 5 * scatter
@@ -61,8 +61,8 @@ def test_responses_do_not_make_the_row_jump(track):
     x, y = track
     response = 1 + 0.03 * np.random.default_rng(0).standard_normal((17, 13))
     _, bled = make_images(x, y, response=response)
-    found = find_row_centres(bled, *everything(bled), FULL, NOISE)
-    plain = find_row_centres(make_images(x, y)[1], *everything(bled), FULL, NOISE)
+    found = find_row_centers(bled, *everything(bled), FULL, NOISE)
+    plain = find_row_centers(make_images(x, y)[1], *everything(bled), FULL, NOISE)
     error = found.star - plain.star
     # what is left is a smooth function of the place: products of few sines describe it
     sines = [np.ones(400)]
@@ -113,8 +113,8 @@ def test_cadences_that_are_not_used_do_not_count(track):
 
 
 def test_all_columns_full():
-    """Where no column tells the row, the centre of all light does."""
+    """Where no column tells the row, the center of all light does."""
     y = 8 + np.linspace(-1, 1, 50)
     images = pixel_light(y, 17)[:, :, None] * np.ones(3)
-    found = find_row_centres(images, *everything(images), 0.1, NOISE)
+    found = find_row_centers(images, *everything(images), 0.1, NOISE)
     np.testing.assert_allclose(found.star - found.star.mean(), y - y.mean(), atol=0.02)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from scope_models.correctors._segments import roll_reversals
+from scope_models.correctors._features import roll_reversals
 
 
 def sawtooth(n, rng):

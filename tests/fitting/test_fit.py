@@ -22,6 +22,7 @@ from scope_models import (
 )
 from scope_models.exceptions import FitWarning
 from scope_models.fitting import _solver
+from scope_models.io import read_tpf
 
 TRUE_SHAPE = {
     "sigma_x_0": 0.5, "sigma_y_0": 0.45, "rho_0": 0.15, "sigma_x_1": 1.1, "sigma_y_1": 1.2,
@@ -203,6 +204,18 @@ class TestOptions:
             plain = fit_tpf(tpf, 1)
             rich = fit_tpf(tpf, 1, empirical=4)
         assert rich.reduced_chi2 < 0.2 * plain.reduced_chi2
+
+    def test_path_of_a_file(self, tmp_path):
+        detector = Detector.k2(shape=(7, 7))
+        observation = simulate(Star(12.0), detector, Motion.k2_roll(60), seed=1)
+        path = observation.write(tmp_path / "star.fits")
+        from_path, from_object = fit_tpf(path, 1), fit_tpf(read_tpf(path), 1)
+        np.testing.assert_array_equal(from_path.flux, from_object.flux)
+        assert from_path.meta == from_object.meta
+        error = np.median(from_path.observed_err) * u.electron / u.s
+        assert fit_tpf(path, 1, flux_err=error).converged
+        with pytest.raises(ValueError, match="`flux_err` must be in electron / s"):
+            fit_tpf(path, 1, flux_err=1 * u.pix)
 
 
 class TestBadInput:

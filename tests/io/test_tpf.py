@@ -527,7 +527,7 @@ class TestChecks:
             ("K2", {"target_id": 0}, ValueError, "`target_id` must be at least 1"),
             ("K2", {"target_id": "7"}, TypeError, "`target_id` must be an integer"),
             ("K2", {"pixel_scale": 0}, ValueError, "`pixel_scale` must be positive"),
-            ("K2", {"pixel_scale": None}, TypeError, "`pixel_scale` must be a number"),
+            ("K2", {"pixel_scale": "4"}, TypeError, "`pixel_scale` must be a number"),
             ("K2", {"ra": np.nan}, ValueError, "`ra` must be finite"),
             ("K2", {"dec": 91.0}, ValueError, "`dec` must be within -90 to 90"),
             ("K2", {"sector": 3}, ValueError, "`sector` must not be given for K2"),

@@ -179,11 +179,16 @@ def test_detector_is_figure_3(scene):
 
 def test_motion_track(scene):
     ax = plot_motion(scene.time, scene.x, scene.y, time_label="Time (BKJD, d)")
-    lines, dots = ax.collections
+    lines, dots, *edges = ax.collections
     assert_allclose(dots.get_offsets(), np.column_stack([scene.x, scene.y]))
     assert_array_equal(dots.get_array(), scene.time)
     assert len(lines.get_segments()) == len(scene.time) - 1
-    assert_allclose(ax.get_xlim(), [2.5, 4.5])
+    # The axes hold the whole track, with the edges of its pixels and equal scales.
+    half = 0.6 * max(np.ptp(scene.x), np.ptp(scene.y))
+    middle = (scene.x.min() + scene.x.max()) / 2
+    assert_allclose(ax.get_xlim(), [middle - half, middle + half])
+    columns = {float(points[0, 0]) for points in edges[0].get_segments()}
+    assert columns == {value for value in (2.5, 3.5, 4.5) if abs(value - middle) < half}
     assert ax.figure.axes[1].get_ylabel() == "Time (BKJD, d)"
 
 

@@ -6,8 +6,8 @@ from functools import cached_property
 
 import numpy as np
 
+from scope_models.fitting.parameters import FitParameter
 from scope_models.models import PRF
-from scope_models.models._derivatives import prf_psf, prf_sensitivity
 from scope_models.scene.detector import Detector
 
 __all__ = ["TPFFit"]
@@ -27,6 +27,8 @@ class TPFFit:
         The fitted model at the median position and flux.
     names : tuple of str
         Parameters that all cadences share: those of the model, then those of the path.
+    kinds : tuple of str
+        Their kinds, as in `~scope_models.PRF.parameter_kinds`.
     parameters : ndarray of shape (s,)
         Their values.
     covariance : ndarray of shape (s, s)
@@ -79,6 +81,7 @@ class TPFFit:
 
     model: PRF
     names: tuple
+    kinds: tuple
     parameters: np.ndarray
     covariance: np.ndarray
     interpixel: np.ndarray
@@ -143,12 +146,14 @@ class TPFFit:
     @property
     def psf(self):
         """The fitted PSF, a density of flux 1 at (0, 0)."""
-        return prf_psf(self.model, x_0=0.0, y_0=0.0)
+        model = self.model.copy()
+        model.x_0, model.y_0 = 0.0, 0.0
+        return model.psf
 
     @property
     def sensitivity(self):
         """The fitted sensitivity, or None."""
-        return prf_sensitivity(self.model)
+        return self.model.sensitivity
 
     @property
     def reduced_chi2(self):
@@ -191,23 +196,47 @@ class TPFFit:
 
         Returns
         -------
-        astropy.table.Table
-            Columns name, value, error, unit and fixed.
+        astropy.table.QTable
+            Columns name, value, error, unit and fixed. Units differ from row to row: `quantity`
+            gives a value with its unit.
         """
-        from astropy.table import Table
+        from astropy.table import QTable
 
+        errors, values, kinds = self.errors, self.values, self.all_kinds
         rows = []
-        errors, values = self.errors, self.values
-        for name in (*self.names, *self.model.param_names):
-            if name in {"flux", "x_0", "y_0"} or (rows and name in {row[0] for row in rows}):
-                continue
+        for name in dict.fromkeys((*self.names, *self.model.param_names[3:])):
             free = name in values
             value = values[name] if free else float(np.ravel(getattr(self.model, name).value)[0])
-            rows.append((name, value, errors.get(name, 0.0), _unit(name), not free))
+            unit = FitParameter(name, kinds.get(name, "other")).unit
+            rows.append((name, value, errors.get(name, 0.0), unit, not free))
         names = ("name", "value", "error", "unit", "fixed")
-        table = Table(rows=rows, names=names, dtype=("U32", float, float, "U8", bool))
+        table = QTable(rows=rows, names=names, dtype=("U32", float, float, "U8", bool))
         table["value"].info.format, table["error"].info.format = ".6g", ".2g"
         return table
+
+    @property
+    def all_kinds(self):
+        """Kinds of the parameters, fixed or free, by name (dict of str)."""
+        return self.model.parameter_kinds | dict(zip(self.names, self.kinds, strict=True))
+
+    def quantity(self, name):
+        """
+        Return a shared parameter with its unit.
+
+        Parameters
+        ----------
+        name : str
+            Its name.
+
+        Returns
+        -------
+        astropy.units.Quantity
+            The value.
+        """
+        from astropy import units as u
+
+        unit = FitParameter(name, self.all_kinds[name]).unit
+        return u.Quantity(self.values[name], u.electron / u.s if unit == "e-/s" else unit)
 
     def correlation(self):
         """
@@ -368,10 +397,3 @@ class TPFFit:
         from scope_models.fitting._files import read_fit
 
         return cls(**read_fit(path))
-
-
-def _unit(name):
-    """Unit of a parameter, by what it is called."""
-    if name.startswith(("sigma", "x_offset", "y_offset", "x_const", "y_const")):
-        return "pix"
-    return "e-/s" if name == "background" else ""

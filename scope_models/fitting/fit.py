@@ -1,32 +1,24 @@
 """`fit_tpf`: one model for all pixels and cadences of a target pixel file."""
 
 from dataclasses import replace
+from os import PathLike
 
 import numpy as np
 from astropy.modeling import Model
 
 from scope_models._checks import checked_integer, checked_number
 from scope_models.fitting._data import detector_of, read_data
-from scope_models.fitting._gather import make_result
-from scope_models.fitting._gauge import interpixel_gauge, warn_of_fit
-from scope_models.fitting._problem import Problem
+from scope_models.fitting._gather import make_result, warn_of_fit
+from scope_models.fitting._problem import FitOptions, Problem
 from scope_models.fitting._solver import covariances, solve
-from scope_models.fitting._start import (
-    bounds_of,
-    free_names,
-    linear_start,
-    make_prf,
-    starting_state,
-)
-from scope_models.models._derivatives import coefficient_names
+from scope_models.fitting._start import linear_start, make_prf, starting_state
+from scope_models.io.pixels import read_pixels
 
 __all__ = ["fit_tpf"]
 
 _BACKGROUNDS = ("cadence", "constant", "none")
 _POSITIONS = ("free", "start", "prior", "path")
 _LOSSES = ("linear", "soft_l1")
-# Standard deviation of the coefficients of the empirical term, whose first one is 1.
-_RIDGE = 10.0
 # How often errors are scaled, at most, where the model is not true.
 _RESCALINGS = 8
 # So many cadences give the first guess for those of a long series.
@@ -61,8 +53,9 @@ def fit_tpf(
 
     Parameters
     ----------
-    tpf : `~lightkurve.targetpixelfile.TargetPixelFile`
-        The pixels, without the background of its column FLUX_BKG.
+    tpf : `~lightkurve.targetpixelfile.TargetPixelFile`, str or path-like
+        The pixels, without the background of its column FLUX_BKG: the object, or a file, whose
+        cadences with bad quality flags are left out as lightkurve does.
     psf : int or `~astropy.modeling.Model`, optional
         1, 2 or 3 Gaussian components with free offsets; or a density or sum of densities, as for
         `~scope_models.PRF`; or a `~scope_models.PRF`. A model gives the starting values, and
@@ -73,7 +66,7 @@ def fit_tpf(
     empirical : int, optional
         Order of a `~scope_models.models.GaussHermitePSF` that is added to the PSF; 0 for none.
         Its width and its part of the flux are fixed, its coefficients have a prior of standard
-        deviation 1. For another width, give the term as a part of ``psf``.
+        deviation 10. For another width, give the term as a part of ``psf``.
     interpixel : float, optional
         Standard deviation, before the fit, of the response between pixels; 0 fixes it at 1.
     background : {"cadence", "constant", "none"}, optional
@@ -88,7 +81,7 @@ def fit_tpf(
         for data with cosmic rays.
     loss_scale : float, optional
         In standard deviations.
-    flux_err : array_like, optional
+    flux_err : array_like or `~astropy.units.Quantity`, optional
         Errors of the pixels, e-/s, in place of those of the file.
     saturation : bool, optional
         Whether columns with pixels near the depth of their wells are left out.
@@ -115,7 +108,7 @@ def fit_tpf(
 
     Notes
     -----
-    What the pixels cannot tell is held by conventions. The constants of the sensitivity are 1.
+    Conventions fix what the pixels do not constrain. The constants of the sensitivity are 1.
     The mean of b, weighted by the median image, is 1: the common response of the pixels is part
     of the flux. x and y are the position of the first component. Pixel values that are not
     finite, and cadences with too few of them, are left out.
@@ -134,86 +127,69 @@ def fit_tpf(
     >>> print(f"{fit.values['sigma_x']:.2f} {fit.reduced_chi2:.1f}")
     0.50 1.0
     """
-    options = {
-        "empirical": checked_integer("empirical", empirical, 0),
-        "interpixel": _checked_width("interpixel", interpixel),
-        "background": _one_of("background", background, _BACKGROUNDS),
-        "positions": _one_of("positions", positions, _POSITIONS),
-        "position_error": checked_number("position_error", position_error, positive=True),
-        "loss": _one_of("loss", loss, _LOSSES),
-        "loss_scale": checked_number("loss_scale", loss_scale, positive=True),
-        "saturation": bool(saturation),
-    }
+    options = FitOptions(
+        empirical=checked_integer("empirical", empirical, 0),
+        interpixel=_checked_width("interpixel", interpixel),
+        background=_one_of("background", background, _BACKGROUNDS),
+        positions=_one_of("positions", positions, _POSITIONS),
+        position_error=checked_number("position_error", position_error, positive=True),
+        loss=_one_of("loss", loss, _LOSSES),
+        loss_scale=checked_number("loss_scale", loss_scale, positive=True),
+        saturation=bool(saturation),
+    )
     max_steps = checked_integer("max_steps", max_steps, 1)
     if not isinstance(psf, int | Model):
         raise TypeError(f"`psf` must be a number of components or a model, got {psf!r}")
-    problem, detector = _make_problem(tpf, psf, sensitivity, flux_err, options)
-    state = starting_state(problem)
-    n_others = problem.n_shared - len(problem.names)
-    lower, upper = bounds_of(problem.prf, problem.names, n_others, problem.data.shape)
-    np.clip(state.shared, lower, upper, out=state.shared)
-    gauge = interpixel_gauge(problem.data) if problem.n_pixels else None
-    arguments = (lower, upper, gauge, max_steps)
+    problem, series, detector = _make_problem(tpf, psf, sensitivity, flux_err, options)
     # What the shape of the PSF can imitate is freed when the shape is about right.
-    late = coefficient_names(problem.prf)
-    early = np.array([name not in late for name in problem.names] + [True] * n_others)
-    solution = _minimise(problem, state, early, arguments)
-    errors = covariances(problem, solution, lower, upper, gauge)
-    fit = make_result(problem, solution, errors, detector, tpf, options)
+    early = np.array([p.kind != "response" for p in problem.parameters], dtype=bool)
+    problem, solution = _minimise(problem, starting_state(problem), early, max_steps)
+    fit = make_result(problem, solution, covariances(problem, solution), detector, series)
     warn_of_fit(fit, stacklevel=3)
     return fit
 
 
-def _minimise(problem, state, early, arguments):
+def _minimise(problem, state, early, max_steps):
     """Fit the shape, then everything, with errors that are scaled to the residuals."""
     every = len(problem.flux) // _FEW
     if every > 1:
-        # What all cadences share is known nearly as well from some of them.
-        few = replace(problem, data=problem.data[::every])
-        guess = _minimise(few, starting_state(few), early, arguments)
+        # What all cadences share is constrained nearly as well by some of them.
+        few = problem.thinned(every)
+        _, guess = _minimise(few, starting_state(few), early, max_steps)
         state = replace(state, shared=guess.state.shared, interpixel=guess.state.interpixel)
-        state = replace(state, cadence=linear_start(problem, state))
-        problem.rescale(state)
-        solution = solve(problem, state, *arguments, n_steps=guess.n_steps, loosely=True)
+        state = linear_start(problem, state)
+        problem = problem.rescaled(state)
+        solution = solve(problem, state, max_steps, n_steps=guess.n_steps, loosely=True)
     else:
         # Scaled from the start: else all residuals are outliers to a robust loss.
-        problem.rescale(state)
-        solution = solve(problem, state, *arguments, only=early, loosely=True)
+        problem = problem.rescaled(state)
+        solution = solve(problem, state, max_steps, only=early, loosely=True)
     for remaining in reversed(range(_RESCALINGS)):
-        changed = problem.rescale(solution.state) and remaining > 0
+        scaled = problem.rescaled(solution.state)
+        changed = scaled is not problem and remaining > 0
+        problem = scaled
         solution = solve(
-            problem, solution.state, *arguments, n_steps=solution.n_steps, loosely=changed
+            problem, solution.state, max_steps, n_steps=solution.n_steps, loosely=changed
         )
         if not changed:
             break
-    return solution
+    return problem, solution
 
 
 def _make_problem(tpf, psf, sensitivity, flux_err, options):
-    """What is fitted, and the detector that recorded it."""
-    if not all(hasattr(tpf, name) for name in ("time", "flux", "flux_err")):
-        raise TypeError(f"`tpf` must be a target pixel file, got {type(tpf).__name__}")
-    prf = make_prf(psf, sensitivity, options["empirical"])
-    detector = detector_of(tpf)
-    positions, background = options["positions"], options["background"]
-    n_free = 1 + 2 * (positions != "path") + (background == "cadence")
-    saturation = options["saturation"]
-    data = read_data(tpf, flux_err, detector, n_free, saturation=saturation)
-    if data.pos_corr is None and positions in {"prior", "path"}:
-        raise ValueError(f"`positions` is {positions!r}, but `tpf` has no POS_CORR")
-    names = free_names(prf)
-    problem = Problem(
-        data=data,
-        prf=prf,
-        names=names,
-        background=background,
-        positions=positions,
-        position_error=options["position_error"],
-        interpixel_error=options["interpixel"],
-        ridge={name: _RIDGE for name in names if name.startswith("c_")},
-        soft=options["loss_scale"] if options["loss"] == "soft_l1" else None,
-    )
-    return problem, detector
+    """What is fitted, the pixels of the file, and the detector that recorded them."""
+    series = read_pixels(tpf, quality_bitmask="default" if _is_path(tpf) else "none")
+    prf = make_prf(psf, sensitivity, options.empirical)
+    detector = detector_of(series)
+    n_free = 1 + 2 * (options.positions != "path") + (options.background == "cadence")
+    data = read_data(series, flux_err, detector, n_free, saturation=options.saturation)
+    if data.pos_corr is None and options.positions in {"prior", "path"}:
+        raise ValueError(f"`positions` is {options.positions!r}, but `tpf` has no POS_CORR")
+    return Problem((data,), prf, options), series, detector
+
+
+def _is_path(source):
+    return isinstance(source, str | PathLike)
 
 
 def _one_of(name, value, allowed):

@@ -1,0 +1,300 @@
+"""The model behind pixel level decorrelation: its options and its design matrix."""
+
+from dataclasses import dataclass
+from numbers import Real
+
+import numpy as np
+from astropy import units as u
+
+from scope_models._arrays import plain_array, plain_number
+from scope_models._checks import checked_integer
+from scope_models.correctors._design import (
+    DesignOptions,
+    background_columns,
+    make_regressors,
+    neighbor_columns,
+    segment_breaks,
+)
+from scope_models.correctors._features import Regressors
+from scope_models.correctors._pixels import Pixels, aperture_pixels
+from scope_models.correctors._result import PLDFit, transit_column
+from scope_models.correctors._solution import fit
+from scope_models.io import read_pixels
+
+__all__ = ["PLDModel", "PLDOptions"]
+
+_FEWEST_CADENCES = 30
+_TRENDS = {"gp": 1, "quadratic": 3}
+
+
+@dataclass(frozen=True, eq=False)
+class PLDOptions:
+    """
+    Options of pixel level decorrelation.
+
+    Parameters
+    ----------
+    order : int, optional
+        Highest number of pixel fractions that are multiplied.
+    trend : {"gp", "quadratic"}, optional
+        Long-term variability: a Gaussian process or a polynomial.
+    segments : "auto", None or sequence of float, optional
+        Times (days) at which the coefficients of order 1 may change. By
+        default where the sense of the roll reverses.
+    background : int, optional
+        Number of principal components of the pixels outside of the aperture
+        that are regressors too.
+    neighbors : sequence of `~lightkurve.targetpixelfile.TargetPixelFile`, optional
+        Other stars whose pixel fractions are regressors too.
+    saturation : "auto", None or float, optional
+        Flux in e-/s above which a pixel is saturated.
+    sigma : float, optional
+        Cadences that deviate by more standard deviations are outliers.
+    max_clips : int, optional
+        Largest number of times that outliers are searched.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If an option is outside its domain.
+
+    Examples
+    --------
+    >>> from scope_models.correctors import PLDOptions
+    >>> PLDOptions(order=3).order
+    3
+    """
+
+    order: int = 2
+    trend: str = "gp"
+    segments: object = "auto"
+    background: int = 0
+    neighbors: tuple = ()
+    saturation: object = "auto"
+    sigma: float = 5.0
+    max_clips: int = 5
+
+    def __post_init__(self):
+        checked_integer("order", self.order, 1)
+        if self.trend not in _TRENDS:
+            raise ValueError(f"`trend` must be one of {tuple(_TRENDS)}, got {self.trend!r}")
+        checked_integer("background", self.background, 0)
+        if not isinstance(self.sigma, Real) or not self.sigma > 0:
+            raise ValueError(f"`sigma` must be positive, got {self.sigma!r}")
+        checked_integer("max_clips", self.max_clips, 0)
+        object.__setattr__(self, "segments", _checked_segments(self.segments))
+        object.__setattr__(self, "saturation", _checked_saturation(self.saturation))
+
+    @property
+    def n_trend(self):
+        """Number of columns of the constant and the polynomial trend."""
+        return _TRENDS[self.trend]
+
+
+def _checked_segments(segments):
+    """Return "auto", None or times in days."""
+    if segments is None or (isinstance(segments, str) and segments == "auto"):
+        return segments
+    try:
+        breaks = np.atleast_1d(plain_array(segments, u.day, "segments")).ravel()
+    except TypeError:
+        breaks = np.array([np.nan])
+    if not np.isfinite(breaks).all():
+        raise ValueError(
+            f'`segments` must be "auto", None or a sequence of times, got {segments!r}'
+        )
+    return tuple(breaks)
+
+
+def _checked_saturation(saturation):
+    """Return "auto", None or a flux in e-/s."""
+    if saturation is None or (isinstance(saturation, str) and saturation == "auto"):
+        return saturation
+    message = f'`saturation` must be "auto", None or e-/s, got {saturation!r}'
+    try:
+        value = plain_number(saturation, u.electron / u.s, "saturation")
+    except TypeError:
+        raise ValueError(message) from None
+    if not value > 0:
+        raise ValueError(f"`saturation` must be positive, got {saturation}")
+    return value
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class PLDModel:
+    r"""
+    The linear model of the logarithm of a star's flux.
+
+    `PLDCorrector` makes one for each call of ``correct``. The equation is on the page
+    :doc:`/pld`.
+
+    Parameters
+    ----------
+    pixels : Pixels
+        Pixels, aperture, and cadences that can be used.
+    options : PLDOptions
+        Order, trend, further regressors, clipping.
+    design : DesignOptions
+        The same for the design matrix, with what has been found in the file: segments,
+        saturation, columns of background and neighbors.
+
+    See Also
+    --------
+    PLDCorrector : Correct a target pixel file.
+
+    Examples
+    --------
+    >>> from scope_models import Detector, Motion, Star, simulate
+    >>> from scope_models.correctors import PLDModel
+    >>> observation = simulate(Star(12.0), Detector.k2(), Motion.k2_roll(300), seed=1)
+    >>> model = PLDModel.from_tpf(observation.to_tpf(), order=1)
+    >>> matrix = model.design_matrix()
+    >>> matrix.names
+    ('order 1',)
+    >>> len(matrix.columns) == model.pixels.usable.size
+    True
+    """
+
+    pixels: Pixels
+    options: PLDOptions
+    design: DesignOptions
+
+    @classmethod
+    def from_tpf(cls, tpf, aperture_mask=None, **options):
+        """
+        Make the model of a target pixel file.
+
+        Parameters
+        ----------
+        tpf : `~lightkurve.targetpixelfile.TargetPixelFile`, str or path-like
+            As in `PLDCorrector`.
+        aperture_mask : array_like of bool, optional
+            As in `PLDCorrector`.
+        **options
+            Arguments of `PLDOptions`.
+
+        Returns
+        -------
+        PLDModel
+            The model.
+        """
+        series = read_pixels(tpf)
+        pixels = aperture_pixels(series, aperture_mask)
+        return cls.from_pixels(pixels, PLDOptions(**options), series)
+
+    @classmethod
+    def from_pixels(cls, pixels, options, series):
+        """
+        Make the model of pixels that have been read already.
+
+        Parameters
+        ----------
+        pixels : Pixels
+            Pixels and aperture.
+        options : PLDOptions
+            The options.
+        series : PixelSeries
+            Their file, for its mission and cadence numbers.
+
+        Returns
+        -------
+        PLDModel
+            The model.
+        """
+        extra = {}
+        if options.background:
+            extra["background"] = background_columns(pixels, options.background)
+        if len(options.neighbors):
+            extra["neighbors"] = neighbor_columns(series.cadenceno, options.neighbors)
+        saturation = options.saturation
+        if saturation == "auto":
+            saturation = series.mission and series.mission.full_flux
+        breaks = segment_breaks(options.segments, pixels)
+        return cls(pixels, options, DesignOptions(options.order, saturation, breaks, extra))
+
+    def __repr__(self):
+        return (
+            f"<PLDModel: order {self.options.order}, {self.pixels.usable.sum()} cadences, "
+            f"{self.pixels.aperture.sum()} pixels>"
+        )
+
+    def design_matrix(self, cadence_mask=None):
+        """
+        Return the regressors.
+
+        Parameters
+        ----------
+        cadence_mask : ndarray of bool, optional
+            Cadences ``(n_cadences,)`` from which means and principal components are taken; by
+            default all.
+
+        Returns
+        -------
+        Regressors
+            Columns ``(n_cadences, n_columns)``, NaN in cadences that cannot be used, and their
+            groups.
+        """
+        usable = self.pixels.usable
+        use = usable if cadence_mask is None else usable & cadence_mask
+        found = make_regressors(self.pixels, use[usable], self.design)
+        columns = np.full((len(usable), found.columns.shape[1]), np.nan)
+        columns[usable] = found.columns
+        return Regressors(columns, found.groups, found.names)
+
+    def fit(self, cadence_mask=None, *, transit_mask=None, transit_model=None):
+        """
+        Fit the model.
+
+        Parameters
+        ----------
+        cadence_mask : ndarray of bool, optional
+            Cadences that may be used, ``(n_cadences,)``.
+        transit_mask : ndarray of bool, optional
+            Cadences in transit, which are not used.
+        transit_model : array_like or callable, optional
+            Relative flux whose amplitude is fitted jointly, as in `PLDCorrector.correct`.
+
+        Returns
+        -------
+        PLDFit
+            The result.
+
+        Raises
+        ------
+        ValueError
+            If no regressor varies, fewer than 30 cadences are left, or the covariance is
+            singular.
+        """
+        pixels, n = self.pixels, len(self.pixels.time)
+        usable = pixels.usable
+        mask = np.ones(n, dtype=bool) if cadence_mask is None else cadence_mask
+        in_transit = np.zeros(n, dtype=bool) if transit_mask is None else transit_mask
+        column = np.empty((n, 0))
+        if transit_model is not None:
+            column = transit_column(transit_model, pixels.time)
+        allowed = (mask & ~in_transit)[usable]
+        if allowed.sum() < _FEWEST_CADENCES:
+            raise ValueError(
+                f"at least {_FEWEST_CADENCES} usable cadences are needed, got {allowed.sum()}"
+            )
+        total = pixels.total[usable]
+        y = np.log(total / np.median(total[allowed]))
+        variance = (pixels.total_err[usable] / total) ** 2
+        try:
+            solution = fit(
+                lambda use: make_regressors(pixels, use, self.design),
+                pixels.time[usable],
+                y,
+                variance,
+                allowed,
+                column[usable],
+                self.options,
+            )
+        except np.linalg.LinAlgError as error:
+            raise ValueError(
+                "the pixels' covariance is singular to working precision: check FLUX_ERR and the "
+                "aperture, or lower `order`"
+            ) from error
+        return PLDFit(
+            self, solution, mask & ~in_transit, in_transit, joint=transit_model is not None
+        )

@@ -1,0 +1,159 @@
+"""Scores of a light curve of which the truth is known: pure functions of arrays."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+__all__ = ["SkyScore", "score_light_curve"]
+
+_BIN = 13  # cadences of 6.5 h
+_WINDOW = 3.0  # days
+_MOST_CLIPPED = 0.02
+_FEWEST = 100
+
+
+@dataclass(frozen=True)
+class SkyScore:
+    """How well a light curve shows what the star did.
+
+    Attributes
+    ----------
+    full : float
+        Standard deviation of 6.5-h bins of corrected over true flux, in units of the floor. Only
+        a constant factor is removed.
+    high_passed : float
+        The same after a running mean of 3 d has been subtracted.
+    amplitude : float
+        Part of the star's variability that is kept: slope of the corrected flux on the true one,
+        outside of transits; NaN for constant stars.
+    depth : float
+        Part of the transits' depth that is kept, with a straight line around each transit; NaN
+        without transits.
+    pull : float
+        Root mean square of the cadences' deviations from the truth over the quoted errors, only
+        a constant factor removed.
+    kept : float
+        Part of the cadences that have a corrected flux.
+    floor : float
+        Expected photon, background and read noise of a 6.5-h bin, ppm.
+
+    Examples
+    --------
+    >>> from scope_models.experiments.skies import make_sky, score
+    >>> sky = make_sky("k2-1x-delta-scuti", seed=2, n_cadences=300)
+    >>> lc = sky.to_tpf().to_lightcurve(aperture_mask="pipeline")
+    >>> bool(0.9 < score(lc, sky).amplitude < 1.1)
+    True
+    """
+
+    full: float
+    high_passed: float
+    amplitude: float
+    depth: float
+    pull: float
+    kept: float
+    floor: float
+
+
+def score_light_curve(time, flux, error, truth, transit, noise):
+    """
+    Score a light curve.
+
+    Parameters
+    ----------
+    time : ndarray
+        Days.
+    flux, error : ndarray
+        Light curve and its errors; NaN where there is none.
+    truth, transit : ndarray
+        True relative flux, and its transits alone.
+    noise : float
+        Expected relative noise of a cadence.
+
+    Returns
+    -------
+    SkyScore
+        The scores.
+    """
+    good = np.isfinite(flux) & np.isfinite(error)
+    kept = float(good.mean())
+    floor = noise / np.sqrt(_BIN)
+    time, flux, error, truth, transit = (a[good] for a in (time, flux, error, truth, transit))
+    if good.sum() < _FEWEST or not np.median(flux) > 0:
+        nan = float("nan")
+        return SkyScore(np.inf, np.inf, nan, nan, nan, kept, 1e6 * floor)
+    ratio = flux / truth
+    level = np.median(ratio)
+    deviation = ratio / level - 1
+    fine = ~_outliers(deviation)
+    pull = np.sqrt(np.mean((deviation * truth * level / error)[fine] ** 2))
+    smooth = deviation[fine] - _running_mean(time[fine], deviation[fine])
+    return SkyScore(
+        full=_scatter(time[fine], deviation[fine]) / floor,
+        high_passed=_scatter(time[fine], smooth) / floor,
+        amplitude=_amplitude(flux[fine], truth[fine], transit[fine]),
+        depth=_depth(time[fine], flux[fine], truth[fine], transit[fine]),
+        pull=float(pull),
+        kept=kept,
+        floor=1e6 * floor,
+    )
+
+
+def _outliers(values):
+    """Return cadences far from their neighbors' median, 2 % at most: cosmic rays and the like."""
+    padded = np.pad(values, 3, mode="edge")
+    local = values - np.median(np.lib.stride_tricks.sliding_window_view(padded, 7), axis=1)
+    size = np.abs(local)
+    limit = max(6 * 1.4826 * np.median(size), np.quantile(size, 1 - _MOST_CLIPPED))
+    return size > limit
+
+
+def _scatter(time, values):
+    """Return the standard deviation of the means of 13 cadences; bins less than half full go."""
+    number = ((time - time[0]) / (time[1:] - time[:-1]).min() + 0.5).astype(int) // _BIN
+    count = np.bincount(number)
+    full = count > _BIN / 2
+    means = np.bincount(number, values)[full] / count[full]
+    # Bins with fewer cadences are noisier: the floor is that of full ones.
+    return float(np.sqrt(np.average((means - means.mean()) ** 2, weights=count[full])))
+
+
+def _running_mean(time, values):
+    """Return the mean of all values within 1.5 d."""
+    first = np.searchsorted(time, time - _WINDOW / 2)
+    last = np.searchsorted(time, time + _WINDOW / 2)
+    total = np.concatenate([[0], np.cumsum(values)])
+    return (total[last] - total[first]) / (last - first)
+
+
+def _amplitude(flux, truth, transit):
+    """Return the slope of the flux on the true variability."""
+    outside = transit == 1
+    flux, truth = flux[outside], truth[outside]
+    if not outside.any() or truth.std() < 1e-5:
+        return float("nan")
+    slope, level = np.polyfit(truth, flux, 1)
+    return float(slope / (slope * truth.mean() + level) * truth.mean())
+
+
+def _depth(time, flux, truth, transit):
+    """Return the depth in units of the true one, with a line around each transit."""
+    inside = transit < 1
+    if not inside.any():
+        return float("nan")
+    flux = flux / (truth / transit)
+    flux = flux / np.median(flux)
+    starts = np.flatnonzero(np.diff(inside.astype(int), prepend=0) == 1)
+    ends = np.flatnonzero(np.diff(inside.astype(int), append=0) == -1)
+    upper = lower = 0.0
+    for start, end in zip(starts, ends, strict=True):
+        half = time[end] - time[start]
+        near = (time > time[start] - half) & (time < time[end] + half)
+        line = np.vander(time[near] - time[start], 2)
+        if near.sum() < 6:
+            continue
+        both = np.column_stack([flux[near], transit[near] - 1])
+        rest = both - line @ np.linalg.lstsq(line, both, rcond=None)[0]
+        upper += rest[:, 0] @ rest[:, 1]
+        lower += rest[:, 1] @ rest[:, 1]
+    return float(upper / lower) if lower > 0 else float("nan")

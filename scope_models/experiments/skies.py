@@ -1,0 +1,522 @@
+"""Messy stars: pixels with all that real skies do, their truth, and scores of corrected curves.
+
+The images come from a rendering of their own (a Fourier series of the PSF against an oversampled
+map of each pixel's response), which neither the simulator nor the correctors and fits use.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from scope_models._checks import checked_integer
+from scope_models.experiments._sky_light import make_light, make_motion, make_transit, red_noise
+from scope_models.experiments._sky_pixels import bleed, make_psf, make_response, render
+from scope_models.experiments._sky_scores import SkyScore, score_light_curve
+from scope_models.io.tpf import TPFMetadata, make_tpf_hdulist
+
+__all__ = ["REGIMES", "MessyStar", "SkyRegime", "SkyScore", "make_sky", "score"]
+
+_CADENCE = 0.02043359821692  # days
+_FIRING, _ARGABRIGHTENING = 1048576, 4096
+_DUMP = 32  # TESS: reaction wheels desaturate
+
+
+@dataclass(frozen=True)
+class _Photometer:
+    """What the missions' photometers differ in, see FACTS of the missions' handbooks.
+
+    Zero point (e-/s of a star of magnitude 12), seconds of exposure, read noise per cadence (e-),
+    sky background (e-/s per pixel), full well (e-/s), width of the PSF (px), pixel scale (arcsec).
+    """
+
+    zero_point: float
+    exposure: float
+    read_noise: float
+    background: float
+    well: float
+    width: float
+    pixel_scale: float
+
+
+_KEPLER = _Photometer(1.74e5, 1625.3, 1479.0, 166.0, 1.79e5, 0.55, 3.98)
+_PHOTOMETERS = {
+    "K2": _KEPLER,
+    "Kepler": _KEPLER,
+    "TESS": _Photometer(2379.0, 1425.6, 268.0, 120.0, 1.0e5, 0.65, 21.0),
+}
+
+
+@dataclass(frozen=True)
+class SkyRegime:
+    """A kind of messy star.
+
+    Parameters
+    ----------
+    name : str
+        Name of the regime.
+    mission : {"K2", "Kepler", "TESS"}, optional
+        Photometer and file layout.
+    motion : {"k2", "kepler", "tess", "walk", "wheels"}, optional
+        Kind of motion.
+    scale : float, optional
+        Factor of the motion.
+    magnitude : float, optional
+        Kp, or T for TESS.
+    star : str, optional
+        Kind of variability: "constant", "spots", "sine", "rr_lyrae", "delta_scuti", "eclipsing"
+        or "flaring".
+    period : float, optional
+        Its period, or the mean time between flares, days.
+    amplitude : float, optional
+        About half its relative range; of eclipses the depth.
+    depth, transit_period, duration : float, optional
+        Relative depth, period and duration of transits, days. A period of infinity stands for one
+        transit.
+    neighbors : tuple of (float, float, float), optional
+        Magnitude difference, distance in pixels, and amplitude of a variability with a period of
+        1.1 d, of each neighbor.
+    focus : float, optional
+        Largest relative change of the PSF's width.
+    focus_period : float, optional
+        Its period, days.
+    background : float, optional
+        Background that the file's own subtraction leaves, e-/s per pixel.
+    shape : tuple of int, optional
+        Rows and columns.
+
+    Examples
+    --------
+    >>> from scope_models.experiments.skies import SkyRegime, make_sky
+    >>> regime = SkyRegime("faint", magnitude=16.5, neighbors=((1.0, 3.0, 0.0),))
+    >>> make_sky(regime, seed=1, n_cadences=100).flux.shape
+    (100, 9, 9)
+    """
+
+    name: str
+    mission: str = "K2"
+    motion: str = "k2"
+    scale: float = 1.0
+    magnitude: float = 12.0
+    star: str = "constant"
+    period: float = 5.0
+    amplitude: float = 0.0
+    depth: float = 0.0
+    transit_period: float = 3.1
+    duration: float = 0.2
+    neighbors: tuple = ()
+    focus: float = 0.005
+    focus_period: float = 10.0
+    background: float = 3.0
+    shape: tuple = (9, 9)
+
+
+def _kepler(name, **changes):
+    return SkyRegime(name, mission="Kepler", motion="kepler", focus=0.003, **changes)
+
+
+def _tess(name, **changes):
+    settings = {"motion": "tess", "magnitude": 9.0, "focus": 0.001, "background": 5.0}
+    return SkyRegime(name, mission="TESS", **{**settings, **changes})
+
+
+_SPOTS = {"star": "spots", "amplitude": 0.006}
+_RR_LYRAE = {"star": "rr_lyrae", "period": 0.55, "amplitude": 0.15}
+_ECLIPSES = {"star": "eclipsing", "period": 2.3, "amplitude": 0.25}
+_SCUTI = {"star": "delta_scuti", "period": 0.1, "amplitude": 0.01}
+
+_ALL = (
+    SkyRegime("k2-1x-constant"),
+    SkyRegime("k2-3x-constant", scale=3),
+    SkyRegime("k2-5x-constant", scale=5, shape=(11, 11)),
+    SkyRegime("k2-10x-constant", scale=10, shape=(13, 13)),
+    SkyRegime("k2-1x-kp14", magnitude=14),
+    SkyRegime("k2-1x-kp17", magnitude=17),
+    SkyRegime("k2-5x-kp15", magnitude=15, scale=5, shape=(11, 11)),
+    SkyRegime("k2-1x-kp10-saturated", magnitude=10, shape=(13, 9)),
+    SkyRegime("k2-1x-kp9-saturated", magnitude=9, shape=(29, 9)),
+    SkyRegime("k2-1x-spots-5d", period=5, **_SPOTS),
+    SkyRegime("k2-1x-spots-20d", period=20, **_SPOTS),
+    SkyRegime("k2-5x-spots-1.5d", period=1.5, scale=5, shape=(11, 11), **_SPOTS),
+    SkyRegime("k2-10x-spots-5d", period=5, scale=10, shape=(13, 13), **_SPOTS),
+    SkyRegime("k2-1x-rr-lyrae", **_RR_LYRAE),
+    SkyRegime("k2-1x-rr-lyrae-neighbor", neighbors=((1, 3, 0),), **_RR_LYRAE),
+    SkyRegime("k2-3x-rr-lyrae-kp15", scale=3, magnitude=15, **_RR_LYRAE),
+    SkyRegime("k2-1x-delta-scuti", **_SCUTI),
+    SkyRegime("k2-5x-delta-scuti", scale=5, shape=(11, 11), **_SCUTI),
+    SkyRegime("k2-1x-eclipsing", **_ECLIPSES),
+    SkyRegime("k2-1x-eclipsing-neighbor", neighbors=((2, 3, 0),), **_ECLIPSES),
+    SkyRegime("k2-1x-flares", star="flaring", period=2.0, amplitude=0.01, magnitude=14),
+    SkyRegime("k2-1x-rotation-0.5d", star="spots", period=0.5, amplitude=0.01),
+    SkyRegime("k2-1x-transits-6h", depth=0.001, transit_period=0.4904, duration=0.12),
+    SkyRegime("k2-5x-transit-single", depth=0.003, transit_period=np.inf, scale=5, shape=(11, 11)),
+    SkyRegime("k2-1x-transits-1pct", depth=0.01, magnitude=14),
+    SkyRegime("k2-1x-transits-neighbor", depth=0.01, neighbors=((1, 3, 0),)),
+    SkyRegime("k2-5x-neighbor", scale=5, shape=(11, 11), neighbors=((2, 3.5, 0),)),
+    SkyRegime("k2-1x-neighbor-variable", neighbors=((2, 3.5, 0.02),)),
+    SkyRegime("k2-1x-neighbors-faint", neighbors=((3, 2.5, 0), (5, 4, 0), (4, 3, 0))),
+    SkyRegime(
+        "k2-1x-background", magnitude=17.4, star="sine", period=1.7, amplitude=0.1, background=30
+    ),
+    SkyRegime("k2-1x-kp18", magnitude=18, star="sine", period=2.9, amplitude=0.2),
+    _kepler("kepler-constant-kp14", magnitude=14),
+    _kepler("kepler-spots-10d", period=10, **_SPOTS),
+    _kepler("kepler-transits-50ppm", magnitude=10.9, depth=5e-5, transit_period=2.3),
+    _kepler("kepler-transits-1pct", magnitude=14, depth=0.01),
+    _tess("tess-constant"),
+    _tess("tess-spots-1.5d", period=1.5, **_SPOTS),
+    _tess("tess-crowded", magnitude=11, depth=0.01, neighbors=((0.5, 3.3, 0), (2, 4, 0))),
+    SkyRegime("walk-constant", motion="walk"),
+    SkyRegime("walk-spots-10d", motion="walk", period=10, **_SPOTS),
+    SkyRegime("wheels-constant-kp13", motion="wheels", magnitude=13, shape=(11, 11)),
+    SkyRegime("wheels-spots-20d", motion="wheels", period=20, shape=(11, 11), **_SPOTS),
+)
+
+#: The regimes by name.
+REGIMES = {regime.name: regime for regime in _ALL}
+
+
+@dataclass(frozen=True, eq=False)
+class MessyStar:
+    """A star of the messy sky: its pixels as a pipeline would deliver them, and the truth.
+
+    All cadences are there, those without data too; fluxes are in e-/s.
+
+    Attributes
+    ----------
+    regime : SkyRegime
+        What kind of star it is.
+    seed : int
+        The seed.
+    time : ndarray, shape (n,)
+        Times in days, NaN where there are no data.
+    cadenceno, quality : ndarray of int, shape (n,)
+        Numbers and flags of the cadences.
+    flux, flux_err : ndarray, shape (n, ny, nx)
+        Pixels after the pipeline's subtraction of its background, and their formal errors.
+    pos_corr1, pos_corr2 : ndarray, shape (n,)
+        Offsets with the errors of real files.
+    x, y : ndarray, shape (n,)
+        True positions of the star in the stamp, pixels.
+    width : ndarray, shape (n,)
+        True relative width of the PSF.
+    true_flux : ndarray, shape (n,)
+        True relative flux of the star: variability and transits.
+    transit : ndarray, shape (n,)
+        True transits alone, 1 outside of them.
+    star_light : ndarray, shape (n, ny, nx)
+        The star's own light in each pixel, without noise (and before full pixels spill).
+    neighbor_light, background_light : ndarray, shape (n, ny, nx)
+        The neighbors' light, and the background that is left in `flux`.
+    sky : ndarray, shape (n, ny, nx)
+        Background that the pipeline took off.
+    aperture : ndarray of bool, shape (ny, nx)
+        The file's aperture: the pixels whose sum, uncorrected, is expected to scatter least.
+    noise : ndarray, shape (n, ny, nx)
+        Expected photon, background and read noise of each pixel.
+
+    Examples
+    --------
+    >>> from scope_models.experiments.skies import make_sky
+    >>> sky = make_sky("tess-crowded", seed=1, n_cadences=100)
+    >>> sky.to_tpf().mission, sky.true_flux.shape
+    ('TESS', (100,))
+    """
+
+    regime: SkyRegime
+    seed: int
+    time: np.ndarray
+    cadenceno: np.ndarray
+    quality: np.ndarray
+    flux: np.ndarray = field(repr=False)
+    flux_err: np.ndarray = field(repr=False)
+    pos_corr1: np.ndarray = field(repr=False)
+    pos_corr2: np.ndarray = field(repr=False)
+    x: np.ndarray = field(repr=False)
+    y: np.ndarray = field(repr=False)
+    width: np.ndarray = field(repr=False)
+    true_flux: np.ndarray = field(repr=False)
+    transit: np.ndarray = field(repr=False)
+    star_light: np.ndarray = field(repr=False)
+    neighbor_light: np.ndarray = field(repr=False)
+    background_light: np.ndarray = field(repr=False)
+    sky: np.ndarray = field(repr=False)
+    aperture: np.ndarray = field(repr=False)
+    noise: np.ndarray = field(repr=False)
+
+    def floor(self, aperture=None):
+        """Return the expected noise of a light curve of only the star, relative, per cadence.
+
+        Parameters
+        ----------
+        aperture : array_like of bool, shape (ny, nx), optional
+            The pixels that are summed. The default is `aperture`.
+
+        Returns
+        -------
+        float
+            Median over the cadences of photon, background and read noise over the star's light.
+
+        Examples
+        --------
+        >>> from scope_models.experiments.skies import make_sky
+        >>> sky = make_sky("k2-1x-kp14", seed=1, n_cadences=100)
+        >>> sky.floor() < sky.floor(sky.aperture | True)
+        True
+        """
+        mask = self.aperture if aperture is None else np.asarray(aperture, dtype=bool)
+        noise = np.sqrt((self.noise[:, mask] ** 2).sum(axis=1))
+        return float(np.median(noise / self.star_light[:, mask].sum(axis=1)))
+
+    def to_tpf(self, quality_bitmask="default"):
+        """Return lightkurve's target pixel file.
+
+        Parameters
+        ----------
+        quality_bitmask : str or int, optional
+            Which flagged cadences lightkurve leaves out.
+
+        Returns
+        -------
+        lightkurve.KeplerTargetPixelFile or lightkurve.TessTargetPixelFile
+            The file, without truth.
+
+        Examples
+        --------
+        >>> from scope_models.experiments.skies import make_sky
+        >>> make_sky("k2-1x-kp14", seed=6, n_cadences=100).to_tpf().targetid
+        7
+        """
+        from lightkurve import KeplerTargetPixelFile, TessTargetPixelFile
+
+        photometer = _PHOTOMETERS[self.regime.mission]
+        frames = {"TESS": (1.98, 0.02, 900)}.get(self.regime.mission, (6.0198, 0.5189, 270))
+        metadata = TPFMetadata(
+            mission=self.regime.mission, target_id=self.seed + 1, magnitude=self.regime.magnitude,
+            pixel_scale=photometer.pixel_scale, int_time=frames[0], read_time=frames[1],
+            n_frames=frames[2], time_delta=_CADENCE,
+        )  # fmt: skip
+        hdulist = make_tpf_hdulist(
+            metadata=metadata, time=self.time, cadenceno=self.cadenceno, raw_cnts=None,
+            flux=self.flux, flux_err=self.flux_err, flux_bkg=self.sky,
+            flux_bkg_err=0.01 * self.sky, quality=self.quality, pos_corr1=self.pos_corr1,
+            pos_corr2=self.pos_corr2, aperture=self.aperture,
+        )  # fmt: skip
+        kind = TessTargetPixelFile if self.regime.mission == "TESS" else KeplerTargetPixelFile
+        return kind(hdulist, quality_bitmask=quality_bitmask)
+
+
+def make_sky(regime, seed=0, *, n_cadences=1100):
+    """Make a messy star.
+
+    Parameters
+    ----------
+    regime : SkyRegime or str
+        The kind of star, or its name in `REGIMES`.
+    seed : int, optional
+        Seed of everything that is random.
+    n_cadences : int, optional
+        Length in long cadences, at least 100.
+
+    Returns
+    -------
+    MessyStar
+        Pixels and truth.
+
+    Raises
+    ------
+    ValueError
+        If there is no such regime, or `n_cadences` is below 100.
+
+    Examples
+    --------
+    >>> from scope_models.experiments.skies import make_sky, score
+    >>> sky = make_sky("k2-1x-constant", seed=1, n_cadences=300)
+    >>> lc = sky.to_tpf().to_lightcurve(aperture_mask="pipeline")
+    >>> bool(score(lc, sky).full > 3)
+    True
+    """
+    regime = _regime(regime)
+    n = checked_integer("n_cadences", n_cadences, 100)
+    root = np.random.SeedSequence([seed, *regime.name.encode()])
+    names = ("motion", "star", "optics", "sky", "noise", "events")
+    rngs = dict(zip(names, map(np.random.default_rng, root.spawn(len(names))), strict=True))
+    photometer = _PHOTOMETERS[regime.mission]
+    time = _CADENCE * np.arange(n)
+    dx, dy, firing = make_motion(regime.motion, rngs["motion"], time, regime.scale)
+    true_flux, transit = _light(regime, rngs["star"], time)
+    width = _width(regime, rngs["optics"], time)
+    own, others, (x, y) = _starlight(regime, photometer, rngs["optics"], time, (dx, dy), width)
+    star_light = own * true_flux[:, None, None]
+    quality, missing, flash = _events(regime, rngs["events"], firing, n)
+    residual, sky = _background(regime, photometer, rngs["sky"], time)
+    sky = sky + flash[:, None, None]
+    light = (star_light + others + residual + sky) * photometer.exposure
+    light = bleed(light, photometer.well * photometer.exposure)
+    noise = np.sqrt(light + photometer.read_noise**2)
+    electrons = light + noise * rngs["noise"].normal(size=light.shape)
+    electrons += _cosmic_rays(rngs["noise"], light.shape)
+    seen = light / photometer.exposure - sky
+    constant = (seen - others - residual) / true_flux[:, None, None]
+    aperture = _best_aperture(constant, noise / photometer.exposure)
+    pos_corr = [_measured(offset, rngs["events"], time, quality) for offset in (dx, dy)]
+    flux = (electrons / photometer.exposure - sky).astype(np.float32)
+    flux[missing] = np.nan
+    return MessyStar(
+        regime=regime, seed=seed, time=np.where(missing, np.nan, 2144.1 + time),
+        cadenceno=np.arange(1, n + 1), quality=quality, flux=flux,
+        flux_err=(noise / photometer.exposure).astype(np.float32), pos_corr1=pos_corr[0],
+        pos_corr2=pos_corr[1], x=x, y=y, width=width, true_flux=true_flux, transit=transit,
+        star_light=star_light, neighbor_light=others, background_light=residual, sky=sky,
+        aperture=aperture, noise=noise / photometer.exposure,
+    )  # fmt: skip
+
+
+def score(lc, sky, *, aperture=None):
+    """Compare a light curve with the truth.
+
+    Parameters
+    ----------
+    lc : lightkurve.LightCurve
+        Corrected (or raw) light curve with cadence numbers, from `MessyStar.to_tpf`.
+    sky : MessyStar
+        The star.
+    aperture : array_like of bool, shape (ny, nx), optional
+        The pixels whose photon, read and background noise is the floor. The default is the
+        file's aperture, so that all correctors have the same floor.
+
+    Returns
+    -------
+    SkyScore
+        The scores.
+
+    Raises
+    ------
+    ValueError
+        If the light curve has no column ``cadenceno``.
+
+    Examples
+    --------
+    >>> from scope_models.experiments.skies import make_sky, score
+    >>> sky = make_sky("k2-1x-transits-1pct", seed=1, n_cadences=300)
+    >>> lc = sky.to_tpf().to_lightcurve(aperture_mask="pipeline")
+    >>> bool(0.7 < score(lc, sky).depth < 1.3)
+    True
+    """
+    if "cadenceno" not in getattr(lc, "columns", ()):
+        raise ValueError("`lc` must have the column cadenceno")
+    rows = np.searchsorted(sky.cadenceno, np.asarray(lc["cadenceno"], dtype=int))
+    flux, error = (_plain_column(lc[name]) for name in ("flux", "flux_err"))
+    return score_light_curve(
+        _CADENCE * rows, flux, error, sky.true_flux[rows], sky.transit[rows], sky.floor(aperture)
+    )
+
+
+def _plain_column(column):
+    """Return a column of a light curve as plain numbers, NaN where masked."""
+    values = getattr(column, "value", column)
+    return np.ma.filled(np.ma.masked_invalid(np.ma.asarray(values, dtype=float)), np.nan)
+
+
+def _regime(regime):
+    if isinstance(regime, SkyRegime):
+        return regime
+    if regime not in REGIMES:
+        raise ValueError(f"`regime` must be one of {', '.join(REGIMES)}, got {regime!r}")
+    return REGIMES[regime]
+
+
+def _light(regime, rng, time):
+    """Return the relative flux with and of transits alone."""
+    light = make_light(regime.star, rng, time, regime.period, regime.amplitude)
+    transit = make_transit(rng, time, regime.depth, regime.transit_period, regime.duration)
+    return light * transit, transit
+
+
+def _width(regime, rng, time):
+    """Return a focus that swings, drifts and follows the temperature a little."""
+    swing = np.sin(2 * np.pi * time / regime.focus_period + rng.uniform(0, 2 * np.pi))
+    slow = 0.3 * red_noise(rng, time, 20.0)
+    fast = 0.02 * red_noise(rng, time, 0.15)
+    return 1 + regime.focus * np.clip(0.8 * swing + slow + fast, -1.3, 1.3)
+
+
+def _starlight(regime, photometer, rng, time, offsets, width):
+    """Return the star's image at flux 1 in its units, the neighbors' light, and its positions."""
+    ny, nx = regime.shape
+    middle = np.array([nx // 2, ny // 2]) + rng.uniform(-0.5, 0.5, 2)
+    x, y = (place + offset for place, offset in zip(middle, offsets, strict=True))
+    psf = make_psf(rng, photometer.width * rng.uniform(0.85, 1.15))
+    drop, scatter = rng.uniform(0.04, 0.18), rng.uniform(0.006, 0.012)
+    response = make_response(rng, regime.shape, drop=drop, scatter=scatter)
+    flux = photometer.zero_point * 10 ** (-0.4 * (regime.magnitude - 12))
+    own = flux * render(response, psf, x, y, width)
+    others = np.zeros_like(own)
+    for difference, distance, amplitude in regime.neighbors:
+        angle, phase = rng.uniform(0, 2 * np.pi, 2)
+        varied = 1 + amplitude * np.sin(2 * np.pi * time / 1.1 + phase)
+        image = render(
+            response, psf, x + distance * np.cos(angle), y + distance * np.sin(angle), width
+        )
+        others += (flux * 10 ** (-0.4 * difference) * varied)[:, None, None] * image
+    return own, others, (x, y)
+
+
+def _background(regime, photometer, rng, time):
+    """Return the background that is left in the pixels, and what the pipeline took off."""
+    ny, nx = regime.shape
+    v, u = np.mgrid[:ny, :nx] / max(regime.shape) - 0.5
+    level = 0.5 + 0.4 * np.sin(2 * np.pi * time / rng.uniform(8, 30) + rng.uniform(0, 6))
+    level += 0.1 * red_noise(rng, time, 1.0)
+    tilt = rng.normal(0, 0.5, 2)
+    residual = regime.background * level[:, None, None] * (1 + tilt[0] * u + tilt[1] * v)
+    drift = 1 + 0.1 * (time / time[-1] - 0.5) + 0.01 * np.sin(2 * np.pi * time / 13.7)
+    return residual, photometer.background * drift[:, None, None] * np.ones(regime.shape)
+
+
+def _events(regime, rng, firing, n):
+    """Return flags, cadences without data, and the light of argabrightenings per pixel."""
+    quality = np.zeros(n, dtype=np.int32)
+    quality[firing] |= _DUMP if regime.mission == "TESS" else _FIRING
+    missing = rng.uniform(size=n) < 0.003
+    start = rng.integers(n // 4, 3 * n // 4)
+    missing[start : start + rng.integers(20, 70)] = True
+    flash = np.zeros(n)
+    bright = rng.choice(n, 2, replace=False)
+    flash[bright] = rng.uniform(100, 2000, 2)
+    if regime.mission != "TESS":
+        quality[bright] |= _ARGABRIGHTENING
+    return quality, missing, flash
+
+
+def _cosmic_rays(rng, shape, rate=0.004):
+    """Return the electrons of the cosmic rays that the pipeline missed."""
+    hits = rng.uniform(size=shape) < rate
+    rays = np.zeros(shape)
+    rays[hits] = 3000 * rng.lognormal(0, 1, hits.sum())
+    return rays
+
+
+def _measured(offset, rng, time, quality):
+    """Return POS_CORR: errors of 0.01 px, half of them slow, and nonsense where flagged."""
+    errors = 0.007 * red_noise(rng, time, 1.0) + 0.007 * rng.normal(size=len(time))
+    measured = offset - np.median(offset) + errors
+    absurd = (quality > 0) & (rng.uniform(size=len(time)) < 0.2)
+    measured[absurd] = rng.choice([np.nan, 900.0, -50.0], absurd.sum())
+    return measured
+
+
+def _best_aperture(light, noise):
+    """Return the pixels whose sum is the best light curve without a correction.
+
+    Pixels are added by their largest ratio of light to noise, as long as the sum of the noise in
+    6.5 h and of the variance of the light that the aperture loses gets smaller.
+    """
+    n = len(light)
+    light, variance = light.reshape(n, -1), (noise**2).mean(axis=0).ravel()
+    order = np.argsort(-np.quantile(light, 0.98, axis=0) / variance)
+    inside = np.cumsum(light[:, order], axis=1)
+    level = inside.mean(axis=0)
+    scatter = inside.var(axis=0) + np.cumsum(variance[order]) / 13
+    mask = np.zeros(len(order), dtype=bool)
+    mask[order[: np.argmin(scatter / np.where(level > 0, level, np.inf) ** 2) + 1]] = True
+    return mask.reshape(noise.shape[1:])
