@@ -1,6 +1,7 @@
 """The door in, from target pixel files to arrays, and the door out, with the truth."""
 
 from scope_models._moved import renamed
+from scope_models.io._opening import Conf, conf
 from scope_models.io.pixels import PixelSeries, read_pixels, read_tpf, usable_positions
 from scope_models.io.tpf import (
     TPFMetadata,
@@ -12,9 +13,11 @@ from scope_models.io.tpf import (
 from scope_models.io.truth import Truth
 
 __all__ = [
+    "Conf",
     "PixelSeries",
     "TPFMetadata",
     "Truth",
+    "conf",
     "make_tpf_hdulist",
     "read_pixels",
     "read_tpf",

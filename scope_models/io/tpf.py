@@ -7,8 +7,7 @@ import numpy as np
 
 from scope_models.io._atomic import atomic_path
 from scope_models.io._columns import checked_columns, pixel_columns, table_rows
-from scope_models.io._extra_cards import with_extra_cards
-from scope_models.io._headers import aperture_cards, column_cards, primary_cards, time_cards
+from scope_models.io._headers import column_cards, make_headers
 from scope_models.io._metadata import TPFMetadata
 from scope_models.io.reading import open_fits
 from scope_models.io.truth import truth_hdus, truth_of
@@ -130,7 +129,7 @@ def make_tpf_hdulist(
     values = checked_columns(metadata, given)
     aperture = _aperture_bits(aperture, values["FLUX"].shape[1:])
     hdus = fits.HDUList(_standard_hdus(metadata, values, aperture))
-    if metadata.mission == "TESS":
+    if "COSMIC_RAYS" in metadata.layout.absent_columns:
         hdus.append(_cosmic_ray_hdu(metadata, values))
     truth = truth_columns, truth_maps, scene, truth_tables
     if any(part is not None for part in truth):
@@ -268,22 +267,17 @@ def _standard_hdus(metadata, values, aperture):
     columns = pixel_columns(metadata)
     used = np.isfinite(values["TIME"]) & np.isfinite(values["FLUX"]).any(axis=(1, 2))
     timecorr = values.get("TIMECORR", np.full(shape[0], np.nan))
-    span = time_cards(metadata, values["TIME"], timecorr, int(used.sum()))
-    primary, table, image = with_extra_cards(
-        metadata.extra_cards,
-        primary_cards(metadata, span),
-        span.values(),
-        aperture_cards(metadata, aperture),
-    )
+    used = int(used.sum())
+    primary, table, image = make_headers(metadata, values["TIME"], timecorr, used, aperture)
     definitions = [
         card
         for number, column in enumerate(columns, 1)
         for card in column_cards(number, column, metadata, shape[1:])
     ]
     return [
-        fits.PrimaryHDU(header=fits.Header(primary)),
-        _table_hdu(table_rows(columns, values, shape), columns, [*definitions, *table]),
-        fits.ImageHDU(aperture, fits.Header(image)),
+        fits.PrimaryHDU(header=primary),
+        _table_hdu(table_rows(columns, values, shape), columns, [*definitions, *table.cards]),
+        fits.ImageHDU(aperture, image),
     ]
 
 
@@ -308,7 +302,7 @@ def _table_hdu(rows, columns, cards):
 
 
 def _cosmic_ray_hdu(metadata, values):
-    """Return TESS's list of cosmic rays."""
+    """Return the list of cosmic rays of files that have no column of them."""
     from astropy.io import fits
 
     rays = values.get("COSMIC_RAYS", np.full((1, 1, 1), np.nan))
