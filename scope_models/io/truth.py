@@ -321,7 +321,18 @@ def _scene_hdu(scene):
 
 
 def truth_of(hdus):
-    """Return the truth in an HDU list, or None."""
+    """Return the truth in an HDU list.
+
+    Parameters
+    ----------
+    hdus : astropy.io.fits.HDUList
+        The file.
+
+    Returns
+    -------
+    Truth or None
+        None if the file has no TRUTH table.
+    """
     if "TRUTH" not in hdus or hdus["TRUTH"].columns.names[:1] != ["CADENCENO"]:
         return None
     rows = hdus["TRUTH"].data
