@@ -2,6 +2,7 @@
 
 from scope_models._moved import renamed
 from scope_models.io._opening import Conf, conf
+from scope_models.io._truth import Truth
 from scope_models.io.pixels import PixelSeries, read_pixels, read_tpf, usable_positions
 from scope_models.io.tpf import (
     TPFMetadata,
@@ -10,7 +11,6 @@ from scope_models.io.tpf import (
     write_hdulist,
     write_tpf,
 )
-from scope_models.io.truth import Truth
 
 __all__ = [
     "Conf",

@@ -9,8 +9,8 @@ from scope_models.io._atomic import atomic_path
 from scope_models.io._columns import checked_columns, pixel_columns, table_rows
 from scope_models.io._headers import column_cards, make_headers
 from scope_models.io._metadata import TPFMetadata
+from scope_models.io._truth import truth_hdus, truth_of
 from scope_models.io.reading import open_fits
-from scope_models.io.truth import truth_hdus, truth_of
 
 __all__ = [
     "TPFMetadata",

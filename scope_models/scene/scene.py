@@ -16,7 +16,7 @@ from scope_models._arrays import plain_number
 from scope_models._checks import checked_integer
 from scope_models.effects.noise import check_seed, noise_terms
 from scope_models.io import read_truth, write_hdulist
-from scope_models.io.truth import truth_hdus
+from scope_models.io._truth import truth_hdus
 from scope_models.models._description import describe_model, make_model, value_key
 from scope_models.scene.detector import Detector
 from scope_models.scene.motion import Motion

@@ -1,6 +1,6 @@
 """The simulator: a scene gives pixels, and the truth behind them."""
 
-from scope_models.io.truth import Truth
+from scope_models.io._truth import Truth
 from scope_models.simulation.observation import Observation
 from scope_models.simulation.simulate import simulate
 

@@ -9,7 +9,7 @@ from scope_models._checks import checked_mask
 from scope_models.io import TPFMetadata, Truth, make_tpf_hdulist, write_tpf
 from scope_models.missions import MISSIONS, TIME_ZEROS
 from scope_models.scene.scene import Scene
-from scope_models.simulation.light import fill_wells, gather, pieces, share_of_target, star_lights
+from scope_models.simulation._light import fill_wells, gather, pieces, share_of_target, star_lights
 
 __all__ = ["Observation"]
 
