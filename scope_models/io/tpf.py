@@ -343,7 +343,7 @@ def _write_whole(hdulist, path):
     for hdu in hdulist:
         hdu.add_checksum(when="checksum of the FITS standard")
     with path.open("wb") as stream:
-        if path.suffix == ".gz":
+        if path.suffix.lower() == ".gz":
             # No name and no time in it: the same contents give the same file.
             with gzip.GzipFile("", "wb", _COMPRESSION, stream, mtime=0) as compressed:
                 hdulist.writeto(compressed)
