@@ -55,7 +55,6 @@ _COLUMNS = (
     PixelColumn("POS_CORR2", "E", "offset in rows", "pixel"),
     PixelColumn("RB_LEVEL", "E", "rolling bands, none sought", "sigma"),
 )
-_ABSENT = {"Kepler": {"RB_LEVEL"}, "K2": set(), "TESS": {"COSMIC_RAYS", "RB_LEVEL"}}
 
 
 def pixel_columns(metadata):
@@ -75,7 +74,7 @@ def pixel_columns(metadata):
     displays = dict(zip("DE", layout.displays[:2], strict=True)) | {"J": layout.displays[2]}
     columns = []
     for column in _COLUMNS:
-        if column.name in _ABSENT[metadata.mission]:
+        if column.name in layout.absent_columns:
             continue
         display = column.display or displays[column.kind]
         unit = layout.time_unit if column is _TIME else column.unit

@@ -7,15 +7,13 @@ import numpy as np
 
 from scope_models.io._atomic import atomic_path
 from scope_models.io._columns import checked_columns, pixel_columns, table_rows
-from scope_models.io._extra_cards import with_extra_cards
-from scope_models.io._headers import aperture_cards, column_cards, primary_cards, time_cards
+from scope_models.io._headers import column_cards, make_headers
 from scope_models.io._metadata import TPFMetadata
-from scope_models.io._truth import TPFTruth, map_hdus, scene_hdu, truth_hdu, truth_of
+from scope_models.io._truth import truth_hdus, truth_of
 from scope_models.io.reading import open_fits
 
 __all__ = [
     "TPFMetadata",
-    "TPFTruth",
     "make_tpf_hdulist",
     "read_truth",
     "write_hdulist",
@@ -46,6 +44,7 @@ def make_tpf_hdulist(
     truth_columns=None,
     truth_maps=None,
     scene=None,
+    truth_tables=None,
 ):
     """Make a target pixel file in memory.
 
@@ -80,6 +79,8 @@ def make_tpf_hdulist(
         Images, each one an extension of its name.
     scene : dict, optional
         What can be text in JSON, for the SCENE table.
+    truth_tables : dict of str to astropy.table.Table, optional
+        Lists of any length, each one an extension of its name.
 
     Returns
     -------
@@ -128,13 +129,11 @@ def make_tpf_hdulist(
     values = checked_columns(metadata, given)
     aperture = _aperture_bits(aperture, values["FLUX"].shape[1:])
     hdus = fits.HDUList(_standard_hdus(metadata, values, aperture))
-    if metadata.mission == "TESS":
+    if "COSMIC_RAYS" in metadata.layout.absent_columns:
         hdus.append(_cosmic_ray_hdu(metadata, values))
-    if not (truth_columns is None and truth_maps is None and scene is None):
-        hdus.append(truth_hdu(values["CADENCENO"], truth_columns or {}))
-        hdus.extend(map_hdus(truth_maps or {}))
-    if scene is not None:
-        hdus.append(scene_hdu(scene))
+    truth = truth_columns, truth_maps, scene, truth_tables
+    if any(part is not None for part in truth):
+        hdus.extend(truth_hdus(values["CADENCENO"], *truth))
     hdus[0].header.set("NEXTEND", len(hdus) - 1, "number of extensions", after="EXTEND")
     return hdus
 
@@ -218,17 +217,17 @@ def write_hdulist(hdulist, path, *, overwrite=False):
 
 
 def read_truth(source):
-    """Read what a simulated target pixel file knows beyond its pixels.
+    """Read the truth behind the pixels of a simulated target pixel file.
 
     Parameters
     ----------
     source : str, path-like, astropy.io.fits.HDUList or lightkurve.TargetPixelFile
         The target pixel file. After slicing in lightkurve, the truth is still that of all
-        cadences: `~scope_models.io.TPFTruth.at_cadences` chooses.
+        cadences: `~scope_models.io.Truth.at_cadences` chooses.
 
     Returns
     -------
-    TPFTruth
+    Truth
         The truth, exactly as it went in.
 
     Raises
@@ -268,22 +267,17 @@ def _standard_hdus(metadata, values, aperture):
     columns = pixel_columns(metadata)
     used = np.isfinite(values["TIME"]) & np.isfinite(values["FLUX"]).any(axis=(1, 2))
     timecorr = values.get("TIMECORR", np.full(shape[0], np.nan))
-    span = time_cards(metadata, values["TIME"], timecorr, int(used.sum()))
-    primary, table, image = with_extra_cards(
-        metadata.extra_cards,
-        primary_cards(metadata, span),
-        span.values(),
-        aperture_cards(metadata, aperture),
-    )
+    used = int(used.sum())
+    primary, table, image = make_headers(metadata, values["TIME"], timecorr, used, aperture)
     definitions = [
         card
         for number, column in enumerate(columns, 1)
         for card in column_cards(number, column, metadata, shape[1:])
     ]
     return [
-        fits.PrimaryHDU(header=fits.Header(primary)),
-        _table_hdu(table_rows(columns, values, shape), columns, [*definitions, *table]),
-        fits.ImageHDU(aperture, fits.Header(image)),
+        fits.PrimaryHDU(header=primary),
+        _table_hdu(table_rows(columns, values, shape), columns, [*definitions, *table.cards]),
+        fits.ImageHDU(aperture, image),
     ]
 
 
@@ -308,7 +302,7 @@ def _table_hdu(rows, columns, cards):
 
 
 def _cosmic_ray_hdu(metadata, values):
-    """Return TESS's list of cosmic rays."""
+    """Return the list of cosmic rays of files that have no column of them."""
     from astropy.io import fits
 
     rays = values.get("COSMIC_RAYS", np.full((1, 1, 1), np.nan))
@@ -349,7 +343,7 @@ def _write_whole(hdulist, path):
     for hdu in hdulist:
         hdu.add_checksum(when="checksum of the FITS standard")
     with path.open("wb") as stream:
-        if path.suffix == ".gz":
+        if path.suffix.lower() == ".gz":
             # No name and no time in it: the same contents give the same file.
             with gzip.GzipFile("", "wb", _COMPRESSION, stream, mtime=0) as compressed:
                 hdulist.writeto(compressed)
