@@ -607,6 +607,5 @@ def _check_integrated(names, model, sensitivities):
         raise ValueError(
             f"{names} is already integrated over pixels, with the response of the real pixels in "
             "it. Multiplied by a sensitivity the response would be counted twice, and outside the "
-            "integral. Leave the sensitivity out (a detector's with sensitivity=None), or use the "
-            "density of a TabulatedPSF"
+            "integral. Leave the sensitivity out, or use the density of a TabulatedPSF"
         )
