@@ -55,6 +55,9 @@ from .models import (
     SensitivityPolynomial as SensitivityPolynomial,
 )
 from .models import (
+    TabulatedPSF as TabulatedPSF,
+)
+from .models import (
     TransitModel as TransitModel,
 )
 from .models import (
