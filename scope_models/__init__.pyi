@@ -57,6 +57,9 @@ from .models import (
     SensitivityPolynomial as SensitivityPolynomial,
 )
 from .models import (
+    TabulatedPSF as TabulatedPSF,
+)
+from .models import (
     TransitModel as TransitModel,
 )
 from .models import (
