@@ -144,6 +144,7 @@ class PLDCorrector(Corrector):
             unmasked transits alone; see `PLDResult.transit_scale`.
         restore_trend : bool, optional
             Whether the long-term variability stays in the light curve.
+            Periodic variability with parts faster than a day always stays.
         trend : {"gp", "quadratic"}, optional
             Long-term variability: a Gaussian process or a polynomial.
         method : {"likelihood"}, optional
@@ -303,7 +304,7 @@ class PLDCorrector(Corrector):
         if self.result is not None:
             level = np.nanmedian(corrected.flux.value)
             systematics = level * np.exp(self.result.systematics)
-            trend = level * np.exp(self.result.trend)
+            trend = level * np.exp(self.result.trend + self.result.periodic)
         return plot_detrending(
             lc.time.value,
             lc.flux.value,

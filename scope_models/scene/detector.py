@@ -377,7 +377,7 @@ class Detector:
         Notes
         -----
         Every value is that of `k2` but these. The study is on the page on calibration; the fit is
-        ``python benchmarks/calibrate_k2_motion.py``. Of the values that fit alike, these also give
+        ``python studies/calibrate_k2_motion.py``. Of the values that fit alike, these also give
         EPIC 205998445 its noise.
 
         ======================= ==================== ==========================================

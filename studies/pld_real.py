@@ -4,7 +4,7 @@ CDPP in both conventions of two K2 stars; what is left of a known sinusoid on on
 varies with a period of 1.7 days by itself; depths of the transits of Kepler-62. lightkurve's best
 is that of orders 1 to 3 in five apertures. Run it as
 
-    OMP_NUM_THREADS=1 python benchmarks/pld_real.py --data FOLDER
+    OMP_NUM_THREADS=1 python studies/pld_real.py --data FOLDER
 """
 
 import argparse

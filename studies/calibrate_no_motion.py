@@ -1,6 +1,6 @@
 """Fit what the instrument numbers leave of Kepler's noise: a floor, and the stars' variability.
 
-    OMP_NUM_THREADS=1 python benchmarks/calibrate_no_motion.py [--stars N]
+    OMP_NUM_THREADS=1 python studies/calibrate_no_motion.py [--stars N]
 
 The noise of each star of the study ``no-motion`` is a function of two numbers, white and red noise,
 which is tabulated once. The fit compares logarithms: of the 10th percentiles with detector noise

@@ -7,7 +7,7 @@ predict the same windows of 13 cadences. Where the star comes once, b has left n
 such windows cannot be predicted by either, and raise the rms of the windows over their MAD. Run it
 as
 
-    OMP_NUM_THREADS=1 python benchmarks/pld_unseen.py --data FOLDER
+    OMP_NUM_THREADS=1 python studies/pld_unseen.py --data FOLDER
 """
 
 import argparse
@@ -24,7 +24,7 @@ from scope_models import simulate
 from scope_models.correctors import PLDCorrector
 from scope_models.correctors._features import Regressors, center
 from scope_models.correctors._regression import Hyperparameters
-from scope_models.correctors._scores import robust_scatter
+from scope_models.experiments._correctors import robust_scatter
 
 MAGNITUDES = (11.5, 12.5, 13.5)
 SCALES = (5, 10)

@@ -1,10 +1,10 @@
-"""Percentiles of the noise of our stars beside those of real ones."""
+"""Percentiles of the results of many stars, alone and beside those of real stars."""
 
 import numpy as np
 
 from scope_models.experiments.reference import PERCENTILES
 
-__all__ = ["compared", "holds"]
+__all__ = ["cell_medians", "compared", "holds", "percentiles", "values_of"]
 
 _RESAMPLES = 400
 
@@ -67,3 +67,44 @@ def holds(ratios, tolerance):
     """
     near = np.all(np.abs(np.asarray(ratios, dtype=float) - 1) <= tolerance)
     return "holds" if near else "does not hold"
+
+
+def values_of(table, name):
+    """Return a column as floats, NaN where there is no value or no column."""
+    if name not in table.colnames:
+        return np.full(len(table), np.nan)
+    return np.ma.filled(np.ma.asarray(table[name], dtype=float), np.nan)
+
+
+def percentiles(values):
+    """Return the 16th, 50th and 84th percentile of the values that are finite, or NaN."""
+    values = values[np.isfinite(values)]
+    if not len(values):
+        return [np.nan] * 3
+    return [float(value) for value in np.percentile(values, [16, 50, 84])]
+
+
+def cell_medians(rows, with_percentiles):
+    """
+    Return the medians of all columns of the stars of one motion and magnitude.
+
+    Parameters
+    ----------
+    rows : astropy.table.Table
+        Results with the columns "scale" and "mag", which are the same in all rows.
+    with_percentiles : sequence of str
+        Columns of which the 16th and 84th percentiles are returned too, as NAME_low and NAME_high.
+
+    Returns
+    -------
+    dict
+        The numbers by their names, and the number of "stars".
+    """
+    cell = {"scale": float(rows["scale"][0]), "mag": float(rows["mag"][0]), "stars": len(rows)}
+    for name in rows.colnames:
+        if name in {"key", "index", *cell}:
+            continue
+        low, cell[name], high = percentiles(values_of(rows, name))
+        if name in with_percentiles:
+            cell[f"{name}_low"], cell[f"{name}_high"] = low, high
+    return cell

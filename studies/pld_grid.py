@@ -4,7 +4,7 @@ The grid: magnitudes 10 to 15.5 by 0.5; K2 motion times 1, 2, 5 and 10; three re
 generated one; the paper's detector and a harsher one; five stars per cell. Each star has transits,
 of 1000 ppm and of 200 ppm. Run it as
 
-    OMP_NUM_THREADS=1 python benchmarks/pld_grid.py --data FOLDER --output grid.jsonl
+    OMP_NUM_THREADS=1 python studies/pld_grid.py --data FOLDER --output grid.jsonl
 
 Every star is a line of the output file; a second run goes on where the first one stopped.
 ``--report`` prints the tables of what is there, and ``--figure FILE`` draws them. Options choose
@@ -30,7 +30,7 @@ from scope_models import (
     simulate,
 )
 from scope_models.correctors import PLDCorrector
-from scope_models.correctors._scores import score
+from scope_models.experiments._correctors import score
 from scope_models.photometry import cdpp
 
 MAGNITUDES = tuple(np.arange(10, 15.6, 0.5))

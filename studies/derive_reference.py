@@ -1,6 +1,6 @@
 """Derive the package's tables of the noise of Kepler and K2 stars from the full catalogues.
 
-    python benchmarks/derive_reference.py FOLDER [--output FOLDER]
+    python studies/derive_reference.py FOLDER [--output FOLDER]
 
 The first folder holds kepler_cdpp.fits.gz and k2_c03_cdpp.fits.gz: the 6-hour CDPP of 78,519 Kepler
 targets, and of 14,151 targets of K2 campaign 3, from the repository of the EVEREST project. The
@@ -47,7 +47,7 @@ def derive(folder):
             "noise": f"6-h CDPP, convention of EVEREST: {WHAT[name]}",
             "source": SOURCE.format(CATALOGUES[name]),
             "bins": f"0.5 mag wide, lower edge included; those with {FEWEST} stars or more",
-            "made by": "benchmarks/derive_reference.py",
+            "made by": "studies/derive_reference.py",
         }
     return tables
 

@@ -3,7 +3,7 @@
 96 stars of the grid of ``pld_grid.py``: four magnitudes, three real motions times 1, 2, 5 and 10,
 two detectors. Run it as
 
-    OMP_NUM_THREADS=1 python benchmarks/pld_methods.py --data FOLDER
+    OMP_NUM_THREADS=1 python studies/pld_methods.py --data FOLDER
 """
 
 import argparse
