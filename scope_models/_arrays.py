@@ -185,10 +185,14 @@ def plain_time(value, time_format, name):
         zero = Time(TIME_ZEROS[time_format], format="jd", scale="tdb")
         return np.where(mask, np.nan, (plain.tdb - zero).to_value(u.day))
     days = plain_array(value, u.day, name)
-    if np.any(days > _LARGEST_DAY):
+    if np.any(np.isfinite(days) & (days > _LARGEST_DAY)):
+        zero = TIME_ZEROS.get(time_format)
+        wanted = (
+            "days since a mission's zero of time" if zero is None else f"BJD - {zero:.0f} in days"
+        )
         raise ValueError(
-            f"`{name}` must be in days since the mission's zero of time (BKJD or BTJD), got Julian "
-            f"dates (about {np.nanmax(days):.1f}); astropy.time.Time converts them"
+            f"`{name}` must be {wanted}, got {np.nanmax(days):.1f}, as in Julian dates, which "
+            "astropy.time.Time converts"
         )
     return days
 

@@ -52,23 +52,23 @@ def make_tpf_hdulist(
     ----------
     metadata : TPFMetadata
         Facts for the headers; its mission chooses the layout.
-    time : array_like, shape (n,)
+    time : array_like, Quantity or Time, shape (n,)
         Barycentric times of mid-cadence, days (BKJD or BTJD); NaN where there is none.
     cadenceno : array_like of int, shape (n,)
         Numbers of the cadences, growing, from 1 at least.
     raw_cnts : array_like of int, shape (n, ny, nx), or None
         Counts as read; -1 or None where there are none.
-    flux, flux_err : array_like, shape (n, ny, nx)
+    flux, flux_err : array_like or Quantity, shape (n, ny, nx)
         Flux less background and its standard deviation, e-/s; NaN where there is none.
-    flux_bkg, flux_bkg_err : array_like, broadcast to (n, ny, nx)
+    flux_bkg, flux_bkg_err : array_like or Quantity, broadcast to (n, ny, nx)
         Background and its uncertainty, e-/s.
     quality : array_like of int, shape (n,)
         Quality flags. Kepler and K2 get bit 65536 wherever time is NaN.
-    pos_corr1, pos_corr2 : array_like, shape (n,)
-        Offsets of the star along columns (x) and rows (y), pixels; NaN where unknown.
-    timecorr : array_like, shape (n,), optional
+    pos_corr1, pos_corr2 : array_like or Quantity, shape (n,)
+        Offsets of the star along columns (x) and rows (y), pixels or angles; NaN where unknown.
+    timecorr : array_like or Quantity, shape (n,), optional
         Barycentric minus spacecraft time, days; NaN by default.
-    cosmic_rays : array_like, shape (n, ny, nx), optional
+    cosmic_rays : array_like or Quantity, shape (n, ny, nx), optional
         Cosmic rays that were taken out, e-/s; NaN where there were none.
     aperture : array_like of bool or int, shape (ny, nx), optional
         The optimal aperture; or bits, 1 for collected and 2 for optimal. By default every pixel is

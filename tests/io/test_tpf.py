@@ -508,7 +508,7 @@ class TestChecks:
             make_tpf_hdulist(**contents_of("K2", **{name: value}))
 
     def test_numbers(self):
-        with pytest.raises(TypeError, match="`flux_bkg` must be an array of numbers"):
+        with pytest.raises(TypeError, match="`flux_bkg` must hold numbers"):
             make_tpf_hdulist(**contents_of("K2", flux_bkg="dark"))
         with pytest.raises(TypeError, match="`metadata` must be a TPFMetadata"):
             make_tpf_hdulist(**contents_of("K2", metadata={}))
