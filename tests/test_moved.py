@@ -12,6 +12,7 @@ MOVED = {
     "scope_models.observation": ("Observation", "Truth"),
     "scope_models.saturation": ("bleed",),
     "scope_models.star": ("Star",),
+    "scope_models.target": ("Target", "generate_target"),
 }
 
 

@@ -2,15 +2,17 @@
 
 from dataclasses import dataclass, replace
 
-import astropy.units as u
 import numpy as np
 
-from scope_models._arrays import PER_PIXEL, plain_array, plain_time
+from scope_models._arrays import plain_array, plain_time
 
 __all__ = ["PixelColumn", "checked_columns", "pixel_columns", "table_rows"]
 
 _ROLLING_BAND_DURATIONS = 5
-_RATE = u.electron / u.s
+_UNITS = {"time": "d", "timecorr": "d", "pos_corr1": "pix", "pos_corr2": "pix"}
+_UNITS |= dict.fromkeys(
+    ("flux", "flux_err", "flux_bkg", "flux_bkg_err", "cosmic_rays"), "electron / s"
+)
 _DTYPES = {"D": np.dtype(">f8"), "E": np.dtype(">f4"), "J": np.dtype(">i4")}
 
 
@@ -142,21 +144,19 @@ def checked_columns(metadata, values):
     ValueError
         If shapes do not agree, or values are outside their domain.
     """
-    flux = _plain("flux", values["flux"], _RATE)
+    flux = _plain("flux", values["flux"])
     if flux.ndim != 3 or 0 in flux.shape:
         raise ValueError(f"`flux` must have the shape (n_cadences, ny, nx), got {flux.shape}")
     checked = {"TIME": _checked_time(metadata, values["time"], len(flux))}
     checked["CADENCENO"] = _checked_cadenceno(values["cadenceno"], len(flux))
     checked["QUALITY"] = _checked_quality(metadata, values["quality"], checked["TIME"])
-    checked["FLUX"] = _floats("flux", flux, flux.shape, _RATE)
+    checked["FLUX"] = _floats("flux", flux, flux.shape)
     for name in ("flux_err", "flux_bkg", "flux_bkg_err", "cosmic_rays"):
         if values[name] is not None:
-            checked[name.upper()] = _floats(name, values[name], flux.shape, _RATE, broadcast=True)
-    for name, unit in (("pos_corr1", u.pix), ("pos_corr2", u.pix), ("timecorr", u.day)):
+            checked[name.upper()] = _floats(name, values[name], flux.shape, broadcast=True)
+    for name in ("pos_corr1", "pos_corr2", "timecorr"):
         if values[name] is not None:
-            scale = metadata.pixel_scale if unit == u.pix else None
-            values[name] = _plain(name, values[name], unit, pixel_scale=scale)
-            checked[name.upper()] = _floats(name, values[name], flux.shape[:1], unit)
+            checked[name.upper()] = _floats(name, values[name], flux.shape[:1])
     _check_errors(checked)
     if values["raw_cnts"] is not None:
         checked["RAW_CNTS"] = _integers("raw_cnts", values["raw_cnts"], flux.shape)
@@ -168,7 +168,7 @@ def checked_columns(metadata, values):
 def _checked_time(metadata, time, n_cadences):
     """Return times that grow, with NaN where there are none."""
     time = plain_time(time, metadata.layout.time_format, "time")
-    time = _floats("time", time, (n_cadences,), u.day)
+    time = _floats("time", time, (n_cadences,))
     known = time[np.isfinite(time)]
     if known.size == 0:
         raise ValueError("`time` must have a finite value")
@@ -204,16 +204,19 @@ def _check_errors(checked):
         raise ValueError(f"`flux_bkg_err` must not be negative, got {np.nanmin(background_error)}")
 
 
-def _plain(name, values, unit, **options):
-    """Return an array without unit; one without a unit keeps its type."""
-    if type(values) is np.ndarray:
-        return values
-    return plain_array(values, unit, name, equivalencies=PER_PIXEL, **options)
+def _has_unit(values):
+    """Return whether values are times, quantities or masked, which plain arrays are not."""
+    return any(hasattr(values, name) for name in ("unit", "mask", "jd1"))
 
 
-def _floats(name, values, shape, unit, *, broadcast=False):
+def _plain(name, values):
+    """Return values in the unit of their column as an array; plain arrays are not copied."""
+    return plain_array(values, _UNITS[name], name) if _has_unit(values) else np.asarray(values)
+
+
+def _floats(name, values, shape, *, broadcast=False):
     """Return an array of floats of a shape, without infinities."""
-    array = _plain(name, values, unit)
+    array = _plain(name, values)
     if array.dtype.kind not in "iufb":
         raise TypeError(f"`{name}` must be an array of numbers, got {array.dtype}")
     if broadcast:
@@ -232,8 +235,6 @@ def _floats(name, values, shape, unit, *, broadcast=False):
 
 def _integers(name, values, shape):
     """Return an array of 32-bit integers of a shape."""
-    if getattr(values, "unit", None) is not None:
-        raise TypeError(f"`{name}` must be plain integers, got the unit {values.unit}")
     array = np.asarray(values)
     if array.dtype.kind not in "iu":
         raise TypeError(f"`{name}` must be an array of integers, got {array.dtype}")
