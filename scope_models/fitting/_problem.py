@@ -443,7 +443,7 @@ class Problem:
                 weight = weight * factor
             by_shared *= weight[..., None]
             by_cadence *= weight[..., None]
-            flat = by_shared.reshape(-1, s)
+            flat = by_shared.reshape(residual.size, s)
             shared[:s, :s] += flat.T @ flat
             gradient[:s] += residual.ravel() @ flat
             block[part] = by_cadence.transpose(0, 2, 1) @ by_cadence

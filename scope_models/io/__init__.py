@@ -1,10 +1,11 @@
 """The door in, from target pixel files to arrays, and the door out, with the truth."""
 
+from scope_models._moved import renamed
 from scope_models.io._opening import Conf, conf
+from scope_models.io._truth import Truth
 from scope_models.io.pixels import PixelSeries, read_pixels, read_tpf, usable_positions
 from scope_models.io.tpf import (
     TPFMetadata,
-    TPFTruth,
     make_tpf_hdulist,
     read_truth,
     write_hdulist,
@@ -15,7 +16,7 @@ __all__ = [
     "Conf",
     "PixelSeries",
     "TPFMetadata",
-    "TPFTruth",
+    "Truth",
     "conf",
     "make_tpf_hdulist",
     "read_pixels",
@@ -25,3 +26,5 @@ __all__ = [
     "write_hdulist",
     "write_tpf",
 ]
+
+__getattr__ = renamed(__name__, TPFTruth="Truth")

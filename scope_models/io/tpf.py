@@ -9,12 +9,11 @@ from scope_models.io._atomic import atomic_path
 from scope_models.io._columns import checked_columns, pixel_columns, table_rows
 from scope_models.io._headers import column_cards, make_headers
 from scope_models.io._metadata import TPFMetadata
-from scope_models.io._truth import TPFTruth, map_hdus, scene_hdu, truth_hdu, truth_of
+from scope_models.io._truth import truth_hdus, truth_of
 from scope_models.io.reading import open_fits
 
 __all__ = [
     "TPFMetadata",
-    "TPFTruth",
     "make_tpf_hdulist",
     "read_truth",
     "write_hdulist",
@@ -45,6 +44,7 @@ def make_tpf_hdulist(
     truth_columns=None,
     truth_maps=None,
     scene=None,
+    truth_tables=None,
 ):
     """Make a target pixel file in memory.
 
@@ -79,6 +79,8 @@ def make_tpf_hdulist(
         Images, each one an extension of its name.
     scene : dict, optional
         What can be text in JSON, for the SCENE table.
+    truth_tables : dict of str to astropy.table.Table, optional
+        Lists of any length, each one an extension of its name.
 
     Returns
     -------
@@ -129,11 +131,9 @@ def make_tpf_hdulist(
     hdus = fits.HDUList(_standard_hdus(metadata, values, aperture))
     if "COSMIC_RAYS" in metadata.layout.absent_columns:
         hdus.append(_cosmic_ray_hdu(metadata, values))
-    if not (truth_columns is None and truth_maps is None and scene is None):
-        hdus.append(truth_hdu(values["CADENCENO"], truth_columns or {}))
-        hdus.extend(map_hdus(truth_maps or {}))
-    if scene is not None:
-        hdus.append(scene_hdu(scene))
+    truth = truth_columns, truth_maps, scene, truth_tables
+    if any(part is not None for part in truth):
+        hdus.extend(truth_hdus(values["CADENCENO"], *truth))
     hdus[0].header.set("NEXTEND", len(hdus) - 1, "number of extensions", after="EXTEND")
     return hdus
 
@@ -217,17 +217,17 @@ def write_hdulist(hdulist, path, *, overwrite=False):
 
 
 def read_truth(source):
-    """Read what a simulated target pixel file knows beyond its pixels.
+    """Read the truth behind the pixels of a simulated target pixel file.
 
     Parameters
     ----------
     source : str, path-like, astropy.io.fits.HDUList or lightkurve.TargetPixelFile
         The target pixel file. After slicing in lightkurve, the truth is still that of all
-        cadences: `~scope_models.io.TPFTruth.at_cadences` chooses.
+        cadences: `~scope_models.io.Truth.at_cadences` chooses.
 
     Returns
     -------
-    TPFTruth
+    Truth
         The truth, exactly as it went in.
 
     Raises
@@ -343,7 +343,7 @@ def _write_whole(hdulist, path):
     for hdu in hdulist:
         hdu.add_checksum(when="checksum of the FITS standard")
     with path.open("wb") as stream:
-        if path.suffix == ".gz":
+        if path.suffix.lower() == ".gz":
             # No name and no time in it: the same contents give the same file.
             with gzip.GzipFile("", "wb", _COMPRESSION, stream, mtime=0) as compressed:
                 hdulist.writeto(compressed)

@@ -5,6 +5,8 @@ import importlib
 import json
 import operator
 import sys
+import zlib
+from base64 import b64decode, b64encode
 from collections.abc import Mapping
 from dataclasses import fields
 
@@ -34,6 +36,8 @@ def describe_model(model):
             name: np.asarray(getattr(model, name).value).tolist() for name in model.param_names
         },
     }
+    if hasattr(model, "arguments"):
+        described["parameters"] |= {k: _packed(v) for k, v in model.arguments.items()}
     if isinstance(model, SensitivityPolynomial):
         described["parameters"] = {
             "x_coefficients": list(model.x_coefficients),
@@ -57,7 +61,23 @@ def make_model(described):
         kind = getattr(kind, part, None)
     if not (isinstance(kind, type) and issubclass(kind, Model)):
         raise TypeError(f"{module}.{described['class']} is not a model")
-    return kind(**described["parameters"])
+    return kind(**{name: _unpacked(value) for name, value in described["parameters"].items()})
+
+
+def _packed(value):
+    """Return an array as text, and anything else as it is."""
+    if not isinstance(value, np.ndarray):
+        return value
+    values = np.ascontiguousarray(value, dtype="<f8")
+    return {"array": b64encode(zlib.compress(values.tobytes())).decode(), "shape": values.shape}
+
+
+def _unpacked(value):
+    """Return the array of a text, and anything else as it is."""
+    if not isinstance(value, dict):
+        return value
+    values = np.frombuffer(zlib.decompress(b64decode(value["array"])), dtype="<f8")
+    return values.reshape(value["shape"])
 
 
 def value_key(value):

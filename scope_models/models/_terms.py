@@ -226,4 +226,6 @@ def expand(model):
         return [Term(scale=amplitude.value if amplitude.unit is None else amplitude.quantity)]
     if isinstance(model, SensitivityPolynomial):
         return [Term(sensitivities=(Factor.of(model),))]
-    return [Term(densities=(Factor.of(model),))]
+    # A PRF that is nothing but a table stands for it.
+    table = getattr(model, "table", None)
+    return [Term(densities=(Factor.of(model if table is None else table),))]

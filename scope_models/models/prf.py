@@ -4,6 +4,7 @@
 import numpy as np
 from astropy import units as u
 from astropy.modeling import Fittable2DModel, Parameter
+from astropy.modeling.models import Const2D
 
 from scope_models._arrays import plain_array
 from scope_models.models._components import Component, Response
@@ -11,6 +12,7 @@ from scope_models.models._instance_parameters import InstanceParameters
 from scope_models.models._terms import expand, is_pixel_integrated
 from scope_models.models._validation import check_model_parameters, one_number
 from scope_models.models.integration import PixelPoints, integrate_term
+from scope_models.models.tables import PRFGrid
 
 __all__ = ["PRF"]
 
@@ -32,7 +34,8 @@ class PRF(InstanceParameters, Fittable2DModel):
     compound : `~astropy.modeling.Model`
         Sum of densities with the parameters ``flux``, ``x_0`` and ``y_0`` (our PSFs, photutils'
         PSFs), each multiplied by any number of `~scope_models.SensitivityPolynomial`, such as
-        ``(core + wings) * SensitivityPolynomial()``.
+        ``(core + wings) * SensitivityPolynomial()``. A `~scope_models.models.TabulatedPRF` is a
+        component too, but never times a sensitivity: its fluxes hold the response of the pixels.
     flux, x_0, y_0 : float or `~astropy.units.Quantity`, optional
         Overall flux and position; by default the sum of the components' fluxes and the position
         of the first component.
@@ -83,6 +86,8 @@ class PRF(InstanceParameters, Fittable2DModel):
     pixel_integrated = True
 
     def __init__(self, compound, flux=None, x_0=None, y_0=None, **kwargs):
+        if isinstance(compound, PRF):
+            compound = _parts_of(compound)
         terms = [term for term in expand(compound) if np.any(term.scale)]
         _check_compound(compound, terms)
         self._components = _components_of(terms)
@@ -144,6 +149,67 @@ class PRF(InstanceParameters, Fittable2DModel):
     def n_components(self):
         """Number of densities or tables in the compound."""
         return len(self._components)
+
+    @property
+    def table(self):
+        """The `~scope_models.models.TabulatedPRF` that the PRF is, or None."""
+        if self.n_components > 1 or not hasattr(self._components[0].model, "unit_derivatives"):
+            return None
+        table = self._components[0].model.copy()
+        for name in _POSITION:
+            setattr(table, name, getattr(self, name).value)
+        return table
+
+    @classmethod
+    def from_tess(cls, path, camera=None, ccd=None, column=None, row=None):
+        """
+        Read the official PRF of TESS at a place.
+
+        Parameters
+        ----------
+        path : str or path-like
+            A file, or a folder of files: see `~scope_models.models.PRFGrid.from_tess`.
+        camera, ccd : int, optional
+            Which CCD; not needed if there is only one.
+        column, row : float or `~astropy.units.Quantity`, optional
+            The place in pixels of the full-frame image, as in a target pixel file; not needed
+            for a single file.
+
+        Returns
+        -------
+        prf : PRF
+            Of a `~scope_models.models.TabulatedPRF`, bilinear between the places.
+
+        Raises
+        ------
+        FileNotFoundError, ValueError
+            If there are no such files, or they do not belong together.
+        """
+        return cls(_table_at(PRFGrid.from_tess(path, camera, ccd), column, row))
+
+    @classmethod
+    def from_kepler(cls, path, column=None, row=None):
+        """
+        Read the official PRF of Kepler at a place.
+
+        Parameters
+        ----------
+        path : str or path-like
+            The file of a channel: see `~scope_models.models.PRFGrid.from_kepler`.
+        column, row : float or `~astropy.units.Quantity`
+            The place in pixels of the channel, as in a target pixel file.
+
+        Returns
+        -------
+        prf : PRF
+            Of a `~scope_models.models.TabulatedPRF`, linear between the center and two corners.
+
+        Raises
+        ------
+        OSError, ValueError
+            If the file is not of that format.
+        """
+        return cls(_table_at(PRFGrid.from_kepler(path), column, row))
 
     @property
     def psf(self):
@@ -461,6 +527,22 @@ def _like(source, name, *, fixed=None, description=None):
     return parameter
 
 
+def _parts_of(prf):
+    """The compound that a PRF was made of, at its present flux."""
+    compound, sensitivity = prf.psf, prf.sensitivity
+    parts = compound if sensitivity is None else compound * sensitivity
+    return Const2D(float(prf.flux.value)) * parts
+
+
+def _table_at(grid, column, row):
+    """The table of a place, which a single one needs not."""
+    if column is None and row is None and len(grid.tables) == 1:
+        return grid.tables[0]
+    if column is None or row is None:
+        raise ValueError("`column` and `row` must be given: there are tables of several places")
+    return grid.at(column, row)
+
+
 def _components_of(terms):
     """The components of a compound, with names for their parameters."""
     factors = [factor for term in terms for factor in term.sensitivities]
@@ -525,6 +607,5 @@ def _check_integrated(names, model, sensitivities):
         raise ValueError(
             f"{names} is already integrated over pixels, with the response of the real pixels in "
             "it. Multiplied by a sensitivity the response would be counted twice, and outside the "
-            "integral. Leave the sensitivity out (a detector's with sensitivity=None), or use the "
-            "density of a TabulatedPSF"
+            "integral. Leave the sensitivity out, or use the density of a TabulatedPSF"
         )
