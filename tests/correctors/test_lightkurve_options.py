@@ -8,6 +8,7 @@ from lightkurve.correctors import DesignMatrix
 from lightkurve.correctors.cbvcorrector import KeplerCotrendingBasisVectors
 
 from scope_models.correctors import PLDCorrector
+from scope_models.experiments.skies import make_sky
 from scope_models.photometry import cdpp
 
 
