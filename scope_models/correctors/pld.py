@@ -193,7 +193,7 @@ class PLDCorrector(Corrector):
         max_clips : int, optional
             Largest number of times that outliers are searched.
         **lightkurve_options
-            lightkurve's other options: ``pld_order``, ``niters`` and
+            Other options of lightkurve: ``pld_order``, ``niters`` and
             ``propagate_errors=True`` are translated, the others raise an
             error that names what replaces them.
 
