@@ -169,9 +169,10 @@ def test_files_of_the_first_version(tmp_path):
     # The first version had neither a list of stars nor, among the options, anything else.
     with fits.open(path, memmap=False) as hdus:
         del hdus["STARS"]
+        hdus[0].header["NEXTEND"] -= 1
         keys = [key.strip() for key in hdus["SCENE"].data["KEY"]]
         hdus["SCENE"].data["VALUE"][keys.index("version")] = "1"
-        hdus.writeto(tmp_path / "old.fits")
+        hdus.writeto(tmp_path / "old.fits", checksum=True)
     truth = read_truth(tmp_path / "old.fits")
     assert truth.scene["version"] == 1
     assert np.array_equal(truth.x, observation.truth.x)
@@ -204,10 +205,10 @@ def test_scene_of_a_later_version(tmp_path, monkeypatch):
         (
             "scope_models.io",
             "read_truth",
-            TypeError,
+            ValueError,
             r"scope_models\.io\.read_truth is not a model",
         ),
-        ("astropy.modeling.models", "NoModel", TypeError, "NoModel is not a model"),
+        ("astropy.modeling.models", "NoModel", ValueError, "NoModel is not a model"),
     ],
 )
 def test_only_models_are_made(module, name, error, message, tmp_path, monkeypatch):
