@@ -353,8 +353,8 @@ def read_scene(path):
 def _scene_of_truth(truth):
     """Return the scene of a truth."""
     detector = _detector(truth.scene["detector"], truth.maps.get("INTERPIXEL"))
-    stars = [_star(star, i, truth.table) for i, star in enumerate(truth.scene["stars"], start=1)]
-    table, described = truth.table, truth.scene["motion"]
+    stars = [_star(star, i, truth.columns) for i, star in enumerate(truth.scene["stars"], start=1)]
+    table, described = truth.columns, truth.scene["motion"]
     motion = Motion(
         time=table["TIME"],
         x=table["MOTION_X"],
