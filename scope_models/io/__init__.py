@@ -3,6 +3,7 @@
 from scope_models._moved import renamed
 from scope_models.io._opening import Conf, conf
 from scope_models.io._truth import Truth
+from scope_models.io.light_curves import make_light_curve_hdulist
 from scope_models.io.pixels import PixelSeries, read_pixels, read_tpf, usable_positions
 from scope_models.io.tpf import (
     TPFMetadata,
@@ -18,6 +19,7 @@ __all__ = [
     "TPFMetadata",
     "Truth",
     "conf",
+    "make_light_curve_hdulist",
     "make_tpf_hdulist",
     "read_pixels",
     "read_tpf",

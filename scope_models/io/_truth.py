@@ -2,7 +2,9 @@
 
 import json
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from types import MappingProxyType
 
 import numpy as np
 from astropy.table import Table
@@ -23,20 +25,18 @@ class Truth:
 
     Parameters
     ----------
-    table : astropy.table.Table
-        CADENCENO and the true values at each cadence, float64: TIME; QUALITY; the motion, MOTION_X
-        and MOTION_Y; for each star from 1 its position X1 and Y1 (mean over the cadence, pixels)
-        and its relative flux SIGNAL1; TARGET_SHARE, the target's share in the starlight of the
+    columns : mapping of str to array_like of shape (n_cadences, ...)
+        CADENCENO and the true values at each cadence: TIME; QUALITY; the motion, MOTION_X and
+        MOTION_Y; for each star from 1 its position X1 and Y1 (mean over the cadence, pixels) and
+        its relative flux SIGNAL1; TARGET_SHARE, the target's share in the starlight of the
         aperture; and what the effects add.
     maps : dict of str to ndarray of shape (ny, nx)
         Images: INTERPIXEL, the response of each pixel against the others, and what the effects add.
     scene : dict
-        The scene in values that JSON can hold; `~scope_models.read_scene` makes a
-        `~scope_models.Scene` of it.
+        The scene in values that JSON can hold, of which `~scope_models.read_scene` makes a
+        `~scope_models.Scene`; and, as ``scene["found"]``, flux and lost_fraction of each star.
     tables : dict of str to astropy.table.Table
-        Lists of any length: STARS, with FLUX (e-/s at the star's magnitude, before the response of
-        the pixels) and LOST_FRACTION (part of the light off the stamp where the motion takes it
-        farthest), and the events of effects.
+        Lists of any length, such as the events of an effect.
     model : ndarray of shape (n_cadences, ny, nx) or None
         Expected flux without noise and background, e-/s, if ``simulate(..., keep_model=True)``
         kept it. No file holds it: `~scope_models.Observation.model` computes it at any time.
@@ -53,14 +53,23 @@ class Truth:
     True
     """
 
-    table: Table
+    columns: Mapping
     maps: dict = field(default_factory=dict)
     scene: dict = field(default_factory=dict)
     tables: dict = field(default_factory=dict)
     model: np.ndarray | None = None
 
+    def __post_init__(self):
+        columns = {name: np.array(values) for name, values in self.columns.items()}
+        for values in columns.values():
+            values.flags.writeable = False
+        object.__setattr__(self, "columns", MappingProxyType(columns))
+
+    def __reduce__(self):
+        return type(self), (dict(self.columns), self.maps, self.scene, self.tables, self.model)
+
     def __repr__(self):
-        n = len(self._columns("X"))
+        n = len(self._names("X"))
         options = self.scene.get("options", {})
         noise = ", ".join(sorted(options.get("noise") or ())) or "none"
         stars = f"{n} star{'' if n == 1 else 's'}"
@@ -72,7 +81,7 @@ class Truth:
         return (
             self.scene == other.scene
             and _same_arrays(self.maps, other.maps)
-            and _same_arrays(dict(self.table.items()), dict(other.table.items()))
+            and _same_arrays(self.columns, other.columns)
             and self.tables.keys() == other.tables.keys()
             and all(
                 _same_arrays(dict(table.items()), dict(other.tables[name].items()))
@@ -81,6 +90,11 @@ class Truth:
         )
 
     __hash__ = None
+
+    @property
+    def table(self):
+        """The columns as a new `~astropy.table.Table`."""
+        return Table(dict(self.columns))
 
     @property
     def x(self):
@@ -100,22 +114,22 @@ class Truth:
     @property
     def target_share(self):
         """Target's share in the starlight of the aperture, NaN without light; (n_cadences,)."""
-        return self._read_only(self.table["TARGET_SHARE"])
+        return self.columns["TARGET_SHARE"]
 
     @property
     def flux(self):
         """Flux of each star at its magnitude, e-/s, before the response of the pixels."""
-        return self._read_only(self.tables["STARS"]["FLUX"])
+        return self._found("flux")
 
     @property
     def lost_fraction(self):
         """Part of each star's light off the stamp where the motion takes it farthest."""
-        return self._read_only(self.tables["STARS"]["LOST_FRACTION"])
+        return self._found("lost_fraction")
 
     @property
     def interpixel(self):
         """Response of each pixel against the others, shape (ny, nx)."""
-        return self._read_only(self.maps["INTERPIXEL"])
+        return _read_only(self.maps["INTERPIXEL"])
 
     @property
     def seed(self):
@@ -160,40 +174,45 @@ class Truth:
 
         Examples
         --------
-        >>> from astropy.table import Table
         >>> from scope_models.io import Truth
-        >>> truth = Truth(Table({"CADENCENO": [3, 4, 5], "X": [0.0, 0.5, 1.0]}))
+        >>> truth = Truth({"CADENCENO": [3, 4, 5], "X": [0.0, 0.5, 1.0]})
         >>> truth.at_cadences([5, 3])["X"].tolist()
         [1.0, 0.0]
         """
         wanted = np.asarray(cadenceno)
-        known = np.asarray(self.table["CADENCENO"])
+        known = self.columns["CADENCENO"]
         index = np.minimum(np.searchsorted(known, wanted), len(known) - 1)
         if np.any(known[index] != wanted):
             missing = wanted[known[index] != wanted][0]
             raise ValueError(f"`cadenceno` must be cadences of the truth, got {missing}")
         return self.table[index]
 
-    def _columns(self, prefix):
+    def _names(self, prefix):
         """Return the names of a column for star 1, 2, ..."""
         names = []
-        while f"{prefix}{len(names) + 1}" in self.table.colnames:
+        while f"{prefix}{len(names) + 1}" in self.columns:
             names.append(f"{prefix}{len(names) + 1}")
         return names
 
     def _stack(self, prefix):
         """Return a column of all stars, shape (n_stars, n_cadences)."""
-        names = self._columns(prefix)
+        names = self._names(prefix)
         if not names:
             raise ValueError(f"the truth has no column {prefix}1")
-        return self._read_only(np.stack([np.asarray(self.table[name]) for name in names]))
+        return _read_only(np.stack([self.columns[name] for name in names]))
 
-    @staticmethod
-    def _read_only(values):
-        """Return a view that cannot be written to."""
-        view = np.asarray(values).view()
-        view.flags.writeable = False
-        return view
+    def _found(self, name):
+        """Return what the simulation found for each star."""
+        if "found" not in self.scene:
+            raise ValueError(f"the truth has no {name}: files of version 0.1 do not hold it")
+        return _read_only(np.array(self.scene["found"][name]))
+
+
+def _read_only(values):
+    """Return a view that cannot be written to."""
+    view = np.asarray(values).view()
+    view.flags.writeable = False
+    return view
 
 
 def _same_arrays(one, other):
@@ -336,7 +355,7 @@ def truth_of(hdus):
     if "TRUTH" not in hdus or hdus["TRUTH"].columns.names[:1] != ["CADENCENO"]:
         return None
     rows = hdus["TRUTH"].data
-    table = Table({name: _native(rows[name]) for name in rows.names})
+    columns = {name: _native(rows[name]) for name in rows.names}
     maps = {hdu.header["MAPNAME"]: _native(hdu.data) for hdu in hdus if "MAPNAME" in hdu.header}
     scene = {}
     if "SCENE" in hdus:
@@ -347,7 +366,7 @@ def truth_of(hdus):
         for hdu in hdus
         if "TABNAME" in hdu.header
     }
-    return Truth(table, maps, scene, tables)
+    return Truth(columns, maps, scene, tables)
 
 
 def _native(array):

@@ -340,8 +340,8 @@ def read_scene(path):
     if truth.scene["version"] > _VERSION:
         raise ValueError(f"{path} holds a scene of a later version of this package")
     detector = _detector(truth.scene["detector"], truth.maps.get("INTERPIXEL"))
-    stars = [_star(star, i, truth.table) for i, star in enumerate(truth.scene["stars"], start=1)]
-    table, described = truth.table, truth.scene["motion"]
+    stars = [_star(star, i, truth.columns) for i, star in enumerate(truth.scene["stars"], start=1)]
+    table, described = truth.columns, truth.scene["motion"]
     motion = Motion(
         time=table["TIME"],
         x=table["MOTION_X"],
