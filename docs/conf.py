@@ -23,11 +23,13 @@ release = __version__
 
 extensions = [
     "mathml",
+    "notebooks",
     "matplotlib.sphinxext.plot_directive",
     "numpydoc",
     "sphinx.ext.autodoc",
     "sphinx_automodapi.automodapi",
     "sphinx_copybutton",
+    "sphinx_design",
 ]
 exclude_patterns = ["_build"]
 default_role = "py:obj"
@@ -40,6 +42,20 @@ nitpick_ignore_regex = [
     (r"py:obj", r"[a-z_]+|ID"),
     (r"py:class", r"Model|abc.ABC|scope_models\.target\._.*"),  # type hints; private base classes
 ]
+
+# Links to other packages need their inventories from the network: on where the site is published,
+# and on request (SCOPE_MODELS_INTERSPHINX=1), so that the build works without one.
+if os.environ.get("READTHEDOCS") or os.environ.get("SCOPE_MODELS_INTERSPHINX"):
+    extensions.append("sphinx.ext.intersphinx")
+    intersphinx_mapping = {
+        "python": ("https://docs.python.org/3/", None),
+        "numpy": ("https://numpy.org/doc/stable/", None),
+        "scipy": ("https://docs.scipy.org/doc/scipy/", None),
+        "astropy": ("https://docs.astropy.org/en/stable/", None),
+        "photutils": ("https://photutils.readthedocs.io/en/stable/", None),
+        "lightkurve": ("https://lightkurve.github.io/lightkurve/", None),
+        "matplotlib": ("https://matplotlib.org/stable/", None),
+    }
 
 # Reference
 numpydoc_show_class_members = False

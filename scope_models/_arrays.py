@@ -2,14 +2,32 @@
 
 import numpy as np
 from astropy import units as u
-from astropy.time import Time
+from astropy.time import Time, TimeDelta
 
 from scope_models.missions import TIME_ZEROS
 
-__all__ = ["plain_array", "plain_number", "plain_time", "unmasked"]
+__all__ = [
+    "DIGITAL",
+    "PER_PIXEL",
+    "is_angle",
+    "plain_array",
+    "plain_number",
+    "plain_time",
+    "refuse_unit",
+    "unmasked",
+]
 
-# Times beyond this are Julian dates, which no mission's times reach.
-_LARGEST_DAY = 1e5
+# Times beyond this are Julian dates, modified or not, which no mission's times reach.
+_LARGEST_DAY = 2e4
+_CASTING = {"O": "unsafe", "f": "same_kind", "i": "same_kind", "u": "same_kind"}
+#: Equivalencies of quantities that are given per pixel.
+PER_PIXEL = ((u.arcsec / u.pix, u.arcsec), (u.electron / u.s / u.pix, u.electron / u.s))
+#: Equivalencies of the names of a digital number (DN).
+DIGITAL = tuple(
+    pair
+    for other in (u.ct, u.DN)
+    for pair in ((other, u.adu), (u.electron / other, u.electron / u.adu))
+)
 
 
 def unmasked(value, fill=np.nan):
@@ -17,30 +35,27 @@ def unmasked(value, fill=np.nan):
 
     Parameters
     ----------
-    value : array_like, Quantity, Masked, numpy.ma.MaskedArray, Column or Time
+    value : array_like, Quantity, Masked, numpy.ma.MaskedArray or Column
         The values.
     fill : float, optional
         What stands in masked places. Integer arrays with masked places become float arrays.
 
     Returns
     -------
-    ndarray, Quantity or Time
+    array_like or Quantity
         The values.
     """
     mask = getattr(value, "mask", None)
-    if mask is None:
+    if mask is None or callable(mask):  # a method of pandas' series
         return value
-    if isinstance(value, Time):
-        days = np.array(value.unmasked.jd, dtype=float)
-        days[np.broadcast_to(mask, days.shape)] = fill
-        return days
     plain = getattr(value, "unmasked", getattr(value, "data", value))
-    if not np.any(mask):
-        return plain
+    plain = getattr(plain, "data", plain) if isinstance(plain, np.ma.MaskedArray) else plain
     unit = getattr(plain, "unit", getattr(value, "unit", None))
-    filled = np.array(getattr(plain, "value", plain), dtype=float)
-    filled[np.broadcast_to(mask, filled.shape)] = fill
-    return filled if unit is None else filled << unit
+    if np.any(mask):
+        filled = np.array(getattr(plain, "value", plain), dtype=float)
+        filled[np.broadcast_to(mask, filled.shape)] = fill
+        plain = filled
+    return plain if unit is None or hasattr(plain, "unit") else plain << unit
 
 
 def plain_array(value, unit, name, *, pixel_scale=None, equivalencies=()):
@@ -74,20 +89,19 @@ def plain_array(value, unit, name, *, pixel_scale=None, equivalencies=()):
     """
     unit = u.Unit(unit)
     if isinstance(value, Time):
-        raise TypeError(f"`{name}` must be numbers{_in(unit)}, got a Time")
-    value = unmasked(value)
+        raise TypeError(f"`{name}` must be numbers, got a Time{_hint(unit)}")
+    value = value.to(u.day) if isinstance(value, TimeDelta) else unmasked(value)
     if isinstance(value, (list, tuple)) and any(isinstance(item, u.Quantity) for item in value):
         value = _joined(value, name)
     found = getattr(value, "unit", None)
     try:
         if found is None:
             array = np.asarray(value)
-            if array.dtype.kind not in "biuf":
-                array = np.asarray(value, dtype=np.float64)
-            return np.asarray(array, dtype=np.float64)
+            # astype would read text and dates as numbers
+            return array.astype(np.float64, casting=_CASTING.get(array.dtype.kind, "safe"))
         quantity = u.Quantity(value, dtype=np.float64)
     except (TypeError, ValueError) as error:
-        raise TypeError(f"`{name}` must hold numbers{_in(unit)}, got {value!r}") from error
+        raise TypeError(f"`{name}` must hold numbers, got {value!r}{_hint(unit)}") from error
     if pixel_scale is not None:
         scale = float(pixel_scale) * u.arcsec / u.pix
         equivalencies = [*equivalencies, *u.pixel_scale(scale)]
@@ -96,7 +110,7 @@ def plain_array(value, unit, name, *, pixel_scale=None, equivalencies=()):
     except u.UnitConversionError:
         wanted = unit.to_string() or "a number without a unit"
         hint = ""
-        if pixel_scale is None and quantity.unit.is_equivalent(u.arcsec) and unit == u.pix:
+        if pixel_scale is None and is_angle(quantity.unit) and unit == u.pix:
             hint = "; there is no pixel scale here to convert an angle with"
         raise ValueError(
             f"`{name}` must be in {wanted}, or convert to it, got {quantity.unit}{hint}"
@@ -129,11 +143,11 @@ def plain_number(value, unit, name, **options):
     ValueError
         If its unit does not convert.
     """
-    if isinstance(value, (bool, np.bool_, str)):
-        raise TypeError(f"`{name}` must be a number{_in(u.Unit(unit))}, got {value!r}")
+    if value is None or isinstance(value, (bool, np.bool_, str)):
+        raise TypeError(f"`{name}` must be a number, got {value!r}{_hint(unit)}")
     array = plain_array(value, unit, name, **options)
     if array.ndim:
-        raise TypeError(f"`{name}` must be one number{_in(u.Unit(unit))}, got {value!r}")
+        raise TypeError(f"`{name}` must be one number, got {value!r}{_hint(unit)}")
     return float(array)
 
 
@@ -161,6 +175,8 @@ def plain_time(value, time_format, name):
     ValueError
         If its unit does not convert, or plain numbers are Julian dates.
     """
+    if isinstance(value, (list, tuple)) and any(isinstance(item, Time) for item in value):
+        value = Time(value)
     if isinstance(value, Time):
         if time_format is None:
             raise TypeError(f"`{name}` must be in days from a zero of your own, got a Time")
@@ -169,17 +185,32 @@ def plain_time(value, time_format, name):
         zero = Time(TIME_ZEROS[time_format], format="jd", scale="tdb")
         return np.where(mask, np.nan, (plain.tdb - zero).to_value(u.day))
     days = plain_array(value, u.day, name)
-    if np.any(np.abs(days) > _LARGEST_DAY):
+    if np.any(np.isfinite(days) & (days > _LARGEST_DAY)):
+        zero = TIME_ZEROS.get(time_format)
+        wanted = (
+            "days since a mission's zero of time" if zero is None else f"BJD - {zero:.0f} in days"
+        )
         raise ValueError(
-            f"`{name}` must be in days since the mission's zero of time, got Julian dates "
-            f"(about {np.nanmax(np.abs(days)):.1f}); pass an astropy Time instead"
+            f"`{name}` must be {wanted}, got {np.nanmax(days):.1f}, as in Julian dates, which "
+            "astropy.time.Time converts"
         )
     return days
 
 
-def _in(unit):
-    text = unit.to_string()
-    return f" ({text})" if text else ""
+def refuse_unit(array, name):
+    """Raise an error if an array that is changed in place has a unit."""
+    if hasattr(array, "unit"):
+        raise TypeError(f"`{name}` is changed in place and must be a plain array, got a unit")
+
+
+def is_angle(unit):
+    """Return whether a unit, or None, is that of an angle."""
+    return unit is not None and unit.is_equivalent(u.rad)
+
+
+def _hint(unit):
+    text = u.Unit(unit).to_string()
+    return f" (unit: {text})" if text else ""
 
 
 def _joined(values, name):

@@ -1,9 +1,11 @@
 """Checks of arguments that several modules share."""
 
-from numbers import Integral, Real
+from numbers import Integral
 
 import numpy as np
 from astropy.modeling import Model
+
+from scope_models._arrays import plain_number
 
 __all__ = [
     "checked_cadences",
@@ -25,11 +27,9 @@ def checked_model(name, model):
     return model.copy()
 
 
-def checked_number(name, value, *, positive=False, any_sign=False):
-    """Return a finite number as a float."""
-    if isinstance(value, bool) or not isinstance(value, Real):
-        raise TypeError(f"`{name}` must be a number, got {value!r}")
-    value = float(value)
+def checked_number(name, value, unit="", *, positive=False, any_sign=False, **options):
+    """Return a finite number in a unit as a float; ``options`` are those of `plain_number`."""
+    value = plain_number(value, unit, name, **options)
     if not np.isfinite(value):
         raise ValueError(f"`{name}` must be finite, got {value}")
     if positive and value <= 0:
@@ -48,13 +48,15 @@ def checked_integer(name, value, smallest):
     return int(value)
 
 
-def checked_pair(name, pair):
-    """Return column and row as two finite floats."""
+def checked_pair(name, pair, unit="", **options):
+    """Return column and row as two finite floats in a unit."""
     try:
         column, row = pair
     except (TypeError, ValueError) as error:
         raise type(error)(f"`{name}` must be (column, row), got {pair!r}") from None
-    return tuple(checked_number(name, value, any_sign=True) for value in (column, row))
+    return tuple(
+        checked_number(name, value, unit, any_sign=True, **options) for value in (column, row)
+    )
 
 
 def checked_mask(name, mask, shape):

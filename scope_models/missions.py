@@ -6,13 +6,23 @@ from types import MappingProxyType
 
 import numpy as np
 
-__all__ = ["MISSIONS", "TIME_ZEROS", "Cadence", "Mission", "QualityBits"]
+__all__ = [
+    "MISSIONS",
+    "TIME_ZEROS",
+    "Cadence",
+    "Mission",
+    "QualityBits",
+    "choose_cadence",
+    "full_flux",
+]
 
 #: Barycentric Julian date (TDB) of the zero of each time format.
 TIME_ZEROS = MappingProxyType({"bkjd": 2454833.0, "btjd": 2457000.0})
-_SECONDS_PER_DAY = 86400.0
 # A length names the cadence that differs by less: a Kepler long cadence is called 30 minutes.
 _CADENCE_TOLERANCE = 0.03
+_SECONDS_PER_DAY = 86400.0
+# Depth of the shallowest wells over the median.
+_FULL_FRACTION = 0.877
 
 
 @dataclass(frozen=True)
@@ -25,7 +35,7 @@ class Cadence:
         Its name, as "long" or "120 s".
     n_frames : int
         Frames per cadence.
-    fixed_offset : int
+    fixed_offset : int, optional
         Number added to each pixel of the raw counts, DN.
     live_fraction : float, optional
         Part of the frames that is summed.
@@ -39,7 +49,7 @@ class Cadence:
 
     name: str
     n_frames: int
-    fixed_offset: int
+    fixed_offset: int = 0
     live_fraction: float = 1.0
 
 
@@ -112,8 +122,8 @@ class Mission:
     ----------
     name : str
         Name, as in the card MISSION and in `Detector.mission <scope_models.Detector>`.
-    telescope, instrument : str
-        The cards TELESCOP and INSTRUME.
+    telescope : str
+        The card TELESCOP.
     band : str
         Name of the band in which magnitudes are given.
     time_format : {"bkjd", "btjd"}
@@ -122,26 +132,34 @@ class Mission:
         Unit of the column TIME (TUNIT) in archive files.
     start : float
         Time of a first cadence, days since `time_zero`, where a motion is made up.
+    pixel_scale : float
+        Size of a pixel on the sky, arcsec.
+    zero_points : tuple of (str, float)
+        Names and values of the flux of a star of ``zero_point_mag``, e-/s; the first is the usual
+        one.
+    zero_point_mag : float
+        Magnitude that belongs to them.
     int_time, read_time : float
         Exposure of a frame, and the time per frame in which none is recorded, s.
     cadences : tuple of Cadence
         The cadences; the first is the usual one.
-    full_well : float
-        Electrons at which the shallowest pixels are full in one frame.
+    well_depth : float
+        Electrons that a pixel holds in a frame, the median over the detectors.
     quality : QualityBits
         Bits of the quality flags.
     quality_column : str
         Name of the quality flags in light-curve files.
-    id_keyword, magnitude_keyword, gain_keyword, read_noise_keyword : str
-        Cards of the target's number and magnitude, and of the detector's gain and read noise.
+    id_keyword, magnitude_keyword, gain_keyword, read_noise_keyword, black_keyword : str
+        Cards of the target's number and magnitude, and of the detector's gain, read noise and
+        black level.
+    offset_keywords : tuple of str
+        Cards of the offset of the raw counts.
     run : {"quarter", "campaign", "sector"}
         What an observing run is called.
     places : tuple of str
         What tells the place on the focal plane.
-    table_name : str
-        Name of the pixel table in target pixel files.
-    file_version : str
-        FILEVER of the archive files that ours follow.
+    absent_columns : tuple of str
+        Columns that its target pixel files lack, of all that there are.
     displays : tuple of str
         Display formats of 64-bit floats, 32-bit floats and flags.
     field_center : tuple of float
@@ -161,25 +179,28 @@ class Mission:
 
     name: str
     telescope: str
-    instrument: str
     band: str
     time_format: str
     time_unit: str
     start: float
+    pixel_scale: float
+    zero_points: tuple[tuple[str, float], ...]
+    zero_point_mag: float
     int_time: float
     read_time: float
     cadences: tuple[Cadence, ...]
-    full_well: float
+    well_depth: float
     quality: QualityBits
     quality_column: str
     id_keyword: str
     magnitude_keyword: str
     gain_keyword: str
     read_noise_keyword: str
+    black_keyword: str
+    offset_keywords: tuple[str, ...]
     run: str
     places: tuple[str, ...]
-    table_name: str
-    file_version: str
+    absent_columns: tuple[str, ...]
     displays: tuple[str, str, str]
     field_center: tuple[float, float]
     tpf_class: str
@@ -235,8 +256,8 @@ class Mission:
 
     @property
     def full_flux(self):
-        """Flux, with background, from which a pixel of an archive file may be full, e-/s."""
-        return self.full_well / self.int_time
+        """Flux from which a pixel may be full, e-/s, its background included: see `full_flux`."""
+        return full_flux(self.well_depth, self.int_time)
 
     def cadence(self, choice=None):
         """Return one of the mission's cadences.
@@ -266,37 +287,20 @@ class Mission:
         >>> MISSIONS["Kepler"].cadence(30 * u.min).name
         'long'
         """
-        if choice is None:
-            return self.cadences[0]
-        wanted = choice
-        if not isinstance(choice, str):
-            from scope_models._arrays import plain_number
+        return choose_cadence(self.cadences, self.frame_time, choice)
 
-            wanted = plain_number(choice, "s", "cadence")
-        for item in self.cadences:
-            if wanted == item.name:
-                return item
-            if isinstance(wanted, float) and math.isclose(
-                wanted, self.cadence_length(item), rel_tol=_CADENCE_TOLERANCE
-            ):
-                return item
-        names = ", ".join(
-            f"{item.name!r} ({self.cadence_length(item):.6g} s)" for item in self.cadences
-        )
-        raise ValueError(f"`cadence` must be one of {names}, got {choice!r}")
-
-    def cadence_length(self, choice=None):
+    def cadence_days(self, choice=None):
         """Return the length of a cadence.
 
         Parameters
         ----------
-        choice : Cadence, str, float or Quantity, optional
-            A cadence, or what `cadence` takes.
+        choice : str, float or Quantity, optional
+            As for `cadence`.
 
         Returns
         -------
         float
-            The length in seconds.
+            The length in days.
 
         Raises
         ------
@@ -306,11 +310,151 @@ class Mission:
         Examples
         --------
         >>> from scope_models.missions import MISSIONS
-        >>> round(MISSIONS["K2"].cadence_length("long"), 3)
-        1765.463
+        >>> round(MISSIONS["K2"].cadence_days("long"), 7)
+        0.0204336
         """
-        item = choice if isinstance(choice, Cadence) else self.cadence(choice)
-        return item.n_frames * self.frame_time
+        return self.cadence(choice).n_frames * self.frame_time / _SECONDS_PER_DAY
+
+    def detector_fields(self):
+        """Return the fields of a detector that the mission fixes.
+
+        Returns
+        -------
+        dict
+            Fields of `~scope_models.Detector` and their values.
+
+        Examples
+        --------
+        >>> from scope_models.missions import MISSIONS
+        >>> MISSIONS["TESS"].detector_fields()["pixel_scale"]
+        21.0
+        """
+        names = ("pixel_scale", "zero_point_mag", "int_time", "read_time", "well_depth")
+        fields = {name: getattr(self, name) for name in names}
+        return fields | {"mission": self.name, "zero_point": self.zero_points[0][1]}
+
+    def detector_cards(self, cards):
+        """Return the fields of a detector that the cards of a target pixel file have.
+
+        Parameters
+        ----------
+        cards : mapping
+            Cards of its headers.
+
+        Returns
+        -------
+        dict
+            Fields of `~scope_models.Detector` and their values.
+
+        Examples
+        --------
+        >>> from scope_models.missions import MISSIONS
+        >>> MISSIONS["K2"].detector_cards({"INT_TIME": 6.02, "GAIN": 110.0, "READNOIS": None})
+        {'int_time': 6.02, 'gain': 110.0}
+        """
+        keywords = {
+            "int_time": "INT_TIME",
+            "read_time": "READTIME",
+            "n_frames": "NUM_FRM",
+            "gain": self.gain_keyword,
+            "read_noise": self.read_noise_keyword,
+            "mean_black": self.black_keyword,
+        }
+        found = {name: cards.get(keyword) for name, keyword in keywords.items()}
+        for keyword in self.offset_keywords:
+            found["fixed_offset"] = found.get("fixed_offset") or cards.get(keyword)
+        reads = cards.get("NREADOUT")
+        if _is_positive(reads) and _is_positive(found["n_frames"]):
+            found["live_fraction"] = min(reads / found["n_frames"], 1.0)
+        integers = ("n_frames", "mean_black", "fixed_offset")
+        return {
+            name: int(value) if name in integers else float(value)
+            for name, value in found.items()
+            if _is_positive(value)
+        }
+
+
+def _is_positive(value):
+    """Return whether the value of a card is a positive number."""
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and value > 0
+
+
+def full_flux(well_depth, int_time, background=0.0):
+    """Return the flux from which a pixel of an archive file may be full.
+
+    The channels differ, and a file does not say how deep the wells are: the shallowest of Kepler's
+    84 channels are full at 0.877 of the median (0.947e6 of 1.08e6 electrons, KSCI-19033, table
+    13). For other missions that is an assumption.
+
+    Parameters
+    ----------
+    well_depth : float
+        Electrons that a pixel holds in one frame, the median over the detectors.
+    int_time : float
+        Exposure of a frame, s.
+    background : float, optional
+        Background that is not part of the flux, e-/s.
+
+    Returns
+    -------
+    float
+        The flux, e-/s.
+
+    Examples
+    --------
+    >>> from scope_models.missions import full_flux
+    >>> round(full_flux(1.08e6, 6.02, 284.0))
+    157052
+    """
+    return _FULL_FRACTION * well_depth / int_time - background
+
+
+def choose_cadence(cadences, frame_time, choice=None):
+    """Return one of several cadences.
+
+    Parameters
+    ----------
+    cadences : sequence of Cadence
+        The cadences.
+    frame_time : float
+        Length of a frame, s.
+    choice : str, float or Quantity, optional
+        The cadence's name or its length, in seconds or with a unit; a length within 3 % names
+        it. None is the first cadence.
+
+    Returns
+    -------
+    Cadence
+        The cadence.
+
+    Raises
+    ------
+    ValueError
+        If there is no such cadence.
+    TypeError
+        If the choice is neither a name nor one number.
+
+    Examples
+    --------
+    >>> from scope_models.missions import Cadence, choose_cadence
+    >>> choose_cadence([Cadence("fast", 10), Cadence("slow", 300)], 2.0, 600).name
+    'slow'
+    """
+    if choice is None and cadences:
+        return cadences[0]
+    wanted = choice
+    if not isinstance(choice, str):
+        from scope_models._arrays import plain_number
+
+        wanted = plain_number(choice, "s", "cadence")
+    for item in cadences:
+        length = item.n_frames * frame_time
+        if wanted == item.name or (
+            not isinstance(wanted, str) and math.isclose(wanted, length, rel_tol=_CADENCE_TOLERANCE)
+        ):
+            return item
+    known = ", ".join(f"{item.name!r} ({item.n_frames * frame_time:.6g} s)" for item in cadences)
+    raise ValueError(f"`cadence` must be one of {known or 'none'}, got {choice!r}")
 
 
 # Kepler Archive Manual (KDMC-10008), table of the QUALITY flags; K2 Handbook for the thrusters.
@@ -339,33 +483,37 @@ _TESS_BITS = QualityBits(
     scattered_light=4096,
     rejected=17087,
 )
-# Headers of target pixel files; the full well is that of the shallowest of 84 channels
-# (KSCI-19033, table 13).
+# Frames and offsets: headers of target pixel files. Pixel scale: KSCI-19033 (Kepler Instrument
+# Handbook). Zero points: Kepler GO calibration page; KSCI-19033-002, section 7.5. Wells of the 84
+# channels: 0.947e6 to 1.19e6 electrons, median 1.08e6 (KSCI-19033, table 13).
 _PHOTOMETER = {
     "telescope": "Kepler",
-    "instrument": "Kepler Photometer",
     "band": "Kp",
     "time_format": "bkjd",
     "time_unit": "BJD - 2454833",
+    "pixel_scale": 3.98,
+    "zero_points": (("optimal aperture", 1.74e5), ("focal plane", 2.141e5)),
+    "zero_point_mag": 12.0,
     "int_time": 6.019802903270,
     "read_time": 0.518948526144,
     "cadences": (Cadence("long", 270, 419400), Cadence("short", 9, 219400)),
-    "full_well": 0.947e6,
+    "well_depth": 1.08e6,
     "quality": _KEPLER_BITS,
     "quality_column": "SAP_QUALITY",
     "id_keyword": "KEPLERID",
     "magnitude_keyword": "KEPMAG",
     "gain_keyword": "GAIN",
     "read_noise_keyword": "READNOIS",
+    "black_keyword": "MEANBLCK",
+    "offset_keywords": ("LCFXDOFF", "SCFXDOFF"),
     "places": ("channel", "module", "output"),
-    "table_name": "TARGETTABLES",
     "tpf_class": "KeplerTargetPixelFile",
 }
 _KEPLER = Mission(
     name="Kepler",
     start=131.5,  # about the beginning of quarter 1
     run="quarter",
-    file_version="3.0",
+    absent_columns=("RB_LEVEL",),
     # The archive's B16.16 of the flags is too narrow for bit 65536, which stands for no data.
     displays=("D12.7", "E13.6", "B24.24"),
     field_center=(290.6667, 44.5),
@@ -375,7 +523,7 @@ _K2 = Mission(
     name="K2",
     start=2144.1028,  # first time of campaign 3 (ktwo206103150-c03_llc.fits)
     run="campaign",
-    file_version="6.1",
+    absent_columns=(),
     displays=("D14.7", "E14.7", "B24.24"),
     field_center=(336.6667, -11.0967),
     **_PHOTOMETER,
@@ -383,13 +531,16 @@ _K2 = Mission(
 _TESS = Mission(
     name="TESS",
     telescope="TESS",
-    instrument="TESS Photometer",
     band="T",
     time_format="btjd",
     time_unit="BJD - 2457000, days",
     start=1325.3,  # about the beginning of sector 1
-    # Headers of target pixel files; the mitigation of cosmic rays on board drops the highest and
-    # lowest of ten reads (TESS Instrument Handbook), not in 20-s data.
+    # Frames and offsets: headers of target pixel files. The rest: TESS Instrument Handbook. On
+    # board, the mitigation of cosmic rays drops the highest and lowest of ten reads, except in
+    # 20-s data.
+    pixel_scale=21.0,
+    zero_points=(("handbook", 1.0),),  # +- 0.05 mag
+    zero_point_mag=20.44,
     int_time=1.98,
     read_time=0.02,
     cadences=(
@@ -399,17 +550,18 @@ _TESS = Mission(
         Cadence("600 s", 300, 209700, 0.8),
         Cadence("1800 s", 900, 209700, 0.8),
     ),
-    full_well=0.877 * 2e5,  # TESS Instrument Handbook; assumed: the spread of Kepler's channels
+    well_depth=2e5,
     quality=_TESS_BITS,
     quality_column="QUALITY",
     id_keyword="TICID",
     magnitude_keyword="TESSMAG",
     gain_keyword="GAINA",
     read_noise_keyword="READNOIA",
+    black_keyword="MEANBLCA",
+    offset_keywords=("FXDOFF",),
     run="sector",
     places=("camera", "ccd"),
-    table_name="PIXELS",
-    file_version="1.0",
+    absent_columns=("COSMIC_RAYS", "RB_LEVEL"),
     displays=("D14.7", "E14.7", "B16.16"),
     field_center=(270.0, 66.5607),  # the north ecliptic pole
     tpf_class="TessTargetPixelFile",

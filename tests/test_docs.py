@@ -1,6 +1,7 @@
 """The documentation: every figure has a text, every block of code runs, every command exists."""
 
 import ast
+import doctest
 import importlib
 import re
 import shlex
@@ -84,3 +85,27 @@ def test_commands_exist(repository):
         except SystemExit as error:
             if error.code != 0:  # --help and --version end with 0
                 pytest.fail(f"the documented command is not accepted: {line}")
+
+
+@pytest.fixture
+def make_notebook(repository, monkeypatch):
+    """Return the function that turns a tutorial into a notebook, or skip without nbformat."""
+    pytest.importorskip("nbformat")
+    monkeypatch.syspath_prepend(repository / "docs" / "_ext")
+    return importlib.import_module("notebooks").make_notebook
+
+
+def test_notebooks_hold_the_code_of_the_tutorials(repository, make_notebook):
+    import nbformat
+
+    for path in (repository / "docs" / "tutorials").glob("*.rst"):
+        text = path.read_text(encoding="utf-8")
+        notebook = make_notebook(text)
+        nbformat.validate(notebook)
+        code = "\n".join(cell.source for cell in notebook.cells if cell.cell_type == "code")
+        ast.parse(code)
+        examples = doctest.DocTestParser().get_examples(text)
+        assert code.splitlines() == "".join(example.source for example in examples).splitlines()
+        prose = "\n".join(cell.source for cell in notebook.cells if cell.cell_type == "markdown")
+        assert ">>>" not in prose
+        assert not re.search(r"^\.\. ", prose, re.MULTILINE)

@@ -6,6 +6,7 @@ from dataclasses import fields
 from astropy.modeling import Model
 
 from scope_models import Detector
+from scope_models.scene.presets import PRESETS
 
 UNITS = {
     "shape": "rows, columns",
@@ -21,17 +22,11 @@ UNITS = {
     "fixed_offset": "DN",
     "mean_black": "DN",
 }
-PRESETS = {
-    "Kepler": Detector.kepler,
-    "K2": Detector.k2,
-    "K2, calibrated": Detector.k2_calibrated,
-    "TESS": Detector.tess,
-}
 
 
 def write_presets(path):
     """Write one row per field, with the values of each preset as the code has them."""
-    detectors = {name: make() for name, make in PRESETS.items()}
+    detectors = {f'"{name}"': Detector.preset(name) for name in PRESETS}
     with path.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file)
         writer.writerow(["Field", "Unit", *detectors])

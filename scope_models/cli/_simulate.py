@@ -3,24 +3,18 @@
 from pathlib import Path
 
 from scope_models.effects.noise import NOISE_TERMS
+from scope_models.missions import MISSIONS
 from scope_models.models import BivariateGaussianPSF
 from scope_models.models.signals import TransitModel
 from scope_models.scene import read_detector
 from scope_models.scene.detector import Detector
 from scope_models.scene.motion import Motion
+from scope_models.scene.presets import PRESETS
 from scope_models.scene.star import Star
 from scope_models.simulation import simulate
 
 __all__ = ["add_parser", "run"]
 
-_PRESETS = {
-    "kepler": Detector.kepler,
-    "k2": Detector.k2,
-    "k2_calibrated": Detector.k2_calibrated,
-    "tess": Detector.tess,
-}
-# About the beginnings of Kepler's quarter 1 and of TESS's sector 1, and the zero of the times.
-_STARTS = {"kepler": (131.5, "bkjd"), "tess": (1325.3, "btjd")}
 _CADENCES = 1000
 
 
@@ -162,20 +156,25 @@ def _default_motion(arguments, detector, number):
         return arguments.scale * Motion.k2_roll(number)
     if arguments.scale != 1:
         raise ValueError(f"--scale needs --motion FILE with --detector {arguments.detector}")
-    start, time_format = _STARTS["tess" if detector.mission == "TESS" else "kepler"]
-    return Motion.still(number, start=start, cadence=detector.cadence_days, time_format=time_format)
+    mission = MISSIONS.get(detector.mission, MISSIONS["Kepler"])
+    return Motion.still(
+        number,
+        start=mission.start,
+        cadence=detector.cadence_days,
+        time_format=mission.time_format,
+    )
 
 
 def _make_detector(arguments):
     """Return the detector that the options ask for."""
     changes = {} if arguments.shape is None else {"shape": tuple(arguments.shape)}
-    if arguments.detector in _PRESETS:
-        detector = _PRESETS[arguments.detector](**changes)
+    if arguments.detector in PRESETS:
+        detector = Detector.preset(arguments.detector, **changes)
     elif arguments.detector.endswith(".toml"):
         detector = read_detector(arguments.detector).replace(**changes)
     else:
         raise ValueError(
-            f"--detector must be one of {', '.join(_PRESETS)} or a .toml file, "
+            f"--detector must be one of {', '.join(PRESETS)} or a .toml file, "
             f"got {arguments.detector!r}"
         )
     return detector.without_sensitivity() if arguments.no_sensitivity else detector

@@ -13,15 +13,14 @@ from scope_models.correctors._features import (
     roll_reversals,
     shared_columns,
 )
-from scope_models.correctors._pixels import read_pixels
+from scope_models.correctors._pixels import aperture_pixels
 from scope_models.correctors._saturation import without_saturation
-from scope_models.scene.detector import Detector
+from scope_models.io import read_pixels
 
 __all__ = [
     "DesignOptions",
     "background_columns",
     "make_regressors",
-    "mission_saturation",
     "neighbor_columns",
     "segment_breaks",
 ]
@@ -33,9 +32,6 @@ _SHARED_TOLERANCE = 1e-6
 _MAX_RANK = 300
 _REACH = 2
 _NEIGHBOR_COMPONENTS = 10
-#: Part of the median well at which the shallowest of Kepler's 84 channels are full:
-#: 0.947e6 over 1.08e6 electrons (KSCI-19033, table 13).
-_SHALLOWEST_WELL = 0.877
 
 
 @dataclass(frozen=True)
@@ -53,12 +49,18 @@ class DesignOptions:
         Times at which a new segment begins.
     extra : dict
         Further groups, from names to columns ``(n_cadences, m)``, NaN where unknown.
+    most : int or None
+        Largest number of columns per order.
+    mask : ndarray of bool or None
+        Pixels whose fractions are regressors; None: those of the aperture.
     """
 
     order: int
     saturation: float | None = None
     breaks: tuple = ()
     extra: dict = field(default_factory=dict)
+    most: int | None = None
+    mask: np.ndarray | None = None
 
 
 def make_regressors(pixels, use, options):
@@ -80,23 +82,27 @@ def make_regressors(pixels, use, options):
         Columns for the usable cadences, centered on the cadences in use.
     """
     usable = pixels.usable
-    total = pixels.total[usable]
+    total, most = pixels.total[usable], options.most
+    mask = pixels.aperture if options.mask is None else options.mask
     photons = float(np.median((pixels.total_err[usable] ** 2 / total)[use]))
     images = without_saturation(
-        pixels.flux[usable], pixels.aperture, use, options.saturation, photons
+        np.nan_to_num(pixels.flux[usable]), mask, use, options.saturation, photons
     )
     images /= total[:, None, None]
-    fractions = images[:, pixels.aperture]
+    fractions = images[:, mask]
     noise = float(np.median((pixels.total_err[usable] / total)[use] ** 2))
-    first = principal_columns(center(fractions, use), use, _TOLERANCE * noise)
+    first = principal_columns(center(fractions, use), use, _TOLERANCE * noise)[:, :most]
     parts = {"order 1": first}
     for n in range(2, options.order + 1):
         columns, _ = power_columns(fractions, n, use, _TOLERANCE * noise, _MAX_RANK)
         columns = center(columns, use)
-        parts[f"order {n}"] = principal_columns(columns, use, _HIGHER_TOLERANCE * noise)
+        columns = principal_columns(columns, use, _HIGHER_TOLERANCE * noise)
+        parts[f"order {n}"] = columns[:, :most]
         if n == 2:
             shared = center(shared_columns(images, n, _REACH), use)
-            parts["order 2, shared"] = principal_columns(shared, use, _SHARED_TOLERANCE * noise)
+            parts["order 2, shared"] = principal_columns(shared, use, _SHARED_TOLERANCE * noise)[
+                :, :most
+            ]
     if options.breaks:
         parts["segments"] = contrast_columns(first, pixels.time[usable], options.breaks, use)
     for name, columns in options.extra.items():
@@ -141,19 +147,10 @@ def _components(flux, pixels):
     return principal_columns(center(relative, everything), everything, 0.0)
 
 
-def mission_saturation(meta):
-    """Return the flux of a full well in e-/s from a file's header, None if it is unknown."""
-    mission = str(meta.get("MISSION") or meta.get("TELESCOP")).lower()
-    presets = {"kepler": Detector.kepler, "k2": Detector.k2, "tess": Detector.tess}
-    if mission not in presets:
-        return None
-    detector = presets[mission]()
-    return _SHALLOWEST_WELL * detector.well_depth / detector.int_time
-
-
-def background_columns(pixels, n_components):
-    """Return the principal components of the pixels outside of the aperture over the flux."""
-    outside = ~pixels.aperture & np.isfinite(pixels.flux[pixels.usable]).all(axis=0)
+def background_columns(pixels, n_components, mask):
+    """Return the principal components of pixels over the flux, by default all outside."""
+    outside = ~pixels.aperture if mask is None else mask
+    outside = outside & np.isfinite(pixels.flux[pixels.usable]).all(axis=0)
     if not outside.any():
         raise ValueError("`background` needs pixels with data outside of `aperture_mask`")
     rotated = _components(pixels.flux[pixels.usable][:, outside], pixels)[:, :n_components]
@@ -166,11 +163,12 @@ def neighbor_columns(cadenceno, neighbors):
     """Return the first principal components of the pixel fractions of other target pixel files."""
     parts = []
     for other in neighbors:
-        pixels = read_pixels(other, None)
+        series = read_pixels(other)
+        pixels = aperture_pixels(series, None)
         rotated = _components(pixels.flux[pixels.usable][:, pixels.aperture], pixels)
         rotated = rotated[:, :_NEIGHBOR_COMPONENTS]
         _, here, there = np.intersect1d(
-            cadenceno, np.asarray(other.cadenceno)[pixels.usable], return_indices=True
+            cadenceno, series.cadenceno[pixels.usable], return_indices=True
         )
         if not len(here):
             raise ValueError("`neighbors` must share cadences with the target, got none")

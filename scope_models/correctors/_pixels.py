@@ -4,15 +4,12 @@ import warnings
 from dataclasses import dataclass
 
 import numpy as np
-from astropy import units as u
 from scipy import ndimage
 
-from scope_models._arrays import plain_array
 from scope_models.exceptions import DetrendingWarning
 
-__all__ = ["Pixels", "choose_aperture", "read_pixels"]
+__all__ = ["Pixels", "aperture_pixels", "choose_aperture"]
 
-_FLUX = u.electron / u.s
 #: Share of the star's light that a pixel must hold to belong to the default aperture.
 _SMALLEST_SHARE = 1e-3
 #: ... in this part of the cadences, and in so many at least: light that a rare excursion carries
@@ -90,14 +87,14 @@ def choose_aperture(flux, flux_err, pipeline=None):
     return labels == labels.flat[peak]
 
 
-def read_pixels(tpf, aperture):
+def aperture_pixels(series, aperture):
     """
-    Return the pixels of a target pixel file.
+    Return the pixels of an aperture of a target pixel file.
 
     Parameters
     ----------
-    tpf : `~lightkurve.targetpixelfile.TargetPixelFile`
-        The file.
+    series : PixelSeries
+        The pixels.
     aperture : ndarray of bool or None
         Pixels to sum; None: chosen.
 
@@ -106,11 +103,9 @@ def read_pixels(tpf, aperture):
     TypeError, ValueError
         If the aperture is no mask of pixels with data, or the sums are not positive.
     """
-    time = np.array(tpf.time.value, dtype=float)
-    flux = plain_array(tpf.flux, _FLUX, "tpf.flux")
-    flux_err = plain_array(tpf.flux_err, _FLUX, "tpf.flux_err")
+    time, flux, flux_err = series.time, series.flux, series.flux_err
     if aperture is None:
-        aperture = choose_aperture(flux, flux_err, np.asarray(tpf.pipeline_mask))
+        aperture = choose_aperture(flux, flux_err, series.aperture)
     else:
         aperture = _checked_aperture(aperture, flux)
     inside = flux[:, aperture]

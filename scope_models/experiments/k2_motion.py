@@ -8,7 +8,7 @@ import numpy as np
 from astropy.table import Table
 
 from scope_models._checks import checked_integer, checked_number
-from scope_models.experiments._percentiles import compared, holds
+from scope_models.experiments._statistics import compared, holds
 from scope_models.experiments.no_motion import noise_parts
 from scope_models.experiments.populations import draw_star, motion_from_name, stamp_around
 from scope_models.experiments.reference import PERCENTILES, read_reference
@@ -226,8 +226,7 @@ class K2MotionNoise(Study):
         """
         detector = observation.detector
         flat = self._noiseless(observation, detector.without_sensitivity())
-        depth = 0.9 * detector.well_depth / detector.int_time - detector.background
-        saturated = bool(np.percentile(flat, 97.5, axis=0).max() > depth)
+        saturated = bool(np.percentile(flat, 97.5, axis=0).max() > detector.full_flux)
         aperture = self.aperture(observation, flat.mean(axis=0), saturated=saturated)
         even = detector.replace(interpixel=np.ones(detector.shape))
         cubes = {

@@ -7,13 +7,12 @@ from pathlib import Path
 import numpy as np
 
 from scope_models._checks import checked_number
+from scope_models.missions import MISSIONS
 from scope_models.scene.motion import K2Roll, Motion
 from scope_models.scene.star import Star
 
 __all__ = ["draw_star", "field_position", "motion_from_name", "stamp_around"]
 
-# The flags by which lightkurve leaves out K2 cadences by default, among them thruster firings.
-_REJECTED = 1130799
 # No star of K2 moves farther from its median than this in a good cadence, in pixels.
 _FARTHEST = 4.0
 _CADENCES = 1000
@@ -188,7 +187,7 @@ def motion_from_name(name, n_cadences=None):
 
 def _usable(motion, name):
     """Return a motion without flagged cadences and without absurd positions."""
-    keep = (motion.quality & _REJECTED) == 0
+    keep = (motion.quality & MISSIONS["K2"].quality.rejected) == 0
     if not keep.any():
         raise ValueError(f"{name}: no cadence is without a quality flag")
     x, y = (values - np.median(values[keep]) for values in (motion.x, motion.y))

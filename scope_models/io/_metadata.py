@@ -2,84 +2,58 @@
 
 import datetime as dt
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import InitVar, dataclass, field
+from typing import TYPE_CHECKING
 
+import astropy.units as u
+
+from scope_models._arrays import DIGITAL, PER_PIXEL
 from scope_models._checks import checked_integer, checked_number
+from scope_models.missions import MISSIONS
 
-__all__ = ["LAYOUTS", "Layout", "TPFMetadata"]
+if TYPE_CHECKING:
+    from astropy.coordinates import SkyCoord
+
+__all__ = ["TPFMetadata"]
 
 _SECONDS_PER_DAY = 86400.0
 _LONG_CADENCE = 0.01  # days: between the 58.8 s and the 29.4 min of the Kepler photometer
 _MODULES = (2, 3, 4, *range(6, 21), 22, 23, 24)  # those at the corners are fine-guidance sensors
-_RUNS = ("quarter", "campaign", "sector")
-
-
-@dataclass(frozen=True)
-class Layout:
-    """What differs between the missions' target pixel files."""
-
-    telescope: str
-    id_keyword: str
-    magnitude_keyword: str
-    bjd_reference: int
-    time_unit: str
-    table_name: str
-    file_version: str
-    displays: tuple[str, str, str]  # of 64-bit floats, 32-bit floats and flags
-    run: str
-    places: tuple[str, ...]
-    field_centre: tuple[float, float]
-
-
-LAYOUTS = {
-    "Kepler": Layout(
-        telescope="Kepler",
-        id_keyword="KEPLERID",
-        magnitude_keyword="KEPMAG",
-        bjd_reference=2454833,
-        time_unit="BJD - 2454833",
-        table_name="TARGETTABLES",
-        file_version="3.0",
-        # The archive's B16.16 of the flags is too narrow for bit 65536, which stands for no data.
-        displays=("D12.7", "E13.6", "B24.24"),
-        run="quarter",
-        places=("channel", "module", "output"),
-        field_centre=(290.6667, 44.5),
-    ),
-    "K2": Layout(
-        telescope="Kepler",
-        id_keyword="KEPLERID",
-        magnitude_keyword="KEPMAG",
-        bjd_reference=2454833,
-        time_unit="BJD - 2454833",
-        table_name="TARGETTABLES",
-        file_version="6.1",
-        displays=("D14.7", "E14.7", "B24.24"),
-        run="campaign",
-        places=("channel", "module", "output"),
-        field_centre=(336.6667, -11.0967),
-    ),
-    "TESS": Layout(
-        telescope="TESS",
-        id_keyword="TICID",
-        magnitude_keyword="TESSMAG",
-        bjd_reference=2457000,
-        time_unit="BJD - 2457000, days",
-        table_name="PIXELS",
-        file_version="1.0",
-        displays=("D14.7", "E14.7", "B16.16"),
-        run="sector",
-        places=("camera", "ccd"),
-        field_centre=(270.0, 66.5607),
-    ),
+# Fields that a mission, and a detector, have by the same name.
+_OF_MISSION = ("pixel_scale", "int_time", "read_time")
+_OF_DETECTOR = (
+    *_OF_MISSION,
+    "mission",
+    "n_frames",
+    "gain",
+    "read_noise",
+    "mean_black",
+    "fixed_offset",
+)
+_POSITIVE, _ANY_SIGN = {"positive": True}, {"any_sign": True}
+_UNITS = {
+    "pixel_scale": (u.arcsec, {**_POSITIVE, "equivalencies": PER_PIXEL}),
+    "int_time": (u.s, _POSITIVE),
+    "time_delta": (u.day, _POSITIVE),
+    "gain": (u.electron / u.adu, {**_POSITIVE, "equivalencies": DIGITAL}),
+    "read_time": (u.s, {}),
+    "read_noise": (u.electron, {}),
+    "ra": (u.deg, _ANY_SIGN),
+    "dec": (u.deg, _ANY_SIGN),
+    "x_0": (u.pix, _ANY_SIGN),
+    "y_0": (u.pix, _ANY_SIGN),
+    "orientation": (u.deg, _ANY_SIGN),
+    "magnitude": (u.mag, _ANY_SIGN),
 }
+_RUNS = ("quarter", "campaign", "sector")
 
 
 @dataclass(frozen=True, kw_only=True)
 class TPFMetadata:
     """Facts for the headers of a target pixel file.
 
-    What is None and has no default below becomes a card without a value, as in archive files.
+    `of` takes those of a detector. What is None and has no default below becomes a card without a
+    value, as in archive files.
 
     Parameters
     ----------
@@ -87,24 +61,24 @@ class TPFMetadata:
         The layout of the file.
     target_id : int
         KEPLERID or TICID, at least 1.
-    pixel_scale : float
-        Size of a pixel on the sky, arcsec.
-    int_time, read_time : float
-        Exposure and read-out time of one frame, s.
-    n_frames : int
-        Frames per cadence.
+    pixel_scale : float or Quantity, optional
+        Size of a pixel on the sky, arcsec; by default the mission's.
+    int_time, read_time : float or Quantity, optional
+        Exposure and read-out time of one frame, s; by default the mission's.
+    n_frames : int, optional
+        Frames per cadence; by default those of the mission's usual cadence.
     object_name : str, optional
         OBJECT; by default "SIM" and the number, for the star is not the one of a catalogue.
-    ra, dec : float, optional
+    ra, dec : float or Quantity, optional
         Position, deg; by default the middle of a field of the mission (for TESS the north
         ecliptic pole).
-    x_0, y_0 : float, optional
+    x_0, y_0 : float or Quantity, optional
         The pixel (0-based, in the stamp) that looks at ``ra`` and ``dec``; by default the middle
         of the stamp.
-    orientation : float, optional
+    orientation : float or Quantity, optional
         Position angle of the direction of growing rows, deg from north to east. At 0, rows grow
         to the north and columns to the west.
-    magnitude : float, optional
+    magnitude : float or Quantity, optional
         KEPMAG or TESSMAG.
     quarter, campaign, sector : int, optional
         When it was observed; only that of the mission may be given.
@@ -116,11 +90,11 @@ class TPFMetadata:
         Detector column and row of the first pixel of the stamp.
     n_readouts : int, optional
         Frames that are summed up; by default ``n_frames``.
-    time_delta : float, optional
+    time_delta : float or Quantity, optional
         Length of a cadence, days; by default that of the frames.
-    gain : float, optional
+    gain : float or Quantity, optional
         Electrons per count.
-    read_noise : float, optional
+    read_noise : float or Quantity, optional
         Standard deviation of one read, electrons.
     mean_black : int, optional
         Black level of one read, counts.
@@ -134,6 +108,8 @@ class TPFMetadata:
         Further cards: keyword to value, or to value and comment. Keywords that the layout has
         without a value (TEFF, CROWDSAP, TTABLEID, ...) are filled where they are, others are
         added to the primary header.
+    coord : astropy.coordinates.SkyCoord, optional
+        Position, in place of ``ra`` and ``dec``.
 
     Raises
     ------
@@ -145,18 +121,17 @@ class TPFMetadata:
     Examples
     --------
     >>> from scope_models.io import TPFMetadata
-    >>> metadata = TPFMetadata(mission="K2", target_id=7, pixel_scale=3.98, int_time=6.02,
-    ...                        read_time=0.52, n_frames=270, channel=48)
+    >>> metadata = TPFMetadata(mission="K2", target_id=7, channel=48)
     >>> metadata.name, metadata.module_and_output, round(metadata.cadence_days, 4)
     ('SIM 7', (14, 4), 0.0204)
     """
 
     mission: str
     target_id: int
-    pixel_scale: float
-    int_time: float
-    read_time: float
-    n_frames: int
+    pixel_scale: float | None = None
+    int_time: float | None = None
+    read_time: float | None = None
+    n_frames: int | None = None
     object_name: str | None = None
     ra: float | None = None
     dec: float | None = None
@@ -183,12 +158,19 @@ class TPFMetadata:
     seed: int | None = None
     date: dt.date | None = None
     extra_cards: Mapping = field(default_factory=dict)
+    coord: InitVar["SkyCoord | None"] = None
 
-    def __post_init__(self):
+    def __post_init__(self, coord):
         """Check every field and bring it to its type."""
-        if self.mission not in LAYOUTS:
-            known = ", ".join(map(repr, LAYOUTS))
+        if coord is not None:
+            self._set_position(coord)
+        if self.mission not in MISSIONS:
+            known = ", ".join(map(repr, MISSIONS))
             raise ValueError(f"`mission` must be one of {known}, got {self.mission!r}")
+        usual = {name: getattr(self.layout, name) for name in _OF_MISSION}
+        for name, value in (usual | {"n_frames": self.layout.cadence().n_frames}).items():
+            if getattr(self, name) is None:
+                object.__setattr__(self, name, value)
         self._check_numbers()
         if self.dec is not None and abs(self.dec) > 90:
             raise ValueError(f"`dec` must be within -90 to 90, got {self.dec}")
@@ -206,21 +188,21 @@ class TPFMetadata:
             raise TypeError(f"`extra_cards` must be a mapping, got {self.extra_cards!r}")
         self._check_place()
 
+    def _set_position(self, coord):
+        """Set right ascension and declination to those of a coordinate."""
+        from astropy.coordinates import SkyCoord
+
+        if not isinstance(coord, SkyCoord) or not coord.isscalar:
+            raise TypeError(f"`coord` must be one SkyCoord, got {coord!r}")
+        if self.ra is not None or self.dec is not None:
+            raise ValueError("`coord` must not be given together with `ra` or `dec`")
+        object.__setattr__(self, "ra", coord.icrs.ra.deg)
+        object.__setattr__(self, "dec", coord.icrs.dec.deg)
+
     def _check_numbers(self):
         """Check the fields that are numbers."""
-        kinds = {
-            "positive": ("pixel_scale", "int_time", "time_delta", "gain"),
-            "not negative": ("read_time", "read_noise"),
-            "any sign": ("ra", "dec", "x_0", "y_0", "orientation", "magnitude"),
-        }
-        for kind, names in kinds.items():
-            for name in names:
-                self._set(
-                    name,
-                    checked_number,
-                    positive=kind == "positive",
-                    any_sign=kind == "any sign",
-                )
+        for name, (unit, options) in _UNITS.items():
+            self._set(name, checked_number, unit=unit, **options)
         smallest = {
             **dict.fromkeys(("target_id", "n_frames", "n_readouts"), 1),
             **dict.fromkeys(("channel", "module", "output", "camera", "ccd", "sector"), 1),
@@ -259,10 +241,43 @@ class TPFMetadata:
                     f"`{name}` must be {implied} for channel {self.channel}, got {given}"
                 )
 
+    @classmethod
+    def of(cls, detector, **facts):
+        """Return the facts of a detector's files.
+
+        Parameters
+        ----------
+        detector : Detector
+            The detector, of a mission with target pixel files.
+        **facts
+            Fields of `TPFMetadata`: those of the target, and any that differ from the detector's.
+
+        Returns
+        -------
+        TPFMetadata
+            The facts.
+
+        Raises
+        ------
+        TypeError
+            If a field is misspelt or of the wrong kind.
+        ValueError
+            If a field is outside its domain, or belongs to another mission.
+
+        Examples
+        --------
+        >>> from scope_models import Detector
+        >>> from scope_models.io import TPFMetadata
+        >>> TPFMetadata.of(Detector.tess(), target_id=7).reads
+        48
+        """
+        own = {name: getattr(detector, name) for name in _OF_DETECTOR}
+        return cls(**(own | {"n_readouts": detector.n_reads} | facts))
+
     @property
     def layout(self):
-        """What is special in the mission's files."""
-        return LAYOUTS[self.mission]
+        """The mission, which fixes what is special in its files."""
+        return MISSIONS[self.mission]
 
     @property
     def name(self):
@@ -272,7 +287,7 @@ class TPFMetadata:
     @property
     def position(self):
         """Right ascension (0 to 360) and declination, deg."""
-        default_ra, default_dec = self.layout.field_centre
+        default_ra, default_dec = self.layout.field_center
         ra = default_ra if self.ra is None else self.ra % 360.0
         return ra, default_dec if self.dec is None else self.dec
 
@@ -314,7 +329,12 @@ class TPFMetadata:
 
     @property
     def live_fraction(self):
-        """Part of a cadence in which light is gathered."""
+        """Part of the frames that is summed."""
+        return self.reads / self.n_frames
+
+    @property
+    def duty_cycle(self):
+        """Part of a cadence in which light is gathered (DEADC)."""
         return self.int_time / self.frame_time * self.reads / self.n_frames
 
     @property

@@ -4,16 +4,13 @@ Only arrays and header cards leave this module. Whatever is wrong with a file en
 `ValueError` (or `FileNotFoundError`, `IsADirectoryError`) that names the file.
 """
 
-import gzip
-import io
-import warnings
-import zlib
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from astropy.utils.exceptions import AstropyUserWarning
+
+from scope_models.io._opening import RefusedError, open_fits
+from scope_models.missions import TIME_ZEROS, Mission
 
 __all__ = [
     "PositionColumns",
@@ -25,9 +22,9 @@ __all__ = [
     "time_format_of",
 ]
 
-_TIME_FORMATS = {2454833: "bkjd", 2457000: "btjd"}
-_UNREADABLE = (OSError, EOFError, ValueError, TypeError, KeyError, IndexError, zlib.error)
-_GZIP = b"\x1f\x8b"
+_TIME_FORMATS = {zero: name for name, zero in TIME_ZEROS.items()}
+_NO_FACTS = {"", "COMMENT", "HISTORY", "CHECKSUM", "DATASUM", "SIMPLE", "XTENSION", "BITPIX"}
+_NO_FACTS |= {"EXTEND", "PCOUNT", "GCOUNT", "TFIELDS"}
 _FACTS = {
     "mission": ("MISSION", "TELESCOP"),
     "object": ("OBJECT",),
@@ -109,61 +106,6 @@ class PositionColumns:
     meta: dict
 
 
-@contextmanager
-def open_fits(path):
-    """Open a FITS file to read, with one kind of error for whatever is wrong with it.
-
-    Parameters
-    ----------
-    path : str or path-like
-        The file, which may be compressed by gzip.
-
-    Yields
-    ------
-    astropy.io.fits.HDUList
-        The file. Do no more than read from it within the context, which has the same errors.
-
-    Raises
-    ------
-    FileNotFoundError
-        If there is no such file.
-    IsADirectoryError
-        If it is a folder.
-    ValueError
-        If it is empty, truncated or no FITS file.
-
-    Examples
-    --------
-    >>> from scope_models.io.reading import open_fits
-    >>> with open_fits("absent.fits") as hdus:
-    ...     pass
-    Traceback (most recent call last):
-    FileNotFoundError: no such file: absent.fits
-    """
-    # Not imported with the package: it takes a quarter of the time that the package has for that.
-    from astropy.io import fits
-
-    path = Path(path)
-    if path.is_dir():
-        raise IsADirectoryError(f"{path} is a folder, not a FITS file")
-    if not path.exists():
-        raise FileNotFoundError(f"no such file: {path}")
-    if path.stat().st_size == 0:
-        raise ValueError(f"{path} is empty")
-    with warnings.catch_warnings():
-        warnings.filterwarnings("error", message="File may have been truncated")
-        warnings.filterwarnings("error", message="Error validating header")
-        try:
-            # astropy leaves some broken files open, so this opens and closes them itself.
-            with path.open("rb") as stream, fits.open(_plain(stream), memmap=False) as hdus:
-                yield hdus
-        except _Refused as error:
-            raise ValueError(str(error)) from None
-        except (*_UNREADABLE, fits.VerifyError, AstropyUserWarning) as error:
-            reason = " ".join(str(error).split())
-            raise ValueError(f"{path} is no readable FITS file, or truncated: {reason}") from error
-
-
 def read_columns(path, required, optional=()):
     """Read one-dimensional columns of numbers from the first binary table of a FITS file.
 
@@ -200,24 +142,20 @@ def read_columns(path, required, optional=()):
     Traceback (most recent call last):
     ValueError: times.fits has no column POS_CORR1 in its first table; it has TIME
     """
-    from astropy.io import fits
-
     with open_fits(path) as hdus:
-        table = next((hdu for hdu in hdus if isinstance(hdu, fits.BinTableHDU)), None)
-        if table is None:
-            raise _Refused(f"{path} has no binary table")
+        table = first_table(hdus, path)
         present = [name.upper() for name in table.columns.names]
         missing = [name for name in required if name.upper() not in present]
         if missing:
-            raise _Refused(
+            raise RefusedError(
                 f"{path} has no column {' or '.join(missing)} in its first table; "
                 f"it has {', '.join(present) or 'none'}"
             )
         names = [name.upper() for name in (*required, *optional) if name.upper() in present]
-        columns = {name: _numbers(table.data[name], name, path) for name in names}
+        columns = {name: column_of(table, name, path) for name in names}
         if len(table.data) == 0:
-            raise _Refused(f"{path} has no rows in its first table")
-        header = {**hdus[0].header, **table.header}
+            raise RefusedError(f"{path} has no rows in its first table")
+        header = cards_of(hdus[0].header, table.header)
     return TableColumns(columns, header, Path(path))
 
 
@@ -303,7 +241,7 @@ def time_format_of(header):
     Parameters
     ----------
     header : mapping
-        Cards of the header: BJDREFI, else TELESCOP, decide.
+        Cards of the header: BJDREFI, else the mission, decide.
 
     Returns
     -------
@@ -327,26 +265,88 @@ def time_format_of(header):
         if day not in _TIME_FORMATS:
             raise ValueError(f"`BJDREFI` must be 2454833 or 2457000, got {day}")
         return _TIME_FORMATS[day]
-    return {"kepler": "bkjd", "k2": "bkjd", "tess": "btjd"}.get(
-        str(header.get("TELESCOP")).strip().lower()
-    )
+    mission = Mission.from_header(header)
+    return mission and mission.time_format
 
 
-def _plain(stream):
-    """Return a stream without compression; astropy does not tell of a truncated one."""
-    start = stream.read(len(_GZIP))
-    stream.seek(0)
-    return io.BytesIO(gzip.GzipFile(fileobj=stream).read()) if start == _GZIP else stream
+def first_table(hdus, path):
+    """Return the first binary table of a file.
+
+    Parameters
+    ----------
+    hdus : astropy.io.fits.HDUList
+        The file.
+    path : str or path-like
+        Its name, for messages.
+
+    Returns
+    -------
+    astropy.io.fits.BinTableHDU
+        The table.
+
+    Raises
+    ------
+    ValueError
+        If there is none, or it has no rows.
+    """
+    from astropy.io import fits
+
+    table = next((hdu for hdu in hdus if isinstance(hdu, fits.BinTableHDU)), None)
+    if table is None:
+        raise RefusedError(f"{path} has no binary table")
+    return table
 
 
-class _Refused(Exception):  # noqa: N818 (never leaves this module)
-    """A readable file does not have what is asked for."""
+def column_of(table, name, path, ndim=1):
+    """Return a column in native byte order, floats as float64.
 
+    Parameters
+    ----------
+    table : astropy.io.fits.BinTableHDU
+        The table.
+    name : str
+        The column, as the table has it.
+    path : str or path-like
+        The file's name, for messages.
+    ndim : {1, 3}, optional
+        Whether a row holds one number or an image.
 
-def _numbers(column, name, path):
-    """Return a column in native byte order, one number per row."""
-    values = np.asarray(column)
-    if values.ndim != 1 or values.dtype.kind not in "iuf":
-        raise _Refused(f"column {name} of {path} must hold one number per row")
+    Returns
+    -------
+    ndarray
+        The column.
+
+    Raises
+    ------
+    ValueError
+        If the column holds something else.
+    """
+    values = np.asarray(table.data[name])
+    if values.ndim != ndim or values.dtype.kind not in "iuf":
+        what = {1: "one number", 3: "an image of numbers"}[ndim]
+        raise RefusedError(f"column {name} of {path} must hold {what} per row")
     kind = values.dtype.newbyteorder("=")
-    return values.astype(np.float64 if kind.kind == "f" else kind)
+    return values.astype(np.float64 if kind.kind == "f" or ndim == 3 else kind)
+
+
+def cards_of(*headers):
+    """Return the cards of headers as a dict; later headers go before earlier ones.
+
+    Parameters
+    ----------
+    *headers : mapping
+        Headers.
+
+    Returns
+    -------
+    dict
+        Keywords and values: None for cards without a value. Comments, checksums and the sizes of
+        the file's parts are left out.
+    """
+    simple = (str, bool, int, float, complex)
+    return {
+        key: value if isinstance(value, simple) else None
+        for header in headers
+        for key, value in header.items()
+        if key not in _NO_FACTS and not key.startswith("NAXIS")
+    }

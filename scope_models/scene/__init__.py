@@ -2,10 +2,12 @@
 
 from scope_models.scene.detector import ZERO_POINTS, Detector
 from scope_models.scene.motion import K2Roll, Motion, MotionStatistics
+from scope_models.scene.presets import PRESETS, register_preset
 from scope_models.scene.scene import Scene, read_detector, read_scene
 from scope_models.scene.star import Star
 
 __all__ = [
+    "PRESETS",
     "ZERO_POINTS",
     "Detector",
     "K2Roll",
@@ -15,4 +17,5 @@ __all__ = [
     "Star",
     "read_detector",
     "read_scene",
+    "register_preset",
 ]

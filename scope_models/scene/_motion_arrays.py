@@ -2,22 +2,23 @@
 
 import numpy as np
 
+from scope_models._arrays import plain_array, plain_time
+from scope_models.io.pixels import LARGEST_OFFSET, usable_positions
+from scope_models.missions import MISSIONS, TIME_ZEROS
+
 __all__ = [
     "TIME_FORMATS",
-    "as_floats",
     "as_int32",
+    "as_pixels",
+    "as_times",
     "check_increasing",
     "check_time_format",
-    "plain",
     "repair",
 ]
 
-TIME_FORMATS = ("bkjd", "btjd")
-# Offsets of this many pixels and more are no positions (archive files have -83 to -1023 px).
-_ABSURD = 50.0
-_NO_DATA = 65536
-# "Manual exclude" in the quality flags of the archive manuals of Kepler and TESS.
-_EXCLUDED = {"bkjd": 256, "btjd": 128}
+TIME_FORMATS = tuple(TIME_ZEROS)
+# Flags of the mission that has a time format.
+_QUALITY = {mission.time_format: mission.quality for mission in MISSIONS.values()}
 
 
 def check_time_format(value):
@@ -26,13 +27,16 @@ def check_time_format(value):
         raise ValueError(f'`time_format` must be "bkjd" or "btjd", got {value!r}')
 
 
-def as_floats(value, name, n):
-    """Return a new one-dimensional float64 array of n numbers."""
-    try:
-        array = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise TypeError(f"`{name}` must hold numbers: {error}") from error
-    return _checked_shape(array, name, n)
+def as_pixels(value, name, n, pixel_scale=None):
+    """Return a new one-dimensional array of n offsets in pixels."""
+    return _checked_shape(
+        np.array(plain_array(value, "pix", name, pixel_scale=pixel_scale)), name, n
+    )
+
+
+def as_times(value, name, n, time_format):
+    """Return a new one-dimensional array of n times in days."""
+    return _checked_shape(np.array(plain_time(value, time_format, name)), name, n)
 
 
 def as_int32(value, name, n):
@@ -64,25 +68,12 @@ def check_increasing(values, name):
         )
 
 
-def plain(value):
-    """Return the plain array of a time, quantity or column, with NaN where it is masked."""
-    value = getattr(value, "value", value)
-    mask = getattr(value, "mask", None)
-    if mask is None:
-        return np.asarray(value)
-    values = np.array(getattr(value, "unmasked", getattr(value, "data", value)))
-    if np.any(mask):
-        values = values.astype(float)
-        values[np.broadcast_to(mask, values.shape)] = np.nan
-    return values
-
-
-def repair(time, x, y, quality, cadenceno, *, time_format, bad):
+def repair(time, x, y, quality, cadenceno, *, time_format, bad, pixel_scale=None):
     """Interpolate, drop or refuse cadences without a usable time or position.
 
     Parameters
     ----------
-    time, x, y : array_like, shape (n,)
+    time, x, y : array_like, Quantity or Time, shape (n,)
         Times in days, and offsets in pixels.
     quality, cadenceno : array_like of int, shape (n,), or None
         Quality flags, and cadence numbers.
@@ -90,6 +81,8 @@ def repair(time, x, y, quality, cadenceno, *, time_format, bad):
         Zero of the times, which decides about the flags to set.
     bad : {"interpolate", "drop", "error"}
         What to do.
+    pixel_scale : float, optional
+        Arcseconds per pixel, for offsets that are angles.
 
     Returns
     -------
@@ -104,21 +97,22 @@ def repair(time, x, y, quality, cadenceno, *, time_format, bad):
     n = np.size(time)
     if n == 0:
         raise ValueError("`time` is empty: a motion must have at least one cadence")
-    time, x, y = as_floats(time, "time", n), as_floats(x, "x", n), as_floats(y, "y", n)
+    time = as_times(time, "time", n, time_format)
+    x, y = as_pixels(x, "x", n, pixel_scale), as_pixels(y, "y", n, pixel_scale)
     flags = as_int32(np.zeros(n, np.int32) if quality is None else quality, "quality", n)
     number = as_int32(np.arange(1, n + 1) if cadenceno is None else cadenceno, "cadenceno", n)
     check_increasing(number, "cadenceno")
 
-    lost = ~((np.abs(x) < _ABSURD) & (np.abs(y) < _ABSURD))
+    lost = ~usable_positions(np.column_stack([x, y]))
     timeless = ~np.isfinite(time)
     unusable = lost | timeless
     _check_usable(lost, timeless, bad)
     if bad == "drop":
         time, x, y, flags, number = (v[~unusable] for v in (time, x, y, flags, number))
     else:
-        excluded = _EXCLUDED[time_format]
-        flags[lost] |= excluded
-        flags[timeless] |= _NO_DATA | (excluded if time_format == "btjd" else 0)
+        bits = _QUALITY[time_format]
+        flags[lost] |= bits.manual_exclude
+        flags[timeless] |= bits.no_data or bits.manual_exclude
         x = np.interp(number, number[~lost], x[~lost])
         y = np.interp(number, number[~lost], y[~lost])
         time = _fill_times(time, number, timeless)
@@ -128,7 +122,7 @@ def repair(time, x, y, quality, cadenceno, *, time_format, bad):
 def _check_usable(lost, timeless, bad):
     if lost.all():
         raise ValueError(
-            f"no usable position: all of {len(lost)} are NaN or at least {_ABSURD:g} px"
+            f"no usable position: all of {len(lost)} are NaN or at least {LARGEST_OFFSET:g} px"
         )
     if timeless.all():
         raise ValueError(f"no usable time: all of {len(timeless)} are NaN")
@@ -137,8 +131,9 @@ def _check_usable(lost, timeless, bad):
         raise ValueError("no cadence with both a usable time and a usable position")
     if bad == "error" and unusable.any():
         raise ValueError(
-            f"{lost.sum()} positions are NaN or at least {_ABSURD:g} px, and {timeless.sum()} "
-            f"times are NaN, the first of them at index {np.flatnonzero(unusable)[0]}"
+            f"{lost.sum()} positions are NaN or at least {LARGEST_OFFSET:g} px, "
+            f"and {timeless.sum()} times are NaN, "
+            f"the first of them at index {np.flatnonzero(unusable)[0]}"
         )
 
 

@@ -3,27 +3,42 @@
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
+import astropy.units as u
 import numpy as np
 
+from scope_models._arrays import DIGITAL, PER_PIXEL, plain_array
 from scope_models._checks import checked_integer, checked_model, checked_number, checked_shape
 from scope_models.effects.noise import stream
-from scope_models.models import PRF, BivariateGaussianPSF, SensitivityPolynomial
+from scope_models.io.pixels import read_pixels
+from scope_models.missions import MISSIONS, full_flux
+from scope_models.models import PRF, BivariateGaussianPSF
+from scope_models.models._description import model_in_pixels, value_key
+from scope_models.scene.presets import PRESETS
 
 if TYPE_CHECKING:
     from astropy.modeling import Model
 
 __all__ = ["ZERO_POINTS", "Detector"]
 
-ZERO_POINTS = {
-    "Kepler": {"optimal aperture": 1.74e5, "focal plane": 2.141e5},
-    "K2": {"optimal aperture": 1.74e5, "focal plane": 2.141e5},
-    "TESS": {"handbook": 1.0},
-}
-_TESS_FRAMES = {20: 10, 120: 60, 200: 100, 600: 300, 1800: 900}
+#: Zero points of the missions, by name.
+ZERO_POINTS = {name: dict(mission.zero_points) for name, mission in MISSIONS.items()}
 _SECONDS_PER_DAY = 86400.0
 _DISTRIBUTIONS = ("uniform", "normal")
-# Response within a pixel that K2's noise asks for: see `Detector.k2_calibrated`.
-_CALIBRATED_A_2 = -0.75
+# Units of the numbers, and the names that a quantity may have for them.
+_RATE = u.electron / u.s
+_POSITIVE = {
+    "zero_point": (_RATE, ()),
+    "int_time": (u.s, ()),
+    "pixel_scale": (u.arcsec, PER_PIXEL),
+    "gain": (u.electron / u.adu, DIGITAL),
+    "live_fraction": (u.one, ()),
+}
+_NOT_NEGATIVE = {
+    "read_time": (u.s, ()),
+    "read_noise": (u.electron, ()),
+    "background": (_RATE, PER_PIXEL),
+    "interpixel_scatter": (u.one, ()),
+}
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -31,7 +46,9 @@ class Detector:
     r"""The pixels of a stamp: geometry, exposure, noise and response.
 
     The presets `kepler`, `k2`, `k2_calibrated` and `tess` hold the numbers of the missions with
-    their sources. A detector does not change; `replace` and `without_sensitivity` give new ones.
+    their sources; `preset` finds them, and those of your own, by name, and `from_tpf` takes what a
+    file has. A detector does not change; `replace` and `without_sensitivity` give new ones.
+    Detectors are equal if all their fields are. Numbers with a unit may be quantities.
 
     Parameters
     ----------
@@ -53,7 +70,7 @@ class Detector:
     n_frames : int, optional
         Frames per cadence.
     live_fraction : float, optional
-        Part of the frames that is summed up; TESS's cosmic-ray mitigation drops two of ten.
+        Part of the frames that is summed; TESS's cosmic-ray mitigation drops two of ten.
     gain : float, optional
         Electrons per digital number (DN).
     read_noise : float, optional
@@ -76,7 +93,7 @@ class Detector:
     interpixel_distribution : {"uniform", "normal"}, optional
         The distribution of the drawn responses about 1.
     psf : astropy.modeling.Model or None, optional
-        The PSF of stars that have none of their own.
+        The PSF of stars that have none of their own. Widths that are angles become pixels.
 
     Raises
     ------
@@ -132,11 +149,12 @@ class Detector:
         if not isinstance(self.mission, str):
             raise TypeError(f"`mission` must be a string, got {self.mission!r}")
         put(self, "zero_point", _zero_point_value(self.mission, self.zero_point))
-        for name in ("zero_point", "int_time", "pixel_scale", "gain", "live_fraction"):
-            put(self, name, checked_number(name, getattr(self, name), positive=True))
-        for name in ("read_time", "read_noise", "background", "interpixel_scatter"):
-            put(self, name, checked_number(name, getattr(self, name)))
-        mag = checked_number("zero_point_mag", self.zero_point_mag, any_sign=True)
+        for positive, units in ((True, _POSITIVE), (False, _NOT_NEGATIVE)):
+            for name, (unit, names) in units.items():
+                value = getattr(self, name)
+                value = checked_number(name, value, unit, positive=positive, equivalencies=names)
+                put(self, name, value)
+        mag = checked_number("zero_point_mag", self.zero_point_mag, u.mag, any_sign=True)
         put(self, "zero_point_mag", mag)
         for name in ("live_fraction", "interpixel_scatter"):
             if getattr(self, name) > 1:
@@ -149,7 +167,8 @@ class Detector:
                 f"got {self.interpixel_distribution!r}"
             )
         for name in ("sensitivity", "psf"):
-            put(self, name, checked_model(name, getattr(self, name)))
+            model = checked_model(name, getattr(self, name))
+            put(self, name, model_in_pixels(model, self.pixel_scale))
         # Whatever cannot be integrated over pixels fails here rather than in a simulation.
         if self.psf is not None:
             PRF(self.psf)
@@ -163,13 +182,21 @@ class Detector:
         """Check that a pixel holds the background of a frame."""
         if self.well_depth is None:
             return
-        depth = checked_number("well_depth", self.well_depth, positive=True)
+        depth = checked_number("well_depth", self.well_depth, u.electron, positive=True)
         object.__setattr__(self, "well_depth", depth)
         if self.background * self.int_time >= depth:
             raise ValueError(
                 f"`well_depth` must exceed the background of a frame, "
                 f"{self.background * self.int_time:g} e-, got {depth:g}"
             )
+
+    def __eq__(self, other):
+        if not isinstance(other, Detector):
+            return NotImplemented
+        return value_key(self) == value_key(other)
+
+    def __hash__(self):
+        return hash(value_key(self))
 
     def __repr__(self):
         depth = "none" if self.well_depth is None else f"{self.well_depth:g} e-"
@@ -185,13 +212,53 @@ class Detector:
         )
 
     @classmethod
-    def kepler(cls, *, cadence="long", **changes):
+    def preset(cls, name, cadence=None, **changes):
+        """Return a known detector.
+
+        Parameters
+        ----------
+        name : str
+            "kepler", "k2", "k2_calibrated" or "tess", in any case, or a name given to
+            `~scope_models.scene.presets.register_preset`.
+        cadence : str, float or Quantity, optional
+            Name of a cadence, or its length, in seconds or with a unit; by default the usual
+            one.
+        **changes
+            Any field of `Detector`, to replace the preset's value.
+
+        Returns
+        -------
+        Detector
+            The detector.
+
+        Raises
+        ------
+        ValueError
+            If there is no such preset or cadence.
+        TypeError
+            If a field is misspelt.
+
+        Examples
+        --------
+        >>> import astropy.units as u
+        >>> from scope_models import Detector
+        >>> Detector.preset("tess", 20 * u.s, shape=(13, 13)).n_frames
+        10
+        """
+        found = PRESETS.get(name.lower()) if isinstance(name, str) else None
+        if found is None:
+            raise ValueError(f"`name` must be one of {', '.join(PRESETS)}, got {name!r}")
+        return cls(**(found.with_cadence(cadence) | changes))
+
+    @classmethod
+    def kepler(cls, cadence="long", **changes):
         """Return the Kepler photometer.
 
         Parameters
         ----------
-        cadence : {"long", "short"}, optional
-            270 frames in 29.4 min, or 9 frames in 58.8 s.
+        cadence : {"long", "short"}, float or Quantity, optional
+            270 frames in 29.4 min, or 9 frames in 58.8 s; or the length, in seconds or with a
+            unit.
         **changes
             Any field of `Detector`, to replace the preset's value.
 
@@ -239,16 +306,17 @@ class Detector:
         >>> round(Detector.kepler(zero_point="focal plane").flux_from_mag(12.0))
         214100
         """
-        return cls._photometer("Kepler", cadence, 166.0, changes)
+        return cls.preset("kepler", cadence, **changes)
 
     @classmethod
-    def k2(cls, *, cadence="long", **changes):
+    def k2(cls, cadence="long", **changes):
         """Return the Kepler photometer in the K2 mission.
 
         Parameters
         ----------
-        cadence : {"long", "short"}, optional
-            270 frames in 29.4 min, or 9 frames in 58.8 s.
+        cadence : {"long", "short"}, float or Quantity, optional
+            270 frames in 29.4 min, or 9 frames in 58.8 s; or the length, in seconds or with a
+            unit.
         **changes
             Any field of `Detector`, to replace the preset's value.
 
@@ -276,10 +344,10 @@ class Detector:
         >>> Detector.k2().mission
         'K2'
         """
-        return cls._photometer("K2", cadence, 284.0, changes)
+        return cls.preset("k2", cadence, **changes)
 
     @classmethod
-    def k2_calibrated(cls, *, cadence="long", **changes):
+    def k2_calibrated(cls, cadence="long", **changes):
         r"""Return the K2 photometer with a response that gives K2's noise.
 
         With the paper's response stars that move as in K2 are too quiet. Here the response within
@@ -288,8 +356,9 @@ class Detector:
 
         Parameters
         ----------
-        cadence : {"long", "short"}, optional
-            270 frames in 29.4 min, or 9 frames in 58.8 s.
+        cadence : {"long", "short"}, float or Quantity, optional
+            270 frames in 29.4 min, or 9 frames in 58.8 s; or the length, in seconds or with a
+            unit.
         **changes
             Any field of `Detector`, to replace the preset's value.
 
@@ -308,7 +377,7 @@ class Detector:
         Notes
         -----
         Every value is that of `k2` but these. The study is on the page on calibration; the fit is
-        ``python benchmarks/calibrate_k2_motion.py``. Of the values that fit alike, these also give
+        ``python studies/calibrate_k2_motion.py``. Of the values that fit alike, these also give
         EPIC 205998445 its noise.
 
         ======================= ==================== ==========================================
@@ -336,53 +405,16 @@ class Detector:
         >>> print(f"{edge / centre:.4f}")
         0.8125
         """
-        mean = 1 + _CALIBRATED_A_2 / 12
-        response = (1 / mean, 0.0, _CALIBRATED_A_2 / mean)
-        calibrated = {
-            "sensitivity": SensitivityPolynomial(response, response),
-            "interpixel_scatter": 0.011,
-            "interpixel_distribution": "normal",
-            "psf": BivariateGaussianPSF(0.8, sigma_x=0.45, sigma_y=0.45)
-            + BivariateGaussianPSF(0.2, sigma_x=1.261, sigma_y=1.261),
-        }
-        return cls._photometer("K2", cadence, 284.0, calibrated | changes)
+        return cls.preset("k2_calibrated", cadence, **changes)
 
     @classmethod
-    def _photometer(cls, mission, cadence, background, changes):
-        """Return a preset of the Kepler photometer."""
-        frames = {"long": (270, 419400), "short": (9, 219400)}
-        if cadence not in frames:
-            raise ValueError(f"`cadence` must be 'long' or 'short', got {cadence!r}")
-        n_frames, fixed_offset = frames[cadence]
-        preset = {
-            "mission": mission,
-            "shape": (11, 11),
-            "pixel_scale": 3.98,
-            "zero_point": ZERO_POINTS[mission]["optimal aperture"],
-            "zero_point_mag": 12.0,
-            "int_time": 6.019802903270,
-            "read_time": 0.518948526144,
-            "n_frames": n_frames,
-            "gain": 110.0,
-            "read_noise": 90.0,
-            "background": background,
-            "well_depth": 1.08e6,
-            "fixed_offset": fixed_offset,
-            "mean_black": 720,
-            "sensitivity": SensitivityPolynomial(),
-            "interpixel_scatter": 0.01,
-            "psf": BivariateGaussianPSF(),
-        }
-        return cls(**(preset | changes))
-
-    @classmethod
-    def tess(cls, *, cadence=120, **changes):
+    def tess(cls, cadence="120 s", **changes):
         """Return a TESS camera.
 
         Parameters
         ----------
-        cadence : {20, 120, 200, 600, 1800}, optional
-            Length of a cadence, s.
+        cadence : {"20 s", "120 s", "200 s", "600 s", "1800 s"}, float or Quantity, optional
+            The cadence's name; or its length, in seconds or with a unit.
         **changes
             Any field of `Detector`, to replace the preset's value.
 
@@ -431,31 +463,55 @@ class Detector:
         >>> round(detector.exposure_time, 2), detector.n_reads
         (95.04, 48)
         """
-        if cadence not in _TESS_FRAMES:
-            known = ", ".join(map(str, _TESS_FRAMES))
-            raise ValueError(f"`cadence` must be one of {known} s, got {cadence!r}")
-        preset = {
-            "mission": "TESS",
-            "shape": (11, 11),
-            "pixel_scale": 21.0,
-            "zero_point": ZERO_POINTS["TESS"]["handbook"],
-            "zero_point_mag": 20.44,
-            "int_time": 1.98,
-            "read_time": 0.02,
-            "n_frames": _TESS_FRAMES[cadence],
-            "live_fraction": 1.0 if cadence == 20 else 0.8,
-            "gain": 5.25,
-            "read_noise": 10.0,
-            "background": 134.0,
-            "well_depth": 2e5,
-            "fixed_offset": 209700,
-            "mean_black": 6812,
-            "sensitivity": SensitivityPolynomial(),
-            "interpixel_scatter": 0.01,
-            "psf": BivariateGaussianPSF(0.45, sigma_x=0.55, sigma_y=0.55)
-            + BivariateGaussianPSF(0.55, sigma_x=1.25, sigma_y=1.25),
-        }
-        return cls(**(preset | changes))
+        return cls.preset("tess", cadence, **changes)
+
+    @classmethod
+    def from_tpf(cls, tpf, **changes):
+        """Return the detector that recorded a target pixel file.
+
+        It is the preset of the file's mission with what the file has: shape, exposure, gain, read
+        noise, black level, offset of the raw counts, and the median of FLUX_BKG.
+
+        Parameters
+        ----------
+        tpf : lightkurve.TargetPixelFile, str or path-like
+            What `~scope_models.io.read_pixels` takes.
+        **changes
+            Any field of `Detector`, to replace these values. ``mission`` names the preset where
+            the file does not.
+
+        Returns
+        -------
+        Detector
+            The detector.
+
+        Raises
+        ------
+        TypeError
+            If ``tpf`` is no target pixel file, or a field is misspelt.
+        OSError
+            If the file cannot be opened.
+        ValueError
+            If it cannot be read, or names none of the missions.
+
+        Examples
+        --------
+        >>> from scope_models import Detector, Motion, Star, simulate
+        >>> observation = simulate(Star(12.0), Detector.k2(gain=109.0), Motion.still(9), seed=1)
+        >>> Detector.from_tpf(observation.to_tpf()).gain
+        109.0
+        """
+        series = read_pixels(tpf)
+        mission = MISSIONS.get(changes.get("mission")) or series.mission
+        if mission is None:
+            raise ValueError(
+                "`tpf` must be of Kepler, K2 or TESS by its card MISSION or TELESCOP; else pass "
+                "the `mission` whose detector it is"
+            )
+        found = mission.detector_cards(series.header) | {"shape": series.flux.shape[1:]}
+        if series.flux_bkg is not None and np.isfinite(series.flux_bkg).any():
+            found["background"] = float(max(np.nanmedian(series.flux_bkg), 0.0))
+        return cls.preset(mission.name, **(found | changes))
 
     @property
     def exposure_time(self):
@@ -473,8 +529,20 @@ class Detector:
         return self.n_frames * self.frame_time / _SECONDS_PER_DAY
 
     @property
+    def duty_cycle(self):
+        """Part of a cadence in which light is gathered (DEADC in headers)."""
+        return self.exposure_time / (self.n_frames * self.frame_time)
+
+    @property
+    def full_flux(self):
+        """Flux from which a pixel may be full, e-/s: see `~scope_models.missions.full_flux`."""
+        if self.well_depth is None:
+            return np.inf
+        return full_flux(self.well_depth, self.int_time, self.background)
+
+    @property
     def n_reads(self):
-        """Number of reads that are summed up in a cadence."""
+        """Number of reads that are summed in a cadence."""
         return max(1, round(self.n_frames * self.live_fraction))
 
     @property
@@ -487,7 +555,7 @@ class Detector:
 
         Parameters
         ----------
-        mag : float or array_like
+        mag : float, array_like or Quantity
             Magnitude in the mission's band (Kp or T).
 
         Returns
@@ -506,7 +574,7 @@ class Detector:
         >>> round(Detector.tess().flux_from_mag(10.0))
         14997
         """
-        mag = np.asarray(mag, dtype=float)
+        mag = plain_array(mag, u.mag, "mag")
         if not np.all(np.isfinite(mag)):
             raise ValueError(f"`mag` must be finite, got {mag}")
         flux = self.zero_point * 10.0 ** (-0.4 * (mag - self.zero_point_mag))

@@ -1,7 +1,9 @@
 """The detector: numbers of the presets, checks, and what follows from the fields."""
 
 import dataclasses
+import pickle
 
+import astropy.units as u
 import numpy as np
 import pytest
 from astropy.io import fits
@@ -9,8 +11,10 @@ from astropy.modeling.models import Const1D, Gaussian2D
 from photutils.psf import GaussianPSF, MoffatPSF
 from scipy.stats import kstest, norm, uniform
 
-from scope_models import Detector
+from scope_models import Detector, Motion, Star, read_detector, simulate
+from scope_models.missions import Cadence
 from scope_models.models import PRF, BivariateGaussianPSF, SensitivityPolynomial
+from scope_models.scene import presets, register_preset
 
 CUSTOM = {"shape": (5, 7), "zero_point": 1e5, "zero_point_mag": 10.0, "int_time": 2.0}
 PRESETS = {"kepler": Detector.kepler, "k2": Detector.k2, "tess": Detector.tess}
@@ -57,6 +61,107 @@ def test_presets_agree_with_archive_files(shared_data, detector, name):
     assert detector.background == pytest.approx(background, rel=0.1)
 
 
+@pytest.mark.parametrize(
+    "name, file",
+    [
+        ("kepler", "kepler_tpf/kplr009002278-2010174085026_lpd-targ.fits.gz"),
+        ("k2", "k2_tpf/ktwo211983544-c18_lpd-targ.fits.gz"),
+        ("tess", "tess_tpf/tesssip_tpf1.fits"),
+    ],
+)
+def test_detector_of_an_archive_file(shared_data, name, file):
+    with fits.open(shared_data / file) as hdus:
+        header, flux, background = hdus[1].header, hdus[1].data["FLUX"], hdus[1].data["FLUX_BKG"]
+    detector = Detector.from_tpf(shared_data / file)
+    assert detector.shape == flux.shape[1:]
+    assert detector.background == pytest.approx(np.nanmedian(background), rel=5e-3)
+    assert detector.gain == header.get("GAIN", header.get("GAINA"))
+    assert detector.read_noise == header.get("READNOIS", header.get("READNOIA"))
+    assert detector.mean_black == header.get("MEANBLCK", header.get("MEANBLCA"))
+    assert detector.fixed_offset == header.get("LCFXDOFF", header.get("FXDOFF"))
+    assert detector.n_reads == header["NREADOUT"]
+    assert detector.psf(0.3, 0.1) == Detector.preset(name).psf(0.3, 0.1)
+    assert Detector.from_tpf(shared_data / file, gain=5.0).gain == 5.0
+
+
+def test_detector_of_a_simulated_file_is_the_detector(tmp_path):
+    even = {"interpixel_scatter": 0.0}
+    detector = Detector.tess("20 s", shape=(7, 5), gain=5.5, background=100.0, **even)
+    observation = simulate(Star(10.0), detector, Motion.still(3, time_format="btjd"), seed=1)
+    path = observation.write(tmp_path / "star.fits")
+    assert Detector.from_tpf(path, **even) == detector
+    assert Detector.from_tpf(observation.to_tpf(), **even) == detector
+    with fits.open(path, mode="update") as hdus:
+        for hdu in hdus[:2]:
+            hdu.header["TELESCOP"] = "other"
+    with pytest.raises(ValueError, match="by its card MISSION or TELESCOP"):
+        Detector.from_tpf(path)
+    assert Detector.from_tpf(path, mission="TESS").gain == 5.5
+
+
+def test_presets_by_name():
+    assert Detector.preset("k2") == Detector.preset("K2") == Detector.k2()
+    assert Detector.preset("kepler", "short") == Detector.kepler("short")
+    assert Detector.tess() == Detector.tess("120 s") == Detector.tess(2 * u.min)
+    assert Detector.preset("k2_calibrated", gain=3.0) == Detector.k2_calibrated(gain=3.0)
+    with pytest.raises(ValueError, match=r"`name` must be one of kepler, k2, .*got 'roman'"):
+        Detector.preset("roman")
+
+
+def test_a_new_preset_is_one_call(tmp_path, monkeypatch):
+    monkeypatch.setitem(presets._REGISTERED, "wide", None)  # taken out at the end
+    fields = {"shape": (9, 9), "zero_point": 2e4, "zero_point_mag": 10.0, "int_time": 4.0}
+    fast, slow = Cadence("fast", 5), Cadence("slow", 150, live_fraction=0.8)
+    register_preset("wide", mission="wide", cadences=[fast, slow], **fields)
+    assert Detector.preset("wide").n_frames == 5
+    assert Detector.preset("wide", 10 * u.min, gain=2.0).exposure_time == pytest.approx(480)
+    path = tmp_path / "wide.toml"
+    path.write_text('preset = "wide"\ncadence = "slow"\n', encoding="utf-8")
+    assert read_detector(path) == Detector.preset("wide", "slow")
+    with pytest.raises(ValueError, match=r"`cadence` must be one of 'fast' .* got 'short'"):
+        Detector.preset("wide", "short")
+    with pytest.raises(ValueError, match="`name` must not be one of kepler, k2"):
+        register_preset("k2", mission="K2")
+    with pytest.raises(ValueError, match="`name` must be text in lower case, got 'Wide'"):
+        register_preset("Wide", **fields)
+
+
+def test_detectors_are_values():
+    detector = Detector.k2()
+    assert detector == Detector.k2()
+    assert hash(detector) == hash(Detector.k2())
+    assert detector != Detector.kepler()
+    assert detector != detector.replace(sensitivity=SensitivityPolynomial((1, 0, -0.06)))
+    assert detector != detector.replace(psf=BivariateGaussianPSF(sigma_x=0.51))
+    given = detector.replace(interpixel=np.ones((11, 11)))
+    assert given == detector.replace(interpixel=np.ones((11, 11)))
+    assert given != detector
+    assert detector != "K2"
+    assert pickle.loads(pickle.dumps(detector)) == detector  # noqa: S301
+
+
+def test_fields_with_units():
+    detector = Detector(
+        shape=(5, 7), zero_point=1e5 / u.s * u.electron, zero_point_mag=10 * u.mag,
+        int_time=2000 * u.ms, read_time=0.1 * u.s, pixel_scale=4 * u.arcsec / u.pix,
+        gain=110 * u.electron / u.ct, read_noise=100 * u.electron, well_depth=1e6 * u.electron,
+        background=60 * u.electron / u.min / u.pix,
+    )  # fmt: skip
+    assert detector == Detector(
+        **CUSTOM, read_time=0.1, pixel_scale=4.0, gain=110.0, read_noise=100.0, well_depth=1e6,
+        background=1.0,
+    )  # fmt: skip
+    assert Detector.k2().flux_from_mag([12, 14.5] * u.mag)[1] == pytest.approx(1.74e4)
+    with pytest.raises(ValueError, match=r"`read_noise` must be in electron, .* got s"):
+        Detector.k2(read_noise=3 * u.s)
+
+
+def test_full_flux_leaves_the_background_out():
+    detector = Detector.k2(background=100.0)
+    assert detector.full_flux == pytest.approx(0.877 * 1.08e6 / 6.0198029 - 100.0)
+    assert detector.replace(well_depth=None).full_flux == np.inf
+
+
 def test_short_cadence():
     long, short = Detector.kepler(), Detector.kepler(cadence="short")
     assert (long.n_frames, short.n_frames) == (270, 9)
@@ -80,8 +185,8 @@ def test_tess_cadences(cadence, n_reads, exposure):
 @pytest.mark.parametrize(
     "preset, options, message",
     [
-        ("kepler", {"cadence": "medium"}, "`cadence` must be 'long' or 'short', got 'medium'"),
-        ("tess", {"cadence": 30}, "`cadence` must be one of 20, 120, 200, 600, 1800 s, got 30"),
+        ("kepler", {"cadence": "medium"}, r"`cadence` must be one of 'long' .*got 'medium'"),
+        ("tess", {"cadence": 30}, r"`cadence` must be one of '120 s' .*, '1800 s' .*got 30"),
     ],
 )
 def test_unknown_cadences(preset, options, message):

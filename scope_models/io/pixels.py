@@ -1,0 +1,574 @@
+"""The door in: the one way from a target pixel file, in memory or on disk, to arrays."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from dataclasses import replace as dataclass_replace
+from numbers import Integral
+from os import PathLike
+from types import MappingProxyType
+
+import numpy as np
+from astropy.time import Time
+
+from scope_models._arrays import plain_array, plain_time
+from scope_models.io._opening import RefusedError, open_fits
+from scope_models.io.reading import (
+    PositionColumns,
+    cards_of,
+    column_of,
+    facts_of,
+    first_table,
+    time_format_of,
+)
+from scope_models.missions import TIME_ZEROS, Mission
+
+__all__ = ["PixelSeries", "read_pixels", "read_tpf", "usable_positions"]
+
+_OPTIMAL = 2  # the bit of the optimal aperture in the APERTURE extension
+_FLUX = "electron / s"
+#: Offsets of so many pixels and more are no positions: archive files have -83 to -1023 px.
+LARGEST_OFFSET = 50.0
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class PixelSeries:
+    """The pixels of a star, cadence by cadence, as a target pixel file holds them.
+
+    `read_pixels` makes it. The arrays are read-only. ``series[a:b]`` and ``series[mask]`` choose
+    cadences; two series are equal if all their values are.
+
+    Parameters
+    ----------
+    time : ndarray of shape (n,)
+        Days since the mission's zero of time (BKJD or BTJD); NaN where there is none.
+    cadenceno : ndarray of int, shape (n,)
+        Numbers of the cadences; 1, 2, ... n where the file has none, or only zeros.
+    quality : ndarray of int, shape (n,)
+        Quality flags.
+    flux, flux_err : ndarray of shape (n, ny, nx)
+        Flux less background and its standard deviation, e-/s; NaN where there is none.
+    flux_bkg : ndarray of shape (n, ny, nx) or None
+        Background that was subtracted, e-/s; None if the file has none.
+    pos_corr : ndarray of shape (n, 2) or None
+        Column and row offset, pixels: POS_CORR1 and POS_CORR2 as they are in the file, absurd
+        values too (see `usable_positions`); None if the file has none.
+    aperture : ndarray of bool, shape (ny, nx)
+        The optimal aperture of the file; all pixels if the file has none.
+    header : mapping
+        Cards of the primary header, overridden by those of the table; None for blank cards.
+    mission : Mission or None
+        The mission; None if the headers name none.
+
+    Examples
+    --------
+    >>> from scope_models import Detector, Motion, Star, simulate
+    >>> from scope_models.io import read_pixels
+    >>> observation = simulate(Star(12.0), Detector.k2(), Motion.still(50), seed=1)
+    >>> series = read_pixels(observation.write("star.fits"))
+    >>> series
+    <PixelSeries K2: 50 cadences of 11 x 11 pixels, BKJD 2144.1028 to 2145.1040>
+    >>> series == read_pixels("star.fits")
+    True
+    >>> len(series[10:])
+    40
+    """
+
+    time: np.ndarray
+    cadenceno: np.ndarray
+    quality: np.ndarray
+    flux: np.ndarray
+    flux_err: np.ndarray
+    flux_bkg: np.ndarray | None
+    pos_corr: np.ndarray | None
+    aperture: np.ndarray
+    header: Mapping
+    mission: Mission | None
+
+    __hash__ = None
+
+    def __post_init__(self):
+        for item in fields(self):
+            value = getattr(self, item.name)
+            if isinstance(value, np.ndarray):
+                value = value.view()
+                value.flags.writeable = False
+                object.__setattr__(self, item.name, value)
+        object.__setattr__(self, "header", MappingProxyType(dict(self.header)))
+
+    def __reduce__(self):
+        values = [getattr(self, item.name) for item in fields(self)]
+        return _restored, tuple(dict(v) if isinstance(v, Mapping) else v for v in values)
+
+    def __repr__(self):
+        n, ny, nx = self.flux.shape
+        name = self.mission.name if self.mission else "of no known mission"
+        known = self.time[np.isfinite(self.time)]
+        span = f"{self.time_format.upper()} {known[0]:.4f} to {known[-1]:.4f}" if n else "no times"
+        return f"<PixelSeries {name}: {n} cadences of {ny} x {nx} pixels, {span}>"
+
+    def __len__(self):
+        return len(self.time)
+
+    def __eq__(self, other):
+        if not isinstance(other, PixelSeries):
+            return NotImplemented
+        return all(
+            _same(getattr(self, item.name), getattr(other, item.name)) for item in fields(self)
+        )
+
+    def __getitem__(self, cadences):
+        if isinstance(cadences, Integral):
+            raise TypeError(f"cadences are chosen by slices or masks, got {cadences!r}")
+        names = ("time", "cadenceno", "quality", "flux", "flux_err", "flux_bkg", "pos_corr")
+        values = {name: getattr(self, name) for name in names}
+        return self.replace(**{k: v if v is None else v[cadences] for k, v in values.items()})
+
+    def replace(self, **changes):
+        """Return a series with some attributes replaced.
+
+        Parameters
+        ----------
+        **changes
+            Attributes and their new values.
+
+        Returns
+        -------
+        PixelSeries
+            The series.
+        """
+        return dataclass_replace(self, **changes)
+
+    @property
+    def time_format(self):
+        """Name of the zero of the times, "bkjd" or "btjd"; "bkjd" if the headers name none."""
+        return time_format_of(self.header) or "bkjd"
+
+    def without_flagged(self, quality_bitmask="default"):
+        """Leave out cadences by their quality flags, as lightkurve does when it reads a file.
+
+        Parameters
+        ----------
+        quality_bitmask : {"default", "none"} or int, optional
+            Cadences with any of these bits are left out: "default" stands for the mission's
+            `~scope_models.missions.QualityBits.rejected`. TESS cadences without a time go too.
+
+        Returns
+        -------
+        PixelSeries
+            The cadences that are left.
+
+        Raises
+        ------
+        ValueError
+            If no cadence is left, or the choice is unknown.
+        """
+        bits = self._bits(quality_bitmask)
+        keep = (self.quality & bits) == 0
+        if bits and self.mission is not None and not self.mission.quality.no_data:
+            keep &= np.isfinite(self.time)
+        if not keep.any():
+            raise ValueError(f"all {len(self)} cadences have quality flags of {bits}")
+        return self if keep.all() else self[keep]
+
+    def _bits(self, quality_bitmask):
+        if isinstance(quality_bitmask, str) and quality_bitmask == "none":
+            return 0
+        if isinstance(quality_bitmask, str) and quality_bitmask == "default":
+            return self.mission.quality.rejected if self.mission else 0
+        if isinstance(quality_bitmask, Integral) and not isinstance(quality_bitmask, bool):
+            return int(quality_bitmask)
+        raise ValueError(
+            f'`quality_bitmask` must be "default", "none" or an integer, got {quality_bitmask!r}'
+        )
+
+
+def read_pixels(source, *, quality_bitmask=None):
+    """Read the pixels of a target pixel file.
+
+    Parameters
+    ----------
+    source : lightkurve.TargetPixelFile, str, path-like, astropy.io.fits.HDUList or PixelSeries
+        A target pixel file of Kepler, K2, TESS, TESScut or a simulation: the object, with the
+        cadences that it has, or a file, .fits or .fits.gz.
+    quality_bitmask : {"none", "default"} or int, optional
+        Quality flags whose cadences are left out: see `PixelSeries.without_flagged`. By default
+        "default" for the path of a file, as ``lightkurve.read`` does, and "none" for objects.
+
+    Returns
+    -------
+    PixelSeries
+        The pixels.
+
+    Raises
+    ------
+    TypeError
+        If the source is no target pixel file.
+    OSError
+        If the file cannot be opened.
+    ValueError
+        If the file is damaged or too large, lacks a column, has no usable time or no cadence, or
+        its times do not increase. The message names the file.
+
+    Warns
+    -----
+    DamagedFileWarning
+        If a checksum in the file does not match.
+
+    Examples
+    --------
+    >>> from scope_models import Detector, Motion, Star, simulate
+    >>> from scope_models.io import read_pixels
+    >>> observation = simulate(Star(12.0), Detector.k2(), Motion.still(50), seed=1)
+    >>> series = read_pixels(observation.write("star.fits"))
+    >>> series.flux.shape, series.header["OBJECT"], series.mission.name
+    ((50, 11, 11), 'SIM 1', 'K2')
+    """
+    from astropy.io import fits
+
+    name = "`tpf`"
+    if isinstance(source, PixelSeries):
+        series = source
+    elif isinstance(source, str | PathLike):
+        name = source
+        with open_fits(source) as hdus:
+            series = _of_hdus(hdus, source)
+    elif isinstance(source, fits.HDUList):
+        try:
+            series = _of_hdus(source, name)
+        except RefusedError as error:
+            raise ValueError(str(error)) from None
+    else:
+        series = _of_tpf(source)
+    if series is not source:
+        _check_times(series, name)
+    if quality_bitmask is None:
+        quality_bitmask = "default" if isinstance(source, str | PathLike) else "none"
+    return series.without_flagged(quality_bitmask)
+
+
+def read_tpf(source, *, quality_bitmask="default"):
+    """Read a target pixel file as lightkurve's object, after the checks of `read_pixels`.
+
+    The object is wholly in memory: no file stays open.
+
+    Parameters
+    ----------
+    source : str, path-like or lightkurve.TargetPixelFile
+        The file, .fits or .fits.gz; an object is returned as it is.
+    quality_bitmask : {"default", "none"} or int, optional
+        Quality flags whose cadences are left out, as in ``lightkurve.read``.
+
+    Returns
+    -------
+    lightkurve.TargetPixelFile
+        A ``KeplerTargetPixelFile`` or a ``TessTargetPixelFile``.
+
+    Raises
+    ------
+    OSError, ValueError
+        As `read_pixels`, or if the headers name no mission.
+
+    Examples
+    --------
+    >>> from scope_models import Detector, Motion, Star, simulate
+    >>> from scope_models.io import read_tpf
+    >>> observation = simulate(Star(12.0), Detector.k2(), Motion.still(50), seed=1)
+    >>> read_tpf(observation.write("star.fits")).flux.shape
+    (50, 11, 11)
+    """
+    if not isinstance(source, str | PathLike):
+        return source
+    import lightkurve
+    from astropy.io import fits
+
+    with open_fits(source) as hdus:
+        series = _of_hdus(hdus, source)
+        whole = fits.HDUList([hdu for hdu in hdus if hdu.data is None or len(hdu.data) >= 0])
+    _check_times(series, source)
+    if series.mission is None:
+        raise ValueError(f"{source} names no known mission in MISSION or TELESCOP")
+    series.without_flagged(quality_bitmask)
+    kind = getattr(lightkurve, series.mission.tpf_class)
+    return kind(whole, quality_bitmask=quality_bitmask)
+
+
+def usable_positions(pos_corr):
+    """Return where positions are offsets of a star.
+
+    Archive files hold NaN, and values of 50 to 1000 px, where none was measured.
+
+    Parameters
+    ----------
+    pos_corr : array_like of shape (n, 2)
+        Column and row offset, pixels.
+
+    Returns
+    -------
+    ndarray of bool, shape (n,)
+        True where both are less than 50 px.
+
+    Examples
+    --------
+    >>> from scope_models.io.pixels import usable_positions
+    >>> usable_positions([[0.1, -0.2], [0.1, -548.1]])
+    array([ True, False])
+    """
+    with np.errstate(invalid="ignore"):
+        return (np.abs(np.asarray(pos_corr, dtype=float)) < LARGEST_OFFSET).all(axis=1)
+
+
+def _of_hdus(hdus, name):
+    """Return the pixels of an HDU list."""
+    try:
+        table = first_table(hdus, name)
+    except RefusedError as error:
+        raise RefusedError(f"{name} is not a target pixel file: {error}") from None
+    columns = {key.upper(): key for key in table.columns.names}
+
+    def pixels(key, required=False):
+        if key not in columns:
+            if required:
+                raise RefusedError(f"{name} is not a target pixel file: it has no column {key}")
+            return None
+        return column_of(table, columns[key], name, ndim=3)
+
+    def numbers(key, default):
+        return column_of(table, columns[key], name) if key in columns else default
+
+    flux = pixels("FLUX", required=True)
+    n = len(flux)
+    if flux.size == 0:
+        raise RefusedError(f"{name} has no pixels: FLUX has the shape {flux.shape}")
+    pos_corr = [numbers(f"POS_CORR{axis}", None) for axis in (1, 2)]
+    error = pixels("FLUX_ERR")
+    header = cards_of(hdus[0].header, table.header)
+    return _series(
+        name,
+        time=np.asarray(numbers("TIME", np.full(n, np.nan)), dtype=float),
+        cadenceno=numbers("CADENCENO", np.zeros(n, dtype=int)),
+        quality=numbers("QUALITY", np.zeros(n, dtype=int)),
+        flux=flux,
+        flux_err=np.full(flux.shape, np.nan) if error is None else error,
+        flux_bkg=pixels("FLUX_BKG"),
+        pos_corr=None if any(c is None for c in pos_corr) else np.column_stack(pos_corr),
+        aperture=_aperture_of(hdus, flux.shape[1:]),
+        header=header,
+        mission=Mission.from_header(header),
+    )
+
+
+def _of_tpf(tpf):
+    """Return the pixels of lightkurve's object, or of one with its attributes."""
+    if not all(hasattr(tpf, name) for name in ("time", "flux", "flux_err")):
+        raise TypeError(
+            "`tpf` must be a target pixel file with time, flux and flux_err, or the path of one, "
+            f"got {type(tpf).__name__}"
+        )
+    header = _header_of(tpf)
+    flux = plain_array(tpf.flux, _FLUX, "flux of tpf")
+    if flux.ndim != 3 or not flux.size:
+        raise ValueError(f"flux of `tpf` must have shape (n_cadences, ny, nx), got {flux.shape}")
+    n, *stamp = flux.shape
+    aperture = _attribute(tpf, "pipeline_mask")
+    error = plain_array(tpf.flux_err, _FLUX, "flux_err of tpf")
+    background = _attribute(tpf, "flux_bkg")
+    return _series(
+        "`tpf`",
+        time=_times_of(tpf, header),
+        cadenceno=_cadence_numbers_of(tpf, n),
+        quality=_integers(_attribute(tpf, "quality"), n),
+        flux=np.array(flux),
+        flux_err=np.array(error),
+        flux_bkg=None if background is None else plain_array(background, _FLUX, "flux_bkg"),
+        pos_corr=pos_corr_of(tpf),
+        aperture=np.ones(stamp, dtype=bool) if aperture is None else np.array(aperture),
+        header=header,
+        mission=Mission.from_header(header),
+    )
+
+
+def _series(name, **values):
+    """Return the series, after checks that its arrays belong together."""
+    n, *stamp = values["flux"].shape
+    for key in ("time", "cadenceno", "quality", "flux_err", "flux_bkg", "pos_corr", "aperture"):
+        array = values[key]
+        if array is None:
+            continue
+        wanted = {"flux_err": (n, *stamp), "flux_bkg": (n, *stamp), "aperture": tuple(stamp)}
+        shape = wanted.get(key, (n, 2) if key == "pos_corr" else (n,))
+        if array.shape != shape:
+            raise RefusedError(f"{name}: {key} must have the shape {shape}, got {array.shape}")
+        if key in {"cadenceno", "quality"}:
+            if array.dtype.kind not in "iub":
+                raise RefusedError(f"{name}: {key} must hold integers, got {array.dtype}")
+            values[key] = array.astype(np.int64)
+    if not values["cadenceno"].any():
+        values["cadenceno"] = np.arange(1, n + 1)
+    values["aperture"] = values["aperture"].astype(bool)
+    return PixelSeries(**values)
+
+
+def _check_times(series, name):
+    """Refuse times that no series has."""
+    known = series.time[np.isfinite(series.time)]
+    if not known.size:
+        raise ValueError(f"{name} has no usable time: all of {len(series)} are NaN")
+    steps = np.flatnonzero(~(np.diff(known) > 0))
+    if steps.size:
+        before, after = known[steps[0] : steps[0] + 2]
+        raise ValueError(f"the times of {name} must increase, got {after} after {before}")
+    try:
+        _ = series.time_format
+    except ValueError as error:
+        raise ValueError(f"{name}: {error}") from None
+
+
+def _restored(*values):
+    return PixelSeries(*values)
+
+
+def _same(a, b):
+    if isinstance(a, np.ndarray) and isinstance(b, np.ndarray):
+        return np.array_equal(a, b, equal_nan=a.dtype.kind == "f" and b.dtype.kind == "f")
+    return a == b
+
+
+def _aperture_of(hdus, stamp):
+    """Return the optimal aperture, as lightkurve finds it."""
+    bits = hdus[2].data if len(hdus) > 2 else None
+    if bits is None or np.asarray(bits).dtype.kind not in "iu":
+        return np.ones(stamp, dtype=bool)
+    return (np.asarray(bits) & _OPTIMAL) > 0
+
+
+def _attribute(tpf, name):
+    """Return an attribute that may be absent, or that the object's file lacks."""
+    try:
+        return getattr(tpf, name, None)
+    except (AttributeError, IndexError, KeyError, TypeError):
+        return None
+
+
+def _has_file(tpf):
+    """Return whether the object is lightkurve's target pixel file, which has one of FITS."""
+    return hasattr(type(tpf), "pipeline_mask")
+
+
+def _raw_column(tpf, name):
+    """Return a column of the table behind lightkurve's object, or None."""
+    if not _has_file(tpf):
+        return None
+    table = tpf.hdu[1]
+    if name not in table.columns.names:
+        return None
+    return np.asarray(table.data[name])[tpf.quality_mask]
+
+
+def _times_of(source, header):
+    """Return times in days: lightkurve has 0 where there is none, and its file NaN."""
+    column = _raw_column(source, "TIME")
+    if column is not None:
+        return np.array(column, dtype=float)
+    time = source.time
+    if isinstance(time, Time) and time.format in TIME_ZEROS and not np.any(time.mask):
+        return np.array(time.value, dtype=float).reshape(-1)
+    return np.array(plain_time(time, time_format_of(header) or "bkjd", "time of tpf")).reshape(-1)
+
+
+def _cadence_numbers_of(source, n):
+    """Return cadence numbers: lightkurve counts the cadences where its file has only zeros."""
+    column = _raw_column(source, "CADENCENO")
+    if column is None:
+        return _integers(_attribute(source, "cadenceno"), n)
+    if column.any():
+        return np.array(column)
+    return np.flatnonzero(source.quality_mask) + 1
+
+
+def _integers(values, n):
+    if values is None:
+        return np.zeros(n, dtype=np.int64)
+    return np.asarray(getattr(values, "value", values))
+
+
+def pos_corr_of(source):
+    """Return column and row offsets of lightkurve's object in pixels, or None.
+
+    Parameters
+    ----------
+    source : lightkurve.TargetPixelFile or lightkurve.LightCurve
+        The object.
+
+    Returns
+    -------
+    ndarray of shape (n, 2) or None
+        POS_CORR1 and POS_CORR2, NaN where they are masked; None if it has none.
+
+    Examples
+    --------
+    >>> from lightkurve import LightCurve
+    >>> from scope_models.io.pixels import pos_corr_of
+    >>> pos_corr_of(LightCurve(time=[1.0, 2.0], flux=[1.0, 1.0])) is None
+    True
+    """
+    columns = [_attribute(source, f"pos_corr{axis}") for axis in (1, 2)]
+    if any(column is None for column in columns):
+        return None
+    return np.column_stack([plain_array(column, "pix", "pos_corr") for column in columns])
+
+
+def positions_of(source):
+    """Return where a star was, by lightkurve's object.
+
+    Parameters
+    ----------
+    source : lightkurve.TargetPixelFile or lightkurve.LightCurve
+        The object.
+
+    Returns
+    -------
+    PositionColumns
+        The columns as they are, and what the header says.
+
+    Raises
+    ------
+    TypeError
+        If the object has no time, or no POS_CORR1 and POS_CORR2.
+
+    Examples
+    --------
+    >>> from lightkurve import LightCurve
+    >>> from scope_models.io.pixels import positions_of
+    >>> lc = LightCurve(time=[1.0, 2.0], flux=[1.0, 1.0])
+    >>> lc["pos_corr1"], lc["pos_corr2"] = [0.0, 0.2], [0.1, 0.1]
+    >>> positions_of(lc).pos_corr1
+    array([0. , 0.2])
+    """
+    pos_corr = pos_corr_of(source)
+    if _attribute(source, "time") is None or pos_corr is None:
+        raise TypeError(
+            f"`tpf` must have time, POS_CORR1 and POS_CORR2, but {type(source).__name__} has not"
+        )
+    header = _header_of(source)
+    n = len(pos_corr)
+    quality, number = _attribute(source, "quality"), _attribute(source, "cadenceno")
+    return PositionColumns(
+        _times_of(source, header),
+        *pos_corr.T,
+        None if quality is None else _integers(quality, n),
+        None if number is None else _cadence_numbers_of(source, n),
+        time_format_of(header),
+        facts_of(header),
+    )
+
+
+def _header_of(tpf):
+    """Return the cards behind lightkurve's object, with the zero of its times."""
+    if _has_file(tpf):
+        cards = cards_of(*(hdu.header for hdu in tpf.hdu[:2]))
+    else:
+        cards = cards_of(getattr(tpf, "meta", None) or {})
+    form = getattr(getattr(tpf, "time", None), "format", None)
+    if "BJDREFI" not in cards and form in TIME_ZEROS:
+        cards["BJDREFI"] = int(TIME_ZEROS[form])
+    return cards

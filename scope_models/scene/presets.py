@@ -1,0 +1,165 @@
+"""Presets: the numbers of known detectors, by name."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+from scope_models.missions import MISSIONS, Cadence, choose_cadence
+from scope_models.models import BivariateGaussianPSF, SensitivityPolynomial
+
+__all__ = ["PRESETS", "Preset", "register_preset"]
+
+
+@dataclass(frozen=True)
+class Preset:
+    """The fields of a detector.
+
+    Parameters
+    ----------
+    fields : mapping
+        Fields of `~scope_models.Detector` and their values.
+    cadences : tuple of Cadence, optional
+        The cadences to choose from; the first is the usual one. Empty if there is only that of
+        the fields.
+
+    Examples
+    --------
+    >>> from scope_models.scene.presets import PRESETS
+    >>> PRESETS["tess"].fields["read_noise"]
+    10.0
+    """
+
+    fields: Mapping
+    cadences: tuple[Cadence, ...] = ()
+
+    def with_cadence(self, choice=None):
+        """Return the fields for one of the cadences.
+
+        Parameters
+        ----------
+        choice : str, float or Quantity, optional
+            The cadence's name or its length, in seconds or with a unit; by default the usual one.
+
+        Returns
+        -------
+        dict
+            The fields.
+
+        Raises
+        ------
+        ValueError
+            If there is no such cadence.
+
+        Examples
+        --------
+        >>> from scope_models.scene.presets import PRESETS
+        >>> PRESETS["k2"].with_cadence("short")["n_frames"]
+        9
+        """
+        if choice is None and not self.cadences:
+            return dict(self.fields)
+        frame_time = self.fields["int_time"] + self.fields.get("read_time", 0.0)
+        cadence = choose_cadence(self.cadences, frame_time, choice)
+        return dict(self.fields) | {
+            "n_frames": cadence.n_frames,
+            "live_fraction": cadence.live_fraction,
+            "fixed_offset": cadence.fixed_offset,
+        }
+
+
+_REGISTERED, _OWN = {}, []
+#: The presets by name; read-only, `register_preset` adds to it.
+PRESETS = MappingProxyType(_REGISTERED)
+
+
+def register_preset(name, *, cadences=(), **fields):
+    """Add a preset, or replace one that was added.
+
+    `Detector.preset <scope_models.Detector.preset>`, `~scope_models.read_detector` and
+    ``scope-models simulate --detector`` find it by its name.
+
+    Parameters
+    ----------
+    name : str
+        Its name, in lower case.
+    cadences : iterable of Cadence, optional
+        The cadences to choose from; by default those of the mission, or that of the fields.
+    **fields
+        Fields of `~scope_models.Detector`. A ``mission`` of `~scope_models.missions.MISSIONS` has
+        its own pixel scale, exposure of a frame, well depth and zero point, where none are given.
+
+    Returns
+    -------
+    Preset
+        The preset.
+
+    Raises
+    ------
+    ValueError
+        If the name is one of the package's own, or not in lower case.
+
+    Examples
+    --------
+    >>> from scope_models import Detector
+    >>> from scope_models.scene import register_preset
+    >>> _ = register_preset(
+    ...     "survey", mission="survey", shape=(11, 11), zero_point=2e4, zero_point_mag=10.0,
+    ...     int_time=4.0, n_frames=15, pixel_scale=20.0, read_noise=8.0)
+    >>> Detector.preset("survey", read_noise=6.0).exposure_time
+    60.0
+    """
+    if not isinstance(name, str) or not name or name != name.lower():
+        raise ValueError(f"`name` must be text in lower case, got {name!r}")
+    mission = MISSIONS.get(fields.get("mission"))
+    if mission is not None:
+        cadences = tuple(cadences) or mission.cadences
+        fields = mission.detector_fields() | fields
+    if name in _OWN:
+        raise ValueError(f"`name` must not be one of {', '.join(_OWN)}, got {name!r}")
+    preset = _REGISTERED[name] = Preset(MappingProxyType(fields), tuple(cadences))
+    return preset
+
+
+_A_2 = -0.75  # of the response fitted to the noise of K2
+_MEAN = 1 + _A_2 / 12
+_FITTED = (1 / _MEAN, 0.0, _A_2 / _MEAN)
+# The sources of all numbers are in the docstrings of Detector.kepler, k2, k2_calibrated and tess.
+_KEPLER = {
+    "mission": "Kepler",
+    "shape": (11, 11),
+    "gain": 110.0,
+    "read_noise": 90.0,
+    "background": 166.0,
+    "mean_black": 720,
+    "sensitivity": SensitivityPolynomial(),
+    "interpixel_scatter": 0.01,
+    "psf": BivariateGaussianPSF(),
+}
+_K2 = _KEPLER | {"mission": "K2", "background": 284.0}
+register_preset("kepler", **_KEPLER)
+register_preset("k2", **_K2)
+register_preset(
+    "k2_calibrated",
+    **_K2
+    | {
+        "sensitivity": SensitivityPolynomial(_FITTED, _FITTED),
+        "interpixel_scatter": 0.011,
+        "interpixel_distribution": "normal",
+        "psf": BivariateGaussianPSF(0.8, sigma_x=0.45, sigma_y=0.45)
+        + BivariateGaussianPSF(0.2, sigma_x=1.261, sigma_y=1.261),
+    },
+)
+register_preset(
+    "tess",
+    mission="TESS",
+    shape=(11, 11),
+    gain=5.25,
+    read_noise=10.0,
+    background=134.0,
+    mean_black=6812,
+    sensitivity=SensitivityPolynomial(),
+    interpixel_scatter=0.01,
+    psf=BivariateGaussianPSF(0.45, sigma_x=0.55, sigma_y=0.55)
+    + BivariateGaussianPSF(0.55, sigma_x=1.25, sigma_y=1.25),
+)
+_OWN.extend(_REGISTERED)

@@ -1,0 +1,240 @@
+"""The door in: pixels of lightkurve's objects and of files are those of astropy's reader."""
+
+import gzip
+import pickle
+from types import SimpleNamespace
+
+import astropy.units as u
+import numpy as np
+import pytest
+from astropy.io import fits
+from astropy.time import Time
+from astropy.utils.masked import Masked
+
+from scope_models import Detector, Motion, Star, simulate
+from scope_models.io import PixelSeries, read_pixels, read_tpf
+from scope_models.io.pixels import usable_positions
+
+FILES = {
+    "K2": "k2_tpf/ktwo211956421-c05_lpd-targ.fits.gz",
+    "Kepler": "kepler_tpf/kplr009002278-2010174085026_lpd-targ.fits.gz",
+    "TESS": "tess_tpf/tesssip_tpf1.fits",
+}
+ARRAYS = ("time", "cadenceno", "quality", "flux", "flux_err", "flux_bkg", "pos_corr", "aperture")
+
+
+@pytest.fixture(scope="module")
+def observation():
+    return simulate(Star(12.0), Detector.k2(shape=(6, 5)), Motion.k2_roll(40), seed=1)
+
+
+@pytest.fixture
+def hdus(observation):
+    return observation.to_tpf().hdu
+
+
+def rewritten(hdus, path, change):
+    """Write a file whose pixel table was changed, without checksums."""
+    change(hdus)
+    for hdu in hdus:
+        for card in ("CHECKSUM", "DATASUM"):
+            hdu.header.remove(card, ignore_missing=True)
+    hdus.writeto(path)
+    return path
+
+
+def without_column(name):
+    def change(hdus):
+        columns = [column for column in hdus[1].columns if column.name != name]
+        hdus[1] = fits.BinTableHDU.from_columns(columns, hdus[1].header)
+
+    return change
+
+
+@pytest.mark.parametrize("mission", FILES)
+def test_real_files_are_read_as_astropy_reads_them(shared_data, mission):
+    series = read_pixels(shared_data / FILES[mission], quality_bitmask="none")
+    with fits.open(shared_data / FILES[mission]) as hdus:
+        raw, header = hdus[1].data, hdus[0].header
+        assert np.array_equal(series.time, raw["TIME"], equal_nan=True)
+        assert np.array_equal(series.cadenceno, raw["CADENCENO"])
+        assert np.array_equal(series.quality, raw["QUALITY"])
+        for name in ("flux", "flux_err", "flux_bkg"):
+            assert np.array_equal(getattr(series, name), raw[name.upper()], equal_nan=True)
+        assert np.array_equal(series.pos_corr[:, 0], raw["POS_CORR1"], equal_nan=True)
+        assert np.array_equal(series.pos_corr[:, 1], raw["POS_CORR2"], equal_nan=True)
+        assert np.array_equal(series.aperture, (hdus["APERTURE"].data & 2) > 0)
+        assert series.header["OBJECT"] == header["OBJECT"]
+        assert series.header["INT_TIME"] == hdus[1].header["INT_TIME"]
+    assert series.mission.name == mission
+    assert series.time_format == ("btjd" if mission == "TESS" else "bkjd")
+    assert all(getattr(series, name).dtype.isnative for name in ARRAYS)
+
+
+@pytest.mark.parametrize("mission", FILES)
+@pytest.mark.parametrize("bitmask", ["default", "none"])
+def test_objects_give_what_their_files_give(shared_data, mission, bitmask):
+    import lightkurve
+
+    tpf = lightkurve.read(shared_data / FILES[mission], quality_bitmask=bitmask)
+    series = read_pixels(tpf)
+    assert series == read_pixels(shared_data / FILES[mission], quality_bitmask=bitmask)
+    part = read_pixels(tpf[10:60])
+    tpf.hdu.close()
+    assert part == series[10:60]
+    assert np.array_equal(part.cadenceno, series.cadenceno[10:60])
+
+
+@pytest.mark.parametrize("mission", FILES)
+def test_lightkurve_object_of_a_file(shared_data, mission):
+    import lightkurve
+
+    ours, theirs = (
+        read_tpf(shared_data / FILES[mission]),
+        lightkurve.read(shared_data / FILES[mission]),
+    )
+    assert type(ours) is type(theirs)
+    assert read_pixels(ours) == read_pixels(theirs)
+    curves = [tpf.to_lightcurve(aperture_mask="all") for tpf in (ours, theirs)]
+    theirs.hdu.close()
+    assert np.array_equal(curves[0].flux.value, curves[1].flux.value, equal_nan=True)
+    assert dict(ours.meta) == dict(theirs.meta)
+
+
+def test_same_from_every_source(observation, tmp_path):
+    path = observation.write(tmp_path / "star.fits")
+    packed = tmp_path / "star.fits.gz"
+    packed.write_bytes(gzip.compress(path.read_bytes()))
+    series = read_pixels(path, quality_bitmask="none")
+    assert len(series) == 40
+    assert series.without_flagged() == read_pixels(path) == read_pixels(packed)
+    assert read_pixels(path) == read_pixels(str(path)) == read_pixels(series.without_flagged())
+    assert isinstance(series, PixelSeries)
+    with fits.open(path) as hdus:
+        assert read_pixels(hdus) == series
+    assert np.array_equal(series.flux, observation.flux.astype(np.float32))
+    assert pickle.loads(pickle.dumps(series)) == series  # noqa: S301
+
+
+def test_values_cannot_be_changed(observation):
+    series = read_pixels(observation.to_tpf())
+    with pytest.raises(ValueError, match="read-only"):
+        series.flux[0] = 0
+    with pytest.raises(TypeError, match="does not support item assignment"):
+        series.header["OBJECT"] = "other"
+    assert series != series.replace(flux=series.flux + 1)
+    assert series != series[1:]
+    assert series != "series"
+    with pytest.raises(TypeError, match="by slices or masks, got 3"):
+        series[3]
+
+
+def test_quality_bits(observation):
+    series = read_pixels(observation.to_tpf())
+    n = len(series)
+    flagged = series.replace(quality=np.where(np.arange(n) < 5, 32, 0))
+    assert len(flagged.without_flagged()) == n - 5
+    assert len(flagged.without_flagged(32)) == n - 5
+    assert len(flagged.without_flagged("none")) == n
+    with pytest.raises(ValueError, match=r'`quality_bitmask` must be "default", "none" or an int'):
+        flagged.without_flagged("hard")
+    with pytest.raises(ValueError, match=f"all {n} cadences have quality flags of 1"):
+        series.replace(quality=np.ones(n, dtype=int)).without_flagged(1)
+
+
+def test_units_and_masks_of_objects():
+    time = Time([2000.0, 2001.0, 2002.0], format="bkjd", scale="tdb")
+    flux = Masked(np.full((3, 2, 2), 3600.0) * u.electron / u.hour, mask=False)
+    flux.mask[1, 0, 0] = True
+    tpf = SimpleNamespace(
+        time=time,
+        flux=flux,
+        flux_err=np.ma.masked_less(np.ones((3, 2, 2)), 0),
+        pos_corr1=[0.0, 0.1, 0.2] * u.pix,
+        pos_corr2=np.zeros(3),
+        meta={"MISSION": "K2", "OBJECT": "EPIC 1"},
+    )
+    series = read_pixels(tpf)
+    assert np.isnan(series.flux[1, 0, 0])
+    assert np.nansum(series.flux) == pytest.approx(11)
+    assert np.array_equal(series.time, [2000.0, 2001.0, 2002.0])
+    assert np.array_equal(series.cadenceno, [1, 2, 3])
+    assert np.array_equal(series.pos_corr, [[0, 0], [0.1, 0], [0.2, 0]])
+    assert series.aperture.all()
+    assert series.flux_bkg is None
+    assert series.mission.name == "K2"
+    tpf.flux = flux.unmasked.value * u.m
+    with pytest.raises(ValueError, match=r"`flux of tpf` must be in electron / s"):
+        read_pixels(tpf)
+
+
+def test_cadences_without_numbers_are_counted(hdus):
+    def zeros(hdus):
+        hdus[1].data["CADENCENO"][:] = 0
+
+    zeros(hdus)
+    series = read_pixels(hdus)
+    assert np.array_equal(series.cadenceno, np.arange(1, 41))
+    import lightkurve
+
+    tpf = lightkurve.KeplerTargetPixelFile(hdus, quality_bitmask="none")
+    assert read_pixels(tpf) == series
+
+
+def test_one_cadence(observation, tmp_path):
+    tpf = observation.to_tpf()
+    path = tmp_path / "one.fits"
+    tpf[:1].hdu.writeto(path)
+    assert len(read_pixels(path)) == len(read_pixels(tpf[:1])) == 1
+
+
+def test_absent_columns(hdus):
+    for name in ("POS_CORR1", "FLUX_BKG", "CADENCENO"):
+        without_column(name)(hdus)
+    series = read_pixels(hdus)
+    assert series.pos_corr is None
+    assert series.flux_bkg is None
+    assert np.array_equal(series.cadenceno, np.arange(1, 41))
+
+
+@pytest.mark.parametrize(
+    "change, match",
+    [
+        (without_column("FLUX"), "is not a target pixel file: it has no column FLUX"),
+        (without_column("TIME"), "has no usable time: all of 40 are NaN"),
+        (lambda hdus: hdus[1].data["TIME"].fill(np.nan), "no usable time: all of 40 are NaN"),
+        (lambda hdus: hdus[1].data["TIME"].fill(5.0), r"times of .* must increase, got 5.0 after"),
+        (
+            lambda hdus: hdus[1].header.set("BJDREFI", 2400000),
+            "`BJDREFI` must be 2454833 or 2457000, got 2400000",
+        ),
+    ],
+)
+def test_what_is_refused_names_the_file(hdus, tmp_path, change, match):
+    path = rewritten(hdus, tmp_path / "star.fits", change)
+    with pytest.raises(ValueError, match=match) as caught:
+        read_pixels(path)
+    assert str(path) in str(caught.value)
+
+
+def test_pixels_without_a_shape(hdus, tmp_path):
+    path = rewritten(hdus, tmp_path / "star.fits", without_column("FLUX_BKG"))
+    path.write_bytes(path.read_bytes().replace(b"TDIM5   ", b"XDIM5   "))
+    with pytest.raises(ValueError, match=r"FLUX of .*star\.fits must hold an image of numbers"):
+        read_pixels(path)
+
+
+def test_no_target_pixel_file(tmp_path, shared_data):
+    with pytest.raises(TypeError, match=r"`tpf` must be a target pixel file .* got int"):
+        read_pixels(5)
+    with pytest.raises(FileNotFoundError, match=r"absent\.fits"):
+        read_pixels(tmp_path / "absent.fits")
+    with pytest.raises(
+        ValueError, match=r"llc\.fits is not a target pixel file: it has no column FLUX"
+    ):
+        read_pixels(shared_data / "poscorr" / "ktwo206103150-c03_llc.fits")
+
+
+def test_usable_positions():
+    offsets = [[0.0, 49.9], [np.nan, 0.0], [0.0, -50.0], [-1000.0, 0.0], [np.inf, 0.0]]
+    assert usable_positions(offsets).tolist() == [True, False, False, False, False]
