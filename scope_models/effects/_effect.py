@@ -55,12 +55,36 @@ class Conditions:
 
     @classmethod
     def of(cls, detector, time):
-        """Return the conditions of a detector at the times of a motion."""
+        """Return the conditions of a detector at the times of a motion.
+
+        Parameters
+        ----------
+        detector : Detector
+            The detector.
+        time : ndarray of shape (n_cadences,)
+            The times, days.
+
+        Returns
+        -------
+        Conditions
+            The conditions.
+        """
         names = [item.name for item in fields(cls) if item.name != "time"]
         return cls(time=time, **{name: getattr(detector, name) for name in names})
 
     def bit(self, name):
-        """Return the mission's quality bit of a meaning, 0 where it has none."""
+        """Return the mission's quality bit of a meaning.
+
+        Parameters
+        ----------
+        name : str
+            Field of `~scope_models.missions.QualityBits`.
+
+        Returns
+        -------
+        int
+            The bit, 0 where the mission has none.
+        """
         mission = MISSIONS.get(self.mission)
         return 0 if mission is None else getattr(mission.quality, name)
 
@@ -115,6 +139,7 @@ class Drawn:
     tables: Mapping = field(default_factory=dict)
 
 
+@dataclass(frozen=True, eq=False)
 class Effect:
     """Something that sky, telescope or detector do to light or charge.
 
@@ -142,76 +167,56 @@ class Effect:
     ...     def response(self, drawn, conditions, part):
     ...         return self.factor
     >>> scene = Star(12.0), Detector.k2(), Motion.still(3)
-    >>> flux = [simulate(*scene, noise=False, effects=e).flux.sum() for e in ([], [Dimming()])]
-    >>> print(round(flux[1] / flux[0], 3))
+    >>> bright, dim = (simulate(*scene, seed=1, noise=False, effects=e) for e in ((), Dimming()))
+    >>> print((dim.flux.sum() / bright.flux.sum()).round(3))
     0.5
     """
+
+    #: Whether the pedestal is light, to which the pixels respond, or charge of another kind.
+    is_light = True
+
+    def __eq__(self, other):
+        if type(other) is not type(self):
+            return NotImplemented
+        names = [item.name for item in fields(self)]
+        return all(np.array_equal(getattr(self, name), getattr(other, name)) for name in names)
+
+    def __hash__(self):
+        return hash(repr(self))
 
     @property
     def name(self):
         """Name of the effect's stream of random numbers, and of its truth."""
         return type(self).__name__
 
-    def draw(self, conditions, generator):  # noqa: ARG002
-        """Return the effect's truth in one observation, a `Drawn`.
-
-        Parameters
-        ----------
-        conditions : Conditions
-            The scene.
-        generator : numpy.random.Generator
-            The effect's own stream.
-
-        Returns
-        -------
-        Drawn
-            What is drawn, or follows from the parameters.
-        """
+    def draw(self, conditions, generator):
+        """Return what is drawn of the generator, or follows from the parameters, as `Drawn`."""
         return Drawn()
 
-    def width(self, drawn, conditions):  # noqa: ARG002
+    def width(self, drawn, conditions):
         """Return a factor on the width of the PSF, shape (n_cadences,), or None."""
-        return None
 
-    def exposures(self, drawn, conditions):  # noqa: ARG002
+    def exposures(self, drawn, conditions):
         """Return offsets of the stars within each cadence, `Exposures`, or None."""
-        return None
 
-    def response(self, drawn, conditions, part):  # noqa: ARG002
+    def response(self, drawn, conditions, part):
         """Return a factor on all light that broadcasts to (m, ny, nx), or None."""
-        return None
 
-    def pedestal(self, drawn, conditions, part, electrons):  # noqa: ARG002
+    def pedestal(self, drawn, conditions, part, electrons):
         """Return charge that is added, and the part of it that is subtracted, or None.
 
-        Parameters
-        ----------
-        drawn : Drawn
-            The truth.
-        conditions : Conditions
-            The scene.
-        part : slice
-            The cadences.
-        electrons : ndarray of shape (m, ny, nx)
-            Expected charge of the stars.
-
-        Returns
-        -------
-        tuple of two ndarray or None
-            Expected electrons per cadence, which broadcast to (m, ny, nx).
+        Both are expected electrons per cadence that broadcast to (m, ny, nx); ``electrons`` is
+        the expected charge of the stars.
         """
-        return None
 
-    def charge(self, drawn, conditions, part, electrons):  # noqa: ARG002
-        """Change the charge of each pixel after photon noise, in place."""
+    def charge(self, drawn, conditions, part, electrons):
+        """Change the charge of each pixel, (m, ny, nx), after photon noise, in place."""
 
-    def readout(self, drawn, conditions, part, electrons):  # noqa: ARG002
-        """Change the charge while it is read, before read noise, in place."""
+    def readout(self, drawn, conditions, part, electrons):
+        """Change the charge while it is read, (m, ny, nx), before read noise, in place."""
 
-    def quality(self, drawn, conditions):  # noqa: ARG002
+    def quality(self, drawn, conditions):
         """Return quality flags to set, shape (n_cadences,), or None."""
-        return None
 
-    def missing(self, drawn, conditions):  # noqa: ARG002
+    def missing(self, drawn, conditions):
         """Return which cadences have no data, shape (n_cadences,), or None."""
-        return None

@@ -30,25 +30,8 @@ def _checked(effect, residual, gradient):
 class _Sky(Effect):
     """An effect whose truth has a level for each cadence and a plane over the stamp."""
 
-    def pedestal(self, drawn, conditions, part, electrons):  # noqa: ARG002
-        """Return the light, and the part of it that is subtracted.
-
-        Parameters
-        ----------
-        drawn : Drawn
-            The truth.
-        conditions : Conditions
-            The scene.
-        part : slice
-            The cadences.
-        electrons : ndarray of shape (m, ny, nx)
-            Not needed.
-
-        Returns
-        -------
-        tuple of two ndarray
-            Electrons per cadence, shape (m, ny, nx).
-        """
+    def pedestal(self, drawn, conditions, part, electrons):
+        """Return the light, and the part of it that is subtracted."""
         level = drawn.columns[self.name.upper()][part] * conditions.exposure_time
         added = level[:, np.newaxis, np.newaxis] * drawn.maps[f"{self.name.upper()}_SHAPE"]
         return added, added * (1 - self.residual)
@@ -62,7 +45,7 @@ class _Sky(Effect):
         return Drawn({name: level}, {f"{name}_SHAPE": plane})
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Background(_Sky):
     r"""Diffuse light besides the detector's background: level, drift and gradient.
 
@@ -112,30 +95,12 @@ class Background(_Sky):
     def __post_init__(self):
         put = object.__setattr__
         put(self, "level", checked_number("level", plain_number(self.level, _RATE, "level")))
-        put(self, "drift", plain_number(self.drift, f"{_RATE} / day", "drift"))
+        put(self, "drift", plain_number(self.drift, "electron / (s day)", "drift"))
         checked_number("drift", self.drift, any_sign=True)
         _checked(self, self.residual, self.gradient)
 
-    def draw(self, conditions, generator):  # noqa: ARG002
-        """Return the level of each cadence and its shape.
-
-        Parameters
-        ----------
-        conditions : Conditions
-            The scene.
-        generator : numpy.random.Generator
-            Not needed: nothing is random.
-
-        Returns
-        -------
-        Drawn
-            The truth.
-
-        Raises
-        ------
-        ValueError
-            If the light is negative anywhere.
-        """
+    def draw(self, conditions, generator):
+        """Return the level of each cadence and its shape."""
         time = conditions.time
         level = self.level + self.drift * (time - (time[0] + time[-1]) / 2)
         if np.any(level < 0):
@@ -143,7 +108,7 @@ class Background(_Sky):
         return self._drawn(conditions, level)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ScatteredLight(_Sky):
     r"""Light of Earth and Moon that rises towards the ends of TESS's orbits.
 
@@ -185,7 +150,7 @@ class ScatteredLight(_Sky):
     >>> scene = Star(10.0), Detector.tess(), motion
     >>> light = simulate(*scene, effects=[ScatteredLight()]).truth.columns["SCATTEREDLIGHT"]
     >>> print(light[[0, 2, 14, 27]].round(1))
-    [1338.6  491.6    0.   1010.7]
+    [1.3386e+03 4.9150e+02 2.0000e-01 1.0957e+03]
     """
 
     peak: float = 1340.0
@@ -206,26 +171,8 @@ class ScatteredLight(_Sky):
             checked_number("perigee", self.perigee, any_sign=True)
         _checked(self, self.residual, self.gradient)
 
-    def draw(self, conditions, generator):  # noqa: ARG002
-        """Return the light of each cadence and its shape.
-
-        Parameters
-        ----------
-        conditions : Conditions
-            The scene.
-        generator : numpy.random.Generator
-            Not needed: nothing is random.
-
-        Returns
-        -------
-        Drawn
-            The truth.
-
-        Raises
-        ------
-        ValueError
-            If the light is negative in a pixel.
-        """
+    def draw(self, conditions, generator):
+        """Return the light of each cadence and its shape."""
         time = conditions.time
         since = (time - (time[0] if self.perigee is None else self.perigee)) % self.orbit
         nearest = np.minimum(since, self.orbit - since)
@@ -233,7 +180,7 @@ class ScatteredLight(_Sky):
         return self._drawn(conditions, self.peak * (np.exp(-nearest / self.time_scale) - least))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Argabrightening(_Sky):
     """Flashes of diffuse light in single cadences, as of debris from the spacecraft.
 
@@ -284,44 +231,13 @@ class Argabrightening(_Sky):
         _checked(self, self.residual, self.gradient)
 
     def draw(self, conditions, generator):
-        """Return the light of each cadence and its shape.
-
-        Parameters
-        ----------
-        conditions : Conditions
-            The scene.
-        generator : numpy.random.Generator
-            The effect's own stream.
-
-        Returns
-        -------
-        Drawn
-            The truth.
-
-        Raises
-        ------
-        ValueError
-            If the light is negative in a pixel.
-        """
+        """Return the light of each cadence and its shape."""
         n = len(conditions.time)
         chance, brightness = generator.random(n), generator.standard_exponential(n)
         flash = chance < -np.expm1(-self.rate * conditions.cadence_days)
         return self._drawn(conditions, np.where(flash, self.brightness * brightness, 0.0))
 
     def quality(self, drawn, conditions):
-        """Return the mission's bit in cadences with a flash.
-
-        Parameters
-        ----------
-        drawn : Drawn
-            The truth.
-        conditions : Conditions
-            The scene.
-
-        Returns
-        -------
-        ndarray of shape (n_cadences,)
-            The flags.
-        """
+        """Return the mission's bit in cadences with a flash."""
         bit = conditions.bit("argabrightening")
         return np.where(drawn.columns["ARGABRIGHTENING"] > 0, bit, 0)

@@ -84,26 +84,8 @@ class Focus(Effect):
         if abs(self.amplitude) >= 1:
             raise ValueError(f"`amplitude` must be below 1, got {self.amplitude}")
 
-    def draw(self, conditions, generator):  # noqa: ARG002
-        """Return the relative width of each cadence.
-
-        Parameters
-        ----------
-        conditions : Conditions
-            The scene.
-        generator : numpy.random.Generator
-            Not needed: nothing is random.
-
-        Returns
-        -------
-        Drawn
-            The column FOCUS.
-
-        Raises
-        ------
-        ValueError
-            If the series has another length, or a width is not positive.
-        """
+    def draw(self, conditions, generator):
+        """Return the relative width of each cadence."""
         time = conditions.time
         width = 1 + self.amplitude * np.sin(2 * np.pi * (time / self.period + self.phase))
         for event in self.events:
@@ -120,19 +102,6 @@ class Focus(Effect):
             raise ValueError(f"the width of the PSF must be positive, got {width.min():g}")
         return Drawn({"FOCUS": width})
 
-    def width(self, drawn, conditions):  # noqa: ARG002
-        """Return the relative width of each cadence.
-
-        Parameters
-        ----------
-        drawn : Drawn
-            The truth.
-        conditions : Conditions
-            The scene.
-
-        Returns
-        -------
-        ndarray of shape (n_cadences,)
-            The factors.
-        """
+    def width(self, drawn, conditions):
+        """Return the relative width of each cadence."""
         return drawn.columns["FOCUS"]
