@@ -155,7 +155,8 @@ def generate_target(
     if variable:
         target.add_variability()
     if neighbor:
-        target.add_neighbor(magdiff=neighbor_magdiff)
+        magdiff = checked_number("neighbor_magdiff", neighbor_magdiff, u.mag, any_sign=True)
+        target.add_neighbor(magdiff=magdiff)
     return target
 
 

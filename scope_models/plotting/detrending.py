@@ -108,8 +108,10 @@ def plot_detrending_masks(image, aperture, scatter):
     aperture = np.asarray(aperture, dtype=bool)
     _, axes = plt.subplots(1, 2, figsize=(9, 4), layout="constrained")
     titles = ("Flux (e-/s)", "Scatter of the pixel fractions")
+    image = plain_array(image, u.electron / u.s, "image")
+    scatter = plain_array(scatter, u.one, "scatter")
     for ax, values, title in zip(axes, (image, scatter), titles, strict=True):
-        drawn = ax.imshow(np.asarray(values, dtype=float), origin="lower", cmap="cividis")
+        drawn = ax.imshow(values, origin="lower", cmap="cividis")
         ax.figure.colorbar(drawn, ax=ax)
         for row, column in np.argwhere(aperture):
             frame = plt.Rectangle((column - 0.5, row - 0.5), 1, 1, fill=False, color="w", lw=0.8)

@@ -10,6 +10,7 @@ from scope_models.plotting._style import styled
 
 __all__ = ["plot_fit", "plot_twin"]
 
+_RATE = u.electron / u.s
 _TITLES = {"data": "Data, median", "model": "Model, median", "residual": "Residual, median"}
 # Part of the brightest pixel up to which the scale of the images is linear.
 _LINEAR = 0.01
@@ -51,6 +52,8 @@ def plot_fit(data, model, residual, x, y, *, pos_corr=None, sensitivity=None, ch
     >>> sorted(axes)
     ['data', 'model', 'positions', 'residual']
     """
+    data, model = plain_array(data, _RATE, "data"), plain_array(model, _RATE, "model")
+    residual = plain_array(residual, _RATE, "residual")
     below = [
         name for name, part in (("chi2", chi2), ("sensitivity", sensitivity)) if part is not None
     ]
@@ -154,7 +157,7 @@ def plot_twin(time, real, twin, residuals, *, time_label="Time (d)", labels=None
     'Twin'
     """
     labels, time = labels or {}, plain_array(time, u.day, "time")
-    residuals = [np.asarray(image, dtype=float) for image in residuals]
+    residuals = [plain_array(image, u.one, "residuals") for image in residuals]
     figure = plt.figure(figsize=(11, 5), layout="constrained")
     axes = figure.subplot_mosaic([["raw", "real"], ["corrected", "twin"]], width_ratios=[2.4, 1])
     for number, (name, title) in enumerate((("raw", "Summed"), ("corrected", "De-trended"))):
