@@ -6,17 +6,13 @@ once; it is not run here.
 Run as ``OMP_NUM_THREADS=1 python benchmarks/appendix_a.py``.
 """
 
-import os
-import platform
 import tempfile
 import time
 from pathlib import Path
 
-import astropy
 import numpy as np
-import scipy
+from _common import report_environment
 
-import scope_models
 from scope_models import generate_target
 
 REPEATS = 7
@@ -30,15 +26,6 @@ def seconds(function):
         function()
         times.append(time.process_time() - start)
     return np.median(times)
-
-
-def report_environment():
-    threads = os.environ.get("OMP_NUM_THREADS", "not set")
-    machine = f"{platform.system()} {platform.machine()}, {os.cpu_count()} cores"
-    print(f"{machine}, OMP_NUM_THREADS {threads}")
-    versions = {"scope_models": scope_models, "numpy": np, "scipy": scipy, "astropy": astropy}
-    versions = ", ".join(f"{name} {module.__version__}" for name, module in versions.items())
-    print(f"Python {platform.python_version()}, {versions}\n")
 
 
 def main():

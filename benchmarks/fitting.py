@@ -1,33 +1,18 @@
-"""Fits of target pixel files: truth recovered, real pixels described, twins, time and memory.
+"""Time and memory of fits of target pixel files.
 
-The targets: pulls of all parameters with a standard deviation of 0.9 to 1.1 over many stars; the
-sensitivity at the Cramer-Rao bound; the response of the pixels that a star crosses with five times
-the motion of K2 to 0.1 %; on real pixels a chi-squared per pixel below that of photutils'
-GaussianPRF for each cadence; 1000 cadences of 9 x 9 pixels with two components in 30 s and 3600 in
-two minutes, in less than 2 GiB.
+The targets: 1000 cadences of 9 x 9 pixels with two components in 30 s and 3600 in two minutes, in
+less than 2 GiB.
 
-Run as ``OMP_NUM_THREADS=1 python benchmarks/fitting.py``, with any of ``pulls``, ``speed``,
-``real FOLDER``, ``terms FOLDER``, ``drop FOLDER`` and ``twin FOLDER``, where FOLDER has the archive
-files.
+Run as ``OMP_NUM_THREADS=1 python benchmarks/fitting.py``.
 """
 
-import os
-import platform
 import resource
-import sys
 import time
 import warnings
-from pathlib import Path
 
-import astropy
-import lightkurve as lk
-import numpy as np
-import scipy
-from astropy.modeling.fitting import TRFLSQFitter
-from astropy.modeling.models import Const2D
+from _common import report_environment
 from astropy.utils.exceptions import AstropyUserWarning
 
-import scope_models
 from scope_models import (
     BivariateGaussianPSF,
     Detector,
@@ -37,356 +22,28 @@ from scope_models import (
     fit_tpf,
     simulate,
 )
-from scope_models.correctors import PLDCorrector
-from scope_models.photometry import cdpp
 
-FILES = {
-    "EPIC 211956421": "k2_tpf/ktwo211956421-c05_lpd-targ.fits.gz",
-    "EPIC 211983544": "k2_tpf/ktwo211983544-c18_lpd-targ.fits.gz",
-    "Kepler-62": "kepler_tpf/kplr009002278-2010174085026_lpd-targ.fits.gz",
-}
 TWO = BivariateGaussianPSF(0.75, 0, 0, 0.5, 0.45, 0.15) + BivariateGaussianPSF(
     0.25, 0.1, -0.05, 1.1, 1.2, -0.1
 )
-N_STARS = 250
-N_CADENCES = 1000
-N_PHOTUTILS = 100
-MODELS = {
-    "1 component": {"psf": 1},
-    "2 components": {"psf": 2},
-    "3 components": {"psf": 3},
-    "1, empirical 6": {"psf": 1, "empirical": 6},
-    "1, empirical 8": {"psf": 1, "empirical": 8},
-    "2 components, b": {"psf": 2, "interpixel": 0.01},
-    "1, empirical 6, b": {"psf": 1, "empirical": 6, "interpixel": 0.01},
-    "1, empirical 8, b": {"psf": 1, "empirical": 8, "interpixel": 0.01},
-}
-# Drops of the response from the centre of a pixel to the middle of an edge: the paper has 0.0125.
-DROPS = (0.0125, 0.05, 0.125, 0.25, 0.5, 0.75)
-EVERY = 12  # of the cadences of real files for the drops, for time's sake
 
 
-def report_environment():
-    threads = os.environ.get("OMP_NUM_THREADS", "not set")
-    print(f"{platform.platform()}, {os.cpu_count()} cores, OMP_NUM_THREADS {threads}")
-    versions = (("scope_models", scope_models), ("numpy", np), ("scipy", scipy))
-    versions = ", ".join(f"{name} {module.__version__}" for name, module in versions)
-    sys.stdout.reconfigure(line_buffering=True)
-    print(f"Python {platform.python_version()}, {versions}, astropy {astropy.__version__}\n")
-
-
-def curvature():
-    return SensitivityPolynomial(fixed={"ax1": True, "ay1": True})
-
-
-def truth_of(observation, fit):
-    """Return which cadences were fitted, and the response that belongs to the fluxes."""
-    used = np.isin(observation.cadenceno, fit.cadenceno)
-    weights = np.maximum(np.median(fit.observed, axis=0), 0)
-    return used, np.sum(weights * observation.truth.interpixel) / weights.sum()
-
-
-def one_star(seed, motion):
-    """Return the pulls of one simulated star, and some of its errors."""
-    generator = np.random.default_rng(seed)
-    side = (7, 9, 11)[seed % 3]
-    x, y = (side - 1) / 2 + generator.uniform(-0.5, 0.5, 2)
-    sigma_x, sigma_y = generator.uniform(0.45, 0.55, 2)
-    rho = generator.uniform(-0.4, 0.4)
-    psf = BivariateGaussianPSF(sigma_x=sigma_x, sigma_y=sigma_y, rho=rho)
-    # Wells without end: stars above Kp 11.5 saturate.
-    detector = Detector.k2(shape=(side, side), interpixel_distribution="normal", well_depth=None)
-    star = Star(generator.uniform(10, 13), x, y, psf=psf)
-    observation = simulate(star, detector, motion, seed=seed)
-    fit = fit_tpf(observation.to_tpf(quality_bitmask="none"), 1, curvature(), saturation=False)
-    used, response = truth_of(observation, fit)
-    truth = {"sigma_x": sigma_x, "sigma_y": sigma_y, "rho": rho, "ax2": -0.05, "ay2": -0.05}
-    pulls = {name: (fit.values[name] - value) / fit.errors[name] for name, value in truth.items()}
-    t = seed % len(fit.time)
-    pulls["x"] = (fit.x[t] - observation.truth.x[0, used][t]) / fit.x_err[t]
-    pulls["y"] = (fit.y[t] - observation.truth.y[0, used][t]) / fit.y_err[t]
-    pulls["flux"] = (fit.flux[t] - observation.truth.flux[0] * response) / fit.flux_err[t]
-    error = fit.interpixel - observation.truth.interpixel / response
-    crossed = np.zeros(fit.shape, dtype=bool)
-    rows, columns = (np.clip(np.rint(p), 0, side - 1).astype(int) for p in (fit.y, fit.x))
-    crossed[rows, columns] = True
-    others = [error[crossed], fit.errors["ax2"], fit.errors["ay2"], fit.reduced_chi2]
-    return pulls, others, fit.converged
-
-
-def report_pulls():
-    motion = Motion.k2_roll(N_CADENCES, seed=1)
-    for scale in (1, 5):
-        begin = time.perf_counter()
-        results = [one_star(s, scale * motion) for s in range(N_STARS)]
-        rows, others, converged = zip(*results, strict=True)
-        print(
-            f"{scale} x the motion of K2, {N_STARS} stars of Kp 10 to 13, {N_CADENCES} cadences, "
-            f"{time.perf_counter() - begin:.0f} s, {sum(converged)} converged"
-        )
-        for name in rows[0]:
-            values = np.array([row[name] for row in rows])
-            print(f"  {name:8s} mean {values.mean():6.2f}  standard deviation {values.std():5.2f}")
-        errors = np.concatenate([row[0] for row in others])
-        print(f"  b in {errors.size} crossed pixels: rms error {100 * errors.std():.3f} %")
-        for i, name in ((1, "ax2"), (2, "ay2")):
-            bound = [row[i] for row in others]
-            print(
-                f"  Cramer-Rao bound of {name}: median {np.median(bound):.4f}, "
-                f"{min(bound):.4f} to {max(bound):.4f}"
-            )
-        print(f"  chi-squared per degree of freedom {np.mean([row[3] for row in others]):.4f}\n")
-
-
-def report_speed():
+def main():
+    warnings.simplefilter("ignore", AstropyUserWarning)
+    report_environment()
     print("Time and memory: 9 x 9 pixels, two components, b, sensitivity")
     for n in (500, 1000, 2000, 3600):
         detector = Detector.k2(shape=(9, 9))
         motion = 5 * Motion.k2_roll(n, seed=1)
         tpf = simulate(Star(12.0, psf=TWO), detector, motion, seed=1).to_tpf()
         begin = time.perf_counter()
-        fit = fit_tpf(tpf, 2, curvature())
+        fit = fit_tpf(tpf, 2, SensitivityPolynomial(fixed={"ax1": True, "ay1": True}))
         taken = time.perf_counter() - begin
         peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
         print(
             f"  {n:5d} cadences {taken:6.2f} s, {1e3 * taken / n:5.2f} ms each, "
             f"{fit.n_steps} steps, process at most {peak:.2f} GiB"
         )
-    print()
-
-
-def photutils_chi2(tpf):
-    """Return the chi-squared of each pixel per degree of freedom: one GaussianPRF per cadence."""
-    from photutils.psf import GaussianPRF
-
-    some = np.linspace(0, len(tpf.flux) - 1, N_PHOTUTILS).astype(int)
-    flux = tpf.flux.value[some].astype(float)
-    error = tpf.flux_err.value[some].astype(float)
-    y, x = np.mgrid[: flux.shape[1], : flux.shape[2]].astype(float)
-    squares = []
-    for data, sigma in zip(flux, error, strict=True):
-        good = np.isfinite(data)
-        if good.sum() <= 7:
-            continue
-        light = np.where(good & (data > 0.05 * np.nanmax(data)), data, 0)
-        center = (light * x).sum() / light.sum(), (light * y).sum() / light.sum()
-        best = None
-        for width in (0.8, 1.2, 1.8):
-            for theta in (0.0, 45.0):
-                model = GaussianPRF(
-                    flux=light.sum(), x_0=center[0], y_0=center[1], theta=theta,
-                    x_fwhm=width, y_fwhm=width,
-                )  # fmt: skip
-                for name in ("x_fwhm", "y_fwhm", "theta"):
-                    getattr(model, name).fixed = False
-                model.x_fwhm.bounds = model.y_fwhm.bounds = (0.2, 6)
-                fitted = TRFLSQFitter()(
-                    model + Const2D(0.0), x[good], y[good], data[good], weights=1 / sigma[good]
-                )
-                square = ((data - fitted(x, y)) / sigma) ** 2
-                if best is None or np.nansum(square) < np.nansum(best):
-                    best = square
-        squares.append(best)
-    squares = np.array(squares)
-    n = np.isfinite(squares).any(axis=0).sum()
-    return some, np.nanmean(squares, axis=0) * n / (n - 7)
-
-
-def fit_model(tpf, model, **changes):
-    return fit_tpf(tpf, loss="soft_l1", **({"interpixel": 0} | MODELS[model] | changes))
-
-
-def report_real(folder, only=tuple(FILES)):
-    for star in only:
-        tpf = lk.read(Path(folder) / FILES[star])
-        some, chi2 = photutils_chi2(tpf)
-        print(f"{star}: {tpf.flux.shape}")
-        print(f"  photutils, {len(some)} cadences: median chi-squared {np.median(chi2):.4g}")
-        for model in MODELS:
-            begin = time.process_time()
-            fit = fit_model(tpf, model)
-            same = np.isin(fit.cadenceno, np.asarray(tpf.cadenceno)[some])
-            part = ((fit.residual / fit.observed_err)[same] ** 2).mean(axis=0)
-            part *= fit.n_data / fit.dof
-            column, row = fit.path_r2()
-            print(
-                f"  {model:18s} median chi-squared per pixel {np.median(fit.chi2_pixels):8.4g} "
-                f"(same cadences {np.median(part):8.4g}), all {fit.reduced_chi2:8.4g}, typical "
-                f"cadence {np.median(fit.chi2_cadences):8.4g}; R2 {column:.4f} {row:.4f}; "
-                f"rms b {100 * fit.interpixel.std():.2f} %; {time.process_time() - begin:.1f} s, "
-                f"{fit.n_steps} steps{'' if fit.converged else ', not converged'}",
-                flush=True,
-            )
-        tpf.hdu.close()
-        print()
-
-
-def images_of(fit, some, *, x=0.0, y=0.0, width=1.0):
-    """Model images of some cadences, moved or with a wider PSF."""
-    prf = fit.model.copy()
-    for name in prf.param_names:
-        if name.startswith("sigma"):
-            setattr(prf, name, width * getattr(prf, name).value)
-    return prf.render(fit.shape, flux=fit.flux[some], x_0=fit.x[some] + x, y_0=fit.y[some] + y)
-
-
-def report_terms(folder):
-    """What more freedom in each cadence would remove, to first order."""
-    print("Chi-squared per degree of freedom with more freedom: typical cadence, median pixel")
-    h = 0.01
-    for star, name in FILES.items():
-        tpf = lk.read(Path(folder) / name)
-        fit = fit_model(tpf, "1, empirical 6")
-        some = slice(None, None, EVERY)
-        image = images_of(fit, some)
-        moved = {
-            (axis, sign): images_of(fit, some, **{axis: sign * h})
-            for axis in "xy"
-            for sign in (1, -1)
-        }
-        slopes = [(moved[axis, 1] - moved[axis, -1]) / (2 * h) for axis in "xy"]
-        bends = [(moved[axis, 1] - 2 * image + moved[axis, -1]) / h**2 for axis in "xy"]
-        wider = (images_of(fit, some, width=1 + h) - images_of(fit, some, width=1 - h)) / (2 * h)
-        one = np.ones_like(image)
-        rows, columns = np.indices(fit.shape)
-        weight = 1 / fit.observed_err[some]
-        base = [*slopes, image, one]
-        terms = {
-            "as fitted": [],
-            "width": [wider],
-            "width along each axis": bends,
-            "gradient of background": [one * columns, one * rows],
-        }
-        for label, more in terms.items():
-            squares, spread = projected(fit.residual[some], weight, [*base, *more])
-            print(
-                f"  {star} {label:24s} {spread * np.median(squares.mean(1)):8.3g} "
-                f"{spread * np.median(squares.mean(0)):8.3g}"
-            )
-        # A star that moves by v in a cadence is wider by v^2/12 in variance.
-        speeds = [np.gradient(position)[some, None, None] for position in (fit.x, fit.y)]
-        smear = sum(v**2 / 24 * bend for v, bend in zip(speeds, bends, strict=True))
-        squares = [np.nanmedian(np.nanmean((r * weight) ** 2, axis=0)) for r in
-                   (fit.residual[some], fit.residual[some] - smear)]  # fmt: skip
-        print(f"  {star} smear, as the track tells it: {squares[0]:.4g} to {squares[1]:.4g}\n")
-        tpf.hdu.close()
-
-
-def projected(residual, weight, columns):
-    """Squared residuals without what the columns explain in each cadence, and the lost freedom."""
-    good = np.isfinite(residual)
-    right = np.where(good, residual * weight, 0.0).reshape(len(residual), -1)
-    design = np.stack([np.where(good, c * weight, 0.0) for c in columns], axis=-1)
-    design = design.reshape(*right.shape, len(columns))
-    design /= np.sqrt(np.sum(design**2, axis=1, keepdims=True))
-    rest = [
-        b - a @ np.linalg.lstsq(a, b, rcond=None)[0] for a, b in zip(design, right, strict=True)
-    ]
-    n = right.shape[1]
-    return np.array(rest) ** 2, n / (n - len(columns))
-
-
-def cost_of_drop(tpf, model, drop, scale=None):
-    """Cost of a fit with a given drop of the response at the edges, and the scale of its errors."""
-    coefficients = (1, 0, -4 * drop)
-    sensitivity = SensitivityPolynomial(coefficients, coefficients)
-    for name in sensitivity.param_names:
-        getattr(sensitivity, name).fixed = True
-    fit = fit_model(tpf, model, sensitivity=sensitivity)
-    scale = scale or fit.error_scale
-    squares = (fit.residual / fit.observed_err / scale / 3) ** 2
-    return 18 * np.nansum(np.sqrt(1 + squares) - 1), scale
-
-
-def report_drop(folder):
-    """The response of real pixels at their edges, over PSFs and the halves of the series."""
-    print(f"Scaled cost less that without a drop; drops along both axes; every {EVERY}th cadence")
-    print(f"  {'':38s}" + "".join(f"{100 * drop:7.1f} %" for drop in DROPS))
-    for star in ("EPIC 211956421", "EPIC 211983544"):
-        tpf = lk.read(Path(folder) / FILES[star])[::EVERY]
-        half = len(tpf.flux) // 2
-        parts = {"all": slice(None), "1st half": slice(half), "2nd half": slice(half, None)}
-        for model in ("2 components", "1, empirical 6"):
-            for part, cadences in parts.items():
-                start, scale = cost_of_drop(tpf[cadences], model, 0.0)
-                costs = [cost_of_drop(tpf[cadences], model, d, scale)[0] - start for d in DROPS]
-                text = "".join(f"{cost:9.1f}" for cost in costs)
-                print(f"  {star} {model:14s} {part:8s}{text}", flush=True)
-    print()
-
-
-def light_curves(tpf):
-    """Return cadence numbers, times and the summed and de-trended light curves."""
-    corrector = PLDCorrector(tpf)
-    corrected = corrector.correct()
-    raw = tpf.to_lightcurve(aperture_mask=corrector.aperture_mask)
-    return [curve.remove_nans().normalize() for curve in (raw, corrected)]
-
-
-def report_twin(folder):
-    """Stars, as they are and without the fitted background, and their twins."""
-    from matplotlib import pyplot as plt
-
-    from scope_models.plotting import plot_twin
-
-    print("Twins: 6.5-h CDPP (ppm), lightkurve's and EVEREST's convention")
-    for star in ("EPIC 211956421", "EPIC 211983544"):
-        tpf = lk.read(Path(folder) / FILES[star])
-        fit = fit_model(tpf, "1, empirical 6")
-        tpf = tpf[np.isin(tpf.cadenceno, fit.cadenceno)]
-        observation = simulate(*fit.scene(), seed=1)
-        files = {
-            "file": tpf,
-            "real": tpf - fit.background[:, None, None],
-            "twin": observation.to_tpf(quality_bitmask="none"),
-        }
-        curves = {kind: light_curves(pixels) for kind, pixels in files.items()}
-        labels = {}
-        for kind, pair in curves.items():
-            row = [cdpp(curve, method=m) for curve in pair for m in ("lightkurve", "everest")]
-            print(
-                f"  {star} {kind}: summed {row[0]:.0f} {row[1]:.0f}, "
-                f"de-trended {row[2]:.0f} {row[3]:.0f}"
-            )
-            labels[kind] = f"(CDPP {row[1]:.0f}, {row[3]:.0f} ppm)"
-        exact = simulate(*fit.scene(signal="constant"), noise=False)
-        flux = exact.flux.sum(axis=(1, 2), dtype=float)
-        print(f"  forward model alone: {cdpp(flux):.0f} {cdpp(flux, method='everest'):.0f}")
-        residual = (observation.flux - observation.model()) / fit.observed_err
-        images = [np.nanstd(fit.residual / fit.observed_err, axis=0), residual.std(axis=0)]
-        n = min(len(curve) for kind in ("real", "twin") for curve in curves[kind])
-        axes = plot_twin(
-            curves["real"][0].time.value[:n],
-            *([curve.flux.value[:n] for curve in curves[kind]] for kind in ("real", "twin")),
-            images,
-            labels=labels,
-        )
-        path = f"twin_{star.split()[-1]}.png"
-        axes["raw"].figure.savefig(path, dpi=110)
-        plt.close("all")
-        print(
-            f"  scatter of residuals in errors, median pixel: {np.median(images[0]):.2f} real, "
-            f"{np.median(images[1]):.2f} twin; figure {path}"
-        )
-
-
-def main():
-    warnings.simplefilter("ignore", AstropyUserWarning)
-    report_environment()
-    arguments = sys.argv[1:] or ["pulls", "speed"]
-    for i, argument in enumerate(arguments):
-        if argument == "pulls":
-            report_pulls()
-        elif argument == "speed":
-            report_speed()
-        elif argument == "real":
-            report_real(arguments[i + 1])
-        elif argument == "terms":
-            report_terms(arguments[i + 1])
-        elif argument == "drop":
-            report_drop(arguments[i + 1])
-        elif argument == "twin":
-            report_twin(arguments[i + 1])
 
 
 if __name__ == "__main__":

@@ -1,12 +1,11 @@
 """Time `import scope_models` in fresh interpreters, less an empty one, beside its dependencies."""
 
-import platform
 import statistics
 import subprocess
 import sys
 import time
 
-import scope_models
+from _common import report_environment
 
 REPEATS = 9
 
@@ -23,8 +22,8 @@ def seconds(code):
 
 def main():
     """Print the environment and the times, less that of an empty interpreter."""
-    print(f"Python {platform.python_version()}, {platform.machine()}, {platform.system()}")
-    print(f"scope_models {scope_models.__version__}, median of {REPEATS} fresh interpreters")
+    report_environment()
+    print(f"Median of {REPEATS} fresh interpreters")
     empty = seconds("pass")
     print(f"{'empty interpreter':28s} {empty:6.3f} s")
     for module in ["numpy", "astropy.modeling.models", "scope_models"]:

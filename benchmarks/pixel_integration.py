@@ -7,16 +7,12 @@ times its rotated GaussianPRF (photutils >= 3.1). Then the largest error against
 Run as ``OMP_NUM_THREADS=1 python benchmarks/pixel_integration.py``.
 """
 
-import os
-import platform
 import time
 
 import numpy as np
-import photutils
-import scipy
+from _common import report_environment
 from photutils.psf import CircularGaussianPRF, GaussianPRF, MoffatPSF
 
-import scope_models
 from scope_models import BivariateGaussianPSF, SensitivityPolynomial, integrate_pixels
 
 N_CADENCES, SIZE = 1000, 9
@@ -43,15 +39,6 @@ def paired_seconds(ours, theirs):
     return *np.median(times, axis=0), np.median(times[:, 0] / times[:, 1])
 
 
-def report_environment():
-    threads = os.environ.get("OMP_NUM_THREADS", "not set")
-    machine = f"{platform.system()} {platform.machine()}, {os.cpu_count()} cores"
-    print(f"{machine}, OMP_NUM_THREADS {threads}")
-    versions = (("scope_models", scope_models), ("numpy", np), ("scipy", scipy))
-    versions = ", ".join(f"{name} {module.__version__}" for name, module in versions)
-    print(f"Python {platform.python_version()}, {versions}, photutils {photutils.__version__}\n")
-
-
 def rotated(rho):
     """Return sigma_x, sigma_y of a Gaussian with this correlation, and photutils' parameters."""
     sigma_x, sigma_y = SIGMA, 0.9 * SIGMA
@@ -76,7 +63,7 @@ def error_of(model, cube, x, y):
 
 def main():
     """Print the environment, the times, their ratios and the errors."""
-    report_environment()
+    report_environment("photutils")
     rng = np.random.default_rng(1)
     x, y = SIZE // 2 + rng.uniform(-0.5, 0.5, (2, N_CADENCES))
     rows, columns = np.mgrid[:SIZE, :SIZE].astype(float)

@@ -8,18 +8,14 @@ Run as ``OMP_NUM_THREADS=1 python benchmarks/pld.py``.
 
 import itertools
 import logging
-import os
-import platform
 import resource
 import time
 import warnings
 from functools import partial
 
-import celerite2
 import numpy as np
-import scipy
+from _common import report_environment
 
-import scope_models
 from scope_models import Detector, Motion, Star, simulate
 from scope_models.correctors import PLDCorrector
 
@@ -35,14 +31,6 @@ def seconds(*functions, repeats=REPEATS):
             function()
             spent.append(time.process_time() - start)
     return [min(spent) for spent in times]
-
-
-def report_environment():
-    threads = os.environ.get("OMP_NUM_THREADS", "not set")
-    print(f"{platform.platform()}, {os.cpu_count()} cores, OMP_NUM_THREADS {threads}")
-    versions = {"scope_models": scope_models, "numpy": np, "scipy": scipy, "celerite2": celerite2}
-    versions = ", ".join(f"{name} {module.__version__}" for name, module in versions.items())
-    print(f"Python {platform.python_version()}, {versions}\n")
 
 
 def make_tpf(n, scale=3.0):
@@ -100,7 +88,7 @@ def report_growth():
 def main():
     logging.getLogger("lightkurve").setLevel(logging.ERROR)
     warnings.simplefilter("ignore")
-    report_environment()
+    report_environment("celerite2", "lightkurve")
     report_against_lightkurve()
     report_growth()
 

@@ -7,18 +7,14 @@ linear in cadences, stars and pixels.
 Run as ``OMP_NUM_THREADS=1 python benchmarks/simulate.py``.
 """
 
-import os
-import platform
 import tempfile
 import time
 import tracemalloc
 from pathlib import Path
 
-import astropy
 import numpy as np
-import scipy
+from _common import report_environment
 
-import scope_models
 from scope_models import BivariateGaussianPSF, Detector, Motion, Star, simulate
 from scope_models.effects.noise import NOISE_TERMS
 
@@ -34,14 +30,6 @@ def seconds(function, repeats=REPEATS):
         function()
         times.append((time.perf_counter() - clock, time.process_time() - processor))
     return np.min(times, axis=0)
-
-
-def report_environment():
-    threads = os.environ.get("OMP_NUM_THREADS", "not set")
-    print(f"{platform.platform()}, {os.cpu_count()} cores, OMP_NUM_THREADS {threads}")
-    versions = (("scope_models", scope_models), ("numpy", np), ("scipy", scipy))
-    versions = ", ".join(f"{name} {module.__version__}" for name, module in versions)
-    print(f"Python {platform.python_version()}, {versions}, astropy {astropy.__version__}\n")
 
 
 def report_speed(motion):

@@ -21,7 +21,6 @@ Run as ``OMP_NUM_THREADS=1 python benchmarks/sweep.py [PART ...]`` on a quiet ma
 import argparse
 import multiprocessing
 import os
-import platform
 import resource
 import subprocess
 import sys
@@ -32,11 +31,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import ClassVar
 
-import astropy
 import numpy as np
-import scipy
+from _common import report_environment
 
-import scope_models
 from scope_models import Detector, Motion, Star, simulate
 from scope_models.experiments import make_study, run_sweep
 from scope_models.experiments.study import Study
@@ -94,14 +91,6 @@ def light_study(stars, cadences, magnitudes, scales):
             "transit_scales": (),
         },
     )
-
-
-def report_environment():
-    threads = os.environ.get("OMP_NUM_THREADS", "not set")
-    print(f"{platform.platform()}, {os.cpu_count()} cores, OMP_NUM_THREADS {threads}")
-    versions = (("scope_models", scope_models), ("numpy", np), ("scipy", scipy))
-    versions = ", ".join(f"{name} {module.__version__}" for name, module in versions)
-    print(f"Python {platform.python_version()}, {versions}, astropy {astropy.__version__}\n")
 
 
 def pool(number):
@@ -202,7 +191,7 @@ def main():
     if options.size is not None:
         report_size(options.size)
         return
-    report_environment()
+    report_environment("distributed")
     for part in options.parts or parts:
         if part == "throughput":
             report_throughput(options.stars, options.cadences)

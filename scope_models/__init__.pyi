@@ -1,4 +1,7 @@
 from . import (
+    appendix_a as appendix_a,
+)
+from . import (
     cli as cli,
 )
 from . import (
@@ -37,10 +40,9 @@ from . import (
 from . import (
     simulation as simulation,
 )
-from . import (
-    target as target,
-)
 from ._version import __version__ as __version__
+from .appendix_a import Target as Target
+from .appendix_a import generate_target as generate_target
 from .fitting import TPFFit as TPFFit
 from .fitting import fit_tpf as fit_tpf
 from .io import read_truth as read_truth
@@ -53,6 +55,9 @@ from .models import (
 )
 from .models import (
     SensitivityPolynomial as SensitivityPolynomial,
+)
+from .models import (
+    TabulatedPSF as TabulatedPSF,
 )
 from .models import (
     TransitModel as TransitModel,
@@ -80,5 +85,3 @@ from .scene import (
 )
 from .simulation import Observation as Observation
 from .simulation import simulate as simulate
-from .target import Target as Target
-from .target import generate_target as generate_target

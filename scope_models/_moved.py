@@ -5,7 +5,7 @@ import warnings
 
 from astropy.utils.exceptions import AstropyDeprecationWarning
 
-__all__ = ["moved"]
+__all__ = ["moved", "renamed"]
 
 
 def moved(old, *new):
@@ -37,5 +37,35 @@ def moved(old, *new):
                     )
                     return getattr(module, name)
         raise AttributeError(f"module {old!r} has no attribute {name!r}")
+
+    return __getattr__
+
+
+def renamed(module, **names):
+    """Return the module-level ``__getattr__`` of a module some of whose names are new.
+
+    Parameters
+    ----------
+    module : str
+        The module.
+    **names : str
+        Old names, and the new one of each.
+
+    Returns
+    -------
+    callable
+        Returns the attribute of the new name, with an
+        `~astropy.utils.exceptions.AstropyDeprecationWarning`.
+    """
+
+    def __getattr__(name):  # noqa: N807
+        if name not in names:
+            raise AttributeError(f"module {module!r} has no attribute {name!r}")
+        warnings.warn(
+            f"{module}.{name} is now {module}.{names[name]}",
+            AstropyDeprecationWarning,
+            stacklevel=2,
+        )
+        return getattr(importlib.import_module(module), names[name])
 
     return __getattr__

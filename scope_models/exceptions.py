@@ -3,6 +3,7 @@
 from astropy.utils.exceptions import AstropyUserWarning
 
 __all__ = [
+    "DamagedFileWarning",
     "DamagedResultWarning",
     "DetrendingWarning",
     "FailedStarsWarning",
@@ -31,6 +32,10 @@ class IntegrationWarning(ScopeModelsWarning):
 
 class FitWarning(ScopeModelsWarning):
     """A fit has left data out, has not converged, or does not determine a parameter."""
+
+
+class DamagedFileWarning(ScopeModelsWarning):
+    """A checksum in a file does not match its contents."""
 
 
 class DamagedResultWarning(ScopeModelsWarning):

@@ -122,8 +122,8 @@ class Mission:
     ----------
     name : str
         Name, as in the card MISSION and in `Detector.mission <scope_models.Detector>`.
-    telescope, instrument : str
-        The cards TELESCOP and INSTRUME.
+    telescope : str
+        The card TELESCOP.
     band : str
         Name of the band in which magnitudes are given.
     time_format : {"bkjd", "btjd"}
@@ -158,10 +158,8 @@ class Mission:
         What an observing run is called.
     places : tuple of str
         What tells the place on the focal plane.
-    table_name : str
-        Name of the pixel table in target pixel files.
-    file_version : str
-        FILEVER of the archive files that ours follow.
+    absent_columns : tuple of str
+        Columns that its target pixel files lack, of all that there are.
     displays : tuple of str
         Display formats of 64-bit floats, 32-bit floats and flags.
     field_center : tuple of float
@@ -181,7 +179,6 @@ class Mission:
 
     name: str
     telescope: str
-    instrument: str
     band: str
     time_format: str
     time_unit: str
@@ -203,8 +200,7 @@ class Mission:
     offset_keywords: tuple[str, ...]
     run: str
     places: tuple[str, ...]
-    table_name: str
-    file_version: str
+    absent_columns: tuple[str, ...]
     displays: tuple[str, str, str]
     field_center: tuple[float, float]
     tpf_class: str
@@ -492,7 +488,6 @@ _TESS_BITS = QualityBits(
 # channels: 0.947e6 to 1.19e6 electrons, median 1.08e6 (KSCI-19033, table 13).
 _PHOTOMETER = {
     "telescope": "Kepler",
-    "instrument": "Kepler Photometer",
     "band": "Kp",
     "time_format": "bkjd",
     "time_unit": "BJD - 2454833",
@@ -512,14 +507,13 @@ _PHOTOMETER = {
     "black_keyword": "MEANBLCK",
     "offset_keywords": ("LCFXDOFF", "SCFXDOFF"),
     "places": ("channel", "module", "output"),
-    "table_name": "TARGETTABLES",
     "tpf_class": "KeplerTargetPixelFile",
 }
 _KEPLER = Mission(
     name="Kepler",
     start=131.5,  # about the beginning of quarter 1
     run="quarter",
-    file_version="3.0",
+    absent_columns=("RB_LEVEL",),
     # The archive's B16.16 of the flags is too narrow for bit 65536, which stands for no data.
     displays=("D12.7", "E13.6", "B24.24"),
     field_center=(290.6667, 44.5),
@@ -529,7 +523,7 @@ _K2 = Mission(
     name="K2",
     start=2144.1028,  # first time of campaign 3 (ktwo206103150-c03_llc.fits)
     run="campaign",
-    file_version="6.1",
+    absent_columns=(),
     displays=("D14.7", "E14.7", "B24.24"),
     field_center=(336.6667, -11.0967),
     **_PHOTOMETER,
@@ -537,7 +531,6 @@ _K2 = Mission(
 _TESS = Mission(
     name="TESS",
     telescope="TESS",
-    instrument="TESS Photometer",
     band="T",
     time_format="btjd",
     time_unit="BJD - 2457000, days",
@@ -568,8 +561,7 @@ _TESS = Mission(
     offset_keywords=("FXDOFF",),
     run="sector",
     places=("camera", "ccd"),
-    table_name="PIXELS",
-    file_version="1.0",
+    absent_columns=("COSMIC_RAYS", "RB_LEVEL"),
     displays=("D14.7", "E14.7", "B16.16"),
     field_center=(270.0, 66.5607),  # the north ecliptic pole
     tpf_class="TessTargetPixelFile",

@@ -17,8 +17,8 @@ from itertools import product
 
 import numpy as np
 
-from scope_models.experiments._lightkurve import LIGHTKURVE_CORRECTORS
-from scope_models.experiments._lightkurve import correct as correct_by_lightkurve
+from scope_models.experiments._correctors import LIGHTKURVE_CORRECTORS
+from scope_models.experiments._correctors import correct as correct_by_lightkurve
 from scope_models.experiments.skies import REGIMES, make_sky, score
 
 COLUMNS = ("full", "high_passed", "amplitude", "depth", "pull", "kept", "seconds")

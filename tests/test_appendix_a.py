@@ -33,7 +33,7 @@ def _target(**options):
 
 def test_appendix_a_as_printed(monkeypatch):
     """Without a seed; the test alone fixes what the operating system would give."""
-    monkeypatch.setattr("scope_models.target._generate.fresh_seed", lambda: 1)
+    monkeypatch.setattr("scope_models.appendix_a.fresh_seed", lambda: 1)
     star = scope.generate_target()
     assert star.targetpixelfile.shape == (1000, 7, 7)
     assert star.lightcurve.shape == (1000,)
@@ -193,7 +193,7 @@ EFFECTS = {
 
 
 def test_effects_compose_in_any_order():
-    """Signals multiply, neighbours add up: the noise-free cube does not know the order."""
+    """Signals multiply, neighbors add up: the noise-free cube does not know the order."""
     names = ["transit", "variability", "neighbor", "neighbor 2"]
     cubes = []
     for order in itertools.permutations(names):
@@ -206,7 +206,7 @@ def test_effects_compose_in_any_order():
 
 
 def test_effects_add_up_to_their_parts():
-    """All of them: the star's cube times all signals, plus each neighbour's cube."""
+    """All of them: the star's cube times all signals, plus each neighbor's cube."""
     target = _target(noise=False)
     own = target.targetpixelfile.astype(float)
     signal = np.ones(N)
@@ -542,3 +542,22 @@ def test_transits_are_retrieved_within_their_errors():
     assert np.abs(pulls).max() < 4
     assert 0.7 < pulls.std() < 1.3
     assert np.all(np.abs(pulls.mean(axis=0)) < 3 / np.sqrt(16))
+
+
+def test_edits_leave_nothing_old_behind():
+    target = scope.generate_target(ncadences=60, seed=1)
+    before, alone, light = target.targetpixelfile, target.contamination, target.detrend()
+    assert target.observation is target.observation
+    target.neighbors.append(scope.Star(12.0, 4.0, 3.0))
+    assert target.contamination > alone == 0
+    assert len(target.observation.stars) == 2
+    assert not np.array_equal(target.targetpixelfile, before)
+    assert target._detrended is None
+    target.neighbors.clear()
+    assert_array_equal(target.targetpixelfile, before)
+    target.detector = target.detector.replace(background=1000.0)
+    assert target.observation.flux_bkg.mean() == pytest.approx(1000, rel=0.01)
+    target.seed, target.noise = 2, False
+    assert target.observation.scene == target.scene
+    assert (target.scene.seed, target.scene.noise) == (2, frozenset())
+    assert target.detrend() is not light

@@ -12,6 +12,7 @@ MOVED = {
     "scope_models.observation": ("Observation", "Truth"),
     "scope_models.saturation": ("bleed",),
     "scope_models.star": ("Star",),
+    "scope_models.target": ("Target", "generate_target"),
 }
 
 
@@ -30,3 +31,11 @@ def test_unknown_name_of_an_old_path():
     module = importlib.import_module("scope_models.star")
     with pytest.raises(AttributeError, match="no attribute 'Planet'"):
         _ = module.Planet
+
+
+def test_renamed():
+    module = importlib.import_module("scope_models.io")
+    with pytest.warns(AstropyDeprecationWarning, match="TPFTruth is now scope_models.io.Truth"):
+        assert module.TPFTruth is module.Truth
+    with pytest.raises(AttributeError, match="no attribute 'Falsehood'"):
+        _ = module.Falsehood

@@ -2,7 +2,7 @@
 
 ``python docs/data/store_calibration.py NO_MOTION K2_MOTION GRID``: the results directories of
 ``scope-models experiment no-motion`` and ``k2-motion``, and the k2_calibration.ecsv of
-``benchmarks/calibrate_k2_motion.py``. Written are, beside this file, the summaries, the noise of
+``studies/calibrate_k2_motion.py``. Written are, beside this file, the summaries, the noise of
 the stars at rest, and every other point of the grid.
 """
 

@@ -37,7 +37,6 @@ def add_parser(commands):
     )
     parser.add_argument(
         "--method",
-        default="likelihood",
         help=SUPPRESS,  # of the first version; others than the likelihood are refused
     )
     parser.set_defaults(run=run)
@@ -58,7 +57,7 @@ def run(arguments):
         order=arguments.order,
         trend=arguments.trend,
         restore_trend=not arguments.remove_trend,
-        method=arguments.method,
+        **({"method": arguments.method} if arguments.method else {}),
     )
     print(f"{arguments.output}: {_summary(corrector)}")
 

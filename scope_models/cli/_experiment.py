@@ -5,6 +5,7 @@ import inspect
 import sys
 import tomllib
 
+from scope_models.cli import _workers
 from scope_models.experiments import STUDIES
 
 __all__ = ["add_parser", "run"]
@@ -37,9 +38,7 @@ def add_parser(commands):
     parser.add_argument(
         "--directory", metavar="DIR", help="folder for the results (default: the study's name)"
     )
-    parser.add_argument(
-        "--workers", type=int, default=1, metavar="N", help="processes (default: 1)"
-    )
+    _workers.add_options(parser)
     parser.add_argument(
         "--write-tpfs", action="store_true", help="write a target pixel file of each star too"
     )
@@ -71,19 +70,18 @@ def run(arguments):
     """Run the study and say where its results are."""
     from scope_models.experiments import SweepError, run_experiment
 
-    if arguments.workers < 1:
-        raise ValueError(f"--workers must be at least 1, got {arguments.workers}")
+    client = _workers.client_of(arguments)
     study = _make_study(arguments)
     try:
         result = run_experiment(
             study,
             arguments.directory or study.name,
-            None if arguments.workers == 1 else arguments.workers,
+            client,
             write_tpfs=arguments.write_tpfs,
             retry_failed=not arguments.keep_failures,
             progress=sys.stderr.isatty(),
         )
-    except SweepError as error:
+    except (ModuleNotFoundError, SweepError) as error:
         raise ValueError(str(error)) from error
     print(f"{study.name}: {len(result.table)} stars, {len(result.failures)} failed")
     for claim, verdict in result.summary.meta.get("claims", {}).items():

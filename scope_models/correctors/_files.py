@@ -1,14 +1,11 @@
 """From a target pixel file to the file of a corrected light curve."""
 
-import warnings
-
 import numpy as np
 from astropy.io import fits
 
-from scope_models._version import __version__
 from scope_models.correctors.pld import PLDCorrector
-from scope_models.io._atomic import atomic_path
-from scope_models.missions import TIME_ZEROS
+from scope_models.io import make_light_curve_hdulist, read_pixels, write_hdulist
+from scope_models.io._atomic import atomic_path, check_output
 from scope_models.photometry import cdpp
 
 __all__ = ["detrend_file", "make_lightcurve_hdulist"]
@@ -41,7 +38,9 @@ def detrend_file(path, output, *, figure=None, overwrite=False, **options):
     OSError
         If a file cannot be read or written, or exists and is not to be replaced.
     ValueError
-        If ``path`` is not a target pixel file, or the correction refuses its pixels.
+        If a file that is written would be ``path`` itself, also through a link, the figure has a
+        format that cannot be drawn, ``path`` is not a target pixel file, or the
+        correction refuses its pixels.
 
     Examples
     --------
@@ -56,15 +55,20 @@ def detrend_file(path, output, *, figure=None, overwrite=False, **options):
     >>> corrector.result.groups
     ('order 1',)
     """
+    check_output(output, overwrite=overwrite, inputs=[path])
+    if figure is not None:
+        check_output(figure, overwrite=overwrite, inputs=[path, output])
+        from scope_models.plotting._saving import check_figure_format  # imports matplotlib
+
+        check_figure_format(figure)
     corrector = PLDCorrector(path)
     corrector.correct(**options)
-    with atomic_path(output, overwrite=overwrite) as temporary:
-        make_lightcurve_hdulist(corrector).writeto(temporary, checksum=True)
+    write_hdulist(make_lightcurve_hdulist(corrector), output, overwrite=overwrite)
     if figure is not None:
+        from scope_models.plotting._saving import save_figure
+
         with atomic_path(figure, overwrite=overwrite) as temporary:
-            drawn = corrector.diagnose()[0].figure
-            drawn.savefig(temporary, dpi=120)
-            drawn.clear()
+            save_figure(corrector.diagnose()[0].figure, temporary)
     return corrector
 
 
@@ -80,64 +84,36 @@ def make_lightcurve_hdulist(corrector):
     Returns
     -------
     `~astropy.io.fits.HDUList`
-        lightkurve's file of the corrected light curve, with the measured flux, the systematics'
-        masks and the result's numbers added.
+        The corrected light curve with the measured flux, the systematics' masks and the result's
+        numbers, and the cards of the target pixel file that stay true.
     """
-    from lightkurve import LightCurve
-
-    lc, mask = corrector.corrected_lc, corrector.aperture_mask
-    identity = _identity(lc, corrector.tpf)
-    lc = lc.copy()
-    lc.meta["TELESCOP"] = identity["TELESCOP"]  # lightkurve logs its absence
-    with warnings.catch_warnings():
-        # lightkurve 2.6 inverts bools with ~, of which Python 3.12 and later warn
-        warnings.filterwarnings("ignore", "Bitwise inversion", DeprecationWarning)
-        hdus = LightCurve.to_fits(lc, **identity)
-    reference = int(TIME_ZEROS[lc.time.format])
-    table = fits.BinTableHDU.from_columns(
-        hdus[1].columns + fits.ColDefs(_columns(corrector)), name="LIGHTCURVE"
+    return make_light_curve_hdulist(
+        corrector.tpf,
+        _columns(corrector),
+        aperture=corrector.aperture_mask,
+        cards=_cards(corrector),
     )
-    table.header["TUNIT1"] = f"BJD - {reference}"
-    table.header["BJDREFI"] = (reference, "reference of TIME, integer part")
-    table.header["BJDREFF"] = (0.0, "reference of TIME, fraction of the day")
-    header = hdus[0].header
-    header["PROCVER"] = (f"scope_models {__version__}", "software version")
-    for keyword, value, comment in _cards(corrector):
-        header[keyword] = (value, comment)
-    # bit 1: collected, bit 2: in the aperture
-    aperture = fits.ImageHDU((1 + 2 * mask).astype(np.int32), name="APERTURE")
-    return fits.HDUList([hdus[0], table, aperture])
-
-
-def _identity(lc, tpf):
-    """Return the cards that say which star it is."""
-    tess = lc.time.format == "btjd"
-    values = {
-        "TELESCOP": "TESS" if tess else "Kepler",
-        "TICID" if tess else "KEPLERID": lc.meta.get("TARGETID"),
-        "OBJECT": lc.meta.get("OBJECT"),
-        "RA_OBJ": lc.meta.get("RA"),
-        "DEC_OBJ": lc.meta.get("DEC"),
-    }
-    known = ("MISSION", "CHANNEL", "QUARTER", "CAMPAIGN", "SECTOR", "CAMERA", "CCD")
-    values |= {name: lc.meta.get(name) for name in known}
-    values["DATE-OBS"] = str(tpf.time[np.isfinite(tpf.time.value)][0].utc.isot)
-    simple = (str, bool, int, float)
-    return {k: v for k, v in values.items() if isinstance(v, simple)}
 
 
 def _columns(corrector):
-    """Return the columns beside time, flux and cadence number."""
+    """Return the columns of the light curve."""
     lc, original = corrector.corrected_lc, corrector.original_lc
-    tess = lc.time.format == "btjd"
+    series = read_pixels(corrector.tpf)
     quality = np.asarray(lc["quality"], dtype=np.int32)
-    unit = "electron / s"
+    if series.mission is None:
+        raise ValueError("`tpf` names no known mission in MISSION or TELESCOP")
+    flux = {"unit": "e-/s", "disp": "E14.7"}
+    place = {"unit": "pixel", "disp": "F10.5"}
     return [
-        fits.Column("QUALITY" if tess else "SAP_QUALITY", "J", array=quality),
-        fits.Column("MOM_CENTR1", "D", unit="pixel", array=np.asarray(lc["centroid_col"].value)),
-        fits.Column("MOM_CENTR2", "D", unit="pixel", array=np.asarray(lc["centroid_row"].value)),
-        fits.Column("RAW_FLUX", "E", unit=unit, array=original.flux.value),
-        fits.Column("RAW_FLUX_ERR", "E", unit=unit, array=original.flux_err.value),
+        fits.Column("TIME", "D", disp="D14.7", array=np.array(series.time)),
+        fits.Column("CADENCENO", "J", disp="I10", array=np.array(series.cadenceno)),
+        fits.Column("FLUX", "E", array=lc.flux.value, **flux),
+        fits.Column("FLUX_ERR", "E", array=lc.flux_err.value, **flux),
+        fits.Column(series.mission.quality_column, "J", array=quality),
+        fits.Column("MOM_CENTR1", "D", array=np.asarray(lc["centroid_col"].value), **place),
+        fits.Column("MOM_CENTR2", "D", array=np.asarray(lc["centroid_row"].value), **place),
+        fits.Column("RAW_FLUX", "E", array=original.flux.value, **flux),
+        fits.Column("RAW_FLUX_ERR", "E", array=original.flux_err.value, **flux),
         fits.Column("IN_FIT", "L", array=corrector.cadence_mask & ~corrector.outlier_mask),
         fits.Column("OUTLIER", "L", array=corrector.outlier_mask),
     ]

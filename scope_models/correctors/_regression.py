@@ -12,6 +12,7 @@ __all__ = ["Data", "Hyperparameters", "Posterior", "gram_matrix", "log_likelihoo
 
 #: The prior variance of the columns with flat priors, in units of the data's.
 _FLAT = 1e4
+_SQRT_2 = np.sqrt(2)
 
 
 @dataclass(frozen=True)
@@ -102,6 +103,12 @@ class Hyperparameters:
         if self.amplitude is None:
             return Noise(self.noise_scale * variance)
         return LongTerm(time, self.noise_scale * variance, self.amplitude, self.period)
+
+    def density(self, frequency):
+        """Return the power spectral density of the long-term process (per cycle per day)."""
+        if self.amplitude is None:
+            return np.zeros_like(frequency)
+        return _SQRT_2 / np.pi * self.amplitude * self.period / (1 + (frequency * self.period) ** 4)
 
     def prior(self, data):
         """Return the prior variance of each column."""

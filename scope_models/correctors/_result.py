@@ -19,6 +19,7 @@ _NUMBERS = (
     "jitter",
     "trend_sigma",
     "trend_period",
+    "frequencies",
     "log_likelihood",
     "n_used",
     "n_outliers",
@@ -115,6 +116,11 @@ class PLDFit:
         return np.nan if self.solution.hyper.amplitude is None else self.solution.hyper.period
 
     @property
+    def frequencies(self):
+        """Frequencies of periodic variability in cycles per day, as of pulsations or eclipses."""
+        return self.solution.frequencies
+
+    @property
     def log_likelihood(self):
         """Logarithm of the marginal likelihood of the relative flux' logarithm."""
         return self.solution.log_likelihood
@@ -192,7 +198,12 @@ class PLDFit:
     @cached_property
     def trend(self):
         """Logarithm of the long-term variability, ``(n_cadences,)``."""
-        return self._whole(self.solution.trend(self.model.options.n_trend))
+        return self._whole(self.solution.trend)
+
+    @cached_property
+    def periodic(self):
+        """Logarithm of the variability faster than a day and its overtones, ``(n_cadences,)``."""
+        return self._whole(self.solution.periodic)
 
     def corrected(self, *, restore_trend=True):
         """
@@ -212,7 +223,7 @@ class PLDFit:
         solution = self.solution
         removed, variance = solution.systematics, solution.systematics_variance
         if not restore_trend:
-            removed = removed + solution.trend(self.model.options.n_trend)
+            removed = removed + solution.trend
             variance = solution.latent_variance()
         flux = self.model.pixels.total[self.model.pixels.usable] / np.exp(removed)
         error = flux * np.sqrt(solution.white_variance + variance)
@@ -266,7 +277,7 @@ class PLDFit:
         column = transit_column(transit_model, self.model.pixels.time)[usable]
         use = self.solution.use | self.transit_mask[usable]
         options = self.model.options
-        solution = self.solution.with_flat(column, options.n_trend, use)
+        solution = self.solution.with_flat(column, use)
         return solution.without_outliers(options).flat_coefficient(-1)
 
     def held_out(self, width=13):
@@ -326,6 +337,8 @@ class PLDFit:
         if np.isfinite(self.trend_sigma):
             trend = f"{1e6 * self.trend_sigma:.0f} ppm, {self.trend_period:.2f} d"
             rows.append(("trend", trend))
+        if self.frequencies:
+            rows.append(("frequencies", f"{len(self.frequencies)}"))
         if self.joint:
             rows.append(
                 ("transit scale", f"{self.transit_scale:.4f} +- {self.transit_scale_err:.4f}")

@@ -5,6 +5,7 @@ from functools import cached_property
 
 import numpy as np
 
+from scope_models.correctors._periodic import find_frequencies, harmonic_columns, is_periodic
 from scope_models.correctors._regression import Data, Hyperparameters, Posterior, log_likelihood
 from scope_models.correctors._search import fit_columns, fit_hyperparameters
 
@@ -15,6 +16,8 @@ _REFITS = 2
 #: Part of the cadences without which the columns and the time scales stay: only the variances are
 #: fitted again.
 _LITTLE = 0.01
+#: Cycles per day: a star without any frequency above this has long-term variability alone.
+_FAST = 1.0
 
 
 class NothingToCorrectError(ValueError):
@@ -41,6 +44,11 @@ class Solution:
         What the flat columns were divided by.
     hyper : Hyperparameters
         The fitted variances and time scales.
+    n_trend : int
+        Number of flat columns that are the constant and the star's variability.
+    frequencies : tuple of float
+        Frequencies of the periodic variability in cycles per day; the last columns of the
+        variability are a cosine and a sine for each.
     """
 
     time: np.ndarray
@@ -51,6 +59,8 @@ class Solution:
     flat: np.ndarray
     scale: np.ndarray
     hyper: Hyperparameters
+    n_trend: int = 1
+    frequencies: tuple = ()
 
     @cached_property
     def columns(self):
@@ -105,13 +115,30 @@ class Solution:
         x = self.regressors.columns
         return np.einsum("ij,ij->i", x @ self.posterior.covariance[:k, :k], x)
 
-    def trend(self, n_trend):
-        """Return the long-term variability, without its mean."""
+    @property
+    def _first_periodic(self):
+        """First flat column that is not the trend's: slow waves alone are long-term."""
+        fast = max(self.frequencies, default=0.0) > _FAST
+        return self.n_trend - 2 * len(self.frequencies) * fast
+
+    def _flat_part(self, first, last):
+        """Return what flat columns contribute."""
         k = self.n_regressors
-        trend = self.flat[:, 1:n_trend] @ self.posterior.mean[k + 1 : k + n_trend]
+        return self.flat[:, first:last] @ self.posterior.mean[k + first : k + last]
+
+    @cached_property
+    def trend(self):
+        """The long-term variability, without its mean."""
+        trend = self._flat_part(1, self._first_periodic)
         if self.hyper.amplitude is not None:
             trend = trend + self.process.predict(self.alpha, self.time)
         return trend - trend[self.use].mean()
+
+    @cached_property
+    def periodic(self):
+        """The periodic variability, without its mean."""
+        periodic = self._flat_part(self._first_periodic, self.n_trend)
+        return periodic - periodic[self.use].mean()
 
     @cached_property
     def white_variance(self):
@@ -187,11 +214,26 @@ class Solution:
         white = whole.white_variance
         return np.clip(white - white**2 * whole.precision, 0.0, None)
 
-    def with_flat(self, column, n_trend, use):
+    @property
+    def unexplained(self):
+        """What regressors and flat columns leave of the data, at all usable cadences."""
+        return self.y - self.columns @ self.posterior.mean
+
+    def with_flat(self, column, use):
         """Return the same model with another transit column and other cadences."""
-        scale = np.abs(column).max(axis=0)
-        flat = np.concatenate([self.flat[:, :n_trend], column / scale], axis=1)
-        return replace(self, flat=flat, scale=np.append(self.scale[:n_trend], scale), use=use)
+        n, scale = self.n_trend, np.abs(column).max(axis=0)
+        flat = np.concatenate([self.flat[:, :n], column / scale], axis=1)
+        return replace(self, flat=flat, scale=np.append(self.scale[:n], scale), use=use)
+
+    def with_frequencies(self, frequencies, use):
+        """Return the same model with periodic variability and other cadences."""
+        n, columns = self.n_trend, harmonic_columns(self.time, frequencies)
+        flat = np.concatenate([self.flat[:, :n], columns, self.flat[:, n:]], axis=1)
+        ones = np.ones(columns.shape[1])
+        scale = np.concatenate([self.scale[:n], ones, self.scale[n:]])
+        n += columns.shape[1]
+        frequencies = (*self.frequencies, *map(float, frequencies))
+        return replace(self, flat=flat, scale=scale, n_trend=n, frequencies=frequencies, use=use)
 
     def flat_coefficient(self, index):
         """Return the coefficient of a flat column and its standard deviation."""
@@ -233,6 +275,9 @@ def fit(make_regressors, time, y, variance, use, flat_columns, options):
     """
     Fit, and leave out outliers until there are none.
 
+    If periodic variability is left, or many cadences seem to be outliers, the fit is made again
+    with columns for the star's frequencies, and the more likely one is returned.
+
     Parameters
     ----------
     make_regressors : callable
@@ -246,27 +291,42 @@ def fit(make_regressors, time, y, variance, use, flat_columns, options):
     options : PLDOptions
         Trend and clipping.
     """
+    regressors = make_regressors(use)
+    if not regressors.columns.shape[1]:
+        raise NothingToCorrectError("the pixel fractions do not vary")
     time = time - time[use][0]
     flat, scale = _flat_columns(time, flat_columns, options.n_trend)
-    solution = None
+    y = y - y[use].mean()
+    first = Solution(time, y, variance, use, regressors, flat, scale, None, options.n_trend)
+    solution = _without_outliers(first, make_regressors, options)
+    if options.trend == "gp" and is_periodic(solution):
+        frequencies = find_frequencies(solution, use)
+        if len(frequencies):
+            periodic = first.with_frequencies(frequencies, use)
+            periodic = _without_outliers(periodic, make_regressors, options)
+            solution = max(solution, periodic, key=lambda s: _evidence(s, use))
+    return solution
+
+
+def _without_outliers(solution, make_regressors, options):
+    """Fit the hyper-parameters and leave out outliers by turns."""
+    solution = replace(solution, hyper=_fit_hyper(solution, options, little=False))
     for k in range(_REFITS + 1):
-        hyper, regressors, little = None, None, False
-        if solution is not None:
-            hyper = solution.hyper
-            little = (use != solution.use).sum() < _LITTLE * use.sum()
-            regressors = solution.regressors if little else None
-        if regressors is None:
-            regressors = make_regressors(use)
-            if not regressors.columns.shape[1]:
-                raise NothingToCorrectError("the pixel fractions do not vary")
-        centered = y - y[use].mean()
-        solution = Solution(time, centered, variance, use, regressors, flat, scale, hyper)
-        solution = replace(solution, hyper=_fit_hyper(solution, options, little=little))
-        if k < _REFITS:
-            use = solution.without_outliers(options).use
+        use = solution.without_outliers(options).use if k < _REFITS else solution.use
         if (use == solution.use).all():
             break
+        little = (use != solution.use).sum() < _LITTLE * solution.use.sum()
+        regressors = solution.regressors if little else make_regressors(use)
+        y = solution.y - solution.y[use].mean()
+        solution = replace(solution, use=use, y=y, regressors=regressors)
+        solution = replace(solution, hyper=_fit_hyper(solution, options, little=little))
     return solution
+
+
+def _evidence(solution, allowed):
+    """Log-likelihood with the outliers, which may be anywhere in the range of the data."""
+    n_outliers = allowed.sum() - solution.use.sum()
+    return solution.log_likelihood - n_outliers * np.log(np.ptp(solution.y[allowed]))
 
 
 def _flat_columns(time, extra, n_trend):

@@ -1,12 +1,14 @@
 """The studies of the paper, and what runs a study star by star, on one machine or many.
 
-A study (`~scope_models.experiments.study.Study`) is a configuration that knows its stars. `STUDIES`
+A study (`~scope_models.experiments.study.Study`) is a configuration with its stars. `STUDIES`
 has all of them by name, `make_study` and `read_config` fill one, `run_experiment` runs it and
 writes tables and a figure, and `run_sweep` is the part of it that computes the stars.
 """
 
 import importlib
 from collections.abc import Mapping
+
+import lazy_loader
 
 __all__ = [
     "STUDIES",
@@ -20,18 +22,17 @@ __all__ = [
     "run_sweep",
 ]
 
-# Where each public name lives, and each study: both are imported at first use, as in the package
-# itself. A new study is a line of _STUDIES.
-_SOURCES = {
-    "ExperimentResult": "scope_models.experiments.experiment",
-    "Study": "scope_models.experiments.study",
-    "SweepError": "scope_models.experiments.sweep",
-    "SweepResult": "scope_models.experiments.sweep",
-    "make_study": "scope_models.experiments.config",
-    "read_config": "scope_models.experiments.config",
-    "run_experiment": "scope_models.experiments.experiment",
-    "run_sweep": "scope_models.experiments.sweep",
-}
+# Public names and studies are imported at first use, as in the package itself.
+__getattr__, _, _ = lazy_loader.attach(
+    __name__,
+    submod_attrs={
+        "config": ["make_study", "read_config"],
+        "experiment": ["ExperimentResult", "run_experiment"],
+        "study": ["Study"],
+        "sweep": ["SweepError", "SweepResult", "run_sweep"],
+    },
+)
+# A new study is a line of this table.
 _STUDIES = {
     "table1": ("scope_models.experiments.table1", "Table1"),
     "no-motion": ("scope_models.experiments.no_motion", "NoMotion"),
@@ -62,14 +63,6 @@ class _Studies(Mapping):
 STUDIES = _Studies()
 
 
-def __getattr__(name):
-    """Import a public name at its first use."""
-    if name not in _SOURCES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    value = globals()[name] = getattr(importlib.import_module(_SOURCES[name]), name)
-    return value
-
-
 def __dir__():
-    """Names of the module, imported or not."""
-    return sorted({*globals(), *_SOURCES})
+    """Return the public names, imported or not."""
+    return __all__

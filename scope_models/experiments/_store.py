@@ -1,217 +1,222 @@
-"""The stars of a sweep on disk: finished ones are there for good, whatever happens to the run.
+"""The stars of a sweep in one SQLite file, written by one run at a time."""
 
-A results directory holds ``config.json``, what the study was, and the folder ``stars`` with one
-file per run. A run appends one line per star to its own file: a checksum and a JSON record. So
-there are few files however many stars there are, no two runs write to one file, a run that is
-killed leaves whole lines but perhaps the last, and whatever is damaged is told by its checksum.
-"""
-
+import errno
 import hashlib
 import json
-import os
-import secrets
+import sqlite3
 import time
 import warnings
 import zlib
+from contextlib import contextmanager
 from pathlib import Path
 
 from scope_models._version import __version__
 from scope_models.exceptions import DamagedResultWarning
-from scope_models.io._atomic import atomic_path
 
-__all__ = ["Store"]
+__all__ = ["FILE", "BusyError", "Store", "provenance"]
 
-_CONFIG, _STARS = "config.json", "stars"
-_CONTENTS = "contents of files"
-_OUTPUTS = (_STARS, "results.ecsv", "summary.ecsv", "failures.ecsv", "figure.png", "tpfs")
-# Seconds of work that a failure of the power may cost.
+#: Name of the file in a results directory.
+FILE = "results.sqlite"
+_OUTPUTS = ("stars", "results.ecsv", "summary.ecsv", "failures.ecsv", "figure.png", "tpfs")
+_CONTENTS = "contents of "
+# Seconds of work that a power failure may cost.
 _SYNC_INTERVAL = 5.0
+_SCHEMA = """
+    CREATE TABLE IF NOT EXISTS config (value TEXT NOT NULL);
+    CREATE TABLE IF NOT EXISTS stars (key TEXT PRIMARY KEY, record TEXT NOT NULL, crc INTEGER);
+"""
+
+
+class BusyError(OSError):
+    """Another run works in the results directory."""
 
 
 class Store:
-    """The records of a sweep, in a results directory or, without one, in memory only.
+    """The records of a sweep, in a results directory or, without one, in memory.
 
-    A record is a dictionary: "task", and either "row" or "error" and "traceback".
+    A record is a dictionary: "task", and either "row" or "error" and "traceback". The connection
+    holds an exclusive lock on the file, which ends with the process, however it ends.
 
     Parameters
     ----------
     directory : pathlib.Path or None
-        The results directory.
+        The results directory, which is made if need be.
+    study : Study
+        The study.
+    tasks : list of dict
+        All tasks of the study; records of other tasks are ignored.
+
+    Raises
+    ------
+    OSError
+        If the directory cannot be made or written to, or another run is writing to it.
+    ValueError
+        If it was made with another configuration, is damaged, or holds files of another origin
+        that would be replaced.
+
+    Warns
+    -----
+    DamagedResultWarning
+        If records are damaged; they are left out.
     """
 
-    def __init__(self, directory):
+    def __init__(self, directory, study, tasks):
         self.directory = directory
-        self.rows = {}
-        self.failures = {}
-        self._file = None
-        self._path = None
+        self._path = Path(":memory:") if directory is None else _file_in(directory)
+        self._failed = {}
         self._synced = time.monotonic()
-
-    def begin(self, study):
-        """Make the directory, or check that it is one of the same study.
-
-        Parameters
-        ----------
-        study : Study
-            The study.
-
-        Raises
-        ------
-        OSError
-            If the directory cannot be made or written to.
-        ValueError
-            If the directory was made with another configuration, which fields are named, or it
-            holds files of another origin that would be replaced.
-        """
-        if self.directory is None:
-            return
-        made = {
-            "creator": f"scope_models {__version__}",
-            **study.config(),
-            _CONTENTS: {path: _checksum(path) for path in study.input_files()},
-        }
+        self._connection = None
+        with self._clear_errors():
+            self._connection = sqlite3.connect(self._path, timeout=0, isolation_level=None)
+            self._connection.text_factory = bytes  # damaged text may not be UTF-8
         try:
-            self.directory.mkdir(parents=True, exist_ok=True)
-        except FileExistsError:
-            raise NotADirectoryError(f"cannot write to {self.directory}: it is a file") from None
-        except OSError as error:
-            raise _clear(error, f"cannot make the folder {self.directory}") from error
-        path = self.directory / _CONFIG
-        if path.exists():
-            _check_same(self.directory, made, _read_config(path))
+            with self._clear_errors():
+                self._begin(study)
+                self._load({task["key"]: task for task in tasks})
+        except BaseException:
+            self.close()
+            raise
+
+    def _begin(self, study):
+        """Lock the file, and check that it belongs to the same study."""
+        made = {"creator": f"scope_models {__version__}", **study.config()}
+        made |= {_CONTENTS + path: _checksum(path) for path in study.input_files()}
+        execute = self._connection.execute
+        # An exclusive lock needs no shared memory, so that network file systems serve too.
+        execute("PRAGMA locking_mode = EXCLUSIVE")
+        execute("PRAGMA journal_mode = WAL")
+        execute("PRAGMA synchronous = NORMAL")
+        self._connection.executescript(f"BEGIN IMMEDIATE; {_SCHEMA} COMMIT;")
+        found = execute("SELECT value FROM config").fetchone()
+        if found is None:
+            execute("INSERT INTO config VALUES (?)", (json.dumps(made),))
             return
-        for name in _OUTPUTS:
-            if (self.directory / name).exists():
-                raise ValueError(
-                    f"{self.directory} is not empty, and not a results directory either: it has "
-                    f"{name}, but no {_CONFIG}; choose another directory"
-                )
-        with atomic_path(path) as temporary:
-            temporary.write_text(json.dumps(made, indent=1) + "\n", encoding="utf-8")
+        try:
+            there = dict(json.loads(found[0]))
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"{self._path} is damaged: choose another directory") from error
+        _check_same(self.directory, json.loads(json.dumps(made)), there)
 
-    def load(self, tasks):
-        """Read what earlier runs have finished.
-
-        Parameters
-        ----------
-        tasks : list of dict
-            All tasks of the study.
-
-        Warns
-        -----
-        DamagedResultWarning
-            If lines are damaged, and stars are missing.
-        """
-        if self.directory is None:
-            return
-        tasks = {task["key"]: task for task in tasks}
+    def _load(self, tasks):
+        """Read which stars earlier runs have finished."""
         damaged = []
-        for path in sorted((self.directory / _STARS).glob("*.jsonl")):
-            bad = [n for n, line in _lines(path) if not self._take(_decoded(line), tasks)]
-            damaged += [(path, bad)] if bad else []
-        if len(self.rows) == len(tasks):
-            return
-        for path, lines in damaged:
-            numbers = ", ".join(map(str, lines[:5])) + (", ..." if len(lines) > 5 else "")
+        for key, text, crc in self._connection.execute("SELECT key, record, crc FROM stars"):
+            if crc != _crc(key, text):
+                damaged.append(repr(key)[1:])
+                continue
+            record = json.loads(text)
+            task = record["task"]
+            if tasks.get(task["key"]) == task:
+                self._failed[task["key"]] = "error" in record
+        if damaged:
+            shown = ", ".join(damaged[:5]) + (", ..." if len(damaged) > 5 else "")
             warnings.warn(
-                f"{path}: damaged results (line {numbers}) are left out; stars that are not "
-                "elsewhere are computed again",
+                f"{self._path}: damaged results ({shown}) are left out and computed again",
                 DamagedResultWarning,
-                stacklevel=4,
+                stacklevel=5,
             )
 
-    def _take(self, record, tasks):
-        """Remember a record; return whether it belongs to the study."""
-        if record is None or tasks.get(record["task"]["key"]) != record["task"]:
-            return False
-        self._remember(record)
-        return True
+    def is_done(self, key):
+        """Return whether the star has a result."""
+        return self._failed.get(key) is False
 
-    def _remember(self, record):
-        key = record["task"]["key"]
-        if "row" in record:
-            # As text: a tenth of the memory, and what was just computed is treated like what
-            # was read.
-            self.rows[key] = json.dumps(record["row"]).encode()
-            self.failures.pop(key, None)
-        elif key not in self.rows:
-            self.failures[key] = record
+    def has_failed(self, key):
+        """Return whether the star has been tried and has no result."""
+        return self._failed.get(key, False)
 
-    def row(self, key):
-        """Return the result of a star."""
-        return json.loads(self.rows[key])
+    def __len__(self):
+        """Return how many stars have results."""
+        return sum(not failed for failed in self._failed.values())
 
-    def open(self):
-        """Make the file of this run, so that a folder without room or permission is told now."""
-        if self.directory is None:
-            return
-        folder = self.directory / _STARS
-        self._path = folder / f"{time.time_ns():020d}-{secrets.token_hex(4)}.jsonl"
-        try:
-            folder.mkdir(exist_ok=True)
-            flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND
-            self._file = os.open(self._path, flags, 0o666)
-        except OSError as error:
-            raise _clear(error, f"cannot write to {folder}") from error
+    def read(self, key):
+        """Return the record of a star."""
+        rows = self._connection.execute("SELECT record FROM stars WHERE key = ?", (key,))
+        return json.loads(rows.fetchone()[0])
 
     def add(self, record):
-        """Keep a record, on disk first.
+        """Keep a record in a transaction of its own; a failure does not replace a result.
 
         Raises
         ------
         OSError
             If it cannot be written; nothing of it is left then.
         """
-        if self._file is not None:
-            text = json.dumps(record)
-            line = f"{zlib.crc32(text.encode()):08x} {text}\n".encode()
-            try:
-                self._append(line)
-            except OSError as error:
-                message = (
-                    f"cannot write to {self._path}; the {len(self.rows)} stars that are finished "
-                    "are kept, and the same call goes on from there: the reason is"
-                )
-                raise _clear(error, message) from error
-        self._remember(record)
-
-    def _append(self, line):
-        """Write a line as a whole, or leave the file as it was."""
-        start = os.fstat(self._file).st_size
-        written = 0
-        try:
-            while written < len(line):
-                written += os.write(self._file, line[written:])
+        key, failed = record["task"]["key"], "error" in record
+        if failed and self.is_done(key):
+            return
+        text = json.dumps(record).encode()
+        row = key, text.decode(), _crc(key.encode(), text)
+        with self._clear_errors():
+            self._connection.execute("INSERT OR REPLACE INTO stars VALUES (?, ?, ?)", row)
             if time.monotonic() - self._synced > _SYNC_INTERVAL:
-                os.fsync(self._file)
+                self._connection.execute("PRAGMA wal_checkpoint")
                 self._synced = time.monotonic()
-        except OSError:
-            os.ftruncate(self._file, start)
-            raise
+        self._failed[key] = failed
 
     def close(self):
-        """Close the file of this run, and remove it if it has remained empty."""
-        if self._file is None:
-            return
-        empty = os.fstat(self._file).st_size == 0
-        os.close(self._file)
-        self._file = None
-        if empty:
-            self._path.unlink(missing_ok=True)
+        """Release the file."""
+        if self._connection is not None:
+            self._connection.close()
+            self._connection = None
+
+    @contextmanager
+    def _clear_errors(self):
+        """Raise errors of SQLite as errors about the file."""
+        try:
+            yield
+        except sqlite3.DatabaseError as error:
+            code = getattr(error, "sqlite_errorcode", 0) & 0xFF
+            if code in {sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED}:
+                raise BusyError(
+                    f"another run is writing to {self.directory}: wait until it has ended, or "
+                    "choose another directory"
+                ) from None
+            if code in {sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB}:
+                raise ValueError(f"{self._path} is damaged: choose another directory") from error
+            clear = OSError(
+                f"cannot write to {self._path}; the {len(self)} stars that are finished are kept, "
+                f"and the same call goes on from there: the reason is: {error}"
+            )
+            clear.errno = errno.ENOSPC if code == sqlite3.SQLITE_FULL else errno.EIO
+            raise clear from error
 
 
-def _lines(path):
-    """Yield the number and the bytes of each line."""
-    with path.open("rb") as file:
-        yield from enumerate(file, start=1)
+def provenance(study):
+    """Return where a table comes from: package, version and configuration."""
+    config = study.config()
+    return {"creator": f"scope_models {__version__}", "study": config.pop("study"), **config}
 
 
-def _decoded(line):
-    """Return the record of a line, or None if it is damaged."""
-    checksum, _, text = line.partition(b" ")
-    if not text.endswith(b"\n") or checksum != b"%08x" % zlib.crc32(text[:-1]):
-        return None
-    return json.loads(text)
+def _file_in(directory):
+    """Return the file of a results directory, which is made if it is not there."""
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+    except FileExistsError:
+        raise NotADirectoryError(f"cannot write to {directory}: it is a file") from None
+    except OSError as error:
+        message = f"cannot make the folder {directory}: {error.strerror or error}"
+        raise _same_error(error, message) from error
+    path = directory / FILE
+    if not path.exists():
+        for name in _OUTPUTS:
+            if (directory / name).exists():
+                raise ValueError(
+                    f"{directory} is not empty, and not a results directory either: it has "
+                    f"{name}, but no {FILE}; choose another directory"
+                )
+    return path
+
+
+def _same_error(error, message):
+    """Return an error of the same type and number with another message."""
+    other = type(error)(message)
+    other.errno = error.errno
+    return other
+
+
+def _crc(key, text):
+    """Return the checksum of a record and its key."""
+    return zlib.crc32(text, zlib.crc32(key))
 
 
 def _checksum(path):
@@ -220,17 +225,8 @@ def _checksum(path):
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def _read_config(path):
-    """Return what a results directory was made with."""
-    try:
-        return dict(json.loads(path.read_text(encoding="utf-8")))
-    except (TypeError, ValueError) as error:
-        raise ValueError(f"{path} is damaged: choose another directory") from error
-
-
 def _check_same(directory, here, there):
     """Refuse a directory of another configuration."""
-    here, there = _flat(json.loads(json.dumps(here))), _flat(there)
     absent = object()
     differ = []
     for name in {**here, **there}:
@@ -245,21 +241,7 @@ def _check_same(directory, here, there):
         )
 
 
-def _flat(made):
-    """Return what a directory was made with, each file by itself."""
-    files = made.get(_CONTENTS, {})
-    made = {name: value for name, value in made.items() if name != _CONTENTS}
-    return made | {f"contents of {path}": checksum for path, checksum in files.items()}
-
-
 def _shown(value):
     """Return a value for a message, shortened."""
     text = json.dumps(value)
     return text if len(text) <= 60 else f"{text[:57]}..."
-
-
-def _clear(error, message):
-    """Return an error of the same type and number with another message."""
-    clear = type(error)(f"{message}: {error.strerror or error}")
-    clear.errno = error.errno
-    return clear

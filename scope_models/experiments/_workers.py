@@ -1,60 +1,58 @@
-"""What computes stars: here, in processes of our own, or in those of an executor."""
+"""Computes stars: in this process, or in those of Dask or of another executor."""
 
 import itertools
-import os
+import logging
 import re
 import signal
 import threading
 import traceback
 import warnings
-from concurrent.futures import (
-    FIRST_COMPLETED,
-    BrokenExecutor,
-    Future,
-    ProcessPoolExecutor,
-    wait,
-)
-from contextlib import contextmanager
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, wait
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from functools import partial
 from hashlib import sha256
-from multiprocessing import connection, get_context, parent_process
+from numbers import Integral
 from pathlib import Path
 
 import numpy as np
 import scipy.linalg  # noqa: F401 - its threads are limited only once it is loaded
 from threadpoolctl import threadpool_limits
 
-from scope_models.experiments._tables import SCALARS
+from scope_models._checks import checked_integer
 from scope_models.experiments.study import Study
 
 __all__ = [
     "Job",
+    "LostWorkersError",
     "PixelsNotWrittenError",
-    "WorkersDieError",
+    "check_client",
     "checked_tasks",
-    "completed",
-    "cut",
-    "failure",
-    "in_processes",
+    "computed",
+    "is_address",
     "one_thread",
     "tpf_path",
 ]
 
 _DIED = "WorkerDied: the process that computed this star died (killed, out of memory, or a crash)"
-_FREE_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._+=-]{0,199}")
+_FREE_NAME = re.compile(r"[A-Za-z0-9]([A-Za-z0-9._+=-]{0,198}[A-Za-z0-9_+=-])?")
+# Seconds between two checks of the connection to a scheduler.
+_POLL = 5.0
+_ADDRESS = re.compile(r"[a-z]+://.+|[^/\\]+:[0-9]+")
+_WINDOWS = re.compile(r"(CON|PRN|AUX|NUL|COM[0-9]|LPT[0-9])(\..*)?", re.IGNORECASE)
 
 
 class PixelsNotWrittenError(Exception):
     """The pixels of a star cannot be written."""
 
 
-class WorkersDieError(Exception):
-    """Worker processes die before they have done anything."""
+class LostWorkersError(Exception):
+    """The workers, or the scheduler that gives them work, are lost."""
 
 
 @dataclass(frozen=True)
 class Job:
-    """Computes stars of a study; a worker process gets it with its tasks.
+    """Computes stars of a study; a worker gets it with its tasks.
 
     Parameters
     ----------
@@ -68,18 +66,17 @@ class Job:
     directory: Path | None = None
 
     def __call__(self, tasks):
-        """Return the record of each task: its row, or what went wrong."""
+        """Return the record of each task: its row, or its failure."""
         with one_thread():
             return [self._record(task) for task in tasks]
 
     def _record(self, task):
         try:
-            return {"task": task, "row": checked_values(self._row(task), "result")}
+            return {"task": task, "row": _checked_row(self._row(task), task)}
         except PixelsNotWrittenError:
             raise
         except Exception as error:  # noqa: BLE001 - whatever it is, the other stars go on
-            text = f"{type(error).__name__}: {error}"
-            return failure(task, text, traceback.format_exc())
+            return _failure(task, error)
 
     def _row(self, task):
         if self.directory is None:
@@ -95,9 +92,21 @@ class Job:
         return row
 
 
-def failure(task, error, text):
-    """Return the record of a star that failed."""
-    return {"task": task, "error": error, "traceback": text}
+def _failure(task, error):
+    """Return the record of a star that failed; long texts are cut in the middle."""
+    try:
+        text = f"{type(error).__name__}: {error}"
+        trace = "".join(traceback.format_exception(error))
+    except Exception:  # noqa: BLE001 - an exception that cannot be printed
+        text = trace = type(error).__name__
+    return {"task": task, "error": _kept(text, 1000), "traceback": _kept(trace, 4000)}
+
+
+def _kept(text, size):
+    """Return a text as UTF-8 can hold it, cut in the middle if it is long."""
+    if len(text) > size:
+        text = f"{text[: size // 2]} [...] {text[-size // 2 :]}"
+    return text.encode("utf-8", "backslashreplace").decode()
 
 
 def tpf_path(directory, key):
@@ -128,29 +137,43 @@ def checked_tasks(study):
     TypeError
         If a value is no number, string, or true or false.
     """
-    tasks = [checked_values(task, "task") for task in study.tasks()]
+    tasks = [_checked_values(task, "task") for task in study.tasks()]
     if not tasks:
         raise ValueError(f"the study `{study.name}` has no stars: one of its lists is empty")
     keys = set()
     for task in tasks:
         key = task.get("key")
-        if not isinstance(key, str) or not _FREE_NAME.fullmatch(key):
-            raise ValueError(f"the key of a task must be a short, plain name, got {key!r}")
+        plain = isinstance(key, str) and _FREE_NAME.fullmatch(key)
+        if not plain or _WINDOWS.fullmatch(key):
+            raise ValueError(
+                f"the key of a task must be a short, plain name that can be a file's, got {key!r}"
+            )
         if key in keys:
             raise ValueError(f"the keys of the tasks must differ, got {key!r} twice")
         keys.add(key)
     return tasks
 
 
-def checked_values(values, kind):
+def _checked_row(row, task):
+    """Return a result with Python's own types."""
+    if taken := row.keys() & task.keys():
+        raise ValueError(f"a result must not be named as a value of its task: {sorted(taken)}")
+    return _checked_values(row, "result")
+
+
+def _checked_values(values, kind):
     """Return a dictionary of numbers and strings with Python's own types."""
     plain = {
         name: value.item() if isinstance(value, np.generic) else value
         for name, value in values.items()
     }
     for name, value in plain.items():
-        if not isinstance(value, SCALARS):
+        if not isinstance(value, (bool, int, float, str)):
             raise TypeError(f"`{name}` of a {kind} must be a number or a string, got {value!r}")
+        if isinstance(value, int) and not -(2**63) <= value < 2**63:
+            raise ValueError(f"`{name}` of a {kind} must be an integer of at most 64 bits")
+        if isinstance(value, str):
+            value.encode()  # raises UnicodeEncodeError, a ValueError, for lone surrogates
     return plain
 
 
@@ -192,141 +215,196 @@ def one_thread():
         _LIMITER.leave()
 
 
-def completed(executor, job, chunks, in_flight):
-    """Submit tasks, a bounded number at a time, and yield them as they are completed.
+def is_address(client):
+    """Return whether a text is the address of a scheduler."""
+    return isinstance(client, str) and _ADDRESS.fullmatch(client) is not None
+
+
+def check_client(client):
+    """Refuse what cannot compute stars.
 
     Parameters
     ----------
-    executor : concurrent.futures.Executor
-        What runs them.
-    job : callable
-        What is run: it gets a list of tasks.
-    chunks : iterator of list
-        The lists of tasks; taken from as results come in.
-    in_flight : int
-        Largest number of lists that are submitted and not completed.
+    client : object
+        As `run_sweep` takes it.
+    """
+    if isinstance(client, Integral) and not isinstance(client, bool):
+        checked_integer("client", client, 1)
+    elif isinstance(client, str):
+        if not is_address(client):
+            raise ValueError(f"`client` must be an address such as tls://host:8786, got {client!r}")
+    elif client is not None and not callable(getattr(client, "submit", None)):
+        raise TypeError(
+            "`client` must be a client of Dask, an address, a number of processes, an executor or "
+            f"None, got {client!r}"
+        )
+
+
+def computed(client, job, tasks, chunk_size, in_flight):
+    """Yield the records of all tasks as they are finished.
+
+    Stars whose process died are computed again one at a time, so that only the star that kills
+    its process is recorded as failed.
+
+    Parameters
+    ----------
+    client : object
+        As `run_sweep` takes it.
+    job : Job
+        What is run.
+    tasks : list of dict
+        The tasks.
+    chunk_size, in_flight : int
+        Tasks in a chunk, and chunks that are submitted and not completed, at most.
 
     Yields
     ------
-    chunk : list
-        The tasks.
-    future : concurrent.futures.Future
-        Their result, or the exception. When the executor is broken, no further chunks are taken.
+    dict
+        A record.
+
+    Raises
+    ------
+    LostWorkersError
+        If an executor breaks, or a scheduler is lost.
     """
-    waiting, broken = {}, False
+    chunks = itertools.batched if hasattr(itertools, "batched") else _batched
+    if client is None:
+        for task in tasks:
+            yield from job([task])
+        return
+    with ExitStack() as stack:
+        if isinstance(client, Integral):
+            in_flight = 2 * client
+        executor = stack.enter_context(_executor(client))
+        suspects = []
+        for chunk, outcome in _completed(*executor, job, chunks(tasks, chunk_size), in_flight):
+            if _is_death(outcome):
+                suspects += chunk
+            else:
+                yield from _records(chunk, outcome)
+        for chunk, outcome in _completed(*executor, job, chunks(suspects, 1), 1):
+            yield from _records(chunk, outcome)
+
+
+def _is_death(outcome):
+    """Return whether the process of a chunk has died."""
+    return type(outcome).__name__ == "KilledWorker"
+
+
+def _records(chunk, outcome):
+    """Return the records of a chunk from what its worker returned or raised."""
+    if isinstance(outcome, PixelsNotWrittenError):
+        raise outcome
+    if _is_death(outcome):
+        return [{"task": task, "error": _DIED, "traceback": _DIED} for task in chunk]
+    if isinstance(outcome, Exception):
+        return [_failure(task, outcome) for task in chunk]
+    return outcome
+
+
+def _batched(tasks, size):
+    """Yield lists of at most ``size`` tasks, as `itertools.batched` of Python 3.12."""
+    tasks = iter(tasks)
+    return iter(lambda: list(itertools.islice(tasks, size)), [])
+
+
+def _completed(executor, is_alive, job, chunks, in_flight):
+    """Submit chunks, a bounded number at a time; yield each with its result or exception."""
+    waiting, lost = {}, []
     try:
         while True:
-            while not broken and len(waiting) < in_flight:
+            while not lost and len(waiting) < in_flight:
                 chunk = next(chunks, None)
                 if chunk is None:
                     break
                 try:
-                    waiting[executor.submit(job, chunk)] = chunk
-                except BrokenExecutor as error:
-                    future, broken = Future(), True
-                    future.set_exception(error)
-                    waiting[future] = chunk
+                    waiting[executor.submit(job, list(chunk))] = list(chunk)
+                except RuntimeError:  # broken or closed
+                    lost += chunk
             if not waiting:
-                return
-            for future in wait(waiting, return_when=FIRST_COMPLETED).done:
-                broken = broken or _is_broken(future)
-                yield waiting.pop(future), future
+                break
+            done = wait(waiting, timeout=_POLL, return_when=FIRST_COMPLETED).done
+            if not done and not is_alive():
+                lost += itertools.chain.from_iterable(waiting.values())
+                break
+            for future in done:
+                chunk, outcome = waiting.pop(future), _outcome(future)
+                if outcome is None:
+                    lost += chunk
+                else:
+                    yield chunk, outcome
     finally:
         for future in waiting:
             future.cancel()
+    if lost:
+        keys = sorted(task["key"] for task in lost)
+        shown = ", ".join(keys[:4]) + (", ..." if len(keys) > 4 else "")
+        raise LostWorkersError(f"the workers are lost, with {len(keys)} stars in flight ({shown})")
 
 
-def _is_broken(future):
-    return not future.cancelled() and isinstance(future.exception(), BrokenExecutor)
-
-
-def in_processes(number, job, chunks, in_flight=None):
-    """Run tasks in processes of our own; a process that dies costs its own star only.
-
-    The stars that were in flight when a process died are run again one at a time, which tells
-    the one that killed it.
-
-    Parameters
-    ----------
-    number : int
-        Number of processes.
-    job : Job
-        What is run.
-    chunks : iterator of list
-        The lists of tasks.
-    in_flight : int, optional
-        As in `completed`. The default is two per process.
-
-    Yields
-    ------
-    list of dict
-        Records.
-
-    Raises
-    ------
-    WorkersDieError
-        If processes die before they get a task.
-    """
-    chunks = iter(chunks)
-    while (first := next(chunks, None)) is not None:
-        suspects = []
-        with _pool(number) as pool:
-            rest = itertools.chain([first], chunks)
-            for chunk, future in completed(pool, job, rest, in_flight or 2 * number):
-                if _is_broken(future):
-                    suspects += chunk
-                else:
-                    yield future.result()
-        for task in suspects:
-            yield _alone(job, task)
-
-
-def _alone(job, task):
-    """Return the records of a task that may kill its process."""
-    with _pool(1) as pool:
-        try:
-            return pool.submit(job, [task]).result()
-        except BrokenExecutor:
-            return [failure(task, _DIED, _DIED)]
+def _outcome(future):
+    """Return the result of a future or its exception; None if its executor is broken."""
+    if future.cancelled() or isinstance(future.exception(), BrokenExecutor):
+        return None
+    return future.exception() or future.result()
 
 
 @contextmanager
-def _pool(number):
-    """Give a pool of processes that have begun to work."""
-    # Not "fork", which copies the locks of other threads in whatever state they are.
-    pool = ProcessPoolExecutor(
-        number,
-        mp_context=get_context("spawn"),
-        initializer=_begin_worker,
-        initargs=(warnings.filters[:],),
-    )
-    with pool:
-        try:
-            pool.submit(os.getpid).result()
-        except BrokenExecutor as error:
-            raise WorkersDieError from error
-        try:
-            yield pool
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
+def _executor(client):
+    """Give an executor for what `run_sweep` takes, and a function that checks its connection."""
+    with ExitStack() as stack:
+        if isinstance(client, (Integral, str)):
+            client = stack.enter_context(_dask_client(client))
+        if hasattr(client, "get_executor"):
+            # a lost scheduler leaves futures that were submitted meanwhile pending for ever
+            yield client.get_executor(pure=False), lambda: client.status == "running"
+        else:
+            yield client, lambda: True
+
+
+@contextmanager
+def _dask_client(where):
+    """Return a client of Dask, of workers on this machine or of a scheduler that runs already."""
+    try:
+        import dask
+        from distributed import Client, LocalCluster
+    except ImportError as error:
+        raise ModuleNotFoundError(
+            'workers need Dask: python -m pip install "scope_models[distributed]"'
+        ) from error
+    if isinstance(where, str):
+        with Client(where) as client:
+            yield client
+        return
+    # A worker that dies gives its stars back at once, and no port is open to other machines.
+    with (
+        dask.config.set({"distributed.scheduler.allowed-failures": 0}),
+        _begun(LocalCluster, where) as cluster,
+        Client(cluster) as client,
+    ):
+        client.register_worker_callbacks(partial(_begin_worker, warnings.filters[:]))
+        yield client
+
+
+def _begun(cluster, number):
+    """Return a cluster on this machine, on its loopback and without a dashboard."""
+    try:
+        return cluster(
+            n_workers=number,
+            threads_per_worker=1,
+            host="127.0.0.1",
+            dashboard_address=None,
+            memory_limit=0,
+            silence_logs=logging.CRITICAL,
+        )
+    except RuntimeError as error:
+        raise LostWorkersError(
+            "worker processes die as they begin, see their message; a script must start its work "
+            'under `if __name__ == "__main__":`'
+        ) from error
 
 
 def _begin_worker(filters):
-    """Leave interrupts to the parent, warn of what it warns, and end with it, however it ends."""
+    """Leave interrupts to the parent, and warn of what it warns."""
     warnings.filters[:] = filters
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    parent = parent_process()
-    threading.Thread(target=_end_with, args=(parent.sentinel,), daemon=True).start()
-
-
-def _end_with(sentinel):
-    """Wait for another process to end."""
-    connection.wait([sentinel])
-    os._exit(1)
-
-
-def cut(tasks, size):
-    """Return an iterator of lists of at most ``size`` tasks."""
-    tasks = iter(tasks)
-    return iter(lambda: list(itertools.islice(tasks, size)), [])

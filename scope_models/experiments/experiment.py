@@ -5,8 +5,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from astropy.table import Table
+from astropy.utils.decorators import deprecated_renamed_argument
 
-from scope_models.experiments._tables import study_meta
+from scope_models.experiments._store import provenance
 from scope_models.experiments.config import make_study
 from scope_models.experiments.study import Study
 from scope_models.experiments.sweep import SweepError, run_sweep
@@ -45,7 +46,8 @@ class ExperimentResult:
     files: tuple[Path, ...]
 
 
-def run_experiment(study, directory, executor=None, **options):
+@deprecated_renamed_argument("executor", "client", "0.2")
+def run_experiment(study, directory, client=None, **options):
     """Run a study, and write its tables and its figure.
 
     Parameters
@@ -54,7 +56,7 @@ def run_experiment(study, directory, executor=None, **options):
         The study, or the name of one that runs with its defaults.
     directory : str or path-like
         The folder for the results. It is made if it is not there.
-    executor : concurrent.futures.Executor or int, optional
+    client : distributed.Client, str, int or concurrent.futures.Executor, optional
         What computes the stars: see `run_sweep`.
     **options
         Those of `run_sweep`: write_tpfs, retry_failed, progress, chunk_size and in_flight.
@@ -85,7 +87,7 @@ def run_experiment(study, directory, executor=None, **options):
     from scope_models.plotting._saving import save_figure  # imports matplotlib
 
     folder = Path(directory)
-    sweep = run_sweep(study, executor, folder, **options)
+    sweep = run_sweep(study, folder, client, **options)
     _write_failures(sweep.failures, folder / "failures.ecsv")
     files = [_write(sweep.table, folder / "results.ecsv")]
     if not len(sweep.table):
@@ -94,7 +96,7 @@ def run_experiment(study, directory, executor=None, **options):
             f"{sweep.failures['error'][0]}; see {folder / 'failures.ecsv'}"
         )
     summary = study.summarise(sweep.table)
-    summary.meta = study_meta(study) | summary.meta
+    summary.meta = provenance(study) | summary.meta
     files.append(_write(summary, folder / "summary.ecsv"))
     files.append(folder / "figure.png")
     with atomic_path(files[-1], overwrite=True) as temporary:

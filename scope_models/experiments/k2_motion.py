@@ -8,7 +8,7 @@ import numpy as np
 from astropy.table import Table
 
 from scope_models._checks import checked_integer, checked_number
-from scope_models.experiments._percentiles import compared, holds
+from scope_models.experiments._statistics import compared, holds
 from scope_models.experiments.no_motion import noise_parts
 from scope_models.experiments.populations import draw_star, motion_from_name, stamp_around
 from scope_models.experiments.reference import PERCENTILES, read_reference

@@ -9,7 +9,6 @@ import numpy as np
 from astropy.table import Table
 
 from scope_models._checks import checked_integer, checked_number
-from scope_models.experiments._cells import cell_medians, percentiles, values_of
 from scope_models.experiments._claims import (
     CLAIMS,
     TRANSIT_CLAIM,
@@ -18,8 +17,14 @@ from scope_models.experiments._claims import (
     kepler_like_to,
     paper_limit,
 )
-from scope_models.experiments._detrended import CONVENTIONS, noise_of, transit_amplitude
-from scope_models.experiments._lightkurve import best_setting, correct
+from scope_models.experiments._correctors import (
+    CONVENTIONS,
+    best_setting,
+    correct,
+    noise_of,
+    transit_amplitude,
+)
+from scope_models.experiments._statistics import cell_medians, percentiles, values_of
 from scope_models.experiments.k2_motion import DETECTORS
 from scope_models.experiments.populations import draw_star, motion_from_name, stamp_around
 from scope_models.experiments.reference import read_reference, reference_noise
@@ -304,7 +309,7 @@ class MotionTest(Study):
         summary.meta["claims"] = {name: claim["pld"]["verdict"] for name, claim in checked.items()}
         summary.meta["claims_checked"] = checked
         summary.meta["survival"] = {
-            name: dict(zip(("median", "low", "high"), percentiles(values), strict=True))
+            name: dict(zip(("low", "median", "high"), percentiles(values), strict=True))
             for name in _CORRECTORS
             for values in [values_of(table, f"survival_{name}")]
             if np.isfinite(values).any()

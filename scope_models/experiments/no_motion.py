@@ -8,7 +8,7 @@ from astropy.table import Table
 from scipy.special import ndtri
 
 from scope_models._checks import checked_integer, checked_number
-from scope_models.experiments._percentiles import compared, holds
+from scope_models.experiments._statistics import compared, holds
 from scope_models.experiments.populations import draw_star
 from scope_models.experiments.reference import PERCENTILES, read_reference
 from scope_models.experiments.study import Study
@@ -72,7 +72,7 @@ class NoMotion(Study):
     -----
     The seven fitted numbers follow from the five percentiles of Kepler's table in the nine bins
     from Kp 11.5 to 15.5, with variability, and from its 10th percentiles with detector noise
-    alone, by ``python benchmarks/calibrate_no_motion.py``. Everything else is an instrument number
+    alone, by ``python studies/calibrate_no_motion.py``. Everything else is an instrument number
     of `~scope_models.Detector.kepler`.
 
     References

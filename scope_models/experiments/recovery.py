@@ -8,9 +8,9 @@ import numpy as np
 from astropy.table import Table
 
 from scope_models._checks import checked_integer, checked_number
-from scope_models.experiments._detrended import transit_amplitude
-from scope_models.experiments._recovered import by_motion, half_complete, percentiles, values_of
+from scope_models.experiments._correctors import transit_amplitude
 from scope_models.experiments._search import fit_shape, flattened, isolated, search
+from scope_models.experiments._statistics import percentiles, values_of
 from scope_models.experiments.populations import draw_star, motion_from_name, stamp_around
 from scope_models.experiments.study import Study
 from scope_models.models import TransitModel
@@ -301,14 +301,14 @@ class Recovery(Study):
         summary.meta["false_alarms"] = f"{alarms} of {len(empty)} stars without planet"
         summary.meta["half_complete"] = {
             f"{scale:g}x": {
-                f"Kp {mag:g}": half_complete(part["depth"], part["completeness"])
+                f"Kp {mag:g}": _half_complete(part["depth"], part["completeness"])
                 for mag in sorted(set(table["mag"]))
                 for part in [summary[(summary["scale"] == scale) & (summary["mag"] == mag)]]
             }
             for scale in sorted(set(table["scale"]))
         }
         summary.meta["by_motion"] = {
-            f"{scale:g}x": by_motion(
+            f"{scale:g}x": _by_motion(
                 table[(table["scale"] == scale) & (table["depth"] > 0)], self.threshold
             )
             for scale in sorted(set(table["scale"]))
@@ -377,3 +377,83 @@ def _white_noise(observation):
     model = observation.model()
     signal_to_noise = np.sum(np.square(model / observation.flux_err), axis=(1, 2))
     return float(np.median(1 / np.sqrt(signal_to_noise)))
+
+
+def _half_complete(depths, completeness):
+    """Return the depth at which half of the planets are recovered.
+
+    Parameters
+    ----------
+    depths : array_like
+        Depths, increasing.
+    completeness : array_like
+        Fraction that is recovered at each.
+
+    Returns
+    -------
+    float
+        Interpolated in the logarithm of the depth, where the completeness last rises above one
+        half; 0 if it is above everywhere, infinite if it is below at the largest depth.
+    """
+    below = np.flatnonzero(np.asarray(completeness) < 0.5)
+    if len(below) == 0:
+        return 0.0
+    last = int(below[-1])
+    if last == len(depths) - 1:
+        return float("inf")
+    logarithms = np.log(depths[last : last + 2])
+    ends = completeness[last : last + 2]
+    return float(np.round(np.exp(np.interp(0.5, ends, logarithms)), 1))
+
+
+def _by_motion(rows, threshold):
+    """Return what all planets at one multiple of the motion say together.
+
+    Parameters
+    ----------
+    rows : astropy.table.Table
+        The results of stars with planets.
+    threshold : float
+        Signal-to-noise ratio of a detection.
+
+    Returns
+    -------
+    dict
+        Numbers of planets: "planets", "recovered", "expected" (above the threshold in the least
+        noise), and "false" (the strongest box is above the threshold and not the planet);
+        weighted means of found over true values with their errors, of depth and duration of those
+        recovered ("found_depth", "found_duration") and of the jointly fitted depth of all
+        ("joint_depth"); the standard deviations of their pulls; and the medians of the survival
+        and of the found over the expected ratio, of planets above twice the threshold.
+    """
+    recovered, detected = (np.array(rows[name]) for name in ("recovered", "detected"))
+    expected = values_of(rows, "expected_snr")
+    clear = expected > 2 * threshold
+    said = {
+        "planets": len(rows),
+        "recovered": int(recovered.sum()),
+        "expected": int(np.sum(expected >= threshold)),
+        "false": int(np.sum(detected & ~recovered)),
+        "survival": _median(values_of(rows, "survival")[clear]),
+        "snr_ratio": _median((values_of(rows, "snr") / expected)[clear]),
+    }
+    for found, true, use in (
+        ("found_depth", "depth", recovered),
+        ("joint_depth", "depth", np.ones(len(rows), dtype=bool)),
+        ("found_duration", "duration", recovered),
+    ):
+        value, error, truth = (
+            values_of(rows, name)[use] for name in (found, f"{found}_error", true)
+        )
+        if not len(value):
+            continue
+        weights = (truth / error) ** 2
+        said[f"{found}_ratio"] = float(np.round(np.average(value / truth, weights=weights), 4))
+        said[f"{found}_ratio_error"] = float(np.round(weights.sum() ** -0.5, 4))
+        said[f"{found}_pulls"] = float(np.round(np.std((value - truth) / error), 2))
+    return said
+
+
+def _median(values):
+    """Return the median, or NaN without values."""
+    return float(np.round(np.median(values), 3)) if len(values) else float("nan")

@@ -161,6 +161,21 @@ class Study(ABC):
         texts = [text for value in values for text in _strings(value)]
         return [text for text in dict.fromkeys(texts) if Path(text).is_file()]
 
+    def has_output(self, task):
+        """Return whether the files that `run_star` writes are there; by default it writes none.
+
+        Parameters
+        ----------
+        task : dict
+            One of `tasks`.
+
+        Returns
+        -------
+        bool
+            Whether nothing is to be computed again for the sake of files.
+        """
+        return True
+
     def config(self):
         """Return the configuration as values that TOML and JSON can hold.
 

@@ -1,30 +1,29 @@
-"""Computes the stars of a study: one after the other, or many at a time, here or elsewhere."""
+"""Computes the stars of a study, on this machine or on a cluster, and keeps what is finished."""
 
-import traceback
+import json
 import warnings
-from concurrent.futures import BrokenExecutor, CancelledError
 from contextlib import closing
 from dataclasses import dataclass
-from itertools import chain
-from numbers import Integral
+from os import PathLike
 from pathlib import Path
 
-from astropy.table import Table
+import numpy as np
+from astropy.table import MaskedColumn, Table
+from astropy.utils.decorators import deprecated_renamed_argument
+from astropy.utils.exceptions import AstropyDeprecationWarning
 from tqdm import tqdm
 
 from scope_models._checks import checked_integer
 from scope_models.exceptions import FailedStarsWarning
-from scope_models.experiments._store import Store
-from scope_models.experiments._tables import failures_table, results_table
+from scope_models.experiments._store import Store, provenance
 from scope_models.experiments._workers import (
     Job,
+    LostWorkersError,
     PixelsNotWrittenError,
-    WorkersDieError,
+    check_client,
     checked_tasks,
-    completed,
-    cut,
-    failure,
-    in_processes,
+    computed,
+    is_address,
     one_thread,
     tpf_path,
 )
@@ -74,10 +73,11 @@ class SweepResult:
     directory: Path | None
 
 
+@deprecated_renamed_argument(["config", "executor"], ["study", "client"], ["0.2", "0.2"])
 def run_sweep(
-    config,
-    executor=None,
+    study,
     directory=None,
+    client=None,
     *,
     write_tpfs=False,
     retry_failed=True,
@@ -87,20 +87,21 @@ def run_sweep(
 ):
     """Compute all stars of a study.
 
-    The result of a star depends on the study and the star alone, not on the order, the executor,
-    the number of workers or the cuts between calls.
+    The result of a star depends on the study and the star alone, not on the order, the number of
+    workers or the cuts between calls.
 
     Parameters
     ----------
-    config : Study
+    study : Study
         The study, which is its own configuration.
-    executor : concurrent.futures.Executor or int, optional
-        What computes the stars: None is this process, a number that many processes, each with
-        one thread for linear algebra. Executors are also those of Dask,
-        ``distributed.Client(...).get_executor()``, and of mpi4py. They are left open.
     directory : str or path-like, optional
-        Results directory. Each star that is finished is kept there, so that the same call goes on
-        where an earlier one stopped, however it ended. Without one, results are in memory only.
+        Results directory. Each star that is finished is kept there, in ``results.sqlite``, so that
+        the same call goes on where an earlier one stopped, however it ended. Without one, results
+        are in memory only.
+    client : distributed.Client, str, int or concurrent.futures.Executor, optional
+        What computes the stars. None is this process. A number starts that many processes with
+        Dask, which are reached from this machine only. A string is the address of a Dask
+        scheduler, as ``"tls://host:8786"``. Clients and executors are left open.
     write_tpfs : bool, optional
         Whether to write the pixels of each star as ``tpfs/*/KEY.fits`` in the directory, which
         the workers must share.
@@ -112,8 +113,8 @@ def run_sweep(
         Stars that a worker gets at a time; more than one saves time if a star takes less than
         some milliseconds.
     in_flight : int, optional
-        Chunks that are given to an executor and not finished, at most; at least twice the number
-        of its workers. Processes of our own have two each.
+        Chunks that are submitted and not finished, at most; at least twice the number of workers.
+        Processes of our own have two each.
 
     Returns
     -------
@@ -125,13 +126,15 @@ def run_sweep(
     TypeError
         If an argument is of the wrong kind.
     ValueError
-        If the study has no stars, or no pixels to write, or if the directory was made with
-        another configuration.
+        If the study has no stars, or no pixels to write, or if the directory is damaged or was
+        made with another configuration.
     OSError
-        If the directory cannot be written to, or the disk is full. Stars that are finished
-        are kept.
+        If the directory cannot be written to, the disk is full, or another run is writing to the
+        directory. Stars that are finished are kept.
+    ModuleNotFoundError
+        If workers are asked for and Dask is not installed.
     SweepError
-        If the executor breaks because a worker process died, or processes cannot be begun.
+        If an executor breaks, a scheduler is lost, or processes cannot be started.
 
     Warns
     -----
@@ -144,44 +147,54 @@ def run_sweep(
     --------
     >>> from scope_models.experiments import make_study, run_sweep
     >>> study = make_study("table1", {"scales": [1, 10]})
-    >>> result = run_sweep(study, directory="results", progress=False)
+    >>> result = run_sweep(study, "results", progress=False)
     >>> result.table["maximum"].round(2).tolist(), result.n_computed
     ([0.59, 5.95], 2)
-    >>> run_sweep(study, directory="results", progress=False).n_computed
+    >>> run_sweep(study, "results", progress=False).n_computed
     0
     """
+    directory, client = _in_order(directory, client)
     chunk_size = checked_integer("chunk_size", chunk_size, 1)
     in_flight = checked_integer("in_flight", in_flight, 1)
+    check_client(client)
     directory = None if directory is None else Path(directory).absolute()
-    job = _checked_job(config, executor, directory, write_tpfs=write_tpfs)
-    tasks = checked_tasks(config)
-    store = Store(directory)
-    store.begin(config)
-    store.load(tasks)
-    missing = _missing(tasks, store, job, retry_failed=retry_failed)
-    if missing:
-        records = _records(executor, job, cut(missing, chunk_size), in_flight)
-        bar = tqdm(total=len(tasks), initial=len(tasks) - len(missing), desc=config.name,
-                   unit="star", smoothing=0.05, disable=not progress)  # fmt: skip
-        with closing(store), one_thread(), bar, closing(records):
-            store.open()
-            _keep(records, store, bar)
-    failures = [store.failures[task["key"]] for task in tasks if task["key"] in store.failures]
-    _warn_of(failures)
-    table = results_table(config, tasks, store)
-    return SweepResult(table, failures_table(config, failures), len(missing), directory)
+    job = _checked_job(study, directory, write_tpfs=write_tpfs)
+    tasks = checked_tasks(study)
+    with closing(Store(directory, study, tasks)) as store:
+        missing = [task for task in tasks if _is_missing(task, store, job, retry=retry_failed)]
+        if missing:
+            bar = tqdm(total=len(tasks), initial=len(tasks) - len(missing), desc=study.name,
+                       unit="star", smoothing=0.05, disable=not progress)  # fmt: skip
+            records = computed(client, job, missing, chunk_size, in_flight)
+            with one_thread(), bar, closing(records):
+                _keep(records, store, bar)
+        table = _results_table(study, tasks, store)
+        failed = [store.read(task["key"]) for task in tasks if store.has_failed(task["key"])]
+    _warn_of(failed)
+    return SweepResult(table, _failures_table(study, failed), len(missing), directory)
 
 
-def _checked_job(study, executor, directory, *, write_tpfs):
+def _in_order(directory, client):
+    """Return directory and client, which the first version took in the other order."""
+    is_path = isinstance(client, (str, PathLike)) and not is_address(client)
+    if (
+        isinstance(directory, int)
+        or hasattr(directory, "submit")
+        or (directory is None and is_path)
+    ):
+        warnings.warn(
+            "the directory comes before the client: run_sweep(study, directory, client)",
+            AstropyDeprecationWarning,
+            stacklevel=4,
+        )
+        return client, directory
+    return directory, client
+
+
+def _checked_job(study, directory, *, write_tpfs):
     """Return what computes stars, after a check of the arguments."""
     if not isinstance(study, Study):
-        raise TypeError(f"`config` must be a Study, got {study!r}")
-    if isinstance(executor, Integral) and not isinstance(executor, bool):
-        checked_integer("executor", executor, 1)
-    elif executor is not None and not callable(getattr(executor, "submit", None)):
-        raise TypeError(
-            f"`executor` must be an executor, a number of processes or None, got {executor!r}"
-        )
+        raise TypeError(f"`study` must be a Study, got {study!r}")
     if not write_tpfs:
         return Job(study)
     if directory is None:
@@ -191,53 +204,16 @@ def _checked_job(study, executor, directory, *, write_tpfs):
     return Job(study, directory)
 
 
-def _missing(tasks, store, job, *, retry_failed):
-    """Return the tasks that are to be computed."""
-    missing = []
-    for task in tasks:
-        key = task["key"]
-        done = key in store.rows or (key in store.failures and not retry_failed)
-        if done and job.directory is not None and key in store.rows:
-            done = tpf_path(job.directory, key).is_file()
-        if not done:
-            missing.append(task)
-    return missing
-
-
-def _records(executor, job, chunks, in_flight):
-    """Yield the records of all stars as they are finished."""
-    if executor is None:
-        for task in chain.from_iterable(chunks):
-            yield from job([task])
-    elif isinstance(executor, Integral):
-        for records in in_processes(executor, job, chunks):
-            yield from records
-    else:
-        yield from _records_of_executor(executor, job, chunks, in_flight)
-
-
-def _records_of_executor(executor, job, chunks, in_flight):
-    """Yield the records of stars that an executor computes."""
-    lost = []
-    for chunk, future in completed(executor, job, chunks, in_flight):
-        error = CancelledError("cancelled") if future.cancelled() else future.exception()
-        if error is None:
-            yield from future.result()
-        elif isinstance(error, BrokenExecutor):
-            lost += [task["key"] for task in chunk]
-        elif isinstance(error, PixelsNotWrittenError):
-            raise error
-        else:  # the executor gave these stars up; it may still run others
-            text = "".join(traceback.format_exception(error))
-            for task in chunk:
-                yield failure(task, f"{type(error).__name__}: {error}", text)
-    if lost:
-        names = ", ".join(sorted(lost)[:4]) + (", ..." if len(lost) > 4 else "")
-        raise SweepError(
-            f"the executor broke: a worker died, with {len(lost)} stars in flight ({names}). What "
-            "was finished is kept in the results directory. A number as `executor` makes "
-            "processes whose death costs their own star only"
-        )
+def _is_missing(task, store, job, *, retry):
+    """Return whether a star is to be computed."""
+    key = task["key"]
+    if store.has_failed(key):
+        return retry
+    if not store.is_done(key):
+        return True
+    return not job.study.has_output(task) or (
+        job.directory is not None and not tpf_path(job.directory, key).is_file()
+    )
 
 
 def _keep(records, store, bar):
@@ -252,13 +228,13 @@ def _keep(records, store, bar):
             bar.update()
     except PixelsNotWrittenError as error:
         raise OSError(
-            f"cannot write pixels; the {len(store.rows)} stars that are finished are kept, and the "
+            f"cannot write pixels; the {len(store)} stars that are finished are kept, and the "
             f"same call goes on from there: {error}"
         ) from error
-    except WorkersDieError as error:
+    except LostWorkersError as error:
         raise SweepError(
-            "worker processes die as they begin, see their message; a script must start its work "
-            'under `if __name__ == "__main__":`'
+            f"{error}; the {len(store)} stars that are finished are kept, and the same call goes "
+            "on from there"
         ) from error
 
 
@@ -270,5 +246,48 @@ def _warn_of(failures):
             f"{len(failures)} stars failed, the first one, {first['task']['key']}, with "
             f"{first['error']}",
             FailedStarsWarning,
-            stacklevel=3,
+            stacklevel=4,
         )
+
+
+def _results_table(study, tasks, store):
+    """Return the results in the order of the tasks; what a star lacks is masked."""
+    columns, n_rows = {}, 0
+    for task in tasks:
+        if not store.is_done(task["key"]):
+            continue
+        for name, value in (task | store.read(task["key"])["row"]).items():
+            column = columns.setdefault(name, [])
+            column += [None] * (n_rows - len(column))
+            column.append(value)
+        n_rows += 1
+    table = Table({name: _column(values, n_rows) for name, values in columns.items()})
+    for name, unit in study.units.items():
+        if name in table.colnames:
+            table[name].unit = unit
+    table.meta.update(provenance(study))
+    return table
+
+
+def _column(values, n_rows):
+    """Return values as a column; None, and what is lacking at the end, is masked."""
+    values = values + [None] * (n_rows - len(values))
+    missing = [value is None for value in values]
+    if not any(missing):
+        return np.array(values)
+    filler = type(next(value for value in values if value is not None))()
+    filled = [filler if value is None else value for value in values]
+    return MaskedColumn(np.array(filled), mask=missing)
+
+
+def _failures_table(study, failures):
+    """Return the stars that failed, each with its task and traceback."""
+    columns = {
+        "key": [failure["task"]["key"] for failure in failures],
+        "error": [failure["error"] for failure in failures],
+        "task": [json.dumps(failure["task"]) for failure in failures],
+        "traceback": [failure["traceback"] for failure in failures],
+    }
+    table = Table({name: np.array(values, dtype=str) for name, values in columns.items()})
+    table.meta.update(provenance(study))
+    return table

@@ -4,10 +4,11 @@ import warnings
 from dataclasses import dataclass, replace
 
 import numpy as np
+from astropy import units as u
 
+from scope_models._arrays import plain_array
 from scope_models.exceptions import FitWarning
-from scope_models.io.pixels import usable_positions
-from scope_models.missions import Mission
+from scope_models.io.pixels import read_pixels, usable_positions
 from scope_models.scene.detector import Detector
 
 __all__ = ["PixelData", "detector_of", "read_data"]
@@ -58,18 +59,18 @@ class PixelData:
         return replace(self, **{k: v if v is None else v[cadences] for k, v in values.items()})
 
 
-def read_data(tpf, flux_err, detector, n_free, *, saturation):
+def read_data(series, flux_err, detector, n_free, *, saturation):
     """
-    Take from a target pixel file what can be fitted.
+    Take from the pixels of a file what can be fitted.
 
     Parameters
     ----------
-    tpf : lightkurve.TargetPixelFile
-        The file.
+    series : PixelSeries
+        The pixels.
     flux_err : array_like or None
-        Errors in place of those of the file.
+        Errors in place of those of the file, e-/s.
     detector : Detector
-        What tells the depth of the wells.
+        The depth of the wells.
     n_free : int
         Parameters of a cadence: it needs more pixels than these.
     saturation : bool
@@ -85,36 +86,38 @@ def read_data(tpf, flux_err, detector, n_free, *, saturation):
     TypeError, ValueError
         If there is nothing to fit.
     """
-    flux = _cube("flux", getattr(tpf, "flux", None))
-    given = getattr(tpf, "flux_err", None) if flux_err is None else flux_err
-    error = np.full(flux.shape, np.nan) if given is None else _numbers(given)
+    flux = np.array(series.flux)
+    if not np.isfinite(flux).any():
+        raise ValueError("`flux` has no finite value")
+    error = series.flux_err
+    if flux_err is not None:
+        error = plain_array(flux_err, u.electron / u.s, "flux_err")
     try:
-        error = np.broadcast_to(error, flux.shape).copy()
+        error = np.array(np.broadcast_to(error, flux.shape))
     except ValueError:
         raise ValueError(
             f"`flux_err` must broadcast to {flux.shape}, got shape {error.shape}"
         ) from None
-    time = _numbers(tpf.time.value)
     _drop_bad_errors(flux, error)
     light = flux.copy()
     if saturation:
         _drop_saturated(flux, detector)
     good = np.isfinite(flux) & np.isfinite(error)
     pixels = good.any(axis=0)
-    cadences = np.isfinite(time) & (good.sum(axis=(1, 2)) > n_free)
+    cadences = np.isfinite(series.time) & (good.sum(axis=(1, 2)) > n_free)
     if not cadences.any() or pixels.sum() <= n_free:
         raise ValueError("`tpf` has no cadence with enough pixels to fit")
     flux, error = np.where(good, flux, np.nan)[cadences], np.where(good, error, np.nan)[cadences]
-    n = len(time)
+    series = series[cadences]
     return PixelData(
-        time=time[cadences],
-        cadenceno=_integers(tpf, "cadenceno", np.arange(1, n + 1))[cadences],
-        quality=_integers(tpf, "quality", np.zeros(n))[cadences],
+        time=series.time,
+        cadenceno=series.cadenceno,
+        quality=series.quality,
         flux=flux,
         flux_err=error,
         pixels=np.isfinite(flux).any(axis=0),
-        pos_corr=_pos_corr(tpf, cadences),
-        time_format="btjd" if getattr(tpf.time, "format", "") == "btjd" else "bkjd",
+        pos_corr=_pos_corr(series.pos_corr),
+        time_format=series.time_format,
         light=light[cadences],
     )
 
@@ -153,53 +156,24 @@ def _drop_saturated(flux, detector):
         raise ValueError("all columns of `tpf` hold saturated pixels or none: nothing to fit")
 
 
-def _numbers(values):
-    """A float64 copy without unit or mask."""
-    values = getattr(values, "value", values)
-    if isinstance(values, np.ma.MaskedArray):
-        values = values.astype(float).filled(np.nan)
-    return np.array(values, dtype=float)
-
-
-def _cube(name, values):
-    if values is None:
-        raise TypeError("`tpf` must be a target pixel file with time, flux and flux_err")
-    values = _numbers(values)
-    if values.ndim != 3 or not values.size:
-        raise ValueError(f"`{name}` must have shape (n_cadences, ny, nx), got {values.shape}")
-    if not np.isfinite(values).any():
-        raise ValueError(f"`{name}` has no finite value")
-    return values
-
-
-def _integers(tpf, name, default):
-    values = getattr(tpf, name, None)
-    return np.asarray(default if values is None else values).astype(np.int64)
-
-
-def _pos_corr(tpf, cadences):
-    """POS_CORR of the cadences, with straight lines over unusable ones, or None."""
-    try:
-        columns = [tpf.pos_corr1, tpf.pos_corr2]
-    except (AttributeError, KeyError):
+def _pos_corr(offsets):
+    """POS_CORR with straight lines over unusable cadences, or None."""
+    if offsets is None:
         return None
-    if any(column is None for column in columns):
-        return None
-    offsets = np.column_stack([_numbers(column) for column in columns])[cadences]
     good = usable_positions(offsets)
     if good.sum() < 3:
         return None
     number = np.arange(len(offsets))
-    return np.column_stack([np.interp(number, number[good], u[good]) for u in offsets.T])
+    return np.column_stack([np.interp(number, number[good], column[good]) for column in offsets.T])
 
 
 def detector_of(tpf):
     """
-    The detector that recorded a target pixel file, as its headers tell.
+    The detector that recorded a target pixel file, from its headers.
 
     Parameters
     ----------
-    tpf : lightkurve.TargetPixelFile
+    tpf : lightkurve.TargetPixelFile, path-like or PixelSeries
         The file.
 
     Returns
@@ -207,6 +181,6 @@ def detector_of(tpf):
     Detector
         A preset with the file's exposure, gain, read noise and background.
     """
-    unknown = Mission.from_header(tpf.meta) is None
-    changes = {"mission": "Kepler"} if unknown else {}
-    return Detector.from_tpf(tpf, psf=None, sensitivity=None, **changes)
+    series = read_pixels(tpf)
+    changes = {} if series.mission else {"mission": "Kepler"}
+    return Detector.from_tpf(series, psf=None, sensitivity=None, **changes)

@@ -8,13 +8,12 @@ import numpy as np
 from scope_models.io._atomic import atomic_path
 from scope_models.io.reading import open_fits
 from scope_models.models import PRF
-from scope_models.models._derivatives import prf_psf, prf_sensitivity
 from scope_models.models._description import describe_model, make_model
 from scope_models.scene.detector import Detector
 
 __all__ = ["read_fit", "write_fit"]
 
-_CREATOR, _VERSION = "scope_models fit", 1
+_CREATOR, _VERSION = "scope_models fit", 2
 _COLUMNS = {
     "time": "d",
     "cadenceno": "",
@@ -82,10 +81,12 @@ def read_fit(path):
         described = json.loads(_native(hdus["DESCRIPTION"].data).astype(np.uint8).tobytes())
     model = _model(described.pop("model"))
     detector = described.pop("detector")
-    detector["sensitivity"] = prf_sensitivity(model)
+    detector["sensitivity"] = model.sensitivity
     detector["interpixel"] = np.maximum(values["interpixel"], 0.0)
     detector["shape"] = tuple(detector["shape"])
     described["names"] = tuple(described["names"])
+    kinds = [model.parameter_kinds.get(name, "other") for name in described["names"]]
+    described["kinds"] = tuple(described.get("kinds", kinds))  # the first version had none
     described["parameters"] = np.array(described["parameters"], dtype=float)
     if described["options"]["interpixel"] is None:
         described["options"]["interpixel"] = np.inf
@@ -106,14 +107,15 @@ def _description(fit):
         options["interpixel"] = None
     return {
         "model": {
-            "psf": describe_model(prf_psf(model)),
-            "sensitivity": describe_model(prf_sensitivity(model)),
+            "psf": describe_model(model.psf),
+            "sensitivity": describe_model(model.sensitivity),
             "values": {n: float(np.ravel(getattr(model, n).value)[0]) for n in names},
             "fixed": {n: bool(getattr(model, n).fixed) for n in names},
             "bounds": {n: list(getattr(model, n).bounds) for n in names},
         },
         "detector": detector,
         "names": list(fit.names),
+        "kinds": list(fit.kinds),
         "parameters": fit.parameters.tolist(),
         "options": options,
         "meta": dict(fit.meta),

@@ -1,25 +1,32 @@
-"""How the result of a fit is gathered."""
+"""How the result of a fit is gathered, and what is doubtful about it."""
+
+import warnings
+from dataclasses import asdict
 
 import numpy as np
 
-from scope_models.fitting._result import TPFFit
-from scope_models.models._derivatives import prf_sensitivity
+from scope_models.exceptions import FitWarning
+from scope_models.fitting.result import TPFFit
 
-__all__ = ["make_result"]
+__all__ = ["make_result", "warn_of_fit"]
 
 _FACTS = ("OBJECT", "MISSION", "TELESCOP", "CAMPAIGN", "QUARTER", "SECTOR", "CHANNEL", "KEPMAG")
-_AFFINE = ("x_const", "x_by_corr1", "x_by_corr2", "y_const", "y_by_corr1", "y_by_corr2")
+# The paper's sensitivity is lower by this at the edge of a pixel than at its centre: a coefficient
+# whose error there is larger has not been measured.
+_LARGEST_EDGE_ERROR = 0.0125
+# Scatter of the response between pixels, in standard deviations of its prior, that is no response.
+_LARGEST_SCATTER = 3.0
+# Reduced chi-squared from which a model does not describe the pixels.
+_LARGEST_CHI2 = 100.0
 
 
-def make_result(problem, solution, errors, detector, tpf, options):
+def make_result(problem, solution, errors, detector, series):
     """Gather a fit from what the solver gives."""
     state, data = solution.state, problem.data
     shared, cadence, relative = errors
     inside, s = data.pixels, problem.n_shared
-    names = (*problem.names, *_AFFINE[: problem.n_affine])
-    names += ("background",) if problem.background == "constant" else ()
     fitted = np.full(data.flux.shape, np.nan)
-    fitted[:, inside] = problem.model(state)
+    fitted[:, inside] = problem.model(state)[:, problem.slices[0]]
     fitted[~np.isfinite(data.flux)] = np.nan
     interpixel, interpixel_err = np.ones(data.shape), np.full(data.shape, np.nan)
     if problem.n_pixels:
@@ -34,11 +41,12 @@ def make_result(problem, solution, errors, detector, tpf, options):
     squares = ((data.flux - fitted) / data.flux_err) ** 2
     extra = problem.n_pixels - bool(problem.n_pixels)
     detector = detector.replace(
-        sensitivity=prf_sensitivity(model), interpixel=_positive(interpixel)
+        sensitivity=model.sensitivity, interpixel=np.maximum(interpixel, 0.0)
     )
     return TPFFit(
         model=model,
-        names=names,
+        names=problem.names,
+        kinds=tuple(p.kind for p in problem.parameters),
         parameters=state.shared.copy(),
         covariance=shared[:s, :s].copy(),
         interpixel=interpixel,
@@ -58,8 +66,8 @@ def make_result(problem, solution, errors, detector, tpf, options):
         n_steps=solution.n_steps,
         time_format=data.time_format,
         detector=detector,
-        options=options,
-        meta={k: _plain(tpf.meta[k]) for k in _FACTS if k in getattr(tpf, "meta", {})},
+        options=asdict(problem.options),
+        meta={k: _plain(series.header[k]) for k in _FACTS if series.header.get(k) is not None},
         **by_cadence,
     )
 
@@ -76,20 +84,15 @@ def _by_cadence(problem, state, shared, cadence, relative):
     result["flux_scatter"] = np.sqrt(np.maximum(relative[:, i, i], 0))
     if problem.path:
         for axis, name in enumerate("xy"):
-            block = slice(len(problem.names) + 3 * axis, len(problem.names) + 3 * axis + 3)
+            block = slice(problem.n_shape + 3 * axis, problem.n_shape + 3 * axis + 3)
             variance = np.einsum("ni,ij,nj->n", problem.basis, shared[block, block], problem.basis)
             errors[name] = np.sqrt(np.maximum(variance, 0))
-    if problem.background == "constant":
-        j = problem.n_shared - 1
+    if "background" in problem.names:
+        j = problem.names.index("background")
         errors["background"] = np.full(len(x), np.sqrt(max(shared[j, j], 0)))
     for name in ("x", "y", "flux", "background"):
         result[f"{name}_err"] = np.array(errors.get(name, zero))
     return {name: np.array(value) for name, value in result.items()}
-
-
-def _positive(response):
-    """A response that a detector can have."""
-    return np.maximum(response, 0.0)
 
 
 def _plain(value):
@@ -97,3 +100,55 @@ def _plain(value):
     if isinstance(value, np.generic):
         value = value.item()
     return value if isinstance(value, str | int | float | bool | None) else str(value)
+
+
+def warn_of_fit(fit, stacklevel):
+    """
+    Warn of what is doubtful about a fit.
+
+    Parameters
+    ----------
+    fit : TPFFit
+        The fit.
+    stacklevel : int
+        Whose line the warning names.
+    """
+    messages = []
+    if not fit.converged:
+        messages.append(
+            f"the fit has not converged after {fit.n_steps} steps: chi-squared {fit.chi2:.6g}, "
+            f"{fit.reduced_chi2:.4g} per degree of freedom; the best parameters are kept"
+        )
+    spread = {"x": np.std(fit.x), "y": np.std(fit.y)}
+    for name, (axis, power) in fit.model.response_powers.items():
+        if name not in fit.names:
+            continue
+        error = fit.errors[name] * 0.5**power
+        if error == 0:
+            messages.append(
+                f"the sensitivity is at its bound, {name} = {fit.values[name]:.3g}: it describes "
+                "errors of the PSF, and is not measured"
+            )
+        if not error < _LARGEST_EDGE_ERROR:
+            messages.append(
+                f"the motion ({spread[axis]:.2g} px rms along {axis}) does not constrain the "
+                f"sensitivity: {name} = {fit.values[name]:.3g} +- {fit.errors[name]:.2g}"
+            )
+    prior, scatter = fit.options["interpixel"], np.std(fit.interpixel - 1)
+    if prior and scatter > _LARGEST_SCATTER * prior:
+        messages.append(
+            f"the response between pixels scatters by {100 * scatter:.2g} % where the prior is "
+            f"{100 * prior:.2g} %: it describes errors of the PSF; interpixel=0 leaves it out"
+        )
+    if fit.reduced_chi2 > _LARGEST_CHI2:
+        row, column = np.unravel_index(np.nanargmax(fit.chi2_pixels), fit.chi2_pixels.shape)
+        messages.append(
+            f"the model does not describe the pixels: chi-squared per degree of freedom is "
+            f"{fit.reduced_chi2:.4g}, and largest in column {column}, row {row}"
+        )
+    ny, nx = fit.shape
+    x, y = np.median(fit.x), np.median(fit.y)
+    if not (0 <= x <= nx - 1 and 0 <= y <= ny - 1):
+        messages.append(f"the star is at the edge of the pixels: x = {x:.2f}, y = {y:.2f}")
+    for message in messages:
+        warnings.warn(message, FitWarning, stacklevel=stacklevel)

@@ -1,13 +1,14 @@
 """The joint model of all pixels and cadences: residuals, normal equations, priors."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 
-from scope_models.models._derivatives import unit_derivatives
-from scope_models.models.integration import PixelPoints
+from scope_models.fitting.parameters import FitParameter, fit_parameters
 
-__all__ = ["NormalEquations", "Problem", "State"]
+__all__ = ["FitOptions", "FitStar", "Limits", "NormalEquations", "Problem", "State"]
 
 # Cadences whose derivatives are held at once.
 _CHUNK = 256
@@ -15,6 +16,76 @@ _CHUNK = 256
 _UNTRUE, _SAME = 1.5, 0.02
 # Median of the square of a standard normal deviate.
 _MEDIAN_SQUARE = 0.4549364
+# Parameters of the path, and their kinds.
+_AFFINE = tuple(
+    (f"{axis}_{name}", "position" if name == "const" else "slope")
+    for axis in "xy"
+    for name in ("const", "by_corr1", "by_corr2")
+)
+_LARGEST_MOVE = 0.3
+# How far another star may be from its first guess, pixels.
+_STAR_MOVE = 1.0
+
+
+@dataclass(frozen=True)
+class FitOptions:
+    """
+    Options of a fit, as `~scope_models.fit_tpf` takes them.
+
+    Parameters
+    ----------
+    empirical : int
+        Order of the empirical term.
+    interpixel : float
+        Standard deviation of the response between pixels; 0 fixes it at 1.
+    background : {"cadence", "constant", "none"}
+        Background left in the pixels.
+    positions : {"start", "free", "prior", "path"}
+        What ties positions to POS_CORR.
+    position_error : float
+        Standard deviation about the path for "prior", pixels.
+    loss : {"linear", "soft_l1"}
+        Loss.
+    loss_scale : float
+        Residual, in standard deviations, from which "soft_l1" grows only linearly.
+    saturation : bool
+        Whether saturated columns are left out.
+    """
+
+    empirical: int = 0
+    interpixel: float = 0.01
+    background: str = "cadence"
+    positions: str = "start"
+    position_error: float = 0.01
+    loss: str = "linear"
+    loss_scale: float = 3.0
+    saturation: bool = True
+
+    @property
+    def soft(self):
+        """Scale of the robust loss, or None."""
+        return self.loss_scale if self.loss == "soft_l1" else None
+
+
+@dataclass(frozen=True)
+class FitStar:
+    """
+    A star of a fit, relative to the first one.
+
+    Parameters
+    ----------
+    x, y : float, optional
+        Its first guess in pixels of its stamp, less that of the first star.
+    stamp : int, optional
+        Which file it is in.
+    constant : bool, optional
+        Whether its flux is the same in all cadences.
+    """
+
+    x: float = 0.0
+    y: float = 0.0
+    stamp: int = 0
+    constant: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,16 +96,49 @@ class State:
     Parameters
     ----------
     shared : ndarray of shape (s,)
-        Free parameters of the PRF, then the affine map of the path, then a constant background.
+        What `Problem.parameters` lists.
     interpixel : ndarray of shape (p,)
         Response of each fitted pixel less 1.
     cadence : ndarray of shape (n, k)
-        Per cadence: x and y (unless a path gives them), flux, background (if free).
+        Per cadence what `Problem.columns` names.
     """
 
     shared: np.ndarray
     interpixel: np.ndarray
     cadence: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Limits:
+    """
+    What a step may do, as numbers.
+
+    Parameters
+    ----------
+    lower, upper : ndarray of shape (s,)
+        Bounds of the shared parameters.
+    largest_step : ndarray of shape (s,)
+        How far they may move in one step.
+    relative : ndarray of bool, shape (s,)
+        Whether that is a part of their values.
+    gauge : ndarray of shape (p,) or None
+        Weights of the fitted pixels whose mean response is held at 1.
+    cadence_lower, cadence_upper, cadence_step : ndarray of shape (k,)
+        Bounds and largest steps of the parameters of a cadence.
+    """
+
+    lower: np.ndarray
+    upper: np.ndarray
+    largest_step: np.ndarray
+    relative: np.ndarray
+    gauge: np.ndarray | None
+    cadence_lower: np.ndarray
+    cadence_upper: np.ndarray
+    cadence_step: np.ndarray
+
+    def reach(self, shared):
+        """How far the shared parameters may move from where they are, ``(s,)``."""
+        return self.largest_step * np.where(self.relative, np.abs(shared), 1.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,113 +166,218 @@ class NormalEquations:
     cadence_gradient: np.ndarray
 
 
-@dataclass(eq=False)
+@dataclass(frozen=True, eq=False)
 class Problem:
     """
     What is fitted to what.
 
     Parameters
     ----------
-    data : PixelData
-        The pixels.
+    stamps : tuple of PixelData
+        The pixels of each file, in the same cadences.
     prf : PRF
-        The model; its parameters hold the fixed values.
-    names : tuple of str
-        Free parameters of the PRF.
-    background : {"cadence", "constant", "none"}
-        Background left in the pixels.
-    positions : {"free", "prior", "path"}
-        What ties positions to POS_CORR.
-    position_error : float
-        Standard deviation about the path for "prior", pixels.
-    interpixel_error : float
-        Standard deviation of the response between pixels; 0 fixes it at 1.
-    ridge : dict of str to float
-        Standard deviations about 0 of parameters of the PRF.
-    soft : float or None
-        Residual, in standard deviations, from which the loss grows only linearly.
+        The model; its parameters hold starts, bounds and fixed values.
+    options : FitOptions
+        The options.
+    stars : tuple of FitStar, optional
+        The stars, the first one without offsets.
+    error_scale : float, optional
+        Factor of all errors.
     """
 
-    data: object
+    stamps: tuple
     prf: object
-    names: tuple
-    background: str
-    positions: str
-    position_error: float
-    interpixel_error: float
-    ridge: dict
-    soft: float | None
-    flux: np.ndarray = field(init=False)
-    weight: np.ndarray = field(init=False)
+    options: FitOptions
+    stars: tuple = (FitStar(),)
+    error_scale: float = 1.0
 
-    def __post_init__(self):
-        inside = self.data.pixels
-        flux, error = self.data.flux[:, inside], self.data.flux_err[:, inside]
-        good = np.isfinite(flux)
-        self.flux = np.where(good, flux, 0.0)
-        self.weight = np.where(good, 1 / np.where(good, error, 1.0), 0.0)
-        self.error_scale = 1.0
-        self.path = self.positions == "path"
-        self.n_affine = 6 if self.positions in {"path", "prior"} else 0
-        self.n_pixels = int(inside.sum()) if self.interpixel_error else 0
-        self.n_shared = len(self.names) + self.n_affine + (self.background == "constant")
-        self.fixed = {
-            n: float(np.ravel(getattr(self.prf, n).value)[0]) for n in self.prf.param_names
-        }
-        if self.n_affine:
-            offsets = self.data.pos_corr - np.median(self.data.pos_corr, axis=0)
-            self.basis = np.column_stack([np.ones(len(offsets)), offsets])
-
+    # --- data -----------------------------------------------------------------------------
     @property
-    def columns(self):
-        """Names of the parameters of a cadence."""
-        position = () if self.path else ("x", "y")
-        return (*position, "flux", *(("background",) if self.background == "cadence" else ()))
+    def data(self):
+        """The pixels of the first file."""
+        return self.stamps[0]
+
+    @cached_property
+    def flux(self):
+        """Fluxes of the fitted pixels, shape ``(n, p)``, 0 where there are none."""
+        flux = np.concatenate([s.flux[:, s.pixels] for s in self.stamps], axis=1)
+        return np.where(np.isfinite(flux), flux, 0.0)
+
+    @cached_property
+    def _given_weight(self):
+        flux = np.concatenate([s.flux[:, s.pixels] for s in self.stamps], axis=1)
+        error = np.concatenate([s.flux_err[:, s.pixels] for s in self.stamps], axis=1)
+        good = np.isfinite(flux)
+        return np.where(good, 1 / np.where(good, error, 1.0), 0.0)
+
+    @cached_property
+    def weight(self):
+        """Inverse errors of the fitted pixels, shape ``(n, p)``, 0 where there are no data."""
+        return self._given_weight / self.error_scale
+
+    @cached_property
+    def slices(self):
+        """Which of the fitted pixels belong to each file."""
+        ends = [0, *np.cumsum([s.pixels.sum() for s in self.stamps]).tolist()]
+        return [slice(start, end) for start, end in pairwise(ends)]
 
     @property
     def n_data(self):
         """Number of pixel values."""
-        return int(np.count_nonzero(self.weight))
+        return int(np.count_nonzero(self._given_weight))
 
-    def rescale(self, state):
-        """Scale the errors to the residuals where the model is not true; whether they changed."""
-        residual = self.error_scale * self.weight * (self.flux - self.model(state))
-        residual[self.weight == 0] = np.nan
+    @cached_property
+    def basis(self):
+        """What the path is linear in, shape ``(n, 3)``."""
+        offsets = self.data.pos_corr - np.median(self.data.pos_corr, axis=0)
+        return np.column_stack([np.ones(len(offsets)), offsets])
+
+    def thinned(self, every):
+        """Return the problem with a part of the cadences."""
+        return replace(self, stamps=tuple(s[::every] for s in self.stamps))
+
+    # --- parameters -----------------------------------------------------------------------
+    @property
+    def path(self):
+        """Whether the positions are an affine map of POS_CORR."""
+        return self.options.positions == "path"
+
+    @property
+    def n_affine(self):
+        """Number of parameters of the path."""
+        return 6 if self.options.positions in {"path", "prior"} else 0
+
+    @property
+    def n_pixels(self):
+        """Number of pixels with a response of their own."""
+        return self.slices[-1].stop if self.options.interpixel else 0
+
+    @cached_property
+    def parameters(self):
+        """The shared parameters, in their order."""
+        shape = np.max([s.shape for s in self.stamps], axis=0) if self.stamps else (1, 1)
+        result = list(fit_parameters(self.prf, shape))
+        result += [FitParameter(name, kind) for name, kind in _AFFINE[: self.n_affine]]
+        for k, star in enumerate(self.stars[1:], start=1):
+            for axis, start in (("x", star.x), ("y", star.y)):
+                result.append(
+                    FitParameter(
+                        f"{axis}_star_{k}",
+                        "position",
+                        start - _STAR_MOVE,
+                        start + _STAR_MOVE,
+                        _LARGEST_MOVE,
+                        start=start,
+                    )
+                )
+        result += [
+            FitParameter(f"flux_star_{k}", "flux")
+            for k, star in enumerate(self.stars)
+            if star.constant
+        ]
+        if self.options.background == "constant":
+            names = ["background", *(f"background_{i}" for i in range(1, len(self.stamps)))]
+            result += [FitParameter(name, "flux") for name in names]
+        return tuple(result)
+
+    @cached_property
+    def names(self):
+        """Names of the shared parameters."""
+        return tuple(p.name for p in self.parameters)
+
+    @property
+    def n_shared(self):
+        """Number of shared parameters."""
+        return len(self.parameters)
+
+    @cached_property
+    def n_shape(self):
+        """Number of free parameters of the PRF, which come first."""
+        return len(fit_parameters(self.prf, (1, 1)))
+
+    @cached_property
+    def columns(self):
+        """Names of the parameters of a cadence."""
+        position = () if self.path else ("x", "y")
+        fluxes = tuple(
+            f"flux_{k}" if k else "flux" for k, s in enumerate(self.stars) if not s.constant
+        )
+        number = max(len(self.stamps), 1) if self.options.background == "cadence" else 0
+        return (*position, *fluxes, *(f"background_{i}" if i else "background"
+                                      for i in range(number)))  # fmt: skip
+
+    @cached_property
+    def limits(self):
+        """What a step may do."""
+        low, high, step = (np.full(len(self.columns), v) for v in (-np.inf, np.inf, np.inf))
+        if not self.path:
+            ny, nx = self.data.shape
+            low[:2], high[:2], step[:2] = -1.0, (nx, ny), _LARGEST_MOVE
+        parameters = self.parameters
+        return Limits(
+            np.array([p.lower for p in parameters], dtype=float),
+            np.array([p.upper for p in parameters], dtype=float),
+            np.array([p.largest_step for p in parameters], dtype=float),
+            np.array([p.relative for p in parameters], dtype=bool),
+            self._gauge() if self.n_pixels else None,
+            low,
+            high,
+            step,
+        )
+
+    def _gauge(self):
+        """Weights of the pixels whose mean response is 1: their parts of the light."""
+        weights = [np.nanmedian(s.flux[:, s.pixels], axis=0) for s in self.stamps]
+        weights = np.maximum(np.concatenate(weights), 0.0)
+        return weights / weights.sum()
+
+    def rescaled(self, state):
+        """Return the problem with errors scaled to the residuals where the model is not true."""
+        residual = self._given_weight * (self.flux - self.model(state))
+        residual[self._given_weight == 0] = np.nan
         # Medians: neither cosmic rays nor single bad pixels count.
         typical = np.median(np.nanmedian(residual**2, axis=0)) / _MEDIAN_SQUARE
         n_free = self.n_shared + self.n_pixels + state.cadence.size
         typical *= self.n_data / max(self.n_data - n_free, 1)
         scale = float(np.sqrt(typical)) if typical > _UNTRUE else 1.0
-        changed = abs(scale / self.error_scale - 1) > _SAME
-        self.weight = self.weight * (self.error_scale / scale)
-        self.error_scale = scale
-        return changed
+        if abs(scale / self.error_scale - 1) > _SAME:
+            return replace(self, error_scale=scale)
+        return self
 
     # --- parts of a state -----------------------------------------------------------------
+    def _shared_value(self, state, name):
+        return float(state.shared[self.names.index(name)])
+
     def values(self, state):
-        """Values of the parameters of the PRF."""
-        free = state.shared[: len(self.names)]
-        return self.fixed | dict(zip(self.names, map(float, free), strict=True))
+        """Values of the free parameters of the PRF."""
+        free = state.shared[: self.n_shape]
+        return dict(zip(self.names[: self.n_shape], map(float, free), strict=True))
 
     def affine(self, state):
         """The affine map of the path, shape ``(2, 3)``."""
-        start = len(self.names)
-        return state.shared[start : start + 6].reshape(2, 3)
+        return state.shared[self.n_shape : self.n_shape + 6].reshape(2, 3)
 
-    def xy(self, state):
-        """Positions, shape ``(n, 2)``."""
-        return self.basis @ self.affine(state).T if self.path else state.cadence[:, :2]
+    def xy(self, state, star=0):
+        """Positions of a star in its stamp, shape ``(n, 2)``."""
+        first = self.basis @ self.affine(state).T if self.path else state.cadence[:, :2]
+        if star == 0:
+            return first
+        return first + [self._shared_value(state, f"{axis}_star_{star}") for axis in "xy"]
 
-    def fluxes(self, state):
-        """Fluxes, shape ``(n,)``."""
-        return state.cadence[:, self.columns.index("flux")]
+    def fluxes(self, state, star=0):
+        """Fluxes of a star, shape ``(n,)``."""
+        if self.stars[star].constant:
+            return np.full(len(state.cadence), self._shared_value(state, f"flux_star_{star}"))
+        return state.cadence[:, self.columns.index(f"flux_{star}" if star else "flux")]
 
-    def backgrounds(self, state):
-        """Backgrounds, shape ``(n,)``."""
-        if self.background == "cadence":
-            return state.cadence[:, -1]
-        constant = state.shared[-1] if self.background == "constant" else 0.0
-        return np.full(len(state.cadence), constant)
+    def backgrounds(self, state, stamp=0):
+        """Backgrounds of a file, shape ``(n,)``."""
+        name = f"background_{stamp}" if stamp else "background"
+        if self.options.background == "cadence":
+            return state.cadence[:, self.columns.index(name)]
+        constant = self.options.background == "constant"
+        value = self._shared_value(state, name) if constant else 0.0
+        return np.full(len(state.cadence), value)
 
     # --- model ----------------------------------------------------------------------------
     def chunks(self):
@@ -176,29 +385,30 @@ class Problem:
         n = len(self.flux)
         return [slice(start, min(start + _CHUNK, n)) for start in range(0, n, _CHUNK)]
 
-    def unit_images(self, state, part):
-        """Images of unit flux at the fitted pixels and their derivatives, ``(m, p)``."""
-        x, y = self.xy(state)[part].T
-        values = self.values(state) | {"x_0": x, "y_0": y}
-        image, derivatives = unit_derivatives(
-            self.prf, PixelPoints.from_shape(self.data.shape), values
+    def unit_images(self, state, part, star=0, *, derivatives=False):
+        """Images of unit flux at the fitted pixels of the star's stamp, ``(m, p)``."""
+        stamp = self.stamps[self.stars[star].stamp]
+        x, y = self.xy(state, star)[part].T
+        result = self.prf.unit_images(
+            stamp.shape, x, y, values=self.values(state), derivatives=derivatives
         )
-        inside = self.data.pixels
-        needed = (*self.names, "x_0", "y_0")
-        return image[:, inside], {name: derivatives[name][:, inside] for name in needed}
+        if not derivatives:
+            return result[:, stamp.pixels]
+        image, by = result
+        needed = (*self.names[: self.n_shape], "x_0", "y_0")
+        return image[:, stamp.pixels], {name: by[name][:, stamp.pixels] for name in needed}
 
     def model(self, state):
         """Model of the fitted pixels, shape ``(n, p)``."""
-        model = np.empty(self.flux.shape)
-        response = 1 + (state.interpixel if self.n_pixels else 0.0)
-        prf = self.prf.copy()
-        for name, value in self.values(state).items():
-            setattr(prf, name, value)
-        flux, background = self.fluxes(state), self.backgrounds(state)
+        model = np.zeros(self.flux.shape)
         for part in self.chunks():
-            x, y = self.xy(state)[part].T
-            images = prf.render(self.data.shape, flux=flux[part], x_0=x, y_0=y)
-            model[part] = response * images[:, self.data.pixels] + background[part, None]
+            for k, star in enumerate(self.stars):
+                flux = self.fluxes(state, k)[part, None]
+                model[part, self.slices[star.stamp]] += flux * self.unit_images(state, part, k)
+        if self.n_pixels:
+            model *= 1 + state.interpixel
+        for i, pixels in enumerate(self.slices):
+            model[:, pixels] += self.backgrounds(state, i)[:, None]
         return model
 
     def expand(self, state):
@@ -218,22 +428,22 @@ class Problem:
         n, k, m = len(self.flux), len(self.columns), self.n_shared + self.n_pixels
         shared, gradient = np.zeros((m, m)), np.zeros(m)
         mixed, block, block_gradient = np.zeros((n, k, m)), np.zeros((n, k, k)), np.zeros((n, k))
-        cost = 0.0
+        cost, soft, s = 0.0, self.options.soft, self.n_shared
         for part in self.chunks():
             residual, by_shared, by_pixel, by_cadence = self._linearise(state, part)
             weight = self.weight[part]
             residual *= weight
-            if self.soft is None:
+            if soft is None:
                 cost += np.sum(residual**2)
             else:
-                scaled = (residual / self.soft) ** 2
-                cost += 2 * self.soft**2 * np.sum(np.sqrt(1 + scaled) - 1)
+                scaled = (residual / soft) ** 2
+                cost += 2 * soft**2 * np.sum(np.sqrt(1 + scaled) - 1)
                 factor = (1 + scaled) ** -0.25
                 residual *= factor
                 weight = weight * factor
             by_shared *= weight[..., None]
             by_cadence *= weight[..., None]
-            flat, s = by_shared.reshape(-1, self.n_shared), self.n_shared
+            flat = by_shared.reshape(residual.size, s)
             shared[:s, :s] += flat.T @ flat
             gradient[:s] += residual.ravel() @ flat
             block[part] = by_cadence.transpose(0, 2, 1) @ by_cadence
@@ -245,63 +455,78 @@ class Problem:
                 shared[range(s, m), range(s, m)] += np.sum(by_pixel**2, axis=0)
                 gradient[s:] += np.sum(by_pixel * residual, axis=0)
                 mixed[part, :, s:] = (by_cadence * by_pixel[..., None]).transpose(0, 2, 1)
-        shared[self.n_shared :, : self.n_shared] = shared[: self.n_shared, self.n_shared :].T
+        shared[s:, :s] = shared[:s, s:].T
         equations = NormalEquations(cost, shared, gradient, mixed, block, block_gradient)
         return self._with_priors(state, equations)
 
     def _linearise(self, state, part):
         """Residuals and derivatives of the model in a slice of cadences."""
-        image, derivatives = self.unit_images(state, part)
-        flux = self.fluxes(state)[part, None]
-        response = 1 + (state.interpixel if self.n_pixels else 0.0)
-        residual = self.flux[part] - response * flux * image
-        residual -= self.backgrounds(state)[part, None]
+        size = self.flux[part].shape
+        by_shared = np.zeros((*size, self.n_shared))
+        by_cadence = np.zeros((*size, len(self.columns)))
+        light = np.zeros(size)
+        response = 1 + (state.interpixel if self.n_pixels else np.zeros(size[1]))
+        for k, star in enumerate(self.stars):
+            pixels = self.slices[star.stamp]
+            light[:, pixels] += self._add_star(
+                state, part, k, response[pixels], by_shared[:, pixels], by_cadence[:, pixels]
+            )
+        residual = self.flux[part] - response * light
+        for i, pixels in enumerate(self.slices):
+            name = f"background_{i}" if i else "background"
+            residual[:, pixels] -= self.backgrounds(state, i)[part, None]
+            if self.options.background == "constant":
+                by_shared[:, pixels, self.names.index(name)] = 1.0
+            elif self.options.background == "cadence":
+                by_cadence[:, pixels, self.columns.index(name)] = 1.0
+        return residual, by_shared, light, by_cadence
+
+    def _add_star(self, state, part, k, response, by_shared, by_cadence):
+        """Add the derivatives of a star to those of its pixels; return its light."""
+        image, derivatives = self.unit_images(state, part, k, derivatives=True)
+        flux = self.fluxes(state, k)[part, None]
         scale = response * flux
-        by_shared = np.empty((*image.shape, self.n_shared))
-        for i, name in enumerate(self.names):
-            np.multiply(scale, derivatives[name], out=by_shared[..., i])
-        moved = [scale * derivatives[name] for name in ("x_0", "y_0")]
-        start = len(self.names)
-        if self.path:
-            for axis in (0, 1):
+        for i, name in enumerate(self.names[: self.n_shape]):
+            by_shared[..., i] += scale * derivatives[name]
+        for axis, name in enumerate("xy"):
+            moved = scale * derivatives[f"{name}_0"]
+            if self.path:
                 for i in range(3):
-                    basis = self.basis[part, i, None]
-                    by_shared[..., start + 3 * axis + i] = basis * moved[axis]
-        elif self.n_affine:
-            by_shared[..., start : start + 6] = 0.0
-        if self.background == "constant":
-            by_shared[..., -1] = 1.0
-        columns = [] if self.path else moved
-        columns = [*columns, response * image]
-        if self.background == "cadence":
-            columns.append(np.ones_like(image))
-        return residual, by_shared, flux * image, np.stack(columns, axis=-1)
+                    along = self.n_shape + 3 * axis + i
+                    by_shared[..., along] += self.basis[part, i, None] * moved
+            else:
+                by_cadence[..., axis] += moved
+            if k:
+                by_shared[..., self.names.index(f"{name}_star_{k}")] = moved
+        if self.stars[k].constant:
+            by_shared[..., self.names.index(f"flux_star_{k}")] = response * image
+        else:
+            by_cadence[..., self.columns.index(f"flux_{k}" if k else "flux")] = response * image
+        return flux * image
 
     def _with_priors(self, state, equations):
         """Add the priors to an expansion."""
         cost, shared, gradient = equations.cost, equations.shared, equations.shared_gradient
-        for name, width in self.ridge.items():
-            i = self.names.index(name)
-            cost += (state.shared[i] / width) ** 2
-            shared[i, i] += width**-2
-            gradient[i] -= state.shared[i] / width**2
-        if self.n_pixels and np.isfinite(self.interpixel_error):
-            # Of a common factor of all pixels the prior knows nothing: that is the flux.
+        for i, parameter in enumerate(self.parameters):
+            if np.isfinite(parameter.prior):
+                cost += (state.shared[i] / parameter.prior) ** 2
+                shared[i, i] += parameter.prior**-2
+                gradient[i] -= state.shared[i] / parameter.prior**2
+        if self.n_pixels and np.isfinite(self.options.interpixel):
+            # The prior does not constrain a common factor of all pixels: that is the flux.
             deviation = state.interpixel - state.interpixel.mean()
-            precision = self.interpixel_error**-2
+            precision = self.options.interpixel**-2
             cost += precision * np.sum(deviation**2)
             s, p = self.n_shared, self.n_pixels
             shared[s:, s:] += precision * (np.eye(p) - 1 / p)
             gradient[s:] -= precision * deviation
-        if self.positions == "prior":
+        if self.options.positions == "prior":
             cost += self._position_prior(state, equations)
-        return NormalEquations(
-            cost, shared, gradient, equations.mixed, equations.cadence, equations.cadence_gradient
-        )
+        return replace(equations, cost=cost)
 
     def _position_prior(self, state, equations):
         """Add the prior of the positions about the path; return its cost."""
-        precision, start = self.position_error**-2, len(self.names)
+        precision, start = self.options.position_error**-2, self.n_shape
         deviation = state.cadence[:, :2] - self.basis @ self.affine(state).T
         for axis in (0, 1):
             i = slice(start + 3 * axis, start + 3 * axis + 3)

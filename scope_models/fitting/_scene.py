@@ -108,11 +108,11 @@ def sensitivity_profiles(fit):
     offset = np.linspace(-0.5, 0.5, 51)
     profiles = {"offset": offset}
     for axis in "xy":
-        names = [name for name in model.param_names if name[1] == axis]
+        names = [name for name, place in model.powers.items() if place[0] == axis]
         value = np.polynomial.polynomial.polyval(offset, [getattr(model, n).value for n in names])
         free = [name for name in names if name in fit.names]
         index = [fit.names.index(name) for name in free]
-        powers = np.array([offset ** int(name[2:]) for name in free]).reshape(len(free), -1)
+        powers = np.array([offset ** model.powers[name][1] for name in free]).reshape(len(free), -1)
         block = fit.covariance[np.ix_(index, index)]
         variance = np.einsum("iu,ij,ju->u", powers, block, powers)
         known = all(fit.errors[name] > 0 for name in free)

@@ -25,7 +25,6 @@ _LOOSE = 1e-4
 _FLOOR = 1e-13
 # ... and below this their gradient is a rounding error.
 _KNOWN = 1e-11
-_LARGEST_MOVE = 0.3
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,12 +53,12 @@ class Solution:
     distance: float
 
 
-class _Limits:
+class _Walls:
     """Bounds of the shared parameters, and the linear constraint of the interpixel map."""
 
-    def __init__(self, problem, lower, upper, gauge, only=None):
-        self.lower, self.upper = lower, upper
-        self.gauge, self.only = gauge, only
+    def __init__(self, problem, only=None):
+        self.lower, self.upper = problem.limits.lower, problem.limits.upper
+        self.gauge, self.only = problem.limits.gauge, only
         self.n_shared, self.n_pixels = problem.n_shared, problem.n_pixels
 
     def outward(self, shared, direction):
@@ -95,7 +94,7 @@ def _damped(matrix, damping):
     matrix = matrix.copy()
     index = np.arange(matrix.shape[-1])
     matrix[..., index, index] *= 1 + damping
-    # A cadence whose star has no flux knows nothing of its position.
+    # A cadence whose star has no flux does not constrain its position.
     diagonal = matrix[..., index, index]
     matrix[..., index, index] = np.where(diagonal > 0, diagonal * (1 + 1e-12), 1.0)
     return matrix
@@ -154,13 +153,13 @@ def _inverse(matrix, whole):
     return ((vectors / values) @ vectors.T) * scale[:, None] * scale
 
 
-def _distance(equations, limits, shared):
+def _distance(equations, walls, shared):
     """By how much an undamped step would lower the cost."""
     try:
         reduced = _eliminate(equations)
     except np.linalg.LinAlgError:
         return np.inf
-    basis = limits.basis(limits.outward(shared, reduced.gradient))
+    basis = walls.basis(walls.outward(shared, reduced.gradient))
     if not basis.shape[1]:
         return reduced.cadence_gain
     matrix = basis.T @ reduced.matrix @ basis
@@ -170,34 +169,23 @@ def _distance(equations, limits, shared):
     return reduced.cadence_gain + float(np.sum(gradient**2 / values[known]))
 
 
-def _reach(problem, state):
-    """How far the shared parameters may move in one step, ``(s,)``."""
-    reach = np.full(problem.n_shared, np.inf)
-    for i, name in enumerate(problem.names):
-        if name.startswith("sigma"):
-            reach[i] = _LARGEST_MOVE * state.shared[i]
-        elif name.startswith(("rho", "flux_fraction", "x_offset", "y_offset")):
-            reach[i] = _LARGEST_MOVE
-    return reach
-
-
-def _step(problem, state, equations, limits, damping):
+def _step(problem, state, equations, walls, damping):
     """The state after one damped step and the gain it promises, or None if there is no step."""
     try:
         # The cadences follow the shared parameters; only far from the minimum are they held too.
         reduced = _eliminate(equations, damping * min(damping, 1.0))
     except np.linalg.LinAlgError:
         return None, 0.0
-    reach = _reach(problem, state)
+    reach = problem.limits.reach(state.shared)
     brake = np.maximum(np.diag(reduced.matrix), _FLOOR * np.diag(equations.shared))
     brake[: len(reach)] += 1 / reach**2
     matrix = reduced.matrix + damping * np.diag(brake)
-    held = limits.outward(state.shared, reduced.gradient)
+    held = walls.outward(state.shared, reduced.gradient)
     while True:
-        basis = limits.basis(held)
+        basis = walls.basis(held)
         inverse = _inverse(basis.T @ matrix @ basis, basis.T @ equations.shared @ basis)
         shared = basis @ (inverse @ (basis.T @ reduced.gradient))
-        more = limits.outward(state.shared, shared) & ~held
+        more = walls.outward(state.shared, shared) & ~held
         if not more.any():
             break
         held |= more
@@ -205,15 +193,12 @@ def _step(problem, state, equations, limits, damping):
     shared *= min(
         1.0, np.min(reach / np.maximum(np.abs(shared[: len(reach)]), 1e-300), initial=1.0)
     )
-    shared *= limits.part_inside(state.shared, shared)
+    shared *= walls.part_inside(state.shared, shared)
     change = reduced.right[..., m] - reduced.right[..., :m] @ shared
     change = np.linalg.solve(reduced.factor.transpose(0, 2, 1), change[..., None])[..., 0]
-    if not problem.path:
-        np.clip(change[:, :2], -_LARGEST_MOVE, _LARGEST_MOVE, out=change[:, :2])
-    cadence = state.cadence + change
-    if not problem.path:
-        ny, nx = problem.data.shape
-        np.clip(cadence[:, :2], [-1, -1], [nx, ny], out=cadence[:, :2])
+    limits = problem.limits
+    change = np.clip(change, -limits.cadence_step, limits.cadence_step)
+    cadence = np.clip(state.cadence + change, limits.cadence_lower, limits.cadence_upper)
     new = np.clip(state.shared + shared[: problem.n_shared], limits.lower, limits.upper)
     interpixel = state.interpixel + shared[problem.n_shared :]
     if not all(np.isfinite(values).all() for values in (new, interpixel, cadence)):
@@ -230,7 +215,7 @@ def _promise(equations, shared, cadence):
     return float(2 * gradient - bend)
 
 
-def solve(problem, state, lower, upper, gauge, max_steps, *, n_steps=0, only=None, loosely=False):
+def solve(problem, state, max_steps, *, n_steps=0, only=None, loosely=False):
     """
     Minimise the cost.
 
@@ -240,10 +225,6 @@ def solve(problem, state, lower, upper, gauge, max_steps, *, n_steps=0, only=Non
         What is fitted.
     state : State
         Start.
-    lower, upper : ndarray of shape (s,)
-        Bounds of the shared parameters.
-    gauge : ndarray of shape (p,) or None
-        Weights of the fitted pixels whose mean response is held at 1.
     max_steps : int
         Largest number of steps.
     n_steps : int, optional
@@ -258,18 +239,18 @@ def solve(problem, state, lower, upper, gauge, max_steps, *, n_steps=0, only=Non
     Solution
         The best state.
     """
-    limits = _Limits(problem, lower, upper, gauge, only)
+    walls = _Walls(problem, only)
     equations = problem.expand(state)
     if not np.isfinite(equations.cost):
         raise ValueError("the model is not finite at the starting values")
     relative = _LOOSE if loosely else _RELATIVE
     damping, growth = _LATER_DAMPING if n_steps else _FIRST_DAMPING, 2.0
-    distance = _distance(equations, limits, state.shared)
+    distance = _distance(equations, walls, state.shared)
     for _ in range(max_steps):
         converged = distance < max(_ABSOLUTE, relative * equations.cost)
         if (converged and loosely) or damping > _LARGEST_DAMPING:
             break
-        trial, promise = _step(problem, state, equations, limits, damping)
+        trial, promise = _step(problem, state, equations, walls, damping)
         expanded = problem.expand(trial) if trial is not None else None
         gain = -np.inf if expanded is None else equations.cost - expanded.cost
         if not gain > 0:
@@ -281,14 +262,14 @@ def solve(problem, state, lower, upper, gauge, max_steps, *, n_steps=0, only=Non
         damping *= max(0.1, 1 - (2 * min(ratio, 1.0) - 1) ** 3)
         damping, growth = max(damping, _LEAST_DAMPING), 2.0
         state, equations, n_steps = trial, expanded, n_steps + 1
-        distance = _distance(equations, limits, state.shared)
+        distance = _distance(equations, walls, state.shared)
         if converged:  # that was one more step, to be nearer than asked for
             break
     converged = distance < max(_ABSOLUTE, relative * equations.cost)
     return Solution(state, equations, bool(converged), n_steps, float(distance))
 
 
-def covariances(problem, solution, lower, upper, gauge):
+def covariances(problem, solution):
     """
     Covariance of the shared parameters and of each cadence's own.
 
@@ -298,8 +279,6 @@ def covariances(problem, solution, lower, upper, gauge):
         What was fitted.
     solution : Solution
         The result.
-    lower, upper, gauge
-        As for `solve`.
 
     Returns
     -------
@@ -311,9 +290,9 @@ def covariances(problem, solution, lower, upper, gauge):
         Likewise, of the parameters of a cadence less their mean over all cadences.
     """
     equations = solution.equations
-    limits = _Limits(problem, lower, upper, gauge)
+    walls = _Walls(problem)
     reduced = _eliminate(equations)
-    basis = limits.basis(limits.outward(solution.state.shared, reduced.gradient))
+    basis = walls.basis(walls.outward(solution.state.shared, reduced.gradient))
     inverse = _inverse(basis.T @ reduced.matrix @ basis, basis.T @ equations.shared @ basis)
     shared = basis @ inverse @ basis.T
     alone = np.linalg.inv(_damped(equations.cadence, 0.0))

@@ -9,16 +9,13 @@ from scope_models.models import (
     GaussHermitePSF,
     SensitivityPolynomial,
 )
-from scope_models.models._derivatives import coefficient_names
 
-__all__ = ["bounds_of", "free_names", "linear_start", "make_prf", "starting_state"]
+__all__ = ["linear_start", "make_prf", "starting_state"]
 
 _SIGMAS, _FRACTIONS = (0.5, 1.1, 2.0), (0.7, 0.25, 0.05)
 # The empirical term: part of the flux, and width of its first function. From 0.7 to 0.8 the real
 # stars of the documentation are described best.
 _EMPIRICAL_FRACTION, _EMPIRICAL_SIGMA = 0.02, 0.75
-# Narrower PSFs are the same to a pixel; tighter correlations only cost time.
-_LEAST_SIGMA, _LARGEST_RHO, _LARGEST_OFFSET = 0.1, 0.95, 2.0
 # Pixels that are brighter than this part of the brightest one give the first positions.
 _BRIGHT = 0.1
 # ... within so many pixels of it, and where so high a percentile over the cadences is bright.
@@ -54,7 +51,7 @@ def make_prf(psf, sensitivity, empirical):
             f"`sensitivity` must be a SensitivityPolynomial or None, got {sensitivity!r}"
         )
     compound, number = (_gaussians(psf), True) if isinstance(psf, int) else (psf, False)
-    n_components = len(PRF(compound)._components)  # noqa: SLF001
+    n_components = PRF(compound).n_components
     if empirical:
         sigma = _EMPIRICAL_SIGMA
         surface = GaussHermitePSF(_EMPIRICAL_FRACTION, 0, 0, sigma, sigma, order=empirical)
@@ -88,44 +85,9 @@ def _gaussians(number):
 
 def _hold_constants(prf):
     """Fix the constants of the sensitivity: they are the flux."""
-    for name, (_, power) in coefficient_names(prf).items():
+    for name, (_, power) in prf.response_powers.items():
         if power == 0:
             getattr(prf, name).fixed = True
-
-
-def free_names(prf):
-    """Parameters of a PRF that all cadences share and that are not fixed."""
-    return tuple(
-        name
-        for name in prf.param_names
-        if name not in {"flux", "x_0", "y_0"} and not getattr(prf, name).fixed
-    )
-
-
-def bounds_of(prf, names, n_others, shape):
-    """
-    Lower and upper bounds of the shared parameters; the others have none.
-
-    A component that is wider than half the stamp is nothing but background.
-    """
-    lower, upper = np.full(len(names) + n_others, -np.inf), np.full(len(names) + n_others, np.inf)
-    coefficients = coefficient_names(prf)
-    for i, name in enumerate(names):
-        low, high = getattr(prf, name).bounds
-        lower[i] = -np.inf if low is None else low
-        upper[i] = np.inf if high is None else high
-        if name.startswith("sigma"):
-            lower[i] = max(lower[i], _LEAST_SIGMA)
-            upper[i] = min(upper[i], max(shape) / 2)
-        elif name.startswith("rho"):
-            lower[i], upper[i] = max(lower[i], -_LARGEST_RHO), min(upper[i], _LARGEST_RHO)
-        elif name in coefficients:
-            # At a pixel's edge no term takes away all of the response, or doubles it.
-            largest = 2.0 ** coefficients[name][1]
-            lower[i], upper[i] = max(lower[i], -largest), min(upper[i], largest)
-        elif "offset" in name:
-            lower[i], upper[i] = max(lower[i], -_LARGEST_OFFSET), min(upper[i], _LARGEST_OFFSET)
-    return lower, upper
 
 
 def starting_state(problem):
@@ -143,25 +105,18 @@ def starting_state(problem):
         The start.
     """
     xy = _centroids(problem.data)
-    affine = np.zeros(0)
-    if problem.data.pos_corr is not None and problem.positions != "free":
-        offsets = problem.data.pos_corr - np.median(problem.data.pos_corr, axis=0)
-        basis = np.column_stack([np.ones(len(offsets)), offsets])
-        fitted = _robust_map(basis, xy)
-        if problem.positions == "start":
-            xy = basis @ fitted
-        elif problem.n_affine:
-            affine = fitted.T.ravel()
-            xy = basis @ fitted
-    shared = [getattr(problem.prf, name).value for name in problem.names]
-    constant = [0.0] if problem.background == "constant" else []
-    shared = np.array([*map(float, shared), *affine, *constant])
-    n, k = len(xy), len(problem.columns)
-    cadence = np.zeros((n, k))
+    positions = problem.options.positions
+    shared = np.array([p.start for p in problem.parameters])
+    if problem.data.pos_corr is not None and positions != "free":
+        fitted = _robust_map(problem.basis, xy)
+        if problem.n_affine:
+            shared[problem.n_shape : problem.n_shape + 6] = fitted.T.ravel()
+        xy = problem.basis @ fitted
+    shared = np.clip(shared, problem.limits.lower, problem.limits.upper)
+    cadence = np.zeros((len(xy), len(problem.columns)))
     if not problem.path:
         cadence[:, :2] = xy
-    state = State(shared, np.zeros(problem.n_pixels), cadence)
-    return State(shared, state.interpixel, linear_start(problem, state))
+    return linear_start(problem, State(shared, np.zeros(problem.n_pixels), cadence))
 
 
 def _centroids(data):
@@ -208,28 +163,31 @@ def linear_start(problem, state):
 
     Returns
     -------
-    cadence : ndarray of shape (n, k)
-        Parameters of all cadences.
+    State
+        With fluxes and backgrounds of all cadences; the flux of a constant star is the median of
+        what it would be in each cadence.
     """
-    cadence = state.cadence.copy()
-    both = problem.background == "cadence"
+    shared, cadence = state.shared.copy(), state.cadence.copy()
+    both = problem.options.background == "cadence"
+    values = np.zeros((len(problem.flux), len(problem.stars) + len(problem.stamps) * both))
     for part in problem.chunks():
-        x, y = problem.xy(state)[part].T
-        prf_values = problem.values(state)
-        image = _render(problem, prf_values, x, y)
+        design = np.zeros((*problem.flux[part].shape, values.shape[1]))
+        for k, star in enumerate(problem.stars):
+            design[:, problem.slices[star.stamp], k] = problem.unit_images(state, part, k)
+        for i, pixels in enumerate(problem.slices if both else ()):
+            design[:, pixels, len(problem.stars) + i] = 1.0
         weight = problem.weight[part]
-        columns = [image, np.ones_like(image)] if both else [image]
-        design = np.stack(columns, axis=-1) * weight[..., None]
+        design *= weight[..., None]
         normal = design.transpose(0, 2, 1) @ design
-        normal += 1e-12 * normal.max(axis=(1, 2), keepdims=True) * np.eye(len(columns))
+        largest = normal.max(axis=(1, 2), keepdims=True)
+        normal += 1e-12 * np.maximum(largest, 1e-300) * np.eye(values.shape[1])
         right = np.einsum("npk,np->nk", design, weight * problem.flux[part])
-        cadence[part, -len(columns) :] = np.linalg.solve(normal, right[..., None])[..., 0]
-    return cadence
-
-
-def _render(problem, values, x, y):
-    prf = problem.prf.copy()
-    for name, value in values.items():
-        setattr(prf, name, value)
-    images = prf.render(problem.data.shape, flux=np.ones(len(x)), x_0=x, y_0=y)
-    return images[:, problem.data.pixels]
+        values[part] = np.linalg.solve(normal, right[..., None])[..., 0]
+    for k, star in enumerate(problem.stars):
+        if star.constant:
+            shared[problem.names.index(f"flux_star_{k}")] = np.median(values[:, k])
+        else:
+            cadence[:, problem.columns.index(f"flux_{k}" if k else "flux")] = values[:, k]
+    if both:
+        cadence[:, -len(problem.stamps) :] = values[:, len(problem.stars) :]
+    return State(shared, state.interpixel, cadence)

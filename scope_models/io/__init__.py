@@ -1,9 +1,12 @@
 """The door in, from target pixel files to arrays, and the door out, with the truth."""
 
+from scope_models._moved import renamed
+from scope_models.io._opening import Conf, conf
+from scope_models.io._truth import Truth
+from scope_models.io.light_curves import make_light_curve_hdulist
 from scope_models.io.pixels import PixelSeries, read_pixels, read_tpf, usable_positions
 from scope_models.io.tpf import (
     TPFMetadata,
-    TPFTruth,
     make_tpf_hdulist,
     read_truth,
     write_hdulist,
@@ -11,9 +14,12 @@ from scope_models.io.tpf import (
 )
 
 __all__ = [
+    "Conf",
     "PixelSeries",
     "TPFMetadata",
-    "TPFTruth",
+    "Truth",
+    "conf",
+    "make_light_curve_hdulist",
     "make_tpf_hdulist",
     "read_pixels",
     "read_tpf",
@@ -22,3 +28,5 @@ __all__ = [
     "write_hdulist",
     "write_tpf",
 ]
+
+__getattr__ = renamed(__name__, TPFTruth="Truth")

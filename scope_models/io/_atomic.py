@@ -1,30 +1,39 @@
 """Writing a file so that it is there as a whole or not at all."""
 
 import os
+import re
 import secrets
+import shutil
+import socket
 from contextlib import contextmanager
 from pathlib import Path
 
-__all__ = ["atomic_path"]
+__all__ = ["atomic_path", "check_output"]
+
+# Temporary files are .scope-models-HOST-PROCESS-RANDOM with the suffixes of the file.
+_PREFIX = ".scope-models-"
 
 
 @contextmanager
-def atomic_path(path, *, overwrite=False):
+def atomic_path(path, *, overwrite=False, inputs=()):
     """Give a temporary path to write to, and move the file into place at the end.
 
     The temporary file is in the folder of ``path`` and keeps its suffixes, so that writers
-    recognise the format. When the body ends, it becomes ``path`` in one step: whoever opens
+    recognize the format. When the body ends, it becomes ``path`` in one step: whoever opens
     ``path`` sees the old file, the new file or none, and never a part. When the body raises,
     the temporary file is removed and ``path`` stays as it was. A process that is killed leaves
-    its temporary file, whose name begins with a dot.
+    its temporary file, whose name begins with a dot; the next one that writes to the folder on
+    the same computer removes it (not on Windows).
 
     Parameters
     ----------
     path : str or path-like
         The file to write. A symbolic link is followed.
     overwrite : bool, optional
-        Whether a file that exists is replaced. Without it, a file that appears while the
-        body runs is not replaced either.
+        Whether a file that exists is replaced; the new one keeps its permissions. Without it, a
+        file that appears while the body runs is not replaced either.
+    inputs : sequence of str or path-like, optional
+        Files that are never replaced, also if ``path`` is a link to one of them.
 
     Yields
     ------
@@ -41,6 +50,10 @@ def atomic_path(path, *, overwrite=False):
         If ``path`` is a folder.
     PermissionError
         If the folder cannot be written to.
+    OSError
+        If the body cannot write the file, as on a full disk; the message names the file.
+    ValueError
+        If the file is one of ``inputs``.
 
     Examples
     --------
@@ -53,18 +66,88 @@ def atomic_path(path, *, overwrite=False):
     ...     [file.name for file in Path(folder).iterdir()]
     ['numbers.txt']
     """
-    target = Path(os.path.realpath(path))
-    _check_target(path, target, overwrite=overwrite)
-    temporary = target.with_name(f".{secrets.token_hex(8)}{''.join(target.suffixes[-2:])}")
-    _check_folder(path, temporary)
+    target, temporary = _checked(path, overwrite=overwrite, inputs=inputs)
+    _remove_orphans(target.parent)
     try:
         yield temporary
-        if overwrite:
-            temporary.replace(target)
-        else:
-            _move_new(path, temporary, target)
+        _move(path, temporary, target, overwrite=overwrite)
+    except OSError as error:
+        if error.filename not in (None, temporary, str(temporary)):
+            raise
+        raise type(error)(f"cannot write {path}: {error.strerror or error}") from error
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def check_output(path, *, overwrite=False, inputs=()):
+    """Raise the errors of `atomic_path` before any work is done for the file.
+
+    Parameters
+    ----------
+    path : str or path-like
+        The file that will be written.
+    overwrite : bool, optional
+        Whether a file that exists is replaced.
+    inputs : sequence of str or path-like, optional
+        Files that are never replaced.
+
+    Raises
+    ------
+    OSError, ValueError
+        As `atomic_path`.
+
+    Examples
+    --------
+    >>> from scope_models.io._atomic import check_output
+    >>> check_output("stars/star.fits")
+    Traceback (most recent call last):
+    FileNotFoundError: cannot write stars/star.fits: there is no folder ...stars
+    """
+    _checked(path, overwrite=overwrite, inputs=inputs)
+
+
+def _checked(path, *, overwrite, inputs):
+    """Return the real place of a file and a temporary path beside it, or refuse it."""
+    target = Path(os.path.realpath(path))
+    for source in inputs:
+        if _is_same(target, source):
+            raise ValueError(f"cannot write {path}: it is the input {source}")
+    _check_target(path, target, overwrite=overwrite)
+    name = f"{_PREFIX}{_host()}-{os.getpid()}-{secrets.token_hex(8)}"
+    temporary = target.with_name(name + "".join(target.suffixes[-2:]))
+    _check_folder(path, temporary)
+    return target, temporary
+
+
+def _is_same(target, source):
+    try:
+        return target.samefile(source)
+    except OSError:  # one of them is not there
+        return target == Path(os.path.realpath(source))
+
+
+def _host():
+    return re.sub("[^A-Za-z0-9]", "_", socket.gethostname()) or "host"
+
+
+def _remove_orphans(folder):
+    """Remove temporary files of processes of this computer that were killed."""
+    if os.name == "nt":  # signal 0 would end the process there
+        return
+    for file in folder.glob(f"{_PREFIX}{_host()}-*"):
+        found = re.match(rf"{_PREFIX}{_host()}-(\d+)-", file.name)
+        if found and not _is_alive(int(found[1])):
+            file.unlink(missing_ok=True)
+
+
+def _is_alive(process):
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except (OSError, OverflowError):  # another user's
+        return True
+    return True
 
 
 def _check_target(path, target, *, overwrite):
@@ -92,8 +175,13 @@ def _check_folder(path, temporary):
     temporary.unlink()
 
 
-def _move_new(path, temporary, target):
-    """Move a file to a name that is free, and fail if it is taken meanwhile."""
+def _move(path, temporary, target, *, overwrite):
+    """Move a file to its place; fail if a name that must be free is taken meanwhile."""
+    if overwrite:
+        if target.exists():
+            shutil.copymode(target, temporary)
+        temporary.replace(target)
+        return
     try:
         os.link(temporary, target)
     except FileExistsError:

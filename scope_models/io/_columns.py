@@ -4,10 +4,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from scope_models._arrays import plain_array, plain_time
+
 __all__ = ["PixelColumn", "checked_columns", "pixel_columns", "table_rows"]
 
 _ROLLING_BAND_DURATIONS = 5
-_LATEST_DAY = 1e5
+_UNITS = {"time": "d", "timecorr": "d", "pos_corr1": "pix", "pos_corr2": "pix"}
+_UNITS |= dict.fromkeys(
+    ("flux", "flux_err", "flux_bkg", "flux_bkg_err", "cosmic_rays"), "electron / s"
+)
 _DTYPES = {"D": np.dtype(">f8"), "E": np.dtype(">f4"), "J": np.dtype(">i4")}
 
 
@@ -55,7 +60,6 @@ _COLUMNS = (
     PixelColumn("POS_CORR2", "E", "offset in rows", "pixel"),
     PixelColumn("RB_LEVEL", "E", "rolling bands, none sought", "sigma"),
 )
-_ABSENT = {"Kepler": {"RB_LEVEL"}, "K2": set(), "TESS": {"COSMIC_RAYS", "RB_LEVEL"}}
 
 
 def pixel_columns(metadata):
@@ -75,7 +79,7 @@ def pixel_columns(metadata):
     displays = dict(zip("DE", layout.displays[:2], strict=True)) | {"J": layout.displays[2]}
     columns = []
     for column in _COLUMNS:
-        if column.name in _ABSENT[metadata.mission]:
+        if column.name in layout.absent_columns:
             continue
         display = column.display or displays[column.kind]
         unit = layout.time_unit if column is _TIME else column.unit
@@ -140,7 +144,7 @@ def checked_columns(metadata, values):
     ValueError
         If shapes do not agree, or values are outside their domain.
     """
-    flux = np.asarray(values["flux"])
+    flux = _plain("flux", values["flux"])
     if flux.ndim != 3 or 0 in flux.shape:
         raise ValueError(f"`flux` must have the shape (n_cadences, ny, nx), got {flux.shape}")
     checked = {"TIME": _checked_time(metadata, values["time"], len(flux))}
@@ -163,17 +167,13 @@ def checked_columns(metadata, values):
 
 def _checked_time(metadata, time, n_cadences):
     """Return times that grow, with NaN where there are none."""
+    time = plain_time(time, metadata.layout.time_format, "time")
     time = _floats("time", time, (n_cadences,))
     known = time[np.isfinite(time)]
     if known.size == 0:
         raise ValueError("`time` must have a finite value")
     if np.any(np.diff(known) <= 0):
         raise ValueError("`time` must increase from cadence to cadence")
-    if np.abs(known[[0, -1]]).max() > _LATEST_DAY:
-        raise ValueError(
-            f"`time` must be {metadata.layout.time_unit.removesuffix(', days')} in days, "
-            f"got {known[0]} to {known[-1]}"
-        )
     return time
 
 
@@ -204,9 +204,19 @@ def _check_errors(checked):
         raise ValueError(f"`flux_bkg_err` must not be negative, got {np.nanmin(background_error)}")
 
 
+def _has_unit(values):
+    """Return whether values are times, quantities or masked, which plain arrays are not."""
+    return any(hasattr(values, name) for name in ("unit", "mask", "jd1"))
+
+
+def _plain(name, values):
+    """Return values in the unit of their column as an array; plain arrays are not copied."""
+    return plain_array(values, _UNITS[name], name) if _has_unit(values) else np.asarray(values)
+
+
 def _floats(name, values, shape, *, broadcast=False):
     """Return an array of floats of a shape, without infinities."""
-    array = np.asarray(values)
+    array = _plain(name, values)
     if array.dtype.kind not in "iufb":
         raise TypeError(f"`{name}` must be an array of numbers, got {array.dtype}")
     if broadcast:

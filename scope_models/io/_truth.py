@@ -1,13 +1,15 @@
-"""The extensions of a target pixel file that hold the truth."""
+"""What lies behind the pixels of a simulation, in memory and in a file."""
 
 import json
 import re
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
 
 import numpy as np
 from astropy.table import Table
 
-__all__ = ["TPFTruth", "map_hdus", "scene_hdu", "truth_hdu", "truth_of"]
+__all__ = ["Truth", "truth_hdus", "truth_of"]
 
 _TPF_NAMES = {
     *("PRIMARY", "TARGETTABLES", "PIXELS", "APERTURE", "TARGET COSMIC RAY"),
@@ -15,31 +17,142 @@ _TPF_NAMES = {
 }
 
 
-@dataclass(frozen=True, eq=False)
-class TPFTruth:
-    """What a simulated target pixel file knows beyond its pixels.
+@dataclass(frozen=True, eq=False, repr=False)
+class Truth:
+    """What lies behind the pixels of an observation.
 
-    Attributes
+    ``observation.truth`` holds it, and `~scope_models.read_truth` reads the same from the file.
+
+    Parameters
     ----------
-    table : astropy.table.Table
-        CADENCENO and the true values at each cadence, float64.
-    maps : dict of str to ndarray
-        Images such as the response of each pixel, float64.
+    columns : mapping of str to array_like of shape (n_cadences, ...)
+        CADENCENO and the true values at each cadence: TIME; QUALITY; the motion, MOTION_X and
+        MOTION_Y; for each star from 1 its position X1 and Y1 (mean over the cadence, pixels) and
+        its relative flux SIGNAL1; TARGET_SHARE, the target's share in the starlight of the
+        aperture; and what the effects add.
+    maps : dict of str to ndarray of shape (ny, nx)
+        Images: INTERPIXEL, the response of each pixel against the others, and what the effects add.
     scene : dict
-        What is needed to simulate the same again.
+        The scene in values that JSON can hold, of which `~scope_models.read_scene` makes a
+        `~scope_models.Scene`; and, as ``scene["found"]``, flux and lost_fraction of each star.
+    tables : dict of str to astropy.table.Table
+        Lists of any length, such as the events of an effect.
+    model : ndarray of shape (n_cadences, ny, nx) or None
+        Expected flux without noise and background, e-/s, if ``simulate(..., keep_model=True)``
+        kept it. No file holds it: `~scope_models.Observation.model` computes it at any time.
 
     Examples
     --------
-    >>> from astropy.table import Table
-    >>> from scope_models.io import TPFTruth
-    >>> truth = TPFTruth(Table({"CADENCENO": [3, 4, 5], "X": [0.0, 0.5, 1.0]}), {}, {})
-    >>> truth.at_cadences([5, 3])["X"].tolist()
-    [1.0, 0.0]
+    >>> from scope_models import Detector, Motion, Star, read_truth, simulate
+    >>> observation = simulate(Star(12.0, x_0=4.5), Detector.k2(), Motion.still(50), seed=1)
+    >>> observation.truth
+    <Truth of 1 star, seed 1, noise: background, photon, read>
+    >>> float(observation.truth.x[0, 0])
+    4.5
+    >>> read_truth(observation.write("star.fits")) == observation.truth
+    True
     """
 
-    table: Table
-    maps: dict
-    scene: dict
+    columns: Mapping
+    maps: dict = field(default_factory=dict)
+    scene: dict = field(default_factory=dict)
+    tables: dict = field(default_factory=dict)
+    model: np.ndarray | None = None
+
+    def __post_init__(self):
+        columns = {name: np.array(values) for name, values in self.columns.items()}
+        for values in columns.values():
+            values.flags.writeable = False
+        object.__setattr__(self, "columns", MappingProxyType(columns))
+
+    def __reduce__(self):
+        return type(self), (dict(self.columns), self.maps, self.scene, self.tables, self.model)
+
+    def __repr__(self):
+        n = len(self._names("X"))
+        options = self.scene.get("options", {})
+        noise = ", ".join(sorted(options.get("noise") or ())) or "none"
+        stars = f"{n} star{'' if n == 1 else 's'}"
+        return f"<Truth of {stars}, seed {options.get('seed')}, noise: {noise}>"
+
+    def __eq__(self, other):
+        if not isinstance(other, Truth):
+            return NotImplemented
+        return (
+            self.scene == other.scene
+            and _same_arrays(self.maps, other.maps)
+            and _same_arrays(self.columns, other.columns)
+            and self.tables.keys() == other.tables.keys()
+            and all(
+                _same_arrays(dict(table.items()), dict(other.tables[name].items()))
+                for name, table in self.tables.items()
+            )
+        )
+
+    __hash__ = None
+
+    @property
+    def table(self):
+        """The columns as a new `~astropy.table.Table`."""
+        return Table(dict(self.columns))
+
+    @property
+    def x(self):
+        """Column of each star, the mean over the cadence, pixels; shape (n_stars, n_cadences)."""
+        return self._stack("X")
+
+    @property
+    def y(self):
+        """Row of each star, the mean over the cadence, pixels; shape (n_stars, n_cadences)."""
+        return self._stack("Y")
+
+    @property
+    def relative_flux(self):
+        """Flux of each star, 1 at its magnitude; shape (n_stars, n_cadences)."""
+        return self._stack("SIGNAL")
+
+    @property
+    def target_share(self):
+        """Target's share in the starlight of the aperture, NaN without light; (n_cadences,)."""
+        return self.columns["TARGET_SHARE"]
+
+    @property
+    def flux(self):
+        """Flux of each star at its magnitude, e-/s, before the response of the pixels."""
+        return self._found("flux")
+
+    @property
+    def lost_fraction(self):
+        """Part of each star's light off the stamp where the motion takes it farthest."""
+        return self._found("lost_fraction")
+
+    @property
+    def interpixel(self):
+        """Response of each pixel against the others, shape (ny, nx)."""
+        return _read_only(self.maps["INTERPIXEL"])
+
+    @property
+    def seed(self):
+        """The seed, given or taken from the operating system."""
+        return self.scene["options"]["seed"]
+
+    @property
+    def noise(self):
+        """The noise terms, a frozenset of their names."""
+        return frozenset(self.scene["options"]["noise"])
+
+    @property
+    def n_sub(self):
+        """Exposures within a cadence over which the motion is averaged."""
+        return self.scene["options"]["n_sub"]
+
+    @property
+    def detector(self):
+        """The detector is a part of the scene, no longer of the truth."""
+        raise AttributeError(
+            "a Truth has no detector any more: use `observation.detector` or "
+            "`read_scene(path).detector`"
+        )
 
     def at_cadences(self, cadenceno):
         """Return the rows of some cadences, such as those that a quality mask leaves.
@@ -58,17 +171,87 @@ class TPFTruth:
         ------
         ValueError
             If the truth has no such cadence.
+
+        Examples
+        --------
+        >>> from scope_models.io import Truth
+        >>> truth = Truth({"CADENCENO": [3, 4, 5], "X": [0.0, 0.5, 1.0]})
+        >>> truth.at_cadences([5, 3])["X"].tolist()
+        [1.0, 0.0]
         """
         wanted = np.asarray(cadenceno)
-        known = np.asarray(self.table["CADENCENO"])
+        known = self.columns["CADENCENO"]
         index = np.minimum(np.searchsorted(known, wanted), len(known) - 1)
         if np.any(known[index] != wanted):
             missing = wanted[known[index] != wanted][0]
             raise ValueError(f"`cadenceno` must be cadences of the truth, got {missing}")
         return self.table[index]
 
+    def _names(self, prefix):
+        """Return the names of a column for star 1, 2, ..."""
+        names = []
+        while f"{prefix}{len(names) + 1}" in self.columns:
+            names.append(f"{prefix}{len(names) + 1}")
+        return names
 
-def truth_hdu(cadenceno, columns):
+    def _stack(self, prefix):
+        """Return a column of all stars, shape (n_stars, n_cadences)."""
+        names = self._names(prefix)
+        if not names:
+            raise ValueError(f"the truth has no column {prefix}1")
+        return _read_only(np.stack([self.columns[name] for name in names]))
+
+    def _found(self, name):
+        """Return what the simulation found for each star."""
+        if "found" not in self.scene:
+            raise ValueError(f"the truth has no {name}: files of version 0.1 do not hold it")
+        return _read_only(np.array(self.scene["found"][name]))
+
+
+def _read_only(values):
+    """Return a view that cannot be written to."""
+    view = np.asarray(values).view()
+    view.flags.writeable = False
+    return view
+
+
+def _same_arrays(one, other):
+    """Return whether mappings hold equal arrays under the same names."""
+    return one.keys() == other.keys() and all(
+        np.array_equal(np.asarray(one[name]), np.asarray(other[name]), equal_nan=True)
+        if np.asarray(one[name]).dtype.kind == "f"
+        else np.array_equal(np.asarray(one[name]), np.asarray(other[name]))
+        for name in one
+    )
+
+
+def truth_hdus(cadenceno, columns, maps, scene, tables):
+    """Return the extensions that hold a truth.
+
+    Parameters
+    ----------
+    cadenceno : ndarray of int, shape (n,)
+        Numbers of the cadences.
+    columns : dict of str to array_like of shape (n, ...) or None
+        True values at each cadence.
+    maps : dict of str to array_like of shape (ny, nx) or None
+        Images.
+    scene : dict or None
+        What can be text in JSON.
+    tables : dict of str to astropy.table.Table or None
+        Lists of any length.
+
+    Returns
+    -------
+    list of astropy.io.fits.BinTableHDU and astropy.io.fits.ImageHDU
+        The extensions.
+    """
+    hdus = [_truth_hdu(cadenceno, columns or {}), *_map_hdus(maps or {})]
+    hdus += _table_hdus(tables or {}, {hdu.name for hdu in hdus})
+    return hdus if scene is None else [*hdus, _scene_hdu(scene)]
+
+
+def _truth_hdu(cadenceno, columns):
     """Return the TRUTH table."""
     from astropy.io import fits
 
@@ -94,7 +277,7 @@ def truth_hdu(cadenceno, columns):
     return hdu
 
 
-def map_hdus(maps):
+def _map_hdus(maps):
     """Return an image for each map."""
     from astropy.io import fits
 
@@ -109,6 +292,20 @@ def map_hdus(maps):
     return hdus
 
 
+def _table_hdus(tables, taken):
+    """Return a table for each list."""
+    from astropy.io import fits
+
+    hdus = []
+    for name, table in tables.items():
+        _check_name("truth_tables", name, _TPF_NAMES | taken | {hdu.name for hdu in hdus})
+        hdu = fits.table_to_hdu(Table(table, meta={}))
+        hdu.name = name.upper()
+        hdu.header["TABNAME"] = (name, "name of the list of truth")
+        hdus.append(hdu)
+    return hdus
+
+
 def _check_name(argument, name, taken):
     """Check a name that becomes a column or an extension."""
     if not isinstance(name, str) or not re.fullmatch(r"[A-Za-z0-9_.\-]{1,60}", name):
@@ -119,7 +316,7 @@ def _check_name(argument, name, taken):
         raise ValueError(f"`{argument}` must not use the name {name}, which is taken")
 
 
-def scene_hdu(scene):
+def _scene_hdu(scene):
     """Return the SCENE table: a row for each key."""
     from astropy.io import fits
 
@@ -143,17 +340,33 @@ def scene_hdu(scene):
 
 
 def truth_of(hdus):
-    """Return the truth in an HDU list, or None."""
+    """Return the truth in an HDU list.
+
+    Parameters
+    ----------
+    hdus : astropy.io.fits.HDUList
+        The file.
+
+    Returns
+    -------
+    Truth or None
+        None if the file has no TRUTH table.
+    """
     if "TRUTH" not in hdus or hdus["TRUTH"].columns.names[:1] != ["CADENCENO"]:
         return None
     rows = hdus["TRUTH"].data
-    table = Table({name: _native(rows[name]) for name in rows.names})
+    columns = {name: _native(rows[name]) for name in rows.names}
     maps = {hdu.header["MAPNAME"]: _native(hdu.data) for hdu in hdus if "MAPNAME" in hdu.header}
     scene = {}
     if "SCENE" in hdus:
         entries = hdus["SCENE"].data
         scene = {str(row["KEY"]): json.loads(row["VALUE"]) for row in entries}
-    return TPFTruth(table, maps, scene)
+    tables = {
+        hdu.header["TABNAME"]: Table({name: _native(hdu.data[name]) for name in hdu.columns.names})
+        for hdu in hdus
+        if "TABNAME" in hdu.header
+    }
+    return Truth(columns, maps, scene, tables)
 
 
 def _native(array):

@@ -11,14 +11,13 @@ import numpy as np
 from astropy.time import Time
 
 from scope_models._arrays import plain_array, plain_time
+from scope_models.io._opening import RefusedError, open_fits
 from scope_models.io.reading import (
     PositionColumns,
-    RefusedError,
     cards_of,
     column_of,
     facts_of,
     first_table,
-    open_fits,
     time_format_of,
 )
 from scope_models.missions import TIME_ZEROS, Mission

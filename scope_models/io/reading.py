@@ -4,17 +4,12 @@ Only arrays and header cards leave this module. Whatever is wrong with a file en
 `ValueError` (or `FileNotFoundError`, `IsADirectoryError`) that names the file.
 """
 
-import gzip
-import io
-import warnings
-import zlib
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from astropy.utils.exceptions import AstropyUserWarning
 
+from scope_models.io._opening import RefusedError, open_fits
 from scope_models.missions import TIME_ZEROS, Mission
 
 __all__ = [
@@ -28,10 +23,8 @@ __all__ = [
 ]
 
 _TIME_FORMATS = {zero: name for name, zero in TIME_ZEROS.items()}
-_UNREADABLE = (OSError, EOFError, ValueError, TypeError, KeyError, IndexError, zlib.error)
 _NO_FACTS = {"", "COMMENT", "HISTORY", "CHECKSUM", "DATASUM", "SIMPLE", "XTENSION", "BITPIX"}
 _NO_FACTS |= {"EXTEND", "PCOUNT", "GCOUNT", "TFIELDS"}
-_GZIP = b"\x1f\x8b"
 _FACTS = {
     "mission": ("MISSION", "TELESCOP"),
     "object": ("OBJECT",),
@@ -111,61 +104,6 @@ class PositionColumns:
     cadenceno: np.ndarray | None
     time_format: str | None
     meta: dict
-
-
-@contextmanager
-def open_fits(path):
-    """Open a FITS file to read, with one kind of error for whatever is wrong with it.
-
-    Parameters
-    ----------
-    path : str or path-like
-        The file, which may be compressed by gzip.
-
-    Yields
-    ------
-    astropy.io.fits.HDUList
-        The file. Do no more than read from it within the context, which has the same errors.
-
-    Raises
-    ------
-    FileNotFoundError
-        If there is no such file.
-    IsADirectoryError
-        If it is a folder.
-    ValueError
-        If it is empty, truncated or no FITS file.
-
-    Examples
-    --------
-    >>> from scope_models.io.reading import open_fits
-    >>> with open_fits("absent.fits") as hdus:
-    ...     pass
-    Traceback (most recent call last):
-    FileNotFoundError: no such file: absent.fits
-    """
-    # Not imported with the package: it takes a quarter of the time that the package has for that.
-    from astropy.io import fits
-
-    path = Path(path)
-    if path.is_dir():
-        raise IsADirectoryError(f"{path} is a folder, not a FITS file")
-    if not path.exists():
-        raise FileNotFoundError(f"no such file: {path}")
-    if path.stat().st_size == 0:
-        raise ValueError(f"{path} is empty")
-    with warnings.catch_warnings():
-        warnings.filterwarnings("error", message="File may have been truncated")
-        warnings.filterwarnings("error", message="Error validating header")
-        try:
-            # astropy leaves some broken files open, so this opens and closes them itself.
-            with path.open("rb") as stream, fits.open(_plain(stream), memmap=False) as hdus:
-                yield hdus
-        except RefusedError as error:
-            raise ValueError(str(error)) from None
-        except (*_UNREADABLE, fits.VerifyError, AstropyUserWarning) as error:
-            reason = " ".join(str(error).split())
-            raise ValueError(f"{path} is no readable FITS file, or truncated: {reason}") from error
 
 
 def read_columns(path, required, optional=()):
@@ -329,17 +267,6 @@ def time_format_of(header):
         return _TIME_FORMATS[day]
     mission = Mission.from_header(header)
     return mission and mission.time_format
-
-
-def _plain(stream):
-    """Return a stream without compression; astropy does not tell of a truncated one."""
-    start = stream.read(len(_GZIP))
-    stream.seek(0)
-    return io.BytesIO(gzip.GzipFile(fileobj=stream).read()) if start == _GZIP else stream
-
-
-class RefusedError(ValueError):
-    """A readable file does not have what is asked for."""
 
 
 def first_table(hdus, path):

@@ -7,15 +7,13 @@ import numpy as np
 
 from scope_models.io._atomic import atomic_path
 from scope_models.io._columns import checked_columns, pixel_columns, table_rows
-from scope_models.io._extra_cards import with_extra_cards
-from scope_models.io._headers import aperture_cards, column_cards, primary_cards, time_cards
+from scope_models.io._headers import column_cards, make_headers
 from scope_models.io._metadata import TPFMetadata
-from scope_models.io._truth import TPFTruth, map_hdus, scene_hdu, truth_hdu, truth_of
+from scope_models.io._truth import truth_hdus, truth_of
 from scope_models.io.reading import open_fits
 
 __all__ = [
     "TPFMetadata",
-    "TPFTruth",
     "make_tpf_hdulist",
     "read_truth",
     "write_hdulist",
@@ -31,42 +29,47 @@ def make_tpf_hdulist(
     *,
     metadata,
     time,
-    cadenceno,
-    raw_cnts,
     flux,
     flux_err,
-    flux_bkg,
-    flux_bkg_err,
-    quality,
-    pos_corr1,
-    pos_corr2,
+    cadenceno=None,
+    raw_cnts=None,
+    flux_bkg=0.0,
+    flux_bkg_err=0.0,
+    quality=None,
+    pos_corr1=None,
+    pos_corr2=None,
     timecorr=None,
     cosmic_rays=None,
     aperture=None,
     truth_columns=None,
     truth_maps=None,
     scene=None,
+    truth_tables=None,
+    simulated=True,
 ):
     """Make a target pixel file in memory.
 
     Parameters
     ----------
-    metadata : TPFMetadata
-        Facts for the headers; its mission chooses the layout.
-    time : array_like, shape (n,)
+    metadata : TPFMetadata or {"Kepler", "K2", "TESS"}
+        Facts for the headers; its mission chooses the layout. The name of a mission stands for
+        target number 1 and the mission's usual cadence.
+    time : array_like, Quantity or Time, shape (n,)
         Barycentric times of mid-cadence, days (BKJD or BTJD); NaN where there is none.
-    cadenceno : array_like of int, shape (n,)
-        Numbers of the cadences, growing, from 1 at least.
-    raw_cnts : array_like of int, shape (n, ny, nx), or None
+    flux, flux_err : array_like or Quantity, shape (n, ny, nx)
+        Flux less background and its standard deviation, e-/s; NaN where there is none. The
+        standard deviation may be anything that broadcasts to the shape.
+    cadenceno : array_like of int, shape (n,), optional
+        Numbers of the cadences, growing, from 1 at least; by default 1 to n.
+    raw_cnts : array_like of int, shape (n, ny, nx), optional
         Counts as read; -1 or None where there are none.
-    flux, flux_err : array_like, shape (n, ny, nx)
-        Flux less background and its standard deviation, e-/s; NaN where there is none.
-    flux_bkg, flux_bkg_err : array_like, broadcast to (n, ny, nx)
-        Background and its uncertainty, e-/s.
-    quality : array_like of int, shape (n,)
-        Quality flags. Kepler and K2 get bit 65536 wherever time is NaN.
-    pos_corr1, pos_corr2 : array_like, shape (n,)
-        Offsets of the star along columns (x) and rows (y), pixels; NaN where unknown.
+    flux_bkg, flux_bkg_err : array_like or Quantity, broadcast to (n, ny, nx), optional
+        Background that was subtracted and its uncertainty, e-/s.
+    quality : array_like of int, shape (n,), optional
+        Quality flags, 0 by default. Kepler and K2 get bit 65536 wherever time is NaN.
+    pos_corr1, pos_corr2 : array_like, shape (n,), optional
+        Offsets of the star along columns (x) and rows (y), pixels; NaN, the default, where
+        unknown.
     timecorr : array_like, shape (n,), optional
         Barycentric minus spacecraft time, days; NaN by default.
     cosmic_rays : array_like, shape (n, ny, nx), optional
@@ -80,6 +83,10 @@ def make_tpf_hdulist(
         Images, each one an extension of its name.
     scene : dict, optional
         What can be text in JSON, for the SCENE table.
+    truth_tables : dict of str to astropy.table.Table, optional
+        Lists of any length, each one an extension of its name.
+    simulated : bool, optional
+        What the cards SIMDATA of the file are.
 
     Returns
     -------
@@ -101,41 +108,47 @@ def make_tpf_hdulist(
     >>> metadata = TPFMetadata(mission="K2", target_id=7)
     >>> flux = np.ones((3, 5, 4))
     >>> hdus = make_tpf_hdulist(
-    ...     metadata=metadata, time=[1.0, 1.02, 1.04], cadenceno=[1, 2, 3], raw_cnts=None,
-    ...     flux=flux, flux_err=0.1 * flux, flux_bkg=0.0, flux_bkg_err=0.0, quality=[0, 0, 0],
-    ...     pos_corr1=np.zeros(3), pos_corr2=np.zeros(3), truth_columns={"X": [2.0, 2.1, 2.2]})
+    ...     metadata=metadata, time=[1.0, 1.02, 1.04], flux=flux, flux_err=0.1 * flux,
+    ...     truth_columns={"X": [2.0, 2.1, 2.2]})
     >>> [hdu.name for hdu in hdus]
     ['PRIMARY', 'TARGETTABLES', 'APERTURE', 'TRUTH']
     """
     from astropy.io import fits
 
+    if isinstance(metadata, str):
+        metadata = TPFMetadata(mission=metadata, target_id=1)
     if not isinstance(metadata, TPFMetadata):
-        raise TypeError(f"`metadata` must be a TPFMetadata, got {metadata!r}")
+        raise TypeError(
+            f"`metadata` must be a TPFMetadata or the name of a mission, got {metadata!r}"
+        )
+    n_cadences = len(np.atleast_1d(time))
     given = {
         "time": time,
         "timecorr": timecorr,
-        "cadenceno": cadenceno,
+        "cadenceno": np.arange(1, n_cadences + 1) if cadenceno is None else cadenceno,
         "raw_cnts": raw_cnts,
         "flux": flux,
         "flux_err": flux_err,
         "flux_bkg": flux_bkg,
         "flux_bkg_err": flux_bkg_err,
         "cosmic_rays": cosmic_rays,
-        "quality": quality,
+        "quality": np.zeros(n_cadences, dtype=np.int32) if quality is None else quality,
         "pos_corr1": pos_corr1,
         "pos_corr2": pos_corr2,
     }
     values = checked_columns(metadata, given)
     aperture = _aperture_bits(aperture, values["FLUX"].shape[1:])
     hdus = fits.HDUList(_standard_hdus(metadata, values, aperture))
-    if metadata.mission == "TESS":
+    if "COSMIC_RAYS" in metadata.layout.absent_columns:
         hdus.append(_cosmic_ray_hdu(metadata, values))
-    if not (truth_columns is None and truth_maps is None and scene is None):
-        hdus.append(truth_hdu(values["CADENCENO"], truth_columns or {}))
-        hdus.extend(map_hdus(truth_maps or {}))
-    if scene is not None:
-        hdus.append(scene_hdu(scene))
+    truth = truth_columns, truth_maps, scene, truth_tables
+    if any(part is not None for part in truth):
+        hdus.extend(truth_hdus(values["CADENCENO"], *truth))
     hdus[0].header.set("NEXTEND", len(hdus) - 1, "number of extensions", after="EXTEND")
+    if not simulated:
+        for hdu in hdus:
+            if "SIMDATA" in hdu.header:
+                hdu.header["SIMDATA"] = (False, "the data are not simulated")
     return hdus
 
 
@@ -165,19 +178,13 @@ def write_tpf(path, *, overwrite=False, **contents):
 
     Examples
     --------
-    >>> import tempfile
-    >>> from pathlib import Path
     >>> import numpy as np
-    >>> from scope_models.io import TPFMetadata, read_truth, write_tpf
-    >>> metadata = TPFMetadata(mission="TESS", target_id=7, n_readouts=48)
-    >>> contents = dict(
-    ...     metadata=metadata, time=[1.0, 2.0], cadenceno=[1, 2], raw_cnts=None,
-    ...     flux=np.ones((2, 5, 4)), flux_err=0.1, flux_bkg=0.0, flux_bkg_err=0.0,
-    ...     quality=[0, 0], pos_corr1=[0.0, 0.1], pos_corr2=[0.0, 0.2], scene={"mag": 12.0})
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     path = write_tpf(Path(folder) / "star.fits", **contents)
-    ...     read_truth(path).scene
-    {'mag': 12.0}
+    >>> from scope_models.io import read_tpf, write_tpf
+    >>> time = 2230.0 + 0.0204 * np.arange(100)
+    >>> path = write_tpf(
+    ...     "mine.fits", metadata="K2", time=time, flux=np.ones((100, 7, 5)), flux_err=0.1)
+    >>> read_tpf(path).shape
+    (100, 7, 5)
     """
     return write_hdulist(make_tpf_hdulist(**contents), path, overwrite=overwrite)
 
@@ -218,17 +225,17 @@ def write_hdulist(hdulist, path, *, overwrite=False):
 
 
 def read_truth(source):
-    """Read what a simulated target pixel file knows beyond its pixels.
+    """Read the truth behind the pixels of a simulated target pixel file.
 
     Parameters
     ----------
     source : str, path-like, astropy.io.fits.HDUList or lightkurve.TargetPixelFile
         The target pixel file. After slicing in lightkurve, the truth is still that of all
-        cadences: `~scope_models.io.TPFTruth.at_cadences` chooses.
+        cadences: `~scope_models.io.Truth.at_cadences` chooses.
 
     Returns
     -------
-    TPFTruth
+    Truth
         The truth, exactly as it went in.
 
     Raises
@@ -268,22 +275,17 @@ def _standard_hdus(metadata, values, aperture):
     columns = pixel_columns(metadata)
     used = np.isfinite(values["TIME"]) & np.isfinite(values["FLUX"]).any(axis=(1, 2))
     timecorr = values.get("TIMECORR", np.full(shape[0], np.nan))
-    span = time_cards(metadata, values["TIME"], timecorr, int(used.sum()))
-    primary, table, image = with_extra_cards(
-        metadata.extra_cards,
-        primary_cards(metadata, span),
-        span.values(),
-        aperture_cards(metadata, aperture),
-    )
+    used = int(used.sum())
+    primary, table, image = make_headers(metadata, values["TIME"], timecorr, used, aperture)
     definitions = [
         card
         for number, column in enumerate(columns, 1)
         for card in column_cards(number, column, metadata, shape[1:])
     ]
     return [
-        fits.PrimaryHDU(header=fits.Header(primary)),
-        _table_hdu(table_rows(columns, values, shape), columns, [*definitions, *table]),
-        fits.ImageHDU(aperture, fits.Header(image)),
+        fits.PrimaryHDU(header=primary),
+        _table_hdu(table_rows(columns, values, shape), columns, [*definitions, *table.cards]),
+        fits.ImageHDU(aperture, image),
     ]
 
 
@@ -308,7 +310,7 @@ def _table_hdu(rows, columns, cards):
 
 
 def _cosmic_ray_hdu(metadata, values):
-    """Return TESS's list of cosmic rays."""
+    """Return the list of cosmic rays of files that have no column of them."""
     from astropy.io import fits
 
     rays = values.get("COSMIC_RAYS", np.full((1, 1, 1), np.nan))
@@ -349,7 +351,7 @@ def _write_whole(hdulist, path):
     for hdu in hdulist:
         hdu.add_checksum(when="checksum of the FITS standard")
     with path.open("wb") as stream:
-        if path.suffix == ".gz":
+        if path.suffix.lower() == ".gz":
             # No name and no time in it: the same contents give the same file.
             with gzip.GzipFile("", "wb", _COMPRESSION, stream, mtime=0) as compressed:
                 hdulist.writeto(compressed)

@@ -7,6 +7,7 @@ from scope_models.models.prf import PRF
 from scope_models.models.psf import BivariateGaussianPSF
 from scope_models.models.sensitivity import SensitivityPolynomial
 from scope_models.models.signals import TransitModel
+from scope_models.models.tables import PRFGrid, TabulatedPRF, TabulatedPSF
 from scope_models.models.variability import (
     sinusoidal_signal,
     stochastic_signal,
@@ -17,7 +18,10 @@ __all__ = [
     "PRF",
     "BivariateGaussianPSF",
     "GaussHermitePSF",
+    "PRFGrid",
     "SensitivityPolynomial",
+    "TabulatedPRF",
+    "TabulatedPSF",
     "TransitModel",
     "integrate_pixels",
     "sinusoidal_signal",

@@ -14,6 +14,8 @@ from scipy.special import erf
 
 __all__ = [
     "FEW",
+    "ROWS",
+    "AxisPanels",
     "AxisTable",
     "axis_integrals",
     "gauss_legendre",
@@ -27,6 +29,10 @@ _MAX_GROWTH = 1e5
 _CHEBYSHEV_TOLERANCE = 1e-14
 # So few positions are never interpolated: each is then independent of the others to the last bit.
 FEW = 100
+# Rows per matrix product of a panel: with equal shapes, products are equal to the last bit.
+ROWS = 16
+# Width of a panel in the logarithm of the density's width.
+_LOG_STEP = 0.125
 
 
 @cache
@@ -187,6 +193,11 @@ def _chebyshev_vandermonde(x, n):
     return table[:n]
 
 
+def _count(sizes):
+    """Number of coefficients up to the last that matters, one at least."""
+    return max(np.flatnonzero(sizes > 1), default=0) + 1
+
+
 class AxisTable:
     """
     Integrals along one axis at many positions, of a polynomial times the functions ``h_k``.
@@ -232,7 +243,7 @@ class AxisTable:
         needed = np.abs(rho) ** (0.5 * np.arange(n_orders)) / _CHEBYSHEV_TOLERANCE
         sizes = np.abs(expansion).reshape(n, n_orders, -1).max(axis=2) @ needed
         if np.all(sizes[-2:] <= 1):
-            self._expansion = expansion[: np.flatnonzero(sizes > 1)[-1] + 1]
+            self._expansion = expansion[: _count(sizes)]
 
     def moved(self, center):
         """
@@ -278,6 +289,112 @@ class AxisTable:
         basis = _chebyshev_vandermonde((center - self._middle) / self._half, n)
         np.matmul(basis.T, self._expansion, out=table)
         return table.reshape(-1, n_orders, pixels.size)
+
+
+class AxisPanels:
+    """
+    The integrals of an `AxisTable`, as a function of position and width alone.
+
+    An `AxisTable` interpolates over the range of the positions that it is given. Here the ranges
+    are fixed: one pixel in position, an eighth in the logarithm of the width. The integrals at a
+    position are then the same, to the last bit, whatever other positions there are.
+
+    Parameters
+    ----------
+    pixels : `~numpy.ndarray`
+        Pixel centres, shape ``(n,)``.
+    sigma : float
+        Width of the density in pixels.
+    coefficients : `~numpy.ndarray`
+        Coefficients of the polynomial, the constant first.
+    n_orders : int
+        Number of orders k, from 0.
+    rho : float
+        Correlation coefficient.
+    """
+
+    def __init__(self, pixels, sigma, coefficients, n_orders, rho=0.0):
+        self._arguments = pixels, coefficients, n_orders
+        self._sigma = sigma
+        self._needed = np.abs(rho) ** (0.5 * np.arange(n_orders)) / _CHEBYSHEV_TOLERANCE
+        self._panels = {}
+
+    def __call__(self, center, scale=None):
+        """
+        The integrals at positions.
+
+        Parameters
+        ----------
+        center : `~numpy.ndarray`
+            The positions, shape ``(m,)``.
+        scale : `~numpy.ndarray`, optional
+            Factor on the width at each position, shape ``(m,)``.
+
+        Returns
+        -------
+        integrals : `~numpy.ndarray`
+            Shape ``(m, n_orders, n)``.
+        """
+        pixels, _, n_orders = self._arguments
+        place = np.rint(center)
+        step = None if scale is None else np.rint(np.log(scale) / _LOG_STEP)
+        keys = place if step is None else place + 1j * step
+        if np.all(keys == keys[0]):
+            return self._panel(keys[0], center, scale).reshape(-1, n_orders, pixels.size)
+        integrals = np.empty((center.size, n_orders * pixels.size))
+        for key in np.unique(keys):
+            chosen = keys == key
+            integrals[chosen] = self._panel(
+                key, center[chosen], None if scale is None else scale[chosen]
+            )
+        return integrals.reshape(-1, n_orders, pixels.size)
+
+    def _panel(self, key, center, scale):
+        """Integrals within one panel, ``(m, n_orders * n)``."""
+        if key not in self._panels:
+            self._panels[key] = self._expand(key, 1 if scale is None else None)
+        expansion, sizes = self._panels[key]
+        if expansion is None:
+            sigma = np.full(1, self._sigma) if scale is None else self._sigma * scale
+            return self._direct(center, sigma)
+        rows = -(-center.size // ROWS) * ROWS
+        at = np.zeros(rows)
+        at[: center.size] = 2 * (center - key.real)
+        basis = _chebyshev_vandermonde(at, sizes[0])
+        if scale is not None:
+            at[: center.size] = 2 * (np.log(scale) / _LOG_STEP - key.imag)
+            wide = _chebyshev_vandermonde(at, sizes[1])[: sizes[1], np.newaxis]
+            basis = (wide * basis[: sizes[0]]).reshape(-1, rows)
+        blocks = basis[: len(expansion)].reshape(-1, rows // ROWS, ROWS).transpose(1, 2, 0)
+        return (blocks @ expansion).reshape(rows, -1)[: center.size]
+
+    def _direct(self, center, sigma):
+        pixels, coefficients, n_orders = self._arguments
+        table = _axis_direct(pixels, center, sigma, coefficients, n_orders)
+        return table.reshape(center.size, -1)
+
+    def _expand(self, key, n_scales):
+        """Chebyshev coefficients of a panel in position and width, or None, and their numbers."""
+        n_orders = self._needed.size
+        middle = self._sigma * np.exp(_LOG_STEP * key.imag)
+        cycles = 3.85 / middle * np.exp(_LOG_STEP / 2 * (n_scales is None))
+        n = int(cycles + 5 * np.cbrt(cycles) + 8 + 0.5 * n_orders)
+        m = n_scales or 13 + n_orders // 2
+        nodes, along = _chebyshev_rule(n)
+        widths, across = _chebyshev_rule(m)
+        sigma = middle * np.exp(_LOG_STEP / 2 * widths) if m > 1 else np.full(1, middle)
+        centers = np.tile(key.real + nodes / 2, m)
+        values = self._direct(centers, sigma if m == 1 else np.repeat(sigma, n))
+        expansion = along @ values.reshape(m, n, -1)
+        if m > 1:
+            expansion = np.tensordot(across, expansion, axes=1)
+        # The last coefficients in either direction are those that a longer series would add to.
+        sizes = np.abs(expansion).reshape(m, n, n_orders, -1).max(axis=3) @ self._needed
+        keep = [_count(part) for part in (sizes.max(axis=0), sizes.max(axis=1))]
+        if keep[0] > n - 2 or (m > 1 and keep[1] > m - 2):
+            return None, None
+        expansion = expansion[: keep[1], : keep[0]]
+        return expansion.reshape(keep[0] * keep[1], -1), keep
 
 
 def axis_integrals(pixels, center, sigma, coefficients, n_orders=1, rho=0.0):

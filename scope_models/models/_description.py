@@ -5,15 +5,19 @@ import importlib
 import json
 import operator
 import sys
+import zlib
+from base64 import b64decode, b64encode
 from collections.abc import Mapping
 from dataclasses import fields
 
 import numpy as np
+from astropy import units as u
 from astropy.modeling import CompoundModel, Model
 
+from scope_models._arrays import is_angle, plain_array
 from scope_models.models.sensitivity import SensitivityPolynomial
 
-__all__ = ["describe_model", "make_model", "value_key"]
+__all__ = ["describe_model", "make_model", "model_in_pixels", "value_key"]
 
 _OPERATORS = {"+": operator.add, "-": operator.sub, "*": operator.mul}
 # Modules that reading a file may import; others must have been imported before.
@@ -34,6 +38,8 @@ def describe_model(model):
             name: np.asarray(getattr(model, name).value).tolist() for name in model.param_names
         },
     }
+    if hasattr(model, "arguments"):
+        described["parameters"] |= {k: _packed(v) for k, v in model.arguments.items()}
     if isinstance(model, SensitivityPolynomial):
         described["parameters"] = {
             "x_coefficients": list(model.x_coefficients),
@@ -57,7 +63,56 @@ def make_model(described):
         kind = getattr(kind, part, None)
     if not (isinstance(kind, type) and issubclass(kind, Model)):
         raise TypeError(f"{module}.{described['class']} is not a model")
-    return kind(**described["parameters"])
+    return kind(**{name: _unpacked(value) for name, value in described["parameters"].items()})
+
+
+def _packed(value):
+    """Return an array as text, and anything else as it is."""
+    if not isinstance(value, np.ndarray):
+        return value
+    values = np.ascontiguousarray(value, dtype="<f8")
+    return {"array": b64encode(zlib.compress(values.tobytes())).decode(), "shape": values.shape}
+
+
+def _unpacked(value):
+    """Return the array of a text, and anything else as it is."""
+    if not isinstance(value, dict):
+        return value
+    values = np.frombuffer(zlib.decompress(b64decode(value["array"])), dtype="<f8")
+    return values.reshape(value["shape"])
+
+
+def model_in_pixels(model, pixel_scale):
+    """Return a model whose widths and positions are pixels, where they were angles.
+
+    Parameters
+    ----------
+    model : astropy.modeling.Model or None
+        A PSF, or a sum or product of models.
+    pixel_scale : float
+        Arcseconds per pixel.
+
+    Returns
+    -------
+    astropy.modeling.Model or None
+        The model itself if it holds no angles.
+    """
+    if model is None:
+        return None
+    if isinstance(model, CompoundModel):
+        parts = [model_in_pixels(part, pixel_scale) for part in (model.left, model.right)]
+        if parts[0] is model.left and parts[1] is model.right:
+            return model
+        return _OPERATORS[model.op](*parts)
+    parameters = {name: getattr(model, name) for name in model.param_names}
+    if not any(is_angle(p.unit) and name != "theta" for name, p in parameters.items()):
+        return model
+    values = {}
+    for name, p in parameters.items():
+        values[name] = p.value if p.unit is None else p.quantity
+        if name != "theta" and (is_angle(p.unit) or p.unit == u.pix):
+            values[name] = plain_array(p.quantity, u.pix, name, pixel_scale=pixel_scale)
+    return type(model)(**values, name=model.name, fixed=model.fixed, bounds=model.bounds)
 
 
 def value_key(value):

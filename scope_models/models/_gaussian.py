@@ -27,7 +27,15 @@ import numpy as np
 
 from scope_models.models._axis import FEW, AxisTable, gauss_legendre, gaussian_nodes
 
-__all__ = ["gaussian_derivatives", "gaussian_pixels"]
+__all__ = [
+    "contract",
+    "gaussian_derivatives",
+    "gaussian_pixels",
+    "n_terms",
+    "reached",
+    "series_step",
+    "uses_series",
+]
 
 # The series is cut where the rest is below this part of the total flux.
 _TOLERANCE = 1e-11
@@ -41,7 +49,7 @@ _SERIES_CHUNK = 1 << 15
 _FEWEST, _MOST = 32, 1024
 
 
-def _n_terms(rho):
+def n_terms(rho):
     """Number of terms of Mehler's expansion for the tolerance."""
     largest = np.max(np.abs(rho))
     if largest == 0:
@@ -55,12 +63,12 @@ def _narrowest(sigma_x, sigma_y, rho):
     return smallest * np.sqrt(1 - np.max(np.abs(rho)) ** 2)
 
 
-def _uses_series(sigma_x, sigma_y, rho, degree):
+def uses_series(sigma_x, sigma_y, rho, degree):
     """Whether the series is cheaper than the tensor quadrature (costs as measured)."""
-    return _n_terms(rho) <= gaussian_nodes(_narrowest(sigma_x, sigma_y, rho), degree) ** 2
+    return n_terms(rho) <= gaussian_nodes(_narrowest(sigma_x, sigma_y, rho), degree) ** 2
 
 
-def _contract(y_table, x_table, out):
+def contract(y_table, x_table, out):
     """``sum_k Y_k X_k`` as images: ``(m, k, ny)``, ``(m, k, nx)`` -> ``(m, ny, nx)``."""
     if x_table.shape[1] == 1:
         np.einsum("my,mx->myx", y_table[:, 0], x_table[:, 0], out=out)
@@ -94,20 +102,20 @@ def _alike(x, y, parameters, coefficients):
     return same and abs(x_0[0] - y_0[0]) < 1
 
 
-def _series_step(n_terms, x, y):
+def series_step(n_terms, x, y):
     """Number of densities whose tables fit into the cache together."""
     return min(max(_SERIES_CHUNK // (n_terms * max(x.size, y.size)), _FEWEST), _MOST)
 
 
 def _series_image(x, y, parameters, coefficients, out):
-    n = _n_terms(parameters[-1])
+    n = n_terms(parameters[-1])
     x_axis, y_axis, powers = _tables(x, y, parameters, coefficients, n)
-    step = _series_step(n, x, y)
+    step = series_step(n, x, y)
     for start in range(0, out.shape[1], step):
         part = slice(start, start + step)
         y_table = y_axis(part)
         y_table *= powers if len(powers) == 1 else powers[part]
-        _contract(y_table, x_axis(part), out[0, part])
+        contract(y_table, x_axis(part), out[0, part])
 
 
 def _moved(table, sigma):
@@ -125,11 +133,11 @@ def _widened(table, sigma):
 
 def _series_derivatives(x, y, parameters, coefficients, out):
     *_, sigma_x, sigma_y, rho = parameters
-    n = _n_terms(rho)
+    n = n_terms(rho)
     x_axis, y_axis, powers = _tables(x, y, parameters, coefficients, n + 2)
     powers = powers[:, :n]
     order = np.arange(1.0, n + 1)[:, np.newaxis]
-    step = _series_step(n, x, y)
+    step = series_step(n, x, y)
     for start in range(0, out.shape[1], step):
         part = slice(start, start + step)
         x_table, y_table = x_axis(part), y_axis(part)
@@ -145,7 +153,7 @@ def _series_derivatives(x, y, parameters, coefficients, out):
             (weight * order * y_table[:, 1:-1], x_table[:, 1:-1]),
         ]
         for pair, image in zip(pairs, out, strict=True):
-            _contract(*pair, image[part])
+            contract(*pair, image[part])
 
 
 class _TensorRule:
@@ -206,7 +214,7 @@ def _tensor_derivatives(x, y, parameters, coefficients, out):
     out[...] = images
 
 
-def _reached(pixels, center, sigma):
+def reached(pixels, center, sigma):
     """Slice of the pixels that any of the densities reaches."""
     if np.any(np.diff(pixels) <= 0):
         return slice(0, pixels.size)
@@ -235,14 +243,14 @@ def _evaluate(x, y, parameters, coefficients, engines, n_images):
     ]
     coefficients = [np.atleast_1d(np.asarray(c, dtype=float)) for c in coefficients]
     degree = max(c.size for c in coefficients) - 1
-    series = _uses_series(*flat[3:], degree)
+    series = uses_series(*flat[3:], degree)
     step = max(n, 1) if series else _tensor_step(x, y, flat, degree)
     images = np.zeros((n_images, n, y.size, x.size))
     for start in range(0, n, step):
         part = slice(start, start + step)
         values = [p if alone else p[part] for p, alone in zip(flat, common, strict=True)]
-        columns = _reached(x, values[1], values[3])
-        rows = _reached(y, values[2], values[4])
+        columns = reached(x, values[1], values[3])
+        rows = reached(y, values[2], values[4])
         if columns.start < columns.stop and rows.start < rows.stop:
             out = images[:, part, rows, columns]
             engines[0 if series else 1](x[columns], y[rows], values, coefficients, out)

@@ -6,14 +6,14 @@ from dataclasses import dataclass, field
 import numpy as np
 from astropy import units as u
 from astropy.modeling import CompoundModel
-from astropy.modeling.models import Const2D, Gaussian2D
+from astropy.modeling.models import Const2D
 
-from scope_models.models.psf import BivariateGaussianPSF
+from scope_models._arrays import is_angle, plain_array
+from scope_models.models._closed_form import FWHM, closed_form, is_photutils, pixels_of
 from scope_models.models.sensitivity import SensitivityPolynomial
 
 __all__ = ["Factor", "Term", "expand", "is_pixel_integrated", "leaves"]
 
-_FWHM = 2 * np.sqrt(2 * np.log(2))
 # photutils' models whose values are fluxes of pixels; its names for densities end in PSF.
 _INTEGRATED_NAMES = {"ImagePSF", "GriddedPSFModel", "EPSFModel", "FittableImageModel"}
 # Parameters that tell the width of a density, and by what they exceed a standard deviation.
@@ -23,9 +23,9 @@ _WIDTHS = {
     "sigma_y": 1.0,
     "x_stddev": 1.0,
     "y_stddev": 1.0,
-    "fwhm": _FWHM,
-    "x_fwhm": _FWHM,
-    "y_fwhm": _FWHM,
+    "fwhm": FWHM,
+    "x_fwhm": FWHM,
+    "y_fwhm": FWHM,
     "gamma": 1.0,
     "alpha": 1.0,
     "radius": 3.0,
@@ -63,6 +63,8 @@ class Factor:
         values = {}
         for name in model.param_names:
             parameter = getattr(model, name)
+            if name != "theta" and is_angle(parameter.unit):
+                plain_array(parameter.quantity, u.pix, name)  # refuses angles by name
             values[name] = (
                 np.asarray(parameter.value)
                 if parameter.unit is None
@@ -79,7 +81,7 @@ class Factor:
     def scale(self):
         """Smallest width in pixels, as far as the parameters' names tell it."""
         widths = [
-            np.min(np.abs(_pixels(value))) / _WIDTHS[name]
+            np.min(np.abs(pixels_of(value))) / _WIDTHS[name]
             for name, value in self.values.items()
             if name in _WIDTHS
         ]
@@ -87,39 +89,6 @@ class Factor:
             return _SCALE_OF_OTHERS
         rho = np.max(np.abs(self.values.get("rho", 0.0)))
         return max(float(min(widths) * np.sqrt(1 - rho**2)), 1e-3)
-
-    def gaussian(self):
-        """
-        The bivariate normal density that the model is, or None.
-
-        Returns
-        -------
-        flux, x_0, y_0, sigma_x, sigma_y, rho : tuple
-            Numbers or arrays in pixels, flux possibly a quantity.
-        """
-        values = self.values
-        name = type(self.model).__name__
-        if isinstance(self.model, BivariateGaussianPSF):
-            x_0, y_0, sigma_x, sigma_y = (
-                _pixels(values[n]) for n in ("x_0", "y_0", "sigma_x", "sigma_y")
-            )
-            return values["flux"], x_0, y_0, sigma_x, sigma_y, values["rho"]
-        if isinstance(self.model, Gaussian2D):
-            long, wide = _pixels(values["x_stddev"]), _pixels(values["y_stddev"])
-            flux = values["amplitude"] * (2 * np.pi * long * wide)
-            if isinstance(values["x_mean"], u.Quantity):
-                flux = flux * values["x_mean"].unit ** 2
-            center = _pixels(values["x_mean"]), _pixels(values["y_mean"])
-            return flux, *center, *_from_axes(long, wide, _radians(values["theta"], u.rad))
-        if _is_photutils(self.model) and name in {"GaussianPSF", "CircularGaussianPSF"}:
-            center = _pixels(values["x_0"]), _pixels(values["y_0"])
-            if name == "CircularGaussianPSF":
-                sigma = _pixels(values["fwhm"]) / _FWHM
-                return values["flux"], *center, sigma, sigma, np.asarray(0.0)
-            long, wide = (_pixels(values[n]) / _FWHM for n in ("x_fwhm", "y_fwhm"))
-            angle = _radians(values["theta"], u.deg)
-            return values["flux"], *center, *_from_axes(long, wide, angle)
-        return None
 
     def evaluate(self, x, y, index):
         """
@@ -175,6 +144,12 @@ class Term:
             self.sensitivities + other.sensitivities,
         )
 
+    def closed_form(self):
+        """The closed form of the product, or None."""
+        if len(self.densities) != 1:
+            return None
+        return closed_form(self.densities[0].model, self.densities[0].values)
+
     def polynomials(self):
         """Coefficients along x and along y of the product of all sensitivities."""
         along_x, along_y = np.ones(1), np.ones(1)
@@ -184,27 +159,6 @@ class Term:
             along_x = np.convolve(along_x, numbers[:n_x])
             along_y = np.convolve(along_y, numbers[n_x:])
         return along_x, along_y
-
-
-def _pixels(value):
-    return value.to_value(u.pixel) if isinstance(value, u.Quantity) else value
-
-
-def _radians(angle, unit):
-    angle = angle if isinstance(angle, u.Quantity) else angle * unit
-    return angle.to_value(u.rad)
-
-
-def _from_axes(long, wide, angle):
-    """Standard deviations along x and y and their correlation, from those along the axes."""
-    cos, sin = np.cos(angle), np.sin(angle)
-    sigma_x = np.hypot(long * cos, wide * sin)
-    sigma_y = np.hypot(long * sin, wide * cos)
-    return sigma_x, sigma_y, (long**2 - wide**2) * sin * cos / (sigma_x * sigma_y)
-
-
-def _is_photutils(model):
-    return any(base.__module__.startswith("photutils.") for base in type(model).__mro__)
 
 
 def is_pixel_integrated(model):
@@ -224,7 +178,7 @@ def is_pixel_integrated(model):
     if getattr(model, "pixel_integrated", False):
         return True
     names = {base.__name__ for base in type(model).__mro__}
-    return _is_photutils(model) and bool(
+    return is_photutils(model) and bool(
         names & _INTEGRATED_NAMES or type(model).__name__.endswith("PRF")
     )
 
@@ -275,4 +229,6 @@ def expand(model):
         return [Term(scale=amplitude.value if amplitude.unit is None else amplitude.quantity)]
     if isinstance(model, SensitivityPolynomial):
         return [Term(sensitivities=(Factor.of(model),))]
-    return [Term(densities=(Factor.of(model),))]
+    # A PRF that is nothing but a table stands for it.
+    table = getattr(model, "table", None)
+    return [Term(densities=(Factor.of(model if table is None else table),))]

@@ -6,17 +6,23 @@ from astropy.modeling import Fittable2DModel, Parameter
 from astropy.units import UnitsError
 
 from scope_models.models._axis import axis_integrals, hermite_functions
-from scope_models.models._validation import Domain, check_model_parameters
+from scope_models.models._closed_form import ClosedForm, pixels_of
+from scope_models.models._instance_parameters import InstanceParameters, described
+from scope_models.models._validation import (
+    Domain,
+    check_model_parameters,
+    check_psf_units,
+    one_number,
+)
 from scope_models.models.psf import BivariateGaussianPSF
 
 __all__ = ["GaussHermitePSF"]
 
 # Positions whose tables fit into the processor's cache together.
 _BATCH = 512
-_LEADING = ("flux", "x_0", "y_0", "sigma_x", "sigma_y")
 
 
-class GaussHermitePSF(Fittable2DModel):
+class GaussHermitePSF(InstanceParameters, Fittable2DModel):
     r"""
     A Gaussian with a smooth surface of low order on it.
 
@@ -66,9 +72,6 @@ class GaussHermitePSF(Fittable2DModel):
     sigma_x.validator(Domain("sigma_x", "positive"))
     sigma_y.validator(Domain("sigma_y", "positive"))
 
-    # Filled in by each instance: the number of parameters depends on the order.
-    _param_names = _LEADING
-
     def __init__(self, flux=1.0, x_0=0.0, y_0=0.0, sigma_x=0.5, sigma_y=0.5, order=None, **kwargs):
         given = [name for name in kwargs if name.startswith("c_")]
         self.order = _checked_order(order, given)
@@ -78,20 +81,26 @@ class GaussHermitePSF(Fittable2DModel):
             raise ValueError(
                 f"`order` {self.order} has no coefficient {', '.join(sorted(unknown))}"
             )
-        self._param_names = (*_LEADING, *values)
-        for name in values:
-            k, m = _orders(name)
-            parameter = Parameter(name, default=0.0, description=f"Coefficient of h_{k} h_{m}")
-            parameter.model = self
-            self.__dict__[name] = parameter
+        for name in given:
+            if np.ndim(kwargs[name]):
+                raise ValueError(
+                    f"`{name}` must be one number, got {np.size(kwargs[name])} values; make a "
+                    "model for each"
+                )
+        places = {name: _orders(name) for name in values}
+        self.make_parameters(
+            [described(n, f"Coefficient of h_{k} h_{m}") for n, (k, m) in places.items()]
+        )
         values |= {"flux": flux, "x_0": x_0, "y_0": y_0, "sigma_x": sigma_x, "sigma_y": sigma_y}
         super().__init__(**(values | kwargs))
         check_model_parameters(self)
+        check_psf_units(self)
 
     @property
-    def param_names(self):
-        """Names of the parameters."""
-        return self._param_names
+    def parameter_kinds(self):
+        """Kinds of the parameters in a fit: "width" or "coefficient" (dict of str)."""
+        kinds = {"sigma_x": "width", "sigma_y": "width"}
+        return kinds | dict.fromkeys(self.param_names[5:], "coefficient")
 
     def _matrix(self, coefficients):
         """Coefficients as a matrix ``[m, k]``, and the places of the free ones in it."""
@@ -99,7 +108,7 @@ class GaussHermitePSF(Fittable2DModel):
         matrix = np.zeros((self.order + 1, self.order + 1))
         matrix[0, 0] = 1.0
         for (k, m), value in zip(places, coefficients, strict=True):
-            matrix[m, k] = np.reshape(value, -1)[0]
+            matrix[m, k] = one_number(f"c_{k}_{m}", value)
         return matrix, places
 
     def evaluate(self, x, y, flux, x_0, y_0, sigma_x, sigma_y, *coefficients):
@@ -182,23 +191,28 @@ class GaussHermitePSF(Fittable2DModel):
         matrix, places = self._matrix(coefficients)
 
         def engine(x, y, x_0, y_0, sigma_x, sigma_y, along_x, along_y):
-            shape = np.broadcast_shapes(np.shape(x_0), np.shape(y_0))
+            shape = np.broadcast_shapes(*map(np.shape, (x_0, y_0, sigma_x, sigma_y)))
             flat = [np.broadcast_to(p, shape).reshape(-1).astype(float) for p in (x_0, y_0)]
-            widths = [np.reshape(p, -1)[:1].astype(float) for p in (sigma_x, sigma_y)]
+            widths = [
+                np.broadcast_to(p, shape).reshape(-1) if np.size(p) > 1 else np.reshape(p, -1)
+                for p in (sigma_x, sigma_y)
+            ]
             n_images = 5 + len(places) if derivatives else 1
             images = np.empty((n_images, flat[0].size, y.size, x.size))
             n = self.order + (3 if derivatives else 1)
             for start in range(0, flat[0].size, _BATCH):
                 part = slice(start, start + _BATCH)
+                wide = [width[part] if width.size > 1 else width for width in widths]
                 tables = [
                     axis_integrals(p, u_0[part], width, np.atleast_1d(along), n).transpose(0, 2, 1)
                     for p, u_0, width, along in (
-                        (x, flat[0], widths[0], along_x),
-                        (y, flat[1], widths[1], along_y),
+                        (x, flat[0], wide[0], along_x),
+                        (y, flat[1], wide[1], along_y),
                     )
                 ]
                 if derivatives:
-                    parts = _derivatives(*tables, *widths, matrix, places, _outer_pixels)
+                    wide = [width[:, np.newaxis, np.newaxis] for width in wide]
+                    parts = _derivatives(*tables, *wide, matrix, places, _outer_pixels)
                     images[:, part] = np.stack(parts)
                 else:
                     images[0, part] = _outer_pixels(tables[0], tables[1] @ matrix)
@@ -207,6 +221,31 @@ class GaussHermitePSF(Fittable2DModel):
             ]
 
         return engine
+
+    def closed_form(self, values):
+        """
+        Return the integrals over pixels in closed form.
+
+        Parameters
+        ----------
+        values : dict
+            Value of each parameter.
+
+        Returns
+        -------
+        form : ClosedForm
+            What `~scope_models.integrate_pixels` uses.
+        """
+        flux, *parameters = (values[name] for name in self.param_names[:5])
+        parameters = tuple(pixels_of(p) for p in parameters)
+        coefficients = [values[name] for name in self.param_names[5:]]
+        return ClosedForm(
+            flux,
+            parameters,
+            self.pixel_engine(coefficients),
+            self.pixel_engine(coefficients, derivatives=True),
+            self.param_names[1:],
+        )
 
     def bounding_box(self, factor=6.5):
         """

@@ -5,7 +5,7 @@ import numpy as np
 from astropy import units as u
 from astropy.modeling import Model
 
-from scope_models.models._gaussian import gaussian_pixels
+from scope_models._arrays import plain_array
 from scope_models.models._quadrature import integrate_adaptively
 from scope_models.models._terms import expand, is_pixel_integrated, leaves
 
@@ -31,7 +31,7 @@ class PixelPoints:
 
     def __init__(self, x, y):
         try:
-            x, y = np.broadcast_arrays(np.asarray(x, dtype=float), np.asarray(y, dtype=float))
+            x, y = np.broadcast_arrays(plain_array(x, u.pixel, "x"), plain_array(y, u.pixel, "y"))
         except ValueError as error:
             raise ValueError(
                 f"`x` and `y` must broadcast, got shapes {np.shape(x)} and {np.shape(y)}"
@@ -74,26 +74,16 @@ class PixelPoints:
             return images.reshape((*images.shape[:-1], *self.shape))
         return images.reshape((*images.shape[:-2], *self.shape))
 
-    def closed_form(self, engine, x_0, y_0, sigma_x, sigma_y, along_x, along_y):
-        """Apply a model's own closed form: ``(..., *shape)``."""
-
-        def with_rho(x, y, x_0, y_0, sigma_x, sigma_y, _, along_x, along_y):
-            return engine(x, y, x_0, y_0, sigma_x, sigma_y, along_x, along_y)
-
-        return self.gaussian(with_rho, (x_0, y_0, sigma_x, sigma_y, 0.0), (along_x, along_y))
-
-    def gaussian(self, engine, parameters, polynomials, **flux):
-        """Apply `gaussian_pixels` or `gaussian_derivatives`: ``(..., *shape)``."""
+    def apply(self, engine, parameters, polynomials):
+        """Apply what integrates over a grid, of a `ClosedForm`: ``(..., *shape)``."""
         if self.on_grid:
-            return self.gather(engine(self.columns, self.rows, *parameters, *polynomials, **flux))
+            return self.gather(engine(self.columns, self.rows, *parameters, *polynomials))
         # One pixel at the origin, with the star where it is as seen from each point.
-        lead = np.broadcast_shapes(*(np.shape(p) for p in (*parameters, *flux.values())))
+        lead = np.broadcast_shapes(*map(np.shape, parameters))
         x_0, y_0, *others = (np.broadcast_to(p, lead)[..., np.newaxis] for p in parameters)
-        flux = {name: np.broadcast_to(p, lead)[..., np.newaxis] for name, p in flux.items()}
         origin = np.zeros(1)
-        images = engine(origin, origin, x_0 - self.x, y_0 - self.y, *others, *polynomials, **flux)[
-            ..., 0, 0
-        ]
+        seen = x_0 - self.x, y_0 - self.y
+        images = engine(origin, origin, *seen, *others, *polynomials)[..., 0, 0]
         return images.reshape((*images.shape[:-1], *self.shape))
 
 
@@ -108,11 +98,11 @@ def _spread(number, points):
     return np.reshape(number, np.shape(number) + (1,) * len(points.shape))
 
 
-def split_values(factor):
-    """Flux, position and widths of a model with a closed form of its own, and its coefficients."""
-    flux, x_0, y_0, sigma_x, sigma_y, *coefficients = factor.values.values()
-    position = (_number_and_unit(value)[0] for value in (x_0, y_0, sigma_x, sigma_y))
-    return flux, *position, coefficients
+def _scaled(images, factor):
+    """Fresh images times a factor, in place where it fits."""
+    fits = np.broadcast_shapes(images.shape, np.shape(factor)) == images.shape
+    in_place = fits and not isinstance(factor, u.Quantity)
+    return np.multiply(images, factor, out=images if in_place else None)
 
 
 def integrate_density(term, points, evaluate=None):
@@ -191,17 +181,10 @@ def integrate_term(term, points, method="auto"):
         return _spread(term.scale, points) * images
     if any(is_pixel_integrated(factor.model) for factor in term.densities):
         return _spread(term.scale, points) * _already_integrated(term, points)
-    gaussian = term.densities[0].gaussian() if len(term.densities) == 1 else None
-    if gaussian is not None and method != "quadrature":
-        flux, *parameters = gaussian
-        flux, unit = _number_and_unit(term.scale * flux)
-        images = points.gaussian(gaussian_pixels, parameters, (along_x, along_y), flux=flux)
-        return images if unit is None else images * unit
-    engine = getattr(term.densities[0].model, "pixel_engine", None)
-    if engine is not None and len(term.densities) == 1 and method != "quadrature":
-        flux, *parameters, coefficients = split_values(term.densities[0])
-        images = points.closed_form(engine(coefficients), *parameters, along_x, along_y)
-        return _spread(term.scale * flux, points) * images
+    form = None if method == "quadrature" else term.closed_form()
+    if form is not None:
+        images = points.apply(form.pixels, form.parameters, (along_x, along_y))
+        return _scaled(images, _spread(term.scale * form.flux, points))
     if method == "analytic":
         names = " * ".join(type(factor.model).__name__ for factor in term.densities)
         raise ValueError(f"no closed form for the integral of {names}: use method='auto'")

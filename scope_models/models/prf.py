@@ -1,35 +1,25 @@
 # Licensed under a 3-clause BSD style license - see LICENSE
 """Pixel response functions: what a fit or a renderer sees of a star, flux per pixel."""
 
-from dataclasses import dataclass
-
 import numpy as np
 from astropy import units as u
 from astropy.modeling import Fittable2DModel, Parameter
+from astropy.modeling.models import Const2D
 
-from scope_models.models._derivatives import unit_derivatives
-from scope_models.models._terms import Factor, Term, expand, is_pixel_integrated
-from scope_models.models._validation import check_model_parameters
+from scope_models._arrays import plain_array
+from scope_models.models._components import Component, Response
+from scope_models.models._instance_parameters import InstanceParameters
+from scope_models.models._terms import expand, is_pixel_integrated
+from scope_models.models._validation import check_model_parameters, one_number
 from scope_models.models.integration import PixelPoints, integrate_term
+from scope_models.models.tables import PRFGrid
 
 __all__ = ["PRF"]
 
 _POSITION = ("flux", "x_0", "y_0")
 
 
-@dataclass(frozen=True, eq=False)
-class _Component:
-    """One density of the compound: which parameter of the PRF feeds which of its own."""
-
-    model: object  # the density
-    scale: float  # constant factor in the compound
-    shape: dict  # own parameter -> parameter of the PRF, without flux, x_0, y_0
-    fraction: str | None  # parameter that holds its part of the flux; None: the rest
-    offsets: tuple  # parameters that hold its position relative to the star, or ()
-    sensitivities: tuple  # indices of the sensitivities that multiply it
-
-
-class PRF(Fittable2DModel):
+class PRF(InstanceParameters, Fittable2DModel):
     r"""
     Flux per pixel of a star: a compound of densities and sensitivities, integrated over pixels.
 
@@ -44,7 +34,8 @@ class PRF(Fittable2DModel):
     compound : `~astropy.modeling.Model`
         Sum of densities with the parameters ``flux``, ``x_0`` and ``y_0`` (our PSFs, photutils'
         PSFs), each multiplied by any number of `~scope_models.SensitivityPolynomial`, such as
-        ``(core + wings) * SensitivityPolynomial()``.
+        ``(core + wings) * SensitivityPolynomial()``. A `~scope_models.models.TabulatedPRF` is a
+        component too, but never times a sensitivity: its fluxes hold the response of the pixels.
     flux, x_0, y_0 : float or `~astropy.units.Quantity`, optional
         Overall flux and position; by default the sum of the components' fluxes and the position
         of the first component.
@@ -93,13 +84,14 @@ class PRF(Fittable2DModel):
 
     #: Values are fluxes of pixels, not a density.
     pixel_integrated = True
-    # Filled in by each instance: the parameters depend on the compound.
-    _param_names = ()
 
     def __init__(self, compound, flux=None, x_0=None, y_0=None, **kwargs):
+        if isinstance(compound, PRF):
+            compound = _parts_of(compound)
         terms = [term for term in expand(compound) if np.any(term.scale)]
         _check_compound(compound, terms)
-        self._terms_of(terms)
+        self._components = _components_of(terms)
+        self._responses = _distinct(r for c in self._components for r in c.responses)
         first = terms[0].densities[0].model
         fluxes = [term.scale * _value(term.densities[0].model.flux) for term in terms]
         total = sum(fluxes[1:], start=fluxes[0])
@@ -129,54 +121,17 @@ class PRF(Fittable2DModel):
                     )
                     source, origin = getattr(component.model, axis), getattr(first, axis)
                     values[name] = _value(source) - _value(origin)
-        for number, sensitivity in enumerate(self._sensitivities):
-            for own, name in self._sensitivity_names(number).items():
-                parameters[name] = _like(getattr(sensitivity, own), name, fixed=True)
-                values[name] = _value(getattr(sensitivity, own))
-        self._param_names = tuple(parameters)
-        for name, parameter in parameters.items():
-            parameter.model = self
-            self.__dict__[name] = parameter
+        for response in self._responses:
+            for own, name in response.names.items():
+                parameters[name] = _like(getattr(response.model, own), name, fixed=True)
+                values[name] = _value(getattr(response.model, own))
+        self.make_parameters(list(parameters.values()))
         super().__init__(**(values | kwargs))
         check_model_parameters(self)
+        for name in ("x_0", "y_0"):
+            plain_array(_value(getattr(self, name)), u.pixel, name)
         if any(getattr(c.model, "fit_deriv", None) is None for c in self._components):
             self.fit_deriv = None  # fitters then estimate the derivatives
-
-    # -----------------------------------------------------------------------------------------
-    # Construction
-    # -----------------------------------------------------------------------------------------
-    def _terms_of(self, terms):
-        """Note the distinct sensitivities and the components of the compound."""
-        self._sensitivities = []
-        self._components = []
-        several = len(terms) > 1
-        for k, term in enumerate(terms):
-            numbers = []
-            for factor in term.sensitivities:
-                known = [s is factor.model for s in self._sensitivities]
-                if not any(known):
-                    self._sensitivities.append(factor.model)
-                    known.append(True)
-                numbers.append(known.index(True))
-            model = term.densities[0].model
-            own = [name for name in model.param_names if name not in _POSITION]
-            suffix = f"_{k}" if several else ""
-            self._components.append(
-                _Component(
-                    model=model.copy(),
-                    scale=float(term.scale),
-                    shape={name: name + suffix for name in own},
-                    fraction=f"flux_fraction_{k}" if k else None,
-                    offsets=(f"x_offset_{k}", f"y_offset_{k}") if k else (),
-                    sensitivities=tuple(numbers),
-                )
-            )
-        self._sensitivities = [s.copy() for s in self._sensitivities]
-
-    def _sensitivity_names(self, number):
-        """Own parameter to parameter of the PRF, for one of the sensitivities."""
-        suffix = f"_s{number}" if len(self._sensitivities) > 1 else ""
-        return {name: name + suffix for name in self._sensitivities[number].param_names}
 
     @staticmethod
     def _overall_parameters(first, *, alone):
@@ -189,39 +144,144 @@ class PRF(Fittable2DModel):
             return {n: _like(getattr(first, n), n, description=d) for n, d in descriptions.items()}
         return {name: Parameter(name, description=text) for name, text in descriptions.items()}
 
+    # -----------------------------------------------------------------------------------------
+    # Parts
+    # -----------------------------------------------------------------------------------------
     @property
-    def param_names(self):
-        """Names of the parameters: flux, x_0, y_0, then those of the components."""
-        return self._param_names
+    def n_components(self):
+        """Number of densities or tables in the compound."""
+        return len(self._components)
+
+    @property
+    def table(self):
+        """The `~scope_models.models.TabulatedPRF` that the PRF is, or None."""
+        if self.n_components > 1 or not hasattr(self._components[0].model, "unit_derivatives"):
+            return None
+        table = self._components[0].model.copy()
+        for name in _POSITION:
+            setattr(table, name, getattr(self, name).value)
+        return table
+
+    @classmethod
+    def from_tess(cls, path, camera=None, ccd=None, column=None, row=None):
+        """
+        Read the official PRF of TESS at a place.
+
+        Parameters
+        ----------
+        path : str or path-like
+            A file, or a folder of files: see `~scope_models.models.PRFGrid.from_tess`.
+        camera, ccd : int, optional
+            Which CCD; not needed if there is only one.
+        column, row : float or `~astropy.units.Quantity`, optional
+            The place in pixels of the full-frame image, as in a target pixel file; not needed
+            for a single file.
+
+        Returns
+        -------
+        prf : PRF
+            Of a `~scope_models.models.TabulatedPRF`, bilinear between the places.
+
+        Raises
+        ------
+        FileNotFoundError, ValueError
+            If there are no such files, or they do not belong together.
+        """
+        return cls(_table_at(PRFGrid.from_tess(path, camera, ccd), column, row))
+
+    @classmethod
+    def from_kepler(cls, path, column=None, row=None):
+        """
+        Read the official PRF of Kepler at a place.
+
+        Parameters
+        ----------
+        path : str or path-like
+            The file of a channel: see `~scope_models.models.PRFGrid.from_kepler`.
+        column, row : float or `~astropy.units.Quantity`
+            The place in pixels of the channel, as in a target pixel file.
+
+        Returns
+        -------
+        prf : PRF
+            Of a `~scope_models.models.TabulatedPRF`, linear between the center and two corners.
+
+        Raises
+        ------
+        OSError, ValueError
+            If the file is not of that format.
+        """
+        return cls(_table_at(PRFGrid.from_kepler(path), column, row))
+
+    @property
+    def psf(self):
+        """
+        The light before the pixel, of total flux 1, at the position of the model.
+
+        A density or a sum of densities; a table of a PRF stands for itself.
+        """
+        values = self._numbers()
+        total = None
+        for component, fraction in zip(self._components, self._fractions(values), strict=True):
+            model = component.model.copy()
+            for name, value in component.own_values(values, fraction).items():
+                setattr(model, name, float(value))
+            total = model if total is None else total + model
+        return total
+
+    @property
+    def sensitivity(self):
+        """The response within a pixel: a sensitivity, a product of several, or None."""
+        total = None
+        for response in self._responses:
+            model = response.model.copy()
+            for own, source in response.names.items():
+                setattr(model, own, float(getattr(self, source).value))
+            total = model if total is None else total * model
+        return total
+
+    @property
+    def parameter_kinds(self):
+        """
+        Kinds of the parameters in a fit, where they have one (dict of str).
+
+        "width", "correlation", "coefficient" and "fraction" are shape, "offset" is a position
+        relative to the star, "response" is a coefficient of a sensitivity.
+        """
+        kinds = {}
+        for component in self._components:
+            kinds |= component.kinds
+        return kinds | dict.fromkeys(self.response_powers, "response")
+
+    @property
+    def response_powers(self):
+        """Axis ("x" or "y") and power of each coefficient of the sensitivities, by name (dict)."""
+        powers = {}
+        for response in self._responses:
+            powers |= response.powers
+        return powers
+
+    def _numbers(self, values=None):
+        """Value of each parameter as a float, with others in their place."""
+        own = {n: float(np.ravel(getattr(self, n).value)[0]) for n in self.param_names}
+        unknown = set(values or {}) - set(own)
+        if unknown:
+            raise ValueError(f"`values` has no parameter {', '.join(sorted(unknown))}")
+        return own | {name: float(value) for name, value in (values or {}).items()}
 
     # -----------------------------------------------------------------------------------------
     # Evaluation
     # -----------------------------------------------------------------------------------------
-    def _fraction(self, component, values):
-        if component.fraction:
-            return values[component.fraction]
-        return 1.0 - sum(values[c.fraction] for c in self._components if c.fraction)
-
-    def _term(self, component, values, flux=1.0):
-        """The term of one component at the given parameter values."""
-        own = {name: values[source] for name, source in component.shape.items()}
-        own["flux"] = flux
-        for name, offset in zip(("x_0", "y_0"), component.offsets or (None, None), strict=True):
-            own[name] = values[name] + values[offset] if offset else values[name]
-        own = {name: np.asarray(own[name]) for name in component.model.param_names}
-        sensitivities = []
-        for number in component.sensitivities:
-            names = self._sensitivity_names(number)
-            numbers = {name: np.asarray(values[source]) for name, source in names.items()}
-            sensitivities.append(Factor(self._sensitivities[number], numbers))
-        return Term(densities=(Factor(component.model, own),), sensitivities=tuple(sensitivities))
+    def _fractions(self, values):
+        """Part of the flux in each component."""
+        others = [values[c.fraction] for c in self._components if c.fraction]
+        return [1.0 - sum(others), *others]
 
     def _images(self, points, values):
         """Images of the star at the given parameter values."""
         total = None
-        for component in self._components:
-            flux = values["flux"] * self._fraction(component, values)
-            image = integrate_term(self._term(component, values, flux), points)
+        for component, fraction in zip(self._components, self._fractions(values), strict=True):
+            image = integrate_term(component.term(values, values["flux"] * fraction), points)
             total = image if total is None else np.add(total, image, out=total)
         return total
 
@@ -243,7 +303,7 @@ class PRF(Fittable2DModel):
         """
         values = dict(zip(self.param_names, parameters, strict=True))
         unit = getattr(values["flux"], "unit", None)
-        x, y = _plain(x), _plain(y)
+        x, y = plain_array(x, u.pixel, "x"), plain_array(y, u.pixel, "y")
         values = {name: _plain(value) for name, value in values.items()}
         if all(np.size(value) == 1 for value in values.values()):
             values = {name: float(np.reshape(value, -1)[0]) for name, value in values.items()}
@@ -253,9 +313,8 @@ class PRF(Fittable2DModel):
         x, y, *arrays = np.broadcast_arrays(x, y, *values.values())
         values = {name: a.reshape(-1) for name, a in zip(values, arrays, strict=True)}
         values["x_0"], values["y_0"] = values["x_0"] - x.ravel(), values["y_0"] - y.ravel()
-        for number in range(len(self._sensitivities)):
-            for name in self._sensitivity_names(number).values():
-                values[name] = _only(name, values[name])
+        for name in self.response_powers:
+            values[name] = one_number(name, values[name])
         images = self._images(PixelPoints(0.0, 0.0), values).reshape(x.shape)
         return images if unit is None else images * unit
 
@@ -279,12 +338,74 @@ class PRF(Fittable2DModel):
             name: float(np.reshape(_plain(value), -1)[0])
             for name, value in zip(self.param_names, parameters, strict=True)
         }
-        points = PixelPoints(_plain(x), _plain(y))
-        image, derivatives = unit_derivatives(self, points, values)
+        points = PixelPoints(x, y)
+        image, derivatives = self._unit_derivatives(points, values)
         names = self.param_names[1:]
         return [image, *(values["flux"] * derivatives[name] for name in names)]
 
-    def render(self, shape, flux=None, x_0=None, y_0=None):
+    def _unit_derivatives(self, points, values):
+        """Images of unit flux, and their derivatives by parameter, without the flux."""
+        total, derivatives, images = 0.0, {}, []
+        fractions = self._fractions(values)
+        for component, fraction in zip(self._components, fractions, strict=True):
+            image, own = component.derivatives(points, values)
+            images.append(image)
+            total = total + fraction * image
+            for name, derivative in own.items():
+                part = fraction * derivative
+                if component.offsets and name in {"x_0", "y_0"}:
+                    derivatives[component.offsets[name == "y_0"]] = part
+                derivatives[name] = derivatives[name] + part if name in derivatives else part
+        for component, image in zip(self._components, images, strict=True):
+            if component.fraction:
+                derivatives[component.fraction] = image - images[0]
+        return total, derivatives
+
+    def unit_images(self, shape, x_0=None, y_0=None, *, values=None, derivatives=False):
+        """
+        Draw images of a star of unit flux, and their derivatives.
+
+        Parameters
+        ----------
+        shape : tuple of int
+            Shape (ny, nx) of an image.
+        x_0, y_0 : float or array_like, optional
+            Column and row in pixels, numbers or of shape ``(n,)``; by default the model's.
+        values : dict, optional
+            Numbers in place of the model's parameters, by name.
+        derivatives : bool, optional
+            Whether to return the derivatives too.
+
+        Returns
+        -------
+        images : `~numpy.ndarray`
+            Shape ``(n, ny, nx)`` or ``(ny, nx)``.
+        derivatives : dict of str to `~numpy.ndarray`
+            By parameter but the flux, of the same shape; only with ``derivatives=True``.
+
+        Raises
+        ------
+        ValueError
+            If the shape or a name is wrong.
+
+        Examples
+        --------
+        >>> from scope_models import PRF, BivariateGaussianPSF
+        >>> prf = PRF(BivariateGaussianPSF())
+        >>> images, derivatives = prf.unit_images((5, 5), [2, 2.1], 2, derivatives=True)
+        >>> images.shape, sorted(derivatives)
+        ((2, 5, 5), ['rho', 'sigma_x', 'sigma_y', 'x_0', 'y_0'])
+        """
+        numbers = self._numbers(values)
+        for name, value in (("x_0", x_0), ("y_0", y_0)):
+            if value is not None:
+                numbers[name] = plain_array(value, u.pixel, name)
+        points = PixelPoints.from_shape(shape)
+        if derivatives:
+            return self._unit_derivatives(points, numbers)
+        return self._images(points, numbers | {"flux": 1.0})
+
+    def render(self, shape=None, flux=None, x_0=None, y_0=None, *, out=None, coords=None):
         """
         Draw images of a star at many positions and fluxes.
 
@@ -295,6 +416,9 @@ class PRF(Fittable2DModel):
         flux, x_0, y_0 : float or array_like, optional
             Flux, column and row at each of n cadences, shape ``(n,)``; a number serves for all
             of them. The default is the parameter's value.
+        out, coords : `~numpy.ndarray`, optional
+            As for `astropy.modeling.Model.render`, of which this is then a call; so is one whose
+            first argument is an image, or that has no argument.
 
         Returns
         -------
@@ -306,11 +430,13 @@ class PRF(Fittable2DModel):
         ValueError
             If the shapes do not agree or a value is not finite.
         """
+        if shape is None or np.ndim(shape) > 1 or out is not None or coords is not None:
+            return super().render(shape if out is None else out, flux if coords is None else coords)
         values = {name: _plain(_value(getattr(self, name))) for name in self.param_names}
         given = {"flux": flux, "x_0": x_0, "y_0": y_0}
         given = {k: _value(getattr(self, k)) if v is None else v for k, v in given.items()}
         flux = given["flux"] if isinstance(given["flux"], u.Quantity) else np.asarray(given["flux"])
-        values |= {name: np.asarray(_plain(given[name]), dtype=float) for name in ("x_0", "y_0")}
+        values |= {name: plain_array(given[name], u.pixel, name) for name in ("x_0", "y_0")}
         for name, value in {
             "flux": _plain(flux),
             "x_0": values["x_0"],
@@ -345,7 +471,7 @@ class PRF(Fittable2DModel):
         boxes = []
         for component in self._components:
             model = component.model.copy()
-            for name, value in self._term(component, values).densities[0].values.items():
+            for name, value in component.own_values(values).items():
                 if name != "flux":
                     setattr(model, name, value)
             boxes.append(model.bounding_box.bounding_box())
@@ -386,13 +512,6 @@ def _plain(value):
     return value.value if isinstance(value, u.Quantity) else value
 
 
-def _only(name, values):
-    """The one value of an array that holds the same number everywhere."""
-    if np.ptp(values):
-        raise ValueError(f"`{name}` must be one number, got {np.unique(values).size} values")
-    return values.flat[0]
-
-
 def _like(source, name, *, fixed=None, description=None):
     """A parameter with the constraints of another."""
     if source.tied:
@@ -408,6 +527,52 @@ def _like(source, name, *, fixed=None, description=None):
     if source._validator is not None:  # noqa: SLF001
         parameter.validator(source._validator)  # noqa: SLF001
     return parameter
+
+
+def _parts_of(prf):
+    """The compound that a PRF was made of, at its present flux."""
+    compound, sensitivity = prf.psf, prf.sensitivity
+    parts = compound if sensitivity is None else compound * sensitivity
+    return Const2D(float(prf.flux.value)) * parts
+
+
+def _table_at(grid, column, row):
+    """The table of a place, which a single one needs not."""
+    if column is None and row is None and len(grid.tables) == 1:
+        return grid.tables[0]
+    if column is None or row is None:
+        raise ValueError("`column` and `row` must be given: there are tables of several places")
+    return grid.at(column, row)
+
+
+def _components_of(terms):
+    """The components of a compound, with names for their parameters."""
+    factors = [factor for term in terms for factor in term.sensitivities]
+    models = list({id(factor.model): factor.model for factor in factors}.values())
+    responses = {}
+    for number, model in enumerate(models):
+        suffix = f"_s{number}" if len(models) > 1 else ""
+        names = {name: name + suffix for name in model.param_names}
+        responses[id(model)] = Response(model.copy(), names)
+    components = []
+    for k, term in enumerate(terms):
+        model = term.densities[0].model
+        suffix = f"_{k}" if len(terms) > 1 else ""
+        components.append(
+            Component(
+                model=model.copy(),
+                shape={n: n + suffix for n in model.param_names if n not in _POSITION},
+                fraction=f"flux_fraction_{k}" if k else None,
+                offsets=(f"x_offset_{k}", f"y_offset_{k}") if k else (),
+                responses=tuple(responses[id(factor.model)] for factor in term.sensitivities),
+            )
+        )
+    return components
+
+
+def _distinct(items):
+    """The items without repetition, in their order."""
+    return list({id(item): item for item in items}.values())
 
 
 def _check_compound(compound, terms):
@@ -426,8 +591,23 @@ def _check_compound(compound, terms):
                 "a component needs flux, x_0 and y_0"
             )
         if is_pixel_integrated(factor.model):
-            raise ValueError(f"{names} is already integrated over pixels; use the density instead")
+            _check_integrated(names, factor.model, term.sensitivities)
         if factor.size:
             raise ValueError("parameters with more than one value are not supported in a PRF")
         if isinstance(term.scale, u.Quantity) or np.ndim(term.scale):
             raise ValueError("constants of the compound must be plain numbers")
+
+
+def _check_integrated(names, model, sensitivities):
+    """Raise where fluxes of pixels cannot be a component."""
+    if not hasattr(model, "unit_derivatives"):
+        raise ValueError(
+            f"{names} is already integrated over pixels; use the density instead, or read a table "
+            "with TabulatedPRF.from_photutils"
+        )
+    if sensitivities:
+        raise ValueError(
+            f"{names} is already integrated over pixels, with the response of the real pixels in "
+            "it. Multiplied by a sensitivity the response would be counted twice, and outside the "
+            "integral. Leave the sensitivity out, or use the density of a TabulatedPSF"
+        )

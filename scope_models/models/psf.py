@@ -5,7 +5,9 @@ import numpy as np
 from astropy.modeling import Fittable2DModel, Parameter
 from astropy.units import UnitsError
 
-from scope_models.models._validation import Domain, check_model_parameters
+from scope_models.models._closed_form import ClosedForm, pixels_of
+from scope_models.models._gaussian import gaussian_derivatives, gaussian_pixels
+from scope_models.models._validation import Domain, check_model_parameters, check_psf_units
 
 __all__ = ["BivariateGaussianPSF"]
 
@@ -36,7 +38,8 @@ class BivariateGaussianPSF(Fittable2DModel):
     x_0, y_0 : float or `~astropy.units.Quantity`
         Position of the star in pixels; x is the column, y the row.
     sigma_x, sigma_y : float or `~astropy.units.Quantity`
-        Standard deviations along the axes in pixels.
+        Standard deviations along the axes in pixels. Angles are for the ``psf`` of a
+        `~scope_models.Detector`, which has a pixel scale.
     rho : float
         Correlation coefficient.
     **kwargs
@@ -82,6 +85,9 @@ class BivariateGaussianPSF(Fittable2DModel):
     sigma_y.validator(Domain("sigma_y", "positive"))
     rho.validator(Domain("rho", "inside (-1, 1)"))
 
+    #: Kinds of the parameters in a fit.
+    parameter_kinds = {"sigma_x": "width", "sigma_y": "width", "rho": "correlation"}  # noqa: RUF012
+
     def __init__(
         self,
         flux=flux.default,
@@ -96,6 +102,7 @@ class BivariateGaussianPSF(Fittable2DModel):
             flux=flux, x_0=x_0, y_0=y_0, sigma_x=sigma_x, sigma_y=sigma_y, rho=rho, **kwargs
         )
         check_model_parameters(self)
+        check_psf_units(self)
 
     @staticmethod
     def evaluate(x, y, flux, x_0, y_0, sigma_x, sigma_y, rho):
@@ -153,6 +160,27 @@ class BivariateGaussianPSF(Fittable2DModel):
             density * (z_y * slope_y - 1) / sigma_y,
             density * (rho + z_x * z_y - rho * distance) / rest,
         ]
+
+    @staticmethod
+    def closed_form(values):
+        """
+        Return the integrals over pixels in closed form.
+
+        Parameters
+        ----------
+        values : dict
+            Value of each parameter.
+
+        Returns
+        -------
+        form : ClosedForm
+            What `~scope_models.integrate_pixels` uses.
+        """
+        names = ("x_0", "y_0", "sigma_x", "sigma_y")
+        parameters = (*(pixels_of(values[name]) for name in names), values["rho"])
+        return ClosedForm(
+            values["flux"], parameters, gaussian_pixels, gaussian_derivatives, (*names, "rho")
+        )
 
     def bounding_box(self, factor=6.5):
         """

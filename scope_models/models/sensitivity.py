@@ -2,9 +2,11 @@
 """Sensitivity: the response of a pixel, as a function of the position within it."""
 
 import numpy as np
-from astropy.modeling import Fittable2DModel, Parameter
-from astropy.units import Quantity
+from astropy import units as u
+from astropy.modeling import Fittable2DModel
 
+from scope_models._arrays import plain_array
+from scope_models.models._instance_parameters import InstanceParameters, described
 from scope_models.models._validation import check_model_parameters
 
 __all__ = ["SensitivityPolynomial"]
@@ -12,14 +14,12 @@ __all__ = ["SensitivityPolynomial"]
 
 def _offset(position):
     """Offset from the centre of the pixel that holds the position, in [-1/2, 1/2)."""
-    if isinstance(position, Quantity):
-        position = position.value
-    position = np.asarray(position, dtype=float)
+    position = plain_array(position, u.pix, "position")
     return position - np.floor(position + 0.5)
 
 
 def _checked(name, coefficients):
-    coefficients = np.asarray(coefficients, dtype=float)
+    coefficients = plain_array(coefficients, u.one, name)
     if coefficients.ndim != 1 or coefficients.size == 0:
         raise ValueError(
             f"`{name}` must be a sequence of at least one number, got shape {coefficients.shape}"
@@ -27,7 +27,7 @@ def _checked(name, coefficients):
     return coefficients
 
 
-class SensitivityPolynomial(Fittable2DModel):
+class SensitivityPolynomial(InstanceParameters, Fittable2DModel):
     r"""
     Response within each pixel: a polynomial in x times a polynomial in y.
 
@@ -67,29 +67,17 @@ class SensitivityPolynomial(Fittable2DModel):
     ('ax0', 'ax1', 'ax2', 'ay0', 'ay1', 'ay2')
     """
 
-    # Filled in by each instance: the number of parameters depends on the coefficients.
-    _param_names = ()
-
     def __init__(self, x_coefficients=(1, 0, -0.05), y_coefficients=(1, 0, -0.05), **kwargs):
         x_coefficients = _checked("x_coefficients", x_coefficients)
         y_coefficients = _checked("y_coefficients", y_coefficients)
         self._n_x = x_coefficients.size
         values = {f"ax{n}": value for n, value in enumerate(x_coefficients)}
         values |= {f"ay{n}": value for n, value in enumerate(y_coefficients)}
-        self._param_names = tuple(values)
-        for name in values:
-            # Each instance has as many parameters as its coefficients ask for.
-            description = f"Coefficient of {'uv'['xy'.index(name[1])]}^{name[2:]}"
-            parameter = Parameter(name, default=0.0, description=description)
-            parameter.model = self
-            self.__dict__[name] = parameter
+        self.make_parameters(
+            [described(n, f"Coefficient of {'uv'['xy'.index(n[1])]}^{n[2:]}") for n in values]
+        )
         super().__init__(**values, **kwargs)
         check_model_parameters(self)
-
-    @property
-    def param_names(self):
-        """Names of the parameters, those along x first."""
-        return self._param_names
 
     @property
     def x_coefficients(self):
@@ -100,6 +88,13 @@ class SensitivityPolynomial(Fittable2DModel):
     def y_coefficients(self):
         """Coefficients along y, the constant first (tuple of float)."""
         return tuple(float(getattr(self, n).value) for n in self._param_names[self._n_x :])
+
+    @property
+    def powers(self):
+        """Axis ("x" or "y") and power of the coefficients by name (dict of str to tuple)."""
+        along = [("x", n) for n in range(self._n_x)]
+        along += [("y", n) for n in range(len(self.param_names) - self._n_x)]
+        return dict(zip(self.param_names, along, strict=True))
 
     def evaluate(self, x, y, *coefficients):
         """

@@ -1,16 +1,23 @@
 """Scenes: all that a simulation starts from, as Python objects and as what a file holds."""
 
 import tomllib
-from collections.abc import Mapping
-from dataclasses import dataclass, fields
-from functools import reduce
+import warnings
+from collections.abc import Iterable, Mapping
+from dataclasses import InitVar, dataclass, field, fields, replace
+from functools import partial, reduce
 from operator import add, mul
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
+from astropy.utils.exceptions import AstropyDeprecationWarning
 
-from scope_models.io import read_truth
-from scope_models.models._description import describe_model, make_model
+from scope_models._arrays import plain_number
+from scope_models._checks import checked_integer
+from scope_models.effects.noise import check_seed, noise_terms
+from scope_models.io import read_truth, write_hdulist
+from scope_models.io._truth import truth_hdus
+from scope_models.models._description import describe_model, make_model, value_key
 from scope_models.scene.detector import Detector
 from scope_models.scene.motion import Motion
 from scope_models.scene.presets import PRESETS
@@ -18,48 +25,288 @@ from scope_models.scene.star import Star
 
 __all__ = ["Scene", "read_detector", "read_scene"]
 
-_VERSION = 1
+_VERSION = 2
+# What a file of the scene's observation says of the star and of the place of the stamp.
+_IDENTITY = ("target_id", "object_name", "ra", "dec", "orientation", "column", "row")
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Scene:
-    """The arguments of a simulation.
+    """All that a simulation starts from.
 
-    Iterating gives the stars, the detector and the motion, so that
-    ``simulate(*scene, **scene.options)`` gives the same pixels again.
+    ``simulate(scene)`` gives its pixels. A scene also unpacks as the arguments of the short form:
+    ``simulate(*scene, **scene.options)``. It does not change; `replace` gives a new one.
 
     Parameters
     ----------
-    stars : tuple of Star
+    stars : Star or sequence of Star
         The stars; the first is the target.
     detector : Detector
-        The detector.
+        The pixels.
     motion : Motion
-        The motion that the stars share.
+        The motion that all stars share.
     options : mapping, optional
-        Keyword arguments of `simulate`: seed, noise and n_sub.
+        Deprecated: give the fields by name.
+    seed : int, optional
+        The seed of the interpixel map and of all noise. None takes one from the operating system
+        when the scene is simulated.
+    noise : bool or str or iterable of str, optional
+        True for photon, background and read noise, False for none, or names out of "photon",
+        "background", "read" and "quantization".
+    n_sub : int, optional
+        Exposures within a cadence over which the motion is averaged. Positions are interpolated
+        between the middles of the cadences by straight lines, and stay before the first and after
+        the last. The relative flux is a mean over the cadence in any case.
+    target_id : int, optional
+        KEPLERID or TICID of the target in a file; the default is 1.
+    object_name : str, optional
+        Name of the target in a file; the default is "SIM" and the number.
+    ra, dec : float or Quantity, optional
+        Place of the target on the sky, deg (ICRS); by default the middle of a field of the
+        mission.
+    orientation : float or Quantity, optional
+        Position angle of the direction of growing rows, deg from north to east.
+    column, row : int, optional
+        Detector column and row of the stamp's first pixel.
+    metadata : mapping, optional
+        Further fields of `~scope_models.io.TPFMetadata`, as campaign or channel.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If an argument is of the wrong kind or outside its domain.
 
     Examples
     --------
-    >>> from scope_models import Detector, Motion, Star
-    >>> from scope_models.scene import Scene
-    >>> scene = Scene((Star(12.0),), Detector.k2(), Motion.still(10), {"seed": 1})
+    >>> from scope_models import Detector, Motion, Scene, Star, simulate
+    >>> scene = Scene(Star(12.0), Detector.k2(), Motion.still(10), seed=1)
+    >>> scene
+    <Scene of 1 star, K2, 10 cadences of 11 x 11 pixels, seed 1>
+    >>> simulate(scene)
+    <Observation K2: 10 cadences of 11 x 11 pixels, 1 star, seed 1>
     >>> stars, detector, motion = scene
-    >>> len(motion)
-    10
+    >>> scene.replace(seed=2).options["seed"]
+    2
     """
 
     stars: tuple[Star, ...]
     detector: Detector
     motion: Motion
-    options: Mapping = None
+    options: InitVar[Mapping | None] = None
+    seed: int | None = field(default=None, kw_only=True)
+    noise: frozenset = field(default=True, kw_only=True)
+    n_sub: int = field(default=1, kw_only=True)
+    target_id: int | None = field(default=None, kw_only=True)
+    object_name: str | None = field(default=None, kw_only=True)
+    ra: float | None = field(default=None, kw_only=True)
+    dec: float | None = field(default=None, kw_only=True)
+    orientation: float | None = field(default=None, kw_only=True)
+    column: int | None = field(default=None, kw_only=True)
+    row: int | None = field(default=None, kw_only=True)
+    metadata: Mapping = field(default_factory=dict, kw_only=True)
+
+    def __post_init__(self, options):
+        """Check every field and bring it to its type."""
+        put = partial(object.__setattr__, self)
+        for name, value in (options or {}).items():
+            if name not in {"seed", "noise", "n_sub"}:
+                raise TypeError(f"`options` must hold seed, noise and n_sub, got {name!r}")
+            put(name, value)
+        if options is not None:
+            warnings.warn(
+                "`options` of a Scene is deprecated: give seed, noise and n_sub by name",
+                AstropyDeprecationWarning,
+                stacklevel=3,
+            )
+        put("stars", _checked_stars(self.stars))
+        for name, kind in (("detector", Detector), ("motion", Motion)):
+            if not isinstance(getattr(self, name), kind):
+                raise TypeError(f"`{name}` must be a {kind.__name__}, got {getattr(self, name)!r}")
+        put("seed", None if self.seed is None else check_seed(self.seed))
+        put("noise", noise_terms(self.noise))
+        put("n_sub", checked_integer("n_sub", self.n_sub, 1))
+        for name in ("ra", "dec", "orientation"):
+            if getattr(self, name) is not None:
+                put(name, plain_number(getattr(self, name), "deg", name))
+        for name, least in (("target_id", 1), ("column", 0), ("row", 0)):
+            if getattr(self, name) is not None:
+                put(name, checked_integer(name, getattr(self, name), least))
+        if not isinstance(self.object_name, str | None):
+            raise TypeError(f"`object_name` must be text, got {self.object_name!r}")
+        if not isinstance(self.metadata, Mapping):
+            raise TypeError(f"`metadata` must be a mapping, got {self.metadata!r}")
+        put("metadata", MappingProxyType(dict(self.metadata)))
+
+    def __reduce__(self):
+        return _scene_of, ({**vars(self), "metadata": dict(self.metadata)},)
 
     def __iter__(self):
         return iter((self.stars, self.detector, self.motion))
 
+    def __eq__(self, other):
+        if not isinstance(other, Scene):
+            return NotImplemented
+        return value_key(self) == value_key(other)
+
+    def __hash__(self):
+        return hash(value_key(self))
+
+    def __repr__(self):
+        ny, nx = self.detector.shape
+        stars = f"{len(self.stars)} star{'' if len(self.stars) == 1 else 's'}"
+        name = "" if self.object_name is None else f" {self.object_name}"
+        seed = "" if self.seed is None else f", seed {self.seed}"
+        return (
+            f"<Scene{name} of {stars}, {self.detector.mission}, {len(self.motion)} cadences of "
+            f"{ny} x {nx} pixels{seed}>"
+        )
+
+    def _repr_html_(self):
+        rows = "".join(
+            f"<tr><td>{i}</td><td>{star.mag:g}</td><td>{x:g}</td><td>{y:g}</td></tr>"
+            for i, (star, (x, y)) in enumerate(zip(self.stars, self.positions, strict=True), 1)
+        )
+        lines = (repr(part).replace("<", "&lt;") for part in (self, self.detector, self.motion))
+        return (
+            "<p>" + "<br>".join(lines) + "</p><table><tr><th>star</th><th>magnitude</th>"
+            f"<th>x_0 (pixel)</th><th>y_0 (pixel)</th></tr>{rows}</table>"
+        )
+
+    @property
+    def positions(self):
+        """Reference position (x_0, y_0) of each star, pixels; shape (n_stars, 2)."""
+        ny, nx = self.detector.shape
+        return np.array(
+            [
+                (
+                    (nx - 1) / 2 if star.x_0 is None else star.x_0,
+                    (ny - 1) / 2 if star.y_0 is None else star.y_0,
+                )
+                for star in self.stars
+            ]
+        )
+
+    def replace(self, **changes):
+        """Return a scene with some fields changed.
+
+        Parameters
+        ----------
+        **changes
+            Fields of `Scene` and their new values.
+
+        Returns
+        -------
+        Scene
+            The new scene.
+
+        Raises
+        ------
+        TypeError
+            If a field is misspelt.
+
+        Examples
+        --------
+        >>> from scope_models import Detector, Motion, Scene, Star
+        >>> scene = Scene(Star(12.0), Detector.k2(), Motion.still(10))
+        >>> len(scene.replace(motion=Motion.still(20)).motion)
+        20
+        """
+        return replace(self, **{"options": None, **changes})
+
+    def write(self, path, overwrite=False):
+        """Write the scene, without simulating it.
+
+        Parameters
+        ----------
+        path : str or path-like
+            The file, .fits or .fits.gz.
+        overwrite : bool, optional
+            Whether to replace a file.
+
+        Returns
+        -------
+        pathlib.Path
+            The file, for `read`.
+
+        Raises
+        ------
+        OSError
+            If the file exists and is not to be replaced, or cannot be written.
+
+        Examples
+        --------
+        >>> from scope_models import Detector, Motion, Scene, Star
+        >>> scene = Scene(Star(12.0), Detector.k2(), Motion.still(10), seed=1)
+        >>> Scene.read(scene.write("scene.fits")) == scene
+        True
+        """
+        from astropy.io import fits
+
+        relative_flux = [star.relative_flux(self.motion.time) for star in self.stars]
+        columns = scene_columns(self, relative_flux)
+        given = self.detector.interpixel
+        maps = {} if given is None else {"INTERPIXEL": given}
+        hdus = truth_hdus(self.motion.cadenceno, columns, maps, describe_scene(self), None)
+        return write_hdulist(fits.HDUList([fits.PrimaryHDU(), *hdus]), path, overwrite=overwrite)
+
+    @classmethod
+    def read(cls, path):
+        """Read a scene: `read_scene`.
+
+        Parameters
+        ----------
+        path : str or path-like
+            A file of `write`, or a target pixel file that this package wrote.
+
+        Returns
+        -------
+        Scene
+            The scene.
+
+        Examples
+        --------
+        >>> from scope_models import Scene
+        >>> Scene.read("absent.fits")
+        Traceback (most recent call last):
+        FileNotFoundError: no such file: absent.fits
+        """
+        return read_scene(path)
+
+
+def _scene_of(values):
+    """Return the scene of its fields."""
+    return Scene(**values)
+
+
+def _options(scene):
+    """Fields beside stars, detector and motion that differ from their defaults, and the seed."""
+    options = {"seed": scene.seed, "noise": sorted(scene.noise), "n_sub": scene.n_sub}
+    identity = {name: getattr(scene, name) for name in _IDENTITY}
+    options |= {name: value for name, value in identity.items() if value is not None}
+    return options | ({"metadata": dict(scene.metadata)} if scene.metadata else {})
+
+
+# An argument of the same name is deprecated; dataclasses take the default of the two apart.
+Scene.options = property(_options, doc=_options.__doc__)
+
+
+def _checked_stars(stars):
+    """Return one star or several as a tuple."""
+    if isinstance(stars, Star):
+        return (stars,)
+    if not isinstance(stars, Iterable):
+        raise TypeError(f"`stars` must be a Star or a sequence of them, got {stars!r}")
+    stars = tuple(stars)
+    if not stars:
+        raise ValueError("`stars` must hold at least one star")
+    for star in stars:
+        if not isinstance(star, Star):
+            raise TypeError(f"`stars` must hold Star objects, got {star!r}")
+    return stars
+
 
 def read_scene(path):
-    """Read the scene from a target pixel file that this package wrote.
+    """Read a scene from a file of `Scene.write` or of `~scope_models.Observation.write`.
 
     Parameters
     ----------
@@ -69,7 +316,7 @@ def read_scene(path):
     Returns
     -------
     Scene
-        The stars, detector, motion and options. Signals are given as arrays, cadence by cadence.
+        The scene. Signals are given as arrays, cadence by cadence.
 
     Raises
     ------
@@ -83,8 +330,7 @@ def read_scene(path):
     >>> from scope_models.scene import read_scene
     >>> observation = simulate(Star(12.0), Detector.k2(), Motion.still(10), seed=1)
     >>> path = observation.write("star.fits")
-    >>> scene = read_scene(path)
-    >>> again = simulate(*scene, **scene.options)
+    >>> again = simulate(read_scene(path))
     >>> np.array_equal(again.flux, observation.flux)
     True
     """
@@ -93,9 +339,9 @@ def read_scene(path):
         raise ValueError(f"{path} holds no scene to simulate again")
     if truth.scene["version"] > _VERSION:
         raise ValueError(f"{path} holds a scene of a later version of this package")
-    detector = _detector(truth.scene["detector"], truth.maps["INTERPIXEL"])
-    stars = [_star(star, i, truth.table) for i, star in enumerate(truth.scene["stars"], start=1)]
-    table, described = truth.table, truth.scene["motion"]
+    detector = _detector(truth.scene["detector"], truth.maps.get("INTERPIXEL"))
+    stars = [_star(star, i, truth.columns) for i, star in enumerate(truth.scene["stars"], start=1)]
+    table, described = truth.columns, truth.scene["motion"]
     motion = Motion(
         time=table["TIME"],
         x=table["MOTION_X"],
@@ -105,7 +351,7 @@ def read_scene(path):
         time_format=described["time_format"],
         meta=described["meta"],
     )
-    return Scene(tuple(stars), detector, motion, truth.scene["options"])
+    return Scene(stars, detector, motion, **truth.scene["options"])
 
 
 def read_detector(path):
@@ -173,9 +419,9 @@ def describe_scene(scene):
         "detector": _describe_detector(scene.detector),
         "motion": {
             "time_format": scene.motion.time_format,
-            "meta": {key: _plain(value) for key, value in scene.motion.meta.items()},
+            "meta": _for_json(scene.motion.meta),
         },
-        "options": dict(scene.options or {}),
+        "options": _for_json(scene.options),
     }
 
 
@@ -251,8 +497,12 @@ def _star(described, number, table):
     return Star(described["mag"], described["x_0"], described["y_0"], psf, signal)
 
 
-def _plain(value):
+def _for_json(value):
     """Return a value that JSON can hold."""
     if isinstance(value, np.generic):
         return value.item()
+    if isinstance(value, Mapping):
+        return {str(key): _for_json(item) for key, item in value.items()}
+    if isinstance(value, tuple | list):
+        return [_for_json(item) for item in value]
     return value if isinstance(value, (str, int, float, bool, type(None))) else str(value)

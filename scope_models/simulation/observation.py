@@ -2,77 +2,19 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
 from scope_models._checks import checked_mask
-from scope_models.io import TPFMetadata, make_tpf_hdulist, write_tpf
+from scope_models.io import TPFMetadata, Truth, make_tpf_hdulist, write_tpf
 from scope_models.missions import MISSIONS, TIME_ZEROS
-from scope_models.photometry import signal_to_noise_aperture
-from scope_models.scene.detector import Detector
-from scope_models.scene.motion import Motion
-from scope_models.scene.scene import Scene, describe_scene, scene_columns
-from scope_models.scene.star import Star
-from scope_models.simulation._light import Light
+from scope_models.scene.scene import Scene
+from scope_models.simulation._light import fill_wells, gather, pieces, share_of_target, star_lights
 
-__all__ = ["Observation", "Truth"]
+__all__ = ["Observation"]
 
-# Cadences that are enough to choose an aperture.
-_APERTURE_CADENCES = 64
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class Truth:
-    """What lies behind the pixels of an observation.
-
-    Parameters
-    ----------
-    x, y : ndarray of shape (n_stars, n_cadences)
-        Column and row of each star, the mean over the cadence, pixels.
-    relative_flux : ndarray of shape (n_stars, n_cadences)
-        Flux of each star, 1 at its magnitude.
-    flux : ndarray of shape (n_stars,)
-        Flux of each star at its magnitude, e-/s, before the response of the pixels.
-    lost_fraction : ndarray of shape (n_stars,)
-        Part of each star's light that falls off the stamp where the motion takes it farthest.
-    interpixel : ndarray of shape (ny, nx)
-        Response of each pixel against the others.
-    detector : Detector
-        The detector.
-    seed : int
-        The seed, given or taken from the operating system.
-    noise : frozenset of str
-        The noise terms.
-    n_sub : int
-        Exposures within a cadence over which the motion is averaged.
-    model : ndarray of shape (n_cadences, ny, nx) or None
-        Expected flux without noise and background, e-/s, if ``keep_model`` asked for it.
-        `~scope_models.Observation.model` computes it at any time.
-
-    Examples
-    --------
-    >>> from scope_models import Detector, Motion, Star, simulate
-    >>> observation = simulate(Star(12.0, x_0=4.5), Detector.k2(), Motion.still(50), seed=1)
-    >>> observation.truth.seed, float(observation.truth.x[0, 0])
-    (1, 4.5)
-    """
-
-    x: np.ndarray
-    y: np.ndarray
-    relative_flux: np.ndarray
-    flux: np.ndarray
-    lost_fraction: np.ndarray
-    interpixel: np.ndarray
-    detector: Detector
-    seed: int
-    noise: frozenset
-    n_sub: int
-    model: np.ndarray | None = None
-
-    def __repr__(self):
-        terms = ", ".join(sorted(self.noise)) or "none"
-        return f"<Truth of {len(self.flux)} stars, seed {self.seed}, noise: {terms}>"
+# Fields of a scene that are fields of a file's metadata, too.
+_IDENTITY = ("target_id", "object_name", "ra", "dec", "orientation", "column", "row")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -92,14 +34,14 @@ class Observation:
         Background that was subtracted, e-/s. It is the true level.
     raw_cnts : ndarray of int, shape (n_cadences, ny, nx)
         Digital numbers of the whole cadence, with background and fixed offset.
-    stars : tuple of Star
-        The stars; the first is the target.
-    detector : Detector
-        The detector.
-    motion : Motion
-        The motion; time, quality and cadence numbers are its own.
-    truth : Truth
+    scene : Scene
+        The scene, with its seed: ``simulate(scene)`` gives the same pixels again.
+    truth : ~scope_models.io.Truth
         What lies behind the pixels.
+    aperture : ndarray of bool, shape (ny, nx)
+        Pixels of the highest signal-to-noise ratio of the target; all if it has no light there.
+    star_images : ndarray of shape (n_stars, ny, nx)
+        Mean flux of each star in the pixels, with their response, before saturation, e-/s.
 
     Examples
     --------
@@ -116,13 +58,13 @@ class Observation:
     flux_err: np.ndarray
     flux_bkg: np.ndarray
     raw_cnts: np.ndarray
-    stars: tuple[Star, ...]
-    detector: Detector
-    motion: Motion
+    scene: Scene
     truth: Truth
+    aperture: np.ndarray
+    star_images: np.ndarray
 
     def __post_init__(self):
-        for cube in (self.flux, self.flux_err, self.raw_cnts):
+        for cube in (self.flux, self.flux_err, self.raw_cnts, self.aperture, self.star_images):
             cube.flags.writeable = False
 
     def __repr__(self):
@@ -132,6 +74,21 @@ class Observation:
             f"<Observation {self.detector.mission}: {n} cadences of {ny} x {nx} pixels, {stars}, "
             f"seed {self.truth.seed}>"
         )
+
+    @property
+    def stars(self):
+        """The stars; the first is the target."""
+        return self.scene.stars
+
+    @property
+    def detector(self):
+        """The detector."""
+        return self.scene.detector
+
+    @property
+    def motion(self):
+        """The motion; time, quality and cadence numbers are its own."""
+        return self.scene.motion
 
     @property
     def time(self):
@@ -153,22 +110,6 @@ class Observation:
         """Error of the background, e-/s: 0, for its level is known."""
         return np.broadcast_to(np.float32(0), self.flux.shape)
 
-    @property
-    def scene(self):
-        """The stars, detector, motion and options: ``simulate(*scene, **scene.options)``."""
-        options = {
-            "seed": self.truth.seed,
-            "noise": sorted(self.truth.noise),
-            "n_sub": self.truth.n_sub,
-        }
-        return Scene(self.stars, self.detector, self.motion, options)
-
-    @cached_property
-    def _light(self):
-        """What renders the expected light again."""
-        truth = self.truth
-        return Light(self.stars, self.detector, self.motion, truth.seed, truth.n_sub)
-
     def model(self):
         """Return the expected flux, without noise and background.
 
@@ -187,47 +128,20 @@ class Observation:
         """
         if self.truth.model is not None:
             return self.truth.model
-        light = self._light
+        lights, interpixel = star_lights(self.scene), self.truth.interpixel
+        background = self.detector.background * interpixel * self.detector.exposure_time
         model = np.empty(self.flux.shape)
-        for cadences in light.pieces():
-            model[cadences] = light.electrons(cadences)
-        model /= self.detector.exposure_time
+        for part in pieces(self.scene):
+            electrons = gather(self.scene, lights, interpixel, part)
+            fill_wells(self.scene, electrons, background)
+            np.divide(electrons, self.detector.exposure_time, out=model[part])
         return model
-
-    @cached_property
-    def aperture(self):
-        """Pixels of the highest signal-to-noise ratio of the target, shape (ny, nx).
-
-        All pixels if the target has no light on the stamp.
-        """
-        target, others = self._images
-        if not target.any():
-            return np.ones(self.detector.shape, dtype=bool)
-        detector = self.detector
-        return signal_to_noise_aperture(
-            target,
-            detector.exposure_time,
-            neighbors=others,
-            background=self.flux_bkg[0],
-            read_noise=detector.read_noise,
-            n_frames=detector.n_reads,
-        )
-
-    @cached_property
-    def _images(self):
-        """Noise-free images of the target and of all others, in some cadences."""
-        light = self._light
-        some = slice(None, None, -(-len(self.motion) // _APERTURE_CADENCES))
-        target = light.star(0, some) * light.interpixel
-        others = np.zeros_like(target)
-        for number in range(1, len(self.stars)):
-            others += light.star(number, some) * light.interpixel
-        return target, others
 
     def target_share(self, aperture_mask=None):
         """Return the target's share in the starlight of an aperture, cadence by cadence.
 
-        One minus it is the contamination: a signal of the target is diluted by the share.
+        One minus it is the contamination: a signal of the target is diluted by the share. For
+        other pixels than those of `aperture`, the stars are rendered again.
 
         Parameters
         ----------
@@ -247,23 +161,21 @@ class Observation:
         >>> observation.target_share().round(2)
         array([0.86, 0.86, 0.86])
         """
-        return _share(self._light_in(self._checked_aperture(aperture_mask)))
+        aperture = self._checked_aperture(aperture_mask)
+        if np.array_equal(aperture, self.aperture):
+            return self.truth.target_share
+        weights = self.truth.interpixel * aperture
+        sums = np.zeros((len(self.stars), len(self.motion)))
+        for number, light in enumerate(star_lights(self.scene)):
+            for part in pieces(self.scene):
+                sums[number, part] = np.tensordot(light.images(part), weights[light.window], axes=2)
+        return share_of_target(sums)
 
     def _checked_aperture(self, aperture_mask):
         """Return the pixels of an aperture."""
         if aperture_mask is None:
             return self.aperture
         return checked_mask("aperture_mask", aperture_mask, self.detector.shape)
-
-    def _light_in(self, aperture):
-        """Return the flux of each star in an aperture, shape (n_stars, n_cadences)."""
-        light = self._light
-        sums = np.empty((len(self.stars), len(self.motion)))
-        for cadences in light.pieces():
-            for number in range(len(self.stars)):
-                images = light.star(number, cadences)[:, aperture]
-                sums[number, cadences] = images @ light.interpixel[aperture]
-        return sums
 
     def to_tpf(self, *, aperture_mask=None, metadata=None, quality_bitmask="default"):
         """Return the observation as lightkurve's target pixel file.
@@ -373,38 +285,43 @@ class Observation:
         arguments = self._tpf_arguments(metadata, aperture_mask)
         return write_tpf(path, overwrite=overwrite, **arguments)
 
-    def _metadata(self, changes, light):
-        """Return the facts for the headers, given the flux of each star in the aperture."""
+    def _metadata(self, changes, aperture):
+        """Return the facts for the headers of a file with an aperture."""
         detector, target = self.detector, self.stars[0]
         if detector.mission not in MISSIONS:
             raise ValueError(
                 f"`mission` must be Kepler, K2 or TESS to make a target pixel file, got "
                 f"{detector.mission!r}"
             )
-        x_0, y_0 = self._light.positions[0]
+        x_0, y_0 = self.scene.positions[0].tolist()
         facts = {
             "target_id": 1,
             "magnitude": target.mag,
             "x_0": x_0,
             "y_0": y_0,
-            "seed": self.truth.seed,
-        } | dict(changes or {})
-        facts["extra_cards"] = self._aperture_cards(light) | dict(facts.get("extra_cards") or {})
-        return TPFMetadata.of(detector, **facts)
+            "seed": self.scene.seed,
+        }
+        identity = {name: getattr(self.scene, name) for name in _IDENTITY}
+        facts |= {name: value for name, value in identity.items() if value is not None}
+        facts |= self.scene.metadata | dict(changes or {})
+        extra = facts.get("extra_cards") or {}
+        facts["extra_cards"] = self._aperture_cards(aperture) | dict(extra)
+        return TPFMetadata.of(self.detector, **facts)
 
-    def _aperture_cards(self, light):
-        """Return the cards on the target's light in the aperture."""
-        own = light[0].sum()
-        if not own > 0:
+    def _aperture_cards(self, aperture):
+        """Return the cards on the target's light in an aperture."""
+        light = self.star_images[:, aperture].sum(axis=1)
+        if not light[0] > 0:
             return {}
-        total = self.truth.flux[0] * self.truth.relative_flux[0].sum()
-        return {"CROWDSAP": float(own / light.sum()), "FLFRCSAP": float(own / total)}
+        total = self.truth.flux[0] * self.truth.relative_flux[0].mean()
+        return {"CROWDSAP": float(light[0] / light.sum()), "FLFRCSAP": float(light[0] / total)}
 
     def _tpf_arguments(self, metadata: Mapping | None, aperture_mask):
         """Return what the writer of target pixel files takes."""
         aperture = self._checked_aperture(aperture_mask)
-        light = self._light_in(aperture)
-        metadata = self._metadata(metadata, light)
+        metadata = self._metadata(metadata, aperture)
+        truth = {name: v for name, v in self.truth.columns.items() if name != "CADENCENO"}
+        truth["TARGET_SHARE"] = self.target_share(aperture)
         zero = MISSIONS[metadata.mission].time_zero
         return {
             "metadata": metadata,
@@ -419,21 +336,8 @@ class Observation:
             "pos_corr1": self.motion.x,
             "pos_corr2": self.motion.y,
             "aperture": aperture,
-            "truth_columns": self._truth_columns(light),
-            "truth_maps": {"INTERPIXEL": self.truth.interpixel},
-            "scene": describe_scene(self.scene),
+            "truth_columns": truth,
+            "truth_maps": self.truth.maps,
+            "truth_tables": self.truth.tables or None,
+            "scene": self.truth.scene,
         }
-
-    def _truth_columns(self, light):
-        """Return the truth of each cadence as columns of a table."""
-        columns = scene_columns(self.scene, self.truth.relative_flux)
-        columns["TARGET_SHARE"] = _share(light)
-        for i, (x, y) in enumerate(zip(self.truth.x, self.truth.y, strict=True), start=1):
-            columns |= {f"X{i}": x, f"Y{i}": y}
-        return columns
-
-
-def _share(light):
-    """Return the target's share in the flux of all stars, NaN where there is none."""
-    total = light.sum(axis=0)
-    return np.divide(light[0], total, out=np.full(len(total), np.nan), where=total > 0)

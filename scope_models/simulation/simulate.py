@@ -1,7 +1,6 @@
-"""The simulator: stars, a detector and a motion give pixels, and the truth behind them."""
+"""The simulator: a scene gives pixels, and the truth behind them."""
 
 import warnings
-from collections.abc import Iterable
 
 import numpy as np
 
@@ -9,18 +8,24 @@ from scope_models._checks import checked_integer
 from scope_models.effects.noise import (
     add_quantization,
     add_read_noise,
-    check_seed,
     fresh_seed,
-    noise_terms,
     poisson_counts,
     stream,
 )
 from scope_models.exceptions import LostLightWarning
-from scope_models.scene.detector import Detector
-from scope_models.scene.motion import Motion
-from scope_models.scene.star import Star
-from scope_models.simulation._light import Light
-from scope_models.simulation.observation import Observation, Truth
+from scope_models.io import Truth
+from scope_models.photometry import signal_to_noise_aperture
+from scope_models.scene.scene import Scene, describe_scene, scene_columns
+from scope_models.simulation._light import (
+    StarSums,
+    fill_wells,
+    gather,
+    lost_fractions,
+    pieces,
+    share_of_target,
+    star_lights,
+)
+from scope_models.simulation.observation import Observation
 
 __all__ = ["simulate"]
 
@@ -29,11 +34,11 @@ _LARGEST_LOSS = 0.05
 _LARGEST_COUNT = np.iinfo(np.int32).max
 # Standard deviation of the rounding of a number near 1 to single precision.
 _ROUNDING = float(np.finfo(np.float32).eps) / 12**0.5
+# Cadences that are enough to choose an aperture.
+_APERTURE_CADENCES = 64
 
 
-def simulate(
-    stars, detector, motion, *, seed=None, noise=True, n_sub=1, keep_model=False, chunk_size=None
-):
+def simulate(stars, detector=None, motion=None, *, keep_model=False, chunk_size=None, **options):
     """Simulate what a detector records of moving stars.
 
     The expected electrons of all stars come first: each PSF times the sensitivity of the pixels
@@ -43,28 +48,21 @@ def simulate(
 
     Parameters
     ----------
-    stars : Star or sequence of Star
-        The stars; the first is the target.
-    detector : Detector
-        The pixels.
-    motion : Motion
-        The motion that all stars share.
-    seed : int, optional
-        The seed of the interpixel map and of all noise, which the truth of the observation holds.
-        None takes one from the operating system.
-    noise : bool or str or iterable of str, optional
-        True for photon, background and read noise, False for none, or names out of "photon",
-        "background", "read" and "quantization". The level of the background is subtracted in any
-        case.
-    n_sub : int, optional
-        Exposures within a cadence over which the motion is averaged. Positions are interpolated
-        between the middles of the cadences by straight lines, and stay before the first and after
-        the last. The relative flux is a mean over the cadence in any case.
+    stars : Scene, or Star or sequence of Star
+        A scene, or the stars of one; the first is the target.
+    detector : Detector, optional
+        The pixels, unless a scene is given.
+    motion : Motion, optional
+        The motion that all stars share, unless a scene is given.
     keep_model : bool, optional
         Whether the truth keeps the noise-free cube.
     chunk_size : int, optional
-        Cadences per piece of work; the default is a size that suits the processor's cache. It
-        does not change the result.
+        Cadences per piece of work, rounded up to a multiple of 16; the default is a size that
+        suits the processor's cache. It does not change the result.
+    **options
+        Other fields of `~scope_models.Scene`: ``seed``, ``noise`` (default True), ``n_sub``
+        (default 1), and what identifies the target, as ``target_id``. With a scene, they replace
+        its own.
 
     Returns
     -------
@@ -104,54 +102,92 @@ def simulate(
     >>> observation.truth.x.shape
     (2, 100)
     """
-    stars = _checked_stars(stars)
-    for name, value, kind in (("detector", detector, Detector), ("motion", motion, Motion)):
-        if not isinstance(value, kind):
-            raise TypeError(f"`{name}` must be a {kind.__name__}, got {value!r}")
-    seed = fresh_seed() if seed is None else check_seed(seed)
-    terms = noise_terms(noise)
-    n_sub = checked_integer("n_sub", n_sub, 1)
+    scene = _checked_scene(stars, detector, motion, options)
     if chunk_size is not None:
         chunk_size = checked_integer("chunk_size", chunk_size, 1)
-    light = Light(stars, detector, motion, seed, n_sub)
-    lost = light.lost_fractions()
-    _warn_of_lost_light(light.positions, lost, detector.shape)
-    cubes = _record(light, terms, seed, light.pieces(chunk_size), keep_model)
-    _warn_of_spilled_charge(light.largest_spill, detector.shape)
-    truth = _truth(light, seed, terms, lost, cubes.pop("model"))
-    background = (light.background / detector.exposure_time).astype(np.float32)
-    cubes["flux_bkg"] = np.broadcast_to(background, cubes["flux"].shape)
-    return Observation(stars=stars, detector=detector, motion=motion, truth=truth, **cubes)
-
-
-def _record(light, terms, seed, pieces, keep_model):
-    """Return the cubes of an observation, made piece by piece."""
-    detector = light.detector
-    shape = (len(light.motion), *detector.shape)
-    streams = {term: stream(seed, term) for term in terms}
+    lights = star_lights(scene)
+    lost = lost_fractions(scene)
+    _warn_of_lost_light(scene, lost)
+    interpixel = scene.detector.interpixel_map(scene.seed)
+    aperture = _choose_aperture(scene, lights, interpixel)
+    sums = StarSums(
+        np.zeros((len(lights), *scene.detector.shape)), np.zeros((len(lights), len(scene.motion)))
+    )
     cubes = {
-        "flux": np.empty(shape, np.float32),
-        "flux_err": np.empty(shape, np.float32),
-        "raw_cnts": np.empty(shape, np.int32),
-        "model": np.empty(shape) if keep_model else None,
+        "flux": np.empty((len(scene.motion), *scene.detector.shape), np.float32),
+        "flux_err": np.empty((len(scene.motion), *scene.detector.shape), np.float32),
+        "raw_cnts": np.empty((len(scene.motion), *scene.detector.shape), np.int32),
     }
-    for part in pieces:
-        expected = light.electrons(part)
+    model = np.empty(cubes["flux"].shape) if keep_model else None
+    background = scene.detector.background * interpixel * scene.detector.exposure_time
+    streams = {term: stream(scene.seed, term) for term in scene.noise}
+    spilled = 0.0
+    for part in pieces(scene, chunk_size):
+        expected = gather(scene, lights, interpixel, part, sums, aperture)
+        spilled = max(spilled, fill_wells(scene, expected, background))
         if keep_model:
-            np.divide(expected, detector.exposure_time, out=cubes["model"][part])
-        electrons = _detect(expected, light.background, detector, streams)
-        cubes["raw_cnts"][part] = _digital_numbers(electrons, detector)
-        electrons -= light.background
-        electrons /= detector.exposure_time
-        cubes["flux"][part] = electrons
-        error = _variance(expected, light.background, detector, terms)
-        np.sqrt(error, out=error)
-        error /= detector.exposure_time
-        rounding = np.maximum(np.abs(electrons, out=electrons), 1.0, out=electrons)
-        rounding *= _ROUNDING
-        np.maximum(error, rounding, out=error)
-        cubes["flux_err"][part] = error
-    return cubes
+            np.divide(expected, scene.detector.exposure_time, out=model[part])
+        _record(expected, background, scene, streams, {k: cube[part] for k, cube in cubes.items()})
+    _warn_of_spilled_charge(spilled, scene.detector.shape)
+    sums.images *= interpixel
+    level = (background / scene.detector.exposure_time).astype(np.float32)
+    return Observation(
+        **cubes,
+        flux_bkg=np.broadcast_to(level, cubes["flux"].shape),
+        scene=scene,
+        truth=_truth(scene, lights, lost, interpixel, share_of_target(sums.in_aperture), model),
+        aperture=aperture,
+        star_images=sums.images / len(scene.motion),
+    )
+
+
+def _checked_scene(stars, detector, motion, options):
+    """Return the scene of the arguments, with a seed."""
+    if isinstance(stars, Scene):
+        if detector is not None or motion is not None:
+            raise TypeError("a Scene holds detector and motion: `Scene.replace` changes them")
+        scene = stars.replace(**options) if options else stars
+    else:
+        scene = Scene(stars, detector, motion, **options)
+    return scene.replace(seed=fresh_seed()) if scene.seed is None else scene
+
+
+def _choose_aperture(scene, lights, interpixel):
+    """Return the pixels of the highest signal-to-noise ratio of the target in some cadences."""
+    detector, n = scene.detector, len(scene.motion)
+    some = slice(None, None, -(-n // _APERTURE_CADENCES))
+    images = np.zeros((2, len(range(n)[some]), *detector.shape))
+    for number, light in enumerate(lights):
+        images[min(number, 1), :, *light.window] += light.images(some)
+    images *= interpixel
+    target, others = images
+    if not target.any():
+        return np.ones(detector.shape, dtype=bool)
+    return signal_to_noise_aperture(
+        target,
+        detector.exposure_time,
+        neighbors=others,
+        background=(detector.background * interpixel).astype(np.float32),
+        read_noise=detector.read_noise,
+        n_frames=detector.n_reads,
+    )
+
+
+def _record(expected, background, scene, streams, cubes):
+    """Write what a slice of cadences records of the expected electrons into its cubes."""
+    detector = scene.detector
+    electrons = _detect(expected, background, detector, streams)
+    cubes["raw_cnts"][...] = _digital_numbers(electrons, detector)
+    electrons -= background
+    electrons /= detector.exposure_time
+    cubes["flux"][...] = electrons
+    error = _variance(expected, background, detector, scene.noise)
+    np.sqrt(error, out=error)
+    error /= detector.exposure_time
+    rounding = np.maximum(np.abs(electrons, out=electrons), 1.0, out=electrons)
+    rounding *= _ROUNDING
+    np.maximum(error, rounding, out=error)
+    cubes["flux_err"][...] = error
 
 
 def _detect(expected, background, detector, streams):
@@ -194,47 +230,24 @@ def _digital_numbers(electrons, detector):
     return np.minimum(counts, _LARGEST_COUNT, out=counts)
 
 
-def _truth(light, seed, terms, lost, model):
+def _truth(scene, lights, lost, interpixel, share, model):
     """Return what lies behind the pixels."""
-    x, y = (offsets.mean(axis=1) for offsets in light.offsets(slice(None)))
-    positions = np.array(light.positions)
-    truth = Truth(
-        x=positions[:, :1] + x,
-        y=positions[:, 1:] + y,
-        relative_flux=light.relative_flux,
-        flux=np.array(light.fluxes),
-        lost_fraction=lost,
-        interpixel=light.interpixel,
-        detector=light.detector,
-        seed=seed,
-        noise=terms,
-        n_sub=light.n_sub,
-        model=model,
-    )
-    for value in vars(truth).values():
-        if isinstance(value, np.ndarray):
-            value.flags.writeable = False
-    return truth
+    columns = {"CADENCENO": scene.motion.cadenceno}
+    columns |= scene_columns(scene, [light.relative_flux for light in lights])
+    columns["TARGET_SHARE"] = share
+    for i, light in enumerate(lights, start=1):
+        columns |= {f"X{i}": light.x.mean(axis=1), f"Y{i}": light.y.mean(axis=1)}
+    found = {"flux": [light.flux for light in lights], "lost_fraction": lost.tolist()}
+    if model is not None:
+        model.flags.writeable = False
+    described = describe_scene(scene) | {"found": found}
+    return Truth(columns, {"INTERPIXEL": interpixel}, described, model=model)
 
 
-def _checked_stars(stars):
-    """Return one star or several as a tuple."""
-    if isinstance(stars, Star):
-        return (stars,)
-    if not isinstance(stars, Iterable):
-        raise TypeError(f"`stars` must be a Star or a sequence of them, got {stars!r}")
-    stars = tuple(stars)
-    if not stars:
-        raise ValueError("`stars` must hold at least one star")
-    for star in stars:
-        if not isinstance(star, Star):
-            raise TypeError(f"`stars` must hold Star objects, got {star!r}")
-    return stars
-
-
-def _warn_of_lost_light(positions, lost, shape):
+def _warn_of_lost_light(scene, lost):
     """Warn of stars whose light falls off the stamp."""
-    for (x_0, y_0), fraction in zip(positions, lost, strict=True):
+    shape = scene.detector.shape
+    for (x_0, y_0), fraction in zip(scene.positions, lost, strict=True):
         if fraction > _LARGEST_LOSS:
             warnings.warn(
                 f"the star at x_0 = {x_0:g}, y_0 = {y_0:g} loses up to {100 * fraction:.1f} % of "

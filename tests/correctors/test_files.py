@@ -60,6 +60,62 @@ def test_tess_file(shared_data, tmp_path):
     np.testing.assert_allclose(lc.flux.value, corrector.corrected_lc.flux.value, rtol=1e-6)
 
 
+@pytest.mark.parametrize(
+    "name",
+    [
+        "k2_tpf/ktwo211983544-c18_lpd-targ.fits.gz",
+        "tess_tpf/tesssip_tpf1.fits",
+    ],
+)
+def test_cards_that_stay_true_are_kept(shared_data, tmp_path, name):
+    detrend_file(shared_data / name, tmp_path / "lc.fits", order=1)
+    with fits.open(shared_data / name) as before, fits.open(tmp_path / "lc.fits") as after:
+        for i, keywords in enumerate(
+            [
+                "OBJECT INSTRUME TELESCOP MISSION CHANNEL CAMPAIGN KEPMAG TESSMAG SECTOR CCD PMRA",
+                "OBJECT TIMESYS TIMEREF INT_TIME NUM_FRM TIMEDEL GAIN READNOIA TIMEPIXR DEADC",
+                "CRVAL1 CRVAL2 PC1_1 CRVAL1P CRVAL2P",
+            ]
+        ):
+            for keyword in set(keywords.split()) & set(before[i].header):
+                assert after[i].header[keyword] == before[i].header[keyword], keyword
+        assert after["APERTURE"].header["NPIXSAP"] == (after["APERTURE"].data & 2 > 0).sum()
+        collected = before["APERTURE"].data & ~2
+        np.testing.assert_array_equal(after["APERTURE"].data & ~2, collected)
+        for gone in ("CDPP6_0", "CROWDSAP", "EXPOSURE", "1CRV5P", "TDIM5"):
+            assert gone not in after[1].header
+        time = after[1].data["TIME"]
+        known = time[np.isfinite(time)]
+        header = after[1].header
+        half = header["TIMEDEL"] / 2
+        assert header["TSTART"] == pytest.approx(known[0] - half, abs=1e-9)
+        assert header["TSTOP"] == pytest.approx(known[-1] + half, abs=1e-9)
+        after.verify("exception")
+        assert all({"CHECKSUM", "DATASUM"} <= set(hdu.header) for hdu in after)
+
+
+def test_input_is_never_replaced(tpf_file, tmp_path):
+    before = tpf_file.read_bytes()
+    link = tmp_path / "link.fits"
+    link.symlink_to(tpf_file)
+    for options in ({"output": tpf_file}, {"output": link}):
+        with pytest.raises(ValueError, match=r"it is the input .*star\.fits"):
+            detrend_file(tpf_file, overwrite=True, order=1, **options)
+    for figure in (link, tmp_path / "lc.fits"):
+        with pytest.raises(ValueError, match="it is the input"):
+            detrend_file(tpf_file, tmp_path / "lc.fits", figure=figure, overwrite=True, order=1)
+    assert tpf_file.read_bytes() == before
+
+
+def test_figure_is_checked_before_any_work(tpf_file, tmp_path):
+    for name in ("lc.xyz", "figure"):
+        with pytest.raises(ValueError, match=rf"cannot write .*{name}: the formats of figures are"):
+            detrend_file(tpf_file, tmp_path / "lc.fits", figure=tmp_path / name)
+    with pytest.raises(FileNotFoundError, match="there is no folder"):
+        detrend_file(tpf_file, tmp_path / "lc.fits", figure=tmp_path / "absent" / "lc.png")
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_existing_files_are_kept(tpf_file, tmp_path):
     output = tmp_path / "lc.fits"
     output.write_text("mine")

@@ -210,8 +210,8 @@ def test_parameters_and_variances_of_groups(solution):
 
 def test_transit_coefficient(solution):
     column = np.where(np.abs(solution.time - 4) < 0.5, -0.02, 0.0)[:, None]
-    n_trend = solution.flat.shape[1]
-    found, error = solution.with_flat(column, n_trend, solution.use).flat_coefficient(-1)
+    solution = replace(solution, n_trend=solution.flat.shape[1])
+    found, error = solution.with_flat(column, solution.use).flat_coefficient(-1)
     dense = dense_covariance(solution.data, solution.hyper)
     m = column[solution.use, 0]
     precision = m @ np.linalg.solve(dense, m) + 0.02**2 / flat_variance(solution.data)

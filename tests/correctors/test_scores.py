@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from scope_models.correctors import PLDCorrector
-from scope_models.correctors._scores import residual_cdpp, robust_scatter, score
+from scope_models.experiments._correctors import residual_cdpp, robust_scatter, score
 from scope_models.photometry import cdpp
 
 
@@ -56,7 +56,7 @@ def test_held_out_needs_windows(star):
 @pytest.fixture(scope="module")
 def grid(repository):
     """Return the benchmark as a module."""
-    path = repository / "benchmarks" / "pld_grid.py"
+    path = repository / "studies" / "pld_grid.py"
     spec = importlib.util.spec_from_file_location("pld_grid", path)
     module = importlib.util.module_from_spec(spec)
     sys.modules["pld_grid"] = module

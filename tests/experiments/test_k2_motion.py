@@ -7,11 +7,11 @@ import sys
 import matplotlib as mpl
 import numpy as np
 import pytest
+from _response import RollingStars, everest_noise, winged_psf
 
 from scope_models import Detector, Motion, SensitivityPolynomial, integrate_pixels, simulate
 from scope_models.correctors import PLDCorrector
 from scope_models.experiments import STUDIES, run_sweep
-from scope_models.experiments._response import RollingStars, everest_noise, winged_psf
 from scope_models.experiments.k2_motion import K2MotionNoise, field_motion
 from scope_models.experiments.no_motion import NoMotion
 from scope_models.experiments.populations import draw_star, motion_from_name, stamp_around
@@ -207,7 +207,7 @@ def test_epic_205998445(shared_data):
 
 @pytest.mark.slow
 def test_noise_is_that_of_campaign_3(repository):
-    script = repository / "benchmarks" / "check_k2_noise.py"
+    script = repository / "studies" / "check_k2_noise.py"
     result = subprocess.run(
         [sys.executable, script], check=True, capture_output=True, text=True, cwd=repository,
         env={"PYTHONPATH": str(repository), "OMP_NUM_THREADS": "1"},

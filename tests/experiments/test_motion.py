@@ -12,7 +12,7 @@ from matplotlib import pyplot as plt
 from numpy.testing import assert_allclose
 
 from scope_models.cli import main
-from scope_models.experiments import _lightkurve
+from scope_models.experiments import _correctors
 from scope_models.experiments._claims import (
     CLAIMS,
     TRANSIT_CLAIM,
@@ -21,7 +21,7 @@ from scope_models.experiments._claims import (
     kepler_like_to,
     paper_limit,
 )
-from scope_models.experiments._detrended import transit_amplitude
+from scope_models.experiments._correctors import transit_amplitude
 from scope_models.experiments.motion import MotionTest
 from scope_models.experiments.reference import reference_noise
 
@@ -320,12 +320,12 @@ def test_the_best_setting_is_the_lowest_of_each_convention(monkeypatch):
         assert (name, tpf, aperture) == ("lightkurve_pld", "tpf", "aperture")
         return fluxes.get(setting[1])  # order 2 fails
 
-    monkeypatch.setattr(_lightkurve, "correct", fake)
-    lowest, setting = _lightkurve.best_setting("lightkurve_pld", "tpf", "aperture")
+    monkeypatch.setattr(_correctors, "correct", fake)
+    lowest, setting = _correctors.best_setting("lightkurve_pld", "tpf", "aperture")
     assert setting == ("whole", 1)
     assert_allclose(lowest["everest"], 25.7, rtol=0.15)
     fluxes.clear()
-    assert _lightkurve.best_setting("lightkurve_pld", "tpf", "aperture") == ({}, None)
+    assert _correctors.best_setting("lightkurve_pld", "tpf", "aperture") == ({}, None)
 
 
 def test_lightkurve_is_reproducible_and_leaves_the_global_generator_alone(study):
@@ -333,10 +333,10 @@ def test_lightkurve_is_reproducible_and_leaves_the_global_generator_alone(study)
     aperture = np.ones(tpf.shape[1:], dtype=bool)
     np.random.seed(5)  # noqa: NPY002
     expected = np.random.get_state()[1].copy()  # noqa: NPY002
-    first = _lightkurve.correct("lightkurve_pld", ("whole", 2), tpf, aperture)
+    first = _correctors.correct("lightkurve_pld", ("whole", 2), tpf, aperture)
     assert (np.random.get_state()[1] == expected).all()  # noqa: NPY002
     np.random.seed(6)  # noqa: NPY002
-    second = _lightkurve.correct("lightkurve_pld", ("whole", 2), tpf, aperture)
+    second = _correctors.correct("lightkurve_pld", ("whole", 2), tpf, aperture)
     assert (first == second).all()
 
 

@@ -6,9 +6,8 @@ from astropy.table import Table
 
 from scope_models import TransitModel
 from scope_models.experiments import make_study, run_experiment, run_sweep
-from scope_models.experiments._recovered import half_complete
 from scope_models.experiments._search import Found, fit_shape, flattened, isolated, search
-from scope_models.experiments.recovery import Recovery
+from scope_models.experiments.recovery import Recovery, _half_complete
 
 CADENCE = 0.0204336
 
@@ -187,10 +186,10 @@ class TestStudy:
 
 def test_half_complete():
     depths = np.array([50.0, 100.0, 200.0])
-    assert half_complete(depths, np.array([0.0, 0.0, 1.0])) == pytest.approx(141.4, abs=0.1)
-    assert half_complete(depths, np.array([1.0, 0.5, 1.0])) == 0.0
-    assert half_complete(depths, np.array([1.0, 0.0, 0.5])) == 200.0
-    assert half_complete(depths, np.array([1.0, 1.0, 0.4])) == np.inf
+    assert _half_complete(depths, np.array([0.0, 0.0, 1.0])) == pytest.approx(141.4, abs=0.1)
+    assert _half_complete(depths, np.array([1.0, 0.5, 1.0])) == 0.0
+    assert _half_complete(depths, np.array([1.0, 0.0, 0.5])) == 200.0
+    assert _half_complete(depths, np.array([1.0, 1.0, 0.4])) == np.inf
 
 
 @pytest.mark.parametrize(

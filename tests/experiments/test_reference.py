@@ -84,7 +84,7 @@ def test_arguments_are_checked(arguments, message):
 
 
 def test_tables_follow_from_the_catalogues(shared_data, repository, tmp_path):
-    script = repository / "benchmarks" / "derive_reference.py"
+    script = repository / "studies" / "derive_reference.py"
     subprocess.run(
         [sys.executable, script, shared_data / "cdpp", "--output", tmp_path],
         check=True, capture_output=True, cwd=repository, env={"PYTHONPATH": str(repository)},

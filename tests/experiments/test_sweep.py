@@ -5,8 +5,10 @@ import errno
 import json
 import os
 import signal
+import sqlite3
 import subprocess
 import sys
+import threading
 import time
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from multiprocessing import get_context
@@ -15,16 +17,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 from astropy.table import Table
+from astropy.utils.exceptions import AstropyDeprecationWarning
 from sweep_studies import Numbers, Pixels, blas_threads
 
 from scope_models.exceptions import DamagedResultWarning, FailedStarsWarning
 from scope_models.experiments import SweepError, run_experiment, run_sweep
 from scope_models.experiments import _store as store_module
+from scope_models.experiments._store import FILE, Store
 from scope_models.io._atomic import atomic_path
 
+SELECT = "SELECT key, record FROM stars"
 
-def sweep(study, executor=None, directory=None, **options):
-    return run_sweep(study, executor, directory, progress=False, **options)
+
+def sweep(study, client=None, directory=None, **options):
+    return run_sweep(study, directory, client, progress=False, **options)
 
 
 def ecsv(table, path):
@@ -38,10 +44,10 @@ def computed(log):
     return [int(line.split()[0]) for line in path.read_text().splitlines()] if path.exists() else []
 
 
-def lines(directory):
-    """Return the lines on disk."""
-    paths = sorted((directory / "stars").glob("*"))
-    return [line for path in paths for line in path.read_bytes().splitlines(keepends=True)]
+def records(directory):
+    """Return the records on disk by the key of their star."""
+    with contextlib.closing(sqlite3.connect(directory / FILE)) as connection:
+        return {key: json.loads(text) for key, text in connection.execute(SELECT)}
 
 
 class Backwards(Executor):
@@ -172,12 +178,16 @@ class TestExecutors:
 
         assert len(sweep(Numbers(stars=20), Lazy(), in_flight=5).table) == 20
 
-    @pytest.mark.parametrize("executor", ["2", True, 1.5, object()])
-    def test_no_executor(self, executor):
-        with pytest.raises(TypeError, match="`executor` must be an executor, a number of proc"):
-            sweep(Numbers(), executor)
+    @pytest.mark.parametrize("executor", [True, 1.5, object()])
+    def test_no_client(self, executor):
+        with pytest.raises(TypeError, match="`client` must be a client of Dask, an address, a n"):
+            sweep(Numbers(), executor, "run")
 
-    @pytest.mark.parametrize("options", [{"chunk_size": 0}, {"in_flight": 0}, {"executor": 0}])
+    def test_no_address(self):
+        with pytest.raises(ValueError, match="`client` must be an address such as tls://host:8"):
+            sweep(Numbers(), "2", "run")
+
+    @pytest.mark.parametrize("options", [{"chunk_size": 0}, {"in_flight": 0}, {"client": 0}])
     def test_numbers_below_one(self, options):
         with pytest.raises(ValueError, match=f"`{next(iter(options))}` must be at least 1, got 0"):
             sweep(Numbers(), **options)
@@ -189,6 +199,7 @@ class TestExecutors:
         assert "numbers: 100%" in err
         assert "3/3" in err
 
+    @pytest.mark.slow
     def test_dask(self, reference, tmp_path):
         distributed = pytest.importorskip("distributed")
         import warnings
@@ -207,6 +218,58 @@ class TestExecutors:
         assert list(failed.failures["key"]) == ["star3"]
         assert sweep(Numbers(), None, tmp_path / "run").n_computed == 0
 
+    def test_workers_without_dask(self, monkeypatch):
+        monkeypatch.setitem(sys.modules, "distributed", None)
+        with pytest.raises(ModuleNotFoundError, match=r"workers need Dask: python -m pip install"):
+            sweep(Numbers(), 2)
+
+    def test_order_of_the_first_version(self, tmp_path, reference, pool):
+        study = Numbers()
+        for arguments in ((None, str(tmp_path)), (pool, tmp_path)):
+            with pytest.warns(AstropyDeprecationWarning, match="directory comes before the clie"):
+                result = run_sweep(study, *arguments, progress=False)
+            assert result.directory == tmp_path
+        with pytest.warns(AstropyDeprecationWarning, match='"executor" was deprecated'):
+            table = run_sweep(study, executor=pool, progress=False).table
+        assert ecsv(table, tmp_path / "a.ecsv") == reference
+
+
+@pytest.mark.slow
+class TestScheduler:
+    @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
+    def test_workers_listen_on_the_loopback_only(self):
+        class Listening(Numbers):
+            def run_star(self, task):  # noqa: ARG002
+                return {"addresses": " ".join(sorted(listening(os.getppid(), os.getpid())))}
+
+        addresses = set(" ".join(sweep(Listening(stars=2), 1).table["addresses"]).split())
+        assert addresses
+        assert {address.split(":")[0] for address in addresses} == {"0100007F"}
+
+    def test_address(self, reference, tmp_path):
+        with scheduler(tmp_path) as (address, _):
+            table = sweep(Numbers(), address).table
+        assert ecsv(table, tmp_path / "a.ecsv") == reference
+
+    def test_scheduler_that_dies_costs_nothing_that_is_finished(self, tmp_path):
+        log = tmp_path / "log"
+        study = Numbers(stars=40, sleep=0.1, log=str(log))
+        with scheduler(tmp_path) as (address, process):
+
+            def kill():
+                while len(computed(log)) < 6:
+                    time.sleep(0.05)
+                process.kill()
+
+            thread = threading.Thread(target=kill)
+            thread.start()
+            with pytest.raises(SweepError, match=r"the workers are lost, with .* are kept"):
+                sweep(study, address, tmp_path / "run", in_flight=3)
+            thread.join()
+        done = len(records(tmp_path / "run"))
+        assert 3 <= done < 40
+        assert sweep(study, None, tmp_path / "run").n_computed == 40 - done
+
 
 class TestResuming:
     def test_nothing_is_computed_twice(self, tmp_path, reference):
@@ -215,45 +278,48 @@ class TestResuming:
         again = sweep(study, None, tmp_path / "run")
         assert again.n_computed == 0
         assert ecsv(again.table, tmp_path / "a.ecsv") == reference
-        assert len(lines(tmp_path / "run")) == 8
-        assert len(list((tmp_path / "run" / "stars").iterdir())) == 1
+        assert len(records(tmp_path / "run")) == 8
+        assert [path.name for path in (tmp_path / "run").iterdir()] == [FILE]
 
+    @pytest.mark.slow
     def test_killed_run_goes_on(self, tmp_path):
         log, folder, whole = tmp_path / "log", tmp_path / "run", tmp_path / "whole"
         study = Numbers(stars=12, sleep=0.15, log=str(log))
         run_experiment(study, whole, progress=False)
         log.unlink()
-        for workers in (None, 2):
-            kill_after(3, study, folder, workers)
-        done = {json.loads(line.split(b" ", 1)[1])["task"]["index"] for line in lines(folder)}
-        assert 6 <= len(done) < 12
+        for workers, started in ((None, 4), (2, 9)):
+            kill_after(started, study, folder, workers)
+        done = {record["task"]["index"] for record in records(folder).values()}
+        assert 4 <= len(done) < 12
         log.unlink()
         run_experiment(study, folder, progress=False)
         assert computed(log) == [i for i in range(12) if i not in done]
         for name in ("results.ecsv", "summary.ecsv"):
             assert (folder / name).read_bytes() == (whole / name).read_bytes()
 
+    @pytest.mark.slow
     def test_workers_end_with_a_killed_parent(self, tmp_path):
         log = tmp_path / "log"
         study = Numbers(stars=50, sleep=0.1, log=str(log))
-        kill_after(2, study, tmp_path / "run", 2)
+        kill_after(5, study, tmp_path / "run", 2)
         workers = {int(line.split()[1]) for line in log.read_text().splitlines()}
         end = time.monotonic() + 20
         while any(is_running(pid) for pid in workers) and time.monotonic() < end:
             time.sleep(0.05)
         assert not any(is_running(pid) for pid in workers)
 
-    def test_two_runs_in_one_directory(self, tmp_path, reference):
+    def test_second_run_in_one_directory_is_refused(self, tmp_path, reference):
         # as when a job is started twice by mistake
         folder = tmp_path / "run"
-        with ThreadPoolExecutor(2) as threads:
-            runs = [threads.submit(sweep, Numbers(sleep=0.01), None, folder) for _ in range(2)]
-            tables = [run.result().table for run in runs]
-        assert list(tables[0]["noise"]) == list(tables[1]["noise"])
-        again = sweep(Numbers(sleep=0.01), None, folder)
-        assert again.n_computed == 0
-        again.table.meta["sleep"] = 0.0
-        assert ecsv(again.table, tmp_path / "a.ecsv") == reference
+
+        class Twice(Numbers):
+            def run_star(self, task):
+                if task["index"] == 3:
+                    with pytest.raises(OSError, match=r"another run is writing to .*run: wait"):
+                        sweep(Twice(), None, folder)
+                return super().run_star(task)
+
+        assert ecsv(sweep(Twice(), None, folder).table, tmp_path / "a.ecsv") == reference
 
     def test_another_configuration_is_refused(self, tmp_path):
         sweep(Numbers(), None, tmp_path)
@@ -286,7 +352,7 @@ class TestResuming:
     @pytest.mark.parametrize("name", ["results.ecsv", "stars", "figure.png"])
     def test_folder_of_another_origin_is_refused(self, tmp_path, name):
         (tmp_path / name).write_text("mine")
-        with pytest.raises(ValueError, match=f"it has {name}, but no config.json"):
+        with pytest.raises(ValueError, match=f"it has {name}, but no results.sqlite"):
             sweep(Numbers(), None, tmp_path)
         assert (tmp_path / name).read_text() == "mine"
 
@@ -296,7 +362,7 @@ class TestResuming:
 
 
 def kill_after(number, study, folder, workers):
-    """Start an experiment in a process, and kill it when further stars are on disk."""
+    """Start an experiment in a process, and kill it when stars have been started."""
     fields = {name: value for name, value in study.config().items() if name != "study"}
     code = (
         "from scope_models.experiments import run_experiment\n"
@@ -308,17 +374,58 @@ def kill_after(number, study, folder, workers):
     script.write_text(code)
     paths = [str(Path(__file__).parent), *filter(None, sys.path)]
     environment = os.environ | {"PYTHONPATH": os.pathsep.join([os.getcwd(), *paths])}  # noqa: PTH109
-    before = len(lines(folder)) if folder.exists() else 0
     process = subprocess.Popen([sys.executable, str(script)], env=environment)
     try:
         end = time.monotonic() + 60
-        while not (folder / "stars").exists() or len(lines(folder)) < before + number:
+        while len(computed(study.log)) < number:
             assert process.poll() is None, "the run ended by itself"
             assert time.monotonic() < end
             time.sleep(0.01)
     finally:
         process.send_signal(signal.SIGKILL)
         process.wait()
+
+
+@contextlib.contextmanager
+def scheduler(folder):
+    """Start a scheduler with a worker, each a process; give its address and its process."""
+    distributed = pytest.importorskip("distributed")
+    paths = [str(Path(__file__).parent), *filter(None, sys.path)]
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join([os.getcwd(), *paths])}  # noqa: PTH109
+    options = {"env": environment, "stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    file = folder / "scheduler.json"
+    common = ["--host", "127.0.0.1", "--no-dashboard", "--scheduler-file", str(file)]
+    first, second = (
+        subprocess.Popen(
+            [sys.executable, "-m", f"distributed.cli.dask_{part}", *own, *common], **options
+        )
+        for part, own in (
+            ("scheduler", ["--port", "0"]),
+            ("worker", ["--nthreads", "1", "--no-nanny"]),
+        )
+    )
+    try:
+        with distributed.Client(scheduler_file=str(file), timeout=60) as client:
+            client.wait_for_workers(1, timeout=60)
+        yield json.loads(file.read_text())["address"], first
+    finally:
+        for process in (first, second):
+            process.kill()
+            process.wait()
+
+
+def listening(*pids):
+    """Return the addresses on which processes listen, as Linux writes them."""
+    sockets = set()
+    for pid in pids:
+        for link in Path(f"/proc/{pid}/fd").iterdir():
+            with contextlib.suppress(OSError):
+                sockets.add(str(link.readlink()))
+    rows = []
+    for table in ("tcp", "tcp6"):
+        rows += Path(f"/proc/net/{table}").read_text(encoding="utf-8").splitlines()[1:]
+    rows = [row.split() for row in rows]
+    return {row[1] for row in rows if row[3] == "0A" and f"socket:[{row[9]}]" in sockets}
 
 
 def is_running(pid):
@@ -396,6 +503,51 @@ class TestFailures:
             result = sweep(Odd(stars=1))
         assert len(result.table) == 0
 
+    @pytest.mark.parametrize(
+        "value, message",
+        [
+            (10**5000, "`spectrum` of a result must be an integer of at most 64 bits"),
+            ("\ud800", "surrogates not allowed"),
+        ],
+        ids=["integer", "surrogate"],
+    )
+    def test_results_that_no_table_can_hold(self, tmp_path, value, message):
+        class Odd(Numbers):
+            def run_star(self, task):
+                return {"noise": 1.0, "spectrum": value if task["index"] else 1}
+
+        with pytest.warns(FailedStarsWarning, match=message):
+            result = run_experiment(Odd(stars=2), tmp_path, progress=False)
+        assert len(result.failures) == 1
+
+    @pytest.mark.parametrize("name", ["key", "index"])
+    def test_results_with_a_name_of_the_task(self, name):
+        class Odd(Numbers):
+            def run_star(self, task):  # noqa: ARG002
+                return {name: 1}
+
+        with pytest.warns(FailedStarsWarning, match=rf"named as a value of its task: \['{name}'\]"):
+            assert list(sweep(Odd(stars=1)).failures["key"]) == ["star0"]
+
+    @pytest.mark.parametrize(
+        "message", ["x" * 5_000_000, "\ud800 \0", 10**5000], ids=["long", "surrogate", "integer"]
+    )
+    def test_messages_of_any_kind(self, tmp_path, message):
+        class Odd(Numbers):
+            def run_star(self, task):
+                if task["index"]:
+                    raise ValueError(message)
+                return {"noise": 1.0}
+
+        with pytest.warns(FailedStarsWarning, match="1 stars failed"):
+            result = run_experiment(Odd(stars=2), tmp_path, progress=False)
+        table = Table.read(tmp_path / "failures.ecsv")
+        assert table["error"][0].startswith("ValueError")
+        assert len(table["error"][0]) < 1020
+        assert len(result.failures["traceback"][0]) < 4020
+        with pytest.warns(FailedStarsWarning, match="1 stars failed"):
+            assert sweep(Odd(stars=2), None, tmp_path, retry_failed=False).n_computed == 0
+
     def test_process_that_dies_costs_its_own_star(self, tmp_path):
         study = Numbers(deadly=(3,))
         with pytest.warns(FailedStarsWarning, match="1 stars failed, the first one, star3, with W"):
@@ -409,11 +561,12 @@ class TestFailures:
         with (
             ProcessPoolExecutor(1, mp_context=get_context("spawn")) as executor,
             pytest.raises(
-                SweepError, match=r"a worker died, with \d stars in flight \(star20, star21, "
+                SweepError,
+                match=r"the workers are lost, with \d stars in flight \(star20, star21, ",
             ),
         ):
             sweep(study, executor, tmp_path / "run", in_flight=4)
-        assert len(lines(tmp_path / "run")) == 20
+        assert len(records(tmp_path / "run")) == 20
 
     def test_executor_that_gives_stars_up(self):
         class Weak(ThreadPoolExecutor):
@@ -429,6 +582,7 @@ class TestFailures:
             result = sweep(Numbers(), executor)
         assert list(result.failures["key"]) == ["star4"]
 
+    @pytest.mark.slow
     def test_script_without_guard(self, tmp_path):
         script = tmp_path / "script.py"
         script.write_text(
@@ -449,45 +603,47 @@ class TestDamage:
     @pytest.mark.parametrize(
         "damage",
         [
-            lambda line: line[:-20],
-            lambda line: line.replace(b'"noise": ', b'"noise": 1'),
-            lambda line: b"\0" * len(line[:-1]) + b"\n",
-            lambda line: line[:9] + b"\xff" + line[9:],
-            lambda _: b"\n",
+            lambda text: text[:-20],
+            lambda text: text.replace(b'"noise": ', b'"noise": 1'),
+            lambda text: b"\0" * len(text),
+            lambda text: text[:9] + b"\xff" + text[9:],
+            lambda _: b"",
         ],
         ids=["torn", "digit", "zeros", "byte", "empty"],
     )
-    def test_is_reported_and_computed_again(self, tmp_path, reference, damage):
+    def test_of_a_record_is_reported_and_computed_again(self, tmp_path, reference, damage):
         folder = tmp_path / "run"
         sweep(Numbers(), None, folder)
-        (path,) = (folder / "stars").iterdir()
-        kept = path.read_bytes().splitlines(keepends=True)
-        path.write_bytes(b"".join([*kept[:-1], damage(kept[-1])]))
-        with pytest.warns(
-            DamagedResultWarning, match=r"jsonl: damaged results \(line 8\) are left"
-        ):
+        with contextlib.closing(sqlite3.connect(folder / FILE)) as connection:
+            connection.create_function("damage", 1, lambda text: damage(text.encode()))
+            connection.execute("UPDATE stars SET record = damage(record) WHERE key = 'star7'")
+            connection.commit()
+        with pytest.warns(DamagedResultWarning, match=r"damaged results \('star7'\) are left out"):
             result = sweep(Numbers(), None, folder)
         assert result.n_computed == 1
         assert ecsv(result.table, tmp_path / "a.ecsv") == reference
         assert sweep(Numbers(), None, folder).n_computed == 0
 
-    def test_any_bit_of_a_line_is_noticed(self, tmp_path):
-        sweep(Numbers(stars=1), None, tmp_path)
-        (line,) = lines(tmp_path)
-        assert store_module._decoded(line) is not None
-        for i in range(len(line)):
-            for bit in range(8):
-                changed = bytearray(line)
-                changed[i] ^= 1 << bit
-                assert store_module._decoded(bytes(changed)) is None
+    @pytest.mark.parametrize("place", [0, 30])
+    def test_of_the_file(self, tmp_path, place):
+        sweep(Numbers(), None, tmp_path)
+        path = tmp_path / FILE
+        content = bytearray(path.read_bytes())
+        content[place : place + 20] = b"x" * 20
+        path.write_bytes(content)
+        with pytest.raises(ValueError, match=r"results\.sqlite is damaged: choose another dir"):
+            sweep(Numbers(), None, tmp_path)
+        assert path.read_bytes() == content
 
     @pytest.mark.parametrize("text", ["", "{", "[1, 2]", "3"])
-    def test_configuration(self, tmp_path, text):
+    def test_of_the_configuration(self, tmp_path, text):
         sweep(Numbers(), None, tmp_path)
-        (tmp_path / "config.json").write_text(text)
-        with pytest.raises(ValueError, match=r"config\.json is damaged: choose another directory"):
+        with contextlib.closing(sqlite3.connect(tmp_path / FILE)) as connection:
+            connection.execute("UPDATE config SET value = ?", (text,))
+            connection.commit()
+        with pytest.raises(ValueError, match=r"results\.sqlite is damaged: choose another dir"):
             sweep(Numbers(), None, tmp_path)
-        assert len(lines(tmp_path)) == 8
+        assert len(records(tmp_path)) == 8
 
 
 class TestDirectory:
@@ -502,46 +658,37 @@ class TestDirectory:
             sweep(Numbers(log=str(log)), None, tmp_path / "run")
         assert computed(log) == []
 
-    def test_stars_without_permission(self, tmp_path, monkeypatch):
-        log = tmp_path / "log"
-
+    def test_file_without_permission(self, tmp_path, monkeypatch):
         def refused(*_, **__):
-            raise PermissionError(errno.EACCES, "Permission denied")
+            raise sqlite3.OperationalError("unable to open database file")
 
-        with pytest.warns(FailedStarsWarning):
-            sweep(Numbers(log=str(log), failing=(1,)), None, tmp_path / "run")
-        log.unlink()
-        monkeypatch.setattr(store_module.os, "open", refused)
-        with pytest.raises(PermissionError, match=r"cannot write to .*stars: Permission denied"):
-            sweep(Numbers(log=str(log), failing=(1,)), None, tmp_path / "run")
-        assert computed(log) == []
+        monkeypatch.setattr(store_module.sqlite3, "connect", refused)
+        with pytest.raises(OSError, match=r"cannot write to .*sqlite; .* unable to open database"):
+            sweep(Numbers(), None, tmp_path / "run")
 
     def test_is_a_file(self, tmp_path):
         (tmp_path / "run").touch()
         with pytest.raises(NotADirectoryError, match=r"cannot write to .*run: it is a file"):
             sweep(Numbers(), None, tmp_path / "run")
 
-    @pytest.mark.parametrize("written", [0, 30])
-    @pytest.mark.parametrize("workers", [None, 2])
-    def test_full_disk_loses_nothing(self, tmp_path, monkeypatch, reference, written, workers):
-        folder, write = tmp_path / "run", os.write
+    @pytest.mark.parametrize("workers", [None, pytest.param(2, marks=pytest.mark.slow)])
+    def test_full_disk_loses_nothing(self, tmp_path, monkeypatch, reference, workers):
+        folder, add = tmp_path / "run", Store.add
 
-        def full(file, data):
-            if len(lines(folder)) >= 5 and data[8:16] == b' {"task"':
-                if written == 0:
-                    raise OSError(errno.ENOSPC, "No space left on device")
-                return write(file, data[:written])
-            if len(lines(folder)) >= 5 and len(data) > 100:
-                raise OSError(errno.ENOSPC, "No space left on device")
-            return write(file, data)
+        def full(store, record):
+            pages = store._connection.execute("PRAGMA page_count").fetchone()[0]
+            if len(store) == 5:
+                store._connection.execute(f"PRAGMA max_page_count = {pages}")
+                record = record | {"row": {"text": "x" * 10_000}}
+            add(store, record)
 
-        monkeypatch.setattr(store_module.os, "write", full)
-        message = "the 5 stars that are finished are kept, .* the reason is: No space left on dev"
+        monkeypatch.setattr(Store, "add", full)
+        message = "the 5 stars that are finished are kept, .* the reason is: .* full"
         with pytest.raises(OSError, match=message) as caught:
             sweep(Numbers(), workers, folder)
         assert caught.value.errno == errno.ENOSPC
         monkeypatch.undo()
-        assert len(lines(folder)) == 5
+        assert len(records(folder)) == 5
         result = sweep(Numbers(), None, folder)
         assert result.n_computed == 3
         assert ecsv(result.table, tmp_path / "a.ecsv") == reference
@@ -572,11 +719,14 @@ class TestTasks:
         "keys, message",
         [
             (["a", "a"], "must differ, got 'a' twice"),
-            (["a/b"], "must be a short, plain name, got 'a/b'"),
+            (["a/b"], "must be a short, plain name that can be a file's, got 'a/b'"),
             ([".."], "must be a short, plain name"),
             ([""], "must be a short, plain name"),
             (["a" * 201], "must be a short, plain name"),
-            ([3], "must be a short, plain name, got 3"),
+            (["con"], "must be a short, plain name"),
+            (["LPT1.part"], "must be a short, plain name"),
+            (["star."], "must be a short, plain name"),
+            ([3], "must be a short, plain name that can be a file's, got 3"),
         ],
     )
     def test_keys(self, keys, message):
@@ -596,7 +746,7 @@ class TestTasks:
             sweep(Listed())
 
     def test_no_study(self):
-        with pytest.raises(TypeError, match="`config` must be a Study, got 'table1'"):
+        with pytest.raises(TypeError, match="`study` must be a Study, got 'table1'"):
             sweep("table1")
 
 

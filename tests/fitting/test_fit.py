@@ -22,6 +22,8 @@ from scope_models import (
 )
 from scope_models.exceptions import FitWarning
 from scope_models.fitting import _solver
+from scope_models.io import read_tpf
+from scope_models.models import TabulatedPRF
 
 TRUE_SHAPE = {
     "sigma_x_0": 0.5, "sigma_y_0": 0.45, "rho_0": 0.15, "sigma_x_1": 1.1, "sigma_y_1": 1.2,
@@ -162,6 +164,18 @@ class TestOptions:
         fit = fit_tpf(make(n=20), psf)
         assert fit.values["fwhm"] == pytest.approx(0.5 * np.sqrt(8 * np.log(2)), rel=0.01)
 
+    def test_table(self):
+        """A PRF with nothing to fit but the cadences' own parameters."""
+        y, x = np.mgrid[-45:46, -45:46] / 9
+        table = TabulatedPRF(PRF(BivariateGaussianPSF())(x, y), 9)
+        detector = Detector.k2(shape=(9, 9), sensitivity=None, interpixel_scatter=0)
+        tpf = simulate(Star(12.0), detector, Motion.k2_roll(40), seed=1).to_tpf()
+        fit = fit_tpf(tpf, table, interpixel=0)
+        assert fit.names == ()
+        assert fit.converged
+        assert abs(fit.reduced_chi2 - 1) < 5 * np.sqrt(2 / fit.dof)
+        np.testing.assert_allclose(fit.flux, fit_tpf(tpf, 1, interpixel=0).flux, rtol=1e-3)
+
     def test_path(self):
         tpf = make()
         fit = fit_tpf(tpf, 1, positions="path")
@@ -203,6 +217,18 @@ class TestOptions:
             plain = fit_tpf(tpf, 1)
             rich = fit_tpf(tpf, 1, empirical=4)
         assert rich.reduced_chi2 < 0.2 * plain.reduced_chi2
+
+    def test_path_of_a_file(self, tmp_path):
+        detector = Detector.k2(shape=(7, 7))
+        observation = simulate(Star(12.0), detector, Motion.k2_roll(60), seed=1)
+        path = observation.write(tmp_path / "star.fits")
+        from_path, from_object = fit_tpf(path, 1), fit_tpf(read_tpf(path), 1)
+        np.testing.assert_array_equal(from_path.flux, from_object.flux)
+        assert from_path.meta == from_object.meta
+        error = np.median(from_path.observed_err) * u.electron / u.s
+        assert fit_tpf(path, 1, flux_err=error).converged
+        with pytest.raises(ValueError, match="`flux_err` must be in electron / s"):
+            fit_tpf(path, 1, flux_err=1 * u.pix)
 
 
 class TestBadInput:

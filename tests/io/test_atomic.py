@@ -193,3 +193,63 @@ def test_symbolic_link_is_followed(tmp_path):
     save(link, overwrite=True)
     assert link.is_symlink()
     assert (tmp_path / "target.txt").read_text() == "new"
+
+
+def test_permissions_are_kept(tmp_path):
+    path = tmp_path / "a.txt"
+    path.write_text("old")
+    path.chmod(0o640)
+    save(path, overwrite=True)
+    assert path.stat().st_mode & 0o777 == 0o640
+
+
+@pytest.mark.parametrize("link", [None, os.symlink, os.link])
+def test_input_is_never_replaced(tmp_path, link):
+    source = path = tmp_path / "a.txt"
+    source.write_text("old")
+    if link is not None:
+        path = tmp_path / "b.txt"
+        link(source, path)
+    with pytest.raises(ValueError, match=rf"cannot write .*{path.name}: it is the input .*a\.txt"):
+        save(path, overwrite=True, inputs=[tmp_path / "absent.txt", source])
+    assert source.read_text() == "old"
+    save(tmp_path / "c.txt", inputs=[source])
+
+
+def test_message_names_the_file(tmp_path):
+    def fail(error):
+        with atomic_path(tmp_path / "a.txt") as temporary:
+            temporary.write_text("part")
+            raise error
+
+    with pytest.raises(OSError, match=r"cannot write .*a\.txt: No space left on device"):
+        fail(OSError(28, "No space left on device"))
+    with pytest.raises(FileNotFoundError, match=r"other\.txt"):
+        fail(FileNotFoundError(2, "No such file", "other.txt"))
+    assert names(tmp_path) == []
+
+
+@pytest.mark.skipif(os.name == "nt", reason="needs signals")
+def test_next_write_removes_what_killed_processes_left(tmp_path):
+    code = (
+        "import os, sys; from scope_models.io._atomic import atomic_path\n"
+        "with atomic_path(sys.argv[1]) as temporary:\n"
+        "    temporary.write_text('part'); os.kill(os.getpid(), int(sys.argv[2]))"
+    )
+    for sign in (signal.SIGKILL, signal.SIGTERM):
+        command = [sys.executable, "-c", code, str(tmp_path / "a.txt"), str(int(sign))]
+        assert subprocess.run(command, check=False).returncode == -sign
+    left = names(tmp_path)
+    assert len(left) == 1  # the second process has removed what the first one left
+    with atomic_path(tmp_path / "b.txt") as alive:  # of this process, which lives
+        alive.write_text("b")
+        save(tmp_path / "a.txt")
+        assert names(tmp_path) == sorted([alive.name, "a.txt"])
+    (tmp_path / left[0].replace("models-", "models-elsewhere-")).write_text("of another computer")
+    save(tmp_path / "c.txt")
+    assert len(names(tmp_path)) == 4  # and a.txt, b.txt, c.txt
+
+
+def test_compressed_by_suffix_in_capitals(tmp_path):
+    path = write_hdulist(fits.HDUList([fits.PrimaryHDU()]), tmp_path / "STAR.FITS.GZ")
+    assert path.read_bytes()[:2] == b"\x1f\x8b"

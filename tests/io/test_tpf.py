@@ -8,6 +8,7 @@ import weakref
 
 import numpy as np
 import pytest
+from astropy import units as u
 from astropy.coordinates import SkyCoord
 from astropy.io import fits
 from astropy.table import Table
@@ -600,3 +601,60 @@ class TestWriting:
         with pytest.raises(TypeError, match="flux_error"):
             write_tpf(tmp_path / "star.fits", flux_error=1.0, **contents_of("K2"))
         assert list(tmp_path.iterdir()) == []
+
+
+class TestOwnArrays:
+    """Files from a user's own arrays, with nothing more than time, flux and its error."""
+
+    @pytest.mark.parametrize("mission", MISSIONS)
+    def test_shortest_call(self, tmp_path, mission):
+        import lightkurve
+
+        rng = np.random.default_rng(1)
+        time = 2230 + 0.02 * np.arange(50)
+        flux = rng.normal(1000, 1, size=(50, 7, 5)).astype(np.float32)
+        path = write_tpf(tmp_path / "mine.fits", metadata=mission, time=time, flux=flux, flux_err=1)
+        tpf = lightkurve.read(path)
+        assert tpf.mission == mission
+        np.testing.assert_array_equal(tpf.flux.value, flux)
+        np.testing.assert_allclose(tpf.time.value, time, rtol=0, atol=1e-9)
+        np.testing.assert_array_equal(tpf.cadenceno, np.arange(1, 51))
+        assert np.isnan(tpf.pos_corr1).all()
+        assert tpf.to_lightcurve(aperture_mask="all").flux.value == pytest.approx(
+            flux.sum(axis=(1, 2), dtype=float), rel=1e-6
+        )
+        tpf.hdu.close()
+
+    def test_units_and_times(self):
+        days = 2230 + 0.02 * np.arange(5)
+        times = Time(days + 2454833, format="jd", scale="tdb")
+        flux = np.full((5, 3, 3), 2.0) * u.electron / u.ms
+        hdus = make_tpf_hdulist(
+            metadata="K2", time=times, flux=flux, flux_err=60 * u.electron / u.min,
+            pos_corr1=np.ma.masked_equal([0.0, 9.0, 0.1, 0.2, 0.3], 9.0),
+        )  # fmt: skip
+        data = hdus[1].data
+        np.testing.assert_allclose(data["TIME"], days, rtol=0, atol=1e-7)
+        assert np.all(data["FLUX"] == 2000)
+        assert np.all(data["FLUX_ERR"] == 1)
+        assert np.isnan(data["POS_CORR1"]).tolist() == [False, True, False, False, False]
+
+    @pytest.mark.parametrize(
+        "name, value, message",
+        [
+            ("flux", np.ones((5, 3, 3)) * u.m, "`flux` must be in electron / s"),
+            ("time", np.arange(5) * u.m, "`time` must be in d"),
+            ("pos_corr2", np.zeros(5) * u.arcsec, "`pos_corr2` must be in pix"),
+            ("flux_err", np.ones(4), "`flux_err` must fit the shape"),
+        ],
+    )
+    def test_what_does_not_convert(self, name, value, message):
+        contents = {"time": np.arange(5.0), "flux": np.ones((5, 3, 3)), "flux_err": 1.0}
+        with pytest.raises(ValueError, match=message):
+            make_tpf_hdulist(metadata="TESS", **(contents | {name: value}))
+
+    def test_pixels_that_are_not_simulated(self):
+        contents = {"time": np.arange(5.0), "flux": np.ones((5, 3, 3)), "flux_err": 1.0}
+        for simulated in (True, False):
+            hdus = make_tpf_hdulist(metadata="TESS", simulated=simulated, **contents)
+            assert [hdu.header["SIMDATA"] for hdu in hdus] == [simulated] * len(hdus)

@@ -13,7 +13,7 @@ from astropy.modeling.fitting import TRFLSQFitter
 
 import scope_models.models
 from scope_models import PRF, BivariateGaussianPSF, SensitivityPolynomial, TransitModel
-from scope_models.models import GaussHermitePSF
+from scope_models.models import GaussHermitePSF, TabulatedPRF, TabulatedPSF
 
 RATE = u.electron / u.s
 
@@ -22,6 +22,11 @@ def _two_components():
     core = BivariateGaussianPSF(0.8, 0.1, 0.2, 0.5, 0.45, 0.2)
     wings = BivariateGaussianPSF(0.2, 0.15, 0.1, 1.2, 1.1, -0.3)
     return (core + wings) * SensitivityPolynomial((1, 0.01, -0.05), (1, 0, -0.05))
+
+
+def _table(kind, model):
+    y, x = np.mgrid[-30:31, -30:31] / 5
+    return kind(model(x, y), 5, 7.0, 0.1, -0.2)
 
 
 # Each row: a model inside its domain; inputs inside its domain; the unit of its inputs and that of
@@ -62,6 +67,22 @@ MODELS = {
         "output_unit": RATE,
         "bounded": True,
         "free": {"flux", "x_0", "y_0", "sigma_x_0", "sigma_y_0", "rho_0"},
+    },
+    "TabulatedPSF": {
+        "model": _table(TabulatedPSF, BivariateGaussianPSF(sigma_x=0.6, sigma_y=0.7)),
+        "units": {"flux": RATE, "x_0": u.pix, "y_0": u.pix},
+        "input_unit": u.pix,
+        "output_unit": RATE / u.pix**2,
+        "bounded": True,
+        "free": None,
+    },
+    "TabulatedPRF": {
+        "model": _table(TabulatedPRF, PRF(BivariateGaussianPSF(sigma_x=0.6, sigma_y=0.7))),
+        "units": {"flux": RATE, "x_0": u.pix, "y_0": u.pix},
+        "input_unit": u.pix,
+        "output_unit": RATE,
+        "bounded": True,
+        "free": None,
     },
     "TransitModel": {
         "model": TransitModel(period=3.0, t0=0.02, rp=0.1, a=8.0, inc=88.0),
@@ -218,6 +239,8 @@ def test_nan_is_refused(name):
     make = {
         "SensitivityPolynomial": lambda: SensitivityPolynomial((np.nan, 1)),
         "PRF": lambda: PRF(_two_components(), flux=np.nan),
+        "TabulatedPRF": lambda: TabulatedPRF(np.ones((7, 7)), flux=np.nan),
+        "TabulatedPSF": lambda: TabulatedPSF(np.ones((7, 7)), flux=np.nan),
     }.get(name, lambda: type(model)(**values))
     with pytest.raises(ValueError, match=r"finite|must be"):
         make()

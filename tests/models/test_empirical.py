@@ -6,8 +6,6 @@ from scipy.integrate import dblquad
 
 from scope_models import PRF, BivariateGaussianPSF, SensitivityPolynomial, integrate_pixels
 from scope_models.models import GaussHermitePSF
-from scope_models.models._derivatives import prf_psf, prf_sensitivity, unit_derivatives
-from scope_models.models.integration import PixelPoints
 
 COEFFICIENTS = {"c_1_0": 0.1, "c_2_1": -0.07, "c_0_3": 0.05, "c_4_0": 0.12}
 
@@ -52,26 +50,29 @@ def test_pixels_against_adaptive_quadrature(column, row):
 def test_derivatives_in_a_prf_are_differences():
     gaussian = BivariateGaussianPSF(7.0, 0, 0, 0.45, 0.4, 0.2)
     prf = PRF((gaussian + surface()) * SensitivityPolynomial((1, 0.02, -0.05), (1, 0, -0.2)))
-    values = {name: float(getattr(prf, name).value) for name in prf.param_names}
-    values["x_0"], values["y_0"] = np.random.default_rng(2).uniform(2, 4, (2, 5))
-    points = PixelPoints.from_shape((7, 7))
-    image, derivatives = unit_derivatives(prf, points, values)
-    np.testing.assert_allclose(
-        image, prf.render((7, 7), flux=1, x_0=values["x_0"], y_0=values["y_0"]), atol=1e-14
-    )
+    values = {name: float(getattr(prf, name).value) for name in prf.param_names[3:]}
+    places = dict(zip(("x_0", "y_0"), np.random.default_rng(2).uniform(2, 4, (2, 5)), strict=True))
+    image, derivatives = prf.unit_images((7, 7), **places, values=values, derivatives=True)
+    np.testing.assert_allclose(image, prf.render((7, 7), flux=1, **places), atol=1e-14)
+    np.testing.assert_array_equal(image, prf.unit_images((7, 7), **places, derivatives=True)[0])
     assert set(derivatives) == set(prf.param_names) - {"flux"}
     for name, derivative in derivatives.items():
-        high, low = (
-            unit_derivatives(prf, points, values | {name: values[name] + step})[0]
-            for step in (1e-5, -1e-5)
-        )
+        moved = []
+        for step in (1e-5, -1e-5):
+            if name in places:
+                there = places | {name: places[name] + step}
+                moved.append(prf.unit_images((7, 7), **there))
+            else:
+                there = {name: values[name] + step}
+                moved.append(prf.unit_images((7, 7), **places, values=there))
+        high, low = moved
         np.testing.assert_allclose(derivative, (high - low) / 2e-5, atol=3e-9, err_msg=name)
 
 
 def test_parts_of_a_prf_make_it_again():
     gaussian = BivariateGaussianPSF(7.0, 0, 0, 0.45, 0.4, 0.2)
     prf = PRF((gaussian + surface()) * SensitivityPolynomial(), flux=5.0, x_0=3.0, y_0=3.2)
-    again = PRF(prf_psf(prf) * prf_sensitivity(prf), flux=5.0)
+    again = PRF(prf.psf * prf.sensitivity, flux=5.0)
     np.testing.assert_allclose(again.render((7, 7)), prf.render((7, 7)), atol=1e-14)
 
 
@@ -81,9 +82,19 @@ def test_parts_of_a_prf_make_it_again():
         ({"order": 0}, "`order` must be an integer from 1 to 20"),
         ({"order": 2.5}, "`order` must be an integer from 1 to 20"),
         ({"order": 1, "c_2_0": 0.1}, "has no coefficient c_2_0"),
+        ({"c_2_0": [0.1, 0.2]}, "`c_2_0` must be one number, got 2 values"),
         ({"sigma_x": -1.0}, "`sigma_x` must be positive"),
     ],
 )
 def test_bad_input(options, message):
     with pytest.raises(ValueError, match=message):
         GaussHermitePSF(**options)
+
+
+def test_widths_of_many_images():
+    """Each image has its own width, as one at a time."""
+    psf = GaussHermitePSF(1.0, 3.1, 2.9, [0.5, 0.7], 0.6, order=3, c_2_0=0.1)
+    images = integrate_pixels(psf, (7, 7))
+    for width, image in zip((0.5, 0.7), images, strict=True):
+        single = GaussHermitePSF(1.0, 3.1, 2.9, width, 0.6, order=3, c_2_0=0.1)
+        np.testing.assert_allclose(image, integrate_pixels(single, (7, 7)), atol=1e-14)

@@ -285,3 +285,29 @@ def test_blended_pairs_are_calibrated_with_astropy():
     collected = np.array(collected)
     for i in range(3):
         assert_calibrated(collected[:, [i, i + 3]].ravel(), model.param_names[i])
+
+
+def test_render_as_astropy_does():
+    """With an image, or without a shape, it is astropy's own method."""
+    prf = PRF(BivariateGaussianPSF(7.0, 6.2, 5.9))
+    image = prf.render(np.ones((13, 13)))
+    np.testing.assert_allclose(image, 1 + prf.render((13, 13)), atol=1e-9)
+    y, x = np.mgrid[:13, :13]
+    np.testing.assert_allclose(prf.render(coords=(y, x)), prf.render((13, 13)), atol=1e-9)
+
+
+def test_parts():
+    sensitivity = SensitivityPolynomial((1, 0.1, -0.05))
+    prf = PRF(two_components() * sensitivity * SensitivityPolynomial((1, 0, -0.2), (1,)))
+    assert prf.n_components == 2
+    assert prf.response_powers["ax2_s1"] == ("x", 2)
+    kinds = prf.parameter_kinds
+    assert kinds["sigma_x_0"] == "width"
+    assert kinds["rho_1"] == "correlation"
+    assert kinds["flux_fraction_1"] == "fraction"
+    assert kinds["y_offset_1"] == "offset"
+    assert kinds["ay1_s0"] == "response"
+    again = PRF(prf.psf * prf.sensitivity, flux=prf.flux.value)
+    np.testing.assert_allclose(again.render((7, 7)), prf.render((7, 7)), atol=1e-13)
+    with pytest.raises(ValueError, match="`values` has no parameter sigma"):
+        prf.unit_images((3, 3), values={"sigma": 1})

@@ -1,10 +1,15 @@
 """Scenes: what a file holds gives the same pixels again, bit for bit."""
 
+import pickle
+
+import astropy.units as u
 import numpy as np
 import pytest
+from astropy.io import fits
+from astropy.utils.exceptions import AstropyDeprecationWarning
 from photutils.psf import MoffatPSF
 
-from scope_models import Detector, Motion, Star, simulate
+from scope_models import Detector, Motion, Scene, Star, simulate
 from scope_models.io import read_truth
 from scope_models.models import BivariateGaussianPSF, SensitivityPolynomial
 from scope_models.scene import read_detector, read_scene
@@ -60,6 +65,121 @@ def test_default_places_and_psfs_stay_defaults(tmp_path):
     assert (star.mag, star.x_0, star.y_0, star.psf, star.signal) == (12.0, None, None, None, None)
 
 
+def make_scene(**changes):
+    stars = [Star(12.0, 4.0, 5.0, CORE + WINGS, np.ones(40)), Star(14.0)]
+    fields = {"seed": 3, "noise": "read", "n_sub": 2, "target_id": 7, "object_name": "a star"}
+    fields |= {"ra": 12.5, "dec": -3.25, "orientation": 10.0, "column": 33, "row": 0}
+    fields |= {"metadata": {"campaign": 5}}
+    return Scene(stars, Detector.k2(), 2 * Motion.k2_roll(40, seed=1), **(fields | changes))
+
+
+@pytest.mark.parametrize("name", ["scene.fits", "scene.fits.gz"])
+def test_a_scene_is_written_without_a_simulation(name, tmp_path, monkeypatch):
+    monkeypatch.setattr("scope_models.models._series.ImageSeries.__call__", None)
+    response = np.random.default_rng(1).uniform(0.98, 1.02, (11, 11))
+    for scene in (
+        make_scene(),
+        make_scene(seed=None),
+        make_scene(noise=False).replace(detector=Detector.tess(interpixel=response)),
+    ):
+        path = scene.write(tmp_path / name, overwrite=True)
+        assert Scene.read(path) == scene
+        assert read_scene(path) == scene
+    with pytest.raises(OSError, match="exists"):
+        scene.write(tmp_path / name)
+
+
+def test_scenes_are_equal_by_value():
+    assert make_scene() == make_scene()
+    assert make_scene() != "a scene"
+    assert len({make_scene(), make_scene()}) == 1
+    changes = {
+        "seed": 4,
+        "noise": True,
+        "stars": [Star(12.0, 4.0, 5.0, CORE + WINGS, np.full(40, 2.0)), Star(14.0)],
+        "detector": Detector.k2(read_noise=1.0),
+        "motion": 3 * Motion.k2_roll(40, seed=1),
+        "row": 1,
+        "metadata": {},
+    }
+    for name, value in changes.items():
+        assert make_scene().replace(**{name: value}) != make_scene(), name
+    assert pickle.loads(pickle.dumps(make_scene())) == make_scene()  # noqa: S301
+
+
+def test_identity_of_a_scene_is_in_its_file(tmp_path):
+    observation = simulate(make_scene())
+    path = observation.write(tmp_path / "star.fits")
+    with fits.open(path) as hdus:
+        header = {**hdus[0].header, **hdus[1].header}
+        facts = {
+            key: header[key] for key in ("KEPLERID", "OBJECT", "RA_OBJ", "DEC_OBJ", "CAMPAIGN")
+        }
+        assert list(facts.values()) == [7, "a star", 12.5, -3.25, 5]
+        assert (header["1CRV5P"], header["2CRV5P"]) == (33, 0)
+    assert read_scene(path) == observation.scene == make_scene()
+    changed = observation.write(tmp_path / "b.fits", metadata={"object_name": "another"})
+    assert fits.getheader(changed)["OBJECT"] == "another"
+
+
+def test_units_of_a_scene():
+    scene = make_scene(ra=0.5 * u.hourangle, dec=60 * u.arcmin, orientation=0.1 * u.rad)
+    assert (scene.ra, scene.dec) == pytest.approx((7.5, 1.0))
+    assert scene.orientation == pytest.approx(np.degrees(0.1))
+
+
+@pytest.mark.parametrize(
+    "changes, error, message",
+    [
+        ({"ra": 3 * u.m}, ValueError, "`ra` must be in deg, or convert to it, got m"),
+        ({"target_id": 0}, ValueError, "`target_id` must be at least 1, got 0"),
+        ({"column": 1.5}, TypeError, "`column` must be an integer, got 1.5"),
+        ({"object_name": 7}, TypeError, "`object_name` must be text, got 7"),
+        ({"metadata": 7}, TypeError, "`metadata` must be a mapping, got 7"),
+        ({"sead": 7}, TypeError, "sead"),
+    ],
+)
+def test_bad_scenes(changes, error, message):
+    with pytest.raises(error, match=message):
+        make_scene(**changes)
+
+
+def test_old_options_of_a_scene():
+    with pytest.warns(AstropyDeprecationWarning, match="`options` of a Scene is deprecated"):
+        scene = Scene((Star(12.0),), Detector.k2(), Motion.still(3), {"seed": 1, "noise": False})
+    assert (scene.seed, scene.noise, scene.n_sub) == (1, frozenset(), 1)
+    assert scene.options == {"seed": 1, "noise": [], "n_sub": 1}
+    with pytest.raises(TypeError, match="`options` must hold seed, noise and n_sub, got 'sead'"):
+        Scene((Star(12.0),), Detector.k2(), Motion.still(3), {"sead": 1})
+
+
+def test_scene_shows_what_it_is():
+    text = "<Scene a star of 2 stars, K2, 40 cadences of 11 x 11 pixels, seed 3>"
+    assert repr(make_scene()) == text
+    html = make_scene()._repr_html_()
+    assert "<td>2</td><td>14</td><td>5</td><td>5</td>" in html
+    assert "&lt;Scene a star" in html
+
+
+def test_files_of_the_first_version(tmp_path):
+    observation = simulate(
+        [Star(12.0), Star(13.0, 3.0, 3.0)], Detector.k2(), Motion.still(5), seed=1
+    )
+    path = observation.write(tmp_path / "star.fits")
+    with fits.open(path, memmap=False) as hdus:
+        keys = [key.strip() for key in hdus["SCENE"].data["KEY"]]
+        hdus["SCENE"].data["VALUE"][keys.index("version")] = "1"
+        hdus["SCENE"].data = hdus["SCENE"].data[np.array(keys) != "found"]
+        hdus.writeto(tmp_path / "old.fits", checksum=True)
+    truth = read_truth(tmp_path / "old.fits")
+    assert truth.scene["version"] == 1
+    assert np.array_equal(truth.x, observation.truth.x)
+    with pytest.raises(ValueError, match=r"no flux: files of version 0\.1 do not hold it"):
+        _ = truth.flux
+    again = simulate(read_scene(tmp_path / "old.fits"))
+    assert np.array_equal(again.flux, observation.flux)
+
+
 def test_files_without_a_scene(shared_data, tmp_path):
     with pytest.raises(ValueError, match="holds no truth"):
         read_scene(shared_data / "tess_tpf" / "tesssip_tpf1.fits")
@@ -68,10 +188,10 @@ def test_files_without_a_scene(shared_data, tmp_path):
 
 
 def test_scene_of_a_later_version(tmp_path, monkeypatch):
+    monkeypatch.setattr("scope_models.scene.scene._VERSION", 3)
     observation = simulate(Star(12.0), Detector.k2(), Motion.still(3), seed=1)
-    monkeypatch.setattr("scope_models.scene.scene._VERSION", 2)
     path = observation.write(tmp_path / "star.fits")
-    monkeypatch.setattr("scope_models.scene.scene._VERSION", 1)
+    monkeypatch.setattr("scope_models.scene.scene._VERSION", 2)
     with pytest.raises(ValueError, match="a scene of a later version"):
         read_scene(path)
 

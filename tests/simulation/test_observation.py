@@ -1,5 +1,7 @@
 """Observations as target pixel files and light curves, read by lightkurve."""
 
+import pickle
+
 import numpy as np
 import pytest
 from astropy.io import fits
@@ -12,7 +14,7 @@ from lightkurve import (
 
 from scope_models import Detector, Motion, Star, simulate
 from scope_models.exceptions import LostLightWarning
-from scope_models.io import read_truth
+from scope_models.io import Truth, read_truth
 from scope_models.models import BivariateGaussianPSF
 
 DETECTORS = {"kepler": Detector.kepler(), "k2": Detector.k2(), "tess": Detector.tess()}
@@ -157,6 +159,20 @@ def test_write_and_read(observation, tmp_path):
     assert np.array_equal(truth.table["X1"], observation.truth.x[0])
     assert np.array_equal(truth.table["Y2"], observation.truth.y[1])
     assert np.array_equal(truth.maps["INTERPIXEL"], observation.truth.interpixel)
+
+
+def test_the_file_gives_back_the_truth(observation, tmp_path):
+    truth = read_truth(observation.write(tmp_path / "star.fits"))
+    assert type(truth) is type(observation.truth)
+    assert truth == observation.truth
+    for name in ("x", "y", "relative_flux", "target_share", "flux", "lost_fraction", "interpixel"):
+        assert np.array_equal(getattr(truth, name), getattr(observation.truth, name)), name
+    assert (truth.seed, truth.noise, truth.n_sub) == (3, {"photon", "background", "read"}, 1)
+    assert truth != read_truth(simulate(observation.scene, seed=4).to_tpf())
+    assert truth != "truth"
+    assert pickle.loads(pickle.dumps(truth)) == truth  # noqa: S301
+    with pytest.raises(ValueError, match="the truth has no column X1"):
+        _ = Truth({"CADENCENO": [1]}).x
 
 
 def test_existing_and_unwritable_files(observation, tmp_path):

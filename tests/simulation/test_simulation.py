@@ -9,10 +9,11 @@ from photutils.psf import MoffatPSF
 from scipy.integrate import dblquad
 from scipy.stats import norm
 
-from scope_models import Detector, Motion, Star, simulate
+from scope_models import Detector, Motion, Scene, Star, simulate
 from scope_models.effects.noise import NOISE_TERMS
 from scope_models.exceptions import LostLightWarning, ScopeModelsWarning
 from scope_models.models import BivariateGaussianPSF
+from scope_models.models._series import ImageSeries
 
 PLAIN = Detector.k2(well_depth=None).without_sensitivity()
 
@@ -313,7 +314,8 @@ def test_truth():
     np.testing.assert_allclose(truth.x, [5 + motion.x, 3 + motion.x], rtol=1e-15)
     np.testing.assert_allclose(truth.y, [5 + motion.y, 7 + motion.y], rtol=1e-15)
     np.testing.assert_allclose(truth.flux, [1.74e5, 1.74e4])
-    assert truth.detector.mission == "K2"
+    with pytest.raises(AttributeError, match=r"use `observation\.detector`"):
+        _ = truth.detector
     assert np.array_equal(truth.relative_flux, np.ones((2, 30)))
     assert (truth.seed, truth.noise, truth.n_sub) == (6, {"read"}, 1)
     assert repr(truth) == "<Truth of 2 stars, seed 6, noise: read>"
@@ -367,6 +369,61 @@ def test_bad_arguments(changes, error, message):
     arguments = {"stars": Star(12.0), "detector": PLAIN, "motion": Motion.still(3)} | changes
     with pytest.raises(error, match=message):
         simulate(**arguments)
+
+
+def test_a_scene_is_simulated_as_it_is_or_with_changes():
+    scene = Scene(Star(12.0), PLAIN, Motion.still(3), seed=4, noise="read")
+    observation = simulate(scene)
+    assert observation.scene == scene
+    assert np.array_equal(observation.flux, simulate(*scene, **scene.options).flux)
+    again = simulate(scene, seed=5)
+    assert (again.scene.seed, again.scene.noise) == (5, {"read"})
+    assert simulate(scene.replace(seed=None)).scene.seed is not None
+    with pytest.raises(TypeError, match="a Scene holds detector and motion"):
+        simulate(scene, PLAIN, Motion.still(3))
+    with pytest.raises(TypeError, match="`detector` must be a Detector, got None"):
+        simulate(Star(12.0))
+
+
+@pytest.fixture
+def rendered(monkeypatch):
+    """Return a list that counts the images of a star that are rendered."""
+    images, render = [0], ImageSeries.__call__
+
+    def count(series, x, *others):
+        images[0] += len(x)
+        return render(series, x, *others)
+
+    monkeypatch.setattr(ImageSeries, "__call__", count)
+    return images
+
+
+def test_every_star_is_rendered_once(rendered, tmp_path):
+    stars = [Star(12.0), Star(14.0, 7.0, 3.0)]
+    observation = simulate(stars, Detector.k2(), Motion.k2_roll(1000), seed=1, keep_model=True)
+    # 64 cadences choose the aperture, 8 extremes show what is lost.
+    assert rendered[0] <= 2 * (1000 + 64 + 8)
+    observation.write(tmp_path / "star.fits")
+    observation.to_tpf()
+    observation.model()
+    observation.target_share()
+    some = np.roll(observation.aperture, 1)
+    assert rendered[0] <= 2 * (1000 + 64 + 8)
+    # Other pixels need the light of each star in each cadence.
+    share = observation.target_share(some)
+    target = simulate(stars[0], Detector.k2(), Motion.k2_roll(1000), seed=1).model()
+    expected = target[:, some].sum(axis=1) / observation.model()[:, some].sum(axis=1)
+    np.testing.assert_allclose(share, expected, rtol=1e-12)
+
+
+def test_pixels_depend_on_the_position_alone():
+    motion = 4 * Motion.k2_roll(300)
+    psf = BivariateGaussianPSF(0.8, rho=0.4) + BivariateGaussianPSF(0.2, 0.1, 0.0, 1.2, 1.1)
+    arguments = Star(12.0, 4.9, 5.3, psf), Detector.k2(well_depth=None)
+    whole = simulate(*arguments, motion, seed=1, noise=False).model()
+    for part in (slice(137, 138), slice(100, 190), slice(7, 300, 5)):
+        again = simulate(*arguments, motion[part], seed=1, noise=False).model()
+        assert np.array_equal(again, whole[part])
 
 
 def test_misspelt_option_is_an_error():

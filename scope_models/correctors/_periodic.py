@@ -1,0 +1,182 @@
+"""Periodic variability: the frequencies of a star that pulsates, is eclipsed, or rotates fast."""
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.ndimage import median_filter, uniform_filter1d
+
+from scope_models.correctors._regression import Hyperparameters
+
+__all__ = ["find_frequencies", "harmonic_columns", "is_periodic"]
+
+#: Twice the gain of the likelihood's logarithm that a pair of columns must bring. White noise
+#: exceeds it at one of 10^8 frequencies.
+_SIGNIFICANT = 40.0
+#: Frequencies found in one round are at least this part of the strongest one's gain, ...
+_PART, _AT_ONCE = 0.03, 6
+#: ... and so far apart in units of one over the length of the observation.
+_APART = 1.5
+_ROUNDS = 20
+#: Largest step of a frequency, in the same unit.
+_LARGEST_SHIFT = 0.2
+#: At most one frequency for so many cadences, and so many.
+_CADENCES_PER_FREQUENCY, _MOST = 15, 60
+#: Period in days of the slow process, which stands for all that is not periodic.
+_SLOW = 5.0
+#: Cadences that differ from the median of five by so many standard deviations stand alone.
+_ALONE = 10.0
+#: A star is looked at for periods too if this part of its cadences seem to be outliers.
+_MANY_OUTLIERS = 0.03
+
+
+def harmonic_columns(time, frequencies):
+    """Return a cosine and a sine per frequency, ``(n_cadences, 2 n_frequencies)``."""
+    phase = 2 * np.pi * np.outer(time, frequencies)
+    return np.stack([np.cos(phase), np.sin(phase)], axis=2).reshape(len(time), -1)
+
+
+def is_periodic(solution):
+    """Whether periodic variability is left in a fit, or it has left many cadences out."""
+    n_allowed = len(solution.use)
+    if (~solution.use).sum() > _MANY_OUTLIERS * n_allowed:
+        return True
+    _, gain = _spectrum(solution)
+    return bool(gain.max(initial=0.0) > _SIGNIFICANT)
+
+
+def find_frequencies(solution, allowed):
+    """
+    Find the frequencies of a star's variability, one after the other.
+
+    In each round all columns are fitted together, and the frequencies that explain most of the
+    rest are added. Regressors are among the columns: what they explain is not variability.
+
+    Parameters
+    ----------
+    solution : Solution
+        A fit without periodic variability; its data and columns are used, not its variances.
+    allowed : ndarray of bool
+        Cadences that may be used, of all usable ones.
+
+    Returns
+    -------
+    ndarray
+        Frequencies in cycles per day.
+    """
+    n_most = min(_MOST, allowed.sum() // _CADENCES_PER_FREQUENCY)
+    found = np.empty(0)
+    rest = solution.y
+    for _ in range(_ROUNDS):
+        use = allowed & ~_stands_alone(rest)
+        trial = _with_simple_noise(solution.with_frequencies(found, use), rest)
+        frequency, gain = _spectrum(trial)
+        new = _peaks(frequency, gain, 1 / np.ptp(trial.data.time))
+        if not len(new) or len(found) + len(new) > n_most:
+            break
+        found = np.append(found, [_refined(f, trial) for f in new])
+        found = _shifted(found, solution, trial.hyper, use)
+        rest = replace(solution, hyper=trial.hyper).with_frequencies(found, use).unexplained
+    plain = replace(solution, hyper=trial.hyper)
+    return _significant(found, plain, use)
+
+
+def _significant(frequencies, trial, use):
+    """Leave out frequencies that are not needed beside the others, the weakest first."""
+    while len(frequencies):
+        fitted = trial.with_frequencies(frequencies, use)
+        first = trial.n_regressors + trial.n_trend
+        rows = first + np.arange(2 * len(frequencies)).reshape(-1, 2)
+        mean = fitted.posterior.mean[rows]
+        covariance = fitted.posterior.covariance[rows[:, :, None], rows[:, None, :]]
+        gain = np.einsum("ij,ij->i", mean, np.linalg.solve(covariance, mean[:, :, None])[:, :, 0])
+        weak = gain < _SIGNIFICANT
+        if not weak.any():
+            break
+        # those that share a peak are weak each, but not together: half of them go at once
+        limit = np.median(gain[weak])
+        frequencies = frequencies[~(weak & (gain <= limit))]
+    return frequencies
+
+
+def _shifted(frequencies, solution, hyper, use):
+    """Return frequencies after one step of Gauss and Newton for all of them together."""
+    trial = replace(solution, hyper=hyper).with_frequencies(frequencies, use)
+    k, n = trial.n_regressors, solution.n_trend
+    cos, sin = trial.posterior.mean[k + n : k + trial.n_trend].reshape(-1, 2).T
+    phase = 2 * np.pi * np.outer(trial.time, frequencies)
+    slope = 2 * np.pi * trial.time[:, None] * (sin * np.cos(phase) - cos * np.sin(phase))
+    trial = trial.with_flat(slope, use)
+    step = trial.posterior.mean[k + trial.n_trend :] / trial.scale[trial.n_trend :]
+    limit = _LARGEST_SHIFT / np.ptp(trial.data.time)
+    return frequencies + np.clip(step, -limit, limit)
+
+
+def _stands_alone(y):
+    """Cadences far from the ones around them: cosmic rays and other accidents."""
+    difference = y - median_filter(y, 5, mode="nearest")
+    spread = 1.4826 * np.median(np.abs(difference))
+    return np.abs(difference) > _ALONE * max(spread, np.finfo(float).tiny)
+
+
+def _with_simple_noise(solution, rest):
+    """Return a fit whose noise and slow process are those of a rest, with weak priors."""
+    rest = rest[solution.use]
+    jitter = 1.4826 * np.median(np.abs(np.diff(rest, 2))) / np.sqrt(6)
+    variance = np.median(solution.data.variance)
+    width = max(round(1 / float(np.median(np.diff(solution.data.time)))), 1)
+    slow = max(float(np.var(uniform_filter1d(rest, width))), 0.1 * variance)
+    unit = float(np.var(solution.y[solution.use])) / solution.data.sizes
+    hyper = Hyperparameters(max(jitter**2 / variance, 1.0), unit, slow, _SLOW)
+    return replace(solution, hyper=hyper)
+
+
+def _spectrum(solution):
+    """
+    Return what a cosine and a sine at each frequency would gain.
+
+    Twice the gain of the log-likelihood is |c^T a|^2 / (c^T Q c) with the inverse covariance Q and
+    a = Q y. Here Q is that of noise and slow process alone, which makes the gain smaller where
+    regressors explain the same.
+    """
+    time = solution.data.time
+    step = float(np.median(np.diff(time)))
+    index = np.round((time - time[0]) / step).astype(int)
+    n = 4 * 2 ** int(np.ceil(np.log2(index[-1] + 1)))
+    grid = np.zeros(n)
+    grid[index] = solution.alpha
+    power = np.abs(np.fft.rfft(grid)) ** 2
+    frequency = np.fft.rfftfreq(n, step)
+    noise = float(np.mean(1 / solution.white_variance[solution.use])) ** -1
+    density = solution.hyper.density(frequency) / step + noise
+    gain = 2 * power * density / len(time)
+    gain[frequency < 2 / (time[-1] - time[0])] = 0.0
+    return frequency, gain
+
+
+def _peaks(frequency, gain, resolution):
+    """Return the frequencies of the highest maxima that are significant."""
+    limit = max(_SIGNIFICANT, _PART * gain.max(initial=0.0))
+    inner = gain[1:-1]
+    top = np.flatnonzero((inner >= gain[:-2]) & (inner > gain[2:]) & (inner > limit)) + 1
+    chosen = []
+    for k in top[np.argsort(gain[top])[::-1]]:
+        if all(abs(frequency[k] - f) > _APART * resolution for f in chosen):
+            chosen.append(frequency[k])
+        if len(chosen) == _AT_ONCE:
+            break
+    return chosen
+
+
+def _refined(frequency, solution):
+    """Return the frequency of the maximum near a point of the grid, by parabolas."""
+    time, alpha = solution.data.time, solution.alpha
+    step = 0.25 / np.ptp(time)
+    for _ in range(3):
+        trial = frequency + step * np.array([-1, 0, 1])
+        low, middle, high = np.abs(np.exp(-2j * np.pi * np.outer(trial, time)) @ alpha) ** 2
+        bend = low - 2 * middle + high
+        if bend >= 0:
+            break
+        frequency += step * float(np.clip(0.5 * (low - high) / bend, -1, 1))
+        step /= 4
+    return frequency

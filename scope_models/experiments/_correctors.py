@@ -1,0 +1,265 @@
+"""Scores of corrections against the truth, and lightkurve's correctors in their best setting."""
+
+import itertools
+import logging
+import warnings
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import numpy as np
+
+from scope_models.photometry import cdpp
+
+__all__ = [
+    "CONVENTIONS",
+    "LIGHTKURVE_CORRECTORS",
+    "Scores",
+    "best_setting",
+    "correct",
+    "noise_of",
+    "residual_cdpp",
+    "robust_scatter",
+    "score",
+    "transit_amplitude",
+]
+
+#: The two conventions of the CDPP.
+CONVENTIONS = ("everest", "lightkurve")
+#: Settings of each corrector that are tried: aperture and order of PLD; number of windows of SFF.
+LIGHTKURVE_CORRECTORS = {
+    "lightkurve_pld": tuple(itertools.product(("whole", "pipeline"), (1, 2, 3))),
+    "lightkurve_sff": ((5,), (10,), (20,)),
+}
+
+
+@dataclass(frozen=True)
+class Scores:
+    """
+    Scores of a corrected light curve; 1 is what the noise alone gives.
+
+    Parameters
+    ----------
+    held_out_mad, held_out_rms : float
+        Scatter of the mean residuals of windows that the model has not seen, over the floor; from
+        the median absolute deviation, and rms.
+    held_out_pull : float
+        Rms of the windows' mean residuals in units of their predicted errors.
+    residual_lightkurve, residual_everest : float
+        CDPP of corrected over true flux, over the CDPP of the noise, in both conventions.
+    floor : float
+        Standard deviation of the noise' window means, ppm. The noise is white, so that it is the
+        noise' own over the square root of the window: better known than from a few windows.
+    """
+
+    held_out_mad: float
+    held_out_rms: float
+    held_out_pull: float
+    residual_lightkurve: float
+    residual_everest: float
+    floor: float
+
+
+def robust_scatter(values):
+    """Return 1.4826 times the median absolute deviation."""
+    values = np.asarray(values)
+    return float(1.4826 * np.median(np.abs(values - np.median(values))))
+
+
+def residual_cdpp(corrected, truth, noise, method):
+    """
+    Return the CDPP of corrected over true flux, over the CDPP of the noise alone.
+
+    Parameters
+    ----------
+    corrected, truth, noise : ndarray
+        Corrected flux, true relative flux and relative noise, ``(n,)``.
+    method : {"lightkurve", "everest"}
+        Convention of the CDPP.
+    """
+    return cdpp(corrected / truth, method=method) / cdpp(1 + noise, method=method)
+
+
+def score(corrector, truth, noise, width=13):
+    """
+    Score the last correction of a corrector.
+
+    Parameters
+    ----------
+    corrector : PLDCorrector
+        After a call of `PLDCorrector.correct`.
+    truth : ndarray
+        True relative flux, ``(n_cadences,)``.
+    noise : ndarray
+        Noise of the sum over the aperture over its expected value, ``(n_cadences,)``.
+    width : int, optional
+        Cadences in a window.
+    """
+    means, errors, used = corrector.held_out(width)
+    floor = float(np.std(noise[used]) / np.sqrt(width))
+    good = np.isfinite(corrector.corrected_lc.flux.value)
+    flux = corrector.corrected_lc.flux.value[good]
+    residual = {
+        method: residual_cdpp(flux, truth[good], noise[good], method)
+        for method in ("lightkurve", "everest")
+    }
+    return Scores(
+        held_out_mad=robust_scatter(means) / floor,
+        held_out_rms=float(np.std(means) / floor),
+        held_out_pull=float(np.sqrt(np.mean((means / errors) ** 2))),
+        residual_lightkurve=residual["lightkurve"],
+        residual_everest=residual["everest"],
+        floor=1e6 * floor,
+    )
+
+
+def noise_of(corrector, observation):
+    """
+    Return the noise of a star without signal before and after de-trending.
+
+    Parameters
+    ----------
+    corrector : PLDCorrector
+        After a call of `PLDCorrector.correct`.
+    observation : Observation
+        The pixels that it has corrected, no cadence of which is flagged.
+
+    Returns
+    -------
+    dict
+        CDPP in ppm, "raw", "pld" and "floor", that of the noise alone in the aperture's sum, and
+        "residual", the ratio of the last two, each followed by the convention; and the scores
+        "held_out_mad" and "held_out_rms".
+    """
+    mask = corrector.aperture_mask
+    expected = observation.model()[:, mask].sum(axis=1)
+    noise = (observation.flux[:, mask].sum(axis=1) - expected) / np.median(expected)
+    scores = score(corrector, np.ones(len(noise)), noise)
+    row = {"held_out_mad": scores.held_out_mad, "held_out_rms": scores.held_out_rms}
+    for method in CONVENTIONS:
+        row[f"raw_{method}"] = cdpp(corrector.original_lc, method=method)
+        row[f"pld_{method}"] = cdpp(corrector.corrected_lc, method=method)
+        row[f"floor_{method}"] = cdpp(1 + noise, method=method)
+        row[f"residual_{method}"] = getattr(scores, f"residual_{method}")
+    return row
+
+
+def transit_amplitude(flux, transit):
+    """
+    Return the amplitude of a transit in a light curve.
+
+    Parameters
+    ----------
+    flux : ndarray
+        The light curve.
+    transit : ndarray
+        Relative flux of the model, 1 outside of transits.
+
+    Returns
+    -------
+    float
+        Least-squares amplitude in units of the model's.
+    """
+    good = np.isfinite(flux)
+    shape = transit[good] - 1
+    relative = flux[good] / np.median(flux[good & (transit == 1)]) - 1
+    shape = shape - shape.mean()
+    return float(shape @ relative / (shape @ shape))
+
+
+def correct(name, setting, tpf, aperture, cadence_mask=None):
+    """
+    Correct a target pixel file with one of lightkurve's correctors.
+
+    Parameters
+    ----------
+    name : str
+        One of `LIGHTKURVE_CORRECTORS`.
+    setting : tuple
+        One of its settings. "whole" is `aperture`, "pipeline" that of the file. SFF gets
+        the light curve of `aperture` and the columns POS_CORR, which in simulations are the truth.
+    tpf : lightkurve.KeplerTargetPixelFile
+        The pixels.
+    aperture : ndarray of bool
+        The aperture that holds the star wherever it goes.
+    cadence_mask : ndarray of bool, optional
+        True where a cadence may be used in the fit.
+
+    Returns
+    -------
+    ndarray
+        The corrected flux, or None if the corrector fails.
+    """
+    from lightkurve.correctors import PLDCorrector, SFFCorrector
+
+    with _quiet(), _fixed_randomness():
+        try:
+            if name == "lightkurve_pld":
+                mask = aperture if setting[0] == "whole" else None
+                corrector = PLDCorrector(tpf, aperture_mask=mask)
+                lc = corrector.correct(pld_order=setting[1], cadence_mask=cadence_mask)
+            else:
+                corrector = SFFCorrector(tpf.to_lightcurve(aperture_mask=aperture))
+                lc = corrector.correct(
+                    centroid_col=tpf.pos_corr1, centroid_row=tpf.pos_corr2, windows=setting[0],
+                    cadence_mask=cadence_mask,
+                )  # fmt: skip
+        except (np.linalg.LinAlgError, ValueError):
+            return None
+    return np.asarray(lc.flux.value, dtype=float)
+
+
+def best_setting(name, tpf, aperture):
+    """
+    Return the lowest CDPP of all settings in each convention, and EVEREST's setting.
+
+    Parameters
+    ----------
+    name : str
+        One of `LIGHTKURVE_CORRECTORS`.
+    tpf : lightkurve.KeplerTargetPixelFile
+        The pixels.
+    aperture : ndarray of bool
+        See `correct`.
+
+    Returns
+    -------
+    lowest : dict
+        CDPP in ppm by the name of the convention; empty if the corrector always fails.
+    setting : tuple
+        The setting with the lowest CDPP in EVEREST's convention, or None.
+    """
+    lowest, best = {}, None
+    for setting in LIGHTKURVE_CORRECTORS[name]:
+        flux = correct(name, setting, tpf, aperture)
+        if flux is None or not np.nanmedian(flux) > 0:
+            continue
+        found = {method: cdpp(flux, method=method) for method in CONVENTIONS}
+        if found["everest"] < lowest.get("everest", np.inf):
+            best = setting
+        lowest = {method: min(value, lowest.get(method, np.inf)) for method, value in found.items()}
+    return lowest, best
+
+
+@contextmanager
+def _quiet():
+    """Silence lightkurve's logger and its libraries' warnings."""
+    logger = logging.getLogger("lightkurve")
+    level = logger.level
+    logger.setLevel(logging.CRITICAL)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
+    finally:
+        logger.setLevel(level)
+
+
+@contextmanager
+def _fixed_randomness():
+    """Make lightkurve's PLDCorrector reproducible: it draws from numpy's global state."""
+    state = np.random.get_state()  # noqa: NPY002
+    np.random.seed(0)  # noqa: NPY002
+    try:
+        yield
+    finally:
+        np.random.set_state(state)  # noqa: NPY002

@@ -1,0 +1,115 @@
+"""The shared parameters of a fit as numbers: bounds, largest steps, priors."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+__all__ = ["FitParameter", "fit_parameters"]
+
+# Narrower PSFs are the same to a pixel; tighter correlations only cost time.
+_LEAST_WIDTH, _LARGEST_CORRELATION, _LARGEST_OFFSET = 0.1, 0.95, 2.0
+# Standard deviation of the coefficients of an empirical term, whose first one is 1.
+_COEFFICIENT_PRIOR = 10.0
+_LARGEST_MOVE = 0.3
+_UNITS = {"width": "pix", "offset": "pix", "position": "pix", "flux": "e-/s"}
+
+
+@dataclass(frozen=True)
+class FitParameter:
+    """
+    A parameter that all cadences share.
+
+    Parameters
+    ----------
+    name : str
+        Its name.
+    kind : str
+        "width", "correlation", "coefficient", "fraction", "offset" and "response" as in
+        `~scope_models.PRF.parameter_kinds`; "position", "slope" and "flux";
+        or "other".
+    lower, upper : float, optional
+        Bounds.
+    largest_step : float, optional
+        How far it may move in one step.
+    relative : bool, optional
+        Whether that is a part of its value.
+    prior : float, optional
+        Standard deviation about 0 before the fit.
+    start : float, optional
+        Starting value.
+
+    Examples
+    --------
+    >>> from scope_models.fitting.parameters import FitParameter
+    >>> FitParameter("sigma_x", "width", lower=0.1, start=0.5).unit
+    'pix'
+    """
+
+    name: str
+    kind: str = "other"
+    lower: float = -np.inf
+    upper: float = np.inf
+    largest_step: float = np.inf
+    relative: bool = False
+    prior: float = np.inf
+    start: float = 0.0
+
+    @property
+    def unit(self):
+        """Unit (str)."""
+        return _UNITS.get(self.kind, "")
+
+
+def fit_parameters(prf, shape):
+    """
+    Return the free shared parameters of a PRF.
+
+    Kinds come from the models (`~scope_models.PRF.parameter_kinds`), never from names. Bounds are
+    the model's, narrowed by what a kind allows: a component that is wider than half the stamp is
+    background, and at a pixel's edge no term of a response takes away all of it or doubles it.
+
+    Parameters
+    ----------
+    prf : PRF
+        The model.
+    shape : tuple of int
+        Shape (ny, nx) of the image.
+
+    Returns
+    -------
+    parameters : tuple of FitParameter
+        Without flux and position, and without what is fixed.
+
+    Examples
+    --------
+    >>> from scope_models import PRF, BivariateGaussianPSF
+    >>> from scope_models.fitting.parameters import fit_parameters
+    >>> [p.name for p in fit_parameters(PRF(BivariateGaussianPSF()), (7, 7))]
+    ['sigma_x', 'sigma_y', 'rho']
+    """
+    kinds, powers = prf.parameter_kinds, prf.response_powers
+    result = []
+    for name in prf.param_names[3:]:
+        parameter = getattr(prf, name)
+        if parameter.fixed:
+            continue
+        low, high = parameter.bounds
+        low, high = -np.inf if low is None else low, np.inf if high is None else high
+        kind, step, relative = kinds.get(name, "other"), np.inf, False
+        prior = _COEFFICIENT_PRIOR if kind == "coefficient" else np.inf
+        if kind == "width":
+            low, high = max(low, _LEAST_WIDTH), min(high, max(shape) / 2)
+        elif kind == "correlation":
+            low, high = max(low, -_LARGEST_CORRELATION), min(high, _LARGEST_CORRELATION)
+        elif kind == "response":
+            largest = 2.0 ** powers[name][1]
+            low, high = max(low, -largest), min(high, largest)
+        elif kind == "offset":
+            low, high = max(low, -_LARGEST_OFFSET), min(high, _LARGEST_OFFSET)
+        if kind in {"correlation", "fraction", "offset"}:
+            step = _LARGEST_MOVE
+        elif kind == "width" or (kind == "other" and low > 0):
+            step, relative = _LARGEST_MOVE, True
+        start = float(np.ravel(parameter.value)[0])
+        result.append(FitParameter(name, kind, low, high, step, relative, prior, start))
+    return tuple(result)

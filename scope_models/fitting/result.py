@@ -1,0 +1,399 @@
+"""What a fit finds."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from scope_models.fitting.parameters import FitParameter
+from scope_models.models import PRF
+from scope_models.scene.detector import Detector
+
+__all__ = ["TPFFit"]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class TPFFit:
+    """
+    A model of all pixels and cadences of a target pixel file.
+
+    `fit_tpf` makes it, `read` reads one that `write` has written. Arrays by cadence have the
+    shape ``(n,)``, images ``(ny, nx)`` and cubes ``(n, ny, nx)``.
+
+    Parameters
+    ----------
+    model : PRF
+        The fitted model at the median position and flux.
+    names : tuple of str
+        Parameters that all cadences share: those of the model, then those of the path.
+    kinds : tuple of str
+        Their kinds, as in `~scope_models.PRF.parameter_kinds`.
+    parameters : ndarray of shape (s,)
+        Their values.
+    covariance : ndarray of shape (s, s)
+        Their covariance, with the uncertainty of all other parameters.
+    interpixel, interpixel_err : ndarray of shape (ny, nx)
+        Response of each pixel against the others; 1 and NaN where there are no data.
+    time : ndarray
+        Days.
+    cadenceno, quality : ndarray of int
+        Numbers and flags of the cadences.
+    x, y, flux, background : ndarray
+        Position in pixels, and e-/s.
+    x_err, y_err, flux_err, background_err : ndarray
+        Their errors, with the uncertainty of the shared parameters.
+    flux_scatter : ndarray
+        Error of the flux less the mean flux: that of a light curve, without what the shared
+        parameters change in all fluxes alike.
+    observed, observed_err, fitted : ndarray
+        Cubes of the data, their errors and the model, e-/s; NaN where not used.
+    pos_corr : ndarray of shape (n, 2) or None
+        POS_CORR of the cadences.
+    chi2, n_data, n_parameters : float, int
+        Chi-squared of the pixels without priors, number of pixel values, and number of parameters.
+    error_scale : float
+        By what the errors of the pixels were scaled up, because the model is not true.
+    converged : bool
+        Whether the iterations have converged.
+    n_steps : int
+        Number of steps.
+    time_format : str
+        "bkjd" or "btjd".
+    detector : Detector
+        The pixels, with the fitted response.
+    options : mapping
+        Options of the fit.
+    meta : mapping
+        What the file says of the star.
+
+    Examples
+    --------
+    >>> from scope_models import Detector, Motion, Star, fit_tpf, simulate
+    >>> detector = Detector.k2(shape=(7, 7))
+    >>> observation = simulate(Star(12.0), detector, Motion.k2_roll(100), seed=1)
+    >>> fit = fit_tpf(observation.to_tpf(), psf=1)
+    >>> fit.table()["name"][:3].tolist()
+    ['sigma_x', 'sigma_y', 'rho']
+    >>> stars, detector, motion = fit.scene()
+    >>> twin = simulate(stars, detector, motion, seed=2)
+    """
+
+    model: PRF
+    names: tuple
+    kinds: tuple
+    parameters: np.ndarray
+    covariance: np.ndarray
+    interpixel: np.ndarray
+    interpixel_err: np.ndarray
+    time: np.ndarray
+    cadenceno: np.ndarray
+    quality: np.ndarray
+    x: np.ndarray
+    y: np.ndarray
+    flux: np.ndarray
+    background: np.ndarray
+    x_err: np.ndarray
+    y_err: np.ndarray
+    flux_err: np.ndarray
+    background_err: np.ndarray
+    flux_scatter: np.ndarray
+    observed: np.ndarray
+    observed_err: np.ndarray
+    fitted: np.ndarray
+    pos_corr: np.ndarray | None
+    chi2: float
+    n_data: int
+    n_parameters: int
+    error_scale: float
+    converged: bool
+    n_steps: int
+    time_format: str
+    detector: Detector
+    options: Mapping
+    meta: Mapping
+
+    def __post_init__(self):
+        for value in vars(self).values():
+            if isinstance(value, np.ndarray):
+                value.flags.writeable = False
+
+    def __repr__(self):
+        n, ny, nx = self.observed.shape
+        state = "" if self.converged else ", not converged"
+        return (
+            f"<TPFFit of {n} cadences of {ny} x {nx} pixels, {len(self.names)} shared parameters, "
+            f"chi-squared per degree of freedom {self.reduced_chi2:.4g}{state}>"
+        )
+
+    # --- numbers --------------------------------------------------------------------------
+    @property
+    def shape(self):
+        """Shape (ny, nx) of an image."""
+        return self.interpixel.shape
+
+    @property
+    def values(self):
+        """Values of the shared parameters by name."""
+        return dict(zip(self.names, self.parameters.tolist(), strict=True))
+
+    @property
+    def errors(self):
+        """Standard deviations of the shared parameters by name."""
+        errors = np.sqrt(np.diag(self.covariance))
+        return dict(zip(self.names, errors.tolist(), strict=True))
+
+    @property
+    def psf(self):
+        """The fitted PSF, a density of flux 1 at (0, 0)."""
+        model = self.model.copy()
+        model.x_0, model.y_0 = 0.0, 0.0
+        return model.psf
+
+    @property
+    def sensitivity(self):
+        """The fitted sensitivity, or None."""
+        return self.model.sensitivity
+
+    @property
+    def reduced_chi2(self):
+        """Chi-squared per degree of freedom."""
+        return self.chi2 / self.dof
+
+    @property
+    def dof(self):
+        """Degrees of freedom: pixel values less parameters."""
+        return max(self.n_data - self.n_parameters, 1)
+
+    @cached_property
+    def residual(self):
+        """Data less model, e-/s, shape (n, ny, nx); NaN where not used."""
+        return self.observed - self.fitted
+
+    @cached_property
+    def _squares(self):
+        return (self.residual / self.observed_err) ** 2
+
+    @cached_property
+    def chi2_pixels(self):
+        """Chi-squared per degree of freedom of each pixel, (ny, nx); NaN without data."""
+        return self._mean_squares(0)
+
+    @cached_property
+    def chi2_cadences(self):
+        """Chi-squared per degree of freedom of each cadence, (n,)."""
+        return self._mean_squares((1, 2))
+
+    def _mean_squares(self, axis):
+        """Mean square of the scaled residuals, with the parameters spread over all data."""
+        count = np.isfinite(self._squares).sum(axis=axis)
+        total = np.nansum(self._squares, axis=axis) * (self.n_data / self.dof)
+        return np.divide(total, count, out=np.full(total.shape, np.nan), where=count > 0)
+
+    def table(self):
+        """
+        Return the shared parameters.
+
+        Returns
+        -------
+        astropy.table.QTable
+            Columns name, value, error, unit and fixed. Units differ from row to row: `quantity`
+            gives a value with its unit.
+        """
+        from astropy.table import QTable
+
+        errors, values, kinds = self.errors, self.values, self.all_kinds
+        rows = []
+        for name in dict.fromkeys((*self.names, *self.model.param_names[3:])):
+            free = name in values
+            value = values[name] if free else float(np.ravel(getattr(self.model, name).value)[0])
+            unit = FitParameter(name, kinds.get(name, "other")).unit
+            rows.append((name, value, errors.get(name, 0.0), unit, not free))
+        names = ("name", "value", "error", "unit", "fixed")
+        table = QTable(rows=rows, names=names, dtype=("U32", float, float, "U8", bool))
+        table["value"].info.format, table["error"].info.format = ".6g", ".2g"
+        return table
+
+    @property
+    def all_kinds(self):
+        """Kinds of the parameters, fixed or free, by name (dict of str)."""
+        return self.model.parameter_kinds | dict(zip(self.names, self.kinds, strict=True))
+
+    def quantity(self, name):
+        """
+        Return a shared parameter with its unit.
+
+        Parameters
+        ----------
+        name : str
+            Its name.
+
+        Returns
+        -------
+        astropy.units.Quantity
+            The value.
+        """
+        from astropy import units as u
+
+        unit = FitParameter(name, self.all_kinds[name]).unit
+        return u.Quantity(self.values[name], u.electron / u.s if unit == "e-/s" else unit)
+
+    def correlation(self):
+        """
+        Return the correlations between the shared parameters.
+
+        Returns
+        -------
+        astropy.table.Table
+            A column of names, and one column per parameter.
+        """
+        from astropy.table import Table
+
+        deviation = np.sqrt(np.maximum(np.diag(self.covariance), 1e-300))
+        matrix = self.covariance / np.outer(deviation, deviation)
+        table = Table({"name": list(self.names)})
+        for name, column in zip(self.names, matrix.T, strict=True):
+            table[name] = column
+        return table
+
+    def path_r2(self):
+        """
+        Return how well an affine map of POS_CORR predicts the positions.
+
+        Returns
+        -------
+        tuple of float
+            Part of the variance of x and of y that the map explains; NaN without POS_CORR.
+        """
+        if self.pos_corr is None:
+            return np.nan, np.nan
+        basis = np.column_stack([np.ones(len(self.x)), self.pos_corr])
+        result = []
+        for position in (self.x, self.y):
+            rest = position - basis @ np.linalg.lstsq(basis, position, rcond=None)[0]
+            result.append(float(1 - rest.var() / position.var()) if position.var() else np.nan)
+        return tuple(result)
+
+    # --- light curve, scene, figure, file -------------------------------------------------
+    def to_lightcurve(self):
+        """
+        Return the fluxes as a light curve.
+
+        Returns
+        -------
+        lightkurve.LightCurve
+            With the columns centroid_col, centroid_row, background, quality and cadenceno. The
+            errors are those between cadences: the shared parameters scale all fluxes alike.
+        """
+        from astropy import units as u
+        from astropy.time import Time
+        from lightkurve import LightCurve
+
+        unit = u.electron / u.s
+        curve = LightCurve(
+            time=Time(self.time, format=self.time_format, scale="tdb"),
+            flux=self.flux * unit,
+            flux_err=self.flux_scatter * unit,
+        )
+        curve["centroid_col"], curve["centroid_row"] = self.x * u.pixel, self.y * u.pixel
+        curve["background"] = self.background * unit
+        curve["quality"], curve["cadenceno"] = self.quality, self.cadenceno
+        curve.meta.update(self.meta)
+        return curve
+
+    def scene(self, *, positions="fitted", signal="smooth"):
+        """
+        Return what `~scope_models.simulate` needs for the star's twin.
+
+        Parameters
+        ----------
+        positions : {"fitted", "path"}, optional
+            The fitted positions, with their noise, or those of the affine map of POS_CORR.
+        signal : {"smooth", "fitted", "constant"}, optional
+            Relative flux: the sum of the pixels smoothed over half a day, the fitted fluxes with
+            their noise, or none.
+
+        Returns
+        -------
+        stars : tuple of Star
+            The star.
+        detector : Detector
+            The pixels, with the fitted sensitivity and response, and the read noise with which
+            faint pixels scatter as those of the file do from one cadence to the next.
+        motion : Motion
+            The positions about their median.
+
+        Notes
+        -----
+        The fitted background is not in the scene: it is what the file left in the pixels.
+        """
+        from scope_models.fitting._scene import make_scene
+
+        return make_scene(self, positions, signal)
+
+    def plot(self):
+        """
+        Draw data, model and residual, positions against POS_CORR, chi-squared, the sensitivity.
+
+        Returns
+        -------
+        dict of str to matplotlib.axes.Axes
+            The Axes by what they show.
+        """
+        from scope_models.fitting._scene import sensitivity_profiles
+        from scope_models.plotting import plot_fit
+
+        return plot_fit(
+            np.nanmedian(self.observed, axis=0),
+            np.nanmedian(self.fitted, axis=0),
+            np.nanmedian(self.residual, axis=0),
+            self.x,
+            self.y,
+            pos_corr=self.pos_corr,
+            sensitivity=sensitivity_profiles(self),
+            chi2=self.chi2_pixels,
+        )
+
+    def write(self, path, overwrite=False):
+        """
+        Write the fit to a FITS file.
+
+        Parameters
+        ----------
+        path : str or path-like
+            The file.
+        overwrite : bool, optional
+            Whether to replace a file.
+
+        Returns
+        -------
+        pathlib.Path
+            The file.
+        """
+        from scope_models.fitting._files import write_fit
+
+        return write_fit(self, path, overwrite=overwrite)
+
+    @classmethod
+    def read(cls, path):
+        """
+        Read a fit from a FITS file.
+
+        Parameters
+        ----------
+        path : str or path-like
+            The file.
+
+        Returns
+        -------
+        TPFFit
+            The fit.
+
+        Raises
+        ------
+        ValueError
+            If the file does not hold a fit.
+        """
+        from scope_models.fitting._files import read_fit
+
+        return cls(**read_fit(path))

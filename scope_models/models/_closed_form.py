@@ -1,0 +1,109 @@
+# Licensed under a 3-clause BSD style license - see LICENSE
+"""Which densities integrate over pixels in closed form."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from astropy import units as u
+from astropy.modeling.models import Gaussian2D
+
+from scope_models.models._gaussian import gaussian_pixels
+
+__all__ = ["FWHM", "ClosedForm", "closed_form", "is_photutils", "pixels_of"]
+
+# Full width at half maximum of a normal density, in standard deviations.
+FWHM = 2 * np.sqrt(2 * np.log(2))
+
+
+@dataclass(frozen=True, eq=False)
+class ClosedForm:
+    """
+    How a density integrates over pixels without quadrature.
+
+    A model has one by a method ``closed_form(values)`` that returns it; so have the Gaussians of
+    astropy and photutils.
+
+    Parameters
+    ----------
+    flux : float, array or `~astropy.units.Quantity`
+        Integral of the density over the plane.
+    parameters : tuple
+        Numbers or arrays in pixels, x_0 and y_0 first.
+    pixels : callable
+        ``pixels(x, y, *parameters, x_coefficients, y_coefficients)`` with columns, rows and the
+        polynomial response along the axes: images ``(..., ny, nx)`` of unit flux.
+    derivatives : callable or None
+        The same, with the images' derivatives by ``names`` on a new first axis, after the images.
+    names : tuple of str
+        Parameters of the model.
+    """
+
+    flux: object
+    parameters: tuple
+    pixels: object
+    derivatives: object = None
+    names: tuple = ()
+
+
+def closed_form(model, values):
+    """
+    Return the integrals over pixels of a density in closed form.
+
+    Parameters
+    ----------
+    model : `~astropy.modeling.Model`
+        The density.
+    values : dict
+        Its parameters: float, array or `~astropy.units.Quantity`.
+
+    Returns
+    -------
+    form : ClosedForm or None
+        None if there is none.
+    """
+    if hasattr(model, "closed_form"):
+        return model.closed_form(values)
+    gaussian = _gaussian(model, values)
+    return None if gaussian is None else ClosedForm(gaussian[0], gaussian[1:], gaussian_pixels)
+
+
+def _gaussian(model, values):
+    """Flux, x_0, y_0, sigma_x, sigma_y and rho of a Gaussian of astropy or photutils, or None."""
+    name = type(model).__name__
+    if isinstance(model, Gaussian2D):
+        long, wide = pixels_of(values["x_stddev"]), pixels_of(values["y_stddev"])
+        flux = values["amplitude"] * (2 * np.pi * long * wide)
+        if isinstance(values["x_mean"], u.Quantity):
+            flux = flux * values["x_mean"].unit ** 2
+        center = pixels_of(values["x_mean"]), pixels_of(values["y_mean"])
+        return flux, *center, *_from_axes(long, wide, _radians(values["theta"], u.rad))
+    if is_photutils(model) and name in {"GaussianPSF", "CircularGaussianPSF"}:
+        center = pixels_of(values["x_0"]), pixels_of(values["y_0"])
+        if name == "CircularGaussianPSF":
+            sigma = pixels_of(values["fwhm"]) / FWHM
+            return values["flux"], *center, sigma, sigma, np.asarray(0.0)
+        long, wide = (pixels_of(values[n]) / FWHM for n in ("x_fwhm", "y_fwhm"))
+        angle = _radians(values["theta"], u.deg)
+        return values["flux"], *center, *_from_axes(long, wide, angle)
+    return None
+
+
+def pixels_of(value):
+    return value.to_value(u.pixel) if isinstance(value, u.Quantity) else value
+
+
+def _radians(angle, unit):
+    angle = angle if isinstance(angle, u.Quantity) else angle * unit
+    return angle.to_value(u.rad)
+
+
+def _from_axes(long, wide, angle):
+    """Standard deviations along x and y and their correlation, from those along the axes."""
+    cos, sin = np.cos(angle), np.sin(angle)
+    sigma_x = np.hypot(long * cos, wide * sin)
+    sigma_y = np.hypot(long * sin, wide * cos)
+    return sigma_x, sigma_y, (long**2 - wide**2) * sin * cos / (sigma_x * sigma_y)
+
+
+def is_photutils(model):
+    return any(base.__module__.startswith("photutils.") for base in type(model).__mro__)

@@ -1,0 +1,245 @@
+# Licensed under a 3-clause BSD style license - see LICENSE
+"""Images of one star in all cadences of a series: each depends on its own position alone."""
+
+import numpy as np
+
+from scope_models.models._axis import FEW, ROWS, AxisPanels
+from scope_models.models._gaussian import (
+    contract,
+    gaussian_pixels,
+    n_terms,
+    reached,
+    series_step,
+    uses_series,
+)
+from scope_models.models._terms import Factor, Term, expand, is_pixel_integrated
+from scope_models.models.integration import PixelPoints, integrate_density, integrate_term
+
+__all__ = ["ImageSeries", "unit_images"]
+
+# Positions of one call of what interpolates long series: so few are integrated one by one.
+_BATCH = FEW - 4
+
+
+class ImageSeries:
+    """
+    Images of a star of unit flux at the positions of a series.
+
+    Gaussians are interpolated between places that do not depend on the series: the same position
+    and width give the same pixels to the last bit, in whatever pieces the series is rendered.
+
+    Parameters
+    ----------
+    psf : `~astropy.modeling.Model`
+        A density with the parameters flux, x_0 and y_0, or a sum of several. It is scaled to unit
+        flux, and its first component is put at the star's position.
+    sensitivity : `~astropy.modeling.Model` or None
+        Response within the pixels. A PSF that is integrated over pixels already contains it, and
+        is not multiplied by it.
+    shape : tuple of int
+        Shape (ny, nx) of the stamp.
+    x, y : `~numpy.ndarray`
+        All positions of the series, or their extremes, which choose the `window`.
+    widths : `~numpy.ndarray`, optional
+        All factors on the width of the PSF, or their extremes.
+
+    Attributes
+    ----------
+    window : tuple of slice
+        Rows and columns that the star lights.
+    """
+
+    def __init__(self, psf, sensitivity, shape, x, y, widths=None):
+        widest = 1.0 if widths is None else np.max(widths)
+        parts = _parts(psf, sensitivity)
+        self.window = _window(parts, shape, x, y, widest)
+        rows, columns = (np.arange(s.start, s.stop, dtype=float) for s in self.window)
+        self._parts = [
+            (fraction, offset, _engine(term, columns, rows)) for fraction, offset, term in parts
+        ]
+        self._shape = rows.size, columns.size
+
+    def __call__(self, x, y, widths=None):
+        """
+        Images at positions.
+
+        Parameters
+        ----------
+        x, y : `~numpy.ndarray`
+            Columns and rows of the star, shape ``(m,)``.
+        widths : `~numpy.ndarray`, optional
+            Factors on the width of the PSF about the star's position, shape ``(m,)``.
+
+        Returns
+        -------
+        images : `~numpy.ndarray`
+            Shape ``(m, ...)`` of the `window`.
+        """
+        images = np.zeros((len(x), *self._shape))
+        if not images.size:
+            return images
+        scale = 1.0 if widths is None else widths
+        for number, (fraction, (dx, dy), engine) in enumerate(self._parts):
+            image = engine(x + scale * dx, y + scale * dy, widths)
+            image *= fraction
+            images = image if number == 0 else np.add(images, image, out=images)
+        return images
+
+
+def unit_images(psf, shape, x, y):
+    """
+    Images of a star of unit flux at a few positions, without a response, each integrated directly.
+
+    Parameters
+    ----------
+    psf : `~astropy.modeling.Model`
+        As for `ImageSeries`.
+    shape : tuple of int
+        Shape (ny, nx) of the stamp.
+    x, y : `~numpy.ndarray`
+        Columns and rows of the star, shape ``(m,)``.
+
+    Returns
+    -------
+    images : `~numpy.ndarray`
+        Shape ``(m, ny, nx)``.
+    """
+    columns, rows = (np.arange(n, dtype=float) for n in shape[::-1])
+    images = np.zeros((len(x), *shape))
+    for fraction, (dx, dy), term in _parts(psf, None):
+        images += fraction * _directly(term, columns, rows)(x + dx, y + dy, None)
+    return images
+
+
+def _parts(psf, sensitivity):
+    """Return fraction of the flux, offset from the star and unit product of each component."""
+    terms = [term for term in expand(psf) if np.any(term.scale)]
+    first = terms[0].densities[0].values
+    total = sum(term.scale * _number(term.densities[0].values["flux"]) for term in terms)
+    responses = [Term()] if sensitivity is None else expand(sensitivity)
+    parts = []
+    for term in terms:
+        values = {name: _number(v) for name, v in term.densities[0].values.items()}
+        fraction = float(term.scale * values["flux"] / total)
+        offset = [float(values[n] - _number(first[n])) for n in ("x_0", "y_0")]
+        model = term.densities[0].model
+        values |= {"flux": 1.0, "x_0": 0.0, "y_0": 0.0}
+        unit = Term(densities=(Factor(model, values),), sensitivities=term.sensitivities)
+        several = [Term()] if is_pixel_integrated(model) else responses
+        parts.extend((fraction, offset, unit * response) for response in several)
+    return parts
+
+
+def _number(value):
+    """Return a value without its unit."""
+    return getattr(value, "value", value)
+
+
+def _gaussian(term):
+    """Return sigma_x, sigma_y and rho of a bivariate normal density, None of any other."""
+    form = term.closed_form()
+    if form is None or form.pixels is not gaussian_pixels:
+        return None
+    return tuple(float(value) for value in form.parameters[2:])
+
+
+def _window(parts, shape, x, y, widest):
+    """Return the rows and columns that any component lights at any position."""
+    windows = []
+    for _, (dx, dy), term in parts:
+        gaussian = _gaussian(term)
+        if gaussian is None:
+            return slice(0, shape[0]), slice(0, shape[1])
+        sigma_x, sigma_y, _ = gaussian
+        ends = np.array([1.0, widest])
+        columns, rows = (
+            reached(np.arange(n), np.add.outer(ends * d, [p.min(), p.max()]), widest * sigma)
+            for n, d, p, sigma in ((shape[1], dx, x, sigma_x), (shape[0], dy, y, sigma_y))
+        )
+        windows.append((rows.start, rows.stop, columns.start, columns.stop))
+    lows, highs = np.min(windows, axis=0), np.max(windows, axis=0)
+    return slice(int(lows[0]), int(highs[1])), slice(int(lows[2]), int(highs[3]))
+
+
+def _engine(term, columns, rows):
+    """Return the function of positions and widths that renders one component."""
+    gaussian = _gaussian(term)
+    along = term.polynomials()
+    if gaussian is None:
+        return _directly(term, columns, rows)
+    sigma_x, sigma_y, rho = gaussian
+    if not uses_series(sigma_x, sigma_y, rho, max(c.size for c in along) - 1):
+        return _tensor(columns, rows, (sigma_x, sigma_y, rho), along)
+    n = n_terms(rho)
+    powers = (rho ** np.arange(n))[:, np.newaxis]
+    x_axis = AxisPanels(columns, sigma_x, along[0], n, abs(rho))
+    y_axis = AxisPanels(rows, sigma_y, along[1], n, abs(rho))
+    step = series_step(n, columns, rows) // ROWS * ROWS
+
+    def render(x, y, widths):
+        images = np.empty((x.size, rows.size, columns.size))
+        for start in range(0, x.size, step):
+            part = slice(start, start + step)
+            scale = None if widths is None else widths[part]
+            y_table = y_axis(y[part], scale)
+            y_table *= powers
+            contract(y_table, x_axis(x[part], scale), images[part])
+        return images
+
+    return render
+
+
+def _tensor(columns, rows, shape, along):
+    """Return the renderer of a Gaussian so narrow along one direction that the series is long."""
+    sigma_x, sigma_y, rho = shape
+
+    def render(x, y, widths):
+        images = np.empty((x.size, rows.size, columns.size))
+        step = _BATCH if widths is None else 1  # the rule follows from the narrowest of a batch
+        for start in range(0, x.size, step):
+            part = slice(start, start + step)
+            scale = 1.0 if widths is None else widths[part]
+            sigmas = scale * sigma_x, scale * sigma_y
+            images[part] = gaussian_pixels(columns, rows, x[part], y[part], *sigmas, rho, *along)
+        return images
+
+    return render
+
+
+def _directly(term, columns, rows):
+    """Return the renderer of any density: few positions at a time, none interpolated."""
+    points = PixelPoints(*np.meshgrid(columns, rows))
+    (factor,) = term.densities
+
+    def moved(x, y):
+        values = factor.values | {"x_0": x, "y_0": y}
+        return Term(densities=(Factor(factor.model, values),), sensitivities=term.sensitivities)
+
+    def scaled(x, y, widths):
+        """Integrate p((x - x_0) / w) / w^2; the response stays with the pixels."""
+
+        def evaluate(x_at, y_at, index):
+            w, x_0, y_0 = (
+                values[index].reshape((-1,) + (1,) * (x_at.ndim - 1)) for values in (widths, x, y)
+            )
+            return factor.evaluate((x_at - x_0) / w, (y_at - y_0) / w, index) / w**2
+
+        zeros = np.zeros(x.size)
+        return integrate_density(moved(zeros, zeros), points, evaluate)
+
+    def render(x, y, widths):
+        if widths is not None and is_pixel_integrated(factor.model):
+            raise ValueError(
+                f"the width of {type(factor.model).__name__} cannot change: it is integrated over "
+                "pixels already"
+            )
+        images = np.empty((x.size, rows.size, columns.size))
+        for start in range(0, x.size, _BATCH):
+            part = slice(start, start + _BATCH)
+            if widths is None:
+                images[part] = integrate_term(moved(x[part], y[part]), points)
+            else:
+                images[part] = scaled(x[part], y[part], widths[part])
+        return images
+
+    return render

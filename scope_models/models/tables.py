@@ -1,0 +1,849 @@
+# Licensed under a 3-clause BSD style license - see LICENSE
+"""Tabulated PSFs and PRFs: your own, photutils' and the official ones of Kepler and TESS."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from astropy import units as u
+from astropy.modeling import Fittable2DModel, Parameter
+from astropy.units import UnitsError
+from scipy.interpolate import BSpline, RectBivariateSpline
+from scipy.spatial import Delaunay
+
+from scope_models._arrays import plain_array, plain_number
+from scope_models.models._axis import gauss_legendre
+from scope_models.models._closed_form import ClosedForm, pixels_of
+from scope_models.models._validation import check_model_parameters
+
+__all__ = ["PRFGrid", "TabulatedPRF", "TabulatedPSF"]
+
+# A Gaussian PRF of sigma 0.5 px at 9 samples per pixel is interpolated to 0.005 ppm of its flux by
+# degree 5, to 1.2 ppm by degree 3 and to 700 ppm by degree 1 (rms in 3 x 3 px).
+_DEGREE = 5
+# Positions whose integrals along an axis are held at once.
+_BATCH = 128
+# Rounding errors at the edge of a table, in samples.
+_EDGE = 1e-9
+# Farther outside the places of a grid nothing is extrapolated, pixels.
+_FAR = 100.0
+
+
+class _Surface:
+    """A smooth spline through the samples of a table, 0 outside; shared by copies."""
+
+    def __init__(self, samples, oversampling, origin):
+        self.samples, self.oversampling, self.origin = samples, oversampling, origin
+        self.samples.flags.writeable = False
+
+    def __copy__(self):
+        return self
+
+    def __deepcopy__(self, memo):
+        return self
+
+    def __reduce__(self):
+        return _Surface, (np.array(self.samples), self.oversampling, self.origin)
+
+    def __eq__(self, other):
+        if not isinstance(other, _Surface):
+            return NotImplemented
+        same = (self.oversampling, self.origin) == (other.oversampling, other.origin)
+        return same and np.array_equal(self.samples, other.samples)
+
+    __hash__ = None
+
+    @cached_property
+    def spline(self):
+        """The spline in samples along y and x."""
+        ny, nx = self.samples.shape
+        return RectBivariateSpline(
+            np.arange(ny), np.arange(nx), self.samples, kx=_DEGREE, ky=_DEGREE
+        )
+
+    def value(self, dx, dy, *, along_x=0, along_y=0):
+        """Value or derivative at offsets from the star in pixels."""
+        sample_x = self.origin[0] + self.oversampling[1] * np.asarray(dx, dtype=float)
+        sample_y = self.origin[1] + self.oversampling[0] * np.asarray(dy, dtype=float)
+        sample_x, sample_y = np.broadcast_arrays(sample_x, sample_y)
+        values = self.spline.ev(sample_y.ravel(), sample_x.ravel(), dx=along_y, dy=along_x)
+        values *= self.oversampling[1] ** along_x * self.oversampling[0] ** along_y
+        ny, nx = self.samples.shape
+        inside = (sample_x >= -_EDGE) & (sample_x <= nx - 1 + _EDGE)
+        inside &= (sample_y >= -_EDGE) & (sample_y <= ny - 1 + _EDGE)
+        return np.where(inside, values.reshape(sample_x.shape), 0.0)
+
+    @cached_property
+    def _coefficients(self):
+        """Knots along y and x, and the matrix of coefficients."""
+        y, x, coefficients = self.spline.tck
+        shape = len(y) - _DEGREE - 1, len(x) - _DEGREE - 1
+        return y, x, np.reshape(coefficients, shape)
+
+    def integrals(self, x, y, x_0, y_0, along_x, along_y, *, derivatives=False):
+        """
+        Integrals over pixels times polynomials: ``(..., ny, nx)``, or 3 of them.
+
+        The spline is a polynomial between its samples, of which Gauss-Legendre rules are exact.
+        """
+        shape = np.broadcast_shapes(np.shape(x_0), np.shape(y_0))
+        x_0, y_0 = (np.broadcast_to(p, shape).reshape(-1).astype(float) for p in (x_0, y_0))
+        knots_y, knots_x, matrix = self._coefficients
+        images = np.empty((3 if derivatives else 1, x_0.size, y.size, x.size))
+        slope_x, slope_y = _slopes(knots_x, matrix.T).T, _slopes(knots_y, matrix)
+        for start in range(0, x_0.size, _BATCH):
+            part = slice(start, start + _BATCH)
+            edges_x = _samples(x, x_0[part], self.origin[0], self.oversampling[1])
+            edges_y = _samples(y, y_0[part], self.origin[1], self.oversampling[0])
+            nx, ny = self.samples.shape[1], self.samples.shape[0]
+            axis_x = _AxisRule(edges_x, self.oversampling[1], nx, along_x)
+            axis_y = _AxisRule(edges_y, self.oversampling[0], ny, along_y)
+            base_x, base_y = axis_x.of(knots_x, _DEGREE), axis_y.of(knots_y, _DEGREE)
+            images[0, part] = base_y @ matrix @ base_x.transpose(0, 2, 1)
+            if derivatives:
+                low_x = axis_x.of(knots_x[1:-1], _DEGREE - 1)
+                low_y = axis_y.of(knots_y[1:-1], _DEGREE - 1)
+                images[1, part] = base_y @ slope_x @ low_x.transpose(0, 2, 1)
+                images[2, part] = low_y @ slope_y @ base_x.transpose(0, 2, 1)
+        if derivatives:
+            images[1] *= -self.oversampling[1]
+            images[2] *= -self.oversampling[0]
+        images = images.reshape((len(images), *shape, y.size, x.size))
+        return images if derivatives else images[0]
+
+
+def _slopes(knots, coefficients):
+    """Coefficients, along the first axis, of the derivative of a spline."""
+    width = knots[_DEGREE + 1 : -1] - knots[1 : -_DEGREE - 1]
+    return _DEGREE * np.diff(coefficients, axis=0) / width[:, np.newaxis]
+
+
+def _samples(pixels, center, origin, oversampling):
+    """Lower edges of the pixels in samples, shape ``(m, n)``."""
+    return origin + oversampling * (pixels - 0.5 - center[:, np.newaxis])
+
+
+class _AxisRule:
+    """Nodes and weights along an axis that integrate a spline times a polynomial exactly."""
+
+    def __init__(self, low, oversampling, size, polynomial):
+        nodes, weights = gauss_legendre((_DEGREE + len(np.atleast_1d(polynomial)) + 1) // 2 + 1)
+        inner = np.floor(low)[..., np.newaxis] + np.arange(1, int(np.ceil(oversampling)) + 1)
+        high = low + oversampling
+        edges = np.concatenate(
+            [low[..., np.newaxis], np.minimum(inner, high[..., np.newaxis]), high[..., np.newaxis]],
+            axis=-1,
+        )
+        edges = np.clip(edges, 0, size - 1)[..., np.newaxis]
+        step = np.diff(edges, axis=-2)
+        at = edges[..., :-1, :] + step * (nodes + 0.5)
+        within = (at - low[..., np.newaxis, np.newaxis]) / oversampling - 0.5
+        weight = step * weights / oversampling
+        weight = weight * np.polynomial.polynomial.polyval(within, np.atleast_1d(polynomial))
+        self.shape = low.shape
+        self.at = np.clip(at, 0, size - 1).ravel()
+        self.weight = weight.ravel()
+
+    def of(self, knots, degree):
+        """Integrals of the basis functions, shape ``(m, n, k)``."""
+        table = BSpline.design_matrix(self.at, knots, degree)
+        n_functions, n_rows = table.shape[1], int(np.prod(self.shape))
+        row = np.repeat(np.arange(n_rows), self.at.size // n_rows * (degree + 1))
+        weight = np.repeat(self.weight, degree + 1) * table.data
+        sums = np.bincount(
+            row * n_functions + table.indices, weight, minlength=n_rows * n_functions
+        )
+        return sums.reshape(*self.shape, n_functions)
+
+
+class _Table(Fittable2DModel):
+    """What tables of densities and of fluxes of pixels have in common."""
+
+    flux = Parameter(default=1.0, description="Flux of the star")
+    x_0 = Parameter(default=0.0, description="Column of the star (pixel)")
+    y_0 = Parameter(default=0.0, description="Row of the star (pixel)")
+
+    def __init__(
+        self,
+        array,
+        oversampling=1,
+        flux=flux.default,
+        x_0=x_0.default,
+        y_0=y_0.default,
+        *,
+        origin=None,
+        uncertainty=None,
+        **kwargs,
+    ):
+        samples = _checked_samples("array", array)
+        self._surface = _Surface(
+            samples, _checked_oversampling(oversampling), _checked_origin(origin, samples.shape)
+        )
+        self._error = None
+        if uncertainty is not None:
+            error = _checked_samples("uncertainty", uncertainty)
+            if error.shape != samples.shape or (error < 0).any():
+                raise ValueError(
+                    f"`uncertainty` must not be negative and of shape {samples.shape}, got shape "
+                    f"{error.shape}"
+                )
+            self._error = _Surface(error, self._surface.oversampling, self._surface.origin)
+        super().__init__(flux=flux, x_0=x_0, y_0=y_0, **kwargs)
+        check_model_parameters(self)
+
+    @property
+    def array(self):
+        """The samples, read-only (ndarray of shape (ny, nx))."""
+        return self._surface.samples
+
+    @property
+    def oversampling(self):
+        """Samples per pixel along y and x (tuple of float)."""
+        return self._surface.oversampling
+
+    @property
+    def origin(self):
+        """Sample, counted from 0, where the star is, along x and y (tuple of float)."""
+        return self._surface.origin
+
+    @property
+    def uncertainty(self):
+        """Standard deviations of the samples (ndarray of shape (ny, nx)) or None."""
+        return None if self._error is None else self._error.samples
+
+    @property
+    def arguments(self):
+        """What makes an equal model: arguments without the parameters (dict)."""
+        return {
+            "array": self.array,
+            "oversampling": self.oversampling,
+            "origin": self.origin,
+            "uncertainty": self.uncertainty,
+        }
+
+    def _values(self, x, y, x_0, y_0, **along):
+        return self._surface.value(_number(x) - _number(x_0), _number(y) - _number(y_0), **along)
+
+    def fit_deriv(self, x, y, flux, x_0, y_0):
+        """
+        Derivatives with respect to the parameters.
+
+        Parameters
+        ----------
+        x, y : array_like
+            Positions in pixels.
+        flux, x_0, y_0 : float
+            As for the class.
+
+        Returns
+        -------
+        derivatives : list of `~numpy.ndarray`
+            By flux, x_0 and y_0.
+        """
+        unit, by_x, by_y = (
+            self._values(x, y, x_0, y_0, along_x=i, along_y=j) for i, j in ((0, 0), (1, 0), (0, 1))
+        )
+        return [unit, -flux * by_x, -flux * by_y]
+
+    def bounding_box(self):
+        """
+        Rectangle that the table covers.
+
+        Returns
+        -------
+        bounding_box : tuple
+            ``((y_low, y_high), (x_low, x_high))``, as astropy orders it.
+        """
+        size = self.array.shape[::-1]
+        box = []
+        for axis, center in ((1, self.y_0), (0, self.x_0)):
+            origin, step = self.origin[axis], self.oversampling[1 - axis]
+            low, high = -origin / step, (size[axis] - 1 - origin) / step
+            unit = 1.0 if center.unit is None else u.pixel
+            value = center.value if center.unit is None else center.quantity
+            box.append((value + low * unit, value + high * unit))
+        return tuple(box)
+
+    @property
+    def input_units(self):
+        """Units of x and y, or None."""
+        unit = self.x_0.input_unit
+        if unit is None:
+            return None
+        return {self.inputs[0]: unit, self.inputs[1]: self.y_0.input_unit}
+
+
+def _number(value):
+    return np.asarray(pixels_of(value), dtype=float)
+
+
+def _checked_samples(name, array):
+    array = np.array(plain_array(array, "", name), order="C")
+    if array.ndim != 2 or min(array.shape) <= _DEGREE:
+        raise ValueError(f"`{name}` must have two axes of at least 6 samples, got {array.shape}")
+    if not np.isfinite(array).all():
+        raise ValueError(f"`{name}` must be finite")
+    return array
+
+
+def _checked_oversampling(oversampling):
+    values = np.broadcast_to(plain_array(oversampling, "", "oversampling"), (2,))
+    if not (np.isfinite(values).all() and (values > 0).all()):
+        raise ValueError(f"`oversampling` must be positive, got {oversampling!r}")
+    return tuple(values.tolist())
+
+
+def _checked_origin(origin, shape):
+    if origin is None:
+        return ((shape[1] - 1) / 2, (shape[0] - 1) / 2)
+    values = plain_array(origin, "", "origin")
+    if values.shape != (2,) or not np.isfinite(values).all():
+        raise ValueError(f"`origin` must be (x, y) in samples, got {origin!r}")
+    return tuple(values.tolist())
+
+
+class TabulatedPSF(_Table):
+    r"""
+    A density that is given by samples: a spline of degree 5 through them, 0 outside.
+
+    Its integrals over pixels, also of its product with a sensitivity, are exact for the spline.
+
+    Parameters
+    ----------
+    array : array_like of shape (ny, nx)
+        Density of a star of unit flux, per square pixel. Nothing is renormalized: for a total
+        flux of 1 the sum of the samples is the product of the oversamplings.
+    oversampling : float or tuple of float, optional
+        Samples per pixel, one number or (y, x).
+    flux : float or `~astropy.units.Quantity`, optional
+        Flux of the star.
+    x_0, y_0 : float or `~astropy.units.Quantity`, optional
+        Position of the star in pixels.
+    origin : tuple of float, optional
+        Sample (x, y), counted from 0, where the star is; by default the middle.
+    uncertainty : array_like of shape (ny, nx), optional
+        Standard deviations of the samples.
+    **kwargs
+        Keywords of `~astropy.modeling.Model`, such as ``fixed`` and ``bounds``.
+
+    Raises
+    ------
+    ValueError
+        If the array is not finite, has fewer than 6 samples along an axis, or an argument does
+        not belong to it.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from scope_models import BivariateGaussianPSF, TabulatedPSF, integrate_pixels
+    >>> y, x = np.mgrid[-6:6.01:0.1, -6:6.01:0.1]
+    >>> psf = TabulatedPSF(BivariateGaussianPSF()(x, y), oversampling=10)
+    >>> print(integrate_pixels(psf, x=[-1, 0, 1], y=[0, 0, 0]).round(4))
+    [0.1074 0.4661 0.1074]
+    """
+
+    def evaluate(self, x, y, flux, x_0, y_0):
+        """
+        Density at the positions.
+
+        Parameters
+        ----------
+        x, y : array_like
+            Positions in pixels.
+        flux, x_0, y_0 : array_like
+            As for the class.
+
+        Returns
+        -------
+        density : `~numpy.ndarray`
+            In units of flux per square pixel.
+        """
+        density = flux * self._values(x, y, x_0, y_0)
+        return density / u.pixel**2 if isinstance(x, u.Quantity) else density
+
+    def closed_form(self, values):
+        """
+        Return the integrals over pixels, exact for the spline.
+
+        Parameters
+        ----------
+        values : dict
+            Value of each parameter.
+
+        Returns
+        -------
+        form : ClosedForm
+            What `~scope_models.integrate_pixels` uses.
+        """
+        surface = self._surface
+
+        def derivatives(*arguments):
+            return surface.integrals(*arguments, derivatives=True)
+
+        place = tuple(pixels_of(values[name]) for name in ("x_0", "y_0"))
+        return ClosedForm(values["flux"], place, surface.integrals, derivatives, ("x_0", "y_0"))
+
+    def _parameter_units_for_data_units(self, inputs_unit, outputs_unit):
+        unit = _common_unit(inputs_unit, self.inputs)
+        return {"flux": outputs_unit[self.outputs[0]] * unit**2, "x_0": unit, "y_0": unit}
+
+
+class TabulatedPRF(_Table):
+    """
+    Flux of a pixel as a function of its offset from the star, given by samples.
+
+    A spline of degree 5 through the samples, 0 outside. The values hold the response of the pixels:
+    they are never multiplied by a sensitivity. `~scope_models.PRF` makes images of it.
+
+    Parameters
+    ----------
+    array : array_like of shape (ny, nx)
+        Flux of a pixel at each offset, for a star of unit flux. Nothing is renormalized.
+    oversampling : float or tuple of float, optional
+        Samples per pixel, one number or (y, x).
+    flux : float or `~astropy.units.Quantity`, optional
+        Flux of the star.
+    x_0, y_0 : float or `~astropy.units.Quantity`, optional
+        Position of the star in pixels.
+    origin : tuple of float, optional
+        Sample (x, y), counted from 0, of a pixel that is centered on the star; by default the
+        middle.
+    uncertainty : array_like of shape (ny, nx), optional
+        Standard deviations of the samples.
+    **kwargs
+        Keywords of `~astropy.modeling.Model`, such as ``fixed`` and ``bounds``.
+
+    Raises
+    ------
+    ValueError
+        If the array is not finite, has fewer than 6 samples along an axis, or an argument does
+        not belong to it.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from scope_models import PRF, BivariateGaussianPSF
+    >>> from scope_models.models import TabulatedPRF
+    >>> y, x = np.mgrid[-45:46, -45:46] / 9
+    >>> table = TabulatedPRF(PRF(BivariateGaussianPSF())(x, y), oversampling=9)
+    >>> image = PRF(table).render((5, 5), flux=100, x_0=2.1, y_0=2)
+    >>> print(image[2].round(2))
+    [ 0.05  7.81 45.95 14.29  0.17]
+    """
+
+    #: Values are fluxes of pixels, not a density.
+    pixel_integrated = True
+
+    def evaluate(self, x, y, flux, x_0, y_0):
+        """
+        Flux in the pixels.
+
+        Parameters
+        ----------
+        x, y : array_like
+            Columns and rows of the pixels.
+        flux, x_0, y_0 : array_like
+            As for the class.
+
+        Returns
+        -------
+        flux : `~numpy.ndarray`
+            Of the common shape.
+        """
+        return flux * self._values(x, y, x_0, y_0)
+
+    def unit_derivatives(self, dx, dy):
+        """
+        Return fluxes of pixels and their derivatives by the position of the star.
+
+        Parameters
+        ----------
+        dx, dy : array_like
+            Offsets of the pixels from the star in pixels; they broadcast.
+
+        Returns
+        -------
+        flux, by_x_0, by_y_0 : `~numpy.ndarray`
+            For a star of unit flux.
+        """
+        value = self._surface.value
+        return value(dx, dy), -value(dx, dy, along_x=1), -value(dx, dy, along_y=1)
+
+    def uncertainty_image(self, shape):
+        """
+        Return the uncertainty of the fluxes in an image that the table brings with it.
+
+        It is interpolated between the samples' standard deviations; errors of neighboring
+        samples and pixels are correlated.
+
+        Parameters
+        ----------
+        shape : tuple of int
+            Shape (ny, nx) of the image.
+
+        Returns
+        -------
+        uncertainty : `~numpy.ndarray`
+            For the flux and position of the model, without a unit.
+
+        Raises
+        ------
+        ValueError
+            If the table has no uncertainty.
+        """
+        if self._error is None:
+            raise ValueError("the table has no uncertainty")
+        y, x = np.indices(shape)
+        value = self._error.value(x - _number(self.x_0.value), y - _number(self.y_0.value))
+        return float(self.flux.value) * np.maximum(value, 0.0)
+
+    @classmethod
+    def from_photutils(cls, model):
+        """
+        Make a table of an image model of photutils.
+
+        Parameters
+        ----------
+        model : `~photutils.psf.ImagePSF`
+            The model; for a `~photutils.psf.GriddedPSFModel` see `PRFGrid.from_photutils`.
+
+        Returns
+        -------
+        table : TabulatedPRF
+            With its flux and position.
+
+        Raises
+        ------
+        TypeError
+            If the model is another one.
+        """
+        from photutils.psf import ImagePSF
+
+        if not isinstance(model, ImagePSF):
+            raise TypeError(f"`model` must be an ImagePSF, got {type(model).__name__}")
+        values = (getattr(model, name).value for name in ("flux", "x_0", "y_0"))
+        return cls(model.data, model.oversampling, *values, origin=model.origin)
+
+    def to_photutils(self):
+        """
+        Return the table as a model of photutils, whose splines have the degree 3.
+
+        Returns
+        -------
+        model : `~photutils.psf.ImagePSF`
+            With the same flux and position.
+
+        Raises
+        ------
+        ValueError
+            If the oversampling is not an integer.
+        """
+        from photutils.psf import ImagePSF
+
+        values = {name: getattr(self, name).value for name in self.param_names}
+        return ImagePSF(
+            np.array(self.array),
+            **values,
+            origin=self.origin,
+            oversampling=_integers(self.oversampling),
+        )
+
+    def _parameter_units_for_data_units(self, inputs_unit, outputs_unit):
+        unit = _common_unit(inputs_unit, self.inputs)
+        return {"flux": outputs_unit[self.outputs[0]], "x_0": unit, "y_0": unit}
+
+
+def _common_unit(inputs_unit, inputs):
+    if inputs_unit[inputs[0]] != inputs_unit[inputs[1]]:
+        raise UnitsError("units of x and y must be the same")
+    return inputs_unit[inputs[0]]
+
+
+def _integers(oversampling):
+    if any(value != round(value) for value in oversampling):
+        raise ValueError(f"photutils needs an integer `oversampling`, got {oversampling}")
+    return tuple(round(value) for value in oversampling)
+
+
+@dataclass(frozen=True, eq=False)
+class PRFGrid:
+    """
+    PRF tables at several places of a detector.
+
+    Parameters
+    ----------
+    places : array_like of shape (n, 2)
+        Column and row of each table.
+    tables : tuple of TabulatedPRF
+        The tables, all of one shape, oversampling and origin.
+
+    Raises
+    ------
+    ValueError
+        If the tables do not belong together, or there are two for one place.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from scope_models.models import PRFGrid, TabulatedPRF
+    >>> places = [(1, 1), (1, 101), (101, 1), (101, 101)]
+    >>> y, x = np.mgrid[-5:6, -5:6]
+    >>> tables = [TabulatedPRF(np.exp(-(x**2 + y**2) / (2 + c / 100))) for c, r in places]
+    >>> table = PRFGrid(places, tables).at(51, 20)
+    >>> print(f"{table(1, 0):.4f}")
+    0.6627
+    """
+
+    places: np.ndarray
+    tables: tuple
+
+    def __post_init__(self):
+        places = plain_array(self.places, u.pixel, "places")
+        tables = tuple(self.tables)
+        if places.shape != (len(tables), 2) or not np.isfinite(places).all() or not tables:
+            raise ValueError(f"`places` must have the shape ({len(tables)}, 2), got {places.shape}")
+        if len(np.unique(places, axis=0)) < len(places):
+            raise ValueError("`places` must differ: there are two tables of one place")
+        first = tables[0]
+        for table in tables:
+            same = table.array.shape == first.array.shape and table.origin == first.origin
+            if not same or table.oversampling != first.oversampling:
+                raise ValueError("`tables` must have one shape, oversampling and origin")
+        object.__setattr__(self, "places", places)
+        object.__setattr__(self, "tables", tables)
+
+    def weights(self, column, row):
+        """
+        Return the weight of each table at a place.
+
+        Bilinear where the places are a rectangular grid, else linear in the triangles between
+        them. Outside the places the nearest edge counts.
+
+        Parameters
+        ----------
+        column, row : float or `~astropy.units.Quantity`
+            The place in pixels.
+
+        Returns
+        -------
+        weights : `~numpy.ndarray`
+            Not negative, of sum 1.
+
+        Raises
+        ------
+        ValueError
+            If the place is more than 100 px outside.
+        """
+        place = np.array(
+            [plain_number(column, u.pixel, "column"), plain_number(row, u.pixel, "row")]
+        )
+        low, high = self.places.min(axis=0), self.places.max(axis=0)
+        if not (np.all(place >= low - _FAR) and np.all(place <= high + _FAR)):
+            raise ValueError(
+                f"`column` and `row` must be near columns {low[0]:g} to {high[0]:g} and rows "
+                f"{low[1]:g} to {high[1]:g}, got {place[0]:g} and {place[1]:g}"
+            )
+        place = np.clip(place, low, high)
+        columns, rows = (np.unique(p) for p in self.places.T)
+        if columns.size * rows.size == len(self.tables):
+            along = [_hat(nodes, at) for nodes, at in zip((columns, rows), place, strict=True)]
+            index = [
+                np.searchsorted(n, p) for n, p in zip((columns, rows), self.places.T, strict=True)
+            ]
+            return along[0][index[0]] * along[1][index[1]]
+        triangles = Delaunay(self.places)
+        found = int(triangles.find_simplex(place, tol=1e-9))
+        if found < 0:
+            raise ValueError(f"column {place[0]:g}, row {place[1]:g} is not between the places")
+        transform = triangles.transform[found]
+        part = transform[:2] @ (place - transform[2])
+        weights = np.zeros(len(self.tables))
+        weights[triangles.simplices[found]] = [*part, 1 - part.sum()]
+        return np.maximum(weights, 0.0)
+
+    def at(self, column, row):
+        """
+        Return the table of a place.
+
+        Parameters
+        ----------
+        column, row : float or `~astropy.units.Quantity`
+            The place in pixels, as the tables count them.
+
+        Returns
+        -------
+        table : TabulatedPRF
+            Its uncertainty is that of the weighted tables.
+
+        Raises
+        ------
+        ValueError
+            If the place is more than 100 px outside.
+        """
+        weights, first = self.weights(column, row), self.tables[0]
+        used = [(w, t) for w, t in zip(weights, self.tables, strict=True) if w]
+        error = None
+        if all(table.uncertainty is not None for _, table in used):
+            error = np.sqrt(sum((w * table.uncertainty) ** 2 for w, table in used))
+        samples = sum(w * table.array for w, table in used)
+        return TabulatedPRF(samples, first.oversampling, origin=first.origin, uncertainty=error)
+
+    def to_photutils(self):
+        """
+        Return the grid as a model of photutils, which is bilinear between the places too.
+
+        Returns
+        -------
+        model : `~photutils.psf.GriddedPSFModel`
+            With x_0 and y_0 in the pixels of the places.
+
+        Raises
+        ------
+        ValueError
+            If the places are no rectangular grid.
+        """
+        from astropy.nddata import NDData
+        from photutils.psf import GriddedPSFModel
+
+        columns, rows = (np.unique(p) for p in self.places.T)
+        if columns.size * rows.size != len(self.tables):
+            raise ValueError("photutils needs places on a rectangular grid; use at(column, row)")
+        meta = {
+            "grid_xypos": [tuple(place) for place in self.places.tolist()],
+            "oversampling": _integers(self.tables[0].oversampling),
+        }
+        return GriddedPSFModel(NDData(np.array([t.array for t in self.tables]), meta=meta))
+
+    @classmethod
+    def from_photutils(cls, model):
+        """
+        Make a grid of a model of photutils.
+
+        Parameters
+        ----------
+        model : `~photutils.psf.GriddedPSFModel`
+            The model.
+
+        Returns
+        -------
+        grid : PRFGrid
+            The grid.
+
+        Raises
+        ------
+        TypeError
+            If the model is another one.
+        """
+        from photutils.psf import GriddedPSFModel
+
+        if not isinstance(model, GriddedPSFModel):
+            raise TypeError(f"`model` must be a GriddedPSFModel, got {type(model).__name__}")
+        tables = [TabulatedPRF(image, model.oversampling) for image in model.data]
+        return cls(model.grid_xypos, tables)
+
+    @classmethod
+    def from_tess(cls, path, camera=None, ccd=None):
+        """
+        Read the official PRF tables of TESS.
+
+        Parameters
+        ----------
+        path : str or path-like
+            One file, or a folder with the files of at least one CCD and of one epoch (sectors 1
+            to 3, or 4 and later).
+        camera, ccd : int, optional
+            Which CCD; not needed if there is only one.
+
+        Returns
+        -------
+        grid : PRFGrid
+            The tables of the CCD.
+
+        Raises
+        ------
+        FileNotFoundError
+            If there are no such files.
+        ValueError
+            If the files are not of that format, of several CCDs, or of several epochs.
+        """
+        path = Path(path)
+        files = sorted([*path.glob("*prf*.fits"), *path.glob("*prf*.fits.gz")])
+        files = files if path.is_dir() else [path]
+        found = [_read_tess(file) for file in files]
+        chosen = [
+            item
+            for item in found
+            if (camera is None or item[0][0] == camera) and (ccd is None or item[0][1] == ccd)
+        ]
+        if not chosen:
+            raise FileNotFoundError(f"{path} has no PRF of camera {camera}, CCD {ccd}")
+        if len({item[0] for item in chosen}) > 1:
+            raise ValueError(f"{path} holds several CCDs: give `camera` and `ccd`")
+        if len({item[1] for item in chosen}) < len(chosen):
+            raise ValueError(f"{path} holds several epochs of a place: give the folder of one")
+        return cls([item[1] for item in chosen], [item[2] for item in chosen])
+
+    @classmethod
+    def from_kepler(cls, path):
+        """
+        Read an official PRF file of Kepler, of one channel.
+
+        Parameters
+        ----------
+        path : str or path-like
+            The file, with five places: the corners and the center.
+
+        Returns
+        -------
+        grid : PRFGrid
+            The tables of the channel.
+
+        Raises
+        ------
+        OSError
+            If the file cannot be opened.
+        ValueError
+            If it is not of that format.
+        """
+        from astropy.io import fits
+
+        places, tables = [], []
+        with fits.open(path) as hdus:
+            for hdu in hdus:
+                if hdu.is_image and hdu.header.get("NAXIS") == 2:
+                    step = _card(hdu.header, "CDELT1P", path), _card(hdu.header, "CDELT2P", path)
+                    samples = np.asarray(hdu.data, dtype=float)
+                    table = TabulatedPRF(samples, tuple(round(1 / s, 6) for s in step[::-1]))
+                    tables.append(table)
+                    places.append([_card(hdu.header, f"CRVAL{i}P", path) for i in (1, 2)])
+        if not tables:
+            raise ValueError(f"{path} holds no PRF images")
+        return cls(places, tables)
+
+
+def _hat(nodes, at):
+    """Weights of linear interpolation in one dimension."""
+    return np.array([np.interp(at, nodes, row) for row in np.eye(nodes.size)])
+
+
+def _card(header, name, path):
+    try:
+        return float(header[name])
+    except (KeyError, TypeError, ValueError):
+        raise ValueError(f"{path} is no PRF file: it has no card {name}") from None
+
+
+def _read_tess(path):
+    """CCD, place and table of a file."""
+    from astropy.io import fits
+
+    with fits.open(path) as hdus:
+        header = hdus[0].header
+        ccd = int(_card(header, "CAM", path)), int(_card(header, "CCD", path))
+        place = _card(header, "CCD_CREF", path), _card(header, "CCD_RREF", path)
+        origin = tuple(_card(header, f"CRPIX{i}P", path) - 1 for i in (1, 2))
+        error = np.asarray(hdus[1].data, dtype=float) if len(hdus) > 1 else None
+        samples = np.asarray(hdus[0].data, dtype=float)
+        oversampling = _card(header, "NSAMP", path)
+        return ccd, place, TabulatedPRF(samples, oversampling, origin=origin, uncertainty=error)

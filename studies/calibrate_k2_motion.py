@@ -1,0 +1,197 @@
+"""Fit the response of K2's pixels to the noise of moving stars before de-trending.
+
+    OMP_NUM_THREADS=1 python studies/calibrate_k2_motion.py [--stars N] [--output FOLDER]
+
+Stars all over the field of view of K2 campaign 3, and anywhere on a pixel, move as
+`Motion.k2_roll` says for a campaign. Their noise is that of photons, background and read noise,
+which study ``no-motion`` has tested, and of the motion. That depends on a_2 (response 1 + a_2 u^2
+along each axis), on the standard deviation of b, on the wings of the PSF, and on the aperture.
+
+For stars at Kp 10 and 10.5, which are all saturated, EVEREST took large apertures: what they lose
+is negligible, and their noise tells of the response. For the unsaturated stars at Kp 12 to 14.5
+the aperture is taken as the pixels in which the star has more than T (F / F_14)^g e-/s, F being its
+flux and F_14 that at Kp 14. The percentiles 10, 25, 50, 75 and 90 of both groups are fitted
+together.
+
+The cost is the sum of the squares of the logarithms of the ratios over their errors: that of the
+reference by its number of stars, and 10 % for what the model lacks. Percentiles are computed on a
+coarse grid of a_2 and b, and interpolated. Errors of the fit come from resampling our stars and the
+reference. Writes k2_calibration.ecsv: for each wings, a_2 and standard deviation of b the lowest
+cost over T and g. Takes about 10 minutes on one core.
+"""
+
+import argparse
+from itertools import product
+from pathlib import Path
+
+import numpy as np
+from _response import RollingStars, winged_psf
+from astropy.table import Table
+from scipy.interpolate import RectBivariateSpline
+
+from scope_models import Detector
+from scope_models.experiments.k2_motion import field_motion
+from scope_models.experiments.populations import draw_star
+from scope_models.experiments.reference import PERCENTILES, read_reference
+
+# Magnitude and kind of the stars, and whether their aperture holds all light.
+BINS = (
+    (10.0, "saturated"), (10.5, "saturated"), (12.0, "unsaturated"), (12.5, "unsaturated"),
+    (13.0, "unsaturated"), (13.5, "unsaturated"), (14.0, "unsaturated"), (14.5, "unsaturated"),
+)  # fmt: skip
+WINGS = (0.1, 0.2, 0.15)
+A_2 = np.array([-2.0, -1.6, -1.2, -0.8, -0.4, 0.0])
+SCATTER = np.array([0, 0.004, 0.008, 0.012, 0.016, 0.02])
+FINE_A_2, FINE_SCATTER = np.linspace(-2, 0, 41), np.linspace(0, 0.02, 41)
+# Parts of a star's flux that a pixel of the aperture must have.
+PARTS = np.geomspace(1e-4, 4e-2, 12)
+# T in e-/s and g of the apertures.
+LAWS = tuple(product((80.0, 100.0, 125.0, 160.0, 200.0), (0.0, 0.25, 0.5, 0.75, 1.0)))
+WEIGHTS = np.array([0.5, 1.0, 2.0, 1.0, 0.5])
+# Errors of percentiles of a normal distribution, in standard deviations times the root of n.
+SPREAD = np.array([1.71, 1.36, 1.25, 1.36, 1.71])
+LOG_SCATTER = 0.85  # of the noise of real stars of one magnitude
+MODEL_ERROR = 0.1
+RESAMPLES = 40
+CHUNK = 30  # stars in memory
+
+
+def reference():
+    """Return the logarithms of campaign 3's percentiles, and their errors."""
+    rows = []
+    for mag, kind in BINS:
+        table = read_reference("k2_c03_raw", kind)
+        rows.append(table[table["mag"] == mag][0])
+    values = np.array([[row[name] for name in PERCENTILES] for row in rows])
+    counts = np.array([row["n"] for row in rows])
+    return np.log(values), LOG_SCATTER * SPREAD / np.sqrt(counts[:, np.newaxis])
+
+
+def field_stars(detector, numbers, options):
+    """Return stars all over the field of view, as `RollingStars` takes them."""
+    stars = []
+    for number in numbers:
+        rng = np.random.default_rng([options.seed, number])
+        place = (number + 0.5) / options.stars
+        seed = int(rng.integers(2**31))
+        motion = field_motion(seed, options.cadences, place=place, rng=rng)
+        stars.append((draw_star(rng, 12.0, detector, shift=0.5), motion, rng))
+    return stars
+
+
+def noise_by_part(wings, options):
+    """Return the logarithm of the noise by motion, and that of white noise.
+
+    Their shapes are (a_2, scatter, parts, stars) and (bins, parts, stars).
+    """
+    detector = Detector.k2(shape=(13, 13), psf=winged_psf(wings))
+    systematics = np.empty((len(A_2), len(SCATTER), len(PARTS), options.stars))
+    white = np.empty((len(BINS), len(PARTS), options.stars))
+    for first in range(0, options.stars, CHUNK):
+        numbers = range(first, min(first + CHUNK, options.stars))
+        stars = RollingStars(detector, field_stars(detector, numbers, options), PARTS)
+        part = slice(numbers.start, numbers.stop)
+        for i, j in np.ndindex(systematics.shape[:2]):
+            systematics[i, j, :, part] = stars.systematics(A_2[i], SCATTER[j])
+        for number, (mag, _) in enumerate(BINS):
+            white[number, :, part] = stars.white(detector, mag)
+    return np.log(systematics), np.log(white)
+
+
+def noise_of_bins(systematics, white, law):
+    """Return the noise of all stars for an aperture law: (bins, a_2, scatter, stars)."""
+    flux = Detector.k2().flux_from_mag
+    threshold, exponent = law
+    noise = np.empty((len(BINS), *systematics.shape[:2], systematics.shape[3]))
+    for number, (mag, kind) in enumerate(BINS):
+        part = threshold * (flux(mag) / flux(14.0)) ** exponent / flux(mag)
+        part = PARTS[0] if kind == "saturated" else part
+        place = np.interp(np.log(part), np.log(PARTS), np.arange(len(PARTS)))
+        low = min(int(place), len(PARTS) - 2)
+        share = place - low
+        motion, rest = (
+            np.exp((1 - share) * values[..., low, :] + share * values[..., low + 1, :])
+            for values in (systematics, white[number])
+        )
+        noise[number] = np.hypot(motion, rest)
+    return noise
+
+
+def percentiles(systematics, white):
+    """Return logarithms of percentiles: (laws, a_2, scatter, bins, percentiles), finely."""
+    shape = (len(LAWS), len(FINE_A_2), len(FINE_SCATTER), len(BINS), len(PERCENTILES))
+    fine = np.empty(shape, dtype=np.float32)
+    wanted = list(PERCENTILES.values())
+    for row, law in enumerate(LAWS):
+        noise = noise_of_bins(systematics, white, law)
+        coarse = np.log(np.percentile(noise, wanted, axis=-1))  # (percentiles, bins, a_2, scatter)
+        for name, number in np.ndindex(coarse.shape[:2]):
+            spline = RectBivariateSpline(A_2, SCATTER, coarse[name, number], s=0.002)
+            fine[row, :, :, number, name] = spline(FINE_A_2, FINE_SCATTER)
+    return fine
+
+
+def costs(ours, known, error):
+    """Return the cost of each point, and the largest deviation of a median."""
+    ratio = ours - known
+    cost = np.sum(WEIGHTS * ratio**2 / (error**2 + MODEL_ERROR**2), axis=(-2, -1))
+    return cost, np.abs(np.expm1(ratio[..., 2])).max(axis=-1)
+
+
+def resampled(systematics, white, known, error, rng):
+    """Return cost, a_2, scatter, T and g of the best fit to resampled stars and reference."""
+    picks = rng.integers(white.shape[-1], size=white.shape[-1])
+    shaken = known + error * rng.standard_normal(known.shape)
+    cost, _ = costs(percentiles(systematics[..., picks], white[..., picks]), shaken, error)
+    row, i, j = np.unravel_index(np.argmin(cost), cost.shape)
+    return cost.min(), FINE_A_2[i], FINE_SCATTER[j], *LAWS[row]
+
+
+def report(wings, noise, known, error, rng):
+    """Print the best fit, and return the rows of the table."""
+    ours = percentiles(*noise)
+    cost, worst = costs(ours, known, error)
+    row, i, j = np.unravel_index(np.argmin(cost), cost.shape)
+    print(f"wings {wings}: cost {cost.min():.1f}, a_2 {FINE_A_2[i]:.2f}, scatter "
+          f"{FINE_SCATTER[j]:.4f}, T {LAWS[row][0]:.0f} e-/s, g {LAWS[row][1]}, medians within "
+          f"{100 * worst[row, i, j]:.0f} %")  # fmt: skip
+    print(f"    percentiles {', '.join(PERCENTILES)} over the reference")
+    for (mag, kind), ratios in zip(BINS, np.exp(ours[row, i, j] - known), strict=True):
+        print(f"    Kp {mag:4.1f} {kind:11s} {ratios.round(2)}", flush=True)
+    fits = np.array([resampled(*noise, known, error, rng) for _ in range(RESAMPLES)])
+    low, middle, high = np.percentile(fits, [16, 50, 84], axis=0)
+    for name, *values in zip(("cost", "a_2", "scatter", "T", "g"), middle, low, high, strict=True):
+        print("    resampled {}: {:.4g} ({:.4g} to {:.4g})".format(name, *values), flush=True)
+    rows = []
+    for i, j in np.ndindex(cost.shape[1:]):
+        row = int(np.argmin(cost[:, i, j]))
+        rows.append((wings, FINE_A_2[i], FINE_SCATTER[j], *LAWS[row], cost[row, i, j],
+                     worst[row, i, j]))  # fmt: skip
+    return rows
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--stars", type=int, default=300)
+    parser.add_argument("--cadences", type=int, default=3300)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--wings", type=float, nargs="+", default=WINGS)
+    parser.add_argument("--output", type=Path, default=Path())
+    options = parser.parse_args()
+    known, error = reference()
+    rng = np.random.default_rng(options.seed)
+    rows = []
+    names = ("wings", "a_2", "scatter", "threshold", "exponent", "cost", "worst_median")
+    digits = (".2f", ".2f", ".4f", ".0f", ".2f", ".1f", ".3f")
+    for wings in options.wings:
+        rows += report(wings, noise_by_part(wings, options), known, error, rng)
+        table = Table(rows=rows, names=names)
+        for name, form in zip(names, digits, strict=True):
+            table[name] = [float(format(value, form)) for value in table[name]]
+        table.meta = {"made by": "studies/calibrate_k2_motion.py", "stars": options.stars,
+                      "cadences": options.cadences, "seed": options.seed}  # fmt: skip
+        table.write(options.output / "k2_calibration.ecsv", format="ascii.ecsv", overwrite=True)
+
+
+if __name__ == "__main__":
+    main()

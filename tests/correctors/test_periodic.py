@@ -1,0 +1,87 @@
+"""Periodic variability: frequencies against the ones that data were made of."""
+
+import numpy as np
+import pytest
+
+from scope_models.correctors import PLDCorrector
+from scope_models.correctors._features import Regressors
+from scope_models.correctors._periodic import find_frequencies, harmonic_columns, is_periodic
+from scope_models.correctors._regression import Hyperparameters
+from scope_models.correctors._solution import Solution
+from scope_models.experiments.skies import make_sky, score
+
+TIME = 0.0204 * np.arange(900)
+TRUE = np.array([1.834, 3.668, 8.21])
+
+
+def make_solution(y, noise=1e-4):
+    """Return a fit with one sawtooth of 6 hours as regressor, at given variances."""
+    n = len(y)
+    saw = (np.arange(n) % 12 - 5.5)[:, None] / 12
+    hyper = Hyperparameters(1.0, np.array([1.0]), 1e-6, 5.0)
+    regressors = Regressors(saw, np.zeros(1, dtype=int), ("a",))
+    flat = np.ones((n, 1))
+    return Solution(
+        TIME[:n], y, np.full(n, noise**2), np.ones(n, bool), regressors, flat, np.ones(1), hyper
+    )
+
+
+def signal(amplitudes, noise, seed=0):
+    rng = np.random.default_rng(seed)
+    waves = np.cos(2 * np.pi * np.outer(TIME, TRUE) + rng.uniform(0, 6, len(TRUE)))
+    saw = 0.01 * (np.arange(len(TIME)) % 12 - 5.5) / 12
+    slow = 0.003 * np.sin(TIME / 3)
+    return waves @ amplitudes + saw + slow + rng.normal(0, noise, len(TIME))
+
+
+def test_frequencies_are_found():
+    """To an error of sqrt(6 / n) sigma / (pi T A), Montgomery and O'Donoghue 1999."""
+    amplitudes, noise = np.array([0.02, 0.005, 0.001]), 1e-4
+    solution = make_solution(signal(amplitudes, noise))
+    assert is_periodic(solution)
+    found = np.sort(find_frequencies(solution, solution.use))
+    assert len(found) == 3
+    error = np.sqrt(6 / len(TIME)) * noise / (np.pi * np.ptp(TIME) * amplitudes)
+    assert np.all(np.abs(found - TRUE) < 5 * error)
+
+
+def test_noise_roll_and_slow_change_have_no_frequencies():
+    for seed in range(5):
+        solution = make_solution(signal(np.zeros(3), 1e-4, seed))
+        assert not is_periodic(solution)
+        assert len(find_frequencies(solution, solution.use)) == 0
+
+
+def test_single_outliers_do_not_hide_a_pulsation():
+    y = signal(np.array([0.002, 0, 0]), 1e-4)
+    y[[100, 333, 620]] += [0.3, -0.1, 0.2]
+    solution = make_solution(y)
+    assert find_frequencies(solution, solution.use) == pytest.approx([TRUE[0]], abs=1e-4)
+
+
+def test_harmonic_columns():
+    columns = harmonic_columns(np.array([0.0, 0.25]), [1.0, 2.0])
+    np.testing.assert_allclose(columns, [[1, 0, 1, 0], [0, 1, -1, 0]], atol=1e-15)
+
+
+def test_pulsating_star_keeps_its_cadences():
+    """Without a model of its pulsation, 60 % of the cadences of such a star were clipped."""
+    sky = make_sky("k2-1x-rr-lyrae", seed=0, n_cadences=500)
+    corrector = PLDCorrector(sky.to_tpf())
+    lc = corrector.correct()
+    result, found = corrector.result, score(lc, sky)
+    assert result.n_outliers < 0.02 * len(lc)
+    # times here are from the first cadence on; the frequencies are harmonics of 1 / 0.55 d
+    harmonics = np.array(result.frequencies) * 0.55
+    assert np.abs(harmonics - np.round(harmonics)).max() < 0.02
+    assert found.amplitude == pytest.approx(1, abs=0.002)
+    assert 0.7 < found.pull < 2
+
+
+def test_periodic_variability_stays_without_trend():
+    sky = make_sky("k2-1x-delta-scuti", seed=1, n_cadences=500)
+    corrector = PLDCorrector(sky.to_tpf())
+    lc = corrector.correct(restore_trend=False)
+    assert corrector.result.frequencies
+    assert score(lc, sky).amplitude == pytest.approx(1, abs=0.01)
+    assert np.nanstd(corrector.result.periodic) > 10 * np.nanstd(corrector.result.trend)

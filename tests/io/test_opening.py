@@ -1,0 +1,197 @@
+"""Damaged, cut off and hostile FITS files are refused before they cost memory."""
+
+import gzip
+import tracemalloc
+import zlib
+
+import numpy as np
+import pytest
+from astropy.io import fits
+from astropy.table import Table
+
+from scope_models.exceptions import DamagedFileWarning
+from scope_models.io import conf
+from scope_models.io.reading import open_fits, read_columns
+
+BLOCK = 2880
+
+
+def write(path, *, checksum):
+    """Write a file of three HDUs that says how many it has."""
+    rng = np.random.default_rng(1)
+    primary = fits.PrimaryHDU()
+    primary.header["NEXTEND"] = 2
+    table = fits.BinTableHDU(Table({"TIME": np.arange(500.0), "X": rng.normal(size=500)}))
+    hdus = fits.HDUList([primary, table, fits.ImageHDU(rng.normal(size=(9, 9)))])
+    hdus.writeto(path, checksum=checksum)
+    return path
+
+
+@pytest.fixture
+def path(tmp_path):
+    return write(tmp_path / "star.fits", checksum=True)
+
+
+@pytest.fixture
+def plain(tmp_path):
+    return write(tmp_path / "plain.fits", checksum=False)
+
+
+def read(path):
+    """Read a file, and return the peak of the memory that it needed."""
+    tracemalloc.start()
+    try:
+        return read_columns(path, ["TIME"]).columns["TIME"]
+    finally:
+        read.peak = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+
+
+def changed(path, old, new):
+    """Replace bytes of a file, once, and leave its checksums as they were."""
+    content = path.read_bytes()
+    assert old in content
+    assert len(old) == len(new)
+    path.write_bytes(content.replace(old, new, 1))
+    return path
+
+
+def test_whole_file(path):
+    assert np.array_equal(read(path), np.arange(500.0))
+    with open_fits(path) as hdus:
+        image = hdus[2].data
+    assert np.array_equal(image, fits.getdata(path, 2))
+
+
+@pytest.mark.parametrize(
+    "end, match",
+    [
+        (2 * BLOCK, "HDU 1 ends after 0 of 8,640 bytes"),
+        (-1, "HDU 2 ends after 2,879 of 2,880 bytes"),
+        (BLOCK + 100, "a header has no END card"),
+        (-2 * BLOCK, r"it has 1 of 2 extensions"),
+        (BLOCK, r"it has 0 of 2 extensions"),
+    ],
+)
+def test_cut_off(path, end, match):
+    path.write_bytes(path.read_bytes()[:end])
+    with pytest.raises(ValueError, match=rf"star\.fits is no readable FITS .* {match}"):
+        read(path)
+
+
+def test_what_follows(path):
+    content = path.read_bytes()
+    path.write_bytes(content + bytes(5000))
+    assert len(read(path)) == 500
+    path.write_bytes(content + b"XTENSIOM" + bytes(5000))
+    with pytest.raises(ValueError, match="what follows its last HDU is no extension"):
+        read(path)
+
+
+@pytest.mark.parametrize("cut", [1, 4, 8, 100])
+def test_gzip_cut_off(path, cut):
+    packed = path.with_suffix(".fits.gz")
+    packed.write_bytes(gzip.compress(path.read_bytes())[:-cut])
+    with pytest.raises(ValueError, match=r"star\.fits\.gz is no readable FITS file, or truncated"):
+        read(packed)
+
+
+def test_gzip_with_wrong_crc(path):
+    packed = path.with_suffix(".fits.gz")
+    content = bytearray(gzip.compress(path.read_bytes()))
+    content[-8] ^= 1
+    packed.write_bytes(content)
+    with pytest.raises(ValueError, match="CRC check failed"):
+        read(packed)
+
+
+@pytest.mark.parametrize("where, keyword", [(4 * BLOCK + 8, "DATASUM"), (-BLOCK, "DATASUM")])
+def test_changed_data(path, where, keyword):
+    content = bytearray(path.read_bytes())
+    content[where] ^= 1
+    path.write_bytes(content)
+    with pytest.warns(DamagedFileWarning, match=rf"star\.fits: {keyword} of HDU \d do not match"):
+        read(path)
+
+
+def test_changed_header(path):
+    changed(path, b"TTYPE2  = 'X   ", b"TTYPE2  = 'Y   ")
+    with pytest.warns(DamagedFileWarning, match=r"star\.fits: CHECKSUM of HDU 1 do not match"):
+        read(path)
+
+
+def test_sums_are_those_of_astropy(shared_data):
+    """Archive files have sums of other writers."""
+    for name in ("tess_tpf/tesssip_tpf1.fits", "poscorr/ktwo206103150-c03_llc.fits"):
+        with open_fits(shared_data / name) as hdus:
+            assert any("CHECKSUM" in hdu.header for hdu in hdus), name
+
+
+@pytest.mark.parametrize(
+    "old, new, match",
+    [
+        (b"TFIELDS =                    2", b"TFIELDS =            999999999", "TFIELDS is 9999"),
+        (b"TFIELDS =                    2", b"TFIELDS =                    T", "TFIELDS is True"),
+        (b"NAXIS2  =                  500", b"NAXIS2  =        1099511627776", "too large: HDU 1"),
+        (b"NAXIS2  =                  500", b"NAXIS2  =                   -5", "NAXIS2 is -5"),
+        (b"NAXIS2  =                  500", b"NAXIX2  =                  500", "NAXIS2 is absent"),
+        (b"BITPIX  =                    8", b"BITPIX  =                    7", "BITPIX .* is 7"),
+        (b"TFORM1  = 'D       '", b"TFORM1  = '9999999D'", "have 80,000,000 bytes"),
+        (b"TFORM2  = 'D       '", b"TFORM2  = '999999D '", "columns of a table have 8,000,000"),
+        (b"TFORM2  = 'D       '", b"TFORM2  = 'y       '", "TFORM2 is 'y'"),
+        (b"SIMPLE  =", b"PK\x03\x04    =", "does not begin with 'SIMPLE  ='"),
+        (b"XTENSION= 'BINTABLE", b"XTENSION= 'IMAGE   ", "has no binary table"),
+    ],
+)
+def test_claims_of_headers(plain, old, new, match):
+    changed(plain, old, new)
+    with pytest.raises(ValueError, match=rf"plain\.fits.*{match}"):
+        read(plain)
+    assert read.peak < 2e6
+
+
+def test_header_without_end(path):
+    path.write_bytes(path.read_bytes()[:BLOCK].replace(b"END     ", b"ENT     ") * 1100)
+    with pytest.raises(ValueError, match="a header has more than 36,000 cards"):
+        read(path)
+
+
+def bomb(path, size):
+    """Write a compressed file that claims and holds an image of zeros."""
+    header = fits.PrimaryHDU().header
+    header["BITPIX"], header["NAXIS"] = 8, 1
+    header.insert("NAXIS", ("NAXIS1", size), after=True)
+    packer = zlib.compressobj(9, zlib.DEFLATED, 31)
+    with path.open("wb") as stream:
+        stream.write(packer.compress(header.tostring().encode()))
+        zeros = bytes(1 << 20)
+        for _ in range(size >> 20):
+            stream.write(packer.compress(zeros))
+        stream.write(packer.compress(bytes(size % (1 << 20))))
+        stream.write(packer.flush())
+    return path
+
+
+def test_decompressed_size(tmp_path):
+    path = bomb(tmp_path / "bomb.fits.gz", 36_000 * BLOCK)
+    assert path.stat().st_size < 2e5
+    with pytest.raises(ValueError, match=r"bomb\.fits\.gz is too large: HDU 0 claims 103,680,000"):
+        read(path)
+    assert read.peak < 1e6
+    with conf.set_temp("max_ratio", 2000), pytest.raises(ValueError, match="has no binary table"):
+        read(path)
+    with (
+        conf.set_temp("max_ratio", 2000),
+        conf.set_temp("max_bytes", 10**8),
+        pytest.raises(ValueError, match="the limit is 100,000,000"),
+    ):
+        read(path)
+
+
+def test_hidden_bomb(path):
+    """Zeros after the last HDU are neither kept nor read on."""
+    packed = path.with_suffix(".fits.gz")
+    packed.write_bytes(gzip.compress(path.read_bytes()) + gzip.compress(bytes(50 << 20)))
+    with pytest.raises(ValueError, match="too large: what follows its last HDU is large"):
+        read(packed)
+    assert read.peak < 3e7
