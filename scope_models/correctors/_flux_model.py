@@ -204,6 +204,35 @@ class FluxModel:
         """Return the mean of the process at all times."""
         return self.factor.predict(self.alpha, self.time)
 
+    def variability(self, *, flat):
+        """Return the star's variability: processes, periods and, if wanted, flat columns."""
+        inside = self.groups >= len(self.systematic)
+        if flat:
+            inside |= self.groups == -1
+        return self.trend() + self.columns[:, inside] @ self.mean[inside]
+
+    def flat_coefficient(self):
+        """Return the coefficient of the last column and its standard deviation."""
+        return float(self.mean[-1]), float(np.sqrt(self.covariance[-1, -1]))
+
+    def with_flat(self, column, use):
+        """Return the model with one more column with a flat prior, and other cadences."""
+        return replace(
+            self,
+            columns=np.concatenate([self.columns, column], axis=1),
+            groups=np.append(self.groups, -1),
+            use=use,
+        )
+
+    def survival(self, width):
+        """Return the part of a box-shaped dip of so many cadences that the systematics leave."""
+        _, chosen = self.part(self.systematic)
+        n = self.use.sum() // width
+        x = self.columns[self.use][: n * width].reshape(n, width, -1)
+        solved = self.factor.solve(self.columns[self.use])[: n * width].reshape(n, width, -1)
+        moved = solved.sum(axis=1) @ self.covariance[:, chosen]
+        return float(1 - np.mean(np.sum(moved * x.mean(axis=1)[:, chosen], axis=1)))
+
     def deviations(self):
         """Return rests from the whole model in standard deviations of the white noise, ``(n,)``."""
         rest = self.y - self.columns @ self.mean - self.trend()

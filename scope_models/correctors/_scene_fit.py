@@ -1,6 +1,6 @@
 """The fit of a scene to all pixels of a series."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -21,7 +21,7 @@ from scope_models.correctors._scene_start import centroids, first_shape, first_t
 __all__ = ["SceneFit", "fit_scene"]
 
 #: Cadences that constrain the shape, and number of its Gauss-Newton steps.
-_SHAPE_CADENCES, _SHAPE_STEPS = 350, 8
+_SHAPE_CADENCES, _SHAPE_STEPS = 250, 8
 #: Model errors relative to the light that are allowed in the steps of the shape, one after the
 #: other; never below a fifth of those that are measured.
 _FLOORS = (1e-2, 3e-3, 1e-3, 3e-4, 1e-4)
@@ -152,7 +152,7 @@ def fit_scene(flux, variance, pos_corr, peak, *, offsets=None, seed=0):
     for _ in range(3):
         track = solve_track(shape, track, flux, clean, priors, floor)
         clean = _without_hits(shape, track, flux, variance, floor)
-    rest, light, images = _residual(shape, track, flux)
+    rest, _, images = _residual(shape, track, flux)
     good = np.isfinite(clean)
     chi = float(np.mean(rest[good] ** 2 / clean[good]))
     return SceneFit(shape, track, images.star, images.others, clean, floor, chi)

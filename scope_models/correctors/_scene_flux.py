@@ -3,8 +3,9 @@
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.ndimage import median_filter, uniform_filter1d
 
-__all__ = ["WindowFlux", "kernel_columns", "make_columns", "window_flux"]
+__all__ = ["WindowFlux", "make_columns", "smooth_state", "window_flux", "window_weights"]
 
 #: Width of a window's soft edge (px).
 _EDGE = 0.2
@@ -140,3 +141,50 @@ def make_columns(time, track, width, window):
     place = np.stack([x, y, x**2, x * y, y**2], axis=1)
     groups["slow position"] = (slow[:, :, None] * place[:, None, :]).reshape(len(time), -1)
     return groups
+
+
+def smooth_state(values, width=25, sigma=6.0, *, keep_spikes=False):
+    """
+    Return a running median and mean, and the variance of its error.
+
+    Parameters
+    ----------
+    values : ndarray
+        State of each cadence, ``(n,)``.
+    width : int
+        Cadences of the window.
+    sigma : float
+        Values that deviate by more standard deviations are spikes.
+    keep_spikes : bool
+        Whether spikes are kept as they are.
+    """
+    smooth = uniform_filter1d(median_filter(values, width, mode="nearest"), width, mode="nearest")
+    rest = values - smooth
+    scatter = 1.4826 * float(np.median(np.abs(rest - np.median(rest))))
+    variance = np.full(len(values), scatter**2 * 2 / width)
+    if keep_spikes:
+        spikes = np.abs(rest) > sigma * scatter
+        smooth = np.where(spikes, values, smooth)
+        variance = np.where(spikes, scatter**2, variance)
+    return smooth, variance
+
+
+def window_weights(fit, noise, window):
+    """
+    Return the weights of a window, ``(n, ny, nx)``.
+
+    Parameters
+    ----------
+    fit : SceneFit
+        The scene.
+    noise : ndarray
+        Typical variance of each pixel, ``(ny, nx)``.
+    window : float, "optimal" or ndarray of bool
+        Radius in pixels, weights in proportion to light over variance, or an aperture.
+    """
+    if isinstance(window, np.ndarray):
+        return np.broadcast_to(window.astype(float), fit.star.shape)
+    if window == "optimal":
+        weights = np.clip(fit.star, 0, None) / noise
+        return weights / weights.max(axis=(1, 2), keepdims=True)
+    return soft_window(fit.track, fit.star.shape[1:], window)

@@ -159,8 +159,7 @@ def render(shape, track, *, slopes=False):
         image, by_other = _star(shape, track.x + dx, track.y + dy, track.width, slopes)
         others += flux * image
         if slopes:
-            for sum_of, slope in zip(total, by_other, strict=True):
-                sum_of += flux * slope
+            total = [s + flux * slope for s, slope in zip(total, by_other, strict=True)]
     b = shape.gains
     if slopes:
         total = tuple(b * s for s in total)
