@@ -80,4 +80,5 @@ def _tell(kind, message):
     if isinstance(message, OSError) and message.strerror and message.filename is not None:
         message = f"{message.filename}: {message.strerror}"
     text = " ".join(str(message).split()) or type(message).__name__
+    text = text.replace("pass overwrite=True to replace it", "--overwrite replaces it")
     print(f"scope-models: {kind}: {text}", file=sys.stderr)
