@@ -75,6 +75,18 @@ class SceneResult:
         Part of a transit of 6.5 h that survives the whole chain if it is not masked.
     transit_scale, transit_scale_err : float
         Amplitude of the jointly fitted transit model, NaN without one.
+
+    Examples
+    --------
+    >>> from scope_models import Detector, Motion, Star, simulate
+    >>> from scope_models.correctors import SceneCorrector
+    >>> observation = simulate(
+    ...     Star(13, 4, 4), Detector.k2(shape=(9, 9)), Motion.k2_roll(200, seed=1), seed=1
+    ... )
+    >>> corrector = SceneCorrector(observation.to_tpf())
+    >>> lc = corrector.correct()
+    >>> len(corrector.result.neighbors)
+    0
     """
 
     window: float | str
