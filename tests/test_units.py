@@ -108,7 +108,6 @@ def drawn(function, *arguments, **options):
         named = {key: value if item is VALUE else item for key, item in options.items()}
         result = function(*places, **named)
         axes = result if hasattr(result, "figure") else plt.gcf().axes[0]
-        axes.figure.canvas.draw()
         data = [line.get_xydata() for line in axes.lines]
         data += [np.asarray(c.get_offsets()) for c in axes.collections]
         labels = [text.get_text() for text in getattr(axes.get_legend(), "get_texts", list)()]
@@ -590,7 +589,7 @@ NO_UNIT = {
     "generate_target.roll", "fit_tpf.interpixel", "PLDCorrector.correct.transit_model",
     "PLDCorrector.correct.regressors", "TabulatedPSF.array", "TabulatedPSF.oversampling",
     "TabulatedPRF.array", "TabulatedPRF.oversampling", "K2MotionNoise.exponent",
-    "inject.signal", "inject.star", "TabulatedPRF.origin", "plot_detector.psf", "plot_psf.psf",
+    "SceneCorrector.correct.transit_model", "SceneCorrector.neighbors", "inject.signal", "inject.star", "TabulatedPRF.origin", "plot_detector.psf", "plot_psf.psf",
     "plot_detector.sensitivity", "plot_fit.chi2", "plot_twin.residuals",
     "plot_detrending_masks.scatter", "plot_recovery.depths", "plot_recovery.magnitudes",
     "plot_k2_motion.reference", "plot_no_motion.reference", "plot_no_motion.stars",
@@ -599,7 +598,7 @@ NO_UNIT = {
 # Classes whose objects the package makes, methods that astropy calls with numbers after it has
 # converted them (test_contract.py), and configurations, which files give as plain numbers.
 MADE_BY_THE_PACKAGE = re.compile(
-    r"(TPFFit|Observation|PixelSeries|Truth|Mission|MessyStar|PRFGrid|Light)\."
+    r"(\w*(Fit|Result|Truth)|Observation|PixelSeries|Mission|MessyStar|PRFGrid)\."
     r"|\w+\.(evaluate|fit_deriv|closed_form|unit_derivatives)\."
 )
 CONFIGURATIONS = re.compile(
