@@ -1,9 +1,10 @@
 """The fit of a scene to all pixels of a series."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from scope_models.correctors._flux_model import smooth_series
 from scope_models.correctors._scene_model import (
     Priors,
     Shape,
@@ -14,11 +15,12 @@ from scope_models.correctors._scene_model import (
     misfit,
     render,
     solve_track,
+    state_variance,
 )
 from scope_models.correctors._scene_neighbors import find_neighbors
 from scope_models.correctors._scene_start import centroids, first_shape, first_track
 
-__all__ = ["SceneFit", "fit_scene"]
+__all__ = ["WIDER", "SceneFit", "fit_scene"]
 
 #: Cadences that constrain the shape, and number of its Gauss-Newton steps.
 _SHAPE_CADENCES, _SHAPE_STEPS = 250, 8
@@ -27,6 +29,10 @@ _SHAPE_CADENCES, _SHAPE_STEPS = 250, 8
 _FLOORS = (1e-2, 3e-3, 1e-3, 3e-4, 1e-4)
 #: Prior standard deviations of positions (px) with and without POS_CORR, and of widths.
 _POSITION, _FREE_POSITION, _WIDTH = 0.05, 0.3, 0.01
+#: ... and of widths about their smooth course in the last step; change of width for derivatives.
+_HELD, WIDER = 1e-5, 2e-3
+#: A pixel is full if it is so in this part of the cadences.
+_FULL_PART = 0.01
 #: Prior standard deviations of the pixels' gains in the first steps of the shape, and later.
 _GAINS = (1e-4, 1e-3, 5e-3, 0.015)
 #: Pixels that deviate by more standard deviations are left out, in less than this part of the
@@ -49,6 +55,10 @@ class SceneFit:
         Images of the target at unit flux and of the neighbors (e-/s), ``(n, ny, nx)``.
     variance : ndarray
         Variance of the pixels' noise, infinite in pixels that are left out.
+    wider : ndarray
+        Image of the target with a PRF that is wider by `WIDER`.
+    full : ndarray of bool
+        Pixels of columns in which pixels saturate, ``(ny, nx)``: they are no part of the fit.
     floor : float
         Model errors relative to the stars' light.
     chi_squared : float
@@ -60,6 +70,8 @@ class SceneFit:
     star: np.ndarray
     others: np.ndarray
     variance: np.ndarray
+    wider: np.ndarray
+    full: np.ndarray
     floor: float
     chi_squared: float
 
@@ -72,6 +84,15 @@ def _residual(shape, track, flux):
     images = render(shape, track)
     light = track.flux[:, None, None] * images.star + images.others
     return flux - light - track.background[:, None, None], light, images
+
+
+def _full_columns(flux, variance, well):
+    """Mark the columns in which pixels saturate: charge bleeds along them."""
+    full = np.zeros(flux.shape[1:], dtype=bool)
+    if well is not None:
+        often = np.mean((flux > well) & np.isfinite(variance), axis=0) > _FULL_PART
+        full[:, often.any(axis=0)] = True
+    return full
 
 
 def _step(shape, track, data, gain):
@@ -96,12 +117,14 @@ def _without_hits(shape, track, flux, variance, floor):
     return np.where(hit & ~often, np.inf, variance)
 
 
-def fit_scene(flux, variance, pos_corr, peak, *, offsets=None, seed=0):
+def fit_scene(time, flux, variance, pos_corr, peak, *, offsets=None, well=None, seed=0):
     """
     Fit the scene.
 
     Parameters
     ----------
+    time : ndarray
+        Days, ``(n,)``.
     flux, variance : ndarray
         Pixels ``(n, ny, nx)`` in e-/s, finite; infinite variance where there are no data.
     pos_corr : ndarray or None
@@ -110,10 +133,14 @@ def fit_scene(flux, variance, pos_corr, peak, *, offsets=None, seed=0):
         Column and row of the target in a typical cadence.
     offsets : ndarray, optional
         Distances of other stars from the target, px, ``(m, 2)``; None: they are found.
+    well : float, optional
+        Flux in e-/s above which a pixel is full.
     seed : int
         Chooses among pixels for the first guess.
     """
     n = len(flux)
+    full = _full_columns(flux, variance, well)
+    variance = np.where(full, np.inf, variance)
     (x, y), known = first_track(flux, pos_corr, peak)
     shape, track = first_shape(flux, variance, x, y, np.random.default_rng(seed))
     mean, sigma = track.stacked, np.full((n, 5), np.inf)
@@ -152,7 +179,13 @@ def fit_scene(flux, variance, pos_corr, peak, *, offsets=None, seed=0):
     for _ in range(3):
         track = solve_track(shape, track, flux, clean, priors, floor)
         clean = _without_hits(shape, track, flux, variance, floor)
+    formal = state_variance(shape, track, flux, clean, floor)
+    width, _ = smooth_series(time - time[0], track.width, formal[:, 3])
+    mean, sigma = mean.copy(), sigma.copy()
+    mean[:, 3], sigma[:, 3] = width, _HELD
+    track = solve_track(shape, track, flux, clean, Priors(mean, sigma), floor)
     rest, _, images = _residual(shape, track, flux)
+    wider = render(shape, replace(track, width=track.width + WIDER)).star
     good = np.isfinite(clean)
     chi = float(np.mean(rest[good] ** 2 / clean[good]))
-    return SceneFit(shape, track, images.star, images.others, clean, floor, chi)
+    return SceneFit(shape, track, images.star, images.others, clean, wider, full, floor, chi)

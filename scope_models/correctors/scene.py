@@ -10,8 +10,9 @@ from lightkurve.correctors.corrector import Corrector
 from scope_models._checks import checked_cadences, checked_mask
 from scope_models.correctors._flux_model import fit_flux
 from scope_models.correctors._result import transit_column
-from scope_models.correctors._scene_fit import fit_scene
+from scope_models.correctors._scene_fit import WIDER, fit_scene
 from scope_models.correctors._scene_flux import (
+    LIMITS,
     make_columns,
     smooth_state,
     window_flux,
@@ -264,8 +265,9 @@ class SceneCorrector(Corrector):
             flat = transit_column(transit_model, data.all_times)[data.usable]
         if self.scene is None:
             self.scene = fit_scene(
-                data.flux, data.variance, data.pos_corr, data.peak, offsets=self._offsets
-            )
+                data.time, data.flux, data.variance, data.pos_corr, data.peak,
+                offsets=self._offsets, well=data.well,
+            )  # fmt: skip
         self._chosen = self._best(allowed, flat)
         self.cadence_mask, self.transit_mask = mask & ~in_transit, in_transit
         self._finish(allowed, has_transit=flat is not None, restore_trend=restore_trend)
@@ -275,34 +277,41 @@ class SceneCorrector(Corrector):
         """Return the flux in the window of the smallest expected error."""
         data, scene = self._data, self.scene
         background, background_variance = smooth_state(scene.track.background, keep_spikes=True)
-        width, _ = smooth_state(scene.track.width)
         noise = data.noise
         windows = _WINDOWS if data.aperture is None else (data.aperture,)
         found = []
         for window in windows:
+            if window == "optimal" and scene.full.any():
+                continue
             weights = window_weights(scene, noise, window)
-            one = window_flux(data.flux, scene, weights, background, background_variance)
+            one = window_flux(
+                data.flux, data.variance, scene, weights, background, background_variance
+            )
             level = np.median(one.flux)
             if not level > 0:
                 continue
             other = np.median(np.sum(weights * scene.others, axis=(1, 2)))
-            found.append((np.median(one.variance) / level**2, window, one, level / (level + other)))
+            by_width = np.log(np.sum(weights * scene.wider, axis=(1, 2)) / one.model) / WIDER
+            crowding = float(level / (level + other))
+            found.append((np.median(one.variance) / level**2, window, one, crowding, by_width))
         if not found:
             raise ValueError("the target's flux must be positive in most cadences")
         limit = _NOISIEST**2 * min(variance for variance, *_ in found)
         time = data.time - data.time[0]
         best = None
-        for variance, window, one, crowding in found:
+        for variance, window, one, crowding, by_width in found:
             if variance > limit:
                 continue
             level = np.median(one.flux)
             positive = one.flux > 0.01 * level
             y = np.log(np.where(positive, one.flux, level) / one.model)
-            columns = make_columns(data.time, scene.track, width, one)
+            columns = make_columns(data.time, scene.track, one, by_width)
             relative = one.variance / np.where(positive, one.flux, level) ** 2
-            model = fit_flux(time, y, relative, columns, allowed & positive, flat)
+            model = fit_flux(
+                time, y, relative, columns, allowed & positive, limits=LIMITS, flat=flat
+            )
             trial = _Flux(window, np.where(positive, one.flux, np.nan) / one.model, relative,
-                          model, float(crowding))  # fmt: skip
+                          model, crowding)  # fmt: skip
             if best is None or trial.expected_error < best.expected_error:
                 best = trial
         return best
@@ -474,6 +483,8 @@ class _Data:
         Column and row of the target within them.
     aperture : ndarray of bool or None
         The user's aperture, of the same pixels.
+    well : float or None
+        Flux of a full pixel, e-/s, if it is known.
     """
 
     all_times: np.ndarray
@@ -485,6 +496,7 @@ class _Data:
     box: tuple
     peak: tuple
     aperture: np.ndarray | None
+    well: float | None
 
     @classmethod
     def from_series(cls, series, aperture):
@@ -521,6 +533,7 @@ class _Data:
         return cls(
             series.time, usable, time, flux[cut], variance[cut], pos_corr, box, peak,
             None if aperture is None else aperture[box],
+            series.mission and series.mission.full_flux,
         )  # fmt: skip
 
     @property
