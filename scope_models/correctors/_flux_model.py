@@ -27,9 +27,13 @@ _LEAST_GAIN = 12.0
 _MOST_PERIODS = 8
 #: Number of times at most that hyper-parameters are fitted anew without outliers.
 _REFITS = 4
-#: Where the search for the hyper-parameters begins: the prior variance of each group, and the
-#: variances of the processes, in units of the data's; and the processes' periods in days.
-_STARTS = ((0.3, (1.0, 0.05)), (1.0, (0.01, 0.001)))
+#: The prior of the logarithm of each group's prior variance has this standard deviation about the
+#: typical value.
+_SPREAD = 2.5
+#: Where the search for the hyper-parameters begins: the prior variance of each group in units of
+#: the typical one, the variances of the processes in units of the data's; and the processes'
+#: periods in days.
+_STARTS = ((1.0, (1.0, 0.05)), (30.0, (0.01, 0.001)))
 _PERIODS = (5.0, 0.3)
 
 
@@ -131,8 +135,8 @@ class FluxModel:
         Noise and variability.
     systematic : tuple of str
         Names of the groups that are systematics: the first ones.
-    bounds : tuple of (float, float)
-        Least and largest prior variance of each of these.
+    bounds : tuple of (float, float, float)
+        Least, typical and largest prior variance of each of these.
     """
 
     time: np.ndarray
@@ -280,13 +284,14 @@ def _fit_groups(model):
         used = 1 - np.einsum("ij,ij->j", half, half)
         slope = np.bincount(groups[inside], (used - mean**2)[inside], minlength=k)
         rest = quadratic - mean @ mean
-        pull = 0.02 * (theta[1:] - unit)
-        value += 0.5 * 0.02 * np.sum((theta[1:] - unit) ** 2)
+        pull = 2 * (theta[1:] - unit) / _SPREAD**2
+        value += np.sum((theta[1:] - unit) ** 2) / _SPREAD**2
         return 0.5 * value, 0.5 * np.array([n - used.sum() - rest, *(slope + pull)])
 
     bounds = [(-3.0, 3.0), *zip(unit - 25, unit + 7, strict=True)]
-    for i, (least, largest) in enumerate(model.bounds):
+    for i, (least, typical, largest) in enumerate(model.bounds):
         bounds[i + 1] = (np.log(least), np.log(largest))
+        unit[i] = np.log(typical)
     start = np.clip([0.0, *np.log(model.prior)], *np.transpose(bounds))
     found = minimize(objective, start, jac=True, method="L-BFGS-B", bounds=bounds,
                      options={"maxiter": 60, "ftol": 1e-3 / n}).x  # fmt: skip
@@ -535,7 +540,7 @@ def fit_flux(time, y, variance, groups, allowed, *, limits, flat=None):
     allowed : ndarray of bool
         Cadences that may be used.
     limits : dict of str to tuple of float
-        Least and largest prior standard deviation of the coefficients of each group.
+        Least, typical and largest prior standard deviation of the coefficients of each group.
     flat : ndarray, optional
         Further columns ``(n, m)`` with flat priors, such as a transit's.
     """
@@ -547,8 +552,7 @@ def fit_flux(time, y, variance, groups, allowed, *, limits, flat=None):
         size = max(size, 1e-12)
         parts.append(columns / size)
         index.append(np.full(columns.shape[1], k))
-        least, largest = limits[name]
-        bounds.append(((max(least, 1e-9) * size) ** 2, (largest * size) ** 2))
+        bounds.append([(max(limit, 1e-9) * size) ** 2 for limit in limits[name]])
     extra = np.ones((len(y), 1)) if flat is None else np.column_stack([np.ones(len(y)), flat])
     columns = np.concatenate([*parts, extra], axis=1)
     index = np.concatenate([*index, np.full(extra.shape[1], -1)])
@@ -557,10 +561,11 @@ def fit_flux(time, y, variance, groups, allowed, *, limits, flat=None):
     best = None
     for part, amplitudes in _STARTS:
         process = Process(1.0, tuple(a * spread for a in amplitudes), _PERIODS)
-        prior = np.clip(part * spread, *np.transpose(bounds).reshape(2, -1))
+        least, typical, largest = np.transpose(bounds)
+        prior = np.clip(part * typical, least, largest)
         model = FluxModel(
             time, y, variance, allowed.copy(), columns, index, names, prior, process, names,
-            tuple(bounds),
+            tuple(map(tuple, bounds)),
         )  # fmt: skip
         model = _fit_groups(model)
         if best is None or model.log_evidence > best.log_evidence:

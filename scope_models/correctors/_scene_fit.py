@@ -35,6 +35,8 @@ _HELD, WIDER = 1e-5, 2e-3
 _FULL_PART = 0.01
 #: Prior standard deviations of the pixels' gains in the first steps of the shape, and later.
 _GAINS = (1e-4, 1e-3, 5e-3, 0.015)
+#: After these steps the priors of the PRF are about what has been found: stars at rest need it.
+_ANCHORS = (2, 4, 6)
 #: Pixels that deviate by more standard deviations are left out, in less than this part of the
 #: cadences.
 _SIGMA, _MOST_HITS = 6.0, 0.05
@@ -52,7 +54,8 @@ class SceneFit:
     track : Track
         The state of each cadence.
     star, others : ndarray
-        Images of the target at unit flux and of the neighbors (e-/s), ``(n, ny, nx)``.
+        Images of the target at unit flux and typical width, and of the neighbors (e-/s),
+        ``(n, ny, nx)``.
     variance : ndarray
         Variance of the pixels' noise, infinite in pixels that are left out.
     wider : ndarray
@@ -172,6 +175,8 @@ def fit_scene(time, flux, variance, pos_corr, peak, *, offsets=None, well=None, 
             tight = np.clip(1.5 * max(_robust(e) for e in errors.T), 0.003, _POSITION)
             sigma[:, 1:3] = np.where(known, tight, _FREE_POSITION)[:, None]
             priors = Priors(mean, sigma)
+        if step in _ANCHORS:
+            shape = replace(shape, prior_mean=shape.coefficients)
         if stuck and step >= len(_GAINS):
             break
     floor = max(floor, _FLOORS[-1])
@@ -185,7 +190,9 @@ def fit_scene(time, flux, variance, pos_corr, peak, *, offsets=None, well=None, 
     mean[:, 3], sigma[:, 3] = width, _HELD
     track = solve_track(shape, track, flux, clean, Priors(mean, sigma), floor)
     rest, _, images = _residual(shape, track, flux)
-    wider = render(shape, replace(track, width=track.width + WIDER)).star
+    typical = np.full(n, np.median(track.width))
+    star = render(shape, replace(track, width=typical)).star
+    wider = render(shape, replace(track, width=typical + WIDER)).star
     good = np.isfinite(clean)
     chi = float(np.mean(rest[good] ** 2 / clean[good]))
-    return SceneFit(shape, track, images.star, images.others, clean, wider, full, floor, chi)
+    return SceneFit(shape, track, star, images.others, clean, wider, full, floor, chi)

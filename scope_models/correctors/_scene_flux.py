@@ -14,18 +14,18 @@ _SMALLEST_SHARE = 2e-4
 #: Scales (px) of the smooth functions of position.
 _SCALES = {"position": 0.8, "fine position": 0.25}
 _MOST_COLUMNS = 90
-#: Least and largest prior standard deviations of the coefficients of each group: part of what the
-#: scene predicts, errors of the pixels' gains, functions of position in relative flux, part of
-#: what the scene predicts for a change of width, and change of slopes with time per pixel.
+#: Prior standard deviations of the coefficients of each group: least, typical and largest. They are
+#: parts of what the scene predicts, errors of the pixels' gains, functions of position in relative
+#: flux, and changes of slopes with time per pixel.
 LIMITS = {
-    "model": (0.0, 1.0),
-    "pixels": (0.0, 0.03),
-    "position": (0.0, 0.1),
-    "fine position": (0.0, 0.03),
-    "place in pixel": (0.0, 0.03),
-    "width": (0.3, 1.0),
-    "width and position": (0.0, 0.5),
-    "slow position": (0.0, 0.005),
+    "model": (0.0, 0.3, 1.0),
+    "pixels": (0.0, 0.008, 0.03),
+    "position": (0.0, 1e-3, 0.1),
+    "fine position": (0.0, 3e-4, 0.03),
+    "place in pixel": (0.0, 3e-4, 0.03),
+    "width": (0.2, 0.5, 1.0),
+    "width and position": (0.0, 0.1, 0.5),
+    "slow position": (0.0, 3e-4, 0.005),
 }
 
 

@@ -27,7 +27,7 @@ __all__ = ["SceneCorrector", "SceneResult"]
 
 _FEWEST_CADENCES = 30
 #: Windows that are tried: radii in pixels, and weights in proportion to light over variance.
-_WINDOWS = (2.0, 3.0, 4.0, "optimal")
+_WINDOWS = (3.0, 4.0, "optimal")
 #: Windows with so much more white noise than the best are not tried.
 _NOISIEST = 1.3
 _TRANSIT_HOURS = 6.5
