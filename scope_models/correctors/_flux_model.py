@@ -579,25 +579,29 @@ def fit_flux(time, y, variance, groups, allowed, *, limits, flat=None):
     return without_outliers(model, allowed)
 
 
-def smooth_series(time, values, variance):
+def smooth_series(time, values, variance, columns):
     """
-    Return the smooth course of a state in time, and the variance of its error.
+    Return the smooth course of a state in time, without what follows the position.
 
     Parameters
     ----------
     time, values, variance : ndarray
         Days, the measured state and the variance of its noise, ``(n,)``.
+    columns : ndarray
+        Functions of position ``(n, k)`` that errors of the pixels' model may follow.
     """
     everything = np.ones(len(time), dtype=bool)
     level = np.median(values)
     variance = np.maximum(variance, 1e-6 * np.var(values) + 1e-300)
     spread = max(float(np.var(values)), float(np.median(variance)))
+    centered = columns - columns.mean(axis=0)
+    size = np.sqrt(np.mean(centered**2, axis=0).sum()) + 1e-12
+    groups = np.append(np.zeros(columns.shape[1], dtype=int), -1)
     model = FluxModel(
-        time, values - level, variance, everything, np.ones((len(time), 1)), np.array([-1]), (),
-        np.empty(0), Process(1.0, (0.5 * spread, 0.01 * spread), _PERIODS),
+        time, values - level, variance, everything,
+        np.column_stack([centered / size, np.ones(len(time))]), groups, ("position",),
+        np.array([0.3 * spread]), Process(1.0, (0.5 * spread, 0.01 * spread), _PERIODS),
+        ("position",), ((1e-6 * spread, 0.3 * spread, 100 * spread),),
     )  # fmt: skip
-    model = fit_hyper(model, rounds=1)
-    model = without_outliers(model, everything)
-    white = model.process.noise_scale * variance
-    error = white * _PERIODS[1] / np.ptp(time)
-    return model.trend() + model.columns @ model.mean + level, error
+    model = without_outliers(fit_hyper(model, rounds=2), everything)
+    return model.variability(flat=True) + level

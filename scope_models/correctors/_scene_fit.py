@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from scope_models.correctors._flux_model import smooth_series
+from scope_models.correctors._scene_flux import kernel_columns
 from scope_models.correctors._scene_model import (
     Priors,
     Shape,
@@ -33,6 +34,8 @@ _POSITION, _FREE_POSITION, _WIDTH = 0.05, 0.3, 0.01
 _HELD, WIDER = 1e-5, 2e-3
 #: A pixel is full if it is so in this part of the cadences.
 _FULL_PART = 0.01
+#: Scale (px) of the functions of position that errors of width and background may follow.
+_ERROR_SCALE = 0.8
 #: Prior standard deviations of the pixels' gains in the first steps of the shape, and later.
 _GAINS = (1e-4, 1e-3, 5e-3, 0.015)
 #: After these steps the priors of the PRF are about what has been found: stars at rest need it.
@@ -60,6 +63,8 @@ class SceneFit:
         Variance of the pixels' noise, infinite in pixels that are left out.
     wider : ndarray
         Image of the target with a PRF that is wider by `WIDER`.
+    background : ndarray
+        Smooth course of the background, e-/s per pixel, ``(n,)``.
     full : ndarray of bool
         Pixels of columns in which pixels saturate, ``(ny, nx)``: they are no part of the fit.
     floor : float
@@ -74,6 +79,7 @@ class SceneFit:
     others: np.ndarray
     variance: np.ndarray
     wider: np.ndarray
+    background: np.ndarray
     full: np.ndarray
     floor: float
     chi_squared: float
@@ -118,6 +124,34 @@ def _without_hits(shape, track, flux, variance, floor):
     hit = deviation > _SIGMA
     often = hit.mean(axis=0) > _MOST_HITS  # here the model errs
     return np.where(hit & ~often, np.inf, variance)
+
+
+def _held(time, flux, variance, shape, track, priors, floor, full):
+    """
+    Return the scene with widths on a smooth course in time.
+
+    What of width and background follows the position is an error of the pixels' model: it stays
+    out of both.
+    """
+    good = np.isfinite(variance)
+    rest, _, _ = _residual(shape, track, flux)
+    chi = float(np.mean(rest[good] ** 2 / variance[good]))
+    places = kernel_columns(np.stack([track.x, track.y], axis=1), _ERROR_SCALE)
+    days = time - time[0]
+    formal = state_variance(shape, track, flux, variance, floor)
+    width = smooth_series(days, track.width, formal[:, 3], places)
+    mean, sigma = priors.mean.copy(), priors.sigma.copy()
+    mean[:, 3], sigma[:, 3] = width, _HELD
+    track = solve_track(shape, track, flux, variance, Priors(mean, sigma), floor)
+    formal = state_variance(shape, track, flux, variance, floor)
+    background = smooth_series(days, track.background, formal[:, 4], places)
+    images = render(shape, track)
+    typical = np.full(len(flux), np.median(track.width))
+    star = render(shape, replace(track, width=typical)).star
+    wider = render(shape, replace(track, width=typical + WIDER)).star
+    return SceneFit(
+        shape, track, star, images.others, variance, wider, background, full, floor, chi
+    )  # fmt: skip
 
 
 def fit_scene(time, flux, variance, pos_corr, peak, *, offsets=None, well=None, seed=0):
@@ -184,15 +218,4 @@ def fit_scene(time, flux, variance, pos_corr, peak, *, offsets=None, well=None, 
     for _ in range(3):
         track = solve_track(shape, track, flux, clean, priors, floor)
         clean = _without_hits(shape, track, flux, variance, floor)
-    formal = state_variance(shape, track, flux, clean, floor)
-    width, _ = smooth_series(time - time[0], track.width, formal[:, 3])
-    mean, sigma = mean.copy(), sigma.copy()
-    mean[:, 3], sigma[:, 3] = width, _HELD
-    track = solve_track(shape, track, flux, clean, Priors(mean, sigma), floor)
-    rest, _, images = _residual(shape, track, flux)
-    typical = np.full(n, np.median(track.width))
-    star = render(shape, replace(track, width=typical)).star
-    wider = render(shape, replace(track, width=typical + WIDER)).star
-    good = np.isfinite(clean)
-    chi = float(np.mean(rest[good] ** 2 / clean[good]))
-    return SceneFit(shape, track, star, images.others, clean, wider, full, floor, chi)
+    return _held(time, flux, clean, shape, track, priors, floor, full)

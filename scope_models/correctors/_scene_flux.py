@@ -3,9 +3,16 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import median_filter, uniform_filter1d
 
-__all__ = ["LIMITS", "WindowFlux", "make_columns", "smooth_state", "window_flux", "window_weights"]
+__all__ = [
+    "LIMITS",
+    "WindowFlux",
+    "clean_background",
+    "kernel_columns",
+    "make_columns",
+    "window_flux",
+    "window_weights",
+]
 
 #: Width of a window's soft edge (px).
 _EDGE = 0.2
@@ -14,6 +21,8 @@ _SMALLEST_SHARE = 2e-4
 #: Scales (px) of the smooth functions of position.
 _SCALES = {"position": 0.8, "fine position": 0.25}
 _MOST_COLUMNS = 90
+#: Variance of the smooth background over that of a cadence's own.
+_SMOOTHED = 0.08
 #: Prior standard deviations of the coefficients of each group: least, typical and largest. They are
 #: parts of what the scene predicts, errors of the pixels' gains, functions of position in relative
 #: flux, and changes of slopes with time per pixel.
@@ -156,30 +165,21 @@ def make_columns(time, track, window, by_width):
     return groups
 
 
-def smooth_state(values, width=25, sigma=6.0, *, keep_spikes=False):
+def clean_background(background, smooth, spike=6.0):
     """
-    Return a running median and mean, and the variance of its error.
+    Return the background to take off, and the variance of its error.
 
     Parameters
     ----------
-    values : ndarray
-        State of each cadence, ``(n,)``.
-    width : int
-        Cadences of the window.
-    sigma : float
-        Values that deviate by more standard deviations are spikes.
-    keep_spikes : bool
-        Whether spikes are kept as they are.
+    background, smooth : ndarray
+        Background of each cadence, and its smooth course, ``(n,)``.
+    spike : float
+        Cadences that deviate by more standard deviations keep their own.
     """
-    smooth = uniform_filter1d(median_filter(values, width, mode="nearest"), width, mode="nearest")
-    rest = values - smooth
+    rest = background - smooth
     scatter = 1.4826 * float(np.median(np.abs(rest - np.median(rest))))
-    variance = np.full(len(values), scatter**2 * 2 / width)
-    if keep_spikes:
-        spikes = np.abs(rest) > sigma * scatter
-        smooth = np.where(spikes, values, smooth)
-        variance = np.where(spikes, scatter**2, variance)
-    return smooth, variance
+    own = np.abs(rest - np.median(rest)) > spike * scatter
+    return np.where(own, background, smooth), np.where(own, 1.0, _SMOOTHED) * scatter**2
 
 
 def window_weights(fit, noise, window):

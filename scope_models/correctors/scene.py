@@ -13,8 +13,8 @@ from scope_models.correctors._result import transit_column
 from scope_models.correctors._scene_fit import WIDER, fit_scene
 from scope_models.correctors._scene_flux import (
     LIMITS,
+    clean_background,
     make_columns,
-    smooth_state,
     window_flux,
     window_weights,
 )
@@ -249,7 +249,8 @@ class SceneCorrector(Corrector):
         Warns
         -----
         DetrendingWarning
-            If many cadences are outliers, or the window holds much light of other stars.
+            If pixels saturate, many cadences are outliers, or the window holds much light of
+            other stars.
         """
         data = self._data
         n = len(data.usable)
@@ -276,7 +277,7 @@ class SceneCorrector(Corrector):
     def _best(self, allowed, flat):
         """Return the flux in the window of the smallest expected error."""
         data, scene = self._data, self.scene
-        background, background_variance = smooth_state(scene.track.background, keep_spikes=True)
+        background, background_variance = clean_background(scene.track.background, scene.background)
         noise = data.noise
         windows = _WINDOWS if data.aperture is None else (data.aperture,)
         found = []
@@ -304,13 +305,15 @@ class SceneCorrector(Corrector):
                 continue
             level = np.median(one.flux)
             positive = one.flux > 0.01 * level
-            y = np.log(np.where(positive, one.flux, level) / one.model)
+            change = by_width * (scene.track.width - np.median(scene.track.width))
+            y = np.log(np.where(positive, one.flux, level) / one.model) - change
             columns = make_columns(data.time, scene.track, one, by_width)
             relative = one.variance / np.where(positive, one.flux, level) ** 2
             model = fit_flux(
                 time, y, relative, columns, allowed & positive, limits=LIMITS, flat=flat
             )
-            trial = _Flux(window, np.where(positive, one.flux, np.nan) / one.model, relative,
+            star = np.where(positive, one.flux, np.nan) / one.model / np.exp(change)
+            trial = _Flux(window, star, relative,
                           model, crowding)  # fmt: skip
             if best is None or trial.expected_error < best.expected_error:
                 best = trial
@@ -366,6 +369,12 @@ class SceneCorrector(Corrector):
 
     def _warn(self):
         result = self.result
+        if self.scene.full.any():
+            message = (
+                "pixels saturate: the model of the pixels holds for the others only, and "
+                "PLDCorrector corrects such stars better"
+            )
+            warnings.warn(message, DetrendingWarning, stacklevel=4)
         if result.n_outliers > _MANY * (result.n_outliers + result.n_used):
             message = f"{result.n_outliers} cadences are left out of the fit as outliers"
             warnings.warn(message, DetrendingWarning, stacklevel=4)
