@@ -2,6 +2,7 @@
 
 import json
 import re
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
@@ -15,6 +16,9 @@ _TPF_NAMES = {
     *("PRIMARY", "TARGETTABLES", "PIXELS", "APERTURE", "TARGET COSMIC RAY"),
     *("TRUTH", "SCENE"),
 }
+_MOST_COLUMNS = 999  # of the FITS standard
+_NUMBERED = "NUMBERED"
+_LONGEST_TEXT = 2000  # CFITSIO reads texts of up to 2879 characters
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -265,6 +269,7 @@ def _truth_hdu(cadenceno, columns):
                 f"cadences, got the shape {array.shape}"
             )
         arrays[name] = array
+    arrays, numbered = _vectors(arrays)
     fields = [
         (name, ">i4" if name == "CADENCENO" else ">f8", array.shape[1:])
         for name, array in arrays.items()
@@ -274,7 +279,41 @@ def _truth_hdu(cadenceno, columns):
         rows[name] = array
     hdu = fits.BinTableHDU(rows, name="TRUTH")
     hdu.header.comments["TTYPE1"] = "column title: number of the cadence"
+    if numbered:
+        hdu.header[_NUMBERED] = (" ".join(numbered), "columns of vectors: a value for each star")
     return hdu
+
+
+def _vectors(arrays):
+    """Return arrays that fit into the columns of a table, and the names of those that were joined.
+
+    FITS allows 999 columns. Beyond that X1, X2, ... become the column X of vectors.
+    """
+    if len(arrays) <= _MOST_COLUMNS:
+        return arrays, []
+    stems = Counter(name.rstrip("0123456789") for name in arrays)
+    joined = {}
+    for stem in stems:
+        parts = [f"{stem}{i + 1}" for i in range(stems[stem])]
+        if stem not in arrays and stems[stem] > 1 and all(name in arrays for name in parts):
+            joined[stem] = np.stack([arrays[name] for name in parts], axis=1)
+    gone = {f"{stem}{i + 1}" for stem, array in joined.items() for i in range(array.shape[1])}
+    left = {name: array for name, array in arrays.items() if name not in gone}
+    return {**left, **joined}, list(joined)
+
+
+def _columns_of(hdu):
+    """Return the columns of the TRUTH table by name, vectors as numbered columns."""
+    numbered = str(hdu.header.get(_NUMBERED, "")).split()
+    columns = {}
+    for name in hdu.columns.names:
+        values = _native(hdu.data[name])
+        if name not in numbered:
+            columns[name] = values
+            continue
+        for i in range(values.shape[1]):
+            columns[f"{name}{i + 1}"] = values[:, i]
+    return columns
 
 
 def _map_hdus(maps):
@@ -317,7 +356,7 @@ def _check_name(argument, name, taken):
 
 
 def _scene_hdu(scene):
-    """Return the SCENE table: a row for each key."""
+    """Return the SCENE table: a row for each key, and further rows where its value is long."""
     from astropy.io import fits
 
     if not isinstance(scene, dict) or not all(
@@ -325,18 +364,29 @@ def _scene_hdu(scene):
     ):
         raise TypeError(f"`scene` must be a dict with keys of ASCII text, got {scene!r}")
     try:
-        texts = [json.dumps(value) for value in scene.values()]
+        rows = [(key, part) for key, value in scene.items() for part in _parts(json.dumps(value))]
     except (TypeError, ValueError) as error:
         raise TypeError(f"`scene` must hold what JSON can: {error}") from error
-    widths = (max(map(len, column), default=1) for column in (list(scene), texts))
-    names = {"KEY": list(scene), "VALUE": texts}
-    columns = [
-        fits.Column(name, f"{width}A", array=np.array(array, dtype=f"S{width}"))
-        for width, (name, array) in zip(widths, names.items(), strict=True)
-    ]
+    columns = []
+    for i, name in enumerate(("KEY", "VALUE")):
+        texts = [row[i] for row in rows]
+        width = max(map(len, texts), default=1)
+        array = np.array(texts, dtype=f"S{width}")
+        columns.append(fits.Column(name, f"{width}A", array=array))
     hdu = fits.BinTableHDU.from_columns(columns, name="SCENE")
     hdu.header.comments["TTYPE2"] = "column title: value in JSON"
     return hdu
+
+
+def _parts(text):
+    """Return a text in JSON in parts that CFITSIO reads.
+
+    No part may end with a blank, which FITS drops; in JSON an escape can stand for it.
+    """
+    if len(text) <= _LONGEST_TEXT:
+        return [text]
+    text = json.dumps(json.loads(text), separators=(",", ":")).replace(" ", "\\u0020")
+    return [text[i : i + _LONGEST_TEXT] for i in range(0, len(text), _LONGEST_TEXT)]
 
 
 def truth_of(hdus):
@@ -354,13 +404,15 @@ def truth_of(hdus):
     """
     if "TRUTH" not in hdus or hdus["TRUTH"].columns.names[:1] != ["CADENCENO"]:
         return None
-    rows = hdus["TRUTH"].data
-    columns = {name: _native(rows[name]) for name in rows.names}
+    columns = _columns_of(hdus["TRUTH"])
     maps = {hdu.header["MAPNAME"]: _native(hdu.data) for hdu in hdus if "MAPNAME" in hdu.header}
     scene = {}
     if "SCENE" in hdus:
         entries = hdus["SCENE"].data
-        scene = {str(row["KEY"]): json.loads(row["VALUE"]) for row in entries}
+        for row in entries:
+            key = str(row["KEY"])
+            scene[key] = scene.get(key, "") + str(row["VALUE"])
+        scene = {key: json.loads(text) for key, text in scene.items()}
     tables = {
         hdu.header["TABNAME"]: Table({name: _native(hdu.data[name]) for name in hdu.columns.names})
         for hdu in hdus

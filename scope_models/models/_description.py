@@ -3,6 +3,7 @@
 
 import importlib
 import json
+import math
 import operator
 import sys
 import zlib
@@ -22,6 +23,7 @@ __all__ = ["describe_model", "make_model", "model_in_pixels", "value_key"]
 _OPERATORS = {"+": operator.add, "-": operator.sub, "*": operator.mul}
 # Modules that reading a file may import; others must have been imported before.
 _TRUSTED = {"scope_models", "astropy", "photutils"}
+_LARGEST_ARRAY = 1 << 26  # bytes of an array in a file, unpacked
 
 
 def describe_model(model):
@@ -78,8 +80,15 @@ def _unpacked(value):
     """Return the array of a text, and anything else as it is."""
     if not isinstance(value, dict):
         return value
-    values = np.frombuffer(zlib.decompress(b64decode(value["array"])), dtype="<f8")
-    return values.reshape(value["shape"])
+    shape = tuple(map(int, value["shape"]))
+    size = 8 * math.prod(shape)
+    if not 0 <= size <= _LARGEST_ARRAY:
+        raise ValueError(f"an array must have up to {_LARGEST_ARRAY:,} bytes, got {size:,}")
+    # Never unpack more than the shape promises.
+    content = zlib.decompressobj().decompress(b64decode(value["array"]), size + 1)
+    if len(content) != size:
+        raise ValueError(f"an array does not have the {size:,} bytes of its shape {shape}")
+    return np.frombuffer(content, dtype="<f8").reshape(shape)
 
 
 def model_in_pixels(model, pixel_scale):

@@ -203,10 +203,10 @@ def test_scene_of_a_later_version(tmp_path, monkeypatch):
         (
             "scope_models.io",
             "read_truth",
-            TypeError,
+            ValueError,
             r"scope_models\.io\.read_truth is not a model",
         ),
-        ("astropy.modeling.models", "NoModel", TypeError, "NoModel is not a model"),
+        ("astropy.modeling.models", "NoModel", ValueError, "NoModel is not a model"),
     ],
 )
 def test_only_models_are_made(module, name, error, message, tmp_path, monkeypatch):
