@@ -2,7 +2,9 @@
 
 from pathlib import Path
 
+from scope_models.cli import _batch
 from scope_models.fitting import fit_tpf
+from scope_models.io import read_tpf
 from scope_models.models import SensitivityPolynomial
 
 __all__ = ["add_parser", "run"]
@@ -16,8 +18,7 @@ def add_parser(commands):
         description="Fit one model to all pixels and cadences of a target pixel file, and write "
         "the parameters with their errors, the light curve and the model's pixels to a FITS file.",
     )
-    parser.add_argument("input", metavar="IN.fits", help="the target pixel file")
-    parser.add_argument("--output", required=True, metavar="FIT.fits", help="the file to write")
+    _batch.add_inputs(parser, "the file to write")
     parser.add_argument("--overwrite", action="store_true", help="replace the file if it exists")
     parser.add_argument(
         "--components",
@@ -58,34 +59,32 @@ def add_parser(commands):
 
 
 def run(arguments):
-    """Fit the file and write the result."""
-    import lightkurve
-
-    if Path(arguments.output).exists() and not arguments.overwrite:
-        raise FileExistsError(f"{arguments.output} exists; --overwrite replaces it")
-    if not Path(arguments.input).exists():
-        raise FileNotFoundError(f"{arguments.input} does not exist")
+    """Fit one file or many; return the exit status."""
     if arguments.cadences is not None and arguments.cadences < 1:
         raise ValueError(f"--cadences must be at least 1, got {arguments.cadences}")
-    tpf = lightkurve.read(arguments.input)
-    sensitivity = None
+    options = {
+        "psf": arguments.components,
+        "empirical": arguments.empirical,
+        "interpixel": arguments.interpixel,
+        "positions": arguments.positions,
+        "loss": "soft_l1" if arguments.robust else "linear",
+    }
+    if arguments.output_dir is not None:
+        from scope_models.experiments.batch import fit_files
+
+        options |= {"sensitivity": arguments.sensitivity, "cadences": arguments.cadences or 0}
+        return _batch.run(fit_files, arguments, arguments.input, **options)
+    path = _batch.single(arguments)
+    if Path(arguments.output).exists() and not arguments.overwrite:
+        raise FileExistsError(f"{arguments.output} exists; --overwrite replaces it")
+    tpf = read_tpf(path)
     if arguments.sensitivity:
-        sensitivity = SensitivityPolynomial(fixed={"ax1": True, "ay1": True})
-    try:
-        fit = fit_tpf(
-            tpf[: arguments.cadences] if arguments.cadences else tpf,
-            arguments.components,
-            sensitivity,
-            empirical=arguments.empirical,
-            interpixel=arguments.interpixel,
-            positions=arguments.positions,
-            loss="soft_l1" if arguments.robust else "linear",
-        )
-    finally:
-        tpf.hdu.close()
+        options["sensitivity"] = SensitivityPolynomial(fixed={"ax1": True, "ay1": True})
+    fit = fit_tpf(tpf[: arguments.cadences] if arguments.cadences else tpf, **options)
     path = fit.write(arguments.output, overwrite=arguments.overwrite)
     table = fit.table()
     for row in table[~table["fixed"]]:
         print(f"{row['name']:18s} {row['value']:12.6g} +- {row['error']:<10.2g} {row['unit']}")
     print(f"chi-squared per degree of freedom {fit.reduced_chi2:.4g}")
     print(f"{path}: {len(fit.time)} cadences")
+    return 0

@@ -5,13 +5,13 @@ import sys
 import warnings
 
 from scope_models._version import __version__
-from scope_models.cli import _demo, _detrend, _experiment, _fit, _simulate
+from scope_models.cli import _demo, _detrend, _experiment, _fit, _inject, _simulate
 
 __all__ = ["main"]
 
 # A command is a module with `add_parser(commands)`, which sets `run(arguments)` as the default
 # of `run`. The next one is added here.
-_COMMANDS = (_demo, _simulate, _detrend, _fit, _experiment)
+_COMMANDS = (_demo, _simulate, _inject, _detrend, _fit, _experiment)
 
 
 class _Parser(argparse.ArgumentParser):
@@ -32,7 +32,8 @@ def main(argv=None):
     Returns
     -------
     int
-        0, or 2 after an error, which is told in one line on the standard error.
+        0, 1 if some of many files failed, or 2 after an error, which is one line on the standard
+        error.
 
     Examples
     --------
@@ -46,14 +47,13 @@ def main(argv=None):
         # lightkurve says at import that an optional part of it is absent
         warnings.filterwarnings("ignore", ".*tpfmodel submodule is not available", UserWarning)
         try:
-            arguments.run(arguments)
+            return arguments.run(arguments) or 0
         except (OSError, TypeError, ValueError) as error:
             _tell("error", error)
             return 2
         except KeyboardInterrupt:
             _tell("error", "interrupted")
             return 130
-    return 0
 
 
 def _make_parser():

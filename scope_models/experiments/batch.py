@@ -21,15 +21,24 @@ from scope_models.experiments.experiment import run_experiment
 from scope_models.experiments.reference import read_reference
 from scope_models.experiments.study import Study
 from scope_models.io import read_pixels, read_tpf, write_hdulist
+from scope_models.io._atomic import check_output
 from scope_models.models import TransitModel
 from scope_models.photometry import cdpp
 from scope_models.scene import read_detector
 from scope_models.scene.detector import Detector
 from scope_models.scene.motion import Motion
+from scope_models.scene.presets import PRESETS
 from scope_models.scene.star import Star
 from scope_models.simulation import inject, simulate
 
-__all__ = ["detrend_files", "find_files", "fit_files", "inject_files", "simulate_table"]
+__all__ = [
+    "detrend_files",
+    "find_files",
+    "fit_files",
+    "inject_file",
+    "inject_files",
+    "simulate_table",
+]
 
 _CONVENTIONS = ("everest", "lightkurve")
 _PLANET = ("period", "t0", "depth", "duration")
@@ -103,7 +112,7 @@ def fit_files(paths, output_dir, client=None, *, overwrite=False, sweep=None, **
         As in `detrend_files`; the fits are ``NAME-fit.fits``.
     **options
         Arguments of `~scope_models.fit_tpf` that are numbers, text, or true or false;
-        ``sensitivity=True`` fits a quadratic response.
+        ``sensitivity=True`` fits a quadratic response, ``cadences=N`` uses the first N only.
 
     Returns
     -------
@@ -124,7 +133,7 @@ def fit_files(paths, output_dir, client=None, *, overwrite=False, sweep=None, **
     >>> path = simulate(Star(11), detector, Motion.k2_roll(100), seed=1).write("star.fits")
     >>> result = fit_files([path], "fits", psf=1, sweep={"progress": False})
     >>> result.table["n_cadences"].tolist()
-    [94]
+    [95]
     """
     study = _Fit(files=find_files(paths), folder=_absolute(output_dir), options=_json(options))
     return _run(study, client, overwrite, sweep)
@@ -143,8 +152,9 @@ def inject_files(
         Columns period, t0, depth and duration (days; depth relative): one row for all files, or
         one for each in their order. ``t0`` is the time of a mid-transit as in the file.
     star : {"scene", "fit"} or float, optional
-        The light that is dimmed: that of the scene of a simulated file, the default; of a fit with
-        the defaults of `~scope_models.fit_tpf`; or the share of the star in all pixels.
+        The light that is dimmed: that of the scene of a simulated file; of a fit with the defaults
+        of `~scope_models.fit_tpf`; or the share of the star in all pixels. The default is the
+        scene if the file has one, else the fit.
     seed : int, optional
         Seed of the photon noise, together with the name of the file.
 
@@ -190,6 +200,62 @@ def inject_files(
     return _run(study, client, overwrite, sweep)
 
 
+def inject_file(path, planet, output, *, star=None, seed=1, overwrite=False):
+    """Inject transits into a target pixel file.
+
+    Parameters
+    ----------
+    path : str or path-like
+        The file.
+    planet : mapping
+        period, t0, depth and duration, as in `inject_files`.
+    output : str or path-like
+        The file to write.
+    star : {"scene", "fit"} or float, optional
+        As in `inject_files`.
+    seed : int, optional
+        Seed of the photon noise.
+    overwrite : bool, optional
+        Whether a file that exists is replaced. The input never is.
+
+    Returns
+    -------
+    dict
+        Name, mission, magnitude; "injected_depth", the expected depth in all pixels; and
+        "in_transit", the number of cadences.
+
+    Raises
+    ------
+    OSError, ValueError
+        As `~scope_models.simulation.inject`, or if the output exists or is the input.
+
+    Examples
+    --------
+    >>> from scope_models import Detector, Motion, Star, simulate
+    >>> from scope_models.experiments.batch import inject_file
+    >>> detector = Detector.k2(shape=(9, 9))
+    >>> path = simulate(Star(11), detector, Motion.k2_roll(100), seed=1).write("two.fits")
+    >>> planet = {"period": 1.0, "t0": 2145.0, "depth": 0.01, "duration": 0.2}
+    >>> round(inject_file(path, planet, "planet.fits")["injected_depth"], 3)
+    0.01
+    """
+    check_output(output, overwrite=overwrite, inputs=[path])
+    tpf = read_tpf(path)
+    series = read_pixels(tpf)
+    model = TransitModel.from_depth_duration(
+        *(float(planet[name]) for name in ("depth", "duration", "period", "t0")),
+        exposure_time=Detector.from_tpf(series).cadence_days,
+    )
+    injected = inject(tpf, model, _light_of(tpf, star), seed=seed)
+    write_hdulist(injected.hdu, output, overwrite=overwrite)
+    table = injected.hdu[-1].data
+    total = np.nanmedian(np.nansum(series.flux, axis=(1, 2)))
+    return _header_row(series) | {
+        "injected_depth": float(-np.min(table["FLUX_ADDED"]) / total),
+        "in_transit": int(np.sum(table["SIGNAL"] < 1)),
+    }
+
+
 def simulate_table(
     table, output_dir, client=None, *, detector="k2", motion="", cadences=1000, seed=1,
     overwrite=False, sweep=None,
@@ -233,6 +299,7 @@ def simulate_table(
     >>> sorted(path.name for path in result.files[0].parent.glob("*.fits"))
     ['bright.fits', 'faint.fits']
     """
+    _detector(str(detector))
     table = Table(table)
     if "mag" not in table.colnames or not len(table):
         raise ValueError("`table` must have a column `mag` and a row at least")
@@ -328,6 +395,16 @@ def _run(study, client, overwrite, sweep):
 
 def _absolute(folder):
     return str(Path(folder).absolute())
+
+
+def _detector(name):
+    """Return the detector of a name or a file."""
+    if name.endswith(".toml"):
+        return read_detector(name)
+    if name not in PRESETS:
+        known = ", ".join(PRESETS)
+        raise ValueError(f"`detector` must be a TOML file or one of {known}, got {name!r}")
+    return Detector.preset(name)
 
 
 def _json(options):
@@ -520,6 +597,7 @@ class _Fit(_Files):
 
             options["sensitivity"] = SensitivityPolynomial(fixed={"ax1": True, "ay1": True})
         tpf = read_tpf(task["file"])
+        tpf = tpf[: options.pop("cadences", 0) or None]
         fit = fit_tpf(tpf, **options)
         fit.write(output, overwrite=True)
         row = _header_row(read_pixels(tpf)) | {
@@ -543,26 +621,16 @@ class _Inject(_Files):
 
     def work(self, task, options, output):
         """Inject into a file."""
-        tpf = read_tpf(task["file"])
-        series = read_pixels(tpf)
-        exposure = Detector.from_tpf(series).cadence_days
-        planet = TransitModel.from_depth_duration(
-            task["depth"], task["duration"], task["period"], task["t0"], exposure_time=exposure
+        seed = self.star_seed(task["key"])
+        return inject_file(
+            task["file"], task, output, star=options["star"], seed=seed, overwrite=True
         )
-        injected = inject(
-            tpf, planet, light_of(tpf, options["star"]), seed=self.star_seed(task["key"])
-        )
-        write_hdulist(injected.hdu, output, overwrite=True)
-        table = injected.hdu[-1].data
-        total = np.nanmedian(np.nansum(series.flux, axis=(1, 2)))
-        return _header_row(series) | {
-            "injected_depth": float(-np.min(table["FLUX_ADDED"]) / total),
-            "in_transit": int(np.sum(table["SIGNAL"] < 1)),
-        }
 
 
-def light_of(tpf, star):
+def _light_of(tpf, star):
     """Return what `~scope_models.simulation.inject` takes as the light of the star."""
+    if star is None:
+        star = "scene" if "SCENE" in tpf.hdu else "fit"
     if star == "fit":
         from scope_models import fit_tpf
 
@@ -597,8 +665,7 @@ class _Simulate(_Files):
 
     def work(self, task, options, output):
         """Simulate a star."""
-        name, cadences = options["detector"], options["cadences"]
-        detector = read_detector(name) if name.endswith(".toml") else Detector.preset(name)
+        detector, cadences = _detector(options["detector"]), options["cadences"]
         if options["motion"]:
             motion = Motion.from_file(options["motion"])[:cadences]
         elif detector.mission == "K2":
