@@ -10,6 +10,7 @@ __all__ = [
     "DIGITAL",
     "PER_PIXEL",
     "is_angle",
+    "native",
     "plain_array",
     "plain_number",
     "plain_time",
@@ -28,6 +29,23 @@ DIGITAL = tuple(
     for other in (u.ct, u.DN)
     for pair in ((other, u.adu), (u.electron / other, u.electron / u.adu))
 )
+
+
+def native(array):
+    """Return a new array in the machine's byte order; FITS has the other one.
+
+    Parameters
+    ----------
+    array : array_like
+        Values of any kind.
+
+    Returns
+    -------
+    ndarray
+        The same values.
+    """
+    array = np.asarray(array)
+    return np.array(array, dtype=array.dtype.newbyteorder("="))
 
 
 def unmasked(value, fill=np.nan):

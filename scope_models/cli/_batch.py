@@ -41,8 +41,17 @@ def add_options(parser):
     _workers.add_options(parser)
 
 
-def run(function, arguments, *inputs, **options):
+def run(name, arguments, *inputs, **options):
     """Call a function of `scope_models.experiments.batch`, and print what it has found.
+
+    Parameters
+    ----------
+    name : str
+        The function.
+    arguments : argparse.Namespace
+        The arguments of the command.
+    *inputs, **options
+        What the function gets.
 
     Returns
     -------
@@ -50,12 +59,12 @@ def run(function, arguments, *inputs, **options):
         The exit status: 1 if a file has failed.
     """
     from scope_models.exceptions import FailedStarsWarning
-    from scope_models.experiments import SweepError
+    from scope_models.experiments import SweepError, batch
 
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", FailedStarsWarning)  # the failures are listed below
-            result = function(
+            result = getattr(batch, name)(
                 *inputs,
                 arguments.output_dir,
                 _workers.client_of(arguments),

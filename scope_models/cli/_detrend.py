@@ -3,8 +3,8 @@
 from argparse import SUPPRESS
 from pathlib import Path
 
+import scope_models as sm
 from scope_models.cli import _batch
-from scope_models.photometry import cdpp
 
 __all__ = ["add_parser", "run"]
 
@@ -52,16 +52,10 @@ def run(arguments):
     if arguments.method:
         options["method"] = arguments.method
     if arguments.output_dir is not None:
-        from scope_models.experiments.batch import detrend_files
-
-        return _batch.run(detrend_files, arguments, arguments.input, **options)
-    from scope_models.correctors import detrend_file  # imports lightkurve
-
+        return _batch.run("detrend_files", arguments, arguments.input, **options)
     path = _batch.single(arguments)
     figure = Path(arguments.figure or Path(arguments.output).with_suffix(".png"))
-    if figure.exists() and not arguments.overwrite:
-        raise FileExistsError(f"{figure} exists already; pass --overwrite to replace it")
-    corrector = detrend_file(
+    corrector = sm.correctors.detrend_file(
         path, arguments.output, figure=figure, overwrite=arguments.overwrite, **options
     )
     print(f"{arguments.output}: {_summary(corrector)}")
@@ -71,5 +65,8 @@ def run(arguments):
 def _summary(corrector):
     """Return what became of the noise."""
     lcs = corrector.original_lc, corrector.corrected_lc
-    raw, corrected = (cdpp(lc, method="everest") for lc in lcs)
+    try:
+        raw, corrected = (sm.photometry.cdpp(lc, method="everest") for lc in lcs)
+    except ValueError:
+        return "too few cadences for a CDPP"
     return f"CDPP {raw:.1f} -> {corrected:.1f} ppm (6.5 h, EVEREST's convention)"

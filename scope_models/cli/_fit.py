@@ -1,11 +1,7 @@
 """``scope-models fit``: one model for all pixels and cadences of a target pixel file."""
 
-from pathlib import Path
-
+import scope_models as sm
 from scope_models.cli import _batch
-from scope_models.fitting import fit_tpf
-from scope_models.io import read_tpf
-from scope_models.models import SensitivityPolynomial
 
 __all__ = ["add_parser", "run"]
 
@@ -60,6 +56,8 @@ def add_parser(commands):
 
 def run(arguments):
     """Fit one file or many; return the exit status."""
+    from scope_models.io._atomic import check_output
+
     if arguments.cadences is not None and arguments.cadences < 1:
         raise ValueError(f"--cadences must be at least 1, got {arguments.cadences}")
     options = {
@@ -70,17 +68,13 @@ def run(arguments):
         "loss": "soft_l1" if arguments.robust else "linear",
     }
     if arguments.output_dir is not None:
-        from scope_models.experiments.batch import fit_files
-
         options |= {"sensitivity": arguments.sensitivity, "cadences": arguments.cadences or 0}
-        return _batch.run(fit_files, arguments, arguments.input, **options)
+        return _batch.run("fit_files", arguments, arguments.input, **options)
     path = _batch.single(arguments)
-    if Path(arguments.output).exists() and not arguments.overwrite:
-        raise FileExistsError(f"{arguments.output} exists; --overwrite replaces it")
-    tpf = read_tpf(path)
+    check_output(arguments.output, overwrite=arguments.overwrite, inputs=[path])
     if arguments.sensitivity:
-        options["sensitivity"] = SensitivityPolynomial(fixed={"ax1": True, "ay1": True})
-    fit = fit_tpf(tpf[: arguments.cadences] if arguments.cadences else tpf, **options)
+        options["sensitivity"] = sm.SensitivityPolynomial(fixed={"ax1": True, "ay1": True})
+    fit = sm.fit_tpf(sm.io.read_pixels(path)[: arguments.cadences], **options)
     path = fit.write(arguments.output, overwrite=arguments.overwrite)
     table = fit.table()
     for row in table[~table["fixed"]]:

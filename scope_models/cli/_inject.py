@@ -44,12 +44,12 @@ def add_parser(commands):
 
 def run(arguments):
     """Inject into one file or many; return the exit status."""
-    from scope_models.experiments.batch import inject_file, inject_files
+    from scope_models.experiments.batch import inject_file
 
     planets = _planets(arguments)
     options = {"star": _star(arguments.star), "seed": arguments.seed}
     if arguments.output_dir is not None:
-        return _batch.run(inject_files, arguments, arguments.input, planets, **options)
+        return _batch.run("inject_files", arguments, arguments.input, planets, **options)
     path = _batch.single(arguments)
     if len(planets) != 1:
         raise ValueError(f"--planets must have one row for one file, got {len(planets)}")
