@@ -108,8 +108,16 @@ def fit_files(paths, output_dir, client=None, *, overwrite=False, sweep=None, **
 
     Parameters
     ----------
-    paths, output_dir, client, overwrite, sweep
-        As in `detrend_files`; the fits are ``NAME-fit.fits``.
+    paths : sequence of str or path-like
+        Target pixel files, or names of targets.
+    output_dir : str or path-like
+        Folder for the results and the files, ``NAME-fit.fits``.
+    client : distributed.Client, str, int or concurrent.futures.Executor, optional
+        What computes, as in `run_sweep`.
+    overwrite : bool, optional
+        Whether a new run may replace files in the folder.
+    sweep : mapping, optional
+        Options of `run_sweep`.
     **options
         Arguments of `~scope_models.fit_tpf` that are numbers, text, or true or false;
         ``sensitivity=True`` fits a quadratic response, ``cadences=N`` uses the first N only.
@@ -146,17 +154,25 @@ def inject_files(
 
     Parameters
     ----------
-    paths, output_dir, client, overwrite, sweep
-        As in `detrend_files`; the files are ``NAME-injected.fits``.
+    paths : sequence of str or path-like
+        Target pixel files, or names of targets.
     planets : astropy.table.Table or mapping
         Columns period, t0, depth and duration (days; depth relative): one row for all files, or
         one for each in their order. ``t0`` is the time of a mid-transit as in the file.
+    output_dir : str or path-like
+        Folder for the results and the files, ``NAME-injected.fits``.
+    client : distributed.Client, str, int or concurrent.futures.Executor, optional
+        What computes, as in `run_sweep`.
     star : {"scene", "fit"} or float, optional
         The light that is dimmed: that of the scene of a simulated file; of a fit with the defaults
         of `~scope_models.fit_tpf`; or the share of the star in all pixels. The default is the
         scene if the file has one, else the fit.
     seed : int, optional
         Seed of the photon noise, together with the name of the file.
+    overwrite : bool, optional
+        Whether a new run may replace files in the folder.
+    sweep : mapping, optional
+        Options of `run_sweep`.
 
     Returns
     -------
@@ -208,7 +224,7 @@ def inject_file(path, planet, output, *, star=None, seed=1, overwrite=False):
     path : str or path-like
         The file.
     planet : mapping
-        period, t0, depth and duration, as in `inject_files`.
+        The period, t0, depth and duration, as in `inject_files`.
     output : str or path-like
         The file to write.
     star : {"scene", "fit"} or float, optional
@@ -267,8 +283,10 @@ def simulate_table(
     table : astropy.table.Table or mapping
         A row per star: ``mag``, and if wanted ``name``, ``x_0`` and ``y_0`` (pixels), ``period``,
         ``t0``, ``depth`` and ``duration`` of a planet (days; ``t0`` after the first cadence).
-    output_dir, client, overwrite, sweep
-        As in `detrend_files`; the files are ``NAME.fits``, by default ``star0001.fits`` and so on.
+    output_dir : str or path-like
+        Folder for the results and the files, ``NAME.fits``, by default ``star0001.fits`` and so on.
+    client : distributed.Client, str, int or concurrent.futures.Executor, optional
+        What computes, as in `run_sweep`.
     detector : str, optional
         Name of a preset, or a TOML file of `~scope_models.scene.read_detector`.
     motion : str, optional
@@ -278,6 +296,10 @@ def simulate_table(
         Cadences of each star; those of the file, if it has fewer.
     seed : int, optional
         Seed of all noise, together with the name of the star.
+    overwrite : bool, optional
+        Whether a new run may replace files in the folder.
+    sweep : mapping, optional
+        Options of `run_sweep`.
 
     Returns
     -------
