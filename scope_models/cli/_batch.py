@@ -42,7 +42,7 @@ def add_options(parser):
 
 
 def run(name, arguments, *inputs, **options):
-    """Call a function of `scope_models.experiments.batch`, and print what it has found.
+    """Call a function of `~scope_models.experiments` for many files; print what it has found.
 
     Parameters
     ----------
@@ -59,12 +59,12 @@ def run(name, arguments, *inputs, **options):
         The exit status: 1 if a file has failed.
     """
     from scope_models.exceptions import FailedStarsWarning
-    from scope_models.experiments import SweepError, batch
+    from scope_models.experiments import SweepError, batch, benchmark
 
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", FailedStarsWarning)  # the failures are listed below
-            result = getattr(batch, name)(
+            result = getattr(batch, name, getattr(benchmark, name, None))(
                 *inputs,
                 arguments.output_dir,
                 _workers.client_of(arguments),

@@ -6,13 +6,13 @@ import sys
 import warnings
 
 from scope_models._version import __version__
-from scope_models.cli import _demo, _detrend, _experiment, _fit, _inject, _simulate
+from scope_models.cli import _benchmark, _demo, _detrend, _experiment, _fit, _inject, _simulate
 
 __all__ = ["main"]
 
 # A command is a module with `add_parser(commands)`, which sets `run(arguments)` as the default
 # of `run`. The next one is added here.
-_COMMANDS = (_demo, _simulate, _inject, _detrend, _fit, _experiment)
+_COMMANDS = (_demo, _simulate, _inject, _detrend, _fit, _experiment, _benchmark)
 
 
 class _Parser(argparse.ArgumentParser):
