@@ -5,9 +5,7 @@ row below, or a reason why it has none.
 """
 
 import dataclasses
-import importlib
 import inspect
-import pkgutil
 import re
 import warnings
 
@@ -22,7 +20,6 @@ from astropy.time import Time, TimeDelta
 from astropy.utils.masked import Masked
 from numpydoc.docscrape import NumpyDocString
 
-import scope_models
 from scope_models import (
     PRF,
     BivariateGaussianPSF,
@@ -607,31 +604,10 @@ CONFIGURATIONS = re.compile(
 )
 
 
-def public_callables():
-    """Yield name and object of each public function, class, and method."""
-    seen = set()
-    modules = [m.name for m in pkgutil.walk_packages(scope_models.__path__, "scope_models.")]
-    for path in ["scope_models", *(name for name in modules if "._" not in name)]:
-        module = importlib.import_module(path)
-        for name in module.__all__:
-            value = getattr(module, name)
-            if id(value) in seen or not getattr(value, "__module__", "").startswith("scope_models"):
-                continue
-            seen.add(id(value))
-            if inspect.isclass(value):
-                yield name, value
-                for key, member in vars(value).items():
-                    kinds = (classmethod, staticmethod)
-                    if key[0] != "_" and (inspect.isfunction(member) or isinstance(member, kinds)):
-                        yield f"{name}.{key}", getattr(value, key)
-            elif inspect.isfunction(value):
-                yield name, value
-
-
-def arguments_with_units():
+def arguments_with_units(public_callables):
     """Return the public arguments whose descriptions name a unit."""
     found = set()
-    for name, value in public_callables():
+    for name, value in public_callables:
         for entry in NumpyDocString(inspect.getdoc(value) or "")["Parameters"]:
             text = " ".join([entry.type, *entry.desc])
             if NUMBER.search(entry.type) and "bool" not in entry.type and UNIT.search(text):
@@ -639,12 +615,12 @@ def arguments_with_units():
     return found
 
 
-def test_every_argument_with_a_unit_has_a_row():
+def test_every_argument_with_a_unit_has_a_row(public_callables):
     assert set(PASSED_ON.values()) <= set(ROWS)
     excused = ANY_UNIT | NO_UNIT | set(PASSED_ON)
     missing = {
         name
-        for name in arguments_with_units() - set(ROWS) - excused
+        for name in arguments_with_units(public_callables) - set(ROWS) - excused
         if not (MADE_BY_THE_PACKAGE.match(name) or CONFIGURATIONS.match(name))
     }
     assert sorted(missing) == []

@@ -208,8 +208,8 @@ class Motion:
             it by a straight line in cadence number between its usable neighbours (before the first
             and after the last, positions stay and times go on at the same pace) and sets a
             quality flag that lightkurve's default bitmask rejects: "manual exclude" (256, in TESS
-            times 128) for a position, "no data" (65536; in TESS times "manual exclude" too) for
-            a time. "drop" leaves the cadence out, "error" raises.
+            times 128) for a position, "no data" (65536; in TESS times "manual exclude") for a
+            time. "drop" leaves the cadence out, "error" raises.
         meta : mapping, optional
             What is known of the source; "n_bad", the number of cadences with unusable values,
             is added to it.
