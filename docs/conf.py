@@ -13,7 +13,7 @@ os.environ["MPLBACKEND"] = "Agg"
 sys.path.insert(0, str(Path(__file__).parent / "_ext"))
 
 # Each has a section on the page on the command line.
-COMMANDS = ("demo", "simulate", "detrend", "fit", "experiment")
+COMMANDS = ("demo", "simulate", "inject", "detrend", "fit", "experiment")
 
 project = "scope_models"
 author = "scope_models developers"

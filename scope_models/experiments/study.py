@@ -144,8 +144,8 @@ class Study(ABC):
 
         Returns
         -------
-        matplotlib.figure.Figure
-            The figure.
+        matplotlib.figure.Figure or None
+            The figure; None if there is nothing to draw.
         """
 
     def input_files(self):
