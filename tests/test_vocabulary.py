@@ -13,7 +13,7 @@ from scope_models.experiments import Study
 
 BRITISH = re.compile(
     r"colour|cent(re|red|ring)(_|$)|neighbour|behaviour|catalogue|"
-    r"(normal|summar|minim|maxim|digit|optim|initial|standard|real|general)is(e|ed|ing)(_|$)"
+    r"[a-z]{3}(al|ar|im|it|rd)is(e|ed|ing)(_|$)"
 )
 # Old names that keep working with a warning.
 OLD = {"summarise"}
