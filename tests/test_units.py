@@ -38,6 +38,7 @@ from scope_models import photometry as ph
 from scope_models import plotting as pl
 from scope_models._arrays import plain_array, plain_number, plain_time
 from scope_models.correctors import PLDOptions
+from scope_models.effects import Effect
 from scope_models.effects import noise as effects_noise
 from scope_models.effects.saturation import bleed
 from scope_models.exceptions import FitWarning
@@ -587,6 +588,7 @@ NO_UNIT = {
     "PLDCorrector.correct.regressors", "TabulatedPSF.array", "TabulatedPSF.oversampling",
     "TabulatedPRF.array", "TabulatedPRF.oversampling", "K2MotionNoise.exponent",
     "SceneCorrector.correct.transit_model", "SceneCorrector.neighbors",
+    "inject_files.star", "plot_precision.stars",
     "inject.signal", "inject.star", "TabulatedPRF.origin", "plot_detector.psf", "plot_psf.psf",
     "plot_detector.sensitivity", "plot_fit.chi2", "plot_twin.residuals",
     "plot_detrending_masks.scatter", "plot_recovery.depths", "plot_recovery.magnitudes",
@@ -596,12 +598,16 @@ NO_UNIT = {
 # Classes whose objects the package makes, methods that astropy calls with numbers after it has
 # converted them (test_contract.py), and configurations, which files give as plain numbers.
 MADE_BY_THE_PACKAGE = re.compile(
-    r"(\w*(Fit|Result|Truth)|Observation|PixelSeries|Mission|MessyStar|PRFGrid)\."
+    r"(\w*(Fit|Result|Truth)|Observation|PixelSeries|Mission|MessyStar|PRFGrid|Conditions|Exposures)\."
     r"|\w+\.(evaluate|fit_deriv|closed_form|unit_derivatives)\."
 )
 CONFIGURATIONS = re.compile(
     r"(K2MotionNoise|MotionTest|NoMotion|Recovery|SkyRegime|Table1|bin_noise|noise_parts)\."
 )
+
+
+def is_effect(value):
+    return inspect.isclass(value) and issubclass(value, Effect) and value is not Effect
 
 
 def arguments_with_units(public_callables):
@@ -623,7 +629,17 @@ def test_every_argument_with_a_unit_has_a_row(public_callables):
         for name in arguments_with_units(public_callables) - set(ROWS) - excused
         if not (MADE_BY_THE_PACKAGE.match(name) or CONFIGURATIONS.match(name))
     }
-    assert sorted(missing) == []
+    effects = {name for name, value in public_callables if is_effect(value)}
+    assert sorted(name for name in missing if name.partition(".")[0] not in effects) == []
+
+
+def test_effects_refuse_wrong_units_by_name(public_callables):
+    """The tests of each effect compare quantities with plain numbers."""
+    for effect in (value for _, value in public_callables if is_effect(value)):
+        for item in dataclasses.fields(effect):
+            if isinstance(item.default, float) and not isinstance(item.default, bool):
+                with pytest.raises((TypeError, ValueError), match=f"`{item.name}`"):
+                    effect(**{item.name: 1.0 * u.kg})
 
 
 def same(a, b):
