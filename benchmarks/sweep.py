@@ -55,7 +55,7 @@ class Draws(Study):
         values = self.star_rng(task["key"]).random(15)
         return {f"value{i}": value for i, value in enumerate(values)}
 
-    def summarise(self, table):
+    def summarize(self, table):
         return table
 
     def draw(self, table, summary):

@@ -506,7 +506,7 @@ class _Files(Study):
         texts = [text for text in texts if "tpfmodel submodule" not in text]
         return row | {"n_warnings": len(texts), "warnings": "; ".join(texts)[:_LONGEST]}
 
-    def summarise(self, table):
+    def summarize(self, table):
         """Return the medians of all columns of numbers, by half magnitudes."""
         names = [
             name

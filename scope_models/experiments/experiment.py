@@ -95,7 +95,7 @@ def run_experiment(study, directory, client=None, **options):
             f"all {len(sweep.failures)} stars failed, the first one with "
             f"{sweep.failures['error'][0]}; see {folder / 'failures.ecsv'}"
         )
-    summary = study.summarise(sweep.table)
+    summary = study.summarize(sweep.table)
     summary.meta = provenance(study) | summary.meta
     files.append(_write(summary, folder / "summary.ecsv"))
     if (figure := study.draw(sweep.table, summary)) is not None:
