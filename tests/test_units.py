@@ -61,6 +61,7 @@ from scope_models.models import (
 )
 from scope_models.plotting.detrending import plot_detrending, plot_detrending_masks
 from scope_models.scene import K2Roll, MotionStatistics
+from scope_models.scene._pointing import Pointing
 from scope_models.scene.presets import PRESETS
 
 RATE = u.electron / u.s
@@ -116,6 +117,7 @@ def drawn(function, *arguments, **options):
 
 
 VALUE = object()
+GENERATORS = ("kepler", "tess", "k2_final_campaign", "ground", "random_walk", "failing_wheels")
 FIT = {"data": IMAGE, "model": IMAGE, "residual": IMAGE, "x": TIME, "y": TIME}
 PLACES = [(1, 1), (1, 101), (101, 1), (101, 101)]
 GRID = PRFGrid(PLACES, [TabulatedPRF(np.eye(7) + column) for column, _ in PLACES])
@@ -323,6 +325,25 @@ ROWS = {
             ("pixel_scale", 4.0, u.arcsec),
         )
     },
+    **{
+        f"{kind.__name__}.{name}": (field(kind, name), default, unit)
+        for kind in Pointing.__subclasses__()
+        for name, unit in kind.units.items()
+        for default in [kind.__dataclass_fields__[name].default]
+    },
+    **{
+        f"Motion.{name}.start": (
+            lambda v, name=name: getattr(Motion, name)(3, start=v).time, 7.0, u.day
+        )
+        for name in GENERATORS
+    },
+    "Motion.kepler.cadence": (lambda v: Motion.kepler(3, cadence=v).time, 58.85, u.s),
+    "Motion.tess.cadence": (lambda v: Motion.tess(3, cadence=v).time, 20.0, u.s),
+    "Motion.ground.cadence": (lambda v: Motion.ground(3, cadence=v).time, 30.0, u.s),
+    "Motion.random_walk.cadence": (lambda v: Motion.random_walk(3, cadence=v).time, 0.1, u.day),
+    "Motion.failing_wheels.cadence": (
+        lambda v: Motion.failing_wheels(3, cadence=v).time, 0.1, u.day
+    ),
     "Star.mag": (lambda v: Star(v).mag, 12.0, u.mag),
     "Star.x_0": (lambda v: Star(12, x_0=v).x_0, 3.0, u.pix),
     "Star.y_0": (lambda v: Star(12, y_0=v).y_0, 3.0, u.pix),
