@@ -5,9 +5,7 @@ row below, or a reason why it has none.
 """
 
 import dataclasses
-import importlib
 import inspect
-import pkgutil
 import re
 import warnings
 
@@ -22,7 +20,6 @@ from astropy.time import Time, TimeDelta
 from astropy.utils.masked import Masked
 from numpydoc.docscrape import NumpyDocString
 
-import scope_models
 from scope_models import (
     PRF,
     BivariateGaussianPSF,
@@ -41,6 +38,7 @@ from scope_models import photometry as ph
 from scope_models import plotting as pl
 from scope_models._arrays import plain_array, plain_number, plain_time
 from scope_models.correctors import PLDOptions
+from scope_models.effects import Effect
 from scope_models.effects import noise as effects_noise
 from scope_models.effects.saturation import bleed
 from scope_models.exceptions import FitWarning
@@ -590,6 +588,7 @@ NO_UNIT = {
     "PLDCorrector.correct.regressors", "TabulatedPSF.array", "TabulatedPSF.oversampling",
     "TabulatedPRF.array", "TabulatedPRF.oversampling", "K2MotionNoise.exponent",
     "SceneCorrector.correct.transit_model", "SceneCorrector.neighbors",
+    "inject_files.star", "plot_precision.stars",
     "inject.signal", "inject.star", "TabulatedPRF.origin", "plot_detector.psf", "plot_psf.psf",
     "plot_detector.sensitivity", "plot_fit.chi2", "plot_twin.residuals",
     "plot_detrending_masks.scatter", "plot_recovery.depths", "plot_recovery.magnitudes",
@@ -599,7 +598,7 @@ NO_UNIT = {
 # Classes whose objects the package makes, methods that astropy calls with numbers after it has
 # converted them (test_contract.py), and configurations, which files give as plain numbers.
 MADE_BY_THE_PACKAGE = re.compile(
-    r"(\w*(Fit|Result|Truth)|Observation|PixelSeries|Mission|MessyStar|PRFGrid)\."
+    r"(\w*(Fit|Result|Truth)|Observation|PixelSeries|Mission|MessyStar|PRFGrid|Conditions|Exposures)\."
     r"|\w+\.(evaluate|fit_deriv|closed_form|unit_derivatives)\."
 )
 CONFIGURATIONS = re.compile(
@@ -607,31 +606,14 @@ CONFIGURATIONS = re.compile(
 )
 
 
-def public_callables():
-    """Yield name and object of each public function, class, and method."""
-    seen = set()
-    modules = [m.name for m in pkgutil.walk_packages(scope_models.__path__, "scope_models.")]
-    for path in ["scope_models", *(name for name in modules if "._" not in name)]:
-        module = importlib.import_module(path)
-        for name in module.__all__:
-            value = getattr(module, name)
-            if id(value) in seen or not getattr(value, "__module__", "").startswith("scope_models"):
-                continue
-            seen.add(id(value))
-            if inspect.isclass(value):
-                yield name, value
-                for key, member in vars(value).items():
-                    kinds = (classmethod, staticmethod)
-                    if key[0] != "_" and (inspect.isfunction(member) or isinstance(member, kinds)):
-                        yield f"{name}.{key}", getattr(value, key)
-            elif inspect.isfunction(value):
-                yield name, value
+def is_effect(value):
+    return inspect.isclass(value) and issubclass(value, Effect) and value is not Effect
 
 
-def arguments_with_units():
+def arguments_with_units(public_callables):
     """Return the public arguments whose descriptions name a unit."""
     found = set()
-    for name, value in public_callables():
+    for name, value in public_callables:
         for entry in NumpyDocString(inspect.getdoc(value) or "")["Parameters"]:
             text = " ".join([entry.type, *entry.desc])
             if NUMBER.search(entry.type) and "bool" not in entry.type and UNIT.search(text):
@@ -639,15 +621,25 @@ def arguments_with_units():
     return found
 
 
-def test_every_argument_with_a_unit_has_a_row():
+def test_every_argument_with_a_unit_has_a_row(public_callables):
     assert set(PASSED_ON.values()) <= set(ROWS)
     excused = ANY_UNIT | NO_UNIT | set(PASSED_ON)
     missing = {
         name
-        for name in arguments_with_units() - set(ROWS) - excused
+        for name in arguments_with_units(public_callables) - set(ROWS) - excused
         if not (MADE_BY_THE_PACKAGE.match(name) or CONFIGURATIONS.match(name))
     }
-    assert sorted(missing) == []
+    effects = {name for name, value in public_callables if is_effect(value)}
+    assert sorted(name for name in missing if name.partition(".")[0] not in effects) == []
+
+
+def test_effects_refuse_wrong_units_by_name(public_callables):
+    """The tests of each effect compare quantities with plain numbers."""
+    for effect in (value for _, value in public_callables if is_effect(value)):
+        for item in dataclasses.fields(effect):
+            if isinstance(item.default, float) and not isinstance(item.default, bool):
+                with pytest.raises((TypeError, ValueError), match=f"`{item.name}`"):
+                    effect(**{item.name: 1.0 * u.kg})
 
 
 def same(a, b):
