@@ -12,8 +12,8 @@ from scope_models.effects import (
     ScatteredLight,
     SensitivityDropouts,
     Throughput,
+    rejected_shift,
 )
-from scope_models.effects.cosmic_rays import rejected_shift
 
 
 def make_focus_figure():
@@ -139,7 +139,7 @@ def make_charge_figure():
             shape=(60, 60), background=level / detector.int_time, well_depth=None
         )
         flux = simulate(
-            Star(40.0), flat, Motion.still(20), noise="background", effects=effect, seed=1
+            Star(40.0), flat, Motion.still(20), noise="background", effects=effect, seed=5
         ).flux[:, 1:-1, 1:-1]
         ratios.append(flux.var() * detector.exposure_time**2 / level)
     right.plot(levels, ratios, "o")

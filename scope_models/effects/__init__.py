@@ -3,7 +3,7 @@
 from scope_models.effects._effect import Conditions, Drawn, Effect, Exposures
 from scope_models.effects.background import Argabrightening, Background, ScatteredLight
 from scope_models.effects.charge import BrighterFatter, DarkCurrent, Smear, Undershoot
-from scope_models.effects.cosmic_rays import CosmicRays
+from scope_models.effects.cosmic_rays import CosmicRays, rejected_shift
 from scope_models.effects.focus import Focus
 from scope_models.effects.gaps import Gaps
 from scope_models.effects.jitter import Jitter
@@ -27,4 +27,5 @@ __all__ = [
     "Smear",
     "Throughput",
     "Undershoot",
+    "rejected_shift",
 ]

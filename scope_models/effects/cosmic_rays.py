@@ -165,7 +165,7 @@ def rejected_shift(charge):
 
     Examples
     --------
-    >>> from scope_models.effects.cosmic_rays import rejected_shift
+    >>> from scope_models.effects import rejected_shift
     >>> print(rejected_shift([0.0, 2.0, 50.0]).round(3))
     [0.    1.232 1.485]
     """

@@ -20,8 +20,8 @@ from scope_models.effects import (
     Smear,
     Throughput,
     Undershoot,
+    rejected_shift,
 )
-from scope_models.effects.cosmic_rays import rejected_shift
 from scope_models.io import read_truth
 from scope_models.models import SensitivityPolynomial, TabulatedPRF
 
