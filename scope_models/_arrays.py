@@ -4,9 +4,17 @@ import numpy as np
 from astropy import units as u
 from astropy.time import Time, TimeDelta
 
-from scope_models.missions import TIME_ZEROS
-
-__all__ = ["DIGITAL", "PER_PIXEL", "plain_array", "plain_number", "plain_time", "unmasked"]
+__all__ = [
+    "DIGITAL",
+    "PER_PIXEL",
+    "is_angle",
+    "native",
+    "plain_array",
+    "plain_number",
+    "plain_time",
+    "refuse_unit",
+    "unmasked",
+]
 
 # Times beyond this are Julian dates, modified or not, which no mission's times reach.
 _LARGEST_DAY = 2e4
@@ -19,6 +27,23 @@ DIGITAL = tuple(
     for other in (u.ct, u.DN)
     for pair in ((other, u.adu), (u.electron / other, u.electron / u.adu))
 )
+
+
+def native(array):
+    """Return a new array in the machine's byte order; FITS has the other one.
+
+    Parameters
+    ----------
+    array : array_like
+        Values of any kind.
+
+    Returns
+    -------
+    ndarray
+        The same values.
+    """
+    array = np.asarray(array)
+    return np.array(array, dtype=array.dtype.newbyteorder("="))
 
 
 def unmasked(value, fill=np.nan):
@@ -56,8 +81,8 @@ def plain_array(value, unit, name, *, pixel_scale=None, equivalencies=()):
     ----------
     value : array_like, Quantity or sequence of Quantity
         Plain numbers are taken to be in ``unit``; masked values become NaN.
-    unit : str or Unit
-        The documented unit; "" for numbers without one.
+    unit : str, Unit or None
+        The documented unit; "" for numbers without one, None for any, as of relative values.
     name : str
         The argument's name, for messages.
     pixel_scale : float, optional
@@ -78,7 +103,7 @@ def plain_array(value, unit, name, *, pixel_scale=None, equivalencies=()):
     ValueError
         If its unit does not convert.
     """
-    unit = u.Unit(unit)
+    any_unit, unit = unit is None, u.Unit("" if unit is None else unit)
     if isinstance(value, Time):
         raise TypeError(f"`{name}` must be numbers, got a Time{_hint(unit)}")
     value = value.to(u.day) if isinstance(value, TimeDelta) else unmasked(value)
@@ -96,12 +121,14 @@ def plain_array(value, unit, name, *, pixel_scale=None, equivalencies=()):
     if pixel_scale is not None:
         scale = float(pixel_scale) * u.arcsec / u.pix
         equivalencies = [*equivalencies, *u.pixel_scale(scale)]
+    if any_unit:
+        return quantity.value
     try:
         return quantity.to_value(unit, equivalencies=list(equivalencies))
     except u.UnitConversionError:
         wanted = unit.to_string() or "a number without a unit"
         hint = ""
-        if pixel_scale is None and quantity.unit.is_equivalent(u.arcsec) and unit == u.pix:
+        if pixel_scale is None and is_angle(quantity.unit) and unit == u.pix:
             hint = "; there is no pixel scale here to convert an angle with"
         raise ValueError(
             f"`{name}` must be in {wanted}, or convert to it, got {quantity.unit}{hint}"
@@ -166,6 +193,8 @@ def plain_time(value, time_format, name):
     ValueError
         If its unit does not convert, or plain numbers are Julian dates.
     """
+    from scope_models.missions import TIME_ZEROS  # that module converts units with this one
+
     if isinstance(value, (list, tuple)) and any(isinstance(item, Time) for item in value):
         value = Time(value)
     if isinstance(value, Time):
@@ -176,12 +205,27 @@ def plain_time(value, time_format, name):
         zero = Time(TIME_ZEROS[time_format], format="jd", scale="tdb")
         return np.where(mask, np.nan, (plain.tdb - zero).to_value(u.day))
     days = plain_array(value, u.day, name)
-    if np.any(np.abs(days) > _LARGEST_DAY):
+    if np.any(np.isfinite(days) & (days > _LARGEST_DAY)):
+        zero = TIME_ZEROS.get(time_format)
+        wanted = (
+            "days since a mission's zero of time" if zero is None else f"BJD - {zero:.0f} in days"
+        )
         raise ValueError(
-            f"`{name}` must be in days since the mission's zero of time, got Julian dates "
-            f"(about {np.nanmax(np.abs(days)):.1f}); pass an astropy Time instead"
+            f"`{name}` must be {wanted}, got {np.nanmax(days):.1f}, as in Julian dates, which "
+            "astropy.time.Time converts"
         )
     return days
+
+
+def refuse_unit(array, name):
+    """Raise an error if an array that is changed in place has a unit."""
+    if hasattr(array, "unit"):
+        raise TypeError(f"`{name}` is changed in place and must be a plain array, got a unit")
+
+
+def is_angle(unit):
+    """Return whether a unit, or None, is that of an angle."""
+    return unit is not None and unit.is_equivalent(u.rad)
 
 
 def _hint(unit):

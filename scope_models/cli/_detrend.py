@@ -3,7 +3,8 @@
 from argparse import SUPPRESS
 from pathlib import Path
 
-from scope_models.photometry import cdpp
+import scope_models as sm
+from scope_models.cli import _batch
 
 __all__ = ["add_parser", "run"]
 
@@ -17,8 +18,7 @@ def add_parser(commands):
         "or of a simulation, by pixel level decorrelation. Writes a light-curve file that "
         "lightkurve opens, and a figure.",
     )
-    parser.add_argument("input", metavar="IN", help="the target pixel file")
-    parser.add_argument("--output", required=True, metavar="OUT", help="the light-curve file")
+    _batch.add_inputs(parser, "the light-curve file")
     parser.add_argument(
         "--figure", metavar="FILE", help="the figure (default: the output's name with .png)"
     )
@@ -37,34 +37,36 @@ def add_parser(commands):
     )
     parser.add_argument(
         "--method",
-        default="likelihood",
         help=SUPPRESS,  # of the first version; others than the likelihood are refused
     )
     parser.set_defaults(run=run)
 
 
 def run(arguments):
-    """Run the command."""
-    from scope_models.correctors import detrend_file  # imports lightkurve
-
+    """Run the command; return the exit status."""
+    options = {
+        "order": arguments.order,
+        "trend": arguments.trend,
+        "restore_trend": not arguments.remove_trend,
+    }
+    if arguments.method:
+        options["method"] = arguments.method
+    if arguments.output_dir is not None:
+        return _batch.run("detrend_files", arguments, arguments.input, **options)
+    path = _batch.single(arguments)
     figure = Path(arguments.figure or Path(arguments.output).with_suffix(".png"))
-    if figure.exists() and not arguments.overwrite:
-        raise FileExistsError(f"{figure} exists already; pass --overwrite to replace it")
-    corrector = detrend_file(
-        arguments.input,
-        arguments.output,
-        figure=figure,
-        overwrite=arguments.overwrite,
-        order=arguments.order,
-        trend=arguments.trend,
-        restore_trend=not arguments.remove_trend,
-        method=arguments.method,
+    corrector = sm.correctors.detrend_file(
+        path, arguments.output, figure=figure, overwrite=arguments.overwrite, **options
     )
     print(f"{arguments.output}: {_summary(corrector)}")
+    return 0
 
 
 def _summary(corrector):
     """Return what became of the noise."""
     lcs = corrector.original_lc, corrector.corrected_lc
-    raw, corrected = (cdpp(lc, method="everest") for lc in lcs)
+    try:
+        raw, corrected = (sm.photometry.cdpp(lc, method="everest") for lc in lcs)
+    except ValueError:
+        return "too few cadences for a CDPP"
     return f"CDPP {raw:.1f} -> {corrected:.1f} ppm (6.5 h, EVEREST's convention)"

@@ -1,17 +1,18 @@
 """The command line's entry: its commands, and what becomes of errors and warnings."""
 
 import argparse
+import signal
 import sys
 import warnings
 
 from scope_models._version import __version__
-from scope_models.cli import _demo, _detrend, _experiment, _fit, _simulate
+from scope_models.cli import _benchmark, _demo, _detrend, _experiment, _fit, _inject, _simulate
 
 __all__ = ["main"]
 
 # A command is a module with `add_parser(commands)`, which sets `run(arguments)` as the default
 # of `run`. The next one is added here.
-_COMMANDS = (_demo, _simulate, _detrend, _fit, _experiment)
+_COMMANDS = (_demo, _simulate, _inject, _detrend, _fit, _experiment, _benchmark)
 
 
 class _Parser(argparse.ArgumentParser):
@@ -32,7 +33,8 @@ def main(argv=None):
     Returns
     -------
     int
-        0, or 2 after an error, which is told in one line on the standard error.
+        0, 1 if some of many files failed, or 2 after an error, of which one line goes to the
+        standard error.
 
     Examples
     --------
@@ -41,19 +43,31 @@ def main(argv=None):
     2
     """
     arguments = _make_parser().parse_args(argv)
+    if argv is None:  # as a program: what is half written is removed before the end
+        signal.signal(signal.SIGTERM, _terminate)
     with warnings.catch_warnings():
         warnings.showwarning = _show_warning
         # lightkurve says at import that an optional part of it is absent
         warnings.filterwarnings("ignore", ".*tpfmodel submodule is not available", UserWarning)
         try:
-            arguments.run(arguments)
-        except (OSError, TypeError, ValueError) as error:
+            return arguments.run(arguments) or 0
+        except (MemoryError, OSError, TypeError, ValueError) as error:
             _tell("error", error)
             return 2
         except KeyboardInterrupt:
             _tell("error", "interrupted")
             return 130
-    return 0
+        except _TerminatedError:
+            _tell("error", "terminated")
+            return 143
+
+
+class _TerminatedError(BaseException):
+    """The process was asked to end, by SIGTERM."""
+
+
+def _terminate(*_):
+    raise _TerminatedError
 
 
 def _make_parser():
@@ -80,4 +94,5 @@ def _tell(kind, message):
     if isinstance(message, OSError) and message.strerror and message.filename is not None:
         message = f"{message.filename}: {message.strerror}"
     text = " ".join(str(message).split()) or type(message).__name__
+    text = text.replace("pass overwrite=True to replace it", "--overwrite replaces it")
     print(f"scope-models: {kind}: {text}", file=sys.stderr)

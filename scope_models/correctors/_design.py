@@ -49,12 +49,18 @@ class DesignOptions:
         Times at which a new segment begins.
     extra : dict
         Further groups, from names to columns ``(n_cadences, m)``, NaN where unknown.
+    most : int or None
+        Largest number of columns per order.
+    mask : ndarray of bool or None
+        Pixels whose fractions are regressors; None: those of the aperture.
     """
 
     order: int
     saturation: float | None = None
     breaks: tuple = ()
     extra: dict = field(default_factory=dict)
+    most: int | None = None
+    mask: np.ndarray | None = None
 
 
 def make_regressors(pixels, use, options):
@@ -76,23 +82,27 @@ def make_regressors(pixels, use, options):
         Columns for the usable cadences, centered on the cadences in use.
     """
     usable = pixels.usable
-    total = pixels.total[usable]
+    total, most = pixels.total[usable], options.most
+    mask = pixels.aperture if options.mask is None else options.mask
     photons = float(np.median((pixels.total_err[usable] ** 2 / total)[use]))
     images = without_saturation(
-        pixels.flux[usable], pixels.aperture, use, options.saturation, photons
+        np.nan_to_num(pixels.flux[usable]), mask, use, options.saturation, photons
     )
     images /= total[:, None, None]
-    fractions = images[:, pixels.aperture]
+    fractions = images[:, mask]
     noise = float(np.median((pixels.total_err[usable] / total)[use] ** 2))
-    first = principal_columns(center(fractions, use), use, _TOLERANCE * noise)
+    first = principal_columns(center(fractions, use), use, _TOLERANCE * noise)[:, :most]
     parts = {"order 1": first}
     for n in range(2, options.order + 1):
         columns, _ = power_columns(fractions, n, use, _TOLERANCE * noise, _MAX_RANK)
         columns = center(columns, use)
-        parts[f"order {n}"] = principal_columns(columns, use, _HIGHER_TOLERANCE * noise)
+        columns = principal_columns(columns, use, _HIGHER_TOLERANCE * noise)
+        parts[f"order {n}"] = columns[:, :most]
         if n == 2:
             shared = center(shared_columns(images, n, _REACH), use)
-            parts["order 2, shared"] = principal_columns(shared, use, _SHARED_TOLERANCE * noise)
+            parts["order 2, shared"] = principal_columns(shared, use, _SHARED_TOLERANCE * noise)[
+                :, :most
+            ]
     if options.breaks:
         parts["segments"] = contrast_columns(first, pixels.time[usable], options.breaks, use)
     for name, columns in options.extra.items():
@@ -137,9 +147,10 @@ def _components(flux, pixels):
     return principal_columns(center(relative, everything), everything, 0.0)
 
 
-def background_columns(pixels, n_components):
-    """Return the principal components of the pixels outside of the aperture over the flux."""
-    outside = ~pixels.aperture & np.isfinite(pixels.flux[pixels.usable]).all(axis=0)
+def background_columns(pixels, n_components, mask):
+    """Return the principal components of pixels over the flux, by default all outside."""
+    outside = ~pixels.aperture if mask is None else mask
+    outside = outside & np.isfinite(pixels.flux[pixels.usable]).all(axis=0)
     if not outside.any():
         raise ValueError("`background` needs pixels with data outside of `aperture_mask`")
     rotated = _components(pixels.flux[pixels.usable][:, outside], pixels)[:, :n_components]

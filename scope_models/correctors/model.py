@@ -7,7 +7,7 @@ import numpy as np
 from astropy import units as u
 
 from scope_models._arrays import plain_array, plain_number
-from scope_models._checks import checked_integer
+from scope_models._checks import checked_integer, checked_mask
 from scope_models.correctors._design import (
     DesignOptions,
     background_columns,
@@ -16,6 +16,7 @@ from scope_models.correctors._design import (
     segment_breaks,
 )
 from scope_models.correctors._features import Regressors
+from scope_models.correctors._lightkurve import external_columns
 from scope_models.correctors._pixels import Pixels, aperture_pixels
 from scope_models.correctors._result import PLDFit, transit_column
 from scope_models.correctors._solution import fit
@@ -24,6 +25,8 @@ from scope_models.io import read_pixels
 __all__ = ["PLDModel", "PLDOptions"]
 
 _FEWEST_CADENCES = 30
+#: Columns of background if pixels are given for them, but no number.
+_BACKGROUND_COLUMNS = 3
 _TRENDS = {"gp": 1, "quadratic": 3}
 
 
@@ -41,11 +44,19 @@ class PLDOptions:
     segments : "auto", None or sequence of float, optional
         Times (days) at which the coefficients of order 1 may change. By
         default where the sense of the roll reverses.
+    pca_components : int, optional
+        Largest number of columns per order.
+    pld_aperture_mask : array_like of bool, optional
+        Pixels whose fractions are regressors, by default the aperture.
     background : int, optional
         Number of principal components of the pixels outside of the aperture
         that are regressors too.
+    background_aperture_mask : array_like of bool, optional
+        Pixels that these are taken from.
     neighbors : sequence of `~lightkurve.targetpixelfile.TargetPixelFile`, optional
         Other stars whose pixel fractions are regressors too.
+    regressors : array_like, DesignMatrix, CotrendingBasisVectors or list of these, optional
+        Further columns, as in `PLDCorrector.correct`.
     saturation : "auto", None or float, optional
         Flux in e-/s above which a pixel is saturated.
     sigma : float, optional
@@ -68,8 +79,12 @@ class PLDOptions:
     order: int = 2
     trend: str = "gp"
     segments: object = "auto"
+    pca_components: int | None = None
+    pld_aperture_mask: object = None
     background: int = 0
+    background_aperture_mask: object = None
     neighbors: tuple = ()
+    regressors: object = ()
     saturation: object = "auto"
     sigma: float = 5.0
     max_clips: int = 5
@@ -79,6 +94,8 @@ class PLDOptions:
         if self.trend not in _TRENDS:
             raise ValueError(f"`trend` must be one of {tuple(_TRENDS)}, got {self.trend!r}")
         checked_integer("background", self.background, 0)
+        if self.pca_components is not None:
+            checked_integer("pca_components", self.pca_components, 1)
         if not isinstance(self.sigma, Real) or not self.sigma > 0:
             raise ValueError(f"`sigma` must be positive, got {self.sigma!r}")
         checked_integer("max_clips", self.max_clips, 0)
@@ -202,15 +219,28 @@ class PLDModel:
             The model.
         """
         extra = {}
-        if options.background:
-            extra["background"] = background_columns(pixels, options.background)
+        background, outside = options.background, options.background_aperture_mask
+        if outside is not None:
+            outside = checked_mask("background_aperture_mask", outside, pixels.aperture.shape)
+            background = background or _BACKGROUND_COLUMNS
+        if background:
+            extra["background"] = background_columns(pixels, background, outside)
+        regressor_mask = options.pld_aperture_mask
+        if regressor_mask is not None:
+            shape = pixels.aperture.shape
+            regressor_mask = checked_mask("pld_aperture_mask", regressor_mask, shape)
         if len(options.neighbors):
             extra["neighbors"] = neighbor_columns(series.cadenceno, options.neighbors)
+        if not (isinstance(options.regressors, (list, tuple)) and not options.regressors):
+            extra["regressors"] = external_columns(options.regressors, series.cadenceno)
         saturation = options.saturation
         if saturation == "auto":
             saturation = series.mission and series.mission.full_flux
         breaks = segment_breaks(options.segments, pixels)
-        return cls(pixels, options, DesignOptions(options.order, saturation, breaks, extra))
+        design = DesignOptions(
+            options.order, saturation, breaks, extra, options.pca_components, regressor_mask
+        )
+        return cls(pixels, options, design)
 
     def __repr__(self):
         return (
@@ -295,6 +325,4 @@ class PLDModel:
                 "the pixels' covariance is singular to working precision: check FLUX_ERR and the "
                 "aperture, or lower `order`"
             ) from error
-        return PLDFit(
-            self, solution, mask & ~in_transit, in_transit, joint=transit_model is not None
-        )
+        return PLDFit(self, solution, mask & ~in_transit, in_transit, joint=column.size > 0)

@@ -6,6 +6,7 @@ import numpy as np
 from lightkurve.correctors.corrector import Corrector
 
 from scope_models._checks import checked_cadences
+from scope_models.correctors._lightkurve import named_mask, to_collection, translated
 from scope_models.correctors._pixels import aperture_pixels
 from scope_models.correctors._solution import NothingToCorrectError
 from scope_models.correctors.model import PLDModel, PLDOptions
@@ -35,7 +36,7 @@ class PLDCorrector(Corrector):
 
     A dimming of the star changes all pixels alike and leaves the fractions
     as they are: the model can take a transit for systematics only by chance,
-    and `PLDResult.transit_survival` says how much.
+    and `PLDFit.transit_survival` says how much.
 
     Parameters
     ----------
@@ -56,7 +57,7 @@ class PLDCorrector(Corrector):
     cadence_mask, outlier_mask : `~numpy.ndarray`
         Cadences that the last call of `correct` was allowed to fit, and those
         of them that it left out as outliers.
-    result : `PLDResult`
+    result : `PLDFit`
         Hyper-parameters and diagnostics of the last call.
 
     Raises
@@ -92,8 +93,12 @@ class PLDCorrector(Corrector):
         self._series = read_pixels(self.tpf)
         self._set_aperture(aperture_mask)
 
+    def _named(self, mask, name):
+        return named_mask(self.tpf, mask, name)
+
     def _set_aperture(self, aperture_mask):
-        pixels = aperture_pixels(self._series, aperture_mask)
+        mask = self._named(aperture_mask, "aperture_mask")
+        pixels = aperture_pixels(self._series, mask)
         lc = self.tpf.to_lightcurve(aperture_mask=pixels.aperture.copy())
         unit = lc.flux.unit
         lc.flux = np.where(pixels.usable, pixels.total, np.nan) * unit
@@ -116,14 +121,18 @@ class PLDCorrector(Corrector):
         transit_model=None,
         restore_trend=True,
         trend="gp",
-        method="likelihood",
         segments="auto",
         aperture_mask=None,
+        pca_components=None,
+        pld_aperture_mask=None,
         background=0,
+        background_aperture_mask=None,
         neighbors=(),
+        regressors=(),
         saturation="auto",
         sigma=5.0,
         max_clips=5,
+        **lightkurve_options,
     ):
         """
         Correct the light curve.
@@ -141,25 +150,37 @@ class PLDCorrector(Corrector):
             Relative flux ``(n_cadences,)``, 1 outside of transits, or what
             returns it for times in days, as an astropy model does. Its
             amplitude is fitted jointly, so that the correction leaves
-            unmasked transits alone; see `PLDResult.transit_scale`.
+            unmasked transits alone; see `PLDFit.transit_scale`.
         restore_trend : bool, optional
             Whether the long-term variability stays in the light curve.
             Periodic variability with parts faster than a day always stays.
         trend : {"gp", "quadratic"}, optional
             Long-term variability: a Gaussian process or a polynomial.
-        method : {"likelihood"}, optional
-            What the hyper-parameters maximize: the marginal likelihood.
         segments : "auto", None or sequence of float, optional
             Times (days) at which the coefficients of order 1 may change. By
             default where the sense of the roll reverses. The change has a
             prior variance of its own, which vanishes if nothing changes.
-        aperture_mask : array_like of bool, optional
+        aperture_mask : array_like of bool or str, optional
             Another aperture, from this call on.
+        pca_components : int, optional
+            Largest number of columns per order: the first principal
+            components; 0 and None: as many as can change the flux. The prior
+            variance keeps the unneeded ones small.
+        pld_aperture_mask : array_like of bool or str, optional
+            Pixels whose fractions are regressors, by default those of the
+            aperture.
         background : int, optional
             Number of principal components of the pixels outside of the
             aperture that are regressors too.
+        background_aperture_mask : array_like of bool or str, optional
+            Pixels that these are taken from, by default all outside of the
+            aperture. With a mask, ``background`` is 3 unless it is given.
         neighbors : sequence of `~lightkurve.targetpixelfile.TargetPixelFile`, optional
-            Other stars whose pixel fractions are regressors too.
+            Other stars whose pixel fractions are regressors too, matched by
+            their cadence numbers; paths are taken as well.
+        regressors : array_like, DesignMatrix, CotrendingBasisVectors or list of these, optional
+            Further columns, one row per cadence. lightkurve's cotrending
+            basis vectors are matched by their cadence numbers.
         saturation : "auto", None or float, optional
             Flux in e-/s above which a pixel is saturated, by default that of
             the mission if it is known. A full pixel stays full when the star
@@ -171,6 +192,10 @@ class PLDCorrector(Corrector):
             all others predict are outliers.
         max_clips : int, optional
             Largest number of times that outliers are searched.
+        **lightkurve_options
+            Other options of lightkurve: ``pld_order``, ``niters`` and
+            ``propagate_errors=True`` are translated, the others raise an
+            error that names what replaces them.
 
         Returns
         -------
@@ -189,14 +214,23 @@ class PLDCorrector(Corrector):
         DetrendingWarning
             If there is nothing to correct, or data had to be replaced.
         """
-        if method != "likelihood":
-            raise ValueError(
-                '`method` must be one of ("likelihood",): leave-one-out was no better and has '
-                f"been removed, `held_out` measures predictions; got {method!r}"
-            )
-        options = PLDOptions(
-            order, trend, segments, background, neighbors, saturation, sigma, max_clips
-        )
+        settings = {
+            "order": order,
+            "trend": trend,
+            "segments": segments,
+            "pca_components": pca_components or None,
+            "pld_aperture_mask": self._named(pld_aperture_mask, "pld_aperture_mask"),
+            "background": background,
+            "background_aperture_mask": self._named(
+                background_aperture_mask, "background_aperture_mask"
+            ),
+            "neighbors": neighbors,
+            "regressors": regressors,
+            "saturation": saturation,
+            "sigma": sigma,
+            "max_clips": max_clips,
+        }
+        options = PLDOptions(**settings | translated(lightkurve_options))
         n = len(self._pixels.time)
         mask = checked_cadences("cadence_mask", cadence_mask, n, default=True)
         in_transit = checked_cadences("transit_mask", transit_mask, n, default=False)
@@ -230,6 +264,39 @@ class PLDCorrector(Corrector):
         if self.result is None:
             raise ValueError("the last correction found nothing to correct")
         return self.result
+
+    def create_design_matrix(self, **options):
+        """
+        Return the regressors as lightkurve's design matrices.
+
+        Parameters
+        ----------
+        **options
+            Arguments of `correct`; by default those of its last call.
+
+        Returns
+        -------
+        `~lightkurve.correctors.DesignMatrixCollection`
+            One matrix per group, with a row per cadence of the file; its ``prior_sigma`` are
+            those of the fit. Cadences that cannot be used are NaN.
+
+        Raises
+        ------
+        TypeError, ValueError
+            As `correct` does.
+
+        Examples
+        --------
+        >>> from scope_models import Detector, Motion, Star, simulate
+        >>> from scope_models.correctors import PLDCorrector
+        >>> tpf = simulate(Star(12), Detector.k2(), Motion.k2_roll(300), seed=1).to_tpf()
+        >>> PLDCorrector(tpf).create_design_matrix(order=1).matrices[0].name
+        'order 1'
+        """
+        if options or not hasattr(self, "_corrected_lc"):
+            self.correct(**options)
+        fitted = self._fitted()
+        return to_collection(self.model.design_matrix(fitted.used), fitted.prior_variance)
 
     def fit_transit(self, transit_model):
         """

@@ -6,10 +6,8 @@ from functools import partial
 from os import PathLike
 
 import numpy as np
-from astropy import units as u
 from astropy.modeling import Model
 
-from scope_models._arrays import plain_number
 from scope_models._checks import checked_integer, checked_number
 from scope_models.fitting._data import detector_of, read_data
 from scope_models.fitting._gather import make_results, warn_of_fit
@@ -185,12 +183,11 @@ def fit_tpf(
         interpixel=_PRIOR if interpixel is None else _checked_width("interpixel", interpixel),
         background=_one_of("background", background, _BACKGROUNDS),
         positions=_one_of("positions", positions, _POSITIONS),
-        position_error=plain_number(position_error, u.pixel, "position_error"),
+        position_error=checked_number("position_error", position_error, "pix", positive=True),
         loss=_one_of("loss", loss, _LOSSES),
         loss_scale=checked_number("loss_scale", loss_scale, positive=True),
         saturation=bool(saturation),
     )
-    checked_number("position_error", options.position_error, positive=True)
     max_steps = checked_integer("max_steps", max_steps, 1)
     if psf is not None and not isinstance(psf, int | Model):
         raise TypeError(f"`psf` must be a number of components or a model, got {psf!r}")

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from scope_models._arrays import native
 from scope_models.io._opening import RefusedError, open_fits
 from scope_models.missions import TIME_ZEROS, Mission
 
@@ -195,13 +196,17 @@ def read_positions(path):
         path, ("TIME", "POS_CORR1", "POS_CORR2"), ("QUALITY", "SAP_QUALITY", "CADENCENO")
     )
     columns, header = table.columns, table.header
+    try:
+        time_format = time_format_of(header)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from None
     return PositionColumns(
         columns["TIME"].astype(float),
         columns["POS_CORR1"].astype(float),
         columns["POS_CORR2"].astype(float),
         columns.get("QUALITY", columns.get("SAP_QUALITY")),
         columns.get("CADENCENO"),
-        time_format_of(header),
+        time_format,
         {**facts_of(header), "filename": table.path.name},
     )
 
@@ -325,8 +330,9 @@ def column_of(table, name, path, ndim=1):
     if values.ndim != ndim or values.dtype.kind not in "iuf":
         what = {1: "one number", 3: "an image of numbers"}[ndim]
         raise RefusedError(f"column {name} of {path} must hold {what} per row")
-    kind = values.dtype.newbyteorder("=")
-    return values.astype(np.float64 if kind.kind == "f" or ndim == 3 else kind)
+    if values.dtype.kind == "f" or ndim == 3:
+        return values.astype(np.float64)
+    return native(values)
 
 
 def cards_of(*headers):

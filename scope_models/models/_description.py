@@ -3,6 +3,7 @@
 
 import importlib
 import json
+import math
 import operator
 import sys
 import zlib
@@ -11,15 +12,26 @@ from collections.abc import Mapping
 from dataclasses import fields
 
 import numpy as np
+from astropy import units as u
 from astropy.modeling import CompoundModel, Model
 
+from scope_models._arrays import is_angle, plain_array
 from scope_models.models.sensitivity import SensitivityPolynomial
 
-__all__ = ["describe_model", "make_model", "value_key"]
+__all__ = [
+    "describe_model",
+    "find_class",
+    "make_model",
+    "model_in_pixels",
+    "packed",
+    "unpacked",
+    "value_key",
+]
 
 _OPERATORS = {"+": operator.add, "-": operator.sub, "*": operator.mul}
 # Modules that reading a file may import; others must have been imported before.
 _TRUSTED = {"scope_models", "astropy", "photutils"}
+_LARGEST_ARRAY = 1 << 26  # bytes of an array in a file, unpacked
 
 
 def describe_model(model):
@@ -37,7 +49,7 @@ def describe_model(model):
         },
     }
     if hasattr(model, "arguments"):
-        described["parameters"] |= {k: _packed(v) for k, v in model.arguments.items()}
+        described["parameters"] |= {k: packed(v) for k, v in model.arguments.items()}
     if isinstance(model, SensitivityPolynomial):
         described["parameters"] = {
             "x_coefficients": list(model.x_coefficients),
@@ -53,18 +65,11 @@ def make_model(described):
     if "operator" in described:
         combine = _OPERATORS[described["operator"]]
         return combine(make_model(described["left"]), make_model(described["right"]))
-    module = described["module"]
-    if module not in sys.modules and module.partition(".")[0] not in _TRUSTED:
-        raise ValueError(f"import {module} before reading a scene with its {described['class']}")
-    kind = importlib.import_module(module)
-    for part in described["class"].split("."):
-        kind = getattr(kind, part, None)
-    if not (isinstance(kind, type) and issubclass(kind, Model)):
-        raise TypeError(f"{module}.{described['class']} is not a model")
-    return kind(**{name: _unpacked(value) for name, value in described["parameters"].items()})
+    kind = find_class(described, Model, "a model")
+    return kind(**{name: unpacked(value) for name, value in described["parameters"].items()})
 
 
-def _packed(value):
+def packed(value):
     """Return an array as text, and anything else as it is."""
     if not isinstance(value, np.ndarray):
         return value
@@ -72,12 +77,87 @@ def _packed(value):
     return {"array": b64encode(zlib.compress(values.tobytes())).decode(), "shape": values.shape}
 
 
-def _unpacked(value):
+def unpacked(value):
     """Return the array of a text, and anything else as it is."""
     if not isinstance(value, dict):
         return value
-    values = np.frombuffer(zlib.decompress(b64decode(value["array"])), dtype="<f8")
-    return values.reshape(value["shape"])
+    shape = tuple(map(int, value["shape"]))
+    size = 8 * math.prod(shape)
+    if not 0 <= size <= _LARGEST_ARRAY:
+        raise ValueError(f"an array must have up to {_LARGEST_ARRAY:,} bytes, got {size:,}")
+    # Never unpack more than the shape promises.
+    content = zlib.decompressobj().decompress(b64decode(value["array"]), size + 1)
+    if len(content) != size:
+        raise ValueError(f"an array does not have the {size:,} bytes of its shape {shape}")
+    return np.frombuffer(content, dtype="<f8").reshape(shape)
+
+
+def model_in_pixels(model, pixel_scale):
+    """Return a model whose widths and positions are pixels, where they were angles.
+
+    Parameters
+    ----------
+    model : astropy.modeling.Model or None
+        A PSF, or a sum or product of models.
+    pixel_scale : float
+        Arcseconds per pixel.
+
+    Returns
+    -------
+    astropy.modeling.Model or None
+        The model itself if it holds no angles.
+    """
+    if model is None:
+        return None
+    if isinstance(model, CompoundModel):
+        parts = [model_in_pixels(part, pixel_scale) for part in (model.left, model.right)]
+        if parts[0] is model.left and parts[1] is model.right:
+            return model
+        return _OPERATORS[model.op](*parts)
+    parameters = {name: getattr(model, name) for name in model.param_names}
+    if not any(is_angle(p.unit) and name != "theta" for name, p in parameters.items()):
+        return model
+    values = {}
+    for name, p in parameters.items():
+        values[name] = p.value if p.unit is None else p.quantity
+        if name != "theta" and (is_angle(p.unit) or p.unit == u.pix):
+            values[name] = plain_array(p.quantity, u.pix, name, pixel_scale=pixel_scale)
+    return type(model)(**values, name=model.name, fixed=model.fixed, bounds=model.bounds)
+
+
+def find_class(described, base, what):
+    """Return the class of a description.
+
+    Parameters
+    ----------
+    described : dict
+        Its "module" and "class".
+    base : type
+        What it is derived from.
+    what : str
+        How messages call that.
+
+    Returns
+    -------
+    type
+        The class.
+
+    Raises
+    ------
+    ValueError
+        If its module belongs to another package that was not imported before.
+    TypeError
+        If it is not such a class.
+    """
+    module = described["module"]
+    if module not in sys.modules and module.partition(".")[0] not in _TRUSTED:
+        raise ValueError(f"import {module} before reading a scene with its {described['class']}")
+    kind = importlib.import_module(module)
+    for part in described["class"].split("."):
+        kind = getattr(kind, part, None)
+    if not (isinstance(kind, type) and issubclass(kind, base)):
+        raise TypeError(f"{module}.{described['class']} is not {what}")
+    return kind
 
 
 def value_key(value):

@@ -1,0 +1,171 @@
+"""lightkurve's arguments and objects: names of masks, options, basis vectors, design matrices."""
+
+import warnings
+
+import numpy as np
+from astropy.utils.exceptions import AstropyDeprecationWarning
+
+from scope_models._arrays import plain_array
+
+__all__ = ["external_columns", "named_mask", "to_collection", "translated"]
+
+_RENAMED = {"pld_order": "order", "n_pca_terms": "pca_components", "niters": "max_clips"}
+_SUCCESSORS = {
+    "spline_n_knots": 'the trend has no knots: `trend="gp"` fits its time scale to the data, '
+    '`trend="quadratic"` is a polynomial',
+    "spline_degree": 'the trend is no spline: choose `trend="gp"` or `trend="quadratic"`',
+    "sparse": "matrices are small, as they have only the columns that the data determine: "
+    "leave it out",
+    "normalize_background_pixels": "the columns of `background` are divided by the star's flux: "
+    "leave it out, or pass columns of your own as `regressors`",
+    "n_samples": "errors are computed in closed form, without samples: leave it out",
+    "use_gp": 'choose `trend="gp"` or `trend="quadratic"`',
+    "gp_timescale": 'the time scale of `trend="gp"` is fitted to the data: leave it out',
+}
+
+
+def translated(options):
+    """
+    Return arguments of `PLDCorrector.correct` for those of lightkurve and of the first version.
+
+    Parameters
+    ----------
+    options : dict
+        Arguments that `PLDCorrector.correct` does not have.
+
+    Raises
+    ------
+    TypeError
+        If a name is unknown.
+    ValueError
+        If an argument has no counterpart; the message names what replaces it.
+    """
+    found = {}
+    for name, value in options.items():
+        if name in _RENAMED:
+            found[_RENAMED[name]] = value
+        elif name == "propagate_errors":
+            if not value:
+                raise ValueError("`propagate_errors` cannot be False: errors are always propagated")
+        elif name == "method":
+            _check_method(value)
+        elif name in _SUCCESSORS:
+            raise ValueError(f"`{name}` is not an option here: {_SUCCESSORS[name]}")
+        else:
+            raise TypeError(f"correct() got an unexpected keyword argument {name!r}")
+    return found
+
+
+def _check_method(method):
+    if method != "likelihood":
+        raise ValueError(
+            '`method` must be one of ("likelihood",): leave-one-out was no better and has '
+            f"been removed, `held_out` measures predictions; got {method!r}"
+        )
+    warnings.warn(
+        '`method` has one value left, "likelihood": leave it out',
+        AstropyDeprecationWarning,
+        stacklevel=4,
+    )
+
+
+def named_mask(tpf, mask, name):
+    """
+    Return a mask of pixels for one of lightkurve's names.
+
+    Parameters
+    ----------
+    tpf : `~lightkurve.targetpixelfile.TargetPixelFile`
+        The file.
+    mask : str, array_like of bool or None
+        "pipeline", "threshold" (`create_threshold_mask` with 3 standard deviations), "all",
+        "background" (pixels below the median) or "empty"; anything else is returned as it is.
+    name : str
+        The argument's name, for messages.
+    """
+    if not isinstance(mask, str):
+        return mask
+    if mask == "pipeline":
+        if not tpf.pipeline_mask.any():
+            raise ValueError(f'`{name}` cannot be "pipeline": the file has no such aperture')
+        return np.asarray(tpf.pipeline_mask)
+    if mask == "threshold":
+        return tpf.create_threshold_mask()
+    if mask == "background":
+        return ~tpf.create_threshold_mask(threshold=0, reference_pixel=None)
+    if mask in ("all", "empty"):
+        return np.full(tpf.pipeline_mask.shape, mask == "all")
+    raise ValueError(
+        f'`{name}` must be a mask, None, "pipeline", "threshold", "all", "background" or "empty", '
+        f"got {mask!r}"
+    )
+
+
+def external_columns(regressors, cadenceno):
+    """
+    Return columns of the user's own, each with unit variance.
+
+    Parameters
+    ----------
+    regressors : array_like, DesignMatrix, DesignMatrixCollection, CotrendingBasisVectors or list
+        One or a list of them. Basis vectors are matched by their cadence numbers, the others must
+        have a row per cadence.
+    cadenceno : ndarray of int
+        The star's cadence numbers.
+
+    Returns
+    -------
+    ndarray
+        ``(n_cadences, n_columns)``, NaN where a column is unknown.
+    """
+    several = isinstance(regressors, (list, tuple)) and not all(map(np.isscalar, regressors))
+    columns = [_columns_of(one, cadenceno) for one in (regressors if several else [regressors])]
+    columns = np.concatenate(columns, axis=1)
+    spread = np.nanstd(columns, axis=0)
+    varies = spread > 0
+    return columns[:, varies] / spread[varies]
+
+
+def _columns_of(regressor, cadenceno):
+    n = len(cadenceno)
+    if hasattr(regressor, "cbv_indices"):
+        vectors = [
+            plain_array(regressor[f"VECTOR_{k}"], "", "regressors") for k in regressor.cbv_indices
+        ]
+        _, here, there = np.intersect1d(
+            cadenceno, np.asarray(regressor["CADENCENO"]), return_indices=True
+        )
+        if not len(here):
+            raise ValueError("`regressors` must share cadences with the target, got none")
+        columns = np.full((n, len(vectors)), np.nan)
+        columns[here] = np.stack(vectors, axis=1)[there]
+        columns[here[np.asarray(regressor["GAP"], dtype=bool)[there]]] = np.nan
+        return columns
+    values = regressor.values if hasattr(regressor, "prior_sigma") else regressor
+    columns = plain_array(values, "", "regressors")
+    columns = columns[:, None] if columns.ndim == 1 else columns
+    if columns.ndim != 2 or len(columns) != n:
+        raise ValueError(f"`regressors` must have {n} rows, got shape {columns.shape}")
+    return columns
+
+
+def to_collection(regressors, prior_variance):
+    """
+    Return lightkurve's design matrices of groups of regressors.
+
+    Parameters
+    ----------
+    regressors : Regressors
+        Columns with a row per cadence.
+    prior_variance : sequence of float
+        Prior variance of each group's coefficients.
+    """
+    from lightkurve.correctors import DesignMatrix, DesignMatrixCollection
+
+    matrices = []
+    for g, (name, variance) in enumerate(zip(regressors.names, prior_variance, strict=True)):
+        columns = regressors.columns[:, regressors.groups == g]
+        sigma = np.full(columns.shape[1], np.sqrt(variance))
+        names = [f"{name} {k}" for k in range(columns.shape[1])]
+        matrices.append(DesignMatrix(columns, columns=names, name=name, prior_sigma=sigma))
+    return DesignMatrixCollection(matrices)
