@@ -610,6 +610,7 @@ NO_UNIT = {
     "TabulatedPRF.array", "TabulatedPRF.oversampling", "K2MotionNoise.exponent",
     "SceneCorrector.correct.transit_model", "SceneCorrector.neighbors",
     "inject_files.star", "plot_precision.stars",
+    "fit_tpf.stars",
     "inject.signal", "inject.star", "TabulatedPRF.origin", "plot_detector.psf", "plot_psf.psf",
     "plot_detector.sensitivity", "plot_fit.chi2", "plot_twin.residuals",
     "plot_detrending_masks.scatter", "plot_recovery.depths", "plot_recovery.magnitudes",
@@ -619,8 +620,8 @@ NO_UNIT = {
 # Classes whose objects the package makes, methods that astropy calls with numbers after it has
 # converted them (test_contract.py), and configurations, which files give as plain numbers.
 MADE_BY_THE_PACKAGE = re.compile(
-    r"(\w*(Fit|Result|Truth)|Observation|PixelSeries|Mission|MessyStar|PRFGrid|Conditions|Exposures)\."
-    r"|\w+\.(evaluate|fit_deriv|closed_form|unit_derivatives)\."
+    r"(\w*(Fit|FittedStar|Result|Truth)|Observation|PixelSeries|Mission|MessyStar|PRFGrid|Conditions|Exposures)\."
+    r"|\w+\.(evaluate|fit_deriv|closed_form|unit_derivatives|track|times)\."
 )
 CONFIGURATIONS = re.compile(
     r"(K2MotionNoise|MotionTest|NoMotion|Recovery|SkyRegime|Table1|bin_noise|noise_parts)\."
@@ -657,10 +658,12 @@ def test_every_argument_with_a_unit_has_a_row(public_callables):
 def test_effects_refuse_wrong_units_by_name(public_callables):
     """The tests of each effect compare quantities with plain numbers."""
     for effect in (value for _, value in public_callables if is_effect(value)):
-        for item in dataclasses.fields(effect):
-            if isinstance(item.default, float) and not isinstance(item.default, bool):
+        parts = dataclasses.fields(effect)
+        needed = {item.name: 0.1 for item in parts if item.default is dataclasses.MISSING}
+        for item in parts:
+            if isinstance(item.default, float) or item.name in needed:
                 with pytest.raises((TypeError, ValueError), match=f"`{item.name}`"):
-                    effect(**{item.name: 1.0 * u.kg})
+                    effect(**(needed | {item.name: 1.0 * u.kg}))
 
 
 def same(a, b):

@@ -606,7 +606,8 @@ class Motion:
     def ground(cls, n_cadences=1000, *, cadence=60.0, seed=1, start=_TESS.start, **parameters):
         """Generate the motion of a star on a ground-based telescope, night by night.
 
-        The image motion is that of the seeing and the aperture. Pointing, drift and wind are assumed.
+        The image motion is that of the seeing and the aperture; pointing, drift and wind are
+        assumed.
 
         Parameters
         ----------
