@@ -40,7 +40,9 @@ _RESPONSE_PRIOR = 0.05
 _BACKGROUND = 0.05
 #: Distance (px) from the star at which pixels are dark, and the fewest such pixels for a plane.
 _FAR, _FEWEST_FAR = 2.7, 15
-_CLIP = 6.0
+#: Cosmic rays exceed so many standard deviations, and this part of the star's light in the pixel,
+#: by which the functions of position may miss where the star moves far.
+_CLIP, _MISFIT = 6.0, 0.05
 #: Constant light in the aperture, relative, below which it does not count; and the iteration at
 #: which that is decided.
 _FAINT, _DECIDED = 0.02, 6
@@ -278,7 +280,8 @@ class _State:
         rest = self.y - a * image + self.variable[:, None] * constant - self.background
         self.variance = np.maximum(self.noise, (1.4826 * np.median(np.abs(rest), axis=0)) ** 2)
         if iteration > 0:
-            self.good = ~_single(np.abs(rest) > _CLIP * np.sqrt(self.variance))
+            limit = _CLIP * np.sqrt(self.variance) + _MISFIT * np.abs(image)
+            self.good = ~_single(rest > limit)
         planes = [np.broadcast_to(plane, image.shape) for plane in self.planes.T]
         columns = [image, *planes, a * slopes[0], a * slopes[1], a * focus]
         jacobian = np.stack(columns, axis=1)
