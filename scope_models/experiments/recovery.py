@@ -263,7 +263,7 @@ class Recovery(Study):
             "found_duration_error": duration[1],
         }
 
-    def summarise(self, table):
+    def summarize(self, table):
         """Return completeness and errors per motion, magnitude and depth.
 
         Parameters

@@ -60,7 +60,6 @@ def write_fit(fit, path, *, overwrite):
         *(fits.ImageHDU(np.array(getattr(fit, name)), name=name.upper()) for name in _IMAGES),
         fits.ImageHDU(text, name="DESCRIPTION"),
     ]
-    primary.header["NEXTEND"] = (len(hdus) - 1, "number of extensions")
     return write_hdulist(fits.HDUList(hdus), path, overwrite=overwrite)
 
 

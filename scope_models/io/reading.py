@@ -196,13 +196,17 @@ def read_positions(path):
         path, ("TIME", "POS_CORR1", "POS_CORR2"), ("QUALITY", "SAP_QUALITY", "CADENCENO")
     )
     columns, header = table.columns, table.header
+    try:
+        time_format = time_format_of(header)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from None
     return PositionColumns(
         columns["TIME"].astype(float),
         columns["POS_CORR1"].astype(float),
         columns["POS_CORR2"].astype(float),
         columns.get("QUALITY", columns.get("SAP_QUALITY")),
         columns.get("CADENCENO"),
-        time_format_of(header),
+        time_format,
         {**facts_of(header), "filename": table.path.name},
     )
 

@@ -208,8 +208,8 @@ class Motion:
             it by a straight line in cadence number between its usable neighbours (before the first
             and after the last, positions stay and times go on at the same pace) and sets a
             quality flag that lightkurve's default bitmask rejects: "manual exclude" (256, in TESS
-            times 128) for a position, "no data" (65536; in TESS times "manual exclude" too) for
-            a time. "drop" leaves the cadence out, "error" raises.
+            times 128) for a position, "no data" (65536; in TESS times "manual exclude") for a
+            time. "drop" leaves the cadence out, "error" raises.
         meta : mapping, optional
             What is known of the source; "n_bad", the number of cadences with unusable values,
             is added to it.
@@ -401,7 +401,7 @@ class Motion:
         """Generate the motion of a K2 star while the spacecraft rolls about its boresight.
 
         The parameters' defaults describe EPIC 205998445 in campaign 3, and
-        `K2Roll` gives their sources. No series is rescaled to wanted
+        `~scope_models.scene.motion.K2Roll` gives their sources. No series is rescaled to wanted
         statistics; the default seed is the first one for which the 1000 cadences of the paper [1]_
         have its row, 0.17 +- 0.12 px and at most 0.59 px, within 5 %. Cadences in which thrusters
         fire have the quality flag 1048576.
