@@ -223,7 +223,7 @@ class Motion:
             Zero of the times: BJD - 2454833 (Kepler, K2) or BJD - 2457000 (TESS).
         bad : {"interpolate", "drop", "error"}, optional
             What becomes of cadences with an unusable value. "interpolate" (the default) replaces
-            it by a straight line in cadence number between its usable neighbours (before the first
+            it by a straight line in cadence number between its usable neighbors (before the first
             and after the last, positions stay and times go on at the same pace) and sets a
             quality flag that lightkurve's default bitmask rejects: "manual exclude" (256, in TESS
             times 128) for a position, "no data" (65536; in TESS times "manual exclude") for a
