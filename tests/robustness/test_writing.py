@@ -136,9 +136,10 @@ def test_read_only_folder(tmp_path):
 
 @POSIX
 @pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() != 0, reason="needs another user")
-def test_read_only_folder_of_another_user():
+def test_read_only_folder_of_another_user(tmp_path):
     """As root: a process of nobody writes to a folder of root."""
     observation = make_observation(10)
+    observation.write(tmp_path / "star.fits")  # imports what nobody cannot read
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         folder.chmod(0o755)
