@@ -10,7 +10,12 @@ from scope_models.fitting.result import FittedStar, TPFFit
 
 __all__ = ["make_results", "warn_of_fit"]
 
-_FACTS = ("OBJECT", "MISSION", "TELESCOP", "CAMPAIGN", "QUARTER", "SECTOR", "CHANNEL", "KEPMAG")
+# Cards that a fit keeps: what the star is, and where the stamp is on detector and sky.
+_FACTS = (
+    *("OBJECT", "KEPLERID", "TICID", "RA_OBJ", "DEC_OBJ", "KEPMAG", "TESSMAG"),
+    *("MISSION", "TELESCOP", "CAMPAIGN", "QUARTER", "SECTOR", "CHANNEL", "CAMERA", "CCD"),
+    *("1CRV5P", "2CRV5P", "1CDLT5", "2CDLT5", "12PC5", "22PC5"),
+)
 # The paper's sensitivity is lower by this at the edge of a pixel than at its centre: a coefficient
 # whose error there is larger has not been measured.
 _LARGEST_EDGE_ERROR = 0.0125

@@ -362,7 +362,7 @@ class TPFFit:
 
     def scene(self, *, positions="fitted", signal="smooth"):
         """
-        Return what `~scope_models.simulate` needs for the star's twin.
+        Return the scene of the star's twin, for `~scope_models.simulate`.
 
         Parameters
         ----------
@@ -374,13 +374,11 @@ class TPFFit:
 
         Returns
         -------
-        stars : tuple of Star
-            The star.
-        detector : Detector
-            The pixels, with the fitted sensitivity and response, and the read noise with which
-            faint pixels scatter as those of the file do from one cadence to the next.
-        motion : Motion
-            The positions about their median.
+        Scene
+            The star, the pixels and the positions about their median. The pixels have the fitted
+            sensitivity and response, and the read noise with which faint pixels scatter as those
+            of the file do from one cadence to the next. The target's name and number, its place
+            on the sky and that of the stamp on the detector are those of the file.
 
         Notes
         -----
