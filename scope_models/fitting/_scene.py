@@ -3,8 +3,10 @@
 import numpy as np
 from scipy.ndimage import median_filter, uniform_filter1d
 
+from scope_models.effects import Focus
 from scope_models.models import SensitivityPolynomial
 from scope_models.scene.motion import Motion
+from scope_models.scene.scene import Scene
 from scope_models.scene.star import Star
 
 __all__ = ["make_scene", "sensitivity_profiles"]
@@ -17,7 +19,7 @@ _FEWEST_CADENCES = 20
 
 
 def make_scene(fit, positions, signal):
-    """Return the stars, detector and motion of a fit."""
+    """Return the scene of a fit."""
     if positions not in {"fitted", "path"}:
         raise ValueError(f"`positions` must be 'fitted' or 'path', got {positions!r}")
     if signal not in {"smooth", "fitted", "constant"}:
@@ -34,7 +36,13 @@ def make_scene(fit, positions, signal):
         raise ValueError(f"the star has no flux to simulate: its median is {flux:g} e-/s")
     detector = fit.detector.replace(read_noise=_read_noise(fit))
     mag = detector.zero_point_mag - 2.5 * np.log10(flux / detector.zero_point)
-    star = Star(float(mag), *middle, psf=fit.psf, signal=_signal(fit, signal))
+    stars = [Star(float(mag), *middle, psf=fit.psf, signal=_signal(fit, signal))]
+    for other in fit.neighbors:
+        light = float(np.median(other.flux))
+        if light > 0:
+            mag = detector.zero_point_mag - 2.5 * np.log10(light / detector.zero_point)
+            place = (float(np.median(values)) for values in (other.x, other.y))
+            stars.append(Star(float(mag), *place, psf=fit.psf))
     motion = Motion(
         time=fit.time,
         x=x - middle[0],
@@ -43,7 +51,21 @@ def make_scene(fit, positions, signal):
         cadenceno=fit.cadenceno,
         time_format=fit.time_format,
     )
-    return (star,), detector, motion
+    effects = () if np.all(fit.focus == 1) else (Focus(series=fit.focus),)
+    return Scene(stars, detector, motion, effects=effects, **_identity(fit.meta))
+
+
+def _identity(meta):
+    """Number, name and place of a star, as far as its file has them."""
+    identity = {
+        "target_id": meta.get("KEPLERID", meta.get("TICID")),
+        "object_name": meta.get("OBJECT"),
+        "ra": meta.get("RA_OBJ"),
+        "dec": meta.get("DEC_OBJ"),
+        "column": meta.get("1CRV5P"),
+        "row": meta.get("2CRV5P"),
+    }
+    return {name: value for name, value in identity.items() if value is not None}
 
 
 def _signal(fit, kind):
