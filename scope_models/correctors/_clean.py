@@ -37,6 +37,8 @@ _ABSURD = 12.0
 _FAST, _STRONG = 0.25, 0.02
 #: Relative change of the light in the aperture with position, for telling it from variability.
 _RESPONSE_PRIOR = 0.05
+#: Part of the variance of lost light that is expected to remain: a tenth of the amplitude.
+_LOST = 0.01
 #: Part of the light in the aperture above which the level of dark pixels is background.
 _BACKGROUND = 0.05
 #: Distance (px) from the star at which pixels are dark, and the fewest such pixels for a plane.
@@ -308,13 +310,28 @@ class _State:
         hessian[:, range(7), range(7)] *= 1 + 1e-9
         step = np.linalg.solve(hessian, right[:, :, None])[:, :, 0]
         errors = np.sqrt(np.maximum(np.linalg.inv(hessian)[:, range(7), range(7)], 1e-30))
-        self.error = errors[:, 0]
         self.brightness = self.brightness + np.clip(step[:, 0], -0.3, 0.3)
         self.z = self.z + np.clip(step[:, 4:6], -0.1, 0.1)
         self._set_background(self.plane + step[:, 1:4], errors[:, 1:4], iteration)
         self._set_variable(iteration)
         self._anchor()
         self._set_focus(self.focus + np.clip(step[:, 6], -0.02, 0.02), errors[:, 6], iteration)
+
+    def _fit_brightness(self):
+        """Fit brightness and positions once more, at the smoothed background and focus."""
+        image, slopes, _, constant = self._images()
+        a = self.brightness[:, None]
+        rest = self.y - self.background - a * image + self.variable[:, None] * constant
+        jacobian = np.stack([image, a * slopes[0], a * slopes[1]], axis=1)
+        weighted = jacobian * (self.good / self.variance)[:, None]
+        hessian = weighted @ jacobian.transpose(0, 2, 1)
+        place = np.where(self.known, _POSITION_PRIOR**-2, 1e-2)
+        hessian[:, 1, 1] += place
+        hessian[:, 2, 2] += place
+        inverse = np.linalg.inv(hessian)
+        step = (inverse @ (weighted @ rest[:, :, None]))[:, :, 0]
+        self.brightness = self.brightness + np.clip(step[:, 0], -0.3, 0.3)
+        self.error = np.sqrt(inverse[:, 0, 0])
 
     def _set_background(self, plane, errors, iteration):
         """Smooth the background as far as the data are for it; jumps of a cadence stay."""
@@ -377,6 +394,7 @@ class _State:
 
     def result(self, inside, flux_err):
         """Return the light and the fractions of an aperture."""
+        self._fit_brightness()
         image, _, _, constant = self._images()
         model = self.brightness[:, None] * image - self.variable[:, None] * constant
         light = (np.where(self.good, self.y, model + self.background) - self.background)[:, inside]
@@ -439,7 +457,7 @@ def precise_aperture(light, variance, position):
     columns = np.linalg.qr(_polynomials(position, 3))[0][:, 1:]
     part = ((columns.T @ (inside / inside[:, -1:])) ** 2).sum(axis=0) / len(light) * level**2
     lost = np.maximum(part - columns.shape[1] * noise / len(light), 0)
-    scatter = (lost + noise / 13) / np.where(level > 0, level, np.inf) ** 2
+    scatter = (_LOST * lost + noise / 13) / np.where(level > 0, level, np.inf) ** 2
     scatter[:3] = np.inf
     mask = np.zeros(len(order), dtype=bool)
     mask[order[: np.argmin(scatter) + 1]] = True

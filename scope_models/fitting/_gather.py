@@ -10,10 +10,12 @@ from scope_models.fitting.result import FittedStar, TPFFit
 
 __all__ = ["doubts_of", "make_results", "warn_of_fit"]
 
+# Cards that a fit keeps: what the star is, and where the stamp is on detector and sky.
 _FACTS = (
-    "KEPLERID", "TICID", "OBJECT", "RA_OBJ", "DEC_OBJ", "1CRV5P", "2CRV5P",
-    "MISSION", "TELESCOP", "CAMPAIGN", "QUARTER", "SECTOR", "CHANNEL", "KEPMAG",
-)  # fmt: skip
+    *("OBJECT", "KEPLERID", "TICID", "RA_OBJ", "DEC_OBJ", "KEPMAG", "TESSMAG"),
+    *("MISSION", "TELESCOP", "CAMPAIGN", "QUARTER", "SECTOR", "CHANNEL", "CAMERA", "CCD"),
+    *("1CRV5P", "2CRV5P", "1CDLT5", "2CDLT5", "12PC5", "22PC5"),
+)
 # The paper's sensitivity is lower by this at the edge of a pixel than at its centre: a coefficient
 # whose error there is larger has not been measured.
 _LARGEST_EDGE_ERROR = 0.0125

@@ -4,6 +4,7 @@ import numpy as np
 from scipy.ndimage import median_filter, uniform_filter1d
 
 from scope_models.effects import Focus
+from scope_models.missions import MISSIONS
 from scope_models.models import SensitivityPolynomial
 from scope_models.scene.motion import Motion
 from scope_models.scene.scene import Scene
@@ -52,20 +53,26 @@ def make_scene(fit, positions, signal):
         time_format=fit.time_format,
     )
     effects = () if np.all(fit.focus == 1) else (Focus(series=fit.focus),)
-    return Scene(stars, detector, motion, effects=effects, **_identity(fit.meta))
+    identity = _identity(fit.meta, detector.mission)
+    return Scene(stars, detector, motion, effects=effects, **identity)
 
 
-def _identity(meta):
-    """Number, name and place of a star, as far as its file has them."""
-    identity = {
-        "target_id": meta.get("KEPLERID", meta.get("TICID")),
-        "object_name": meta.get("OBJECT"),
-        "ra": meta.get("RA_OBJ"),
-        "dec": meta.get("DEC_OBJ"),
-        "column": meta.get("1CRV5P"),
-        "row": meta.get("2CRV5P"),
+def _identity(cards, mission):
+    """Return the fields of a scene that identify the target, of the cards that the file had."""
+    names = {"target_id": ("KEPLERID", "TICID"), "object_name": ("OBJECT",)}
+    names |= {"ra": ("RA_OBJ",), "dec": ("DEC_OBJ",), "column": ("1CRV5P",), "row": ("2CRV5P",)}
+    found = {
+        name: next((cards[key] for key in keys if key in cards), None)
+        for name, keys in names.items()
     }
-    return {name: value for name, value in identity.items() if value is not None}
+    steps = [cards.get(key) for key in ("1CDLT5", "12PC5", "2CDLT5", "22PC5")]
+    if all(isinstance(step, int | float) for step in steps):
+        east, north = steps[0] * steps[1], steps[2] * steps[3]
+        found["orientation"] = float(np.degrees(np.arctan2(east, north)))
+    if mission in MISSIONS:
+        names = (MISSIONS[mission].run, *MISSIONS[mission].places)
+        found["metadata"] = {n: cards[n.upper()] for n in names if n.upper() in cards}
+    return {name: value for name, value in found.items() if value is not None}
 
 
 def _signal(fit, kind):

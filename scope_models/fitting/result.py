@@ -365,7 +365,7 @@ class TPFFit:
 
     def scene(self, *, positions="fitted", signal="smooth"):
         """
-        Return what `~scope_models.simulate` needs for the star's twin.
+        Return the scene of the star's twin, for `~scope_models.simulate`.
 
         Parameters
         ----------
@@ -378,10 +378,10 @@ class TPFFit:
         Returns
         -------
         Scene
-            The stars; the pixels, with the fitted sensitivity and response, and the read noise
-            with which faint pixels scatter as those of the file do from one cadence to the next;
-            the positions about their median; the focus, if it was fitted; number, name and place
-            of the star. It unpacks as stars, detector and motion.
+            The stars, the pixels, the positions about their median and the focus, if fitted. The pixels have the fitted
+            sensitivity and response, and the read noise with which faint pixels scatter as those
+            of the file do from one cadence to the next. The target's name and number, its place
+            on the sky and that of the stamp on the detector are those of the file.
 
         Notes
         -----

@@ -157,7 +157,7 @@ class Scene:
         return iter((self.stars, self.detector, self.motion))
 
     def __getitem__(self, index):
-        return (self.stars, self.detector, self.motion)[index]
+        return tuple(self)[index]
 
     def __eq__(self, other):
         if not isinstance(other, Scene):
