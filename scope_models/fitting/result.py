@@ -379,9 +379,10 @@ class TPFFit:
         -------
         Scene
             The stars, the pixels, the positions about their median and the focus, if it was
-            fitted. The pixels have the fitted sensitivity and response, and the read noise with which faint pixels scatter as those
-            of the file do from one cadence to the next. The target's name and number, its place
-            on the sky and that of the stamp on the detector are those of the file.
+            fitted. The pixels have the fitted sensitivity and response, and the read noise with
+            which faint pixels scatter as those of the file do from one cadence to the next. The
+            target's name and number, its place on the sky and that of the stamp on the detector
+            are those of the file.
 
         Notes
         -----
