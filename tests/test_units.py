@@ -61,6 +61,7 @@ from scope_models.models import (
 )
 from scope_models.plotting.detrending import plot_detrending, plot_detrending_masks
 from scope_models.scene import K2Roll, MotionStatistics
+from scope_models.scene._pointing import Pointing
 from scope_models.scene.presets import PRESETS
 
 RATE = u.electron / u.s
@@ -116,6 +117,7 @@ def drawn(function, *arguments, **options):
 
 
 VALUE = object()
+GENERATORS = ("kepler", "tess", "k2_final_campaign", "ground", "random_walk", "failing_wheels")
 FIT = {"data": IMAGE, "model": IMAGE, "residual": IMAGE, "x": TIME, "y": TIME}
 PLACES = [(1, 1), (1, 101), (101, 1), (101, 101)]
 GRID = PRFGrid(PLACES, [TabulatedPRF(np.eye(7) + column) for column, _ in PLACES])
@@ -323,6 +325,25 @@ ROWS = {
             ("pixel_scale", 4.0, u.arcsec),
         )
     },
+    **{
+        f"{kind.__name__}.{name}": (field(kind, name), default, unit)
+        for kind in Pointing.__subclasses__()
+        for name, unit in kind.units.items()
+        for default in [kind.__dataclass_fields__[name].default]
+    },
+    **{
+        f"Motion.{name}.start": (
+            lambda v, name=name: getattr(Motion, name)(3, start=v).time, 7.0, u.day
+        )
+        for name in GENERATORS
+    },
+    "Motion.kepler.cadence": (lambda v: Motion.kepler(3, cadence=v).time, 58.85, u.s),
+    "Motion.tess.cadence": (lambda v: Motion.tess(3, cadence=v).time, 20.0, u.s),
+    "Motion.ground.cadence": (lambda v: Motion.ground(3, cadence=v).time, 30.0, u.s),
+    "Motion.random_walk.cadence": (lambda v: Motion.random_walk(3, cadence=v).time, 0.1, u.day),
+    "Motion.failing_wheels.cadence": (
+        lambda v: Motion.failing_wheels(3, cadence=v).time, 0.1, u.day
+    ),
     "Star.mag": (lambda v: Star(v).mag, 12.0, u.mag),
     "Star.x_0": (lambda v: Star(12, x_0=v).x_0, 3.0, u.pix),
     "Star.y_0": (lambda v: Star(12, y_0=v).y_0, 3.0, u.pix),
@@ -589,6 +610,7 @@ NO_UNIT = {
     "TabulatedPRF.array", "TabulatedPRF.oversampling", "K2MotionNoise.exponent",
     "SceneCorrector.correct.transit_model", "SceneCorrector.neighbors",
     "inject_files.star", "plot_precision.stars",
+    "fit_tpf.stars",
     "inject.signal", "inject.star", "TabulatedPRF.origin", "plot_detector.psf", "plot_psf.psf",
     "plot_detector.sensitivity", "plot_fit.chi2", "plot_twin.residuals",
     "plot_detrending_masks.scatter", "plot_recovery.depths", "plot_recovery.magnitudes",
@@ -598,8 +620,8 @@ NO_UNIT = {
 # Classes whose objects the package makes, methods that astropy calls with numbers after it has
 # converted them (test_contract.py), and configurations, which files give as plain numbers.
 MADE_BY_THE_PACKAGE = re.compile(
-    r"(\w*(Fit|Result|Truth)|Observation|PixelSeries|Mission|MessyStar|PRFGrid|Conditions|Exposures)\."
-    r"|\w+\.(evaluate|fit_deriv|closed_form|unit_derivatives)\."
+    r"(\w*(Fit|FittedStar|Result|Truth)|Observation|PixelSeries|Mission|MessyStar|PRFGrid|Conditions|Exposures)\."
+    r"|\w+\.(evaluate|fit_deriv|closed_form|unit_derivatives|track|times)\."
 )
 CONFIGURATIONS = re.compile(
     r"(K2MotionNoise|MotionTest|NoMotion|Recovery|SkyRegime|Table1|bin_noise|noise_parts)\."
@@ -636,10 +658,12 @@ def test_every_argument_with_a_unit_has_a_row(public_callables):
 def test_effects_refuse_wrong_units_by_name(public_callables):
     """The tests of each effect compare quantities with plain numbers."""
     for effect in (value for _, value in public_callables if is_effect(value)):
-        for item in dataclasses.fields(effect):
-            if isinstance(item.default, float) and not isinstance(item.default, bool):
+        parts = dataclasses.fields(effect)
+        needed = {item.name: 0.1 for item in parts if item.default is dataclasses.MISSING}
+        for item in parts:
+            if isinstance(item.default, float) or item.name in needed:
                 with pytest.raises((TypeError, ValueError), match=f"`{item.name}`"):
-                    effect(**{item.name: 1.0 * u.kg})
+                    effect(**(needed | {item.name: 1.0 * u.kg}))
 
 
 def same(a, b):

@@ -20,8 +20,8 @@ def add_parser(commands):
         "--components",
         type=int,
         choices=(1, 2, 3),
-        default=2,
-        help="Gaussian components of the PSF (default: 2)",
+        default=None,
+        help="Gaussian components of the PSF (default: what describes the pixels)",
     )
     parser.add_argument(
         "--empirical",
@@ -36,10 +36,10 @@ def add_parser(commands):
     parser.add_argument(
         "--interpixel",
         type=float,
-        default=0.01,
+        default=None,
         metavar="S",
-        help="standard deviation of the response between pixels; 0: all alike, which is better if "
-        "errors of the PSF are larger (default: 0.01)",
+        help="standard deviation of the response between pixels; 0: all alike (default: 0.01 if "
+        "the PSF describes the pixels, else 0)",
     )
     parser.add_argument(
         "--positions",

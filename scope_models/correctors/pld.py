@@ -7,7 +7,7 @@ from lightkurve.correctors.corrector import Corrector
 
 from scope_models._checks import checked_cadences
 from scope_models.correctors._lightkurve import named_mask, to_collection, translated
-from scope_models.correctors._pixels import aperture_pixels
+from scope_models.correctors._pixels import aperture_pixels, credible_flux
 from scope_models.correctors._solution import NothingToCorrectError
 from scope_models.correctors.model import PLDModel, PLDOptions
 from scope_models.exceptions import DetrendingWarning
@@ -255,6 +255,8 @@ class PLDCorrector(Corrector):
         if self.result is not None:
             self.outlier_mask = self.result.outliers
             flux, flux_err = self.result.corrected(restore_trend=self._restore_trend)
+            total = self.original_lc.flux.value
+            flux, flux_err = credible_flux(flux, flux_err, total, self.outlier_mask)
             lc.flux, lc.flux_err = flux * lc.flux.unit, flux_err * lc.flux_err.unit
         self.corrected_lc = lc
 
