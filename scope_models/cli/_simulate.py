@@ -1,4 +1,4 @@
-"""``scope-models simulate``: a target pixel file of one star, and its neighbours."""
+"""``scope-models simulate``: a target pixel file of one star, and its neighbors."""
 
 import scope_models as sm
 from scope_models.cli import _batch
@@ -207,7 +207,7 @@ def _make_detector(arguments):
 
 
 def _make_stars(arguments, detector, start):
-    """Return the star and its neighbours that the options ask for."""
+    """Return the star and its neighbors that the options ask for."""
     x_0, y_0 = arguments.position or (None, None)
     psf = signal = None
     if arguments.psf is not None:

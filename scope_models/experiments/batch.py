@@ -22,6 +22,7 @@ from scope_models.experiments.reference import read_reference
 from scope_models.experiments.study import Study
 from scope_models.io import read_pixels, read_tpf, write_hdulist
 from scope_models.io._atomic import check_output
+from scope_models.missions import MISSIONS
 from scope_models.models import TransitModel
 from scope_models.photometry import cdpp
 from scope_models.scene import read_detector
@@ -693,7 +694,7 @@ class _Simulate(_Files):
         elif detector.mission == "K2":
             motion = Motion.k2_roll(cadences)
         else:
-            zero = "btjd" if detector.mission == "TESS" else "bkjd"
+            zero = MISSIONS.get(detector.mission, MISSIONS["Kepler"]).time_format
             motion = Motion.still(cadences, cadence=detector.cadence_days, time_format=zero)
         signal = None
         if "depth" in task:

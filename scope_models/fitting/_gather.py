@@ -8,9 +8,14 @@ import numpy as np
 from scope_models.exceptions import FitWarning
 from scope_models.fitting.result import FittedStar, TPFFit
 
-__all__ = ["make_results", "warn_of_fit"]
+__all__ = ["doubts_of", "make_results", "warn_of_fit"]
 
-_FACTS = ("OBJECT", "MISSION", "TELESCOP", "CAMPAIGN", "QUARTER", "SECTOR", "CHANNEL", "KEPMAG")
+# Cards that a fit keeps: what the star is, and where the stamp is on detector and sky.
+_FACTS = (
+    *("OBJECT", "KEPLERID", "TICID", "RA_OBJ", "DEC_OBJ", "KEPMAG", "TESSMAG"),
+    *("MISSION", "TELESCOP", "CAMPAIGN", "QUARTER", "SECTOR", "CHANNEL", "CAMERA", "CCD"),
+    *("1CRV5P", "2CRV5P", "1CDLT5", "2CDLT5", "12PC5", "22PC5"),
+)
 # The paper's sensitivity is lower by this at the edge of a pixel than at its centre: a coefficient
 # whose error there is larger has not been measured.
 _LARGEST_EDGE_ERROR = 0.0125
@@ -69,6 +74,7 @@ def _make_result(problem, solution, errors, model_pixels, number, detector, seri
         covariance=covariance,
         at_bounds=tuple(n for n, at in zip(problem.names, at_bounds, strict=True) if at),
         neighbors=neighbors,
+        focus=1 + problem.focus(state),
         interpixel=interpixel,
         interpixel_err=interpixel_err,
         time=data.time,
@@ -159,10 +165,26 @@ def warn_of_fit(fit, stacklevel):
     stacklevel : int
         Whose line the warning names.
     """
-    messages = [*_of_convergence(fit), *_of_sensitivity(fit), *_of_pixels(fit)]
-    messages += _of_positions(fit)
-    for message in messages:
+    for message in doubts_of(fit):
         warnings.warn(message, FitWarning, stacklevel=stacklevel)
+
+
+def doubts_of(fit):
+    """
+    Return what is doubtful about a fit.
+
+    Parameters
+    ----------
+    fit : TPFFit
+        The fit.
+
+    Returns
+    -------
+    messages : list of str
+        One for each doubt.
+    """
+    messages = [*_of_convergence(fit), *_of_sensitivity(fit), *_of_pixels(fit)]
+    return [*messages, *_of_positions(fit)]
 
 
 def _of_convergence(fit):

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
+from html import escape
 from numbers import Integral, Real
 from pathlib import Path
 from types import MappingProxyType
@@ -151,6 +152,15 @@ class Motion:
             f"y {self.y.min():.3g} to {self.y.max():.3g} px>"
         )
 
+    def _repr_html_(self):
+        known = {key: value for key, value in self.meta.items() if key != "generator"}
+        rows = {"distance": str(self.statistics()), **known}
+        cells = "".join(
+            f"<tr><th>{escape(str(key))}</th><td>{escape(str(value))}</td></tr>"
+            for key, value in rows.items()
+        )
+        return f"<p>{escape(repr(self))}</p><table>{cells}</table>"
+
     def __len__(self):
         return len(self.time)
 
@@ -223,7 +233,7 @@ class Motion:
             Zero of the times: BJD - 2454833 (Kepler, K2) or BJD - 2457000 (TESS).
         bad : {"interpolate", "drop", "error"}, optional
             What becomes of cadences with an unusable value. "interpolate" (the default) replaces
-            it by a straight line in cadence number between its usable neighbours (before the first
+            it by a straight line in cadence number between its usable neighbors (before the first
             and after the last, positions stay and times go on at the same pace) and sets a
             quality flag that lightkurve's default bitmask rejects: "manual exclude" (256, in TESS
             times 128) for a position, "no data" (65536; in TESS times "manual exclude") for a
