@@ -8,7 +8,7 @@ from scipy import ndimage
 
 from scope_models.exceptions import DetrendingWarning
 
-__all__ = ["Pixels", "aperture_pixels", "choose_aperture"]
+__all__ = ["Pixels", "aperture_pixels", "choose_aperture", "credible_flux"]
 
 #: Share of the star's light that a pixel must hold to belong to the default aperture.
 _SMALLEST_SHARE = 1e-3
@@ -18,6 +18,8 @@ _BRIGHT_PART, _FEWEST = 0.002, 3
 #: ... and at least so many standard deviations of its noise, which pure noise passes in
 #: less than one of 10^5 cadences.
 _SIGNIFICANCE = 4.5
+#: A correction that changes the flux by a larger factor than this, against the others, is none.
+_LARGEST_CORRECTION = 30.0
 
 
 @dataclass(frozen=True)
@@ -62,6 +64,8 @@ def choose_aperture(flux, flux_err, pipeline=None):
     pipeline : ndarray of bool, optional
         Pixels in which the target is searched.
     """
+    if len(flux) < _FEWEST:
+        raise ValueError(f"`tpf` has {len(flux)} cadences: at least {_FEWEST} are needed")
     finite = np.isfinite(flux).all(axis=(1, 2))
     if finite.sum() < 3:
         seen = np.isfinite(flux).mean(axis=0) > 0.5
@@ -153,6 +157,35 @@ def _filled_errors(total, total_err, usable):
         value = max(value, 1e-6 * np.median(total[usable]))
         _warn("FLUX_ERR has no valid values: the noise is taken from the scatter of the flux")
     return np.where(good, total_err, value)
+
+
+def credible_flux(flux, flux_err, total, outliers):
+    """
+    Return a corrected flux that is finite or NaN, and its errors.
+
+    Where the light in the aperture is nearly nothing, pixel fractions are large, and a model of
+    them can be anything.
+
+    Parameters
+    ----------
+    flux, flux_err : ndarray
+        Corrected flux and its error, ``(n_cadences,)``.
+    total : ndarray
+        The flux before, NaN where it cannot be used.
+    outliers : ndarray of bool
+        Cadences that were left out of the fit as outliers.
+    """
+    usable = np.isfinite(total)
+    with np.errstate(all="ignore"):
+        ratio = np.asarray(flux) / total
+        good = usable & np.isfinite(ratio) & (ratio > 0) & np.isfinite(flux_err)
+        if good.any():
+            good &= np.abs(np.log(ratio / np.median(ratio[good]))) < np.log(_LARGEST_CORRECTION)
+    if lost := int(usable.sum() - good.sum()):
+        _warn(f"{lost} of {usable.sum()} cadences are NaN: their correction is no number, or large")
+    if outliers.sum() > usable.sum() / 2:
+        _warn(f"{outliers.sum()} of {usable.sum()} cadences were left out of the fit as outliers")
+    return np.where(good, flux, np.nan), np.where(good, flux_err, np.nan)
 
 
 def _warn(message):

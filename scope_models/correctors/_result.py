@@ -1,5 +1,6 @@
 """The fit of pixel level decorrelation: hyper-parameters, systematics, errors and diagnostics."""
 
+import warnings
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -9,6 +10,7 @@ from astropy.table import QTable
 from scope_models._arrays import plain_array
 from scope_models._checks import checked_integer
 from scope_models.correctors._solution import Solution
+from scope_models.exceptions import DetrendingWarning
 
 __all__ = ["PLDFit", "transit_column"]
 
@@ -271,10 +273,13 @@ class PLDFit:
         Returns
         -------
         scale, error : float
-            Amplitude in units of the model's, and its standard deviation.
+            Amplitude in units of the model's, and its standard deviation; NaN and infinity if no
+            cadence samples the event.
         """
         usable = self.model.pixels.usable
         column = transit_column(transit_model, self.model.pixels.time)[usable]
+        if not column.any():
+            return np.nan, np.inf
         use = self.solution.use | self.transit_mask[usable]
         options = self.model.options
         solution = self.solution.with_flat(column, use)
@@ -377,7 +382,8 @@ def transit_column(model, time):
     Returns
     -------
     ndarray
-        Logarithms, 0 where the time is unknown.
+        Logarithms, 0 where the time is unknown; of shape ``(n, 0)``, with a warning, where a
+        callable is constant at all cadences.
     """
     known = np.isfinite(time)
     if callable(model):
@@ -390,6 +396,11 @@ def transit_column(model, time):
     if not np.isfinite(values[known]).all() or np.any(values[known] <= 0):
         raise ValueError("`transit_model` must be positive and finite: it is a relative flux")
     column = np.log(np.where(known, values, 1.0))
-    if not np.ptp(column[known]) > 0:
+    varies = np.ptp(column[known]) > 0
+    if callable(model) and not varies:
+        message = "`transit_model` is constant at all cadences: its event lies in a gap"
+        warnings.warn(message, DetrendingWarning, stacklevel=4)
+        return np.zeros((len(time), 0))
+    if not varies:
         raise ValueError("`transit_model` must vary with time, got a constant")
     return column[:, None]

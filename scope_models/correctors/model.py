@@ -325,6 +325,4 @@ class PLDModel:
                 "the pixels' covariance is singular to working precision: check FLUX_ERR and the "
                 "aperture, or lower `order`"
             ) from error
-        return PLDFit(
-            self, solution, mask & ~in_transit, in_transit, joint=transit_model is not None
-        )
+        return PLDFit(self, solution, mask & ~in_transit, in_transit, joint=column.size > 0)

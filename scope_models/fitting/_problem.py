@@ -5,6 +5,7 @@ from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
+from scipy.interpolate import BSpline
 
 from scope_models.fitting.parameters import FitParameter, fit_parameters
 
@@ -16,11 +17,18 @@ _CHUNK = 256
 _UNTRUE, _SAME = 1.5, 0.02
 # Median of the square of a standard normal deviate.
 _MEDIAN_SQUARE = 0.4549364
-# Parameters of the path, and their kinds.
-_AFFINE = tuple(
-    (f"{axis}_{name}", "position" if name == "const" else "slope")
-    for axis in "xy"
-    for name in ("const", "by_corr1", "by_corr2")
+# Standard deviation of the relative change of the PSF's width before the fit.
+_FOCUS_PRIOR = 0.05
+# Standard deviation of the scale of the motion about that of POS_CORR.
+_SCALE_PRIOR = 0.02
+# Parameters of the path.
+_AFFINE = (
+    FitParameter("x_const", "position"),
+    FitParameter("x_by_corr1", "slope", prior=_SCALE_PRIOR, center=1.0),
+    FitParameter("x_by_corr2", "slope", prior=_SCALE_PRIOR),
+    FitParameter("y_const", "position"),
+    FitParameter("y_by_corr1", "slope", prior=_SCALE_PRIOR),
+    FitParameter("y_by_corr2", "slope", prior=_SCALE_PRIOR, center=1.0),
 )
 _LARGEST_MOVE = 0.3
 # How far another star may be from its first guess, pixels.
@@ -50,6 +58,8 @@ class FitOptions:
         Residual, in standard deviations, from which "soft_l1" grows only linearly.
     saturation : bool
         Whether saturated columns are left out.
+    focus : float or None
+        Shortest time in which the width of the PSF changes, days.
     """
 
     empirical: int = 0
@@ -60,6 +70,7 @@ class FitOptions:
     loss: str = "linear"
     loss_scale: float = 3.0
     saturation: bool = True
+    focus: float | None = None
 
     @property
     def soft(self):
@@ -183,6 +194,10 @@ class Problem:
         The stars, the first one without offsets.
     error_scale : float, optional
         Factor of all errors.
+    target : ndarray of shape (2,), optional
+        Where the first star is, if the caller says so.
+    span : tuple of float, optional
+        First and last time that the focus covers, days.
     """
 
     stamps: tuple
@@ -190,6 +205,8 @@ class Problem:
     options: FitOptions
     stars: tuple = (FitStar(),)
     error_scale: float = 1.0
+    target: np.ndarray | None = None
+    span: tuple | None = None
 
     # --- data -----------------------------------------------------------------------------
     @property
@@ -232,6 +249,22 @@ class Problem:
         offsets = self.data.pos_corr - np.median(self.data.pos_corr, axis=0)
         return np.column_stack([np.ones(len(offsets)), offsets])
 
+    @cached_property
+    def focus_basis(self):
+        """Cubic splines of time of which the relative width is a sum, shape ``(n, k)``."""
+        if self.options.focus is None:
+            return np.zeros((len(self.flux), 0))
+        first, last = self.span
+        n_parts = max(1, int((last - first) / self.options.focus))
+        inner = np.linspace(first, last, n_parts + 1)
+        knots = np.concatenate([[first] * 3, inner, [last] * 3])
+        return BSpline.design_matrix(self.data.time, knots, 3).toarray()
+
+    def focus(self, state):
+        """Relative width of the PSF less 1, shape ``(n,)``."""
+        start = self.n_shared - self.focus_basis.shape[1]
+        return self.focus_basis @ state.shared[start:]
+
     def thinned(self, every):
         """Return the problem with a part of the cadences."""
         return replace(self, stamps=tuple(s[::every] for s in self.stamps))
@@ -257,7 +290,7 @@ class Problem:
         """The shared parameters, in their order."""
         shape = np.max([s.shape for s in self.stamps], axis=0) if self.stamps else (1, 1)
         result = list(fit_parameters(self.prf, shape))
-        result += [FitParameter(name, kind) for name, kind in _AFFINE[: self.n_affine]]
+        result += _AFFINE[: self.n_affine]
         for k, star in enumerate(self.stars[1:], start=1):
             for axis, start in (("x", star.x), ("y", star.y)):
                 result.append(
@@ -278,6 +311,11 @@ class Problem:
         if self.options.background == "constant":
             names = ["background", *(f"background_{i}" for i in range(1, len(self.stamps)))]
             result += [FitParameter(name, "flux") for name in names]
+        if self.options.focus is not None:
+            number = self.focus_basis.shape[1]
+            result += [
+                FitParameter(f"focus_{i}", "focus", prior=_FOCUS_PRIOR) for i in range(number)
+            ]
         return tuple(result)
 
     @cached_property
@@ -389,14 +427,29 @@ class Problem:
         """Images of unit flux at the fitted pixels of the star's stamp, ``(m, p)``."""
         stamp = self.stamps[self.stars[star].stamp]
         x, y = self.xy(state, star)[part].T
+        widens = self.options.focus is not None
+        values = self.values(state)
         result = self.prf.unit_images(
-            stamp.shape, x, y, values=self.values(state), derivatives=derivatives
+            stamp.shape, x, y, values=values, derivatives=derivatives or widens
         )
-        if not derivatives:
+        if not (derivatives or widens):
             return result[:, stamp.pixels]
         image, by = result
-        needed = (*self.names[: self.n_shape], "x_0", "y_0")
+        if widens:
+            by["focus"] = self._widened(by, values)
+            image = image + self.focus(state)[part, None, None] * by["focus"]
+        if not derivatives:
+            return image[:, stamp.pixels]
+        needed = (*self.names[: self.n_shape], "x_0", "y_0", *(("focus",) if widens else ()))
         return image[:, stamp.pixels], {name: by[name][:, stamp.pixels] for name in needed}
+
+    def _widened(self, derivatives, values):
+        """Derivative of images by the relative width: all distances from the star scale."""
+        kinds = self.prf.parameter_kinds
+        scaled = [name for name, kind in kinds.items() if kind in {"width", "offset"}]
+        numbers = {name: float(np.ravel(getattr(self.prf, name).value)[0]) for name in scaled}
+        numbers |= {name: values[name] for name in scaled if name in values}
+        return sum(numbers[name] * derivatives[name] for name in scaled)
 
     def model(self, state):
         """Model of the fitted pixels, shape ``(n, p)``."""
@@ -498,6 +551,10 @@ class Problem:
                 by_cadence[..., axis] += moved
             if k:
                 by_shared[..., self.names.index(f"{name}_star_{k}")] = moved
+        if self.options.focus is not None:
+            number = self.focus_basis.shape[1]
+            basis = self.focus_basis[part, np.newaxis]
+            by_shared[..., -number:] += (scale * derivatives["focus"])[..., np.newaxis] * basis
         if self.stars[k].constant:
             by_shared[..., self.names.index(f"flux_star_{k}")] = response * image
         else:
@@ -509,9 +566,10 @@ class Problem:
         cost, shared, gradient = equations.cost, equations.shared, equations.shared_gradient
         for i, parameter in enumerate(self.parameters):
             if np.isfinite(parameter.prior):
-                cost += (state.shared[i] / parameter.prior) ** 2
+                deviation = state.shared[i] - parameter.center
+                cost += (deviation / parameter.prior) ** 2
                 shared[i, i] += parameter.prior**-2
-                gradient[i] -= state.shared[i] / parameter.prior**2
+                gradient[i] -= deviation / parameter.prior**2
         if self.n_pixels and np.isfinite(self.options.interpixel):
             # The prior does not constrain a common factor of all pixels: that is the flux.
             deviation = state.interpixel - state.interpixel.mean()

@@ -3,8 +3,11 @@
 import numpy as np
 from scipy.ndimage import median_filter, uniform_filter1d
 
+from scope_models.effects import Focus
+from scope_models.missions import MISSIONS
 from scope_models.models import SensitivityPolynomial
 from scope_models.scene.motion import Motion
+from scope_models.scene.scene import Scene
 from scope_models.scene.star import Star
 
 __all__ = ["make_scene", "sensitivity_profiles"]
@@ -17,7 +20,7 @@ _FEWEST_CADENCES = 20
 
 
 def make_scene(fit, positions, signal):
-    """Return the stars, detector and motion of a fit."""
+    """Return the scene of a fit."""
     if positions not in {"fitted", "path"}:
         raise ValueError(f"`positions` must be 'fitted' or 'path', got {positions!r}")
     if signal not in {"smooth", "fitted", "constant"}:
@@ -34,7 +37,13 @@ def make_scene(fit, positions, signal):
         raise ValueError(f"the star has no flux to simulate: its median is {flux:g} e-/s")
     detector = fit.detector.replace(read_noise=_read_noise(fit))
     mag = detector.zero_point_mag - 2.5 * np.log10(flux / detector.zero_point)
-    star = Star(float(mag), *middle, psf=fit.psf, signal=_signal(fit, signal))
+    stars = [Star(float(mag), *middle, psf=fit.psf, signal=_signal(fit, signal))]
+    for other in fit.neighbors:
+        light = float(np.median(other.flux))
+        if light > 0:
+            mag = detector.zero_point_mag - 2.5 * np.log10(light / detector.zero_point)
+            place = (float(np.median(values)) for values in (other.x, other.y))
+            stars.append(Star(float(mag), *place, psf=fit.psf))
     motion = Motion(
         time=fit.time,
         x=x - middle[0],
@@ -43,7 +52,27 @@ def make_scene(fit, positions, signal):
         cadenceno=fit.cadenceno,
         time_format=fit.time_format,
     )
-    return (star,), detector, motion
+    effects = () if np.all(fit.focus == 1) else (Focus(series=fit.focus),)
+    identity = _identity(fit.meta, detector.mission)
+    return Scene(stars, detector, motion, effects=effects, **identity)
+
+
+def _identity(cards, mission):
+    """Return the fields of a scene that identify the target, of the cards that the file had."""
+    names = {"target_id": ("KEPLERID", "TICID"), "object_name": ("OBJECT",)}
+    names |= {"ra": ("RA_OBJ",), "dec": ("DEC_OBJ",), "column": ("1CRV5P",), "row": ("2CRV5P",)}
+    found = {
+        name: next((cards[key] for key in keys if key in cards), None)
+        for name, keys in names.items()
+    }
+    steps = [cards.get(key) for key in ("1CDLT5", "12PC5", "2CDLT5", "22PC5")]
+    if all(isinstance(step, int | float) for step in steps):
+        east, north = steps[0] * steps[1], steps[2] * steps[3]
+        found["orientation"] = float(np.degrees(np.arctan2(east, north)))
+    if mission in MISSIONS:
+        names = (MISSIONS[mission].run, *MISSIONS[mission].places)
+        found["metadata"] = {n: cards[n.upper()] for n in names if n.upper() in cards}
+    return {name: value for name, value in found.items() if value is not None}
 
 
 def _signal(fit, kind):

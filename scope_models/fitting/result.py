@@ -10,7 +10,36 @@ from scope_models.fitting.parameters import FitParameter
 from scope_models.models import PRF
 from scope_models.scene.detector import Detector
 
-__all__ = ["TPFFit"]
+__all__ = ["FittedStar", "TPFFit"]
+
+
+@dataclass(frozen=True, eq=False)
+class FittedStar:
+    """
+    Another star in a fit.
+
+    Parameters
+    ----------
+    x, y, flux : ndarray of shape (n,)
+        Position in pixels and flux in e-/s, by cadence.
+    x_err, y_err, flux_err : ndarray of shape (n,)
+        Their errors.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from scope_models.fitting import FittedStar
+    >>> star = FittedStar(*np.ones((6, 5)))
+    >>> star.flux.shape
+    (5,)
+    """
+
+    x: np.ndarray
+    y: np.ndarray
+    flux: np.ndarray
+    x_err: np.ndarray
+    y_err: np.ndarray
+    flux_err: np.ndarray
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -33,6 +62,12 @@ class TPFFit:
         Their values.
     covariance : ndarray of shape (s, s)
         Their covariance, with the uncertainty of all other parameters.
+    at_bounds : tuple of str
+        Parameters that ended at a bound: they have no error.
+    neighbors : tuple of FittedStar
+        The other stars.
+    focus : ndarray of shape (n,)
+        Relative width of the PSF; 1 where it was not fitted.
     interpixel, interpixel_err : ndarray of shape (ny, nx)
         Response of each pixel against the others; 1 and NaN where there are no data.
     time : ndarray
@@ -84,6 +119,9 @@ class TPFFit:
     kinds: tuple
     parameters: np.ndarray
     covariance: np.ndarray
+    at_bounds: tuple
+    neighbors: tuple
+    focus: np.ndarray
     interpixel: np.ndarray
     interpixel_err: np.ndarray
     time: np.ndarray
@@ -114,7 +152,8 @@ class TPFFit:
     meta: Mapping
 
     def __post_init__(self):
-        for value in vars(self).values():
+        stars = [value for star in self.neighbors for value in vars(star).values()]
+        for value in [*vars(self).values(), *stars]:
             if isinstance(value, np.ndarray):
                 value.flags.writeable = False
 
@@ -139,9 +178,16 @@ class TPFFit:
 
     @property
     def errors(self):
-        """Standard deviations of the shared parameters by name."""
-        errors = np.sqrt(np.diag(self.covariance))
-        return dict(zip(self.names, errors.tolist(), strict=True))
+        """
+        Standard deviations of the shared parameters by name.
+
+        NaN at bounds, and for the coefficients of a sensitivity where the PSF is wrong.
+        """
+        errors = dict(zip(self.names, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
+        unknown = set(self.at_bounds)
+        if self.error_scale > 1:
+            unknown |= set(self.model.response_powers)
+        return {name: np.nan if name in unknown else error for name, error in errors.items()}
 
     @property
     def psf(self):
@@ -274,6 +320,22 @@ class TPFFit:
             result.append(float(1 - rest.var() / position.var()) if position.var() else np.nan)
         return tuple(result)
 
+    def path_scale(self):
+        """
+        Return the fitted motion over that of POS_CORR.
+
+        Returns
+        -------
+        tuple of float
+            Slope of x on POS_CORR1 and of y on POS_CORR2, in a fit of both; NaN without POS_CORR
+            or motion.
+        """
+        if self.pos_corr is None or not self.pos_corr.std(axis=0).all():
+            return np.nan, np.nan
+        basis = np.column_stack([np.ones(len(self.x)), self.pos_corr])
+        slopes = np.linalg.lstsq(basis, np.column_stack([self.x, self.y]), rcond=None)[0]
+        return float(slopes[1, 0]), float(slopes[2, 1])
+
     # --- light curve, scene, figure, file -------------------------------------------------
     def to_lightcurve(self):
         """
@@ -303,7 +365,7 @@ class TPFFit:
 
     def scene(self, *, positions="fitted", signal="smooth"):
         """
-        Return what `~scope_models.simulate` needs for the star's twin.
+        Return the scene of the star's twin, for `~scope_models.simulate`.
 
         Parameters
         ----------
@@ -315,13 +377,12 @@ class TPFFit:
 
         Returns
         -------
-        stars : tuple of Star
-            The star.
-        detector : Detector
-            The pixels, with the fitted sensitivity and response, and the read noise with which
-            faint pixels scatter as those of the file do from one cadence to the next.
-        motion : Motion
-            The positions about their median.
+        Scene
+            The stars, the pixels, the positions about their median and the focus, if it was
+            fitted. The pixels have the fitted sensitivity and response, and the read noise with
+            which faint pixels scatter as those of the file do from one cadence to the next. The
+            target's name and number, its place on the sky and that of the stamp on the detector
+            are those of the file.
 
         Notes
         -----
@@ -330,6 +391,36 @@ class TPFFit:
         from scope_models.fitting._scene import make_scene
 
         return make_scene(self, positions, signal)
+
+    def summary(self):
+        """
+        Return what the fit found, as text.
+
+        Returns
+        -------
+        str
+            Model, residuals, motion, parameters with errors, and doubts.
+        """
+        from scope_models.fitting._gather import doubts_of
+
+        n, ny, nx = self.observed.shape
+        state = f"{'' if self.converged else 'not '}converged after {self.n_steps} steps"
+        x, y, flux = (np.median(values) for values in (self.x, self.y, self.flux))
+        typical = np.nanmedian(self.chi2_pixels)
+        stars = 1 + len(self.neighbors)
+        lines = [
+            f"{n} cadences of {ny} x {nx} pixels, {stars} star{'s' * (stars > 1)}, {state}",
+            f"chi-squared per degree of freedom {self.reduced_chi2:.4g}, typically {typical:.4g}",
+            f"errors of the pixels scaled by {self.error_scale:.3g}",
+            f"flux {flux:.6g} e-/s at column {x:.3f}, row {y:.3f}",
+        ]
+        for axis, r2, scale in zip("xy", self.path_r2(), self.path_scale(), strict=True):
+            if np.isfinite(scale):
+                lines.append(f"motion along {axis}: {scale:.3f} of POS_CORR, R2 {r2:.3f}")
+        for row in self.table():
+            error = "fixed" if row["fixed"] else f"+- {row['error']:.2g}"
+            lines.append(f"  {row['name']:18s} {row['value']:12.6g} {error} {row['unit']}".rstrip())
+        return "\n".join([*lines, *(f"! {doubt}" for doubt in doubts_of(self))])
 
     def plot(self):
         """
