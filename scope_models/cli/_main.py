@@ -51,7 +51,7 @@ def main(argv=None):
         warnings.filterwarnings("ignore", ".*tpfmodel submodule is not available", UserWarning)
         try:
             return arguments.run(arguments) or 0
-        except (MemoryError, OSError, TypeError, ValueError) as error:
+        except (ImportError, MemoryError, OSError, TypeError, ValueError) as error:
             _tell("error", error)
             return 2
         except KeyboardInterrupt:
