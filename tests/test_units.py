@@ -559,6 +559,7 @@ ROWS = {
     "PRFGrid.at.column": (lambda v: GRID.at(v, 20)(1, 0), 51.0, u.pix),
     "PRFGrid.at.row": (lambda v: GRID.at(51, v)(1, 0), 20.0, u.pix),
     "fit_tpf.position_error": (fitted("position_error"), 0.2, u.pix),
+    "fit_tpf.focus": (fitted("focus"), 0.1, u.day),
     "fit_tpf.flux_err": (fitted("flux_err"), np.full((8, 5, 5), 50.0), RATE),
     **{
         f"plot_fit.{name}": (
