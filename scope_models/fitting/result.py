@@ -443,7 +443,8 @@ class TPFFit:
             pos_corr=self.pos_corr,
             sensitivity=sensitivity_profiles(self),
             chi2=self.chi2_pixels,
-            light_curve=(self.time, self.flux),
+            time=self.time,
+            flux=self.flux,
         )
 
     def write(self, path, overwrite=False):

@@ -18,7 +18,7 @@ _LINEAR = 0.01
 
 @styled
 def plot_fit(
-    data, model, residual, x, y, *, pos_corr=None, sensitivity=None, chi2=None, light_curve=None
+    data, model, residual, x, y, *, pos_corr=None, sensitivity=None, chi2=None, time=None, flux=None
 ):
     """
     Draw data, model and residual, positions against POS_CORR, chi-squared and the sensitivity.
@@ -40,8 +40,8 @@ def plot_fit(
         deviation there, NaN where a coefficient is at its bound.
     chi2 : array_like, optional
         Chi-squared per degree of freedom of each pixel, ``(ny, nx)``.
-    light_curve : tuple of array_like, optional
-        Times in days and fluxes in e-/s, ``(n_cadences,)`` each.
+    time, flux : array_like or `~astropy.units.Quantity`, optional
+        Light curve ``(n_cadences,)`` in days and e-/s.
 
     Returns
     -------
@@ -67,10 +67,9 @@ def plot_fit(
     x, y = plain_array(x, u.pix, "x"), plain_array(y, u.pix, "y")
     if pos_corr is not None:
         pos_corr = plain_array(pos_corr, u.pix, "pos_corr")
-    if light_curve is not None:
-        time, flux = light_curve
-        light_curve = plain_array(time, u.day, "time"), plain_array(flux, _RATE, "flux")
-    last = ("sensitivity", sensitivity) if sensitivity else ("light curve", light_curve)
+    time = None if time is None else plain_array(time, u.day, "time")
+    flux = None if flux is None else plain_array(flux, _RATE, "flux")
+    last = ("sensitivity", sensitivity) if sensitivity else ("light curve", flux)
     below = [name for name, part in (("chi2", chi2), last) if part is not None]
     names = [*_TITLES, "positions", *below]
     figure = plt.figure(figsize=(11.5, 6.4), layout="constrained")
@@ -98,11 +97,14 @@ def plot_fit(
         figure.colorbar(shown, ax=axes["chi2"], label="Per degree of freedom")
     if sensitivity:
         _draw_sensitivity(axes["sensitivity"], sensitivity)
-    elif light_curve is not None:
-        time, flux = light_curve
+    elif flux is not None:
         ax = axes["light curve"]
-        ax.plot(time, flux, "k.", ms=2)
-        ax.set(title="Light curve", xlabel="Time (d)", ylabel="Flux (e$^-$ s$^{-1}$)")
+        ax.plot(np.arange(flux.size) if time is None else time, flux, "k.", ms=2)
+        ax.set(
+            title="Light curve",
+            xlabel="Cadence" if time is None else "Time (d)",
+            ylabel="Flux (e$^-$ s$^{-1}$)",
+        )
         ax.set_ylim(*_without_outliers([flux]))
     return axes
 
