@@ -424,7 +424,7 @@ class TPFFit:
 
     def plot(self):
         """
-        Draw data, model and residual, positions against POS_CORR, chi-squared, the sensitivity.
+        Draw data, model and residual, positions, chi-squared, sensitivity or light curve.
 
         Returns
         -------
@@ -443,6 +443,8 @@ class TPFFit:
             pos_corr=self.pos_corr,
             sensitivity=sensitivity_profiles(self),
             chi2=self.chi2_pixels,
+            time=self.time,
+            flux=self.flux,
         )
 
     def write(self, path, overwrite=False):

@@ -110,12 +110,24 @@ def test_scene_options(fit):
 def test_figure(fit):
     axes = fit.plot()
     assert sorted(axes) == ["chi2", "data", "model", "positions", "residual", "sensitivity"]
-    scales = {id(axes[name].images[0].norm) for name in ("data", "model", "residual")}
+    scales = {id(axes[name].images[0].norm) for name in ("data", "model")}
     assert len(scales) == 1
+    # The residual has a linear scale of its own, symmetric about 0.
+    norm = axes["residual"].images[0].norm
+    assert (
+        norm.vmax == -norm.vmin == pytest.approx(np.abs(np.nanmedian(fit.residual, axis=0)).max())
+    )
     np.testing.assert_array_equal(axes["chi2"].images[0].get_array(), fit.chi2_pixels)
     for ax in axes.values():
         assert ax.get_xlabel()
         assert ax.get_ylabel()
+    plt.close("all")
+
+
+def test_figure_without_a_sensitivity_has_the_light_curve(observation):
+    axes = fit_tpf(observation.to_tpf()[:60], 2).plot()
+    assert sorted(axes) == ["chi2", "data", "light curve", "model", "positions", "residual"]
+    assert axes["light curve"].get_xlabel() == "Time (d)"
     plt.close("all")
 
 
