@@ -283,7 +283,7 @@ class SceneCorrector(Corrector):
         windows = _WINDOWS if data.aperture is None else (data.aperture,)
         found = []
         for window in windows:
-            if window == "optimal" and scene.full.any():
+            if isinstance(window, str) and scene.full.any():  # weights by light need all pixels
                 continue
             weights = window_weights(scene, noise, window)
             one = window_flux(
