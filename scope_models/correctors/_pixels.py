@@ -1,14 +1,21 @@
 """The pixels of a target pixel file, as arrays that can be trusted."""
 
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import ndimage
 
+from scope_models.correctors._clean import clean_pixels
 from scope_models.exceptions import DetrendingWarning
 
-__all__ = ["Pixels", "aperture_pixels", "choose_aperture"]
+__all__ = [
+    "Pixels",
+    "aperture_pixels",
+    "can_predict",
+    "choose_aperture",
+    "with_predicted_fractions",
+]
 
 #: Share of the star's light that a pixel must hold to belong to the default aperture.
 _SMALLEST_SHARE = 1e-3
@@ -18,6 +25,10 @@ _BRIGHT_PART, _FEWEST = 0.002, 3
 #: ... and at least so many standard deviations of its noise, which pure noise passes in
 #: less than one of 10^5 cadences.
 _SIGNIFICANCE = 4.5
+#: The background is first sought in this part of the pixels, in so many at least for a slope.
+_DARK_PART, _FEWEST_DARK, _PLANE_FITS = 0.3, 8, 5
+#: Fewer cadences or pixels do not determine how the fractions change with position.
+_CADENCES_TO_PREDICT, _PIXELS_TO_PREDICT = 100, 4
 
 
 @dataclass(frozen=True)
@@ -87,6 +98,52 @@ def choose_aperture(flux, flux_err, pipeline=None):
     return labels == labels.flat[peak]
 
 
+def target_pixels(image, lit):
+    """
+    Leave out the pixels of other stars: those from which the light rises to another peak.
+
+    Parameters
+    ----------
+    image : ndarray
+        Typical image, ``(ny, nx)``.
+    lit : ndarray of bool
+        Pixels with light, of which the brightest is the target's.
+    """
+    values = np.where(np.isfinite(image), image, -np.inf)
+    padded = np.pad(values, 1, constant_values=-np.inf)
+    windows = np.lib.stride_tricks.sliding_window_view(padded, (3, 3)).reshape(*image.shape, 9)
+    step = np.argmax(windows, axis=2)
+    rows, columns = np.indices(image.shape)
+    higher = ((rows + step // 3 - 1) * image.shape[1] + columns + step % 3 - 1).ravel()
+    for _ in range(int(np.log2(image.size)) + 1):
+        higher = higher[higher]
+    peak = np.argmax(np.where(lit, values, -np.inf))
+    return lit & (higher == higher[peak]).reshape(image.shape)
+
+
+def background_plane(image):
+    """
+    Return the background of a typical image: a plane through its darkest pixels.
+
+    Parameters
+    ----------
+    image : ndarray
+        Median image, ``(ny, nx)``; NaN where there are no data.
+    """
+    rows, columns = np.indices(image.shape)
+    terms = np.stack([np.ones_like(image), rows - rows.mean(), columns - columns.mean()], axis=2)
+    known = np.isfinite(image)
+    dark = known & (image <= np.quantile(image[known], _DARK_PART))
+    if dark.sum() < _FEWEST_DARK:
+        return np.full(image.shape, np.median(image[dark]))
+    for _ in range(_PLANE_FITS):
+        plane = terms @ np.linalg.lstsq(terms[dark], image[dark], rcond=None)[0]
+        rest = image - plane
+        spread = 1.4826 * np.median(np.abs(rest[dark]))
+        dark = known & (rest <= 2.5 * spread)
+    return plane
+
+
 def aperture_pixels(series, aperture):
     """
     Return the pixels of an aperture of a target pixel file.
@@ -120,6 +177,71 @@ def aperture_pixels(series, aperture):
         _warn(f"{finite.sum() - positive.sum()} cadences without a positive flux are left out")
     total_err = _filled_errors(total, total_err, positive)
     return Pixels(time, flux, flux_err, aperture, total, total_err, positive)
+
+
+def can_predict(pixels, saturation, regressor_mask):
+    """
+    Whether the pixel fractions can be predicted.
+
+    Not with pixels of the user's own as regressors, nor with few pixels or cadences, nor where
+    pixels are full: their light depends on other pixels.
+
+    Parameters
+    ----------
+    pixels : Pixels
+        Pixels as measured.
+    saturation : float or None
+        Flux of a full pixel, e-/s.
+    regressor_mask : ndarray of bool or None
+        Pixels of the user's own as regressors.
+    """
+    flux = pixels.flux[pixels.usable][:, pixels.aperture]
+    full = saturation is not None and np.quantile(flux, 0.99, axis=0).max(initial=0) > saturation
+    enough = flux.shape[0] >= _CADENCES_TO_PREDICT and flux.shape[1] >= _PIXELS_TO_PREDICT
+    varies = np.ptp(flux, axis=0).max(initial=0) > 0
+    return regressor_mask is None and not full and enough and varies
+
+
+def with_predicted_fractions(pixels, pos_corr):
+    """
+    Return the star's light with predicted pixel fractions in place of the measured pixels.
+
+    Parameters
+    ----------
+    pixels : Pixels
+        Pixels as measured.
+    pos_corr : ndarray or None
+        Offsets ``(n_cadences, 2)``, px.
+
+    Returns
+    -------
+    pixels : Pixels
+        ``total`` is the light without background and without the constant light that is known,
+        ``flux`` the predicted fractions times this.
+    clean : CleanPixels
+        What was found.
+    """
+    use = pixels.usable.copy()
+    known = np.isfinite(pixels.flux[use]).all(axis=0)
+    rows, columns = np.nonzero(known)
+    if pos_corr is None:
+        pos_corr = np.full((len(use), 2), np.nan)
+    clean = clean_pixels(
+        pixels.time[use],
+        pixels.flux[use][:, known],
+        pixels.flux_err[use][:, known],
+        pos_corr[use],
+        np.stack([columns, rows], axis=1),
+        pixels.aperture[known],
+    )
+    flux = np.zeros_like(pixels.flux)
+    cube = np.zeros((use.sum(), *known.shape))
+    cube[:, known] = clean.shares * clean.light[:, None]
+    flux[use] = cube
+    total = np.full(len(use), np.nan)
+    total[use] = clean.light
+    usable = use & (np.nan_to_num(total) > 0)
+    return replace(pixels, flux=flux, total=total, usable=usable), clean
 
 
 def _checked_aperture(aperture, flux):

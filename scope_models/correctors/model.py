@@ -8,6 +8,7 @@ from astropy import units as u
 
 from scope_models._arrays import plain_array, plain_number
 from scope_models._checks import checked_integer, checked_mask
+from scope_models.correctors._clean import CleanPixels
 from scope_models.correctors._design import (
     DesignOptions,
     background_columns,
@@ -17,7 +18,12 @@ from scope_models.correctors._design import (
 )
 from scope_models.correctors._features import Regressors
 from scope_models.correctors._lightkurve import external_columns
-from scope_models.correctors._pixels import Pixels, aperture_pixels
+from scope_models.correctors._pixels import (
+    Pixels,
+    aperture_pixels,
+    can_predict,
+    with_predicted_fractions,
+)
 from scope_models.correctors._result import PLDFit, transit_column
 from scope_models.correctors._solution import fit
 from scope_models.io import read_pixels
@@ -27,6 +33,7 @@ __all__ = ["PLDModel", "PLDOptions"]
 _FEWEST_CADENCES = 30
 #: Columns of background if pixels are given for them, but no number.
 _BACKGROUND_COLUMNS = 3
+_FRACTIONS = ("predicted", "measured")
 _TRENDS = {"gp": 1, "quadratic": 3}
 
 
@@ -44,6 +51,9 @@ class PLDOptions:
     segments : "auto", None or sequence of float, optional
         Times (days) at which the coefficients of order 1 may change. By
         default where the sense of the roll reverses.
+    fractions : {"predicted", "measured"}, optional
+        Pixel fractions as a model of the star, its motion, focus and background predicts them,
+        or as they are measured.
     pca_components : int, optional
         Largest number of columns per order.
     pld_aperture_mask : array_like of bool, optional
@@ -79,6 +89,7 @@ class PLDOptions:
     order: int = 2
     trend: str = "gp"
     segments: object = "auto"
+    fractions: str = "predicted"
     pca_components: int | None = None
     pld_aperture_mask: object = None
     background: int = 0
@@ -93,6 +104,8 @@ class PLDOptions:
         checked_integer("order", self.order, 1)
         if self.trend not in _TRENDS:
             raise ValueError(f"`trend` must be one of {tuple(_TRENDS)}, got {self.trend!r}")
+        if self.fractions not in _FRACTIONS:
+            raise ValueError(f"`fractions` must be one of {_FRACTIONS}, got {self.fractions!r}")
         checked_integer("background", self.background, 0)
         if self.pca_components is not None:
             checked_integer("pca_components", self.pca_components, 1)
@@ -148,12 +161,14 @@ class PLDModel:
     Parameters
     ----------
     pixels : Pixels
-        Pixels, aperture, and cadences that can be used.
+        Light and fractions of the pixels, aperture, and cadences that can be used.
     options : PLDOptions
         Order, trend, further regressors, clipping.
     design : DesignOptions
         The same for the design matrix, with what has been found in the file: segments,
         saturation, columns of background and neighbors.
+    clean : CleanPixels or None
+        What was found about the pixels if the fractions are predicted ones.
 
     See Also
     --------
@@ -175,6 +190,7 @@ class PLDModel:
     pixels: Pixels
     options: PLDOptions
     design: DesignOptions
+    clean: CleanPixels | None = None
 
     @classmethod
     def from_tpf(cls, tpf, aperture_mask=None, **options):
@@ -236,11 +252,15 @@ class PLDModel:
         saturation = options.saturation
         if saturation == "auto":
             saturation = series.mission and series.mission.full_flux
+        clean = None
+        if options.fractions == "predicted" and can_predict(pixels, saturation, regressor_mask):
+            pixels, clean = with_predicted_fractions(pixels, series.pos_corr)
+            saturation = None
         breaks = segment_breaks(options.segments, pixels)
         design = DesignOptions(
             options.order, saturation, breaks, extra, options.pca_components, regressor_mask
         )
-        return cls(pixels, options, design)
+        return cls(pixels, options, design, clean)
 
     def __repr__(self):
         return (

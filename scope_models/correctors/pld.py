@@ -123,6 +123,7 @@ class PLDCorrector(Corrector):
         trend="gp",
         segments="auto",
         aperture_mask=None,
+        fractions="predicted",
         pca_components=None,
         pld_aperture_mask=None,
         background=0,
@@ -162,6 +163,12 @@ class PLDCorrector(Corrector):
             prior variance of its own, which vanishes if nothing changes.
         aperture_mask : array_like of bool or str, optional
             Another aperture, from this call on.
+        fractions : {"predicted", "measured"}, optional
+            Pixel fractions as a model of the star, its motion, focus and
+            background predicts them, or as they are measured. Measured
+            fractions follow the star where other light is in the aperture.
+            Full pixels, ``pld_aperture_mask`` and fewer than 100 cadences
+            or 4 pixels allow measured fractions only.
         pca_components : int, optional
             Largest number of columns per order: the first principal
             components; 0 and None: as many as can change the flux. The prior
@@ -218,6 +225,7 @@ class PLDCorrector(Corrector):
             "order": order,
             "trend": trend,
             "segments": segments,
+            "fractions": fractions,
             "pca_components": pca_components or None,
             "pld_aperture_mask": self._named(pld_aperture_mask, "pld_aperture_mask"),
             "background": background,
