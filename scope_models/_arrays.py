@@ -6,7 +6,16 @@ from astropy.time import Time, TimeDelta
 
 from scope_models.missions import TIME_ZEROS
 
-__all__ = ["DIGITAL", "PER_PIXEL", "plain_array", "plain_number", "plain_time", "unmasked"]
+__all__ = [
+    "DIGITAL",
+    "PER_PIXEL",
+    "is_angle",
+    "plain_array",
+    "plain_number",
+    "plain_time",
+    "refuse_unit",
+    "unmasked",
+]
 
 # Times beyond this are Julian dates, modified or not, which no mission's times reach.
 _LARGEST_DAY = 2e4
@@ -101,7 +110,7 @@ def plain_array(value, unit, name, *, pixel_scale=None, equivalencies=()):
     except u.UnitConversionError:
         wanted = unit.to_string() or "a number without a unit"
         hint = ""
-        if pixel_scale is None and quantity.unit.is_equivalent(u.arcsec) and unit == u.pix:
+        if pixel_scale is None and is_angle(quantity.unit) and unit == u.pix:
             hint = "; there is no pixel scale here to convert an angle with"
         raise ValueError(
             f"`{name}` must be in {wanted}, or convert to it, got {quantity.unit}{hint}"
@@ -176,12 +185,27 @@ def plain_time(value, time_format, name):
         zero = Time(TIME_ZEROS[time_format], format="jd", scale="tdb")
         return np.where(mask, np.nan, (plain.tdb - zero).to_value(u.day))
     days = plain_array(value, u.day, name)
-    if np.any(np.abs(days) > _LARGEST_DAY):
+    if np.any(np.isfinite(days) & (days > _LARGEST_DAY)):
+        zero = TIME_ZEROS.get(time_format)
+        wanted = (
+            "days since a mission's zero of time" if zero is None else f"BJD - {zero:.0f} in days"
+        )
         raise ValueError(
-            f"`{name}` must be in days since the mission's zero of time, got Julian dates "
-            f"(about {np.nanmax(np.abs(days)):.1f}); pass an astropy Time instead"
+            f"`{name}` must be {wanted}, got {np.nanmax(days):.1f}, as in Julian dates, which "
+            "astropy.time.Time converts"
         )
     return days
+
+
+def refuse_unit(array, name):
+    """Raise an error if an array that is changed in place has a unit."""
+    if hasattr(array, "unit"):
+        raise TypeError(f"`{name}` is changed in place and must be a plain array, got a unit")
+
+
+def is_angle(unit):
+    """Return whether a unit, or None, is that of an angle."""
+    return unit is not None and unit.is_equivalent(u.rad)
 
 
 def _hint(unit):

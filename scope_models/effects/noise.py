@@ -11,8 +11,11 @@ import zlib
 from collections.abc import Iterable
 from numbers import Integral
 
+import astropy.units as u
 import numpy as np
 from scipy.special import ndtr
+
+from scope_models._arrays import DIGITAL, plain_array, plain_number, refuse_unit
 
 __all__ = [
     "NOISE_TERMS",
@@ -184,8 +187,8 @@ def poisson_quantile(deviate, mean):
     ----------
     deviate : array_like
         Standard normal deviates.
-    mean : array_like
-        Expected counts; not negative. Broadcast against ``deviate``.
+    mean : array_like or Quantity
+        Expected counts of electrons; not negative. Broadcast against ``deviate``.
 
     Returns
     -------
@@ -204,7 +207,7 @@ def poisson_quantile(deviate, mean):
     array([2., 4., 6.])
     """
     deviate = np.asarray(deviate, dtype=float)
-    mean = np.asarray(mean, dtype=float)
+    mean = plain_array(mean, u.electron, "mean")
     shape = np.broadcast_shapes(deviate.shape, mean.shape)
     deviate = np.broadcast_to(deviate, shape)
     counts = np.empty(shape)
@@ -268,8 +271,8 @@ def poisson_counts(mean, generator, shape=None):
 
     Parameters
     ----------
-    mean : array_like
-        Expected counts; not negative.
+    mean : array_like or Quantity
+        Expected counts of electrons; not negative.
     generator : numpy.random.Generator
         The stream of the effect.
     shape : tuple of int, optional
@@ -299,9 +302,9 @@ def add_read_noise(electrons, sigma, generator):
     ----------
     electrons : ndarray of float
         Electrons per cadence; changed in place.
-    sigma : float
-        Standard deviation of all reads of a cadence together: the noise of one read times the
-        square root of the number of reads.
+    sigma : float or Quantity
+        Standard deviation of all reads of a cadence together, electrons: the noise of one read
+        times the square root of the number of reads.
     generator : numpy.random.Generator
         The stream of the effect.
 
@@ -318,8 +321,9 @@ def add_read_noise(electrons, sigma, generator):
     >>> bool(abs(noise.std() / 90 - 1) < 0.02)
     True
     """
+    refuse_unit(electrons, "electrons")
     deviates = generator.standard_normal(electrons.shape)
-    deviates *= sigma
+    deviates *= plain_number(sigma, u.electron, "sigma")
     electrons += deviates
     return electrons
 
@@ -335,7 +339,7 @@ def add_quantization(electrons, gain, n_reads, generator):
     ----------
     electrons : ndarray of float
         Electrons per cadence; changed in place.
-    gain : float
+    gain : float or Quantity
         Electrons per digital number.
     n_reads : int
         Reads per cadence.
@@ -354,6 +358,8 @@ def add_quantization(electrons, gain, n_reads, generator):
     >>> float(add_quantization(np.array([344.0]), 110.0, 1, stream(1, "quantization"))[0])
     330.0
     """
+    gain = plain_number(gain, u.electron / u.adu, "gain", equivalencies=DIGITAL)
+    refuse_unit(electrons, "electrons")
     deviates = generator.standard_normal(electrons.shape)
     deviates *= gain * np.sqrt((n_reads - 1) / 12.0)
     electrons += deviates

@@ -1,6 +1,9 @@
 """Saturation: charge beyond the depth of a well bleeds along its column."""
 
+import astropy.units as u
 import numpy as np
+
+from scope_models._arrays import plain_array, plain_number, refuse_unit
 
 __all__ = ["bleed"]
 
@@ -15,10 +18,10 @@ def bleed(charge, well_depth, background=0.0):
     Parameters
     ----------
     charge : ndarray of float, shape (..., ny, nx)
-        Charge in each pixel; changed in place. Rows are y.
-    well_depth : float
-        The largest charge that a pixel holds, in the unit of ``charge``.
-    background : float or array_like of shape (ny, nx), optional
+        Charge in each pixel, electrons; changed in place. Rows are y.
+    well_depth : float or Quantity
+        The largest charge that a pixel holds, electrons.
+    background : float, Quantity or array_like of shape (ny, nx), optional
         Charge that is in the wells besides and stays where it is; less than the well depth.
 
     Returns
@@ -39,7 +42,9 @@ def bleed(charge, well_depth, background=0.0):
     >>> bleed(column, 10.0).ravel()
     array([ 0. ,  7.5, 10. ,  7.5,  0. ])
     """
-    capacity = well_depth - np.asarray(background)
+    refuse_unit(charge, "charge")
+    well_depth = plain_number(well_depth, u.electron, "well_depth")
+    capacity = well_depth - plain_array(background, u.electron, "background")
     full = np.any(charge > capacity, axis=-2)
     if not full.any():
         return charge

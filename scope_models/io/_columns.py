@@ -9,7 +9,6 @@ from scope_models._arrays import plain_array, plain_time
 __all__ = ["PixelColumn", "checked_columns", "pixel_columns", "table_rows"]
 
 _ROLLING_BAND_DURATIONS = 5
-_LATEST_DAY = 1e5
 _UNITS = {"time": "d", "timecorr": "d", "pos_corr1": "pix", "pos_corr2": "pix"}
 _UNITS |= dict.fromkeys(
     ("flux", "flux_err", "flux_bkg", "flux_bkg_err", "cosmic_rays"), "electron / s"
@@ -168,19 +167,13 @@ def checked_columns(metadata, values):
 
 def _checked_time(metadata, time, n_cadences):
     """Return times that grow, with NaN where there are none."""
-    if _has_unit(time):
-        time = plain_time(time, metadata.layout.time_format, "time")
+    time = plain_time(time, metadata.layout.time_format, "time")
     time = _floats("time", time, (n_cadences,))
     known = time[np.isfinite(time)]
     if known.size == 0:
         raise ValueError("`time` must have a finite value")
     if np.any(np.diff(known) <= 0):
         raise ValueError("`time` must increase from cadence to cadence")
-    if np.abs(known[[0, -1]]).max() > _LATEST_DAY:
-        raise ValueError(
-            f"`time` must be {metadata.layout.time_unit.removesuffix(', days')} in days, "
-            f"got {known[0]} to {known[-1]}"
-        )
     return time
 
 

@@ -2,10 +2,17 @@
 
 import datetime as dt
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import InitVar, dataclass, field
+from typing import TYPE_CHECKING
 
+import astropy.units as u
+
+from scope_models._arrays import DIGITAL, PER_PIXEL
 from scope_models._checks import checked_integer, checked_number
 from scope_models.missions import MISSIONS
+
+if TYPE_CHECKING:
+    from astropy.coordinates import SkyCoord
 
 __all__ = ["TPFMetadata"]
 
@@ -23,6 +30,21 @@ _OF_DETECTOR = (
     "mean_black",
     "fixed_offset",
 )
+_POSITIVE, _ANY_SIGN = {"positive": True}, {"any_sign": True}
+_UNITS = {
+    "pixel_scale": (u.arcsec, {**_POSITIVE, "equivalencies": PER_PIXEL}),
+    "int_time": (u.s, _POSITIVE),
+    "time_delta": (u.day, _POSITIVE),
+    "gain": (u.electron / u.adu, {**_POSITIVE, "equivalencies": DIGITAL}),
+    "read_time": (u.s, {}),
+    "read_noise": (u.electron, {}),
+    "ra": (u.deg, _ANY_SIGN),
+    "dec": (u.deg, _ANY_SIGN),
+    "x_0": (u.pix, _ANY_SIGN),
+    "y_0": (u.pix, _ANY_SIGN),
+    "orientation": (u.deg, _ANY_SIGN),
+    "magnitude": (u.mag, _ANY_SIGN),
+}
 _RUNS = ("quarter", "campaign", "sector")
 
 
@@ -47,16 +69,16 @@ class TPFMetadata:
         Frames per cadence; by default those of the mission's usual cadence.
     object_name : str, optional
         OBJECT; by default "SIM" and the number, for the star is not the one of a catalogue.
-    ra, dec : float, optional
+    ra, dec : float or Quantity, optional
         Position, deg; by default the middle of a field of the mission (for TESS the north
         ecliptic pole).
-    x_0, y_0 : float, optional
+    x_0, y_0 : float or Quantity, optional
         The pixel (0-based, in the stamp) that looks at ``ra`` and ``dec``; by default the middle
         of the stamp.
-    orientation : float, optional
+    orientation : float or Quantity, optional
         Position angle of the direction of growing rows, deg from north to east. At 0, rows grow
         to the north and columns to the west.
-    magnitude : float, optional
+    magnitude : float or Quantity, optional
         KEPMAG or TESSMAG.
     quarter, campaign, sector : int, optional
         When it was observed; only that of the mission may be given.
@@ -68,11 +90,11 @@ class TPFMetadata:
         Detector column and row of the first pixel of the stamp.
     n_readouts : int, optional
         Frames that are summed up; by default ``n_frames``.
-    time_delta : float, optional
+    time_delta : float or Quantity, optional
         Length of a cadence, days; by default that of the frames.
-    gain : float, optional
+    gain : float or Quantity, optional
         Electrons per count.
-    read_noise : float, optional
+    read_noise : float or Quantity, optional
         Standard deviation of one read, electrons.
     mean_black : int, optional
         Black level of one read, counts.
@@ -86,6 +108,8 @@ class TPFMetadata:
         Further cards: keyword to value, or to value and comment. Keywords that the layout has
         without a value (TEFF, CROWDSAP, TTABLEID, ...) are filled where they are, others are
         added to the primary header.
+    coord : astropy.coordinates.SkyCoord, optional
+        Position, in place of ``ra`` and ``dec``.
 
     Raises
     ------
@@ -134,9 +158,12 @@ class TPFMetadata:
     seed: int | None = None
     date: dt.date | None = None
     extra_cards: Mapping = field(default_factory=dict)
+    coord: InitVar["SkyCoord | None"] = None
 
-    def __post_init__(self):
+    def __post_init__(self, coord):
         """Check every field and bring it to its type."""
+        if coord is not None:
+            self._set_position(coord)
         if self.mission not in MISSIONS:
             known = ", ".join(map(repr, MISSIONS))
             raise ValueError(f"`mission` must be one of {known}, got {self.mission!r}")
@@ -161,21 +188,21 @@ class TPFMetadata:
             raise TypeError(f"`extra_cards` must be a mapping, got {self.extra_cards!r}")
         self._check_place()
 
+    def _set_position(self, coord):
+        """Set right ascension and declination to those of a coordinate."""
+        from astropy.coordinates import SkyCoord
+
+        if not isinstance(coord, SkyCoord) or not coord.isscalar:
+            raise TypeError(f"`coord` must be one SkyCoord, got {coord!r}")
+        if self.ra is not None or self.dec is not None:
+            raise ValueError("`coord` must not be given together with `ra` or `dec`")
+        object.__setattr__(self, "ra", coord.icrs.ra.deg)
+        object.__setattr__(self, "dec", coord.icrs.dec.deg)
+
     def _check_numbers(self):
         """Check the fields that are numbers."""
-        kinds = {
-            "positive": ("pixel_scale", "int_time", "time_delta", "gain"),
-            "not negative": ("read_time", "read_noise"),
-            "any sign": ("ra", "dec", "x_0", "y_0", "orientation", "magnitude"),
-        }
-        for kind, names in kinds.items():
-            for name in names:
-                self._set(
-                    name,
-                    checked_number,
-                    positive=kind == "positive",
-                    any_sign=kind == "any sign",
-                )
+        for name, (unit, options) in _UNITS.items():
+            self._set(name, checked_number, unit=unit, **options)
         smallest = {
             **dict.fromkeys(("target_id", "n_frames", "n_readouts"), 1),
             **dict.fromkeys(("channel", "module", "output", "camera", "ccd", "sector"), 1),

@@ -2,7 +2,10 @@
 
 import json
 import re
+from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from types import MappingProxyType
 
 import numpy as np
 from astropy.table import Table
@@ -13,6 +16,9 @@ _TPF_NAMES = {
     *("PRIMARY", "TARGETTABLES", "PIXELS", "APERTURE", "TARGET COSMIC RAY"),
     *("TRUTH", "SCENE"),
 }
+_MOST_COLUMNS = 999  # of the FITS standard
+_NUMBERED = "NUMBERED"
+_LONGEST_TEXT = 2000  # CFITSIO reads texts of up to 2879 characters
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -23,20 +29,18 @@ class Truth:
 
     Parameters
     ----------
-    table : astropy.table.Table
-        CADENCENO and the true values at each cadence, float64: TIME; QUALITY; the motion, MOTION_X
-        and MOTION_Y; for each star from 1 its position X1 and Y1 (mean over the cadence, pixels)
-        and its relative flux SIGNAL1; TARGET_SHARE, the target's share in the starlight of the
+    columns : mapping of str to array_like of shape (n_cadences, ...)
+        CADENCENO and the true values at each cadence: TIME; QUALITY; the motion, MOTION_X and
+        MOTION_Y; for each star from 1 its position X1 and Y1 (mean over the cadence, pixels) and
+        its relative flux SIGNAL1; TARGET_SHARE, the target's share in the starlight of the
         aperture; and what the effects add.
     maps : dict of str to ndarray of shape (ny, nx)
         Images: INTERPIXEL, the response of each pixel against the others, and what the effects add.
     scene : dict
-        The scene in values that JSON can hold; `~scope_models.read_scene` makes a
-        `~scope_models.Scene` of it.
+        The scene in values that JSON can hold, of which `~scope_models.read_scene` makes a
+        `~scope_models.Scene`; and, as ``scene["found"]``, flux and lost_fraction of each star.
     tables : dict of str to astropy.table.Table
-        Lists of any length: STARS, with FLUX (e-/s at the star's magnitude, before the response of
-        the pixels) and LOST_FRACTION (part of the light off the stamp where the motion takes it
-        farthest), and the events of effects.
+        Lists of any length, such as the events of an effect.
     model : ndarray of shape (n_cadences, ny, nx) or None
         Expected flux without noise and background, e-/s, if ``simulate(..., keep_model=True)``
         kept it. No file holds it: `~scope_models.Observation.model` computes it at any time.
@@ -53,14 +57,23 @@ class Truth:
     True
     """
 
-    table: Table
+    columns: Mapping
     maps: dict = field(default_factory=dict)
     scene: dict = field(default_factory=dict)
     tables: dict = field(default_factory=dict)
     model: np.ndarray | None = None
 
+    def __post_init__(self):
+        columns = {name: np.array(values) for name, values in self.columns.items()}
+        for values in columns.values():
+            values.flags.writeable = False
+        object.__setattr__(self, "columns", MappingProxyType(columns))
+
+    def __reduce__(self):
+        return type(self), (dict(self.columns), self.maps, self.scene, self.tables, self.model)
+
     def __repr__(self):
-        n = len(self._columns("X"))
+        n = len(self._names("X"))
         options = self.scene.get("options", {})
         noise = ", ".join(sorted(options.get("noise") or ())) or "none"
         stars = f"{n} star{'' if n == 1 else 's'}"
@@ -72,7 +85,7 @@ class Truth:
         return (
             self.scene == other.scene
             and _same_arrays(self.maps, other.maps)
-            and _same_arrays(dict(self.table.items()), dict(other.table.items()))
+            and _same_arrays(self.columns, other.columns)
             and self.tables.keys() == other.tables.keys()
             and all(
                 _same_arrays(dict(table.items()), dict(other.tables[name].items()))
@@ -81,6 +94,11 @@ class Truth:
         )
 
     __hash__ = None
+
+    @property
+    def table(self):
+        """The columns as a new `~astropy.table.Table`."""
+        return Table(dict(self.columns))
 
     @property
     def x(self):
@@ -100,22 +118,22 @@ class Truth:
     @property
     def target_share(self):
         """Target's share in the starlight of the aperture, NaN without light; (n_cadences,)."""
-        return self._read_only(self.table["TARGET_SHARE"])
+        return self.columns["TARGET_SHARE"]
 
     @property
     def flux(self):
         """Flux of each star at its magnitude, e-/s, before the response of the pixels."""
-        return self._read_only(self.tables["STARS"]["FLUX"])
+        return self._found("flux")
 
     @property
     def lost_fraction(self):
         """Part of each star's light off the stamp where the motion takes it farthest."""
-        return self._read_only(self.tables["STARS"]["LOST_FRACTION"])
+        return self._found("lost_fraction")
 
     @property
     def interpixel(self):
         """Response of each pixel against the others, shape (ny, nx)."""
-        return self._read_only(self.maps["INTERPIXEL"])
+        return _read_only(self.maps["INTERPIXEL"])
 
     @property
     def seed(self):
@@ -160,40 +178,45 @@ class Truth:
 
         Examples
         --------
-        >>> from astropy.table import Table
         >>> from scope_models.io import Truth
-        >>> truth = Truth(Table({"CADENCENO": [3, 4, 5], "X": [0.0, 0.5, 1.0]}))
+        >>> truth = Truth({"CADENCENO": [3, 4, 5], "X": [0.0, 0.5, 1.0]})
         >>> truth.at_cadences([5, 3])["X"].tolist()
         [1.0, 0.0]
         """
         wanted = np.asarray(cadenceno)
-        known = np.asarray(self.table["CADENCENO"])
+        known = self.columns["CADENCENO"]
         index = np.minimum(np.searchsorted(known, wanted), len(known) - 1)
         if np.any(known[index] != wanted):
             missing = wanted[known[index] != wanted][0]
             raise ValueError(f"`cadenceno` must be cadences of the truth, got {missing}")
         return self.table[index]
 
-    def _columns(self, prefix):
+    def _names(self, prefix):
         """Return the names of a column for star 1, 2, ..."""
         names = []
-        while f"{prefix}{len(names) + 1}" in self.table.colnames:
+        while f"{prefix}{len(names) + 1}" in self.columns:
             names.append(f"{prefix}{len(names) + 1}")
         return names
 
     def _stack(self, prefix):
         """Return a column of all stars, shape (n_stars, n_cadences)."""
-        names = self._columns(prefix)
+        names = self._names(prefix)
         if not names:
             raise ValueError(f"the truth has no column {prefix}1")
-        return self._read_only(np.stack([np.asarray(self.table[name]) for name in names]))
+        return _read_only(np.stack([self.columns[name] for name in names]))
 
-    @staticmethod
-    def _read_only(values):
-        """Return a view that cannot be written to."""
-        view = np.asarray(values).view()
-        view.flags.writeable = False
-        return view
+    def _found(self, name):
+        """Return what the simulation found for each star."""
+        if "found" not in self.scene:
+            raise ValueError(f"the truth has no {name}: files of version 0.1 do not hold it")
+        return _read_only(np.array(self.scene["found"][name]))
+
+
+def _read_only(values):
+    """Return a view that cannot be written to."""
+    view = np.asarray(values).view()
+    view.flags.writeable = False
+    return view
 
 
 def _same_arrays(one, other):
@@ -246,6 +269,7 @@ def _truth_hdu(cadenceno, columns):
                 f"cadences, got the shape {array.shape}"
             )
         arrays[name] = array
+    arrays, numbered = _vectors(arrays)
     fields = [
         (name, ">i4" if name == "CADENCENO" else ">f8", array.shape[1:])
         for name, array in arrays.items()
@@ -255,7 +279,41 @@ def _truth_hdu(cadenceno, columns):
         rows[name] = array
     hdu = fits.BinTableHDU(rows, name="TRUTH")
     hdu.header.comments["TTYPE1"] = "column title: number of the cadence"
+    if numbered:
+        hdu.header[_NUMBERED] = (" ".join(numbered), "columns of vectors: a value for each star")
     return hdu
+
+
+def _vectors(arrays):
+    """Return arrays that fit into the columns of a table, and the names of those that were joined.
+
+    FITS allows 999 columns. Beyond that X1, X2, ... become the column X of vectors.
+    """
+    if len(arrays) <= _MOST_COLUMNS:
+        return arrays, []
+    stems = Counter(name.rstrip("0123456789") for name in arrays)
+    joined = {}
+    for stem in stems:
+        parts = [f"{stem}{i + 1}" for i in range(stems[stem])]
+        if stem not in arrays and stems[stem] > 1 and all(name in arrays for name in parts):
+            joined[stem] = np.stack([arrays[name] for name in parts], axis=1)
+    gone = {f"{stem}{i + 1}" for stem, array in joined.items() for i in range(array.shape[1])}
+    left = {name: array for name, array in arrays.items() if name not in gone}
+    return {**left, **joined}, list(joined)
+
+
+def _columns_of(hdu):
+    """Return the columns of the TRUTH table by name, vectors as numbered columns."""
+    numbered = str(hdu.header.get(_NUMBERED, "")).split()
+    columns = {}
+    for name in hdu.columns.names:
+        values = _native(hdu.data[name])
+        if name not in numbered:
+            columns[name] = values
+            continue
+        for i in range(values.shape[1]):
+            columns[f"{name}{i + 1}"] = values[:, i]
+    return columns
 
 
 def _map_hdus(maps):
@@ -298,7 +356,7 @@ def _check_name(argument, name, taken):
 
 
 def _scene_hdu(scene):
-    """Return the SCENE table: a row for each key."""
+    """Return the SCENE table: a row for each key, and further rows where its value is long."""
     from astropy.io import fits
 
     if not isinstance(scene, dict) or not all(
@@ -306,18 +364,29 @@ def _scene_hdu(scene):
     ):
         raise TypeError(f"`scene` must be a dict with keys of ASCII text, got {scene!r}")
     try:
-        texts = [json.dumps(value) for value in scene.values()]
+        rows = [(key, part) for key, value in scene.items() for part in _parts(json.dumps(value))]
     except (TypeError, ValueError) as error:
         raise TypeError(f"`scene` must hold what JSON can: {error}") from error
-    widths = (max(map(len, column), default=1) for column in (list(scene), texts))
-    names = {"KEY": list(scene), "VALUE": texts}
-    columns = [
-        fits.Column(name, f"{width}A", array=np.array(array, dtype=f"S{width}"))
-        for width, (name, array) in zip(widths, names.items(), strict=True)
-    ]
+    columns = []
+    for i, name in enumerate(("KEY", "VALUE")):
+        texts = [row[i] for row in rows]
+        width = max(map(len, texts), default=1)
+        array = np.array(texts, dtype=f"S{width}")
+        columns.append(fits.Column(name, f"{width}A", array=array))
     hdu = fits.BinTableHDU.from_columns(columns, name="SCENE")
     hdu.header.comments["TTYPE2"] = "column title: value in JSON"
     return hdu
+
+
+def _parts(text):
+    """Return a text in JSON in parts that CFITSIO reads.
+
+    No part may end with a blank, which FITS drops; in JSON an escape can stand for it.
+    """
+    if len(text) <= _LONGEST_TEXT:
+        return [text]
+    text = json.dumps(json.loads(text), separators=(",", ":")).replace(" ", "\\u0020")
+    return [text[i : i + _LONGEST_TEXT] for i in range(0, len(text), _LONGEST_TEXT)]
 
 
 def truth_of(hdus):
@@ -335,19 +404,21 @@ def truth_of(hdus):
     """
     if "TRUTH" not in hdus or hdus["TRUTH"].columns.names[:1] != ["CADENCENO"]:
         return None
-    rows = hdus["TRUTH"].data
-    table = Table({name: _native(rows[name]) for name in rows.names})
+    columns = _columns_of(hdus["TRUTH"])
     maps = {hdu.header["MAPNAME"]: _native(hdu.data) for hdu in hdus if "MAPNAME" in hdu.header}
     scene = {}
     if "SCENE" in hdus:
         entries = hdus["SCENE"].data
-        scene = {str(row["KEY"]): json.loads(row["VALUE"]) for row in entries}
+        for row in entries:
+            key = str(row["KEY"])
+            scene[key] = scene.get(key, "") + str(row["VALUE"])
+        scene = {key: json.loads(text) for key, text in scene.items()}
     tables = {
         hdu.header["TABNAME"]: Table({name: _native(hdu.data[name]) for name in hdu.columns.names})
         for hdu in hdus
         if "TABNAME" in hdu.header
     }
-    return Truth(table, maps, scene, tables)
+    return Truth(columns, maps, scene, tables)
 
 
 def _native(array):

@@ -339,11 +339,10 @@ class AxisPanels:
         place = np.rint(center)
         step = None if scale is None else np.rint(np.log(scale) / _LOG_STEP)
         keys = place if step is None else place + 1j * step
-        found = np.unique(keys)
-        if found.size == 1:
-            return self._panel(found[0], center, scale).reshape(-1, n_orders, pixels.size)
+        if np.all(keys == keys[0]):
+            return self._panel(keys[0], center, scale).reshape(-1, n_orders, pixels.size)
         integrals = np.empty((center.size, n_orders * pixels.size))
-        for key in found:
+        for key in np.unique(keys):
             chosen = keys == key
             integrals[chosen] = self._panel(
                 key, center[chosen], None if scale is None else scale[chosen]

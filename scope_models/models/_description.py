@@ -3,6 +3,7 @@
 
 import importlib
 import json
+import math
 import operator
 import sys
 import zlib
@@ -11,15 +12,18 @@ from collections.abc import Mapping
 from dataclasses import fields
 
 import numpy as np
+from astropy import units as u
 from astropy.modeling import CompoundModel, Model
 
+from scope_models._arrays import is_angle, plain_array
 from scope_models.models.sensitivity import SensitivityPolynomial
 
-__all__ = ["describe_model", "make_model", "value_key"]
+__all__ = ["describe_model", "make_model", "model_in_pixels", "value_key"]
 
 _OPERATORS = {"+": operator.add, "-": operator.sub, "*": operator.mul}
 # Modules that reading a file may import; others must have been imported before.
 _TRUSTED = {"scope_models", "astropy", "photutils"}
+_LARGEST_ARRAY = 1 << 26  # bytes of an array in a file, unpacked
 
 
 def describe_model(model):
@@ -76,8 +80,48 @@ def _unpacked(value):
     """Return the array of a text, and anything else as it is."""
     if not isinstance(value, dict):
         return value
-    values = np.frombuffer(zlib.decompress(b64decode(value["array"])), dtype="<f8")
-    return values.reshape(value["shape"])
+    shape = tuple(map(int, value["shape"]))
+    size = 8 * math.prod(shape)
+    if not 0 <= size <= _LARGEST_ARRAY:
+        raise ValueError(f"an array must have up to {_LARGEST_ARRAY:,} bytes, got {size:,}")
+    # Never unpack more than the shape promises.
+    content = zlib.decompressobj().decompress(b64decode(value["array"]), size + 1)
+    if len(content) != size:
+        raise ValueError(f"an array does not have the {size:,} bytes of its shape {shape}")
+    return np.frombuffer(content, dtype="<f8").reshape(shape)
+
+
+def model_in_pixels(model, pixel_scale):
+    """Return a model whose widths and positions are pixels, where they were angles.
+
+    Parameters
+    ----------
+    model : astropy.modeling.Model or None
+        A PSF, or a sum or product of models.
+    pixel_scale : float
+        Arcseconds per pixel.
+
+    Returns
+    -------
+    astropy.modeling.Model or None
+        The model itself if it holds no angles.
+    """
+    if model is None:
+        return None
+    if isinstance(model, CompoundModel):
+        parts = [model_in_pixels(part, pixel_scale) for part in (model.left, model.right)]
+        if parts[0] is model.left and parts[1] is model.right:
+            return model
+        return _OPERATORS[model.op](*parts)
+    parameters = {name: getattr(model, name) for name in model.param_names}
+    if not any(is_angle(p.unit) and name != "theta" for name, p in parameters.items()):
+        return model
+    values = {}
+    for name, p in parameters.items():
+        values[name] = p.value if p.unit is None else p.quantity
+        if name != "theta" and (is_angle(p.unit) or p.unit == u.pix):
+            values[name] = plain_array(p.quantity, u.pix, name, pixel_scale=pixel_scale)
+    return type(model)(**values, name=model.name, fixed=model.fixed, bounds=model.bounds)
 
 
 def value_key(value):

@@ -15,7 +15,7 @@ from scope_models.models._gaussian import (
 from scope_models.models._terms import Factor, Term, expand, is_pixel_integrated
 from scope_models.models.integration import PixelPoints, integrate_density, integrate_term
 
-__all__ = ["ImageSeries"]
+__all__ = ["ImageSeries", "unit_images"]
 
 # Positions of one call of what interpolates long series: so few are integrated one by one.
 _BATCH = FEW - 4
@@ -50,22 +50,8 @@ class ImageSeries:
     """
 
     def __init__(self, psf, sensitivity, shape, x, y, widths=None):
-        terms = [term for term in expand(psf) if np.any(term.scale)]
-        first = terms[0].densities[0].values
-        total = sum(term.scale * _number(term.densities[0].values["flux"]) for term in terms)
         widest = 1.0 if widths is None else np.max(widths)
-        responses = [Term()] if sensitivity is None else expand(sensitivity)
-        parts = []
-        for term in terms:
-            values = {name: _number(v) for name, v in term.densities[0].values.items()}
-            fraction = float(term.scale * values["flux"] / total)
-            offset = [float(values[n] - _number(first[n])) for n in ("x_0", "y_0")]
-            model = term.densities[0].model
-            values |= {"flux": 1.0, "x_0": 0.0, "y_0": 0.0}
-            unit = Term(densities=(Factor(model, values),), sensitivities=term.sensitivities)
-            whole = is_pixel_integrated(model)
-            several = [Term()] if whole else responses
-            parts.extend((fraction, offset, unit * response) for response in several)
+        parts = _parts(psf, sensitivity)
         self.window = _window(parts, shape, x, y, widest)
         rows, columns = (np.arange(s.start, s.stop, dtype=float) for s in self.window)
         self._parts = [
@@ -98,6 +84,50 @@ class ImageSeries:
             image *= fraction
             images = image if number == 0 else np.add(images, image, out=images)
         return images
+
+
+def unit_images(psf, shape, x, y):
+    """
+    Images of a star of unit flux at a few positions, without a response, each integrated directly.
+
+    Parameters
+    ----------
+    psf : `~astropy.modeling.Model`
+        As for `ImageSeries`.
+    shape : tuple of int
+        Shape (ny, nx) of the stamp.
+    x, y : `~numpy.ndarray`
+        Columns and rows of the star, shape ``(m,)``.
+
+    Returns
+    -------
+    images : `~numpy.ndarray`
+        Shape ``(m, ny, nx)``.
+    """
+    columns, rows = (np.arange(n, dtype=float) for n in shape[::-1])
+    images = np.zeros((len(x), *shape))
+    for fraction, (dx, dy), term in _parts(psf, None):
+        images += fraction * _directly(term, columns, rows)(x + dx, y + dy, None)
+    return images
+
+
+def _parts(psf, sensitivity):
+    """Return fraction of the flux, offset from the star and unit product of each component."""
+    terms = [term for term in expand(psf) if np.any(term.scale)]
+    first = terms[0].densities[0].values
+    total = sum(term.scale * _number(term.densities[0].values["flux"]) for term in terms)
+    responses = [Term()] if sensitivity is None else expand(sensitivity)
+    parts = []
+    for term in terms:
+        values = {name: _number(v) for name, v in term.densities[0].values.items()}
+        fraction = float(term.scale * values["flux"] / total)
+        offset = [float(values[n] - _number(first[n])) for n in ("x_0", "y_0")]
+        model = term.densities[0].model
+        values |= {"flux": 1.0, "x_0": 0.0, "y_0": 0.0}
+        unit = Term(densities=(Factor(model, values),), sensitivities=term.sensitivities)
+        several = [Term()] if is_pixel_integrated(model) else responses
+        parts.extend((fraction, offset, unit * response) for response in several)
+    return parts
 
 
 def _number(value):
@@ -136,7 +166,7 @@ def _engine(term, columns, rows):
     gaussian = _gaussian(term)
     along = term.polynomials()
     if gaussian is None:
-        return _quadrature(term, columns, rows)
+        return _directly(term, columns, rows)
     sigma_x, sigma_y, rho = gaussian
     if not uses_series(sigma_x, sigma_y, rho, max(c.size for c in along) - 1):
         return _tensor(columns, rows, (sigma_x, sigma_y, rho), along)
@@ -176,8 +206,8 @@ def _tensor(columns, rows, shape, along):
     return render
 
 
-def _quadrature(term, columns, rows):
-    """Return the renderer of any other density: few positions at a time, none interpolated."""
+def _directly(term, columns, rows):
+    """Return the renderer of any density: few positions at a time, none interpolated."""
     points = PixelPoints(*np.meshgrid(columns, rows))
     (factor,) = term.densities
 

@@ -8,6 +8,7 @@ from astropy import units as u
 from astropy.modeling import CompoundModel
 from astropy.modeling.models import Const2D
 
+from scope_models._arrays import is_angle, plain_array
 from scope_models.models._closed_form import FWHM, closed_form, is_photutils, pixels_of
 from scope_models.models.sensitivity import SensitivityPolynomial
 
@@ -62,6 +63,8 @@ class Factor:
         values = {}
         for name in model.param_names:
             parameter = getattr(model, name)
+            if name != "theta" and is_angle(parameter.unit):
+                plain_array(parameter.quantity, u.pix, name)  # refuses angles by name
             values[name] = (
                 np.asarray(parameter.value)
                 if parameter.unit is None

@@ -4,13 +4,18 @@
 from dataclasses import dataclass
 
 import numpy as np
+from astropy import units as u
 
-__all__ = ["Domain", "check_model_parameters", "one_number"]
+from scope_models._arrays import is_angle, plain_array
+
+__all__ = ["Domain", "check_model_parameters", "check_psf_units", "one_number"]
 
 _TESTS = {
     "finite": np.isfinite,
     "positive": lambda value: np.isfinite(value) & (value > 0),
     "inside (-1, 1)": lambda value: np.abs(value) < 1,
+    "at least 0": lambda value: np.isfinite(value) & (value >= 0),
+    "at least 0 and below 1": lambda value: (value >= 0) & (value < 1),
 }
 
 
@@ -23,7 +28,7 @@ class Domain:
     ----------
     name : str
         Name of the parameter.
-    condition : {"finite", "positive", "inside (-1, 1)"}
+    condition : {"finite", "positive", "inside (-1, 1)", "at least 0", "at least 0 and below 1"}
         Where its values must lie.
     """
 
@@ -72,6 +77,29 @@ def check_model_parameters(model):
         validator = parameter._validator  # noqa: SLF001
         if isinstance(validator, Domain):
             validator(model, parameter.value)
+
+
+def check_psf_units(model):
+    """
+    Raise where a parameter of a PSF has a unit that it cannot have.
+
+    Parameters
+    ----------
+    model : `~astropy.modeling.Model`
+        The PSF: positions and widths are pixels or angles, its flux has any unit, all else none.
+
+    Raises
+    ------
+    ValueError
+        If another unit is found.
+    """
+    for name in model.param_names:
+        unit = getattr(model, name).unit
+        if unit is None or name == "flux":
+            continue
+        lengths = name in {"x_0", "y_0", "sigma_x", "sigma_y"}
+        if not (lengths and is_angle(unit)):
+            plain_array(getattr(model, name).quantity, u.pix if lengths else u.one, name)
 
 
 def one_number(name, value):

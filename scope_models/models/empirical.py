@@ -8,7 +8,12 @@ from astropy.units import UnitsError
 from scope_models.models._axis import axis_integrals, hermite_functions
 from scope_models.models._closed_form import ClosedForm, pixels_of
 from scope_models.models._instance_parameters import InstanceParameters, described
-from scope_models.models._validation import Domain, check_model_parameters, one_number
+from scope_models.models._validation import (
+    Domain,
+    check_model_parameters,
+    check_psf_units,
+    one_number,
+)
 from scope_models.models.psf import BivariateGaussianPSF
 
 __all__ = ["GaussHermitePSF"]
@@ -89,6 +94,7 @@ class GaussHermitePSF(InstanceParameters, Fittable2DModel):
         values |= {"flux": flux, "x_0": x_0, "y_0": y_0, "sigma_x": sigma_x, "sigma_y": sigma_y}
         super().__init__(**(values | kwargs))
         check_model_parameters(self)
+        check_psf_units(self)
 
     @property
     def parameter_kinds(self):

@@ -5,6 +5,7 @@ import numpy as np
 from astropy import units as u
 from astropy.modeling import Model
 
+from scope_models._arrays import plain_array
 from scope_models.models._quadrature import integrate_adaptively
 from scope_models.models._terms import expand, is_pixel_integrated, leaves
 
@@ -30,7 +31,7 @@ class PixelPoints:
 
     def __init__(self, x, y):
         try:
-            x, y = np.broadcast_arrays(np.asarray(x, dtype=float), np.asarray(y, dtype=float))
+            x, y = np.broadcast_arrays(plain_array(x, u.pixel, "x"), plain_array(y, u.pixel, "y"))
         except ValueError as error:
             raise ValueError(
                 f"`x` and `y` must broadcast, got shapes {np.shape(x)} and {np.shape(y)}"

@@ -128,6 +128,8 @@ class PRF(InstanceParameters, Fittable2DModel):
         self.make_parameters(list(parameters.values()))
         super().__init__(**(values | kwargs))
         check_model_parameters(self)
+        for name in ("x_0", "y_0"):
+            plain_array(_value(getattr(self, name)), u.pixel, name)
         if any(getattr(c.model, "fit_deriv", None) is None for c in self._components):
             self.fit_deriv = None  # fitters then estimate the derivatives
 
@@ -301,7 +303,7 @@ class PRF(InstanceParameters, Fittable2DModel):
         """
         values = dict(zip(self.param_names, parameters, strict=True))
         unit = getattr(values["flux"], "unit", None)
-        x, y = _plain(x), _plain(y)
+        x, y = plain_array(x, u.pixel, "x"), plain_array(y, u.pixel, "y")
         values = {name: _plain(value) for name, value in values.items()}
         if all(np.size(value) == 1 for value in values.values()):
             values = {name: float(np.reshape(value, -1)[0]) for name, value in values.items()}
@@ -336,7 +338,7 @@ class PRF(InstanceParameters, Fittable2DModel):
             name: float(np.reshape(_plain(value), -1)[0])
             for name, value in zip(self.param_names, parameters, strict=True)
         }
-        points = PixelPoints(_plain(x), _plain(y))
+        points = PixelPoints(x, y)
         image, derivatives = self._unit_derivatives(points, values)
         names = self.param_names[1:]
         return [image, *(values["flux"] * derivatives[name] for name in names)]
@@ -434,7 +436,7 @@ class PRF(InstanceParameters, Fittable2DModel):
         given = {"flux": flux, "x_0": x_0, "y_0": y_0}
         given = {k: _value(getattr(self, k)) if v is None else v for k, v in given.items()}
         flux = given["flux"] if isinstance(given["flux"], u.Quantity) else np.asarray(given["flux"])
-        values |= {name: np.asarray(_plain(given[name]), dtype=float) for name in ("x_0", "y_0")}
+        values |= {name: plain_array(given[name], u.pixel, name) for name in ("x_0", "y_0")}
         for name, value in {
             "flux": _plain(flux),
             "x_0": values["x_0"],

@@ -7,7 +7,7 @@ from astropy.units import UnitsError
 
 from scope_models.models._closed_form import ClosedForm, pixels_of
 from scope_models.models._gaussian import gaussian_derivatives, gaussian_pixels
-from scope_models.models._validation import Domain, check_model_parameters
+from scope_models.models._validation import Domain, check_model_parameters, check_psf_units
 
 __all__ = ["BivariateGaussianPSF"]
 
@@ -38,7 +38,8 @@ class BivariateGaussianPSF(Fittable2DModel):
     x_0, y_0 : float or `~astropy.units.Quantity`
         Position of the star in pixels; x is the column, y the row.
     sigma_x, sigma_y : float or `~astropy.units.Quantity`
-        Standard deviations along the axes in pixels.
+        Standard deviations along the axes in pixels. Angles are for the ``psf`` of a
+        `~scope_models.Detector`, which has a pixel scale.
     rho : float
         Correlation coefficient.
     **kwargs
@@ -101,6 +102,7 @@ class BivariateGaussianPSF(Fittable2DModel):
             flux=flux, x_0=x_0, y_0=y_0, sigma_x=sigma_x, sigma_y=sigma_y, rho=rho, **kwargs
         )
         check_model_parameters(self)
+        check_psf_units(self)
 
     @staticmethod
     def evaluate(x, y, flux, x_0, y_0, sigma_x, sigma_y, rho):

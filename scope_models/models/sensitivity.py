@@ -2,9 +2,10 @@
 """Sensitivity: the response of a pixel, as a function of the position within it."""
 
 import numpy as np
+from astropy import units as u
 from astropy.modeling import Fittable2DModel
-from astropy.units import Quantity
 
+from scope_models._arrays import plain_array
 from scope_models.models._instance_parameters import InstanceParameters, described
 from scope_models.models._validation import check_model_parameters
 
@@ -13,14 +14,12 @@ __all__ = ["SensitivityPolynomial"]
 
 def _offset(position):
     """Offset from the centre of the pixel that holds the position, in [-1/2, 1/2)."""
-    if isinstance(position, Quantity):
-        position = position.value
-    position = np.asarray(position, dtype=float)
+    position = plain_array(position, u.pix, "position")
     return position - np.floor(position + 0.5)
 
 
 def _checked(name, coefficients):
-    coefficients = np.asarray(coefficients, dtype=float)
+    coefficients = plain_array(coefficients, u.one, name)
     if coefficients.ndim != 1 or coefficients.size == 0:
         raise ValueError(
             f"`{name}` must be a sequence of at least one number, got shape {coefficients.shape}"

@@ -10,12 +10,16 @@ from astropy.modeling import Fittable1DModel, Parameter
 from exoplanet_core import kepler, quad_limbdark_light_curve
 from scipy.optimize import brentq
 
+from scope_models._arrays import plain_array, plain_number
+from scope_models.models._validation import Domain, check_model_parameters
+
 __all__ = ["TransitModel"]
 
 #: Gauss-Legendre nodes over an exposure.
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(101)
 
-_PARAMETER_UNITS = {"period": u.day, "t0": u.day, "inc": u.deg, "omega": u.deg}
+_ORBIT = ("period", "a", "inc", "ecc", "omega")
+_UNITS = {"period": u.day, "t0": u.day, "inc": u.deg, "omega": u.deg}
 
 
 class TransitModel(Fittable1DModel):
@@ -32,19 +36,19 @@ class TransitModel(Fittable1DModel):
 
     Parameters
     ----------
-    period : float
+    period : float or `~astropy.units.Quantity`
         Orbital period in days.
-    t0 : float
+    t0 : float or `~astropy.units.Quantity`
         Time of inferior conjunction (mid-transit) in days.
     rp : float
         Radius of the planet in stellar radii.
     a : float
         Semi-major axis in stellar radii.
-    inc : float
+    inc : float or `~astropy.units.Quantity`
         Inclination of the orbit in degrees; 90 is edge-on.
     ecc : float
         Eccentricity, at least 0 and below 1.
-    omega : float
+    omega : float or `~astropy.units.Quantity`
         Argument of periastron of the star's orbit in degrees.
     u1, u2 : float
         Coefficients of quadratic limb darkening.
@@ -57,7 +61,8 @@ class TransitModel(Fittable1DModel):
     Raises
     ------
     ValueError
-        If a parameter or the exposure time is outside its domain.
+        If a parameter or the exposure time is outside its domain, also when it is set later, or
+        its unit does not convert.
 
     See Also
     --------
@@ -91,6 +96,10 @@ class TransitModel(Fittable1DModel):
     omega = Parameter(default=90.0, description="argument of periastron in degrees")
     u1 = Parameter(default=0.3, description="linear limb-darkening coefficient")
     u2 = Parameter(default=0.2, description="quadratic limb-darkening coefficient")
+    period.validator(Domain("period", "positive"))
+    rp.validator(Domain("rp", "at least 0"))
+    a.validator(Domain("a", "positive"))
+    ecc.validator(Domain("ecc", "at least 0 and below 1"))
 
     _input_units_allow_dimensionless = True
 
@@ -98,16 +107,19 @@ class TransitModel(Fittable1DModel):
         super().__init__(*args, **kwargs)
         if len(self.parameters) != len(self.param_names):
             raise ValueError("the parameters of a TransitModel must be scalars")
-        for name in self.param_names:
-            value = getattr(self, name).value
-            _require(np.isfinite(value), name, "finite", value)
-        for name in ("period", "a"):
-            _require(getattr(self, name).value > 0, name, "positive", getattr(self, name).value)
-        _require(self.rp.value >= 0, "rp", "at least 0", self.rp.value)
-        _require(0 <= self.ecc.value < 1, "ecc", "at least 0 and below 1", self.ecc.value)
-        days = u.Quantity(exposure_time, u.day).value
+        check_model_parameters(self)
+        self._numbers()
+        days = plain_number(exposure_time, u.day, "exposure_time")
         _require(np.isfinite(days) and days >= 0, "exposure_time", "at least 0", exposure_time)
-        self.exposure_time = float(days)
+        self.exposure_time = days
+
+    def _numbers(self):
+        """Return the value of each parameter in its documented unit."""
+        parameters = {name: getattr(self, name) for name in self.param_names}
+        return {
+            name: _number(name, p.value if p.unit is None else p.quantity)
+            for name, p in parameters.items()
+        }
 
     @classmethod
     def from_depth_duration(
@@ -118,14 +130,14 @@ class TransitModel(Fittable1DModel):
 
         Parameters
         ----------
-        depth : float
+        depth : float or `~astropy.units.Quantity`
             Relative drop at mid-transit with limb darkening and for a short
             exposure, between 0 and 1.
-        duration : float
+        duration : float or `~astropy.units.Quantity`
             Time from first to fourth contact in days.
-        period : float
+        period : float or `~astropy.units.Quantity`
             Orbital period in days.
-        t0 : float, optional
+        t0 : float or `~astropy.units.Quantity`, optional
             Time of mid-transit in days.
         b : float, optional
             Impact parameter in stellar radii, at least 0 and below 1.
@@ -151,6 +163,10 @@ class TransitModel(Fittable1DModel):
         >>> print(f"{planet.depth:.4f} {planet.duration:.4f} {planet(5.0):.4f}")
         0.0100 0.5000 0.9900
         """
+        depth = plain_number(depth, u.one, "depth")
+        duration = plain_number(duration, u.day, "duration")
+        period, t0 = plain_number(period, u.day, "period"), plain_number(t0, u.day, "t0")
+        b, u1, u2 = (plain_number(v, u.one, n) for v, n in ((b, "b"), (u1, "u1"), (u2, "u2")))
         _require(0 < depth < 1, "depth", "between 0 and 1", depth)
         _require(period > 0, "period", "positive", period)
         _require(0 < duration < period / 2, "duration", "above 0 and below half a period", duration)
@@ -191,19 +207,22 @@ class TransitModel(Fittable1DModel):
 
         Parameters
         ----------
-        period, t0, rp : float
-            Period and time of mid-transit in days; radius of the planet in
-            stellar radii.
+        period, t0 : float or `~astropy.units.Quantity`
+            Period and time of mid-transit in days.
+        rp : float, optional
+            Radius of the planet in stellar radii.
         a : float, optional
             Semi-major axis in stellar radii.
         density : float or `~astropy.units.Quantity`, optional
             Mean density of the star in g/cm3, in place of `a`.
-        inc : float, optional
+        inc : float or `~astropy.units.Quantity`, optional
             Inclination in degrees; 90 if neither it nor `b` is given.
         b : float, optional
             Impact parameter in stellar radii, in place of `inc`.
-        ecc, omega : float, optional
-            Eccentricity, and argument of periastron in degrees.
+        ecc : float, optional
+            Eccentricity.
+        omega : float or `~astropy.units.Quantity`, optional
+            Argument of periastron in degrees.
         u1, u2 : float, optional
             Coefficients of quadratic limb darkening.
         exposure_time : float, optional
@@ -231,11 +250,16 @@ class TransitModel(Fittable1DModel):
             raise ValueError("exactly one of `a` and `density` must be given")
         if inc is not None and b is not None:
             raise ValueError("only one of `inc` and `b` may be given")
+        period, t0 = plain_number(period, u.day, "period"), plain_number(t0, u.day, "t0")
+        omega, ecc = plain_number(omega, u.deg, "omega"), plain_number(ecc, u.one, "ecc")
         _require(period > 0, "period", "positive", period)
         _require(0 <= ecc < 1, "ecc", "at least 0 and below 1", ecc)
+        if a is not None:
+            a = plain_number(a, u.one, "a")
         if density is not None:
             a = _axis_from_density(density, period)
         if b is not None:
+            b = plain_number(b, u.one, "b")
             cosine = b * (1 + ecc * np.sin(np.radians(omega))) / (a * (1 - ecc**2))
             _require(b >= 0 and cosine <= 1, "b", "at least 0 and within the orbit", b)
             inc = np.degrees(np.arccos(cosine))
@@ -245,21 +269,24 @@ class TransitModel(Fittable1DModel):
     @property
     def impact_parameter(self):
         """Distance of the planet from the star's centre at `t0`, in stellar radii."""
-        ecc, sine = self.ecc.value, np.sin(np.radians(self.omega.value))
-        cosine = np.cos(np.radians(self.inc.value))
-        return float(self.a.value * cosine * (1 - ecc**2) / (1 + ecc * sine))
+        p = self._numbers()
+        ecc, sine = p["ecc"], np.sin(np.radians(p["omega"]))
+        cosine = np.cos(np.radians(p["inc"]))
+        return float(p["a"] * cosine * (1 - ecc**2) / (1 + ecc * sine))
 
     @property
     def depth(self):
         """Relative drop at `t0` for a short exposure."""
         b = abs(self.impact_parameter)
-        return float(-_drop(b, self.rp.value, self.u1.value, self.u2.value))
+        p = self._numbers()
+        return float(-_drop(b, p["rp"], p["u1"], p["u2"]))
 
     @property
     def duration(self):
         """Time from first to fourth contact in days, 0 without a transit."""
-        reach = 1 + self.rp.value
-        args = (self.period.value, self.a.value, self.inc.value, self.ecc.value, self.omega.value)
+        p = self._numbers()
+        reach = 1 + p["rp"]
+        args = tuple(p[name] for name in _ORBIT)
         separation = lambda time: _separation(np.array([time]), *args)[0] - reach  # noqa: E731
         if not separation(0.0) < 0:
             return 0.0
@@ -275,14 +302,17 @@ class TransitModel(Fittable1DModel):
     @property
     def stellar_density(self):
         """Mean density of the star in g/cm3 that the period and `a` imply."""
-        period = self.period.value * u.day
-        density = 3 * np.pi * self.a.value**3 / (constants.G * period**2)
+        p = self._numbers()
+        density = 3 * np.pi * p["a"] ** 3 / (constants.G * (p["period"] * u.day) ** 2)
         return float(density.to_value(u.g / u.cm**3))
 
     @property
     def input_units(self):
         """Unit of times: days; plain numbers are taken as days."""
         return {self.inputs[0]: u.day}
+
+    def _parameter_units_for_data_units(self, inputs_unit, outputs_unit):  # noqa: ARG002
+        return dict(_UNITS)  # astropy's fitters convert times to `input_units`
 
     def evaluate(self, x, period, t0, rp, a, inc, ecc, omega, u1, u2):
         """
@@ -302,9 +332,9 @@ class TransitModel(Fittable1DModel):
         """
         given = {"period": period, "t0": t0, "rp": rp, "a": a, "inc": inc, "ecc": ecc}
         given |= {"omega": omega, "u1": u1, "u2": u2}
-        p = {name: _number(value, _PARAMETER_UNITS.get(name)) for name, value in given.items()}
-        x = np.asarray(x.to_value(u.day) if isinstance(x, u.Quantity) else x, dtype=float)
-        orbit = (p["period"], p["a"], p["inc"], p["ecc"], p["omega"])
+        p = {name: _number(name, value) for name, value in given.items()}
+        x = plain_array(x, u.day, "x")
+        orbit = tuple(p[name] for name in _ORBIT)
         time = x.ravel() - p["t0"]
         flux = np.where(np.isfinite(time), 1.0, np.nan)
         # no cadence is lost: the planet cannot move farther within half an exposure
@@ -323,15 +353,13 @@ def _require(condition, name, domain, value):
         raise ValueError(f"`{name}` must be {domain}, got {value}")
 
 
-def _number(value, unit):
-    """Return one plain number from a scalar, an array of one or a Quantity."""
-    if isinstance(value, u.Quantity):
-        value = value.to_value(unit or u.dimensionless_unscaled)
-    return float(np.asarray(value).item())
+def _number(name, value):
+    """Return a parameter as one plain number, from a scalar, an array of one or a Quantity."""
+    return plain_array(value, _UNITS.get(name, u.one), name).item()
 
 
 def _axis_from_density(density, period):
-    density = u.Quantity(density, u.g / u.cm**3)
+    density = plain_number(density, u.g / u.cm**3, "density") * u.g / u.cm**3
     _require(density.value > 0, "density", "positive", density)
     cube = constants.G * density * (period * u.day) ** 2 / (3 * np.pi)
     return float(np.cbrt(cube.to_value(u.dimensionless_unscaled)))

@@ -1,14 +1,18 @@
 """Variability of stars: sinusoids, arrays and red noise of a stated CDPP, with mean 1."""
 
+import astropy.units as u
 import numpy as np
 from astropy.modeling.models import Const1D, Sine1D, Tabular1D
 from celerite2 import GaussianProcess, terms
 from scipy.signal import savgol_coeffs
 
+from scope_models._arrays import plain_array, plain_number, plain_time
+from scope_models._checks import checked_number
 from scope_models.missions import MISSIONS
 
 __all__ = ["sinusoidal_signal", "stochastic_signal", "tabulated_signal"]
 
+_PPM = u.Unit(1e-6)
 #: Savitzky-Golay filter of lightkurve's CDPP: span in days (101 Kepler long cadences) and order.
 _FILTER_DAYS, _FILTER_ORDER = 101 * MISSIONS["Kepler"].cadence_days("long"), 2
 
@@ -21,9 +25,9 @@ def sinusoidal_signal(amplitude, period, phase=0.0):
     ----------
     amplitude : float
         Relative semi-amplitude :math:`A`, between 0 and 1.
-    period : float
+    period : float or `~astropy.units.Quantity`
         Period :math:`P` in days.
-    phase : float, optional
+    phase : float or `~astropy.units.Quantity`, optional
         Phase :math:`\phi` at time 0 in cycles.
 
     Returns
@@ -42,6 +46,8 @@ def sinusoidal_signal(amplitude, period, phase=0.0):
     >>> print(sinusoidal_signal(0.01, period=4)(1.0))
     1.01
     """
+    amplitude = plain_number(amplitude, u.one, "amplitude")
+    period, phase = plain_number(period, u.day, "period"), plain_number(phase, u.cycle, "phase")
     if not 0 <= amplitude < 1:
         raise ValueError(f"`amplitude` must be at least 0 and below 1, got {amplitude}")
     if not (np.isfinite(period) and period > 0):
@@ -55,9 +61,9 @@ def tabulated_signal(time, flux):
 
     Parameters
     ----------
-    time : array_like
+    time : array_like or `~astropy.units.Quantity`
         Times ``(n,)`` in days, increasing.
-    flux : array_like
+    flux : array_like or `~astropy.units.Quantity`
         Relative flux ``(n,)`` at these times, not negative.
 
     Returns
@@ -76,7 +82,7 @@ def tabulated_signal(time, flux):
     >>> print(tabulated_signal([0, 1, 2], [1, 0.9, 1])([0.5, 1, 5]))
     [0.95 0.9  1.  ]
     """
-    time, flux = np.asarray(time, dtype=float), np.asarray(flux, dtype=float)
+    time, flux = plain_time(time, None, "time"), plain_array(flux, u.one, "flux")
     _require_times(time)
     if flux.shape != time.shape:
         raise ValueError(f"`flux` must have the shape {time.shape} of `time`, got {flux.shape}")
@@ -103,17 +109,17 @@ def stochastic_signal(time, cdpp, *, timescale=0.25, quality=0.5**0.5, duration=
 
     Parameters
     ----------
-    time : array_like
+    time : array_like or `~astropy.units.Quantity`
         Times ``(n,)`` in days, increasing, at which it is drawn; linear in
         between, so give times as dense as the noise needs.
-    cdpp : float
+    cdpp : float or `~astropy.units.Quantity`
         Expected CDPP in ppm, in lightkurve's convention.
-    timescale : float, optional
+    timescale : float or `~astropy.units.Quantity`, optional
         Period of the oscillator in days.
     quality : float, optional
         Quality factor of the oscillator; well above 1 for
         quasi-periodic variability.
-    duration : float, optional
+    duration : float or `~astropy.units.Quantity`, optional
         Time scale of the CDPP in hours.
     seed : int or `~numpy.random.Generator`, optional
         Seed of the draw.
@@ -141,12 +147,12 @@ def stochastic_signal(time, cdpp, *, timescale=0.25, quality=0.5**0.5, duration=
     >>> print(f"{cdpp(stochastic_signal(time, cdpp=50, seed=1)(time)):.0f}")
     51
     """
-    time = np.asarray(time, dtype=float)
+    time = plain_time(time, None, "time")
     _require_times(time)
-    values = {"cdpp": cdpp, "timescale": timescale, "quality": quality, "duration": duration}
-    for name, value in values.items():
-        if not (np.isfinite(value) and value > 0):
-            raise ValueError(f"`{name}` must be positive, got {value}")
+    cdpp = checked_number("cdpp", cdpp, _PPM, positive=True)
+    timescale = checked_number("timescale", timescale, u.day, positive=True)
+    quality = checked_number("quality", quality, positive=True)
+    duration = checked_number("duration", duration, u.hour, positive=True)
     kernel = terms.SHOTerm(sigma=1.0, w0=2 * np.pi / timescale, Q=quality)
     sigma = 1e-6 * cdpp / _unit_cdpp(kernel, np.median(np.diff(time)), duration)
     process = GaussianProcess(kernel)

@@ -1,11 +1,14 @@
 """Aperture masks and the fractions of light they hold.
 
-Masks are boolean with shape ``(ny, nx)``, as lightkurve takes them; images are in e-/s.
+Masks are boolean with shape ``(ny, nx)``, as lightkurve takes them; images are in e-/s, or
+quantities that convert.
 """
 
+import astropy.units as u
 import numpy as np
 
-from scope_models._checks import checked_mask
+from scope_models._arrays import PER_PIXEL, plain_array
+from scope_models._checks import checked_mask, checked_number
 
 __all__ = [
     "circular_aperture",
@@ -15,6 +18,8 @@ __all__ = [
     "signal_to_noise_aperture",
     "threshold_aperture",
 ]
+
+_RATE = u.electron / u.s
 
 
 def threshold_aperture(target, threshold=None):
@@ -54,8 +59,8 @@ def threshold_aperture(target, threshold=None):
     brightest = np.max(target, axis=0)
     if threshold is None:
         threshold = 1e-3 * brightest.max()
-    elif not (np.isfinite(threshold) and threshold > 0):
-        raise ValueError(f"`threshold` must be positive, got {threshold}")
+    else:
+        threshold = checked_number("threshold", threshold, _RATE, positive=True)
     return _not_empty(brightest > threshold, f"no pixel exceeds `threshold` of {threshold:g} e-/s")
 
 
@@ -108,10 +113,11 @@ def signal_to_noise_aperture(
            [False,  True]])
     """
     signal = np.mean(_images(target, "target"), axis=0)
-    if not exposure_time > 0:
-        raise ValueError(f"`exposure_time` must be positive, got {exposure_time}")
-    if np.any(np.asarray(background) < 0) or read_noise < 0 or n_frames < 1:
-        raise ValueError("`background`, `read_noise` and `n_frames` must not be negative")
+    exposure_time = checked_number("exposure_time", exposure_time, u.s, positive=True)
+    read_noise = checked_number("read_noise", read_noise, u.electron)
+    background = plain_array(background, _RATE, "background", equivalencies=PER_PIXEL)
+    if np.any(background < 0) or n_frames < 1:
+        raise ValueError("`background` and `n_frames` must not be negative")
     flux = signal + background
     if neighbors is not None:
         flux = flux + np.mean(_images(neighbors, "neighbors", signal.shape), axis=0)
@@ -218,8 +224,9 @@ def circular_aperture(shape, x_0, y_0, radius, *, min_overlap=0.5):
     """
     from photutils.aperture import CircularAperture  # slow to import
 
-    if not (np.isfinite(radius) and radius > 0):
-        raise ValueError(f"`radius` must be positive, got {radius}")
+    x_0 = checked_number("x_0", x_0, u.pix, any_sign=True)
+    y_0 = checked_number("y_0", y_0, u.pix, any_sign=True)
+    radius = checked_number("radius", radius, u.pix, positive=True)
     if not 0 < min_overlap <= 1:
         raise ValueError(f"`min_overlap` must be above 0 and at most 1, got {min_overlap}")
     overlap = CircularAperture((x_0, y_0), radius).to_mask(method="exact").to_image(shape)
@@ -296,7 +303,10 @@ def flux_fraction(target, aperture, total=None):
     """
     target = _images(target, "target")
     aperture = checked_mask("aperture", aperture, target.shape[1:])
-    total = target.sum(axis=(1, 2)).mean() if total is None else np.mean(total)
+    if total is None:
+        total = target.sum(axis=(1, 2)).mean()
+    else:
+        total = plain_array(total, _RATE, "total").mean()
     if not total > 0:
         raise ValueError(f"`total` flux of the target must be positive, got {total}")
     return float(target[:, aperture].sum(axis=1).mean() / total)
@@ -304,7 +314,7 @@ def flux_fraction(target, aperture, total=None):
 
 def _images(images, name, shape=None):
     """Return a cube (n, ny, nx) of finite values; pixels without data hold no light."""
-    images = np.asarray(images, dtype=float)
+    images = plain_array(images, _RATE, name, equivalencies=PER_PIXEL)
     if images.ndim not in (2, 3) or 0 in images.shape:
         raise ValueError(
             f"`{name}` must have shape (ny, nx) or (n_cadences, ny, nx), got {images.shape}"

@@ -4,6 +4,7 @@ import astropy.units as u
 import numpy as np
 from scipy.signal import savgol_filter
 
+from scope_models._arrays import plain_number
 from scope_models.missions import MISSIONS
 
 __all__ = ["LONG_CADENCE", "cdpp"]
@@ -131,14 +132,14 @@ def _cadence_days(time, cadence):
         if not cadence > 0:
             raise ValueError("`cadence` cannot be told from the times, which must increase")
         return cadence
-    days = u.Quantity(cadence, u.day).value
+    days = plain_number(cadence, u.day, "cadence")
     if not (np.isfinite(days) and days > 0):
         raise ValueError(f"`cadence` must be positive, got {cadence}")
     return days
 
 
 def _window_cadences(duration, days):
-    hours = u.Quantity(duration, u.hour).value
+    hours = plain_number(duration, u.hour, "duration")
     if not (np.isfinite(hours) and hours > 0):
         raise ValueError(f"`duration` must be positive, got {duration}")
     width = round(hours / 24 / days)

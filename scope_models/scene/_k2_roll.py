@@ -7,9 +7,11 @@ import math
 from dataclasses import dataclass, fields
 from typing import ClassVar
 
+import astropy.units as u
 import numpy as np
 
-from scope_models._checks import checked_number
+from scope_models._arrays import PER_PIXEL
+from scope_models._checks import checked_number, checked_pair
 from scope_models.missions import MISSIONS
 
 __all__ = [
@@ -28,6 +30,23 @@ DAYS_PER_YEAR = 365.25
 FIRING = 2 / 60
 # Noise that is older than this many correlation times is forgotten (exp(-20) = 2e-9).
 _MEMORY = 20
+_UNITS = {
+    "solar_rate": u.arcsec / u.hour,
+    "reversal": u.day,
+    "reversal_interval": u.day,
+    "rate_growth": 1 / u.hour,
+    "rate_scatter": u.one,
+    "reset_interval": u.hour,
+    "reset_jitter": u.hour,
+    "deadband": u.arcsec,
+    "reset_scatter": u.arcsec,
+    "roll_jitter": u.arcsec,
+    "roll_jitter_time": u.hour,
+    "pointing_jitter": u.arcsec,
+    "orbital_speed": u.km / u.s,
+    "campaign": u.day,
+    "pixel_scale": u.arcsec,
+}
 
 
 @dataclass(frozen=True)
@@ -50,6 +69,7 @@ class K2Roll:
     campaign of length :math:`T`, is a slow drift. Positions are means over each cadence, so
     that a star is somewhere between the two sides while thrusters fire.
 
+    All parameters but ``rate_scatter`` may be quantities.
     The defaults describe EPIC 205998445 (campaign 3). They are measured on the POS_CORR columns of
     stars in campaigns 3, 4, 5 and 18, where the distance from the boresight times one roll angle
     reproduces every star of a campaign. Momentum dumps every two days are not modelled.
@@ -135,13 +155,14 @@ class K2Roll:
         pair = self.field
         if not isinstance(pair, tuple | list | np.ndarray) or len(pair) != 2:
             raise TypeError(f"`field` must be a pair of numbers in degrees, got {pair!r}")
-        pair = tuple(checked_number("field", value, any_sign=True) for value in pair)
-        object.__setattr__(self, "field", pair)
+        object.__setattr__(self, "field", checked_pair("field", pair, u.deg))
         for item in fields(self)[1:]:
             name = item.name
             value = checked_number(
                 name,
                 getattr(self, name),
+                _UNITS[name],
+                equivalencies=PER_PIXEL if name == "pixel_scale" else (),
                 positive=name in {"reversal_interval", "reset_interval", "campaign", "pixel_scale"},
                 any_sign=name in {"solar_rate", "reversal", "orbital_speed"},
             )

@@ -2,13 +2,15 @@
 
 import numpy as np
 
+from scope_models._arrays import plain_array, plain_time
 from scope_models.io.pixels import LARGEST_OFFSET, usable_positions
 from scope_models.missions import MISSIONS, TIME_ZEROS
 
 __all__ = [
     "TIME_FORMATS",
-    "as_floats",
     "as_int32",
+    "as_pixels",
+    "as_times",
     "check_increasing",
     "check_time_format",
     "repair",
@@ -25,13 +27,16 @@ def check_time_format(value):
         raise ValueError(f'`time_format` must be "bkjd" or "btjd", got {value!r}')
 
 
-def as_floats(value, name, n):
-    """Return a new one-dimensional float64 array of n numbers."""
-    try:
-        array = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise TypeError(f"`{name}` must hold numbers: {error}") from error
-    return _checked_shape(array, name, n)
+def as_pixels(value, name, n, pixel_scale=None):
+    """Return a new one-dimensional array of n offsets in pixels."""
+    return _checked_shape(
+        np.array(plain_array(value, "pix", name, pixel_scale=pixel_scale)), name, n
+    )
+
+
+def as_times(value, name, n, time_format):
+    """Return a new one-dimensional array of n times in days."""
+    return _checked_shape(np.array(plain_time(value, time_format, name)), name, n)
 
 
 def as_int32(value, name, n):
@@ -63,12 +68,12 @@ def check_increasing(values, name):
         )
 
 
-def repair(time, x, y, quality, cadenceno, *, time_format, bad):
+def repair(time, x, y, quality, cadenceno, *, time_format, bad, pixel_scale=None):
     """Interpolate, drop or refuse cadences without a usable time or position.
 
     Parameters
     ----------
-    time, x, y : array_like, shape (n,)
+    time, x, y : array_like, Quantity or Time, shape (n,)
         Times in days, and offsets in pixels.
     quality, cadenceno : array_like of int, shape (n,), or None
         Quality flags, and cadence numbers.
@@ -76,6 +81,8 @@ def repair(time, x, y, quality, cadenceno, *, time_format, bad):
         Zero of the times, which decides about the flags to set.
     bad : {"interpolate", "drop", "error"}
         What to do.
+    pixel_scale : float, optional
+        Arcseconds per pixel, for offsets that are angles.
 
     Returns
     -------
@@ -90,7 +97,8 @@ def repair(time, x, y, quality, cadenceno, *, time_format, bad):
     n = np.size(time)
     if n == 0:
         raise ValueError("`time` is empty: a motion must have at least one cadence")
-    time, x, y = as_floats(time, "time", n), as_floats(x, "x", n), as_floats(y, "y", n)
+    time = as_times(time, "time", n, time_format)
+    x, y = as_pixels(x, "x", n, pixel_scale), as_pixels(y, "y", n, pixel_scale)
     flags = as_int32(np.zeros(n, np.int32) if quality is None else quality, "quality", n)
     number = as_int32(np.arange(1, n + 1) if cadenceno is None else cadenceno, "cadenceno", n)
     check_increasing(number, "cadenceno")

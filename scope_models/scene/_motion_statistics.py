@@ -5,6 +5,8 @@ from dataclasses import dataclass, fields, replace
 import astropy.units as u
 import numpy as np
 
+from scope_models._arrays import PER_PIXEL, plain_array, plain_number
+
 __all__ = ["MotionStatistics", "largest_distance"]
 
 
@@ -44,9 +46,9 @@ class MotionStatistics:
 
         Parameters
         ----------
-        x, y : ndarray, shape (n,)
+        x, y : array_like or Quantity, shape (n,)
             Offsets from the reference position in pixels.
-        pixel_scale : float
+        pixel_scale : float or Quantity
             Size of a pixel in arcsec.
 
         Returns
@@ -61,10 +63,12 @@ class MotionStatistics:
         >>> MotionStatistics.of_positions(np.array([0.3]), np.array([0.4]), 3.98).mean
         <Quantity 0.5 pix>
         """
+        scale = plain_number(pixel_scale, u.arcsec, "pixel_scale", equivalencies=PER_PIXEL)
+        x, y = (plain_array(v, u.pix, n, pixel_scale=scale) for v, n in ((x, "x"), (y, "y")))
         r = np.hypot(x, y)
         values = (r.mean(), r.std(), r.max(), largest_distance(x, y))
-        scale = pixel_scale * u.arcsec / u.pix
-        return cls(*(float(value) * u.pix for value in values), scale, len(r))
+        pixel = scale * u.arcsec / u.pix
+        return cls(*(float(value) * u.pix for value in values), pixel, len(r))
 
     def __str__(self):
         unit = "px" if self.mean.unit == u.pix else str(self.mean.unit)
@@ -116,8 +120,7 @@ class MotionStatistics:
 def largest_distance(x, y):
     """Return the largest distance between any two points.
 
-    The two points are corners of the convex hull, and one of them is the farthest from an edge
-    that ends in the other or beside it: the work is that of sorting, not of all pairs.
+    The two points are corners of the convex hull, which has few.
 
     Parameters
     ----------
@@ -131,6 +134,7 @@ def largest_distance(x, y):
     """
     # Not imported with the package: it takes a third of the time that the package has for that.
     from scipy.spatial import ConvexHull, QhullError
+    from scipy.spatial.distance import pdist
 
     points = np.column_stack([x, y])
     points = points - points.mean(axis=0)
@@ -140,13 +144,4 @@ def largest_distance(x, y):
         # All points lie on a line, or there are fewer than three.
         along = points @ np.linalg.svd(points, full_matrices=False)[2][0]
         return float(np.ptp(along))
-    edges = np.roll(hull, -1, axis=0) - hull
-    angle = np.unwrap(np.arctan2(edges[:, 1], edges[:, 0]))
-    turns = np.concatenate([angle, angle + 2 * np.pi])
-    opposite = np.searchsorted(turns, angle + np.pi)
-    corner = np.arange(len(hull))
-    pairs = [
-        (corner + i, opposite + j) for i in (0, 1) for j in (-1, 0, 1)
-    ]  # the neighbours settle ties of parallel edges
-    size = len(hull)
-    return float(max(np.hypot(*(hull[a % size] - hull[b % size]).T).max() for a, b in pairs))
+    return float(pdist(hull).max())

@@ -12,7 +12,7 @@ from scope_models.effects.noise import stream
 from scope_models.io.pixels import read_pixels
 from scope_models.missions import MISSIONS, full_flux
 from scope_models.models import PRF, BivariateGaussianPSF
-from scope_models.models._description import value_key
+from scope_models.models._description import model_in_pixels, value_key
 from scope_models.scene.presets import PRESETS
 
 if TYPE_CHECKING:
@@ -93,7 +93,7 @@ class Detector:
     interpixel_distribution : {"uniform", "normal"}, optional
         The distribution of the drawn responses about 1.
     psf : astropy.modeling.Model or None, optional
-        The PSF of stars that have none of their own.
+        The PSF of stars that have none of their own. Widths that are angles become pixels.
 
     Raises
     ------
@@ -167,7 +167,8 @@ class Detector:
                 f"got {self.interpixel_distribution!r}"
             )
         for name in ("sensitivity", "psf"):
-            put(self, name, checked_model(name, getattr(self, name)))
+            model = checked_model(name, getattr(self, name))
+            put(self, name, model_in_pixels(model, self.pixel_scale))
         # Whatever cannot be integrated over pixels fails here rather than in a simulation.
         if self.psf is not None:
             PRF(self.psf)

@@ -9,15 +9,18 @@ from types import MappingProxyType
 import astropy.units as u
 import numpy as np
 
+from scope_models._arrays import PER_PIXEL, plain_time
 from scope_models._checks import checked_integer, checked_number
 from scope_models.effects.noise import check_seed, fresh_seed, stream
 from scope_models.io.pixels import positions_of
 from scope_models.io.reading import read_positions
 from scope_models.missions import MISSIONS
+from scope_models.models._description import value_key
 from scope_models.scene._k2_roll import K2Roll
 from scope_models.scene._motion_arrays import (
-    as_floats,
     as_int32,
+    as_pixels,
+    as_times,
     check_increasing,
     check_time_format,
     repair,
@@ -37,15 +40,15 @@ class Motion:
     methods makes the object: `from_file`, `from_tpf`, `from_arrays`, `still` or `k2_roll`.
     ``c * motion`` scales the offsets, ``motion[a:b]`` and ``motion[mask]`` choose cadences (an
     integer gives a motion of one cadence), and ``a + b`` joins two motions if the second one
-    begins after the first (else see `concatenate`). Two motions are equal only if they are the
-    same object.
+    begins after the first (else see `concatenate`). Two motions are equal if all their values are.
 
     Parameters
     ----------
-    time : array_like, shape (n,)
+    time : array_like, Quantity or Time, shape (n,)
         Times in days, increasing strictly.
-    x, y : array_like, shape (n,)
-        Offsets along columns (POS_CORR1) and rows (POS_CORR2) in pixels.
+    x, y : array_like or Quantity, shape (n,)
+        Offsets along columns (POS_CORR1) and rows (POS_CORR2) in pixels; `from_arrays` converts
+        angles.
     quality : array_like of int, shape (n,), optional
         Quality flags; the default is 0.
     cadenceno : array_like of int, shape (n,), optional
@@ -92,7 +95,9 @@ class Motion:
             raise ValueError("`time` is empty: a motion must have at least one cadence")
         quality = np.zeros(n, dtype=np.int32) if self.quality is None else self.quality
         cadenceno = np.arange(1, n + 1) if self.cadenceno is None else self.cadenceno
-        values = {name: as_floats(getattr(self, name), name, n) for name in ("time", "x", "y")}
+        check_time_format(self.time_format)
+        values = {"time": as_times(self.time, "time", n, self.time_format)}
+        values |= {name: as_pixels(getattr(self, name), name, n) for name in ("x", "y")}
         for name, value in values.items():
             if not np.all(np.isfinite(value)):
                 raise ValueError(
@@ -103,11 +108,18 @@ class Motion:
         values["cadenceno"] = as_int32(cadenceno, "cadenceno", n)
         check_increasing(values["time"], "time")
         check_increasing(values["cadenceno"], "cadenceno")
-        check_time_format(self.time_format)
         for name, value in values.items():
             value.flags.writeable = False
             object.__setattr__(self, name, value)
         object.__setattr__(self, "meta", MappingProxyType(dict(self.meta)))
+
+    def __eq__(self, other):
+        if not isinstance(other, Motion):
+            return NotImplemented
+        return value_key(self) == value_key(other)
+
+    def __hash__(self):
+        return hash(value_key((self.time, self.x, self.y)))
 
     def __reduce__(self):
         arguments = (self.time, self.x, self.y, self.quality, self.cadenceno)
@@ -172,6 +184,7 @@ class Motion:
         time_format="bkjd",
         bad="interpolate",
         meta=None,
+        pixel_scale=None,
     ):
         """Make a motion of arrays that may hold unusable values.
 
@@ -180,10 +193,10 @@ class Motion:
 
         Parameters
         ----------
-        time : array_like, shape (n,)
-            Times in days.
-        x, y : array_like, shape (n,)
-            Offsets along columns and rows in pixels.
+        time : array_like, Quantity or Time, shape (n,)
+            Times in days; a Time becomes days since the zero of ``time_format``.
+        x, y : array_like or Quantity, shape (n,)
+            Offsets along columns and rows in pixels, or angles with a ``pixel_scale``.
         quality : array_like of int, shape (n,), optional
             Quality flags; the default is 0.
         cadenceno : array_like of int, shape (n,), optional
@@ -200,6 +213,8 @@ class Motion:
         meta : mapping, optional
             What is known of the source; "n_bad", the number of cadences with unusable values,
             is added to it.
+        pixel_scale : float, Quantity or Detector, optional
+            Size of a pixel in arcsec, to convert offsets that are angles.
 
         Returns
         -------
@@ -209,8 +224,9 @@ class Motion:
         Raises
         ------
         ValueError
-            If the arrays differ in length, if no position is usable, if times do not increase, or
-            if ``bad="error"`` and there are unusable values.
+            If the arrays differ in length, if no position is usable, if times do not increase or
+            are Julian dates, if a unit does not convert, or if ``bad="error"`` and there are
+            unusable values.
 
         Examples
         --------
@@ -223,9 +239,23 @@ class Motion:
         array([  0, 256, 256], dtype=int32)
         >>> len(Motion.from_arrays([0, 1, 2], [0.1, -548.1, 0.3], [0, 0, 0], bad="drop"))
         2
+        >>> import astropy.units as u
+        >>> Motion.from_arrays([0, 24] * u.hour, [0, 7.96] * u.arcsec, [0, 0], pixel_scale=3.98).x
+        array([0., 2.])
         """
-        columns = repair(time, x, y, quality, cadenceno, time_format=time_format, bad=bad)
-        *columns, n_bad = columns
+        if pixel_scale is not None:
+            pixel_scale = getattr(pixel_scale, "pixel_scale", pixel_scale)
+            pixel_scale = _checked_scale(pixel_scale)
+        *columns, n_bad = repair(
+            time,
+            x,
+            y,
+            quality,
+            cadenceno,
+            time_format=time_format,
+            bad=bad,
+            pixel_scale=pixel_scale,
+        )
         return cls(*columns, time_format, {**(meta or {}), "n_bad": n_bad})
 
     @classmethod
@@ -338,9 +368,9 @@ class Motion:
         ----------
         n_cadences : int
             Number of cadences.
-        start : float, optional
+        start : float, Quantity or Time, optional
             Time of the first cadence in days; the default is the beginning of K2 campaign 3.
-        cadence : float, optional
+        cadence : float or Quantity, optional
             Time between cadences in days; the default is Kepler's long cadence.
         time_format : {"bkjd", "btjd"}, optional
             Zero of the times.
@@ -362,8 +392,8 @@ class Motion:
         array([0., 0., 0.])
         """
         n = checked_integer("n_cadences", n_cadences, 1)
-        cadence = checked_number("cadence", cadence, positive=True)
-        time = start + cadence * np.arange(n)
+        cadence = checked_number("cadence", cadence, u.day, positive=True)
+        time = _checked_start(start, time_format) + cadence * np.arange(n)
         return cls(time, np.zeros(n), np.zeros(n), time_format=time_format)
 
     @classmethod
@@ -382,7 +412,7 @@ class Motion:
             Number of long cadences. A longer series begins like a shorter one.
         seed : int or None, optional
             Seed of all random numbers; None takes a new one, which ``meta["seed"]`` tells.
-        start : float, optional
+        start : float, Quantity or Time, optional
             Time of the first cadence, BKJD; the default is the beginning of campaign 3.
         **parameters
             Fields of `~scope_models.scene.motion.K2Roll` that differ from their defaults, as
@@ -420,7 +450,7 @@ class Motion:
         seed = fresh_seed() if seed is None else check_seed(seed)
         x, y, firing = roll.track(n, lambda name: stream(seed, f"k2_roll {name}"))
         return cls(
-            start + roll.cadence * np.arange(n),
+            _checked_start(start, "bkjd") + roll.cadence * np.arange(n),
             x,
             y,
             np.where(firing, _K2.quality.thruster_firing, 0),
@@ -486,7 +516,7 @@ class Motion:
         }
         return cls(*columns, first.time_format, common)
 
-    def statistics(self, pixel_scale=3.98, *, exclude=0):
+    def statistics(self, pixel_scale=_K2.pixel_scale, *, exclude=0):
         r"""Return how far the star is from its reference position.
 
         Mean, standard deviation and maximum are those of :math:`r = \sqrt{x^2 + y^2}`, as in
@@ -494,7 +524,7 @@ class Motion:
 
         Parameters
         ----------
-        pixel_scale : float, optional
+        pixel_scale : float or Quantity, optional
             Size of a pixel in arcsec; the default is Kepler's.
         exclude : int, optional
             Cadences with any of these quality flags are left out.
@@ -523,11 +553,27 @@ class Motion:
         >>> statistics.in_arcsec().maximum
         <Quantity 1.99 arcsec>
         """
-        pixel_scale = checked_number("pixel_scale", pixel_scale, positive=True)
+        pixel_scale = _checked_scale(pixel_scale)
         keep = (self.quality & exclude) == 0
         if not keep.any():
             raise ValueError(f"all cadences have quality flags of `exclude`, {exclude}")
         return MotionStatistics.of_positions(self.x[keep], self.y[keep], pixel_scale)
+
+
+def _checked_scale(pixel_scale):
+    """Return a pixel scale in arcsec."""
+    return checked_number(
+        "pixel_scale", pixel_scale, u.arcsec, positive=True, equivalencies=PER_PIXEL
+    )
+
+
+def _checked_start(start, time_format):
+    """Return the time of a first cadence in days."""
+    check_time_format(time_format)
+    days = plain_time(start, time_format, "start")
+    if days.ndim or not np.isfinite(days):
+        raise ValueError(f"`start` must be one finite time, got {start!r}")
+    return float(days)
 
 
 def _shifted(motion, before):

@@ -337,11 +337,24 @@ def read_scene(path):
     truth = read_truth(path)
     if not truth.scene:
         raise ValueError(f"{path} holds no scene to simulate again")
-    if truth.scene["version"] > _VERSION:
+    version = truth.scene.get("version")
+    if not isinstance(version, int):
+        raise ValueError(f"{path} holds a scene without a version")  # noqa: TRY004
+    if version > _VERSION:
         raise ValueError(f"{path} holds a scene of a later version of this package")
+    try:
+        return _scene_of_truth(truth)
+    except Exception as error:  # a file can hold anything under the names of a scene
+        reason = " ".join(str(error).split())
+        kind = type(error).__name__
+        raise ValueError(f"{path} holds no scene that can be made: {kind}: {reason}") from error
+
+
+def _scene_of_truth(truth):
+    """Return the scene of a truth."""
     detector = _detector(truth.scene["detector"], truth.maps.get("INTERPIXEL"))
-    stars = [_star(star, i, truth.table) for i, star in enumerate(truth.scene["stars"], start=1)]
-    table, described = truth.table, truth.scene["motion"]
+    stars = [_star(star, i, truth.columns) for i, star in enumerate(truth.scene["stars"], start=1)]
+    table, described = truth.columns, truth.scene["motion"]
     motion = Motion(
         time=table["TIME"],
         x=table["MOTION_X"],

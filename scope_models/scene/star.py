@@ -3,11 +3,14 @@
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
+import astropy.units as u
 import numpy as np
 from astropy.modeling import Model
 
+from scope_models._arrays import plain_array, plain_time
 from scope_models._checks import checked_model, checked_number
 from scope_models.models import PRF
+from scope_models.models._description import value_key
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -21,9 +24,9 @@ class Star:
 
     Parameters
     ----------
-    mag : float
+    mag : float or Quantity
         Magnitude in the mission's band (Kp or T).
-    x_0, y_0 : float or None, optional
+    x_0, y_0 : float, Quantity or None, optional
         Column and row of the reference position on the stamp, pixels from 0, to which the motion
         is added. None is the centre of the stamp.
     psf : astropy.modeling.Model or None, optional
@@ -63,21 +66,29 @@ class Star:
     def __post_init__(self):
         """Check every field and bring it to its type."""
         put = object.__setattr__
-        put(self, "mag", checked_number("mag", self.mag, any_sign=True))
+        put(self, "mag", checked_number("mag", self.mag, u.mag, any_sign=True))
         for name in ("x_0", "y_0"):
             if getattr(self, name) is not None:
-                put(self, name, checked_number(name, getattr(self, name), any_sign=True))
+                put(self, name, checked_number(name, getattr(self, name), u.pix, any_sign=True))
         put(self, "psf", checked_model("psf", self.psf))
         if self.psf is not None:
             PRF(self.psf)  # fails if it cannot be integrated over pixels
         put(self, "signal", _checked_signal(self.signal))
+
+    def __eq__(self, other):
+        if not isinstance(other, Star):
+            return NotImplemented
+        return value_key(self) == value_key(other)
+
+    def __hash__(self):
+        return hash(value_key(self))
 
     def relative_flux(self, time):
         """Return the relative flux of each cadence.
 
         Parameters
         ----------
-        time : array_like of shape (n,)
+        time : array_like or Quantity of shape (n,)
             Middle of each cadence, days.
 
         Returns
@@ -96,11 +107,11 @@ class Star:
         >>> Star(12.0).relative_flux([0.0, 1.0])
         array([1., 1.])
         """
-        time = np.asarray(time, dtype=float)
+        time = plain_time(time, None, "time")
         if self.signal is None:
             return np.ones(time.shape)
         signal = self.signal(time) if callable(self.signal) else self.signal
-        signal = np.array(signal, dtype=float)
+        signal = np.array(plain_array(signal, u.one, "signal"))
         if signal.shape != time.shape:
             raise ValueError(
                 f"`signal` must give one number for each of the {len(time)} cadences, "
@@ -144,8 +155,8 @@ def _checked_signal(signal):
     if signal is None or callable(signal):
         return signal
     try:
-        values = np.array(signal, dtype=float)
-    except (TypeError, ValueError):
+        values = np.array(plain_array(signal, u.one, "signal"))
+    except TypeError:
         values = np.array(0.0)
     if values.ndim != 1:
         raise TypeError(

@@ -6,7 +6,7 @@ import numpy as np
 
 from scope_models.effects.saturation import bleed
 from scope_models.models._axis import ROWS
-from scope_models.models._series import ImageSeries
+from scope_models.models._series import ImageSeries, unit_images
 
 __all__ = [
     "StarLight",
@@ -122,8 +122,8 @@ def lost_fractions(scene):
     lost = []
     for star, (x_0, y_0) in zip(scene.stars, scene.positions, strict=True):
         place = x_0 + x[extremes], y_0 + y[extremes]
-        series = ImageSeries(_psf(star, scene.detector), None, scene.detector.shape, *place)
-        lost.append(1.0 - series(*place).sum(axis=(1, 2)).min())
+        images = unit_images(_psf(star, scene.detector), scene.detector.shape, *place)
+        lost.append(1.0 - images.sum(axis=(1, 2)).min())
     return np.clip(lost, 0.0, 1.0)
 
 
@@ -217,11 +217,13 @@ def fill_wells(scene, electrons, background):
     float
         The largest part of the charge of a cadence that bleeds off the stamp.
     """
-    detector = scene.detector
-    if detector.well_depth is None:
+    if scene.detector.well_depth is None:
+        return 0.0
+    depth = scene.detector.well_depth * scene.detector.n_reads
+    if electrons.max() <= depth - np.max(background):
         return 0.0
     charge = electrons.sum(axis=(1, 2))
-    bleed(electrons, detector.well_depth * detector.n_reads, background)
+    bleed(electrons, depth, background)
     kept = electrons.sum(axis=(1, 2))
     return float((1.0 - np.divide(kept, charge, out=np.ones_like(kept), where=charge > 0)).max())
 

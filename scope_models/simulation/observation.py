@@ -320,7 +320,7 @@ class Observation:
         """Return what the writer of target pixel files takes."""
         aperture = self._checked_aperture(aperture_mask)
         metadata = self._metadata(metadata, aperture)
-        truth = {name: self.truth.table[name] for name in self.truth.table.colnames[1:]}
+        truth = {name: v for name, v in self.truth.columns.items() if name != "CADENCENO"}
         truth["TARGET_SHARE"] = self.target_share(aperture)
         zero = MISSIONS[metadata.mission].time_zero
         return {
@@ -338,6 +338,6 @@ class Observation:
             "aperture": aperture,
             "truth_columns": truth,
             "truth_maps": self.truth.maps,
-            "truth_tables": self.truth.tables,
+            "truth_tables": self.truth.tables or None,
             "scene": self.truth.scene,
         }

@@ -3,7 +3,6 @@
 import warnings
 
 import numpy as np
-from astropy.table import Table
 
 from scope_models._checks import checked_integer
 from scope_models.effects.noise import (
@@ -238,16 +237,11 @@ def _truth(scene, lights, lost, interpixel, share, model):
     columns["TARGET_SHARE"] = share
     for i, light in enumerate(lights, start=1):
         columns |= {f"X{i}": light.x.mean(axis=1), f"Y{i}": light.y.mean(axis=1)}
-    stars = Table({"FLUX": [light.flux for light in lights], "LOST_FRACTION": lost})
+    found = {"flux": [light.flux for light in lights], "lost_fraction": lost.tolist()}
     if model is not None:
         model.flags.writeable = False
-    return Truth(
-        Table(columns),
-        {"INTERPIXEL": interpixel},
-        describe_scene(scene),
-        {"STARS": stars},
-        model,
-    )
+    described = describe_scene(scene) | {"found": found}
+    return Truth(columns, {"INTERPIXEL": interpixel}, described, model=model)
 
 
 def _warn_of_lost_light(scene, lost):

@@ -63,7 +63,9 @@ def test_pickle_and_copy(motion):
             assert np.array_equal(getattr(twin, name), getattr(motion, name))
         assert not twin.x.flags.writeable
         assert dict(twin.meta) == dict(motion.meta)
-        assert twin != motion  # equal only if the same object
+        assert twin == motion
+        assert hash(twin) == hash(motion)
+        assert twin != 2 * motion
 
 
 @pytest.mark.parametrize(

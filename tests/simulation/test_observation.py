@@ -1,9 +1,10 @@
 """Observations as target pixel files and light curves, read by lightkurve."""
 
+import pickle
+
 import numpy as np
 import pytest
 from astropy.io import fits
-from astropy.table import Table
 from lightkurve import (
     KeplerLightCurve,
     KeplerTargetPixelFile,
@@ -169,8 +170,9 @@ def test_the_file_gives_back_the_truth(observation, tmp_path):
     assert (truth.seed, truth.noise, truth.n_sub) == (3, {"photon", "background", "read"}, 1)
     assert truth != read_truth(simulate(observation.scene, seed=4).to_tpf())
     assert truth != "truth"
+    assert pickle.loads(pickle.dumps(truth)) == truth  # noqa: S301
     with pytest.raises(ValueError, match="the truth has no column X1"):
-        _ = Truth(Table({"CADENCENO": [1]})).x
+        _ = Truth({"CADENCENO": [1]}).x
 
 
 def test_existing_and_unwritable_files(observation, tmp_path):

@@ -1,0 +1,439 @@
+r"""Pixel fractions that neither the star's brightness nor photon noise can move.
+
+Measured fractions of a pixel follow the star when there is other light in the aperture, and they
+hold the same photon noise as the flux that they are to explain. Here the fractions are predicted.
+In cadence t the light of pixel p is
+
+.. math::
+
+    F_p(t) = a_t \left[G_p(x_t) + w_t W_p(x_t)\right] - v_t N_p(x_t) + c_t,
+
+with the brightness a, the position x, the focus w and the background c of the cadence, and smooth
+functions of position G, W and N of each pixel. Over the aperture G adds up to 1, W and N to
+nothing. N is the difference between the constant light and the star's in the image; it counts only
+where the star itself varies strongly (v). Pixels and cadences are fitted in turn.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import cholesky, solve_triangular
+
+__all__ = ["CleanPixels", "clean_pixels", "precise_aperture"]
+
+#: Scale (px) of the response functions of position, and of those of focus and constant light.
+_SCALE, _COARSE_SCALE = 0.8, 1.0
+_TOLERANCE, _COARSE_TOLERANCE = 1e-9, 1e-4
+_MAX_RANK, _COARSE_RANK = 120, 25
+_ITERATIONS = 10
+#: Iterations after which the focus has an image of its own, and constant light counts.
+_FOCUS_FROM, _CONSTANT_FROM = 2, 3
+#: Prior standard deviations: position about POS_CORR (px), relative width.
+_POSITION_PRIOR, _FOCUS_PRIOR = 0.02, 0.02
+#: POS_CORR that deviates by more is wrong (px).
+_ABSURD = 12.0
+#: Standard deviation of the star's own variability above which constant light can be learned.
+_STRONG = 0.008
+#: Relative change of the light in the aperture with position, for telling it from variability.
+_RESPONSE_PRIOR = 0.05
+_CLIP = 6.0
+#: Constant light in the aperture, relative, below which it does not count; and the iteration at
+#: which that is decided.
+_FAINT, _DECIDED = 0.02, 6
+#: Widths in cadences of the kernels that are tried to smooth the focus and the background.
+_WIDTHS = (1.5, 3.0, 6.0, 12.0, 24.0, 48.0)
+
+
+@dataclass(frozen=True)
+class CleanPixels:
+    """
+    The light of a star without background, and predicted pixel fractions.
+
+    Parameters
+    ----------
+    light : ndarray
+        Sum over the aperture less background, and less constant light where that is known; cosmic
+        rays replaced; e-/s, ``(n,)``.
+    shares : ndarray
+        Predicted fractions ``(n, n_pixels)``; they add up to 1 over the aperture and are 0 outside.
+    background : ndarray
+        Background per pixel relative to its median, e-/s, ``(n,)``.
+    position : ndarray
+        Position relative to the median, px, ``(n, 2)``.
+    focus : ndarray
+        Relative change of the PSF's width, up to a factor, ``(n,)``.
+    constant : float
+        Constant light that was taken off, e-/s.
+    repaired : ndarray of bool
+        Pixels in cadences whose light was replaced by the model's, ``(n, n_pixels)``.
+    aperture : ndarray of bool
+        The pixels that are summed, ``(n_pixels,)``.
+    """
+
+    light: np.ndarray
+    shares: np.ndarray
+    background: np.ndarray
+    position: np.ndarray
+    focus: np.ndarray
+    constant: float
+    repaired: np.ndarray
+    aperture: np.ndarray
+
+
+class _Features:
+    """Functions of position whose combinations are a Gaussian process of a scale (pivoted)."""
+
+    def __init__(self, position, scale, tolerance, max_rank):
+        few = position[:: max(1, len(position) // 600)]
+        rest, rows, pivots = np.ones(len(few)), np.zeros((max_rank, len(few))), []
+        self._scale = scale
+        for k in range(max_rank):
+            pivot = int(np.argmax(rest))
+            if rest[pivot] < tolerance:
+                break
+            row = self._kernel(few, few[pivot : pivot + 1])[:, 0] - rows[:k, pivot] @ rows[:k]
+            rows[k] = row / np.sqrt(rest[pivot])
+            rest = np.maximum(rest - rows[k] ** 2, 0)
+            pivots.append(pivot)
+        self._pivots = few[pivots]
+        kernel = self._kernel(self._pivots, self._pivots)
+        kernel.flat[:: len(kernel) + 1] += 1e-10
+        self._lower = cholesky(kernel, lower=True)
+
+    def _kernel(self, a, b):
+        square = (a[:, None, 0] - b[None, :, 0]) ** 2 + (a[:, None, 1] - b[None, :, 1]) ** 2
+        return np.exp(-0.5 * square / self._scale**2)
+
+    def __call__(self, position):
+        """Return the functions at positions, ``(n, rank)``."""
+        return solve_triangular(self._lower, self._kernel(position, self._pivots).T, lower=True).T
+
+    def gradients(self, position):
+        """Return their derivatives along x and y."""
+        kernel = self._kernel(position, self._pivots)
+        for axis in (0, 1):
+            slope = (self._pivots[None, :, axis] - position[:, None, axis]) / self._scale**2
+            yield solve_triangular(self._lower, (slope * kernel).T, lower=True).T
+
+
+def clean_pixels(time, flux, flux_err, position, grid, aperture, *, choose=None):
+    """
+    Predict the pixel fractions of a star.
+
+    Parameters
+    ----------
+    time : ndarray
+        Days, ``(n,)``.
+    flux, flux_err : ndarray
+        All pixels with data, ``(n, n_pixels)``, e-/s.
+    position : ndarray
+        POS_CORR ``(n, 2)``, columns and rows, px; NaN where unknown.
+    grid : ndarray
+        Column and row of each pixel ``(n_pixels, 2)``.
+    aperture : ndarray of bool
+        Pixels that are summed.
+    choose : callable, optional
+        Takes the light less background, its variances, and the positions, and returns a better
+        aperture.
+
+    Returns
+    -------
+    CleanPixels
+        The result.
+    """
+    state = _State(time, flux, flux_err, position, grid, aperture)
+    for iteration in range(_ITERATIONS):
+        state.fit_pixels(iteration)
+        state.fit_cadences(iteration)
+    inside = aperture
+    if choose is not None:
+        inside = choose(flux - state.unit * state.background[:, None], flux_err**2, state.z)
+    return state.result(inside)
+
+
+class _State:
+    """The model and its parameters while they are fitted; fluxes in units of the star's."""
+
+    def __init__(self, time, flux, flux_err, position, grid, aperture):
+        n, n_pixels = flux.shape
+        self.time, self.grid, self.aperture = time, grid, aperture
+        typical = np.median(flux, axis=0)
+        dark = np.argsort(typical)[: max(3, n_pixels // 4)]
+        background = np.median(flux[:, dark] - typical[dark], axis=1)
+        total = (flux - background[:, None])[:, aperture].sum(axis=1)
+        self.unit = np.median(total)
+        self.y, self.background = flux / self.unit, background / self.unit
+        self.brightness = total / self.unit
+        self.noise = (np.median(flux_err, axis=0) / self.unit) ** 2
+        self.variance = self.noise
+        self.scale = np.maximum(np.quantile(self.y, 0.98, axis=0), 3 * np.sqrt(self.noise))
+        self.center = grid[np.argmax(typical)].astype(float)
+        self.good = np.ones((n, n_pixels), dtype=bool)
+        self.focus, self.variable = np.zeros(n), np.zeros(n)
+        self._start_positions(position, total)
+        self.features = _Features(self.z, _SCALE, _TOLERANCE, _MAX_RANK)
+        self.coarse = _Features(self.z, _COARSE_SCALE, _COARSE_TOLERANCE, _COARSE_RANK)
+
+    def _start_positions(self, position, total):
+        """Begin at POS_CORR, and where that is unknown or absurd at centroids in its scale."""
+        light = (self.y - self.background[:, None])[:, self.aperture]
+        centroid = light @ self.grid[self.aperture] * (self.unit / total)[:, None]
+        centroid = centroid - np.median(centroid, axis=0)
+        known = np.isfinite(position).all(axis=1)
+        offset = np.where(known[:, None], position, 0.0)
+        middle = np.median(offset[known], axis=0) if known.any() else np.zeros(2)
+        known &= np.abs(offset - middle).max(axis=1) < _ABSURD
+        if known.sum() < 0.2 * len(known) or np.ptp(offset[known], axis=0).max() == 0:
+            self.known = np.ones(len(known), dtype=bool)
+            self.z = self.expected = centroid
+            return
+        columns = np.column_stack([centroid, np.ones(len(centroid))])
+        expected = offset - np.median(offset[known], axis=0)
+        slope = np.linalg.lstsq(columns[known], expected[known], rcond=None)[0]
+        self.known = known
+        self.expected = np.where(known[:, None], expected, columns @ slope)
+        self.z = self.expected.copy()
+
+    def fit_pixels(self, iteration):
+        """Fit the functions of position of all pixels at once: ridge regression."""
+        basis, coarse = self.features(self.z), self.coarse(self.z)
+        a, v, w = self.brightness[:, None], self.variable[:, None], self.focus[:, None]
+        parts = [a * basis]
+        if iteration >= _FOCUS_FROM:
+            parts.append(2 * a * w * coarse)  # the prior's standard deviation is 2
+        strong = v.any()
+        if strong:
+            parts.append(-v * coarse)
+        columns = np.concatenate(parts, axis=1)
+        fine = self.good.all(axis=1)
+        target = (self.y - self.background[:, None])[fine]
+        values, vectors = np.linalg.eigh(columns[fine].T @ columns[fine])
+        right = vectors.T @ (columns[fine].T @ target)
+        ridge = self.variance / self.scale**2
+        coefficients = vectors @ (right / (np.maximum(values, 0)[:, None] + ridge))
+        rank, few = basis.shape[1], coarse.shape[1]
+        self._main, self._focus, self._constant = coefficients[:rank], None, None
+        if iteration >= _FOCUS_FROM:
+            self._focus = 2 * coefficients[rank : rank + few]
+        if strong:
+            self._constant = coefficients[-few:]
+
+    def _images(self):
+        """Return G with focus, its derivatives by x, y and w, and N, with sums as stated."""
+        inside = self.aperture
+        image = self.features(self.z) @ self._main
+        slopes = [part @ self._main for part in self.features.gradients(self.z)]
+        total = image[:, inside].sum(axis=1, keepdims=True)
+        image /= total
+        slopes = [_without_sum(slope / total, image, inside) for slope in slopes]
+        coarse = self.coarse(self.z)
+        if self._focus is None:
+            # A PSF that widens about the star's center.
+            far = self.grid - self.center - self.z[:, None]
+            focus = far[:, :, 0] * slopes[0] + far[:, :, 1] * slopes[1] - 2 * image
+        else:
+            focus = coarse @ self._focus / total
+        focus = _without_sum(focus, image, inside)
+        constant = np.zeros_like(image)
+        if self._constant is not None:
+            constant = _without_sum(coarse @ self._constant, image, inside)
+        if self._focus is not None:
+            image = image + self.focus[:, None] * focus
+        return image, slopes, focus, constant
+
+    def fit_cadences(self, iteration):
+        """Improve brightness, background, position and focus of each cadence: one linear step."""
+        image, slopes, focus, constant = self._images()
+        a = self.brightness[:, None]
+        rest = self.y - a * image + self.variable[:, None] * constant - self.background[:, None]
+        self.variance = np.maximum(self.noise, (1.4826 * np.median(np.abs(rest), axis=0)) ** 2)
+        if iteration > 0:
+            self.good = ~_single(np.abs(rest) > _CLIP * np.sqrt(self.variance))
+        columns = [image, np.ones_like(image), a * slopes[0], a * slopes[1], a * focus]
+        jacobian = np.stack(columns, axis=1)
+        weighted = jacobian * (self.good / self.variance)[:, None]
+        hessian = weighted @ jacobian.transpose(0, 2, 1)
+        right = (weighted @ rest[:, :, None])[:, :, 0]
+        for k in (0, 1):
+            weight = np.where(self.known, _POSITION_PRIOR**-2, 1e-2)
+            hessian[:, 2 + k, 2 + k] += weight
+            right[:, 2 + k] += weight * (self.expected - self.z)[:, k]
+        hessian[:, 4, 4] += _FOCUS_PRIOR**-2
+        right[:, 4] -= self.focus * _FOCUS_PRIOR**-2
+        hessian[:, range(5), range(5)] *= 1 + 1e-9
+        step = np.linalg.solve(hessian, right[:, :, None])[:, :, 0]
+        errors = np.sqrt(np.maximum(np.linalg.inv(hessian)[:, range(5), range(5)], 1e-30))
+        self.brightness = self.brightness + np.clip(step[:, 0], -0.3, 0.3)
+        self.z = self.z + np.clip(step[:, 2:4], -0.1, 0.1)
+        self._set_background(self.background + step[:, 1], errors[:, 1], iteration)
+        self._set_variable(iteration)
+        self._anchor()
+        self._set_focus(self.focus + np.clip(step[:, 4], -0.02, 0.02), errors[:, 4], iteration)
+
+    def _set_background(self, background, error, iteration):
+        """Smooth the background as far as the data are for it; jumps of a cadence stay."""
+        background = background - np.median(background)
+        if iteration >= _FOCUS_FROM:
+            smooth = _smoothed(self.time, background, error)
+            rest = np.abs(background - smooth)
+            jumps = rest > _CLIP * np.maximum(error, 1.4826 * np.median(rest))
+            background = np.where(jumps, background, smooth)
+        self.background = background
+
+    def _set_variable(self, iteration):
+        """Find the star's own variability: what is no function of position in its brightness."""
+        columns = self.features(self.z)
+        change = self.brightness - 1
+        gram, right = columns.T @ columns, columns.T @ change
+        variable = change
+        for _ in range(3):
+            noise = 1.4826 * np.median(np.abs(variable - np.median(variable)))
+            ridge = (noise / _RESPONSE_PRIOR) ** 2 * np.eye(len(gram))
+            variable = change - columns @ np.linalg.solve(gram + ridge, right)
+        strong = iteration >= _CONSTANT_FROM and variable.std() > _STRONG
+        if strong and iteration >= _DECIDED:
+            image, _, _, constant = self._images()
+            strong = self._constant_light(image, constant, self.aperture) > _FAINT
+        self.variable = variable if strong else np.zeros_like(variable)
+
+    def _anchor(self):
+        """Bring positions back to the scale of POS_CORR, without what follows the brightness."""
+        use = self.known.copy()
+        columns = np.column_stack([self.z, np.ones(len(self.z)), self.variable])
+        weight = np.diag([4e-4, 4e-4, 0.0, 4e-4])  # towards no change, where POS_CORR has no say
+        change = np.zeros((4, 2))
+        for _ in range(3):
+            gram = columns[use].T @ columns[use] + weight
+            gram[2, 2] += 1e-9
+            change = np.linalg.solve(gram, columns[use].T @ (self.expected - self.z)[use])
+            rest = self.expected - self.z - columns @ change
+            use = self.known & (np.abs(rest).max(axis=1) < 0.1)
+        self.z = self.z + columns @ change
+
+    def _set_focus(self, focus, error, iteration):
+        """Take from the focus what positions and brightness explain, and smooth it in time."""
+        columns = np.column_stack([np.ones(len(focus)), self.z, self.variable])
+        focus = focus - columns @ np.linalg.lstsq(columns, focus, rcond=None)[0]
+        self.focus = _smoothed(self.time, focus, error) if iteration >= _FOCUS_FROM else focus
+
+    def result(self, inside):
+        """Return the light and the fractions of an aperture."""
+        image, _, _, constant = self._images()
+        model = self.brightness[:, None] * image - self.variable[:, None] * constant
+        model += self.background[:, None]
+        light = np.where(self.good, self.y, model)[:, inside] - self.background[:, None]
+        shares = np.where(inside, image, 0.0)
+        shares /= shares.sum(axis=1, keepdims=True)
+        other = self._constant_light(image, constant, inside)
+        return CleanPixels(
+            light=self.unit * (light.sum(axis=1) - other),
+            shares=shares,
+            background=self.unit * self.background,
+            position=self.z,
+            focus=self.focus,
+            constant=self.unit * other,
+            repaired=~self.good,
+            aperture=inside,
+        )
+
+    def _constant_light(self, image, constant, inside):
+        """Return the constant light in the aperture, if the star's variability shows it.
+
+        No pixel of it is negative: the star has at most the whole light of its brightest pixels.
+        """
+        if not self.variable.any():
+            return 0.0
+        mean, own = image.mean(axis=0), (image - constant).mean(axis=0)
+        bright = own > 0.3 * own[self.aperture].max()
+        part = float(np.clip(np.min(mean[bright] / own[bright]), 0.0, 1.0))
+        both = mean[inside].sum(), own[inside].sum()
+        return both[0] - part * both[1]
+
+
+def precise_aperture(light, variance, position):
+    """
+    Choose the pixels whose sum is expected to be most precise.
+
+    Pixels are added by their ratio of light to noise, as long as the noise of 6.5 h and what the
+    aperture loses as the star moves, relative to all pixels, become less.
+
+    Parameters
+    ----------
+    light, variance : ndarray
+        Light less background and its variance, ``(n, n_pixels)``.
+    position : ndarray
+        Positions ``(n, 2)``.
+
+    Returns
+    -------
+    ndarray of bool
+        The pixels, ``(n_pixels,)``.
+    """
+    variance = np.median(variance, axis=0)
+    order = np.argsort(-np.quantile(light, 0.98, axis=0) / variance)
+    inside = np.cumsum(light[:, order], axis=1)
+    level = np.median(inside, axis=0)
+    noise = np.cumsum(variance[order])
+    columns = np.linalg.qr(_polynomials(position, 3))[0][:, 1:]
+    part = ((columns.T @ (inside / inside[:, -1:])) ** 2).sum(axis=0) / len(light) * level**2
+    lost = np.maximum(part - columns.shape[1] * noise / len(light), 0)
+    scatter = (lost + noise / 13) / np.where(level > 0, level, np.inf) ** 2
+    scatter[:3] = np.inf
+    mask = np.zeros(len(order), dtype=bool)
+    mask[order[: np.argmin(scatter) + 1]] = True
+    return mask
+
+
+def _without_sum(values, image, inside):
+    """Return images whose sum over the aperture is taken off in the shape of the star."""
+    return values - image * values[:, inside].sum(axis=1, keepdims=True)
+
+
+def _polynomials(position, degree):
+    """Return all products of powers of both coordinates up to a degree, the constant first."""
+    x, y = (position / np.maximum(np.abs(position).max(axis=0), 1e-9)).T
+    powers = [(i, j) for i in range(degree + 1) for j in range(degree + 1 - i)]
+    return np.column_stack([x**i * y**j for i, j in powers])
+
+
+def _single(hot):
+    """Return the pixels that are hot in one cadence only, as cosmic rays make them."""
+    near = np.zeros_like(hot)
+    near[1:] |= hot[:-1]
+    near[:-1] |= hot[1:]
+    return hot & ~near
+
+
+def _smoothed(time, values, error):
+    """Smooth by local lines, with the width of the least median leave-one-out error."""
+    step = np.median(np.diff(time))
+    index = np.rint((time - time[0]) / step).astype(int)
+    start = (np.median(error) / np.maximum(error, 0.3 * np.median(error))) ** 2
+    best = np.inf, values
+    for width in _WIDTHS:
+        smooth, rest = _local_lines(index, values, start, width)
+        size = np.median(np.abs(rest))
+        if size < best[0]:
+            best = size, smooth
+    return best[1]
+
+
+def _local_lines(index, values, start, width):
+    """Return robust local linear fits with a Gaussian kernel, and leave-one-out residuals."""
+    half = int(3.5 * width) + 1
+    d = np.arange(-half, half + 1.0)
+    kernel = np.exp(-0.5 * (d / width) ** 2)
+    moments = [kernel, -d * kernel, d * d * kernel]
+    weight = start
+    for _ in range(3):
+        grid, data = np.zeros((2, index[-1] + 1))
+        grid[index], data[index] = weight, weight * values
+        s0, s1, s2 = (np.convolve(grid, moment)[half:-half][index] for moment in moments)
+        m0, m1 = (np.convolve(data, moment)[half:-half][index] for moment in moments[:2])
+        determinant = s0 * s2 - s1**2
+        determinant = np.where(determinant > 1e-12 * s0 * s2, determinant, np.inf)
+        smooth = (s2 * m0 - s1 * m1) / determinant
+        rest = (values - smooth) / np.maximum(1 - weight * s2 / determinant, 1e-3)
+        size = np.abs(rest)
+        weight = np.where(size > _CLIP * 1.4826 * np.median(size), 1e-6, 1.0) * start
+    return smooth, rest

@@ -1,0 +1,249 @@
+"""Adds signals and stars to the pixels of target pixel files, real or simulated."""
+
+import warnings
+from dataclasses import dataclass
+from numbers import Real
+
+import numpy as np
+
+from scope_models.exceptions import LostLightWarning
+from scope_models.io import read_pixels, read_tpf
+from scope_models.scene.detector import Detector
+from scope_models.scene.motion import Motion
+from scope_models.scene.scene import Scene, read_scene
+from scope_models.scene.star import Star
+from scope_models.simulation.simulate import simulate
+
+__all__ = ["inject"]
+
+_NAME = "INJECTED"
+
+
+def inject(tpf, signal=None, star=None, *, seed=None, noise=True):
+    """Add a signal to the light of a star in a target pixel file, or add a whole star.
+
+    The change of the expected light is ``(signal - 1)`` times the star's own light; neighbors and
+    background stay as they are. Photon noise changes with it: lost photons take their noise with
+    them, further photons bring their own. RAW_CNTS stay as they are.
+
+    Parameters
+    ----------
+    tpf : lightkurve.TargetPixelFile, str or path-like
+        The target pixel file, which is not changed.
+    signal : astropy.modeling.Model or callable or array_like, optional
+        Relative flux: a function of time (days, as in the file) as `~scope_models.TransitModel`,
+        or one number for each cadence. Without it, ``star`` is added as a whole.
+    star : Scene, TPFFit, Star or float, optional
+        The light that the signal multiplies: the first star of a scene; that of a fit, by its
+        ``scene()``; a star on the pixels of the file, with its motion; or the share of the star in
+        the light of all pixels, between 0 and 1. The default is the scene that a simulated file
+        holds. Without a signal, a `Star` that is not yet in the file.
+    seed : int, optional
+        Seed of the photon noise.
+    noise : bool, optional
+        Whether photon noise changes.
+
+    Returns
+    -------
+    lightkurve.TargetPixelFile
+        A new object of the same class. Its table INJECTED has the signal and the expected change
+        of the flux of all pixels, cadence by cadence.
+
+    Raises
+    ------
+    TypeError
+        If an argument is of the wrong kind, or both ``signal`` and ``star`` are missing.
+    OSError, ValueError
+        If the file cannot be read; if the signal is negative, not finite or of another length; if
+        the star is outside the stamp, or the scene has another shape.
+
+    Notes
+    -----
+    A star of variance :math:`V` per pixel that loses :math:`L` (both in (e-/s)^2) of it keeps the
+    part :math:`1 - L/V` of its residuals, and normal noise of variance :math:`L - L^2/V` is added,
+    which leaves :math:`V - L`, as in a binomial thinning of the photons.
+
+    Examples
+    --------
+    >>> from scope_models import Detector, Motion, Star, TransitModel, simulate
+    >>> from scope_models.simulation import inject
+    >>> tpf = simulate(Star(12.0), Detector.k2(), Motion.k2_roll(200), seed=1).to_tpf()
+    >>> planet = TransitModel.from_depth_duration(
+    ...     0.01, duration=0.2, period=2.0, t0=tpf.time.value[50], exposure_time=0.0204)
+    >>> injected = inject(tpf, planet, seed=2)
+    >>> round(float((injected.flux - tpf.flux).value[50].sum() / tpf.flux.value[50].sum()), 3)
+    -0.01
+    """
+    from astropy.io import fits
+
+    original = read_tpf(tpf)
+    hdus = fits.HDUList([hdu.copy() for hdu in original.hdu])
+    whole = read_pixels(hdus, quality_bitmask="none")
+    rows = np.flatnonzero(np.isfinite(whole.time))
+    series = whole[rows]
+    exposure = Detector.from_tpf(series).exposure_time
+    if signal is None:
+        relative = np.ones(len(series))
+        change = _whole_star(star, series)
+    else:
+        relative = _relative_flux(signal, original, whole)[rows]
+        change = _multiplied(star, relative, original, series, exposure)
+    flux, error = series.flux + change.expected, series.flux_err
+    if noise:
+        drawn, error = change.noise(series, exposure, np.random.default_rng(seed))
+        flux = flux + drawn
+    table = hdus[1].data
+    table["FLUX"][rows] = flux
+    table["FLUX_ERR"][rows] = error
+    hdus[1].header.remove("CHECKSUM", ignore_missing=True)
+    hdus[1].header.remove("DATASUM", ignore_missing=True)
+    added = np.where(np.isfinite(series.flux), change.expected, 0.0).sum(axis=(1, 2))
+    _record(hdus, series, relative, added, star if signal is None else None)
+    return type(original)(hdus, quality_bitmask=original.quality_bitmask)
+
+
+@dataclass(frozen=True, eq=False)
+class _Change:
+    """A change of the expected flux, e-/s, and what becomes of the noise that is there.
+
+    ``kept`` is the factor on the residuals that the changed flux has if ``residual`` is None, and
+    that it is to get if the residuals are given.
+    """
+
+    expected: np.ndarray
+    kept: np.ndarray
+    residual: np.ndarray | None = None
+
+    def noise(self, series, exposure, rng):
+        """Return the change of the noise, and the standard deviation of all of it."""
+        variance = np.square(series.flux_err)
+        left = variance + self.expected / exposure
+        missing = np.maximum(left - self.kept**2 * variance, 0.0)
+        drawn = np.sqrt(missing) * rng.standard_normal(missing.shape)
+        if self.residual is not None:
+            drawn += (self.kept - 1) * self.residual
+        return drawn, np.sqrt(np.maximum(left, self.kept**2 * variance))
+
+
+def _relative_flux(signal, tpf, series):
+    """Return the signal in all rows of the table, 1 where the object has no cadence."""
+    relative = np.ones(len(series))
+    used = np.flatnonzero(np.isfinite(series.time))
+    if not callable(signal) and np.ndim(signal) == 1 and len(signal) == len(tpf.flux):
+        used = np.flatnonzero(tpf.quality_mask)
+    relative[used] = Star(0.0, signal=signal).relative_flux(series.time[used])
+    return relative
+
+
+def _whole_star(star, series):
+    """Return the light of a star that the file does not hold."""
+    if not isinstance(star, Star):
+        raise TypeError(f"`star` must be a Star if there is no `signal`, got {star!r}")
+    return _Change(_expected(_scene_of(star, series)), 1.0)
+
+
+def _multiplied(star, relative, tpf, series, exposure):
+    """Return the change of the light of a star in the file."""
+    shape = (-1, 1, 1)
+    if isinstance(star, Real) and not isinstance(star, bool):
+        if not 0 <= star <= 1:
+            raise ValueError(f"`star` must be a share between 0 and 1, got {star}")
+        factor = float(star) * (relative - 1).reshape(shape)
+        return _Change(factor * series.flux, 1 + factor)
+    scene = _scene_of(star, series, tpf)
+    target = scene.stars[0]
+    now = target.relative_flux(scene.motion.time)
+    before = _expected(scene)
+    changed = target.replace(signal=now * relative)
+    expected = _expected(scene.replace(stars=(changed, *scene.stars[1:]))) - before
+    with np.errstate(divide="ignore", invalid="ignore"):
+        part = np.maximum(-expected / exposure / np.square(series.flux_err), 0.0)
+    kept = 1 - np.clip(np.nan_to_num(part), 0.0, 1.0)
+    # the residuals hold the light of stars that the model of one star alone does not have
+    residual = None if isinstance(star, Star) else series.flux - before
+    return _Change(expected, 1.0 if residual is None else kept, residual)
+
+
+def _scene_of(star, series, tpf=None):
+    """Return the scene of a star, on the cadences of the series."""
+    if isinstance(star, Star):
+        scene = _scene_on(star, series)
+    elif star is None:
+        try:
+            scene = read_scene(tpf)
+        except ValueError:
+            raise ValueError(
+                "`star` must be given: the file holds no scene to take the star's light from"
+            ) from None
+    else:
+        scene = star.scene() if callable(getattr(star, "scene", None)) else star
+    if not isinstance(scene, Scene):
+        raise TypeError(f"`star` must be a Scene, a fit, a Star or a share, got {star!r}")
+    if scene.detector.shape != series.flux.shape[1:]:
+        raise ValueError(
+            f"the scene of `star` has {scene.detector.shape} pixels, the file "
+            f"{series.flux.shape[1:]}"
+        )
+    return _at(scene, series)
+
+
+def _scene_on(star, series):
+    """Return a scene of one star on the pixels of a file, with its motion."""
+    if series.pos_corr is None or not np.isfinite(series.pos_corr).any():
+        motion = Motion.still(len(series)).replace(time=series.time)
+    else:
+        motion = Motion.from_arrays(series.time, *series.pos_corr.T, time_format=series.time_format)
+    scene = Scene(star, Detector.from_tpf(series), motion, seed=0)
+    (x_0, y_0), (ny, nx) = scene.positions[0], scene.detector.shape
+    if not (-0.5 <= x_0 <= nx - 0.5 and -0.5 <= y_0 <= ny - 0.5):
+        raise ValueError(
+            f"`star` is outside the stamp: column {x_0:g} and row {y_0:g} of {nx} and {ny}"
+        )
+    return scene
+
+
+def _at(scene, series):
+    """Return a scene on the cadences of the series, interpolated if they are others."""
+    scene = scene.replace(seed=scene.seed or 0, noise=False)
+    motion, time = scene.motion, series.time
+    if len(motion) == len(time) and np.array_equal(motion.time, time):
+        return scene
+
+    def at(values):
+        return np.interp(time, motion.time, values)
+
+    stars = [star.replace(signal=at(star.relative_flux(motion.time))) for star in scene.stars]
+    moved = Motion.from_arrays(time, at(motion.x), at(motion.y), time_format=motion.time_format)
+    return scene.replace(stars=stars, motion=moved)
+
+
+def _expected(scene):
+    """Return the expected flux of a scene, e-/s."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", LostLightWarning)
+        return simulate(scene, noise=False, keep_model=True).truth.model
+
+
+def _record(hdus, series, relative, added, star):
+    """Add the table of what was injected, and take away the scene, which holds no more."""
+    from astropy.io import fits
+
+    number = 1 + sum(hdu.name == _NAME for hdu in hdus)
+    table = fits.BinTableHDU.from_columns(
+        [
+            fits.Column("CADENCENO", "J", array=series.cadenceno),
+            fits.Column("TIME", "D", "d", array=series.time),
+            fits.Column("SIGNAL", "D", array=relative),
+            fits.Column("FLUX_ADDED", "D", "e-/s", array=added),
+        ],
+        name=_NAME,
+        ver=number,
+    )
+    table.header["KIND"] = ("signal" if star is None else "star", "what was injected")
+    if star is not None:
+        table.header["MAG"] = (star.mag, "magnitude of the star")
+    hdus.append(table)
+    if "SCENE" in hdus:
+        del hdus["SCENE"]
+    hdus[0].header[_NAME] = (number, "times that light was injected")
+    hdus[0].header.set("NEXTEND", len(hdus) - 1)

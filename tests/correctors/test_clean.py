@@ -1,0 +1,139 @@
+"""Predicted pixel fractions, on stars whose images are integrals of Gaussians."""
+
+import numpy as np
+import pytest
+from scipy.special import erf
+
+from scope_models.correctors._clean import _smoothed, clean_pixels, precise_aperture
+
+SIZE, SIGMA, FLUX = 9, 0.6, 1e5
+TIME = 0.02 * np.arange(500)
+GRID = np.stack(np.meshgrid(np.arange(SIZE), np.arange(SIZE)), axis=-1).reshape(-1, 2)
+
+
+def image(x, y, sigma=SIGMA):
+    """Return the share of a Gaussian star in each pixel, ``(n, n_pixels)``."""
+
+    def axis(center):
+        edges = np.arange(SIZE + 1) - 0.5
+        cumulative = 0.5 * erf(
+            (edges - np.reshape(center, (-1, 1))) / np.reshape(sigma, (-1, 1)) / 2**0.5
+        )
+        return np.diff(cumulative, axis=1)
+
+    return (axis(y)[:, :, None] * axis(x)[:, None, :]).reshape(len(x), -1)
+
+
+def motion(seed=1):
+    rng = np.random.default_rng(seed)
+    x = 4.1 + 0.3 * (TIME / 0.245 % 1 - 0.5) + 0.02 * np.sin(TIME)
+    y = 3.9 + 0.2 * (TIME / 0.245 % 1 - 0.5) ** 2 + 0.05 * np.cos(0.7 * TIME)
+    measured = np.column_stack([x - 4.1, y - 3.9]) + 0.01 * rng.normal(size=(len(x), 2))
+    return x, y, measured
+
+
+def observed(light, seed=2, noise=2.0):
+    rng = np.random.default_rng(seed)
+    error = np.sqrt(noise**2 + np.maximum(light, 0) / 1600)
+    return light + error * rng.normal(size=light.shape), error
+
+
+def clean(light, measured, **options):
+    flux, error = observed(light)
+    return clean_pixels(TIME, flux, error, measured, GRID, np.ones(len(GRID), bool), **options)
+
+
+def deviation(shares, true):
+    """Return the rms error of all shares together, their constant parts taken off."""
+    rest = shares - true
+    return np.sqrt(((rest - rest.mean(axis=0)) ** 2).sum(axis=1).mean())
+
+
+def test_fractions_of_a_star_with_focus_and_background():
+    x, y, measured = motion()
+    width = SIGMA * (1 + 0.004 * np.sin(2 * np.pi * TIME / 7))
+    background = 5 * np.sin(TIME)
+    true = image(x, y, width)
+    found = clean(FLUX * true + background[:, None], measured)
+    noise = np.sqrt((2.0**2 + FLUX * true / 1600).sum(axis=1).mean()) / FLUX  # of measured ones
+    assert deviation(found.shares, true) < 0.5 * noise
+    assert (found.background - background).std() < 0.5
+    np.testing.assert_allclose(found.shares.sum(axis=1), 1)
+    assert found.constant == 0
+
+
+def test_fractions_do_not_follow_a_transit():
+    x, y, measured = motion()
+    dip = np.where(TIME % 2 < 0.2, 0.99, 1.0)
+    neighbor = 0.3 * FLUX * image(x + 2.4, y)
+    found = clean(FLUX * dip[:, None] * image(x, y) + neighbor, measured)
+    both = FLUX * image(x, y) + neighbor
+    true = both / both.sum(axis=1, keepdims=True)
+    inside = dip < 1
+    rest = found.shares - true
+    change = rest[inside].mean(axis=0) - rest[~inside].mean(axis=0)
+    measured_change = 0.01 * 0.3 / 1.3 * 0.4  # what a measured fraction of the core would do
+    assert np.abs(change).max() < measured_change
+
+
+def test_constant_neighbor_of_a_variable_star_is_taken_off():
+    x, y, measured = motion()
+    bright = 1 + 0.15 * np.sin(2 * np.pi * TIME / 0.55)
+    neighbor = 0.4 * FLUX * image(x + 3, y)
+    found = clean(FLUX * bright[:, None] * image(x, y) + neighbor, measured)
+    np.testing.assert_allclose(found.constant, 0.4 * FLUX, rtol=0.03)
+    slope = np.polyfit(bright, found.light / np.median(found.light), 1)
+    np.testing.assert_allclose(slope[0] / (slope[0] + slope[1]), 1, atol=0.02)
+    both = FLUX * image(x, y) + neighbor
+    true = both / both.sum(axis=1, keepdims=True)
+    follows = np.polyfit(bright, found.shares - true, 1)[0]
+    assert np.abs(follows).max() < 2e-3  # measured fractions: 0.1
+
+
+def test_cosmic_rays_are_replaced():
+    x, y, measured = motion()
+    light = FLUX * image(x, y)
+    light[200, 40] += 3000
+    found = clean(light, measured)
+    assert found.repaired[200, 40]
+    assert abs(found.light[200] / np.median(found.light) - 1) < 2e-3
+
+
+def test_absurd_and_unknown_positions_do_no_harm():
+    x, y, measured = motion()
+    measured[::50] = np.nan
+    measured[7::90] = 900.0
+    true = image(x, y)
+    found = clean(FLUX * true, measured)
+    assert deviation(found.shares, true) < 1e-4
+    unknown = clean(FLUX * true, np.full_like(measured, np.nan))
+    assert deviation(unknown.shares, true) < 1e-4
+
+
+def test_large_motion():
+    _, _, measured = motion()
+    x, y = 4 + 2 * np.sin(TIME * 3), 4 + 0.5 * np.cos(TIME)
+    measured = np.column_stack([x, y]) + measured - measured.mean(axis=0)
+    measured = np.column_stack([x, y]) + 0.01 * np.random.default_rng(4).normal(size=(len(x), 2))
+    true = image(x, y)
+    assert deviation(clean(FLUX * true, measured).shares, true) < 5e-4
+
+
+def test_precise_aperture_leaves_out_dark_pixels_and_keeps_what_the_star_crosses():
+    x, y, _ = motion()
+    faint, error = observed(2e3 * image(x, y))
+    mask = precise_aperture(faint, error**2, np.column_stack([x, y]))
+    assert 3 <= mask.sum() <= 25
+    assert mask.reshape(SIZE, SIZE)[4, 4]
+    bright, error = observed(1e6 * image(x, y))
+    more = precise_aperture(bright, error**2, np.column_stack([x, y]))
+    assert more.sum() > mask.sum()
+
+
+@pytest.mark.parametrize("scale", [0.3, 5.0])
+def test_smoothing_takes_the_width_that_the_data_ask_for(scale):
+    rng = np.random.default_rng(3)
+    signal = np.sin(2 * np.pi * TIME / scale)
+    noise = 0.3 * rng.normal(size=len(TIME))
+    smooth = _smoothed(TIME, signal + noise, np.full(len(TIME), 0.3))
+    assert (smooth - signal).std() < (0.8 if scale < 1 else 0.35) * noise.std()
