@@ -6,8 +6,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import ndimage
 
-from scope_models.correctors._clean import clean_pixels
+from scope_models.correctors._clean import clean_pixels, precise_aperture
 from scope_models.exceptions import DetrendingWarning
+from scope_models.io.pixels import usable_positions
 
 __all__ = [
     "Pixels",
@@ -59,12 +60,13 @@ class Pixels:
     usable: np.ndarray
 
 
-def choose_aperture(flux, flux_err, pipeline=None):
+def choose_aperture(flux, flux_err, pipeline=None, pos_corr=None):
     """
-    Choose the pixels that the star lights up, wherever it moves.
+    Choose the aperture whose sum is expected to be most precise.
 
-    Pixel level decorrelation weighs pixels by their light, so that a large aperture costs
-    little, whereas light that leaves a small one with the star's motion cannot be known.
+    Candidates are the pixels that the star lights up wherever it moves, without those of other
+    stars. Of these the ones are summed that make the noise of 6.5 h and the light that the
+    aperture loses with the star's motion least.
 
     Parameters
     ----------
@@ -72,7 +74,10 @@ def choose_aperture(flux, flux_err, pipeline=None):
         ``(n_cadences, ny, nx)``.
     pipeline : ndarray of bool, optional
         Pixels in which the target is searched.
+    pos_corr : ndarray, optional
+        Offsets ``(n_cadences, 2)``, px. Without them all candidates are summed.
     """
+    flux = _without_background(flux)
     finite = np.isfinite(flux).all(axis=(1, 2))
     if finite.sum() < 3:
         seen = np.isfinite(flux).mean(axis=0) > 0.5
@@ -95,7 +100,44 @@ def choose_aperture(flux, flux_err, pipeline=None):
     if not (lit & near).any():
         raise ValueError("no pixel of `tpf` is above its noise: no aperture can be chosen")
     peak = np.argmax(np.where(lit & near, mean, -np.inf))
-    return labels == labels.flat[peak]
+    mask = target_pixels(mean, labels == labels.flat[peak])
+    return mask if pos_corr is None else _most_precise(flux, flux_err, mask, pos_corr)
+
+
+def _typical(flux):
+    """Return the median image, NaN where there are no data."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # pixels without data
+        return np.nanmedian(flux, axis=0)
+
+
+def _without_background(flux):
+    """Subtract a plane from each image: that of the typical one, and what its dark pixels add."""
+    typical = _typical(flux)
+    known = np.isfinite(typical)
+    if not known.any():
+        return flux
+    dark = known & (typical <= np.quantile(typical[known], _DARK_PART))
+    terms = _plane_terms(flux.shape[1:])
+    if dark.sum() < _FEWEST_DARK:
+        terms = terms[:, :, :1]
+    more = (flux[:, dark] - typical[dark]) @ np.linalg.pinv(terms[dark]).T
+    return (
+        flux
+        - background_plane(typical)
+        - (more @ terms.reshape(-1, terms.shape[2]).T).reshape(flux.shape)
+    )
+
+
+def _most_precise(flux, flux_err, mask, pos_corr):
+    """Return the best part of a mask, or all of it if positions or errors are missing."""
+    use = usable_positions(pos_corr) & np.isfinite(flux[:, mask]).all(axis=1)
+    variance = flux_err[use][:, mask] ** 2
+    if use.sum() < _CADENCES_TO_PREDICT or not (variance > 0).all():
+        return mask
+    best = np.zeros_like(mask)
+    best[mask] = precise_aperture(flux[use][:, mask], variance, pos_corr[use])
+    return best
 
 
 def target_pixels(image, lit):
@@ -121,6 +163,11 @@ def target_pixels(image, lit):
     return lit & (higher == higher[peak]).reshape(image.shape)
 
 
+def _plane_terms(shape):
+    rows, columns = np.indices(shape)
+    return np.stack([np.ones(shape), rows - rows.mean(), columns - columns.mean()], axis=2)
+
+
 def background_plane(image):
     """
     Return the background of a typical image: a plane through its darkest pixels.
@@ -130,8 +177,7 @@ def background_plane(image):
     image : ndarray
         Median image, ``(ny, nx)``; NaN where there are no data.
     """
-    rows, columns = np.indices(image.shape)
-    terms = np.stack([np.ones_like(image), rows - rows.mean(), columns - columns.mean()], axis=2)
+    terms = _plane_terms(image.shape)
     known = np.isfinite(image)
     dark = known & (image <= np.quantile(image[known], _DARK_PART))
     if dark.sum() < _FEWEST_DARK:
@@ -162,7 +208,7 @@ def aperture_pixels(series, aperture):
     """
     time, flux, flux_err = series.time, series.flux, series.flux_err
     if aperture is None:
-        aperture = choose_aperture(flux, flux_err, series.aperture)
+        aperture = choose_aperture(flux, flux_err, series.aperture, series.pos_corr)
     else:
         aperture = _checked_aperture(aperture, flux)
     inside = flux[:, aperture]
@@ -226,9 +272,10 @@ def with_predicted_fractions(pixels, pos_corr):
     rows, columns = np.nonzero(known)
     if pos_corr is None:
         pos_corr = np.full((len(use), 2), np.nan)
+    light = pixels.flux[use] - background_plane(_typical(pixels.flux[use]))
     clean = clean_pixels(
         pixels.time[use],
-        pixels.flux[use][:, known],
+        light[:, known],
         pixels.flux_err[use][:, known],
         pos_corr[use],
         np.stack([columns, rows], axis=1),
