@@ -4,12 +4,11 @@ import numpy as np
 from astropy import units as u
 from astropy.time import Time, TimeDelta
 
-from scope_models.missions import TIME_ZEROS
-
 __all__ = [
     "DIGITAL",
     "PER_PIXEL",
     "is_angle",
+    "native",
     "plain_array",
     "plain_number",
     "plain_time",
@@ -28,6 +27,23 @@ DIGITAL = tuple(
     for other in (u.ct, u.DN)
     for pair in ((other, u.adu), (u.electron / other, u.electron / u.adu))
 )
+
+
+def native(array):
+    """Return a new array in the machine's byte order; FITS has the other one.
+
+    Parameters
+    ----------
+    array : array_like
+        Values of any kind.
+
+    Returns
+    -------
+    ndarray
+        The same values.
+    """
+    array = np.asarray(array)
+    return np.array(array, dtype=array.dtype.newbyteorder("="))
 
 
 def unmasked(value, fill=np.nan):
@@ -65,8 +81,8 @@ def plain_array(value, unit, name, *, pixel_scale=None, equivalencies=()):
     ----------
     value : array_like, Quantity or sequence of Quantity
         Plain numbers are taken to be in ``unit``; masked values become NaN.
-    unit : str or Unit
-        The documented unit; "" for numbers without one.
+    unit : str, Unit or None
+        The documented unit; "" for numbers without one, None for any, as of relative values.
     name : str
         The argument's name, for messages.
     pixel_scale : float, optional
@@ -87,7 +103,7 @@ def plain_array(value, unit, name, *, pixel_scale=None, equivalencies=()):
     ValueError
         If its unit does not convert.
     """
-    unit = u.Unit(unit)
+    any_unit, unit = unit is None, u.Unit("" if unit is None else unit)
     if isinstance(value, Time):
         raise TypeError(f"`{name}` must be numbers, got a Time{_hint(unit)}")
     value = value.to(u.day) if isinstance(value, TimeDelta) else unmasked(value)
@@ -105,6 +121,8 @@ def plain_array(value, unit, name, *, pixel_scale=None, equivalencies=()):
     if pixel_scale is not None:
         scale = float(pixel_scale) * u.arcsec / u.pix
         equivalencies = [*equivalencies, *u.pixel_scale(scale)]
+    if any_unit:
+        return quantity.value
     try:
         return quantity.to_value(unit, equivalencies=list(equivalencies))
     except u.UnitConversionError:
@@ -175,6 +193,8 @@ def plain_time(value, time_format, name):
     ValueError
         If its unit does not convert, or plain numbers are Julian dates.
     """
+    from scope_models.missions import TIME_ZEROS  # that module converts units with this one
+
     if isinstance(value, (list, tuple)) and any(isinstance(item, Time) for item in value):
         value = Time(value)
     if isinstance(value, Time):

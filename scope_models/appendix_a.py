@@ -5,8 +5,10 @@ A thin layer over `~scope_models.Scene`, `~scope_models.simulate`, the corrector
 
 import warnings
 
+import astropy.units as u
 import numpy as np
 
+from scope_models._arrays import PER_PIXEL
 from scope_models._checks import checked_integer, checked_mask, checked_number, checked_pair
 from scope_models.effects.noise import check_seed, fresh_seed, noise_terms, stream
 from scope_models.exceptions import LostLightWarning
@@ -136,7 +138,10 @@ def generate_target(
     elif not isinstance(detector, Detector):
         raise TypeError(f"`detector` must be a Detector, got {detector!r}")
     if background_level is not None:
-        detector = detector.replace(background=background_level)
+        level = checked_number(
+            "background_level", background_level, u.electron / u.s, equivalencies=PER_PIXEL
+        )
+        detector = detector.replace(background=level)
     if no_sensitivity_variation:
         detector = detector.without_sensitivity()
     x_0, y_0 = _reference_position(coords, detector.shape)
@@ -150,7 +155,8 @@ def generate_target(
     if variable:
         target.add_variability()
     if neighbor:
-        target.add_neighbor(magdiff=neighbor_magdiff)
+        magdiff = checked_number("neighbor_magdiff", neighbor_magdiff, u.mag, any_sign=True)
+        target.add_neighbor(magdiff=magdiff)
     return target
 
 
@@ -332,8 +338,9 @@ class Target:
         >>> print(f"{planet.depth:.4f} {planet.duration:.4f}")
         0.0100 0.5000
         """
-        _require_positive(per=per, dur=dur)
-        checked_number("t0", t0, any_sign=True)
+        per = checked_number("per", per, u.day, positive=True)
+        dur = checked_number("dur", dur, u.day, positive=True)
+        t0 = checked_number("t0", t0, u.day, any_sign=True)
         planet = TransitModel.from_depth_duration(
             depth,
             dur,
@@ -382,7 +389,8 @@ class Target:
         >>> print(f"{varied.min():.3f} {varied.max():.3f}")
         1.000 1.005
         """
-        _require_positive(var_amp=var_amp, freq=freq)
+        var_amp = checked_number("var_amp", var_amp, positive=True)
+        freq = checked_number("freq", freq, u.rad / u.day, positive=True)
         period = 2 * np.pi / freq
         return self.add_signal(sinusoidal_signal(var_amp, period, -self.time[0] / period))
 
@@ -459,11 +467,11 @@ class Target:
         >>> print(round(star.add_neighbor(magdiff=1, dist=1.7).contamination, 2))
         0.22
         """
-        magdiff = checked_number("magdiff", magdiff, any_sign=True)
+        magdiff = checked_number("magdiff", magdiff, u.mag, any_sign=True)
         if position is None:
-            x_0, y_0 = self._direction(checked_number("dist", dist), angle)
+            x_0, y_0 = self._direction(checked_number("dist", dist, u.pix, **self._scale), angle)
         else:
-            x_0, y_0 = checked_pair("position", position)
+            x_0, y_0 = checked_pair("position", position, u.pix, **self._scale)
         if not self._on_stamp(x_0, y_0):
             ny, nx = self.detector.shape
             raise ValueError(
@@ -481,12 +489,17 @@ class Target:
             generator = stream(self.seed, f"neighbor {len(self.neighbors)}")
             angles = generator.uniform(0, 2 * np.pi, 1000)
         else:
-            angles = np.radians([checked_number("angle", angle, any_sign=True)])
+            angles = np.radians([checked_number("angle", angle, u.deg, any_sign=True)])
         places = [
             (self.star.x_0 + dist * np.cos(phi), self.star.y_0 + dist * np.sin(phi))
             for phi in angles
         ]
         return next((place for place in places if self._on_stamp(*place)), places[0])
+
+    @property
+    def _scale(self):
+        """What converts angles to pixels."""
+        return {"pixel_scale": self.detector.pixel_scale}
 
     def _on_stamp(self, x_0, y_0):
         ny, nx = self.detector.shape
@@ -1003,7 +1016,7 @@ def _reference_position(coords, shape):
     ny, nx = shape
     if coords is None:
         return (nx - 1) / 2, (ny - 1) / 2
-    x_0, y_0 = checked_pair("coords", coords)
+    x_0, y_0 = checked_pair("coords", coords, u.pix)
     if not (-0.5 <= x_0 <= nx - 0.5 and -0.5 <= y_0 <= ny - 0.5):
         raise ValueError(f"`coords` must be on the stamp of {ny} x {nx} pixels, got {coords!r}")
     return x_0, y_0
@@ -1013,11 +1026,6 @@ def _density(psf, x, y):
     """Return the values of a PSF of total 1 about its position, in the sense of `PRF`."""
     prf = PRF(psf)
     return psf(x + prf.x_0.value, y + prf.y_0.value) / prf.flux.value
-
-
-def _require_positive(**values):
-    for name, value in values.items():
-        checked_number(name, value, positive=True)
 
 
 def _plural(number, noun):

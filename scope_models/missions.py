@@ -6,6 +6,8 @@ from types import MappingProxyType
 
 import numpy as np
 
+from scope_models._arrays import plain_number
+
 __all__ = [
     "MISSIONS",
     "TIME_ZEROS",
@@ -388,11 +390,11 @@ def full_flux(well_depth, int_time, background=0.0):
 
     Parameters
     ----------
-    well_depth : float
+    well_depth : float or Quantity
         Electrons that a pixel holds in one frame, the median over the detectors.
-    int_time : float
+    int_time : float or Quantity
         Exposure of a frame, s.
-    background : float, optional
+    background : float or Quantity, optional
         Background that is not part of the flux, e-/s.
 
     Returns
@@ -406,6 +408,9 @@ def full_flux(well_depth, int_time, background=0.0):
     >>> round(full_flux(1.08e6, 6.02, 284.0))
     157052
     """
+    well_depth = plain_number(well_depth, "electron", "well_depth")
+    int_time = plain_number(int_time, "s", "int_time")
+    background = plain_number(background, "electron / s", "background")
     return _FULL_FRACTION * well_depth / int_time - background
 
 
@@ -416,7 +421,7 @@ def choose_cadence(cadences, frame_time, choice=None):
     ----------
     cadences : sequence of Cadence
         The cadences.
-    frame_time : float
+    frame_time : float or Quantity
         Length of a frame, s.
     choice : str, float or Quantity, optional
         The cadence's name or its length, in seconds or with a unit; a length within 3 % names
@@ -442,11 +447,8 @@ def choose_cadence(cadences, frame_time, choice=None):
     """
     if choice is None and cadences:
         return cadences[0]
-    wanted = choice
-    if not isinstance(choice, str):
-        from scope_models._arrays import plain_number
-
-        wanted = plain_number(choice, "s", "cadence")
+    wanted = choice if isinstance(choice, str) else plain_number(choice, "s", "cadence")
+    frame_time = plain_number(frame_time, "s", "frame_time")
     for item in cadences:
         length = item.n_frames * frame_time
         if wanted == item.name or (

@@ -2,15 +2,7 @@
 
 from pathlib import Path
 
-import numpy as np
-from tqdm import tqdm
-
-from scope_models.io._atomic import atomic_path
-from scope_models.photometry import cdpp, threshold_aperture
-from scope_models.scene.detector import Detector
-from scope_models.scene.motion import Motion
-from scope_models.scene.star import Star
-from scope_models.simulation import simulate
+import scope_models as sm
 
 __all__ = ["add_parser", "run"]
 
@@ -40,36 +32,40 @@ def add_parser(commands):
 
 def run(arguments):
     """Simulate and de-trend the star, write the files and print the table."""
-    from scope_models.correctors import PLDCorrector  # imports lightkurve
+    from tqdm import tqdm
+
     from scope_models.correctors._files import make_lightcurve_hdulist
+    from scope_models.io._atomic import atomic_path, check_output
 
     folder = Path(arguments.output_dir)
     paths = [folder / name for name in (_PIXELS, _LIGHT_CURVE, _FIGURE)]
-    _check_free(paths, overwrite=arguments.overwrite)
     folder.mkdir(parents=True, exist_ok=True)
+    for path in paths:
+        check_output(path, overwrite=arguments.overwrite)
     with tqdm(total=4, leave=False, disable=None) as bar:
         bar.set_description("simulating")
-        motion = Motion.k2_roll()
+        motion = sm.Motion.k2_roll()
         observation = _observe(motion, arguments.seed)
-        still = _observe(Motion.still(len(motion)), arguments.seed)
-        aperture = threshold_aperture(observation.model())
+        still = _observe(sm.Motion.still(len(motion)), arguments.seed)
+        aperture = sm.photometry.threshold_aperture(observation.model())
         bar.update()
         bar.set_description("de-trending")
         tpf = observation.to_tpf()
         raw = tpf.to_lightcurve(aperture_mask=aperture)
-        corrector = PLDCorrector(tpf, aperture_mask=aperture)
+        corrector = sm.correctors.PLDCorrector(tpf, aperture_mask=aperture)
         corrected = corrector.correct()
         bar.update()
         bar.set_description("writing")
         observation.write(paths[0], overwrite=arguments.overwrite)
-        with atomic_path(paths[1], overwrite=arguments.overwrite) as temporary:
-            make_lightcurve_hdulist(corrector).writeto(temporary, checksum=True)
+        hdus = make_lightcurve_hdulist(corrector)
+        sm.io.write_hdulist(hdus, paths[1], overwrite=arguments.overwrite)
         bar.update()
         bar.set_description("drawing")
         curves = {"raw": raw, "de-trended": corrected}
         curves["without motion"] = still.to_lightcurve(aperture)
         noise = {
-            name: [cdpp(lc, method=way) for way in _CONVENTIONS] for name, lc in curves.items()
+            name: [sm.photometry.cdpp(lc, method=way) for way in _CONVENTIONS]
+            for name, lc in curves.items()
         }
         figure = _draw(observation, aperture, curves, noise)
         with atomic_path(paths[2], overwrite=arguments.overwrite) as temporary:
@@ -79,25 +75,18 @@ def run(arguments):
     print("\n".join(["", "Written:", *(f"  {path}" for path in paths)]))
 
 
-def _check_free(paths, *, overwrite):
-    """Refuse to begin where files would be replaced."""
-    for path in paths:
-        if path.exists() and not overwrite:
-            raise FileExistsError(f"{path} exists; --overwrite replaces it")
-
-
 def _observe(motion, seed):
     """Return the demonstration's star on a motion."""
-    return simulate(Star(_MAGNITUDE), Detector.k2(), motion, seed=seed)
+    return sm.simulate(sm.Star(_MAGNITUDE), sm.Detector.k2(), motion, seed=seed)
 
 
 def _draw(observation, aperture, curves, noise):
     """Return the figure: image, motion and light curves."""
-    from scope_models.plotting import plot_summary
+    import numpy as np
 
     raw, corrected = curves["raw"], curves["de-trended"]
     used = np.isin(observation.cadenceno, raw.cadenceno)
-    axes = plot_summary(
+    axes = sm.plotting.plot_summary(
         raw.time.value,
         observation.flux[used][0],
         raw.flux.value,

@@ -3,7 +3,7 @@
 from argparse import SUPPRESS
 from pathlib import Path
 
-from scope_models.photometry import cdpp
+import scope_models as sm
 
 __all__ = ["add_parser", "run"]
 
@@ -44,12 +44,8 @@ def add_parser(commands):
 
 def run(arguments):
     """Run the command."""
-    from scope_models.correctors import detrend_file  # imports lightkurve
-
     figure = Path(arguments.figure or Path(arguments.output).with_suffix(".png"))
-    if figure.exists() and not arguments.overwrite:
-        raise FileExistsError(f"{figure} exists already; pass --overwrite to replace it")
-    corrector = detrend_file(
+    corrector = sm.correctors.detrend_file(
         arguments.input,
         arguments.output,
         figure=figure,
@@ -65,5 +61,8 @@ def run(arguments):
 def _summary(corrector):
     """Return what became of the noise."""
     lcs = corrector.original_lc, corrector.corrected_lc
-    raw, corrected = (cdpp(lc, method="everest") for lc in lcs)
+    try:
+        raw, corrected = (sm.photometry.cdpp(lc, method="everest") for lc in lcs)
+    except ValueError:
+        return "too few cadences for a CDPP"
     return f"CDPP {raw:.1f} -> {corrected:.1f} ppm (6.5 h, EVEREST's convention)"

@@ -5,8 +5,8 @@ import inspect
 import sys
 import tomllib
 
+import scope_models as sm
 from scope_models.cli import _workers
-from scope_models.experiments import STUDIES
 
 __all__ = ["add_parser", "run"]
 
@@ -23,7 +23,7 @@ def add_parser(commands):
         "name",
         nargs="?",
         metavar="NAME",
-        help=f"{', '.join(STUDIES)} (default: what the configuration names)",
+        help="one of those that --list prints (default: what the configuration names)",
     )
     parser.add_argument("--list", action=_List, help="list the studies with their fields, and exit")
     parser.add_argument("--config", metavar="FILE", help="a TOML file with fields of the study")
@@ -58,7 +58,7 @@ class _List(argparse.Action):
 
     def __call__(self, parser, *_):
         """Print and exit."""
-        for name, study in STUDIES.items():
+        for name, study in sm.experiments.STUDIES.items():
             print(f"{name}: {inspect.getdoc(study).splitlines()[0]}")
             for field, value in study().config().items():
                 if field != "study":
@@ -68,12 +68,10 @@ class _List(argparse.Action):
 
 def run(arguments):
     """Run the study and say where its results are."""
-    from scope_models.experiments import SweepError, run_experiment
-
     client = _workers.client_of(arguments)
     study = _make_study(arguments)
     try:
-        result = run_experiment(
+        result = sm.experiments.run_experiment(
             study,
             arguments.directory or study.name,
             client,
@@ -81,7 +79,7 @@ def run(arguments):
             retry_failed=not arguments.keep_failures,
             progress=sys.stderr.isatty(),
         )
-    except (ModuleNotFoundError, SweepError) as error:
+    except (ModuleNotFoundError, sm.experiments.SweepError) as error:
         raise ValueError(str(error)) from error
     print(f"{study.name}: {len(result.table)} stars, {len(result.failures)} failed")
     for claim, verdict in result.summary.meta.get("claims", {}).items():
@@ -92,14 +90,14 @@ def run(arguments):
 
 def _make_study(arguments):
     """Return the study that the arguments ask for."""
-    from scope_models.experiments import make_study, read_config
-
     fields = dict(_field(text) for text in arguments.fields)
     if arguments.config is not None:
-        return read_config(arguments.config, arguments.name, fields)
+        return sm.experiments.read_config(arguments.config, arguments.name, fields)
     if arguments.name is None:
-        raise ValueError(f"name a study ({', '.join(STUDIES)}), or give one with --config")
-    return make_study(arguments.name, fields)
+        raise ValueError(
+            f"name a study ({', '.join(sm.experiments.STUDIES)}), or give one with --config"
+        )
+    return sm.experiments.make_study(arguments.name, fields)
 
 
 def _field(text):

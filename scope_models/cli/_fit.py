@@ -1,9 +1,6 @@
 """``scope-models fit``: one model for all pixels and cadences of a target pixel file."""
 
-from pathlib import Path
-
-from scope_models.fitting import fit_tpf
-from scope_models.models import SensitivityPolynomial
+import scope_models as sm
 
 __all__ = ["add_parser", "run"]
 
@@ -59,30 +56,23 @@ def add_parser(commands):
 
 def run(arguments):
     """Fit the file and write the result."""
-    import lightkurve
+    from scope_models.io._atomic import check_output
 
-    if Path(arguments.output).exists() and not arguments.overwrite:
-        raise FileExistsError(f"{arguments.output} exists; --overwrite replaces it")
-    if not Path(arguments.input).exists():
-        raise FileNotFoundError(f"{arguments.input} does not exist")
     if arguments.cadences is not None and arguments.cadences < 1:
         raise ValueError(f"--cadences must be at least 1, got {arguments.cadences}")
-    tpf = lightkurve.read(arguments.input)
+    check_output(arguments.output, overwrite=arguments.overwrite, inputs=[arguments.input])
     sensitivity = None
     if arguments.sensitivity:
-        sensitivity = SensitivityPolynomial(fixed={"ax1": True, "ay1": True})
-    try:
-        fit = fit_tpf(
-            tpf[: arguments.cadences] if arguments.cadences else tpf,
-            arguments.components,
-            sensitivity,
-            empirical=arguments.empirical,
-            interpixel=arguments.interpixel,
-            positions=arguments.positions,
-            loss="soft_l1" if arguments.robust else "linear",
-        )
-    finally:
-        tpf.hdu.close()
+        sensitivity = sm.SensitivityPolynomial(fixed={"ax1": True, "ay1": True})
+    fit = sm.fit_tpf(
+        sm.io.read_pixels(arguments.input)[: arguments.cadences],
+        arguments.components,
+        sensitivity,
+        empirical=arguments.empirical,
+        interpixel=arguments.interpixel,
+        positions=arguments.positions,
+        loss="soft_l1" if arguments.robust else "linear",
+    )
     path = fit.write(arguments.output, overwrite=arguments.overwrite)
     table = fit.table()
     for row in table[~table["fixed"]]:

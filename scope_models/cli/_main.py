@@ -1,6 +1,7 @@
 """The command line's entry: its commands, and what becomes of errors and warnings."""
 
 import argparse
+import signal
 import sys
 import warnings
 
@@ -32,7 +33,7 @@ def main(argv=None):
     Returns
     -------
     int
-        0, or 2 after an error, which is told in one line on the standard error.
+        0, or 2 after an error, of which one line goes to the standard error.
 
     Examples
     --------
@@ -41,19 +42,32 @@ def main(argv=None):
     2
     """
     arguments = _make_parser().parse_args(argv)
+    if argv is None:  # as a program: what is half written is removed before the end
+        signal.signal(signal.SIGTERM, _terminate)
     with warnings.catch_warnings():
         warnings.showwarning = _show_warning
         # lightkurve says at import that an optional part of it is absent
         warnings.filterwarnings("ignore", ".*tpfmodel submodule is not available", UserWarning)
         try:
             arguments.run(arguments)
-        except (OSError, TypeError, ValueError) as error:
+        except (MemoryError, OSError, TypeError, ValueError) as error:
             _tell("error", error)
             return 2
         except KeyboardInterrupt:
             _tell("error", "interrupted")
             return 130
+        except _TerminatedError:
+            _tell("error", "terminated")
+            return 143
     return 0
+
+
+class _TerminatedError(BaseException):
+    """The process was asked to end, by SIGTERM."""
+
+
+def _terminate(*_):
+    raise _TerminatedError
 
 
 def _make_parser():
@@ -80,4 +94,5 @@ def _tell(kind, message):
     if isinstance(message, OSError) and message.strerror and message.filename is not None:
         message = f"{message.filename}: {message.strerror}"
     text = " ".join(str(message).split()) or type(message).__name__
+    text = text.replace("pass overwrite=True to replace it", "--overwrite replaces it")
     print(f"scope-models: {kind}: {text}", file=sys.stderr)

@@ -1,17 +1,6 @@
 """``scope-models simulate``: a target pixel file of one star, and its neighbours."""
 
-from pathlib import Path
-
-from scope_models.effects.noise import NOISE_TERMS
-from scope_models.missions import MISSIONS
-from scope_models.models import BivariateGaussianPSF
-from scope_models.models.signals import TransitModel
-from scope_models.scene import read_detector
-from scope_models.scene.detector import Detector
-from scope_models.scene.motion import Motion
-from scope_models.scene.presets import PRESETS
-from scope_models.scene.star import Star
-from scope_models.simulation import simulate
+import scope_models as sm
 
 __all__ = ["add_parser", "run"]
 
@@ -114,21 +103,28 @@ def _add_detector(group):
     noise.add_argument(
         "--noise",
         nargs="+",
-        choices=NOISE_TERMS,
-        help="only these noise terms (default: photon, background and read)",
+        metavar="TERM",
+        help="only these noise terms, of photon, background, read and quantization "
+        "(default: the first three)",
     )
     noise.add_argument("--no-noise", action="store_true", help="expected counts without noise")
 
 
 def run(arguments):
     """Simulate the star and write the file."""
-    if Path(arguments.output).exists() and not arguments.overwrite:
-        raise FileExistsError(f"{arguments.output} exists; --overwrite replaces it")
+    from scope_models.io._atomic import check_output
+
+    inputs = [arguments.motion, arguments.detector]
+    check_output(
+        arguments.output,
+        overwrite=arguments.overwrite,
+        inputs=[path for path in inputs if path is not None],
+    )
     detector = _make_detector(arguments)
     motion = _make_motion(arguments, detector)
     stars = _make_stars(arguments, detector, motion.time[0])
     noise = arguments.noise or not arguments.no_noise
-    observation = simulate(
+    observation = sm.simulate(
         stars, detector, motion, seed=arguments.seed, noise=noise, n_sub=arguments.n_sub
     )
     metadata = {"target_id": arguments.target_id, "object_name": arguments.name}
@@ -144,7 +140,7 @@ def _make_motion(arguments, detector):
         raise ValueError(f"--cadences must be at least 1, got {number}")
     if arguments.motion is None:
         return _default_motion(arguments, detector, number or _CADENCES)
-    motion = Motion.from_file(arguments.motion)
+    motion = sm.Motion.from_file(arguments.motion)
     if number is not None and number > len(motion):
         raise ValueError(f"--cadences must be at most {len(motion)}, the motion's, got {number}")
     return arguments.scale * motion[:number]
@@ -152,12 +148,14 @@ def _make_motion(arguments, detector):
 
 def _default_motion(arguments, detector, number):
     """Return the motion without a file: K2 rolls, the others point steadily."""
+    from scope_models.missions import MISSIONS
+
     if detector.mission == "K2":
-        return arguments.scale * Motion.k2_roll(number)
+        return arguments.scale * sm.Motion.k2_roll(number)
     if arguments.scale != 1:
         raise ValueError(f"--scale needs --motion FILE with --detector {arguments.detector}")
     mission = MISSIONS.get(detector.mission, MISSIONS["Kepler"])
-    return Motion.still(
+    return sm.Motion.still(
         number,
         start=mission.start,
         cadence=detector.cadence_days,
@@ -167,11 +165,13 @@ def _default_motion(arguments, detector, number):
 
 def _make_detector(arguments):
     """Return the detector that the options ask for."""
+    from scope_models.scene.presets import PRESETS
+
     changes = {} if arguments.shape is None else {"shape": tuple(arguments.shape)}
     if arguments.detector in PRESETS:
-        detector = Detector.preset(arguments.detector, **changes)
+        detector = sm.Detector.preset(arguments.detector, **changes)
     elif arguments.detector.endswith(".toml"):
-        detector = read_detector(arguments.detector).replace(**changes)
+        detector = sm.read_detector(arguments.detector).replace(**changes)
     else:
         raise ValueError(
             f"--detector must be one of {', '.join(PRESETS)} or a .toml file, "
@@ -186,11 +186,11 @@ def _make_stars(arguments, detector, start):
     psf = signal = None
     if arguments.psf is not None:
         sigma_x, sigma_y, rho = arguments.psf
-        psf = BivariateGaussianPSF(sigma_x=sigma_x, sigma_y=sigma_y, rho=rho)
+        psf = sm.BivariateGaussianPSF(sigma_x=sigma_x, sigma_y=sigma_y, rho=rho)
     if arguments.transit is not None:
         period, t0, depth, duration = arguments.transit
-        signal = TransitModel.from_depth_duration(
+        signal = sm.TransitModel.from_depth_duration(
             depth, duration, period, start + t0, exposure_time=detector.cadence_days
         )
-    star = Star(arguments.mag, x_0, y_0, psf, signal)
-    return [star, *(Star(mag, x, y, psf) for mag, x, y in arguments.neighbor)]
+    star = sm.Star(arguments.mag, x_0, y_0, psf, signal)
+    return [star, *(sm.Star(mag, x, y, psf) for mag, x, y in arguments.neighbor)]

@@ -6,6 +6,7 @@ from scope_models.correctors._files import detrend_file
 from scope_models.correctors._result import PLDFit
 from scope_models.correctors.model import PLDModel, PLDOptions
 from scope_models.correctors.pld import PLDCorrector
+from scope_models.correctors.scene import SceneCorrector, SceneResult
 
 __all__ = [
     "PLDCorrector",
@@ -14,6 +15,8 @@ __all__ = [
     "PLDOptions",
     "PLDResult",
     "Regressors",
+    "SceneCorrector",
+    "SceneResult",
     "detrend_file",
 ]
 

@@ -6,12 +6,12 @@ In cadence t the light of pixel p is
 
 .. math::
 
-    F_p(t) = a_t \left[G_p(x_t) + w_t W_p(x_t)\right] - v_t N_p(x_t) + c_t,
+    F_p(t) = a_t \left[G_p(x_t) + w_t W_p(x_t)\right] - v_t N_p(x_t) + c_{tp},
 
-with the brightness a, the position x, the focus w and the background c of the cadence, and smooth
-functions of position G, W and N of each pixel. Over the aperture G adds up to 1, W and N to
-nothing. N is the difference between the constant light and the star's in the image; it counts only
-where the star itself varies strongly (v). Pixels and cadences are fitted in turn.
+with the brightness a, the position x, the focus w and the background c (a plane) of the cadence,
+and smooth functions of position G, W and N of each pixel. Over the aperture G adds up to 1, W and N
+to nothing. N is the difference between the constant light and the star's in the image; it counts
+only where the star itself varies strongly (v). Pixels and cadences are fitted in turn.
 """
 
 from dataclasses import dataclass
@@ -36,6 +36,10 @@ _ABSURD = 12.0
 _STRONG = 0.008
 #: Relative change of the light in the aperture with position, for telling it from variability.
 _RESPONSE_PRIOR = 0.05
+#: Part of the light in the aperture above which the level of dark pixels is background.
+_BACKGROUND = 0.05
+#: Distance (px) from the star at which pixels are dark, and the fewest such pixels for a plane.
+_FAR, _FEWEST_FAR = 2.7, 15
 _CLIP = 6.0
 #: Constant light in the aperture, relative, below which it does not count; and the iteration at
 #: which that is decided.
@@ -57,7 +61,8 @@ class CleanPixels:
     shares : ndarray
         Predicted fractions ``(n, n_pixels)``; they add up to 1 over the aperture and are 0 outside.
     background : ndarray
-        Background per pixel relative to its median, e-/s, ``(n,)``.
+        Background, e-/s, ``(n, n_pixels)``; relative to its median where the dark pixels may hold
+        the star's wings.
     position : ndarray
         Position relative to the median, px, ``(n, 2)``.
     focus : ndarray
@@ -147,7 +152,7 @@ def clean_pixels(time, flux, flux_err, position, grid, aperture, *, choose=None)
         state.fit_cadences(iteration)
     inside = aperture
     if choose is not None:
-        inside = choose(flux - state.unit * state.background[:, None], flux_err**2, state.z)
+        inside = choose(flux - state.unit * state.background, flux_err**2, state.z)
     return state.result(inside)
 
 
@@ -158,25 +163,50 @@ class _State:
         n, n_pixels = flux.shape
         self.time, self.grid, self.aperture = time, grid, aperture
         typical = np.median(flux, axis=0)
+        self.center = grid[np.argmax(typical)].astype(float)
+        offset = (grid - grid.mean(axis=0)) / np.maximum(np.ptp(grid, axis=0), 1)
+        self.planes = np.column_stack([np.ones(n_pixels), offset])
         dark = np.argsort(typical)[: max(3, n_pixels // 4)]
-        background = np.median(flux[:, dark] - typical[dark], axis=1)
-        total = (flux - background[:, None])[:, aperture].sum(axis=1)
+        self.base = self._dark_plane(typical, dark)
+        planes = np.zeros((n, 3)) + self.base
+        planes[:, 0] += np.median(flux[:, dark] - typical[dark], axis=1)
+        total = (flux - planes @ self.planes.T)[:, aperture].sum(axis=1)
         self.unit = np.median(total)
-        self.y, self.background = flux / self.unit, background / self.unit
+        self.y, self.plane = flux / self.unit, planes / self.unit
+        self.base = self.base / self.unit
         self.brightness = total / self.unit
         self.noise = (np.median(flux_err, axis=0) / self.unit) ** 2
         self.variance = self.noise
         self.scale = np.maximum(np.quantile(self.y, 0.98, axis=0), 3 * np.sqrt(self.noise))
-        self.center = grid[np.argmax(typical)].astype(float)
         self.good = np.ones((n, n_pixels), dtype=bool)
         self.focus, self.variable = np.zeros(n), np.zeros(n)
         self._start_positions(position, total)
         self.features = _Features(self.z, _SCALE, _TOLERANCE, _MAX_RANK)
         self.coarse = _Features(self.z, _COARSE_SCALE, _COARSE_TOLERANCE, _COARSE_RANK)
 
+    @property
+    def background(self):
+        """Background of each pixel and cadence."""
+        return self.plane @ self.planes.T
+
+    def _dark_plane(self, typical, dark):
+        """Return level and slopes of the background, 0 where it may be the star's wings."""
+        far = np.hypot(*(self.grid - self.center).T) > _FAR
+        if far.sum() < _FEWEST_FAR:
+            plane = np.array([np.median(typical[dark]), 0.0, 0.0])
+        else:
+            use = far.copy()
+            for _ in range(5):
+                plane = np.linalg.lstsq(self.planes[use], typical[use], rcond=None)[0]
+                rest = typical - self.planes @ plane
+                spread = 1.4826 * np.median(np.abs(rest[use]))
+                use = far & (rest < 2 * spread) & (rest > -4 * spread)
+        level = (self.planes @ plane)[self.aperture].sum()
+        return plane if level > _BACKGROUND * typical[self.aperture].sum() else np.zeros(3)
+
     def _start_positions(self, position, total):
         """Begin at POS_CORR, and where that is unknown or absurd at centroids in its scale."""
-        light = (self.y - self.background[:, None])[:, self.aperture]
+        light = (self.y - self.background)[:, self.aperture]
         centroid = light @ self.grid[self.aperture] * (self.unit / total)[:, None]
         centroid = centroid - np.median(centroid, axis=0)
         known = np.isfinite(position).all(axis=1)
@@ -206,7 +236,7 @@ class _State:
             parts.append(-v * coarse)
         columns = np.concatenate(parts, axis=1)
         fine = self.good.all(axis=1)
-        target = (self.y - self.background[:, None])[fine]
+        target = (self.y - self.background)[fine]
         values, vectors = np.linalg.eigh(columns[fine].T @ columns[fine])
         right = vectors.T @ (columns[fine].T @ target)
         ridge = self.variance / self.scale**2
@@ -245,40 +275,48 @@ class _State:
         """Improve brightness, background, position and focus of each cadence: one linear step."""
         image, slopes, focus, constant = self._images()
         a = self.brightness[:, None]
-        rest = self.y - a * image + self.variable[:, None] * constant - self.background[:, None]
+        rest = self.y - a * image + self.variable[:, None] * constant - self.background
         self.variance = np.maximum(self.noise, (1.4826 * np.median(np.abs(rest), axis=0)) ** 2)
         if iteration > 0:
             self.good = ~_single(np.abs(rest) > _CLIP * np.sqrt(self.variance))
-        columns = [image, np.ones_like(image), a * slopes[0], a * slopes[1], a * focus]
+        planes = [np.broadcast_to(plane, image.shape) for plane in self.planes.T]
+        columns = [image, *planes, a * slopes[0], a * slopes[1], a * focus]
         jacobian = np.stack(columns, axis=1)
         weighted = jacobian * (self.good / self.variance)[:, None]
         hessian = weighted @ jacobian.transpose(0, 2, 1)
         right = (weighted @ rest[:, :, None])[:, :, 0]
-        for k in (0, 1):
-            weight = np.where(self.known, _POSITION_PRIOR**-2, 1e-2)
-            hessian[:, 2 + k, 2 + k] += weight
-            right[:, 2 + k] += weight * (self.expected - self.z)[:, k]
-        hessian[:, 4, 4] += _FOCUS_PRIOR**-2
-        right[:, 4] -= self.focus * _FOCUS_PRIOR**-2
-        hessian[:, range(5), range(5)] *= 1 + 1e-9
+        tilt = 1.4826 * np.median(np.abs(self.plane[:, 0] - self.base[0])) + abs(self.base[0])
+        place = np.where(self.known, _POSITION_PRIOR**-2, 1e-2)
+        priors = [
+            (2, max(tilt, 1e-9) ** -2, self.base[1] - self.plane[:, 1]),
+            (3, max(tilt, 1e-9) ** -2, self.base[2] - self.plane[:, 2]),
+            (4, place, (self.expected - self.z)[:, 0]),
+            (5, place, (self.expected - self.z)[:, 1]),
+            (6, _FOCUS_PRIOR**-2, -self.focus),
+        ]
+        for k, weight, distance in priors:
+            hessian[:, k, k] += weight
+            right[:, k] += weight * distance
+        hessian[:, range(7), range(7)] *= 1 + 1e-9
         step = np.linalg.solve(hessian, right[:, :, None])[:, :, 0]
-        errors = np.sqrt(np.maximum(np.linalg.inv(hessian)[:, range(5), range(5)], 1e-30))
+        errors = np.sqrt(np.maximum(np.linalg.inv(hessian)[:, range(7), range(7)], 1e-30))
         self.brightness = self.brightness + np.clip(step[:, 0], -0.3, 0.3)
-        self.z = self.z + np.clip(step[:, 2:4], -0.1, 0.1)
-        self._set_background(self.background + step[:, 1], errors[:, 1], iteration)
+        self.z = self.z + np.clip(step[:, 4:6], -0.1, 0.1)
+        self._set_background(self.plane + step[:, 1:4], errors[:, 1:4], iteration)
         self._set_variable(iteration)
         self._anchor()
-        self._set_focus(self.focus + np.clip(step[:, 4], -0.02, 0.02), errors[:, 4], iteration)
+        self._set_focus(self.focus + np.clip(step[:, 6], -0.02, 0.02), errors[:, 6], iteration)
 
-    def _set_background(self, background, error, iteration):
+    def _set_background(self, plane, errors, iteration):
         """Smooth the background as far as the data are for it; jumps of a cadence stay."""
-        background = background - np.median(background)
+        plane = plane - np.median(plane, axis=0) + self.base
         if iteration >= _FOCUS_FROM:
-            smooth = _smoothed(self.time, background, error)
-            rest = np.abs(background - smooth)
-            jumps = rest > _CLIP * np.maximum(error, 1.4826 * np.median(rest))
-            background = np.where(jumps, background, smooth)
-        self.background = background
+            for values, error in zip(plane.T, errors.T, strict=True):
+                smooth = _smoothed(self.time, values, error)
+                rest = np.abs(values - smooth)
+                jumps = rest > _CLIP * np.maximum(error, 1.4826 * np.median(rest))
+                values[:] = np.where(jumps, values, smooth)
+        self.plane = plane
 
     def _set_variable(self, iteration):
         """Find the star's own variability: what is no function of position in its brightness."""
@@ -320,8 +358,8 @@ class _State:
         """Return the light and the fractions of an aperture."""
         image, _, _, constant = self._images()
         model = self.brightness[:, None] * image - self.variable[:, None] * constant
-        model += self.background[:, None]
-        light = np.where(self.good, self.y, model)[:, inside] - self.background[:, None]
+        model += self.background
+        light = (np.where(self.good, self.y, model) - self.background)[:, inside]
         shares = np.where(inside, image, 0.0)
         shares /= shares.sum(axis=1, keepdims=True)
         other = self._constant_light(image, constant, inside)
@@ -339,13 +377,13 @@ class _State:
     def _constant_light(self, image, constant, inside):
         """Return the constant light in the aperture, if the star's variability shows it.
 
-        No pixel of it is negative: the star has at most the whole light of its brightest pixels.
+        The star's brightest pixels hold none of it.
         """
         if not self.variable.any():
             return 0.0
         mean, own = image.mean(axis=0), (image - constant).mean(axis=0)
         bright = own > 0.3 * own[self.aperture].max()
-        part = float(np.clip(np.min(mean[bright] / own[bright]), 0.0, 1.0))
+        part = float(np.clip(mean[bright].sum() / own[bright].sum(), 0.0, 1.0))
         both = mean[inside].sum(), own[inside].sum()
         return both[0] - part * both[1]
 

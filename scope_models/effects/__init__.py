@@ -1,3 +1,16 @@
-"""What a detector does to light and charge: noise, saturation and further effects."""
+"""What sky, telescope and detector do to light and charge, besides noise and saturation."""
 
-__all__ = []
+from scope_models.effects._effect import Conditions, Drawn, Effect, Exposures
+from scope_models.effects.background import Argabrightening, Background, ScatteredLight
+from scope_models.effects.focus import Focus
+
+__all__ = [
+    "Argabrightening",
+    "Background",
+    "Conditions",
+    "Drawn",
+    "Effect",
+    "Exposures",
+    "Focus",
+    "ScatteredLight",
+]

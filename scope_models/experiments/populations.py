@@ -79,13 +79,14 @@ def draw_star(
     """
     if detector.psf is None:
         raise ValueError("`detector` must have a PSF to draw stars from")
-    shift = checked_number("shift", shift)
+    shift = checked_number("shift", shift, "pix")
     for name, spread in (("sigma_spread", sigma_spread), ("rho_spread", rho_spread)):
         if not 0 <= checked_number(name, spread) < 1:
             raise ValueError(f"`{name}` must be below 1, got {spread}")
     ny, nx = detector.shape
     deviates = rng.uniform(-1.0, 1.0, 5)
-    x_0, y_0 = nx // 2 if x_0 is None else x_0, ny // 2 if y_0 is None else y_0
+    x_0 = nx // 2 if x_0 is None else checked_number("x_0", x_0, "pix", any_sign=True)
+    y_0 = ny // 2 if y_0 is None else checked_number("y_0", y_0, "pix", any_sign=True)
     psf = _varied(detector.psf, 1 + sigma_spread * deviates[2:4], rho_spread * deviates[4])
     return Star(mag, x_0 + shift * deviates[0], y_0 + shift * deviates[1], psf=psf, signal=signal)
 
@@ -130,8 +131,8 @@ def field_position(distance, angle=_ANGLE):
     >>> print(f"{x:.2f} {y:.2f}")
     4.33 2.50
     """
-    distance = checked_number("distance", distance)
-    angle = np.radians(checked_number("angle", angle, any_sign=True))
+    distance = checked_number("distance", distance, "deg")
+    angle = np.radians(checked_number("angle", angle, "deg", any_sign=True))
     return float(distance * np.cos(angle)), float(distance * np.sin(angle))
 
 

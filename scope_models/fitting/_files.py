@@ -5,8 +5,9 @@ from dataclasses import fields
 
 import numpy as np
 
-from scope_models.io._atomic import atomic_path
-from scope_models.io.reading import open_fits
+from scope_models._arrays import native
+from scope_models.io import write_hdulist
+from scope_models.io._opening import RefusedError, open_fits
 from scope_models.models import PRF
 from scope_models.models._description import describe_model, make_model
 from scope_models.scene.detector import Detector
@@ -59,26 +60,37 @@ def write_fit(fit, path, *, overwrite):
         *(fits.ImageHDU(np.array(getattr(fit, name)), name=name.upper()) for name in _IMAGES),
         fits.ImageHDU(text, name="DESCRIPTION"),
     ]
-    with atomic_path(path, overwrite=overwrite) as temporary:
-        fits.HDUList(hdus).writeto(temporary)
-    return type(temporary)(path)
+    primary.header["NEXTEND"] = (len(hdus) - 1, "number of extensions")
+    return write_hdulist(fits.HDUList(hdus), path, overwrite=overwrite)
 
 
 def read_fit(path):
     """Return the fields of a fit that `write_fit` has written."""
     with open_fits(path) as hdus:
-        if hdus[0].header.get("CREATOR") != _CREATOR:
-            raise ValueError(f"{path} is no fit of this package")
-        if hdus[0].header["FITVERS"] > _VERSION:
-            raise ValueError(f"{path} was written by a later version of this package")
-        table = hdus["CADENCES"].data
-        values = {name: _native(table[name.upper()]) for name in _COLUMNS}
-        values["pos_corr"] = None
-        if "POS_CORR1" in table.names:
-            corrections = [_native(table[f"POS_CORR{i}"]) for i in (1, 2)]
-            values["pos_corr"] = np.column_stack(corrections)
-        values |= {name: _native(hdus[name.upper()].data) for name in _IMAGES}
-        described = json.loads(_native(hdus["DESCRIPTION"].data).astype(np.uint8).tobytes())
+        header = hdus[0].header
+        if header.get("CREATOR") != _CREATOR:
+            raise RefusedError(f"{path} is no fit of this package")
+        if header.get("FITVERS", _VERSION + 1) > _VERSION:
+            raise RefusedError(f"{path} was written by a later version of this package")
+        try:
+            return _fields_of(hdus)
+        except Exception as error:  # a file can hold anything under the names of a fit
+            reason = " ".join(str(error).split())
+            raise RefusedError(
+                f"{path} holds no fit that can be made: {type(error).__name__}: {reason}"
+            ) from error
+
+
+def _fields_of(hdus):
+    """Return the fields of the fit in an HDU list."""
+    table = hdus["CADENCES"].data
+    values = {name: native(table[name.upper()]) for name in _COLUMNS}
+    values["pos_corr"] = None
+    if "POS_CORR1" in table.names:
+        corrections = [native(table[f"POS_CORR{i}"]) for i in (1, 2)]
+        values["pos_corr"] = np.column_stack(corrections)
+    values |= {name: native(hdus[name.upper()].data) for name in _IMAGES}
+    described = json.loads(native(hdus["DESCRIPTION"].data).astype(np.uint8).tobytes())
     model = _model(described.pop("model"))
     detector = described.pop("detector")
     detector["sensitivity"] = model.sensitivity
@@ -133,9 +145,3 @@ def _model(described):
         parameter.fixed = described["fixed"][name]
         parameter.bounds = tuple(described["bounds"][name])
     return model
-
-
-def _native(values):
-    """An array of the machine's own byte order."""
-    values = np.asarray(values)
-    return values.astype(values.dtype.newbyteorder("="))

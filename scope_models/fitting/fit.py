@@ -132,7 +132,7 @@ def fit_tpf(
         interpixel=_checked_width("interpixel", interpixel),
         background=_one_of("background", background, _BACKGROUNDS),
         positions=_one_of("positions", positions, _POSITIONS),
-        position_error=checked_number("position_error", position_error, positive=True),
+        position_error=checked_number("position_error", position_error, "pix", positive=True),
         loss=_one_of("loss", loss, _LOSSES),
         loss_scale=checked_number("loss_scale", loss_scale, positive=True),
         saturation=bool(saturation),

@@ -10,6 +10,8 @@ from types import MappingProxyType
 import numpy as np
 from astropy.table import Table
 
+from scope_models._arrays import native
+
 __all__ = ["Truth", "truth_hdus", "truth_of"]
 
 _TPF_NAMES = {
@@ -307,7 +309,7 @@ def _columns_of(hdu):
     numbered = str(hdu.header.get(_NUMBERED, "")).split()
     columns = {}
     for name in hdu.columns.names:
-        values = _native(hdu.data[name])
+        values = native(hdu.data[name])
         if name not in numbered:
             columns[name] = values
             continue
@@ -405,7 +407,7 @@ def truth_of(hdus):
     if "TRUTH" not in hdus or hdus["TRUTH"].columns.names[:1] != ["CADENCENO"]:
         return None
     columns = _columns_of(hdus["TRUTH"])
-    maps = {hdu.header["MAPNAME"]: _native(hdu.data) for hdu in hdus if "MAPNAME" in hdu.header}
+    maps = {hdu.header["MAPNAME"]: native(hdu.data) for hdu in hdus if "MAPNAME" in hdu.header}
     scene = {}
     if "SCENE" in hdus:
         entries = hdus["SCENE"].data
@@ -414,13 +416,8 @@ def truth_of(hdus):
             scene[key] = scene.get(key, "") + str(row["VALUE"])
         scene = {key: json.loads(text) for key, text in scene.items()}
     tables = {
-        hdu.header["TABNAME"]: Table({name: _native(hdu.data[name]) for name in hdu.columns.names})
+        hdu.header["TABNAME"]: Table({name: native(hdu.data[name]) for name in hdu.columns.names})
         for hdu in hdus
         if "TABNAME" in hdu.header
     }
     return Truth(columns, maps, scene, tables)
-
-
-def _native(array):
-    """Return a copy in native byte order."""
-    return np.array(array, dtype=array.dtype.newbyteorder("="))

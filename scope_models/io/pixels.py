@@ -314,7 +314,7 @@ def usable_positions(pos_corr):
     array([ True, False])
     """
     with np.errstate(invalid="ignore"):
-        return (np.abs(np.asarray(pos_corr, dtype=float)) < LARGEST_OFFSET).all(axis=1)
+        return (np.abs(plain_array(pos_corr, "pix", "pos_corr")) < LARGEST_OFFSET).all(axis=1)
 
 
 def _of_hdus(hdus, name):

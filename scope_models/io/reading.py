@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from scope_models._arrays import native
 from scope_models.io._opening import RefusedError, open_fits
 from scope_models.missions import TIME_ZEROS, Mission
 
@@ -325,8 +326,9 @@ def column_of(table, name, path, ndim=1):
     if values.ndim != ndim or values.dtype.kind not in "iuf":
         what = {1: "one number", 3: "an image of numbers"}[ndim]
         raise RefusedError(f"column {name} of {path} must hold {what} per row")
-    kind = values.dtype.newbyteorder("=")
-    return values.astype(np.float64 if kind.kind == "f" or ndim == 3 else kind)
+    if values.dtype.kind == "f" or ndim == 3:
+        return values.astype(np.float64)
+    return native(values)
 
 
 def cards_of(*headers):

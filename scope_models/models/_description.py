@@ -18,7 +18,15 @@ from astropy.modeling import CompoundModel, Model
 from scope_models._arrays import is_angle, plain_array
 from scope_models.models.sensitivity import SensitivityPolynomial
 
-__all__ = ["describe_model", "make_model", "model_in_pixels", "value_key"]
+__all__ = [
+    "describe_model",
+    "find_class",
+    "make_model",
+    "model_in_pixels",
+    "packed",
+    "unpacked",
+    "value_key",
+]
 
 _OPERATORS = {"+": operator.add, "-": operator.sub, "*": operator.mul}
 # Modules that reading a file may import; others must have been imported before.
@@ -41,7 +49,7 @@ def describe_model(model):
         },
     }
     if hasattr(model, "arguments"):
-        described["parameters"] |= {k: _packed(v) for k, v in model.arguments.items()}
+        described["parameters"] |= {k: packed(v) for k, v in model.arguments.items()}
     if isinstance(model, SensitivityPolynomial):
         described["parameters"] = {
             "x_coefficients": list(model.x_coefficients),
@@ -57,18 +65,11 @@ def make_model(described):
     if "operator" in described:
         combine = _OPERATORS[described["operator"]]
         return combine(make_model(described["left"]), make_model(described["right"]))
-    module = described["module"]
-    if module not in sys.modules and module.partition(".")[0] not in _TRUSTED:
-        raise ValueError(f"import {module} before reading a scene with its {described['class']}")
-    kind = importlib.import_module(module)
-    for part in described["class"].split("."):
-        kind = getattr(kind, part, None)
-    if not (isinstance(kind, type) and issubclass(kind, Model)):
-        raise TypeError(f"{module}.{described['class']} is not a model")
-    return kind(**{name: _unpacked(value) for name, value in described["parameters"].items()})
+    kind = find_class(described, Model, "a model")
+    return kind(**{name: unpacked(value) for name, value in described["parameters"].items()})
 
 
-def _packed(value):
+def packed(value):
     """Return an array as text, and anything else as it is."""
     if not isinstance(value, np.ndarray):
         return value
@@ -76,7 +77,7 @@ def _packed(value):
     return {"array": b64encode(zlib.compress(values.tobytes())).decode(), "shape": values.shape}
 
 
-def _unpacked(value):
+def unpacked(value):
     """Return the array of a text, and anything else as it is."""
     if not isinstance(value, dict):
         return value
@@ -122,6 +123,41 @@ def model_in_pixels(model, pixel_scale):
         if name != "theta" and (is_angle(p.unit) or p.unit == u.pix):
             values[name] = plain_array(p.quantity, u.pix, name, pixel_scale=pixel_scale)
     return type(model)(**values, name=model.name, fixed=model.fixed, bounds=model.bounds)
+
+
+def find_class(described, base, what):
+    """Return the class of a description.
+
+    Parameters
+    ----------
+    described : dict
+        Its "module" and "class".
+    base : type
+        What it is derived from.
+    what : str
+        How messages call that.
+
+    Returns
+    -------
+    type
+        The class.
+
+    Raises
+    ------
+    ValueError
+        If its module belongs to another package that was not imported before.
+    TypeError
+        If it is not such a class.
+    """
+    module = described["module"]
+    if module not in sys.modules and module.partition(".")[0] not in _TRUSTED:
+        raise ValueError(f"import {module} before reading a scene with its {described['class']}")
+    kind = importlib.import_module(module)
+    for part in described["class"].split("."):
+        kind = getattr(kind, part, None)
+    if not (isinstance(kind, type) and issubclass(kind, base)):
+        raise TypeError(f"{module}.{described['class']} is not {what}")
+    return kind
 
 
 def value_key(value):

@@ -254,6 +254,8 @@ class TransitModel(Fittable1DModel):
         omega, ecc = plain_number(omega, u.deg, "omega"), plain_number(ecc, u.one, "ecc")
         _require(period > 0, "period", "positive", period)
         _require(0 <= ecc < 1, "ecc", "at least 0 and below 1", ecc)
+        if inc is not None:
+            inc = plain_number(inc, u.deg, "inc")
         if a is not None:
             a = plain_number(a, u.one, "a")
         if density is not None:

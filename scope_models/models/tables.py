@@ -15,7 +15,7 @@ from scipy.spatial import Delaunay
 from scope_models._arrays import plain_array, plain_number
 from scope_models.models._axis import gauss_legendre
 from scope_models.models._closed_form import ClosedForm, pixels_of
-from scope_models.models._validation import check_model_parameters
+from scope_models.models._validation import check_model_parameters, check_psf_units
 
 __all__ = ["PRFGrid", "TabulatedPRF", "TabulatedPSF"]
 
@@ -191,6 +191,7 @@ class _Table(Fittable2DModel):
             self._error = _Surface(error, self._surface.oversampling, self._surface.origin)
         super().__init__(flux=flux, x_0=x_0, y_0=y_0, **kwargs)
         check_model_parameters(self)
+        check_psf_units(self)
 
     @property
     def array(self):

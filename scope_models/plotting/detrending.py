@@ -1,8 +1,10 @@
 """Figures of a corrector: what it removed, what it left, and from which pixels."""
 
+import astropy.units as u
 import matplotlib.pyplot as plt
 import numpy as np
 
+from scope_models._arrays import plain_array
 from scope_models.photometry import cdpp
 from scope_models.plotting._style import DARK, GRAY, LIGHT, styled
 
@@ -38,7 +40,8 @@ def plot_detrending(
     >>> [ax.get_ylabel() for ax in axes]
     ['Measured flux (e-/s)', 'Model (e-/s)', 'Corrected flux (e-/s)']
     """
-    time, flux, corrected = (np.asarray(values, dtype=float) for values in (time, flux, corrected))
+    time, flux = plain_array(time, u.day, "time"), plain_array(flux, None, "flux")
+    corrected = plain_array(corrected, None, "corrected")
     _, axes = plt.subplots(3, 1, figsize=(9, 7), sharex=True, layout="constrained")
     axes[0].plot(time, flux, ".", ms=2, color=GRAY, label=_label("measured", flux))
     for values, color, name in ((systematics, DARK, "systematics"), (trend, LIGHT, "trend")):
@@ -105,8 +108,10 @@ def plot_detrending_masks(image, aperture, scatter):
     aperture = np.asarray(aperture, dtype=bool)
     _, axes = plt.subplots(1, 2, figsize=(9, 4), layout="constrained")
     titles = ("Flux (e-/s)", "Scatter of the pixel fractions")
+    image = plain_array(image, u.electron / u.s, "image")
+    scatter = plain_array(scatter, u.one, "scatter")
     for ax, values, title in zip(axes, (image, scatter), titles, strict=True):
-        drawn = ax.imshow(np.asarray(values, dtype=float), origin="lower", cmap="cividis")
+        drawn = ax.imshow(values, origin="lower", cmap="cividis")
         ax.figure.colorbar(drawn, ax=ax)
         for row, column in np.argwhere(aperture):
             frame = plt.Rectangle((column - 0.5, row - 0.5), 1, 1, fill=False, color="w", lw=0.8)

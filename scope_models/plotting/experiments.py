@@ -1,9 +1,11 @@
 """Figures of the experiments: noise against magnitude, and maps of a grid."""
 
+import astropy.units as u
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.patheffects import Normal, Stroke
 
+from scope_models._arrays import plain_array
 from scope_models.plotting._style import styled
 
 __all__ = ["plot_cdpp", "plot_cdpp_panels", "plot_map"]
@@ -55,7 +57,9 @@ def plot_cdpp(series, reference=None, *, limits=(), title="", legend=True, ax=No
         _draw_reference(ax, reference)
     shades = plt.get_cmap("viridis_r")(np.linspace(0.15, 1, max(len(series), 2)))
     for number, (label, values) in enumerate(series.items()):
-        mag, cdpp, *bars = (np.asarray(value, dtype=float) for value in values)
+        mag, *noise = values
+        mag = plain_array(mag, u.mag, "series")
+        cdpp, *bars = (plain_array(value, u.Unit(1e-6), "series") for value in noise)
         errors = None
         if bars:
             # As lists: matplotlib 3.10 takes the first element of arrays in a deprecated way.

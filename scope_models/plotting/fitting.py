@@ -1,13 +1,16 @@
 """Figures of fits to pixels."""
 
+import astropy.units as u
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.colors import AsinhNorm, LogNorm
 
+from scope_models._arrays import plain_array
 from scope_models.plotting._style import styled
 
 __all__ = ["plot_fit", "plot_twin"]
 
+_RATE = u.electron / u.s
 _TITLES = {"data": "Data, median", "model": "Model, median", "residual": "Residual, median"}
 # Part of the brightest pixel up to which the scale of the images is linear.
 _LINEAR = 0.01
@@ -49,6 +52,8 @@ def plot_fit(data, model, residual, x, y, *, pos_corr=None, sensitivity=None, ch
     >>> sorted(axes)
     ['data', 'model', 'positions', 'residual']
     """
+    data, model = plain_array(data, _RATE, "data"), plain_array(model, _RATE, "model")
+    residual = plain_array(residual, _RATE, "residual")
     below = [
         name for name, part in (("chi2", chi2), ("sensitivity", sensitivity)) if part is not None
     ]
@@ -68,7 +73,10 @@ def plot_fit(data, model, residual, x, y, *, pos_corr=None, sensitivity=None, ch
     bar = figure.colorbar(shown, ax=axes["residual"], label="Flux (e$^-$ s$^{-1}$)")
     bar.set_ticks([*ticks, 0.0], labels=[f"{tick:.3g}" for tick in (*ticks, 0.0)])
     bar.minorticks_off()
-    _draw_positions(axes["positions"], np.asarray(x), np.asarray(y), pos_corr)
+    x, y = plain_array(x, u.pix, "x"), plain_array(y, u.pix, "y")
+    if pos_corr is not None:
+        pos_corr = plain_array(pos_corr, u.pix, "pos_corr")
+    _draw_positions(axes["positions"], x, y, pos_corr)
     if chi2 is not None:
         shown = axes["chi2"].imshow(chi2, origin="lower", cmap="viridis", norm=LogNorm())
         _label_image(axes["chi2"], f"Chi-squared, median {np.nanmedian(chi2):.3g}")
@@ -89,9 +97,8 @@ def _draw_positions(ax, x, y, pos_corr):
         ax.plot(x, y, "k.", ms=2)
         ax.set(title="Positions", xlabel="Column (pixel)", ylabel="Row (pixel)")
         return
-    offsets = np.asarray(pos_corr)
-    ax.plot(offsets[:, 0], x - np.median(x), "k.", ms=2, label="column")
-    ax.plot(offsets[:, 1], y - np.median(y), ".", color="0.6", ms=2, label="row")
+    ax.plot(pos_corr[:, 0], x - np.median(x), "k.", ms=2, label="column")
+    ax.plot(pos_corr[:, 1], y - np.median(y), ".", color="0.6", ms=2, label="row")
     ax.set(title="Positions", xlabel="POS_CORR (pixel)", ylabel="Position less median (pixel)")
     ax.legend(fontsize="small", markerscale=4)
 
@@ -149,8 +156,8 @@ def plot_twin(time, real, twin, residuals, *, time_label="Time (d)", labels=None
     >>> axes["twin"].get_title()
     'Twin'
     """
-    labels = labels or {}
-    residuals = [np.asarray(image, dtype=float) for image in residuals]
+    labels, time = labels or {}, plain_array(time, u.day, "time")
+    residuals = [plain_array(image, u.one, "residuals") for image in residuals]
     figure = plt.figure(figsize=(11, 5), layout="constrained")
     axes = figure.subplot_mosaic([["raw", "real"], ["corrected", "twin"]], width_ratios=[2.4, 1])
     for number, (name, title) in enumerate((("raw", "Summed"), ("corrected", "De-trended"))):

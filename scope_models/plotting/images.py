@@ -1,5 +1,6 @@
 """Figures of pixels: maps, stamps, tracks and animations."""
 
+import astropy.units as u
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.animation import FuncAnimation
@@ -7,6 +8,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.colors import LogNorm
 from matplotlib.patheffects import Normal, Stroke
 
+from scope_models._arrays import plain_array
 from scope_models.plotting._style import styled
 
 __all__ = [
@@ -197,7 +199,8 @@ def plot_motion(time, x, y, shape=None, *, time_label="Time (d)", title="Motion"
     >>> plot_motion([0, 1, 2], [2, 2.3, 2.1], [3, 3.1, 3], shape=(6, 5)).get_ylim()
     (np.float64(-0.5), np.float64(5.5))
     """
-    time, x, y = (np.asarray(values, dtype=float) for values in (time, x, y))
+    time = plain_array(time, u.day, "time")
+    x, y = plain_array(x, u.pix, "x"), plain_array(y, u.pix, "y")
     ax = _axes(ax)
     points = np.column_stack([x, y])
     track = LineCollection(
@@ -264,7 +267,8 @@ def animate_pixels(cube, time=None, aperture=None, *, interval=50, time_label="T
     >>> animation = animate_pixels(np.random.default_rng(1).random((3, 4, 5)))
     >>> html = animation.to_jshtml()
     """
-    cube = np.asarray(cube, dtype=float)
+    cube = plain_array(cube, None, "cube")
+    time = None if time is None else plain_array(time, u.day, "time")
     if cube.ndim != 3:
         raise ValueError(f"`cube` must have shape (n_cadences, ny, nx), got {cube.shape}")
     ax = plot_pixels(cube[0], aperture, title="", ax=ax)
@@ -286,7 +290,7 @@ def _axes(ax):
 
 
 def _image(image):
-    image = np.asarray(image, dtype=float)
+    image = plain_array(image, None, "image")
     if image.ndim != 2:
         raise ValueError(f"an image must have two dimensions, got shape {image.shape}")
     return image

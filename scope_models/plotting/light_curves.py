@@ -1,8 +1,10 @@
 """Figures of light curves, and the summary of a star."""
 
+import astropy.units as u
 import matplotlib.pyplot as plt
 import numpy as np
 
+from scope_models._arrays import plain_array, plain_number
 from scope_models.plotting._style import DARK, LIGHT, styled
 from scope_models.plotting.images import plot_motion, plot_pixels
 
@@ -58,10 +60,13 @@ def plot_light_curve(
     """
     if ax is None:
         _, ax = plt.subplots(figsize=(8, 3.2), layout="constrained")
-    relative = np.asarray(flux, dtype=float) / np.nanmedian(flux)
+    time, flux = plain_array(time, u.day, "time"), plain_array(flux, None, "flux")
+    cdpp, corrected_cdpp = _ppm(cdpp, "cdpp"), _ppm(corrected_cdpp, "corrected_cdpp")
+    relative = flux / np.nanmedian(flux)
     ax.plot(time, relative, ".", ms=3.5, color=LIGHT, label=_with_cdpp("raw", cdpp))
     if corrected is not None:
-        relative = np.asarray(corrected, dtype=float) / np.nanmedian(corrected)
+        corrected = plain_array(corrected, None, "corrected")
+        relative = corrected / np.nanmedian(corrected)
         label = _with_cdpp("de-trended", corrected_cdpp)
         ax.plot(time, relative, ".", ms=2.5, color=DARK, label=label)
     if model is not None:
@@ -108,10 +113,11 @@ def plot_fold(
     >>> plot_fold(time, np.ones(200), 1.5, 0.5, window=6).get_xlabel()
     'Time from mid-transit (h)'
     """
-    time, flux = np.asarray(time, dtype=float), np.asarray(flux, dtype=float)
+    time, flux = plain_array(time, u.day, "time"), plain_array(flux, None, "flux")
+    period, t0 = plain_number(period, u.day, "period"), plain_number(t0, u.day, "t0")
     if not period > 0:
         raise ValueError(f"`period` must be positive, got {period}")
-    window = 12 * period if window is None else window
+    window = 12 * period if window is None else plain_number(window, u.hour, "window")
     phase = 24 * ((time - t0 + period / 2) % period - period / 2)
     near = np.isfinite(flux) & (np.abs(phase) <= window)
     if not near.any():
@@ -217,7 +223,8 @@ def plot_summary(
 
 def _plot_corrected(ax, time, corrected, model, noise, time_label):
     """Draw the de-trended light curve alone, on its own scale."""
-    relative = np.asarray(corrected, dtype=float) / np.nanmedian(corrected)
+    time, corrected = plain_array(time, u.day, "time"), plain_array(corrected, None, "corrected")
+    relative = corrected / np.nanmedian(corrected)
     ax.plot(time, relative, ".", ms=2.5, color=DARK, label="de-trended")
     if noise is not None:
         level = np.ones(len(relative)) if model is None else np.asarray(model, dtype=float)
@@ -243,6 +250,11 @@ def _label(ax, xlabel, title):
         markerscale=2,
         borderaxespad=0.2,
     )
+
+
+def _ppm(cdpp, name):
+    """Return a CDPP in ppm, or None."""
+    return None if cdpp is None else plain_number(cdpp, u.Unit(1e-6), name)
 
 
 def _with_cdpp(name, cdpp):

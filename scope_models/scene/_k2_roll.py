@@ -34,7 +34,7 @@ _UNITS = {
     "solar_rate": u.arcsec / u.hour,
     "reversal": u.day,
     "reversal_interval": u.day,
-    "rate_growth": 1 / u.hour,
+    "rate_growth": u.hour**-1,
     "rate_scatter": u.one,
     "reset_interval": u.hour,
     "reset_jitter": u.hour,

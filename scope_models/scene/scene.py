@@ -14,10 +14,18 @@ from astropy.utils.exceptions import AstropyDeprecationWarning
 
 from scope_models._arrays import plain_number
 from scope_models._checks import checked_integer
+from scope_models.effects import Effect
 from scope_models.effects.noise import check_seed, noise_terms
 from scope_models.io import read_truth, write_hdulist
 from scope_models.io._truth import truth_hdus
-from scope_models.models._description import describe_model, make_model, value_key
+from scope_models.models._description import (
+    describe_model,
+    find_class,
+    make_model,
+    packed,
+    unpacked,
+    value_key,
+)
 from scope_models.scene.detector import Detector
 from scope_models.scene.motion import Motion
 from scope_models.scene.presets import PRESETS
@@ -57,6 +65,9 @@ class Scene:
         Exposures within a cadence over which the motion is averaged. Positions are interpolated
         between the middles of the cadences by straight lines, and stay before the first and after
         the last. The relative flux is a mean over the cadence in any case.
+    effects : Effect or sequence of Effect, optional
+        What sky, telescope and detector do besides noise and saturation: see
+        `scope_models.effects`.
     target_id : int, optional
         KEPLERID or TICID of the target in a file; the default is 1.
     object_name : str, optional
@@ -96,6 +107,7 @@ class Scene:
     seed: int | None = field(default=None, kw_only=True)
     noise: frozenset = field(default=True, kw_only=True)
     n_sub: int = field(default=1, kw_only=True)
+    effects: tuple[Effect, ...] = field(default=(), kw_only=True)
     target_id: int | None = field(default=None, kw_only=True)
     object_name: str | None = field(default=None, kw_only=True)
     ra: float | None = field(default=None, kw_only=True)
@@ -125,6 +137,7 @@ class Scene:
         put("seed", None if self.seed is None else check_seed(self.seed))
         put("noise", noise_terms(self.noise))
         put("n_sub", checked_integer("n_sub", self.n_sub, 1))
+        put("effects", _checked_effects(self.effects))
         for name in ("ra", "dec", "orientation"):
             if getattr(self, name) is not None:
                 put(name, plain_number(getattr(self, name), "deg", name))
@@ -281,6 +294,7 @@ def _scene_of(values):
 def _options(scene):
     """Fields beside stars, detector and motion that differ from their defaults, and the seed."""
     options = {"seed": scene.seed, "noise": sorted(scene.noise), "n_sub": scene.n_sub}
+    options |= {"effects": scene.effects} if scene.effects else {}
     identity = {name: getattr(scene, name) for name in _IDENTITY}
     options |= {name: value for name, value in identity.items() if value is not None}
     return options | ({"metadata": dict(scene.metadata)} if scene.metadata else {})
@@ -303,6 +317,19 @@ def _checked_stars(stars):
         if not isinstance(star, Star):
             raise TypeError(f"`stars` must hold Star objects, got {star!r}")
     return stars
+
+
+def _checked_effects(effects):
+    """Return one effect or several as a tuple."""
+    if isinstance(effects, Effect):
+        return (effects,)
+    if not isinstance(effects, Iterable):
+        raise TypeError(f"`effects` must be effects, got {effects!r}")
+    effects = tuple(effects)
+    for effect in effects:
+        if not isinstance(effect, Effect):
+            raise TypeError(f"`effects` must hold effects, got {effect!r}")
+    return effects
 
 
 def read_scene(path):
@@ -364,7 +391,8 @@ def _scene_of_truth(truth):
         time_format=described["time_format"],
         meta=described["meta"],
     )
-    return Scene(stars, detector, motion, **truth.scene["options"])
+    effects = [_effect(described) for described in truth.scene.get("effects", ())]
+    return Scene(stars, detector, motion, effects=effects, **truth.scene["options"])
 
 
 def read_detector(path):
@@ -434,7 +462,10 @@ def describe_scene(scene):
             "time_format": scene.motion.time_format,
             "meta": _for_json(scene.motion.meta),
         },
-        "options": _for_json(scene.options),
+        "options": _for_json(
+            {name: value for name, value in scene.options.items() if name != "effects"}
+        ),
+        "effects": [_describe_effect(effect) for effect in scene.effects],
     }
 
 
@@ -449,6 +480,22 @@ def scene_columns(scene, relative_flux):
     for i, signal in enumerate(relative_flux, start=1):
         columns[f"SIGNAL{i}"] = signal
     return columns
+
+
+def _describe_effect(effect):
+    """Return an effect as the name of its class and its fields."""
+    values = {item.name: getattr(effect, item.name) for item in fields(effect)}
+    return {
+        "module": type(effect).__module__,
+        "class": type(effect).__qualname__,
+        "parameters": {name: _for_json(packed(value)) for name, value in values.items()},
+    }
+
+
+def _effect(described):
+    """Return the effect of a description."""
+    values = {name: unpacked(value) for name, value in described["parameters"].items()}
+    return find_class(described, Effect, "an effect")(**values)
 
 
 def _describe_detector(detector):

@@ -1,22 +1,29 @@
 """The light of the stars of a scene, before any noise."""
 
+from collections import Counter
 from dataclasses import dataclass
+from functools import reduce
+from operator import mul
 
 import numpy as np
 
+from scope_models.effects import Conditions
+from scope_models.effects.noise import stream
 from scope_models.effects.saturation import bleed
 from scope_models.models._axis import ROWS
 from scope_models.models._series import ImageSeries, unit_images
 
 __all__ = [
+    "Prepared",
     "StarLight",
     "StarSums",
     "fill_wells",
     "gather",
     "lost_fractions",
+    "pedestal",
     "pieces",
+    "prepare",
     "share_of_target",
-    "star_lights",
 ]
 
 # Pixels and exposures per piece of work: few enough for arrays to stay in the processor's cache.
@@ -31,8 +38,12 @@ class StarLight:
 
     Parameters
     ----------
-    x, y : ndarray of shape (n_cadences, n_sub)
+    x, y : ndarray of shape (n_cadences, k)
         Position in each exposure, pixels.
+    weights : ndarray of shape (k,)
+        Part of each exposure in a cadence.
+    widths : ndarray of shape (n_cadences,) or None
+        Factor on the width of the PSF.
     flux : float
         Flux at the star's magnitude, e-/s, before the response of the pixels.
     relative_flux : ndarray of shape (n_cadences,)
@@ -43,6 +54,8 @@ class StarLight:
 
     x: np.ndarray
     y: np.ndarray
+    weights: np.ndarray
+    widths: np.ndarray | None
     flux: float
     relative_flux: np.ndarray
     series: ImageSeries
@@ -66,41 +79,93 @@ class StarLight:
             Images of the `window`, means over the exposures of a cadence.
         """
         x, y = self.x[cadences], self.y[cadences]
-        images = self.series(x.ravel(), y.ravel())
+        k = x.shape[1]
+        widths = None if self.widths is None else np.repeat(self.widths[cadences], k)
+        images = self.series(x.ravel(), y.ravel(), widths)
         images[images < _DARK] = 0.0
-        if x.shape[1] > 1:
-            images = images.reshape(*x.shape, *images.shape[1:]).mean(axis=1)
+        if k > 1:
+            images = images.reshape(len(x), k, *images.shape[1:])
+            images = np.einsum("mkyx,k->myx", images, self.weights)
         images *= (self.flux * self.relative_flux[cadences])[:, np.newaxis, np.newaxis]
         return images
 
 
-def star_lights(scene):
-    """Return the light of each star of a scene.
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """A scene with all that is computed before its first cadence.
 
     Parameters
     ----------
     scene : Scene
-        The scene.
+        The scene, with its seed.
+    conditions : Conditions
+        What effects need of it.
+    effects : list of tuple of Effect and Drawn
+        The effects and their truth.
+    lights : list of StarLight
+        The light of each star.
+    interpixel : ndarray of shape (ny, nx)
+        Response of each pixel against the others.
+    """
+
+    scene: object
+    conditions: Conditions
+    effects: list
+    lights: list
+    interpixel: np.ndarray
+
+
+def prepare(scene):
+    """Return a scene with the truth of its effects and the light of its stars.
+
+    Parameters
+    ----------
+    scene : Scene
+        The scene, with its seed.
 
     Returns
     -------
-    list of StarLight
-        One for each star.
+    Prepared
+        What the cadences are made of.
 
     Raises
     ------
     ValueError
         If a star has no PSF, or a signal of another length.
     """
+    conditions = Conditions.of(scene.detector, scene.motion.time)
+    effects, counts = [], Counter()
+    for effect in scene.effects:
+        counts[effect.name] += 1
+        generator = stream(scene.seed, f"effect {effect.name} {counts[effect.name]}")
+        effects.append((effect, effect.draw(conditions, generator)))
+    interpixel = scene.detector.interpixel_map(scene.seed)
+    return Prepared(
+        scene, conditions, effects, _star_lights(scene, conditions, effects), interpixel
+    )
+
+
+def _star_lights(scene, conditions, effects):
+    """Return the light of each star of a scene."""
     detector, time = scene.detector, scene.motion.time
-    x, y = _offsets(scene)
+    widths = _product(effect.width(drawn, conditions) for effect, drawn in effects)
+    x, y, weights = _offsets(
+        scene, [effect.exposures(drawn, conditions) for effect, drawn in effects]
+    )
     lights = []
     for star, (x_0, y_0) in zip(scene.stars, scene.positions, strict=True):
         place = x + x_0, y + y_0
-        series = ImageSeries(_psf(star, detector), detector.sensitivity, detector.shape, *place)
-        flux = detector.flux_from_mag(star.mag)
-        lights.append(StarLight(*place, flux, star.relative_flux(time), series))
+        psf, response = _psf(star, detector), detector.sensitivity
+        series = ImageSeries(psf, response, detector.shape, *place, widths)
+        flux, relative = detector.flux_from_mag(star.mag), star.relative_flux(time)
+        lights.append(StarLight(*place, weights, widths, flux, relative, series))
     return lights
+
+
+def _product(factors):
+    """Return the product of all factors that are given, or None."""
+    given = [factor for factor in factors if factor is not None]
+    return reduce(mul, given) if given else None
 
 
 def lost_fractions(scene):
@@ -127,14 +192,23 @@ def lost_fractions(scene):
     return np.clip(lost, 0.0, 1.0)
 
 
-def _offsets(scene):
-    """Return the motion in each exposure, two arrays of shape (n_cadences, n_sub)."""
+def _offsets(scene, exposures):
+    """Return the offsets of each exposure, two of shape (n_cadences, k), and their weights."""
     motion = scene.motion
-    if scene.n_sub == 1:
-        return motion.x[:, np.newaxis], motion.y[:, np.newaxis]
-    parts = (np.arange(scene.n_sub) + 0.5) / scene.n_sub - 0.5
-    times = motion.time[:, np.newaxis] + parts * scene.detector.cadence_days
-    return np.interp(times, motion.time, motion.x), np.interp(times, motion.time, motion.y)
+    x, y = motion.x[:, np.newaxis], motion.y[:, np.newaxis]
+    if scene.n_sub > 1:
+        parts = (np.arange(scene.n_sub) + 0.5) / scene.n_sub - 0.5
+        times = motion.time[:, np.newaxis] + parts * scene.detector.cadence_days
+        x, y = (np.interp(times, motion.time, values) for values in (motion.x, motion.y))
+    weights = np.full(scene.n_sub, 1 / scene.n_sub)
+    for more in exposures:
+        if more is not None:
+            x, y = (
+                (a[:, :, np.newaxis] + b[:, np.newaxis]).reshape(len(a), -1)
+                for a, b in ((x, more.x), (y, more.y))
+            )
+            weights = np.outer(weights, more.weights).ravel()
+    return x, y, weights
 
 
 def _psf(star, detector):
@@ -161,17 +235,13 @@ class StarSums:
     in_aperture: np.ndarray
 
 
-def gather(scene, lights, interpixel, cadences, sums=None, aperture=None):
+def gather(prepared, cadences, sums=None, aperture=None):
     """Return the electrons that the light of all stars makes in a slice of cadences.
 
     Parameters
     ----------
-    scene : Scene
+    prepared : Prepared
         The scene.
-    lights : list of StarLight
-        The light of its stars.
-    interpixel : ndarray of shape (ny, nx)
-        Response of each pixel against the others.
     cadences : slice
         The cadences.
     sums : StarSums, optional
@@ -184,9 +254,10 @@ def gather(scene, lights, interpixel, cadences, sums=None, aperture=None):
     ndarray of shape (m, ny, nx)
         Electrons before the wells fill.
     """
+    scene, interpixel = prepared.scene, prepared.interpixel
     n = len(range(*cadences.indices(len(scene.motion))))
     electrons = np.zeros((n, *scene.detector.shape))
-    for number, light in enumerate(lights):
+    for number, light in enumerate(prepared.lights):
         images, window = light.images(cadences), light.window
         electrons[:, *window] += images
         if sums is not None:
@@ -197,7 +268,47 @@ def gather(scene, lights, interpixel, cadences, sums=None, aperture=None):
             images[0] += sums.images[number, *window]
             sums.images[number, *window] = images.sum(axis=0)
     electrons *= interpixel * scene.detector.exposure_time
-    return electrons
+    response = _response(prepared, cadences)
+    return electrons if response is None else np.multiply(electrons, response, out=electrons)
+
+
+def _response(prepared, cadences):
+    """Return the factor of all effects on the light in some cadences, or None."""
+    conditions = prepared.conditions
+    return _product(
+        effect.response(drawn, conditions, cadences) for effect, drawn in prepared.effects
+    )
+
+
+def pedestal(prepared, cadences, electrons):
+    """Return the charge besides the stars' in some cadences, and the part that is subtracted.
+
+    Parameters
+    ----------
+    prepared : Prepared
+        The scene.
+    cadences : slice
+        The cadences.
+    electrons : ndarray of shape (m, ny, nx)
+        Expected charge of the stars.
+
+    Returns
+    -------
+    tuple of two ndarray
+        Expected electrons, of shape (ny, nx) if they are the same in all cadences, or
+        (m, ny, nx).
+    """
+    conditions, response = prepared.conditions, _response(prepared, cadences)
+    sky = conditions.background * prepared.interpixel * conditions.exposure_time
+    # Light has the response of the pixels and of effects; charge of other kinds has not.
+    gain = prepared.interpixel if response is None else prepared.interpixel * response
+    added = subtracted = sky if response is None else sky * response
+    for effect, drawn in prepared.effects:
+        more = effect.pedestal(drawn, conditions, cadences, electrons)
+        if more is not None:
+            factor = gain if effect.is_light else 1.0
+            added, subtracted = added + factor * more[0], subtracted + factor * more[1]
+    return added, subtracted
 
 
 def fill_wells(scene, electrons, background):
@@ -223,7 +334,7 @@ def fill_wells(scene, electrons, background):
     if electrons.max() <= depth - np.max(background):
         return 0.0
     charge = electrons.sum(axis=(1, 2))
-    bleed(electrons, depth, background)
+    bleed(electrons, depth, np.minimum(background, depth))
     kept = electrons.sum(axis=(1, 2))
     return float((1.0 - np.divide(kept, charge, out=np.ones_like(kept), where=charge > 0)).max())
 

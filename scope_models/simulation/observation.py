@@ -9,7 +9,14 @@ from scope_models._checks import checked_mask
 from scope_models.io import TPFMetadata, Truth, make_tpf_hdulist, write_tpf
 from scope_models.missions import MISSIONS, TIME_ZEROS
 from scope_models.scene.scene import Scene
-from scope_models.simulation._light import fill_wells, gather, pieces, share_of_target, star_lights
+from scope_models.simulation._light import (
+    fill_wells,
+    gather,
+    pedestal,
+    pieces,
+    prepare,
+    share_of_target,
+)
 
 __all__ = ["Observation"]
 
@@ -34,6 +41,8 @@ class Observation:
         Background that was subtracted, e-/s. It is the true level.
     raw_cnts : ndarray of int, shape (n_cadences, ny, nx)
         Digital numbers of the whole cadence, with background and fixed offset.
+    quality : ndarray of int, shape (n_cadences,)
+        Quality flags: those of the motion and of the effects.
     scene : Scene
         The scene, with its seed: ``simulate(scene)`` gives the same pixels again.
     truth : ~scope_models.io.Truth
@@ -58,13 +67,15 @@ class Observation:
     flux_err: np.ndarray
     flux_bkg: np.ndarray
     raw_cnts: np.ndarray
+    quality: np.ndarray
     scene: Scene
     truth: Truth
     aperture: np.ndarray
     star_images: np.ndarray
 
     def __post_init__(self):
-        for cube in (self.flux, self.flux_err, self.raw_cnts, self.aperture, self.star_images):
+        names = ("flux", "flux_err", "raw_cnts", "quality", "aperture", "star_images")
+        for cube in (getattr(self, name) for name in names):
             cube.flags.writeable = False
 
     def __repr__(self):
@@ -87,18 +98,13 @@ class Observation:
 
     @property
     def motion(self):
-        """The motion; time, quality and cadence numbers are its own."""
+        """The motion; time and cadence numbers are its own."""
         return self.scene.motion
 
     @property
     def time(self):
         """Middle of each cadence, days, in the format of the motion."""
         return self.motion.time
-
-    @property
-    def quality(self):
-        """Quality flags."""
-        return self.motion.quality
 
     @property
     def cadenceno(self):
@@ -128,12 +134,11 @@ class Observation:
         """
         if self.truth.model is not None:
             return self.truth.model
-        lights, interpixel = star_lights(self.scene), self.truth.interpixel
-        background = self.detector.background * interpixel * self.detector.exposure_time
+        prepared = prepare(self.scene)
         model = np.empty(self.flux.shape)
         for part in pieces(self.scene):
-            electrons = gather(self.scene, lights, interpixel, part)
-            fill_wells(self.scene, electrons, background)
+            electrons = gather(prepared, part)
+            fill_wells(self.scene, electrons, pedestal(prepared, part, electrons)[0])
             np.divide(electrons, self.detector.exposure_time, out=model[part])
         return model
 
@@ -166,7 +171,7 @@ class Observation:
             return self.truth.target_share
         weights = self.truth.interpixel * aperture
         sums = np.zeros((len(self.stars), len(self.motion)))
-        for number, light in enumerate(star_lights(self.scene)):
+        for number, light in enumerate(prepare(self.scene).lights):
             for part in pieces(self.scene):
                 sums[number, part] = np.tensordot(light.images(part), weights[light.window], axes=2)
         return share_of_target(sums)

@@ -3,6 +3,7 @@
 import warnings
 
 import numpy as np
+from astropy.table import Table
 
 from scope_models._checks import checked_integer
 from scope_models.effects.noise import (
@@ -21,9 +22,10 @@ from scope_models.simulation._light import (
     fill_wells,
     gather,
     lost_fractions,
+    pedestal,
     pieces,
+    prepare,
     share_of_target,
-    star_lights,
 )
 from scope_models.simulation.observation import Observation
 
@@ -61,8 +63,8 @@ def simulate(stars, detector=None, motion=None, *, keep_model=False, chunk_size=
         suits the processor's cache. It does not change the result.
     **options
         Other fields of `~scope_models.Scene`: ``seed``, ``noise`` (default True), ``n_sub``
-        (default 1), and what identifies the target, as ``target_id``. With a scene, they replace
-        its own.
+        (default 1), ``effects`` (default none), and what identifies the target, as ``target_id``.
+        With a scene, they replace its own.
 
     Returns
     -------
@@ -105,39 +107,45 @@ def simulate(stars, detector=None, motion=None, *, keep_model=False, chunk_size=
     scene = _checked_scene(stars, detector, motion, options)
     if chunk_size is not None:
         chunk_size = checked_integer("chunk_size", chunk_size, 1)
-    lights = star_lights(scene)
+    prepared = prepare(scene)
     lost = lost_fractions(scene)
     _warn_of_lost_light(scene, lost)
-    interpixel = scene.detector.interpixel_map(scene.seed)
-    aperture = _choose_aperture(scene, lights, interpixel)
+    aperture = _choose_aperture(prepared)
+    shape = (len(scene.motion), *scene.detector.shape)
     sums = StarSums(
-        np.zeros((len(lights), *scene.detector.shape)), np.zeros((len(lights), len(scene.motion)))
+        np.zeros((len(scene.stars), *shape[1:])), np.zeros((len(scene.stars), shape[0]))
     )
     cubes = {
-        "flux": np.empty((len(scene.motion), *scene.detector.shape), np.float32),
-        "flux_err": np.empty((len(scene.motion), *scene.detector.shape), np.float32),
-        "raw_cnts": np.empty((len(scene.motion), *scene.detector.shape), np.int32),
+        "flux": np.empty(shape, np.float32),
+        "flux_err": np.empty(shape, np.float32),
+        "raw_cnts": np.empty(shape, np.int32),
     }
-    model = np.empty(cubes["flux"].shape) if keep_model else None
-    background = scene.detector.background * interpixel * scene.detector.exposure_time
+    model = np.empty(shape) if keep_model else None
     streams = {term: stream(scene.seed, term) for term in scene.noise}
-    spilled = 0.0
+    spilled, flux_bkg = 0.0, None
     for part in pieces(scene, chunk_size):
-        expected = gather(scene, lights, interpixel, part, sums, aperture)
-        spilled = max(spilled, fill_wells(scene, expected, background))
+        expected = gather(prepared, part, sums, aperture)
+        added, subtracted = pedestal(prepared, part, expected)
+        spilled = max(spilled, fill_wells(scene, expected, added))
         if keep_model:
             np.divide(expected, scene.detector.exposure_time, out=model[part])
-        _record(expected, background, scene, streams, {k: cube[part] for k, cube in cubes.items()})
+        background = (subtracted / scene.detector.exposure_time).astype(np.float32)
+        if background.ndim == 2:
+            flux_bkg = np.broadcast_to(background, shape)
+        else:
+            flux_bkg = np.empty(shape, np.float32) if flux_bkg is None else flux_bkg
+            flux_bkg[part] = background
+        piece = {name: cube[part] for name, cube in cubes.items()}
+        _record(prepared, part, expected, (added, subtracted), streams, piece)
     _warn_of_spilled_charge(spilled, scene.detector.shape)
-    sums.images *= interpixel
-    level = (background / scene.detector.exposure_time).astype(np.float32)
     return Observation(
         **cubes,
-        flux_bkg=np.broadcast_to(level, cubes["flux"].shape),
+        flux_bkg=flux_bkg,
+        quality=_flag(prepared, cubes),
         scene=scene,
-        truth=_truth(scene, lights, lost, interpixel, share_of_target(sums.in_aperture), model),
+        truth=_truth(prepared, lost, share_of_target(sums.in_aperture), model),
         aperture=aperture,
-        star_images=sums.images / len(scene.motion),
+        star_images=sums.images * prepared.interpixel / len(scene.motion),
     )
 
 
@@ -152,14 +160,14 @@ def _checked_scene(stars, detector, motion, options):
     return scene.replace(seed=fresh_seed()) if scene.seed is None else scene
 
 
-def _choose_aperture(scene, lights, interpixel):
+def _choose_aperture(prepared):
     """Return the pixels of the highest signal-to-noise ratio of the target in some cadences."""
-    detector, n = scene.detector, len(scene.motion)
+    detector, n = prepared.scene.detector, len(prepared.scene.motion)
     some = slice(None, None, -(-n // _APERTURE_CADENCES))
     images = np.zeros((2, len(range(n)[some]), *detector.shape))
-    for number, light in enumerate(lights):
+    for number, light in enumerate(prepared.lights):
         images[min(number, 1), :, *light.window] += light.images(some)
-    images *= interpixel
+    images *= prepared.interpixel
     target, others = images
     if not target.any():
         return np.ones(detector.shape, dtype=bool)
@@ -167,21 +175,21 @@ def _choose_aperture(scene, lights, interpixel):
         target,
         detector.exposure_time,
         neighbors=others,
-        background=(detector.background * interpixel).astype(np.float32),
+        background=(detector.background * prepared.interpixel).astype(np.float32),
         read_noise=detector.read_noise,
         n_frames=detector.n_reads,
     )
 
 
-def _record(expected, background, scene, streams, cubes):
+def _record(prepared, part, expected, pedestals, streams, cubes):
     """Write what a slice of cadences records of the expected electrons into its cubes."""
-    detector = scene.detector
-    electrons = _detect(expected, background, detector, streams)
+    detector, (added, subtracted) = prepared.scene.detector, pedestals
+    electrons = _detect(prepared, part, expected, added, streams)
     cubes["raw_cnts"][...] = _digital_numbers(electrons, detector)
-    electrons -= background
+    electrons -= subtracted
     electrons /= detector.exposure_time
     cubes["flux"][...] = electrons
-    error = _variance(expected, background, detector, scene.noise)
+    error = _variance(expected, added, detector, prepared.scene.noise)
     np.sqrt(error, out=error)
     error /= detector.exposure_time
     rounding = np.maximum(np.abs(electrons, out=electrons), 1.0, out=electrons)
@@ -190,21 +198,39 @@ def _record(expected, background, scene, streams, cubes):
     cubes["flux_err"][...] = error
 
 
-def _detect(expected, background, detector, streams):
-    """Return the electrons that are read out, with the background."""
+def _detect(prepared, part, expected, added, streams):
+    """Return the electrons that are read out, with all that is added to the stars' light."""
+    detector = prepared.scene.detector
     if "photon" in streams:
         electrons = poisson_counts(expected, streams["photon"])
     else:
         electrons = expected.copy()
     if "background" in streams:
-        electrons += poisson_counts(background, streams["background"], expected.shape)
+        electrons += poisson_counts(added, streams["background"], expected.shape)
     else:
-        electrons += background
+        electrons += added
+    for stage in ("charge", "readout"):
+        for effect, drawn in prepared.effects:
+            getattr(effect, stage)(drawn, prepared.conditions, part, electrons)
     if "read" in streams:
         add_read_noise(electrons, detector.cadence_read_noise, streams["read"])
     if "quantization" in streams:
         add_quantization(electrons, detector.gain, detector.n_reads, streams["quantization"])
     return electrons
+
+
+def _flag(prepared, cubes):
+    """Return the quality flags, and take away the pixels of cadences without data."""
+    quality = prepared.scene.motion.quality.copy()
+    for effect, drawn in prepared.effects:
+        flags = effect.quality(drawn, prepared.conditions)
+        if flags is not None:
+            quality |= np.asarray(flags, dtype=quality.dtype)
+        missing = effect.missing(drawn, prepared.conditions)
+        if missing is not None:
+            cubes["flux"][missing] = cubes["flux_err"][missing] = np.nan
+            cubes["raw_cnts"][missing] = -1
+    return quality
 
 
 def _variance(expected, background, detector, terms):
@@ -230,18 +256,36 @@ def _digital_numbers(electrons, detector):
     return np.minimum(counts, _LARGEST_COUNT, out=counts)
 
 
-def _truth(scene, lights, lost, interpixel, share, model):
+def _truth(prepared, lost, share, model):
     """Return what lies behind the pixels."""
+    scene, lights = prepared.scene, prepared.lights
     columns = {"CADENCENO": scene.motion.cadenceno}
     columns |= scene_columns(scene, [light.relative_flux for light in lights])
     columns["TARGET_SHARE"] = share
     for i, light in enumerate(lights, start=1):
-        columns |= {f"X{i}": light.x.mean(axis=1), f"Y{i}": light.y.mean(axis=1)}
-    found = {"flux": [light.flux for light in lights], "lost_fraction": lost.tolist()}
+        columns |= {f"X{i}": light.x @ light.weights, f"Y{i}": light.y @ light.weights}
+    maps, tables = {"INTERPIXEL": prepared.interpixel}, {}
+    for _, drawn in prepared.effects:
+        for found, into in (
+            (drawn.columns, columns),
+            (drawn.maps, maps),
+            ({name: Table(dict(table)) for name, table in drawn.tables.items()}, tables),
+        ):
+            into |= {_unused(name, into): value for name, value in found.items()}
+    described = describe_scene(scene)
+    described["found"] = {
+        "flux": [light.flux for light in lights],
+        "lost_fraction": lost.tolist(),
+    }
     if model is not None:
         model.flags.writeable = False
-    described = describe_scene(scene) | {"found": found}
-    return Truth(columns, {"INTERPIXEL": interpixel}, described, model=model)
+    return Truth(columns, maps, described, tables, model)
+
+
+def _unused(name, taken):
+    """Return a name, with a number if another effect of its kind has used it."""
+    number = 1 + sum(f"{name}{suffix}" in taken for suffix in ("", "_2", "_3", "_4"))
+    return name if number == 1 else f"{name}_{number}"
 
 
 def _warn_of_lost_light(scene, lost):

@@ -264,3 +264,26 @@ class TestErrors:
             main(["--version"])
         assert stop.value.code == 0
         assert capsys.readouterr().out == f"scope-models {__version__}\n"
+
+
+HEAVY = ["numpy", "scipy", "astropy", "lightkurve", "matplotlib", "tqdm", "dask"]
+
+
+@pytest.mark.parametrize(
+    "argv",
+    [["--version"], ["--help"]]
+    + [[name, "--help"] for name in ("demo", "simulate", "detrend", "fit", "experiment")],
+    ids=" ".join,
+)
+def test_answers_without_heavy_imports(argv):
+    """They are what makes a command line slow: a time would depend on the machine."""
+    code = (
+        "import sys; from scope_models.cli import main\n"
+        "try: main(sys.argv[1:])\n"
+        f"finally: sys.stderr.write(str([m for m in {HEAVY} if m in sys.modules]))"
+    )
+    command = [sys.executable, "-c", code, *argv]
+    result = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert result.returncode == 0
+    assert result.stdout
+    assert result.stderr == "[]"

@@ -57,7 +57,7 @@ def test_fractions_of_a_star_with_focus_and_background():
     found = clean(FLUX * true + background[:, None], measured)
     noise = np.sqrt((2.0**2 + FLUX * true / 1600).sum(axis=1).mean()) / FLUX  # of measured ones
     assert deviation(found.shares, true) < 0.5 * noise
-    assert (found.background - background).std() < 0.5
+    assert (found.background - background[:, None]).std() < 0.5
     np.testing.assert_allclose(found.shares.sum(axis=1), 1)
     assert found.constant == 0
 

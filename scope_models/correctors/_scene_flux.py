@@ -1,0 +1,190 @@
+"""Flux of a star in a window that follows it, and what its systematics may depend on."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import median_filter, uniform_filter1d
+
+__all__ = ["WindowFlux", "make_columns", "smooth_state", "window_flux", "window_weights"]
+
+#: Width of a window's soft edge (px).
+_EDGE = 0.2
+#: A pixel has a column of its own if its share of the window's light is above this at some time.
+_SMALLEST_SHARE = 2e-4
+#: Scales (px) of the smooth functions of position.
+_SCALES = {"position": 0.8, "fine position": 0.25}
+_MOST_COLUMNS = 90
+
+
+@dataclass(frozen=True)
+class WindowFlux:
+    """
+    Flux in a window.
+
+    Parameters
+    ----------
+    flux, variance : ndarray
+        Flux (e-/s) and the variance of its noise, ``(n,)``.
+    model : ndarray
+        What the scene predicts for a star of unit flux, ``(n,)``.
+    shares : ndarray
+        Share of each pixel in the predicted light of the window, ``(n, ny, nx)``.
+    """
+
+    flux: np.ndarray
+    variance: np.ndarray
+    model: np.ndarray
+    shares: np.ndarray
+
+
+def soft_window(track, shape, radius):
+    """Return weights ``(n, ny, nx)`` that fall from 1 to 0 at a distance from the star."""
+    ny, nx = shape
+    u, v = np.arange(nx) - track.x[:, None], np.arange(ny) - track.y[:, None]
+    distance = np.hypot(u[:, None, :], v[:, :, None])
+    return 0.5 * (1 - np.tanh((distance - radius) / (2 * _EDGE)))
+
+
+def window_flux(flux, fit, weights, background, background_variance):
+    """
+    Sum the star's light with weights.
+
+    Pixels that are left out are replaced by what the scene predicts.
+
+    Parameters
+    ----------
+    flux : ndarray
+        Pixels ``(n, ny, nx)``, e-/s.
+    fit : SceneFit
+        The scene.
+    weights : ndarray
+        ``(n, ny, nx)``.
+    background, background_variance : ndarray
+        Background per pixel that is taken off, and its variance, ``(n,)``.
+    """
+    star = fit.track.flux[:, None, None] * fit.star
+    good = np.isfinite(fit.variance)
+    own = np.where(good, flux - fit.others - background[:, None, None], star)
+    total = np.sum(weights * own, axis=(1, 2))
+    noise = np.where(good, fit.variance, 0.0)
+    variance = np.sum(weights**2 * noise, axis=(1, 2))
+    variance += np.sum(weights, axis=(1, 2)) ** 2 * background_variance
+    shares = weights * fit.star
+    model = np.sum(shares, axis=(1, 2))
+    return WindowFlux(total, variance, model, shares / model[:, None, None])
+
+
+def kernel_columns(points, scale, tolerance=1e-4, largest=_MOST_COLUMNS):
+    """
+    Return columns whose random combinations are a smooth process of position.
+
+    They are the pivoted Cholesky factor of a squared-exponential covariance of unit variance.
+
+    Parameters
+    ----------
+    points : ndarray
+        ``(n, d)``.
+    scale : float
+        Length scale.
+    tolerance : float
+        The columns end when the largest variance that is left is below.
+    largest : int
+        Largest number of columns.
+    """
+    n = len(points)
+    rest, columns = np.ones(n), []
+    while rest.max() > tolerance and len(columns) < largest:
+        pivot = int(np.argmax(rest))
+        row = np.exp(-0.5 * np.sum((points - points[pivot]) ** 2, axis=1) / scale**2)
+        for column in columns:
+            row = row - column[pivot] * column
+        columns.append(row / np.sqrt(row[pivot]))
+        rest = np.maximum(rest - columns[-1] ** 2, 0.0)
+    return np.stack(columns, axis=1)
+
+
+def make_columns(time, track, width, window):
+    """
+    Return groups of columns for the logarithm of the flux.
+
+    Parameters
+    ----------
+    time : ndarray
+        Days.
+    track : Track
+        Positions.
+    width : ndarray
+        Relative width of the PRF, ``(n,)``.
+    window : WindowFlux
+        The flux.
+
+    Returns
+    -------
+    dict of str to ndarray
+        Columns ``(n, k)`` by group.
+    """
+    x, y = track.x - np.median(track.x), track.y - np.median(track.y)
+    points = np.stack([x, y], axis=1)
+    groups = {"model": np.log(window.model / np.median(window.model))[:, None]}
+    shares = window.shares.reshape(len(time), -1)
+    groups["pixels"] = shares[:, shares.max(axis=0) > _SMALLEST_SHARE]
+    for name, scale in _SCALES.items():
+        groups[name] = kernel_columns(points, scale)
+    waves = [(1, 0), (0, 1), (1, 1), (1, -1), (2, 0), (0, 2)]
+    phases = [2 * np.pi * (k * track.x + m * track.y) for k, m in waves]
+    groups["place in pixel"] = np.stack([f(p) for p in phases for f in (np.cos, np.sin)], axis=1)
+    w = (width / 0.005)[:, None]
+    groups["width"] = w
+    groups["width and position"] = w * points
+    t = 2 * (time - time[0]) / (time[-1] - time[0]) - 1
+    slow = np.stack([t, 1.5 * t**2 - 0.5], axis=1)
+    place = np.stack([x, y, x**2, x * y, y**2], axis=1)
+    groups["slow position"] = (slow[:, :, None] * place[:, None, :]).reshape(len(time), -1)
+    return groups
+
+
+def smooth_state(values, width=25, sigma=6.0, *, keep_spikes=False):
+    """
+    Return a running median and mean, and the variance of its error.
+
+    Parameters
+    ----------
+    values : ndarray
+        State of each cadence, ``(n,)``.
+    width : int
+        Cadences of the window.
+    sigma : float
+        Values that deviate by more standard deviations are spikes.
+    keep_spikes : bool
+        Whether spikes are kept as they are.
+    """
+    smooth = uniform_filter1d(median_filter(values, width, mode="nearest"), width, mode="nearest")
+    rest = values - smooth
+    scatter = 1.4826 * float(np.median(np.abs(rest - np.median(rest))))
+    variance = np.full(len(values), scatter**2 * 2 / width)
+    if keep_spikes:
+        spikes = np.abs(rest) > sigma * scatter
+        smooth = np.where(spikes, values, smooth)
+        variance = np.where(spikes, scatter**2, variance)
+    return smooth, variance
+
+
+def window_weights(fit, noise, window):
+    """
+    Return the weights of a window, ``(n, ny, nx)``.
+
+    Parameters
+    ----------
+    fit : SceneFit
+        The scene.
+    noise : ndarray
+        Typical variance of each pixel, ``(ny, nx)``.
+    window : float, "optimal" or ndarray of bool
+        Radius in pixels, weights in proportion to light over variance, or an aperture.
+    """
+    if isinstance(window, np.ndarray):
+        return np.broadcast_to(window.astype(float), fit.star.shape)
+    if window == "optimal":
+        weights = np.clip(fit.star, 0, None) / noise
+        return weights / weights.max(axis=(1, 2), keepdims=True)
+    return soft_window(fit.track, fit.star.shape[1:], window)

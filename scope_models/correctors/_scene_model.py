@@ -1,0 +1,383 @@
+"""A model of all pixels: a star that moves and breathes, its neighbors, and a background."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import sparse
+from scipy.linalg import cho_factor, cho_solve
+
+from scope_models.correctors._splines import SplineGrid
+
+__all__ = [
+    "Priors",
+    "Shape",
+    "Track",
+    "between",
+    "improve_shape",
+    "measure_floor",
+    "misfit",
+    "render",
+    "solve_track",
+]
+
+#: Prior standard deviations: of the PRF about the first guess (relative, and in units of its
+#: peak), of the pixels' gains, and of a neighbor's place (px).
+_PRF_RELATIVE, _PRF_ABSOLUTE, _GAIN, _PLACE = 0.25, 2e-3, 0.015, 0.1
+#: The PRF's sum over pixels is about 1, wherever in a pixel the star is: places along an axis, and
+#: prior standard deviation.
+_PHASES, _SUM = 8, 1e-3
+#: Largest steps of a position (px) and a width in one iteration.
+_LARGEST_STEP, _LARGEST_BREATH = 0.3, 0.02
+
+
+@dataclass(frozen=True)
+class Shape:
+    """
+    Image of the stars, in what all cadences share.
+
+    Parameters
+    ----------
+    grid : SplineGrid
+        Splines of the PRF.
+    coefficients : ndarray
+        Of the splines, ``(size, size)``, rows first; the PRF's sum over pixels is about 1.
+    prior_mean : ndarray
+        Coefficients of the first guess, of the same shape.
+    gains : ndarray
+        Relative response of each pixel, ``(ny, nx)``.
+    neighbors : ndarray
+        Flux (e-/s) and distance (px, column and row) from the target, ``(m, 3)``.
+    first_neighbors : ndarray
+        The same as first measured, about which there are priors.
+    """
+
+    grid: SplineGrid
+    coefficients: np.ndarray
+    prior_mean: np.ndarray
+    gains: np.ndarray
+    neighbors: np.ndarray
+    first_neighbors: np.ndarray
+
+
+@dataclass(frozen=True)
+class Track:
+    """
+    State of each cadence, arrays ``(n,)``.
+
+    Parameters
+    ----------
+    flux : ndarray
+        Flux of the target in units of the PRF, e-/s.
+    x, y : ndarray
+        Column and row of the target in pixels.
+    width : ndarray
+        Relative change of the PRF's width.
+    background : ndarray
+        Background in e-/s per pixel.
+    """
+
+    flux: np.ndarray
+    x: np.ndarray
+    y: np.ndarray
+    width: np.ndarray
+    background: np.ndarray
+
+    def __getitem__(self, which):
+        return Track(*(values[which] for values in self.stacked.T))
+
+    @property
+    def stacked(self):
+        """Columns flux, x, y, width, background; ``(n, 5)``."""
+        return np.stack([self.flux, self.x, self.y, self.width, self.background], axis=1)
+
+
+@dataclass(frozen=True)
+class Priors:
+    """
+    Gaussian priors of the states: means like a `Track`, and standard deviations ``(n, 5)``.
+
+    Parameters
+    ----------
+    mean : ndarray
+        ``(n, 5)``, columns as in `Track.stacked`.
+    sigma : ndarray
+        Standard deviations; infinite where there is no prior.
+    """
+
+    mean: np.ndarray
+    sigma: np.ndarray
+
+    def __getitem__(self, which):
+        return Priors(self.mean[which], self.sigma[which])
+
+
+def _star(shape, x, y, width, slopes):
+    """Return one star's images ``(n, ny, nx)`` without gains, and slopes by x, y and width."""
+    ny, nx = shape.gains.shape
+    grid, scale = shape.grid, 1 / (1 + width)[:, None]
+    u, v = (np.arange(nx) - x[:, None]) * scale, (np.arange(ny) - y[:, None]) * scale
+    columns, rows = grid.values(u), grid.values(v)
+    half = shape.coefficients @ columns.transpose(0, 2, 1)
+    area = (scale**2)[:, :, None]
+    image = (rows @ half) * area
+    if not slopes:
+        return image, None
+    by_x = -(rows @ (shape.coefficients @ grid.slopes(u).transpose(0, 2, 1))) * area
+    by_y = -(grid.slopes(v) @ half) * area
+    by_width = -(2 * image - u[:, None, :] * by_x - v[:, :, None] * by_y)
+    return image, (by_x, by_y, by_width)
+
+
+@dataclass(frozen=True)
+class Rendered:
+    """
+    Images ``(n, ny, nx)``, with gains.
+
+    Parameters
+    ----------
+    star : ndarray
+        Image of the target of unit flux.
+    others : ndarray
+        Neighbors in e-/s.
+    slopes : tuple of ndarray or None
+        Derivatives of all stars' light by x, y and width, in e-/s.
+    """
+
+    star: np.ndarray
+    others: np.ndarray
+    slopes: tuple | None = None
+
+
+def render(shape, track, *, slopes=False):
+    """Return the images of the target and of its neighbors."""
+    star, by_star = _star(shape, track.x, track.y, track.width, slopes)
+    total = None
+    if slopes:
+        total = [track.flux[:, None, None] * s for s in by_star]
+    others = np.zeros_like(star)
+    for flux, dx, dy in shape.neighbors:
+        image, by_other = _star(shape, track.x + dx, track.y + dy, track.width, slopes)
+        others += flux * image
+        if slopes:
+            total = [s + flux * slope for s, slope in zip(total, by_other, strict=True)]
+    b = shape.gains
+    if slopes:
+        total = tuple(b * s for s in total)
+    return Rendered(b * star, b * others, total)
+
+
+def _linearized(shape, track, flux):
+    """Return residual ``(n, p)``, derivatives by the state ``(n, p, 5)``, and the stars' light."""
+    images = render(shape, track, slopes=True)
+    n = len(flux)
+    light = track.flux[:, None, None] * images.star + images.others
+    residual = flux - light - track.background[:, None, None]
+    parts = (images.star, *images.slopes, np.ones_like(light))
+    jacobian = np.stack([p.reshape(n, -1) for p in parts], axis=2)
+    return residual.reshape(n, -1), jacobian, light.reshape(n, -1)
+
+
+def _weights(variance, light, floor):
+    """Inverse variance of noise and model errors; pixels without data have infinite variance."""
+    return 1 / (variance.reshape(light.shape) + (floor * light) ** 2)
+
+
+def solve_track(shape, track, flux, variance, priors, floor, steps=3):
+    """
+    Fit the state of each cadence with the shape held.
+
+    Parameters
+    ----------
+    shape, track
+        Where to begin.
+    flux : ndarray
+        Pixels ``(n, ny, nx)`` in e-/s, finite everywhere.
+    variance : ndarray
+        Of their noise; infinite in pixels that are left out.
+    priors : Priors
+        Of the states.
+    floor : float
+        Model errors relative to the stars' light.
+    steps : int
+        Number of Gauss-Newton steps.
+
+    Returns
+    -------
+    Track
+        The fitted states.
+    """
+    precision = priors.sigma**-2.0
+    for _ in range(steps):
+        residual, jacobian, light = _linearized(shape, track, flux)
+        weight = _weights(variance, light, floor)
+        weighted = jacobian * weight[:, :, None]
+        normal = weighted.transpose(0, 2, 1) @ jacobian
+        right = (weighted.transpose(0, 2, 1) @ residual[:, :, None])[:, :, 0]
+        state = track.stacked
+        right += precision * np.where(np.isfinite(priors.sigma), priors.mean - state, 0.0)
+        track = Track(*(state + _bounded(_solve(normal, right, precision))).T)
+    return track
+
+
+def _solve(normal, right, precision):
+    """Solve the small systems, scaled so that their diagonals are 1."""
+    diagonal = np.einsum("nii->ni", normal) + precision
+    root = 1 / np.sqrt(np.maximum(diagonal, 1e-300))
+    scaled = normal * root[:, :, None] * root[:, None, :]
+    index = np.arange(right.shape[1])
+    scaled[:, index, index] = 1 + 1e-10
+    return root * np.linalg.solve(scaled, (root * right)[:, :, None])[:, :, 0]
+
+
+def _bounded(step):
+    step[:, 1:3] = np.clip(step[:, 1:3], -_LARGEST_STEP, _LARGEST_STEP)
+    step[:, 3] = np.clip(step[:, 3], -_LARGEST_BREATH, _LARGEST_BREATH)
+    return step
+
+
+def improve_shape(shape, track, flux, variance, priors, floor, gain=_GAIN):
+    """
+    Make one Gauss-Newton step of the shape, with the states of all cadences eliminated.
+
+    The step takes into account that position, flux, width and background follow: with the
+    states held, the shape would converge slowly. Arguments as in `solve_track`.
+    """
+    grid = shape.grid
+    residual, jacobian, light = _linearized(shape, track, flux)
+    root = np.sqrt(_weights(variance, light, floor))
+    columns = _shape_columns(shape, track, light).multiply(root.ravel()[:, None]).tocsr()
+    # the states, with their priors as further data
+    own = jacobian * root[:, :, None]
+    strength = np.where(np.isfinite(priors.sigma), 1 / priors.sigma, 0.0)
+    stacked = np.concatenate([own, strength[:, :, None] * np.eye(5)], axis=1)
+    scale = np.maximum(np.sqrt(np.sum(stacked**2, axis=1, keepdims=True)), 1e-300)
+    q, _ = np.linalg.qr(stacked / scale)
+    pull = strength * np.where(np.isfinite(priors.sigma), priors.mean - track.stacked, 0.0)
+    data = np.concatenate([residual * root, pull], axis=1)
+    inner = (q.transpose(0, 2, 1) @ data[:, :, None])[:, :, 0]
+    q = q[:, : own.shape[1]]
+    projected = _block_rows(q) @ columns
+    projected = projected.toarray()
+    normal = (columns.T @ columns).toarray() - projected.T @ projected
+    left = data[:, : own.shape[1]].ravel()
+    right = columns.T @ left - projected.T @ inner.ravel()
+    mean, sigma, state = _shape_prior(shape, gain)
+    normal[np.diag_indices_from(normal)] += sigma**-2.0
+    right += sigma**-2.0 * (mean - state)
+    sums = _sums_over_pixels(grid)
+    k = grid.size**2
+    normal[:k, :k] += sums.T @ sums / _SUM**2
+    right[:k] += sums.T @ (1 - sums @ state[:k]) / _SUM**2
+    unit = 1 / np.sqrt(np.diag(normal))
+    step = unit * cho_solve(cho_factor(normal * unit[:, None] * unit + 1e-10 * np.eye(len(unit))),
+                            unit * right)  # fmt: skip
+    state = state + step
+    p = shape.gains.size
+    return replace(
+        shape,
+        coefficients=state[:k].reshape(grid.size, grid.size),
+        gains=state[k : k + p].reshape(shape.gains.shape),
+        neighbors=state[k + p :].reshape(-1, 3),
+    )
+
+
+def _shape_prior(shape, gain):
+    """Return means, standard deviations and present values of all that cadences share."""
+    peak = shape.prior_mean.max()
+    m = shape.first_neighbors
+    mean = [shape.prior_mean.ravel(), np.ones(shape.gains.size), m.ravel()]
+    prf = _PRF_RELATIVE * np.abs(shape.prior_mean.ravel()) + _PRF_ABSOLUTE * peak
+    around = np.stack([0.3 * m[:, 0], *np.full((2, len(m)), _PLACE)], axis=1)
+    sigma = [prf, np.full(shape.gains.size, gain), around.ravel()]
+    now = [shape.coefficients.ravel(), shape.gains.ravel(), shape.neighbors.ravel()]
+    return tuple(np.concatenate(parts) for parts in (mean, sigma, now))
+
+
+def _sums_over_pixels(grid):
+    """
+    Return the matrix from the coefficients to the PRF's sum over pixels at places in the pixel.
+
+    Images do not constrain this sum, which the flux may be divided by: only a prior does.
+    """
+    phases = (np.arange(_PHASES) + 0.5) / _PHASES - 0.5
+    last = int(np.floor(grid.knots[-1] - 0.5))
+    pixels = np.arange(-last, last + 1)
+    along = grid.values(pixels[:, None] - phases).sum(axis=0)
+    return np.einsum("ai,bj->abij", along, along).reshape(_PHASES**2, -1)
+
+
+def _shape_columns(shape, track, light):
+    """Return the derivatives of all pixels by coefficients, gains and neighbors, sparse."""
+    n, p = light.shape
+    parts = [_spline_columns(shape, track.flux, track.x, track.y, track.width)]
+    by_neighbor = []
+    for flux, dx, dy in shape.neighbors:
+        x, y = track.x + dx, track.y + dy
+        parts[0] = parts[0] + _spline_columns(shape, np.full(n, flux), x, y, track.width)
+        image, (by_x, by_y, _) = _star(shape, x, y, track.width, slopes=True)
+        by_neighbor += [shape.gains * image, flux * shape.gains * by_x, flux * shape.gains * by_y]
+    gains = sparse.csr_array(
+        ((light / shape.gains.ravel()).ravel(), np.tile(np.arange(p), n), np.arange(n * p + 1)),
+        shape=(n * p, p),
+    )
+    parts.append(gains)
+    if by_neighbor:
+        parts.append(sparse.csr_array(np.stack([b.ravel() for b in by_neighbor], axis=1)))
+    return sparse.hstack(parts, format="csr")
+
+
+def _spline_columns(shape, flux, x, y, width):
+    ny, nx = shape.gains.shape
+    grid, scale, n = shape.grid, 1 / (1 + width)[:, None], len(x)
+    column, i = grid.few((np.arange(nx) - x[:, None]) * scale)
+    row, j = grid.few((np.arange(ny) - y[:, None]) * scale)
+    values = row[:, :, None, :, None] * column[:, None, :, None, :]
+    factor = (flux[:, None] * scale**2)[:, :, None] * shape.gains
+    values = values * factor[..., None, None]
+    index = grid.size * j[:, :, None, :, None].astype(np.int64) + i[:, None, :, None, :]
+    rows = n * ny * nx
+    return sparse.csr_array(
+        (values.ravel(), index.ravel(), 16 * np.arange(rows + 1)), shape=(rows, grid.size**2)
+    )
+
+
+def _block_rows(q):
+    """Return the transposed blocks ``(n, p, k)`` as one sparse block-diagonal matrix."""
+    n, p, k = q.shape
+    columns = np.broadcast_to(np.arange(n * p).reshape(n, 1, p), (n, k, p))
+    return sparse.csr_array(
+        (q.transpose(0, 2, 1).ravel(), columns.ravel(), p * np.arange(n * k + 1)),
+        shape=(n * k, n * p),
+    )
+
+
+def misfit(shape, track, flux, variance, priors, floor, gain):
+    """Return what the fit minimizes: squares of residuals and of deviations from the priors."""
+    images = render(shape, track)
+    light = track.flux[:, None, None] * images.star + images.others
+    rest = flux - light - track.background[:, None, None]
+    value = np.sum(rest**2 / (variance + (floor * np.abs(flux)) ** 2))
+    value += np.nansum(((track.stacked - priors.mean) / priors.sigma) ** 2)
+    mean, sigma, state = _shape_prior(shape, gain)
+    sums = _sums_over_pixels(shape.grid) @ shape.coefficients.ravel() - 1
+    return float(value + np.sum(((state - mean) / sigma) ** 2) + np.sum(sums**2) / _SUM**2)
+
+
+def between(old, new, part):
+    """Return the shape a part of the way from an old to a new one."""
+    return replace(new, **{
+        name: getattr(old, name) + part * (getattr(new, name) - getattr(old, name))
+        for name in ("coefficients", "gains", "neighbors")
+    })  # fmt: skip
+
+
+def measure_floor(shape, track, flux, variance):
+    """Return the typical error of the model relative to the light, from the bright pixels."""
+    images = render(shape, track)
+    light = track.flux[:, None, None] * images.star + images.others
+    residual = flux - light - track.background[:, None, None]
+    bright = (light > 0.05 * track.flux[:, None, None]) & np.isfinite(variance)
+    if not bright.any():
+        return 0.0
+    excess = np.median((residual[bright] ** 2 / 0.455 - variance[bright]) / light[bright] ** 2)
+    return float(np.sqrt(max(excess, 0.0)))

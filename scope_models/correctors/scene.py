@@ -1,0 +1,545 @@
+"""Correction of a light curve by a model of all pixels: star, neighbors and background."""
+
+import warnings
+from dataclasses import dataclass
+
+import numpy as np
+from astropy.table import QTable
+from lightkurve.correctors.corrector import Corrector
+
+from scope_models._checks import checked_cadences, checked_mask
+from scope_models.correctors._flux_model import fit_flux
+from scope_models.correctors._result import transit_column
+from scope_models.correctors._scene_fit import fit_scene
+from scope_models.correctors._scene_flux import (
+    make_columns,
+    smooth_state,
+    window_flux,
+    window_weights,
+)
+from scope_models.correctors._scene_neighbors import offsets_of
+from scope_models.exceptions import DetrendingWarning
+from scope_models.io import read_pixels, read_tpf
+from scope_models.io.pixels import usable_positions
+
+__all__ = ["SceneCorrector", "SceneResult"]
+
+_FEWEST_CADENCES = 30
+#: Windows that are tried: radii in pixels, and weights in proportion to light over variance.
+_WINDOWS = (2.0, 3.0, 4.0, "optimal")
+#: Windows with so much more white noise than the best are not tried.
+_NOISIEST = 1.3
+_TRANSIT_HOURS = 6.5
+#: Pixels farther from the star than this (px) are left out.
+_REACH = 7
+#: Warnings: part of the cadences that are outliers, and share of the target in the window.
+_MANY, _CROWDED = 0.1, 0.9
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class SceneResult:
+    """
+    Numbers of a call of `SceneCorrector.correct`.
+
+    Parameters
+    ----------
+    window : float or str
+        Radius (px) of the window that follows the star, ``"optimal"`` for weights in proportion
+        to light over variance, ``"aperture"`` for the user's aperture.
+    neighbors : `~astropy.table.QTable`
+        Flux (e-/s), column and row in the stamp (px) of the neighbors, ``flux, x, y``.
+    crowding : float
+        Share of the target in the starlight of the window.
+    chi_squared : float
+        Mean square of the pixels' residuals over their variance: 1 for a perfect model.
+    model_error : float
+        Typical error of the pixels' model relative to the stars' light.
+    noise_scale : float
+        Variance of the white noise of the flux over what FLUX_ERR predicts.
+    trend_sigma, trend_period : tuple of float
+        Standard deviations and undamped periods (days) of the variability's two processes.
+    periods : tuple of float
+        Number of sines and cosines of each period that was found.
+    groups : tuple of str
+        Groups of systematics.
+    explained : tuple of float
+        Standard deviation of each group's part of the systematics, relative flux.
+    log_evidence : float
+        Logarithm of the evidence of the flux' model.
+    expected_error : float
+        Expected standard deviation of means of 6.5 h: white noise and systematics, relative.
+        The window is that of the smallest.
+    n_used, n_outliers : int
+        Cadences in the fit, and those left out as outliers.
+    transit_survival : float
+        Part of a transit of 6.5 h that survives the whole chain if it is not masked.
+    transit_scale, transit_scale_err : float
+        Amplitude of the jointly fitted transit model, NaN without one.
+
+    Examples
+    --------
+    >>> from scope_models import Detector, Motion, Star, simulate
+    >>> from scope_models.correctors import SceneCorrector
+    >>> observation = simulate(
+    ...     Star(13, 4, 4), Detector.k2(shape=(9, 9)), Motion.k2_roll(200, seed=1), seed=1
+    ... )
+    >>> corrector = SceneCorrector(observation.to_tpf())
+    >>> lc = corrector.correct()
+    >>> len(corrector.result.neighbors)
+    0
+    """
+
+    window: float | str
+    neighbors: QTable
+    crowding: float
+    chi_squared: float
+    model_error: float
+    noise_scale: float
+    trend_sigma: tuple
+    trend_period: tuple
+    periods: tuple
+    groups: tuple
+    explained: tuple
+    log_evidence: float
+    expected_error: float
+    n_used: int
+    n_outliers: int
+    transit_survival: float
+    transit_scale: float
+    transit_scale_err: float
+
+    def __repr__(self):
+        return (
+            f"<SceneResult: window {self.window}, {len(self.neighbors)} neighbors, "
+            f"6.5-h error {1e6 * self.expected_error:.0f} ppm, "
+            f"transits keep {self.transit_survival:.3f}>"
+        )
+
+
+@dataclass(frozen=True)
+class _Flux:
+    """The flux in one window and its model."""
+
+    window: object
+    flux: np.ndarray
+    variance: np.ndarray
+    model: object
+    crowding: float
+
+    @property
+    def expected_error(self):
+        """Standard deviation of means of 13 cadences: white noise and systematics."""
+        _, systematic = self.model.systematics()
+        white = np.median(self.model.process.noise_scale * self.model.variance)
+        return float(np.sqrt(white / 13 + np.mean(systematic)))
+
+
+class SceneCorrector(Corrector):
+    r"""
+    Remove systematics with a model of all pixels.
+
+    The pixels are modeled as
+
+    .. math::
+
+        F_p(t) = b_p \left[a_t\, S(p - x_t; w_t) + \sum_k n_k S(p - x_t - d_k; w_t)\right] + c_t
+
+    with the PRF S, a tensor product of splines, the pixels' gains b, the star's flux a, position x
+    and relative PRF width w, the fluxes n and distances d of its neighbors, and the background c.
+    Background and neighbors are taken off; the star's flux is summed in a window that follows it.
+    The logarithm of this flux, less that of what the model predicts, is a function of position,
+    width and slow time with Gaussian priors, plus the star's variability (two Gaussian processes
+    and the periods that the evidence asks for), plus white noise.
+
+    None of the regressors depends on the star's brightness. So variability and transits are kept,
+    also where a neighbor or background lies in the aperture; see the page on correctors.
+
+    Parameters
+    ----------
+    tpf : `~lightkurve.targetpixelfile.TargetPixelFile`, str or path-like
+        Kepler, K2, TESS or synthetic target pixel file, or the path of one.
+    aperture_mask : array_like of bool, optional
+        Pixels ``(ny, nx)`` that are summed. By default a window that follows the star, the one of
+        the smallest expected error.
+    neighbors : array_like, `~astropy.table.Table` or `~astropy.coordinates.SkyCoord`, optional
+        Other stars: columns and rows in the stamp ``(m, 2)`` in pixels, a table with columns ``x``
+        and ``y``, or places on the sky. By default they are found in the images; ``[]``: none.
+
+    Attributes
+    ----------
+    original_lc, corrected_lc : `~lightkurve.LightCurve`
+        Sum over the aperture (the file's by default), and the star's corrected flux.
+    cadence_mask, outlier_mask : `~numpy.ndarray`
+        Cadences that the last call of `correct` was allowed to fit, and those of them that it left
+        out as outliers.
+    result : `SceneResult`
+        Numbers of the last call.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If `aperture_mask` or `neighbors` do not fit the file, or it has fewer than 30 cadences.
+
+    See Also
+    --------
+    PLDCorrector
+
+    Examples
+    --------
+    >>> from scope_models import Detector, Motion, Star, simulate
+    >>> from scope_models.correctors import SceneCorrector
+    >>> observation = simulate(
+    ...     Star(12, 4, 4), Detector.k2(shape=(9, 9)), Motion.k2_roll(300, seed=1), seed=1
+    ... )
+    >>> corrector = SceneCorrector(observation.to_tpf())
+    >>> lc = corrector.correct()
+    >>> bool(lc.estimate_cdpp() < corrector.original_lc.estimate_cdpp())
+    True
+    """
+
+    def __init__(self, tpf, aperture_mask=None, neighbors=None):
+        self.tpf = read_tpf(tpf)
+        series = read_pixels(self.tpf)
+        if aperture_mask is not None:
+            aperture_mask = checked_mask("aperture_mask", aperture_mask, series.flux.shape[1:])
+        self._data = _Data.from_series(series, aperture_mask)
+        self._offsets = None
+        if neighbors is not None:
+            self._offsets = offsets_of(neighbors, self.tpf, *self._data.place)
+        shown = series.aperture if aperture_mask is None else aperture_mask
+        self.aperture_mask = shown.copy()
+        self.original_lc = self.tpf.to_lightcurve(aperture_mask=shown)
+        self.cadence_mask = np.ones(len(series), dtype=bool)
+        self.scene = self.result = self._chosen = None
+
+    def __repr__(self):
+        return f"SceneCorrector (ID: {self.original_lc.meta.get('LABEL', 'unknown')})"
+
+    def correct(
+        self, cadence_mask=None, *, transit_mask=None, transit_model=None, restore_trend=True
+    ):
+        """
+        Correct the light curve.
+
+        Parameters
+        ----------
+        cadence_mask : array_like of bool, optional
+            True where a cadence may be used to fit the systematics, ``(n_cadences,)``. The others
+            are corrected too.
+        transit_mask : array_like of bool, optional
+            True during transits: these cadences are not used in that fit.
+        transit_model : array_like or callable, optional
+            Relative flux ``(n_cadences,)``, 1 outside of transits, or a callable that returns it
+            for times in days. Its amplitude is fitted jointly.
+        restore_trend : bool, optional
+            Whether the star's slow variability stays in the light curve.
+
+        Returns
+        -------
+        `~lightkurve.LightCurve`
+            `corrected_lc`: flux of the target alone, e-/s; NaN in cadences without data. The
+            errors hold the white noise and the uncertainty of the systematics.
+
+        Raises
+        ------
+        TypeError, ValueError
+            If an argument is outside its domain, or fewer than 30 cadences are left to fit.
+
+        Warns
+        -----
+        DetrendingWarning
+            If many cadences are outliers, or the window holds much light of other stars.
+        """
+        data = self._data
+        n = len(data.usable)
+        mask = checked_cadences("cadence_mask", cadence_mask, n, default=True)
+        in_transit = checked_cadences("transit_mask", transit_mask, n, default=False)
+        allowed = (mask & ~in_transit)[data.usable]
+        if allowed.sum() < _FEWEST_CADENCES:
+            raise ValueError(
+                f"at least {_FEWEST_CADENCES} usable cadences are needed, got {allowed.sum()}"
+            )
+        flat = None
+        if transit_model is not None:
+            flat = transit_column(transit_model, data.all_times)[data.usable]
+        if self.scene is None:
+            self.scene = fit_scene(
+                data.flux, data.variance, data.pos_corr, data.peak, offsets=self._offsets
+            )
+        self._chosen = self._best(allowed, flat)
+        self.cadence_mask, self.transit_mask = mask & ~in_transit, in_transit
+        self._finish(allowed, has_transit=flat is not None, restore_trend=restore_trend)
+        return self.corrected_lc
+
+    def _best(self, allowed, flat):
+        """Return the flux in the window of the smallest expected error."""
+        data, scene = self._data, self.scene
+        background, background_variance = smooth_state(scene.track.background, keep_spikes=True)
+        width, _ = smooth_state(scene.track.width)
+        noise = data.noise
+        windows = _WINDOWS if data.aperture is None else (data.aperture,)
+        found = []
+        for window in windows:
+            weights = window_weights(scene, noise, window)
+            one = window_flux(data.flux, scene, weights, background, background_variance)
+            level = np.median(one.flux)
+            if not level > 0:
+                continue
+            other = np.median(np.sum(weights * scene.others, axis=(1, 2)))
+            found.append((np.median(one.variance) / level**2, window, one, level / (level + other)))
+        if not found:
+            raise ValueError("the target's flux must be positive in most cadences")
+        limit = _NOISIEST**2 * min(variance for variance, *_ in found)
+        time = data.time - data.time[0]
+        best = None
+        for variance, window, one, crowding in found:
+            if variance > limit:
+                continue
+            level = np.median(one.flux)
+            positive = one.flux > 0.01 * level
+            y = np.log(np.where(positive, one.flux, level) / one.model)
+            columns = make_columns(data.time, scene.track, width, one)
+            relative = one.variance / np.where(positive, one.flux, level) ** 2
+            model = fit_flux(time, y, relative, columns, allowed & positive, flat)
+            trial = _Flux(window, np.where(positive, one.flux, np.nan) / one.model, relative,
+                          model, float(crowding))  # fmt: skip
+            if best is None or trial.expected_error < best.expected_error:
+                best = trial
+        return best
+
+    def _finish(self, allowed, *, has_transit, restore_trend):
+        """Make the corrected light curve, the mask of outliers and the result."""
+        data, chosen, scene = self._data, self._chosen, self.scene
+        model = chosen.model
+        removed, variance = model.systematics()
+        removed = removed - np.median(removed)
+        if not restore_trend:
+            trend = model.variability(flat=has_transit)
+            removed = removed + trend - np.median(trend)
+        flux = chosen.flux / np.exp(removed)
+        error = flux * np.sqrt(model.process.noise_scale * model.variance + variance)
+        lc = self.original_lc.copy()
+        for name, values in (("flux", flux), ("flux_err", error)):
+            whole = np.full(len(data.usable), np.nan)
+            whole[data.usable] = values
+            setattr(lc, name, whole * getattr(lc, name).unit)
+        self.corrected_lc = lc
+        self.outlier_mask = np.zeros(len(data.usable), dtype=bool)
+        self.outlier_mask[data.usable] = allowed & ~model.use
+        scale, scale_err = model.flat_coefficient() if has_transit else (np.nan, np.nan)
+        step = np.median(np.diff(data.time))
+        window = int(np.clip(round(_TRANSIT_HOURS / 24 / step), 1, model.use.sum() // 2))
+        named = chosen.window
+        self.result = SceneResult(
+            window="aperture" if isinstance(named, np.ndarray) else named,
+            neighbors=data.table(scene),
+            crowding=chosen.crowding,
+            chi_squared=scene.chi_squared,
+            model_error=scene.floor,
+            noise_scale=float(model.process.noise_scale),
+            trend_sigma=tuple(float(np.sqrt(a)) for a in model.process.amplitudes),
+            trend_period=tuple(float(p) for p in model.process.periods),
+            periods=tuple(
+                int(np.sum(model.groups == k))
+                for k in range(len(model.systematic), len(model.names))
+            ),
+            groups=model.systematic,
+            explained=tuple(float(np.std(model.part([g])[0])) for g in model.systematic),
+            log_evidence=model.log_evidence,
+            expected_error=chosen.expected_error,
+            n_used=int(model.use.sum()),
+            n_outliers=int(self.outlier_mask.sum()),
+            transit_survival=model.survival(window),
+            transit_scale=scale,
+            transit_scale_err=scale_err,
+        )
+        self._warn()
+
+    def _warn(self):
+        result = self.result
+        if result.n_outliers > _MANY * (result.n_outliers + result.n_used):
+            message = f"{result.n_outliers} cadences are left out of the fit as outliers"
+            warnings.warn(message, DetrendingWarning, stacklevel=4)
+        if result.crowding < _CROWDED:
+            message = (
+                f"other stars give {100 * (1 - result.crowding):.0f} % of the window's starlight: "
+                "their light is taken off as constant, their variability is not"
+            )
+            warnings.warn(message, DetrendingWarning, stacklevel=4)
+
+    def fit_transit(self, transit_model):
+        """
+        Measure the depth of a transit, with all uncertainties of the last correction.
+
+        Parameters
+        ----------
+        transit_model : array_like or callable
+            As in `correct`. Its amplitude is fitted jointly with systematics and variability,
+            whose hyper-parameters stay as `correct` has found them; used are the cadences of the
+            fit and those of ``transit_mask``.
+
+        Returns
+        -------
+        scale, error : float
+            Amplitude in units of the model's, and its standard deviation.
+
+        Raises
+        ------
+        ValueError
+            If `correct` has not been called, or the model does not vary.
+        """
+        if self._chosen is None:
+            raise ValueError("call `correct` first")
+        data, model = self._data, self._chosen.model
+        column = transit_column(transit_model, data.all_times)[data.usable]
+        use = model.use | self.transit_mask[data.usable]
+        return model.with_flat(column, use).flat_coefficient()
+
+    def diagnose(self):
+        """
+        Draw the light curve before and after the last correction, and the model.
+
+        Returns
+        -------
+        `~numpy.ndarray` of `~matplotlib.axes.Axes`
+            The three panels.
+
+        Raises
+        ------
+        ValueError
+            If `correct` has not been called.
+        """
+        from scope_models.plotting.detrending import plot_detrending  # imports matplotlib
+
+        if self._chosen is None:
+            raise ValueError("call `correct` first")
+        usable, corrected = self._data.usable, self.corrected_lc.flux.value
+        systematics, trend = np.full((2, len(usable)), np.nan)
+        level = np.nanmedian(corrected)
+        model = self._chosen.model
+        removed, _ = model.systematics()
+        systematics[usable] = level * np.exp(removed - np.median(removed))
+        variability = model.variability(flat=False)
+        trend[usable] = level * np.exp(variability - np.median(variability))
+        return plot_detrending(
+            self.original_lc.time.value,
+            self.original_lc.flux.value,
+            corrected,
+            systematics=systematics,
+            trend=trend,
+            outliers=self.outlier_mask,
+            masked=~self.cadence_mask,
+        )
+
+    def diagnose_masks(self):
+        """
+        Draw the aperture and the neighbors' part of the light.
+
+        Returns
+        -------
+        `~numpy.ndarray` of `~matplotlib.axes.Axes`
+            Mean image with the aperture, and scatter of the pixels' shares.
+
+        Raises
+        ------
+        ValueError
+            If `correct` has not been called.
+        """
+        from scope_models.plotting.detrending import plot_detrending_masks  # imports matplotlib
+
+        if self._chosen is None:
+            raise ValueError("call `correct` first")
+        data = self._data
+        image = np.median(data.flux, axis=0)
+        scatter = np.std(self.scene.star, axis=0)
+        return plot_detrending_masks(image, self.aperture_mask[data.box], scatter)
+
+
+@dataclass(frozen=True)
+class _Data:
+    """
+    The pixels that the scene is fitted to.
+
+    Parameters
+    ----------
+    all_times : ndarray
+        Times of all cadences, days.
+    usable : ndarray of bool
+        Cadences with time and pixels.
+    time, flux, variance, pos_corr : ndarray
+        Of the usable cadences and the pixels near the star; infinite variance without data.
+    box : tuple of slice
+        These pixels in the stamp, rows and columns.
+    peak : tuple of float
+        Column and row of the target within them.
+    aperture : ndarray of bool or None
+        The user's aperture, of the same pixels.
+    """
+
+    all_times: np.ndarray
+    usable: np.ndarray
+    time: np.ndarray
+    flux: np.ndarray
+    variance: np.ndarray
+    pos_corr: np.ndarray | None
+    box: tuple
+    peak: tuple
+    aperture: np.ndarray | None
+
+    @classmethod
+    def from_series(cls, series, aperture):
+        """Choose cadences and pixels of a series."""
+        good = np.isfinite(series.flux) & np.isfinite(series.flux_err) & (series.flux_err > 0)
+        collected = good.any(axis=0)
+        if not collected.any():
+            raise ValueError("`tpf` has no pixels with data")
+        usable = np.isfinite(series.time) & (good[:, collected].mean(axis=1) > 0.5)
+        if usable.sum() < _FEWEST_CADENCES:
+            raise ValueError(
+                f"at least {_FEWEST_CADENCES} usable cadences are needed, got {usable.sum()}"
+            )
+        time = series.time[usable]
+        if np.any(np.diff(time) <= 0):
+            raise ValueError("the times of `tpf` must increase")
+        flux = np.where(good, series.flux, 0.0)[usable]
+        variance = np.where(good, np.where(good, series.flux_err, 1.0) ** 2, np.inf)[usable]
+        pos_corr, reach = None, 3.0
+        if series.pos_corr is not None:
+            known = usable_positions(series.pos_corr)
+            pos_corr = np.where(known[:, None], series.pos_corr, np.nan)[usable]
+            if known[usable].any():
+                reach = float(np.nanmax(np.abs(pos_corr - np.nanmedian(pos_corr, axis=0))))
+        mean = np.median(flux, axis=0)
+        inside = series.aperture if aperture is None else aperture
+        row, column = np.unravel_index(np.argmax(np.where(inside, mean, -np.inf)), mean.shape)
+        box = tuple(
+            slice(max(0, int(k - _REACH - reach)), min(size, int(k + _REACH + reach + 2)))
+            for k, size in zip((row, column), mean.shape, strict=True)
+        )
+        cut = (slice(None), *box)
+        peak = (float(column - box[1].start), float(row - box[0].start))
+        return cls(
+            series.time, usable, time, flux[cut], variance[cut], pos_corr, box, peak,
+            None if aperture is None else aperture[box],
+        )  # fmt: skip
+
+    @property
+    def place(self):
+        """Column and row of the target in the stamp."""
+        return self.peak[0] + self.box[1].start, self.peak[1] + self.box[0].start
+
+    @property
+    def noise(self):
+        """Typical variance of each pixel; infinite without data."""
+        typical = np.median(self.variance, axis=0)
+        return np.where(np.isfinite(typical), typical, np.inf)
+
+    def table(self, scene):
+        """Return the neighbors of a scene."""
+        flux, dx, dy = scene.shape.neighbors.T
+        x, y = (float(np.median(v)) for v in (scene.track.x, scene.track.y))
+        return QTable(
+            [flux, dx + x + self.box[1].start, dy + y + self.box[0].start],
+            names=("flux", "x", "y"),
+            units=("electron / s", "pix", "pix"),
+        )

@@ -1,0 +1,222 @@
+"""What all effects have in common: parameters, a truth that is drawn once, and places to act."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+
+import numpy as np
+
+from scope_models.missions import MISSIONS
+
+__all__ = ["Conditions", "Drawn", "Effect", "Exposures"]
+
+
+@dataclass(frozen=True, eq=False)
+class Conditions:
+    """What an effect may need of the scene.
+
+    Parameters
+    ----------
+    time : ndarray of shape (n_cadences,)
+        Middle of each cadence, days.
+    shape : tuple of int
+        Rows and columns of the stamp.
+    mission : str
+        Name of the mission.
+    cadence_days : float
+        Length of a cadence, days.
+    exposure_time : float
+        Time in which a cadence gathers light, s.
+    int_time, read_time : float
+        Exposure and read-out of one frame, s.
+    n_reads : int
+        Reads that are summed up in a cadence.
+    background : float
+        Background of the detector, e-/s per pixel.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from scope_models import Detector
+    >>> from scope_models.effects import Conditions
+    >>> conditions = Conditions.of(Detector.k2(), np.arange(3.0))
+    >>> conditions.n_reads, conditions.bit("argabrightening")
+    (270, 64)
+    """
+
+    time: np.ndarray
+    shape: tuple
+    mission: str
+    cadence_days: float
+    exposure_time: float
+    int_time: float
+    read_time: float
+    n_reads: int
+    background: float
+
+    @classmethod
+    def of(cls, detector, time):
+        """Return the conditions of a detector at the times of a motion.
+
+        Parameters
+        ----------
+        detector : Detector
+            The detector.
+        time : ndarray of shape (n_cadences,)
+            The times, days.
+
+        Returns
+        -------
+        Conditions
+            The conditions.
+        """
+        names = [item.name for item in fields(cls) if item.name != "time"]
+        return cls(time=time, **{name: getattr(detector, name) for name in names})
+
+    def bit(self, name):
+        """Return the mission's quality bit of a meaning.
+
+        Parameters
+        ----------
+        name : str
+            Field of `~scope_models.missions.QualityBits`.
+
+        Returns
+        -------
+        int
+            The bit, 0 where the mission has none.
+        """
+        mission = MISSIONS.get(self.mission)
+        return 0 if mission is None else getattr(mission.quality, name)
+
+
+@dataclass(frozen=True, eq=False)
+class Exposures:
+    """Offsets of a star within each cadence.
+
+    Parameters
+    ----------
+    x, y : ndarray of shape (n_cadences, k)
+        Offsets in pixels.
+    weights : ndarray of shape (k,)
+        Parts of the exposure, whose sum is 1.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from scope_models.effects import Exposures
+    >>> Exposures(np.zeros((5, 2)), np.full((5, 2), [-0.1, 0.1]), np.array([0.5, 0.5])).x.shape
+    (5, 2)
+    """
+
+    x: np.ndarray
+    y: np.ndarray
+    weights: np.ndarray
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """The truth of an effect in one observation.
+
+    Parameters
+    ----------
+    columns : mapping of str to ndarray of shape (n_cadences, ...)
+        Values at each cadence.
+    maps : mapping of str to ndarray of shape (ny, nx)
+        Images.
+    tables : mapping of str to mapping of str to ndarray
+        Lists of any length: columns by their names.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from scope_models.effects import Drawn
+    >>> Drawn({"FOCUS": np.ones(3)}).columns["FOCUS"]
+    array([1., 1., 1.])
+    """
+
+    columns: Mapping = field(default_factory=dict)
+    maps: Mapping = field(default_factory=dict)
+    tables: Mapping = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class Effect:
+    """Something that sky, telescope or detector do to light or charge.
+
+    An effect is a frozen dataclass with physical parameters. The simulator draws its truth once
+    (`draw`), from the effect's own stream of random numbers, and then calls the methods below for
+    each piece of the series. An effect implements those that it needs; the others do nothing.
+    They act in this order:
+
+    1. light: `width`, `exposures` and `response`, before the charge of the stars is known;
+    2. light that is not the stars': `pedestal`;
+    3. charge, after photon noise: `charge`;
+    4. readout, before read noise and digitization: `readout`;
+    5. `quality` and `missing` of the cadences.
+
+    ``drawn`` is what `draw` has returned, ``part`` a slice of the cadences.
+
+    Examples
+    --------
+    >>> from dataclasses import dataclass
+    >>> from scope_models import Detector, Motion, Star, simulate
+    >>> from scope_models.effects import Effect
+    >>> @dataclass(frozen=True)
+    ... class Dimming(Effect):
+    ...     factor: float = 0.5
+    ...     def response(self, drawn, conditions, part):
+    ...         return self.factor
+    >>> scene = Star(12.0), Detector.k2(), Motion.still(3)
+    >>> bright, dim = (simulate(*scene, seed=1, noise=False, effects=e) for e in ((), Dimming()))
+    >>> print((dim.flux.sum() / bright.flux.sum()).round(3))
+    0.5
+    """
+
+    #: Whether the pedestal is light, to which the pixels respond, or charge of another kind.
+    is_light = True
+
+    def __eq__(self, other):
+        if type(other) is not type(self):
+            return NotImplemented
+        names = [item.name for item in fields(self)]
+        return all(np.array_equal(getattr(self, name), getattr(other, name)) for name in names)
+
+    def __hash__(self):
+        return hash(repr(self))
+
+    @property
+    def name(self):
+        """Name of the effect's stream of random numbers, and of its truth."""
+        return type(self).__name__
+
+    def draw(self, conditions, generator):
+        """Return what is drawn of the generator, or follows from the parameters, as `Drawn`."""
+        return Drawn()
+
+    def width(self, drawn, conditions):
+        """Return a factor on the width of the PSF, shape (n_cadences,), or None."""
+
+    def exposures(self, drawn, conditions):
+        """Return offsets of the stars within each cadence, `Exposures`, or None."""
+
+    def response(self, drawn, conditions, part):
+        """Return a factor on all light that broadcasts to (m, ny, nx), or None."""
+
+    def pedestal(self, drawn, conditions, part, electrons):
+        """Return charge that is added, and the part of it that is subtracted, or None.
+
+        Both are expected electrons per cadence that broadcast to (m, ny, nx); ``electrons`` is
+        the expected charge of the stars.
+        """
+
+    def charge(self, drawn, conditions, part, electrons):
+        """Change the charge of each pixel, (m, ny, nx), after photon noise, in place."""
+
+    def readout(self, drawn, conditions, part, electrons):
+        """Change the charge while it is read, (m, ny, nx), before read noise, in place."""
+
+    def quality(self, drawn, conditions):
+        """Return quality flags to set, shape (n_cadences,), or None."""
+
+    def missing(self, drawn, conditions):
+        """Return which cadences have no data, shape (n_cadences,), or None."""

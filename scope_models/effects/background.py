@@ -1,0 +1,243 @@
+"""Background: light that is not the stars', and what its subtraction leaves behind."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from scope_models._arrays import plain_number
+from scope_models._checks import checked_number, checked_pair
+from scope_models.effects._effect import Drawn, Effect
+
+__all__ = ["Argabrightening", "Background", "ScatteredLight"]
+
+_RATE = "electron / s"
+
+
+def _plane(shape, gradient):
+    """Return 1 plus a gradient per pixel about the middle of the stamp."""
+    ny, nx = shape
+    y, x = np.mgrid[:ny, :nx]
+    return 1 + gradient[0] * (x - (nx - 1) / 2) + gradient[1] * (y - (ny - 1) / 2)
+
+
+def _checked(effect, residual, gradient):
+    """Bring what the effects share to its type."""
+    put = object.__setattr__
+    put(effect, "residual", checked_number("residual", residual, any_sign=True))
+    put(effect, "gradient", checked_pair("gradient", gradient))
+
+
+class _Sky(Effect):
+    """An effect whose truth has a level for each cadence and a plane over the stamp."""
+
+    def pedestal(self, drawn, conditions, part, electrons):
+        """Return the light, and the part of it that is subtracted."""
+        level = drawn.columns[self.name.upper()][part] * conditions.exposure_time
+        added = level[:, np.newaxis, np.newaxis] * drawn.maps[f"{self.name.upper()}_SHAPE"]
+        return added, added * (1 - self.residual)
+
+    def _drawn(self, conditions, level):
+        """Return the truth of a level for each cadence."""
+        plane = _plane(conditions.shape, self.gradient)
+        if np.any(plane < 0):
+            raise ValueError(f"`gradient` makes the light of some pixels negative: {self.gradient}")
+        name = self.name.upper()
+        return Drawn({name: level}, {f"{name}_SHAPE": plane})
+
+
+@dataclass(frozen=True, eq=False)
+class Background(_Sky):
+    r"""Diffuse light besides the detector's background: level, drift and gradient.
+
+    .. math:: B(x, y, t) = [l + d (t - t_m)] [1 + g_x (x - x_m) + g_y (y - y_m)]
+
+    with the middles :math:`t_m, x_m, y_m` of series and stamp. Level and drift are photons that
+    are detected, before the response of the pixels.
+
+    Parameters
+    ----------
+    level : float or Quantity, optional
+        Level l, e-/s per pixel. Kepler's zodiacal light is about 166 e-/s, K2's 284.
+    drift : float or Quantity, optional
+        Change of the level d, e-/s per pixel and day.
+    gradient : tuple of float, optional
+        Relative change :math:`g_x, g_y` of the level per pixel.
+    residual : float, optional
+        Part of the light that the subtraction of the background leaves in the flux; 0 subtracts
+        all of it, 1 none.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If an argument is of the wrong kind or outside its domain.
+
+    Notes
+    -----
+    The truth has the level of each cadence (e-/s per pixel) in the column BACKGROUND, and its
+    relative shape in the map BACKGROUND_SHAPE.
+
+    Examples
+    --------
+    >>> from scope_models import Detector, Motion, Star, simulate
+    >>> from scope_models.effects import Background
+    >>> sky = Background(100.0, drift=20.0, gradient=(0.01, 0.0), residual=0.1)
+    >>> scene = Star(12.0), Detector.k2().without_sensitivity(), Motion.still(3)
+    >>> observation = simulate(*scene, noise=False, effects=[sky])
+    >>> print(observation.flux[1, 0, 5].round(2), observation.flux_bkg[1, 0, 5].round(2))
+    10.0 374.0
+    """
+
+    level: float = 0.0
+    drift: float = 0.0
+    gradient: tuple[float, float] = (0.0, 0.0)
+    residual: float = 0.0
+
+    def __post_init__(self):
+        put = object.__setattr__
+        put(self, "level", checked_number("level", plain_number(self.level, _RATE, "level")))
+        put(self, "drift", plain_number(self.drift, "electron / (s day)", "drift"))
+        checked_number("drift", self.drift, any_sign=True)
+        _checked(self, self.residual, self.gradient)
+
+    def draw(self, conditions, generator):
+        """Return the level of each cadence and its shape."""
+        time = conditions.time
+        level = self.level + self.drift * (time - (time[0] + time[-1]) / 2)
+        if np.any(level < 0):
+            raise ValueError(f"`drift` makes the background negative, {level.min():g} e-/s")
+        return self._drawn(conditions, level)
+
+
+@dataclass(frozen=True, eq=False)
+class ScatteredLight(_Sky):
+    r"""Light of Earth and Moon that rises towards the ends of TESS's orbits.
+
+    .. math:: B(t) = p \left(e^{-d(t) / \tau} - e^{-P / 2 \tau}\right)
+
+    with the time d to or since the nearest perigee, where one orbit ends and the next begins.
+
+    Parameters
+    ----------
+    peak : float or Quantity, optional
+        Light p at perigee, e-/s per pixel. The default is assumed: ten times the dark sky of
+        `Detector.tess <scope_models.Detector.tess>`.
+    time_scale : float or Quantity, optional
+        Time :math:`\tau` in which it falls by e, days; the default is assumed.
+    orbit : float or Quantity, optional
+        Period P of the orbit, days.
+    perigee : float or Quantity, optional
+        Time of a perigee, days; None is the first cadence.
+    gradient : tuple of float, optional
+        Relative change of the light per pixel along x and y.
+    residual : float, optional
+        Part of the light that the subtraction of the background leaves in the flux.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If an argument is of the wrong kind or outside its domain.
+
+    Notes
+    -----
+    The truth has the light of each cadence (e-/s per pixel) in the column SCATTEREDLIGHT, and its
+    relative shape in the map SCATTEREDLIGHT_SHAPE.
+
+    Examples
+    --------
+    >>> from scope_models import Detector, Motion, Star, simulate
+    >>> from scope_models.effects import ScatteredLight
+    >>> motion = Motion.still(28, cadence=0.5, start=1325.0, time_format="btjd")
+    >>> scene = Star(10.0), Detector.tess(), motion
+    >>> light = simulate(*scene, effects=[ScatteredLight()]).truth.columns["SCATTEREDLIGHT"]
+    >>> print(light[[0, 2, 14, 27]].round(1))
+    [1.3386e+03 4.9150e+02 2.0000e-01 1.0957e+03]
+    """
+
+    peak: float = 1340.0
+    time_scale: float = 1.0
+    orbit: float = 13.7
+    perigee: float | None = None
+    gradient: tuple[float, float] = (0.0, 0.0)
+    residual: float = 0.0
+
+    def __post_init__(self):
+        put = object.__setattr__
+        put(self, "peak", checked_number("peak", plain_number(self.peak, _RATE, "peak")))
+        for name in ("time_scale", "orbit"):
+            value = plain_number(getattr(self, name), "day", name)
+            put(self, name, checked_number(name, value, positive=True))
+        if self.perigee is not None:
+            put(self, "perigee", plain_number(self.perigee, "day", "perigee"))
+            checked_number("perigee", self.perigee, any_sign=True)
+        _checked(self, self.residual, self.gradient)
+
+    def draw(self, conditions, generator):
+        """Return the light of each cadence and its shape."""
+        time = conditions.time
+        since = (time - (time[0] if self.perigee is None else self.perigee)) % self.orbit
+        nearest = np.minimum(since, self.orbit - since)
+        least = np.exp(-self.orbit / 2 / self.time_scale)
+        return self._drawn(conditions, self.peak * (np.exp(-nearest / self.time_scale) - least))
+
+
+@dataclass(frozen=True, eq=False)
+class Argabrightening(_Sky):
+    """Flashes of diffuse light in single cadences, as of debris from the spacecraft.
+
+    Each cadence has a flash with the same probability; flashes have exponentially distributed
+    brightness. Cadences with a flash have the mission's quality bit, where it has one.
+
+    Parameters
+    ----------
+    rate : float or Quantity, optional
+        Mean number of flashes per day.
+    brightness : float or Quantity, optional
+        Mean brightness of a flash, e-/s per pixel.
+    gradient : tuple of float, optional
+        Relative change of the light per pixel along x and y.
+    residual : float, optional
+        Part of the light that the subtraction of the background leaves in the flux.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If an argument is of the wrong kind or outside its domain.
+
+    Notes
+    -----
+    The truth has the light of each cadence (e-/s per pixel) in the column ARGABRIGHTENING, and
+    its relative shape in the map ARGABRIGHTENING_SHAPE. The defaults are assumed.
+
+    Examples
+    --------
+    >>> from scope_models import Detector, Motion, Star, simulate
+    >>> from scope_models.effects import Argabrightening
+    >>> scene = Star(12.0), Detector.k2(), Motion.still(500)
+    >>> observation = simulate(*scene, seed=1, effects=[Argabrightening(rate=1.0)])
+    >>> flashes = observation.truth.columns["ARGABRIGHTENING"] > 0
+    >>> bool((observation.quality[flashes] == 64).all())
+    True
+    """
+
+    rate: float = 0.05
+    brightness: float = 100.0
+    gradient: tuple[float, float] = (0.0, 0.0)
+    residual: float = 0.0
+
+    def __post_init__(self):
+        put = object.__setattr__
+        for name, unit in (("rate", "1 / day"), ("brightness", _RATE)):
+            put(self, name, checked_number(name, plain_number(getattr(self, name), unit, name)))
+        _checked(self, self.residual, self.gradient)
+
+    def draw(self, conditions, generator):
+        """Return the light of each cadence and its shape."""
+        n = len(conditions.time)
+        chance, brightness = generator.random(n), generator.standard_exponential(n)
+        flash = chance < -np.expm1(-self.rate * conditions.cadence_days)
+        return self._drawn(conditions, np.where(flash, self.brightness * brightness, 0.0))
+
+    def quality(self, drawn, conditions):
+        """Return the mission's bit in cadences with a flash."""
+        bit = conditions.bit("argabrightening")
+        return np.where(drawn.columns["ARGABRIGHTENING"] > 0, bit, 0)
