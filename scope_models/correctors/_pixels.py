@@ -26,6 +26,8 @@ _BRIGHT_PART, _FEWEST = 0.002, 3
 #: ... and at least so many standard deviations of its noise, which pure noise passes in
 #: less than one of 10^5 cadences.
 _SIGNIFICANCE = 4.5
+#: Light between two peaks of one star, in units of the fainter one.
+_SAME_STAR = 0.7
 #: The background is first sought in this part of the pixels, in so many at least for a slope.
 _DARK_PART, _FEWEST_DARK, _PLANE_FITS = 0.3, 8, 5
 #: Fewer cadences or pixels do not determine how the fractions change with position.
@@ -100,8 +102,9 @@ def choose_aperture(flux, flux_err, pipeline=None, pos_corr=None):
     if not (lit & near).any():
         raise ValueError("no pixel of `tpf` is above its noise: no aperture can be chosen")
     peak = np.argmax(np.where(lit & near, mean, -np.inf))
-    mask = target_pixels(mean, labels == labels.flat[peak])
-    return mask if pos_corr is None else _most_precise(flux, flux_err, mask, pos_corr)
+    others = lit & ~own_pixels(mean, peak)
+    own = (labels == labels.flat[peak]) & ~others
+    return own if pos_corr is None else _most_precise(flux, flux_err, own, ~others, pos_corr)
 
 
 def _typical(flux):
@@ -129,27 +132,30 @@ def _without_background(flux):
     )
 
 
-def _most_precise(flux, flux_err, mask, pos_corr):
-    """Return the best part of a mask, or all of it if positions or errors are missing."""
-    use = usable_positions(pos_corr) & np.isfinite(flux[:, mask]).all(axis=1)
-    variance = flux_err[use][:, mask] ** 2
+def _most_precise(flux, flux_err, own, candidates, pos_corr):
+    """Return the best part of the candidates, or the lit pixels if positions are missing."""
+    use = usable_positions(pos_corr) & np.isfinite(flux[:, own]).all(axis=1)
+    candidates = candidates & np.isfinite(flux[use]).all(axis=0)
+    variance = flux_err[use][:, candidates] ** 2
     if use.sum() < _CADENCES_TO_PREDICT or not (variance > 0).all():
-        return mask
-    best = np.zeros_like(mask)
-    best[mask] = precise_aperture(flux[use][:, mask], variance, pos_corr[use])
+        return own
+    best = np.zeros_like(own)
+    best[candidates] = precise_aperture(flux[use][:, candidates], variance, pos_corr[use])
     return best
 
 
-def target_pixels(image, lit):
+def own_pixels(image, peak):
     """
-    Leave out the pixels of other stars: those from which the light rises to another peak.
+    Return the pixels from which the light rises to a star's peak and not to another star's.
+
+    Peaks between which the light drops by less than 30 % of the fainter one are one star's.
 
     Parameters
     ----------
     image : ndarray
         Typical image, ``(ny, nx)``.
-    lit : ndarray of bool
-        Pixels with light, of which the brightest is the target's.
+    peak : int
+        Flat index of the star's brightest pixel.
     """
     values = np.where(np.isfinite(image), image, -np.inf)
     padded = np.pad(values, 1, constant_values=-np.inf)
@@ -159,8 +165,14 @@ def target_pixels(image, lit):
     higher = ((rows + step // 3 - 1) * image.shape[1] + columns + step % 3 - 1).ravel()
     for _ in range(int(np.log2(image.size)) + 1):
         higher = higher[higher]
-    peak = np.argmax(np.where(lit, values, -np.inf))
-    return lit & (higher == higher[peak]).reshape(image.shape)
+    mine = [other for other in np.unique(higher) if _connected(values, peak, other)]
+    return np.isin(higher, [*mine, higher[peak]]).reshape(image.shape)
+
+
+def _connected(values, peak, other):
+    level = _SAME_STAR * min(values.flat[peak], values.flat[other])
+    labels, _ = ndimage.label(values >= level)
+    return labels.flat[peak] == labels.flat[other] > 0
 
 
 def _plane_terms(shape):
@@ -272,11 +284,13 @@ def with_predicted_fractions(pixels, pos_corr):
     rows, columns = np.nonzero(known)
     if pos_corr is None:
         pos_corr = np.full((len(use), 2), np.nan)
-    light = pixels.flux[use] - background_plane(_typical(pixels.flux[use]))
+    error = pixels.flux_err[use]
+    valid = error > 0  # not NaN either
+    typical = np.median(error[valid]) if valid.any() else np.median(pixels.total_err[use])
     clean = clean_pixels(
         pixels.time[use],
-        light[:, known],
-        pixels.flux_err[use][:, known],
+        pixels.flux[use][:, known],
+        np.where(valid, error, typical)[:, known],
         pos_corr[use],
         np.stack([columns, rows], axis=1),
         pixels.aperture[known],

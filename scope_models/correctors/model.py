@@ -1,6 +1,6 @@
 """The model behind pixel level decorrelation: its options and its design matrix."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from numbers import Real
 
 import numpy as np
@@ -33,7 +33,12 @@ __all__ = ["PLDModel", "PLDOptions"]
 _FEWEST_CADENCES = 30
 #: Columns of background if pixels are given for them, but no number.
 _BACKGROUND_COLUMNS = 3
-_FRACTIONS = ("predicted", "measured")
+_FRACTIONS = ("auto", "predicted", "measured")
+#: Excess of the noise's variance from which on measured fractions are tried, ...
+_MISFIT = 1.5
+#: ... and the part of a variability that they must keep if its standard deviation is so many
+#: times the noise.
+_KEPT, _STRONG = 0.95, 3.0
 _TRENDS = {"gp": 1, "quadratic": 3}
 
 
@@ -51,9 +56,9 @@ class PLDOptions:
     segments : "auto", None or sequence of float, optional
         Times (days) at which the coefficients of order 1 may change. By
         default where the sense of the roll reverses.
-    fractions : {"predicted", "measured"}, optional
+    fractions : {"auto", "predicted", "measured"}, optional
         Pixel fractions as a model of the star, its motion, focus and background predicts them,
-        or as they are measured.
+        or as they are measured; see `fit_pixels`.
     pca_components : int, optional
         Largest number of columns per order.
     pld_aperture_mask : array_like of bool, optional
@@ -89,7 +94,7 @@ class PLDOptions:
     order: int = 2
     trend: str = "gp"
     segments: object = "auto"
-    fractions: str = "predicted"
+    fractions: str = "auto"
     pca_components: int | None = None
     pld_aperture_mask: object = None
     background: int = 0
@@ -253,7 +258,7 @@ class PLDModel:
         if saturation == "auto":
             saturation = series.mission and series.mission.full_flux
         clean = None
-        if options.fractions == "predicted" and can_predict(pixels, saturation, regressor_mask):
+        if options.fractions != "measured" and can_predict(pixels, saturation, regressor_mask):
             pixels, clean = with_predicted_fractions(pixels, series.pos_corr)
             saturation = None
         breaks = segment_breaks(options.segments, pixels)
@@ -348,3 +353,57 @@ class PLDModel:
         return PLDFit(
             self, solution, mask & ~in_transit, in_transit, joint=transit_model is not None
         )
+
+
+def fit_pixels(pixels, options, series, cadence_mask=None, **transit):
+    """
+    Fit pixels, with the fractions that the data support.
+
+    With ``fractions="auto"`` these are the predicted ones, unless they leave more noise than
+    FLUX_ERR explains, measured fractions predict windows that they have not seen better, and the
+    star's periodic variability is the same with both.
+
+    Parameters
+    ----------
+    pixels : Pixels
+        Pixels and aperture.
+    options : PLDOptions
+        The options.
+    series : PixelSeries
+        Their file.
+    cadence_mask : ndarray of bool, optional
+        As in `PLDModel.fit`.
+    **transit
+        Further arguments of `PLDModel.fit`.
+
+    Returns
+    -------
+    PLDFit
+        The result; its ``model`` is the one that was chosen.
+    """
+    fitted = PLDModel.from_pixels(pixels, options, series).fit(cadence_mask, **transit)
+    if options.fractions != "auto" or fitted.model.clean is None:
+        return fitted
+    if fitted.noise_scale < _MISFIT:
+        return fitted
+    measured = PLDModel.from_pixels(pixels, replace(options, fractions="measured"), series)
+    measured = measured.fit(cadence_mask, **transit)
+    better = _unseen(measured) < _unseen(fitted) and _keeps_variability(measured, fitted)
+    return measured if better else fitted
+
+
+def _unseen(fitted):
+    """Median size of the residuals of windows that the model has not seen."""
+    return np.median(np.abs(fitted.held_out(fitted.window)[0]))
+
+
+def _keeps_variability(measured, predicted):
+    """Whether the light curve from measured fractions has the other one's periodic variability."""
+    clean, used = predicted.model.clean, measured.used & predicted.used
+    variability = predicted.waves[used]
+    if np.std(variability) < _STRONG * np.median(np.sqrt(predicted.solution.white_variance)):
+        return True
+    light = np.median(clean.light)
+    other = np.log(measured.corrected()[0][used])
+    slope = np.polyfit(variability, other, 1)[0] * (light + clean.constant) / light
+    return bool(slope > _KEPT)

@@ -9,7 +9,7 @@ from scope_models._checks import checked_cadences
 from scope_models.correctors._lightkurve import named_mask, to_collection, translated
 from scope_models.correctors._pixels import aperture_pixels
 from scope_models.correctors._solution import NothingToCorrectError
-from scope_models.correctors.model import PLDModel, PLDOptions
+from scope_models.correctors.model import PLDOptions, fit_pixels
 from scope_models.exceptions import DetrendingWarning
 from scope_models.io import read_pixels, read_tpf
 
@@ -123,7 +123,7 @@ class PLDCorrector(Corrector):
         trend="gp",
         segments="auto",
         aperture_mask=None,
-        fractions="predicted",
+        fractions="auto",
         pca_components=None,
         pld_aperture_mask=None,
         background=0,
@@ -163,12 +163,14 @@ class PLDCorrector(Corrector):
             prior variance of its own, which vanishes if nothing changes.
         aperture_mask : array_like of bool or str, optional
             Another aperture, from this call on.
-        fractions : {"predicted", "measured"}, optional
+        fractions : {"auto", "predicted", "measured"}, optional
             Pixel fractions as a model of the star, its motion, focus and
             background predicts them, or as they are measured. Measured
             fractions follow the star where other light is in the aperture.
-            Full pixels, ``pld_aperture_mask`` and fewer than 100 cadences
-            or 4 pixels allow measured fractions only.
+            By default predicted ones, unless these leave 1.5 times the noise
+            of FLUX_ERR, measured ones predict unseen windows better, and the
+            star's variability is the same with both. ``pld_aperture_mask``
+            and fewer than 100 cadences or 4 pixels allow measured ones only.
         pca_components : int, optional
             Largest number of columns per order: the first principal
             components; 0 and None: as many as can change the flux. The prior
@@ -244,14 +246,21 @@ class PLDCorrector(Corrector):
         in_transit = checked_cadences("transit_mask", transit_mask, n, default=False)
         if aperture_mask is not None:
             self._set_aperture(aperture_mask)
-        self.model = PLDModel.from_pixels(self._pixels, options, self._series)
         self._restore_trend = restore_trend
         try:
-            self.result = self.model.fit(mask, transit_mask=in_transit, transit_model=transit_model)
+            self.result = fit_pixels(
+                self._pixels,
+                options,
+                self._series,
+                mask,
+                transit_mask=in_transit,
+                transit_model=transit_model,
+            )
+            self.model = self.result.model
         except NothingToCorrectError:
             message = "the pixel fractions do not vary: the light curve is left as it is"
             warnings.warn(message, DetrendingWarning, stacklevel=2)
-            self.result = None
+            self.model = self.result = None
         self.cadence_mask, self.transit_mask = mask & ~in_transit, in_transit
         self._finish()
         return self.corrected_lc

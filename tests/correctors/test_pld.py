@@ -177,7 +177,9 @@ def test_cadences_that_are_not_used_do_not_matter(star):
     flux = star.tpf.flux.value.copy()
     flux[100:110] *= 3.0
     lcs = [
-        PLDCorrector(tpf, np.ones((9, 9), dtype=bool)).correct(cadence_mask=mask)
+        PLDCorrector(tpf, np.ones((9, 9), dtype=bool)).correct(
+            cadence_mask=mask, fractions="measured"
+        )
         for tpf in (star.tpf, replaced(star.tpf, FLUX=flux))
     ]
     same = np.r_[0:100, 110:400]
