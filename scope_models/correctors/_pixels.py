@@ -26,6 +26,8 @@ _BRIGHT_PART, _FEWEST = 0.002, 3
 #: ... and at least so many standard deviations of its noise, which pure noise passes in
 #: less than one of 10^5 cadences.
 _SIGNIFICANCE = 4.5
+#: Pixels around the lit ones that may belong to the aperture too.
+_MARGIN = 2
 #: Light between two peaks of one star, in units of the fainter one.
 _SAME_STAR = 0.7
 #: The background is first sought in this part of the pixels, in so many at least for a slope.
@@ -104,7 +106,11 @@ def choose_aperture(flux, flux_err, pipeline=None, pos_corr=None):
     peak = np.argmax(np.where(lit & near, mean, -np.inf))
     others = lit & ~own_pixels(mean, peak)
     own = (labels == labels.flat[peak]) & ~others
-    return own if pos_corr is None else _most_precise(flux, flux_err, own, ~others, pos_corr)
+    if pos_corr is None:
+        return own
+    around = ndimage.binary_dilation(own, np.ones((3, 3)), _MARGIN)
+    near = own | ~ndimage.binary_dilation(others, np.ones((3, 3)))
+    return _most_precise(flux, flux_err, own, around & near, pos_corr)
 
 
 def _typical(flux):
@@ -237,12 +243,11 @@ def aperture_pixels(series, aperture):
     return Pixels(time, flux, flux_err, aperture, total, total_err, positive)
 
 
-def can_predict(pixels, saturation, regressor_mask):
+def can_predict(pixels, saturation):
     """
     Whether the pixel fractions can be predicted.
 
-    Not with pixels of the user's own as regressors, nor with few pixels or cadences, nor where
-    pixels are full: their light depends on other pixels.
+    Not with few pixels or cadences, nor where pixels are full: their light depends on others'.
 
     Parameters
     ----------
@@ -250,14 +255,12 @@ def can_predict(pixels, saturation, regressor_mask):
         Pixels as measured.
     saturation : float or None
         Flux of a full pixel, e-/s.
-    regressor_mask : ndarray of bool or None
-        Pixels of the user's own as regressors.
     """
     flux = pixels.flux[pixels.usable][:, pixels.aperture]
     full = saturation is not None and np.quantile(flux, 0.99, axis=0).max(initial=0) > saturation
     enough = flux.shape[0] >= _CADENCES_TO_PREDICT and flux.shape[1] >= _PIXELS_TO_PREDICT
     varies = np.ptp(flux, axis=0).max(initial=0) > 0
-    return regressor_mask is None and not full and enough and varies
+    return not full and enough and varies
 
 
 def with_predicted_fractions(pixels, pos_corr):

@@ -13,6 +13,11 @@ from scope_models.correctors._solution import Solution
 __all__ = ["PLDFit", "transit_column"]
 
 _TRANSIT_HOURS = 6.5
+#: Logarithm of the largest factor that is corrected.
+_LARGEST = np.log(10)
+#: Parts from which on a warning is given: outliers, constant light, changes of the flux that
+#: measured fractions explain; and the noise's variance over FLUX_ERR squared.
+_MANY, _CONTAMINATED, _FOLLOWING, _NOISY = 0.1, 0.02, 0.05, 25.0
 #: Numbers of a fit that go into the metadata of its table.
 _NUMBERS = (
     "noise_scale",
@@ -230,9 +235,66 @@ class PLDFit:
         if not restore_trend:
             removed = removed + solution.trend
             variance = solution.latent_variance()
-        flux = self.model.pixels.total[self.model.pixels.usable] / np.exp(removed)
+        known = ~self._lost
+        flux = np.full(len(removed), np.nan)
+        flux[known] = self.model.pixels.total[self.model.pixels.usable][known]
+        flux[known] /= np.exp(removed[known])
         error = flux * np.sqrt(solution.white_variance + variance)
         return self._whole(flux), self._whole(error)
+
+    @property
+    def _lost(self):
+        """Usable cadences far outside of what the fit has seen: their factor is unknown."""
+        systematics = self.solution.systematics
+        return ~(np.abs(systematics) < _LARGEST)
+
+    def remarks(self):
+        """
+        Return sentences about what makes this fit less reliable.
+
+        Returns
+        -------
+        list of str
+            Cadences without a corrected flux, many outliers, constant light in the aperture,
+            fractions that follow the star, noise far above FLUX_ERR. Empty if there is nothing.
+        """
+        found, n = [], len(self.solution.use)
+        lost = int(self._lost.sum())
+        if lost:
+            most = ", more than half of them," if lost > n / 2 else ""
+            found.append(
+                f"{lost} of {n} cadences{most} have no corrected flux: their systematics are "
+                "beyond a factor of ten, as with over-subtracted pixels"
+            )
+        if self.n_outliers > _MANY * self.cadence_mask.sum():
+            found.append(
+                f"{self.n_outliers} of {n} cadences are left out of the fit as outliers: the star "
+                "varies in a way that the model cannot follow, or pixels are damaged"
+            )
+        if self.contamination > _CONTAMINATED:
+            found.append(
+                f"{100 * self.contamination:.1f} % of the light in the aperture is constant and "
+                "was taken off: another star or background"
+            )
+        change = float(np.std(self.solution.systematics[self.solution.use]))
+        if self.model.clean is None and change > _FOLLOWING:
+            found.append(
+                f"measured fractions explain changes of {100 * change:.0f} % of the flux: with "
+                "other light in the aperture they follow the star, and its variability is lost; "
+                'compare `fractions="predicted"`'
+            )
+        if self.noise_scale > _NOISY:
+            found.append(
+                f"the noise has {self.noise_scale:.0f} times the variance of FLUX_ERR: the star "
+                "varies faster than the trend model, or systematics are left"
+            )
+        return found
+
+    @property
+    def contamination(self):
+        """Constant light that was taken off, in units of all light in the aperture."""
+        clean = self.model.clean
+        return 0.0 if clean is None else clean.constant / (clean.constant + np.median(clean.light))
 
     def covariance(self, cadences):
         """
@@ -338,6 +400,8 @@ class PLDFit:
             ("outliers", f"{self.n_outliers}"),
             ("noise variance / FLUX_ERR^2", f"{self.noise_scale:.3f}"),
             ("transit survival", f"{self.transit_survival:.3f}"),
+            ("fractions", "measured" if self.model.clean is None else "predicted"),
+            ("constant light taken off", f"{100 * self.contamination:.1f} %"),
         ]
         if np.isfinite(self.trend_sigma):
             trend = f"{1e6 * self.trend_sigma:.0f} ppm, {self.trend_period:.2f} d"

@@ -34,8 +34,11 @@ _FEWEST_CADENCES = 30
 #: Columns of background if pixels are given for them, but no number.
 _BACKGROUND_COLUMNS = 3
 _FRACTIONS = ("auto", "predicted", "measured")
-#: Excess of the noise's variance from which on measured fractions are tried, ...
+#: Noise's variance over FLUX_ERR squared from which on measured fractions are tried, ...
 _MISFIT = 1.5
+#: ... the residual of unseen windows that they must reach in units of the other fit's: they remove
+#: noise of pixels with little light, up to about this; ...
+_BETTER = 0.7
 #: ... and the part of a variability that they must keep if its standard deviation is so many
 #: times the noise.
 _KEPT, _STRONG = 0.95, 3.0
@@ -258,7 +261,8 @@ class PLDModel:
         if saturation == "auto":
             saturation = series.mission and series.mission.full_flux
         clean = None
-        if options.fractions != "measured" and can_predict(pixels, saturation, regressor_mask):
+        plain = options.fractions != "measured" and regressor_mask is None and not background
+        if plain and can_predict(pixels, saturation):
             pixels, clean = with_predicted_fractions(pixels, series.pos_corr)
             saturation = None
         breaks = segment_breaks(options.segments, pixels)
@@ -350,6 +354,13 @@ class PLDModel:
                 "the pixels' covariance is singular to working precision: check FLUX_ERR and the "
                 "aperture, or lower `order`"
             ) from error
+        if solution.use.sum() < 0.5 * allowed.sum():
+            raise ValueError(
+                f"{(allowed & ~solution.use).sum()} of {allowed.sum()} cadences deviate from any "
+                "model: the star varies in a way that it cannot follow, or most pixels are "
+                "damaged. Raise `sigma`, set `max_clips` to 0, or leave cadences out with "
+                "`cadence_mask`"
+            )
         return PLDFit(
             self, solution, mask & ~in_transit, in_transit, joint=transit_model is not None
         )
@@ -388,7 +399,8 @@ def fit_pixels(pixels, options, series, cadence_mask=None, **transit):
         return fitted
     measured = PLDModel.from_pixels(pixels, replace(options, fractions="measured"), series)
     measured = measured.fit(cadence_mask, **transit)
-    better = _unseen(measured) < _unseen(fitted) and _keeps_variability(measured, fitted)
+    better = _unseen(measured) < _BETTER * _unseen(fitted)
+    better = better and _keeps_variability(measured, fitted)
     return measured if better else fitted
 
 

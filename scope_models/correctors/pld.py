@@ -168,9 +168,10 @@ class PLDCorrector(Corrector):
             background predicts them, or as they are measured. Measured
             fractions follow the star where other light is in the aperture.
             By default predicted ones, unless these leave 1.5 times the noise
-            of FLUX_ERR, measured ones predict unseen windows better, and the
-            star's variability is the same with both. ``pld_aperture_mask``
-            and fewer than 100 cadences or 4 pixels allow measured ones only.
+            of FLUX_ERR, measured ones predict unseen windows 30 % better, and the
+            star's variability is the same with both. ``pld_aperture_mask``,
+            ``background``, full pixels and fewer than 100 cadences or 4
+            pixels allow measured ones only.
         pca_components : int, optional
             Largest number of columns per order: the first principal
             components; 0 and None: as many as can change the flux. The prior
@@ -221,7 +222,8 @@ class PLDCorrector(Corrector):
         Warns
         -----
         DetrendingWarning
-            If there is nothing to correct, or data had to be replaced.
+            If there is nothing to correct, data had to be replaced, or the
+            fit is less reliable; see `PLDFit.remarks`.
         """
         settings = {
             "order": order,
@@ -272,6 +274,8 @@ class PLDCorrector(Corrector):
         if self.result is not None:
             self.outlier_mask = self.result.outliers
             flux, flux_err = self.result.corrected(restore_trend=self._restore_trend)
+            for remark in self.result.remarks():
+                warnings.warn(remark, DetrendingWarning, stacklevel=3)
             lc.flux, lc.flux_err = flux * lc.flux.unit, flux_err * lc.flux_err.unit
         self.corrected_lc = lc
 
