@@ -276,7 +276,8 @@ class PLDFit:
                 f"{100 * self.contamination:.1f} % of the light in the aperture is constant and "
                 "was taken off: another star or background"
             )
-        change = float(np.std(self.solution.systematics[self.solution.use]))
+        low, high = np.quantile(self.solution.systematics[self.solution.use], (0.16, 0.84))
+        change = (high - low) / 2
         if self.model.clean is None and change > _FOLLOWING:
             found.append(
                 f"measured fractions explain changes of {100 * change:.0f} % of the flux: with "

@@ -405,8 +405,9 @@ def fit_pixels(pixels, options, series, cadence_mask=None, **transit):
 
 
 def _unseen(fitted):
-    """Median size of the residuals of windows that the model has not seen."""
-    return np.median(np.abs(fitted.held_out(fitted.window)[0]))
+    """Mean size of the residuals of windows that the model has not seen, without the largest."""
+    size = np.sort(np.abs(fitted.held_out(fitted.window)[0]))
+    return size[: max(int(0.9 * len(size)), 1)].mean()
 
 
 def _keeps_variability(measured, predicted):

@@ -15,7 +15,7 @@ from scope_models.experiments.skies import make_sky, score
 @pytest.fixture(scope="module")
 def crowded():
     """Return an RR Lyrae star with a constant neighbor, 1 mag fainter at 3 px."""
-    return make_sky("k2-1x-rr-lyrae-neighbor", seed=0, n_cadences=400)
+    return make_sky("k2-1x-rr-lyrae-neighbor", seed=0, n_cadences=700)
 
 
 def test_a_constant_neighbor_does_not_erase_the_star(crowded):
@@ -23,13 +23,13 @@ def test_a_constant_neighbor_does_not_erase_the_star(crowded):
     with pytest.warns(DetrendingWarning, match="of the light in the aperture is constant"):
         lc = corrector.correct()
     assert corrector.model.clean is not None
-    assert 0 < corrector.result.contamination < 0.2
+    assert 0.02 < corrector.result.contamination < 0.3
     assert score(lc, crowded).amplitude == pytest.approx(1, abs=0.03)
 
 
 def test_measured_fractions_erase_it_and_warn(crowded):
     corrector = PLDCorrector(crowded.to_tpf(), "all")
-    with pytest.warns(DetrendingWarning, match="measured fractions explain changes of 1. %"):
+    with pytest.warns(DetrendingWarning, match=r"measured fractions explain changes of \d+ %"):
         lc = corrector.correct(fractions="measured")
     assert abs(score(lc, crowded).amplitude) < 0.05
 
@@ -49,7 +49,7 @@ def test_predicted_fractions_hold_no_noise(star):
 
 
 def test_fractions_is_checked(star):
-    with pytest.raises(ValueError, match="`fractions` must be one of .*'auto'.*got 'guessed'"):
+    with pytest.raises(ValueError, match=r"`fractions` must be one of .*'auto'.*got 'guessed'"):
         PLDCorrector(star.tpf).correct(fractions="guessed")
 
 
@@ -77,14 +77,14 @@ def test_a_fit_without_half_of_the_cadences_is_an_error(star, monkeypatch):
         return replace(solution, use=solution.use & (np.arange(400) % 5 < 2))
 
     monkeypatch.setattr(model, "fit", few)
-    with pytest.raises(ValueError, match="240 of 400 cadences deviate from any model.*`sigma`"):
+    with pytest.raises(ValueError, match=r"240 of 400 cadences deviate from any model.*`sigma`"):
         PLDCorrector(star.tpf).correct()
 
 
 def test_background_plane():
     rows, columns = np.indices((9, 9))
     truth = 5.0 + 0.3 * rows - 0.2 * columns
-    star = 1e4 * np.exp(-0.5 * ((rows - 4) ** 2 + (columns - 4) ** 2))
+    star = 1e4 * np.exp(-0.8 * ((rows - 4) ** 2 + (columns - 4) ** 2))
     np.testing.assert_allclose(background_plane(truth + star), truth, atol=0.3)
 
 
