@@ -19,20 +19,19 @@ Run as ``OMP_NUM_THREADS=1 python benchmarks/sweep.py [PART ...]`` on a quiet ma
 """
 
 import argparse
-import multiprocessing
 import os
 import resource
 import subprocess
 import sys
 import tempfile
 import time
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
 from _common import report_environment
+from distributed import Client, LocalCluster
 
 from scope_models import Detector, Motion, Star, simulate
 from scope_models.experiments import make_study, run_sweep
@@ -56,7 +55,7 @@ class Draws(Study):
         values = self.star_rng(task["key"]).random(15)
         return {f"value{i}": value for i, value in enumerate(values)}
 
-    def summarise(self, table):
+    def summarize(self, table):
         return table
 
     def draw(self, table, summary):
@@ -93,9 +92,10 @@ def light_study(stars, cadences, magnitudes, scales):
     )
 
 
-def pool(number):
-    """Return processes as `run_sweep` makes them."""
-    return ProcessPoolExecutor(number, mp_context=multiprocessing.get_context("spawn"))
+def processes(number):
+    """Return a client of so many processes of Dask on this machine."""
+    local = {"host": "127.0.0.1", "dashboard_address": None, "memory_limit": 0}
+    return Client(LocalCluster(n_workers=number, threads_per_worker=1, **local))
 
 
 def report_throughput(stars, cadences):
@@ -104,16 +104,16 @@ def report_throughput(stars, cadences):
     n_stars = len(study.tasks())
     print(f"Throughput: {n_stars} stars of {cadences} cadences, simulated, de-trended, measured")
     print("  one process: s, stars/s;   two processes: s, stars/s;   gain;   load at the beginning")
-    with pool(1) as one, pool(2) as two:
-        for executor, number in ((one, 1), (two, 2)):
+    with processes(1) as one, processes(2) as two:
+        for client, number in ((one, 1), (two, 2)):
             began = time.perf_counter()
-            run_sweep(replace(study, seed=2, stars=1), executor, progress=False)
+            run_sweep(replace(study, seed=2, stars=1), None, client, progress=False)
             print(f"  the first 8 stars of {number} processes, with all imports: "
                   f"{time.perf_counter() - began:.1f} s")  # fmt: skip
         gains = []
         for _ in range(REPEATS):
             load = os.getloadavg()[0]
-            single, double = (clock(study, executor) for executor in (one, two))
+            single, double = (clock(study, client) for client in (one, two))
             gains.append(single / double)
             print(f"  {single:6.2f} {n_stars / single:7.2f}   {double:6.2f} {n_stars / double:7.2f}"
                   f"   {gains[-1]:5.2f}   {load:.1f}", flush=True)  # fmt: skip
@@ -122,11 +122,11 @@ def report_throughput(stars, cadences):
     print(f"  last pair: {rate * cadences:,.0f} stars x cadences per second in two processes\n")
 
 
-def clock(study, executor):
+def clock(study, client):
     """Return the seconds that a sweep takes."""
     began = time.perf_counter()
     with tempfile.TemporaryDirectory() as folder:
-        result = run_sweep(study, executor, folder, progress=False)
+        result = run_sweep(study, folder, client, progress=False)
     assert len(result.failures) == 0  # noqa: S101
     return time.perf_counter() - began
 
@@ -145,7 +145,7 @@ def report_size(size):
     """Print one line of the scaling."""
     with tempfile.TemporaryDirectory() as folder:
         began = time.perf_counter()
-        result = run_sweep(Small(stars=size), 2, folder, progress=False)
+        result = run_sweep(Small(stars=size), folder, 2, progress=False)
         taken = time.perf_counter() - began
         disk = sum(path.stat().st_size for path in Path(folder).rglob("*") if path.is_file())
     assert len(result.table) == size  # noqa: S101
@@ -163,12 +163,11 @@ def report_overhead(size):
     with tempfile.TemporaryDirectory() as folder:
         for title in ("computed, kept, table made", "resumed: read, table made"):
             began, processor = time.perf_counter(), time.process_time()
-            result = run_sweep(study, None, folder, progress=False)
+            result = run_sweep(study, folder, progress=False)
             taken, used = time.perf_counter() - began, time.process_time() - processor
             print(f"  {title:28s} {taken:6.1f} s, {used:6.1f} s of a core: "
                   f"{1e3 * used / size:.3f} ms per star")  # fmt: skip
-        stored = list(Path(folder).rglob("*.jsonl"))
-        print(f"  on disk: {len(stored)} file, {stored[0].stat().st_size / 1e6:.1f} MB")
+        print(f"  on disk: {(Path(folder) / 'results.sqlite').stat().st_size / 1e6:.1f} MB")
         began = time.perf_counter()
         path = Path(folder) / "results.ecsv"
         result.table.write(path)

@@ -13,7 +13,7 @@ os.environ["MPLBACKEND"] = "Agg"
 sys.path.insert(0, str(Path(__file__).parent / "_ext"))
 
 # Each has a section on the page on the command line.
-COMMANDS = ("demo", "simulate", "detrend", "fit", "experiment")
+COMMANDS = ("demo", "simulate", "inject", "detrend", "fit", "experiment", "benchmark", "score")
 
 project = "scope_models"
 author = "scope_models developers"
@@ -38,9 +38,10 @@ default_role = "py:obj"
 # no network; nor are names of arguments.
 nitpicky = True
 nitpick_ignore_regex = [
-    (r"py:.*", r"(astropy|collections|datetime|lightkurve|matplotlib|np|numpy|pathlib)\..*"),
+    (r"py:.*", r"(astropy|collections|dataclasses|datetime|lightkurve|matplotlib)\..*"),
+    (r"py:.*", r"(np|numpy|pathlib|photutils)\..*"),
     (r"py:obj", r"[a-z_]+|ID"),
-    (r"py:class", r"Model|abc.ABC|scope_models\.target\._.*"),  # type hints; private base classes
+    (r"py:class", r"Model|abc.ABC|scope_models\.(\w+\.)*_.*"),  # type hints; private base classes
 ]
 
 # Links to other packages need their inventories from the network: on where the site is published,

@@ -46,6 +46,7 @@ from .appendix_a import generate_target as generate_target
 from .fitting import TPFFit as TPFFit
 from .fitting import fit_tpf as fit_tpf
 from .io import read_truth as read_truth
+from .missions import MISSIONS as MISSIONS
 from .missions import Mission as Mission
 from .models import (
     PRF as PRF,

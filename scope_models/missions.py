@@ -223,7 +223,7 @@ class Mission:
         Returns
         -------
         Mission or None
-            The mission, None if the cards name none of `MISSIONS`.
+            The mission, None if the cards name none of ``MISSIONS``.
 
         Examples
         --------

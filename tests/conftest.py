@@ -1,8 +1,13 @@
 """Fixtures shared by all tests."""
 
+import importlib
+import inspect
+import pkgutil
 from pathlib import Path
 
 import pytest
+
+import scope_models
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 
@@ -20,3 +25,30 @@ def shared_data():
     if not folder.is_dir():
         pytest.skip("the folder ../shared/data with real archive files is absent")
     return folder
+
+
+def _public_callables():
+    """Yield name and object of each public function, class, and method."""
+    seen = set()
+    modules = [m.name for m in pkgutil.walk_packages(scope_models.__path__, "scope_models.")]
+    for path in ["scope_models", *(name for name in modules if "._" not in name)]:
+        module = importlib.import_module(path)
+        for name in module.__all__:
+            value = getattr(module, name)
+            if id(value) in seen or not getattr(value, "__module__", "").startswith("scope_models"):
+                continue
+            seen.add(id(value))
+            if inspect.isclass(value):
+                yield name, value
+                for key, member in vars(value).items():
+                    kinds = (classmethod, staticmethod)
+                    if key[0] != "_" and (inspect.isfunction(member) or isinstance(member, kinds)):
+                        yield f"{name}.{key}", getattr(value, key)
+            elif inspect.isfunction(value):
+                yield name, value
+
+
+@pytest.fixture(scope="session")
+def public_callables():
+    """Return name and object of each public function, class, and method."""
+    return list(_public_callables())

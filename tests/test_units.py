@@ -5,9 +5,7 @@ row below, or a reason why it has none.
 """
 
 import dataclasses
-import importlib
 import inspect
-import pkgutil
 import re
 import warnings
 
@@ -22,7 +20,6 @@ from astropy.time import Time, TimeDelta
 from astropy.utils.masked import Masked
 from numpydoc.docscrape import NumpyDocString
 
-import scope_models
 from scope_models import (
     PRF,
     BivariateGaussianPSF,
@@ -41,6 +38,7 @@ from scope_models import photometry as ph
 from scope_models import plotting as pl
 from scope_models._arrays import plain_array, plain_number, plain_time
 from scope_models.correctors import PLDOptions
+from scope_models.effects import Effect
 from scope_models.effects import noise as effects_noise
 from scope_models.effects.saturation import bleed
 from scope_models.exceptions import FitWarning
@@ -63,6 +61,7 @@ from scope_models.models import (
 )
 from scope_models.plotting.detrending import plot_detrending, plot_detrending_masks
 from scope_models.scene import K2Roll, MotionStatistics
+from scope_models.scene._pointing import Pointing
 from scope_models.scene.presets import PRESETS
 
 RATE = u.electron / u.s
@@ -118,6 +117,7 @@ def drawn(function, *arguments, **options):
 
 
 VALUE = object()
+GENERATORS = ("kepler", "tess", "k2_final_campaign", "ground", "random_walk", "failing_wheels")
 FIT = {"data": IMAGE, "model": IMAGE, "residual": IMAGE, "x": TIME, "y": TIME}
 PLACES = [(1, 1), (1, 101), (101, 1), (101, 101)]
 GRID = PRFGrid(PLACES, [TabulatedPRF(np.eye(7) + column) for column, _ in PLACES])
@@ -325,6 +325,25 @@ ROWS = {
             ("pixel_scale", 4.0, u.arcsec),
         )
     },
+    **{
+        f"{kind.__name__}.{name}": (field(kind, name), default, unit)
+        for kind in Pointing.__subclasses__()
+        for name, unit in kind.units.items()
+        for default in [kind.__dataclass_fields__[name].default]
+    },
+    **{
+        f"Motion.{name}.start": (
+            lambda v, name=name: getattr(Motion, name)(3, start=v).time, 7.0, u.day
+        )
+        for name in GENERATORS
+    },
+    "Motion.kepler.cadence": (lambda v: Motion.kepler(3, cadence=v).time, 58.85, u.s),
+    "Motion.tess.cadence": (lambda v: Motion.tess(3, cadence=v).time, 20.0, u.s),
+    "Motion.ground.cadence": (lambda v: Motion.ground(3, cadence=v).time, 30.0, u.s),
+    "Motion.random_walk.cadence": (lambda v: Motion.random_walk(3, cadence=v).time, 0.1, u.day),
+    "Motion.failing_wheels.cadence": (
+        lambda v: Motion.failing_wheels(3, cadence=v).time, 0.1, u.day
+    ),
     "Star.mag": (lambda v: Star(v).mag, 12.0, u.mag),
     "Star.x_0": (lambda v: Star(12, x_0=v).x_0, 3.0, u.pix),
     "Star.y_0": (lambda v: Star(12, y_0=v).y_0, 3.0, u.pix),
@@ -590,6 +609,8 @@ NO_UNIT = {
     "PLDCorrector.correct.regressors", "TabulatedPSF.array", "TabulatedPSF.oversampling",
     "TabulatedPRF.array", "TabulatedPRF.oversampling", "K2MotionNoise.exponent",
     "SceneCorrector.correct.transit_model", "SceneCorrector.neighbors",
+    "inject_files.star", "plot_precision.stars",
+    "fit_tpf.stars",
     "inject.signal", "inject.star", "TabulatedPRF.origin", "plot_detector.psf", "plot_psf.psf",
     "plot_detector.sensitivity", "plot_fit.chi2", "plot_twin.residuals",
     "plot_detrending_masks.scatter", "plot_recovery.depths", "plot_recovery.magnitudes",
@@ -599,39 +620,22 @@ NO_UNIT = {
 # Classes whose objects the package makes, methods that astropy calls with numbers after it has
 # converted them (test_contract.py), and configurations, which files give as plain numbers.
 MADE_BY_THE_PACKAGE = re.compile(
-    r"(\w*(Fit|Result|Truth)|Observation|PixelSeries|Mission|MessyStar|PRFGrid)\."
-    r"|\w+\.(evaluate|fit_deriv|closed_form|unit_derivatives)\."
+    r"(\w*(Fit|FittedStar|Result|Truth)|Observation|PixelSeries|Mission|MessyStar|PRFGrid|Conditions|Exposures)\."
+    r"|\w+\.(evaluate|fit_deriv|closed_form|unit_derivatives|track|times)\."
 )
 CONFIGURATIONS = re.compile(
     r"(K2MotionNoise|MotionTest|NoMotion|Recovery|SkyRegime|Table1|bin_noise|noise_parts)\."
 )
 
 
-def public_callables():
-    """Yield name and object of each public function, class, and method."""
-    seen = set()
-    modules = [m.name for m in pkgutil.walk_packages(scope_models.__path__, "scope_models.")]
-    for path in ["scope_models", *(name for name in modules if "._" not in name)]:
-        module = importlib.import_module(path)
-        for name in module.__all__:
-            value = getattr(module, name)
-            if id(value) in seen or not getattr(value, "__module__", "").startswith("scope_models"):
-                continue
-            seen.add(id(value))
-            if inspect.isclass(value):
-                yield name, value
-                for key, member in vars(value).items():
-                    kinds = (classmethod, staticmethod)
-                    if key[0] != "_" and (inspect.isfunction(member) or isinstance(member, kinds)):
-                        yield f"{name}.{key}", getattr(value, key)
-            elif inspect.isfunction(value):
-                yield name, value
+def is_effect(value):
+    return inspect.isclass(value) and issubclass(value, Effect) and value is not Effect
 
 
-def arguments_with_units():
+def arguments_with_units(public_callables):
     """Return the public arguments whose descriptions name a unit."""
     found = set()
-    for name, value in public_callables():
+    for name, value in public_callables:
         for entry in NumpyDocString(inspect.getdoc(value) or "")["Parameters"]:
             text = " ".join([entry.type, *entry.desc])
             if NUMBER.search(entry.type) and "bool" not in entry.type and UNIT.search(text):
@@ -639,15 +643,27 @@ def arguments_with_units():
     return found
 
 
-def test_every_argument_with_a_unit_has_a_row():
+def test_every_argument_with_a_unit_has_a_row(public_callables):
     assert set(PASSED_ON.values()) <= set(ROWS)
     excused = ANY_UNIT | NO_UNIT | set(PASSED_ON)
     missing = {
         name
-        for name in arguments_with_units() - set(ROWS) - excused
+        for name in arguments_with_units(public_callables) - set(ROWS) - excused
         if not (MADE_BY_THE_PACKAGE.match(name) or CONFIGURATIONS.match(name))
     }
-    assert sorted(missing) == []
+    effects = {name for name, value in public_callables if is_effect(value)}
+    assert sorted(name for name in missing if name.partition(".")[0] not in effects) == []
+
+
+def test_effects_refuse_wrong_units_by_name(public_callables):
+    """The tests of each effect compare quantities with plain numbers."""
+    for effect in (value for _, value in public_callables if is_effect(value)):
+        parts = dataclasses.fields(effect)
+        needed = {item.name: 0.1 for item in parts if item.default is dataclasses.MISSING}
+        for item in parts:
+            if isinstance(item.default, float) or item.name in needed:
+                with pytest.raises((TypeError, ValueError), match=f"`{item.name}`"):
+                    effect(**(needed | {item.name: 1.0 * u.kg}))
 
 
 def same(a, b):

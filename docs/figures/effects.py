@@ -4,7 +4,16 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from scope_models import Detector, Motion, Star, simulate
-from scope_models.effects import Focus, ScatteredLight
+from scope_models.effects import (
+    BrighterFatter,
+    CosmicRays,
+    Focus,
+    Jitter,
+    ScatteredLight,
+    SensitivityDropouts,
+    Throughput,
+    rejected_shift,
+)
 
 
 def make_focus_figure():
@@ -39,4 +48,103 @@ def make_background_figure():
     bottom.plot(time, observation.flux[:, 0, 0], ".", markersize=2)
     bottom.set_xlabel("Time (d)")
     bottom.set_ylabel("Flux of a dark pixel\n(e$^-$ s$^{-1}$)")
+    return figure
+
+
+def make_jitter_figure():
+    """Return the figure of what jitter moves and blurs."""
+    motion = Motion.still(4000, cadence=120 / 86400)
+    detector = Detector.tess(shape=(9, 9), well_depth=None)
+    times = np.geomspace(2, 5000, 8)
+    drawn = []
+    for seed, time in enumerate(times):
+        jitter = Jitter(0.05, correlation_time=time)
+        columns = simulate(
+            Star(10.0), detector, motion, seed=seed, noise=False, effects=jitter
+        ).truth.columns
+        drawn.append((columns["JITTER_X"].std(), columns["JITTER_BLUR"][0]))
+    means, blurs = np.transpose(drawn)
+    fine = np.geomspace(2, 5000, 200) / 120
+    variance = 2 * fine * (1 - fine * (1 - np.exp(-1 / fine)))
+    figure, axes = plt.subplots(layout="constrained")
+    axes.semilogx(120 * fine, 0.05 * np.sqrt(variance), label="means of cadences")
+    axes.plot(times, means, "o", color="C0")
+    axes.plot(120 * fine, 0.05 * np.sqrt(1 - variance), "--", label="blur within a cadence")
+    axes.plot(times, blurs, "s", color="C1")
+    axes.set_xlabel("Correlation time (s)")
+    axes.set_ylabel("Standard deviation (pixel)")
+    axes.legend()
+    return figure
+
+
+def make_response_figure():
+    """Return the figure of changes of the response in time."""
+    motion = Motion.still(600)
+    effects = (
+        Throughput(0.001, period=2.0),
+        SensitivityDropouts(rate=0.01, depth=0.1, recovery=0.6, recovery_time=0.5),
+    )
+    figure, panels = plt.subplots(2, sharex=True, layout="constrained")
+    for axes, effect in zip(panels, effects, strict=True):
+        observation = simulate(
+            Star(12.0), Detector.k2_calibrated(), motion, seed=3, noise=False, effects=effect
+        )
+        light = observation.flux[:, observation.aperture].sum(axis=1, dtype=float)
+        axes.plot(motion.time - motion.time[0], light / light[0])
+        axes.set_ylabel("Relative flux")
+    axes.set_xlabel("Time (d)")
+    return figure
+
+
+def make_rays_figure():
+    """Return the figure of cosmic rays and of their rejection."""
+    detector = Detector.kepler(shape=(40, 40))
+    scene = Star(12.0), detector, Motion.still(1)
+    charge = [
+        simulate(*scene, seed=2, noise=False, effects=effects).flux[0] * detector.exposure_time
+        for effects in ([CosmicRays()], [])
+    ]
+    figure, (left, right) = plt.subplots(1, 2, layout="constrained", figsize=(9, 4))
+    image = left.imshow(charge[0] - charge[1], origin="lower", vmax=4000)
+    figure.colorbar(image, label="Charge (e$^-$)")
+    left.set_xlabel("Column (pixel)")
+    left.set_ylabel("Row (pixel)")
+    d = np.linspace(0, 12, 200)
+    right.plot(d, rejected_shift(d))
+    right.set_xlabel(r"Charge ($\sigma$)")
+    right.set_ylabel(r"Mean shift of the sum ($\sigma$)")
+    return figure
+
+
+def make_charge_figure():
+    """Return the figure of the brighter-fatter effect."""
+    figure, (left, right) = plt.subplots(1, 2, layout="constrained", figsize=(9, 4))
+    detector = Detector.kepler(n_frames=1, background=0.0).without_sensitivity()
+    x, effect = np.arange(11) - 5, BrighterFatter()
+    peaks, growth = [], []
+    for mag in np.linspace(10.9, 15, 12):
+        observation = simulate(
+            Star(mag), detector, Motion.still(1), noise=False, effects=effect, seed=1
+        )
+        images = observation.flux[0].astype(float), observation.model()[0]
+        widths = [np.sqrt((image * x**2).sum() / image.sum() - 1 / 12) for image in images]
+        peaks.append(images[1].max() * detector.exposure_time)
+        growth.append(100 * (widths[0] / widths[1] - 1))
+    left.plot(peaks, growth, "o-")
+    left.set_xlabel("Charge of the brightest pixel (e$^-$)")
+    left.set_ylabel("Growth of the width (%)")
+    levels, ratios = np.linspace(1e4, 1e6, 12), []
+    for level in levels:
+        flat = detector.replace(
+            shape=(60, 60), background=level / detector.int_time, well_depth=None
+        )
+        flux = simulate(
+            Star(40.0), flat, Motion.still(20), noise="background", effects=effect, seed=5
+        ).flux[:, 1:-1, 1:-1]
+        ratios.append(flux.var() * detector.exposure_time**2 / level)
+    right.plot(levels, ratios, "o")
+    k = effect.coefficient * levels / effect.full_well
+    right.plot(levels, (1 - 4 * k) ** 2 + 4 * k**2)
+    right.set_xlabel("Charge of a flat field (e$^-$)")
+    right.set_ylabel("Variance over that of photons")
     return figure

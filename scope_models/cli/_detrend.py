@@ -4,6 +4,7 @@ from argparse import SUPPRESS
 from pathlib import Path
 
 import scope_models as sm
+from scope_models.cli import _batch
 
 __all__ = ["add_parser", "run"]
 
@@ -17,8 +18,7 @@ def add_parser(commands):
         "or of a simulation, by pixel level decorrelation. Writes a light-curve file that "
         "lightkurve opens, and a figure.",
     )
-    parser.add_argument("input", metavar="IN", help="the target pixel file")
-    parser.add_argument("--output", required=True, metavar="OUT", help="the light-curve file")
+    _batch.add_inputs(parser, "the light-curve file")
     parser.add_argument(
         "--figure", metavar="FILE", help="the figure (default: the output's name with .png)"
     )
@@ -43,19 +43,23 @@ def add_parser(commands):
 
 
 def run(arguments):
-    """Run the command."""
+    """Run the command; return the exit status."""
+    options = {
+        "order": arguments.order,
+        "trend": arguments.trend,
+        "restore_trend": not arguments.remove_trend,
+    }
+    if arguments.method:
+        options["method"] = arguments.method
+    if arguments.output_dir is not None:
+        return _batch.run("detrend_files", arguments, arguments.input, **options)
+    path = _batch.single(arguments)
     figure = Path(arguments.figure or Path(arguments.output).with_suffix(".png"))
     corrector = sm.correctors.detrend_file(
-        arguments.input,
-        arguments.output,
-        figure=figure,
-        overwrite=arguments.overwrite,
-        order=arguments.order,
-        trend=arguments.trend,
-        restore_trend=not arguments.remove_trend,
-        **({"method": arguments.method} if arguments.method else {}),
+        path, arguments.output, figure=figure, overwrite=arguments.overwrite, **options
     )
     print(f"{arguments.output}: {_summary(corrector)}")
+    return 0
 
 
 def _summary(corrector):

@@ -1,6 +1,7 @@
 """``scope-models fit``: one model for all pixels and cadences of a target pixel file."""
 
 import scope_models as sm
+from scope_models.cli import _batch
 
 __all__ = ["add_parser", "run"]
 
@@ -13,15 +14,14 @@ def add_parser(commands):
         description="Fit one model to all pixels and cadences of a target pixel file, and write "
         "the parameters with their errors, the light curve and the model's pixels to a FITS file.",
     )
-    parser.add_argument("input", metavar="IN.fits", help="the target pixel file")
-    parser.add_argument("--output", required=True, metavar="FIT.fits", help="the file to write")
+    _batch.add_inputs(parser, "the file to write")
     parser.add_argument("--overwrite", action="store_true", help="replace the file if it exists")
     parser.add_argument(
         "--components",
         type=int,
         choices=(1, 2, 3),
-        default=2,
-        help="Gaussian components of the PSF (default: 2)",
+        default=None,
+        help="Gaussian components of the PSF (default: what describes the pixels)",
     )
     parser.add_argument(
         "--empirical",
@@ -36,10 +36,10 @@ def add_parser(commands):
     parser.add_argument(
         "--interpixel",
         type=float,
-        default=0.01,
+        default=None,
         metavar="S",
-        help="standard deviation of the response between pixels; 0: all alike, which is better if "
-        "errors of the PSF are larger (default: 0.01)",
+        help="standard deviation of the response between pixels; 0: all alike (default: 0.01 if "
+        "the PSF describes the pixels, else 0)",
     )
     parser.add_argument(
         "--positions",
@@ -55,27 +55,30 @@ def add_parser(commands):
 
 
 def run(arguments):
-    """Fit the file and write the result."""
+    """Fit one file or many; return the exit status."""
     from scope_models.io._atomic import check_output
 
     if arguments.cadences is not None and arguments.cadences < 1:
         raise ValueError(f"--cadences must be at least 1, got {arguments.cadences}")
-    check_output(arguments.output, overwrite=arguments.overwrite, inputs=[arguments.input])
-    sensitivity = None
+    options = {
+        "psf": arguments.components,
+        "empirical": arguments.empirical,
+        "interpixel": arguments.interpixel,
+        "positions": arguments.positions,
+        "loss": "soft_l1" if arguments.robust else "linear",
+    }
+    if arguments.output_dir is not None:
+        options |= {"sensitivity": arguments.sensitivity, "cadences": arguments.cadences or 0}
+        return _batch.run("fit_files", arguments, arguments.input, **options)
+    path = _batch.single(arguments)
+    check_output(arguments.output, overwrite=arguments.overwrite, inputs=[path])
     if arguments.sensitivity:
-        sensitivity = sm.SensitivityPolynomial(fixed={"ax1": True, "ay1": True})
-    fit = sm.fit_tpf(
-        sm.io.read_pixels(arguments.input)[: arguments.cadences],
-        arguments.components,
-        sensitivity,
-        empirical=arguments.empirical,
-        interpixel=arguments.interpixel,
-        positions=arguments.positions,
-        loss="soft_l1" if arguments.robust else "linear",
-    )
+        options["sensitivity"] = sm.SensitivityPolynomial(fixed={"ax1": True, "ay1": True})
+    fit = sm.fit_tpf(sm.io.read_pixels(path)[: arguments.cadences], **options)
     path = fit.write(arguments.output, overwrite=arguments.overwrite)
     table = fit.table()
     for row in table[~table["fixed"]]:
         print(f"{row['name']:18s} {row['value']:12.6g} +- {row['error']:<10.2g} {row['unit']}")
     print(f"chi-squared per degree of freedom {fit.reduced_chi2:.4g}")
     print(f"{path}: {len(fit.time)} cadences")
+    return 0

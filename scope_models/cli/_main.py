@@ -6,13 +6,13 @@ import sys
 import warnings
 
 from scope_models._version import __version__
-from scope_models.cli import _demo, _detrend, _experiment, _fit, _simulate
+from scope_models.cli import _benchmark, _demo, _detrend, _experiment, _fit, _inject, _simulate
 
 __all__ = ["main"]
 
 # A command is a module with `add_parser(commands)`, which sets `run(arguments)` as the default
 # of `run`. The next one is added here.
-_COMMANDS = (_demo, _simulate, _detrend, _fit, _experiment)
+_COMMANDS = (_demo, _simulate, _inject, _detrend, _fit, _experiment, _benchmark)
 
 
 class _Parser(argparse.ArgumentParser):
@@ -33,7 +33,8 @@ def main(argv=None):
     Returns
     -------
     int
-        0, or 2 after an error, of which one line goes to the standard error.
+        0, 1 if some of many files failed, or 2 after an error, of which one line goes to the
+        standard error.
 
     Examples
     --------
@@ -49,7 +50,7 @@ def main(argv=None):
         # lightkurve says at import that an optional part of it is absent
         warnings.filterwarnings("ignore", ".*tpfmodel submodule is not available", UserWarning)
         try:
-            arguments.run(arguments)
+            return arguments.run(arguments) or 0
         except (MemoryError, OSError, TypeError, ValueError) as error:
             _tell("error", error)
             return 2
@@ -59,7 +60,6 @@ def main(argv=None):
         except _TerminatedError:
             _tell("error", "terminated")
             return 143
-    return 0
 
 
 class _TerminatedError(BaseException):

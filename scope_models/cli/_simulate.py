@@ -1,6 +1,7 @@
-"""``scope-models simulate``: a target pixel file of one star, and its neighbours."""
+"""``scope-models simulate``: a target pixel file of one star, and its neighbors."""
 
 import scope_models as sm
+from scope_models.cli import _batch
 
 __all__ = ["add_parser", "run"]
 
@@ -15,7 +16,15 @@ def add_parser(commands):
         description="Simulate the pixels of a star along a spacecraft's motion, and write them "
         "with the truth to a target pixel file that lightkurve opens.",
     )
-    parser.add_argument("--output", required=True, metavar="FILE", help="the file to write")
+    parser.add_argument("--output", metavar="FILE", help="the file to write")
+    parser.add_argument(
+        "--table",
+        metavar="TABLE",
+        help="simulate each row of a table that astropy reads (columns mag and, if wanted, name, "
+        "x_0, y_0, period, t0, depth, duration) into --output-dir, with --detector, --motion, "
+        "--cadences and --seed for all",
+    )
+    _batch.add_options(parser)
     parser.add_argument("--overwrite", action="store_true", help="replace the file if it exists")
     parser.add_argument("--seed", type=int, help="makes the result reproducible")
     parser.add_argument("--target-id", type=int, default=1, metavar="N", help="KEPLERID or TICID")
@@ -23,7 +32,7 @@ def add_parser(commands):
     _add_motion(parser.add_argument_group("motion"))
     _add_star(parser.add_argument_group("star"))
     _add_detector(parser.add_argument_group("detector"))
-    parser.set_defaults(run=run)
+    parser.set_defaults(run=run, error=parser.error)
 
 
 def _add_motion(group):
@@ -48,7 +57,7 @@ def _add_motion(group):
 
 def _add_star(group):
     """Add the options of the star."""
-    group.add_argument("--mag", type=float, required=True, help="magnitude, Kp or T")
+    group.add_argument("--mag", type=float, help="magnitude, Kp or T; needed without --table")
     group.add_argument(
         "--position",
         type=float,
@@ -111,9 +120,13 @@ def _add_detector(group):
 
 
 def run(arguments):
-    """Simulate the star and write the file."""
+    """Simulate the star and write the file; return the exit status."""
     from scope_models.io._atomic import check_output
 
+    if arguments.table is not None:
+        return _run_table(arguments)
+    if arguments.output is None or arguments.mag is None:
+        arguments.error("--output and --mag are needed, or --table and --output-dir")
     inputs = [arguments.motion, arguments.detector]
     check_output(
         arguments.output,
@@ -131,6 +144,19 @@ def run(arguments):
     observation.write(arguments.output, overwrite=arguments.overwrite, metadata=metadata)
     rows, columns = detector.shape
     print(f"{arguments.output}: {len(motion)} cadences of {rows} x {columns} pixels")
+    return 0
+
+
+def _run_table(arguments):
+    """Simulate the stars of a table."""
+    from astropy.table import Table
+
+    if arguments.output_dir is None:
+        raise ValueError("--table needs an --output-dir")
+    table = Table.read(arguments.table)
+    options = {"detector": arguments.detector, "motion": arguments.motion or ""}
+    options |= {"cadences": arguments.cadences or _CADENCES, "seed": arguments.seed or 1}
+    return _batch.run("simulate_table", arguments, table, **options)
 
 
 def _make_motion(arguments, detector):
@@ -181,7 +207,7 @@ def _make_detector(arguments):
 
 
 def _make_stars(arguments, detector, start):
-    """Return the star and its neighbours that the options ask for."""
+    """Return the star and its neighbors that the options ask for."""
     x_0, y_0 = arguments.position or (None, None)
     psf = signal = None
     if arguments.psf is not None:

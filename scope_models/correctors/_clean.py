@@ -32,15 +32,20 @@ _FOCUS_FROM, _CONSTANT_FROM = 2, 3
 _POSITION_PRIOR, _FOCUS_PRIOR = 0.02, 0.02
 #: POS_CORR that deviates by more is wrong (px).
 _ABSURD = 12.0
-#: Standard deviation of the star's own variability above which constant light can be learned.
-_STRONG = 0.008
+#: Time in days, and standard deviation of changes of the star within it above which constant light
+#: can be learned.
+_FAST, _STRONG = 0.25, 0.02
 #: Relative change of the light in the aperture with position, for telling it from variability.
 _RESPONSE_PRIOR = 0.05
+#: Part of the variance of lost light that is expected to remain: a tenth of the amplitude.
+_LOST = 0.01
 #: Part of the light in the aperture above which the level of dark pixels is background.
 _BACKGROUND = 0.05
 #: Distance (px) from the star at which pixels are dark, and the fewest such pixels for a plane.
 _FAR, _FEWEST_FAR = 2.7, 15
-_CLIP = 6.0
+#: Cosmic rays exceed so many standard deviations, and this part of the star's light in the pixel,
+#: by which the functions of position may miss where the star moves far.
+_CLIP, _MISFIT = 6.0, 0.05
 #: Constant light in the aperture, relative, below which it does not count; and the iteration at
 #: which that is decided.
 _FAINT, _DECIDED = 0.02, 6
@@ -56,8 +61,11 @@ class CleanPixels:
     Parameters
     ----------
     light : ndarray
-        Sum over the aperture less background, and less constant light where that is known; cosmic
-        rays replaced; e-/s, ``(n,)``.
+        Light in the aperture less background, and less constant light where that is known, e-/s,
+        ``(n,)``: the sum of the pixels, cosmic rays replaced, or of faint stars the brightness of
+        the fitted images, where its expected error is smaller.
+    light_error : ndarray
+        Standard deviation of its noise, e-/s, ``(n,)``.
     shares : ndarray
         Predicted fractions ``(n, n_pixels)``; they add up to 1 over the aperture and are 0 outside.
     background : ndarray
@@ -76,6 +84,7 @@ class CleanPixels:
     """
 
     light: np.ndarray
+    light_error: np.ndarray
     shares: np.ndarray
     background: np.ndarray
     position: np.ndarray
@@ -153,7 +162,7 @@ def clean_pixels(time, flux, flux_err, position, grid, aperture, *, choose=None)
     inside = aperture
     if choose is not None:
         inside = choose(flux - state.unit * state.background, flux_err**2, state.z)
-    return state.result(inside)
+    return state.result(inside, flux_err)
 
 
 class _State:
@@ -278,7 +287,8 @@ class _State:
         rest = self.y - a * image + self.variable[:, None] * constant - self.background
         self.variance = np.maximum(self.noise, (1.4826 * np.median(np.abs(rest), axis=0)) ** 2)
         if iteration > 0:
-            self.good = ~_single(np.abs(rest) > _CLIP * np.sqrt(self.variance))
+            limit = _CLIP * np.sqrt(self.variance) + _MISFIT * np.abs(image)
+            self.good = ~_single(rest > limit)
         planes = [np.broadcast_to(plane, image.shape) for plane in self.planes.T]
         columns = [image, *planes, a * slopes[0], a * slopes[1], a * focus]
         jacobian = np.stack(columns, axis=1)
@@ -307,6 +317,22 @@ class _State:
         self._anchor()
         self._set_focus(self.focus + np.clip(step[:, 6], -0.02, 0.02), errors[:, 6], iteration)
 
+    def _fit_brightness(self):
+        """Fit brightness and positions once more, at the smoothed background and focus."""
+        image, slopes, _, constant = self._images()
+        a = self.brightness[:, None]
+        rest = self.y - self.background - a * image + self.variable[:, None] * constant
+        jacobian = np.stack([image, a * slopes[0], a * slopes[1]], axis=1)
+        weighted = jacobian * (self.good / self.variance)[:, None]
+        hessian = weighted @ jacobian.transpose(0, 2, 1)
+        place = np.where(self.known, _POSITION_PRIOR**-2, 1e-2)
+        hessian[:, 1, 1] += place
+        hessian[:, 2, 2] += place
+        inverse = np.linalg.inv(hessian)
+        step = (inverse @ (weighted @ rest[:, :, None]))[:, :, 0]
+        self.brightness = self.brightness + np.clip(step[:, 0], -0.3, 0.3)
+        self.error = np.sqrt(inverse[:, 0, 0])
+
     def _set_background(self, plane, errors, iteration):
         """Smooth the background as far as the data are for it; jumps of a cadence stay."""
         plane = plane - np.median(plane, axis=0) + self.base
@@ -328,11 +354,23 @@ class _State:
             noise = 1.4826 * np.median(np.abs(variable - np.median(variable)))
             ridge = (noise / _RESPONSE_PRIOR) ** 2 * np.eye(len(gram))
             variable = change - columns @ np.linalg.solve(gram + ridge, right)
-        strong = iteration >= _CONSTANT_FROM and variable.std() > _STRONG
+        strong = iteration >= _CONSTANT_FROM and self._is_strong(variable)
         if strong and iteration >= _DECIDED:
             image, _, _, constant = self._images()
             strong = self._constant_light(image, constant, self.aperture) > _FAINT
         self.variable = variable if strong else np.zeros_like(variable)
+
+    def _is_strong(self, variable):
+        """Return whether the star varies much within 6 h, apart from noise and rare jumps.
+
+        Slower changes are no measure of constant light: focus and drifts are as slow.
+        """
+        lag = max(2, round(_FAST / np.median(np.diff(self.time))))
+        far, near = (variable[k:] - variable[:-k] for k in (lag, 1))
+        size = np.mean(np.clip(far, *np.quantile(far, [0.02, 0.98])) ** 2) - np.mean(
+            np.clip(near, *np.quantile(near, [0.02, 0.98])) ** 2
+        )
+        return size > 2 * _STRONG**2
 
     def _anchor(self):
         """Bring positions back to the scale of POS_CORR, without what follows the brightness."""
@@ -354,17 +392,21 @@ class _State:
         focus = focus - columns @ np.linalg.lstsq(columns, focus, rcond=None)[0]
         self.focus = _smoothed(self.time, focus, error) if iteration >= _FOCUS_FROM else focus
 
-    def result(self, inside):
+    def result(self, inside, flux_err):
         """Return the light and the fractions of an aperture."""
+        self._fit_brightness()
         image, _, _, constant = self._images()
         model = self.brightness[:, None] * image - self.variable[:, None] * constant
-        model += self.background
-        light = (np.where(self.good, self.y, model) - self.background)[:, inside]
-        shares = np.where(inside, image, 0.0)
-        shares /= shares.sum(axis=1, keepdims=True)
+        light = (np.where(self.good, self.y, model + self.background) - self.background)[:, inside]
+        light, error = light.sum(axis=1), np.sqrt((flux_err[:, inside] ** 2).sum(axis=1))
+        whole = image[:, inside].sum(axis=1)
+        if np.median(self.error * whole) * self.unit < np.median(error):
+            light, error = self.brightness * whole, self.error * whole * self.unit
+        shares = np.where(inside, image, 0.0) / whole[:, None]
         other = self._constant_light(image, constant, inside)
         return CleanPixels(
-            light=self.unit * (light.sum(axis=1) - other),
+            light=self.unit * (light - other),
+            light_error=error,
             shares=shares,
             background=self.unit * self.background,
             position=self.z,
@@ -415,7 +457,7 @@ def precise_aperture(light, variance, position):
     columns = np.linalg.qr(_polynomials(position, 3))[0][:, 1:]
     part = ((columns.T @ (inside / inside[:, -1:])) ** 2).sum(axis=0) / len(light) * level**2
     lost = np.maximum(part - columns.shape[1] * noise / len(light), 0)
-    scatter = (lost + noise / 13) / np.where(level > 0, level, np.inf) ** 2
+    scatter = (_LOST * lost + noise / 13) / np.where(level > 0, level, np.inf) ** 2
     scatter[:3] = np.inf
     mask = np.zeros(len(order), dtype=bool)
     mask[order[: np.argmin(scatter) + 1]] = True

@@ -15,6 +15,7 @@ __all__ = [
     "aperture_pixels",
     "can_predict",
     "choose_aperture",
+    "credible_flux",
     "with_predicted_fractions",
 ]
 
@@ -26,6 +27,8 @@ _BRIGHT_PART, _FEWEST = 0.002, 3
 #: ... and at least so many standard deviations of its noise, which pure noise passes in
 #: less than one of 10^5 cadences.
 _SIGNIFICANCE = 4.5
+#: A correction that changes the flux by a larger factor than this, against the others, is none.
+_LARGEST_CORRECTION = 30.0
 #: Pixels around the lit ones that may belong to the aperture too.
 _MARGIN = 2
 #: Light between two peaks of one star, in units of the fainter one.
@@ -81,6 +84,8 @@ def choose_aperture(flux, flux_err, pipeline=None, pos_corr=None):
     pos_corr : ndarray, optional
         Offsets ``(n_cadences, 2)``, px. Without them all candidates are summed.
     """
+    if len(flux) < _FEWEST:
+        raise ValueError(f"`tpf` has {len(flux)} cadences: at least {_FEWEST} are needed")
     flux = _without_background(flux)
     finite = np.isfinite(flux).all(axis=(1, 2))
     if finite.sum() < 3:
@@ -302,10 +307,11 @@ def with_predicted_fractions(pixels, pos_corr):
     cube = np.zeros((use.sum(), *known.shape))
     cube[:, known] = clean.shares * clean.light[:, None]
     flux[use] = cube
-    total = np.full(len(use), np.nan)
-    total[use] = clean.light
+    total, total_err = np.full((2, len(use)), np.nan)
+    total[use], total_err[use] = clean.light, clean.light_error
     usable = use & (np.nan_to_num(total) > 0)
-    return replace(pixels, flux=flux, total=total, usable=usable), clean
+    changes = {"flux": flux, "total": total, "total_err": total_err, "usable": usable}
+    return replace(pixels, **changes), clean
 
 
 def _checked_aperture(aperture, flux):
@@ -339,6 +345,35 @@ def _filled_errors(total, total_err, usable):
         value = max(value, 1e-6 * np.median(total[usable]))
         _warn("FLUX_ERR has no valid values: the noise is taken from the scatter of the flux")
     return np.where(good, total_err, value)
+
+
+def credible_flux(flux, flux_err, total, outliers):
+    """
+    Return a corrected flux that is finite or NaN, and its errors.
+
+    Where the light in the aperture is nearly nothing, pixel fractions are large, and a model of
+    them can be anything.
+
+    Parameters
+    ----------
+    flux, flux_err : ndarray
+        Corrected flux and its error, ``(n_cadences,)``.
+    total : ndarray
+        The flux before, NaN where it cannot be used.
+    outliers : ndarray of bool
+        Cadences that were left out of the fit as outliers.
+    """
+    usable = np.isfinite(total)
+    with np.errstate(all="ignore"):
+        ratio = np.asarray(flux) / total
+        good = usable & np.isfinite(ratio) & (ratio > 0) & np.isfinite(flux_err)
+        if good.any():
+            good &= np.abs(np.log(ratio / np.median(ratio[good]))) < np.log(_LARGEST_CORRECTION)
+    if lost := int(usable.sum() - good.sum()):
+        _warn(f"{lost} of {usable.sum()} cadences are NaN: their correction is no number, or large")
+    if outliers.sum() > usable.sum() / 2:
+        _warn(f"{outliers.sum()} of {usable.sum()} cadences were left out of the fit as outliers")
+    return np.where(good, flux, np.nan), np.where(good, flux_err, np.nan)
 
 
 def _warn(message):

@@ -1,5 +1,6 @@
 """The fit of pixel level decorrelation: hyper-parameters, systematics, errors and diagnostics."""
 
+import warnings
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -9,12 +10,11 @@ from astropy.table import QTable
 from scope_models._arrays import plain_array
 from scope_models._checks import checked_integer
 from scope_models.correctors._solution import Solution
+from scope_models.exceptions import DetrendingWarning
 
 __all__ = ["PLDFit", "transit_column"]
 
 _TRANSIT_HOURS = 6.5
-#: Logarithm of the largest factor that is corrected.
-_LARGEST = np.log(10)
 #: Parts from which on a warning is given: outliers, constant light, changes of the flux that
 #: measured fractions explain; and the noise's variance over FLUX_ERR squared.
 _MANY, _CONTAMINATED, _FOLLOWING, _NOISY = 0.1, 0.02, 0.05, 25.0
@@ -235,18 +235,10 @@ class PLDFit:
         if not restore_trend:
             removed = removed + solution.trend
             variance = solution.latent_variance()
-        known = ~self._lost
-        flux = np.full(len(removed), np.nan)
-        flux[known] = self.model.pixels.total[self.model.pixels.usable][known]
-        flux[known] /= np.exp(removed[known])
-        error = flux * np.sqrt(solution.white_variance + variance)
+        with np.errstate(over="ignore"):  # `credible_flux` leaves such cadences out
+            flux = self.model.pixels.total[self.model.pixels.usable] / np.exp(removed)
+            error = flux * np.sqrt(solution.white_variance + variance)
         return self._whole(flux), self._whole(error)
-
-    @property
-    def _lost(self):
-        """Usable cadences far outside of what the fit has seen: their factor is unknown."""
-        systematics = self.solution.systematics
-        return ~(np.abs(systematics) < _LARGEST)
 
     def remarks(self):
         """
@@ -255,17 +247,10 @@ class PLDFit:
         Returns
         -------
         list of str
-            Cadences without a corrected flux, many outliers, constant light in the aperture,
-            fractions that follow the star, noise far above FLUX_ERR. Empty if there is nothing.
+            Many outliers, constant light in the aperture, fractions that follow the star, noise
+            far above FLUX_ERR. Empty if there is nothing.
         """
         found, n = [], len(self.solution.use)
-        lost = int(self._lost.sum())
-        if lost:
-            most = ", more than half of them," if lost > n / 2 else ""
-            found.append(
-                f"{lost} of {n} cadences{most} have no corrected flux: their systematics are "
-                "beyond a factor of ten, as with over-subtracted pixels"
-            )
         if self.n_outliers > _MANY * self.cadence_mask.sum():
             found.append(
                 f"{self.n_outliers} of {n} cadences are left out of the fit as outliers: the star "
@@ -339,10 +324,13 @@ class PLDFit:
         Returns
         -------
         scale, error : float
-            Amplitude in units of the model's, and its standard deviation.
+            Amplitude in units of the model's, and its standard deviation; NaN and infinity if no
+            cadence samples the event.
         """
         usable = self.model.pixels.usable
         column = transit_column(transit_model, self.model.pixels.time)[usable]
+        if not column.any():
+            return np.nan, np.inf
         use = self.solution.use | self.transit_mask[usable]
         options = self.model.options
         solution = self.solution.with_flat(column, use)
@@ -447,7 +435,8 @@ def transit_column(model, time):
     Returns
     -------
     ndarray
-        Logarithms, 0 where the time is unknown.
+        Logarithms, 0 where the time is unknown; of shape ``(n, 0)``, with a warning, where a
+        callable is constant at all cadences.
     """
     known = np.isfinite(time)
     if callable(model):
@@ -460,6 +449,11 @@ def transit_column(model, time):
     if not np.isfinite(values[known]).all() or np.any(values[known] <= 0):
         raise ValueError("`transit_model` must be positive and finite: it is a relative flux")
     column = np.log(np.where(known, values, 1.0))
-    if not np.ptp(column[known]) > 0:
+    varies = np.ptp(column[known]) > 0
+    if callable(model) and not varies:
+        message = "`transit_model` is constant at all cadences: its event lies in a gap"
+        warnings.warn(message, DetrendingWarning, stacklevel=4)
+        return np.zeros((len(time), 0))
+    if not varies:
         raise ValueError("`transit_model` must vary with time, got a constant")
     return column[:, None]

@@ -361,9 +361,7 @@ class PLDModel:
                 "damaged. Raise `sigma`, set `max_clips` to 0, or leave cadences out with "
                 "`cadence_mask`"
             )
-        return PLDFit(
-            self, solution, mask & ~in_transit, in_transit, joint=transit_model is not None
-        )
+        return PLDFit(self, solution, mask & ~in_transit, in_transit, joint=column.size > 0)
 
 
 def fit_pixels(pixels, options, series, cadence_mask=None, **transit):

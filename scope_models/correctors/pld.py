@@ -7,7 +7,7 @@ from lightkurve.correctors.corrector import Corrector
 
 from scope_models._checks import checked_cadences
 from scope_models.correctors._lightkurve import named_mask, to_collection, translated
-from scope_models.correctors._pixels import aperture_pixels
+from scope_models.correctors._pixels import aperture_pixels, credible_flux
 from scope_models.correctors._solution import NothingToCorrectError
 from scope_models.correctors.model import PLDOptions, fit_pixels
 from scope_models.exceptions import DetrendingWarning
@@ -36,7 +36,7 @@ class PLDCorrector(Corrector):
 
     A dimming of the star changes all pixels alike and leaves the fractions
     as they are: the model can take a transit for systematics only by chance,
-    and `PLDResult.transit_survival` says how much.
+    and `PLDFit.transit_survival` says how much.
 
     Parameters
     ----------
@@ -57,7 +57,7 @@ class PLDCorrector(Corrector):
     cadence_mask, outlier_mask : `~numpy.ndarray`
         Cadences that the last call of `correct` was allowed to fit, and those
         of them that it left out as outliers.
-    result : `PLDResult`
+    result : `PLDFit`
         Hyper-parameters and diagnostics of the last call.
 
     Raises
@@ -151,7 +151,7 @@ class PLDCorrector(Corrector):
             Relative flux ``(n_cadences,)``, 1 outside of transits, or what
             returns it for times in days, as an astropy model does. Its
             amplitude is fitted jointly, so that the correction leaves
-            unmasked transits alone; see `PLDResult.transit_scale`.
+            unmasked transits alone; see `PLDFit.transit_scale`.
         restore_trend : bool, optional
             Whether the long-term variability stays in the light curve.
             Periodic variability with parts faster than a day always stays.
@@ -276,6 +276,8 @@ class PLDCorrector(Corrector):
             flux, flux_err = self.result.corrected(restore_trend=self._restore_trend)
             for remark in self.result.remarks():
                 warnings.warn(remark, DetrendingWarning, stacklevel=3)
+            total = self.original_lc.flux.value
+            flux, flux_err = credible_flux(flux, flux_err, total, self.outlier_mask)
             lc.flux, lc.flux_err = flux * lc.flux.unit, flux_err * lc.flux_err.unit
         self.corrected_lc = lc
 

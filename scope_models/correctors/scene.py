@@ -262,6 +262,7 @@ class SceneCorrector(Corrector):
         flat = None
         if transit_model is not None:
             flat = transit_column(transit_model, data.all_times)[data.usable]
+            flat = flat if flat.any() else None
         if self.scene is None:
             self.scene = fit_scene(
                 data.flux, data.variance, data.pos_corr, data.peak, offsets=self._offsets
@@ -392,6 +393,8 @@ class SceneCorrector(Corrector):
             raise ValueError("call `correct` first")
         data, model = self._data, self._chosen.model
         column = transit_column(transit_model, data.all_times)[data.usable]
+        if not column.any():
+            return np.nan, np.inf
         use = model.use | self.transit_mask[data.usable]
         return model.with_flat(column, use).flat_coefficient()
 

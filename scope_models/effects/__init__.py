@@ -2,15 +2,30 @@
 
 from scope_models.effects._effect import Conditions, Drawn, Effect, Exposures
 from scope_models.effects.background import Argabrightening, Background, ScatteredLight
+from scope_models.effects.charge import BrighterFatter, DarkCurrent, Smear, Undershoot
+from scope_models.effects.cosmic_rays import CosmicRays, rejected_shift
 from scope_models.effects.focus import Focus
+from scope_models.effects.gaps import Gaps
+from scope_models.effects.jitter import Jitter
+from scope_models.effects.response import SensitivityDropouts, Throughput
 
 __all__ = [
     "Argabrightening",
     "Background",
+    "BrighterFatter",
     "Conditions",
+    "CosmicRays",
+    "DarkCurrent",
     "Drawn",
     "Effect",
     "Exposures",
     "Focus",
+    "Gaps",
+    "Jitter",
     "ScatteredLight",
+    "SensitivityDropouts",
+    "Smear",
+    "Throughput",
+    "Undershoot",
+    "rejected_shift",
 ]

@@ -28,8 +28,10 @@ class Conditions:
         Time in which a cadence gathers light, s.
     int_time, read_time : float
         Exposure and read-out of one frame, s.
-    n_reads : int
-        Reads that are summed up in a cadence.
+    n_frames, n_reads : int
+        Frames of a cadence, and those of them that are summed up.
+    read_noise : float
+        Standard deviation of one read, electrons.
     background : float
         Background of the detector, e-/s per pixel.
 
@@ -50,7 +52,9 @@ class Conditions:
     exposure_time: float
     int_time: float
     read_time: float
+    n_frames: int
     n_reads: int
+    read_noise: float
     background: float
 
     @classmethod

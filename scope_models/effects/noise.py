@@ -33,7 +33,7 @@ NOISE_TERMS = ("photon", "background", "read", "quantization")
 _DEFAULT_TERMS = frozenset({"photon", "background", "read"})
 
 # Below this mean the quantile is searched exactly; above, the asymptotic inverse picks another
-# integer than the exact inverse in fewer than 1e-4 of all draws, and then its neighbour.
+# integer than the exact inverse in fewer than 1e-4 of all draws, and then its neighbor.
 _SEARCH_BELOW = 30.0
 # Beyond this deviate (probability 3e-14) double precision cannot tell 1 - u from zero.
 _LARGEST_DEVIATE = 7.5

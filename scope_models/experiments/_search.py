@@ -72,7 +72,7 @@ def flattened(time, flux, masked=None):
 
 
 def isolated(flux, sigma=6.0):
-    """Return which cadences stand out from both neighbours, as no transit does.
+    """Return which cadences stand out from both neighbors, as no transit does.
 
     Parameters
     ----------

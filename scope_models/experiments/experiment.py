@@ -95,12 +95,13 @@ def run_experiment(study, directory, client=None, **options):
             f"all {len(sweep.failures)} stars failed, the first one with "
             f"{sweep.failures['error'][0]}; see {folder / 'failures.ecsv'}"
         )
-    summary = study.summarise(sweep.table)
+    summary = study.summarize(sweep.table)
     summary.meta = provenance(study) | summary.meta
     files.append(_write(summary, folder / "summary.ecsv"))
-    files.append(folder / "figure.png")
-    with atomic_path(files[-1], overwrite=True) as temporary:
-        save_figure(study.draw(sweep.table, summary), temporary)
+    if (figure := study.draw(sweep.table, summary)) is not None:
+        files.append(folder / "figure.png")
+        with atomic_path(files[-1], overwrite=True) as temporary:
+            save_figure(figure, temporary)
     if len(sweep.failures):
         files.append(folder / "failures.ecsv")
     return ExperimentResult(sweep.table, summary, sweep.failures, tuple(files))

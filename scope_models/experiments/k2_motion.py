@@ -278,7 +278,7 @@ class K2MotionNoise(Study):
             threshold = self.threshold * relative**self.exponent
         return image > min(threshold, 0.5 * image.max())
 
-    def summarise(self, table):
+    def summarize(self, table):
         """Return our noise beside that of campaign 3.
 
         Parameters

@@ -273,7 +273,7 @@ class MotionTest(Study):
                     row[f"{column}_{name}"] = unit * transit_amplitude(flux, transit)
         return row
 
-    def summarise(self, table):
+    def summarize(self, table):
         """Return medians per motion and magnitude beside Kepler's, and check the paper's claims.
 
         Parameters

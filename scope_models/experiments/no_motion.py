@@ -215,7 +215,7 @@ class NoMotion(Study):
         deviate = ndtri((place - fraction) / (1.0 - fraction))
         return float(self.dwarf_cdpp * np.exp(self.dwarf_scatter * deviate)), giant
 
-    def summarise(self, table):
+    def summarize(self, table):
         """Return our percentiles beside Kepler's.
 
         Parameters

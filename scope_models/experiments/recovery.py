@@ -30,7 +30,7 @@ class Recovery(Study):
     Each star is drawn as `~scope_models.experiments.populations.draw_star` does, with a planet
     on an orbit of its own, simulated on the paper's detector, and de-trended by
     `~scope_models.correctors.PLDCorrector`, which is told nothing of the planet. A search by box
-    least squares follows, without cadences that stand out from both neighbours. The planet is
+    least squares follows, without cadences that stand out from both neighbors. The planet is
     recovered if the strongest box is at least `threshold` times its error deep, and all boxes are
     within half a transit of true ones. Then what was found is masked, the star is de-trended
     again, and a transit is fitted.
@@ -263,7 +263,7 @@ class Recovery(Study):
             "found_duration_error": duration[1],
         }
 
-    def summarise(self, table):
+    def summarize(self, table):
         """Return completeness and errors per motion, magnitude and depth.
 
         Parameters

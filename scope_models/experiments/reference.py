@@ -1,6 +1,6 @@
 """What Kepler and K2 achieved: the noise of real stars by magnitude, small tables in the package.
 
-``studies/derive_reference.py`` makes them from the catalogues of the EVEREST project.
+``studies/derive_reference.py`` makes them from the catalogs of the EVEREST project.
 """
 
 from functools import cache

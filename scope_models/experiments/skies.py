@@ -13,12 +13,13 @@ from scope_models.experiments._sky_light import make_light, make_motion, make_tr
 from scope_models.experiments._sky_pixels import bleed, make_psf, make_response, render
 from scope_models.experiments._sky_scores import SkyScore, score_light_curve
 from scope_models.io.tpf import TPFMetadata, make_tpf_hdulist
+from scope_models.missions import MISSIONS
+from scope_models.scene.motion import K2Roll
 
 __all__ = ["REGIMES", "MessyStar", "SkyRegime", "SkyScore", "make_sky", "score"]
 
-_CADENCE = 0.02043359821692  # days
-_FIRING, _ARGABRIGHTENING = 1048576, 4096
-_DUMP = 32  # TESS: reaction wheels desaturate
+_CADENCE = K2Roll.cadence  # days
+_ARGABRIGHTENING = 4096  # on the CCD
 
 
 @dataclass(frozen=True)
@@ -476,7 +477,8 @@ def _background(regime, photometer, rng, time):
 def _events(regime, rng, firing, n):
     """Return flags, cadences without data, and the light of argabrightenings per pixel."""
     quality = np.zeros(n, dtype=np.int32)
-    quality[firing] |= _DUMP if regime.mission == "TESS" else _FIRING
+    bits = MISSIONS[regime.mission].quality
+    quality[firing] |= bits.thruster_firing or bits.desaturation
     missing = rng.uniform(size=n) < 0.003
     start = rng.integers(n // 4, 3 * n // 4)
     missing[start : start + rng.integers(20, 70)] = True

@@ -4,6 +4,7 @@ import dataclasses
 import hashlib
 import types
 import typing
+import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -11,10 +12,13 @@ from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
+from astropy.utils.exceptions import AstropyDeprecationWarning
 
 from scope_models._checks import checked_integer, checked_number
 
 __all__ = ["Study"]
+
+_RENAMED = "`summarise` of a study has become `summarize`"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,7 +28,7 @@ class Study(ABC):
     A subclass is a frozen dataclass whose fields are the configuration: numbers, strings, true or
     false, and tuples of these, each with a default, so that a TOML file can fill them. It says
     which stars there are (`tasks`), what is measured of one star (`run_star`), what that means
-    (`summarise`) and how it looks (`draw`).
+    (`summarize`) and how it looks (`draw`).
 
     Parameters
     ----------
@@ -65,7 +69,7 @@ class Study(ABC):
     ...         return [{"key": f"star{i}", "index": i} for i in range(self.stars)]
     ...     def run_star(self, task):
     ...         return {"square": task["index"] ** 2}
-    ...     def summarise(self, table):
+    ...     def summarize(self, table):
     ...         return table[:0]
     ...     def draw(self, table, summary):
     ...         raise NotImplementedError
@@ -80,6 +84,14 @@ class Study(ABC):
     units: ClassVar[Mapping] = types.MappingProxyType({})
 
     seed: int = 1
+
+    def __init_subclass__(cls, **kwargs):
+        super().__init_subclass__(**kwargs)
+        old = vars(cls).get("summarise")
+        if old is not None and "summarize" not in vars(cls):
+            warnings.warn(_RENAMED, AstropyDeprecationWarning, stacklevel=2)
+            cls.summarize = old
+            del cls.summarise
 
     def __post_init__(self):
         """Check the type of every field; subclasses go on with the domains."""
@@ -116,8 +128,24 @@ class Study(ABC):
         """
         return self.measure(task, self.observation(task))
 
-    @abstractmethod
     def summarise(self, table):
+        """Return `summarize`, by its old name, with a deprecation warning.
+
+        Parameters
+        ----------
+        table : astropy.table.Table
+            As for `summarize`.
+
+        Returns
+        -------
+        astropy.table.Table
+            The summary.
+        """
+        warnings.warn(_RENAMED, AstropyDeprecationWarning, stacklevel=2)
+        return self.summarize(table)
+
+    @abstractmethod
+    def summarize(self, table):
         """Return what the results say, beside the reference.
 
         Parameters
@@ -144,8 +172,8 @@ class Study(ABC):
 
         Returns
         -------
-        matplotlib.figure.Figure
-            The figure.
+        matplotlib.figure.Figure or None
+            The figure; None if there is nothing to draw.
         """
 
     def input_files(self):

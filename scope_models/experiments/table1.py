@@ -109,7 +109,7 @@ class Table1(Study):
         row = {"cadences": len(motion)} | {name: getattr(pixels, name).value for name in names}
         return row | {f"{name}_angle": getattr(angles, name).value for name in names[:3]}
 
-    def summarise(self, table):
+    def summarize(self, table):
         """Return our statistics beside the paper's, and whether they agree.
 
         Parameters

@@ -1,6 +1,6 @@
 """Fits of the models to target pixel files."""
 
 from scope_models.fitting.fit import fit_tpf
-from scope_models.fitting.result import TPFFit
+from scope_models.fitting.result import FittedStar, TPFFit
 
-__all__ = ["TPFFit", "fit_tpf"]
+__all__ = ["FittedStar", "TPFFit", "fit_tpf"]

@@ -6,6 +6,7 @@ from dataclasses import fields
 import numpy as np
 
 from scope_models._arrays import native
+from scope_models.fitting.result import FittedStar
 from scope_models.io import write_hdulist
 from scope_models.io._opening import RefusedError, open_fits
 from scope_models.models import PRF
@@ -29,6 +30,7 @@ _COLUMNS = {
     "background": "e-/s",
     "background_err": "e-/s",
 }
+_OF_STAR = ("x", "y", "flux", "x_err", "y_err", "flux_err")
 _IMAGES = ("covariance", "interpixel", "interpixel_err", "observed", "observed_err", "fitted")
 _NUMBERS = ("chi2", "n_data", "n_parameters", "error_scale", "converged", "n_steps", "time_format")
 
@@ -52,15 +54,17 @@ def write_fit(fit, path, *, overwrite):
         ]
     table = fit.table()
     parameters = fits.BinTableHDU(table, name="PARAMETERS")
+    neighbors = np.array([[getattr(s, n) for n in _OF_STAR] for s in fit.neighbors], dtype=float)
+    neighbors = neighbors.reshape(len(fit.neighbors), len(_OF_STAR), len(fit.time))
     text = np.frombuffer(json.dumps(_description(fit)).encode(), dtype=np.uint8)
     hdus = [
         primary,
         fits.BinTableHDU.from_columns(columns, name="CADENCES"),
         parameters,
         *(fits.ImageHDU(np.array(getattr(fit, name)), name=name.upper()) for name in _IMAGES),
+        *([fits.ImageHDU(neighbors, name="NEIGHBORS")] if fit.neighbors else []),
         fits.ImageHDU(text, name="DESCRIPTION"),
     ]
-    primary.header["NEXTEND"] = (len(hdus) - 1, "number of extensions")
     return write_hdulist(fits.HDUList(hdus), path, overwrite=overwrite)
 
 
@@ -90,6 +94,8 @@ def _fields_of(hdus):
         corrections = [native(table[f"POS_CORR{i}"]) for i in (1, 2)]
         values["pos_corr"] = np.column_stack(corrections)
     values |= {name: native(hdus[name.upper()].data) for name in _IMAGES}
+    cube = native(hdus["NEIGHBORS"].data) if "NEIGHBORS" in hdus else ()
+    values["neighbors"] = tuple(FittedStar(*star) for star in cube)
     described = json.loads(native(hdus["DESCRIPTION"].data).astype(np.uint8).tobytes())
     model = _model(described.pop("model"))
     detector = described.pop("detector")
@@ -99,6 +105,7 @@ def _fields_of(hdus):
     described["names"] = tuple(described["names"])
     kinds = [model.parameter_kinds.get(name, "other") for name in described["names"]]
     described["kinds"] = tuple(described.get("kinds", kinds))  # the first version had none
+    described["at_bounds"] = tuple(described.get("at_bounds", ()))
     described["parameters"] = np.array(described["parameters"], dtype=float)
     if described["options"]["interpixel"] is None:
         described["options"]["interpixel"] = np.inf
@@ -128,6 +135,7 @@ def _description(fit):
         "detector": detector,
         "names": list(fit.names),
         "kinds": list(fit.kinds),
+        "at_bounds": list(fit.at_bounds),
         "parameters": fit.parameters.tolist(),
         "options": options,
         "meta": dict(fit.meta),

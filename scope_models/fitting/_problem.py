@@ -16,11 +16,16 @@ _CHUNK = 256
 _UNTRUE, _SAME = 1.5, 0.02
 # Median of the square of a standard normal deviate.
 _MEDIAN_SQUARE = 0.4549364
-# Parameters of the path, and their kinds.
-_AFFINE = tuple(
-    (f"{axis}_{name}", "position" if name == "const" else "slope")
-    for axis in "xy"
-    for name in ("const", "by_corr1", "by_corr2")
+# Standard deviation of the scale of the motion about that of POS_CORR.
+_SCALE_PRIOR = 0.02
+# Parameters of the path.
+_AFFINE = (
+    FitParameter("x_const", "position"),
+    FitParameter("x_by_corr1", "slope", prior=_SCALE_PRIOR, center=1.0),
+    FitParameter("x_by_corr2", "slope", prior=_SCALE_PRIOR),
+    FitParameter("y_const", "position"),
+    FitParameter("y_by_corr1", "slope", prior=_SCALE_PRIOR),
+    FitParameter("y_by_corr2", "slope", prior=_SCALE_PRIOR, center=1.0),
 )
 _LARGEST_MOVE = 0.3
 # How far another star may be from its first guess, pixels.
@@ -183,6 +188,8 @@ class Problem:
         The stars, the first one without offsets.
     error_scale : float, optional
         Factor of all errors.
+    target : ndarray of shape (2,), optional
+        Where the first star is, if the caller says so.
     """
 
     stamps: tuple
@@ -190,6 +197,7 @@ class Problem:
     options: FitOptions
     stars: tuple = (FitStar(),)
     error_scale: float = 1.0
+    target: np.ndarray | None = None
 
     # --- data -----------------------------------------------------------------------------
     @property
@@ -257,7 +265,7 @@ class Problem:
         """The shared parameters, in their order."""
         shape = np.max([s.shape for s in self.stamps], axis=0) if self.stamps else (1, 1)
         result = list(fit_parameters(self.prf, shape))
-        result += [FitParameter(name, kind) for name, kind in _AFFINE[: self.n_affine]]
+        result += _AFFINE[: self.n_affine]
         for k, star in enumerate(self.stars[1:], start=1):
             for axis, start in (("x", star.x), ("y", star.y)):
                 result.append(
@@ -509,9 +517,10 @@ class Problem:
         cost, shared, gradient = equations.cost, equations.shared, equations.shared_gradient
         for i, parameter in enumerate(self.parameters):
             if np.isfinite(parameter.prior):
-                cost += (state.shared[i] / parameter.prior) ** 2
+                deviation = state.shared[i] - parameter.center
+                cost += (deviation / parameter.prior) ** 2
                 shared[i, i] += parameter.prior**-2
-                gradient[i] -= state.shared[i] / parameter.prior**2
+                gradient[i] -= deviation / parameter.prior**2
         if self.n_pixels and np.isfinite(self.options.interpixel):
             # The prior does not constrain a common factor of all pixels: that is the flux.
             deviation = state.interpixel - state.interpixel.mean()

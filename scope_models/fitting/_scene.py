@@ -3,8 +3,10 @@
 import numpy as np
 from scipy.ndimage import median_filter, uniform_filter1d
 
+from scope_models.missions import MISSIONS
 from scope_models.models import SensitivityPolynomial
 from scope_models.scene.motion import Motion
+from scope_models.scene.scene import Scene
 from scope_models.scene.star import Star
 
 __all__ = ["make_scene", "sensitivity_profiles"]
@@ -17,7 +19,7 @@ _FEWEST_CADENCES = 20
 
 
 def make_scene(fit, positions, signal):
-    """Return the stars, detector and motion of a fit."""
+    """Return the scene of a fit."""
     if positions not in {"fitted", "path"}:
         raise ValueError(f"`positions` must be 'fitted' or 'path', got {positions!r}")
     if signal not in {"smooth", "fitted", "constant"}:
@@ -43,7 +45,25 @@ def make_scene(fit, positions, signal):
         cadenceno=fit.cadenceno,
         time_format=fit.time_format,
     )
-    return (star,), detector, motion
+    return Scene(star, detector, motion, **_identity(fit.meta, detector.mission))
+
+
+def _identity(cards, mission):
+    """Return the fields of a scene that identify the target, of the cards that the file had."""
+    names = {"target_id": ("KEPLERID", "TICID"), "object_name": ("OBJECT",)}
+    names |= {"ra": ("RA_OBJ",), "dec": ("DEC_OBJ",), "column": ("1CRV5P",), "row": ("2CRV5P",)}
+    found = {
+        name: next((cards[key] for key in keys if key in cards), None)
+        for name, keys in names.items()
+    }
+    steps = [cards.get(key) for key in ("1CDLT5", "12PC5", "2CDLT5", "22PC5")]
+    if all(isinstance(step, int | float) for step in steps):
+        east, north = steps[0] * steps[1], steps[2] * steps[3]
+        found["orientation"] = float(np.degrees(np.arctan2(east, north)))
+    if mission in MISSIONS:
+        names = (MISSIONS[mission].run, *MISSIONS[mission].places)
+        found["metadata"] = {n: cards[n.upper()] for n in names if n.upper() in cards}
+    return {name: value for name, value in found.items() if value is not None}
 
 
 def _signal(fit, kind):

@@ -215,7 +215,7 @@ def _promise(equations, shared, cadence):
     return float(2 * gradient - bend)
 
 
-def solve(problem, state, max_steps, *, n_steps=0, only=None, loosely=False):
+def solve(problem, state, max_steps, *, n_steps=0, only=None, loosely=False, report=None):
     """
     Minimise the cost.
 
@@ -233,6 +233,8 @@ def solve(problem, state, max_steps, *, n_steps=0, only=None, loosely=False):
         Shared parameters that are free while the others, and the interpixel map, wait.
     loosely : bool, optional
         Whether the result is only a start for what follows.
+    report : callable, optional
+        Called with the cost after each step.
 
     Returns
     -------
@@ -262,6 +264,8 @@ def solve(problem, state, max_steps, *, n_steps=0, only=None, loosely=False):
         damping *= max(0.1, 1 - (2 * min(ratio, 1.0) - 1) ** 3)
         damping, growth = max(damping, _LEAST_DAMPING), 2.0
         state, equations, n_steps = trial, expanded, n_steps + 1
+        if report is not None:
+            report(equations.cost)
         distance = _distance(equations, walls, state.shared)
         if converged:  # that was one more step, to be nearer than asked for
             break

@@ -10,16 +10,20 @@ from scope_models.models import (
     SensitivityPolynomial,
 )
 
-__all__ = ["linear_start", "make_prf", "starting_state"]
+__all__ = ["centroids", "is_faint", "linear_start", "make_prf", "make_rich_prf", "starting_state"]
 
 _SIGMAS, _FRACTIONS = (0.5, 1.1, 2.0), (0.7, 0.25, 0.05)
 # The empirical term: part of the flux, and width of its first function. From 0.7 to 0.8 the real
 # stars of the documentation are described best.
 _EMPIRICAL_FRACTION, _EMPIRICAL_SIGMA = 0.02, 0.75
+# Its order in the model of `make_rich_prf`.
+_RICH_ORDER = 6
 # Pixels that are brighter than this part of the brightest one give the first positions.
 _BRIGHT = 0.1
 # ... within so many pixels of it, and where so high a percentile over the cadences is bright.
 _NEAR, _OFTEN = 2, 98
+# Stars fainter than this part of the target are constant unless the caller says otherwise.
+_FAINT = 0.1
 
 
 def make_prf(psf, sensitivity, empirical):
@@ -72,6 +76,27 @@ def make_prf(psf, sensitivity, empirical):
     return prf
 
 
+def make_rich_prf(sensitivity):
+    """
+    The model of a star whose PSF is no sum of Gaussians: one Gaussian, and an empirical term.
+
+    The Gaussian is fixed, so that all but the positions is linear: nothing ends at a bound.
+
+    Parameters
+    ----------
+    sensitivity : SensitivityPolynomial or None
+        Response within a pixel.
+
+    Returns
+    -------
+    PRF
+        With the fixed parameters of the fit.
+    """
+    sigma, fixed = _SIGMAS[0], dict.fromkeys(("sigma_x", "sigma_y", "rho"), True)
+    psf = BivariateGaussianPSF(1 - _EMPIRICAL_FRACTION, 0, 0, sigma, sigma, fixed=fixed)
+    return make_prf(psf, sensitivity, _RICH_ORDER)
+
+
 def _gaussians(number):
     """A sum of Gaussians."""
     if isinstance(number, bool) or not 1 <= number <= len(_SIGMAS):
@@ -104,7 +129,7 @@ def starting_state(problem):
     State
         The start.
     """
-    xy = _centroids(problem.data)
+    xy = centroids(problem.data, problem.target)
     positions = problem.options.positions
     shared = np.array([p.start for p in problem.parameters])
     if problem.data.pos_corr is not None and positions != "free":
@@ -119,13 +144,30 @@ def starting_state(problem):
     return linear_start(problem, State(shared, np.zeros(problem.n_pixels), cadence))
 
 
-def _centroids(data):
-    """First moments over the bright pixels around the brightest of each cadence, ``(n, 2)``."""
+def centroids(data, place=None):
+    """
+    First moments over the bright pixels around the brightest of each cadence, ``(n, 2)``.
+
+    Parameters
+    ----------
+    data : PixelData
+        The pixels.
+    place : ndarray of shape (2,), optional
+        Column and row near which the star is; else the brightest pixels are its own.
+    """
     seen = np.isfinite(data.light).any(axis=0)
     image = np.where(seen, np.nanmedian(np.where(seen, data.light, 0), axis=0), 0.0)
     if image.max() <= 0:
         raise ValueError("no pixel of `tpf` has a positive median flux: there is no star to fit")
+    if place is not None:
+        row, column = np.indices(image.shape)
+        away = np.hypot(column - place[0], row - place[1]) > _NEAR
+        if away.all():
+            raise ValueError(f"no pixel is within {_NEAR} px of the star at {tuple(place)}")
+        image = np.where(away, 0.0, image)
     flux = np.where(np.isfinite(data.light), data.light, image)
+    if place is not None:
+        flux = np.where(away, 0.0, flux)
     # Where the star ever is for some time; a cosmic ray is elsewhere, most often.
     often = np.percentile(flux, _OFTEN, axis=0)
     flux = np.where(often > _BRIGHT * often.max(), flux, -np.inf).reshape(len(flux), -1)
@@ -138,6 +180,14 @@ def _centroids(data):
     light[total <= 0] = np.maximum(image.ravel(), 0.0)
     light /= light.sum(axis=1, keepdims=True)
     return np.column_stack([light @ columns, light @ rows])
+
+
+def is_faint(data, target, other):
+    """Whether the light around a star is less than a tenth of that around the target."""
+    image = np.nan_to_num(np.nanmedian(data.light, axis=0))
+    row, column = np.indices(image.shape)
+    near = [image[np.hypot(column - x, row - y) <= 1.0].max(initial=0) for x, y in (target, other)]
+    return near[1] < _FAINT * near[0]
 
 
 def _robust_map(basis, xy):

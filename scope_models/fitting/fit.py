@@ -1,6 +1,8 @@
 """`fit_tpf`: one model for all pixels and cadences of a target pixel file."""
 
-from dataclasses import replace
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from functools import partial
 from os import PathLike
 
 import numpy as np
@@ -8,10 +10,18 @@ from astropy.modeling import Model
 
 from scope_models._checks import checked_integer, checked_number
 from scope_models.fitting._data import detector_of, read_data
-from scope_models.fitting._gather import make_result, warn_of_fit
-from scope_models.fitting._problem import FitOptions, Problem
+from scope_models.fitting._gather import make_results, warn_of_fit
+from scope_models.fitting._problem import FitOptions, FitStar, Problem
 from scope_models.fitting._solver import covariances, solve
-from scope_models.fitting._start import linear_start, make_prf, starting_state
+from scope_models.fitting._stars import star_positions
+from scope_models.fitting._start import (
+    centroids,
+    is_faint,
+    linear_start,
+    make_prf,
+    make_rich_prf,
+    starting_state,
+)
 from scope_models.io.pixels import read_pixels
 
 __all__ = ["fit_tpf"]
@@ -19,6 +29,23 @@ __all__ = ["fit_tpf"]
 _BACKGROUNDS = ("cadence", "constant", "none")
 _POSITIONS = ("free", "start", "prior", "path")
 _LOSSES = ("linear", "soft_l1")
+_NEIGHBOR_FLUXES = ("auto", "cadence", "constant")
+# Prior of the response between pixels where the caller leaves it to the data, and the scatter, in
+# standard deviations of the prior, that is no response.
+_PRIOR, _LARGEST_SCATTER = 0.01, 3.0
+# Largest number of steps, per stage, of the first model where all is left to the data.
+_FEW_STEPS = 20
+# ... and of the others.
+_MANY_STEPS = 60
+# Maxima so near the target are the target, pixels.
+_APART = 1.5
+# Standard deviation of the positions about POS_CORR, as a part of the motion's, where the PSF is
+# wrong.
+_POSITION_PART = 0.1
+# Flux over the light in the stamp from which a model has invented it.
+_LARGEST_FLUX = 2.0
+# Seconds after which a fit shows its progress.
+_PATIENCE = 5.0
 # How often errors are scaled, at most, where the model is not true.
 _RESCALINGS = 8
 # So many cadences give the first guess for those of a long series.
@@ -27,11 +54,14 @@ _FEW = 300
 
 def fit_tpf(
     tpf,
-    psf=2,
+    psf=None,
     sensitivity=None,
     *,
+    stars=None,
+    neighbors=None,
+    neighbor_flux="auto",
     empirical=0,
-    interpixel=0.01,
+    interpixel=None,
     background="cadence",
     positions="start",
     position_error=0.01,
@@ -40,6 +70,7 @@ def fit_tpf(
     flux_err=None,
     saturation=True,
     max_steps=200,
+    progress=None,
 ):
     r"""
     Fit one model to all pixels and cadences of a target pixel file at once.
@@ -53,27 +84,43 @@ def fit_tpf(
 
     Parameters
     ----------
-    tpf : `~lightkurve.targetpixelfile.TargetPixelFile`, str or path-like
+    tpf : `~lightkurve.targetpixelfile.TargetPixelFile`, str or path-like, or a sequence of them
         The pixels, without the background of its column FLUX_BKG: the object, or a file, whose
-        cadences with bad quality flags are left out as lightkurve does.
+        cadences with bad quality flags are left out as lightkurve does. Several files of one CCD
+        are fitted at once: with one PSF, sensitivity and motion, in the cadences that all have.
     psf : int or `~astropy.modeling.Model`, optional
         1, 2 or 3 Gaussian components with free offsets; or a density or sum of densities, as for
         `~scope_models.PRF`; or a `~scope_models.PRF`. A model gives the starting values, and
-        its ``fixed`` and ``bounds`` are kept.
+        its ``fixed`` and ``bounds`` are kept. None: two components if they describe the pixels;
+        else what describes them better without a parameter at a bound, two components, or one
+        of fixed width with an empirical term of order 6, and with positions near POS_CORR.
     sensitivity : `~scope_models.SensitivityPolynomial`, optional
         Response within a pixel: starting values, and by its ``fixed`` what is fitted. The
         constants are always fixed, because they are the flux. None: the response is 1.
+    stars : array_like, `~astropy.coordinates.SkyCoord`, Table or "find", optional
+        Positions of all stars, the target first: columns and rows in pixels of the stamp, shape
+        ``(k, 2)``; places on the sky; a table with the columns x and y, or ra and dec; "find":
+        the local maxima of the median image, the brightest first. By default one star, where the
+        light is. For several files, a sequence of them.
+    neighbors : as ``stars``, optional
+        Positions of the other stars only; "find": the maxima more than 1.5 px from the target.
+    neighbor_flux : {"auto", "cadence", "constant"}, optional
+        Whether the other stars have a flux in each cadence, or one for all of them; "auto": one
+        for stars fainter than a tenth of the target.
     empirical : int, optional
         Order of a `~scope_models.models.GaussHermitePSF` that is added to the PSF; 0 for none.
         Its width and its part of the flux are fixed, its coefficients have a prior of standard
         deviation 10. For another width, give the term as a part of ``psf``.
     interpixel : float, optional
-        Standard deviation, before the fit, of the response between pixels; 0 fixes it at 1.
+        Standard deviation, before the fit, of the response b between pixels; 0 fixes it at 1.
+        None: 0.01 if the model then describes the pixels with a response that agrees with it, as
+        in simulations; else 0, because b would describe errors of the PSF.
     background : {"cadence", "constant", "none"}, optional
         Background left in the pixels.
     positions : {"start", "free", "prior", "path"}, optional
         What POS_CORR is used for, through an affine map: the first guess of free positions,
-        nothing, a prior, or the positions themselves. The map is fitted too for the last two.
+        nothing, a prior, or the positions themselves. The map is fitted too for the last two,
+        with a prior of 0.02 about the scale 1.
     position_error : float, optional
         Standard deviation of the positions about the path, pixels, for "prior".
     loss : {"linear", "soft_l1"}, optional
@@ -87,11 +134,14 @@ def fit_tpf(
         Whether columns with pixels near the depth of their wells are left out.
     max_steps : int, optional
         Largest number of steps of each stage.
+    progress : bool, optional
+        Whether to show a progress bar. None: on a terminal, from the fifth second.
 
     Returns
     -------
-    TPFFit
-        The fit. It is returned, with a warning, even if it has not converged.
+    TPFFit or tuple of TPFFit
+        The fit; for several files one of each. It is returned, with a warning, even if it has not
+        converged, which it has not where a parameter is at a bound.
 
     Raises
     ------
@@ -116,7 +166,8 @@ def fit_tpf(
     Where the model is not true, and the typical squared residual, from medians over cadences and
     pixels, is above 1.5 squared errors, all errors are scaled up by its root, the attribute
     ``error_scale``, so that priors keep their weight and the errors of the parameters grow.
-    Chi-squared is always that of the given errors.
+    Chi-squared is always that of the given errors. The coefficients of a sensitivity then
+    describe errors of the PSF: they have no error (NaN), and neither have parameters at bounds.
 
     Examples
     --------
@@ -129,7 +180,7 @@ def fit_tpf(
     """
     options = FitOptions(
         empirical=checked_integer("empirical", empirical, 0),
-        interpixel=_checked_width("interpixel", interpixel),
+        interpixel=_PRIOR if interpixel is None else _checked_width("interpixel", interpixel),
         background=_one_of("background", background, _BACKGROUNDS),
         positions=_one_of("positions", positions, _POSITIONS),
         position_error=checked_number("position_error", position_error, "pix", positive=True),
@@ -138,58 +189,201 @@ def fit_tpf(
         saturation=bool(saturation),
     )
     max_steps = checked_integer("max_steps", max_steps, 1)
-    if not isinstance(psf, int | Model):
+    if psf is not None and not isinstance(psf, int | Model):
         raise TypeError(f"`psf` must be a number of components or a model, got {psf!r}")
-    problem, series, detector = _make_problem(tpf, psf, sensitivity, flux_err, options)
+    several = isinstance(tpf, list | tuple)
+    files = list(tpf) if several else [tpf]
+    if not files:
+        raise ValueError("`tpf` must have at least one file")
+    series = [_series(file) for file in files]
+    places = _places(stars, neighbors, series, several=several)
+    prf = make_prf(2 if psf is None else psf, sensitivity, options.empirical)
+    problem, detectors = _make_problem(series, places, prf, flux_err, neighbor_flux, options)
+    with _progress_bar(progress) as bar:
+        steps = partial(solve, max_steps=max_steps, report=bar)
+        choice = _Choice(psf is None and not empirical, interpixel is None, sensitivity)
+        problem, solution = _fitted(problem, choice, steps, max_steps)
+    fits = make_results(problem, solution, covariances(problem, solution), detectors, series)
+    for fit in fits:
+        warn_of_fit(fit, stacklevel=3)
+    return tuple(fits) if several else fits[0]
+
+
+@dataclass(frozen=True)
+class _Choice:
+    """What is left to the data: the PSF, the response between pixels."""
+
+    psf: bool
+    interpixel: bool
+    sensitivity: object
+
+
+def _fitted(problem, choice, steps, max_steps):
+    """Fit, with what describes the pixels."""
+    # Where all is left to the data, a model that is true converges fast.
+    first = partial(steps, max_steps=min(max_steps, _FEW_STEPS)) if choice.psf else steps
+    few, guess = _guess(problem, first)
+    given = not (choice.psf or choice.interpixel)
+    if given or _is_true(few, guess) or not (guess.converged or guess.n_steps >= _FEW_STEPS):
+        return _finished(problem, few, guess, steps)
+    options = replace(problem.options, interpixel=0.0) if choice.interpixel else problem.options
+    if choice.psf:
+        options = _held(options, problem.data.pos_corr)
+    plain = replace(problem, options=options, error_scale=1.0)
+    problems = [plain]
+    if choice.psf:
+        problems.append(replace(plain, prf=make_rich_prf(choice.sensitivity)))
+        steps = partial(steps, max_steps=min(max_steps, _MANY_STEPS))
+    tried = [(one, *_guess(one, steps)) for one in problems]
+    best = min(tried, key=lambda item: _rank(*item[1:]))
+    return _finished(*best, steps)
+
+
+def _held(options, pos_corr):
+    """Options with positions near those of POS_CORR: a PSF that is wrong absorbs motion."""
+    if options.positions != "start" or pos_corr is None or not pos_corr.std(axis=0).all():
+        return options
+    error = min(options.position_error, _POSITION_PART * float(pos_corr.std(axis=0).min()))
+    return replace(options, positions="prior", position_error=error)
+
+
+def _is_true(problem, solution):
+    """Whether the model describes the pixels, with a response that agrees with its prior."""
+    prior, response = problem.options.interpixel, solution.state.interpixel
+    agrees = not prior or np.std(response) <= _LARGEST_SCATTER * prior
+    return problem.error_scale == 1.0 and agrees
+
+
+def _rank(problem, solution):
+    """Order of models: with a flux that is in the pixels, converged inside the bounds, and true."""
+    limits, shared = problem.limits, solution.state.shared
+    at_bound = np.any((shared <= limits.lower) | (shared >= limits.upper))
+    light = np.median(problem.flux[:, problem.slices[0]].sum(axis=1))
+    strange = not 0 < np.median(problem.fluxes(solution.state)) < _LARGEST_FLUX * abs(light)
+    return strange, bool(at_bound) or not solution.converged, problem.error_scale
+
+
+def _guess(problem, steps):
+    """Fit a part of a long series, or the whole of a short one."""
+    every = len(problem.flux) // _FEW
+    problem = problem.thinned(every) if every > 1 else problem
     # What the shape of the PSF can imitate is freed when the shape is about right.
     early = np.array([p.kind != "response" for p in problem.parameters], dtype=bool)
-    problem, solution = _minimise(problem, starting_state(problem), early, max_steps)
-    fit = make_result(problem, solution, covariances(problem, solution), detector, series)
-    warn_of_fit(fit, stacklevel=3)
-    return fit
+    state = starting_state(problem)
+    # Scaled from the start: else all residuals are outliers to a robust loss.
+    problem = problem.rescaled(state)
+    solution = steps(problem, state, only=early, loosely=True)
+    return _rescaled(problem, solution, steps)
 
 
-def _minimise(problem, state, early, max_steps):
-    """Fit the shape, then everything, with errors that are scaled to the residuals."""
-    every = len(problem.flux) // _FEW
-    if every > 1:
-        # What all cadences share is constrained nearly as well by some of them.
-        few = problem.thinned(every)
-        _, guess = _minimise(few, starting_state(few), early, max_steps)
-        state = replace(state, shared=guess.state.shared, interpixel=guess.state.interpixel)
-        state = linear_start(problem, state)
-        problem = problem.rescaled(state)
-        solution = solve(problem, state, max_steps, n_steps=guess.n_steps, loosely=True)
-    else:
-        # Scaled from the start: else all residuals are outliers to a robust loss.
-        problem = problem.rescaled(state)
-        solution = solve(problem, state, max_steps, only=early, loosely=True)
+def _finished(problem, few, guess, steps):
+    """Fit all cadences, from the fit of some of them."""
+    if len(problem.flux) == len(few.flux):
+        return few, guess
+    # What all cadences share is constrained nearly as well by some of them.
+    state = starting_state(problem)
+    state = replace(state, shared=guess.state.shared, interpixel=guess.state.interpixel)
+    state = linear_start(problem, state)
+    problem = problem.rescaled(state)
+    solution = steps(problem, state, n_steps=guess.n_steps, loosely=True)
+    return _rescaled(problem, solution, steps)
+
+
+def _rescaled(problem, solution, steps):
+    """Fit everything, with errors that are scaled to the residuals."""
     for remaining in reversed(range(_RESCALINGS)):
         scaled = problem.rescaled(solution.state)
         changed = scaled is not problem and remaining > 0
         problem = scaled
-        solution = solve(
-            problem, solution.state, max_steps, n_steps=solution.n_steps, loosely=changed
-        )
+        solution = steps(problem, solution.state, n_steps=solution.n_steps, loosely=changed)
         if not changed:
             break
     return problem, solution
 
 
-def _make_problem(tpf, psf, sensitivity, flux_err, options):
-    """What is fitted, the pixels of the file, and the detector that recorded them."""
-    series = read_pixels(tpf, quality_bitmask="default" if _is_path(tpf) else "none")
-    prf = make_prf(psf, sensitivity, options.empirical)
-    detector = detector_of(series)
+def _series(file):
+    """The pixels of a file; cadences with bad flags are left out where it is read here."""
+    is_path = isinstance(file, str | PathLike)
+    return read_pixels(file, quality_bitmask="default" if is_path else "none")
+
+
+def _places(stars, neighbors, series, *, several):
+    """Per file, the position of the target or None, and those of the other stars."""
+    if stars is not None and neighbors is not None:
+        raise ValueError("give either `stars` or `neighbors`, not both")
+    name, given = ("stars", stars) if neighbors is None else ("neighbors", neighbors)
+    if given is None:
+        return [(None, np.zeros((0, 2)))] * len(series)
+    if several and not isinstance(given, str) and len(given) != len(series):
+        raise ValueError(f"`{name}` must be positions for each of {len(series)} files")
+    each = [given] * len(series) if isinstance(given, str) or not several else given
+    result = []
+    for one, pixels in zip(each, series, strict=True):
+        positions = star_positions(name, one, pixels)
+        if neighbors is None:
+            if not len(positions):
+                raise ValueError("`stars` must have at least the target")
+            result.append((positions[0], positions[1:]))
+        else:
+            result.append((None, positions))
+    return result
+
+
+def _make_problem(series, places, prf, flux_err, neighbor_flux, options):
+    """What is fitted, and the detectors that recorded it."""
+    _one_of("neighbor_flux", neighbor_flux, _NEIGHBOR_FLUXES)
+    detectors = [detector_of(item) for item in series]
     n_free = 1 + 2 * (options.positions != "path") + (options.background == "cadence")
-    data = read_data(series, flux_err, detector, n_free, saturation=options.saturation)
-    if data.pos_corr is None and options.positions in {"prior", "path"}:
+    stamps = [
+        read_data(item, flux_err, detector, n_free + len(others), saturation=options.saturation)
+        for item, detector, (_, others) in zip(series, detectors, places, strict=True)
+    ]
+    if stamps[0].pos_corr is None and options.positions in {"prior", "path"}:
         raise ValueError(f"`positions` is {options.positions!r}, but `tpf` has no POS_CORR")
-    return Problem((data,), prf, options), series, detector
+    stamps = _in_common(stamps)
+    stars, first = [], None
+    for number, (stamp, (target, others)) in enumerate(zip(stamps, places, strict=True)):
+        center = np.median(centroids(stamp, target), axis=0)
+        if target is None and len(others):
+            apart = others[np.hypot(*(others - center).T) > _APART]
+        else:
+            apart = others
+        first = center if first is None else first
+        stars.append(FitStar(*(center - first), number))
+        faint = [is_faint(stamp, center, other) for other in apart]
+        stars += [
+            FitStar(*(other - first), number, neighbor_flux == "constant" or (alone and weak))
+            for other, weak in zip(apart, faint, strict=True)
+            for alone in (neighbor_flux == "auto",)
+        ]
+    target = places[0][0]
+    return Problem(tuple(stamps), prf, options, tuple(stars), target=target), detectors
 
 
-def _is_path(source):
-    return isinstance(source, str | PathLike)
+def _in_common(stamps):
+    """The stamps in the cadences that all of them have."""
+    common = stamps[0].cadenceno
+    for stamp in stamps[1:]:
+        common = np.intersect1d(common, stamp.cadenceno)
+    if not common.size:
+        raise ValueError("the files have no cadence in common")
+    return [stamp[np.isin(stamp.cadenceno, common)] for stamp in stamps]
+
+
+@contextmanager
+def _progress_bar(progress):
+    """What is called with each step's chi-squared."""
+    from tqdm import tqdm
+
+    hidden = None if progress is None else not progress  # None: hidden where no terminal is
+    delay = _PATIENCE if progress is None else 0.0
+    with tqdm(desc="fit_tpf", unit=" steps", disable=hidden, delay=delay) as bar:
+
+        def report(cost):
+            bar.set_postfix_str(f"cost {cost:.6g}", refresh=False)
+            bar.update()
+
+        yield report
 
 
 def _one_of(name, value, allowed):

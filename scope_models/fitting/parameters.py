@@ -34,7 +34,9 @@ class FitParameter:
     relative : bool, optional
         Whether that is a part of its value.
     prior : float, optional
-        Standard deviation about 0 before the fit.
+        Standard deviation before the fit.
+    center : float, optional
+        Mean before the fit.
     start : float, optional
         Starting value.
 
@@ -52,6 +54,7 @@ class FitParameter:
     largest_step: float = np.inf
     relative: bool = False
     prior: float = np.inf
+    center: float = 0.0
     start: float = 0.0
 
     @property
@@ -111,5 +114,5 @@ def fit_parameters(prf, shape):
         elif kind == "width" or (kind == "other" and low > 0):
             step, relative = _LARGEST_MOVE, True
         start = float(np.ravel(parameter.value)[0])
-        result.append(FitParameter(name, kind, low, high, step, relative, prior, start))
+        result.append(FitParameter(name, kind, low, high, step, relative, prior, start=start))
     return tuple(result)

@@ -10,7 +10,36 @@ from scope_models.fitting.parameters import FitParameter
 from scope_models.models import PRF
 from scope_models.scene.detector import Detector
 
-__all__ = ["TPFFit"]
+__all__ = ["FittedStar", "TPFFit"]
+
+
+@dataclass(frozen=True, eq=False)
+class FittedStar:
+    """
+    Another star in a fit.
+
+    Parameters
+    ----------
+    x, y, flux : ndarray of shape (n,)
+        Position in pixels and flux in e-/s, by cadence.
+    x_err, y_err, flux_err : ndarray of shape (n,)
+        Their errors.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from scope_models.fitting import FittedStar
+    >>> star = FittedStar(*np.ones((6, 5)))
+    >>> star.flux.shape
+    (5,)
+    """
+
+    x: np.ndarray
+    y: np.ndarray
+    flux: np.ndarray
+    x_err: np.ndarray
+    y_err: np.ndarray
+    flux_err: np.ndarray
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -33,6 +62,10 @@ class TPFFit:
         Their values.
     covariance : ndarray of shape (s, s)
         Their covariance, with the uncertainty of all other parameters.
+    at_bounds : tuple of str
+        Parameters that ended at a bound: they have no error.
+    neighbors : tuple of FittedStar
+        The other stars.
     interpixel, interpixel_err : ndarray of shape (ny, nx)
         Response of each pixel against the others; 1 and NaN where there are no data.
     time : ndarray
@@ -84,6 +117,8 @@ class TPFFit:
     kinds: tuple
     parameters: np.ndarray
     covariance: np.ndarray
+    at_bounds: tuple
+    neighbors: tuple
     interpixel: np.ndarray
     interpixel_err: np.ndarray
     time: np.ndarray
@@ -114,7 +149,8 @@ class TPFFit:
     meta: Mapping
 
     def __post_init__(self):
-        for value in vars(self).values():
+        stars = [value for star in self.neighbors for value in vars(star).values()]
+        for value in [*vars(self).values(), *stars]:
             if isinstance(value, np.ndarray):
                 value.flags.writeable = False
 
@@ -139,9 +175,16 @@ class TPFFit:
 
     @property
     def errors(self):
-        """Standard deviations of the shared parameters by name."""
-        errors = np.sqrt(np.diag(self.covariance))
-        return dict(zip(self.names, errors.tolist(), strict=True))
+        """
+        Standard deviations of the shared parameters by name.
+
+        NaN at bounds, and for the coefficients of a sensitivity where the PSF is wrong.
+        """
+        errors = dict(zip(self.names, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
+        unknown = set(self.at_bounds)
+        if self.error_scale > 1:
+            unknown |= set(self.model.response_powers)
+        return {name: np.nan if name in unknown else error for name, error in errors.items()}
 
     @property
     def psf(self):
@@ -274,6 +317,22 @@ class TPFFit:
             result.append(float(1 - rest.var() / position.var()) if position.var() else np.nan)
         return tuple(result)
 
+    def path_scale(self):
+        """
+        Return the fitted motion over that of POS_CORR.
+
+        Returns
+        -------
+        tuple of float
+            Slope of x on POS_CORR1 and of y on POS_CORR2, in a fit of both; NaN without POS_CORR
+            or motion.
+        """
+        if self.pos_corr is None or not self.pos_corr.std(axis=0).all():
+            return np.nan, np.nan
+        basis = np.column_stack([np.ones(len(self.x)), self.pos_corr])
+        slopes = np.linalg.lstsq(basis, np.column_stack([self.x, self.y]), rcond=None)[0]
+        return float(slopes[1, 0]), float(slopes[2, 1])
+
     # --- light curve, scene, figure, file -------------------------------------------------
     def to_lightcurve(self):
         """
@@ -303,7 +362,7 @@ class TPFFit:
 
     def scene(self, *, positions="fitted", signal="smooth"):
         """
-        Return what `~scope_models.simulate` needs for the star's twin.
+        Return the scene of the star's twin, for `~scope_models.simulate`.
 
         Parameters
         ----------
@@ -315,13 +374,11 @@ class TPFFit:
 
         Returns
         -------
-        stars : tuple of Star
-            The star.
-        detector : Detector
-            The pixels, with the fitted sensitivity and response, and the read noise with which
-            faint pixels scatter as those of the file do from one cadence to the next.
-        motion : Motion
-            The positions about their median.
+        Scene
+            The star, the pixels and the positions about their median. The pixels have the fitted
+            sensitivity and response, and the read noise with which faint pixels scatter as those
+            of the file do from one cadence to the next. The target's name and number, its place
+            on the sky and that of the stamp on the detector are those of the file.
 
         Notes
         -----

@@ -68,7 +68,7 @@ class TPFMetadata:
     n_frames : int, optional
         Frames per cadence; by default those of the mission's usual cadence.
     object_name : str, optional
-        OBJECT; by default "SIM" and the number, for the star is not the one of a catalogue.
+        OBJECT; by default "SIM" and the number, for the star is not the one of a catalog.
     ra, dec : float or Quantity, optional
         Position, deg; by default the middle of a field of the mission (for TESS the north
         ecliptic pole).

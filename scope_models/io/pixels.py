@@ -243,7 +243,15 @@ def read_pixels(source, *, quality_bitmask=None):
         _check_times(series, name)
     if quality_bitmask is None:
         quality_bitmask = "default" if isinstance(source, str | PathLike) else "none"
-    return series.without_flagged(quality_bitmask)
+    return _without_flagged(series, quality_bitmask, name)
+
+
+def _without_flagged(series, quality_bitmask, name):
+    """Leave out flagged cadences; the message names the file."""
+    try:
+        return series.without_flagged(quality_bitmask)
+    except ValueError as error:
+        raise ValueError(f"{name}: {error}") from None
 
 
 def read_tpf(source, *, quality_bitmask="default"):
@@ -287,9 +295,13 @@ def read_tpf(source, *, quality_bitmask="default"):
     _check_times(series, source)
     if series.mission is None:
         raise ValueError(f"{source} names no known mission in MISSION or TELESCOP")
-    series.without_flagged(quality_bitmask)
+    _without_flagged(series, quality_bitmask, source)
     kind = getattr(lightkurve, series.mission.tpf_class)
-    return kind(whole, quality_bitmask=quality_bitmask)
+    try:
+        return kind(whole, quality_bitmask=quality_bitmask)
+    except Exception as error:  # lightkurve expects more columns than `read_pixels` needs
+        reason = " ".join(str(error).split())
+        raise ValueError(f"lightkurve cannot read {source}: {reason}") from error
 
 
 def usable_positions(pos_corr):

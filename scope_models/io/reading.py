@@ -81,7 +81,7 @@ class PositionColumns:
     quality : ndarray, shape (n,), or None
         QUALITY or SAP_QUALITY, if the file has it.
     cadenceno : ndarray, shape (n,), or None
-        CADENCENO, if the file has it.
+        CADENCENO, if the file has it; 1, 2, ... n where it has only zeros.
     time_format : {"bkjd", "btjd"} or None
         What the header says of the zero of time; None if it says nothing.
     meta : dict
@@ -196,13 +196,20 @@ def read_positions(path):
         path, ("TIME", "POS_CORR1", "POS_CORR2"), ("QUALITY", "SAP_QUALITY", "CADENCENO")
     )
     columns, header = table.columns, table.header
+    number = columns.get("CADENCENO")
+    if number is not None and not number.any():  # TESScut's files have only zeros
+        number = np.arange(1, len(number) + 1)
+    try:
+        time_format = time_format_of(header)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from None
     return PositionColumns(
         columns["TIME"].astype(float),
         columns["POS_CORR1"].astype(float),
         columns["POS_CORR2"].astype(float),
         columns.get("QUALITY", columns.get("SAP_QUALITY")),
-        columns.get("CADENCENO"),
-        time_format_of(header),
+        number,
+        time_format,
         {**facts_of(header), "filename": table.path.name},
     )
 

@@ -347,7 +347,8 @@ def _aperture_bits(aperture, shape):
 
 
 def _write_whole(hdulist, path):
-    """Write checksums and data to a path."""
+    """Write checksums, the number of extensions and data to a path."""
+    hdulist[0].header["NEXTEND"] = (len(hdulist) - 1, "number of extensions")
     for hdu in hdulist:
         hdu.add_checksum(when="checksum of the FITS standard")
     with path.open("wb") as stream:

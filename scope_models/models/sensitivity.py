@@ -13,7 +13,7 @@ __all__ = ["SensitivityPolynomial"]
 
 
 def _offset(position):
-    """Offset from the centre of the pixel that holds the position, in [-1/2, 1/2)."""
+    """Offset from the center of the pixel that holds the position, in [-1/2, 1/2)."""
     position = plain_array(position, u.pix, "position")
     return position - np.floor(position + 0.5)
 
@@ -33,7 +33,7 @@ class SensitivityPolynomial(InstanceParameters, Fittable2DModel):
 
     .. math:: s(x, y) = \sum_n a_{x,n} u^n \; \sum_m a_{y,m} v^m,
 
-    where (u, v), each in [-1/2, 1/2), is the offset of (x, y) from the centre of the pixel that
+    where (u, v), each in [-1/2, 1/2), is the offset of (x, y) from the center of the pixel that
     holds it, so that every pixel has the same response. This is equation 2 of Saunders et al.
     (2019) without the factor :math:`b_i` of the pixel, which is the interpixel map of a
     `~scope_models.Detector`.
@@ -43,7 +43,7 @@ class SensitivityPolynomial(InstanceParameters, Fittable2DModel):
     x_coefficients, y_coefficients : sequence of float, optional
         Coefficients along the column and along the row, the constants first; any number, one at
         least. They become the parameters ``ax0, ax1, ...`` and ``ay0, ay1, ...``. The defaults,
-        the paper's, lose 2.48 % from the centre to the corner of a pixel.
+        the paper's, lose 2.48 % from the center to the corner of a pixel.
     **kwargs
         Keywords of `~astropy.modeling.Model`, such as ``fixed``, ``bounds`` and ``name``.
 

@@ -53,7 +53,7 @@ class TransitModel(Fittable1DModel):
     u1, u2 : float
         Coefficients of quadratic limb darkening.
     exposure_time : float or `~astropy.units.Quantity`, optional
-        Length of an exposure in days, centred on each time; 0 gives
+        Length of an exposure in days, centered on each time; 0 gives
         instantaneous values. An attribute, not a fitted parameter.
     **kwargs : dict
         Name, bounds, fixed and so on, see `~astropy.modeling.Model`.
@@ -270,7 +270,7 @@ class TransitModel(Fittable1DModel):
 
     @property
     def impact_parameter(self):
-        """Distance of the planet from the star's centre at `t0`, in stellar radii."""
+        """Distance of the planet from the star's center at `t0`, in stellar radii."""
         p = self._numbers()
         ecc, sine = p["ecc"], np.sin(np.radians(p["omega"]))
         cosine = np.cos(np.radians(p["inc"]))
@@ -373,7 +373,7 @@ def _fastest(period, a, ecc):
 
 
 def _separation(time, period, a, inc, ecc, omega, margin=0.0):
-    """Sky distance of the centres in stellar radii, infinite where the planet is behind.
+    """Sky distance of the centers in stellar radii, infinite where the planet is behind.
 
     `time` counts from conjunction; a planet less than `margin` behind is taken as in front.
     """
@@ -392,7 +392,7 @@ def _separation(time, period, a, inc, ecc, omega, margin=0.0):
 
 
 def _drop(separation, rp, u1, u2):
-    """Change of relative flux, at most 0, by a planet at a distance from the centre."""
+    """Change of relative flux, at most 0, by a planet at a distance from the center."""
     drop = np.zeros(np.shape(separation))
     overlap = np.asarray(separation) < 1 + rp
     if rp > 0 and np.any(overlap):

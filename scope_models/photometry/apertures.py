@@ -72,7 +72,7 @@ def signal_to_noise_aperture(
 
     From the pixel of highest ratio on, the pixel that raises the ratio of
     the sum most is added, until none does [1]_. The variance of a pixel
-    holds the photons of target, neighbours and background, and the read
+    holds the photons of target, neighbors and background, and the read
     noise of all frames.
 
     Parameters
@@ -148,7 +148,7 @@ def _grow(signal, variance):
 
 def contamination_aperture(target, neighbors, *, min_fraction=0.5, threshold=None):
     """
-    Select the target's pixels that neighbours do not dominate.
+    Select the target's pixels that neighbors do not dominate.
 
     Parameters
     ----------
@@ -171,7 +171,7 @@ def contamination_aperture(target, neighbors, *, min_fraction=0.5, threshold=Non
     Raises
     ------
     ValueError
-        If neighbours dominate every pixel of the target.
+        If neighbors dominate every pixel of the target.
 
     Examples
     --------
@@ -185,7 +185,7 @@ def contamination_aperture(target, neighbors, *, min_fraction=0.5, threshold=Non
         raise ValueError(f"`min_fraction` must be between 0 and 1, got {min_fraction}")
     light, other = np.mean(target, axis=0), np.mean(neighbors, axis=0)
     mask = threshold_aperture(target, threshold) & (light >= min_fraction * (light + other))
-    return _not_empty(mask, "neighbours dominate every pixel of the target")
+    return _not_empty(mask, "neighbors dominate every pixel of the target")
 
 
 def circular_aperture(shape, x_0, y_0, radius, *, min_overlap=0.5):
@@ -197,7 +197,7 @@ def circular_aperture(shape, x_0, y_0, radius, *, min_overlap=0.5):
     shape : tuple of int
         Shape ``(ny, nx)`` of the mask.
     x_0, y_0 : float
-        Centre (column, row) in pixels.
+        Center (column, row) in pixels.
     radius : float
         Radius in pixels.
     min_overlap : float, optional

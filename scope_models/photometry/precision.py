@@ -31,7 +31,7 @@ def cdpp(lc_or_flux, duration=6.5, method="lightkurve", *, cadence=None, filter_
         and the result is the standard deviation of its running mean. Same
         number as lightkurve.
     ``"everest"``
-        The EVEREST catalogues: a Savitzky-Golay trend (order 2, 49 cadences)
+        The EVEREST catalogs: a Savitzky-Golay trend (order 2, 49 cadences)
         is subtracted, points farther than 5 (scaled) median absolute
         deviations from a 50-cadence smooth are dropped, and the result is
         the median, over all running windows of :math:`n` cadences, of the

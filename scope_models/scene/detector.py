@@ -105,7 +105,7 @@ class Detector:
     Notes
     -----
     A pixel's response is :math:`s = b \sum_n a_{xn} u^n \sum_m a_{ym} v^m` (Eq. 2 of the paper)
-    with :math:`u, v` measured from the centre of the pixel.
+    with :math:`u, v` measured from the center of the pixel.
 
     Examples
     --------
@@ -401,8 +401,8 @@ class Detector:
         --------
         >>> from scope_models import Detector
         >>> detector = Detector.k2_calibrated()
-        >>> edge, centre = detector.sensitivity(0.5, 0.0), detector.sensitivity(0.0, 0.0)
-        >>> print(f"{edge / centre:.4f}")
+        >>> edge, center = detector.sensitivity(0.5, 0.0), detector.sensitivity(0.0, 0.0)
+        >>> print(f"{edge / center:.4f}")
         0.8125
         """
         return cls.preset("k2_calibrated", cadence, **changes)

@@ -4,6 +4,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from numbers import Integral, Real
+from pathlib import Path
 from types import MappingProxyType
 
 import astropy.units as u
@@ -12,11 +13,15 @@ import numpy as np
 from scope_models._arrays import PER_PIXEL, plain_time
 from scope_models._checks import checked_integer, checked_number
 from scope_models.effects.noise import check_seed, fresh_seed, stream
+from scope_models.io._atomic import atomic_path
 from scope_models.io.pixels import positions_of
 from scope_models.io.reading import read_positions
 from scope_models.missions import MISSIONS
 from scope_models.models._description import value_key
+from scope_models.scene._ground_tracking import GroundTracking
+from scope_models.scene._k2_final_campaign import K2FinalCampaign
 from scope_models.scene._k2_roll import K2Roll
+from scope_models.scene._kepler_pointing import KeplerPointing
 from scope_models.scene._motion_arrays import (
     as_int32,
     as_pixels,
@@ -26,10 +31,23 @@ from scope_models.scene._motion_arrays import (
     repair,
 )
 from scope_models.scene._motion_statistics import MotionStatistics
+from scope_models.scene._tess_pointing import TESSPointing
+from scope_models.scene._walks import FailingWheels, RandomWalk
 
-__all__ = ["K2Roll", "Motion", "MotionStatistics"]
+__all__ = [
+    "FailingWheels",
+    "GroundTracking",
+    "K2FinalCampaign",
+    "K2Roll",
+    "KeplerPointing",
+    "Motion",
+    "MotionStatistics",
+    "RandomWalk",
+    "TESSPointing",
+]
 
-_K2 = MISSIONS["K2"]
+_KEPLER, _K2, _TESS = (MISSIONS[name] for name in ("Kepler", "K2", "TESS"))
+_C19 = 3528.1377  # 2018-08-30 15:17 UTC, the first cadence (K2 data release notes), BKJD
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -205,11 +223,11 @@ class Motion:
             Zero of the times: BJD - 2454833 (Kepler, K2) or BJD - 2457000 (TESS).
         bad : {"interpolate", "drop", "error"}, optional
             What becomes of cadences with an unusable value. "interpolate" (the default) replaces
-            it by a straight line in cadence number between its usable neighbours (before the first
+            it by a straight line in cadence number between its usable neighbors (before the first
             and after the last, positions stay and times go on at the same pace) and sets a
             quality flag that lightkurve's default bitmask rejects: "manual exclude" (256, in TESS
-            times 128) for a position, "no data" (65536; in TESS times "manual exclude" too) for
-            a time. "drop" leaves the cadence out, "error" raises.
+            times 128) for a position, "no data" (65536; in TESS times "manual exclude") for a
+            time. "drop" leaves the cadence out, "error" raises.
         meta : mapping, optional
             What is known of the source; "n_bad", the number of cadences with unusable values,
             is added to it.
@@ -401,7 +419,7 @@ class Motion:
         """Generate the motion of a K2 star while the spacecraft rolls about its boresight.
 
         The parameters' defaults describe EPIC 205998445 in campaign 3, and
-        `K2Roll` gives their sources. No series is rescaled to wanted
+        `~scope_models.scene.motion.K2Roll` gives their sources. No series is rescaled to wanted
         statistics; the default seed is the first one for which the 1000 cadences of the paper [1]_
         have its row, 0.17 +- 0.12 px and at most 0.59 px, within 5 %. Cadences in which thrusters
         fire have the quality flag 1048576.
@@ -456,6 +474,272 @@ class Motion:
             np.where(firing, _K2.quality.thruster_firing, 0),
             meta={"mission": "K2", "generator": asdict(roll), "seed": seed},
         )
+
+    @classmethod
+    def kepler(cls, n_cadences=4500, *, cadence="long", seed=1, start=_KEPLER.start, **parameters):
+        """Generate the motion of a Kepler star over a quarter.
+
+        Compared with Kepler-62 in quarter 5 (4634 cadences): range along columns and rows 0.123 and
+        0.092 px there, 0.122 and 0.090 px here; robust scatter about a running median of 49
+        cadences 0.00022 and 0.00020 px there, 0.00024 and 0.00027 px here.
+
+        Parameters
+        ----------
+        n_cadences : int, optional
+            Number of cadences; a quarter has about 4500 long ones.
+        cadence : str, float or Quantity, optional
+            A cadence of Kepler, by its name or length in seconds.
+        seed : int or None, optional
+            Seed of all random numbers; None takes a new one, which is ``meta["seed"]``.
+        start : float, Quantity or Time, optional
+            Time of the first cadence, BKJD.
+        **parameters
+            Fields of `~scope_models.scene.motion.KeplerPointing` that differ from their defaults.
+
+        Returns
+        -------
+        Motion
+            The motion.
+
+        Raises
+        ------
+        TypeError, ValueError
+            If an argument is of the wrong kind or out of its range.
+
+        Examples
+        --------
+        >>> from scope_models import Motion
+        >>> motion = Motion.kepler(500)
+        >>> bool(abs(motion.x).max() < 0.2)
+        True
+        """
+        pointing, seed = KeplerPointing(**parameters), _checked_seed(seed)
+        n, days = checked_integer("n_cadences", n_cadences, 1), _KEPLER.cadence_days(cadence)
+        return cls._generated(pointing, days * np.arange(n), _KEPLER, start, seed)
+
+    @classmethod
+    def tess(cls, n_cadences=None, *, cadence="120 s", seed=1, start=_TESS.start, **parameters):
+        """Generate the motion of a TESS star over a sector of two orbits.
+
+        Compared with TIC 273589987 in sector 15 (100 cadences of 120 s): scatter along columns and
+        rows 0.0027 and 0.0051 px there and here, correlation from one cadence to the next -0.31
+        there and here.
+
+        Parameters
+        ----------
+        n_cadences : int, optional
+            Number of cadences; the default is a sector.
+        cadence : str, float or Quantity, optional
+            A cadence of TESS, by its name or length in seconds.
+        seed : int or None, optional
+            Seed of all random numbers; None takes a new one, which is ``meta["seed"]``.
+        start : float, Quantity or Time, optional
+            Time of the first cadence, BTJD.
+        **parameters
+            Fields of `~scope_models.scene.motion.TESSPointing` that differ from their defaults.
+
+        Returns
+        -------
+        Motion
+            The motion.
+
+        Raises
+        ------
+        TypeError, ValueError
+            If an argument is of the wrong kind or out of its range.
+
+        Examples
+        --------
+        >>> from scope_models import Motion
+        >>> motion = Motion.tess(cadence="1800 s")
+        >>> len(motion), motion.time_format
+        (1268, 'btjd')
+        """
+        pointing, seed = TESSPointing(**parameters), _checked_seed(seed)
+        days = _TESS.cadence_days(cadence)
+        sector = 2 * round(pointing.orbit_time / days)
+        n = sector if n_cadences is None else checked_integer("n_cadences", n_cadences, 1)
+        time = pointing.times(n, days)
+        return cls._generated(pointing, time, _TESS, start, seed, cadence=days)
+
+    @classmethod
+    def k2_final_campaign(cls, n_cadences=1291, *, seed=1, start=_C19, **parameters):
+        """Generate the motion of a star in K2 campaign 19, the last one.
+
+        Compared with the K2 data release notes: 26.4 d in 1291 long cadences; 8.5 d off target, 7 d
+        with less than 1.5 px, here less than 1 px, and 11 d of erratic pointing.
+
+        Parameters
+        ----------
+        n_cadences : int, optional
+            Number of long cadences; campaign 19 has 1291.
+        seed : int or None, optional
+            Seed of all random numbers; None takes a new one, which is ``meta["seed"]``.
+        start : float, Quantity or Time, optional
+            Time of the first cadence, BKJD.
+        **parameters
+            Fields of `~scope_models.scene.motion.K2FinalCampaign` that differ from their defaults.
+
+        Returns
+        -------
+        Motion
+            The motion.
+
+        Raises
+        ------
+        TypeError, ValueError
+            If an argument is of the wrong kind or out of its range.
+
+        Examples
+        --------
+        >>> from scope_models import Motion
+        >>> motion = Motion.k2_final_campaign()
+        >>> nominal = motion[motion.quality & 4 == 0]
+        >>> bool(nominal.statistics().maximum.value < 1.5)
+        True
+        """
+        pointing, seed = K2FinalCampaign(**parameters), _checked_seed(seed)
+        n = checked_integer("n_cadences", n_cadences, 1)
+        return cls._generated(pointing, K2Roll.cadence * np.arange(n), _K2, start, seed)
+
+    @classmethod
+    def ground(cls, n_cadences=1000, *, cadence=60.0, seed=1, start=_TESS.start, **parameters):
+        """Generate the motion of a star on a ground-based telescope, night by night.
+
+        The image motion is that of the seeing and the aperture; pointing, drift and wind are
+        assumed.
+
+        Parameters
+        ----------
+        n_cadences : int, optional
+            Number of exposures.
+        cadence : float or Quantity, optional
+            Time between exposures, s.
+        seed : int or None, optional
+            Seed of all random numbers; None takes a new one, which is ``meta["seed"]``.
+        start : float, Quantity or Time, optional
+            Time of the first cadence, BTJD.
+        **parameters
+            Fields of `~scope_models.scene.motion.GroundTracking` that differ from their defaults.
+
+        Returns
+        -------
+        Motion
+            The motion.
+
+        Raises
+        ------
+        TypeError, ValueError
+            If an argument is of the wrong kind or out of its range.
+
+        Examples
+        --------
+        >>> from scope_models import Motion
+        >>> motion = Motion.ground(1000, cadence=60.0, night=6.0)
+        >>> print(f"{motion.time[360] - motion.time[359]:.2f}")
+        0.75
+        """
+        pointing, seed = GroundTracking(**parameters), _checked_seed(seed)
+        n = checked_integer("n_cadences", n_cadences, 1)
+        days = checked_number("cadence", cadence, u.s, positive=True) / 86400
+        return cls._generated(pointing, pointing.times(n, days), _TESS, start, seed)
+
+    @classmethod
+    def random_walk(
+        cls, n_cadences=1000, *, cadence=K2Roll.cadence, seed=1, start=_K2.start, **parameters
+    ):
+        """Generate a random walk, to test what corrects motions.
+
+        It is no mission's motion.
+
+        Parameters
+        ----------
+        n_cadences : int, optional
+            Number of cadences. A longer series begins like a shorter one.
+        cadence : float or Quantity, optional
+            Time between cadences, days.
+        seed : int or None, optional
+            Seed of all random numbers; None takes a new one, which is ``meta["seed"]``.
+        start : float, Quantity or Time, optional
+            Time of the first cadence, BKJD.
+        **parameters
+            Fields of `~scope_models.scene.motion.RandomWalk` that differ from their defaults.
+
+        Returns
+        -------
+        Motion
+            The motion.
+
+        Raises
+        ------
+        TypeError, ValueError
+            If an argument is of the wrong kind or out of its range.
+
+        Examples
+        --------
+        >>> from scope_models import Motion
+        >>> len(Motion.random_walk(100))
+        100
+        """
+        pointing, seed = RandomWalk(**parameters), _checked_seed(seed)
+        n = checked_integer("n_cadences", n_cadences, 1)
+        days = checked_number("cadence", cadence, u.day, positive=True)
+        return cls._generated(pointing, days * np.arange(n), _K2, start, seed)
+
+    @classmethod
+    def failing_wheels(
+        cls, n_cadences=1000, *, cadence=K2Roll.cadence, seed=1, start=_K2.start, **parameters
+    ):
+        """Generate a drift with growing jumps, to test what corrects motions.
+
+        It is no mission's motion.
+
+        Parameters
+        ----------
+        n_cadences : int, optional
+            Number of cadences. A longer series begins like a shorter one.
+        cadence : float or Quantity, optional
+            Time between cadences, days.
+        seed : int or None, optional
+            Seed of all random numbers; None takes a new one, which is ``meta["seed"]``.
+        start : float, Quantity or Time, optional
+            Time of the first cadence, BKJD.
+        **parameters
+            Fields of `~scope_models.scene.motion.FailingWheels` that differ from their defaults.
+
+        Returns
+        -------
+        Motion
+            The motion.
+
+        Raises
+        ------
+        TypeError, ValueError
+            If an argument is of the wrong kind or out of its range.
+
+        Examples
+        --------
+        >>> from scope_models import Motion
+        >>> len(Motion.failing_wheels(100))
+        100
+        """
+        pointing, seed = FailingWheels(**parameters), _checked_seed(seed)
+        n = checked_integer("n_cadences", n_cadences, 1)
+        days = checked_number("cadence", cadence, u.day, positive=True)
+        return cls._generated(pointing, days * np.arange(n), _K2, start, seed)
+
+    @classmethod
+    def _generated(cls, pointing, time, mission, start, seed, **options):
+        """Return the motion of a generator."""
+        name = type(pointing).__name__
+        x, y, flags = pointing.track(time, lambda part: stream(seed, f"{name} {part}"), **options)
+        quality = np.zeros(len(time), dtype=np.int32)
+        for meaning, cadences in flags.items():
+            quality[cadences] |= getattr(mission.quality, meaning)
+        meta = {"mission": mission.name, "generator": {"name": name, **asdict(pointing)}}
+        days = _checked_start(start, mission.time_format) + time
+        meta["seed"] = seed
+        return cls(days, x, y, quality, time_format=mission.time_format, meta=meta)
 
     @classmethod
     def concatenate(cls, motions, *, shift=False):
@@ -516,6 +800,107 @@ class Motion:
         }
         return cls(*columns, first.time_format, common)
 
+    def plot(self, ax=None, **options):
+        """Draw the motion as a track, colored by time.
+
+        Parameters
+        ----------
+        ax : matplotlib.axes.Axes, optional
+            Where to draw; a new figure by default.
+        **options
+            Arguments of `~scope_models.plotting.plot_motion`.
+
+        Returns
+        -------
+        matplotlib.axes.Axes
+            The Axes.
+
+        Examples
+        --------
+        >>> from scope_models import Motion
+        >>> Motion.k2_roll(100).plot().get_xlabel()
+        'Column (pixel)'
+        """
+        from scope_models.plotting import plot_motion
+
+        label = {"time_label": f"Time ({self.time_format.upper()})"}
+        return plot_motion(self.time, self.x, self.y, ax=ax, **(label | options))
+
+    def write(self, path, overwrite=False):
+        """Write the motion to a table in text, ECSV.
+
+        Parameters
+        ----------
+        path : str or path-like
+            The file.
+        overwrite : bool, optional
+            Whether to replace a file.
+
+        Returns
+        -------
+        pathlib.Path
+            The file.
+
+        Raises
+        ------
+        OSError
+            If the file exists and is not to be replaced, or cannot be written.
+
+        Examples
+        --------
+        >>> from scope_models import Motion
+        >>> motion = Motion.k2_roll(10)
+        >>> Motion.read(motion.write("motion.ecsv")) == motion
+        True
+        """
+        from astropy.table import QTable
+
+        names = ("quality", "cadenceno")
+        columns = {"time": self.time * u.day, "x": self.x * u.pix, "y": self.y * u.pix}
+        table = QTable(columns | {name: getattr(self, name) for name in names})
+        table.meta = {"time_format": self.time_format, "motion": _plain_meta(self.meta)}
+        with atomic_path(path, overwrite=overwrite) as temporary:
+            table.write(temporary, format="ascii.ecsv", overwrite=True)
+        return Path(path)
+
+    @classmethod
+    def read(cls, path):
+        """Read a motion that `write` wrote.
+
+        Parameters
+        ----------
+        path : str or path-like
+            The file. Columns of other units convert.
+
+        Returns
+        -------
+        Motion
+            The motion.
+
+        Raises
+        ------
+        OSError
+            If the file cannot be opened.
+        ValueError
+            If it is no such table.
+
+        Examples
+        --------
+        >>> from scope_models import Motion
+        >>> Motion.read(Motion.still(3).write("still.ecsv")).x
+        array([0., 0., 0.])
+        """
+        from astropy.table import QTable
+
+        text = Path(path).read_text(encoding="utf-8")
+        try:
+            table = QTable.read(text.splitlines(), format="ascii.ecsv")
+            columns = [table[name] for name in ("time", "x", "y")]
+            flags = [np.asarray(table[name]) for name in ("quality", "cadenceno")]
+            return cls(*columns, *flags, table.meta["time_format"], table.meta.get("motion") or {})
+        except (KeyError, TypeError, ValueError) as error:
+            raise ValueError(f"{path} is not a table of a motion: {error}") from error
+
     def statistics(self, pixel_scale=_K2.pixel_scale, *, exclude=0):
         r"""Return how far the star is from its reference position.
 
@@ -558,6 +943,20 @@ class Motion:
         if not keep.any():
             raise ValueError(f"all cadences have quality flags of `exclude`, {exclude}")
         return MotionStatistics.of_positions(self.x[keep], self.y[keep], pixel_scale)
+
+
+def _checked_seed(seed):
+    """Return a seed, a new one for None."""
+    return fresh_seed() if seed is None else check_seed(seed)
+
+
+def _plain_meta(value):
+    """Return what is known of the source as what text holds."""
+    if isinstance(value, Mapping):
+        return {key: _plain_meta(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain_meta(item) for item in value]
+    return value.item() if isinstance(value, np.generic) else value
 
 
 def _checked_scale(pixel_scale):

@@ -156,6 +156,9 @@ class Scene:
     def __iter__(self):
         return iter((self.stars, self.detector, self.motion))
 
+    def __getitem__(self, index):
+        return tuple(self)[index]
+
     def __eq__(self, other):
         if not isinstance(other, Scene):
             return NotImplemented

@@ -28,7 +28,7 @@ class Star:
         Magnitude in the mission's band (Kp or T).
     x_0, y_0 : float, Quantity or None, optional
         Column and row of the reference position on the stamp, pixels from 0, to which the motion
-        is added. None is the centre of the stamp.
+        is added. None is the center of the stamp.
     psf : astropy.modeling.Model or None, optional
         A density with the parameters flux, x_0 and y_0, as `BivariateGaussianPSF` or photutils'
         PSFs, or a sum of several. It is scaled to a total flux of 1, and its first component is

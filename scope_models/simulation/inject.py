@@ -37,7 +37,7 @@ def inject(tpf, signal=None, star=None, *, seed=None, noise=True):
         The light that the signal multiplies: the first star of a scene; that of a fit, by its
         ``scene()``; a star on the pixels of the file, with its motion; or the share of the star in
         the light of all pixels, between 0 and 1. The default is the scene that a simulated file
-        holds. Without a signal, a `Star` that is not yet in the file.
+        holds. Without a signal, a `~scope_models.Star` that is not yet in the file.
     seed : int, optional
         Seed of the photon noise.
     noise : bool, optional
@@ -177,6 +177,8 @@ def _scene_of(star, series, tpf=None):
             ) from None
     else:
         scene = star.scene() if callable(getattr(star, "scene", None)) else star
+        if isinstance(scene, tuple) and len(scene) == 3:  # stars, detector, motion
+            scene = Scene(*scene)
     if not isinstance(scene, Scene):
         raise TypeError(f"`star` must be a Scene, a fit, a Star or a share, got {star!r}")
     if scene.detector.shape != series.flux.shape[1:]:

@@ -137,3 +137,20 @@ def test_smoothing_takes_the_width_that_the_data_ask_for(scale):
     noise = 0.3 * rng.normal(size=len(TIME))
     smooth = _smoothed(TIME, signal + noise, np.full(len(TIME), 0.3))
     assert (smooth - signal).std() < (0.8 if scale < 1 else 0.35) * noise.std()
+
+
+def test_light_of_a_faint_star_has_less_noise_than_the_sum():
+    x, y, measured = motion()
+    flux, error = observed(800 * image(x, y))
+    found = clean_pixels(TIME, flux, error, measured, GRID, np.ones(len(GRID), bool))
+    assert np.median(found.light_error) < 0.6 * np.sqrt((error**2).sum(axis=1)).mean()
+    noise = np.diff(found.light).std() / np.sqrt(2)
+    np.testing.assert_allclose(noise, np.median(found.light_error), rtol=0.15)
+    np.testing.assert_allclose(np.median(found.light), 800, rtol=0.02)
+
+
+def test_faint_noisy_star_is_not_taken_for_a_variable_one():
+    x, y, measured = motion()
+    flux, error = observed(300 * image(x, y) + 100 * image(x + 3, y))
+    found = clean_pixels(TIME, flux, error, measured, GRID, np.ones(len(GRID), bool))
+    assert found.constant == 0

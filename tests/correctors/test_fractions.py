@@ -63,7 +63,7 @@ def test_cadences_without_a_factor_are_nan(star):
     flux[50, 4, 4] = 8 * 3e4 + 5
     hdus[1].data["FLUX"][:] = flux
     corrector = PLDCorrector(KeplerTargetPixelFile(hdus), mask)
-    with pytest.warns(DetrendingWarning, match="1 of 400 cadences have no corrected flux"):
+    with pytest.warns(DetrendingWarning, match="1 of 400 cadences are NaN"):
         lc = corrector.correct(order=1, fractions="measured")
     assert np.flatnonzero(~np.isfinite(lc.flux.value)).tolist() == [50]
     assert np.nanmax(lc.flux.value) < 2 * np.nanmedian(lc.flux.value)

@@ -13,6 +13,7 @@ from lightkurve.correctors.corrector import Corrector
 from scope_models.correctors import PLDCorrector, PLDModel, PLDResult
 from scope_models.effects.saturation import bleed
 from scope_models.exceptions import DetrendingWarning
+from scope_models.models import TransitModel
 from scope_models.photometry import cdpp
 
 
@@ -473,6 +474,23 @@ def test_figures_need_a_correction(star, name):
 
 
 # Bad input
+
+
+def test_a_single_event_in_a_gap_is_no_error(star):
+    """A transit between two cadences leaves the correction as it is, with a warning."""
+    event = TransitModel.from_depth_duration(
+        0.01, 0.005, 1000.0, t0=float(np.mean(star.tpf.time.value[10:12]))
+    )
+    corrector = PLDCorrector(star.tpf)
+    without = corrector.correct(order=1).flux.value
+    with pytest.warns(DetrendingWarning, match="constant at all cadences: its event lies in a gap"):
+        np.testing.assert_allclose(
+            corrector.correct(order=1, transit_model=event).flux.value, without, rtol=1e-12
+        )
+    with pytest.warns(DetrendingWarning, match="lies in a gap"):
+        scale, error = corrector.fit_transit(event)
+    assert np.isnan(scale)
+    assert error == np.inf
 
 
 @pytest.mark.parametrize(

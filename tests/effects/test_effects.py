@@ -5,7 +5,23 @@ import numpy as np
 import pytest
 
 from scope_models import BivariateGaussianPSF, Detector, Motion, Scene, Star, read_scene, simulate
-from scope_models.effects import Argabrightening, Background, Effect, Focus, ScatteredLight
+from scope_models.effects import (
+    Argabrightening,
+    Background,
+    BrighterFatter,
+    CosmicRays,
+    DarkCurrent,
+    Effect,
+    Focus,
+    Gaps,
+    Jitter,
+    ScatteredLight,
+    SensitivityDropouts,
+    Smear,
+    Throughput,
+    Undershoot,
+    rejected_shift,
+)
 from scope_models.io import read_truth
 from scope_models.models import SensitivityPolynomial, TabulatedPRF
 
@@ -16,6 +32,15 @@ EFFECTS = {
     "background": Background(50.0, drift=10.0, gradient=(0.01, -0.02), residual=0.1),
     "scattered light": ScatteredLight(gradient=(0.01, 0.0)),
     "argabrightening": Argabrightening(rate=5.0),
+    "cosmic rays": CosmicRays(),
+    "jitter": Jitter(0.02, correlation_time=3 * u.hour),
+    "throughput": Throughput(0.01, drift=0.001),
+    "dropouts": SensitivityDropouts(rate=0.05, depth=0.1),
+    "smear": Smear(residual=0.5),
+    "dark current": DarkCurrent(20.0, residual=0.3),
+    "brighter-fatter": BrighterFatter(),
+    "undershoot": Undershoot(),
+    "gaps": Gaps([(2144.5, 2144.8), (2145.0, 2145.0)]),
 }
 
 
@@ -50,7 +75,7 @@ def test_switching_one_off_leaves_the_truth_of_the_others(name):
     fewer = simulate(scene(*others)).truth
     added = set(every.columns) - set(fewer.columns)
     for column, values in fewer.columns.items():
-        if column == "TARGET_SHARE":  # follows from all that the light meets
+        if column in {"TARGET_SHARE", "X1", "Y1", "X2", "Y2"}:  # they follow from all effects
             continue
         same = [v for k, v in every.columns.items() if k.rstrip("_2") == column.rstrip("_2")]
         assert any(np.array_equal(values, v, equal_nan=True) for v in same), column
@@ -167,6 +192,21 @@ class Nothing(Effect):
         (lambda: Background(1.0 * u.m), ValueError, "`level` must be in"),
         (lambda: Argabrightening(rate=-1), ValueError, "`rate` must not be negative"),
         (lambda: ScatteredLight(orbit=0), ValueError, "`orbit` must be positive"),
+        (lambda: CosmicRays(rate=-1), ValueError, "`rate` must not be negative"),
+        (lambda: CosmicRays(electrons=0), ValueError, "`electrons` must be positive"),
+        (lambda: CosmicRays(rejection=1), TypeError, "`rejection` must be True or False"),
+        (lambda: Jitter(-0.1), ValueError, "`rms` must not be negative"),
+        (lambda: Jitter(1 * u.arcsec), ValueError, "`rms` must be in pix"),
+        (lambda: Jitter(0.1, nodes=0), ValueError, "`nodes` must be at least 1"),
+        (lambda: Throughput(1.5, 9e9, 0.75), ValueError, "response must not be negative"),
+        (lambda: Throughput(series=[1.0]), ValueError, "one factor for each of the 2 cadences"),
+        (lambda: SensitivityDropouts(depth=2), ValueError, "`depth` must not be above 1"),
+        (lambda: Smear(rows=0), ValueError, "`rows` must be at least 1"),
+        (lambda: DarkCurrent(-1), ValueError, "`level` must not be negative"),
+        (lambda: BrighterFatter(full_well=0), ValueError, "`full_well` must be positive"),
+        (lambda: Undershoot(decay=0), ValueError, "`decay` must be positive"),
+        (lambda: Gaps([(2, 1)]), ValueError, "`intervals` must not end before they begin"),
+        (lambda: Gaps([1, 2]), ValueError, "`intervals` must be finite and of the shape"),
         (lambda: "focus", TypeError, "`effects` must hold effects, got 'f'"),
         (lambda: 7, TypeError, "`effects` must be effects, got 7"),
     ],
@@ -189,3 +229,272 @@ def test_a_focus_of_tables_is_refused():
     detector = PLAIN.replace(psf=table)
     with pytest.raises(ValueError, match="the width of TabulatedPRF cannot change"):
         simulate(Star(12.0), detector, Motion.still(2), effects=Focus(0.1))
+
+
+def total_charge(shape, n, effect, seed=1):
+    """Return the charge of cosmic rays on a stamp without light, (n, ny, nx), and their truth."""
+    detector = Detector.k2(shape=shape, background=0.0).without_sensitivity()
+    observation = simulate(
+        Star(40.0), detector, Motion.still(n), noise=False, effects=effect, seed=seed
+    )
+    seconds = detector.exposure_time
+    return (observation.flux.astype(float) - observation.model()) * seconds, observation.truth
+
+
+def test_cosmic_rays_have_their_rate_charge_and_tracks():
+    rays = CosmicRays(rate=5 / u.cm**2 / u.s, longest=5.0)
+    charge, truth = total_charge((21, 21), 400, rays)
+    # Every ray that crosses the stamp is on it somewhere: by area, the mean charge is the rate's.
+    expected = 5 * (27e-4) ** 2 * 270 * 6.019802903270 * 2500
+    events = truth.tables["COSMICRAYS"]
+    n = 5 * (27e-4) ** 2 * 270 * 6.019802903270 * 21**2 * 400
+    assert len(events) == pytest.approx(n, rel=0.2)
+    assert charge.mean() == pytest.approx(expected, rel=5 * 1.5 / np.sqrt(n))
+    # Isotropic: half of the tracks is steeper than 45 degrees, tan < 1.
+    inside = (np.abs(events["X"] - 10) < 10) & (np.abs(events["Y"] - 10) < 10)
+    length = np.asarray(events["LENGTH"])[inside] * 27 / 15
+    assert np.mean(length < 1) == pytest.approx(0.5, abs=4 * 0.5 / np.sqrt(inside.sum()))
+    assert np.mean(length < 2) == pytest.approx(0.8, abs=4 * 0.4 / np.sqrt(inside.sum()))
+    # About 6 % of pixels per long cadence are hit.
+    assert 0.05 < np.mean(charge > 1) < 0.15
+
+
+def test_charge_of_a_track_lies_on_it():
+    charge, truth = total_charge((21, 21), 60, CosmicRays(rate=0.3), seed=4)
+    events = truth.tables["COSMICRAYS"]
+    cadences, counts = np.unique(events["CADENCE"], return_counts=True)
+    alone = [c for c, k in zip(cadences, counts, strict=True) if k == 1]
+    checked = 0
+    for cadence in alone:
+        event = events[np.asarray(events["CADENCE"]) == cadence][0]
+        end = event["X"] + event["LENGTH"] * np.cos(event["ANGLE"])
+        top = event["Y"] + event["LENGTH"] * np.sin(event["ANGLE"])
+        row, column = np.nonzero(charge[cadence] > 1)
+        assert column.min() >= np.rint(min(event["X"], end)) - 1e-9
+        assert column.max() <= np.rint(max(event["X"], end)) + 1e-9
+        if all(-0.5 < q < 20.5 for q in (event["X"], end, event["Y"], top)):
+            assert charge[cadence].sum() == pytest.approx(event["ELECTRONS"], rel=1e-3)
+            assert row.max() - row.min() <= np.ceil(event["LENGTH"])
+            checked += 1
+    assert checked > 5
+
+
+def test_rejection_of_the_highest_and_lowest_of_ten():
+    rng = np.random.default_rng(1)
+    for d in (0.0, 0.5, 2.0, 5.0, 40.0):
+        reads = rng.standard_normal((200000, 10))
+        reads[:, 0] += d
+        trimmed = reads.sum(axis=1) - reads.max(axis=1) - reads.min(axis=1)
+        error = trimmed.std() / np.sqrt(len(trimmed))
+        assert rejected_shift(d) == pytest.approx(trimmed.mean(), abs=4 * error)
+    detector = Detector.tess(background=0.0).without_sensitivity()
+    motion = Motion.still(500, cadence=120 / 86400)
+    kept, rejected = (
+        simulate(
+            Star(40.0),
+            detector,
+            motion,
+            noise=False,
+            seed=1,
+            effects=CosmicRays(pixel_size=15.0, rejection=flag),
+        ).flux
+        * detector.exposure_time
+        for flag in (False, True)
+    )
+    # What is left of a ray is at most 1.49 of the noise of a read, 10 electrons.
+    assert kept.max() > 1000
+    assert 10 < rejected.max() < 14.9
+
+
+def test_jitter_moves_the_mean_and_widens_the_image():
+    cadence = 120.0
+    motion = Motion.still(2000, cadence=cadence / 86400)
+    detector = Detector.tess(shape=(15, 15), well_depth=None).without_sensitivity()
+    psf = BivariateGaussianPSF(sigma_x=0.9, sigma_y=0.9)
+    for tau in (0.0, 30.0, 500.0):
+        jitter = Jitter(0.2, correlation_time=tau * u.s)
+        observation = simulate(
+            Star(8.0, psf=psf), detector, motion, noise=False, effects=jitter, seed=2
+        )
+        x, blur = (observation.truth.columns[k] for k in ("JITTER_X", "JITTER_BLUR"))
+        # The same process, step by step at 1/50 of a cadence.
+        fine = np.zeros(50 * 2000) if tau else None
+        if tau:
+            kept = np.exp(-cadence / 50 / tau)
+            steps = np.random.default_rng(3).standard_normal(50 * 2000)
+            value = 0.0
+            for i, step in enumerate(steps):
+                value = kept * value + np.sqrt(1 - kept**2) * step
+                fine[i] = 0.2 * value
+            means = fine.reshape(2000, 50).mean(axis=1)
+            effective = 2000 / (1 + 2 * tau / cadence)
+            assert x.std() == pytest.approx(means.std(), rel=6 / np.sqrt(effective))
+            lag = np.corrcoef(x[1:], x[:-1])[0, 1]
+            expected = np.corrcoef(means[1:], means[:-1])[0, 1]
+            assert lag == pytest.approx(expected, abs=6 / np.sqrt(effective))
+            inner = fine.reshape(2000, 50).var(axis=1).mean()
+            assert blur[0] ** 2 == pytest.approx(inner, rel=0.05)
+        else:
+            assert x.std() == pytest.approx(0.2 / np.sqrt(60), rel=0.06)
+        np.testing.assert_allclose(observation.truth.x[0], 7 + x, atol=1e-12)
+        model = observation.model()[:200]
+        columns = np.arange(15)
+        total = model.sum(axis=(1, 2))
+        mean = (model * columns).sum(axis=(1, 2)) / total
+        np.testing.assert_allclose(mean, observation.truth.x[0, :200], atol=2e-3)
+        variance = (model * (columns - mean[:, None, None]) ** 2).sum(axis=(1, 2)) / total
+        np.testing.assert_allclose(variance - 1 / 12, 0.9**2 + blur[0] ** 2, rtol=5e-3)
+
+
+def test_jitter_is_a_convolution():
+    sigma, blur = 0.8, 0.1
+    detector = Detector.k2(shape=(11, 11)).without_sensitivity()
+    star = Star(12.0, psf=BivariateGaussianPSF(sigma_x=sigma, sigma_y=sigma))
+    jitter = Jitter(blur, nodes=5)
+    observation = simulate(star, detector, Motion.still(1), noise=False, effects=jitter, seed=2)
+    (x,), (y,) = (observation.truth.columns[f"JITTER_{axis}"] for axis in "XY")
+    s = float(np.hypot(sigma, observation.truth.columns["JITTER_BLUR"][0]))
+    wide = Star(12.0, 5 + x, 5 + y, psf=BivariateGaussianPSF(sigma_x=s, sigma_y=s))
+    alone = simulate(wide, detector, Motion.still(1), noise=False).model()
+    np.testing.assert_allclose(observation.model(), alone, atol=1e-7 * 1.74e5)
+
+
+def test_throughput_is_the_ratio_of_cadences():
+    series = np.array([1.0, 0.9, 1.1])
+    effect = Throughput(0.01, period=0.3, drift=0.02 / u.day, series=series)
+    motion = Motion.still(3, cadence=0.1)
+    observation = simulate(Star(12.0), Detector.k2(), motion, noise=False, effects=effect, seed=1)
+    t = motion.time
+    expected = 1 + 0.01 * np.sin(2 * np.pi * t / 0.3) + 0.02 * (t - t[1])
+    total = observation.model().sum(axis=(1, 2))
+    np.testing.assert_allclose(total / total[1], expected * series / (0.9 * expected[1]), rtol=1e-9)
+    np.testing.assert_allclose(
+        observation.flux_bkg.mean(axis=(1, 2)) / observation.flux_bkg[1].mean(),
+        expected * series / (0.9 * expected[1]),
+        rtol=1e-6,
+    )
+
+
+def test_dropouts_recover_in_part():
+    effect = SensitivityDropouts(rate=0.02, depth=0.1, recovery=0.6, recovery_time=6 * u.hour)
+    detector, motion = Detector.k2(), Motion.still(400)
+    with_dropouts, without = (
+        simulate(Star(12.0), detector, motion, noise=False, effects=effects, seed=7)
+        for effects in (effect, ())
+    )
+    events = with_dropouts.truth.tables["SENSITIVITYDROPOUTS"]
+    expected = 0.02 * 121 * 400 * detector.cadence_days
+    assert abs(len(events) - expected) < 4 * np.sqrt(expected)
+    lit = without.model() > 1
+    ratio = np.where(lit, with_dropouts.model() / np.where(lit, without.model(), 1), 1)
+    for event in events:
+        others = (events["ROW"] == event["ROW"]) & (events["COLUMN"] == event["COLUMN"])
+        pixel = ratio[:, event["ROW"], event["COLUMN"]]
+        if others.sum() > 1 or not lit[:, event["ROW"], event["COLUMN"]].all():
+            continue
+        start = event["CADENCE"]
+        assert np.all(pixel[:start] == 1)
+        assert pixel[start] == pytest.approx(1 - event["DEPTH"])
+        lasting = 1 - 0.6 + 0.6 * np.exp(-(motion.time - motion.time[start]) / 0.25)
+        np.testing.assert_allclose(pixel[start:], 1 - event["DEPTH"] * lasting[start:])
+        assert with_dropouts.quality[start] & 1024
+
+
+def test_gaps_have_no_data():
+    motion = Motion.still(20)
+    gaps = Gaps([(motion.time[3], motion.time[5]), (motion.time[19], 9e4)])
+    missing = np.isin(np.arange(20), [3, 4, 5, 19])
+    for detector, bit in ((Detector.k2(), 65536), (Detector.tess(), 128)):
+        observation = simulate(Star(12.0), detector, motion, effects=gaps, seed=1)
+        assert np.array_equal(np.isnan(observation.flux).all(axis=(1, 2)), missing)
+        assert np.array_equal(np.isnan(observation.flux_err).any(axis=(1, 2)), missing)
+        assert np.all((observation.raw_cnts == -1).all(axis=(1, 2)) == missing)
+        assert np.array_equal(observation.quality, np.where(missing, bit, 0))
+        plain = simulate(Star(12.0), detector, motion, seed=1)
+        assert np.array_equal(observation.flux[~missing], plain.flux[~missing])
+        tpf = observation.to_tpf(quality_bitmask="none")
+        assert np.array_equal(np.isnan(tpf.flux.value).all(axis=(1, 2)), missing)
+        assert len(observation.to_tpf()) == 16
+
+
+def test_smear_is_that_of_the_column():
+    stars = [Star(10.0, 3.0, 2.0), Star(11.0, 7.0, 8.0)]
+    detector = Detector.k2(well_depth=None)
+    arguments = stars, detector, Motion.still(2)
+    observation = simulate(*arguments, noise=False, seed=1, effects=Smear(residual=0.25))
+    plain = simulate(*arguments, noise=False, seed=1)
+    smear = 0.518948526144 / 1070 / 6.019802903270 * plain.model().sum(axis=1, keepdims=True)
+    smear = np.broadcast_to(smear, plain.flux.shape)
+    np.testing.assert_allclose(observation.flux - plain.flux, 0.25 * smear, atol=0.02)
+    np.testing.assert_allclose(
+        observation.flux_bkg - plain.flux_bkg, 0.75 * smear, atol=1e-3, rtol=1e-5
+    )
+    assert smear.max() > 20
+
+
+def test_dark_current_is_seen_in_the_dark():
+    effect = DarkCurrent(50 * u.electron / u.s, scatter=0.2, residual=0.5)
+    detector = Detector.k2(shape=(40, 40), background=0.0).without_sensitivity()
+    arguments = Star(40.0), detector, Motion.still(50)
+    observation = simulate(*arguments, noise=False, seed=1, effects=effect)
+    dark = observation.truth.maps["DARKCURRENT"]
+    assert dark.mean() == pytest.approx(50, abs=4 * 10 / 40)
+    assert dark.std() == pytest.approx(10, rel=4 / np.sqrt(2 * 1600))
+    np.testing.assert_allclose(observation.flux[0], 0.5 * (dark - 50), atol=1e-4)
+    noisy = simulate(*arguments, noise="background", seed=1, effects=effect)
+    variance = (noisy.flux - observation.flux).var(axis=0, ddof=1)
+    ratio = variance / (dark / detector.exposure_time)
+    assert ratio.mean() == pytest.approx(1, abs=4 * np.sqrt(2 / 49 / 1600))
+
+
+def test_brighter_stars_are_wider():
+    detector = PLAIN.replace(background=0.0, n_frames=1, gain=1.0)
+    effect = BrighterFatter(0.05, full_well=1e5)
+    growth, peaks = [], []
+    for mag in (13.5, 12.5, 11.5):
+        star = Star(mag, psf=BivariateGaussianPSF(sigma_x=0.9, sigma_y=0.9))
+        observation = simulate(star, detector, Motion.still(1), noise=False, effects=effect)
+        seconds = detector.exposure_time
+        charge, thin = observation.flux[0].astype(float) * seconds, observation.model()[0] * seconds
+        assert charge.sum() == pytest.approx(thin.sum(), rel=1e-6)
+        x = np.arange(15) - 7
+        moments = [(image * x**2).sum() / image.sum() for image in (charge, thin)]
+        expected = 0.05 / 1e5 * (thin**2).sum() / thin.sum()
+        assert moments[0] - moments[1] == pytest.approx(expected, rel=1e-3)
+        growth.append(np.sqrt(moments[0] / moments[1]) - 1)
+        peaks.append(thin.max())
+    # The slope of the width against the peak is constant.
+    np.testing.assert_allclose(np.divide(growth, peaks) * peaks[0] / growth[0], 1, rtol=0.02)
+
+
+def test_photon_transfer_is_concave():
+    k, well = 0.05, 1e5
+    for level in (1e3, 2e4, 5e4):
+        sky = level / (1.0)
+        detector = Detector(
+            shape=(60, 60),
+            zero_point=1.0,
+            zero_point_mag=0.0,
+            int_time=1.0,
+            background=sky,
+            psf=BivariateGaussianPSF(),
+        )
+        effect = BrighterFatter(k, full_well=well)
+        flux = simulate(
+            Star(40.0), detector, Motion.still(50), noise="background", effects=effect, seed=1
+        ).flux[:, 2:-2, 2:-2]
+        shift = k * level / well
+        expected = level * ((1 - 4 * shift) ** 2 + 4 * shift**2)
+        assert flux.var() == pytest.approx(expected, rel=6 / np.sqrt(flux.size / 2))
+
+
+def test_undershoot_of_one_pixel_and_of_a_flat_field():
+    effect = Undershoot(0.004, decay=4.0)
+    charge = np.zeros((1, 2, 12))
+    charge[0, 0, 3] = 1e5
+    charge[0, 1] = 500.0
+    effect.readout(None, None, slice(0, 1), charge)
+    assert np.all(charge[0, 1] == 500)
+    assert charge[0, 0, 3] == 1e5
+    np.testing.assert_allclose(charge[0, 0, 4:], -400 * np.exp(-np.arange(8) / 4))
+    assert not charge[0, 0, :3].any()

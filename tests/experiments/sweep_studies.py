@@ -65,7 +65,7 @@ class Numbers(Study):
             "threads": max(blas_threads()),
         }
 
-    def summarise(self, table):
+    def summarize(self, table):
         from astropy.table import Table
 
         return Table({"mean": [np.mean(table["noise"])]})
@@ -103,7 +103,7 @@ class Pixels(Study):
     def measure(self, task, observation):  # noqa: ARG002
         return {"flux": observation.flux.sum()}
 
-    def summarise(self, table):
+    def summarize(self, table):
         return table
 
     def draw(self, table, summary):  # noqa: ARG002

@@ -29,7 +29,7 @@ class Fields(Study):
     def tasks(self):
         return []
 
-    def summarise(self, table):
+    def summarize(self, table):
         return table
 
     def draw(self, table, summary):  # noqa: ARG002

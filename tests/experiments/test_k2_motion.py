@@ -119,7 +119,7 @@ def test_a_star_does_not_depend_on_the_others(quick):
 
 def test_summary_and_figure(quick):
     study, table = quick
-    summary = study.summarise(table)
+    summary = study.summarize(table)
     assert list(summary["detector"]) == ["paper", "paper", "calibrated", "calibrated"]
     assert summary["k2_median"][1] == pytest.approx(
         reference_noise("k2_c03_raw", 13.0, stars="all")
@@ -137,7 +137,7 @@ def test_a_file_as_motion(tmp_path):
     Table(columns).write(tmp_path / "motion.fits")
     path = str(tmp_path / "motion.fits")
     study = K2MotionNoise(magnitudes=(12.0,), stars=1, motions=(path,), detectors=("paper",))
-    summary = study.summarise(run_sweep(study, progress=False).table)
+    summary = study.summarize(run_sweep(study, progress=False).table)
     assert summary["motion"][0] == "motion.fits"
     assert summary.meta["claims"] == {}
 

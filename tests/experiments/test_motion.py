@@ -239,7 +239,7 @@ def made_up(noise=20.0, **columns):
 def test_summary_has_medians_beside_kepler(tmp_path):
     depth = np.ma.masked_array(np.full(12, 990.0), mask=np.arange(12) >= 6)
     table = made_up(depth_masked=depth, depth_masked_error=depth / 99, survival_pld=depth / 1000)
-    summary = MotionTest().summarise(table)
+    summary = MotionTest().summarize(table)
     assert list(summary.iterrows("scale", "mag", "stars")) == [
         (2, 12, 3), (2, 13, 3), (5, 12, 3), (5, 13, 3)
     ]  # fmt: skip
@@ -266,7 +266,7 @@ def test_summary_has_medians_beside_kepler(tmp_path):
 
 
 def test_claims_follow_the_results():
-    quiet = MotionTest().summarise(made_up(noise=5.0))
+    quiet = MotionTest().summarize(made_up(noise=5.0))
     claim = quiet.meta["claims_checked"]["2x is Kepler-like to Kp 13"]["pld"]
     assert claim["verdict"] == "holds"
     assert_allclose(claim["cdpp_ppm"], 11)
@@ -277,7 +277,7 @@ def test_claims_follow_the_results():
 
 def test_every_corrector_is_checked():
     table = made_up(lightkurve_sff_everest=np.full(12, 30.0))
-    claims = MotionTest().summarise(table).meta["claims_checked"]
+    claims = MotionTest().summarize(table).meta["claims_checked"]
     found = claims["2x is Kepler-like to Kp 13"]
     assert found["lightkurve_sff"]["verdict"] == "does not hold"
     assert found["lightkurve_sff"]["mag"] == 12
@@ -289,7 +289,7 @@ def test_figure_shows_the_summary():
         lightkurve_sff_everest=np.linspace(30, 40, 12), residual_everest=np.linspace(0.8, 1, 12)
     )
     study = MotionTest()
-    summary = study.summarise(table)
+    summary = study.summarize(table)
     figure = study.draw(table, summary)
     axes = [ax for ax in figure.axes if ax.get_title()]
     titles = ["PLD (scope_models)", "SFF (lightkurve)", "PLD (scope_models), residual over noise"]
@@ -408,7 +408,7 @@ def test_the_claims_of_the_paper_hold(motion, shared_data):
 
     result = run_sweep(study, progress=False)
     assert len(result.failures) == 0
-    summary = study.summarise(result.table)
+    summary = study.summarize(result.table)
     verdicts = summary.meta["claims"]
     assert set(verdicts.values()) == {"holds"}
     assert set(verdicts) == {*(claim.name for claim in CLAIMS), TRANSIT_CLAIM}

@@ -84,7 +84,7 @@ def test_populations_have_the_stated_distribution():
 
 def test_summary_compares_with_kepler(quick):
     study, table = quick
-    summary = study.summarise(table)
+    summary = study.summarize(table)
     assert summary["mag"].tolist() == [12.0, 14.0]
     row = summary[0]
     assert row["kepler_p10"] == pytest.approx(reference_noise("kepler", 12.0, "p10"))
@@ -96,7 +96,7 @@ def test_summary_compares_with_kepler(quick):
 
 def test_figure(quick):
     study, table = quick
-    figure = study.draw(table, study.summarise(table))
+    figure = study.draw(table, study.summarize(table))
     assert [ax.get_ylabel() for ax in figure.axes] == ["6.5-h CDPP (ppm)", "Ours / Kepler"]
 
 
@@ -119,5 +119,5 @@ def test_fields_are_checked(field, value, message):
 @pytest.mark.slow
 def test_noise_is_keplers():
     study = NoMotion()  # with fewer stars the median at Kp 11.5 is loose
-    summary = study.summarise(run_sweep(study, progress=False).table)
+    summary = study.summarize(run_sweep(study, progress=False).table)
     assert set(summary.meta["claims"].values()) == {"holds"}

@@ -10,7 +10,7 @@ from scope_models.experiments.table1 import PAPER_PIXELS, Table1
 
 
 def summary_of(study):
-    return study.summarise(run_sweep(study, progress=False).table)
+    return study.summarize(run_sweep(study, progress=False).table)
 
 
 def test_generator_agrees_with_the_paper():

@@ -136,12 +136,17 @@ class TestOptions:
         psf = BivariateGaussianPSF(
             sigma_x=0.6, fixed={"sigma_x": True}, bounds={"sigma_y": (0.55, 0.7)}
         )
-        fit, messages = messages_of(make(), psf)
+        fit, messages = messages_of(make(), psf, interpixel=0.01)
         # The interpixel map takes up what the wrong width leaves, and the user is told.
         assert "it describes errors of the PSF; interpixel=0 leaves it out" in messages
         assert "sigma_x" not in fit.names
         assert fit.model.sigma_x == 0.6
         assert fit.values["sigma_y"] == pytest.approx(0.55, abs=1e-12)
+        # A parameter at a bound has no error, and the fit has not converged.
+        assert fit.at_bounds == ("sigma_y",)
+        assert np.isnan(fit.errors["sigma_y"])
+        assert not fit.converged
+        assert "the fit ends at bounds, sigma_y = 0.55" in messages
 
     def test_one_cadence_as_astropy_fits_it(self):
         tpf = make(Motion.still(1), mag=16.0, shape=(9, 9))
@@ -409,3 +414,44 @@ def test_sensitivity_stays_within_what_a_pixel_can_do(curvature):
         text.get_text() for text in fit.plot()["sensitivity"].get_legend().get_texts()
     ]
     plt.close("all")
+
+
+class TestDefault:
+    def test_simulated_star(self, observation):
+        """Where the model is true, the response between pixels is fitted with it."""
+        fit = fit_tpf(observation.to_tpf())
+        assert fit.options["interpixel"] == 0.01
+        assert fit.names[0] == "sigma_x_0"
+        assert abs(fit.reduced_chi2 - 1) < 5 * np.sqrt(2 / fit.dof)
+
+    def test_wrong_psf(self):
+        """Where it is not, b is 1, and another model is chosen if it is better."""
+        square = sum(
+            (BivariateGaussianPSF(1.0, x, y, 0.3, 0.3) for x in (-0.8, 0.8) for y in (-0.8, 0.8)),
+            start=BivariateGaussianPSF(0.5, 0.9, 0, 0.2, 0.2),
+        )
+        fit, _ = messages_of(make(n=60, psf=square, mag=11.0))
+        assert fit.options["interpixel"] == 0
+        assert np.all(fit.interpixel == 1)
+        assert fit.error_scale > 1
+        assert fit.options["positions"] == "prior"
+        np.testing.assert_allclose(fit.path_scale(), 1, atol=0.25)
+
+    def test_sensitivity_without_a_psf_that_fits_has_no_error(self, curvature):
+        wrong = BivariateGaussianPSF(0.5, 0, 0, 0.4, 0.4) + BivariateGaussianPSF(
+            0.5, 0.5, 0.3, 0.6, 0.5, 0.3
+        )
+        fit, messages = messages_of(make(psf=wrong), 1, curvature)
+        assert np.isnan(fit.errors["ay2"])
+        assert "sensitivity is" in messages
+
+    def test_motion_is_checked_against_pos_corr(self):
+        tpf = make()
+        tpf.pos_corr1 = 3 * tpf.pos_corr1
+        fit, messages = messages_of(tpf, 1)
+        assert fit.path_scale()[0] == pytest.approx(1 / 3, rel=0.05)
+        assert "the fitted motion along x is 0.33 times that of POS_CORR" in messages
+
+    def test_progress(self, capsys):
+        fit_tpf(make(n=20), 1, progress=True)
+        assert "cost" in capsys.readouterr().err

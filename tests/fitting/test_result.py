@@ -5,8 +5,9 @@ import pytest
 from astropy.io import fits
 from matplotlib import pyplot as plt
 
-from scope_models import TPFFit, fit_tpf, simulate
+from scope_models import Scene, TPFFit, fit_tpf, simulate
 from scope_models.cli import main
+from scope_models.exceptions import FitWarning
 from scope_models.fitting._data import detector_of
 from scope_models.plotting import plot_twin
 
@@ -77,6 +78,21 @@ def test_twin(fit):
     exact = simulate(*fit.scene(signal="fitted"), noise=False)
     fitted = fit.fitted - fit.background[:, None, None]
     np.testing.assert_allclose(exact.flux, fitted, rtol=1e-5, atol=1e-2)
+
+
+def test_twin_keeps_the_identity_of_the_star(observation, tmp_path):
+    facts = {"target_id": 77, "object_name": "a star", "ra": 40.0, "dec": -5.0, "row": 31}
+    facts |= {"column": 0, "orientation": 25.0, "campaign": 4, "channel": 48}
+    tpf = observation.to_tpf(metadata=facts)[:40]
+    with pytest.warns(FitWarning):  # one component is too few, which does not matter here
+        scene = fit_tpf(tpf, psf=1).scene()
+    assert isinstance(scene, Scene)
+    given = {name: getattr(scene, name) for name in facts if name not in {"campaign", "channel"}}
+    assert given.pop("orientation") == pytest.approx(25.0)
+    assert given == {name: facts[name] for name in given}
+    assert scene.metadata == {"campaign": 4, "channel": 48}
+    header = fits.getheader(simulate(scene, seed=1).write(tmp_path / "twin.fits"))
+    assert (header["KEPLERID"], header["OBJECT"], header["CAMPAIGN"]) == (77, "a star", 4)
 
 
 def test_scene_options(fit):

@@ -5,6 +5,7 @@ import pytest
 from astropy.io import fits
 from astropy.table import Table
 
+from scope_models import Motion
 from scope_models.io.reading import read_columns, read_positions, time_format_of
 
 N = 2000
@@ -58,6 +59,13 @@ def test_quality_wins_over_sap_quality(table, tmp_path):
     table["QUALITY"] = table["SAP_QUALITY"] + 4
     table.write(tmp_path / "both.fits")
     assert np.array_equal(read_positions(tmp_path / "both.fits").quality, table["QUALITY"])
+
+
+def test_cadence_numbers_of_zero_are_counted(table, tmp_path):
+    table["CADENCENO"] = 0
+    table.write(tmp_path / "zeros.fits")
+    assert np.array_equal(read_positions(tmp_path / "zeros.fits").cadenceno, np.arange(1, N + 1))
+    assert len(Motion.from_file(tmp_path / "zeros.fits")) == N
 
 
 def test_lower_case_names_are_found(path):

@@ -1,0 +1,84 @@
+"""What the commands share that take many files."""
+
+import sys
+import warnings
+
+from scope_models.cli import _workers
+
+__all__ = ["add_inputs", "add_options", "run", "single"]
+
+
+def add_inputs(parser, output):
+    """Add the inputs and the output of a command for one file or many."""
+    parser.add_argument(
+        "input",
+        nargs="+",
+        metavar="IN",
+        help="target pixel files, or names of targets such as 'EPIC 211956421', which are "
+        "downloaded",
+    )
+    parser.add_argument("--output", metavar="OUT", help=f"{output} of a single input")
+    add_options(parser)
+
+
+def single(arguments):
+    """Return the file of a command that has no --output-dir."""
+    from scope_models.experiments.batch import find_files
+
+    if arguments.output is None or len(arguments.input) > 1:
+        raise ValueError("give --output for one input, or --output-dir for any number")
+    return find_files(arguments.input)[0]
+
+
+def add_options(parser):
+    """Add the options of a run over many files."""
+    parser.add_argument(
+        "--output-dir",
+        metavar="DIR",
+        help="folder for the files of many inputs and for the tables of results; the same command "
+        "goes on where a run has stopped",
+    )
+    _workers.add_options(parser)
+
+
+def run(name, arguments, *inputs, **options):
+    """Call a function of `~scope_models.experiments` for many files; print what it has found.
+
+    Parameters
+    ----------
+    name : str
+        The function.
+    arguments : argparse.Namespace
+        The arguments of the command.
+    *inputs, **options
+        What the function gets.
+
+    Returns
+    -------
+    int
+        The exit status: 1 if a file has failed.
+    """
+    from scope_models.exceptions import FailedStarsWarning
+    from scope_models.experiments import SweepError, batch, benchmark
+
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", FailedStarsWarning)  # the failures are listed below
+            result = getattr(batch, name, getattr(benchmark, name, None))(
+                *inputs,
+                arguments.output_dir,
+                _workers.client_of(arguments),
+                overwrite=arguments.overwrite,
+                sweep={"progress": sys.stderr.isatty()},
+                **options,
+            )
+    except (ModuleNotFoundError, SweepError) as error:
+        print(f"scope-models: error: {error}", file=sys.stderr)
+        return 1
+    for key, error in result.failures.iterrows("key", "error"):
+        print(f"scope-models: failed: {key}: {' '.join(error.split())}", file=sys.stderr)
+    total = len(result.table) + len(result.failures)
+    print(f"{total} stars, {len(result.failures)} failed")
+    for file in result.files:
+        print(file)
+    return 1 if len(result.failures) else 0

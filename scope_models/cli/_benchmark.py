@@ -1,0 +1,57 @@
+"""``scope-models benchmark`` and ``score``: stars of known truth, and scores of corrections."""
+
+from scope_models.cli import _batch
+
+__all__ = ["add_parser"]
+
+
+def add_parser(commands):
+    """Add both commands to the parser of the command line."""
+    parser = commands.add_parser(
+        "benchmark",
+        help="write target pixel files whose truth is known",
+        description="Write 200 target pixel files of messy stars (motion, focus, neighbors, "
+        "background, variability, transits), the same on every machine. Correct them with any "
+        "pipeline, then let `scope-models score` compare the light curves with the truth.",
+    )
+    _batch.add_options(parser)
+    parser.add_argument("--stars", type=int, default=200, metavar="N", help="only the first N")
+    parser.add_argument("--overwrite", action="store_true", help="replace files that exist")
+    parser.set_defaults(run=_write, error=parser.error)
+    parser = commands.add_parser(
+        "score",
+        help="compare corrected light curves of the benchmark with the truth",
+        description="Print the medians of the scores by regime. full and high_passed: scatter in "
+        "6.5 h about the truth over that of the noise; amplitude and depth: part of variability "
+        "and transits that is kept; pull: deviations over quoted errors; kept: part of the "
+        "cadences. The truth with its noise has 1 everywhere.",
+    )
+    parser.add_argument("input", nargs="+", metavar="LC", help="light-curve files")
+    parser.add_argument("--output", metavar="TABLE", help="write the scores of each file, as ECSV")
+    parser.add_argument("--overwrite", action="store_true", help="replace the table if it exists")
+    parser.set_defaults(run=_score)
+
+
+def _write(arguments):
+    """Write the stars; return the exit status."""
+    if arguments.output_dir is None:
+        arguments.error("the following arguments are required: --output-dir")
+    return _batch.run("make_benchmark", arguments, stars=arguments.stars)
+
+
+def _score(arguments):
+    """Score light curves; return the exit status."""
+    from scope_models.experiments.benchmark import score_light_curves, summarize_scores
+    from scope_models.io._atomic import atomic_path, check_output
+
+    if arguments.output is not None:
+        check_output(arguments.output, overwrite=arguments.overwrite, inputs=arguments.input)
+    table = score_light_curves(arguments.input)
+    summary = summarize_scores(table)
+    for name in summary.colnames[2:]:
+        summary[name].info.format = ".3g"
+    print("\n".join(summary.pformat(max_lines=-1, max_width=-1)))
+    if arguments.output is not None:
+        with atomic_path(arguments.output, overwrite=arguments.overwrite) as temporary:
+            table.write(temporary, format="ascii.ecsv")
+    return 0

@@ -1,0 +1,184 @@
+"""Cosmic rays: charge along straight tracks, and its rejection on board of TESS."""
+
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+from scipy.special import ndtr
+
+from scope_models._arrays import plain_number
+from scope_models._checks import checked_number
+from scope_models.effects._effect import Drawn, Effect
+
+__all__ = ["CosmicRays", "rejected_shift"]
+
+# Points per pixel at which the charge of a track is put down.
+_POINTS = 16
+_READS = 10
+
+
+@dataclass(frozen=True, eq=False)
+class CosmicRays(Effect):
+    r"""Particles that cross the detector from all directions.
+
+    The number of hits is a Poisson number, their places and azimuths are uniform, and the angle
+    :math:`\theta` to the normal has the density :math:`2 \cos\theta` in :math:`\cos\theta`, as of
+    particles from everywhere through a plane. A particle crosses a layer of the depth h and leaves
+    charge in proportion to its path, :math:`h / \cos\theta`, along a track of the length
+    :math:`h \tan\theta` on the detector.
+
+    Parameters
+    ----------
+    rate : float or Quantity, optional
+        Hits per square centimeter and second. The default, 5, is that of ETEM2, the simulator of
+        the Kepler project; simulators of PLATO use 10.
+    electrons : float or Quantity, optional
+        Mean charge of a hit, electrons.
+    pixel_size : float or Quantity, optional
+        Side of a pixel, micrometers: 27 for Kepler, 15 for TESS.
+    depth : float or Quantity, optional
+        Depth h of the layer, micrometers; assumed.
+    longest : float or Quantity, optional
+        Length at which tracks are cut, pixels.
+    rejection : bool, optional
+        Whether the highest and the lowest of ten reads are dropped, as on board of TESS.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If an argument is of the wrong kind or outside its domain.
+
+    Notes
+    -----
+    The truth has the list COSMICRAYS of all hits that leave charge on the stamp: CADENCE (from
+    0), X and Y (where the track begins, pixels), LENGTH (pixels), ANGLE (radians from growing
+    columns), and ELECTRONS, the charge of the whole track.
+
+    With ``rejection`` a read that a ray has hit is nearly always the highest of its ten, and is
+    dropped; what stays is the bias of the other nine, of which the lowest is still dropped
+    (`rejected_shift`). The reads are taken as normal, and a pixel as hit at most once in ten
+    reads. The smaller noise of trimmed sums is not a part of this effect.
+
+    Examples
+    --------
+    >>> from scope_models import Detector, Motion, Star, simulate
+    >>> from scope_models.effects import CosmicRays
+    >>> scene = Star(12.0), Detector.k2(), Motion.still(100)
+    >>> truth = simulate(*scene, seed=1, effects=[CosmicRays()]).truth
+    >>> 700 < len(truth.tables["COSMICRAYS"]) < 1500
+    True
+    """
+
+    rate: float = 5.0
+    electrons: float = 2500.0
+    pixel_size: float = 27.0
+    depth: float = 15.0
+    longest: float = 15.0
+    rejection: bool = False
+
+    def __post_init__(self):
+        put = object.__setattr__
+        units = {"rate": "1 / (cm2 s)", "electrons": "electron", "pixel_size": "um"}
+        for name, unit in (units | {"depth": "um", "longest": "pix"}).items():
+            value = plain_number(getattr(self, name), unit, name)
+            put(self, name, checked_number(name, value, positive=name != "rate"))
+        if not isinstance(self.rejection, bool):
+            raise TypeError(f"`rejection` must be True or False, got {self.rejection!r}")
+
+    def draw(self, conditions, generator):
+        """Return the hits."""
+        (ny, nx), margin = conditions.shape, np.ceil(self.longest)
+        n_cadences, frames = len(conditions.time), conditions.n_frames
+        seconds = conditions.int_time * (frames if self.rejection else conditions.n_reads)
+        area = (ny + 2 * margin) * (nx + 2 * margin) * (self.pixel_size * 1e-4) ** 2
+        n = generator.poisson(self.rate * area * seconds * n_cadences)
+        cadence = np.sort(generator.integers(n_cadences, size=n))
+        x = generator.uniform(-0.5 - margin, nx - 0.5 + margin, n)
+        y = generator.uniform(-0.5 - margin, ny - 0.5 + margin, n)
+        angle = generator.uniform(0, 2 * np.pi, n)
+        tangent = np.sqrt(1 / (1 - generator.random(n)) - 1)
+        depth = self.depth / self.pixel_size
+        length = np.minimum(depth * tangent, self.longest)
+        # The mean path over the depth, with tracks that are cut.
+        mean = 2 - 1 / np.hypot(1, self.longest / depth)
+        electrons = self.electrons / mean * np.hypot(1, length / depth)
+        names = ("CADENCE", "X", "Y", "LENGTH", "ANGLE", "ELECTRONS")
+        hits = dict(zip(names, (cadence, x, y, length, angle, electrons), strict=True))
+        hit, *_ = _deposits(hits, conditions.shape)
+        seen = np.unique(hit)
+        return Drawn(tables={"COSMICRAYS": {name: values[seen] for name, values in hits.items()}})
+
+    def charge(self, drawn, conditions, part, electrons):
+        """Add the charge of the hits, or what its rejection leaves."""
+        hits = drawn.tables["COSMICRAYS"]
+        start, stop = np.searchsorted(hits["CADENCE"], (part.start, part.start + len(electrons)))
+        some = {name: values[start:stop] for name, values in hits.items()}
+        hit, row, column, charge = _deposits(some, conditions.shape)
+        place = some["CADENCE"][hit] - part.start, row, column
+        if not self.rejection:
+            np.add.at(electrons, place, charge)
+            return
+        # One entry for each hit and pixel: the rejection acts on their whole charge.
+        keys, entry = np.unique(np.stack([hit, *place]), axis=1, return_inverse=True)
+        charge = np.bincount(entry.ravel(), charge, minlength=keys.shape[1])
+        place = tuple(keys[1:])
+        light = np.maximum(electrons[place] / conditions.n_reads, 0.0)
+        sigma = np.sqrt(light + conditions.read_noise**2)
+        sigma = np.maximum(sigma, 1e-6)
+        np.add.at(electrons, place, sigma * rejected_shift(charge / sigma))
+
+
+def _deposits(hits, shape):
+    """Return hit, row, column and charge of all points of tracks that are on a stamp."""
+    points = np.ceil(hits["LENGTH"] * _POINTS).astype(int) + 1
+    hit = np.repeat(np.arange(len(points)), points)
+    along = np.arange(hit.size) - np.repeat(np.cumsum(points) - points, points) + 0.5
+    along *= (hits["LENGTH"] / points)[hit]
+    column = np.rint(hits["X"][hit] + along * np.cos(hits["ANGLE"][hit])).astype(int)
+    row = np.rint(hits["Y"][hit] + along * np.sin(hits["ANGLE"][hit])).astype(int)
+    seen = (row >= 0) & (row < shape[0]) & (column >= 0) & (column < shape[1])
+    hit = hit[seen]
+    return hit, row[seen], column[seen], (hits["ELECTRONS"] / points)[hit]
+
+
+def rejected_shift(charge):
+    r"""Return what the rejection leaves of a charge that hits one of ten normal reads.
+
+    Of ten reads the highest and the lowest are dropped. Nine have the mean 0 and the standard
+    deviation 1, one has the mean d. The mean of the other eight's sum is
+
+    .. math:: d - \langle \max \rangle - \langle \min \rangle,
+
+    with the distributions :math:`\Phi^9(z)\, \Phi(z - d)` of the highest and
+    :math:`1 - [1 - \Phi(z)]^9 [1 - \Phi(z - d)]` of the lowest. It is 0.8 d for small d, and
+    1.485, the mean of the highest of nine, for large d.
+
+    Parameters
+    ----------
+    charge : array_like
+        The charge d, in standard deviations of a read.
+
+    Returns
+    -------
+    ndarray
+        The mean shift of the sum, in standard deviations of a read.
+
+    Examples
+    --------
+    >>> from scope_models.effects import rejected_shift
+    >>> print(rejected_shift([0.0, 2.0, 50.0]).round(3))
+    [0.    1.232 1.485]
+    """
+    return np.interp(charge, *_shift_table())
+
+
+@cache
+def _shift_table():
+    """Return charges and shifts."""
+    charge = np.concatenate([np.linspace(0, 12, 241), [20.0]])
+    z = np.linspace(-9, 30, 7801)
+    other = ndtr(z - charge[:, np.newaxis])
+    # Means of highest and lowest by the integrals of their distributions over the grid.
+    highest = z[-1] - np.trapezoid(ndtr(z) ** (_READS - 1) * other, z)
+    lowest = z[0] + np.trapezoid(ndtr(-z) ** (_READS - 1) * (1 - other), z)
+    return charge, charge - highest - lowest

@@ -1,0 +1,97 @@
+"""Jitter: motion faster than a cadence."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.signal import lfilter
+
+from scope_models._arrays import plain_number
+from scope_models._checks import checked_integer, checked_number
+from scope_models.effects._effect import Drawn, Effect, Exposures
+
+__all__ = ["Jitter"]
+
+
+@dataclass(frozen=True, eq=False)
+class Jitter(Effect):
+    r"""Random motion of the pointing during exposures, white or with a correlation time.
+
+    Along each axis the pointing is a stationary Gauss-Markov process of the variance
+    :math:`\sigma^2` and the correlation time :math:`\tau`. Over a cadence of the length T its mean
+    has the variance
+
+    .. math:: \sigma_m^2 = 2 \sigma^2 r \left[1 - r \left(1 - e^{-1 / r}\right)\right],
+              \qquad r = \tau / T,
+
+    and the rest, :math:`\sigma^2 - \sigma_m^2`, widens the image. The means are drawn with their
+    correlations from cadence to cadence; the image is averaged over a normal distribution of
+    positions by Gauss-Hermite nodes.
+
+    Parameters
+    ----------
+    rms : float or Quantity
+        Standard deviation :math:`\sigma` along each axis, pixels.
+    correlation_time : float or Quantity, optional
+        Correlation time :math:`\tau`, s. 0 is white noise at the frame rate.
+    nodes : int, optional
+        Nodes per axis. 3 give all moments of the image up to the fifth.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If an argument is of the wrong kind or outside its domain.
+
+    Notes
+    -----
+    The truth has the mean offset of each cadence in the columns JITTER_X and JITTER_Y, and the
+    standard deviation within the cadence in JITTER_BLUR, all in pixels. The positions X1, Y1 of
+    the stars contain the offsets. Each star is rendered at ``nodes**2`` places per cadence.
+
+    Examples
+    --------
+    >>> from scope_models import Detector, Motion, Star, simulate
+    >>> from scope_models.effects import Jitter
+    >>> motion = Motion.still(500, cadence=120 / 86400, time_format="btjd")
+    >>> truth = simulate(Star(9.0), Detector.tess(), motion, seed=1, effects=[Jitter(0.05)]).truth
+    >>> print(truth.columns["JITTER_BLUR"][0].round(3), truth.columns["JITTER_X"].std().round(3))
+    0.05 0.006
+    """
+
+    rms: float
+    correlation_time: float = 0.0
+    nodes: int = 3
+
+    def __post_init__(self):
+        put = object.__setattr__
+        put(self, "rms", checked_number("rms", plain_number(self.rms, "pix", "rms")))
+        name = "correlation_time"
+        put(self, name, checked_number(name, plain_number(self.correlation_time, "s", name)))
+        put(self, "nodes", checked_integer("nodes", self.nodes, 1))
+
+    def draw(self, conditions, generator):
+        """Return the mean offset of each cadence, and the blur."""
+        n, length = len(conditions.time), conditions.cadence_days * 86400
+        r = max(self.correlation_time / length, 0.5 / conditions.n_frames)
+        kept = np.exp(-1 / r)
+        variance = 2 * r * (1 - r * (1 - kept))
+        # The mean of a cadence follows from the pointing at its ends, but for a part of its own.
+        ends = r * (1 - kept) / (1 + kept)
+        own = np.sqrt(max(variance - 2 * ends * r * (1 - kept), 0.0))
+        offsets = {}
+        for axis in "XY":
+            steps = generator.standard_normal(n + 1)
+            steps[1:] *= np.sqrt(1 - kept**2)
+            pointing = lfilter([1.0], [1.0, -kept], steps)
+            mean = ends * (pointing[1:] + pointing[:-1]) + own * generator.standard_normal(n)
+            offsets[f"JITTER_{axis}"] = self.rms * mean
+        blur = self.rms * np.sqrt(max(1 - variance, 0.0))
+        return Drawn(offsets | {"JITTER_BLUR": np.full(n, blur)})
+
+    def exposures(self, drawn, conditions):
+        """Return the nodes about the mean offsets."""
+        nodes, weights = np.polynomial.hermite_e.hermegauss(self.nodes)
+        weights = weights / weights.sum()
+        blur = drawn.columns["JITTER_BLUR"][:, np.newaxis]
+        x = drawn.columns["JITTER_X"][:, np.newaxis] + blur * np.repeat(nodes, self.nodes)
+        y = drawn.columns["JITTER_Y"][:, np.newaxis] + blur * np.tile(nodes, self.nodes)
+        return Exposures(x, y, np.outer(weights, weights).ravel())

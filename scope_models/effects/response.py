@@ -1,0 +1,180 @@
+"""Changes of the response in time: of all pixels together, and of single pixels."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from scope_models._arrays import plain_array, plain_number
+from scope_models._checks import checked_number
+from scope_models.effects._effect import Drawn, Effect
+
+__all__ = ["SensitivityDropouts", "Throughput"]
+
+
+@dataclass(frozen=True, eq=False)
+class Throughput(Effect):
+    r"""Response of all pixels that changes in time, as with the temperature.
+
+    .. math:: s(t) = s_0(t) \left[1 + a \sin\left(2 \pi \left(\frac{t}{P} + \phi\right)\right)
+              + d\,(t - t_m)\right]
+
+    with the middle :math:`t_m` of the series. All light has the factor, background included.
+
+    Parameters
+    ----------
+    amplitude : float, optional
+        Relative semi-amplitude a.
+    period : float or Quantity, optional
+        Period P, days.
+    phase : float, optional
+        Phase :math:`\phi` at time 0, in periods.
+    drift : float or Quantity, optional
+        Relative change d per day.
+    series : array_like, optional
+        Factor :math:`s_0` of each cadence, such as a temperature times its coefficient, plus 1.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If an argument is of the wrong kind or outside its domain.
+
+    Notes
+    -----
+    The truth has the factor of each cadence in the column THROUGHPUT.
+
+    Examples
+    --------
+    >>> from scope_models import Detector, Motion, Star, simulate
+    >>> from scope_models.effects import Throughput
+    >>> scene = Star(12.0), Detector.k2(), Motion.still(5)
+    >>> observation = simulate(*scene, noise=False, effects=[Throughput(drift=-0.01)])
+    >>> total = observation.flux.sum(axis=(1, 2))
+    >>> print((total / total[2]).round(6))
+    [1.000409 1.000204 1.       0.999796 0.999591]
+    """
+
+    amplitude: float = 0.0
+    period: float = 1.0
+    phase: float = 0.0
+    drift: float = 0.0
+    series: np.ndarray | None = None
+
+    def __post_init__(self):
+        put = object.__setattr__
+        for name in ("amplitude", "phase"):
+            put(self, name, checked_number(name, getattr(self, name), any_sign=True))
+        period = plain_number(self.period, "day", "period")
+        put(self, "period", checked_number("period", period, positive=True))
+        drift = plain_number(self.drift, "1 / day", "drift")
+        put(self, "drift", checked_number("drift", drift, any_sign=True))
+        if self.series is not None:
+            series = plain_array(self.series, "", "series")
+            if series.ndim != 1 or not np.all(np.isfinite(series)):
+                raise ValueError("`series` must be a finite one-dimensional array")
+            put(self, "series", series)
+
+    def draw(self, conditions, generator):
+        """Return the factor of each cadence."""
+        time = conditions.time
+        factor = 1 + self.amplitude * np.sin(2 * np.pi * (time / self.period + self.phase))
+        factor += self.drift * (time - (time[0] + time[-1]) / 2)
+        if self.series is not None:
+            if self.series.shape != time.shape:
+                raise ValueError(
+                    f"`series` must give one factor for each of the {len(time)} cadences, "
+                    f"got {len(self.series)}"
+                )
+            factor *= self.series
+        if np.any(factor < 0):
+            raise ValueError(f"the response must not be negative, got {factor.min():g}")
+        return Drawn({"THROUGHPUT": factor})
+
+    def response(self, drawn, conditions, part):
+        """Return the factor of some cadences."""
+        return drawn.columns["THROUGHPUT"][part, np.newaxis, np.newaxis]
+
+
+@dataclass(frozen=True, eq=False)
+class SensitivityDropouts(Effect):
+    r"""Sudden losses of sensitivity of single pixels, which recover in part.
+
+    After a dropout of the depth d at :math:`t_0`, the pixel's response has the factor
+
+    .. math:: 1 - d \left[1 - k + k\, e^{-(t - t_0) / \tau}\right] .
+
+    Parameters
+    ----------
+    rate : float or Quantity, optional
+        Mean number of dropouts per pixel and day; the default is assumed.
+    depth : float, optional
+        Mean depth; depths are distributed exponentially, and at most 1. The default is assumed.
+    recovery : float, optional
+        Part k of the depth that recovers.
+    recovery_time : float or Quantity, optional
+        Time :math:`\tau` of the recovery, days.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If an argument is of the wrong kind or outside its domain.
+
+    Notes
+    -----
+    The truth has the list SENSITIVITYDROPOUTS with CADENCE (from 0), ROW, COLUMN and DEPTH.
+    Cadences in which a dropout happens have the mission's quality bit, where it has one.
+
+    Examples
+    --------
+    >>> from scope_models import Detector, Motion, Star, simulate
+    >>> from scope_models.effects import SensitivityDropouts
+    >>> scene = Star(12.0), Detector.k2(), Motion.still(500)
+    >>> observation = simulate(*scene, seed=1, effects=[SensitivityDropouts(rate=0.005)])
+    >>> events = observation.truth.tables["SENSITIVITYDROPOUTS"]
+    >>> bool((observation.quality[events["CADENCE"]] == 1024).all())
+    True
+    """
+
+    rate: float = 1e-4
+    depth: float = 0.005
+    recovery: float = 0.5
+    recovery_time: float = 0.1
+
+    def __post_init__(self):
+        put = object.__setattr__
+        put(self, "rate", checked_number("rate", plain_number(self.rate, "1 / day", "rate")))
+        for name in ("depth", "recovery"):
+            put(self, name, checked_number(name, getattr(self, name)))
+            if getattr(self, name) > 1:
+                raise ValueError(f"`{name}` must not be above 1, got {getattr(self, name)}")
+        value = plain_number(self.recovery_time, "day", "recovery_time")
+        put(self, "recovery_time", checked_number("recovery_time", value, positive=True))
+
+    def draw(self, conditions, generator):
+        """Return the dropouts."""
+        (ny, nx), n_cadences = conditions.shape, len(conditions.time)
+        n = generator.poisson(self.rate * ny * nx * n_cadences * conditions.cadence_days)
+        events = {
+            "CADENCE": np.sort(generator.integers(n_cadences, size=n)),
+            "ROW": generator.integers(ny, size=n),
+            "COLUMN": generator.integers(nx, size=n),
+            "DEPTH": np.minimum(self.depth * generator.standard_exponential(n), 1.0),
+        }
+        return Drawn(tables={"SENSITIVITYDROPOUTS": events})
+
+    def response(self, drawn, conditions, part):
+        """Return the factor of each pixel in some cadences."""
+        time = conditions.time[part]
+        factor = np.ones((len(time), *conditions.shape))
+        events = drawn.tables["SENSITIVITYDROPOUTS"]
+        for cadence, row, column, depth in zip(*events.values(), strict=True):
+            since = np.maximum(time - conditions.time[cadence], 0.0)
+            lasting = 1 - self.recovery + self.recovery * np.exp(-since / self.recovery_time)
+            factor[:, row, column] *= 1 - depth * lasting * (time >= conditions.time[cadence])
+        return factor
+
+    def quality(self, drawn, conditions):
+        """Return the mission's bit in cadences with a dropout."""
+        flags = np.zeros(len(conditions.time), dtype=int)
+        events = drawn.tables["SENSITIVITYDROPOUTS"]
+        flags[events["CADENCE"]] = conditions.bit("sensitivity_dropout")
+        return flags

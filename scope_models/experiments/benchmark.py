@@ -1,0 +1,241 @@
+"""A fixed set of messy stars whose truth is known, and scores of anybody's corrections of them."""
+
+import json
+import re
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+from astropy.io.ascii import InconsistentTableError
+from astropy.io.registry import IORegistryError
+from astropy.table import Table
+
+from scope_models._checks import checked_integer
+from scope_models.experiments._statistics import percentiles, values_of
+from scope_models.experiments.batch import _absolute, _Files, _json, _run
+from scope_models.experiments.skies import REGIMES, make_sky, score
+from scope_models.io import write_hdulist
+from scope_models.io._opening import open_fits
+from scope_models.io.reading import first_table
+
+__all__ = ["benchmark_star", "make_benchmark", "score_light_curves", "summarize_scores"]
+
+_FIRST_SEED = 5000
+_STARS, _CADENCES = 200, 1100
+# Fluxes are multiples of 1/64 e-/s, far below the noise: the rounding errors of machines vanish.
+_STEPS = 64
+_DATE = "2026-01-01"
+_SCORES = ("full", "high_passed", "amplitude", "depth", "pull", "kept")
+
+
+def benchmark_star(number):
+    """Make a star of the benchmark with its truth.
+
+    Parameters
+    ----------
+    number : int
+        Number of the star, from 0; all regimes of `~scope_models.experiments.skies.REGIMES` follow
+        each other.
+
+    Returns
+    -------
+    MessyStar
+        The star; KEPLERID or TICID of its file is 5001 and the number.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If the number is no integer, or is negative.
+
+    Examples
+    --------
+    >>> from scope_models.experiments.benchmark import benchmark_star
+    >>> star = benchmark_star(0)
+    >>> star.regime.name, star.to_tpf().targetid
+    ('k2-1x-constant', 5001)
+    """
+    number = checked_integer("number", number, 0)
+    names = tuple(REGIMES)
+    return make_sky(names[number % len(names)], _FIRST_SEED + number, n_cadences=_CADENCES)
+
+
+def make_benchmark(output_dir, client=None, *, stars=_STARS, overwrite=False, sweep=None):
+    """Write the target pixel files of the benchmark, without their truth.
+
+    The files are the same on every machine: fluxes are rounded to 1/64 e-/s.
+
+    Parameters
+    ----------
+    output_dir : str or path-like
+        Folder for the files, ``sky000-REGIME.fits`` and so on.
+    client : distributed.Client, str, int or concurrent.futures.Executor, optional
+        What computes, as in `run_sweep`.
+    stars : int, optional
+        The first so many stars.
+    overwrite : bool, optional
+        Whether a new run may replace files in the folder.
+    sweep : mapping, optional
+        Options of `run_sweep`.
+
+    Returns
+    -------
+    ExperimentResult
+        A row per star: its regime, and the scores of the uncorrected light curve.
+
+    Raises
+    ------
+    OSError, ValueError
+        As `~scope_models.experiments.batch.detrend_files`.
+
+    Examples
+    --------
+    >>> from scope_models.experiments.benchmark import make_benchmark
+    >>> result = make_benchmark("skies", stars=1, sweep={"progress": False})
+    >>> result.table["regime"].tolist()
+    ['k2-1x-constant']
+    """
+    names = tuple(REGIMES)
+    stars = range(checked_integer("stars", stars, 1))
+    files = tuple(f"sky{number:03d}-{names[number % len(names)]}" for number in stars)
+    rows = tuple(json.dumps({"number": number}) for number in stars)
+    folder = _absolute(output_dir)
+    study = _Benchmark(files=files, rows=rows, folder=folder, options=_json({"version": 1}))
+    return _run(study, client, overwrite, sweep)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Benchmark(_Files):
+    """Stars of the benchmark."""
+
+    name: ClassVar[str] = "benchmark"
+    suffix: ClassVar[str] = ".fits"
+
+    def input_paths(self):
+        """Return no files."""
+        return ()
+
+    def work(self, task, options, output):
+        """Write a star."""
+        sky = benchmark_star(task["number"])
+        tpf = sky.to_tpf(quality_bitmask="none")
+        for hdu in tpf.hdu:
+            if "DATE" in hdu.header:
+                hdu.header["DATE"] = _DATE
+        tpf.hdu[0].header["OBJECT"] = task["key"]
+        flux = tpf.hdu[1].data["FLUX"]
+        flux[...] = np.round(_STEPS * flux.astype(float)) / _STEPS
+        write_hdulist(tpf.hdu, output, overwrite=True)
+        lc = sky.to_tpf().to_lightcurve(aperture_mask="pipeline")
+        return {"regime": sky.regime.name} | asdict(score(lc, sky))
+
+
+def score_light_curves(paths):
+    """Compare corrected light curves of the benchmark with the truth.
+
+    Parameters
+    ----------
+    paths : sequence of str or path-like
+        Light curves: the first table of a FITS file, or another table that astropy reads, with the
+        columns CADENCENO, FLUX and FLUX_ERR in upper or lower case. ``skyNNN`` in the name of the
+        file identifies the star, or KEPLERID or TICID in its header.
+
+    Returns
+    -------
+    astropy.table.Table
+        A row per file: "file", "regime" and the fields of
+        `~scope_models.experiments.skies.SkyScore`. The truth with the noise of its pixels has 1 in
+        ``full``, ``high_passed``, ``amplitude``, ``depth`` and ``pull``.
+
+    Raises
+    ------
+    OSError
+        If a file cannot be read.
+    ValueError
+        If a file is no light curve, or not one of a star of the benchmark.
+
+    Examples
+    --------
+    >>> from astropy.table import Table
+    >>> from scope_models.experiments.benchmark import benchmark_star, score_light_curves
+    >>> lc = benchmark_star(0).to_tpf().to_lightcurve(aperture_mask="pipeline")
+    >>> names = ("cadenceno", "flux", "flux_err")
+    >>> Table([lc[name] for name in names], names=names).write("sky000-raw.ecsv")
+    >>> score_light_curves(["sky000-raw.ecsv"])["regime"].tolist()
+    ['k2-1x-constant']
+    """
+    rows = []
+    for path in paths:
+        lc, cards = _read(path)
+        sky = benchmark_star(_number_of(path, cards))
+        numbers = np.asarray(lc["cadenceno"], dtype=int)
+        if not len(lc) or numbers.min() < 1 or numbers.max() > len(sky.time):
+            raise ValueError(f"{path} has cadences that the star does not have")
+        rows.append({"file": str(path), "regime": sky.regime.name} | asdict(score(lc, sky)))
+    return Table(rows=rows)
+
+
+def _read(path):
+    """Return a light curve with lower-case columns, and the cards of its file."""
+    with open(path, "rb") as file:  # noqa: PTH123 - fails if it is no file
+        is_fits = file.read(6) == b"SIMPLE" or str(path).endswith(".gz")
+    try:
+        if is_fits:
+            with open_fits(path) as hdus:
+                table, cards = first_table(hdus, path), dict(hdus[0].header)
+                lc = Table(table.data)
+        else:
+            lc, cards = Table.read(path), {}
+    except (IORegistryError, InconsistentTableError, UnicodeDecodeError) as error:
+        raise ValueError(f"{path} is no table that astropy reads") from error
+    lc.rename_columns(lc.colnames, [name.lower() for name in lc.colnames])
+    for name in ("cadenceno", "flux", "flux_err"):
+        if name not in lc.colnames:
+            raise ValueError(f"{path} is no light curve: it has no column {name.upper()}")
+    return lc, cards
+
+
+def _number_of(path, cards):
+    """Return the number of a star from the name of its file, or from its header."""
+    if found := re.match(r"sky(\d{3,})", Path(path).name):
+        return int(found[1])
+    for name in ("KEPLERID", "TICID"):
+        value = cards.get(name)
+        if isinstance(value, int) and value > _FIRST_SEED:
+            return value - _FIRST_SEED - 1
+    raise ValueError(
+        f"{path} is not of a star of the benchmark: its name does not begin with skyNNN, and it "
+        f"has no KEPLERID or TICID above {_FIRST_SEED}"
+    )
+
+
+def summarize_scores(table):
+    """Return the medians of scores by regime, and of all stars.
+
+    Parameters
+    ----------
+    table : astropy.table.Table
+        Of `score_light_curves`.
+
+    Returns
+    -------
+    astropy.table.Table
+        Columns regime, stars and the scores; the last row is "all".
+
+    Examples
+    --------
+    >>> from astropy.table import Table
+    >>> from scope_models.experiments.benchmark import summarize_scores
+    >>> table = Table({"regime": ["a", "a", "b"], "full": [1.0, 3.0, 5.0]})
+    >>> summarize_scores(table)["full"].tolist()
+    [2.0, 5.0, 3.0]
+    """
+    regimes = np.asarray(table["regime"])
+    rows = []
+    for regime in (*dict.fromkeys(regimes), "all"):
+        chosen = table if regime == "all" else table[regimes == regime]
+        row = {"regime": str(regime), "stars": len(chosen)}
+        for name in _SCORES:
+            row[name] = percentiles(values_of(chosen, name))[1]
+        rows.append(row)
+    return Table(rows=rows)

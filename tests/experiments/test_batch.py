@@ -1,0 +1,320 @@
+"""Many files: everything is written, failures are listed, runs go on, inputs are never replaced."""
+
+import shutil
+import sys
+
+import numpy as np
+import pytest
+from astropy.table import Table
+from matplotlib.image import imread
+
+from scope_models import Detector, Motion, Star, read_scene, simulate
+from scope_models.cli import main
+from scope_models.exceptions import FailedStarsWarning
+from scope_models.experiments import SweepError
+from scope_models.experiments.batch import (
+    detrend_files,
+    find_files,
+    fit_files,
+    inject_file,
+    inject_files,
+    simulate_table,
+)
+
+QUIET = {"progress": False}
+PLANET = {"period": [1.5], "t0": [2145.0], "depth": [0.01], "duration": [0.2]}
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """Return a folder of three small target pixel files."""
+    folder = tmp_path_factory.mktemp("made")
+    for mag in (11, 12, 13):
+        observation = simulate(
+            Star(mag), Detector.k2(shape=(9, 9)), Motion.k2_roll(150, seed=mag), seed=mag
+        )
+        observation.write(folder / f"kp{mag}.fits")
+    return folder
+
+
+@pytest.fixture
+def files(made, tmp_path):
+    """Return copies of the files."""
+    shutil.copytree(made, tmp_path / "in")
+    return sorted((tmp_path / "in").glob("*.fits"))
+
+
+def detrend(paths, folder, *arguments, **options):
+    return detrend_files(paths, folder, *arguments, sweep=QUIET, order=1, **options)
+
+
+class TestDetrend:
+    def test_tables_files_and_figure(self, files, tmp_path):
+        import lightkurve
+
+        result = detrend(files, tmp_path / "out")
+        assert result.table["key"].tolist() == ["kp11", "kp12", "kp13"]
+        assert result.table["mag"].tolist() == [11, 12, 13]
+        assert (result.table["cdpp"] < result.table["raw_cdpp"]).all()
+        assert result.table["cdpp"].unit == "ppm"
+        assert ((result.table["survival"] > 0.5) & (result.table["survival"] <= 1.1)).all()
+        assert result.summary["stars"].tolist() == [1, 1, 1]
+        assert imread(tmp_path / "out" / "figure.png").std() > 0
+        lc = lightkurve.read(tmp_path / "out" / "kp12-lc.fits")
+        assert lc.meta["CDPP"] == pytest.approx(result.table["cdpp"][1], rel=1e-5)
+
+    def test_is_that_of_one_file(self, files, tmp_path):
+        from astropy.io import fits
+
+        from scope_models.correctors import detrend_file
+
+        detrend(files[:1], tmp_path / "out")
+        detrend_file(files[0], tmp_path / "one.fits", order=1)
+        with (
+            fits.open(tmp_path / "out" / "kp11-lc.fits") as many,
+            fits.open(tmp_path / "one.fits") as one,
+        ):
+            np.testing.assert_array_equal(many[1].data["FLUX"], one[1].data["FLUX"])
+
+    def test_goes_on(self, files, tmp_path):
+        out = tmp_path / "out"
+        detrend(files[:2], out)
+        times = {path: path.stat().st_mtime_ns for path in out.glob("*.fits")}
+        (out / "kp12-lc.fits").unlink()
+        result = detrend(files, out)
+        assert len(result.table) == 3
+        assert (out / "kp11-lc.fits").stat().st_mtime_ns == times[out / "kp11-lc.fits"]
+        assert (out / "kp12-lc.fits").exists()
+
+    def test_file_that_has_changed_is_computed_again(self, files, tmp_path):
+        before = detrend(files, tmp_path / "out").table
+        shutil.copy(files[2], files[0])
+        after = detrend(files, tmp_path / "out").table
+        assert after["cdpp"][0] == after["cdpp"][2] != before["cdpp"][0]
+        assert after["cdpp"][1] == before["cdpp"][1]
+
+    def test_other_options_are_refused(self, files, tmp_path):
+        detrend(files[:1], tmp_path / "out")
+        with pytest.raises(ValueError, match=r"differs in `order` \(1 there, 2 here\)"):
+            detrend_files(files[:1], tmp_path / "out", order=2, sweep=QUIET)
+
+    @pytest.mark.slow
+    def test_workers_give_the_same_bytes(self, files, tmp_path):
+        for workers, name in ((None, "a"), (2, "b")):
+            detrend(files, tmp_path / name, workers)
+        for name in ("results.ecsv", "summary.ecsv", "kp11-lc.fits", "kp13-lc.fits"):
+            assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
+
+
+class TestOthers:
+    def test_fit(self, files, tmp_path):
+        result = fit_files(files[:1], tmp_path / "out", psf=1, cadences=60, sweep=QUIET)
+        assert result.table["reduced_chi2"][0] == pytest.approx(1, abs=0.3)
+        assert result.table["n_cadences"][0] == 60
+        assert (tmp_path / "out" / "kp11-fit.fits").exists()
+
+    def test_inject(self, files, tmp_path):
+        planets = {name: values * 3 for name, values in PLANET.items()} | {
+            "depth": [0.01, 0.02, 0.03]
+        }
+        result = inject_files(files, planets, tmp_path / "out", sweep=QUIET)
+        np.testing.assert_allclose(result.table["injected_depth"], planets["depth"], rtol=0.02)
+        assert (result.table["in_transit"] > 5).all()
+        row = inject_file(files[1], {k: v[1] for k, v in planets.items()}, tmp_path / "one.fits")
+        assert row["injected_depth"] == result.table["injected_depth"][1]
+
+    @pytest.mark.parametrize("star, expected", [("fit", 0.01), (0.5, 0.005)])
+    def test_light_of_the_star(self, files, tmp_path, star, expected):
+        result = inject_files(files[:1], PLANET, tmp_path / "out", star=star, sweep=QUIET)
+        assert result.table["injected_depth"][0] == pytest.approx(expected, rel=0.05)
+
+    def test_simulate_a_table(self, tmp_path):
+        rng = np.random.default_rng(1)
+        table = Table({"mag": rng.uniform(11, 15, 9), "x_0": rng.uniform(4.5, 5.5, 9)})
+        result = simulate_table(table, tmp_path, cadences=20, sweep=QUIET)
+        assert len(list(tmp_path.glob("star*.fits"))) == 9
+        assert result.table["key"][8] == "star0009"
+        scene = read_scene(tmp_path / "star0007.fits")
+        assert scene.stars[0].mag == table["mag"][6]
+        assert scene.stars[0].x_0 == table["x_0"][6]
+
+    def test_simulate_planets_and_names(self, tmp_path):
+        table = {"name": ["a", "b"], "mag": [11, 11]} | {k: v * 2 for k, v in PLANET.items()}
+        table["t0"] = [0.5, 0.7]
+        simulate_table(table, tmp_path, cadences=60, detector="kepler", sweep=QUIET)
+        signal = read_scene(tmp_path / "b.fits").stars[0].signal
+        assert signal.min() == pytest.approx(0.99, abs=0.002)
+
+
+class TestBadInput:
+    def test_the_same_file_twice(self, files, tmp_path):
+        (tmp_path / "link.fits").symlink_to(files[0])
+        for again in (files[0], tmp_path / "link.fits"):
+            with pytest.raises(ValueError, match=f"`paths` holds .*{again.name} twice"):
+                find_files([files[0], again])
+
+    def test_two_files_of_one_name(self, files, tmp_path):
+        shutil.copytree(files[0].parent, tmp_path / "other")
+        with pytest.raises(ValueError, match=r"would both become kp11-lc\.fits"):
+            detrend([files[0], tmp_path / "other" / "kp11.fits"], tmp_path / "out")
+
+    def test_files_that_are_none_among_many(self, files, tmp_path):
+        text, cut = tmp_path / "text.fits", tmp_path / "cut.fits"
+        text.write_text("no FITS file")
+        cut.write_bytes(files[0].read_bytes()[:20_000])
+        absent = tmp_path / "absent.fits"
+        with pytest.warns(FailedStarsWarning, match="3 stars failed, the first one, text, with"):
+            result = detrend([files[0], text, cut, absent, files[1]], tmp_path / "out")
+        assert result.table["key"].tolist() == ["kp11", "kp12"]
+        assert result.failures["key"].tolist() == ["text", "cut", "absent"]
+        assert "absent.fits" in result.failures["error"][2]
+        assert not list((tmp_path / "out").glob("text*"))
+
+    def test_all_fail(self, tmp_path):
+        (tmp_path / "text.fits").write_text("no FITS file")
+        with (
+            pytest.warns(FailedStarsWarning),
+            pytest.raises(SweepError, match="all 1 stars failed"),
+        ):
+            detrend([tmp_path / "text.fits"], tmp_path / "out")
+
+    def test_outputs_never_replace_inputs(self, files):
+        other = files[0].with_name("kp11-lc.fits")
+        shutil.copy(files[0], other)
+        before = other.read_bytes()
+        with pytest.raises(ValueError, match=r"kp11-lc\.fits would be replaced by an output"):
+            detrend([files[0], other], other.parent, overwrite=True)
+        with pytest.raises(ValueError, match=r"kp11-lc\.fits"):
+            inject_file(other, {k: v[0] for k, v in PLANET.items()}, other, overwrite=True)
+        assert other.read_bytes() == before
+
+    def test_files_of_others_are_kept(self, files, tmp_path):
+        mine = tmp_path / "out" / "kp11-lc.fits"
+        mine.parent.mkdir()
+        mine.write_text("mine")
+        with pytest.raises(FileExistsError, match=r"kp11-lc\.fits exists already"):
+            detrend(files, mine.parent)
+        assert mine.read_text() == "mine"
+        assert len(detrend(files[:1], mine.parent, overwrite=True).table) == 1
+
+    @pytest.mark.parametrize(
+        "planets, message",
+        [
+            ({"period": [1.0]}, "`planets` lacks the column t0"),
+            ({k: v * 2 for k, v in PLANET.items()}, "one row, or one for each of the 3 files"),
+        ],
+    )
+    def test_planets(self, files, tmp_path, planets, message):
+        with pytest.raises(ValueError, match=message):
+            inject_files(files, planets, tmp_path / "out")
+
+    @pytest.mark.parametrize(
+        "table, message",
+        [
+            ({"name": ["a"]}, "`table` must have a column `mag`"),
+            ({"mag": []}, "`table` must have a column `mag` and a row"),
+            ({"mag": [12], "magnitude": [12]}, "`table` has an unknown column magnitude"),
+            ({"mag": [12], "depth": [0.1]}, r"`table` must have all or none of period"),
+        ],
+    )
+    def test_tables(self, tmp_path, table, message):
+        with pytest.raises(ValueError, match=message):
+            simulate_table(table, tmp_path)
+
+    def test_options(self, files, tmp_path):
+        with pytest.raises(TypeError, match=r"`transit_mask` must be a number, text, or true"):
+            detrend(files, tmp_path / "out", transit_mask=np.zeros(150, bool))
+        with pytest.raises(ValueError, match="`detector` must be a TOML file or one of kepler, k2"):
+            simulate_table({"mag": [12]}, tmp_path, detector="hubble")
+
+
+class TestNames:
+    def test_are_searched(self, files, monkeypatch):
+        import lightkurve
+
+        class Found(list):
+            def download(self):
+                return lightkurve.read(files[0])
+
+        class Search(list):
+            def __getitem__(self, item):
+                return Found()
+
+        asked = []
+
+        def search(name):
+            asked.append(name)
+            return Search([1] if "EPIC" in name else [])
+
+        monkeypatch.setattr(lightkurve, "search_targetpixelfile", search)
+        assert find_files(["EPIC 211956421", files[1]]) == (str(files[0]), str(files[1]))
+        with pytest.raises(ValueError, match="no target pixel file is found for this name"):
+            find_files(["TIC 1"])
+        assert asked == ["EPIC 211956421", "TIC 1"]
+
+    def test_files_that_are_absent_are_not_searched(self, tmp_path, monkeypatch):
+        monkeypatch.setitem(sys.modules, "lightkurve", None)
+        monkeypatch.chdir(tmp_path)
+        names = ["a.fits", "b.fits.gz", "c/d"]
+        assert find_files(names) == tuple(str(tmp_path / name) for name in names)
+
+
+class TestCommandLine:
+    def run(self, capsys, *arguments):
+        status = main([str(argument) for argument in arguments])
+        return status, *capsys.readouterr()
+
+    def test_detrend(self, files, tmp_path, capsys):
+        text = tmp_path / "text.fits"
+        text.write_text("no FITS file")
+        out = tmp_path / "out"
+        arguments = ["detrend", *files, "--order", "1", "--output-dir", out]
+        status, stdout, stderr = self.run(capsys, *arguments)
+        assert (status, stderr) == (0, "")
+        assert stdout.splitlines()[0] == "3 stars, 0 failed"
+        arguments.insert(1, text)
+        status, stdout, stderr = self.run(capsys, *arguments)
+        assert status == 1
+        assert stdout.splitlines()[0] == "4 stars, 1 failed"
+        assert stderr.startswith("scope-models: failed: text: ")
+        assert stderr.count("\n") == 1
+
+    def test_inject_one_and_many(self, files, tmp_path, capsys):
+        planet = ["--period", 1.5, "--t0", 2145, "--depth", 0.01, "--duration", 0.2]
+        status, stdout, stderr = self.run(
+            capsys, "inject", files[0], *planet, "--output", tmp_path / "one.fits"
+        )
+        assert (status, stderr) == (0, "")
+        assert "cadences in transit" in stdout
+        table = tmp_path / "planets.csv"
+        Table(PLANET).write(table)
+        many = ["inject", *files, "--planets", table, "--output-dir", tmp_path / "out"]
+        assert self.run(capsys, *many)[0] == 0
+        assert len(list((tmp_path / "out").glob("*-injected.fits"))) == 3
+
+    def test_simulate_table(self, tmp_path, capsys):
+        table = tmp_path / "stars.ecsv"
+        Table({"mag": [12.0, 13.0]}).write(table)
+        arguments = ["simulate", "--table", table, "--cadences", 20, "--output-dir", tmp_path / "o"]
+        status, stdout, _ = self.run(capsys, *arguments)
+        assert (status, stdout.splitlines()[0]) == (0, "2 stars, 0 failed")
+
+    def test_fit(self, files, tmp_path, capsys):
+        arguments = ["fit", files[0], "--components", 1, "--cadences", 40, "--output-dir"]
+        assert self.run(capsys, *arguments, tmp_path / "out")[0] == 0
+
+    @pytest.mark.parametrize(
+        "arguments, message",
+        [
+            (["detrend", "a.fits"], "give --output for one input, or --output-dir"),
+            (["fit", "a.fits", "b.fits", "--output", "c.fits"], "give --output for one input"),
+            (["inject", "a.fits", "--output", "c.fits"], "--period, --t0, --depth and --duration"),
+            (["inject", "a", "--planets", "b", "--depth", "1"], "--depth cannot be combined with"),
+            (["simulate", "--table", "a.csv"], "--table needs an --output-dir"),
+        ],
+    )
+    def test_misuse(self, capsys, arguments, message):
+        status, stdout, stderr = self.run(capsys, *arguments)
+        assert (status, stdout) == (2, "")
+        assert message in stderr
+        assert stderr.count("\n") == 1

@@ -1,0 +1,150 @@
+"""Fits of several stars and of several files, against the truth of simulations and real pixels."""
+
+import warnings
+
+import numpy as np
+import pytest
+from astropy import units as u
+from astropy.table import Table
+
+from scope_models import (
+    PRF,
+    BivariateGaussianPSF,
+    Detector,
+    Motion,
+    Star,
+    TPFFit,
+    fit_tpf,
+    simulate,
+)
+from scope_models.exceptions import FitWarning
+from scope_models.io import read_pixels
+
+DETECTOR = Detector.k2(shape=(9, 11), interpixel_scatter=0, sensitivity=None, well_depth=None)
+PLACES = [(3.2, 4.1), (6.6, 4.4)]
+
+
+@pytest.fixture(scope="module")
+def pair():
+    """Two stars that move together, the second with a signal of its own."""
+    motion = 2 * Motion.k2_roll(120)
+    signal = 1 + 0.02 * np.sin(np.arange(120))
+    stars = Star(12.0, *PLACES[0]), Star(12.6, *PLACES[1], signal=signal)
+    return simulate(stars, DETECTOR, motion, seed=4)
+
+
+def truth_of(observation, name, star):
+    truth = observation.truth
+    if name == "flux":
+        return truth.flux[star] * truth.relative_flux[star]
+    return getattr(truth, name)[star]
+
+
+def pulls(values, errors, truth):
+    return (values - truth) / errors
+
+
+@pytest.mark.parametrize("how", ["stars", "neighbors", "quantity", "table", "sky", "find"])
+def test_two_stars(pair, how):
+    tpf = pair.to_tpf(metadata={"ra": 10.0, "dec": 5.0})
+    given = {
+        "stars": {"stars": PLACES},
+        "neighbors": {"neighbors": [PLACES[1]]},
+        "quantity": {"stars": PLACES * u.pix},
+        "table": {"neighbors": Table({"x": [PLACES[1][0]], "y": [PLACES[1][1]]})},
+        "find": {"stars": "find"},
+    }
+    if how == "sky":
+        given["sky"] = {"neighbors": tpf.wcs.pixel_to_world(*PLACES[1])}
+    fit = fit_tpf(tpf, 1, **given[how])
+    used = np.isin(pair.cadenceno, fit.cadenceno)
+    assert fit.converged
+    assert abs(fit.reduced_chi2 - 1) < 5 * np.sqrt(2 / fit.dof)
+    (neighbor,) = fit.neighbors
+    for star, k in ((fit, 0), (neighbor, 1)):
+        for name in ("x", "y", "flux"):
+            truth = truth_of(pair, name, k)[used]
+            values, errors = getattr(star, name), getattr(star, f"{name}_err")
+            if fit.options["interpixel"] and name == "flux":
+                continue  # the mean response of each star's pixels is not known
+            assert np.abs(pulls(values, errors, truth)).max() < 6, (k, name)
+    assert fit.values["x_star_1"] == pytest.approx(PLACES[1][0] - PLACES[0][0], abs=0.01)
+
+
+def test_constant_neighbor():
+    stars = Star(12.0, *PLACES[0]), Star(15.0, *PLACES[1])
+    observation = simulate(stars, DETECTOR, 2 * Motion.k2_roll(120), seed=4)
+    tpf = observation.to_tpf()
+    fit = fit_tpf(tpf, 1, neighbors=[PLACES[1]], interpixel=0)
+    assert np.ptp(fit.neighbors[0].flux) == 0
+    error = fit.errors["flux_star_1"]
+    assert abs(fit.values["flux_star_1"] - observation.truth.flux[1]) < 5 * error
+    free = fit_tpf(tpf, 1, neighbors=[PLACES[1]], interpixel=0, neighbor_flux="cadence")
+    assert np.ptp(free.neighbors[0].flux) > 0
+    assert free.chi2 < fit.chi2
+
+
+def test_neighbor_is_kept_in_the_file(pair, tmp_path):
+    fit = fit_tpf(pair.to_tpf(), 1, stars=PLACES, interpixel=0)
+    again = TPFFit.read(fit.write(tmp_path / "fit.fits"))
+    np.testing.assert_array_equal(again.neighbors[0].flux, fit.neighbors[0].flux)
+    assert again.at_bounds == fit.at_bounds
+
+
+def test_several_files():
+    """One PSF and one motion in two stamps, with the errors of both together."""
+    motion, psf = 2 * Motion.k2_roll(100), BivariateGaussianPSF(1, 0, 0, 0.55, 0.6, 0.2)
+    observations = [
+        simulate(Star(mag, x, y, psf=psf), DETECTOR, motion, seed=seed)
+        for mag, x, y, seed in ((12.5, 5.2, 4.1, 1), (13.0, 4.7, 3.6, 2))
+    ]
+    tpfs = [observation.to_tpf() for observation in observations]
+    fits = fit_tpf(tpfs, 1, interpixel=0)
+    alone = fit_tpf(tpfs[0], 1, interpixel=0)
+    assert len(fits) == 2
+    for fit, observation in zip(fits, observations, strict=True):
+        used = np.isin(observation.cadenceno, fit.cadenceno)
+        assert fit.converged
+        assert abs(fit.reduced_chi2 - 1) < 5 * np.sqrt(2 / fit.dof)
+        for name in ("x", "y", "flux"):
+            truth = truth_of(observation, name, 0)[used]
+            pull = pulls(getattr(fit, name), getattr(fit, f"{name}_err"), truth)
+            assert np.abs(pull).max() < 6, name
+        for name, truth in (("sigma_x", 0.55), ("sigma_y", 0.6), ("rho", 0.2)):
+            assert abs(fit.values[name] - truth) < 4 * fit.errors[name]
+    assert fits[0].errors["sigma_x"] < alone.errors["sigma_x"]
+    assert np.median(fits[0].x_err) < np.median(alone.x_err)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"stars": "all"}, '`stars` must be positions or "find"'),
+        ({"stars": [[1, 2, 3]]}, r"`stars` must be finite positions of shape \(k, 2\)"),
+        ({"stars": [[1, 2]], "neighbors": [[3, 4]]}, "give either `stars` or `neighbors`"),
+        ({"neighbors": [[1, 2]] * u.s}, "`neighbors` must be in pix"),
+        ({"neighbors": Table({"a": [1]})}, "must have the columns x and y"),
+        ({"neighbors": [[1, 2]], "neighbor_flux": "none"}, "`neighbor_flux` must be one of"),
+        ({"stars": [[40, 2]]}, "no pixel is within 2 px of the star"),
+    ],
+)
+def test_bad_places(pair, options, message):
+    with pytest.raises(ValueError, match=message):
+        fit_tpf(pair.to_tpf(), 1, **options)
+
+
+def test_no_file():
+    with pytest.raises(ValueError, match="at least one file"):
+        fit_tpf([])
+
+
+def test_tess_star_with_its_neighbor(shared_data):
+    """The flux of the target agrees with its magnitude; without the neighbor it does not."""
+    path = shared_data / "tess_tpf" / "tesssip_tpf1.fits"
+    series = read_pixels(path, quality_bitmask="default")
+    prf = PRF.from_tess(shared_data / "tess_prf", 2, 3, 1078, 889)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", FitWarning)
+        fit = fit_tpf(series, prf, stars="find", interpixel=0, neighbor_flux="cadence")
+    assert np.median(fit.flux) == pytest.approx(12200, rel=0.05)
+    assert len(fit.neighbors) >= 1

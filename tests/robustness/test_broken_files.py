@@ -1,0 +1,117 @@
+"""No malformed file ends in anything but its values, a warning, or one line that names it."""
+
+import os
+import subprocess
+import sys
+
+import pytest
+from broken_files import LAYOUTS, Variant, no_fits, survey, template, variants
+
+from scope_models.cli import main
+
+
+def check(chosen, folder):
+    wrong = [
+        f"{word}: {reader}: {variant.name}: {message}"
+        for variant, reader, word, message in survey(chosen, folder)
+        if word in {"failed", "differs"}
+    ]
+    assert wrong == []
+
+
+@pytest.mark.filterwarnings("ignore")  # the survey collects them
+def test_a_sample(tmp_path):
+    check(list(variants("k2"))[3::23], tmp_path)
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_all(layout, tmp_path):
+    chosen = list(variants(layout))
+    assert len(chosen) > 150
+    check(chosen, tmp_path)
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore")
+def test_no_fits_files(tmp_path):
+    check(no_fits(), tmp_path)
+
+
+COMMANDS = {
+    "detrend": ["detrend", "IN", "--output", "out.fits", "--order", "1"],
+    "fit": ["fit", "IN", "--output", "out.fits", "--components", "1"],
+    "simulate": ["simulate", "--motion", "IN", "--mag", "12", "--output", "out.fits"],
+    "detector": ["simulate", "--detector", "IN.toml", "--mag", "12", "--output", "out.fits"],
+    "experiment": ["experiment", "--config", "IN"],
+}
+# One of each kind that must be refused by every command.
+REFUSED = {
+    "text": b"no FITS file at all\n" * 300,
+    "zip": b"PK\x03\x04" + bytes(5000),
+    "empty": b"",
+    "gzip": b"\x1f\x8b" + bytes(range(256)) * 20,
+    "cut": None,
+    "claims": None,
+}
+
+
+@pytest.fixture(scope="module")
+def refused():
+    """Return the contents of files that every command refuses."""
+    whole = template("k2")
+    return {
+        **REFUSED,
+        "cut": whole[: len(whole) // 2],
+        "claims": whole.replace(b"NAXIS2  =            ", b"NAXIS2  =     1099511"),
+    }
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("kind", REFUSED)
+@pytest.mark.parametrize("name", COMMANDS)
+def test_commands_end_with_one_line(name, kind, refused, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    for source in ("IN", "IN.toml"):
+        (tmp_path / source).write_bytes(refused[kind])
+    if name == "detector" and kind == "empty":
+        pytest.skip("an empty TOML file has no fields, of which another test complains")
+    assert main(COMMANDS[name]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert error.startswith("scope-models: error: ")
+    assert "IN" in error
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["IN", "IN.toml"]
+
+
+def run(command, folder, content, limit=2 << 30):
+    """Run a command under a limit of memory; return the status and the standard error."""
+    (folder / "IN").write_bytes(content)
+    code = "import sys; from scope_models.cli import main; sys.exit(main())"
+    if os.name == "posix":
+        code = f"import resource; resource.setrlimit(resource.RLIMIT_AS, ({limit},) * 2); {code}"
+    result = subprocess.run(
+        [sys.executable, "-c", code, *command, "--overwrite"],
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=120,
+    )
+    return result.returncode, result.stderr
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["detrend", "fit", "simulate"])
+def test_commands_on_a_sample(name, tmp_path):
+    """Status 0 or 2, no traceback, within 2 GiB and two minutes."""
+    sample: list[Variant] = [*variants("k2", "tess")][7::24]
+    wrong = []
+    for variant in [*sample, *no_fits()]:
+        status, error = run(COMMANDS[name], tmp_path, variant.content)
+        if status not in (0, 2) or "Traceback" in error or (status == 2 and "\n" in error.strip()):
+            last = error.strip().splitlines()[-1:] or [""]
+            if not (status == 2 and "warning" in error and "Traceback" not in error):
+                wrong.append(f"{variant.name}: {status}: {last[0]}")
+    assert wrong == []

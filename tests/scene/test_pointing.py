@@ -1,0 +1,235 @@
+"""Generated motions against the missions' numbers, and motions as tables and figures."""
+
+import astropy.units as u
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+from astropy.table import QTable
+from scipy.ndimage import median_filter
+from scipy.signal import periodogram
+
+from scope_models import MISSIONS, Detector, Motion, Star, simulate
+from scope_models.scene.motion import GroundTracking, KeplerPointing, TESSPointing
+
+GENERATORS = {
+    "kepler": 400,
+    "tess": 400,
+    "k2_final_campaign": 1291,
+    "ground": 400,
+    "random_walk": 400,
+    "failing_wheels": 400,
+}
+
+
+@pytest.mark.parametrize("name", GENERATORS)
+def test_seeds_decide(name):
+    make = getattr(Motion, name)
+    first, again, other = make(50, seed=3), make(50, seed=3), make(50, seed=4)
+    assert first == again
+    assert not np.array_equal(first.x, other.x)
+    fresh = make(50, seed=None)
+    assert make(50, seed=fresh.meta["seed"]) == fresh
+    with pytest.raises(ValueError, match="`n_cadences` must be at least 1"):
+        make(0)
+    with pytest.raises(TypeError, match="misspelt"):
+        make(5, misspelt=1.0)
+
+
+@pytest.mark.parametrize("name", ["tess", "k2_final_campaign", "random_walk", "failing_wheels"])
+def test_a_longer_series_begins_like_a_shorter_one(name):
+    make = getattr(Motion, name)
+    long, short = make(300, seed=2), make(100, seed=2)
+    np.testing.assert_allclose(long.x[:100], short.x, rtol=0, atol=1e-12)
+    assert np.array_equal(long.quality[:100], short.quality)
+
+
+def scatter(values):
+    """Return the robust scatter about a running median of 49 cadences."""
+    left = values - median_filter(values, 49)
+    return 1.4826 * np.median(np.abs(left - np.median(left)))
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_kepler_moves_as_kepler_62_did(shared_data, seed):
+    real = Motion.from_file(
+        shared_data / "kepler_tpf/kplr009002278-2010174085026_lpd-targ.fits.gz", bad="drop"
+    )
+    real = real[real.quality & MISSIONS["Kepler"].quality.rejected == 0]
+    made = Motion.kepler(4634, seed=seed)
+    assert np.ptp(made.time) == pytest.approx(np.ptp(real.time), rel=0.01)
+    for axis in "xy":
+        ours, theirs = getattr(made, axis), getattr(real, axis)
+        assert np.ptp(ours) == pytest.approx(np.ptp(theirs), rel=0.2)
+        assert scatter(ours) == pytest.approx(scatter(theirs), rel=0.4)
+    dumps = made.time[made.quality & MISSIONS["Kepler"].quality.desaturation > 0]
+    assert np.diff(dumps) == pytest.approx(2.98, abs=0.03)
+
+
+def test_aberration_of_kepler_is_that_of_its_orbit():
+    """The drift alone: the projected speed over that of light times the distance."""
+    still = {"drift": 0.0, "jitter": 0.0, "heater": 0.0}
+    motion = Motion.kepler(4500, field=(6.0, 0.0), latitude=0.0, phase=0.0, **still)
+    turn = 2 * np.pi * (motion.time[-1] - motion.time[0]) / 365.25
+    expected = 29.8 / 299792.458 * (1 - np.cos(turn)) * 6 * 3600 / 3.98
+    assert np.ptp(motion.x) == pytest.approx(expected, rel=1e-9)
+    assert np.all(motion.y == 0)
+
+
+def test_tess_moves_as_its_file(shared_data):
+    real = Motion.from_file(shared_data / "tess_tpf/tesssip_tpf1.fits", bad="drop")
+    made = Motion.tess(9000, field=(0, 0), drift=0.0, dump_offset=0.0)
+    for axis in "xy":
+        ours, theirs = getattr(made, axis), getattr(real, axis)
+        smooth = np.polynomial.Polynomial.fit(real.time, theirs, 2)(real.time)
+        left = theirs - smooth
+        assert ours.std() == pytest.approx(left.std(), rel=0.1)
+        assert np.corrcoef(ours[1:], ours[:-1])[0, 1] == pytest.approx(-0.31, abs=0.03)
+        assert np.corrcoef(left[1:], left[:-1])[0, 1] == pytest.approx(-0.31, abs=0.1)
+
+
+def test_sector_of_tess():
+    motion = Motion.tess(cadence="600 s")
+    steps = np.diff(motion.time)
+    gaps = np.flatnonzero(steps > 0.1)
+    assert len(gaps) == 1
+    assert steps[gaps[0]] == pytest.approx(1.13 + 600 / 86400)
+    assert motion.time[gaps[0]] - motion.time[0] == pytest.approx(13.2, abs=0.01)
+    dumps = motion.time[motion.quality & MISSIONS["TESS"].quality.desaturation > 0]
+    assert len(dumps) in {8, 9}
+    assert motion.time_format == "btjd"
+    # 29.8 km/s, a quarter of 27.5 d of the year from the middle, 6 deg = 1029 px
+    still = TESSPointing(jitter=(0, 0), drift=0, dump_offset=0)
+    x, _, _ = still.track(np.array([0.0, 27.53]), lambda _: np.random.default_rng(1))
+    expected = 2 * 29.8 / 299792.458 * np.sin(2 * np.pi * 13.765 / 365.25) * 6 * 3600 / 21
+    assert x[1] - x[0] == pytest.approx(expected, rel=1e-6)
+
+
+def test_jitter_of_tess_falls_with_the_cadence():
+    still = {"field": (0, 0), "drift": 0.0, "dump_offset": 0.0}
+    fast = Motion.tess(4000, cadence="20 s", **still).x.std()
+    slow = Motion.tess(4000, cadence="120 s", **still).x.std()
+    assert fast / slow == pytest.approx(6**0.5, rel=0.05)
+
+
+def test_last_campaign_of_k2_has_its_parts():
+    motion = Motion.k2_final_campaign()
+    days = motion.time - motion.time[0]
+    assert days[-1] == pytest.approx(26.4, abs=0.05)
+    distance = np.hypot(motion.x, motion.y)
+    coarse = motion.quality & MISSIONS["K2"].quality.coarse_point > 0
+    assert np.array_equal(coarse, (days < 8.5) | (days >= 15.5))
+    assert distance[days < 8.5].min() > 4
+    assert distance[~coarse].max() < 1.5
+    assert 2 < np.sqrt(np.mean(distance[days >= 15.5] ** 2)) < 4.5
+    assert motion.quality.any()
+
+
+def test_ground_in_nights():
+    motion = Motion.ground(900, cadence=1 * u.min, night=5.0)
+    night = np.floor(motion.time - motion.time[0] + 1e-9)
+    assert np.array_equal(np.unique(night, return_counts=True)[1], [300, 300, 300])
+    tracking = GroundTracking(aperture=1.0, seeing=1.0, wavelength=600.0)
+    # 0.18 (600 nm / 1 m)^(1/3) (1 arcsec / 0.98)^(5/3) = (0.305 arcsec)^2
+    assert tracking.image_motion == pytest.approx(0.305, abs=0.002)
+    assert GroundTracking(aperture=8.0).image_motion == pytest.approx(
+        tracking.image_motion * 8 ** (-1 / 6), rel=1e-9
+    )
+
+
+def test_shaking_on_the_ground_has_its_spectrum():
+    options = {"pointing": 0.0, "drift": 0.0, "wind": 0.0, "night": 23.0, "pixel_scale": 0.5}
+    power, variances = 0.0, []
+    for seed in range(40):
+        motion = Motion.ground(1024, cadence=60.0, seed=seed, **options)
+        frequency, spectrum = periodogram(motion.x)
+        power = power + spectrum
+        variances.append(motion.x.var())
+    slope = np.polyfit(np.log(frequency[3:400]), np.log(power[3:400]), 1)[0]
+    assert slope == pytest.approx(-5 / 3, abs=0.05)
+    expected = (GroundTracking().image_motion / 0.5) ** 2
+    assert np.mean(variances) == pytest.approx(expected, rel=0.2)
+
+
+def test_random_walk_spreads_with_the_root_of_time():
+    ends = [
+        Motion.random_walk(101, cadence=0.04, seed=seed, spread=0.1).x[-1] for seed in range(300)
+    ]
+    assert np.std(ends) == pytest.approx(0.2, rel=0.12)
+
+
+def test_failing_wheels_drift_and_jump():
+    motion = Motion.failing_wheels(2000, jump=0.5, drift=0.1, seed=5)
+    jumps = motion.quality & MISSIONS["K2"].quality.coarse_point > 0
+    days = np.ptp(motion.time)
+    assert days / 2 * 0.5 < jumps.sum() < days / 2 * 2
+    steps = np.hypot(np.diff(motion.x), np.diff(motion.y))
+    assert np.median(steps[jumps[1:]]) > 10 * np.median(steps[~jumps[1:]])
+    quiet = Motion.failing_wheels(2000, jump=0.0, spread=0.0, drift=0.1)
+    assert np.hypot(quiet.x[-1], quiet.y[-1]) == pytest.approx(0.1 * days)
+
+
+@pytest.mark.parametrize(
+    "options, message",
+    [
+        ({"drift_time": 0.0}, "`drift_time` must be positive"),
+        ({"jitter": -1.0}, "`jitter` must not be negative"),
+        ({"drift": np.nan}, "`drift` must be finite"),
+        ({"dump_interval": 0.0}, "`dump_interval` must be positive"),
+    ],
+)
+def test_bad_parameters(options, message):
+    with pytest.raises(ValueError, match=message):
+        KeplerPointing(**options)
+
+
+def test_bad_telescopes():
+    with pytest.raises(ValueError, match="`aperture` must be positive, got 0"):
+        GroundTracking(aperture=0.0)
+
+
+def test_generated_motions_can_be_simulated():
+    motion = Motion.tess(20)
+    observation = simulate(Star(10.0), Detector.tess(shape=(9, 9)), motion, seed=1)
+    assert observation.flux.shape == (20, 9, 9)
+
+
+@pytest.mark.parametrize("name", [*GENERATORS, "k2_roll"])
+def test_write_and_read(name, tmp_path):
+    motion = getattr(Motion, name)(30, seed=2)
+    path = motion.write(tmp_path / "motion.ecsv")
+    again = Motion.read(path)
+    assert np.array_equal(again.x, motion.x)
+    assert np.array_equal(again.time, motion.time)
+    assert np.array_equal(again.quality, motion.quality)
+    assert again.time_format == motion.time_format
+    assert again.meta["seed"] == 2
+    with pytest.raises(FileExistsError, match="exists"):
+        motion.write(path)
+    motion[:5].write(path, overwrite=True)
+    assert len(Motion.read(path)) == 5
+
+
+def test_tables_of_others_are_refused_or_converted(tmp_path):
+    path = tmp_path / "motion.ecsv"
+    motion = Motion.still(3)
+    motion.write(path)
+    table = QTable.read(path, format="ascii.ecsv")
+    table["time"] = table["time"].to(u.hour)
+    table.write(path, format="ascii.ecsv", overwrite=True)
+    np.testing.assert_allclose(Motion.read(path).time, motion.time)
+    table.remove_column("x")
+    table.write(path, format="ascii.ecsv", overwrite=True)
+    with pytest.raises(ValueError, match=r"motion\.ecsv is not a table of a motion"):
+        Motion.read(path)
+    path.write_text("no table", encoding="utf-8")
+    with pytest.raises(ValueError, match=r"motion\.ecsv is not a table of a motion"):
+        Motion.read(path)
+    with pytest.raises(FileNotFoundError):
+        Motion.read(tmp_path / "absent.ecsv")
+
+
+def test_plot():
+    ax = Motion.tess(50).plot(title="TESS")
+    assert ax.get_xlabel() == "Column (pixel)"
+    assert ax.figure.axes[1].get_ylabel() == "Time (BTJD)"
+    plt.close("all")

@@ -1,0 +1,98 @@
+"""Public arguments keep to the glossary of the development page, and to American spelling."""
+
+import dataclasses
+import inspect
+import re
+
+import pytest
+from astropy.utils.exceptions import AstropyDeprecationWarning
+from docutils.core import publish_doctree
+from docutils.nodes import entry, row
+
+from scope_models.experiments import Study
+
+BRITISH = re.compile(
+    r"colour|cent(re|red|ring)(_|$)|neighbour|behaviour|catalogue|"
+    r"[a-z]{3}(al|ar|im|it|rd)is(e|ed|ing)(_|$)"
+)
+# Old names that keep working with a warning.
+OLD = {"summarise"}
+
+
+@pytest.fixture(scope="module")
+def glossary(repository):
+    """Return word, unit, arguments and words that are not used, of each row."""
+    text = (repository / "docs" / "development.rst").read_text(encoding="utf-8")
+    table = re.search(
+        r"^Glossary\n-+\n.*?(^\.\. list-table::.*?)^\w", text, re.MULTILINE | re.DOTALL
+    )
+    document = publish_doctree(table[1])
+    cells = [[e.astext() for e in r.findall(entry)] for r in document.findall(row)]
+    return [
+        {
+            "word": word,
+            "unit": unit,
+            "arguments": re.findall(r"\w+", arguments),
+            "not": re.findall(r"\w+", avoided),
+        }
+        for word, _, unit, arguments, avoided in cells[1:]
+    ]
+
+
+@pytest.fixture(scope="module")
+def arguments(public_callables):
+    """Return the names of all public arguments, and where they occur."""
+    found = {}
+    for name, value in public_callables:
+        try:
+            parameters = inspect.signature(value).parameters
+        except ValueError:
+            continue
+        for key in parameters:
+            found.setdefault(key, []).append(name)
+    return found
+
+
+def test_glossary_has_about_twenty_words(glossary):
+    assert 18 <= len(glossary) <= 26
+    words = [item["word"] for item in glossary]
+    assert words == sorted(words, key=str.lower)
+    names = [name for item in glossary for name in item["arguments"]]
+    assert len(names) == len(set(names))
+
+
+def test_words_of_the_glossary_are_in_use(glossary, arguments):
+    unused = [name for item in glossary for name in item["arguments"] if name not in arguments]
+    assert unused == []
+
+
+def test_arguments_do_not_use_other_words(glossary, arguments):
+    avoided = {word for item in glossary for word in item["not"]}
+    found = {name: where for name, where in arguments.items() if name in avoided}
+    assert found == {}
+
+
+def test_spelling_is_american(arguments, public_callables):
+    names = set(arguments)
+    names |= {name.rpartition(".")[2] for name, _ in public_callables}
+    assert sorted(name for name in names - OLD if BRITISH.search(name)) == []
+
+
+def test_the_old_spelling_of_a_study_keeps_working():
+    message = "`summarise` of a study has become `summarize`"
+    with pytest.warns(AstropyDeprecationWarning, match=message):
+
+        @dataclasses.dataclass(frozen=True, kw_only=True)
+        class Old(Study):
+            def tasks(self):
+                return []
+
+            def summarise(self, table):
+                return len(table)
+
+            def draw(self, table, summary):
+                return len(table) + len(summary)
+
+    assert Old().summarize([1, 2]) == 2
+    with pytest.warns(AstropyDeprecationWarning, match=message):
+        assert Old().summarise([1, 2]) == 2
