@@ -36,8 +36,8 @@ _BACKGROUND_COLUMNS = 3
 _FRACTIONS = ("auto", "predicted", "measured")
 #: Noise's variance over FLUX_ERR squared from which on measured fractions are tried, ...
 _MISFIT = 1.5
-#: ... the residual of unseen windows that they must reach in units of the other fit's: they remove
-#: noise of pixels with little light, up to about this; ...
+#: ... the residual of unseen windows that they must reach in units of the other fit's, if that
+#: has a plain sum: they remove noise of pixels with little light, up to about this; ...
 _BETTER = 0.7
 #: ... and the part of a variability that they must keep if its standard deviation is so many
 #: times the noise.
@@ -397,7 +397,10 @@ def fit_pixels(pixels, options, series, cadence_mask=None, **transit):
         return fitted
     measured = PLDModel.from_pixels(pixels, replace(options, fractions="measured"), series)
     measured = measured.fit(cadence_mask, **transit)
-    better = _unseen(measured) < _BETTER * _unseen(fitted)
+    weighted = np.median(fitted.model.clean.light_error) < np.median(
+        pixels.total_err[pixels.usable]
+    )
+    better = _unseen(measured) < (1 if weighted else _BETTER) * _unseen(fitted)
     better = better and _keeps_variability(measured, fitted)
     return measured if better else fitted
 
