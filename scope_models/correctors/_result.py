@@ -17,6 +17,8 @@ __all__ = ["PLDFit", "transit_column"]
 _TRANSIT_HOURS = 6.5
 #: Parts from which on a warning is given: outliers, constant light, changes of the flux that
 #: measured fractions explain; and the noise's variance over FLUX_ERR squared.
+#: Smaller apertures lose light when the star moves, which the fractions explain.
+_WHOLE = 9
 _MANY, _CONTAMINATED, _FOLLOWING, _NOISY = 0.1, 0.02, 0.05, 25.0
 #: Numbers of a fit that go into the metadata of its table.
 _NUMBERS = (
@@ -263,7 +265,8 @@ class PLDFit:
             )
         low, high = np.quantile(self.solution.systematics[self.solution.use], (0.16, 0.84))
         change = (high - low) / 2
-        if self.model.clean is None and change > _FOLLOWING:
+        whole = self.model.pixels.aperture.sum() >= _WHOLE
+        if self.model.clean is None and whole and change > _FOLLOWING:
             found.append(
                 f"measured fractions explain changes of {100 * change:.0f} % of the flux: with "
                 "other light in the aperture they follow the star, and its variability is lost; "

@@ -36,6 +36,8 @@ _BACKGROUND_COLUMNS = 3
 _FRACTIONS = ("auto", "predicted", "measured")
 #: Noise's variance over FLUX_ERR squared from which on measured fractions are tried, ...
 _MISFIT = 1.5
+#: Part of the cadences for which predicted fractions must exist.
+_CREDIBLE = 0.9
 #: ... the residual of unseen windows that they must reach in units of the other fit's, if that
 #: has a plain sum: they remove noise of pixels with little light, up to about this; ...
 _BETTER = 0.7
@@ -263,8 +265,11 @@ class PLDModel:
         clean = None
         plain = options.fractions != "measured" and regressor_mask is None and not background
         if plain and can_predict(pixels, saturation):
-            pixels, clean = with_predicted_fractions(pixels, series.pos_corr)
-            saturation = None
+            predicted, clean = with_predicted_fractions(pixels, series.pos_corr)
+            if predicted.usable.sum() > _CREDIBLE * pixels.usable.sum():
+                pixels, saturation = predicted, None
+            else:  # the model of the pixels has diverged
+                clean = None
         breaks = segment_breaks(options.segments, pixels)
         design = DesignOptions(
             options.order, saturation, breaks, extra, options.pca_components, regressor_mask
