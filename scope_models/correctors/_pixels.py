@@ -36,7 +36,7 @@ _SAME_STAR = 0.7
 #: The background is first sought in this part of the pixels, in so many at least for a slope.
 _DARK_PART, _FEWEST_DARK, _PLANE_FITS = 0.3, 8, 5
 #: Fewer cadences or pixels do not determine how the fractions change with position.
-_CADENCES_TO_PREDICT, _PIXELS_TO_PREDICT = 100, 4
+_CADENCES_TO_PREDICT, _PIXELS_TO_PREDICT = 200, 4
 
 
 @dataclass(frozen=True)

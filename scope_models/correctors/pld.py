@@ -170,7 +170,7 @@ class PLDCorrector(Corrector):
             By default predicted ones, unless these leave 1.5 times the noise
             of FLUX_ERR, measured ones predict unseen windows 30 % better, and the
             star's variability is the same with both. ``pld_aperture_mask``,
-            ``background``, full pixels and fewer than 100 cadences or 4
+            ``background``, full pixels and fewer than 200 cadences or 4
             pixels allow measured ones only.
         pca_components : int, optional
             Largest number of columns per order: the first principal
