@@ -1,6 +1,6 @@
 """The line about the machine and the versions that every benchmark prints first."""
 
-import importlib.metadata
+import importlib
 import os
 import platform
 import sys
@@ -15,5 +15,6 @@ def report_environment(*packages):
     machine = f"{platform.system()} {platform.machine()}, {os.cpu_count()} cores"
     print(f"{machine}, OMP_NUM_THREADS {threads}")
     names = ("scope_models", "numpy", "scipy", "astropy", *packages)
-    versions = ", ".join(f"{name} {importlib.metadata.version(name)}" for name in names)
+    modules = {name: importlib.import_module(name) for name in names}
+    versions = ", ".join(f"{name} {module.__version__}" for name, module in modules.items())
     print(f"Python {platform.python_version()}, {versions}\n")

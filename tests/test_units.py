@@ -118,7 +118,7 @@ def drawn(function, *arguments, **options):
 
 VALUE = object()
 GENERATORS = ("kepler", "tess", "k2_final_campaign", "ground", "random_walk", "failing_wheels")
-FIT = {"data": IMAGE, "model": IMAGE, "residual": IMAGE, "x": TIME, "y": TIME}
+FIT = {"data": IMAGE, "model": IMAGE, "residual": IMAGE, "x": TIME, "y": TIME, "flux": TIME}
 PLACES = [(1, 1), (1, 101), (101, 1), (101, 101)]
 GRID = PRFGrid(PLACES, [TabulatedPRF(np.eye(7) + column) for column, _ in PLACES])
 MODEL_UNITS = {
@@ -559,6 +559,7 @@ ROWS = {
     "PRFGrid.at.column": (lambda v: GRID.at(v, 20)(1, 0), 51.0, u.pix),
     "PRFGrid.at.row": (lambda v: GRID.at(51, v)(1, 0), 20.0, u.pix),
     "fit_tpf.position_error": (fitted("position_error"), 0.2, u.pix),
+    "fit_tpf.focus": (fitted("focus"), 0.1, u.day),
     "fit_tpf.flux_err": (fitted("flux_err"), np.full((8, 5, 5), 50.0), RATE),
     **{
         f"plot_fit.{name}": (
@@ -567,6 +568,7 @@ ROWS = {
         for name, value, unit in (
             ("data", IMAGE, RATE), ("model", IMAGE, RATE), ("residual", IMAGE, RATE),
             ("x", TIME, u.pix), ("y", TIME, u.pix), ("pos_corr", np.ones((3, 2)), u.pix),
+            ("time", TIME, u.day), ("flux", TIME, RATE),
         )
     },
     "plot_detrending_masks.image": (

@@ -3,11 +3,11 @@
 import warnings
 from pathlib import Path
 
-import lightkurve as lk
 import numpy as np
 
 from scope_models import Detector, Motion, SensitivityPolynomial, Star, fit_tpf, simulate
 from scope_models.exceptions import FitWarning
+from scope_models.io import read_tpf
 from scope_models.plotting import plot_twin
 
 # From the folder of this file, in which the documentation's build runs it.
@@ -18,9 +18,7 @@ EVERY = 6  # of the cadences, for time's sake
 def fit_star(path=PATH):
     """Return the fit of the archive file; without it, that of a simulated star."""
     if path.exists():
-        whole = lk.read(path)
-        tpf = whole[::EVERY]
-        whole.hdu.close()
+        tpf = read_tpf(path)[::EVERY]
     else:
         tpf = simulate(Star(15.0), Detector.k2(shape=(6, 6)), 2 * Motion.k2_roll(300), seed=1)
         tpf = tpf.to_tpf()

@@ -1,6 +1,7 @@
 """The command line's entry: its commands, and what becomes of errors and warnings."""
 
 import argparse
+import importlib
 import signal
 import sys
 import warnings
@@ -45,13 +46,15 @@ def main(argv=None):
     arguments = _make_parser().parse_args(argv)
     if argv is None:  # as a program: what is half written is removed before the end
         signal.signal(signal.SIGTERM, _terminate)
+    # Its logger takes over warnings when it is imported: before ours, which print one line.
+    importlib.import_module("astropy")
     with warnings.catch_warnings():
         warnings.showwarning = _show_warning
         # lightkurve says at import that an optional part of it is absent
         warnings.filterwarnings("ignore", ".*tpfmodel submodule is not available", UserWarning)
         try:
             return arguments.run(arguments) or 0
-        except (MemoryError, OSError, TypeError, ValueError) as error:
+        except (ImportError, MemoryError, OSError, TypeError, ValueError) as error:
             _tell("error", error)
             return 2
         except KeyboardInterrupt:

@@ -37,6 +37,8 @@ _ABSURD = 12.0
 _FAST, _STRONG = 0.25, 0.02
 #: Relative change of the light in the aperture with position, for telling it from variability.
 _RESPONSE_PRIOR = 0.05
+#: Mean variance about the model, in units of the noise, above which its brightness is not used.
+_LARGEST_MISFIT = 1.3
 #: Part of the variance of lost light that is expected to remain: a tenth of the amplitude.
 _LOST = 0.01
 #: Part of the light in the aperture above which the level of dark pixels is background.
@@ -400,7 +402,9 @@ class _State:
         light = (np.where(self.good, self.y, model + self.background) - self.background)[:, inside]
         light, error = light.sum(axis=1), np.sqrt((flux_err[:, inside] ** 2).sum(axis=1))
         whole = image[:, inside].sum(axis=1)
-        if np.median(self.error * whole) * self.unit < np.median(error):
+        misfit = np.average(self.variance / self.noise, weights=np.maximum(self.scale, 0))
+        fits = misfit < _LARGEST_MISFIT
+        if fits and np.median(self.error * whole) * self.unit < np.median(error):
             light, error = self.brightness * whole, self.error * whole * self.unit
         shares = np.where(inside, image, 0.0) / whole[:, None]
         other = self._constant_light(image, constant, inside)

@@ -7,17 +7,33 @@ import numpy as np
 from celerite2 import driver, terms
 from scipy.optimize import minimize
 
-__all__ = ["FluxModel", "Process", "fit_flux", "fit_hyper", "with_periods", "without_outliers"]
+__all__ = [
+    "FluxModel",
+    "Process",
+    "fit_flux",
+    "fit_hyper",
+    "smooth_series",
+    "with_periods",
+    "without_outliers",
+]
 
 _FLAT = 1e4
 #: A period is seen so many times, has so many multiples at most, and each costs about so much.
-_FEWEST_CYCLES, _MOST_HARMONICS, _COST = 3.0, 40, 5.0
+_FEWEST_CYCLES, _MOST_HARMONICS, _COST = 3.0, 60, 5.0
+#: ... and may be so many times the one that the periodogram shows.
+_LONGEST = 8
 #: A period counts if the logarithm of the evidence grows by so much.
 _LEAST_GAIN = 12.0
 _MOST_PERIODS = 8
-#: Where the search for the hyper-parameters begins: the prior variance of each group, and the
-#: variances of the processes, in units of the data's; and the processes' periods in days.
-_STARTS = ((0.3, (1.0, 0.05)), (1.0, (0.01, 0.001)))
+#: Number of times at most that hyper-parameters are fitted anew without outliers.
+_REFITS = 4
+#: The prior of the logarithm of each group's prior variance has this standard deviation about the
+#: typical value.
+_SPREAD = 2.5
+#: Where the search for the hyper-parameters begins: the prior variance of each group in units of
+#: the typical one, the variances of the processes in units of the data's; and the processes'
+#: periods in days.
+_STARTS = ((1.0, (1.0, 0.05)), (30.0, (0.01, 0.001)))
 _PERIODS = (5.0, 0.3)
 
 
@@ -117,6 +133,10 @@ class FluxModel:
         Prior variance of each group.
     process : Process
         Noise and variability.
+    systematic : tuple of str
+        Names of the groups that are systematics: the first ones.
+    bounds : tuple of (float, float, float)
+        Least, typical and largest prior variance of each of these.
     """
 
     time: np.ndarray
@@ -129,6 +149,7 @@ class FluxModel:
     prior: np.ndarray
     process: Process
     systematic: tuple = ()
+    bounds: tuple = ()
 
     @cached_property
     def spread(self):
@@ -263,11 +284,14 @@ def _fit_groups(model):
         used = 1 - np.einsum("ij,ij->j", half, half)
         slope = np.bincount(groups[inside], (used - mean**2)[inside], minlength=k)
         rest = quadratic - mean @ mean
-        pull = 0.02 * (theta[1:] - unit)
-        value += 0.5 * 0.02 * np.sum((theta[1:] - unit) ** 2)
+        pull = 2 * (theta[1:] - unit) / _SPREAD**2
+        value += np.sum((theta[1:] - unit) ** 2) / _SPREAD**2
         return 0.5 * value, 0.5 * np.array([n - used.sum() - rest, *(slope + pull)])
 
     bounds = [(-3.0, 3.0), *zip(unit - 25, unit + 7, strict=True)]
+    for i, (least, typical, largest) in enumerate(model.bounds):
+        bounds[i + 1] = (np.log(least), np.log(largest))
+        unit[i] = np.log(typical)
     start = np.clip([0.0, *np.log(model.prior)], *np.transpose(bounds))
     found = minimize(objective, start, jac=True, method="L-BFGS-B", bounds=bounds,
                      options={"maxiter": 60, "ftol": 1e-3 / n}).x  # fmt: skip
@@ -353,7 +377,9 @@ def without_outliers(model, allowed, sigma=5.0, largest=0.3):
     """
     for _ in range(4):
         deviations = np.abs(model.deviations())
-        spread = max(1.4826 * np.median(deviations[model.use]), 1.0)
+        # outliers have raised the fitted noise, but it is not below what FLUX_ERR says
+        formal = model.process.noise_scale**-0.5
+        spread = max(1.4826 * np.median(deviations[model.use]), min(formal, 1.0))
         use = allowed & (deviations < sigma * spread)
         if (use == model.use).all() or use.sum() < (1 - largest) * allowed.sum():
             break
@@ -466,8 +492,23 @@ def _periodic(model):
     rough = _strongest(model)
     if rough.gain < _LEAST_GAIN:
         return None
-    wave = _refined(_Candidates(model), _Wave(rough.frequency, rough.count), 0.5, steps=4)
-    return wave if wave.gain > _LEAST_GAIN else None
+    candidates = _Candidates(model)
+    wave = _refined(candidates, _Wave(rough.frequency, rough.count), 0.5, steps=4)
+    if wave.gain < _LEAST_GAIN:
+        return None
+    span, nyquist = np.ptp(model.time), 0.5 / np.median(np.diff(model.time))
+    sharp = []  # all multiples of a longer period, as sharp eclipses have them
+    for part in range(1, _LONGEST + 1):
+        frequency = wave.frequency / part
+        if frequency * span < _FEWEST_CYCLES:
+            break
+        count = int(np.clip(0.95 * nyquist / frequency, 1, _MOST_HARMONICS))
+        gain, prior = candidates.gain(harmonics(model.time, frequency, count))
+        sharp.append(_Wave(frequency, count, gain, prior))
+    best = max(sharp, key=lambda w: w.gain)
+    if best.gain > 0.5 * wave.gain:
+        best = _refined(candidates, best, 0.5)
+    return max(wave, best, key=lambda w: w.gain)
 
 
 def with_periods(model):
@@ -486,7 +527,7 @@ def with_periods(model):
     return model
 
 
-def fit_flux(time, y, variance, groups, allowed, flat=None):
+def fit_flux(time, y, variance, groups, allowed, *, limits, flat=None):
     """
     Fit the logarithm of a flux.
 
@@ -498,17 +539,20 @@ def fit_flux(time, y, variance, groups, allowed, flat=None):
         Columns of the systematics ``(n, k)`` by group.
     allowed : ndarray of bool
         Cadences that may be used.
+    limits : dict of str to tuple of float
+        Least, typical and largest prior standard deviation of the coefficients of each group.
     flat : ndarray, optional
         Further columns ``(n, m)`` with flat priors, such as a transit's.
     """
     names = tuple(groups)
-    parts, index = [], []
+    parts, index, bounds = [], [], []
     for k, name in enumerate(names):
         columns = groups[name] - groups[name][allowed].mean(axis=0)
         size = np.sqrt(np.mean(columns[allowed] ** 2, axis=0).sum())
-        if size > 0:
-            parts.append(columns / size)
-            index.append(np.full(columns.shape[1], k))
+        size = max(size, 1e-12)
+        parts.append(columns / size)
+        index.append(np.full(columns.shape[1], k))
+        bounds.append([(max(limit, 1e-9) * size) ** 2 for limit in limits[name]])
     extra = np.ones((len(y), 1)) if flat is None else np.column_stack([np.ones(len(y)), flat])
     columns = np.concatenate([*parts, extra], axis=1)
     index = np.concatenate([*index, np.full(extra.shape[1], -1)])
@@ -517,15 +561,47 @@ def fit_flux(time, y, variance, groups, allowed, flat=None):
     best = None
     for part, amplitudes in _STARTS:
         process = Process(1.0, tuple(a * spread for a in amplitudes), _PERIODS)
-        prior = np.full(len(names), part * spread)
+        least, typical, largest = np.transpose(bounds)
+        prior = np.clip(part * typical, least, largest)
         model = FluxModel(
-            time, y, variance, allowed.copy(), columns, index, names, prior, process, names
-        )
+            time, y, variance, allowed.copy(), columns, index, names, prior, process, names,
+            tuple(map(tuple, bounds)),
+        )  # fmt: skip
         model = _fit_groups(model)
         if best is None or model.log_evidence > best.log_evidence:
             best = model
-    model = fit_hyper(best)
-    model = with_periods(model)
-    model = without_outliers(model, allowed)
-    model = fit_hyper(model, rounds=2)
+    model = with_periods(fit_hyper(best))
+    for _ in range(_REFITS):
+        cleaned = without_outliers(model, allowed)
+        if (cleaned.use == model.use).all():
+            break
+        model = fit_hyper(cleaned, rounds=2)
     return without_outliers(model, allowed)
+
+
+def smooth_series(time, values, variance, columns):
+    """
+    Return the smooth course of a state in time, without what follows the position.
+
+    Parameters
+    ----------
+    time, values, variance : ndarray
+        Days, the measured state and the variance of its noise, ``(n,)``.
+    columns : ndarray
+        Functions of position ``(n, k)`` that errors of the pixels' model may follow.
+    """
+    everything = np.ones(len(time), dtype=bool)
+    level = np.median(values)
+    variance = np.maximum(variance, 1e-6 * np.var(values) + 1e-300)
+    spread = max(float(np.var(values)), float(np.median(variance)))
+    centered = columns - columns.mean(axis=0)
+    size = np.sqrt(np.mean(centered**2, axis=0).sum()) + 1e-12
+    groups = np.append(np.zeros(columns.shape[1], dtype=int), -1)
+    model = FluxModel(
+        time, values - level, variance, everything,
+        np.column_stack([centered / size, np.ones(len(time))]), groups, ("position",),
+        np.array([0.3 * spread]), Process(1.0, (0.5 * spread, 0.01 * spread), _PERIODS),
+        ("position",), ((1e-6 * spread, 0.3 * spread, 100 * spread),),
+    )  # fmt: skip
+    model = without_outliers(fit_hyper(model, rounds=2), everything)
+    return model.variability(flat=True) + level

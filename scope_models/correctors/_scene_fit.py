@@ -1,9 +1,11 @@
 """The fit of a scene to all pixels of a series."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from scope_models.correctors._flux_model import smooth_series
+from scope_models.correctors._scene_flux import kernel_columns
 from scope_models.correctors._scene_model import (
     Priors,
     Shape,
@@ -14,11 +16,12 @@ from scope_models.correctors._scene_model import (
     misfit,
     render,
     solve_track,
+    state_variance,
 )
 from scope_models.correctors._scene_neighbors import find_neighbors
 from scope_models.correctors._scene_start import centroids, first_shape, first_track
 
-__all__ = ["SceneFit", "fit_scene"]
+__all__ = ["WIDER", "SceneFit", "fit_scene"]
 
 #: Cadences that constrain the shape, and number of its Gauss-Newton steps.
 _SHAPE_CADENCES, _SHAPE_STEPS = 250, 8
@@ -27,8 +30,16 @@ _SHAPE_CADENCES, _SHAPE_STEPS = 250, 8
 _FLOORS = (1e-2, 3e-3, 1e-3, 3e-4, 1e-4)
 #: Prior standard deviations of positions (px) with and without POS_CORR, and of widths.
 _POSITION, _FREE_POSITION, _WIDTH = 0.05, 0.3, 0.01
+#: ... and of widths about their smooth course in the last step; change of width for derivatives.
+_HELD, WIDER = 1e-5, 2e-3
+#: A pixel is full if it is so in this part of the cadences.
+_FULL_PART = 0.01
+#: Scale (px) of the functions of position that errors of width and background may follow.
+_ERROR_SCALE = 0.8
 #: Prior standard deviations of the pixels' gains in the first steps of the shape, and later.
 _GAINS = (1e-4, 1e-3, 5e-3, 0.015)
+#: After these steps the priors of the PRF are about what has been found: stars at rest need it.
+_ANCHORS = (2, 4, 6)
 #: Pixels that deviate by more standard deviations are left out, in less than this part of the
 #: cadences.
 _SIGMA, _MOST_HITS = 6.0, 0.05
@@ -46,9 +57,16 @@ class SceneFit:
     track : Track
         The state of each cadence.
     star, others : ndarray
-        Images of the target at unit flux and of the neighbors (e-/s), ``(n, ny, nx)``.
+        Images of the target at unit flux and typical width, and of the neighbors (e-/s),
+        ``(n, ny, nx)``.
     variance : ndarray
         Variance of the pixels' noise, infinite in pixels that are left out.
+    wider : ndarray
+        Image of the target with a PRF that is wider by `WIDER`.
+    background : ndarray
+        Smooth course of the background, e-/s per pixel, ``(n,)``.
+    full : ndarray of bool
+        Pixels of columns in which pixels saturate, ``(ny, nx)``: they are no part of the fit.
     floor : float
         Model errors relative to the stars' light.
     chi_squared : float
@@ -60,6 +78,9 @@ class SceneFit:
     star: np.ndarray
     others: np.ndarray
     variance: np.ndarray
+    wider: np.ndarray
+    background: np.ndarray
+    full: np.ndarray
     floor: float
     chi_squared: float
 
@@ -72,6 +93,15 @@ def _residual(shape, track, flux):
     images = render(shape, track)
     light = track.flux[:, None, None] * images.star + images.others
     return flux - light - track.background[:, None, None], light, images
+
+
+def _full_columns(flux, variance, well):
+    """Mark the columns in which pixels saturate: charge bleeds along them."""
+    full = np.zeros(flux.shape[1:], dtype=bool)
+    if well is not None:
+        often = np.mean((flux > well) & np.isfinite(variance), axis=0) > _FULL_PART
+        full[:, often.any(axis=0)] = True
+    return full
 
 
 def _step(shape, track, data, gain):
@@ -96,12 +126,42 @@ def _without_hits(shape, track, flux, variance, floor):
     return np.where(hit & ~often, np.inf, variance)
 
 
-def fit_scene(flux, variance, pos_corr, peak, *, offsets=None, seed=0):
+def _held(time, flux, variance, shape, track, priors, floor, full):
+    """
+    Return the scene with widths on a smooth course in time.
+
+    What of width and background follows the position is an error of the pixels' model: it stays
+    out of both.
+    """
+    good = np.isfinite(variance)
+    rest, _, _ = _residual(shape, track, flux)
+    chi = float(np.mean(rest[good] ** 2 / variance[good]))
+    places = kernel_columns(np.stack([track.x, track.y], axis=1), _ERROR_SCALE)
+    days = time - time[0]
+    formal = state_variance(shape, track, flux, variance, floor)
+    width = smooth_series(days, track.width, formal[:, 3], places)
+    mean, sigma = priors.mean.copy(), priors.sigma.copy()
+    mean[:, 3], sigma[:, 3] = width, _HELD
+    track = solve_track(shape, track, flux, variance, Priors(mean, sigma), floor)
+    formal = state_variance(shape, track, flux, variance, floor)
+    background = smooth_series(days, track.background, formal[:, 4], places)
+    images = render(shape, track)
+    typical = np.full(len(flux), np.median(track.width))
+    star = render(shape, replace(track, width=typical)).star
+    wider = render(shape, replace(track, width=typical + WIDER)).star
+    return SceneFit(
+        shape, track, star, images.others, variance, wider, background, full, floor, chi
+    )  # fmt: skip
+
+
+def fit_scene(time, flux, variance, pos_corr, peak, *, offsets=None, well=None, seed=0):
     """
     Fit the scene.
 
     Parameters
     ----------
+    time : ndarray
+        Days, ``(n,)``.
     flux, variance : ndarray
         Pixels ``(n, ny, nx)`` in e-/s, finite; infinite variance where there are no data.
     pos_corr : ndarray or None
@@ -110,10 +170,14 @@ def fit_scene(flux, variance, pos_corr, peak, *, offsets=None, seed=0):
         Column and row of the target in a typical cadence.
     offsets : ndarray, optional
         Distances of other stars from the target, px, ``(m, 2)``; None: they are found.
+    well : float, optional
+        Flux in e-/s above which a pixel is full.
     seed : int
         Chooses among pixels for the first guess.
     """
     n = len(flux)
+    full = _full_columns(flux, variance, well)
+    variance = np.where(full, np.inf, variance)
     (x, y), known = first_track(flux, pos_corr, peak)
     shape, track = first_shape(flux, variance, x, y, np.random.default_rng(seed))
     mean, sigma = track.stacked, np.full((n, 5), np.inf)
@@ -145,6 +209,8 @@ def fit_scene(flux, variance, pos_corr, peak, *, offsets=None, seed=0):
             tight = np.clip(1.5 * max(_robust(e) for e in errors.T), 0.003, _POSITION)
             sigma[:, 1:3] = np.where(known, tight, _FREE_POSITION)[:, None]
             priors = Priors(mean, sigma)
+        if step in _ANCHORS:
+            shape = replace(shape, prior_mean=shape.coefficients)
         if stuck and step >= len(_GAINS):
             break
     floor = max(floor, _FLOORS[-1])
@@ -152,7 +218,4 @@ def fit_scene(flux, variance, pos_corr, peak, *, offsets=None, seed=0):
     for _ in range(3):
         track = solve_track(shape, track, flux, clean, priors, floor)
         clean = _without_hits(shape, track, flux, variance, floor)
-    rest, _, images = _residual(shape, track, flux)
-    good = np.isfinite(clean)
-    chi = float(np.mean(rest[good] ** 2 / clean[good]))
-    return SceneFit(shape, track, images.star, images.others, clean, floor, chi)
+    return _held(time, flux, clean, shape, track, priors, floor, full)

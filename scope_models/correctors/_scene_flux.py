@@ -3,9 +3,16 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import median_filter, uniform_filter1d
 
-__all__ = ["WindowFlux", "make_columns", "smooth_state", "window_flux", "window_weights"]
+__all__ = [
+    "LIMITS",
+    "WindowFlux",
+    "clean_background",
+    "kernel_columns",
+    "make_columns",
+    "window_flux",
+    "window_weights",
+]
 
 #: Width of a window's soft edge (px).
 _EDGE = 0.2
@@ -14,6 +21,21 @@ _SMALLEST_SHARE = 2e-4
 #: Scales (px) of the smooth functions of position.
 _SCALES = {"position": 0.8, "fine position": 0.25}
 _MOST_COLUMNS = 90
+#: Variance of the smooth background over that of a cadence's own.
+_SMOOTHED = 0.08
+#: Prior standard deviations of the coefficients of each group: least, typical and largest. They are
+#: parts of what the scene predicts, errors of the pixels' gains, functions of position in relative
+#: flux, and changes of slopes with time per pixel.
+LIMITS = {
+    "model": (0.0, 0.3, 1.0),
+    "pixels": (0.0, 0.008, 0.03),
+    "position": (0.0, 1e-3, 0.1),
+    "fine position": (0.0, 3e-4, 0.03),
+    "place in pixel": (0.0, 3e-4, 0.03),
+    "width": (0.2, 0.5, 1.0),
+    "width and position": (0.0, 0.1, 0.5),
+    "slow position": (0.0, 3e-4, 0.005),
+}
 
 
 @dataclass(frozen=True)
@@ -45,7 +67,7 @@ def soft_window(track, shape, radius):
     return 0.5 * (1 - np.tanh((distance - radius) / (2 * _EDGE)))
 
 
-def window_flux(flux, fit, weights, background, background_variance):
+def window_flux(flux, variance, fit, weights, background, background_variance):
     """
     Sum the star's light with weights.
 
@@ -53,8 +75,8 @@ def window_flux(flux, fit, weights, background, background_variance):
 
     Parameters
     ----------
-    flux : ndarray
-        Pixels ``(n, ny, nx)``, e-/s.
+    flux, variance : ndarray
+        Pixels ``(n, ny, nx)``, e-/s, and variance of their noise.
     fit : SceneFit
         The scene.
     weights : ndarray
@@ -63,10 +85,10 @@ def window_flux(flux, fit, weights, background, background_variance):
         Background per pixel that is taken off, and its variance, ``(n,)``.
     """
     star = fit.track.flux[:, None, None] * fit.star
-    good = np.isfinite(fit.variance)
+    good = np.isfinite(fit.variance) | (fit.full & np.isfinite(variance))
     own = np.where(good, flux - fit.others - background[:, None, None], star)
     total = np.sum(weights * own, axis=(1, 2))
-    noise = np.where(good, fit.variance, 0.0)
+    noise = np.where(good, variance, 0.0)
     variance = np.sum(weights**2 * noise, axis=(1, 2))
     variance += np.sum(weights, axis=(1, 2)) ** 2 * background_variance
     shares = weights * fit.star
@@ -103,7 +125,7 @@ def kernel_columns(points, scale, tolerance=1e-4, largest=_MOST_COLUMNS):
     return np.stack(columns, axis=1)
 
 
-def make_columns(time, track, width, window):
+def make_columns(time, track, window, by_width):
     """
     Return groups of columns for the logarithm of the flux.
 
@@ -112,16 +134,16 @@ def make_columns(time, track, width, window):
     time : ndarray
         Days.
     track : Track
-        Positions.
-    width : ndarray
-        Relative width of the PRF, ``(n,)``.
+        Positions and widths.
     window : WindowFlux
         The flux.
+    by_width : ndarray
+        Predicted derivative of the logarithm of the flux by the width, ``(n,)``.
 
     Returns
     -------
     dict of str to ndarray
-        Columns ``(n, k)`` by group.
+        Columns ``(n, k)`` by group, as in `LIMITS`.
     """
     x, y = track.x - np.median(track.x), track.y - np.median(track.y)
     points = np.stack([x, y], axis=1)
@@ -133,9 +155,9 @@ def make_columns(time, track, width, window):
     waves = [(1, 0), (0, 1), (1, 1), (1, -1), (2, 0), (0, 2)]
     phases = [2 * np.pi * (k * track.x + m * track.y) for k, m in waves]
     groups["place in pixel"] = np.stack([f(p) for p in phases for f in (np.cos, np.sin)], axis=1)
-    w = (width / 0.005)[:, None]
-    groups["width"] = w
-    groups["width and position"] = w * points
+    change = (by_width * (track.width - np.median(track.width)))[:, None]
+    groups["width"] = change
+    groups["width and position"] = change * points
     t = 2 * (time - time[0]) / (time[-1] - time[0]) - 1
     slow = np.stack([t, 1.5 * t**2 - 0.5], axis=1)
     place = np.stack([x, y, x**2, x * y, y**2], axis=1)
@@ -143,30 +165,21 @@ def make_columns(time, track, width, window):
     return groups
 
 
-def smooth_state(values, width=25, sigma=6.0, *, keep_spikes=False):
+def clean_background(background, smooth, spike=6.0):
     """
-    Return a running median and mean, and the variance of its error.
+    Return the background to take off, and the variance of its error.
 
     Parameters
     ----------
-    values : ndarray
-        State of each cadence, ``(n,)``.
-    width : int
-        Cadences of the window.
-    sigma : float
-        Values that deviate by more standard deviations are spikes.
-    keep_spikes : bool
-        Whether spikes are kept as they are.
+    background, smooth : ndarray
+        Background of each cadence, and its smooth course, ``(n,)``.
+    spike : float
+        Cadences that deviate by more standard deviations keep their own.
     """
-    smooth = uniform_filter1d(median_filter(values, width, mode="nearest"), width, mode="nearest")
-    rest = values - smooth
+    rest = background - smooth
     scatter = 1.4826 * float(np.median(np.abs(rest - np.median(rest))))
-    variance = np.full(len(values), scatter**2 * 2 / width)
-    if keep_spikes:
-        spikes = np.abs(rest) > sigma * scatter
-        smooth = np.where(spikes, values, smooth)
-        variance = np.where(spikes, scatter**2, variance)
-    return smooth, variance
+    own = np.abs(rest - np.median(rest)) > spike * scatter
+    return np.where(own, background, smooth), np.where(own, 1.0, _SMOOTHED) * scatter**2
 
 
 def window_weights(fit, noise, window):
@@ -187,4 +200,4 @@ def window_weights(fit, noise, window):
     if window == "optimal":
         weights = np.clip(fit.star, 0, None) / noise
         return weights / weights.max(axis=(1, 2), keepdims=True)
-    return soft_window(fit.track, fit.star.shape[1:], window)
+    return np.maximum(soft_window(fit.track, fit.star.shape[1:], window), fit.full)

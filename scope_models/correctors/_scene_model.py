@@ -18,6 +18,7 @@ __all__ = [
     "misfit",
     "render",
     "solve_track",
+    "state_variance",
 ]
 
 #: Prior standard deviations: of the PRF about the first guess (relative, and in units of its
@@ -25,7 +26,7 @@ __all__ = [
 _PRF_RELATIVE, _PRF_ABSOLUTE, _GAIN, _PLACE = 0.25, 2e-3, 0.015, 0.1
 #: The PRF's sum over pixels is about 1, wherever in a pixel the star is: places along an axis, and
 #: prior standard deviation.
-_PHASES, _SUM = 8, 1e-3
+_PHASES, _SUM = 8, 2e-4
 #: Largest steps of a position (px) and a width in one iteration.
 _LARGEST_STEP, _LARGEST_BREATH = 0.3, 0.02
 
@@ -217,6 +218,16 @@ def solve_track(shape, track, flux, variance, priors, floor, steps=3):
         right += precision * np.where(np.isfinite(priors.sigma), priors.mean - state, 0.0)
         track = Track(*(state + _bounded(_solve(normal, right, precision))).T)
     return track
+
+
+def state_variance(shape, track, flux, variance, floor):
+    """Return the formal variances of the states, ``(n, 5)``; arguments as in `solve_track`."""
+    _, jacobian, light = _linearized(shape, track, flux)
+    weight = _weights(variance, light, floor)
+    normal = (jacobian * weight[:, :, None]).transpose(0, 2, 1) @ jacobian
+    root = 1 / np.sqrt(np.maximum(np.einsum("nii->ni", normal), 1e-300))
+    scaled = normal * root[:, :, None] * root[:, None, :] + 1e-9 * np.eye(5)
+    return np.einsum("nii->ni", np.linalg.inv(scaled)) * root**2
 
 
 def _solve(normal, right, precision):

@@ -10,10 +10,11 @@ from lightkurve.correctors.corrector import Corrector
 from scope_models._checks import checked_cadences, checked_mask
 from scope_models.correctors._flux_model import fit_flux
 from scope_models.correctors._result import transit_column
-from scope_models.correctors._scene_fit import fit_scene
+from scope_models.correctors._scene_fit import WIDER, fit_scene
 from scope_models.correctors._scene_flux import (
+    LIMITS,
+    clean_background,
     make_columns,
-    smooth_state,
     window_flux,
     window_weights,
 )
@@ -26,7 +27,7 @@ __all__ = ["SceneCorrector", "SceneResult"]
 
 _FEWEST_CADENCES = 30
 #: Windows that are tried: radii in pixels, and weights in proportion to light over variance.
-_WINDOWS = (2.0, 3.0, 4.0, "optimal")
+_WINDOWS = (3.0, 4.0, "optimal")
 #: Windows with so much more white noise than the best are not tried.
 _NOISIEST = 1.3
 _TRANSIT_HOURS = 6.5
@@ -248,7 +249,8 @@ class SceneCorrector(Corrector):
         Warns
         -----
         DetrendingWarning
-            If many cadences are outliers, or the window holds much light of other stars.
+            If pixels saturate, many cadences are outliers, or the window holds much light of
+            other stars.
         """
         data = self._data
         n = len(data.usable)
@@ -265,8 +267,9 @@ class SceneCorrector(Corrector):
             flat = flat if flat.any() else None
         if self.scene is None:
             self.scene = fit_scene(
-                data.flux, data.variance, data.pos_corr, data.peak, offsets=self._offsets
-            )
+                data.time, data.flux, data.variance, data.pos_corr, data.peak,
+                offsets=self._offsets, well=data.well,
+            )  # fmt: skip
         self._chosen = self._best(allowed, flat)
         self.cadence_mask, self.transit_mask = mask & ~in_transit, in_transit
         self._finish(allowed, has_transit=flat is not None, restore_trend=restore_trend)
@@ -275,35 +278,44 @@ class SceneCorrector(Corrector):
     def _best(self, allowed, flat):
         """Return the flux in the window of the smallest expected error."""
         data, scene = self._data, self.scene
-        background, background_variance = smooth_state(scene.track.background, keep_spikes=True)
-        width, _ = smooth_state(scene.track.width)
+        background, background_variance = clean_background(scene.track.background, scene.background)
         noise = data.noise
         windows = _WINDOWS if data.aperture is None else (data.aperture,)
         found = []
         for window in windows:
+            if window == "optimal" and scene.full.any():
+                continue
             weights = window_weights(scene, noise, window)
-            one = window_flux(data.flux, scene, weights, background, background_variance)
+            one = window_flux(
+                data.flux, data.variance, scene, weights, background, background_variance
+            )
             level = np.median(one.flux)
             if not level > 0:
                 continue
             other = np.median(np.sum(weights * scene.others, axis=(1, 2)))
-            found.append((np.median(one.variance) / level**2, window, one, level / (level + other)))
+            by_width = np.log(np.sum(weights * scene.wider, axis=(1, 2)) / one.model) / WIDER
+            crowding = float(level / (level + other))
+            found.append((np.median(one.variance) / level**2, window, one, crowding, by_width))
         if not found:
             raise ValueError("the target's flux must be positive in most cadences")
         limit = _NOISIEST**2 * min(variance for variance, *_ in found)
         time = data.time - data.time[0]
         best = None
-        for variance, window, one, crowding in found:
+        for variance, window, one, crowding, by_width in found:
             if variance > limit:
                 continue
             level = np.median(one.flux)
             positive = one.flux > 0.01 * level
-            y = np.log(np.where(positive, one.flux, level) / one.model)
-            columns = make_columns(data.time, scene.track, width, one)
+            change = by_width * (scene.track.width - np.median(scene.track.width))
+            y = np.log(np.where(positive, one.flux, level) / one.model) - change
+            columns = make_columns(data.time, scene.track, one, by_width)
             relative = one.variance / np.where(positive, one.flux, level) ** 2
-            model = fit_flux(time, y, relative, columns, allowed & positive, flat)
-            trial = _Flux(window, np.where(positive, one.flux, np.nan) / one.model, relative,
-                          model, float(crowding))  # fmt: skip
+            model = fit_flux(
+                time, y, relative, columns, allowed & positive, limits=LIMITS, flat=flat
+            )
+            star = np.where(positive, one.flux, np.nan) / one.model / np.exp(change)
+            trial = _Flux(window, star, relative,
+                          model, crowding)  # fmt: skip
             if best is None or trial.expected_error < best.expected_error:
                 best = trial
         return best
@@ -358,6 +370,12 @@ class SceneCorrector(Corrector):
 
     def _warn(self):
         result = self.result
+        if self.scene.full.any():
+            message = (
+                "pixels saturate: the model of the pixels holds for the others only, and "
+                "PLDCorrector corrects such stars better"
+            )
+            warnings.warn(message, DetrendingWarning, stacklevel=4)
         if result.n_outliers > _MANY * (result.n_outliers + result.n_used):
             message = f"{result.n_outliers} cadences are left out of the fit as outliers"
             warnings.warn(message, DetrendingWarning, stacklevel=4)
@@ -477,6 +495,8 @@ class _Data:
         Column and row of the target within them.
     aperture : ndarray of bool or None
         The user's aperture, of the same pixels.
+    well : float or None
+        Flux of a full pixel, e-/s, if it is known.
     """
 
     all_times: np.ndarray
@@ -488,6 +508,7 @@ class _Data:
     box: tuple
     peak: tuple
     aperture: np.ndarray | None
+    well: float | None
 
     @classmethod
     def from_series(cls, series, aperture):
@@ -524,6 +545,7 @@ class _Data:
         return cls(
             series.time, usable, time, flux[cut], variance[cut], pos_corr, box, peak,
             None if aperture is None else aperture[box],
+            series.mission and series.mission.full_flux,
         )  # fmt: skip
 
     @property

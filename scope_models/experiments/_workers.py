@@ -12,6 +12,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import partial
 from hashlib import sha256
+from multiprocessing import resource_tracker
 from numbers import Integral
 from pathlib import Path
 
@@ -379,11 +380,30 @@ def _dask_client(where):
     # A worker that dies gives its stars back at once, and no port is open to other machines.
     with (
         dask.config.set({"distributed.scheduler.allowed-failures": 0}),
+        _later_interrupts() as allow_interrupts,
         _begun(LocalCluster, where) as cluster,
         Client(cluster) as client,
     ):
         client.register_worker_callbacks(partial(_begin_worker, warnings.filters[:]))
+        allow_interrupts()
         yield client
+
+
+@contextmanager
+def _later_interrupts():
+    """Block interrupts here until the given function is called, and for good in new processes.
+
+    Otherwise an interrupt of the terminal's process group prints a traceback of each worker.
+    """
+    if not hasattr(signal, "pthread_sigmask"):  # Windows
+        yield lambda: None
+        return
+    resource_tracker.ensure_running()  # its start, with the first process, would allow them again
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield partial(signal.pthread_sigmask, signal.SIG_SETMASK, before)
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _begun(cluster, number):

@@ -29,6 +29,7 @@ _COLUMNS = {
     "flux_scatter": "e-/s",
     "background": "e-/s",
     "background_err": "e-/s",
+    "focus": "",
 }
 _OF_STAR = ("x", "y", "flux", "x_err", "y_err", "flux_err")
 _IMAGES = ("covariance", "interpixel", "interpixel_err", "observed", "observed_err", "fitted")
@@ -88,7 +89,10 @@ def read_fit(path):
 def _fields_of(hdus):
     """Return the fields of the fit in an HDU list."""
     table = hdus["CADENCES"].data
-    values = {name: native(table[name.upper()]) for name in _COLUMNS}
+    values = {"focus": np.ones(len(table))}  # the first version had none
+    values |= {
+        name: native(table[name.upper()]) for name in _COLUMNS if name.upper() in table.names
+    }
     values["pos_corr"] = None
     if "POS_CORR1" in table.names:
         corrections = [native(table[f"POS_CORR{i}"]) for i in (1, 2)]

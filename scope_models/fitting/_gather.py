@@ -8,7 +8,7 @@ import numpy as np
 from scope_models.exceptions import FitWarning
 from scope_models.fitting.result import FittedStar, TPFFit
 
-__all__ = ["make_results", "warn_of_fit"]
+__all__ = ["doubts_of", "make_results", "warn_of_fit"]
 
 # Cards that a fit keeps: what the star is, and where the stamp is on detector and sky.
 _FACTS = (
@@ -74,6 +74,7 @@ def _make_result(problem, solution, errors, model_pixels, number, detector, seri
         covariance=covariance,
         at_bounds=tuple(n for n, at in zip(problem.names, at_bounds, strict=True) if at),
         neighbors=neighbors,
+        focus=1 + problem.focus(state),
         interpixel=interpixel,
         interpixel_err=interpixel_err,
         time=data.time,
@@ -164,10 +165,26 @@ def warn_of_fit(fit, stacklevel):
     stacklevel : int
         Whose line the warning names.
     """
-    messages = [*_of_convergence(fit), *_of_sensitivity(fit), *_of_pixels(fit)]
-    messages += _of_positions(fit)
-    for message in messages:
+    for message in doubts_of(fit):
         warnings.warn(message, FitWarning, stacklevel=stacklevel)
+
+
+def doubts_of(fit):
+    """
+    Return what is doubtful about a fit.
+
+    Parameters
+    ----------
+    fit : TPFFit
+        The fit.
+
+    Returns
+    -------
+    messages : list of str
+        One for each doubt.
+    """
+    messages = [*_of_convergence(fit), *_of_sensitivity(fit), *_of_pixels(fit)]
+    return [*messages, *_of_positions(fit)]
 
 
 def _of_convergence(fit):

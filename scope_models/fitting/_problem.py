@@ -5,6 +5,7 @@ from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
+from scipy.interpolate import BSpline
 
 from scope_models.fitting.parameters import FitParameter, fit_parameters
 
@@ -16,6 +17,8 @@ _CHUNK = 256
 _UNTRUE, _SAME = 1.5, 0.02
 # Median of the square of a standard normal deviate.
 _MEDIAN_SQUARE = 0.4549364
+# Standard deviation of the relative change of the PSF's width before the fit.
+_FOCUS_PRIOR = 0.05
 # Standard deviation of the scale of the motion about that of POS_CORR.
 _SCALE_PRIOR = 0.02
 # Parameters of the path.
@@ -55,6 +58,8 @@ class FitOptions:
         Residual, in standard deviations, from which "soft_l1" grows only linearly.
     saturation : bool
         Whether saturated columns are left out.
+    focus : float or None
+        Shortest time in which the width of the PSF changes, days.
     """
 
     empirical: int = 0
@@ -65,6 +70,7 @@ class FitOptions:
     loss: str = "linear"
     loss_scale: float = 3.0
     saturation: bool = True
+    focus: float | None = None
 
     @property
     def soft(self):
@@ -190,6 +196,8 @@ class Problem:
         Factor of all errors.
     target : ndarray of shape (2,), optional
         Where the first star is, if the caller says so.
+    span : tuple of float, optional
+        First and last time that the focus covers, days.
     """
 
     stamps: tuple
@@ -198,6 +206,7 @@ class Problem:
     stars: tuple = (FitStar(),)
     error_scale: float = 1.0
     target: np.ndarray | None = None
+    span: tuple | None = None
 
     # --- data -----------------------------------------------------------------------------
     @property
@@ -239,6 +248,22 @@ class Problem:
         """What the path is linear in, shape ``(n, 3)``."""
         offsets = self.data.pos_corr - np.median(self.data.pos_corr, axis=0)
         return np.column_stack([np.ones(len(offsets)), offsets])
+
+    @cached_property
+    def focus_basis(self):
+        """Cubic splines of time of which the relative width is a sum, shape ``(n, k)``."""
+        if self.options.focus is None:
+            return np.zeros((len(self.flux), 0))
+        first, last = self.span
+        n_parts = max(1, int((last - first) / self.options.focus))
+        inner = np.linspace(first, last, n_parts + 1)
+        knots = np.concatenate([[first] * 3, inner, [last] * 3])
+        return BSpline.design_matrix(self.data.time, knots, 3).toarray()
+
+    def focus(self, state):
+        """Relative width of the PSF less 1, shape ``(n,)``."""
+        start = self.n_shared - self.focus_basis.shape[1]
+        return self.focus_basis @ state.shared[start:]
 
     def thinned(self, every):
         """Return the problem with a part of the cadences."""
@@ -286,6 +311,11 @@ class Problem:
         if self.options.background == "constant":
             names = ["background", *(f"background_{i}" for i in range(1, len(self.stamps)))]
             result += [FitParameter(name, "flux") for name in names]
+        if self.options.focus is not None:
+            number = self.focus_basis.shape[1]
+            result += [
+                FitParameter(f"focus_{i}", "focus", prior=_FOCUS_PRIOR) for i in range(number)
+            ]
         return tuple(result)
 
     @cached_property
@@ -397,14 +427,29 @@ class Problem:
         """Images of unit flux at the fitted pixels of the star's stamp, ``(m, p)``."""
         stamp = self.stamps[self.stars[star].stamp]
         x, y = self.xy(state, star)[part].T
+        widens = self.options.focus is not None
+        values = self.values(state)
         result = self.prf.unit_images(
-            stamp.shape, x, y, values=self.values(state), derivatives=derivatives
+            stamp.shape, x, y, values=values, derivatives=derivatives or widens
         )
-        if not derivatives:
+        if not (derivatives or widens):
             return result[:, stamp.pixels]
         image, by = result
-        needed = (*self.names[: self.n_shape], "x_0", "y_0")
+        if widens:
+            by["focus"] = self._widened(by, values)
+            image = image + self.focus(state)[part, None, None] * by["focus"]
+        if not derivatives:
+            return image[:, stamp.pixels]
+        needed = (*self.names[: self.n_shape], "x_0", "y_0", *(("focus",) if widens else ()))
         return image[:, stamp.pixels], {name: by[name][:, stamp.pixels] for name in needed}
+
+    def _widened(self, derivatives, values):
+        """Derivative of images by the relative width: all distances from the star scale."""
+        kinds = self.prf.parameter_kinds
+        scaled = [name for name, kind in kinds.items() if kind in {"width", "offset"}]
+        numbers = {name: float(np.ravel(getattr(self.prf, name).value)[0]) for name in scaled}
+        numbers |= {name: values[name] for name in scaled if name in values}
+        return sum(numbers[name] * derivatives[name] for name in scaled)
 
     def model(self, state):
         """Model of the fitted pixels, shape ``(n, p)``."""
@@ -506,6 +551,10 @@ class Problem:
                 by_cadence[..., axis] += moved
             if k:
                 by_shared[..., self.names.index(f"{name}_star_{k}")] = moved
+        if self.options.focus is not None:
+            number = self.focus_basis.shape[1]
+            basis = self.focus_basis[part, np.newaxis]
+            by_shared[..., -number:] += (scale * derivatives["focus"])[..., np.newaxis] * basis
         if self.stars[k].constant:
             by_shared[..., self.names.index(f"flux_star_{k}")] = response * image
         else:

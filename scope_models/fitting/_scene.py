@@ -3,6 +3,7 @@
 import numpy as np
 from scipy.ndimage import median_filter, uniform_filter1d
 
+from scope_models.effects import Focus
 from scope_models.missions import MISSIONS
 from scope_models.models import SensitivityPolynomial
 from scope_models.scene.motion import Motion
@@ -36,7 +37,13 @@ def make_scene(fit, positions, signal):
         raise ValueError(f"the star has no flux to simulate: its median is {flux:g} e-/s")
     detector = fit.detector.replace(read_noise=_read_noise(fit))
     mag = detector.zero_point_mag - 2.5 * np.log10(flux / detector.zero_point)
-    star = Star(float(mag), *middle, psf=fit.psf, signal=_signal(fit, signal))
+    stars = [Star(float(mag), *middle, psf=fit.psf, signal=_signal(fit, signal))]
+    for other in fit.neighbors:
+        light = float(np.median(other.flux))
+        if light > 0:
+            mag = detector.zero_point_mag - 2.5 * np.log10(light / detector.zero_point)
+            place = (float(np.median(values)) for values in (other.x, other.y))
+            stars.append(Star(float(mag), *place, psf=fit.psf))
     motion = Motion(
         time=fit.time,
         x=x - middle[0],
@@ -45,7 +52,9 @@ def make_scene(fit, positions, signal):
         cadenceno=fit.cadenceno,
         time_format=fit.time_format,
     )
-    return Scene(star, detector, motion, **_identity(fit.meta, detector.mission))
+    effects = () if np.all(fit.focus == 1) else (Focus(series=fit.focus),)
+    identity = _identity(fit.meta, detector.mission)
+    return Scene(stars, detector, motion, effects=effects, **identity)
 
 
 def _identity(cards, mission):

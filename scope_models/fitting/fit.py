@@ -65,6 +65,7 @@ def fit_tpf(
     background="cadence",
     positions="start",
     position_error=0.01,
+    focus=None,
     loss="linear",
     loss_scale=3.0,
     flux_err=None,
@@ -123,6 +124,10 @@ def fit_tpf(
         with a prior of 0.02 about the scale 1.
     position_error : float, optional
         Standard deviation of the positions about the path, pixels, for "prior".
+    focus : float or `~astropy.units.Quantity`, optional
+        Shortest time, days, in which the width of the PSF changes: all distances from the star
+        scale with a cubic spline of time, with a prior of 5 %, to first order in the change.
+        None: the width is constant.
     loss : {"linear", "soft_l1"}, optional
         Least squares, or a loss that grows only linearly with residuals above ``loss_scale``,
         for data with cosmic rays.
@@ -187,6 +192,7 @@ def fit_tpf(
         loss=_one_of("loss", loss, _LOSSES),
         loss_scale=checked_number("loss_scale", loss_scale, positive=True),
         saturation=bool(saturation),
+        focus=None if focus is None else checked_number("focus", focus, "d", positive=True),
     )
     max_steps = checked_integer("max_steps", max_steps, 1)
     if psf is not None and not isinstance(psf, int | Model):
@@ -356,8 +362,11 @@ def _make_problem(series, places, prf, flux_err, neighbor_flux, options):
             for other, weak in zip(apart, faint, strict=True)
             for alone in (neighbor_flux == "auto",)
         ]
+    if options.focus is not None and "width" not in prf.parameter_kinds.values():
+        raise ValueError("`focus` needs a PSF with a width: a Gaussian or an empirical term")
+    span = float(stamps[0].time[0]), float(stamps[0].time[-1])
     target = places[0][0]
-    return Problem(tuple(stamps), prf, options, tuple(stars), target=target), detectors
+    return Problem(tuple(stamps), prf, options, tuple(stars), target=target, span=span), detectors
 
 
 def _in_common(stamps):

@@ -25,7 +25,7 @@ class FitParameter:
         Its name.
     kind : str
         "width", "correlation", "coefficient", "fraction", "offset" and "response" as in
-        `~scope_models.PRF.parameter_kinds`; "position", "slope" and "flux";
+        `~scope_models.PRF.parameter_kinds`; "position", "slope", "flux" and "focus";
         or "other".
     lower, upper : float, optional
         Bounds.

@@ -66,6 +66,8 @@ class TPFFit:
         Parameters that ended at a bound: they have no error.
     neighbors : tuple of FittedStar
         The other stars.
+    focus : ndarray of shape (n,)
+        Relative width of the PSF; 1 where it was not fitted.
     interpixel, interpixel_err : ndarray of shape (ny, nx)
         Response of each pixel against the others; 1 and NaN where there are no data.
     time : ndarray
@@ -119,6 +121,7 @@ class TPFFit:
     covariance: np.ndarray
     at_bounds: tuple
     neighbors: tuple
+    focus: np.ndarray
     interpixel: np.ndarray
     interpixel_err: np.ndarray
     time: np.ndarray
@@ -375,10 +378,11 @@ class TPFFit:
         Returns
         -------
         Scene
-            The star, the pixels and the positions about their median. The pixels have the fitted
-            sensitivity and response, and the read noise with which faint pixels scatter as those
-            of the file do from one cadence to the next. The target's name and number, its place
-            on the sky and that of the stamp on the detector are those of the file.
+            The stars, the pixels, the positions about their median and the focus, if it was
+            fitted. The pixels have the fitted sensitivity and response, and the read noise with
+            which faint pixels scatter as those of the file do from one cadence to the next. The
+            target's name and number, its place on the sky and that of the stamp on the detector
+            are those of the file.
 
         Notes
         -----
@@ -388,9 +392,39 @@ class TPFFit:
 
         return make_scene(self, positions, signal)
 
+    def summary(self):
+        """
+        Return what the fit found, as text.
+
+        Returns
+        -------
+        str
+            Model, residuals, motion, parameters with errors, and doubts.
+        """
+        from scope_models.fitting._gather import doubts_of
+
+        n, ny, nx = self.observed.shape
+        state = f"{'' if self.converged else 'not '}converged after {self.n_steps} steps"
+        x, y, flux = (np.median(values) for values in (self.x, self.y, self.flux))
+        typical = np.nanmedian(self.chi2_pixels)
+        stars = 1 + len(self.neighbors)
+        lines = [
+            f"{n} cadences of {ny} x {nx} pixels, {stars} star{'s' * (stars > 1)}, {state}",
+            f"chi-squared per degree of freedom {self.reduced_chi2:.4g}, typically {typical:.4g}",
+            f"errors of the pixels scaled by {self.error_scale:.3g}",
+            f"flux {flux:.6g} e-/s at column {x:.3f}, row {y:.3f}",
+        ]
+        for axis, r2, scale in zip("xy", self.path_r2(), self.path_scale(), strict=True):
+            if np.isfinite(scale):
+                lines.append(f"motion along {axis}: {scale:.3f} of POS_CORR, R2 {r2:.3f}")
+        for row in self.table():
+            error = "fixed" if row["fixed"] else f"+- {row['error']:.2g}"
+            lines.append(f"  {row['name']:18s} {row['value']:12.6g} {error} {row['unit']}".rstrip())
+        return "\n".join([*lines, *(f"! {doubt}" for doubt in doubts_of(self))])
+
     def plot(self):
         """
-        Draw data, model and residual, positions against POS_CORR, chi-squared, the sensitivity.
+        Draw data, model and residual, positions, chi-squared, sensitivity or light curve.
 
         Returns
         -------
@@ -409,6 +443,8 @@ class TPFFit:
             pos_corr=self.pos_corr,
             sensitivity=sensitivity_profiles(self),
             chi2=self.chi2_pixels,
+            time=self.time,
+            flux=self.flux,
         )
 
     def write(self, path, overwrite=False):

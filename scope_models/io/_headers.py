@@ -7,7 +7,7 @@ import numpy as np
 
 from scope_models._version import __version__
 
-__all__ = ["column_cards", "make_headers"]
+__all__ = ["column_cards", "make_headers", "tan_projection"]
 
 _LAYOUTS = Path(__file__).with_name("layouts")
 _PROTECTED = ("SIMPLE", "BITPIX", "EXTEND", "NEXTEND", "EXTNAME", "EXTVER", "CHECKSUM", "DATASUM")
@@ -41,7 +41,7 @@ def make_headers(metadata, time, timecorr, used, aperture):
         If an extra card cannot be one, or has a value already.
     """
     optimal, collected = aperture & 2 > 0, aperture & 1 > 0
-    sky = {key: value for key, (value, _) in _tan_projection(metadata, aperture.shape).items()}
+    sky = {key: value for key, (value, _) in tan_projection(metadata, aperture.shape).items()}
     values = {
         **_target(metadata),
         **_detector(metadata),
@@ -208,7 +208,7 @@ def column_cards(number, column, metadata, shape):
 
 def _column_wcs(n, metadata, shape):
     """Return the cards of detector and sky coordinates of a column of images."""
-    sky = _tan_projection(metadata, shape)
+    sky = tan_projection(metadata, shape)
     cards = [
         (f"WCSN{n}P", "PHYSICAL", "name of the detector coordinates"),
         (f"WCAX{n}P", 2, "axes of the detector coordinates"),
@@ -233,8 +233,21 @@ def _column_wcs(n, metadata, shape):
     return cards
 
 
-def _tan_projection(metadata, shape):
-    """Return keyword: (value, comment) of the gnomonic projection about the target."""
+def tan_projection(metadata, shape):
+    """Return the gnomonic projection about the target.
+
+    Parameters
+    ----------
+    metadata : TPFMetadata
+        The facts.
+    shape : tuple of int
+        Rows and columns of the stamp.
+
+    Returns
+    -------
+    dict of str to tuple
+        Keyword to value and comment.
+    """
     ny, nx = shape
     x_0 = (nx - 1) / 2 if metadata.x_0 is None else metadata.x_0
     y_0 = (ny - 1) / 2 if metadata.y_0 is None else metadata.y_0

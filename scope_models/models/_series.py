@@ -208,7 +208,7 @@ def _tensor(columns, rows, shape, along):
 
 def _directly(term, columns, rows):
     """Return the renderer of any density: few positions at a time, none interpolated."""
-    points = PixelPoints(*np.meshgrid(columns, rows))
+    points = PixelPoints.from_shape((rows.size, columns.size))
     (factor,) = term.densities
 
     def moved(x, y):
@@ -234,6 +234,7 @@ def _directly(term, columns, rows):
                 "pixels already"
             )
         images = np.empty((x.size, rows.size, columns.size))
+        x, y = x - columns[0], y - rows[0]
         for start in range(0, x.size, _BATCH):
             part = slice(start, start + _BATCH)
             if widths is None:

@@ -2,9 +2,10 @@
 
 import astropy.units as u
 import numpy as np
+from astropy.time import Time
 from scipy.signal import savgol_filter
 
-from scope_models._arrays import plain_number
+from scope_models._arrays import plain_array, plain_number
 from scope_models.missions import MISSIONS
 
 __all__ = ["LONG_CADENCE", "cdpp"]
@@ -104,23 +105,13 @@ def _series(lc_or_flux):
     """Return time (days or None) and flux as plain float arrays, masked values as NaN."""
     if hasattr(lc_or_flux, "flux") and hasattr(lc_or_flux, "time"):
         time = lc_or_flux.time
-        time = _plain(getattr(time, "value", time))
-        flux = _plain(lc_or_flux.flux)
+        time = plain_array(time.value if isinstance(time, Time) else time, u.day, "time")
+        flux = plain_array(lc_or_flux.flux, None, "flux")
     else:
-        time, flux = None, _plain(lc_or_flux)
+        time, flux = None, plain_array(lc_or_flux, None, "lc_or_flux")
     if flux.ndim not in (1, 2):
         raise ValueError(f"`lc_or_flux` must have one or two dimensions, got shape {flux.shape}")
     return time, flux
-
-
-def _plain(values):
-    """Return an array without unit and mask; what was masked becomes NaN."""
-    mask = getattr(values, "mask", None)
-    values = getattr(values, "unmasked", values)
-    values = np.array(getattr(values, "value", values), dtype=float)
-    if mask is not None:
-        values[np.broadcast_to(mask, values.shape)] = np.nan
-    return values
 
 
 def _cadence_days(time, cadence):

@@ -17,15 +17,20 @@ _LINEAR = 0.01
 
 
 @styled
-def plot_fit(data, model, residual, x, y, *, pos_corr=None, sensitivity=None, chi2=None):
+def plot_fit(
+    data, model, residual, x, y, *, pos_corr=None, sensitivity=None, chi2=None, time=None, flux=None
+):
     """
     Draw data, model and residual, positions against POS_CORR, chi-squared and the sensitivity.
+
+    Without a sensitivity the last panel has the light curve.
 
     Parameters
     ----------
     data, model, residual : array_like
-        Images ``(ny, nx)`` in e-/s. They are drawn on one scale, linear for what is fainter than
-        a hundredth of the brightest pixel and logarithmic above.
+        Images ``(ny, nx)`` in e-/s. Data and model are drawn on one scale, linear for what is
+        fainter than a hundredth of the brightest pixel and logarithmic above, the residual on a
+        linear scale of its own.
     x, y : array_like
         Positions ``(n_cadences,)`` in pixels.
     pos_corr : array_like, optional
@@ -35,11 +40,14 @@ def plot_fit(data, model, residual, x, y, *, pos_corr=None, sensitivity=None, ch
         deviation there, NaN where a coefficient is at its bound.
     chi2 : array_like, optional
         Chi-squared per degree of freedom of each pixel, ``(ny, nx)``.
+    time, flux : array_like or `~astropy.units.Quantity`, optional
+        Light curve ``(n_cadences,)`` in days and e-/s.
 
     Returns
     -------
     dict of str to `~matplotlib.axes.Axes`
-        "data", "model", "residual", "positions" and, if given, "chi2" and "sensitivity".
+        "data", "model", "residual", "positions" and, if given, "chi2", and "sensitivity" or
+        "light curve".
 
     Examples
     --------
@@ -54,28 +62,34 @@ def plot_fit(data, model, residual, x, y, *, pos_corr=None, sensitivity=None, ch
     """
     data, model = plain_array(data, _RATE, "data"), plain_array(model, _RATE, "model")
     residual = plain_array(residual, _RATE, "residual")
-    below = [
-        name for name, part in (("chi2", chi2), ("sensitivity", sensitivity)) if part is not None
-    ]
+    data, model = plain_array(data, _RATE, "data"), plain_array(model, _RATE, "model")
+    residual = plain_array(residual, _RATE, "residual")
+    x, y = plain_array(x, u.pix, "x"), plain_array(y, u.pix, "y")
+    if pos_corr is not None:
+        pos_corr = plain_array(pos_corr, u.pix, "pos_corr")
+    time = None if time is None else plain_array(time, u.day, "time")
+    flux = None if flux is None else plain_array(flux, _RATE, "flux")
+    last = ("sensitivity", sensitivity) if sensitivity else ("light curve", flux)
+    below = [name for name, part in (("chi2", chi2), last) if part is not None]
     names = [*_TITLES, "positions", *below]
     figure = plt.figure(figsize=(11.5, 6.4), layout="constrained")
     rows = figure.add_gridspec(2, 3)
     axes = {name: figure.add_subplot(rows[i // 3, i % 3]) for i, name in enumerate(names)}
-    images = {"data": data, "model": model, "residual": residual}
-    top = np.nanmax(np.abs(data))
-    norm = AsinhNorm(_LINEAR * top, -top, top)
-    for name, image in images.items():
-        shown = axes[name].imshow(image, origin="lower", cmap="RdGy_r", norm=norm)
+    top, largest = np.nanmax(np.abs(data)), np.nanmax(np.abs(residual)) or 1.0
+    light = AsinhNorm(_LINEAR * top, -_LINEAR * top, top)
+    for name, image in (("data", data), ("model", model)):
+        shown = axes[name].imshow(image, origin="lower", cmap="viridis", norm=light)
         _label_image(axes[name], _TITLES[name])
-    largest = np.nanmax(np.abs(residual))
-    axes["residual"].set_title(f"Residual, median, to {100 * largest / top:.2g} %")
-    ticks = [sign * part * top for sign in (-1, 1) for part in (1, 0.1, _LINEAR)]
-    bar = figure.colorbar(shown, ax=axes["residual"], label="Flux (e$^-$ s$^{-1}$)")
-    bar.set_ticks([*ticks, 0.0], labels=[f"{tick:.3g}" for tick in (*ticks, 0.0)])
+    bar = figure.colorbar(shown, ax=axes["model"], label="Flux (e$^-$ s$^{-1}$)")
+    ticks = [0.0, *(part * top for part in (_LINEAR, 0.1, 1))]
+    bar.set_ticks(ticks, labels=[f"{tick:.3g}" for tick in ticks])
     bar.minorticks_off()
-    x, y = plain_array(x, u.pix, "x"), plain_array(y, u.pix, "y")
-    if pos_corr is not None:
-        pos_corr = plain_array(pos_corr, u.pix, "pos_corr")
+    shown = axes["residual"].imshow(
+        residual, origin="lower", cmap="RdBu_r", vmin=-largest, vmax=largest
+    )
+    title = f"{_TITLES['residual']}, to {100 * largest / top:.2g} %"
+    _label_image(axes["residual"], title)
+    figure.colorbar(shown, ax=axes["residual"], label="Flux (e$^-$ s$^{-1}$)")
     _draw_positions(axes["positions"], x, y, pos_corr)
     if chi2 is not None:
         shown = axes["chi2"].imshow(chi2, origin="lower", cmap="viridis", norm=LogNorm())
@@ -83,6 +97,15 @@ def plot_fit(data, model, residual, x, y, *, pos_corr=None, sensitivity=None, ch
         figure.colorbar(shown, ax=axes["chi2"], label="Per degree of freedom")
     if sensitivity:
         _draw_sensitivity(axes["sensitivity"], sensitivity)
+    elif flux is not None:
+        ax = axes["light curve"]
+        ax.plot(np.arange(flux.size) if time is None else time, flux, "k.", ms=2)
+        ax.set(
+            title="Light curve",
+            xlabel="Cadence" if time is None else "Time (d)",
+            ylabel="Flux (e$^-$ s$^{-1}$)",
+        )
+        ax.set_ylim(*_without_outliers([flux]))
     return axes
 
 

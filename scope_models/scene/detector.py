@@ -1,6 +1,7 @@
 """The detector: what the pixels do with the light of stars."""
 
 from dataclasses import dataclass, replace
+from html import escape
 from typing import TYPE_CHECKING
 
 import astropy.units as u
@@ -210,6 +211,27 @@ class Detector:
             f"sensitivity {'1' if self.sensitivity is None else type(self.sensitivity).__name__}, "
             f"interpixel {spread if self.interpixel is None else 'given'}>"
         )
+
+    def _repr_html_(self):
+        mission = MISSIONS.get(self.mission)
+        band = "magnitude" if mission is None else mission.band
+        rows = {
+            "stamp": f"{self.shape[0]} x {self.shape[1]} px of {self.pixel_scale:g} arcsec",
+            "cadence": f"{self.n_frames} frames of {self.frame_time:.6g} s, "
+            f"{self.exposure_time:.6g} s exposed",
+            "zero point": f"{self.zero_point:g} e-/s at {band} = {self.zero_point_mag:g}",
+            "gain": f"{self.gain:g} e-/DN",
+            "read noise": f"{self.read_noise:g} e-",
+            "background": f"{self.background:g} e-/s per pixel",
+            "well depth": "none" if self.well_depth is None else f"{self.well_depth:g} e-",
+            "sensitivity": "1" if self.sensitivity is None else type(self.sensitivity).__name__,
+            "interpixel": f"{self.interpixel_distribution}, {self.interpixel_scatter:g}"
+            if self.interpixel is None
+            else "given",
+            "PSF": "none" if self.psf is None else f"{PRF(self.psf).n_components} components",
+        }
+        cells = "".join(f"<tr><th>{name}</th><td>{text}</td></tr>" for name, text in rows.items())
+        return f"<p>Detector {escape(self.mission)}</p><table>{cells}</table>"
 
     @classmethod
     def preset(cls, name, cadence=None, **changes):

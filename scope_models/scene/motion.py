@@ -3,6 +3,7 @@
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
+from html import escape
 from numbers import Integral, Real
 from pathlib import Path
 from types import MappingProxyType
@@ -150,6 +151,15 @@ class Motion:
             f"{last:.4f}, x {self.x.min():.3g} to {self.x.max():.3g}, "
             f"y {self.y.min():.3g} to {self.y.max():.3g} px>"
         )
+
+    def _repr_html_(self):
+        known = {key: value for key, value in self.meta.items() if key != "generator"}
+        rows = {"distance": str(self.statistics()), **known}
+        cells = "".join(
+            f"<tr><th>{escape(str(key))}</th><td>{escape(str(value))}</td></tr>"
+            for key, value in rows.items()
+        )
+        return f"<p>{escape(repr(self))}</p><table>{cells}</table>"
 
     def __len__(self):
         return len(self.time)

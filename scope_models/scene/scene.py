@@ -16,7 +16,8 @@ from scope_models._arrays import plain_number
 from scope_models._checks import checked_integer
 from scope_models.effects import Effect
 from scope_models.effects.noise import check_seed, noise_terms
-from scope_models.io import read_truth, write_hdulist
+from scope_models.io import TPFMetadata, read_truth, write_hdulist
+from scope_models.io._headers import tan_projection
 from scope_models.io._truth import truth_hdus
 from scope_models.models._description import (
     describe_model,
@@ -201,6 +202,16 @@ class Scene:
                 for star in self.stars
             ]
         )
+
+    @property
+    def wcs(self):
+        """World coordinates of the stamp, the `~astropy.wcs.WCS` that its files have."""
+        from astropy.io import fits
+        from astropy.wcs import WCS
+
+        metadata = TPFMetadata.of(self.detector, **scene_facts(self))
+        cards = tan_projection(metadata, self.detector.shape).items()
+        return WCS(fits.Header([(keyword, *card) for keyword, card in cards]))
 
     def replace(self, **changes):
         """Return a scene with some fields changed.
@@ -470,6 +481,15 @@ def describe_scene(scene):
         ),
         "effects": [_describe_effect(effect) for effect in scene.effects],
     }
+
+
+def scene_facts(scene):
+    """Return what a file of the scene says of target and stamp: fields of `TPFMetadata`."""
+    x_0, y_0 = scene.positions[0].tolist()
+    facts = {"target_id": 1, "magnitude": scene.stars[0].mag, "x_0": x_0, "y_0": y_0}
+    facts |= {"seed": scene.seed} | dict(scene.metadata)
+    identity = {name: getattr(scene, name) for name in _IDENTITY}
+    return facts | {name: value for name, value in identity.items() if value is not None}
 
 
 def scene_columns(scene, relative_flux):

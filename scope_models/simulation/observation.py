@@ -8,7 +8,7 @@ import numpy as np
 from scope_models._checks import checked_mask
 from scope_models.io import TPFMetadata, Truth, make_tpf_hdulist, write_tpf
 from scope_models.missions import MISSIONS, TIME_ZEROS
-from scope_models.scene.scene import Scene
+from scope_models.scene.scene import Scene, scene_facts
 from scope_models.simulation._light import (
     fill_wells,
     gather,
@@ -19,9 +19,6 @@ from scope_models.simulation._light import (
 )
 
 __all__ = ["Observation"]
-
-# Fields of a scene that are fields of a file's metadata, too.
-_IDENTITY = ("target_id", "object_name", "ra", "dec", "orientation", "column", "row")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -292,23 +289,12 @@ class Observation:
 
     def _metadata(self, changes, aperture):
         """Return the facts for the headers of a file with an aperture."""
-        detector, target = self.detector, self.stars[0]
-        if detector.mission not in MISSIONS:
+        if self.detector.mission not in MISSIONS:
             raise ValueError(
                 f"`mission` must be Kepler, K2 or TESS to make a target pixel file, got "
-                f"{detector.mission!r}"
+                f"{self.detector.mission!r}"
             )
-        x_0, y_0 = self.scene.positions[0].tolist()
-        facts = {
-            "target_id": 1,
-            "magnitude": target.mag,
-            "x_0": x_0,
-            "y_0": y_0,
-            "seed": self.scene.seed,
-        }
-        identity = {name: getattr(self.scene, name) for name in _IDENTITY}
-        facts |= {name: value for name, value in identity.items() if value is not None}
-        facts |= self.scene.metadata | dict(changes or {})
+        facts = scene_facts(self.scene) | dict(changes or {})
         extra = facts.get("extra_cards") or {}
         facts["extra_cards"] = self._aperture_cards(aperture) | dict(extra)
         return TPFMetadata.of(self.detector, **facts)

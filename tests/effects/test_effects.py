@@ -498,3 +498,21 @@ def test_undershoot_of_one_pixel_and_of_a_flat_field():
     assert charge[0, 0, 3] == 1e5
     np.testing.assert_allclose(charge[0, 0, 4:], -400 * np.exp(-np.arange(8) / 4))
     assert not charge[0, 0, :3].any()
+
+
+def test_effects_without_events(tmp_path):
+    effects = [CosmicRays(rate=0), SensitivityDropouts(rate=0), Argabrightening(rate=0)]
+    observation = simulate(scene(*effects))
+    assert np.array_equal(observation.flux, simulate(scene()).flux)
+    truth = read_truth(observation.write(tmp_path / "star.fits"))
+    assert truth == observation.truth
+    assert len(truth.tables["COSMICRAYS"]) == len(truth.tables["SENSITIVITYDROPOUTS"]) == 0
+
+
+def test_two_effects_of_a_kind_have_their_own_numbers(tmp_path):
+    observation = simulate(scene(Argabrightening(rate=9.0), Argabrightening(rate=9.0)))
+    first, second = (observation.truth.columns[f"ARGABRIGHTENING{s}"] for s in ("", "_2"))
+    assert not np.array_equal(first, second)
+    alone = simulate(scene(Argabrightening(rate=9.0))).truth.columns["ARGABRIGHTENING"]
+    assert np.array_equal(first, alone)
+    assert read_truth(observation.write(tmp_path / "star.fits")) == observation.truth

@@ -361,6 +361,33 @@ class TestResuming:
         assert sweep(Numbers(), None, tmp_path).n_computed == 8
 
 
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform == "win32", reason="sends a signal to a group of processes")
+@pytest.mark.parametrize("delay", [0.5, 2.0, 6.0])
+def test_interrupt_of_the_terminal_is_one_line(tmp_path, delay):
+    script = tmp_path / "script.py"
+    script.write_text(
+        "import sys\n"
+        "from scope_models.cli import main\n"
+        "if __name__ == '__main__':\n"
+        "    print('begun', flush=True)\n"
+        f"    sys.exit(main(['simulate', '--table', {str(tmp_path / 't.csv')!r}, '--workers', '2',"
+        f" '--output-dir', {str(tmp_path / 'out')!r}]))\n"
+    )
+    Table({"mag": np.linspace(11, 15, 500)}).write(tmp_path / "t.csv")
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    process = subprocess.Popen(
+        [sys.executable, str(script)], env=environment, text=True, start_new_session=True,
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+    )  # fmt: skip
+    assert process.stdout.readline() == "begun\n"
+    time.sleep(2 + delay)  # less can be within the imports
+    os.killpg(process.pid, signal.SIGINT)
+    _, err = process.communicate(timeout=60)
+    assert err == "scope-models: error: interrupted\n"
+    assert process.returncode == 130
+
+
 def kill_after(number, study, folder, workers):
     """Start an experiment in a process, and kill it when stars have been started."""
     fields = {name: value for name, value in study.config().items() if name != "study"}

@@ -4,9 +4,11 @@ import numpy as np
 import pytest
 from astropy.io import fits
 from matplotlib import pyplot as plt
+from photutils.psf import MoffatPSF
 
-from scope_models import Scene, TPFFit, fit_tpf, simulate
+from scope_models import Detector, Motion, Scene, Star, TPFFit, fit_tpf, simulate
 from scope_models.cli import main
+from scope_models.effects import Focus
 from scope_models.exceptions import FitWarning
 from scope_models.fitting._data import detector_of
 from scope_models.plotting import plot_twin
@@ -108,12 +110,24 @@ def test_scene_options(fit):
 def test_figure(fit):
     axes = fit.plot()
     assert sorted(axes) == ["chi2", "data", "model", "positions", "residual", "sensitivity"]
-    scales = {id(axes[name].images[0].norm) for name in ("data", "model", "residual")}
+    scales = {id(axes[name].images[0].norm) for name in ("data", "model")}
     assert len(scales) == 1
+    # The residual has a linear scale of its own, symmetric about 0.
+    norm = axes["residual"].images[0].norm
+    assert (
+        norm.vmax == -norm.vmin == pytest.approx(np.abs(np.nanmedian(fit.residual, axis=0)).max())
+    )
     np.testing.assert_array_equal(axes["chi2"].images[0].get_array(), fit.chi2_pixels)
     for ax in axes.values():
         assert ax.get_xlabel()
         assert ax.get_ylabel()
+    plt.close("all")
+
+
+def test_figure_without_a_sensitivity_has_the_light_curve(observation):
+    axes = fit_tpf(observation.to_tpf()[:60], 2).plot()
+    assert sorted(axes) == ["chi2", "data", "light curve", "model", "positions", "residual"]
+    assert axes["light curve"].get_xlabel() == "Time (d)"
     plt.close("all")
 
 
@@ -148,3 +162,48 @@ def test_command(observation, tmp_path, capsys):
     assert main(command) == 2
     assert "--overwrite" in capsys.readouterr().err
     assert main(["fit", str(tmp_path / "none.fits"), "--output", str(tmp_path / "a.fits")]) == 2
+
+
+def test_scene_keeps_the_star(observation):
+    """The twin has the identity and the place of the star, in the file too."""
+    tpf = observation.to_tpf(metadata={"target_id": 4321, "ra": 12.5, "dec": -3.25})
+    scene = fit_tpf(tpf[:60], 2).scene()
+    assert isinstance(scene, Scene)
+    assert scene.target_id == 4321
+    assert (scene.ra, scene.dec) == pytest.approx((12.5, -3.25))
+    twin = simulate(scene.replace(seed=5)).to_tpf()
+    assert (twin.column, twin.row) == (tpf.column, tpf.row)
+
+
+def test_summary(fit):
+    text = fit.summary()
+    assert "converged after" in text
+    assert "motion along x: 1.0" in text
+    assert "sigma_x_0" in text
+    assert "ax0                           1 fixed" in text
+
+
+def test_focus():
+    """The width that a simulation changes comes back, and the twin has it again."""
+    focus = Focus(0.01, period=3.0)
+    detector = Detector.k2(shape=(9, 9), interpixel_scatter=0, sensitivity=None, well_depth=None)
+    motion = Motion.k2_roll(240)
+    observation = simulate(Star(12.5, 4.1, 3.9), detector, motion, seed=2, effects=[focus])
+    tpf = observation.to_tpf()
+    fit = fit_tpf(tpf, 1, interpixel=0, focus=0.5, saturation=False)
+    used = np.isin(observation.cadenceno, fit.cadenceno)
+    truth = observation.truth.columns["FOCUS"][used]
+    relative = fit.focus / fit.focus.mean() - truth / truth.mean()
+    assert relative.std() < 0.05 * truth.std()
+    assert abs(fit.reduced_chi2 - 1) < 5 * np.sqrt(2 / fit.dof)
+    with pytest.warns(FitWarning, match="does not describe the pixels"):
+        constant = fit_tpf(tpf, 1, interpixel=0, saturation=False)
+    assert fit.reduced_chi2 < 0.1 * constant.reduced_chi2
+    scene = fit.scene()
+    np.testing.assert_allclose(scene.effects[0].series, fit.focus)
+    assert simulate(scene.replace(seed=3)).truth.columns["FOCUS"].std() > 0.005
+
+
+def test_focus_needs_a_width(observation):
+    with pytest.raises(ValueError, match="`focus` needs a PSF with a width"):
+        fit_tpf(observation.to_tpf(), MoffatPSF(), focus=1.0)

@@ -233,3 +233,13 @@ def test_plot():
     assert ax.get_xlabel() == "Column (pixel)"
     assert ax.figure.axes[1].get_ylabel() == "Time (BTJD)"
     plt.close("all")
+
+
+def test_tables_for_notebooks():
+    html = Motion.k2_roll(100)._repr_html_()
+    assert "<th>mission</th><td>K2</td>" in html
+    assert "&lt;Motion of 100 cadences" in html
+    html = Detector.tess()._repr_html_()
+    assert "<td>1 e-/s at T = 20.44</td>" in html
+    assert "<td>2 components</td>" in html
+    assert "none" in Detector.k2(well_depth=None, psf=None, mission="a<b")._repr_html_()

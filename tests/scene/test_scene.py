@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from astropy.io import fits
 from astropy.utils.exceptions import AstropyDeprecationWarning
+from astropy.wcs import WCS
 from photutils.psf import MoffatPSF
 
 from scope_models import Detector, Motion, Scene, Star, simulate
@@ -120,6 +121,20 @@ def test_identity_of_a_scene_is_in_its_file(tmp_path):
     assert read_scene(path) == observation.scene == make_scene()
     changed = observation.write(tmp_path / "b.fits", metadata={"object_name": "another"})
     assert fits.getheader(changed)["OBJECT"] == "another"
+
+
+def test_world_coordinates_are_those_of_the_file(tmp_path):
+    scene = make_scene()
+    sky = scene.wcs.pixel_to_world(4.0, 5.0)  # the target's place
+    assert (sky.ra.deg, sky.dec.deg) == pytest.approx((12.5, -3.25))
+    up = scene.wcs.pixel_to_world(4.0, 6.0)
+    assert sky.position_angle(up).deg == pytest.approx(10.0, abs=1e-3)
+    assert sky.separation(up).arcsec == pytest.approx(3.98)
+    with fits.open(simulate(scene).write(tmp_path / "star.fits")) as hdus:
+        wcs = WCS(hdus["APERTURE"].header)
+    x, y = np.mgrid[:11, :11]
+    ours, others = (w.pixel_to_world(x, y) for w in (scene.wcs, wcs))
+    assert ours.separation(others).arcsec.max() < 1e-6
 
 
 def test_units_of_a_scene():
