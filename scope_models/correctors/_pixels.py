@@ -1,14 +1,23 @@
 """The pixels of a target pixel file, as arrays that can be trusted."""
 
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import ndimage
 
+from scope_models.correctors._clean import clean_pixels, precise_aperture
 from scope_models.exceptions import DetrendingWarning
+from scope_models.io.pixels import usable_positions
 
-__all__ = ["Pixels", "aperture_pixels", "choose_aperture", "credible_flux"]
+__all__ = [
+    "Pixels",
+    "aperture_pixels",
+    "can_predict",
+    "choose_aperture",
+    "credible_flux",
+    "with_predicted_fractions",
+]
 
 #: Share of the star's light that a pixel must hold to belong to the default aperture.
 _SMALLEST_SHARE = 1e-3
@@ -20,6 +29,14 @@ _BRIGHT_PART, _FEWEST = 0.002, 3
 _SIGNIFICANCE = 4.5
 #: A correction that changes the flux by a larger factor than this, against the others, is none.
 _LARGEST_CORRECTION = 30.0
+#: Pixels around the lit ones that may belong to the aperture too.
+_MARGIN = 2
+#: Light between two peaks of one star, in units of the fainter one.
+_SAME_STAR = 0.7
+#: The background is first sought in this part of the pixels, in so many at least for a slope.
+_DARK_PART, _FEWEST_DARK, _PLANE_FITS = 0.3, 8, 5
+#: Fewer cadences or pixels do not determine how the fractions change with position.
+_CADENCES_TO_PREDICT, _PIXELS_TO_PREDICT = 200, 4
 
 
 @dataclass(frozen=True)
@@ -50,12 +67,13 @@ class Pixels:
     usable: np.ndarray
 
 
-def choose_aperture(flux, flux_err, pipeline=None):
+def choose_aperture(flux, flux_err, pipeline=None, pos_corr=None):
     """
-    Choose the pixels that the star lights up, wherever it moves.
+    Choose the aperture whose sum is expected to be most precise.
 
-    Pixel level decorrelation weighs pixels by their light, so that a large aperture costs
-    little, whereas light that leaves a small one with the star's motion cannot be known.
+    Candidates are the pixels that the star lights up wherever it moves, without those of other
+    stars. Of these the ones are summed that make the noise of 6.5 h and the light that the
+    aperture loses with the star's motion least.
 
     Parameters
     ----------
@@ -63,9 +81,12 @@ def choose_aperture(flux, flux_err, pipeline=None):
         ``(n_cadences, ny, nx)``.
     pipeline : ndarray of bool, optional
         Pixels in which the target is searched.
+    pos_corr : ndarray, optional
+        Offsets ``(n_cadences, 2)``, px. Without them all candidates are summed.
     """
     if len(flux) < _FEWEST:
         raise ValueError(f"`tpf` has {len(flux)} cadences: at least {_FEWEST} are needed")
+    flux = _without_background(flux)
     finite = np.isfinite(flux).all(axis=(1, 2))
     if finite.sum() < 3:
         seen = np.isfinite(flux).mean(axis=0) > 0.5
@@ -88,7 +109,108 @@ def choose_aperture(flux, flux_err, pipeline=None):
     if not (lit & near).any():
         raise ValueError("no pixel of `tpf` is above its noise: no aperture can be chosen")
     peak = np.argmax(np.where(lit & near, mean, -np.inf))
-    return labels == labels.flat[peak]
+    others = lit & ~own_pixels(mean, peak)
+    own = (labels == labels.flat[peak]) & ~others
+    if pos_corr is None:
+        return own
+    around = ndimage.binary_dilation(own, np.ones((3, 3)), _MARGIN)
+    near = own | ~ndimage.binary_dilation(others, np.ones((3, 3)))
+    return _most_precise(flux, flux_err, own, around & near, pos_corr)
+
+
+def _typical(flux):
+    """Return the median image, NaN where there are no data."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # pixels without data
+        return np.nanmedian(flux, axis=0)
+
+
+def _without_background(flux):
+    """Subtract a plane from each image: that of the typical one, and what its dark pixels add."""
+    typical = _typical(flux)
+    known = np.isfinite(typical)
+    if not known.any():
+        return flux
+    dark = known & (typical <= np.quantile(typical[known], _DARK_PART))
+    terms = _plane_terms(flux.shape[1:])
+    if dark.sum() < _FEWEST_DARK:
+        terms = terms[:, :, :1]
+    more = (flux[:, dark] - typical[dark]) @ np.linalg.pinv(terms[dark]).T
+    return (
+        flux
+        - background_plane(typical)
+        - (more @ terms.reshape(-1, terms.shape[2]).T).reshape(flux.shape)
+    )
+
+
+def _most_precise(flux, flux_err, own, candidates, pos_corr):
+    """Return the best part of the candidates, or the lit pixels if positions are missing."""
+    use = usable_positions(pos_corr) & np.isfinite(flux[:, own]).all(axis=1)
+    candidates = candidates & np.isfinite(flux[use]).all(axis=0)
+    variance = flux_err[use][:, candidates] ** 2
+    if use.sum() < _CADENCES_TO_PREDICT or not (variance > 0).all():
+        return own
+    best = np.zeros_like(own)
+    best[candidates] = precise_aperture(flux[use][:, candidates], variance, pos_corr[use])
+    return best
+
+
+def own_pixels(image, peak):
+    """
+    Return the pixels from which the light rises to a star's peak and not to another star's.
+
+    Peaks between which the light drops by less than 30 % of the fainter one are one star's.
+
+    Parameters
+    ----------
+    image : ndarray
+        Typical image, ``(ny, nx)``.
+    peak : int
+        Flat index of the star's brightest pixel.
+    """
+    values = np.where(np.isfinite(image), image, -np.inf)
+    padded = np.pad(values, 1, constant_values=-np.inf)
+    windows = np.lib.stride_tricks.sliding_window_view(padded, (3, 3)).reshape(*image.shape, 9)
+    step = np.argmax(windows, axis=2)
+    rows, columns = np.indices(image.shape)
+    higher = ((rows + step // 3 - 1) * image.shape[1] + columns + step % 3 - 1).ravel()
+    for _ in range(int(np.log2(image.size)) + 1):
+        higher = higher[higher]
+    mine = [other for other in np.unique(higher) if _connected(values, peak, other)]
+    return np.isin(higher, [*mine, higher[peak]]).reshape(image.shape)
+
+
+def _connected(values, peak, other):
+    level = _SAME_STAR * min(values.flat[peak], values.flat[other])
+    labels, _ = ndimage.label(values >= level)
+    return labels.flat[peak] == labels.flat[other] > 0
+
+
+def _plane_terms(shape):
+    rows, columns = np.indices(shape)
+    return np.stack([np.ones(shape), rows - rows.mean(), columns - columns.mean()], axis=2)
+
+
+def background_plane(image):
+    """
+    Return the background of a typical image: a plane through its darkest pixels.
+
+    Parameters
+    ----------
+    image : ndarray
+        Median image, ``(ny, nx)``; NaN where there are no data.
+    """
+    terms = _plane_terms(image.shape)
+    known = np.isfinite(image)
+    dark = known & (image <= np.quantile(image[known], _DARK_PART))
+    if dark.sum() < _FEWEST_DARK:
+        return np.full(image.shape, np.median(image[dark]))
+    for _ in range(_PLANE_FITS):
+        plane = terms @ np.linalg.lstsq(terms[dark], image[dark], rcond=None)[0]
+        rest = image - plane
+        spread = 1.4826 * np.median(np.abs(rest[dark]))
+        dark = known & (rest <= 2.5 * spread)
+    return plane
 
 
 def aperture_pixels(series, aperture):
@@ -109,7 +231,7 @@ def aperture_pixels(series, aperture):
     """
     time, flux, flux_err = series.time, series.flux, series.flux_err
     if aperture is None:
-        aperture = choose_aperture(flux, flux_err, series.aperture)
+        aperture = choose_aperture(flux, flux_err, series.aperture, series.pos_corr)
     else:
         aperture = _checked_aperture(aperture, flux)
     inside = flux[:, aperture]
@@ -124,6 +246,72 @@ def aperture_pixels(series, aperture):
         _warn(f"{finite.sum() - positive.sum()} cadences without a positive flux are left out")
     total_err = _filled_errors(total, total_err, positive)
     return Pixels(time, flux, flux_err, aperture, total, total_err, positive)
+
+
+def can_predict(pixels, saturation):
+    """
+    Whether the pixel fractions can be predicted.
+
+    Not with few pixels or cadences, nor where pixels are full: their light depends on others'.
+
+    Parameters
+    ----------
+    pixels : Pixels
+        Pixels as measured.
+    saturation : float or None
+        Flux of a full pixel, e-/s.
+    """
+    flux = pixels.flux[pixels.usable][:, pixels.aperture]
+    full = saturation is not None and np.quantile(flux, 0.99, axis=0).max(initial=0) > saturation
+    enough = flux.shape[0] >= _CADENCES_TO_PREDICT and flux.shape[1] >= _PIXELS_TO_PREDICT
+    varies = np.ptp(flux, axis=0).max(initial=0) > 0
+    return not full and enough and varies
+
+
+def with_predicted_fractions(pixels, pos_corr):
+    """
+    Return the star's light with predicted pixel fractions in place of the measured pixels.
+
+    Parameters
+    ----------
+    pixels : Pixels
+        Pixels as measured.
+    pos_corr : ndarray or None
+        Offsets ``(n_cadences, 2)``, px.
+
+    Returns
+    -------
+    pixels : Pixels
+        ``total`` is the light without background and without the constant light that is known,
+        ``flux`` the predicted fractions times this.
+    clean : CleanPixels
+        What was found.
+    """
+    use = pixels.usable.copy()
+    known = np.isfinite(pixels.flux[use]).all(axis=0)
+    rows, columns = np.nonzero(known)
+    if pos_corr is None:
+        pos_corr = np.full((len(use), 2), np.nan)
+    error = pixels.flux_err[use]
+    valid = error > 0  # not NaN either
+    typical = np.median(error[valid]) if valid.any() else np.median(pixels.total_err[use])
+    clean = clean_pixels(
+        pixels.time[use],
+        pixels.flux[use][:, known],
+        np.where(valid, error, typical)[:, known],
+        pos_corr[use],
+        np.stack([columns, rows], axis=1),
+        pixels.aperture[known],
+    )
+    flux = np.zeros_like(pixels.flux)
+    cube = np.zeros((use.sum(), *known.shape))
+    cube[:, known] = clean.shares * clean.light[:, None]
+    flux[use] = cube
+    total, total_err = np.full((2, len(use)), np.nan)
+    total[use], total_err[use] = clean.light, clean.light_error
+    usable = use & (np.nan_to_num(total) > 0)
+    changes = {"flux": flux, "total": total, "total_err": total_err, "usable": usable}
+    return replace(pixels, **changes), clean
 
 
 def _checked_aperture(aperture, flux):

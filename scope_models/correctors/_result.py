@@ -15,6 +15,11 @@ from scope_models.exceptions import DetrendingWarning
 __all__ = ["PLDFit", "transit_column"]
 
 _TRANSIT_HOURS = 6.5
+#: Parts from which on a warning is given: outliers, constant light, changes of the flux that
+#: measured fractions explain; and the noise's variance over FLUX_ERR squared.
+#: Smaller apertures lose light when the star moves, which the fractions explain.
+_WHOLE = 9
+_MANY, _CONTAMINATED, _FOLLOWING, _NOISY = 0.1, 0.02, 0.05, 25.0
 #: Numbers of a fit that go into the metadata of its table.
 _NUMBERS = (
     "noise_scale",
@@ -207,6 +212,11 @@ class PLDFit:
         """Logarithm of the variability faster than a day and its overtones, ``(n_cadences,)``."""
         return self._whole(self.solution.periodic)
 
+    @property
+    def waves(self):
+        """Logarithm of all variability at `frequencies`, slow and fast, ``(n_cadences,)``."""
+        return self._whole(self.solution.waves)
+
     def corrected(self, *, restore_trend=True):
         """
         Return the corrected flux and its error.
@@ -227,9 +237,53 @@ class PLDFit:
         if not restore_trend:
             removed = removed + solution.trend
             variance = solution.latent_variance()
-        flux = self.model.pixels.total[self.model.pixels.usable] / np.exp(removed)
-        error = flux * np.sqrt(solution.white_variance + variance)
+        with np.errstate(over="ignore"):  # `credible_flux` leaves such cadences out
+            flux = self.model.pixels.total[self.model.pixels.usable] / np.exp(removed)
+            error = flux * np.sqrt(solution.white_variance + variance)
         return self._whole(flux), self._whole(error)
+
+    def remarks(self):
+        """
+        Return sentences about what makes this fit less reliable.
+
+        Returns
+        -------
+        list of str
+            Many outliers, constant light in the aperture, fractions that follow the star, noise
+            far above FLUX_ERR. Empty if there is nothing.
+        """
+        found, n = [], len(self.solution.use)
+        if self.n_outliers > _MANY * self.cadence_mask.sum():
+            found.append(
+                f"{self.n_outliers} of {n} cadences are left out of the fit as outliers: the star "
+                "varies in a way that the model cannot follow, or pixels are damaged"
+            )
+        if self.contamination > _CONTAMINATED:
+            found.append(
+                f"{100 * self.contamination:.1f} % of the light in the aperture is constant and "
+                "was taken off: another star or background"
+            )
+        low, high = np.quantile(self.solution.systematics[self.solution.use], (0.16, 0.84))
+        change = (high - low) / 2
+        whole = self.model.pixels.aperture.sum() >= _WHOLE
+        if self.model.clean is None and whole and change > _FOLLOWING:
+            found.append(
+                f"measured fractions explain changes of {100 * change:.0f} % of the flux: with "
+                "other light in the aperture they follow the star, and its variability is lost; "
+                'compare `fractions="predicted"`'
+            )
+        if self.noise_scale > _NOISY:
+            found.append(
+                f"the noise has {self.noise_scale:.0f} times the variance of FLUX_ERR: the star "
+                "varies faster than the trend model, or systematics are left"
+            )
+        return found
+
+    @property
+    def contamination(self):
+        """Constant light that was taken off, in units of all light in the aperture."""
+        clean = self.model.clean
+        return 0.0 if clean is None else clean.constant / (clean.constant + np.median(clean.light))
 
     def covariance(self, cadences):
         """
@@ -338,6 +392,8 @@ class PLDFit:
             ("outliers", f"{self.n_outliers}"),
             ("noise variance / FLUX_ERR^2", f"{self.noise_scale:.3f}"),
             ("transit survival", f"{self.transit_survival:.3f}"),
+            ("fractions", "measured" if self.model.clean is None else "predicted"),
+            ("constant light taken off", f"{100 * self.contamination:.1f} %"),
         ]
         if np.isfinite(self.trend_sigma):
             trend = f"{1e6 * self.trend_sigma:.0f} ppm, {self.trend_period:.2f} d"

@@ -1,6 +1,6 @@
 """The model behind pixel level decorrelation: its options and its design matrix."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from numbers import Real
 
 import numpy as np
@@ -8,6 +8,7 @@ from astropy import units as u
 
 from scope_models._arrays import plain_array, plain_number
 from scope_models._checks import checked_integer, checked_mask
+from scope_models.correctors._clean import CleanPixels
 from scope_models.correctors._design import (
     DesignOptions,
     background_columns,
@@ -17,7 +18,12 @@ from scope_models.correctors._design import (
 )
 from scope_models.correctors._features import Regressors
 from scope_models.correctors._lightkurve import external_columns
-from scope_models.correctors._pixels import Pixels, aperture_pixels
+from scope_models.correctors._pixels import (
+    Pixels,
+    aperture_pixels,
+    can_predict,
+    with_predicted_fractions,
+)
 from scope_models.correctors._result import PLDFit, transit_column
 from scope_models.correctors._solution import fit
 from scope_models.io import read_pixels
@@ -27,6 +33,17 @@ __all__ = ["PLDModel", "PLDOptions"]
 _FEWEST_CADENCES = 30
 #: Columns of background if pixels are given for them, but no number.
 _BACKGROUND_COLUMNS = 3
+_FRACTIONS = ("auto", "predicted", "measured")
+#: Noise's variance over FLUX_ERR squared from which on measured fractions are tried, ...
+_MISFIT = 1.5
+#: Part of the cadences for which predicted fractions must exist.
+_CREDIBLE = 0.9
+#: ... the residual of unseen windows that they must reach in units of the other fit's, if that
+#: has a plain sum: they remove noise of pixels with little light, up to about this; ...
+_BETTER = 0.7
+#: ... and the part of a variability that they must keep if its standard deviation is so many
+#: times the noise.
+_KEPT, _STRONG = 0.95, 3.0
 _TRENDS = {"gp": 1, "quadratic": 3}
 
 
@@ -44,6 +61,9 @@ class PLDOptions:
     segments : "auto", None or sequence of float, optional
         Times (days) at which the coefficients of order 1 may change. By
         default where the sense of the roll reverses.
+    fractions : {"auto", "predicted", "measured"}, optional
+        Pixel fractions as a model of the star, its motion, focus and background predicts them,
+        or as they are measured; see `fit_pixels`.
     pca_components : int, optional
         Largest number of columns per order.
     pld_aperture_mask : array_like of bool, optional
@@ -79,6 +99,7 @@ class PLDOptions:
     order: int = 2
     trend: str = "gp"
     segments: object = "auto"
+    fractions: str = "auto"
     pca_components: int | None = None
     pld_aperture_mask: object = None
     background: int = 0
@@ -93,6 +114,8 @@ class PLDOptions:
         checked_integer("order", self.order, 1)
         if self.trend not in _TRENDS:
             raise ValueError(f"`trend` must be one of {tuple(_TRENDS)}, got {self.trend!r}")
+        if self.fractions not in _FRACTIONS:
+            raise ValueError(f"`fractions` must be one of {_FRACTIONS}, got {self.fractions!r}")
         checked_integer("background", self.background, 0)
         if self.pca_components is not None:
             checked_integer("pca_components", self.pca_components, 1)
@@ -148,12 +171,14 @@ class PLDModel:
     Parameters
     ----------
     pixels : Pixels
-        Pixels, aperture, and cadences that can be used.
+        Light and fractions of the pixels, aperture, and cadences that can be used.
     options : PLDOptions
         Order, trend, further regressors, clipping.
     design : DesignOptions
         The same for the design matrix, with what has been found in the file: segments,
         saturation, columns of background and neighbors.
+    clean : CleanPixels or None
+        What was found about the pixels if the fractions are predicted ones.
 
     See Also
     --------
@@ -175,6 +200,7 @@ class PLDModel:
     pixels: Pixels
     options: PLDOptions
     design: DesignOptions
+    clean: CleanPixels | None = None
 
     @classmethod
     def from_tpf(cls, tpf, aperture_mask=None, **options):
@@ -236,11 +262,19 @@ class PLDModel:
         saturation = options.saturation
         if saturation == "auto":
             saturation = series.mission and series.mission.full_flux
+        clean = None
+        plain = options.fractions != "measured" and regressor_mask is None and not background
+        if plain and can_predict(pixels, saturation):
+            predicted, clean = with_predicted_fractions(pixels, series.pos_corr)
+            if predicted.usable.sum() > _CREDIBLE * pixels.usable.sum():
+                pixels, saturation = predicted, None
+            else:  # the model of the pixels has diverged
+                clean = None
         breaks = segment_breaks(options.segments, pixels)
         design = DesignOptions(
             options.order, saturation, breaks, extra, options.pca_components, regressor_mask
         )
-        return cls(pixels, options, design)
+        return cls(pixels, options, design, clean)
 
     def __repr__(self):
         return (
@@ -325,4 +359,70 @@ class PLDModel:
                 "the pixels' covariance is singular to working precision: check FLUX_ERR and the "
                 "aperture, or lower `order`"
             ) from error
+        if solution.use.sum() < 0.5 * allowed.sum():
+            raise ValueError(
+                f"{(allowed & ~solution.use).sum()} of {allowed.sum()} cadences deviate from any "
+                "model: the star varies in a way that it cannot follow, or most pixels are "
+                "damaged. Raise `sigma`, set `max_clips` to 0, or leave cadences out with "
+                "`cadence_mask`"
+            )
         return PLDFit(self, solution, mask & ~in_transit, in_transit, joint=column.size > 0)
+
+
+def fit_pixels(pixels, options, series, cadence_mask=None, **transit):
+    """
+    Fit pixels, with the fractions that the data support.
+
+    With ``fractions="auto"`` these are the predicted ones, unless they leave more noise than
+    FLUX_ERR explains, measured fractions predict windows that they have not seen better, and the
+    star's periodic variability is the same with both.
+
+    Parameters
+    ----------
+    pixels : Pixels
+        Pixels and aperture.
+    options : PLDOptions
+        The options.
+    series : PixelSeries
+        Their file.
+    cadence_mask : ndarray of bool, optional
+        As in `PLDModel.fit`.
+    **transit
+        Further arguments of `PLDModel.fit`.
+
+    Returns
+    -------
+    PLDFit
+        The result; its ``model`` is the one that was chosen.
+    """
+    fitted = PLDModel.from_pixels(pixels, options, series).fit(cadence_mask, **transit)
+    if options.fractions != "auto" or fitted.model.clean is None:
+        return fitted
+    if fitted.noise_scale < _MISFIT:
+        return fitted
+    measured = PLDModel.from_pixels(pixels, replace(options, fractions="measured"), series)
+    measured = measured.fit(cadence_mask, **transit)
+    weighted = np.median(fitted.model.clean.light_error) < np.median(
+        pixels.total_err[pixels.usable]
+    )
+    better = _unseen(measured) < (1 if weighted else _BETTER) * _unseen(fitted)
+    better = better and _keeps_variability(measured, fitted)
+    return measured if better else fitted
+
+
+def _unseen(fitted):
+    """Mean size of the residuals of windows that the model has not seen, without the largest."""
+    size = np.sort(np.abs(fitted.held_out(fitted.window)[0]))
+    return size[: max(int(0.9 * len(size)), 1)].mean()
+
+
+def _keeps_variability(measured, predicted):
+    """Whether the light curve from measured fractions has the other one's periodic variability."""
+    clean, used = predicted.model.clean, measured.used & predicted.used
+    variability = predicted.waves[used]
+    if np.std(variability) < _STRONG * np.median(np.sqrt(predicted.solution.white_variance)):
+        return True
+    light = np.median(clean.light)
+    other = np.log(measured.corrected()[0][used])
+    slope = np.polyfit(variability, other, 1)[0] * (light + clean.constant) / light
+    return bool(slope > _KEPT)

@@ -1,0 +1,100 @@
+"""Predicted and measured pixel fractions, the aperture, and warnings about a fit."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from lightkurve import KeplerTargetPixelFile
+
+from scope_models.correctors import PLDCorrector, PLDModel, model
+from scope_models.correctors._pixels import background_plane, own_pixels
+from scope_models.exceptions import DetrendingWarning
+from scope_models.experiments.skies import make_sky, score
+
+
+@pytest.fixture(scope="module")
+def crowded():
+    """Return an RR Lyrae star with a constant neighbor, 1 mag fainter at 3 px."""
+    return make_sky("k2-1x-rr-lyrae-neighbor", seed=0, n_cadences=700)
+
+
+def test_a_constant_neighbor_does_not_erase_the_star(crowded):
+    corrector = PLDCorrector(crowded.to_tpf())
+    with pytest.warns(DetrendingWarning, match="of the light in the aperture is constant"):
+        lc = corrector.correct()
+    assert corrector.model.clean is not None
+    assert 0.02 < corrector.result.contamination < 0.3
+    assert score(lc, crowded).amplitude == pytest.approx(1, abs=0.03)
+
+
+def test_measured_fractions_erase_it_and_warn(crowded):
+    corrector = PLDCorrector(crowded.to_tpf(), "all")
+    with pytest.warns(DetrendingWarning, match=r"measured fractions explain changes of \d+ %"):
+        lc = corrector.correct(fractions="measured")
+    assert abs(score(lc, crowded).amplitude) < 0.05
+
+
+def test_predicted_fractions_hold_no_noise(star):
+    """Fractions from the same place agree, and the fitted noise is that of FLUX_ERR."""
+    predicted, measured = (
+        PLDModel.from_tpf(star.tpf, np.ones((9, 9), bool), fractions=f)
+        for f in ("predicted", "measured")
+    )
+    rough = [
+        np.diff((m.pixels.flux / m.pixels.total[:, None, None])[::12, 4, 4]).std()
+        for m in (predicted, measured)
+    ]
+    assert rough[0] < rough[1]
+    assert predicted.fit().noise_scale == pytest.approx(1, abs=0.3)
+
+
+def test_fractions_is_checked(star):
+    with pytest.raises(ValueError, match=r"`fractions` must be one of .*'auto'.*got 'guessed'"):
+        PLDCorrector(star.tpf).correct(fractions="guessed")
+
+
+def test_cadences_without_a_factor_are_nan(star):
+    """Over-subtracted pixels: their sum is next to nothing, the fractions are in the hundreds."""
+    hdus = star.tpf.hdu.__class__([hdu.copy() for hdu in star.tpf.hdu])
+    flux = star.tpf.flux.value.copy()
+    mask = np.zeros((9, 9), dtype=bool)
+    mask[3:6, 3:6] = True
+    flux[50, 3:6, 3:6] = -3e4
+    flux[50, 4, 4] = 8 * 3e4 + 5
+    hdus[1].data["FLUX"][:] = flux
+    corrector = PLDCorrector(KeplerTargetPixelFile(hdus), mask)
+    with pytest.warns(DetrendingWarning, match="1 of 400 cadences are NaN"):
+        lc = corrector.correct(order=1, fractions="measured")
+    assert np.flatnonzero(~np.isfinite(lc.flux.value)).tolist() == [50]
+    assert np.nanmax(lc.flux.value) < 2 * np.nanmedian(lc.flux.value)
+
+
+def test_a_fit_without_half_of_the_cadences_is_an_error(star, monkeypatch):
+    original = model.fit
+
+    def few(*arguments):
+        solution = original(*arguments)
+        return replace(solution, use=solution.use & (np.arange(400) % 5 < 2))
+
+    monkeypatch.setattr(model, "fit", few)
+    with pytest.raises(ValueError, match=r"240 of 400 cadences deviate from any model.*`sigma`"):
+        PLDCorrector(star.tpf).correct()
+
+
+def test_background_plane():
+    rows, columns = np.indices((9, 9))
+    truth = 5.0 + 0.3 * rows - 0.2 * columns
+    star = 1e4 * np.exp(-0.8 * ((rows - 4) ** 2 + (columns - 4) ** 2))
+    np.testing.assert_allclose(background_plane(truth + star), truth, atol=0.3)
+
+
+def test_own_pixels_end_at_the_valley():
+    rows, columns = np.indices((7, 13))
+    one = np.exp(-0.5 * ((rows - 3) ** 2 + (columns - 3) ** 2))
+    other = 2 * np.exp(-0.5 * ((rows - 3) ** 2 + (columns - 9) ** 2))
+    own = own_pixels(one + other, np.ravel_multi_index((3, 3), (7, 13)))
+    assert own[:, :5].all()
+    assert not own[:, 7:].any()
+    # a full column has many maxima, but it is one star
+    full = np.where(columns == 3, 1.0 + 0.05 * (rows % 2), one)
+    assert own_pixels(full, np.ravel_multi_index((3, 3), (7, 13)))[:, 3].all()
