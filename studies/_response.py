@@ -36,7 +36,7 @@ def winged_psf(fraction, brightest=_BRIGHTEST, diameter=_DIAMETER):
     fraction : float
         Part of the light in the wings: at least 0.06 and at most 0.6.
     brightest : float, optional
-        Part of the light in the pixel on whose centre the star is.
+        Part of the light in the pixel on whose center the star is.
     diameter : float, optional
         Diameter in pixels of the circle that holds 95 % of the light.
 
@@ -66,7 +66,7 @@ def winged_psf(fraction, brightest=_BRIGHTEST, diameter=_DIAMETER):
 
 
 def _central(sigma):
-    """Return the part of a round Gaussian in the pixel on which it is centred."""
+    """Return the part of a round Gaussian in the pixel on which it is centered."""
     return erf(0.5 / (np.sqrt(2) * sigma)) ** 2
 
 

@@ -4,7 +4,7 @@
 
 First for the paper's PSF and response in an aperture that holds all light, then for the calibrated
 ones in the apertures of the study ``k2-motion``. Stars are as in calibrate_k2_motion.py. At Kp 11
-and 11.5 as many stars as in the catalogue, 77 and 20 %, are taken as saturated and have the large
+and 11.5 as many stars as in the catalog, 77 and 20 %, are taken as saturated and have the large
 aperture.
 """
 

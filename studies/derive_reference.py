@@ -1,4 +1,4 @@
-"""Derive the package's tables of the noise of Kepler and K2 stars from the full catalogues.
+"""Derive the package's tables of the noise of Kepler and K2 stars from the full catalogs.
 
     python studies/derive_reference.py FOLDER [--output FOLDER]
 
@@ -19,14 +19,14 @@ CENTERS = np.arange(9.0, 16.1, 0.5)
 FEWEST = 25
 SOURCE = (
     "EVEREST project (Luger et al. 2016, AJ 152, 100; Luger et al. 2018, AJ 156, 99), "
-    "MIT licence, {}"
+    "MIT license, {}"
 )
 WHAT = {
     "kepler": "light curves of the Kepler pipeline, prime mission",
     "k2_c03_raw": "K2 campaign 3, aperture photometry before de-trending",
     "k2_c03_everest": "K2 campaign 3, de-trended by EVEREST 2",
 }
-CATALOGUES = {
+CATALOGS = {
     "kepler": "kepler.cdpp",
     "k2_c03_raw": "statistics of campaign 3",
     "k2_c03_everest": "statistics of campaign 3",
@@ -45,18 +45,18 @@ def derive(folder):
     for name in REFERENCES:
         tables[name].meta |= {
             "noise": f"6-h CDPP, convention of EVEREST: {WHAT[name]}",
-            "source": SOURCE.format(CATALOGUES[name]),
+            "source": SOURCE.format(CATALOGS[name]),
             "bins": f"0.5 mag wide, lower edge included; those with {FEWEST} stars or more",
             "made by": "studies/derive_reference.py",
         }
     return tables
 
 
-def binned(catalogue, column, groups):
+def binned(catalog, column, groups):
     """Return the percentiles of each group of stars in bins of magnitude."""
     parts = []
     for name, members in groups.items():
-        stars = catalogue[members]
+        stars = catalog[members]
         part = bin_noise(stars["KP"], stars[column], CENTERS, fewest=FEWEST)
         part.add_column([name] * len(part), name="stars", index=0)
         parts.append(part)

@@ -53,7 +53,7 @@ MODELS = {
     "1, empirical 6, b": {"psf": 1, "empirical": 6, "interpixel": 0.01},
     "1, empirical 8, b": {"psf": 1, "empirical": 8, "interpixel": 0.01},
 }
-# Drops of the response from the centre of a pixel to the middle of an edge: the paper has 0.0125.
+# Drops of the response from the center of a pixel to the middle of an edge: the paper has 0.0125.
 DROPS = (0.0125, 0.05, 0.125, 0.25, 0.5, 0.75)
 EVERY = 12  # of the cadences of real files for the drops, for time's sake
 

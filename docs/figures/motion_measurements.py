@@ -63,8 +63,8 @@ def measure(path):
     """Return the measured parameters of a file by name."""
     motion = Motion.from_file(path)
     header = fits.getheader(path)
-    centre = SkyCoord(*BORESIGHTS[header["CAMPAIGN"]], unit="deg")
-    distance = SkyCoord(header["RA_OBJ"], header["DEC_OBJ"], unit="deg").separation(centre).deg
+    center = SkyCoord(*BORESIGHTS[header["CAMPAIGN"]], unit="deg")
+    distance = SkyCoord(header["RA_OBJ"], header["DEC_OBJ"], unit="deg").separation(center).deg
     along, across = principal_axes(motion)
     roll = along / (distance * 3600 / PIXEL) * ARCSEC
     first, length, begin, end, rate, acceleration, scatter = drifts(roll)

@@ -87,7 +87,7 @@ def principal_columns(columns, use, tolerance):
     Parameters
     ----------
     columns : ndarray
-        Centred columns ``(n, m)``.
+        Centered columns ``(n, m)``.
     use : ndarray of bool
         Cadences that define the components.
     tolerance : float

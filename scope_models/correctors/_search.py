@@ -74,7 +74,7 @@ def _compressed(gram, data, hyper, smallest=1e-2):
     root = np.sqrt(hyper.prior(data))[: len(data.groups)]
     k = len(root)
     values, vectors = np.linalg.eigh(root[:, None] * gram[:k, :k] * root)
-    vectors = vectors[:, values > min(smallest, values[-1])]
+    vectors = vectors[:, values >= min(smallest, values[-1])]  # one column at least
     columns = data.columns[:, :k] @ (root[:, None] * vectors)
     return replace(
         data,

@@ -329,7 +329,7 @@ def add_read_noise(electrons, sigma, generator):
 
 
 def add_quantization(electrons, gain, n_reads, generator):
-    """Digitise in place: each read is rounded to whole numbers of ``gain`` electrons.
+    """Digitize in place: each read is rounded to whole numbers of ``gain`` electrons.
 
     The sum over the reads is a whole number of ``gain``. Its error has the variance
     ``n_reads * gain**2 / 12``: the errors of all reads but one are drawn together as normal

@@ -16,7 +16,7 @@ _FACTS = (
     *("MISSION", "TELESCOP", "CAMPAIGN", "QUARTER", "SECTOR", "CHANNEL", "CAMERA", "CCD"),
     *("1CRV5P", "2CRV5P", "1CDLT5", "2CDLT5", "12PC5", "22PC5"),
 )
-# The paper's sensitivity is lower by this at the edge of a pixel than at its centre: a coefficient
+# The paper's sensitivity is lower by this at the edge of a pixel than at its center: a coefficient
 # whose error there is larger has not been measured.
 _LARGEST_EDGE_ERROR = 0.0125
 # Scatter of the response between pixels, in standard deviations of its prior, that is no response.

@@ -217,7 +217,7 @@ def _promise(equations, shared, cadence):
 
 def solve(problem, state, max_steps, *, n_steps=0, only=None, loosely=False, report=None):
     """
-    Minimise the cost.
+    Minimize the cost.
 
     Parameters
     ----------

@@ -154,7 +154,7 @@ def _axis_closed_form(pixels, center, sigma, coefficients, n_orders):
 
 def _axis_quadrature(pixels, center, sigma, coefficients, n_orders):
     """Gauss-Legendre form of `axis_integrals`, for wide densities and high degrees."""
-    # The oscillation of h_k near its centre shortens the scale.
+    # The oscillation of h_k near its center shortens the scale.
     scale = np.min(sigma) / np.sqrt(1 + 0.3 * n_orders)
     nodes, weights = gauss_legendre(gaussian_nodes(scale, coefficients.size - 1))
     weights = weights * np.polynomial.polynomial.polyval(nodes, coefficients)
@@ -203,12 +203,12 @@ class AxisTable:
     Integrals along one axis at many positions, of a polynomial times the functions ``h_k``.
 
     ``X_k = integral of p(u) h_k((x - center) / sigma) / sigma`` over each pixel, where u is
-    measured from the pixel's centre.
+    measured from the pixel's center.
 
     Parameters
     ----------
     pixels : `~numpy.ndarray`
-        Pixel centres, shape ``(n,)``.
+        Pixel centers, shape ``(n,)``.
     center, sigma : `~numpy.ndarray`
         Positions and widths of the densities in pixels, shape ``(m,)``; sigma may be ``(1,)``.
     coefficients : `~numpy.ndarray`
@@ -302,7 +302,7 @@ class AxisPanels:
     Parameters
     ----------
     pixels : `~numpy.ndarray`
-        Pixel centres, shape ``(n,)``.
+        Pixel centers, shape ``(n,)``.
     sigma : float
         Width of the density in pixels.
     coefficients : `~numpy.ndarray`

@@ -3,8 +3,8 @@ r"""
 Exact integrals over pixels of a bivariate normal density times a polynomial.
 
 Everything here is a pure function of arrays: no models, no units. A pixel is the unit square
-around an integer (or any other) centre, and the polynomial is in ``(u, v)``, the offset from
-that centre, so that each pixel sees the same polynomial.
+around an integer (or any other) center, and the polynomial is in ``(u, v)``, the offset from
+that center, so that each pixel sees the same polynomial.
 
 The bivariate normal density is a sum of separable terms (Mehler's expansion, Abramowitz and
 Stegun 22.9.3 with 26.2.31)
@@ -266,7 +266,7 @@ def gaussian_pixels(
     Parameters
     ----------
     x, y : `~numpy.ndarray`
-        Centres of the pixel columns, shape ``(nx,)``, and rows, shape ``(ny,)``.
+        Centers of the pixel columns, shape ``(nx,)``, and rows, shape ``(ny,)``.
     x_0, y_0, sigma_x, sigma_y, rho : float or `~numpy.ndarray`
         Parameters of the densities; they broadcast to a shape ``(...)``.
     x_coefficients, y_coefficients : array_like
@@ -295,7 +295,7 @@ def gaussian_derivatives(
     Parameters
     ----------
     x, y : `~numpy.ndarray`
-        Centres of the pixel columns, shape ``(nx,)``, and rows, shape ``(ny,)``.
+        Centers of the pixel columns, shape ``(nx,)``, and rows, shape ``(ny,)``.
     x_0, y_0, sigma_x, sigma_y, rho : float or `~numpy.ndarray`
         Parameters of the densities, of unit integral; they broadcast to a shape ``(...)``.
     x_coefficients, y_coefficients : array_like

@@ -50,7 +50,7 @@ def integrate_adaptively(integrand, groups, scale):
     ----------
     integrand : callable
         ``integrand(u, v, index)`` with offsets u of shape ``(m, 1, k)`` and v of shape
-        ``(m, k, 1)`` from the centres of the squares ``index``, shape ``(m,)``.
+        ``(m, k, 1)`` from the centers of the squares ``index``, shape ``(m,)``.
     groups : `~numpy.ndarray` of int
         Which image each square belongs to, shape ``(n,)``.
     scale : float
@@ -79,7 +79,7 @@ def _refined(integrand, index, corner_u, corner_v, size, n, values, tolerance, d
     values = values.copy()
     active = np.arange(index.size)
     while active.size and n < _MOST_NODES:
-        # From odd to even and back: two even rules agree on a step near their common centre.
+        # From odd to even and back: two even rules agree on a step near their common center.
         n += int(n * _GROWTH - n) // 2 * 2 + 1
         better = _rule(integrand, index[active], corner_u[active], corner_v[active], size, n)
         change = np.abs(better - values[active])

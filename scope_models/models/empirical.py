@@ -41,7 +41,7 @@ class GaussHermitePSF(InstanceParameters, Fittable2DModel):
     flux : float or `~astropy.units.Quantity`
         Integral of the density over the plane.
     x_0, y_0 : float or `~astropy.units.Quantity`
-        Centre in pixels.
+        Center in pixels.
     sigma_x, sigma_y : float or `~astropy.units.Quantity`
         Widths of the first term in pixels.
     order : int, optional
@@ -65,8 +65,8 @@ class GaussHermitePSF(InstanceParameters, Fittable2DModel):
     """
 
     flux = Parameter(default=1.0, description="Integral of the density")
-    x_0 = Parameter(default=0.0, description="Column of the centre (pixel)")
-    y_0 = Parameter(default=0.0, description="Row of the centre (pixel)")
+    x_0 = Parameter(default=0.0, description="Column of the center (pixel)")
+    y_0 = Parameter(default=0.0, description="Row of the center (pixel)")
     sigma_x = BivariateGaussianPSF.sigma_x.copy()
     sigma_y = BivariateGaussianPSF.sigma_y.copy()
     sigma_x.validator(Domain("sigma_x", "positive"))

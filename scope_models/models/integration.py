@@ -16,7 +16,7 @@ _METHODS = ("auto", "analytic", "quadrature")
 
 class PixelPoints:
     """
-    Pixel centres, and the grid of columns and rows that they lie on.
+    Pixel centers, and the grid of columns and rows that they lie on.
 
     Parameters
     ----------
@@ -192,7 +192,7 @@ def integrate_term(term, points, method="auto"):
 
 
 def _already_integrated(term, points):
-    """Values of a pixel-integrated model at the pixels' centres."""
+    """Values of a pixel-integrated model at the pixels' centers."""
     names = " * ".join(type(factor.model).__name__ for factor in term.densities)
     along_x, along_y = (np.trim_zeros(row, "b") for row in term.polynomials())
     if len(term.densities) > 1 or along_x.size > 1 or along_y.size > 1:
@@ -234,13 +234,13 @@ def integrate_pixels(model, shape=None, *, x=None, y=None, method="auto"):
     ----------
     model : `~astropy.modeling.Model`
         Model of two inputs and one output. Models whose values are fluxes of pixels already
-        (`~scope_models.PRF`, photutils' PRFs) are evaluated at the pixels' centres. Parameters of
+        (`~scope_models.PRF`, photutils' PRFs) are evaluated at the pixels' centers. Parameters of
         shape ``(n,)`` give ``n`` images.
     shape : tuple of int, optional
         Shape (ny, nx) of an image whose pixels are all integrated.
     x, y : array_like, optional
         Columns and rows of the pixels instead, which broadcast. A number that is no integer
-        stands for the unit square around it, with the response of a pixel centred there.
+        stands for the unit square around it, with the response of a pixel centered there.
     method : {"auto", "analytic", "quadrature"}, optional
         "analytic" raises where there is no closed form, "quadrature" uses none.
 

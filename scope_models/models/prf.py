@@ -63,7 +63,7 @@ class PRF(InstanceParameters, Fittable2DModel):
     and the offsets, because a single image hardly tells them from position, flux and width.
 
     Evaluated at positions that are no integers, the model gives the flux in the unit square
-    around them, with the response of a pixel centred there, as photutils' PRFs do.
+    around them, with the response of a pixel centered there, as photutils' PRFs do.
 
     References
     ----------

@@ -72,7 +72,7 @@ class K2Roll:
     All parameters but ``rate_scatter`` may be quantities.
     The defaults describe EPIC 205998445 (campaign 3). They are measured on the POS_CORR columns of
     stars in campaigns 3, 4, 5 and 18, where the distance from the boresight times one roll angle
-    reproduces every star of a campaign. Momentum dumps every two days are not modelled.
+    reproduces every star of a campaign. Momentum dumps every two days are not modeled.
 
     Parameters
     ----------

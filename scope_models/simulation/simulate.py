@@ -46,7 +46,7 @@ def simulate(stars, detector=None, motion=None, *, keep_model=False, chunk_size=
     The expected electrons of all stars come first: each PSF times the sensitivity of the pixels
     is integrated over them at the star's position, times the relative flux and the interpixel
     map; what the wells do not hold bleeds along the columns. Noise comes last: photons of stars
-    and background (Poisson), read noise (normal), digitisation.
+    and background (Poisson), read noise (normal), digitization.
 
     Parameters
     ----------

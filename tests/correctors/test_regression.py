@@ -138,6 +138,17 @@ def test_compression_keeps_the_likelihood(data):
     assert log_likelihood(small, same) == pytest.approx(log_likelihood(data, hyper), rel=1e-12)
 
 
+def test_compression_keeps_a_column_of_tiny_priors(data):
+    """Without a column the gradient would be shorter than its parameters."""
+    tiny = Hyperparameters(1.3, np.full(2, 1e-12), 0.7, 2.5)
+    z = tiny.process(data.time, data.variance).whiten(data.stacked)
+    small = _search._compressed(z.T @ z, data, tiny)
+    assert small.groups.tolist() == [0]
+    same = replace(tiny, variances=np.ones(1))
+    _, slope = log_likelihood(small, same, gradient=True)
+    assert slope.shape == (4,)
+
+
 @pytest.fixture
 def solution(data, hyper):
     """Return a solution with given hyper-parameters, and every tenth cadence not in the fit."""

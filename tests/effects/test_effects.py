@@ -95,8 +95,8 @@ def test_focus_widens_the_image_and_keeps_the_flux():
     # The second component's offset grows with the width; the first stays at the star.
     np.testing.assert_allclose(mean, 7 + 0.3 * 0.4 * w, atol=1e-3)
     for q, variances in ((x, (0.9**2, 1.1**2)), (y, (0.8**2, 1.1**2))):
-        centre = (model * q).sum(axis=(1, 2)) / total
-        variance = (model * (q - centre[:, None, None]) ** 2).sum(axis=(1, 2)) / total
+        center = (model * q).sum(axis=(1, 2)) / total
+        variance = (model * (q - center[:, None, None]) ** 2).sum(axis=(1, 2)) / total
         own = 0.7 * variances[0] + 0.3 * variances[1] + (0.21 * 0.4**2 if q is x else 0.0)
         np.testing.assert_allclose(variance - 1 / 12, own * w**2, rtol=3e-3)
 

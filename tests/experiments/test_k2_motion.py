@@ -170,9 +170,9 @@ def test_calibrated_detector():
     assert detector.psf.parameters == pytest.approx(winged_psf(0.2).parameters, abs=1e-3)
     # The mean over a pixel is 1, so that the zero point keeps its meaning.
     assert integrate_pixels(detector.sensitivity, (1, 1))[0, 0] == pytest.approx(1, abs=1e-12)
-    centre, edge, corner = (detector.sensitivity(*at) for at in ((0, 0), (0.5, 0), (0.5, 0.5)))
-    assert edge / centre == pytest.approx(1 - 0.75 / 4)
-    assert corner / centre == pytest.approx((1 - 0.75 / 4) ** 2)
+    center, edge, corner = (detector.sensitivity(*at) for at in ((0, 0), (0.5, 0), (0.5, 0.5)))
+    assert edge / center == pytest.approx(1 - 0.75 / 4)
+    assert corner / center == pytest.approx((1 - 0.75 / 4) ** 2)
     assert paper.sensitivity(0.5, 0.5) / paper.sensitivity(0, 0) == pytest.approx(0.9752, abs=1e-4)
     assert detector.interpixel_distribution == "normal"
     assert detector.interpixel_map(3).std() == pytest.approx(0.011, rel=0.2)

@@ -16,7 +16,7 @@ from scope_models.experiments.reference import (
 )
 
 # Medians and 10th percentiles that the package's documentation quotes, as published with the
-# catalogues, at Kp 12, 13, 14, 15 and 15.5.
+# catalogs, at Kp 12, 13, 14, 15 and 15.5.
 QUOTED = {
     "kepler": [(25.6, 17.2), (34.3, 26.8), (52.5, 43.1), (92.9, 76.7), (126.8, 103.3)],
     "k2_c03_raw": [(189, 56), (202, 75), (225, 122), (442, 246), (635, 380)],

@@ -405,7 +405,7 @@ def test_long_series_start_from_some_of_their_cadences(psf, curvature):
 
 
 def test_sensitivity_stays_within_what_a_pixel_can_do(curvature):
-    """Where the PSF is wrong, the response at an edge is held between none and twice the centre."""
+    """Where the PSF is wrong, the response at an edge is held between none and twice the center."""
     wrong = BivariateGaussianPSF(0.5, 0, 0, 0.2, 0.2) + BivariateGaussianPSF(0.5, 0.6, 0, 0.2, 0.2)
     fit, messages = messages_of(make(n=40, psf=wrong), 1, curvature)
     assert abs(fit.values["ax2"]) == 4

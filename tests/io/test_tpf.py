@@ -321,9 +321,9 @@ class TestSky:
         )
         hdus = make_tpf_hdulist(**contents_of("TESS", metadata=metadata))
         wcs = WCS(hdus["APERTURE"].header)
-        centre = wcs.pixel_to_world(3.0, 4.5)
+        center = wcs.pixel_to_world(3.0, 4.5)
         target = SkyCoord(359.999, -60.0, unit="deg")
-        assert centre.separation(target).arcsec < 1e-6
+        assert center.separation(target).arcsec < 1e-6
         up = wcs.pixel_to_world(3.0, 14.5)
         left = wcs.pixel_to_world(-7.0, 4.5)
         assert target.separation(up).arcsec == pytest.approx(210.0, rel=1e-6)

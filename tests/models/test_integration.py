@@ -233,7 +233,7 @@ def test_points_and_grids_agree():
 
 
 def test_scattered_points_between_pixels():
-    """Off the integers the pixel is the unit square around the point, its own centre at u = 0."""
+    """Off the integers the pixel is the unit square around the point, its own center at u = 0."""
     rng = np.random.default_rng(5)
     x, y = rng.uniform(0, 6, (2, 40))
     s = SensitivityPolynomial()

@@ -174,7 +174,7 @@ def assert_calibrated(pull, name):
 
 
 def test_fits_of_noisy_images_are_calibrated():
-    """astropy's fitter, free shape, on 400 noise realisations at random sub-pixel positions."""
+    """astropy's fitter, free shape, on 400 noise realizations at random sub-pixel positions."""
     rng = np.random.default_rng(12)
     y, x = np.mgrid[:9, :9]
     start = PRF(BivariateGaussianPSF(9e4, 4, 4) * SensitivityPolynomial())

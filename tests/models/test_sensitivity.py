@@ -7,7 +7,7 @@ from scope_models import SensitivityPolynomial
 
 
 def test_paper_values():
-    """The corner of a pixel has 0.9875^2 = 0.9752 of its centre: the paper's 2.48 %."""
+    """The corner of a pixel has 0.9875^2 = 0.9752 of its center: the paper's 2.48 %."""
     s = SensitivityPolynomial()
     assert s(4, 5) == 1
     assert s(4.5, 5.5) == pytest.approx(0.9875**2, rel=1e-14)

@@ -169,7 +169,7 @@ def test_cdpp_needs_times_that_increase(lk):
 
 @pytest.fixture(scope="module")
 def scene():
-    """Target and neighbour images of circular Gaussians (sampled: the shape is what matters)."""
+    """Target and neighbor images of circular Gaussians (sampled: the shape is what matters)."""
     y, x = np.mgrid[:9, :9]
 
     def image(flux, x_0, y_0, sigma=0.8):

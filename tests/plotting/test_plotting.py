@@ -124,7 +124,7 @@ def _lightness(color):
 
 @pytest.mark.parametrize("name", FIGURES)
 def test_black_and_white(name, scene):
-    """Colour maps grow in lightness; series differ in lightness."""
+    """Color maps grow in lightness; series differ in lightness."""
     for ax in FIGURES[name](scene).figure.axes:
         for mapped in [*ax.images, *ax.collections]:
             if mapped.get_array() is not None:

@@ -104,7 +104,7 @@ def test_interpolated_in_cadence_number_and_flagged():
     y = -np.array(number, dtype=float)
     time = np.array([0.1, np.nan, 0.4, 0.5, 0.9, 1.0])
     motion = Motion.from_arrays(time, x, y, [0, 8, 0, 1, 0, 0], cadenceno=number)
-    # A straight line in cadence number between usable neighbours; the last position stays.
+    # A straight line in cadence number between usable neighbors; the last position stays.
     assert motion.x == pytest.approx([0.1, 0.2, 0.4, 0.5, 0.9, 0.9], abs=1e-15)
     assert motion.y == pytest.approx([-1, -2, -4, -5, -9, -9], abs=1e-15)
     assert motion.time == pytest.approx(np.array(number) / 10, abs=1e-15)

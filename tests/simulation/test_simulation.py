@@ -225,11 +225,11 @@ def test_switching_terms_leaves_the_others(term):
 def test_transit_changes_only_its_star():
     transit = np.ones(50)
     transit[20:30] = 0.99
-    neighbour = Star(12.0, 9.0, 9.0, BivariateGaussianPSF(sigma_x=0.3, sigma_y=0.3))
-    target = neighbour.replace(x_0=2.0, y_0=2.0)
+    neighbor = Star(12.0, 9.0, 9.0, BivariateGaussianPSF(sigma_x=0.3, sigma_y=0.3))
+    target = neighbor.replace(x_0=2.0, y_0=2.0)
     motion = Motion.still(50)
-    flat = simulate([target, neighbour], Detector.k2(), motion, seed=1)
-    deep = simulate([target.replace(signal=transit), neighbour], Detector.k2(), motion, seed=1)
+    flat = simulate([target, neighbor], Detector.k2(), motion, seed=1)
+    deep = simulate([target.replace(signal=transit), neighbor], Detector.k2(), motion, seed=1)
     changed = np.any(flat.flux != deep.flux, axis=0)
     assert changed[2, 2]
     assert not changed[6:, :].any()
