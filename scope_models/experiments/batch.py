@@ -289,7 +289,7 @@ def simulate_table(
     client : distributed.Client, str, int or concurrent.futures.Executor, optional
         What computes, as in `run_sweep`.
     detector : str, optional
-        Name of a preset, or a TOML file of `~scope_models.scene.read_detector`.
+        Name of a preset, or a TOML file of `~scope_models.read_detector`.
     motion : str, optional
         A file whose POS_CORR columns the stars follow. By default a generated K2 roll for K2, and
         rest for others.
