@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from html import escape
 
 import numpy as np
 
@@ -82,6 +83,19 @@ class Observation:
             f"<Observation {self.detector.mission}: {n} cadences of {ny} x {nx} pixels, {stars}, "
             f"seed {self.truth.seed}>"
         )
+
+    def _repr_html_(self):
+        aperture = self.flux[:, self.aperture].sum(axis=1, dtype=float)
+        rows = {
+            "median flux in the aperture": f"{np.nanmedian(aperture):.6g} e-/s",
+            "pixels of the aperture": int(self.aperture.sum()),
+            "target's share of the light in it": f"{np.nanmean(self.truth.target_share):.4f}",
+            "background per pixel": f"{np.nanmedian(self.flux_bkg):.4g} e-/s",
+            "flagged cadences": int(np.count_nonzero(self.quality)),
+            "noise": ", ".join(sorted(self.scene.noise)) or "none",
+        }
+        cells = "".join(f"<tr><th>{name}</th><td>{value}</td></tr>" for name, value in rows.items())
+        return f"<p>{escape(repr(self))}</p><table>{cells}</table>"
 
     @property
     def stars(self):
@@ -249,6 +263,34 @@ class Observation:
         if not isinstance(mask, str):
             mask = self._checked_aperture(mask)
         return tpf.to_lightcurve(aperture_mask=mask)
+
+    def plot(self):
+        """Draw the first cadence with the aperture, the target's motion and its light curve.
+
+        Returns
+        -------
+        dict of str to matplotlib.axes.Axes
+            The Axes, see `scope_models.plotting.plot_summary`.
+
+        Examples
+        --------
+        >>> from scope_models import Detector, Motion, Star, simulate
+        >>> observation = simulate(Star(12.0), Detector.k2(), Motion.k2_roll(50), seed=1)
+        >>> sorted(observation.plot())
+        ['image', 'light curve', 'motion']
+        """
+        from scope_models.plotting import plot_summary
+
+        return plot_summary(
+            self.time,
+            self.flux[0],
+            self.flux[:, self.aperture].sum(axis=1, dtype=float),
+            self.truth.x[0],
+            self.truth.y[0],
+            aperture=self.aperture,
+            time_label=f"Time ({self.motion.time_format.upper()})",
+            title=self.scene.object_name,
+        )
 
     def write(self, path, overwrite=False, *, aperture_mask=None, metadata=None):
         """Write a target pixel file with the truth.
