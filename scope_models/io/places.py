@@ -65,12 +65,17 @@ def star_places(name, places, series):
 
 def target_place(series):
     """
-    Return column and row of the target where its coordinates place it, or None without them.
+    Return the target's place by its coordinates.
 
     Parameters
     ----------
     series : PixelSeries
         The pixels.
+
+    Returns
+    -------
+    place : ndarray of shape (2,) or None
+        Column and row in pixels of the stamp; None if the file has no coordinates of the target.
     """
     place = [series.header.get(key) for key in ("RA_OBJ", "DEC_OBJ")]
     if None in place:
