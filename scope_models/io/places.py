@@ -40,6 +40,15 @@ def star_places(name, places, series):
     ------
     TypeError, ValueError
         If the places are not finite positions, or the file has no coordinates.
+
+    Examples
+    --------
+    >>> from scope_models import Detector, Motion, Star, simulate
+    >>> from scope_models.io import read_pixels
+    >>> from scope_models.io.places import star_places
+    >>> series = read_pixels(simulate(Star(12), Detector.k2(), Motion.k2_roll(50), seed=1).to_tpf())
+    >>> star_places("stars", [[3, 4]], series)
+    array([[3., 4.]])
     """
     columns = {key.lower(): key for key in getattr(places, "colnames", ())}
     if {"x", "y"} <= set(columns):
@@ -76,6 +85,15 @@ def target_place(series):
     -------
     place : ndarray of shape (2,) or None
         Column and row in pixels of the stamp; None if the file has no coordinates of the target.
+
+    Examples
+    --------
+    >>> from scope_models import Detector, Motion, Star, simulate
+    >>> from scope_models.io import read_pixels
+    >>> from scope_models.io.places import target_place
+    >>> series = read_pixels(simulate(Star(12), Detector.k2(), Motion.k2_roll(50), seed=1).to_tpf())
+    >>> target_place(series).round(3)
+    array([5., 5.])
     """
     place = [series.header.get(key) for key in ("RA_OBJ", "DEC_OBJ")]
     if None in place:
