@@ -51,6 +51,22 @@ def test_all_is_true(name):
     assert [item for item in module.__all__ if not hasattr(module, item)] == []
 
 
+@pytest.mark.parametrize(
+    "name", [name for name in MODULES if hasattr(importlib.import_module(name), "__path__")]
+)
+def test_packages_offer_public_names_and_modules_only(name):
+    """What a tab completes."""
+    module = importlib.import_module(name)
+    offered = {item for item in dir(module) if not item.startswith("_")}
+    modules = {item.rpartition(".")[2] for item in MODULES if item.rpartition(".")[0] == name}
+    assert offered <= set(module.__all__) | modules
+
+
+def test_common_names_in_one_line():
+    names = "Detector Motion PLDCorrector Scene SceneCorrector Star cdpp fit_tpf inject read_pixels"
+    assert set(names.split()) | {"simulate", "write_tpf"} <= set(dir(scope_models))
+
+
 @pytest.mark.parametrize("name", sorted(PUBLIC_OBJECTS))
 def test_public_names_have_an_example(name):
     value = PUBLIC_OBJECTS[name]

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from html import escape
 
 import numpy as np
 
@@ -83,6 +84,19 @@ class Observation:
             f"<Observation {self.detector.mission}: {n} cadences of {ny} x {nx} pixels, {stars}, "
             f"seed {self.truth.seed}>"
         )
+
+    def _repr_html_(self):
+        aperture = self.flux[:, self.aperture].sum(axis=1, dtype=float)
+        rows = {
+            "median flux in the aperture": f"{np.nanmedian(aperture):.6g} e-/s",
+            "pixels of the aperture": int(self.aperture.sum()),
+            "target's share of the light in it": f"{np.nanmean(self.truth.target_share):.4f}",
+            "background per pixel": f"{np.nanmedian(self.flux_bkg):.4g} e-/s",
+            "flagged cadences": int(np.count_nonzero(self.quality)),
+            "noise": ", ".join(sorted(self.scene.noise)) or "none",
+        }
+        cells = "".join(f"<tr><th>{name}</th><td>{value}</td></tr>" for name, value in rows.items())
+        return f"<p>{escape(repr(self))}</p><table>{cells}</table>"
 
     @property
     def stars(self):
@@ -300,7 +314,7 @@ class Observation:
             The pixels of the raw light curve, such as those of the corrector. The default is
             `aperture`.
         title : str, optional
-            Title of the figure.
+            Title of the figure; the name in the scene by default.
 
         Returns
         -------
@@ -336,7 +350,7 @@ class Observation:
             model=signal / np.nanmedian(signal) if np.ptp(signal) > 0 else None,
             noise=np.sqrt((self.flux_err[:, aperture].astype(float) ** 2).sum(axis=1)) / raw,
             time_label=self._time_label,
-            title=title,
+            title=self.scene.object_name if title is None else title,
         )
 
     def animate(self, aperture_mask=None, *, step=1, interval=50, ax=None):

@@ -11,6 +11,7 @@ from lightkurve import (
     TessLightCurve,
     TessTargetPixelFile,
 )
+from matplotlib import pyplot as plt
 
 from scope_models import Detector, Motion, Star, simulate
 from scope_models.exceptions import LostLightWarning
@@ -248,3 +249,16 @@ def test_animation_has_the_chosen_cadences(observation):
     assert html.count("data:image/png") == 3
     with pytest.raises(ValueError, match="`step` must be at least 1"):
         observation.animate(step=0)
+
+
+def test_html_and_figure(observation):
+    html = observation._repr_html_()
+    assert html.startswith("<p>&lt;Observation K2: 60 cadences of 11 x 11 pixels, 2 stars")
+    assert "<th>noise</th><td>background, photon, read</td>" in html
+    assert f"<td>{observation.aperture.sum()}</td>" in html
+    axes = observation.plot()
+    raw = observation.flux[:, observation.aperture].sum(axis=1, dtype=float)
+    drawn = axes["light curve"].lines[0].get_ydata()
+    np.testing.assert_allclose(drawn, raw / np.median(raw), rtol=1e-12)
+    assert axes["motion"].get_title(loc="left") == "Motion"
+    plt.close("all")
