@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from scope_models.io.places import star_places
+from scope_models.io._places import star_places
 
 __all__ = ["find_stars", "star_positions"]
 
@@ -20,7 +20,7 @@ def star_positions(name, places, series):
     name : str
         Name of the argument.
     places : array_like, SkyCoord, Table or "find"
-        As in `~scope_models.io.places.star_places`, or "find".
+        As in `~scope_models.io._places.star_places`, or "find".
     series : PixelSeries
         The pixels.
     """

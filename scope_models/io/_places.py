@@ -45,7 +45,7 @@ def star_places(name, places, series):
     --------
     >>> from scope_models import Detector, Motion, Star, simulate
     >>> from scope_models.io import read_pixels
-    >>> from scope_models.io.places import star_places
+    >>> from scope_models.io._places import star_places
     >>> series = read_pixels(simulate(Star(12), Detector.k2(), Motion.k2_roll(50), seed=1).to_tpf())
     >>> star_places("stars", [[3, 4]], series)
     array([[3., 4.]])
@@ -90,7 +90,7 @@ def target_place(series):
     --------
     >>> from scope_models import Detector, Motion, Star, simulate
     >>> from scope_models.io import read_pixels
-    >>> from scope_models.io.places import target_place
+    >>> from scope_models.io._places import target_place
     >>> series = read_pixels(simulate(Star(12), Detector.k2(), Motion.k2_roll(50), seed=1).to_tpf())
     >>> target_place(series).round(3)
     array([5., 5.])
