@@ -28,7 +28,7 @@ def tpfs(repository):
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_the_script_makes_them(name, repository, tmp_path, monkeypatch):
+def test_the_script_makes_them(name, repository, tmp_path):
     script = repository / "studies" / "synthetic_lightkurve.py"
     spec = importlib.util.spec_from_file_location("synthetic_lightkurve", script)
     module = importlib.util.module_from_spec(spec)
