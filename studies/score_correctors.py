@@ -51,7 +51,7 @@ def lightkurve_pld(tpf, number, order):  # noqa: ARG001
 
 
 def positions(tpf):
-    """Return POS_CORR without its absurd values, which both references replace by straight lines."""
+    """Return POS_CORR with straight lines in place of absurd values."""
     from scope_models.io import usable_positions
 
     offsets = np.stack([tpf.pos_corr1, tpf.pos_corr2], axis=1).astype(float)

@@ -81,7 +81,7 @@ def test_dependence_on_the_place_within_the_pixel(wrong):
     elif wrong == "bias":
         expected = 1e6 * np.std(0.001 * np.cos(2 * np.pi * x))
         assert bias == pytest.approx(expected, rel=0.1)
-        assert step < 30
+        assert step < 100  # the parabola about a border is no cosine
     else:
         assert step == pytest.approx(1000, rel=0.05)
 
