@@ -7,12 +7,15 @@ from scope_models.effects.cosmic_rays import CosmicRays, rejected_shift
 from scope_models.effects.focus import Focus
 from scope_models.effects.gaps import Gaps
 from scope_models.effects.jitter import Jitter
+from scope_models.effects.presets import mission_effects
+from scope_models.effects.readout import ChargeTransferInefficiency, RollingBands
 from scope_models.effects.response import SensitivityDropouts, Throughput
 
 __all__ = [
     "Argabrightening",
     "Background",
     "BrighterFatter",
+    "ChargeTransferInefficiency",
     "Conditions",
     "CosmicRays",
     "DarkCurrent",
@@ -22,10 +25,12 @@ __all__ = [
     "Focus",
     "Gaps",
     "Jitter",
+    "RollingBands",
     "ScatteredLight",
     "SensitivityDropouts",
     "Smear",
     "Throughput",
     "Undershoot",
+    "mission_effects",
     "rejected_shift",
 ]
