@@ -1,12 +1,14 @@
 """What sky, telescope and detector do to light and charge, besides noise and saturation."""
 
 from scope_models.effects._effect import Conditions, Drawn, Effect, Exposures
+from scope_models.effects.atmosphere import Extinction, Scintillation, Seeing, airmass
 from scope_models.effects.background import Argabrightening, Background, ScatteredLight
 from scope_models.effects.charge import BrighterFatter, DarkCurrent, Smear, Undershoot
 from scope_models.effects.cosmic_rays import CosmicRays, rejected_shift
 from scope_models.effects.focus import Focus
 from scope_models.effects.gaps import Gaps
 from scope_models.effects.jitter import Jitter
+from scope_models.effects.night_sky import NightSky, moon_geometry
 from scope_models.effects.response import SensitivityDropouts, Throughput
 
 __all__ = [
@@ -19,13 +21,19 @@ __all__ = [
     "Drawn",
     "Effect",
     "Exposures",
+    "Extinction",
     "Focus",
     "Gaps",
     "Jitter",
+    "NightSky",
     "ScatteredLight",
+    "Scintillation",
+    "Seeing",
     "SensitivityDropouts",
     "Smear",
     "Throughput",
     "Undershoot",
+    "airmass",
+    "moon_geometry",
     "rejected_shift",
 ]

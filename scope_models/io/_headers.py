@@ -52,21 +52,23 @@ def make_headers(metadata, time, timecorr, used, aperture):
         "NPIXSAP": int(optimal.sum()),
         "NPIXMISS": int((optimal & ~collected).sum()),
     }
-    headers = _template(metadata.mission)
+    headers = _template(metadata.layout.template)
     for header in headers:
         for keyword in values.keys() & set(header):
             header[keyword] = values[keyword]
+    if metadata.layout.template != metadata.mission.lower():
+        headers[0]["MISSION"] = (metadata.mission, "kind of telescope; the layout is another's")
     _rename(headers[1], metadata)
     _fill(headers, metadata.extra_cards)
     return headers
 
 
-def _template(mission):
-    """Return the headers of a mission's layout; a card XTENSION begins each after the first."""
+def _template(name):
+    """Return the headers of a layout; a card XTENSION begins each after the first."""
     from astropy.io import fits
 
     headers = [fits.Header()]
-    for card in fits.Header.fromtextfile(_LAYOUTS / f"{mission.lower()}.hdr").cards:
+    for card in fits.Header.fromtextfile(_LAYOUTS / f"{name}.hdr").cards:
         if card.keyword == "XTENSION":
             headers.append(fits.Header())
         else:
@@ -97,6 +99,7 @@ def _target(metadata):
         "PROCVER": f"scope_models {__version__}",
         "SEED": str(seed) if seed is not None and seed > _MAX_CARD_INTEGER else seed,
         "TELESCOP": mission.telescope,
+        "INSTRUME": mission.instrument,
         "MISSION": mission.name,
         "OBJECT": metadata.name,
         mission.id_keyword: metadata.target_id,
