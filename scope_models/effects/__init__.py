@@ -9,12 +9,15 @@ from scope_models.effects.focus import Focus
 from scope_models.effects.gaps import Gaps
 from scope_models.effects.jitter import Jitter
 from scope_models.effects.night_sky import NightSky, moon_geometry
+from scope_models.effects.presets import mission_effects
+from scope_models.effects.readout import ChargeTransferInefficiency, RollingBands
 from scope_models.effects.response import SensitivityDropouts, Throughput
 
 __all__ = [
     "Argabrightening",
     "Background",
     "BrighterFatter",
+    "ChargeTransferInefficiency",
     "Conditions",
     "CosmicRays",
     "DarkCurrent",
@@ -26,6 +29,7 @@ __all__ = [
     "Gaps",
     "Jitter",
     "NightSky",
+    "RollingBands",
     "ScatteredLight",
     "Scintillation",
     "Seeing",
@@ -34,6 +38,7 @@ __all__ = [
     "Throughput",
     "Undershoot",
     "airmass",
+    "mission_effects",
     "moon_geometry",
     "rejected_shift",
 ]

@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from html import escape
 
 import numpy as np
 
@@ -164,6 +165,11 @@ class TPFFit:
             f"<TPFFit of {n} cadences of {ny} x {nx} pixels, {len(self.names)} shared parameters, "
             f"chi-squared per degree of freedom {self.reduced_chi2:.4g}{state}>"
         )
+
+    def _repr_html_(self):
+        lines = [line for line in self.summary().splitlines() if not line.startswith("  ")]
+        text = "<br>".join(escape(line) for line in lines)
+        return f"<p>{text}</p>{self.table()._repr_html_()}"
 
     # --- numbers --------------------------------------------------------------------------
     @property

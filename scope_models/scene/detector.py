@@ -746,6 +746,64 @@ class Detector:
         """
         return replace(self, **changes)
 
+    def write(self, path, overwrite=False):
+        """Write the detector as TOML.
+
+        Parameters
+        ----------
+        path : str or path-like
+            The file.
+        overwrite : bool, optional
+            Whether to replace a file.
+
+        Returns
+        -------
+        pathlib.Path
+            The file, for `read`.
+
+        Raises
+        ------
+        OSError
+            If the file exists and is not to be replaced, or cannot be written.
+        ValueError
+            If the PSF is no sum of models, or the sensitivity no product.
+
+        Examples
+        --------
+        >>> from scope_models import Detector
+        >>> detector = Detector.k2(shape=(9, 9), background=200.0)
+        >>> Detector.read(detector.write("k2.toml")) == detector
+        True
+        """
+        from scope_models.scene._detector_file import write_detector
+
+        return write_detector(self, path, overwrite)
+
+    @staticmethod
+    def read(path):
+        """Read a detector from TOML: `~scope_models.read_detector`.
+
+        Parameters
+        ----------
+        path : str or path-like
+            A file of `write`, or of your own.
+
+        Returns
+        -------
+        Detector
+            The detector.
+
+        Examples
+        --------
+        >>> from scope_models import Detector
+        >>> Detector.read("absent.toml")
+        Traceback (most recent call last):
+        FileNotFoundError: [Errno 2] No such file or directory: 'absent.toml'
+        """
+        from scope_models.scene._detector_file import read_detector
+
+        return read_detector(path)
+
     def without_sensitivity(self):
         """Return the same detector with pixels that all respond alike, and evenly within.
 
