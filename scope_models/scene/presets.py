@@ -215,8 +215,16 @@ def ground_fields(
 
     Parameters
     ----------
-    aperture, altitude, band, seeing, pixel_scale, airmass, throughput
+    aperture, altitude : float or Quantity, optional
         As for `Detector.ground <scope_models.Detector.ground>`.
+    band : str, optional
+        As there.
+    seeing, pixel_scale : float or Quantity, optional
+        As there.
+    airmass : float or array_like, optional
+        As there.
+    throughput : float, optional
+        As there.
 
     Returns
     -------
