@@ -55,27 +55,29 @@ def make_headers(metadata, time, timecorr, used, aperture):
         "NPIXMISS": int((optimal & ~collected).sum()),
     }
     headers = []
-    for cards in _template(metadata.mission):
+    for cards in _template(metadata.layout.template):
         filled = (
             text if values.get(keyword) is None else (keyword, values[keyword], comment)
             for keyword, text, comment in cards
         )
         headers.append(make_header(filled))
+    if metadata.layout.template != metadata.mission.lower():
+        headers[0]["MISSION"] = (metadata.mission, "kind of telescope; the layout is another's")
     _rename(headers[1], metadata)
     _fill(headers, metadata.extra_cards)
     return headers
 
 
 @cache
-def _template(mission):
-    """Return keyword, text and comment of the cards of each header of a mission's layout.
+def _template(name):
+    """Return keyword, text and comment of the cards of each header of a layout.
 
     A card XTENSION begins each header after the first.
     """
     from astropy.io import fits
 
     headers = [[]]
-    for card in fits.Header.fromtextfile(_LAYOUTS / f"{mission.lower()}.hdr").cards:
+    for card in fits.Header.fromtextfile(_LAYOUTS / f"{name}.hdr").cards:
         if card.keyword == "XTENSION":
             headers.append([])
         else:
@@ -106,6 +108,7 @@ def _target(metadata):
         "PROCVER": f"scope_models {__version__}",
         "SEED": str(seed) if seed is not None and seed > _MAX_CARD_INTEGER else seed,
         "TELESCOP": mission.telescope,
+        "INSTRUME": mission.instrument,
         "MISSION": mission.name,
         "OBJECT": metadata.name,
         mission.id_keyword: metadata.target_id,

@@ -53,7 +53,7 @@ def make_tpf_hdulist(
 
     Parameters
     ----------
-    metadata : TPFMetadata or {"Kepler", "K2", "TESS"}
+    metadata : TPFMetadata or {"Kepler", "K2", "TESS", "Ground"}
         Facts for the headers; its mission chooses the layout. The name of a mission stands for
         target number 1 and the mission's usual cadence.
     time : array_like, Quantity or Time, shape (n,)
