@@ -6,10 +6,19 @@ from dataclasses import dataclass
 import numpy as np
 from astropy import units as u
 from astropy.modeling.models import Gaussian2D
+from scipy.special import erf
 
 from scope_models.models._gaussian import gaussian_pixels
 
-__all__ = ["FWHM", "ClosedForm", "closed_form", "diffused", "is_photutils", "pixels_of"]
+__all__ = [
+    "FWHM",
+    "ClosedForm",
+    "closed_form",
+    "collected",
+    "diffused",
+    "is_photutils",
+    "pixels_of",
+]
 
 # Full width at half maximum of a normal density, in standard deviations.
 FWHM = 2 * np.sqrt(2 * np.log(2))
@@ -145,3 +154,31 @@ def _from_axes(long, wide, angle):
 
 def is_photutils(model):
     return any(base.__module__.startswith("photutils.") for base in type(model).__mro__)
+
+
+def collected(offset, sigma):
+    """
+    Part of the charge that a pixel collects along one axis, and its derivative by sigma.
+
+    Parameters
+    ----------
+    offset : array_like
+        Where the charge is set free, from the pixel's center, pixels.
+    sigma : float
+        Standard deviation of the diffusion, pixels; 0 for none.
+
+    Returns
+    -------
+    part, derivative : `~numpy.ndarray`
+        Of the shape of the offset.
+    """
+    edges = np.asarray(offset, dtype=float) + np.array([0.5, -0.5]).reshape(
+        (2,) + (1,) * np.ndim(offset)
+    )
+    if sigma == 0:
+        inside = 0.5 * (np.sign(edges[0]) - np.sign(edges[1]))
+        return inside, np.zeros_like(inside)
+    scaled = edges / (np.sqrt(2) * sigma)
+    part = 0.5 * (erf(scaled[0]) - erf(scaled[1]))
+    slope = scaled * np.exp(-(scaled**2)) / (np.sqrt(np.pi) * sigma)
+    return part, slope[1] - slope[0]

@@ -6,9 +6,9 @@ from astropy import units as u
 from astropy.modeling import Model
 
 from scope_models._arrays import plain_array
+from scope_models.models._closed_form import collected
 from scope_models.models._quadrature import integrate_adaptively
 from scope_models.models._terms import expand, is_pixel_integrated, leaves
-from scope_models.models.sensitivity import collected
 
 __all__ = ["integrate_pixels"]
 

@@ -4,14 +4,13 @@
 import numpy as np
 from astropy import units as u
 from astropy.modeling import Fittable2DModel, Parameter
-from scipy.special import erf
 
 from scope_models._arrays import plain_array
-from scope_models.models._closed_form import pixels_of
+from scope_models.models._closed_form import collected, pixels_of
 from scope_models.models._instance_parameters import InstanceParameters, described
 from scope_models.models._validation import Domain, check_model_parameters
 
-__all__ = ["DiffusionSensitivity", "SensitivityPolynomial", "collected"]
+__all__ = ["DiffusionSensitivity", "SensitivityPolynomial"]
 
 
 def _offset(position):
@@ -148,34 +147,6 @@ def _polynomial(u, coefficients):
     for coefficient in coefficients[::-1]:
         value = value * u + coefficient
     return value
-
-
-def collected(offset, sigma):
-    """
-    Part of the charge that a pixel collects along one axis, and its derivative by sigma.
-
-    Parameters
-    ----------
-    offset : array_like
-        Where the charge is set free, from the pixel's center, pixels.
-    sigma : float
-        Standard deviation of the diffusion, pixels; 0 for none.
-
-    Returns
-    -------
-    part, derivative : `~numpy.ndarray`
-        Of the shape of the offset.
-    """
-    edges = np.asarray(offset, dtype=float) + np.array([0.5, -0.5]).reshape(
-        (2,) + (1,) * np.ndim(offset)
-    )
-    if sigma == 0:
-        inside = 0.5 * (np.sign(edges[0]) - np.sign(edges[1]))
-        return inside, np.zeros_like(inside)
-    scaled = edges / (np.sqrt(2) * sigma)
-    part = 0.5 * (erf(scaled[0]) - erf(scaled[1]))
-    slope = scaled * np.exp(-(scaled**2)) / (np.sqrt(np.pi) * sigma)
-    return part, slope[1] - slope[0]
 
 
 class DiffusionSensitivity(Fittable2DModel):
