@@ -4,7 +4,7 @@
 from scope_models.models.empirical import GaussHermitePSF
 from scope_models.models.integration import integrate_pixels
 from scope_models.models.prf import PRF
-from scope_models.models.psf import BivariateGaussianPSF
+from scope_models.models.psf import BivariateGaussianPSF, moffat_psf
 from scope_models.models.sensitivity import SensitivityPolynomial
 from scope_models.models.signals import TransitModel
 from scope_models.models.tables import PRFGrid, TabulatedPRF, TabulatedPSF
@@ -24,6 +24,7 @@ __all__ = [
     "TabulatedPSF",
     "TransitModel",
     "integrate_pixels",
+    "moffat_psf",
     "sinusoidal_signal",
     "stochastic_signal",
     "tabulated_signal",

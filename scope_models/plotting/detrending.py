@@ -67,7 +67,7 @@ def plot_detrending(
     ----------
     time, flux, corrected : array_like
         Times in days and fluxes before and after in e-/s, ``(n_cadences,)``. Each panel is
-        scaled to all but the outermost per cent.
+        scaled to all but the outermost percent.
     systematics, trend : array_like, optional
         The two parts of the model in the unit of the flux.
     outliers, masked : array_like of bool, optional
