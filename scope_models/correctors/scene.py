@@ -7,11 +7,11 @@ import numpy as np
 from astropy.table import QTable
 from lightkurve.correctors.corrector import Corrector
 
-from scope_models._checks import checked_cadences, checked_mask
+from scope_models._checks import checked_cadences, checked_integer, checked_mask
 from scope_models.correctors._flux_model import fit_flux
 from scope_models.correctors._pixels import credible_flux
 from scope_models.correctors._result import transit_column
-from scope_models.correctors._scene_fit import WIDER, fit_scene
+from scope_models.correctors._scene_fit import WIDER, fit_scene, full_columns
 from scope_models.correctors._scene_flux import (
     LIMITS,
     clean_background,
@@ -310,9 +310,9 @@ class SceneCorrector(Corrector):
         limit = _NOISIEST**2 * min(variance for variance, *_ in found)
         time = data.time - data.time[0]
         best = None
-        for variance, window, one, crowding, by_width in found:
+        for variance, window, one, crowding, by_width in sorted(found, key=lambda f: f[0]):
             if variance > limit:
-                continue
+                break
             level = np.median(one.flux)
             positive = one.flux > 0.01 * level
             change = by_width * (scene.track.width - np.median(scene.track.width))
@@ -320,8 +320,9 @@ class SceneCorrector(Corrector):
             columns = make_columns(data.time, scene.track, one, by_width)
             relative = one.variance / np.where(positive, one.flux, level) ** 2
             model = fit_flux(
-                time, y, relative, columns, allowed & positive, limits=LIMITS, flat=flat
-            )
+                time, y, relative, columns, allowed & positive, limits=LIMITS, flat=flat,
+                start=best and best.model,
+            )  # fmt: skip
             total = np.where(positive, one.flux, np.nan)
             star = total / one.model / np.exp(change)
             trial = _Flux(window, total, star, relative, model, crowding)
@@ -381,7 +382,7 @@ class SceneCorrector(Corrector):
 
     def _warn(self):
         result = self.result
-        if self.scene.full.any():
+        if self.saturated:
             message = (
                 "pixels saturate: the model of the pixels holds for the others only, and "
                 "PLDCorrector corrects such stars better"
@@ -402,6 +403,43 @@ class SceneCorrector(Corrector):
                 "their light is taken off as constant, their variability is not"
             )
             warnings.warn(message, DetrendingWarning, stacklevel=4)
+
+    def held_out(self, width=13):
+        """
+        Predict windows of cadences by a model that has not seen them.
+
+        The scene and the hyper-parameters stay as they are; the coefficients and the star's
+        variability are inferred anew for each window from all others, in closed form.
+
+        Parameters
+        ----------
+        width : int, optional
+            Cadences in a window, counted among those in the fit; 13 long cadences are 6.4 hours.
+
+        Returns
+        -------
+        residual : `~numpy.ndarray`
+            Mean of measured minus predicted relative flux, per window; at most 120 windows.
+        error : `~numpy.ndarray`
+            Its expected standard deviation: noise and model.
+
+        Raises
+        ------
+        ValueError
+            If `correct` has not been called, or there are fewer cadences than two windows.
+        """
+        if self._chosen is None:
+            raise ValueError("call `correct` first")
+        width = checked_integer("width", width, 1)
+        if width > self.result.n_used // 2:
+            raise ValueError(f"`width` must be at most {self.result.n_used // 2}, got {width}")
+        return self._chosen.model.held_out(width)
+
+    @property
+    def saturated(self):
+        """Whether pixels saturate: their columns are no part of the model."""
+        data = self._data
+        return bool(full_columns(data.flux, data.variance, data.well).any())
 
     def _is_worse(self):
         """Whether the correction adds noise, beyond the light of others that it takes off."""
