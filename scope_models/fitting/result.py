@@ -13,6 +13,10 @@ from scope_models.scene.detector import Detector
 
 __all__ = ["FittedStar", "TPFFit"]
 
+# Chi-squared per degree of freedom above which coefficients of a sensitivity are not measured: they
+# describe errors of the PSF long before these are seen in chi-squared.
+_TRUE_CHI2 = 1.1
+
 
 @dataclass(frozen=True, eq=False)
 class FittedStar:
@@ -191,7 +195,7 @@ class TPFFit:
         """
         errors = dict(zip(self.names, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
         unknown = set(self.at_bounds)
-        if self.error_scale > 1:
+        if self.error_scale > 1 or self.reduced_chi2 > _TRUE_CHI2:
             unknown |= set(self.model.response_powers)
         return {name: np.nan if name in unknown else error for name, error in errors.items()}
 
