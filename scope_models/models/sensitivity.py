@@ -6,7 +6,7 @@ from astropy import units as u
 from astropy.modeling import Fittable2DModel, Parameter
 
 from scope_models._arrays import plain_array
-from scope_models.models._closed_form import collected, pixels_of
+from scope_models.models._closed_form import collected
 from scope_models.models._parameters import (
     Domain,
     InstanceParameters,
@@ -208,9 +208,8 @@ class DiffusionSensitivity(Fittable2DModel):
     sigma_d.validator(Domain("sigma_d", "at least 0"))
 
     def __init__(self, sigma_d=sigma_d.default, **kwargs):
-        super().__init__(sigma_d=sigma_d, **kwargs)
+        super().__init__(sigma_d=plain_array(sigma_d, u.pix, "sigma_d"), **kwargs)
         check_model_parameters(self)
-        plain_array(sigma_d, u.pix, "sigma_d")
 
     #: The response is no polynomial: it has no powers.
     powers = {}  # noqa: RUF012 - astropy copies no class attributes
@@ -254,7 +253,7 @@ class DiffusionSensitivity(Fittable2DModel):
         part : `~numpy.ndarray`
             Dimensionless.
         """
-        sigma = float(np.ravel(pixels_of(sigma_d))[0])
+        sigma = float(np.ravel(sigma_d)[0])
         return collected(_offset(x), sigma)[0] * collected(_offset(y), sigma)[0]
 
     def fit_deriv(self, x, y, sigma_d):
@@ -273,16 +272,10 @@ class DiffusionSensitivity(Fittable2DModel):
         derivatives : list of `~numpy.ndarray`
             One array.
         """
-        sigma = float(np.ravel(pixels_of(sigma_d))[0])
+        sigma = float(np.ravel(sigma_d)[0])
         along_x, by_x = collected(_offset(x), sigma)
         along_y, by_y = collected(_offset(y), sigma)
         return [along_x * by_y + by_x * along_y]
 
-    @property
-    def input_units(self):
-        """Units of x and y, or None."""
-        unit = self.sigma_d.input_unit
-        return None if unit is None else dict.fromkeys(self.inputs, unit)
-
     def _parameter_units_for_data_units(self, inputs_unit, outputs_unit):  # noqa: ARG002
-        return {"sigma_d": inputs_unit[self.inputs[0]]}
+        return {}

@@ -43,7 +43,7 @@ MODELS = {
     },
     "DiffusionSensitivity": {
         "model": DiffusionSensitivity(0.2),
-        "units": {"sigma_d": u.pix},
+        "units": {},
         "input_unit": u.pix,
         "output_unit": u.dimensionless_unscaled,
         "bounded": False,
