@@ -43,9 +43,13 @@ from . import (
 from ._version import __version__ as __version__
 from .appendix_a import Target as Target
 from .appendix_a import generate_target as generate_target
+from .correctors import PLDCorrector as PLDCorrector
+from .correctors import SceneCorrector as SceneCorrector
 from .fitting import TPFFit as TPFFit
 from .fitting import fit_tpf as fit_tpf
+from .io import read_pixels as read_pixels
 from .io import read_truth as read_truth
+from .io import write_tpf as write_tpf
 from .missions import MISSIONS as MISSIONS
 from .missions import Mission as Mission
 from .models import (
@@ -66,6 +70,7 @@ from .models import (
 from .models import (
     integrate_pixels as integrate_pixels,
 )
+from .photometry import cdpp as cdpp
 from .scene import (
     Detector as Detector,
 )
@@ -85,4 +90,5 @@ from .scene import (
     read_scene as read_scene,
 )
 from .simulation import Observation as Observation
+from .simulation import inject as inject
 from .simulation import simulate as simulate

@@ -50,7 +50,17 @@ def test_environments_of_the_workflows_are_those_of_tox(workflows, tox):
         named |= set(matrix.get("toxenv", []))
         commands = [step["run"] for step in job["steps"] if "run" in step]
         named |= {name for text in commands for name in re.findall(r"tox -e (\w+)", text)}
-    assert {"py311", "py312", "py314", "coverage", "devdeps", "oldest", "lint", "docs"} <= named
+    assert {
+        "audit",
+        "py311",
+        "py312",
+        "py314",
+        "coverage",
+        "devdeps",
+        "oldest",
+        "lint",
+        "docs",
+    } <= named
     for name in named:
         assert re.fullmatch(r"py3\d+", name) or f"testenv:{name}" in tox
 

@@ -2,6 +2,7 @@
 
 import importlib
 import importlib.metadata
+import importlib.util
 import inspect
 import pkgutil
 import re
@@ -13,8 +14,12 @@ import pytest
 
 import scope_models
 
+# Modules that only the packages of an extra import.
+OF_EXTRAS = {"scope_models.scene._asdf": "asdf_astropy"}
 MODULES = sorted(
-    module.name for module in pkgutil.walk_packages(scope_models.__path__, "scope_models.")
+    module.name
+    for module in pkgutil.walk_packages(scope_models.__path__, "scope_models.")
+    if module.name not in OF_EXTRAS or importlib.util.find_spec(OF_EXTRAS[module.name])
 )
 PUBLIC_MODULES = [
     "scope_models",
@@ -49,6 +54,22 @@ def test_all_is_true(name):
     module = importlib.import_module(name)
     assert len(module.__all__) == len(set(module.__all__))
     assert [item for item in module.__all__ if not hasattr(module, item)] == []
+
+
+@pytest.mark.parametrize(
+    "name", [name for name in MODULES if hasattr(importlib.import_module(name), "__path__")]
+)
+def test_packages_offer_public_names_and_modules_only(name):
+    """What a tab completes."""
+    module = importlib.import_module(name)
+    offered = {item for item in dir(module) if not item.startswith("_")}
+    modules = {item.rpartition(".")[2] for item in MODULES if item.rpartition(".")[0] == name}
+    assert offered <= set(module.__all__) | modules
+
+
+def test_common_names_in_one_line():
+    names = "Detector Motion PLDCorrector Scene SceneCorrector Star cdpp fit_tpf inject read_pixels"
+    assert set(names.split()) | {"simulate", "write_tpf"} <= set(dir(scope_models))
 
 
 @pytest.mark.parametrize("name", sorted(PUBLIC_OBJECTS))

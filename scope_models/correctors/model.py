@@ -280,6 +280,8 @@ class PLDModel:
                 extra["focus"] = focus_columns(clean, pixels.usable, use)
             else:  # the model of the pixels has diverged
                 clean = None
+        if clean is None:
+            pixels = pixels.weighted
         breaks = segment_breaks(options.segments, pixels, use & pixels.usable)
         design = DesignOptions(
             options.order, saturation, breaks, extra, options.pca_components, regressor_mask

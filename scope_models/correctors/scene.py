@@ -7,10 +7,11 @@ import numpy as np
 from astropy.table import QTable
 from lightkurve.correctors.corrector import Corrector
 
-from scope_models._checks import checked_cadences, checked_mask
+from scope_models._checks import checked_cadences, checked_integer, checked_mask, checked_weights
 from scope_models.correctors._flux_model import fit_flux
+from scope_models.correctors._pixels import credible_flux
 from scope_models.correctors._result import transit_column
-from scope_models.correctors._scene_fit import WIDER, fit_scene
+from scope_models.correctors._scene_fit import WIDER, fit_scene, full_columns
 from scope_models.correctors._scene_flux import (
     LIMITS,
     clean_background,
@@ -18,10 +19,12 @@ from scope_models.correctors._scene_flux import (
     window_flux,
     window_weights,
 )
-from scope_models.correctors._scene_neighbors import offsets_of
+from scope_models.correctors._scene_neighbors import KnownNeighbors
+from scope_models.correctors._scene_start import centroids
 from scope_models.exceptions import DetrendingWarning
 from scope_models.io import read_pixels, read_tpf
 from scope_models.io.pixels import usable_positions
+from scope_models.photometry import aperture_flux, cdpp
 
 __all__ = ["SceneCorrector", "SceneResult"]
 
@@ -35,6 +38,8 @@ _TRANSIT_HOURS = 6.5
 _REACH = 7
 #: Warnings: part of the cadences that are outliers, and share of the target in the window.
 _MANY, _CROWDED = 0.1, 0.9
+#: ... and 6.5-h noise over that of the sum over the aperture.
+_WORSE = 1.1
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -119,9 +124,10 @@ class SceneResult:
 
 @dataclass(frozen=True)
 class _Flux:
-    """The flux in one window and its model."""
+    """The flux in one window, as summed and without what the scene predicts, and its model."""
 
     window: object
+    total: np.ndarray
     flux: np.ndarray
     variance: np.ndarray
     model: object
@@ -159,12 +165,14 @@ class SceneCorrector(Corrector):
     ----------
     tpf : `~lightkurve.targetpixelfile.TargetPixelFile`, str or path-like
         Kepler, K2, TESS or synthetic target pixel file, or the path of one.
-    aperture_mask : array_like of bool, optional
-        Pixels ``(ny, nx)`` that are summed. By default a window that follows the star, the one of
-        the smallest expected error.
+    aperture_mask : array_like, optional
+        Pixels ``(ny, nx)`` that are summed, boolean, or weights ``(n_cadences, ny, nx)`` of a
+        moving aperture. By default a window that follows the star, the one of the smallest
+        expected error.
     neighbors : array_like, `~astropy.table.Table` or `~astropy.coordinates.SkyCoord`, optional
         Other stars: columns and rows in the stamp ``(m, 2)`` in pixels, a table with columns ``x``
-        and ``y``, or places on the sky. By default they are found in the images; ``[]``: none.
+        and ``y`` or ``ra`` and ``dec``, or places on the sky, which are taken relative to the
+        target's coordinates in the file. By default they are found in the images; ``[]``: none.
 
     Attributes
     ----------
@@ -201,15 +209,23 @@ class SceneCorrector(Corrector):
     def __init__(self, tpf, aperture_mask=None, neighbors=None):
         self.tpf = read_tpf(tpf)
         series = read_pixels(self.tpf)
-        if aperture_mask is not None:
+        if np.ndim(aperture_mask) == 3:
+            aperture_mask = checked_weights("aperture_mask", aperture_mask, series.flux.shape)
+        elif aperture_mask is not None:
             aperture_mask = checked_mask("aperture_mask", aperture_mask, series.flux.shape[1:])
         self._data = _Data.from_series(series, aperture_mask)
-        self._offsets = None
+        self._known = None
         if neighbors is not None:
-            self._offsets = offsets_of(neighbors, self.tpf, *self._data.place)
+            origin, peak = self._data.origin, self._data.place
+            self._known = KnownNeighbors.read(neighbors, series, origin, peak)
         shown = series.aperture if aperture_mask is None else aperture_mask
-        self.aperture_mask = shown.copy()
-        self.original_lc = self.tpf.to_lightcurve(aperture_mask=shown)
+        moving = shown.ndim == 3
+        self.aperture_mask = np.nanmax(shown, axis=0) > 0 if moving else shown.copy()
+        self.original_lc = self.tpf.to_lightcurve(aperture_mask=self.aperture_mask)
+        if moving:
+            lc = self.original_lc
+            total, error = aperture_flux(series.flux, shown, series.flux_err)
+            lc.flux, lc.flux_err = total * lc.flux.unit, error * lc.flux.unit
         self.cadence_mask = np.ones(len(series), dtype=bool)
         self.scene = self.result = self._chosen = None
 
@@ -249,8 +265,9 @@ class SceneCorrector(Corrector):
         Warns
         -----
         DetrendingWarning
-            If pixels saturate, many cadences are outliers, or the window holds much light of
-            other stars.
+            If pixels saturate, the noise of 6.5 h grows, many cadences are outliers, the window
+            holds much light of other stars, or corrections are over a factor of 30: such
+            cadences become NaN.
         """
         data = self._data
         n = len(data.usable)
@@ -268,7 +285,7 @@ class SceneCorrector(Corrector):
         if self.scene is None:
             self.scene = fit_scene(
                 data.time, data.flux, data.variance, data.pos_corr, data.peak,
-                offsets=self._offsets, well=data.well,
+                known=self._known, well=data.well,
             )  # fmt: skip
         self._chosen = self._best(allowed, flat)
         self.cadence_mask, self.transit_mask = mask & ~in_transit, in_transit
@@ -301,9 +318,9 @@ class SceneCorrector(Corrector):
         limit = _NOISIEST**2 * min(variance for variance, *_ in found)
         time = data.time - data.time[0]
         best = None
-        for variance, window, one, crowding, by_width in found:
+        for variance, window, one, crowding, by_width in sorted(found, key=lambda f: f[0]):
             if variance > limit:
-                continue
+                break
             level = np.median(one.flux)
             positive = one.flux > 0.01 * level
             change = by_width * (scene.track.width - np.median(scene.track.width))
@@ -311,11 +328,12 @@ class SceneCorrector(Corrector):
             columns = make_columns(data.time, scene.track, one, by_width)
             relative = one.variance / np.where(positive, one.flux, level) ** 2
             model = fit_flux(
-                time, y, relative, columns, allowed & positive, limits=LIMITS, flat=flat
-            )
-            star = np.where(positive, one.flux, np.nan) / one.model / np.exp(change)
-            trial = _Flux(window, star, relative,
-                          model, crowding)  # fmt: skip
+                time, y, relative, columns, allowed & positive, limits=LIMITS, flat=flat,
+                start=best and best.model,
+            )  # fmt: skip
+            total = np.where(positive, one.flux, np.nan)
+            star = total / one.model / np.exp(change)
+            trial = _Flux(window, total, star, relative, model, crowding)
             if best is None or trial.expected_error < best.expected_error:
                 best = trial
         return best
@@ -331,6 +349,8 @@ class SceneCorrector(Corrector):
             removed = removed + trend - np.median(trend)
         flux = chosen.flux / np.exp(removed)
         error = flux * np.sqrt(model.process.noise_scale * model.variance + variance)
+        outliers = allowed & ~model.use
+        flux, error = credible_flux(flux, error, chosen.total, outliers)
         lc = self.original_lc.copy()
         for name, values in (("flux", flux), ("flux_err", error)):
             whole = np.full(len(data.usable), np.nan)
@@ -338,7 +358,7 @@ class SceneCorrector(Corrector):
             setattr(lc, name, whole * getattr(lc, name).unit)
         self.corrected_lc = lc
         self.outlier_mask = np.zeros(len(data.usable), dtype=bool)
-        self.outlier_mask[data.usable] = allowed & ~model.use
+        self.outlier_mask[data.usable] = outliers
         scale, scale_err = model.flat_coefficient() if has_transit else (np.nan, np.nan)
         step = np.median(np.diff(data.time))
         window = int(np.clip(round(_TRANSIT_HOURS / 24 / step), 1, model.use.sum() // 2))
@@ -370,10 +390,16 @@ class SceneCorrector(Corrector):
 
     def _warn(self):
         result = self.result
-        if self.scene.full.any():
+        if self.saturated:
             message = (
                 "pixels saturate: the model of the pixels holds for the others only, and "
                 "PLDCorrector corrects such stars better"
+            )
+            warnings.warn(message, DetrendingWarning, stacklevel=4)
+        if self._is_worse():
+            message = (
+                "the corrected light curve scatters more than the sum over the aperture: do not "
+                "use it, and compare PLDCorrector"
             )
             warnings.warn(message, DetrendingWarning, stacklevel=4)
         if result.n_outliers > _MANY * (result.n_outliers + result.n_used):
@@ -385,6 +411,67 @@ class SceneCorrector(Corrector):
                 "their light is taken off as constant, their variability is not"
             )
             warnings.warn(message, DetrendingWarning, stacklevel=4)
+
+    def held_out(self, width=13):
+        """
+        Predict windows of cadences by a model that has not seen them.
+
+        The scene and the hyper-parameters stay as they are; the coefficients and the star's
+        variability are inferred anew for each window from all others, in closed form.
+
+        Parameters
+        ----------
+        width : int, optional
+            Cadences in a window, counted among those in the fit; 13 long cadences are 6.4 hours.
+
+        Returns
+        -------
+        residual : `~numpy.ndarray`
+            Mean of measured minus predicted relative flux, per window; at most 120 windows.
+        error : `~numpy.ndarray`
+            Its expected standard deviation: noise and model.
+
+        Raises
+        ------
+        ValueError
+            If `correct` has not been called, or there are fewer cadences than two windows.
+        """
+        if self._chosen is None:
+            raise ValueError("call `correct` first")
+        width = checked_integer("width", width, 1)
+        if width > self.result.n_used // 2:
+            raise ValueError(f"`width` must be at most {self.result.n_used // 2}, got {width}")
+        return self._chosen.model.held_out(width)
+
+    @property
+    def positions(self):
+        """Column and row of the target in the stamp, pixels, ``(n_cadences, 2)``, as fitted."""
+        if self.scene is None:
+            raise ValueError("call `correct` first")
+        places = np.full((len(self._data.usable), 2), np.nan)
+        track = self.scene.track
+        places[self._data.usable] = self._data.origin + np.stack([track.x, track.y], axis=1)
+        return places
+
+    @property
+    def saturated(self):
+        """Whether pixels saturate: their columns are no part of the model."""
+        data = self._data
+        return bool(full_columns(data.flux, data.variance, data.well).any())
+
+    def _is_worse(self):
+        """Whether the correction adds noise, beyond the light of others that it takes off."""
+        raw, corrected = self.original_lc, self.corrected_lc
+        both = np.isfinite(raw.flux.value) & np.isfinite(corrected.flux.value)
+        raw, corrected = raw[both], corrected[both]
+        level = np.median(raw.flux.value)
+        if not level > 0:
+            return False
+        inside = self.aperture_mask[self._data.box]
+        light = np.median(self.scene.track.flux * self.scene.star[:, inside].sum(axis=1))
+        limit = _WORSE * max(level / light, 1.0) if light > 0 else np.inf
+        pairs = [[cdpp(lc, method=m) for lc in (raw, corrected)] for m in ("lightkurve", "everest")]
+        return any(new > limit * old for old, new in pairs)
 
     def fit_transit(self, transit_model):
         """
@@ -493,8 +580,8 @@ class _Data:
         These pixels in the stamp, rows and columns.
     peak : tuple of float
         Column and row of the target within them.
-    aperture : ndarray of bool or None
-        The user's aperture, of the same pixels.
+    aperture : ndarray or None
+        The user's aperture, of the same pixels (and cadences).
     well : float or None
         Flux of a full pixel, e-/s, if it is known.
     """
@@ -518,6 +605,9 @@ class _Data:
         if not collected.any():
             raise ValueError("`tpf` has no pixels with data")
         usable = np.isfinite(series.time) & (good[:, collected].mean(axis=1) > 0.5)
+        moving = np.ndim(aperture) == 3
+        if moving:
+            usable &= np.isfinite(aperture).all(axis=(1, 2))
         if usable.sum() < _FEWEST_CADENCES:
             raise ValueError(
                 f"at least {_FEWEST_CADENCES} usable cadences are needed, got {usable.sum()}"
@@ -534,7 +624,11 @@ class _Data:
             if known[usable].any():
                 reach = float(np.nanmax(np.abs(pos_corr - np.nanmedian(pos_corr, axis=0))))
         mean = np.median(flux, axis=0)
-        inside = series.aperture if aperture is None else aperture
+        inside = aperture
+        if aperture is None:
+            inside = series.aperture
+        elif moving:
+            inside = np.max(aperture[usable], axis=0) > 0
         row, column = np.unravel_index(np.argmax(np.where(inside, mean, -np.inf)), mean.shape)
         box = tuple(
             slice(max(0, int(k - _REACH - reach)), min(size, int(k + _REACH + reach + 2)))
@@ -544,14 +638,21 @@ class _Data:
         peak = (float(column - box[1].start), float(row - box[0].start))
         return cls(
             series.time, usable, time, flux[cut], variance[cut], pos_corr, box, peak,
-            None if aperture is None else aperture[box],
+            aperture[usable][cut] if moving else (None if aperture is None else aperture[box]),
             series.mission and series.mission.full_flux,
         )  # fmt: skip
 
     @property
+    def origin(self):
+        """Column and row of the box' first pixel in the stamp."""
+        return np.array([self.box[1].start, self.box[0].start], dtype=float)
+
+    @property
     def place(self):
-        """Column and row of the target in the stamp."""
-        return self.peak[0] + self.box[1].start, self.peak[1] + self.box[0].start
+        """Column and row of the target's light in the stamp, in the median image."""
+        image = np.median(self.flux, axis=0)[None]
+        x, y = centroids(image - np.median(image), *(np.array([k]) for k in self.peak))
+        return self.origin + np.array([x[0], y[0]])
 
     @property
     def noise(self):

@@ -1,13 +1,13 @@
 """What all effects have in common: parameters, a truth that is drawn once, and places to act."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields
 
 import numpy as np
 
 from scope_models.missions import MISSIONS
 
-__all__ = ["Conditions", "Drawn", "Effect", "Exposures"]
+__all__ = ["Conditions", "Drawn", "Effect", "Exposures", "checked_effects"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,6 +34,8 @@ class Conditions:
         Standard deviation of one read, electrons.
     background : float
         Background of the detector, e-/s per pixel.
+    n_stars : int, optional
+        Number of stars.
 
     Examples
     --------
@@ -56,9 +58,10 @@ class Conditions:
     n_reads: int
     read_noise: float
     background: float
+    n_stars: int = 1
 
     @classmethod
-    def of(cls, detector, time):
+    def of(cls, detector, time, n_stars=1):
         """Return the conditions of a detector at the times of a motion.
 
         Parameters
@@ -67,14 +70,17 @@ class Conditions:
             The detector.
         time : ndarray of shape (n_cadences,)
             The times, days.
+        n_stars : int, optional
+            Number of stars.
 
         Returns
         -------
         Conditions
             The conditions.
         """
-        names = [item.name for item in fields(cls) if item.name != "time"]
-        return cls(time=time, **{name: getattr(detector, name) for name in names})
+        own = {"time": time, "n_stars": n_stars}
+        names = [item.name for item in fields(cls) if item.name not in own]
+        return cls(**own, **{name: getattr(detector, name) for name in names})
 
     def bit(self, name):
         """Return the mission's quality bit of a meaning.
@@ -103,6 +109,10 @@ class Exposures:
         Offsets in pixels.
     weights : ndarray of shape (k,)
         Parts of the exposure, whose sum is 1.
+    blur : float, optional
+        Standard deviation, pixels, of a normal distribution of positions about each offset.
+    nodes : int, optional
+        Gauss-Hermite nodes per axis for the blur of PSFs that are not Gaussian.
 
     Examples
     --------
@@ -115,6 +125,50 @@ class Exposures:
     x: np.ndarray
     y: np.ndarray
     weights: np.ndarray
+    blur: float = 0.0
+    nodes: int = 3
+
+    def joined(self, other):
+        """Return the exposures in which each of these has the offsets of others.
+
+        Parameters
+        ----------
+        other : Exposures
+            The others.
+
+        Returns
+        -------
+        Exposures
+            All sums of offsets; the variances of the blur add up.
+        """
+        x, y = (
+            (a[:, :, np.newaxis] + b[:, np.newaxis]).reshape(len(a), -1)
+            for a, b in ((self.x, other.x), (self.y, other.y))
+        )
+        weights = np.outer(self.weights, other.weights).ravel()
+        blur = float(np.hypot(self.blur, other.blur))
+        return Exposures(x, y, weights, blur, max(self.nodes, other.nodes))
+
+    def expanded(self):
+        """Return exposures without blur: its distribution as offsets of their own.
+
+        Returns
+        -------
+        Exposures
+            With ``nodes**2`` offsets for each.
+        """
+        if not self.blur:
+            return self
+        nodes, weights = np.polynomial.hermite_e.hermegauss(self.nodes)
+        weights = weights / weights.sum()
+        x, y = (self.blur * a.ravel() for a in np.meshgrid(nodes, nodes))
+        n = len(self.x)
+        grid = Exposures(
+            np.broadcast_to(x, (n, x.size)),
+            np.broadcast_to(y, (n, y.size)),
+            np.outer(weights, weights).ravel(),
+        )
+        return Exposures(self.x, self.y, self.weights).joined(grid)
 
 
 @dataclass(frozen=True)
@@ -152,7 +206,8 @@ class Effect:
     each piece of the series. An effect implements those that it needs; the others do nothing.
     They act in this order:
 
-    1. light: `width`, `exposures` and `response`, before the charge of the stars is known;
+    1. light: `width`, `exposures`, `starlight` and `response`, before the charge of the stars is
+       known;
     2. light that is not the stars': `pedestal`;
     3. charge, after photon noise: `charge`;
     4. readout, before read noise and digitization: `readout`;
@@ -203,6 +258,9 @@ class Effect:
     def exposures(self, drawn, conditions):
         """Return offsets of the stars within each cadence, `Exposures`, or None."""
 
+    def starlight(self, drawn, conditions):
+        """Return a factor on the stars' light, (n_cadences,) or (n_stars, n_cadences), or None."""
+
     def response(self, drawn, conditions, part):
         """Return a factor on all light that broadcasts to (m, ny, nx), or None."""
 
@@ -224,3 +282,16 @@ class Effect:
 
     def missing(self, drawn, conditions):
         """Return which cadences have no data, shape (n_cadences,), or None."""
+
+
+def checked_effects(effects):
+    """Return one effect or several as a tuple."""
+    if isinstance(effects, Effect):
+        return (effects,)
+    if not isinstance(effects, Iterable):
+        raise TypeError(f"`effects` must be effects, got {effects!r}")
+    effects = tuple(effects)
+    for effect in effects:
+        if not isinstance(effect, Effect):
+            raise TypeError(f"`effects` must hold effects, got {effect!r}")
+    return effects

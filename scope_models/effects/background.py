@@ -131,6 +131,9 @@ class ScatteredLight(_Sky):
         Relative change of the light per pixel along x and y.
     residual : float, optional
         Part of the light that the subtraction of the background leaves in the flux.
+    flag_above : float or Quantity, optional
+        Light from which cadences have the mission's quality bit, where it has one, e-/s per
+        pixel; None sets none. TESS sets its bit 4096 where light of Earth or Moon is strong.
 
     Raises
     ------
@@ -159,10 +162,14 @@ class ScatteredLight(_Sky):
     perigee: float | None = None
     gradient: tuple[float, float] = (0.0, 0.0)
     residual: float = 0.0
+    flag_above: float | None = None
 
     def __post_init__(self):
         put = object.__setattr__
         put(self, "peak", checked_number("peak", plain_number(self.peak, _RATE, "peak")))
+        if self.flag_above is not None:
+            level = plain_number(self.flag_above, _RATE, "flag_above")
+            put(self, "flag_above", checked_number("flag_above", level))
         for name in ("time_scale", "orbit"):
             value = plain_number(getattr(self, name), "day", name)
             put(self, name, checked_number(name, value, positive=True))
@@ -178,6 +185,13 @@ class ScatteredLight(_Sky):
         nearest = np.minimum(since, self.orbit - since)
         least = np.exp(-self.orbit / 2 / self.time_scale)
         return self._drawn(conditions, self.peak * (np.exp(-nearest / self.time_scale) - least))
+
+    def quality(self, drawn, conditions):
+        """Return the mission's bit in cadences with strong light, or None."""
+        if self.flag_above is None:
+            return None
+        strong = drawn.columns["SCATTEREDLIGHT"] > self.flag_above
+        return np.where(strong, conditions.bit("scattered_light"), 0)
 
 
 @dataclass(frozen=True, eq=False)

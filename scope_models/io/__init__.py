@@ -1,6 +1,6 @@
 """The door in, from target pixel files to arrays, and the door out, with the truth."""
 
-from scope_models._moved import renamed
+from scope_models import _moved
 from scope_models.io._opening import Conf, conf
 from scope_models.io._truth import Truth
 from scope_models.io.light_curves import make_light_curve_hdulist
@@ -29,4 +29,4 @@ __all__ = [
     "write_tpf",
 ]
 
-__getattr__ = renamed(__name__, TPFTruth="Truth")
+__getattr__ = _moved.renamed(__name__, TPFTruth="Truth")

@@ -1,12 +1,9 @@
 """Scenes: all that a simulation starts from, as Python objects and as what a file holds."""
 
-import tomllib
 import warnings
 from collections.abc import Iterable, Mapping
 from dataclasses import InitVar, dataclass, field, fields, replace
-from functools import partial, reduce
-from operator import add, mul
-from pathlib import Path
+from functools import partial
 from types import MappingProxyType
 
 import numpy as np
@@ -14,11 +11,12 @@ from astropy.utils.exceptions import AstropyDeprecationWarning
 
 from scope_models._arrays import plain_number
 from scope_models._checks import checked_integer
-from scope_models.effects import Effect
+from scope_models.effects import Effect, mission_effects
+from scope_models.effects._effect import checked_effects
 from scope_models.effects.noise import check_seed, noise_terms
 from scope_models.io import TPFMetadata, read_truth, write_hdulist
 from scope_models.io._headers import tan_projection
-from scope_models.io._truth import truth_hdus
+from scope_models.io._truth import truth_blocks
 from scope_models.models._description import (
     describe_model,
     find_class,
@@ -29,10 +27,9 @@ from scope_models.models._description import (
 )
 from scope_models.scene.detector import Detector
 from scope_models.scene.motion import Motion
-from scope_models.scene.presets import PRESETS
 from scope_models.scene.star import Star
 
-__all__ = ["Scene", "read_detector", "read_scene"]
+__all__ = ["Scene", "read_scene"]
 
 _VERSION = 2
 # What a file of the scene's observation says of the star and of the place of the stamp.
@@ -66,9 +63,10 @@ class Scene:
         Exposures within a cadence over which the motion is averaged. Positions are interpolated
         between the middles of the cadences by straight lines, and stay before the first and after
         the last. The relative flux is a mean over the cadence in any case.
-    effects : Effect or sequence of Effect, optional
-        What sky, telescope and detector do besides noise and saturation: see
-        `scope_models.effects`.
+    effects : Effect or sequence of Effect or "mission", optional
+        What sky, telescope and detector do besides noise and saturation, after the detector's
+        own effects: see `scope_models.effects`. "mission" are those of
+        `~scope_models.effects.mission_effects`.
     target_id : int, optional
         KEPLERID or TICID of the target in a file; the default is 1.
     object_name : str, optional
@@ -138,7 +136,7 @@ class Scene:
         put("seed", None if self.seed is None else check_seed(self.seed))
         put("noise", noise_terms(self.noise))
         put("n_sub", checked_integer("n_sub", self.n_sub, 1))
-        put("effects", _checked_effects(self.effects))
+        put("effects", _own_effects(self.effects, self.detector))
         for name in ("ra", "dec", "orientation"):
             if getattr(self, name) is not None:
                 put(name, plain_number(getattr(self, name), "deg", name))
@@ -240,6 +238,41 @@ class Scene:
         """
         return replace(self, **{"options": None, **changes})
 
+    def plot(self, ax=None):
+        """Draw the stamp with the track of the target and the places of the other stars.
+
+        Nothing is simulated.
+
+        Parameters
+        ----------
+        ax : matplotlib.axes.Axes, optional
+            Where to draw; a new figure by default.
+
+        Returns
+        -------
+        matplotlib.axes.Axes
+            The Axes.
+
+        Examples
+        --------
+        >>> from scope_models import Detector, Motion, Scene, Star
+        >>> stars = [Star(12.0), Star(14.0, 8.0, 2.0)]
+        >>> ax = Scene(stars, Detector.k2(shape=(11, 11)), Motion.k2_roll(50)).plot()
+        >>> [text.get_text() for text in ax.texts]
+        ['12', '14']
+        """
+        from scope_models.plotting import plot_motion
+
+        motion, shape, positions = self.motion, self.detector.shape, self.positions
+        x, y = positions[0, 0] + motion.x, positions[0, 1] + motion.y
+        label = f"Time ({motion.time_format.upper()})"
+        ax = plot_motion(motion.time, x, y, shape, time_label=label, title="Scene", ax=ax)
+        ax.plot(*positions[1:].T, "*", color="k", ms=9, zorder=4)
+        for star, place in zip(self.stars, positions, strict=True):
+            text = f"{star.mag:.4g}"
+            ax.annotate(text, place, (6, 6), textcoords="offset points", clip_on=True)
+        return ax
+
     def write(self, path, overwrite=False):
         """Write the scene, without simulating it.
 
@@ -273,8 +306,9 @@ class Scene:
         columns = scene_columns(self, relative_flux)
         given = self.detector.interpixel
         maps = {} if given is None else {"INTERPIXEL": given}
-        hdus = truth_hdus(self.motion.cadenceno, columns, maps, describe_scene(self), None)
-        return write_hdulist(fits.HDUList([fits.PrimaryHDU(), *hdus]), path, overwrite=overwrite)
+        blocks = truth_blocks(self.motion.cadenceno, columns, maps, describe_scene(self), None)
+        hdus = [fits.PrimaryHDU(), *(block.hdu() for block in blocks)]
+        return write_hdulist(fits.HDUList(hdus), path, overwrite=overwrite)
 
     @classmethod
     def read(cls, path):
@@ -333,17 +367,11 @@ def _checked_stars(stars):
     return stars
 
 
-def _checked_effects(effects):
-    """Return one effect or several as a tuple."""
-    if isinstance(effects, Effect):
-        return (effects,)
-    if not isinstance(effects, Iterable):
-        raise TypeError(f"`effects` must be effects, got {effects!r}")
-    effects = tuple(effects)
-    for effect in effects:
-        if not isinstance(effect, Effect):
-            raise TypeError(f"`effects` must hold effects, got {effect!r}")
-    return effects
+def _own_effects(effects, detector):
+    """Return one effect, several or the mission's as a tuple."""
+    if isinstance(effects, str) and effects == "mission":
+        return mission_effects(detector)
+    return checked_effects(effects)
 
 
 def read_scene(path):
@@ -407,54 +435,6 @@ def _scene_of_truth(truth):
     )
     effects = [_effect(described) for described in truth.scene.get("effects", ())]
     return Scene(stars, detector, motion, effects=effects, **truth.scene["options"])
-
-
-def read_detector(path):
-    r"""Read a detector from a TOML file.
-
-    Each key is a field of `~scope_models.Detector`. Three are written in a way of their own:
-
-    - ``preset``, a name for `Detector.preset <scope_models.Detector.preset>` as "k2", takes all
-      fields that are not given from that preset, with the preset's ``cadence``;
-    - ``psf`` is a table, or several (``[[psf]]``) whose models are added: ``model`` is the name
-      of a PSF of `scope_models.models`, or the full name of another package's, as
-      "photutils.psf.MoffatPSF"; the other keys are its parameters;
-    - ``sensitivity`` is a table, or several that are multiplied, with the arguments of
-      `~scope_models.SensitivityPolynomial`, or of another ``model``; ``false`` is none.
-
-    Parameters
-    ----------
-    path : str or path-like
-        The file.
-
-    Returns
-    -------
-    Detector
-        The detector.
-
-    Raises
-    ------
-    OSError
-        If the file cannot be read.
-    ValueError
-        If it is not TOML, or a field is unknown, is missing or outside its domain. The message
-        begins with the name of the file.
-
-    Examples
-    --------
-    >>> from pathlib import Path
-    >>> from scope_models import read_detector
-    >>> text = 'preset = "k2"\nshape = [9, 9]\n'
-    >>> psf = '[psf]\nmodel = "BivariateGaussianPSF"\nsigma_x = 0.6\n'
-    >>> _ = Path("detector.toml").write_text(text + psf, encoding="utf-8")
-    >>> detector = read_detector("detector.toml")
-    >>> detector.shape, float(detector.psf.sigma_x.value)
-    ((9, 9), 0.6)
-    """
-    try:
-        return _detector_of_toml(tomllib.loads(Path(path).read_text(encoding="utf-8")))
-    except (TypeError, ValueError) as error:
-        raise ValueError(f"{path}: {error}") from error
 
 
 def describe_scene(scene):
@@ -528,6 +508,7 @@ def _describe_detector(detector):
         described[name] = describe_model(described[name])
     described["shape"] = list(detector.shape)
     described["interpixel"] = detector.interpixel is not None
+    described["effects"] = [_describe_effect(effect) for effect in detector.effects]
     return described
 
 
@@ -538,39 +519,8 @@ def _detector(described, interpixel):
         values[name] = make_model(values[name])
     values["shape"] = tuple(values["shape"])
     values["interpixel"] = interpixel if values["interpixel"] else None
+    values["effects"] = [_effect(described) for described in values.get("effects", ())]
     return Detector(**values)
-
-
-def _detector_of_toml(values):
-    """Return the detector of a parsed file."""
-    preset = values.pop("preset", None)
-    if preset is not None and preset not in PRESETS:
-        raise ValueError(f"`preset` must be one of {', '.join(PRESETS)}, got {preset!r}")
-    known = {item.name for item in fields(Detector)} | ({"cadence"} if preset else set())
-    for name in values:
-        if name not in known:
-            raise ValueError(f"`{name}` is not a field of a detector")
-    if "psf" in values:
-        values["psf"] = _combined(values["psf"], "psf", None, add)
-    given = values.get("sensitivity")
-    if given is False:
-        values["sensitivity"] = None
-    elif given is not None:
-        values["sensitivity"] = _combined(given, "sensitivity", "SensitivityPolynomial", mul)
-    return Detector.preset(preset, **values) if preset else Detector(**values)
-
-
-def _combined(tables, name, default, combine):
-    """Return the sum or the product of the models that tables describe."""
-    models = []
-    for table in tables if isinstance(tables, list) else [tables]:
-        if not isinstance(table, dict) or not isinstance(table.get("model", default), str):
-            raise ValueError(f"`{name}` must be a table with the name of its `model`")  # noqa: TRY004
-        module, _, kind = table.get("model", default).rpartition(".")
-        parameters = {key: value for key, value in table.items() if key != "model"}
-        described = {"module": module or "scope_models.models", "class": kind}
-        models.append(make_model({**described, "parameters": parameters}))
-    return reduce(combine, models)
 
 
 def _star(described, number, table):

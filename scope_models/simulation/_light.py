@@ -7,11 +7,11 @@ from operator import mul
 
 import numpy as np
 
-from scope_models.effects import Conditions
+from scope_models.effects import Conditions, Exposures
 from scope_models.effects.noise import stream
 from scope_models.effects.saturation import bleed
 from scope_models.models._axis import ROWS
-from scope_models.models._series import ImageSeries, unit_images
+from scope_models.models._series import ImageSeries, is_gaussian, unit_images
 
 __all__ = [
     "Prepared",
@@ -48,6 +48,8 @@ class StarLight:
         Flux at the star's magnitude, e-/s, before the response of the pixels.
     relative_flux : ndarray of shape (n_cadences,)
         Flux of each cadence, 1 at the star's magnitude.
+    passed : ndarray of shape (n_cadences,)
+        Factor of the effects on the star's light.
     series : ImageSeries
         Renders the star at unit flux.
     """
@@ -58,6 +60,7 @@ class StarLight:
     widths: np.ndarray | None
     flux: float
     relative_flux: np.ndarray
+    passed: np.ndarray
     series: ImageSeries
 
     @property
@@ -86,7 +89,8 @@ class StarLight:
         if k > 1:
             images = images.reshape(len(x), k, *images.shape[1:])
             images = np.einsum("mkyx,k->myx", images, self.weights)
-        images *= (self.flux * self.relative_flux[cadences])[:, np.newaxis, np.newaxis]
+        flux = self.flux * (self.relative_flux * self.passed)[cadences]
+        images *= flux[:, np.newaxis, np.newaxis]
         return images
 
 
@@ -133,9 +137,9 @@ def prepare(scene):
     ValueError
         If a star has no PSF, or a signal of another length.
     """
-    conditions = Conditions.of(scene.detector, scene.motion.time)
+    conditions = Conditions.of(scene.detector, scene.motion.time, len(scene.stars))
     effects, counts = [], Counter()
-    for effect in scene.effects:
+    for effect in (*scene.detector.effects, *scene.effects):
         counts[effect.name] += 1
         generator = stream(scene.seed, f"effect {effect.name} {counts[effect.name]}")
         effects.append((effect, effect.draw(conditions, generator)))
@@ -149,16 +153,19 @@ def _star_lights(scene, conditions, effects):
     """Return the light of each star of a scene."""
     detector, time = scene.detector, scene.motion.time
     widths = _product(effect.width(drawn, conditions) for effect, drawn in effects)
-    x, y, weights = _offsets(
+    exposures = _exposures(
         scene, [effect.exposures(drawn, conditions) for effect, drawn in effects]
     )
-    lights = []
-    for star, (x_0, y_0) in zip(scene.stars, scene.positions, strict=True):
-        place = x + x_0, y + y_0
+    passed = _product(effect.starlight(drawn, conditions) for effect, drawn in effects)
+    passed = np.broadcast_to(1.0 if passed is None else passed, (len(scene.stars), len(time)))
+    expanded, lights = exposures.expanded(), []
+    for star, (x_0, y_0), factor in zip(scene.stars, scene.positions, passed, strict=True):
         psf, response = _psf(star, detector), detector.sensitivity
-        series = ImageSeries(psf, response, detector.shape, *place, widths)
+        moved = exposures if exposures.blur and is_gaussian(psf, response) else expanded
+        place = moved.x + x_0, moved.y + y_0
+        series = ImageSeries(psf, response, detector.shape, *place, widths, moved.blur)
         flux, relative = detector.flux_from_mag(star.mag), star.relative_flux(time)
-        lights.append(StarLight(*place, weights, widths, flux, relative, series))
+        lights.append(StarLight(*place, moved.weights, widths, flux, relative, factor, series))
     return lights
 
 
@@ -192,23 +199,16 @@ def lost_fractions(scene):
     return np.clip(lost, 0.0, 1.0)
 
 
-def _offsets(scene, exposures):
-    """Return the offsets of each exposure, two of shape (n_cadences, k), and their weights."""
+def _exposures(scene, added):
+    """Return the exposures of the motion, joined with those of effects."""
     motion = scene.motion
     x, y = motion.x[:, np.newaxis], motion.y[:, np.newaxis]
     if scene.n_sub > 1:
         parts = (np.arange(scene.n_sub) + 0.5) / scene.n_sub - 0.5
         times = motion.time[:, np.newaxis] + parts * scene.detector.cadence_days
         x, y = (np.interp(times, motion.time, values) for values in (motion.x, motion.y))
-    weights = np.full(scene.n_sub, 1 / scene.n_sub)
-    for more in exposures:
-        if more is not None:
-            x, y = (
-                (a[:, :, np.newaxis] + b[:, np.newaxis]).reshape(len(a), -1)
-                for a, b in ((x, more.x), (y, more.y))
-            )
-            weights = np.outer(weights, more.weights).ravel()
-    return x, y, weights
+    exposures = Exposures(x, y, np.full(scene.n_sub, 1 / scene.n_sub))
+    return reduce(Exposures.joined, (more for more in added if more is not None), exposures)
 
 
 def _psf(star, detector):

@@ -27,6 +27,12 @@ def test_table(fit):
     assert np.all(np.abs(matrix) <= 1 + 1e-9)
 
 
+def test_html(fit):
+    html = fit._repr_html_()
+    assert "chi-squared per degree of freedom" in html
+    assert all(f"<td>{name}</td>" in html for name in fit.table()["name"])
+
+
 def test_chi2_of_pixels_and_cadences(fit):
     assert fit.chi2_pixels.shape == fit.shape
     assert fit.chi2_cadences.shape == fit.time.shape

@@ -8,11 +8,12 @@ import pytest
 from astropy.io import fits
 from astropy.utils.exceptions import AstropyDeprecationWarning
 from astropy.wcs import WCS
+from matplotlib import pyplot as plt
 from photutils.psf import MoffatPSF
 
 from scope_models import Detector, Motion, Scene, Star, simulate
 from scope_models.io import read_truth
-from scope_models.models import BivariateGaussianPSF, SensitivityPolynomial
+from scope_models.models import BivariateGaussianPSF, SensitivityPolynomial, TabulatedPSF
 from scope_models.scene import read_detector, read_scene
 
 CORE = BivariateGaussianPSF(0.7, sigma_x=0.45, sigma_y=0.55, rho=-0.3)
@@ -286,6 +287,45 @@ def test_detector_from_toml(tmp_path):
     assert np.array_equal(*images)
 
 
+@pytest.mark.parametrize(
+    "detector",
+    [
+        Detector.kepler(),
+        Detector.k2_calibrated(shape=(5, 7)),
+        Detector.tess(mission='a "name" of ä\n', well_depth=None, psf=None, sensitivity=None),
+        Detector.k2(
+            shape=(2, 3),
+            interpixel=[[1, 0.99, 1.01], [1, 1, 1]],
+            sensitivity=SensitivityPolynomial() * SensitivityPolynomial((1, 0.01), (1,)),
+            psf=MoffatPSF(flux=0.3, alpha=1.2, beta=3.0)
+            + TabulatedPSF(np.exp(-np.hypot(*np.indices((21, 21)) - 10.0)), 4),
+        ),
+    ],
+    ids=["Kepler", "K2", "custom", "models"],
+)
+def test_detector_to_toml_and_back(detector, tmp_path):
+    path = detector.write(tmp_path / "detector.toml")
+    assert Detector.read(path) == detector
+    with pytest.raises(FileExistsError, match="overwrite"):
+        detector.write(path)
+
+
+def test_what_toml_cannot_hold(tmp_path):
+    detector = Detector.k2(sensitivity=SensitivityPolynomial() + SensitivityPolynomial())
+    with pytest.raises(ValueError, match="`sensitivity` with the operator \\+ cannot be written"):
+        detector.write(tmp_path / "detector.toml")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_figure_of_a_scene():
+    scene = make_scene()
+    ax = scene.plot()
+    ny, nx = scene.detector.shape
+    assert (ax.get_xlim(), ax.get_ylim()) == ((-0.5, nx - 0.5), (-0.5, ny - 0.5))
+    assert [text.xy for text in ax.texts] == [tuple(place) for place in scene.positions]
+    plt.close("all")
+
+
 def test_preset_in_toml(tmp_path):
     path = tmp_path / "detector.toml"
     path.write_text('preset = "kepler"\ncadence = "short"\nsensitivity = false\n', encoding="utf-8")
@@ -298,7 +338,7 @@ def test_preset_in_toml(tmp_path):
         ("shape = [7", "detector.toml: "),
         (
             'preset = "plato"',
-            "`preset` must be one of kepler, k2, k2_calibrated, tess, got 'plato'",
+            "`preset` must be one of kepler, k2, k2_calibrated, tess, ground, got 'plato'",
         ),
         ('preset = "k2"\nreed_noise = 1', "`reed_noise` is not a field of a detector"),
         ('cadence = "long"', "`cadence` is not a field of a detector"),
