@@ -5,7 +5,7 @@ import numpy as np
 
 from scope_models._arrays import plain_array
 from scope_models._checks import checked_integer, checked_number
-from scope_models.models._instance_parameters import InstanceParameters, described
+from scope_models.models._parameters import InstanceParameters, described
 from scope_models.models.tables import TabulatedPRF
 
 __all__ = ["CorrectedPRF"]
