@@ -579,7 +579,7 @@ ROWS = {
             1.5,
             u.pix,
         )
-        for kind in (TabulatedPSF, TabulatedPRF)
+        for kind in (TabulatedPSF, TabulatedPRF, CorrectedPRF)
         for name in ("x_0", "y_0")
     },
     "CorrectedPRF.radius": (
@@ -644,8 +644,8 @@ NO_UNIT = {
     # a description that names a unit of something else
     "Detector.interpixel", "contamination_aperture.min_fraction", "circular_aperture.min_overlap",
     "generate_target.roll", "fit_tpf.interpixel", "PLDCorrector.correct.transit_model",
-    "PLDCorrector.correct.regressors", "CorrectedPRF.array", "TabulatedPSF.array",
-    "TabulatedPSF.oversampling",
+    "PLDCorrector.correct.regressors", "CorrectedPRF.array", "CorrectedPRF.oversampling",
+    "TabulatedPSF.array", "TabulatedPSF.oversampling",
     "TabulatedPRF.array", "TabulatedPRF.oversampling", "K2MotionNoise.exponent",
     "SceneCorrector.correct.transit_model", "SceneCorrector.neighbors",
     "inject_files.star", "plot_precision.stars",

@@ -26,14 +26,19 @@ class CorrectedPRF(InstanceParameters, TabulatedPRF):
     ----------
     array : array_like of shape (ny, nx)
         Flux of a pixel at each offset, as for `~scope_models.models.TabulatedPRF`.
-    oversampling, flux, x_0, y_0, origin, uncertainty
-        As for `~scope_models.models.TabulatedPRF`.
+    oversampling : float or tuple of float, optional
+        Samples per pixel, one number or (y, x).
+    flux : float or `~astropy.units.Quantity`, optional
+        Flux of the star.
+    x_0, y_0 : float or `~astropy.units.Quantity`, optional
+        Position of the star in pixels.
     order : int, optional
         Largest sum n of the orders k and m.
     radius : float or `~astropy.units.Quantity`, optional
         Offset r, pixels, beyond which the correction changes little.
     **kwargs
-        Coefficients ``c_k_m``, 0 by default, and keywords of `~astropy.modeling.Model`.
+        Coefficients ``c_k_m``, 0 by default, and the other arguments of
+        `~scope_models.models.TabulatedPRF`.
 
     Raises
     ------
@@ -55,7 +60,9 @@ class CorrectedPRF(InstanceParameters, TabulatedPRF):
 
     flux, x_0, y_0 = (getattr(TabulatedPRF, name).copy() for name in ("flux", "x_0", "y_0"))
 
-    def __init__(self, array, oversampling=1, *args, order=2, radius=2.0, **kwargs):
+    def __init__(
+        self, array, oversampling=1, flux=1.0, x_0=0.0, y_0=0.0, *, order=2, radius=2.0, **kwargs
+    ):
         self.order = checked_integer("order", order, 1)
         self.radius = checked_number("radius", radius, "pix", positive=True)
         names = [f"c_{k}_{m}" for k, m in self._orders()]
@@ -65,7 +72,8 @@ class CorrectedPRF(InstanceParameters, TabulatedPRF):
                 for name, (k, m) in zip(names, self._orders(), strict=True)
             ]
         )
-        super().__init__(array, oversampling, *args, **(dict.fromkeys(names, 0.0) | kwargs))
+        kwargs = dict.fromkeys(names, 0.0) | kwargs
+        super().__init__(array, oversampling, flux, x_0, y_0, **kwargs)
         ny, nx = self.array.shape
         dx = (np.arange(nx) - self.origin[0]) / self.oversampling[1]
         dy = (np.arange(ny) - self.origin[1]) / self.oversampling[0]
