@@ -18,16 +18,19 @@ NOISE = {
     "pld": "PLD",
     "scene": "scene model",
 }
+SURVIVALS = {"pld_survival": "PLD keeps", "scene_survival": "scene model keeps"}
 COLUMNS = {
     "tess": {"neighbors": "neighbors", "mag": "T", "pixels": "pixels", "share": "share"}
     | {"model": "noise model", "floor": "light alone"}
     | NOISE
-    | {"aperture_full": "aperture, unfiltered", "wide_full": "wide, unfiltered"},
+    | SURVIVALS,
     "breathing": {"amplitude": "amplitude", "period": "period (d)"}
-    | {f"{name}_ratio": title for name, title in NOISE.items()},
+    | {f"{name}_ratio": title for name, title in NOISE.items()}
+    | SURVIVALS,
     "last-campaigns": {"part": "part", "mag": "Kp", "kept": "kept", "mission": "mission"}
     | {"floor": "light alone"}
-    | NOISE,
+    | NOISE
+    | SURVIVALS,
 }
 
 

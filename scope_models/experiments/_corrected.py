@@ -6,10 +6,11 @@ import numpy as np
 from scipy.ndimage import binary_dilation
 
 from scope_models.exceptions import ScopeModelsWarning
+from scope_models.models import TransitModel
 from scope_models.photometry import cdpp
 from scope_models.simulation import simulate
 
-__all__ = ["METHODS", "checked_claims", "corrected_noise", "medians_of", "noise_units"]
+__all__ = ["METHODS", "SURVIVALS", "checked_claims", "corrected_noise", "medians_of", "noise_units"]
 
 #: What is compared: the file's aperture, one that is a pixel wider, and the two correctors.
 METHODS = {
@@ -20,8 +21,14 @@ METHODS = {
 }
 
 
+#: Columns of the part of transits that is left.
+SURVIVALS = ("pld_survival", "scene_survival")
+# Transits that are put in to see how much of them is left.
+_DEPTH, _DURATION, _PERIOD = 0.01, 0.25, 3.1
+
+
 def noise_units():
-    """Return the units of the columns of `corrected_noise`."""
+    """Return the units of the columns of `corrected_noise` that are noise."""
     names = ("floor", "floor_wide", *METHODS)
     return dict.fromkeys((*names, *(f"{name}_full" for name in names)), "ppm")
 
@@ -43,53 +50,74 @@ def corrected_noise(observation, hours):
         For each of `METHODS` the CDPP in lightkurve's convention, and, followed by "_full", the
         standard deviation of means of `hours` without any filter, both in ppm of the target's
         flux, NaN where a corrector refuses the data; the same of the noise of the light alone in
-        both apertures, "floor" and "floor_wide"; "pixels" and "share", number of pixels of the
-        aperture and share of the target in its starlight; "kept", the part of the cadences with a
-        finite flux of PLD.
+        both apertures, "floor" and "floor_wide"; "pld_survival" and "scene_survival", the part of
+        the depth of transits of 1 % that is left if the corrector is not told of them. The noise
+        of correctors is divided by it. "pixels" and "share" are the number of pixels of the file's
+        aperture and the target's share in its starlight; "kept" is the part of the cadences with
+        a finite flux of PLD.
     """
     from scope_models.correctors import PLDCorrector, SceneCorrector  # they import lightkurve
 
+    scene, days = observation.scene, observation.detector.cadence_days
+    planet = TransitModel.from_depth_duration(
+        _DEPTH, _DURATION, _PERIOD, observation.time[0] + 1.0, exposure_time=days
+    )
+    target, *neighbors = scene.stars
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ScopeModelsWarning)
-        quiet = simulate(observation.scene, noise=False).flux
-    tpf = observation.to_tpf()
-    used = np.searchsorted(observation.cadenceno, tpf.cadenceno)
-    days = observation.detector.cadence_days
+        quiet = simulate(scene, noise=False).flux
+        transits = simulate(scene, stars=[target.replace(signal=planet), *neighbors])
+    files = observation.to_tpf(), transits.to_tpf()
+    used = np.searchsorted(observation.cadenceno, files[0].cadenceno)
     width = max(round(hours / 24 / days), 1)
-    row, targets = {"pixels": int(observation.aperture.sum())}, {}
-    wide = binary_dilation(observation.aperture)
+    row = {"pixels": int(observation.aperture.sum())}
+
+    def target_flux(mask):
+        share = observation.target_share(mask)[used]
+        return np.median(quiet[used][:, mask].sum(axis=1, dtype=float) * share), np.median(share)
+
     for name, floor, mask in (
         ("aperture", "floor", observation.aperture),
-        ("wide", "floor_wide", wide),
+        ("wide", "floor_wide", binary_dilation(observation.aperture)),
     ):
         total, still = (
             cube[used][:, mask].sum(axis=1, dtype=float) for cube in (observation.flux, quiet)
         )
-        share = observation.target_share(mask)[used]
-        targets[name] = np.median(still * share)
-        row[floor], row[f"{floor}_full"] = _noise(total - still, targets[name], hours, width, days)
-        change = total - np.median(total)
-        row[name], row[f"{name}_full"] = _noise(change, targets[name], hours, width, days)
-        row.setdefault("share", float(np.median(share)))
-    for name, corrector in (("pld", PLDCorrector), ("scene", SceneCorrector)):
-        row[name] = row[f"{name}_full"] = np.nan
+        flux, share = target_flux(mask)
+        row.setdefault("share", float(share))
+        row[floor], row[f"{floor}_full"] = _noise((total - still) / flux, hours, width, days)
+        change = (total - np.median(total)) / flux
+        row[name], row[f"{name}_full"] = _noise(change, hours, width, days)
+    for name, make in (("pld", PLDCorrector), ("scene", SceneCorrector)):
+        row[name] = row[f"{name}_full"] = row[f"{name}_survival"] = np.nan
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", ScopeModelsWarning)
             try:
-                flux = corrector(tpf).correct().flux.value
+                correctors = [make(tpf) for tpf in files]
+                plain, dimmed = (each.correct().flux.value for each in correctors)
             except ValueError:
                 continue
-        level = np.nanmedian(flux)
-        target = targets["aperture"] if name == "pld" else level
-        row[name], row[f"{name}_full"] = _noise(flux - level, target, hours, width, days)
+        level = np.nanmedian(plain)
+        flux = target_flux(correctors[0].aperture_mask)[0] if name == "pld" else level
+        survival = _amplitude((dimmed - plain) / flux, planet(observation.time[used]) - 1)
+        row[f"{name}_survival"] = survival
+        change = (plain - level) / flux / survival
+        row[name], row[f"{name}_full"] = _noise(change, hours, width, days)
         if name == "pld":
-            row["kept"] = float(np.isfinite(flux).sum() / len(observation.cadenceno))
+            row["kept"] = float(np.isfinite(plain).sum() / len(observation.cadenceno))
     return row
 
 
-def _noise(change, target, hours, width, days):
+def _amplitude(change, shape):
+    """Return the least-squares amplitude of a shape, beside a constant."""
+    good = np.isfinite(change)
+    change, shape = (values[good] - values[good].mean() for values in (change, shape))
+    return float(shape @ change / (shape @ shape))
+
+
+def _noise(change, hours, width, days):
     """Return the CDPP, and the standard deviation of means without a filter, in ppm."""
-    change = change[np.isfinite(change)] / target
+    change = change[np.isfinite(change)]
     if len(change) < 2 * width:
         return np.nan, np.nan
     means = change[: len(change) // width * width].reshape(-1, width).mean(axis=1)

@@ -10,6 +10,7 @@ from scope_models._checks import checked_integer, checked_number
 from scope_models.effects import Focus
 from scope_models.experiments._corrected import (
     METHODS,
+    SURVIVALS,
     checked_claims,
     corrected_noise,
     medians_of,
@@ -69,7 +70,7 @@ class BreathingPSF(Study):
     periods: tuple[float, ...] = (0.25, 1.0, 4.0, 16.0)
     mag: float = 12.0
     motion: str = "k2_roll"
-    stars: int = 2
+    stars: int = 1
     cadences: int = 1000
 
     def __post_init__(self):
@@ -156,7 +157,9 @@ class BreathingPSF(Study):
             unfiltered noise over that of the light, "_ratio". In ``meta`` "claims" and
             "claims_checked": verdicts, and the number that decides.
         """
-        summary = Table(medians_of(table, ("amplitude", "period"), ("kept", *self.units)))
+        summary = Table(
+            medians_of(table, ("amplitude", "period"), ("kept", *SURVIVALS, *self.units))
+        )
         for name in METHODS:
             floor = "floor_wide_full" if name == "wide" else "floor_full"
             ratio = np.array(summary[f"{name}_full"]) / np.array(summary[floor])

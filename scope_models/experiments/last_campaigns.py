@@ -12,6 +12,7 @@ from scope_models._checks import checked_integer
 from scope_models.exceptions import LostLightWarning, ScopeModelsWarning
 from scope_models.experiments._corrected import (
     METHODS,
+    SURVIVALS,
     checked_claims,
     corrected_noise,
     medians_of,
@@ -84,7 +85,7 @@ class LastCampaigns(Study):
 
     magnitudes: tuple[float, ...] = (10.0, 12.0, 14.0, 16.0)
     parts: tuple[str, ...] = tuple(PARTS)
-    stars: int = 2
+    stars: int = 1
     motion: str = ""
     files: tuple[str, ...] = ()
 
@@ -209,10 +210,12 @@ class LastCampaigns(Study):
             ``meta`` "claims" and "claims_checked": verdicts, and the number that decides.
         """
         made = table[table["part"] != "file"]
-        rows = medians_of(made, ("part", "mag"), ("kept", "seen", *self.units))
+        rows = medians_of(made, ("part", "mag"), ("kept", "seen", *SURVIVALS, *self.units))
         for row in table[table["part"] == "file"]:
             named = {"part": Path(row["file"]).name, "mag": row["mag"], "stars": 1}
-            rows.append(named | {name: row[name] for name in ("kept", "seen", *self.units)})
+            rows.append(
+                named | {name: row[name] for name in ("kept", "seen", *SURVIVALS, *self.units)}
+            )
         for row in rows:
             row["mission"] = MISSION_CDPP.get(row["part"], {}).get(row["mag"], np.nan)
         summary = Table(rows)
@@ -279,7 +282,7 @@ def _real_noise(path):
     """Return the noise of a real star, as far as it can be measured without the truth."""
     from scope_models.correctors import PLDCorrector, SceneCorrector  # they import lightkurve
 
-    row = dict.fromkeys(noise_units(), np.nan) | {"seen": np.nan}
+    row = dict.fromkeys((*noise_units(), *SURVIVALS, "seen", "share"), np.nan)
     for name, make in (("pld", PLDCorrector), ("scene", SceneCorrector)):
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", ScopeModelsWarning)
@@ -289,4 +292,4 @@ def _real_noise(path):
         row[name] = cdpp(light_curve, duration=_HOURS)
         row["kept"] = float(np.mean(np.isfinite(light_curve.flux.value)))
         row["pixels"] = int(corrector.aperture_mask.sum())
-    return row | {"share": np.nan}
+    return row

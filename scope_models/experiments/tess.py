@@ -13,6 +13,7 @@ from scope_models.effects import ScatteredLight, mission_effects
 from scope_models.exceptions import LostLightWarning
 from scope_models.experiments._corrected import (
     METHODS,
+    SURVIVALS,
     checked_claims,
     corrected_noise,
     medians_of,
@@ -118,7 +119,7 @@ class TESSNoise(Study):
 
     magnitudes: tuple[float, ...] = (8.0, 9.0, 10.0, 11.0, 12.0, 13.0, 14.0)
     neighbors: tuple[int, ...] = (0, 10)
-    stars: int = 2
+    stars: int = 1
     cadence: str = "1800 s"
     cadences: int = 1268
     residual: float = 0.002
@@ -202,8 +203,9 @@ class TESSNoise(Study):
         -------
         dict
             CDPP in ppm of the file's aperture, "aperture", of one that is a pixel wider, "wide",
-            of the correctors, "pld" and "scene", and of the light alone, "floor" and
-            "floor_wide"; the same without a filter, "_full"; "pixels", "share" and "kept".
+            of the correctors, "pld" and "scene", over the part of transits that they leave,
+            "pld_survival" and "scene_survival", and of the light alone, "floor" and "floor_wide";
+            the same without a filter, "_full"; "pixels", "share" and "kept".
         """
         return corrected_noise(observation, _HOURS)
 
@@ -222,7 +224,7 @@ class TESSNoise(Study):
             with as many pixels. In ``meta`` "claims" and "claims_checked": verdicts, and the
             number that decides.
         """
-        columns = ("pixels", "share", *self.units)
+        columns = ("pixels", "share", *SURVIVALS, *self.units)
         summary = Table(medians_of(table, ("neighbors", "mag"), columns))
         summary["model"] = tess_noise(np.array(summary["mag"]), np.array(summary["pixels"]))
         for name in (*self.units, "model"):

@@ -11,7 +11,12 @@ from matplotlib import pyplot as plt
 
 from scope_models import Detector, Motion, Star, simulate
 from scope_models.experiments import make_study, run_experiment
-from scope_models.experiments._corrected import METHODS, checked_claims, corrected_noise
+from scope_models.experiments._corrected import (
+    METHODS,
+    SURVIVALS,
+    checked_claims,
+    corrected_noise,
+)
 from scope_models.experiments.breathing import BreathingPSF
 from scope_models.experiments.last_campaigns import PARTS, LastCampaigns
 from scope_models.experiments.tess import TESSNoise, tess_noise
@@ -28,6 +33,7 @@ def made_up(study, **columns):
     rows = []
     for task in study.tasks():
         values = dict.fromkeys(study.units, 1.0) | {"pixels": 9, "share": 1.0, "kept": 0.5}
+        values |= dict.fromkeys(SURVIVALS, 1.0)
         values["seen"] = 0.0 if task.get("part") == "C19 off target" else 1.0
         rows.append(task | values | columns)
     return Table(rows)
@@ -57,6 +63,8 @@ def test_noise_of_a_star_at_rest_is_its_floor():
     target = observation.model()[0, observation.aperture].sum()
     assert row["floor_full"] == pytest.approx(expected / target, rel=4 / np.sqrt(2 * 23))
     assert (row["share"], row["kept"]) == (1.0, 1.0)
+    for name in SURVIVALS:
+        assert row[name] == pytest.approx(1, abs=0.1)
 
 
 def test_claims_are_ratios_to_a_limit():
