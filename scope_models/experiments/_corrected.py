@@ -1,11 +1,9 @@
 """Noise of a constant star in two apertures and after two corrections, beside its floor."""
 
-import warnings
-
 import numpy as np
 from scipy.ndimage import binary_dilation
 
-from scope_models.exceptions import ScopeModelsWarning
+from scope_models.experiments._correctors import quiet
 from scope_models.models import TransitModel
 from scope_models.photometry import cdpp
 from scope_models.simulation import simulate
@@ -63,25 +61,26 @@ def corrected_noise(observation, hours):
         _DEPTH, _DURATION, _PERIOD, observation.time[0] + 1.0, exposure_time=days
     )
     target, *neighbors = scene.stars
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ScopeModelsWarning)
-        quiet = simulate(scene, noise=False).flux
-        transits = simulate(scene, stars=[target.replace(signal=planet), *neighbors])
-    files = observation.to_tpf(), transits.to_tpf()
+    with quiet():
+        noiseless = simulate(scene, noise=False).flux
+        transits = simulate(scene.replace(stars=[target.replace(signal=planet), *neighbors]))
+        files = [each.to_tpf() for each in (observation, transits)]
     used = np.searchsorted(observation.cadenceno, files[0].cadenceno)
     width = max(round(hours / 24 / days), 1)
     row = {"pixels": int(observation.aperture.sum())}
 
     def target_flux(mask):
         share = observation.target_share(mask)[used]
-        return np.median(quiet[used][:, mask].sum(axis=1, dtype=float) * share), np.median(share)
+        return np.median(noiseless[used][:, mask].sum(axis=1, dtype=float) * share), np.median(
+            share
+        )
 
     for name, floor, mask in (
         ("aperture", "floor", observation.aperture),
         ("wide", "floor_wide", binary_dilation(observation.aperture)),
     ):
         total, still = (
-            cube[used][:, mask].sum(axis=1, dtype=float) for cube in (observation.flux, quiet)
+            cube[used][:, mask].sum(axis=1, dtype=float) for cube in (observation.flux, noiseless)
         )
         flux, share = target_flux(mask)
         row.setdefault("share", float(share))
@@ -90,8 +89,7 @@ def corrected_noise(observation, hours):
         row[name], row[f"{name}_full"] = _noise(change, hours, width, days)
     for name, make in (("pld", PLDCorrector), ("scene", SceneCorrector)):
         row[name] = row[f"{name}_full"] = row[f"{name}_survival"] = np.nan
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", ScopeModelsWarning)
+        with quiet():
             try:
                 correctors = [make(tpf) for tpf in files]
                 plain, dimmed = (each.correct().flux.value for each in correctors)

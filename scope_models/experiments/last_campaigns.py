@@ -1,6 +1,5 @@
 """The photometry that could be saved of K2's last campaigns, 18 and 19."""
 
-import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
@@ -9,7 +8,6 @@ import numpy as np
 from astropy.table import Table
 
 from scope_models._checks import checked_integer
-from scope_models.exceptions import LostLightWarning, ScopeModelsWarning
 from scope_models.experiments._corrected import (
     METHODS,
     SURVIVALS,
@@ -18,6 +16,7 @@ from scope_models.experiments._corrected import (
     medians_of,
     noise_units,
 )
+from scope_models.experiments._correctors import quiet
 from scope_models.experiments.study import Study
 from scope_models.photometry import cdpp
 from scope_models.scene.detector import Detector
@@ -154,8 +153,7 @@ class LastCampaigns(Study):
         detector = Detector.k2_calibrated(shape=(9, 9))
         place = 4 + rng.uniform(-0.5, 0.5, 2)
         seed = self.star_seed(task["key"], "noise")
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", LostLightWarning)  # the star leaves its stamp
+        with quiet():  # the star leaves its stamp
             return simulate(
                 Star(task["mag"], *place), detector, motion, seed=seed, effects="mission"
             )
@@ -284,8 +282,7 @@ def _real_noise(path):
 
     row = dict.fromkeys((*noise_units(), *SURVIVALS, "seen", "share"), np.nan)
     for name, make in (("pld", PLDCorrector), ("scene", SceneCorrector)):
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", ScopeModelsWarning)
+        with quiet():
             corrector = make(path)
             light_curve = corrector.correct()
         row["aperture"] = cdpp(corrector.original_lc, duration=_HOURS)

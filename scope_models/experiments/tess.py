@@ -1,6 +1,5 @@
 """Noise of TESS stars against magnitude, alone and with neighbors, beside TESS's noise model."""
 
-import warnings
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
@@ -10,7 +9,6 @@ from astropy.table import Table
 from scope_models._arrays import plain_array
 from scope_models._checks import checked_integer, checked_number
 from scope_models.effects import ScatteredLight, mission_effects
-from scope_models.exceptions import LostLightWarning
 from scope_models.experiments._corrected import (
     METHODS,
     SURVIVALS,
@@ -19,6 +17,7 @@ from scope_models.experiments._corrected import (
     medians_of,
     noise_units,
 )
+from scope_models.experiments._correctors import quiet
 from scope_models.experiments.study import Study
 from scope_models.scene.detector import Detector
 from scope_models.scene.motion import Motion
@@ -185,8 +184,7 @@ class TESSNoise(Study):
             for effect in mission_effects(detector)
         ]
         seed = self.star_seed(task["key"], "noise")
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", LostLightWarning)  # neighbors at the edges
+        with quiet():  # neighbors at the edges lose light
             return simulate(stars, detector, motion, seed=seed, effects=effects)
 
     def measure(self, task, observation):
