@@ -48,6 +48,8 @@ class StarLight:
         Flux at the star's magnitude, e-/s, before the response of the pixels.
     relative_flux : ndarray of shape (n_cadences,)
         Flux of each cadence, 1 at the star's magnitude.
+    passed : ndarray of shape (n_cadences,)
+        Factor of the effects on the star's light.
     series : ImageSeries
         Renders the star at unit flux.
     """
@@ -58,6 +60,7 @@ class StarLight:
     widths: np.ndarray | None
     flux: float
     relative_flux: np.ndarray
+    passed: np.ndarray
     series: ImageSeries
 
     @property
@@ -86,7 +89,8 @@ class StarLight:
         if k > 1:
             images = images.reshape(len(x), k, *images.shape[1:])
             images = np.einsum("mkyx,k->myx", images, self.weights)
-        images *= (self.flux * self.relative_flux[cadences])[:, np.newaxis, np.newaxis]
+        flux = self.flux * (self.relative_flux * self.passed)[cadences]
+        images *= flux[:, np.newaxis, np.newaxis]
         return images
 
 
@@ -133,9 +137,9 @@ def prepare(scene):
     ValueError
         If a star has no PSF, or a signal of another length.
     """
-    conditions = Conditions.of(scene.detector, scene.motion.time)
+    conditions = Conditions.of(scene.detector, scene.motion.time, len(scene.stars))
     effects, counts = [], Counter()
-    for effect in scene.effects:
+    for effect in (*scene.detector.effects, *scene.effects):
         counts[effect.name] += 1
         generator = stream(scene.seed, f"effect {effect.name} {counts[effect.name]}")
         effects.append((effect, effect.draw(conditions, generator)))
@@ -152,14 +156,16 @@ def _star_lights(scene, conditions, effects):
     exposures = _exposures(
         scene, [effect.exposures(drawn, conditions) for effect, drawn in effects]
     )
+    passed = _product(effect.starlight(drawn, conditions) for effect, drawn in effects)
+    passed = np.broadcast_to(1.0 if passed is None else passed, (len(scene.stars), len(time)))
     expanded, lights = exposures.expanded(), []
-    for star, (x_0, y_0) in zip(scene.stars, scene.positions, strict=True):
+    for star, (x_0, y_0), factor in zip(scene.stars, scene.positions, passed, strict=True):
         psf, response = _psf(star, detector), detector.sensitivity
         moved = exposures if exposures.blur and is_gaussian(psf, response) else expanded
         place = moved.x + x_0, moved.y + y_0
         series = ImageSeries(psf, response, detector.shape, *place, widths, moved.blur)
         flux, relative = detector.flux_from_mag(star.mag), star.relative_flux(time)
-        lights.append(StarLight(*place, moved.weights, widths, flux, relative, series))
+        lights.append(StarLight(*place, moved.weights, widths, flux, relative, factor, series))
     return lights
 
 
