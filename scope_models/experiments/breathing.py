@@ -202,7 +202,7 @@ class BreathingPSF(Study):
         matplotlib.figure.Figure
             The figure.
         """
-        from scope_models.plotting.experiments import plot_maps  # imports matplotlib
+        from scope_models.plotting.statistics import plot_maps  # imports matplotlib
 
         rows, columns = sorted(self.amplitudes), sorted(self.periods)
         maps = {}
