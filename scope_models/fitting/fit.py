@@ -9,11 +9,10 @@ import numpy as np
 from astropy.modeling import Model
 
 from scope_models._checks import checked_integer, checked_number
-from scope_models.fitting._data import detector_of, read_data
+from scope_models.fitting._data import detector_of, read_data, star_positions
 from scope_models.fitting._gather import make_results, warn_of_fit
 from scope_models.fitting._problem import FitOptions, FitStar, Problem
 from scope_models.fitting._solver import covariances, solve
-from scope_models.fitting._stars import star_positions
 from scope_models.fitting._start import (
     centroids,
     is_faint,
