@@ -207,17 +207,17 @@ def star_positions(name, places, series):
     if isinstance(places, str):
         if places != "find":
             raise ValueError(f'`{name}` must be positions or "find", got {places!r}')
-        return find_stars(series)
+        return find_stars(series.flux)
     return star_places(name, places, series)
 
 
-def find_stars(series):
+def find_stars(flux):
     """
     Return the local maxima of the median image, the brightest first.
 
     Parameters
     ----------
-    series : PixelSeries
+    flux : ndarray of shape (n, ny, nx)
         The pixels.
 
     Returns
@@ -225,8 +225,8 @@ def find_stars(series):
     positions : ndarray of shape (k, 2)
         Column and row of their pixels.
     """
-    good = np.isfinite(series.flux)
-    flux = np.where(good, series.flux, np.nan)
+    good = np.isfinite(flux)
+    flux = np.where(good, flux, np.nan)
     seen = good.any(axis=0)
     image, error = np.full(seen.shape, -np.inf), np.ones(seen.shape)
     image[seen] = np.nanmedian(flux[:, seen], axis=0)
