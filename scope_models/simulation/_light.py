@@ -357,9 +357,8 @@ def pieces(scene, size=None):
     n = len(scene.motion)
     if size is None:
         # A piece needs about 70 bytes per pixel and the result 12: a fifth of the cadences
-        # at most keeps the memory of long series below three times the result.
-        pixels = int(np.prod(scene.detector.shape))
-        size = min(_PIECE, max(n * pixels // 5, _PIECE // 2)) // pixels // scene.n_sub - ROWS + 1
+        # at most keeps the memory below three times the result.
+        size = min(_PIECE // int(np.prod(scene.detector.shape)), n // 5) // scene.n_sub - ROWS + 1
     size = max(-(-size // ROWS), 1) * ROWS
     return [slice(start, min(start + size, n)) for start in range(0, n, size)]
 
