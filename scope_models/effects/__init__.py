@@ -8,6 +8,7 @@ from scope_models.effects.focus import Focus
 from scope_models.effects.gaps import Gaps
 from scope_models.effects.jitter import Jitter
 from scope_models.effects.response import SensitivityDropouts, Throughput
+from scope_models.effects.shares import PixelShares
 
 __all__ = [
     "Argabrightening",
@@ -22,6 +23,7 @@ __all__ = [
     "Focus",
     "Gaps",
     "Jitter",
+    "PixelShares",
     "ScatteredLight",
     "SensitivityDropouts",
     "Smear",

@@ -152,7 +152,7 @@ class Effect:
     each piece of the series. An effect implements those that it needs; the others do nothing.
     They act in this order:
 
-    1. light: `width`, `exposures` and `response`, before the charge of the stars is known;
+    1. light: `width`, `exposures`, `shares` and `response`, before the charge of the stars is known;
     2. light that is not the stars': `pedestal`;
     3. charge, after photon noise: `charge`;
     4. readout, before read noise and digitization: `readout`;
@@ -202,6 +202,13 @@ class Effect:
 
     def exposures(self, drawn, conditions):
         """Return offsets of the stars within each cadence, `Exposures`, or None."""
+
+    def shares(self, drawn, conditions, star):
+        """Return what is added to a star's images of unit flux, or None.
+
+        It is a function of columns and rows of shape (m,) and of a slice of m cadences, and
+        returns the shape (m, ny, nx); ``star`` is the number of the star in the scene.
+        """
 
     def response(self, drawn, conditions, part):
         """Return a factor on all light that broadcasts to (m, ny, nx), or None."""

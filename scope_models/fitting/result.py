@@ -102,6 +102,14 @@ class TPFFit:
         Options of the fit.
     meta : mapping
         What the file says of the star.
+    response : tuple of PixelShares, optional
+        Changes of each pixel's share in the light of each star, if they were fitted.
+    held_out : ndarray of bool or None, optional
+        Cadences from which the response has not learned.
+    chi2_held_out : float, optional
+        Their chi-squared per degree of freedom; NaN without a response.
+    outliers : ndarray of bool or None, optional
+        Cadences that the response does not describe: no part of it, nor of chi-squared.
 
     Examples
     --------
@@ -151,6 +159,10 @@ class TPFFit:
     detector: Detector
     options: Mapping
     meta: Mapping
+    response: tuple = ()
+    held_out: np.ndarray | None = None
+    chi2_held_out: float = np.nan
+    outliers: np.ndarray | None = None
 
     def __post_init__(self):
         stars = [value for star in self.neighbors for value in vars(star).values()]
@@ -191,7 +203,7 @@ class TPFFit:
         """
         errors = dict(zip(self.names, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
         unknown = set(self.at_bounds)
-        if self.error_scale > 1:
+        if self.error_scale > 1 or self.response:
             unknown |= set(self.model.response_powers)
         return {name: np.nan if name in unknown else error for name, error in errors.items()}
 
@@ -224,7 +236,10 @@ class TPFFit:
 
     @cached_property
     def _squares(self):
-        return (self.residual / self.observed_err) ** 2
+        squares = (self.residual / self.observed_err) ** 2
+        if self.outliers is not None:
+            squares[self.outliers] = np.nan
+        return squares
 
     @cached_property
     def chi2_pixels(self):

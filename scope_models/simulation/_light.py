@@ -50,6 +50,10 @@ class StarLight:
         Flux of each cadence, 1 at the star's magnitude.
     series : ImageSeries
         Renders the star at unit flux.
+    shares : tuple of callable, optional
+        What effects add to the images of unit flux.
+    shape : tuple of int, optional
+        Shape of the stamp, all of which shares light.
     """
 
     x: np.ndarray
@@ -59,10 +63,14 @@ class StarLight:
     flux: float
     relative_flux: np.ndarray
     series: ImageSeries
+    shares: tuple = ()
+    shape: tuple = ()
 
     @property
     def window(self):
         """Rows and columns that the star lights, a tuple of two slices."""
+        if self.shares:
+            return slice(0, self.shape[0]), slice(0, self.shape[1])
         return self.series.window
 
     def images(self, cadences):
@@ -82,10 +90,16 @@ class StarLight:
         k = x.shape[1]
         widths = None if self.widths is None else np.repeat(self.widths[cadences], k)
         images = self.series(x.ravel(), y.ravel(), widths)
-        images[images < _DARK] = 0.0
         if k > 1:
             images = images.reshape(len(x), k, *images.shape[1:])
             images = np.einsum("mkyx,k->myx", images, self.weights)
+        if self.shares:
+            whole = np.zeros((len(x), *self.shape))
+            whole[:, *self.series.window] = images
+            images = sum(
+                (f(x @ self.weights, y @ self.weights, cadences) for f in self.shares), whole
+            )
+        images[images < _DARK] = 0.0
         images *= (self.flux * self.relative_flux[cadences])[:, np.newaxis, np.newaxis]
         return images
 
@@ -153,12 +167,15 @@ def _star_lights(scene, conditions, effects):
         scene, [effect.exposures(drawn, conditions) for effect, drawn in effects]
     )
     lights = []
-    for star, (x_0, y_0) in zip(scene.stars, scene.positions, strict=True):
+    for number, (star, (x_0, y_0)) in enumerate(zip(scene.stars, scene.positions, strict=True)):
         place = x + x_0, y + y_0
         psf, response = _psf(star, detector), detector.sensitivity
         series = ImageSeries(psf, response, detector.shape, *place, widths)
         flux, relative = detector.flux_from_mag(star.mag), star.relative_flux(time)
-        lights.append(StarLight(*place, weights, widths, flux, relative, series))
+        found = (effect.shares(drawn, conditions, number) for effect, drawn in effects)
+        shares = tuple(share for share in found if share is not None)
+        light = StarLight(*place, weights, widths, flux, relative, series, shares, detector.shape)
+        lights.append(light)
     return lights
 
 
