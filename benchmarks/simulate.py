@@ -111,6 +111,8 @@ def report_effects():
         effects.DarkCurrent(),
         effects.BrighterFatter(full_well=2e5),
         effects.Undershoot(),
+        effects.ChargeTransferInefficiency(),
+        effects.RollingBands(rate=1.0),
     ]
     print("\nEffects: 1000 TESS cadences of 11 x 11 pixels with 20 stars, ms of a core")
     cases = {"none": []} | {type(effect).__name__: [effect] for effect in every} | {"all": every}

@@ -22,6 +22,7 @@ version = __version__
 release = __version__
 
 extensions = [
+    "animation",
     "mathml",
     "notebooks",
     "matplotlib.sphinxext.plot_directive",

@@ -6,9 +6,11 @@ import numpy as np
 from scope_models import Detector, Motion, Star, simulate
 from scope_models.effects import (
     BrighterFatter,
+    ChargeTransferInefficiency,
     CosmicRays,
     Focus,
     Jitter,
+    RollingBands,
     ScatteredLight,
     SensitivityDropouts,
     Throughput,
@@ -147,4 +149,30 @@ def make_charge_figure():
     right.plot(levels, (1 - 4 * k) ** 2 + 4 * k**2)
     right.set_xlabel("Charge of a flat field (e$^-$)")
     right.set_ylabel("Variance over that of photons")
+    return figure
+
+
+def make_readout_figure():
+    """Return the figure of trails behind a bright pixel, and of rolling bands."""
+    figure, (left, right) = plt.subplots(1, 2, figsize=(8, 3.6), layout="constrained")
+    for epsilon in (1e-5, 1e-4, 1e-3):
+        column = np.zeros((1, 9, 1))
+        column[0, 2] = 1.0
+        ChargeTransferInefficiency(epsilon, 0.0).readout(None, None, None, column)
+        left.semilogy(
+            np.arange(-2, 7), np.maximum(column[0, :, 0], 1e-9), "o-", label=f"{epsilon:g}"
+        )
+    left.set_ylim(1e-8, 2)
+    left.set_xlabel("Rows behind the bright pixel")
+    left.set_ylabel("Part of its charge")
+    left.legend(title="Inefficiency")
+    detector, motion = Detector.k2(shape=(60, 5), background=0.0), Motion.still(300)
+    bands = simulate(
+        Star(40.0), detector, motion, seed=10, noise=False, effects=RollingBands(rate=0.2)
+    )
+    days = motion.time - motion.time[0]
+    shown = right.pcolormesh(days, np.arange(60), bands.flux[:, :, 0].T, cmap="RdBu_r")
+    right.set_xlabel("Time (d)")
+    right.set_ylabel("Row")
+    figure.colorbar(shown, ax=right, label="Flux (e$^-$ s$^{-1}$)")
     return figure

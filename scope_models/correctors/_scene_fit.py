@@ -154,7 +154,7 @@ def _held(time, flux, variance, shape, track, priors, floor, full):
     )  # fmt: skip
 
 
-def fit_scene(time, flux, variance, pos_corr, peak, *, offsets=None, well=None, seed=0):
+def fit_scene(time, flux, variance, pos_corr, peak, *, known=None, well=None, seed=0):
     """
     Fit the scene.
 
@@ -168,8 +168,8 @@ def fit_scene(time, flux, variance, pos_corr, peak, *, offsets=None, well=None, 
         ``(n, 2)``.
     peak : tuple of float
         Column and row of the target in a typical cadence.
-    offsets : ndarray, optional
-        Distances of other stars from the target, px, ``(m, 2)``; None: they are found.
+    known : KnownNeighbors, optional
+        Other stars; None: they are found.
     well : float, optional
         Flux in e-/s above which a pixel is full.
     seed : int
@@ -178,11 +178,11 @@ def fit_scene(time, flux, variance, pos_corr, peak, *, offsets=None, well=None, 
     n = len(flux)
     full = _full_columns(flux, variance, well)
     variance = np.where(full, np.inf, variance)
-    (x, y), known = first_track(flux, pos_corr, peak)
+    (x, y), measured = first_track(flux, pos_corr, peak)
     shape, track = first_shape(flux, variance, x, y, np.random.default_rng(seed))
     mean, sigma = track.stacked, np.full((n, 5), np.inf)
     mean[:, 4] = 0.0
-    sigma[:, 1:3] = np.where(known, _POSITION, _FREE_POSITION)[:, None]
+    sigma[:, 1:3] = np.where(measured, _POSITION, _FREE_POSITION)[:, None]
     sigma[:, 3] = _WIDTH
     priors, floor = Priors(mean, sigma), _FLOORS[0]
 
@@ -191,7 +191,7 @@ def fit_scene(time, flux, variance, pos_corr, peak, *, offsets=None, well=None, 
         column, row = x + np.median(column - x[::10]), y + np.median(row - y[::10])
         return first_shape(images, variance, column, row, np.random.default_rng(seed))
 
-    shape, track = find_neighbors(shape, track, flux, variance, offsets, refit)
+    shape, track = find_neighbors(shape, track, flux, variance, known, refit)
     mean[:, 1:3] = track.stacked[:, 1:3]
     track = solve_track(shape, track, flux, variance, priors, floor)
     sub = np.unique(np.linspace(0, n - 1, _SHAPE_CADENCES).astype(int))
@@ -204,10 +204,10 @@ def fit_scene(time, flux, variance, pos_corr, peak, *, offsets=None, well=None, 
         schedule = max(_FLOORS[min(step + 1, len(_FLOORS) - 1)], floor / 5)
         if step >= 1:
             noise = _without_hits(shape, part, flux[sub], variance[sub], floor)
-        if step == 1 and known.mean() > 0.5:
+        if step == 1 and measured.mean() > 0.5:
             errors = part.stacked[:, 1:3] - mean[sub, 1:3]
             tight = np.clip(1.5 * max(_robust(e) for e in errors.T), 0.003, _POSITION)
-            sigma[:, 1:3] = np.where(known, tight, _FREE_POSITION)[:, None]
+            sigma[:, 1:3] = np.where(measured, tight, _FREE_POSITION)[:, None]
             priors = Priors(mean, sigma)
         if step in _ANCHORS:
             shape = replace(shape, prior_mean=shape.coefficients)

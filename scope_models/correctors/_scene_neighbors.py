@@ -1,16 +1,20 @@
 """Other stars in the stamp: found in the images, or given by the user."""
 
-from dataclasses import replace
+import warnings
+from dataclasses import dataclass, replace
 
 import numpy as np
-from astropy import units as u
 from astropy.coordinates import SkyCoord
-from astropy.table import Table
 
-from scope_models._arrays import plain_array
 from scope_models.correctors._scene_model import render
+from scope_models.exceptions import DetrendingWarning
+from scope_models.io._places import star_places, target_place
 
-__all__ = ["find_neighbors", "offsets_of"]
+__all__ = ["KnownNeighbors", "find_neighbors"]
+
+#: Given neighbors closer to the target (px) are the target, and those farther outside of the
+#: pixels have no light in them.
+_TARGET_ITSELF, _FARTHEST = 0.3, 5.0
 
 #: Least distance from the target (px), and largest number of neighbors.
 _NEAREST, _MOST = 1.4, 6
@@ -21,40 +25,60 @@ _SIGMA, _OVER_STAR, _LEAST = 6.0, 0.7, 4e-3
 _STEP, _LARGEST_MOVE = 0.05, 0.3
 
 
-def offsets_of(neighbors, tpf, column, row):
+@dataclass(frozen=True)
+class KnownNeighbors:
     """
-    Return the distances of given neighbors from the target in pixels, ``(m, 2)``.
+    Places of neighbors that the user gives, in the box of pixels that is modeled.
 
     Parameters
     ----------
-    neighbors : array_like, Table or SkyCoord
-        Columns and rows in the stamp ``(m, 2)``, a table with columns ``x`` and ``y``, or
-        places on the sky.
-    tpf : `~lightkurve.targetpixelfile.TargetPixelFile`
-        Whose coordinates convert places on the sky.
-    column, row : float
-        The target's place in the stamp.
+    places : ndarray
+        Columns and rows in a typical cadence, ``(m, 2)``.
+    target : ndarray or None
+        Column and row where the same coordinates place the target: distances from it do not
+        depend on the pointing. None: the target is where the images show it.
     """
-    if isinstance(neighbors, SkyCoord):
-        places = np.stack(tpf.wcs.world_to_pixel(np.atleast_1d(neighbors)), axis=1)
-    elif isinstance(neighbors, Table):
-        missing = {"x", "y"} - set(neighbors.colnames)
-        if missing:
-            raise ValueError(f"`neighbors` must have the columns x and y, got {neighbors.colnames}")
-        names = ("x", "y")
-        places = np.stack([plain_array(neighbors[n], u.pix, "neighbors") for n in names], axis=1)
-    else:
-        places = plain_array(neighbors, u.pix, "neighbors").reshape(-1, *np.shape(neighbors)[1:])
-    if not places.size:
-        return np.empty((0, 2))
-    if places.ndim != 2 or places.shape[1] != 2:
-        raise ValueError(f"`neighbors` must have shape (m, 2), got {np.shape(neighbors)}")
-    if not np.isfinite(places).all():
-        raise ValueError("`neighbors` must be finite places")
-    offsets = places - [column, row]
-    if np.any(np.hypot(*offsets.T) < 0.3):
-        raise ValueError("`neighbors` must not be the target itself: one is within 0.3 px of it")
-    return offsets
+
+    places: np.ndarray
+    target: np.ndarray | None
+
+    @classmethod
+    def read(cls, neighbors, series, origin, peak):
+        """
+        Read the user's argument.
+
+        Parameters
+        ----------
+        neighbors : array_like, Table or SkyCoord
+            As in `~scope_models.io._places.star_places`.
+        series : PixelSeries
+            The pixels.
+        origin, peak : ndarray
+            Column and row of the box' first pixel in the stamp, and of the target in the stamp.
+        """
+        places = star_places("neighbors", neighbors, series)
+        names = {name.lower() for name in getattr(neighbors, "colnames", ("x", "y"))}
+        on_sky = isinstance(neighbors, SkyCoord) or not {"x", "y"} <= names
+        target = target_place(series) if on_sky else None
+        distance = np.hypot(*(places - (peak if target is None else target)).T)
+        if np.any(distance < _TARGET_ITSELF):
+            raise ValueError(
+                "`neighbors` must not hold the target itself: one is within "
+                f"{_TARGET_ITSELF} px of it"
+            )
+        ny, nx = series.flux.shape[1:]
+        shift = 0.0 if target is None else peak - target  # of the pointing
+        outside = np.abs(places + shift - [(nx - 1) / 2, (ny - 1) / 2]) - [nx / 2, ny / 2]
+        far = outside.max(axis=1, initial=-np.inf) > _FARTHEST
+        if far.any():
+            message = f"{far.sum()} of `neighbors` are far outside of the pixels and are left out"
+            warnings.warn(message, DetrendingWarning, stacklevel=4)
+        return cls(places[~far] - origin, None if target is None else target - origin)
+
+    def offsets(self, track):
+        """Return the distances from the target, ``(m, 2)``."""
+        seen = [np.median(track.x), np.median(track.y)]
+        return self.places - (seen if self.target is None else self.target)
 
 
 def _stacked(values, variance, track):
@@ -78,7 +102,7 @@ def _stacked(values, variance, track):
     return mean, np.where(few, np.inf, error), place
 
 
-def find_neighbors(shape, track, flux, variance, offsets, refit):
+def find_neighbors(shape, track, flux, variance, known, refit):
     """
     Return the shape with stars beside the target.
 
@@ -88,16 +112,16 @@ def find_neighbors(shape, track, flux, variance, offsets, refit):
         A first model without neighbors.
     flux, variance : ndarray
         Pixels ``(n, ny, nx)``; infinite variance where there are no data.
-    offsets : ndarray or None
-        Distances of given neighbors, ``(m, 2)``; None: one after the other is found where the
-        model leaves light that looks like a star's.
+    known : KnownNeighbors or None
+        Given neighbors; None: one after the other is found where the model leaves light that
+        looks like a star's.
     refit : callable
         Takes pixels without the neighbors' light, and returns a new first model of the target.
     """
-    if offsets is not None:
-        found = np.column_stack([np.zeros(len(offsets)), offsets])
+    if known is not None:
+        found = np.column_stack([np.zeros(len(known.places)), known.offsets(track)])
         if len(found):
-            shape, track, found = _settled(shape, track, flux, variance, found, refit, move=False)
+            shape, track, found = _settled(shape, track, flux, variance, found, refit, known)
         return replace(shape, neighbors=found, first_neighbors=found), track
     found = np.empty((0, 3))
     while len(found) < _MOST:
@@ -105,21 +129,24 @@ def find_neighbors(shape, track, flux, variance, offsets, refit):
         if new is None:
             break
         tried = np.concatenate([found, [new]])
-        trial = _settled(shape, track, flux, variance, tried, refit, move=True)
+        trial = _settled(shape, track, flux, variance, tried, refit)
         if not _separate(trial[2], np.median(trial[1].flux)):
             break
         shape, track, found = trial
     return replace(shape, neighbors=found, first_neighbors=found), track
 
 
-def _settled(shape, track, flux, variance, found, refit, *, move):
+def _settled(shape, track, flux, variance, found, refit, known=None):
     """Measure the neighbors and the target's first model by turns."""
     for _ in range(4):
-        found = _measured(shape, track, flux, variance, found, move=move)
+        found = _measured(shape, track, flux, variance, found, move=known is None)
         old = track
         shape, track = refit(flux - _light_of(shape, track, found))
-        moved = [np.median(track.x - old.x), np.median(track.y - old.y)]
-        found = found - [0.0, *moved]
+        if known is None:
+            moved = [np.median(track.x - old.x), np.median(track.y - old.y)]
+            found = found - [0.0, *moved]
+        else:
+            found[:, 1:] = known.offsets(track)
     return shape, track, found
 
 

@@ -9,6 +9,7 @@ from lightkurve.correctors.corrector import Corrector
 
 from scope_models._checks import checked_cadences, checked_mask
 from scope_models.correctors._flux_model import fit_flux
+from scope_models.correctors._pixels import credible_flux
 from scope_models.correctors._result import transit_column
 from scope_models.correctors._scene_fit import WIDER, fit_scene
 from scope_models.correctors._scene_flux import (
@@ -18,10 +19,12 @@ from scope_models.correctors._scene_flux import (
     window_flux,
     window_weights,
 )
-from scope_models.correctors._scene_neighbors import offsets_of
+from scope_models.correctors._scene_neighbors import KnownNeighbors
+from scope_models.correctors._scene_start import centroids
 from scope_models.exceptions import DetrendingWarning
 from scope_models.io import read_pixels, read_tpf
 from scope_models.io.pixels import usable_positions
+from scope_models.photometry import cdpp
 
 __all__ = ["SceneCorrector", "SceneResult"]
 
@@ -35,6 +38,8 @@ _TRANSIT_HOURS = 6.5
 _REACH = 7
 #: Warnings: part of the cadences that are outliers, and share of the target in the window.
 _MANY, _CROWDED = 0.1, 0.9
+#: ... and 6.5-h noise over that of the sum over the aperture.
+_WORSE = 1.1
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -119,9 +124,10 @@ class SceneResult:
 
 @dataclass(frozen=True)
 class _Flux:
-    """The flux in one window and its model."""
+    """The flux in one window, as summed and without what the scene predicts, and its model."""
 
     window: object
+    total: np.ndarray
     flux: np.ndarray
     variance: np.ndarray
     model: object
@@ -164,7 +170,8 @@ class SceneCorrector(Corrector):
         the smallest expected error.
     neighbors : array_like, `~astropy.table.Table` or `~astropy.coordinates.SkyCoord`, optional
         Other stars: columns and rows in the stamp ``(m, 2)`` in pixels, a table with columns ``x``
-        and ``y``, or places on the sky. By default they are found in the images; ``[]``: none.
+        and ``y`` or ``ra`` and ``dec``, or places on the sky, which are taken relative to the
+        target's coordinates in the file. By default they are found in the images; ``[]``: none.
 
     Attributes
     ----------
@@ -204,9 +211,10 @@ class SceneCorrector(Corrector):
         if aperture_mask is not None:
             aperture_mask = checked_mask("aperture_mask", aperture_mask, series.flux.shape[1:])
         self._data = _Data.from_series(series, aperture_mask)
-        self._offsets = None
+        self._known = None
         if neighbors is not None:
-            self._offsets = offsets_of(neighbors, self.tpf, *self._data.place)
+            origin, peak = self._data.origin, self._data.place
+            self._known = KnownNeighbors.read(neighbors, series, origin, peak)
         shown = series.aperture if aperture_mask is None else aperture_mask
         self.aperture_mask = shown.copy()
         self.original_lc = self.tpf.to_lightcurve(aperture_mask=shown)
@@ -249,8 +257,9 @@ class SceneCorrector(Corrector):
         Warns
         -----
         DetrendingWarning
-            If pixels saturate, many cadences are outliers, or the window holds much light of
-            other stars.
+            If pixels saturate, the noise of 6.5 h grows, many cadences are outliers, the window
+            holds much light of other stars, or corrections are over a factor of 30: such
+            cadences become NaN.
         """
         data = self._data
         n = len(data.usable)
@@ -268,7 +277,7 @@ class SceneCorrector(Corrector):
         if self.scene is None:
             self.scene = fit_scene(
                 data.time, data.flux, data.variance, data.pos_corr, data.peak,
-                offsets=self._offsets, well=data.well,
+                known=self._known, well=data.well,
             )  # fmt: skip
         self._chosen = self._best(allowed, flat)
         self.cadence_mask, self.transit_mask = mask & ~in_transit, in_transit
@@ -313,9 +322,9 @@ class SceneCorrector(Corrector):
             model = fit_flux(
                 time, y, relative, columns, allowed & positive, limits=LIMITS, flat=flat
             )
-            star = np.where(positive, one.flux, np.nan) / one.model / np.exp(change)
-            trial = _Flux(window, star, relative,
-                          model, crowding)  # fmt: skip
+            total = np.where(positive, one.flux, np.nan)
+            star = total / one.model / np.exp(change)
+            trial = _Flux(window, total, star, relative, model, crowding)
             if best is None or trial.expected_error < best.expected_error:
                 best = trial
         return best
@@ -331,6 +340,8 @@ class SceneCorrector(Corrector):
             removed = removed + trend - np.median(trend)
         flux = chosen.flux / np.exp(removed)
         error = flux * np.sqrt(model.process.noise_scale * model.variance + variance)
+        outliers = allowed & ~model.use
+        flux, error = credible_flux(flux, error, chosen.total, outliers)
         lc = self.original_lc.copy()
         for name, values in (("flux", flux), ("flux_err", error)):
             whole = np.full(len(data.usable), np.nan)
@@ -338,7 +349,7 @@ class SceneCorrector(Corrector):
             setattr(lc, name, whole * getattr(lc, name).unit)
         self.corrected_lc = lc
         self.outlier_mask = np.zeros(len(data.usable), dtype=bool)
-        self.outlier_mask[data.usable] = allowed & ~model.use
+        self.outlier_mask[data.usable] = outliers
         scale, scale_err = model.flat_coefficient() if has_transit else (np.nan, np.nan)
         step = np.median(np.diff(data.time))
         window = int(np.clip(round(_TRANSIT_HOURS / 24 / step), 1, model.use.sum() // 2))
@@ -376,6 +387,12 @@ class SceneCorrector(Corrector):
                 "PLDCorrector corrects such stars better"
             )
             warnings.warn(message, DetrendingWarning, stacklevel=4)
+        if self._is_worse():
+            message = (
+                "the corrected light curve scatters more than the sum over the aperture: do not "
+                "use it, and compare PLDCorrector"
+            )
+            warnings.warn(message, DetrendingWarning, stacklevel=4)
         if result.n_outliers > _MANY * (result.n_outliers + result.n_used):
             message = f"{result.n_outliers} cadences are left out of the fit as outliers"
             warnings.warn(message, DetrendingWarning, stacklevel=4)
@@ -385,6 +402,20 @@ class SceneCorrector(Corrector):
                 "their light is taken off as constant, their variability is not"
             )
             warnings.warn(message, DetrendingWarning, stacklevel=4)
+
+    def _is_worse(self):
+        """Whether the correction adds noise, beyond the light of others that it takes off."""
+        raw, corrected = self.original_lc, self.corrected_lc
+        both = np.isfinite(raw.flux.value) & np.isfinite(corrected.flux.value)
+        raw, corrected = raw[both], corrected[both]
+        level = np.median(raw.flux.value)
+        if not level > 0:
+            return False
+        inside = self.aperture_mask[self._data.box]
+        light = np.median(self.scene.track.flux * self.scene.star[:, inside].sum(axis=1))
+        limit = _WORSE * max(level / light, 1.0) if light > 0 else np.inf
+        pairs = [[cdpp(lc, method=m) for lc in (raw, corrected)] for m in ("lightkurve", "everest")]
+        return any(new > limit * old for old, new in pairs)
 
     def fit_transit(self, transit_model):
         """
@@ -549,9 +580,16 @@ class _Data:
         )  # fmt: skip
 
     @property
+    def origin(self):
+        """Column and row of the box' first pixel in the stamp."""
+        return np.array([self.box[1].start, self.box[0].start], dtype=float)
+
+    @property
     def place(self):
-        """Column and row of the target in the stamp."""
-        return self.peak[0] + self.box[1].start, self.peak[1] + self.box[0].start
+        """Column and row of the target's light in the stamp, in the median image."""
+        image = np.median(self.flux, axis=0)[None]
+        x, y = centroids(image - np.median(image), *(np.array([k]) for k in self.peak))
+        return self.origin + np.array([x[0], y[0]])
 
     @property
     def noise(self):

@@ -7,6 +7,8 @@ from scope_models.effects.cosmic_rays import CosmicRays, rejected_shift
 from scope_models.effects.focus import Focus
 from scope_models.effects.gaps import Gaps
 from scope_models.effects.jitter import Jitter
+from scope_models.effects.presets import mission_effects
+from scope_models.effects.readout import ChargeTransferInefficiency, RollingBands
 from scope_models.effects.response import SensitivityDropouts, Throughput
 from scope_models.effects.shares import PixelShares
 
@@ -14,6 +16,7 @@ __all__ = [
     "Argabrightening",
     "Background",
     "BrighterFatter",
+    "ChargeTransferInefficiency",
     "Conditions",
     "CosmicRays",
     "DarkCurrent",
@@ -24,10 +27,12 @@ __all__ = [
     "Gaps",
     "Jitter",
     "PixelShares",
+    "RollingBands",
     "ScatteredLight",
     "SensitivityDropouts",
     "Smear",
     "Throughput",
     "Undershoot",
+    "mission_effects",
     "rejected_shift",
 ]

@@ -103,6 +103,10 @@ class Exposures:
         Offsets in pixels.
     weights : ndarray of shape (k,)
         Parts of the exposure, whose sum is 1.
+    blur : float, optional
+        Standard deviation, pixels, of a normal distribution of positions about each offset.
+    nodes : int, optional
+        Gauss-Hermite nodes per axis for the blur of PSFs that are not Gaussian.
 
     Examples
     --------
@@ -115,6 +119,50 @@ class Exposures:
     x: np.ndarray
     y: np.ndarray
     weights: np.ndarray
+    blur: float = 0.0
+    nodes: int = 3
+
+    def joined(self, other):
+        """Return the exposures in which each of these has the offsets of others.
+
+        Parameters
+        ----------
+        other : Exposures
+            The others.
+
+        Returns
+        -------
+        Exposures
+            All sums of offsets; the variances of the blur add up.
+        """
+        x, y = (
+            (a[:, :, np.newaxis] + b[:, np.newaxis]).reshape(len(a), -1)
+            for a, b in ((self.x, other.x), (self.y, other.y))
+        )
+        weights = np.outer(self.weights, other.weights).ravel()
+        blur = float(np.hypot(self.blur, other.blur))
+        return Exposures(x, y, weights, blur, max(self.nodes, other.nodes))
+
+    def expanded(self):
+        """Return exposures without blur: its distribution as offsets of their own.
+
+        Returns
+        -------
+        Exposures
+            With ``nodes**2`` offsets for each.
+        """
+        if not self.blur:
+            return self
+        nodes, weights = np.polynomial.hermite_e.hermegauss(self.nodes)
+        weights = weights / weights.sum()
+        x, y = (self.blur * a.ravel() for a in np.meshgrid(nodes, nodes))
+        n = len(self.x)
+        grid = Exposures(
+            np.broadcast_to(x, (n, x.size)),
+            np.broadcast_to(y, (n, y.size)),
+            np.outer(weights, weights).ravel(),
+        )
+        return Exposures(self.x, self.y, self.weights).joined(grid)
 
 
 @dataclass(frozen=True)
@@ -152,7 +200,7 @@ class Effect:
     each piece of the series. An effect implements those that it needs; the others do nothing.
     They act in this order:
 
-    1. light: `width`, `exposures`, `shares` and `response`, before the charge of the stars is known;
+    1. light: `width`, `exposures`, `shares` and `response`, before the stars' charge is known;
     2. light that is not the stars': `pedestal`;
     3. charge, after photon noise: `charge`;
     4. readout, before read noise and digitization: `readout`;

@@ -24,8 +24,9 @@ class Jitter(Effect):
               \qquad r = \tau / T,
 
     and the rest, :math:`\sigma^2 - \sigma_m^2`, widens the image. The means are drawn with their
-    correlations from cadence to cadence; the image is averaged over a normal distribution of
-    positions by Gauss-Hermite nodes.
+    correlations from cadence to cadence. The image is averaged over a normal distribution of
+    positions: Gaussian PSFs become wider by its variance, which is exact, others are rendered at
+    Gauss-Hermite nodes.
 
     Parameters
     ----------
@@ -34,7 +35,8 @@ class Jitter(Effect):
     correlation_time : float or Quantity, optional
         Correlation time :math:`\tau`, s. 0 is white noise at the frame rate.
     nodes : int, optional
-        Nodes per axis. 3 give all moments of the image up to the fifth.
+        Nodes per axis for PSFs that are not Gaussian. 3 give all moments of the image up to the
+        fifth, and render each star at ``nodes**2`` places per cadence.
 
     Raises
     ------
@@ -45,7 +47,7 @@ class Jitter(Effect):
     -----
     The truth has the mean offset of each cadence in the columns JITTER_X and JITTER_Y, and the
     standard deviation within the cadence in JITTER_BLUR, all in pixels. The positions X1, Y1 of
-    the stars contain the offsets. Each star is rendered at ``nodes**2`` places per cadence.
+    the stars contain the offsets.
 
     Examples
     --------
@@ -88,10 +90,7 @@ class Jitter(Effect):
         return Drawn(offsets | {"JITTER_BLUR": np.full(n, blur)})
 
     def exposures(self, drawn, conditions):
-        """Return the nodes about the mean offsets."""
-        nodes, weights = np.polynomial.hermite_e.hermegauss(self.nodes)
-        weights = weights / weights.sum()
-        blur = drawn.columns["JITTER_BLUR"][:, np.newaxis]
-        x = drawn.columns["JITTER_X"][:, np.newaxis] + blur * np.repeat(nodes, self.nodes)
-        y = drawn.columns["JITTER_Y"][:, np.newaxis] + blur * np.tile(nodes, self.nodes)
-        return Exposures(x, y, np.outer(weights, weights).ravel())
+        """Return the mean offsets, and the blur about them."""
+        x, y = (drawn.columns[f"JITTER_{axis}"][:, np.newaxis] for axis in "XY")
+        blur = float(drawn.columns["JITTER_BLUR"][0])
+        return Exposures(x, y, np.ones(1), blur, self.nodes)

@@ -116,7 +116,7 @@ class PixelShares(Effect):
             scaled_to(*pair)
             for pair in ((x, self.x_range), (y, self.y_range), (time, self.time_range))
         )
-        return np.tensordot(polynomials(self.terms, *scaled), self.coefficients, axes=1)
+        return np.tensordot(polynomials(self.terms, *scaled)[0], self.coefficients, axes=1)
 
     def shares(self, drawn, conditions, star):
         """Return the function of positions and cadences that gives the changes of a star."""
@@ -148,30 +148,21 @@ def scaled_to(values, limits):
     return np.clip(2 * (np.asarray(values, dtype=float) - low) / (high - low) - 1, -1.0, 1.0)
 
 
-def polynomials(terms, u, v, w, along=None):
-    """
-    Return the products of Legendre polynomials.
+def polynomials(terms, u, v, w):
+    """Return the products of Legendre polynomials, and their derivatives by u and v, ``(n, k)``."""
+    degrees = terms.max(axis=0)
+    tables = [legendre.legvander(x, n) for x, n in zip((u, v, w), degrees, strict=True)]
+    columns, rows, times = (t[:, terms[:, axis]] for axis, t in enumerate(tables))
+    by_u, by_v = (_slopes(tables[axis])[:, terms[:, axis]] for axis in (0, 1))
+    return columns * rows * times, by_u * rows * times, columns * by_v * times
 
-    Parameters
-    ----------
-    terms : ndarray of shape (k, 3)
-        Degrees.
-    u, v, w : ndarray of shape (n,)
-        Scaled column, row and time.
-    along : {None, 0, 1}
-        The derivative by u (0) or v (1) in place of the value.
 
-    Returns
-    -------
-    ndarray of shape (n, k)
-        The products.
-    """
-    result = np.ones((len(u), len(terms)))
-    for axis, values in enumerate((u, v, w)):
-        degree = int(terms[:, axis].max())
-        table = np.eye(degree + 1)
-        if axis == along:
-            table = np.stack([np.resize(legendre.legder(row), degree + 1) for row in table])
-            table *= np.tri(degree + 1, k=-1)  # np.resize repeats what it lacks
-        result *= (legendre.legvander(values, degree) @ table.T)[:, terms[:, axis]]
+def _slopes(table):
+    """Return the derivatives of Legendre polynomials from their values."""
+    result = np.zeros_like(table)
+    for n in range(1, table.shape[1]):
+        # P'_n = P'_(n - 2) + (2 n - 1) P_(n - 1)
+        result[:, n] = (2 * n - 1) * table[:, n - 1]
+        if n > 1:
+            result[:, n] += result[:, n - 2]
     return result

@@ -21,8 +21,9 @@ _FACTS = (
 _LARGEST_EDGE_ERROR = 0.0125
 # Scatter of the response between pixels, in standard deviations of its prior, that is no response.
 _LARGEST_SCATTER = 3.0
-# Fitted motion over that of POS_CORR that is not in doubt; where the two agree and the star moves.
-_SCALES, _LEAST_R2, _LEAST_MOTION = (0.8, 1.25), 0.5, 0.01
+# Fitted motion over that of POS_CORR that is not in doubt, and the motion, pixels, from which it is
+# checked.
+_SCALES, _LEAST_MOTION = (0.9, 1.1), 0.01
 # Reduced chi-squared from which a model does not describe the pixels.
 _LARGEST_CHI2 = 100.0
 
@@ -242,14 +243,17 @@ def _of_pixels(fit):
 
 def _of_positions(fit):
     """Doubts about where the star is, and how it moves."""
-    slopes, agreement = fit.path_scale(), fit.path_r2()
-    for axis, moved, slope, r2 in zip("xy", (fit.x, fit.y), slopes, agreement, strict=True):
-        largest = np.std(moved) * max(1.0, 1 / abs(slope)) if slope else np.inf
-        if not _SCALES[0] < slope < _SCALES[1] and r2 > _LEAST_R2 and largest > _LEAST_MOTION:
-            yield (
-                f"the fitted motion along {axis} is {slope:.2g} times that of POS_CORR: the PSF "
-                'may have absorbed it; positions="prior" holds it'
-            )
+    if fit.pos_corr is not None:
+        errors = np.array([np.median(fit.x_err), np.median(fit.y_err)]) / len(fit.x) ** 0.5
+        for axis, path, error, slope in zip(
+            "xy", fit.pos_corr.std(axis=0), errors, fit.path_scale(), strict=True
+        ):
+            differs = not _SCALES[0] < slope < _SCALES[1] and abs(slope - 1) * path > 3 * error
+            if differs and path * max(1.0, abs(slope)) > _LEAST_MOTION:
+                yield (
+                    f"the fitted motion along {axis} is {slope:.2g} times that of POS_CORR: the "
+                    'PSF may have absorbed it; positions="path" or a richer PSF prevents it'
+                )
     ny, nx = fit.shape
     x, y = np.median(fit.x), np.median(fit.y)
     if not (0 <= x <= nx - 1 and 0 <= y <= ny - 1):

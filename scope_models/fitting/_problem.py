@@ -15,21 +15,14 @@ __all__ = ["FitOptions", "FitStar", "Limits", "NormalEquations", "Problem", "Sta
 _CHUNK = 256
 # Mean squared residual from which the errors are scaled, and change of scale that is none.
 _UNTRUE, _SAME = 1.5, 0.02
+# ... and standard deviations of the light-weighted mean that are chance.
+_CHANCE = 3.0
 # Median of the square of a standard normal deviate.
 _MEDIAN_SQUARE = 0.4549364
 # Standard deviation of the relative change of the PSF's width before the fit.
 _FOCUS_PRIOR = 0.05
 # Standard deviation of the scale of the motion about that of POS_CORR.
 _SCALE_PRIOR = 0.02
-# Parameters of the path.
-_AFFINE = (
-    FitParameter("x_const", "position"),
-    FitParameter("x_by_corr1", "slope", prior=_SCALE_PRIOR, center=1.0),
-    FitParameter("x_by_corr2", "slope", prior=_SCALE_PRIOR),
-    FitParameter("y_const", "position"),
-    FitParameter("y_by_corr1", "slope", prior=_SCALE_PRIOR),
-    FitParameter("y_by_corr2", "slope", prior=_SCALE_PRIOR, center=1.0),
-)
 _LARGEST_MOVE = 0.3
 # How far another star may be from its first guess, pixels.
 _STAR_MOVE = 1.0
@@ -52,6 +45,8 @@ class FitOptions:
         What ties positions to POS_CORR.
     position_error : float
         Standard deviation about the path for "prior", pixels.
+    scale_error : float
+        Standard deviation of the scale of the path about that of POS_CORR.
     loss : {"linear", "soft_l1"}
         Loss.
     loss_scale : float
@@ -67,6 +62,7 @@ class FitOptions:
     background: str = "cadence"
     positions: str = "start"
     position_error: float = 0.01
+    scale_error: float = _SCALE_PRIOR
     loss: str = "linear"
     loss_scale: float = 3.0
     saturation: bool = True
@@ -243,6 +239,11 @@ class Problem:
         """Number of pixel values."""
         return int(np.count_nonzero(self._given_weight))
 
+    @property
+    def n_free(self):
+        """Number of free parameters."""
+        return self.n_shared + self.n_pixels + len(self.flux) * len(self.columns)
+
     @cached_property
     def basis(self):
         """What the path is linear in, shape ``(n, 3)``."""
@@ -290,7 +291,8 @@ class Problem:
         """The shared parameters, in their order."""
         shape = np.max([s.shape for s in self.stamps], axis=0) if self.stamps else (1, 1)
         result = list(fit_parameters(self.prf, shape))
-        result += _AFFINE[: self.n_affine]
+        if self.n_affine:
+            result += self._path_parameters
         for k, star in enumerate(self.stars[1:], start=1):
             for axis, start in (("x", star.x), ("y", star.y)):
                 result.append(
@@ -317,6 +319,15 @@ class Problem:
                 FitParameter(f"focus_{i}", "focus", prior=_FOCUS_PRIOR) for i in range(number)
             ]
         return tuple(result)
+
+    @property
+    def _path_parameters(self):
+        """The affine map from POS_CORR to the positions."""
+        for i, axis in enumerate("xy"):
+            yield FitParameter(f"{axis}_const", "position")
+            for j in (0, 1):
+                scale = {"prior": self.options.scale_error, "center": float(i == j)}
+                yield FitParameter(f"{axis}_by_corr{j + 1}", "slope", **scale)
 
     @cached_property
     def names(self):
@@ -357,27 +368,34 @@ class Problem:
             np.array([p.upper for p in parameters], dtype=float),
             np.array([p.largest_step for p in parameters], dtype=float),
             np.array([p.relative for p in parameters], dtype=bool),
-            self._gauge() if self.n_pixels else None,
+            self._light_parts if self.n_pixels else None,
             low,
             high,
             step,
         )
 
-    def _gauge(self):
-        """Weights of the pixels whose mean response is 1: their parts of the light."""
-        weights = [np.nanmedian(s.flux[:, s.pixels], axis=0) for s in self.stamps]
-        weights = np.maximum(np.concatenate(weights), 0.0)
-        return weights / weights.sum()
+    @cached_property
+    def _light_parts(self):
+        """Parts of the light in the fitted pixels, of sum 1, shape ``(p,)``."""
+        light = [np.nanmedian(s.flux[:, s.pixels], axis=0) for s in self.stamps]
+        light = np.maximum(np.concatenate(light), 0.0)
+        return light / light.sum()
 
     def rescaled(self, state):
         """Return the problem with errors scaled to the residuals where the model is not true."""
-        residual = self._given_weight * (self.flux - self.model(state))
-        residual[self._given_weight == 0] = np.nan
+        squares = (self._given_weight * (self.flux - self.model(state))) ** 2
+        squares[self._given_weight == 0] = np.nan
         # Medians: neither cosmic rays nor single bad pixels count.
-        typical = np.median(np.nanmedian(residual**2, axis=0)) / _MEDIAN_SQUARE
-        n_free = self.n_shared + self.n_pixels + state.cadence.size
-        typical *= self.n_data / max(self.n_data - n_free, 1)
-        scale = float(np.sqrt(typical)) if typical > _UNTRUE else 1.0
+        typical = np.median(np.nanmedian(squares, axis=0)) / _MEDIAN_SQUARE
+        # Most parameters hang on the pixels with light, most pixels have none.
+        light = self._light_parts
+        n_light = 1 / np.sum(light**2)
+        weighted = np.nansum(squares * light, axis=1) / np.sum(light * ~np.isnan(squares), axis=1)
+        bright = np.median(weighted) / (1 - 2 / (9 * n_light)) ** 3
+        by_chance = _CHANCE * np.sqrt(2 / (n_light * len(squares)))
+        lost = self.n_data / max(self.n_data - self.n_free, 1)
+        untrue = lost * typical > _UNTRUE or lost * bright > _UNTRUE + by_chance
+        scale = float(np.sqrt(lost * max(typical, bright))) if untrue else 1.0
         if abs(scale / self.error_scale - 1) > _SAME:
             return replace(self, error_scale=scale)
         return self

@@ -22,6 +22,7 @@ from scope_models.fitting._start import (
     make_rich_prf,
     starting_state,
 )
+from scope_models.fitting.response import fit_response
 from scope_models.io.pixels import read_pixels
 
 __all__ = ["fit_tpf"]
@@ -29,26 +30,31 @@ __all__ = ["fit_tpf"]
 _BACKGROUNDS = ("cadence", "constant", "none")
 _POSITIONS = ("free", "start", "prior", "path")
 _LOSSES = ("linear", "soft_l1")
+_RESPONSES = ("psf", "pixels")
 _NEIGHBOR_FLUXES = ("auto", "cadence", "constant")
 # Prior of the response between pixels where the caller leaves it to the data, and the scatter, in
 # standard deviations of the prior, that is no response.
 _PRIOR, _LARGEST_SCATTER = 0.01, 3.0
-# Largest number of steps, per stage, of the first model where all is left to the data.
+# Largest number of steps, per stage, of the simple models where all is left to the data.
 _FEW_STEPS = 20
 # ... and of the others.
 _MANY_STEPS = 60
+# Standard deviations by which chi-squared may exceed that of a model that is true.
+_EXCESS = 5.0
 # Maxima so near the target are the target, pixels.
 _APART = 1.5
 # Standard deviation of the positions about POS_CORR, as a part of the motion's, where the PSF is
 # wrong.
 _POSITION_PART = 0.1
+# ... and of the scale of the motion.
+_HELD = 0.001
 # Flux over the light in the stamp from which a model has invented it.
 _LARGEST_FLUX = 2.0
 # Seconds after which a fit shows its progress.
 _PATIENCE = 5.0
 # How often errors are scaled, at most, where the model is not true.
 _RESCALINGS = 8
-# So many cadences give the first guess for those of a long series.
+# At most so many cadences give the first guess for those of a long series.
 _FEW = 300
 
 
@@ -66,6 +72,7 @@ def fit_tpf(
     positions="start",
     position_error=0.01,
     focus=None,
+    response="psf",
     loss="linear",
     loss_scale=3.0,
     flux_err=None,
@@ -128,6 +135,10 @@ def fit_tpf(
         Shortest time, days, in which the width of the PSF changes: all distances from the star
         scale with a cubic spline of time, with a prior of 5 %, to first order in the change.
         None: the width is constant.
+    response : {"psf", "pixels"}, optional
+        "psf": the pixels are those of PSF, sensitivity and b alone. "pixels": each pixel's share
+        of a star's light is that plus a polynomial of fitted position and slow time, for real
+        files: see the Notes.
     loss : {"linear", "soft_l1"}, optional
         Least squares, or a loss that grows only linearly with residuals above ``loss_scale``,
         for data with cosmic rays.
@@ -174,6 +185,11 @@ def fit_tpf(
     Chi-squared is always that of the given errors. The coefficients of a sensitivity then
     describe errors of the PSF: they have no error (NaN), and neither have parameters at bounds.
 
+    With ``response="pixels"``, b is 1, and a polynomial for each pixel follows what PSF, focus and
+    pixels do; its degree and its priors follow from the data. Every tenth cadence is held out:
+    ``chi2_held_out`` is its chi-squared per degree of freedom. Outliers are left out, and the
+    loss is that of least squares. ``sensitivity``, ``focus`` and ``interpixel`` must be left out.
+
     Examples
     --------
     >>> from scope_models import Detector, Motion, Star, fit_tpf, simulate
@@ -201,6 +217,8 @@ def fit_tpf(
     files = list(tpf) if several else [tpf]
     if not files:
         raise ValueError("`tpf` must have at least one file")
+    if _one_of("response", response, _RESPONSES) == "pixels":
+        _check_pixels(options, sensitivity, interpixel)
     series = [_series(file) for file in files]
     places = _places(stars, neighbors, series, several=several)
     prf = make_prf(2 if psf is None else psf, sensitivity, options.empirical)
@@ -208,11 +226,40 @@ def fit_tpf(
     with _progress_bar(progress) as bar:
         steps = partial(solve, max_steps=max_steps, report=bar)
         choice = _Choice(psf is None and not empirical, interpixel is None, sensitivity)
-        problem, solution = _fitted(problem, choice, steps, max_steps)
-    fits = make_results(problem, solution, covariances(problem, solution), detectors, series)
+        candidates = _candidates(problem, choice)
+        if response == "pixels":
+            candidates = _rough(problem, choice)
+        tried, steps = _tried(candidates, choice, steps, max_steps)
+        fitted = tried if response == "pixels" else _finished(problem, *tried, steps)
+        fits = make_results(*fitted, covariances(*fitted), detectors, series)
+        if response == "pixels":
+            fits = fit_response(problem, fitted[0], fitted[1].state, fits, bar)
     for fit in fits:
         warn_of_fit(fit, stacklevel=3)
     return tuple(fits) if several else fits[0]
+
+
+def _tried(candidates, choice, steps, max_steps):
+    """Fit the first of several models that describes some of the pixels, or the best."""
+    tried = []
+    for candidate, limit in candidates:
+        tried.append(_guess(candidate, partial(steps, max_steps=min(max_steps, limit))))
+        if _is_true(*tried[-1], strictly=choice.psf):
+            break
+    best = min(tried, key=lambda item: _rank(*item))
+    steps = partial(steps, max_steps=min(max_steps, _MANY_STEPS)) if choice.psf else steps
+    return best, steps
+
+
+def _check_pixels(options, sensitivity, interpixel):
+    """Check that nothing is fitted that the response of each pixel contains."""
+    for name, given in (
+        ("sensitivity", sensitivity is not None),
+        ("focus", options.focus is not None),
+        ("interpixel", bool(interpixel)),
+    ):
+        if given:
+            raise ValueError(f'`{name}` must be left out with response="pixels", which contains it')
 
 
 @dataclass(frozen=True)
@@ -224,40 +271,53 @@ class _Choice:
     sensitivity: object
 
 
-def _fitted(problem, choice, steps, max_steps):
-    """Fit, with what describes the pixels."""
-    # Where all is left to the data, a model that is true converges fast.
-    first = partial(steps, max_steps=min(max_steps, _FEW_STEPS)) if choice.psf else steps
-    few, guess = _guess(problem, first)
-    given = not (choice.psf or choice.interpixel)
-    if given or _is_true(few, guess) or not (guess.converged or guess.n_steps >= _FEW_STEPS):
-        return _finished(problem, few, guess, steps)
-    options = replace(problem.options, interpixel=0.0) if choice.interpixel else problem.options
-    if choice.psf:
-        options = _held(options, problem.data.pos_corr)
-    plain = replace(problem, options=options, error_scale=1.0)
-    problems = [plain]
-    if choice.psf:
-        problems.append(replace(plain, prf=make_rich_prf(choice.sensitivity)))
-        steps = partial(steps, max_steps=min(max_steps, _MANY_STEPS))
-    tried = [(one, *_guess(one, steps)) for one in problems]
-    best = min(tried, key=lambda item: _rank(*item[1:]))
-    return _finished(*best, steps)
+def _candidates(problem, choice):
+    """Models to try, the simplest first, and how many steps each is worth."""
+    if not choice.psf:
+        yield problem, np.inf
+        if choice.interpixel:
+            yield _with(problem, interpixel=0.0), np.inf
+        return
+    gaussians = [make_prf(number, choice.sensitivity, 0) for number in (1, 2)]
+    # A model that is true converges fast.
+    for prf in gaussians:
+        yield replace(problem, prf=prf), _FEW_STEPS
+    options = {"interpixel": 0.0} if choice.interpixel else {}
+    plain = _with(problem, **options, **_held(problem))
+    for prf in (gaussians[-1], make_rich_prf(choice.sensitivity)):
+        yield replace(plain, prf=prf), _MANY_STEPS
 
 
-def _held(options, pos_corr):
-    """Options with positions near those of POS_CORR: a PSF that is wrong absorbs motion."""
+def _rough(problem, choice):
+    """Models to try of the PSF from which the pixels deviate, and how many steps each is worth."""
+    plain = _with(problem, interpixel=0.0, loss="soft_l1", **_held(problem))
+    prfs = [make_prf(1, None, 0), make_rich_prf(None)] if choice.psf else [problem.prf]
+    for prf in prfs:
+        yield replace(plain, prf=prf), _MANY_STEPS
+
+
+def _with(problem, **options):
+    """Return the problem with other options."""
+    return replace(problem, options=replace(problem.options, **options))
+
+
+def _held(problem):
+    """Options for positions near those of POS_CORR: a PSF that is wrong absorbs motion."""
+    options, pos_corr = problem.options, problem.data.pos_corr
     if options.positions != "start" or pos_corr is None or not pos_corr.std(axis=0).all():
-        return options
+        return {}
     error = min(options.position_error, _POSITION_PART * float(pos_corr.std(axis=0).min()))
-    return replace(options, positions="prior", position_error=error)
+    return {"positions": "prior", "position_error": error, "scale_error": _HELD}
 
 
-def _is_true(problem, solution):
+def _is_true(problem, solution, *, strictly=False):
     """Whether the model describes the pixels, with a response that agrees with its prior."""
     prior, response = problem.options.interpixel, solution.state.interpixel
     agrees = not prior or np.std(response) <= _LARGEST_SCATTER * prior
-    return problem.error_scale == 1.0 and agrees
+    dof = max(problem.n_data - problem.n_free, 1)
+    excess = solution.equations.cost / dof - 1
+    enough = not strictly or (solution.converged and excess < _EXCESS * np.sqrt(2 / dof))
+    return problem.error_scale == 1.0 and agrees and enough
 
 
 def _rank(problem, solution):
@@ -266,13 +326,16 @@ def _rank(problem, solution):
     at_bound = np.any((shared <= limits.lower) | (shared >= limits.upper))
     light = np.median(problem.flux[:, problem.slices[0]].sum(axis=1))
     strange = not 0 < np.median(problem.fluxes(solution.state)) < _LARGEST_FLUX * abs(light)
-    return strange, bool(at_bound) or not solution.converged, problem.error_scale
+    # A free response between pixels describes errors of the PSF where the model is not true.
+    strange |= bool(problem.options.interpixel) and not _is_true(problem, solution)
+    information = solution.equations.cost + problem.n_shared * np.log(problem.n_data)
+    ends = bool(at_bound) or not solution.converged
+    return strange, ends, problem.error_scale, information
 
 
 def _guess(problem, steps):
     """Fit a part of a long series, or the whole of a short one."""
-    every = len(problem.flux) // _FEW
-    problem = problem.thinned(every) if every > 1 else problem
+    problem = problem.thinned(-(-len(problem.flux) // _FEW))
     # What the shape of the PSF can imitate is freed when the shape is about right.
     early = np.array([p.kind != "response" for p in problem.parameters], dtype=bool)
     state = starting_state(problem)
@@ -286,6 +349,7 @@ def _finished(problem, few, guess, steps):
     """Fit all cadences, from the fit of some of them."""
     if len(problem.flux) == len(few.flux):
         return few, guess
+    problem = replace(few, stamps=problem.stamps)
     # What all cadences share is constrained nearly as well by some of them.
     state = starting_state(problem)
     state = replace(state, shared=guess.state.shared, interpixel=guess.state.interpixel)

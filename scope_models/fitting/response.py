@@ -18,9 +18,9 @@ from scope_models.fitting.result import FittedStar
 __all__ = ["fit_response"]
 
 # Degrees in position and time that are tried, one after the other.
-_LADDER = ((1, 1), (2, 2), (3, 3), (4, 4), (5, 6), (6, 8))
+_LADDER = ((1, 1), (2, 2), (3, 3), (4, 4), (5, 6), (6, 8), (8, 8), (10, 8))
 # Steps on each rung, and by how much the next one must lower the cost of held-out cadences.
-_TRIAL_STEPS, _LEAST_GAIN = 6, 2e-3
+_TRIAL_STEPS, _LEAST_GAIN = 4, 1e-2
 # Every tenth cadence is held out, from the sixth on.
 _EVERY, _FIRST = 10, 5
 # Standard deviation of positions about POS_CORR, pixels.
@@ -38,9 +38,14 @@ _OUTLIER = 6.0
 _LEAST_R2, _SCALES = 0.5, (0.5, 2.0)
 # Largest steps of a position, pixels; relative change of the cost that is none; largest number of
 # steps of the last rung.
-_MOVE, _SAME, _MOST_STEPS = 0.1, 1e-5, 60
+_MOVE, _SAME, _MOST_STEPS = 0.1, 1e-4, 40
 # Part of the range of positions and pixels by which the polynomials reach farther; percentiles.
 _PAD, _INSIDE = (0.05, 0.01), (0.2, 99.8)
+# Pixels whose light is less than so many errors hardly count in the sum that is the flux: wide sums
+# of faint stars are noisy, and narrow ones of bright stars follow errors of the PSF and the focus.
+_FAINT = 40.0
+# A star that has moved by less has the image of first order, pixels; cadences at once.
+_TAYLOR, _CHUNK = 1e-3, 512
 # Residual, in errors, from which the cost grows only linearly.
 _SOFT = 3.0
 
@@ -54,24 +59,50 @@ class _Cadences:
     used: np.ndarray
 
 
+class _Psf:
+    """Images of the PSF of all stars, computed again where a cadence has moved."""
+
+    def __init__(self, problem):
+        self.problem = problem
+        self.places = np.full((len(problem.flux), 2), np.inf)
+        self.parts = [
+            np.zeros((3, len(problem.flux), problem.stamps[star.stamp].pixels.sum()))
+            for star in problem.stars
+        ]
+
+    def images(self, state):
+        """Images of unit flux, and their derivatives by column and row, ``(3, n, p)`` per star."""
+        moved = np.abs(self.problem.xy(state) - self.places).max(axis=1) > _TAYLOR
+        index = np.flatnonzero(moved)
+        for some in np.array_split(index, -(-len(index) // _CHUNK)) if len(index) else ():
+            for k, part in enumerate(self.parts):
+                image, by = self.problem.unit_images(state, some, k, derivatives=True)
+                part[:, some] = image, by["x_0"], by["y_0"]
+        self.places[index] = self.problem.xy(state)[index]
+        away = (self.problem.xy(state) - self.places).T[..., np.newaxis]
+        return [(p[0] + away[0] * p[1] + away[1] * p[2], p[1], p[2]) for p in self.parts]
+
+
 class _Shares:
     """Polynomials of all pixels and stars, and their priors."""
 
-    def __init__(self, problem, ranges, degree, time_degree, size):
-        self.problem, self.ranges, self.degrees = problem, ranges, (degree, time_degree)
+    def __init__(self, psf, ranges, degree, time_degree, size, faint):
+        self.psf, self.problem = psf, psf.problem
+        self.ranges, self.degrees = ranges, (degree, time_degree)
         self.terms = polynomial_terms(degree, time_degree)
         self.order = self.terms.sum(axis=1)
-        #: Light of each star that is typically in a pixel, and what a share may change by.
+        #: Share of each star that is typically in a pixel, what is faint, and by what it changes.
         self.size = size
+        self.faint = faint
         self.unit = [np.maximum(part, 0.0) + _EVERYWHERE for part in size]
         self.width = np.full(self.order.max() + 1, _FIRST_PRIOR)
         self.values = [np.zeros((len(self.terms), part.size)) for part in size]
-        self.covariance = [None] * sum(len(stamp.pixels.nonzero()[0]) for stamp in problem.stamps)
+        self.covariance = [None] * self.problem.slices[-1].stop
         self.n_free = 0.0
 
     def richer(self, degree, time_degree):
         """Return the same shares with more terms."""
-        other = _Shares(self.problem, self.ranges, degree, time_degree, self.size)
+        other = _Shares(self.psf, self.ranges, degree, time_degree, self.size, self.faint)
         place = {tuple(term): k for k, term in enumerate(other.terms.tolist())}
         index = [place[tuple(term)] for term in self.terms.tolist()]
         for mine, theirs in zip(self.values, other.values, strict=True):
@@ -80,34 +111,30 @@ class _Shares:
         other.width[len(self.width) :] = self.width[-1]
         return other
 
-    def basis(self, state, along=None, part=slice(None)):
-        """Polynomials of the cadences, or their derivatives by column (0) or row (1)."""
-        times = self.problem.data.time[part]
-        values = (*self.problem.xy(state)[part].T, times)
+    def basis(self, state):
+        """Polynomials of the cadences, and their derivatives by column and row, ``(n, k)``."""
+        values = (*self.problem.xy(state).T, self.problem.data.time)
         scaled = [scaled_to(v, limits) for v, limits in zip(values, self.ranges, strict=True)]
-        result = polynomials(self.terms, *scaled, along)
-        if along is not None:
-            low, high = self.ranges[along]
-            result *= np.where(np.abs(scaled[along]) < 1, 2 / (high - low), 0.0)[:, np.newaxis]
-        return result
+        value, *slopes = polynomials(self.terms, *scaled)
+        for axis in (0, 1):
+            low, high = self.ranges[axis]
+            slopes[axis] *= np.where(np.abs(scaled[axis]) < 1, 2 / (high - low), 0.0)[:, np.newaxis]
+        return value, *slopes
 
-    def images(self, state, star, part):
-        """Images of a star of unit flux, and their derivatives by column and row."""
-        image, by = self.problem.unit_images(state, part, star, derivatives=True)
-        own = [self.basis(state, along, part) @ self.values[star] for along in (None, 0, 1)]
-        return image + own[0], by["x_0"] + own[1], by["y_0"] + own[2]
+    def images(self, state, *, slopes=False):
+        """Images of each star of unit flux, and their derivatives by column and row."""
+        number = 3 if slopes else 1
+        basis = self.basis(state)[:number]
+        for k, parts in enumerate(self.psf.images(state)):
+            yield [p + b @ self.values[k] for p, b in zip(parts[:number], basis, strict=True)]
 
     def model(self, state):
         """Model of all pixels, shape ``(n, p)``."""
         problem = self.problem
         model = np.zeros(problem.flux.shape)
-        for part in problem.chunks():
-            phi = self.basis(state, None, part)
-            for k, star in enumerate(problem.stars):
-                image = problem.unit_images(state, part, k) + phi @ self.values[k]
-                model[part, problem.slices[star.stamp]] += (
-                    problem.fluxes(state, k)[part, None] * image
-                )
+        for k, (image,) in enumerate(self.images(state)):
+            pixels = problem.slices[problem.stars[k].stamp]
+            model[:, pixels] += problem.fluxes(state, k)[:, None] * image
         for i, pixels in enumerate(problem.slices):
             model[:, pixels] += problem.backgrounds(state, i)[:, None]
         return model
@@ -115,7 +142,7 @@ class _Shares:
     def update(self, cadences, learned):
         """Fit the polynomials of all pixels to the light of some cadences."""
         problem, state = self.problem, cadences.state
-        phi = self.basis(state)[learned]
+        phi = self.basis(state)[0][learned]
         fluxes = [problem.fluxes(state, k) for k in range(len(problem.stars))]
         rest = problem.flux - self.model(state)
         precision = [self.width[self.order] ** -2.0 / unit[:, None] ** 2 for unit in self.unit]
@@ -147,58 +174,56 @@ class _Shares:
         self._fix_gauge()
         self.width = np.maximum(np.sqrt(squares / counts), _LEAST_PRIOR)
 
+    def gauge(self, star):
+        """What a common factor changes, and the weights of the sum that stays that of the PSF."""
+        parts = np.maximum(self.size[star], 0.0)
+        weight = parts / (parts + self.faint[star])
+        return parts / (parts @ weight), weight
+
     def _fix_gauge(self):
-        """Let the sum of the shares be that of the PSF, and no change be common to all pixels."""
+        """Let a sum of the shares be that of the PSF, and no change be common to all pixels."""
         free_background = self.problem.options.background == "cadence"
-        for values, size, unit in zip(self.values, self.size, self.unit, strict=True):
-            parts = np.maximum(size, 0.0) / np.maximum(size, 0.0).sum()
+        for k, (star, unit) in enumerate(zip(self.values, self.unit, strict=True)):
             if free_background:
-                common = values @ unit**-2 / np.sum(unit**-2)
-                values -= common[:, None]
-            values -= values.sum(axis=1)[:, None] * parts
+                star[:] -= (star @ unit**-2 / np.sum(unit**-2))[:, None]
+            parts, weight = self.gauge(k)
+            star[:] -= (star @ weight)[:, None] * parts
 
 
 def _improve(shares, cadences, center, error, steps=2):
-    """Fit flux, position and background of each cadence; return their gains and covariances."""
-    problem = shares.problem
-    columns = problem.columns
+    """Fit flux, position and background of each cadence."""
     for _ in range(steps):
-        moved = cadences.state.cadence.copy()
-        for part in problem.chunks():
-            residual, design = _linearized(shares, cadences.state, part)
-            normal, right = _normal(
-                design, residual, cadences.weight[part], columns,
-                center[part] - moved[part, :2], error,
-            )  # fmt: skip
-            step = _solved(normal, right[..., None])[..., 0]
-            step[:, :2] = np.clip(step[:, :2], -_MOVE, _MOVE)
-            moved[part] += step
-        cadences.state = replace(cadences.state, cadence=moved)
+        cadence = cadences.state.cadence
+        residual, design = _linearized(shares, cadences.state)
+        deviation = center - cadence[:, :2]
+        normal, right = _normal(design, residual, cadences.weight, deviation, error)
+        step = _solved(normal, right[..., None])[..., 0]
+        step[:, :2] = np.clip(step[:, :2], -_MOVE, _MOVE)
+        cadences.state = replace(cadences.state, cadence=cadence + step)
 
 
-def _linearized(shares, state, part):
+def _linearized(shares, state):
     """Residuals, and derivatives of the model by the parameters of the cadences."""
     problem, columns = shares.problem, shares.problem.columns
-    residual = problem.flux[part].copy()
+    residual = problem.flux.copy()
     design = np.zeros((*residual.shape, len(columns)))
-    for k, star in enumerate(problem.stars):
-        pixels = problem.slices[star.stamp]
-        image, by_x, by_y = shares.images(state, k, part)
-        flux = problem.fluxes(state, k)[part, None]
+    for k, (image, by_x, by_y) in enumerate(shares.images(state, slopes=True)):
+        star = problem.stars[k]
+        pixels, flux = problem.slices[star.stamp], problem.fluxes(state, k)[:, None]
         residual[:, pixels] -= flux * image
         design[:, pixels, 0] += flux * by_x
         design[:, pixels, 1] += flux * by_y
         if not star.constant:
             design[:, pixels, columns.index(f"flux_{k}" if k else "flux")] = image
     for i, pixels in enumerate(problem.slices):
-        residual[:, pixels] -= problem.backgrounds(state, i)[part, None]
+        residual[:, pixels] -= problem.backgrounds(state, i)[:, None]
         name = f"background_{i}" if i else "background"
         if name in columns:
             design[:, pixels, columns.index(name)] = 1.0
     return residual, design
 
 
-def _normal(design, residual, weight, columns, deviation, error):
+def _normal(design, residual, weight, deviation, error):
     """Normal equations of the cadences, with the prior of the positions."""
     weighted = design * weight[..., None]
     normal = weighted.transpose(0, 2, 1) @ weighted
@@ -248,7 +273,9 @@ def _leave_out(shares, cadences, given):
     cadences.weight = given.copy()
     squares = _squares(shares, cadences)
     good = given > 0
-    typical = np.array([np.median(s[g]) if g.any() else 0.0 for s, g in zip(squares.T, good.T)])
+    typical = np.array(
+        [np.median(s[g]) if g.any() else 0.0 for s, g in zip(squares.T, good.T, strict=True)]
+    )
     hit = squares > _HIT**2 * np.maximum(typical / 0.455, 1.0)
     hit &= hit[cadences.used].mean(axis=0) <= _MOST_HITS
     # Where many pixels are hit, the cadence is wrong and not the pixel.
@@ -291,9 +318,17 @@ def _choose(problem, cadences, center, error, held, report):
         for k in range(len(problem.stars))
     ]
     given, steps, best = problem.weight, 0, None
+    errors = np.array([1 / np.median(w[w > 0]) if w.any() else np.inf for w in given.T])
+    faint = [
+        _FAINT
+        * errors[problem.slices[star.stamp]]
+        / abs(np.median(problem.fluxes(cadences.state, k)))
+        for k, star in enumerate(problem.stars)
+    ]
     for degrees in _LADDER:
         if best is None:
-            shares, trial = _Shares(problem, _ranges(problem, center), *degrees, sizes), cadences
+            shares = _Shares(_Psf(problem), _ranges(problem, center), *degrees, sizes, faint)
+            trial = cadences
         else:
             shares, trial = best[0].richer(*degrees), replace(best[1])
         _, more = _climb(shares, trial, center, error, held, _TRIAL_STEPS, given, report)
@@ -317,17 +352,15 @@ def _ranges(problem, center):
 
 def _start(problem, state, few):
     """Positions before the fit, their error, and the cadences to begin with."""
-    options, corr = problem.options, problem.data.pos_corr
-    error = {"path": _TIGHT, "free": _LOOSE}.get(options.positions, _POSITION_ERROR)
-    middle = np.median(few.xy(state), axis=0)
+    corr, middle = problem.data.pos_corr, np.median(few.xy(state), axis=0)
     cadence = np.zeros((len(problem.flux), len(problem.columns)))
-    if corr is not None and options.positions != "free":
+    if corr is not None and few.options.positions != "free":
         center = middle + corr - np.median(few.data.pos_corr, axis=0)
     else:
         center = centroids(problem.data, problem.target)
     cadence[:, :2] = center
     start = linear_start(problem, State(state.shared, np.zeros(0), cadence))
-    return center, error, _Cadences(start, problem.weight, np.ones(len(cadence), dtype=bool))
+    return center, _Cadences(start, problem.weight, np.ones(len(cadence), dtype=bool))
 
 
 def fit_response(problem, few, state, fits, report=None):
@@ -352,7 +385,13 @@ def fit_response(problem, few, state, fits, report=None):
     list of TPFFit
         One per file.
     """
-    center, error, cadences = _start(problem, state, few)
+    asked = problem.options
+    error = {"path": _TIGHT, "prior": asked.position_error, "free": _LOOSE}.get(
+        asked.positions, _POSITION_ERROR
+    )
+    options = replace(few.options, positions="prior") if few.path else few.options
+    problem = replace(few, stamps=problem.stamps, error_scale=1.0, options=options)
+    center, cadences = _start(problem, state, few)
     held = np.zeros(len(center), dtype=bool)
     held[_FIRST::_EVERY] = True
     shares, cadences, steps = _choose(problem, cadences, center, error, held, report)
@@ -379,28 +418,24 @@ class _Found:
 
 def _errors(shares, cadences, error):
     """Variances of the parameters of the cadences, ``(n, k)``, and how many are free, ``(n,)``."""
-    problem, state = shares.problem, cadences.state
-    variance = np.zeros(state.cadence.shape)
-    n_free = np.zeros(len(variance))
-    for part in problem.chunks():
-        _, design = _linearized(shares, state, part)
-        weight = cadences.weight[part]
-        normal, _ = _normal(design, weight * 0, weight, None, np.zeros((len(weight), 2)), error)
-        covariance = _solved(normal, np.broadcast_to(np.eye(normal.shape[1]), normal.shape))
-        variance[part] = np.einsum("nkk->nk", covariance)
-        n_free[part] = variance.shape[1] - variance[part, :2].sum(axis=1) / error**2
-        # How the errors of the shares act on them, in the gauge of the shares.
-        gain = np.einsum("nkl,npl->nkp", covariance, design * weight[..., None] ** 2)
-        phi = shares.basis(state, None, part)
-        for stamp, pixels in enumerate(problem.slices):
-            stars = [k for k, star in enumerate(problem.stars) if star.stamp == stamp]
-            columns = np.hstack([problem.fluxes(state, k)[part, None] * phi for k in stars])
-            parts = np.maximum(shares.size[stars[0]], 0.0)
-            own = gain[..., pixels]
-            own = own - (own @ (parts / parts.sum()))[..., None]
-            for number, pixel in enumerate(range(pixels.start, pixels.stop)):
-                spread = np.sum((columns @ shares.covariance[pixel]) * columns, axis=1)
-                variance[part] += own[..., number] ** 2 * spread[:, None]
+    problem, state, weight = shares.problem, cadences.state, cadences.weight
+    _, design = _linearized(shares, state)
+    normal, _ = _normal(design, 0 * weight, weight, 0.0, error)
+    covariance = _solved(normal, np.broadcast_to(np.eye(normal.shape[1]), normal.shape))
+    variance = np.einsum("nkk->nk", covariance).copy()
+    n_free = variance.shape[1] - variance[:, :2].sum(axis=1) / error**2
+    # How the errors of the shares act on them, in the gauge of the shares.
+    gain = covariance @ (design * weight[..., None] ** 2).transpose(0, 2, 1)
+    phi = shares.basis(state)[0]
+    for stamp, pixels in enumerate(problem.slices):
+        stars = [k for k, star in enumerate(problem.stars) if star.stamp == stamp]
+        columns = np.hstack([problem.fluxes(state, k)[:, None] * phi for k in stars])
+        parts, share_weight = shares.gauge(stars[0])
+        own = gain[..., pixels]
+        own = own - (own @ parts)[..., None] * share_weight
+        for number, pixel in enumerate(range(pixels.start, pixels.stop)):
+            spread = np.sum((columns @ shares.covariance[pixel]) * columns, axis=1)
+            variance += own[..., number] ** 2 * spread[:, None]
     return variance, n_free
 
 

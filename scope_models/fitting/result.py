@@ -394,7 +394,8 @@ class TPFFit:
             The fitted positions, with their noise, or those of the affine map of POS_CORR.
         signal : {"smooth", "fitted", "constant"}, optional
             Relative flux: the sum of the pixels smoothed over half a day, the fitted fluxes with
-            their noise, or none.
+            their noise, or none. With a response of each pixel, "smooth" are the fitted fluxes
+            with the power, in 40 bands of frequency, that their errors do not explain.
 
         Returns
         -------
@@ -407,7 +408,8 @@ class TPFFit:
 
         Notes
         -----
-        The fitted background is not in the scene: it is what the file left in the pixels.
+        The fitted background is not in the scene: it is what the file left in the pixels. With a
+        response of each pixel, it is, and so are the shares of the pixels.
         """
         from scope_models.fitting._scene import make_scene
 
@@ -433,6 +435,7 @@ class TPFFit:
             f"{n} cadences of {ny} x {nx} pixels, {stars} star{'s' * (stars > 1)}, {state}",
             f"chi-squared per degree of freedom {self.reduced_chi2:.4g}, typically {typical:.4g}",
             f"errors of the pixels scaled by {self.error_scale:.3g}",
+            *self._of_response(),
             f"flux {flux:.6g} e-/s at column {x:.3f}, row {y:.3f}",
         ]
         for axis, r2, scale in zip("xy", self.path_r2(), self.path_scale(), strict=True):
@@ -442,6 +445,16 @@ class TPFFit:
             error = "fixed" if row["fixed"] else f"+- {row['error']:.2g}"
             lines.append(f"  {row['name']:18s} {row['value']:12.6g} {error} {row['unit']}".rstrip())
         return "\n".join([*lines, *(f"! {doubt}" for doubt in doubts_of(self))])
+
+    def _of_response(self):
+        """Lines of the summary on the response of each pixel."""
+        if self.response:
+            shares, n = self.response[0], int(self.outliers.sum())
+            yield (
+                f"shares of pixels of degree {shares.degree} in position, {shares.time_degree} in "
+                f"time; chi-squared of {int(self.held_out.sum())} held-out cadences "
+                f"{self.chi2_held_out:.4g}; {n} outliers left out"
+            )
 
     def plot(self):
         """

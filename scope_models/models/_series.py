@@ -15,7 +15,7 @@ from scope_models.models._gaussian import (
 from scope_models.models._terms import Factor, Term, expand, is_pixel_integrated
 from scope_models.models.integration import PixelPoints, integrate_density, integrate_term
 
-__all__ = ["ImageSeries", "unit_images"]
+__all__ = ["ImageSeries", "is_gaussian", "unit_images"]
 
 # Positions of one call of what interpolates long series: so few are integrated one by one.
 _BATCH = FEW - 4
@@ -42,6 +42,9 @@ class ImageSeries:
         All positions of the series, or their extremes, which choose the `window`.
     widths : `~numpy.ndarray`, optional
         All factors on the width of the PSF, or their extremes.
+    blur : float, optional
+        Standard deviation along each axis, px, of a normal distribution of the star's position
+        with which images are convolved; of sums of Gaussians only.
 
     Attributes
     ----------
@@ -49,13 +52,14 @@ class ImageSeries:
         Rows and columns that the star lights.
     """
 
-    def __init__(self, psf, sensitivity, shape, x, y, widths=None):
+    def __init__(self, psf, sensitivity, shape, x, y, widths=None, blur=0.0):
         widest = 1.0 if widths is None else np.max(widths)
         parts = _parts(psf, sensitivity)
-        self.window = _window(parts, shape, x, y, widest)
+        self.window = _window(parts, shape, x, y, widest, blur)
         rows, columns = (np.arange(s.start, s.stop, dtype=float) for s in self.window)
         self._parts = [
-            (fraction, offset, _engine(term, columns, rows)) for fraction, offset, term in parts
+            (fraction, offset, _engine(term, columns, rows, blur))
+            for fraction, offset, term in parts
         ]
         self._shape = rows.size, columns.size
 
@@ -84,6 +88,23 @@ class ImageSeries:
             image *= fraction
             images = image if number == 0 else np.add(images, image, out=images)
         return images
+
+
+def is_gaussian(psf, sensitivity):
+    """
+    Whether all of a PSF times a sensitivity is bivariate normal times polynomials.
+
+    Parameters
+    ----------
+    psf, sensitivity : `~astropy.modeling.Model`
+        As for `ImageSeries`.
+
+    Returns
+    -------
+    gaussian : bool
+        Whether `ImageSeries` can blur it.
+    """
+    return all(_gaussian(term) is not None for _, _, term in _parts(psf, sensitivity))
 
 
 def unit_images(psf, shape, x, y):
@@ -143,7 +164,7 @@ def _gaussian(term):
     return tuple(float(value) for value in form.parameters[2:])
 
 
-def _window(parts, shape, x, y, widest):
+def _window(parts, shape, x, y, widest, blur):
     """Return the rows and columns that any component lights at any position."""
     windows = []
     for _, (dx, dy), term in parts:
@@ -153,7 +174,11 @@ def _window(parts, shape, x, y, widest):
         sigma_x, sigma_y, _ = gaussian
         ends = np.array([1.0, widest])
         columns, rows = (
-            reached(np.arange(n), np.add.outer(ends * d, [p.min(), p.max()]), widest * sigma)
+            reached(
+                np.arange(n),
+                np.add.outer(ends * d, [p.min(), p.max()]),
+                np.hypot(widest * sigma, blur),
+            )
             for n, d, p, sigma in ((shape[1], dx, x, sigma_x), (shape[0], dy, y, sigma_y))
         )
         windows.append((rows.start, rows.stop, columns.start, columns.stop))
@@ -161,17 +186,18 @@ def _window(parts, shape, x, y, widest):
     return slice(int(lows[0]), int(highs[1])), slice(int(lows[2]), int(highs[3]))
 
 
-def _engine(term, columns, rows):
+def _engine(term, columns, rows, blur):
     """Return the function of positions and widths that renders one component."""
     gaussian = _gaussian(term)
     along = term.polynomials()
     if gaussian is None:
         return _directly(term, columns, rows)
-    sigma_x, sigma_y, rho = gaussian
+    widened = _Widened(*gaussian, blur)
+    sigma_x, sigma_y, rho = widened()
     if not uses_series(sigma_x, sigma_y, rho, max(c.size for c in along) - 1):
-        return _tensor(columns, rows, (sigma_x, sigma_y, rho), along)
+        return _tensor(columns, rows, widened, along)
     n = n_terms(rho)
-    powers = (rho ** np.arange(n))[:, np.newaxis]
+    orders = np.arange(n)[:, np.newaxis]
     x_axis = AxisPanels(columns, sigma_x, along[0], n, abs(rho))
     y_axis = AxisPanels(rows, sigma_y, along[1], n, abs(rho))
     step = series_step(n, columns, rows) // ROWS * ROWS
@@ -180,27 +206,49 @@ def _engine(term, columns, rows):
         images = np.empty((x.size, rows.size, columns.size))
         for start in range(0, x.size, step):
             part = slice(start, start + step)
-            scale = None if widths is None else widths[part]
-            y_table = y_axis(y[part], scale)
-            y_table *= powers
-            contract(y_table, x_axis(x[part], scale), images[part])
+            wide, tall, tilt = (None, None, rho) if widths is None else widened.over(widths[part])
+            y_table = y_axis(y[part], tall)
+            y_table *= np.reshape(tilt, (-1, 1, 1)) ** orders
+            contract(y_table, x_axis(x[part], wide), images[part])
         return images
 
     return render
 
 
-def _tensor(columns, rows, shape, along):
+class _Widened:
+    """Widths and correlation of a normal density that focus widens and blur convolves."""
+
+    def __init__(self, sigma_x, sigma_y, rho, blur):
+        self._unblurred, self._blur = (sigma_x, sigma_y, rho), blur
+
+    def __call__(self, widths=1.0):
+        """Return sigma_x, sigma_y and rho at factors on the width."""
+        sigma_x, sigma_y, rho = self._unblurred
+        sigmas = widths * sigma_x, widths * sigma_y
+        if not self._blur:
+            return *sigmas, rho
+        wide, tall = (np.hypot(sigma, self._blur) for sigma in sigmas)
+        return wide, tall, rho * (sigmas[0] / wide) * (sigmas[1] / tall)
+
+    def over(self, widths):
+        """Return the factors on both widths against those at 1, and the correlation."""
+        if not self._blur:
+            return widths, widths, self._unblurred[2]
+        sigma_x, sigma_y, _ = self()
+        wide, tall, rho = self(widths)
+        return wide / sigma_x, tall / sigma_y, rho
+
+
+def _tensor(columns, rows, widened, along):
     """Return the renderer of a Gaussian so narrow along one direction that the series is long."""
-    sigma_x, sigma_y, rho = shape
 
     def render(x, y, widths):
         images = np.empty((x.size, rows.size, columns.size))
         step = _BATCH if widths is None else 1  # the rule follows from the narrowest of a batch
         for start in range(0, x.size, step):
             part = slice(start, start + step)
-            scale = 1.0 if widths is None else widths[part]
-            sigmas = scale * sigma_x, scale * sigma_y
-            images[part] = gaussian_pixels(columns, rows, x[part], y[part], *sigmas, rho, *along)
+            shape = widened() if widths is None else widened(widths[part])
+            images[part] = gaussian_pixels(columns, rows, x[part], y[part], *shape, *along)
         return images
 
     return render

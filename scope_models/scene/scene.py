@@ -11,7 +11,7 @@ from astropy.utils.exceptions import AstropyDeprecationWarning
 
 from scope_models._arrays import plain_number
 from scope_models._checks import checked_integer
-from scope_models.effects import Effect
+from scope_models.effects import Effect, mission_effects
 from scope_models.effects.noise import check_seed, noise_terms
 from scope_models.io import TPFMetadata, read_truth, write_hdulist
 from scope_models.io._headers import tan_projection
@@ -62,9 +62,9 @@ class Scene:
         Exposures within a cadence over which the motion is averaged. Positions are interpolated
         between the middles of the cadences by straight lines, and stay before the first and after
         the last. The relative flux is a mean over the cadence in any case.
-    effects : Effect or sequence of Effect, optional
+    effects : Effect or sequence of Effect or "mission", optional
         What sky, telescope and detector do besides noise and saturation: see
-        `scope_models.effects`.
+        `scope_models.effects`. "mission" are those of `~scope_models.effects.mission_effects`.
     target_id : int, optional
         KEPLERID or TICID of the target in a file; the default is 1.
     object_name : str, optional
@@ -134,7 +134,7 @@ class Scene:
         put("seed", None if self.seed is None else check_seed(self.seed))
         put("noise", noise_terms(self.noise))
         put("n_sub", checked_integer("n_sub", self.n_sub, 1))
-        put("effects", _checked_effects(self.effects))
+        put("effects", _checked_effects(self.effects, self.detector))
         for name in ("ra", "dec", "orientation"):
             if getattr(self, name) is not None:
                 put(name, plain_number(getattr(self, name), "deg", name))
@@ -364,8 +364,10 @@ def _checked_stars(stars):
     return stars
 
 
-def _checked_effects(effects):
-    """Return one effect or several as a tuple."""
+def _checked_effects(effects, detector):
+    """Return one effect, several or the mission's as a tuple."""
+    if isinstance(effects, str) and effects == "mission":
+        return mission_effects(detector)
     if isinstance(effects, Effect):
         return (effects,)
     if not isinstance(effects, Iterable):

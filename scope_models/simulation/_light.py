@@ -7,11 +7,11 @@ from operator import mul
 
 import numpy as np
 
-from scope_models.effects import Conditions
+from scope_models.effects import Conditions, Exposures
 from scope_models.effects.noise import stream
 from scope_models.effects.saturation import bleed
 from scope_models.models._axis import ROWS
-from scope_models.models._series import ImageSeries, unit_images
+from scope_models.models._series import ImageSeries, is_gaussian, unit_images
 
 __all__ = [
     "Prepared",
@@ -163,19 +163,20 @@ def _star_lights(scene, conditions, effects):
     """Return the light of each star of a scene."""
     detector, time = scene.detector, scene.motion.time
     widths = _product(effect.width(drawn, conditions) for effect, drawn in effects)
-    x, y, weights = _offsets(
+    exposures = _exposures(
         scene, [effect.exposures(drawn, conditions) for effect, drawn in effects]
     )
-    lights = []
+    expanded, lights = exposures.expanded(), []
     for number, (star, (x_0, y_0)) in enumerate(zip(scene.stars, scene.positions, strict=True)):
-        place = x + x_0, y + y_0
         psf, response = _psf(star, detector), detector.sensitivity
-        series = ImageSeries(psf, response, detector.shape, *place, widths)
+        moved = exposures if exposures.blur and is_gaussian(psf, response) else expanded
+        place = moved.x + x_0, moved.y + y_0
+        series = ImageSeries(psf, response, detector.shape, *place, widths, moved.blur)
         flux, relative = detector.flux_from_mag(star.mag), star.relative_flux(time)
         found = (effect.shares(drawn, conditions, number) for effect, drawn in effects)
         shares = tuple(share for share in found if share is not None)
-        light = StarLight(*place, weights, widths, flux, relative, series, shares, detector.shape)
-        lights.append(light)
+        light = *place, moved.weights, widths, flux, relative, series, shares, detector.shape
+        lights.append(StarLight(*light))
     return lights
 
 
@@ -209,23 +210,16 @@ def lost_fractions(scene):
     return np.clip(lost, 0.0, 1.0)
 
 
-def _offsets(scene, exposures):
-    """Return the offsets of each exposure, two of shape (n_cadences, k), and their weights."""
+def _exposures(scene, added):
+    """Return the exposures of the motion, joined with those of effects."""
     motion = scene.motion
     x, y = motion.x[:, np.newaxis], motion.y[:, np.newaxis]
     if scene.n_sub > 1:
         parts = (np.arange(scene.n_sub) + 0.5) / scene.n_sub - 0.5
         times = motion.time[:, np.newaxis] + parts * scene.detector.cadence_days
         x, y = (np.interp(times, motion.time, values) for values in (motion.x, motion.y))
-    weights = np.full(scene.n_sub, 1 / scene.n_sub)
-    for more in exposures:
-        if more is not None:
-            x, y = (
-                (a[:, :, np.newaxis] + b[:, np.newaxis]).reshape(len(a), -1)
-                for a, b in ((x, more.x), (y, more.y))
-            )
-            weights = np.outer(weights, more.weights).ravel()
-    return x, y, weights
+    exposures = Exposures(x, y, np.full(scene.n_sub, 1 / scene.n_sub))
+    return reduce(Exposures.joined, (more for more in added if more is not None), exposures)
 
 
 def _psf(star, detector):

@@ -6,7 +6,8 @@ from html import escape
 
 import numpy as np
 
-from scope_models._checks import checked_mask
+from scope_models._arrays import plain_array
+from scope_models._checks import checked_integer, checked_mask
 from scope_models.io import TPFMetadata, Truth, make_tpf_hdulist, write_tpf
 from scope_models.missions import MISSIONS, TIME_ZEROS
 from scope_models.scene.scene import Scene, scene_facts
@@ -264,34 +265,6 @@ class Observation:
             mask = self._checked_aperture(mask)
         return tpf.to_lightcurve(aperture_mask=mask)
 
-    def plot(self):
-        """Draw the first cadence with the aperture, the target's motion and its light curve.
-
-        Returns
-        -------
-        dict of str to matplotlib.axes.Axes
-            The Axes, see `scope_models.plotting.plot_summary`.
-
-        Examples
-        --------
-        >>> from scope_models import Detector, Motion, Star, simulate
-        >>> observation = simulate(Star(12.0), Detector.k2(), Motion.k2_roll(50), seed=1)
-        >>> sorted(observation.plot())
-        ['image', 'light curve', 'motion']
-        """
-        from scope_models.plotting import plot_summary
-
-        return plot_summary(
-            self.time,
-            self.flux[0],
-            self.flux[:, self.aperture].sum(axis=1, dtype=float),
-            self.truth.x[0],
-            self.truth.y[0],
-            aperture=self.aperture,
-            time_label=f"Time ({self.motion.time_format.upper()})",
-            title=self.scene.object_name,
-        )
-
     def write(self, path, overwrite=False, *, aperture_mask=None, metadata=None):
         """Write a target pixel file with the truth.
 
@@ -328,6 +301,122 @@ class Observation:
         """
         arguments = self._tpf_arguments(metadata, aperture_mask)
         return write_tpf(path, overwrite=overwrite, **arguments)
+
+    def plot(self, corrected=None, aperture_mask=None, *, title=None):
+        """Draw pixels, motion and light curves in one figure.
+
+        Parameters
+        ----------
+        corrected : lightkurve.LightCurve or array_like, optional
+            The corrected light curve, with a column ``cadenceno``, or one value per cadence. It is
+            drawn over the raw one, and alone beside the true signal and the expected noise.
+        aperture_mask : array_like of bool, shape (ny, nx), optional
+            The pixels of the raw light curve, such as those of the corrector. The default is
+            `aperture`.
+        title : str, optional
+            Title of the figure; the name in the scene by default.
+
+        Returns
+        -------
+        dict
+            The Axes, see `scope_models.plotting.plot_summary`.
+
+        Raises
+        ------
+        ValueError
+            If the light curve has other cadences than the observation, or the aperture no pixels.
+
+        Examples
+        --------
+        >>> from scope_models import Detector, Motion, Star, simulate
+        >>> observation = simulate(Star(12.0), Detector.k2(), Motion.still(50), seed=1)
+        >>> axes = observation.plot()
+        >>> axes["light curve"].get_xlabel()
+        'Time (BKJD)'
+        """
+        from scope_models.plotting import plot_summary
+
+        aperture = self._checked_aperture(aperture_mask)
+        raw = self.flux[:, aperture].sum(axis=1, dtype=float)
+        signal = 1 + self.target_share(aperture) * (self.truth.relative_flux[0] - 1)
+        return plot_summary(
+            self.time,
+            self.flux[0],
+            raw,
+            self.truth.x[0],
+            self.truth.y[0],
+            corrected=None if corrected is None else self._at_all_cadences(corrected),
+            aperture=aperture,
+            model=signal / np.nanmedian(signal) if np.ptp(signal) > 0 else None,
+            noise=np.sqrt((self.flux_err[:, aperture].astype(float) ** 2).sum(axis=1)) / raw,
+            time_label=self._time_label,
+            title=self.scene.object_name if title is None else title,
+        )
+
+    def animate(self, aperture_mask=None, *, step=1, interval=50, ax=None):
+        """Animate the pixels, with the outline of an aperture.
+
+        Parameters
+        ----------
+        aperture_mask : array_like of bool, shape (ny, nx), optional
+            The aperture. The default is `aperture`.
+        step : int, optional
+            Draw every step-th cadence.
+        interval : float, optional
+            Milliseconds per frame.
+        ax : matplotlib.axes.Axes, optional
+            Where to draw; a new figure by default.
+
+        Returns
+        -------
+        matplotlib.animation.FuncAnimation
+            The animation; keep it, and show it or ``.save()`` it. Its ``to_jshtml()`` is a page
+            with buttons.
+
+        Raises
+        ------
+        ValueError
+            If `step` is below 1.
+
+        Examples
+        --------
+        >>> from scope_models import Detector, Motion, Star, simulate
+        >>> observation = simulate(Star(12.0), Detector.k2(), Motion.still(50), seed=1)
+        >>> html = observation.animate(step=25).to_jshtml()
+        """
+        from scope_models.plotting import animate_pixels
+
+        step = checked_integer("step", step, 1)
+        return animate_pixels(
+            self.flux[::step],
+            self.time[::step],
+            self._checked_aperture(aperture_mask),
+            interval=interval,
+            time_label=self._time_label,
+            ax=ax,
+        )
+
+    @property
+    def _time_label(self):
+        return f"Time ({self.motion.time_format.upper()})"
+
+    def _at_all_cadences(self, corrected):
+        """Return a corrected light curve at all cadences, NaN where it has none."""
+        flux = plain_array(getattr(corrected, "flux", corrected), None, "corrected")
+        numbers = getattr(corrected, "cadenceno", None)
+        if numbers is None:
+            if flux.shape != self.time.shape:
+                raise ValueError(
+                    f"`corrected` must have one value for each of the {len(self.time)} cadences or "
+                    f"a column cadenceno, got shape {flux.shape}"
+                )
+            return flux
+        places = np.searchsorted(self.cadenceno, np.asarray(numbers)).clip(0, len(self.time) - 1)
+        if not np.array_equal(self.cadenceno[places], numbers):
+            raise ValueError("`corrected` has cadences that the observation does not have")
+        full = np.full(len(self.time), np.nan)
+        full[places] = flux / np.nanmedian(flux)
+        return full
 
     def _metadata(self, changes, aperture):
         """Return the facts for the headers of a file with an aperture."""

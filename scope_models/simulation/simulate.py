@@ -45,8 +45,8 @@ def simulate(stars, detector=None, motion=None, *, keep_model=False, chunk_size=
 
     The expected electrons of all stars come first: each PSF times the sensitivity of the pixels
     is integrated over them at the star's position, times the relative flux and the interpixel
-    map; what the wells do not hold bleeds along the columns. Noise comes last: photons of stars
-    and background (Poisson), read noise (normal), digitization.
+    map. Then photons of stars and background are drawn (Poisson), what the wells do not hold
+    bleeds along the columns, and read noise (normal) and digitization come last.
 
     Parameters
     ----------
@@ -91,8 +91,9 @@ def simulate(stars, detector=None, motion=None, *, keep_model=False, chunk_size=
     Fluxes are stored in single precision: their errors are at least those of the rounding, so
     that they are positive even without noise.
 
-    Pixels at the depth of their wells keep the noise of the light that they hold; real ones
-    have less.
+    Wells fill with the charge that is detected: a full pixel has no photon noise, which is at the
+    ends of the bleeding column, as in real files. The errors of the flux are those of the light
+    that a pixel holds, as in real files, too.
 
     Examples
     --------
@@ -126,7 +127,10 @@ def simulate(stars, detector=None, motion=None, *, keep_model=False, chunk_size=
     for part in pieces(scene, chunk_size):
         expected = gather(prepared, part, sums, aperture)
         added, subtracted = pedestal(prepared, part, expected)
+        charge, sky = _detect(expected, added, streams)
         spilled = max(spilled, fill_wells(scene, expected, added))
+        fill_wells(scene, charge, sky)
+        charge += sky
         if keep_model:
             np.divide(expected, scene.detector.exposure_time, out=model[part])
         background = (subtracted / scene.detector.exposure_time).astype(np.float32)
@@ -136,7 +140,7 @@ def simulate(stars, detector=None, motion=None, *, keep_model=False, chunk_size=
             flux_bkg = np.empty(shape, np.float32) if flux_bkg is None else flux_bkg
             flux_bkg[part] = background
         piece = {name: cube[part] for name, cube in cubes.items()}
-        _record(prepared, part, expected, (added, subtracted), streams, piece)
+        _record(prepared, part, (expected, charge), (added, subtracted), streams, piece)
     _warn_of_spilled_charge(spilled, scene.detector.shape)
     return Observation(
         **cubes,
@@ -181,10 +185,11 @@ def _choose_aperture(prepared):
     )
 
 
-def _record(prepared, part, expected, pedestals, streams, cubes):
-    """Write what a slice of cadences records of the expected electrons into its cubes."""
+def _record(prepared, part, charges, pedestals, streams, cubes):
+    """Write what a slice of cadences records of expected and detected charge into its cubes."""
     detector, (added, subtracted) = prepared.scene.detector, pedestals
-    electrons = _detect(prepared, part, expected, added, streams)
+    expected, electrons = charges
+    _read_out(prepared, part, electrons, streams)
     cubes["raw_cnts"][...] = _digital_numbers(electrons, detector)
     electrons -= subtracted
     electrons /= detector.exposure_time
@@ -198,17 +203,17 @@ def _record(prepared, part, expected, pedestals, streams, cubes):
     cubes["flux_err"][...] = error
 
 
-def _detect(prepared, part, expected, added, streams):
-    """Return the electrons that are read out, with all that is added to the stars' light."""
-    detector = prepared.scene.detector
-    if "photon" in streams:
-        electrons = poisson_counts(expected, streams["photon"])
-    else:
-        electrons = expected.copy()
+def _detect(expected, added, streams):
+    """Return the charge that the stars' light makes, and that of all that is added to it."""
+    charge = poisson_counts(expected, streams["photon"]) if "photon" in streams else expected.copy()
     if "background" in streams:
-        electrons += poisson_counts(added, streams["background"], expected.shape)
-    else:
-        electrons += added
+        return charge, poisson_counts(added, streams["background"], expected.shape)
+    return charge, added
+
+
+def _read_out(prepared, part, electrons, streams):
+    """Change the charge of some cadences as detector and readout do, in place."""
+    detector = prepared.scene.detector
     for stage in ("charge", "readout"):
         for effect, drawn in prepared.effects:
             getattr(effect, stage)(drawn, prepared.conditions, part, electrons)
@@ -216,7 +221,6 @@ def _detect(prepared, part, expected, added, streams):
         add_read_noise(electrons, detector.cadence_read_noise, streams["read"])
     if "quantization" in streams:
         add_quantization(electrons, detector.gain, detector.n_reads, streams["quantization"])
-    return electrons
 
 
 def _flag(prepared, cubes):

@@ -1,14 +1,19 @@
 """Tests of the corrector that models all pixels, on stars of known truth."""
 
+import copy
 import warnings
 
 import numpy as np
 import pytest
+from astropy.coordinates import SkyCoord
 from astropy.table import Table
 
 from scope_models.correctors import SceneCorrector
+from scope_models.correctors._flux_model import FluxModel
 from scope_models.exceptions import DetrendingWarning
 from scope_models.experiments.skies import make_sky, score
+from scope_models.io import read_pixels
+from scope_models.io._places import target_place
 
 
 @pytest.fixture(scope="module")
@@ -111,14 +116,77 @@ def test_without_positions_and_with_a_users_aperture(constant):
     assert found.full < 0.5 * score(corrector.original_lc, sky).full
 
 
-def test_given_neighbors(neighbor):
+def test_given_neighbors_are_where_they_are_given(neighbor):
     sky, corrector = neighbor
     found = corrector.result.neighbors
-    place = [[found["x"][0].value, found["y"][0].value]]
+    x, y = found["x"][0].value, found["y"][0].value
+    track = corrector.scene.track
     tpf = sky.to_tpf()
-    for given in (place, Table(np.array(place), names=("x", "y"))):
-        assert SceneCorrector(tpf, neighbors=given)._offsets.shape == (1, 2)
-    assert SceneCorrector(tpf, neighbors=[])._offsets.shape == (0, 2)
+    for given in ([[x, y]], Table([[x], [y]], names=("x", "y"))):
+        known = SceneCorrector(tpf, neighbors=given)._known
+        expected = [[x - np.median(track.x), y - np.median(track.y)]]
+        np.testing.assert_allclose(known.offsets(track), expected, atol=1e-9)
+    assert SceneCorrector(tpf, neighbors=[])._known.places.shape == (0, 2)
+
+
+def test_neighbors_on_the_sky(constant):
+    """lightkurve's own reading of the file's coordinates is the truth."""
+    tpf = constant[0].to_tpf()
+    place = tpf.wcs.world_to_pixel(SkyCoord(tpf.ra, tpf.dec, unit="deg"))
+    other = tpf.wcs.pixel_to_world(place[0] + 3.0, place[1] - 2.0)
+    table = Table({"ra": [other.ra.deg], "dec": [other.dec.deg]})
+    track = constant[1].scene.track
+    for given in (other, SkyCoord([other]).galactic, table):
+        known = SceneCorrector(tpf, neighbors=given)._known
+        np.testing.assert_allclose(known.offsets(track), [[3.0, -2.0]], atol=1e-4)
+    with pytest.raises(ValueError, match="must not hold the target itself"):
+        SceneCorrector(tpf, neighbors=SkyCoord(tpf.ra, tpf.dec, unit="deg"))
+
+
+def test_neighbors_that_cannot_matter_warn(constant):
+    with pytest.warns(DetrendingWarning, match="1 of `neighbors` are far outside"):
+        corrector = SceneCorrector(constant[0].to_tpf(), neighbors=[[3.0, 1.0], [40.0, 2.0]])
+    assert len(corrector._known.places) == 1
+
+
+def test_coordinates_of_a_real_file(shared_data):
+    name = "kepler_tpf/kplr009002278-2010174085026_lpd-targ.fits.gz"
+    series = read_pixels(shared_data / name)
+    image = np.nanmedian(series.flux, axis=0)
+    rows, columns = np.indices(image.shape)
+    center = [np.sum(image * k) / image.sum() for k in (columns, rows)]
+    np.testing.assert_allclose(target_place(series), center, atol=0.5)
+
+
+def test_absurd_corrections_become_nan(constant, monkeypatch):
+    corrector = copy.copy(constant[1])
+    allowed = np.ones(corrector._data.usable.sum(), dtype=bool)
+    removed, variance = corrector._chosen.model.systematics()
+    removed[7] = 10.0
+    monkeypatch.setattr(FluxModel, "systematics", lambda _: (removed, variance))
+    with pytest.warns(DetrendingWarning, match="1 of .* cadences are NaN"):
+        corrector._finish(allowed, has_transit=False, restore_trend=True)
+    lost = np.isnan(corrector.corrected_lc.flux.value) & corrector._data.usable
+    np.testing.assert_array_equal(np.flatnonzero(lost[corrector._data.usable]), [7])
+
+
+def test_correction_that_adds_noise_warns(constant, monkeypatch):
+    corrector = copy.copy(constant[1])
+    allowed = np.ones(corrector._data.usable.sum(), dtype=bool)
+    _, variance = corrector._chosen.model.systematics()
+    walk = np.cumsum(np.random.default_rng(3).normal(0, 0.02, len(variance)))
+    monkeypatch.setattr(FluxModel, "systematics", lambda _: (walk, variance))
+    with pytest.warns(DetrendingWarning, match="scatters more than the sum over the aperture"):
+        corrector._finish(allowed, has_transit=False, restore_trend=True)
+
+
+def test_full_pixels_warn():
+    sky = make_sky("k2-1x-kp10-saturated", 1, n_cadences=100)
+    corrector = SceneCorrector(sky.to_tpf(), neighbors=[])
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        corrector.correct()
+    assert any("PLDCorrector corrects such stars better" in str(w.message) for w in caught)
 
 
 @pytest.mark.slow
@@ -134,7 +202,10 @@ def test_crowded_window_warns(neighbor):
     ("arguments", "match"),
     [
         ({"aperture_mask": np.ones((2, 2), bool)}, "`aperture_mask` must be a boolean mask"),
-        ({"neighbors": [[1.0, 2.0, 3.0]]}, r"`neighbors` must have shape \(m, 2\)"),
+        (
+            {"neighbors": [[1.0, 2.0, 3.0]]},
+            r"`neighbors` must be finite positions of shape \(k, 2\)",
+        ),
         ({"neighbors": [[np.nan, 2.0]]}, "`neighbors` must be finite"),
         ({"neighbors": Table({"a": [1.0]})}, "`neighbors` must have the columns x and y"),
     ],

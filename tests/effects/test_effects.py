@@ -9,17 +9,20 @@ from scope_models.effects import (
     Argabrightening,
     Background,
     BrighterFatter,
+    ChargeTransferInefficiency,
     CosmicRays,
     DarkCurrent,
     Effect,
     Focus,
     Gaps,
     Jitter,
+    RollingBands,
     ScatteredLight,
     SensitivityDropouts,
     Smear,
     Throughput,
     Undershoot,
+    mission_effects,
     rejected_shift,
 )
 from scope_models.io import read_truth
@@ -40,6 +43,10 @@ EFFECTS = {
     "dark current": DarkCurrent(20.0, residual=0.3),
     "brighter-fatter": BrighterFatter(),
     "undershoot": Undershoot(),
+    "charge transfer": ChargeTransferInefficiency(1e-4, 1e-4),
+    "rolling bands": RollingBands(rate=3.0),
+    "shares": PixelShares(np.full((3, 11, 11), 1e-3), (4, 6), (4, 6), (2144, 2146), 1),
+    "left": Background(left=np.linspace(-5.0, 5.0, 60)),
     "gaps": Gaps([(2144.5, 2144.8), (2145.0, 2145.0)]),
 }
 
@@ -157,6 +164,11 @@ def test_scattered_light_peaks_at_every_perigee():
     expected = 1000 * np.exp(-np.abs(motion.time[near] - 1330.0) / 0.5)
     np.testing.assert_allclose(light[near], expected, atol=1000 * np.exp(-13.7))
     assert light.min() >= 0
+    assert not observation.quality.any()
+    flagging = ScatteredLight(1000.0, perigee=1330.0, flag_above=0.1 * u.electron / u.ms)
+    flagged = simulate(Star(10.0), Detector.tess(), motion, effects=flagging)
+    strong = flagged.truth.columns["SCATTEREDLIGHT"] > 100
+    assert np.array_equal(flagged.quality, np.where(strong, 4096, 0))
 
 
 def test_flashes_have_their_rate_brightness_and_bit():
@@ -190,22 +202,52 @@ class Nothing(Effect):
         (lambda: Background(1.0, gradient=(1, 0)), ValueError, "`gradient` makes the light"),
         (lambda: Background(1.0, drift=-1e6), ValueError, "`drift` makes the background negative"),
         (lambda: Background(1.0 * u.m), ValueError, "`level` must be in"),
+        (lambda: Background(np.nan), ValueError, "`level` must be finite"),
+        (lambda: Background(1.0, residual="all"), TypeError, "`residual` must be"),
         (lambda: Argabrightening(rate=-1), ValueError, "`rate` must not be negative"),
+        (lambda: Argabrightening(brightness=-1), ValueError, "`brightness` must not be negative"),
+        (lambda: ScatteredLight(peak=-1), ValueError, "`peak` must not be negative"),
+        (lambda: ScatteredLight(time_scale=0), ValueError, "`time_scale` must be positive"),
+        (lambda: ScatteredLight(perigee=np.inf), ValueError, "`perigee` must be finite"),
+        (lambda: ScatteredLight(flag_above=-1), ValueError, "`flag_above` must not be negative"),
         (lambda: ScatteredLight(orbit=0), ValueError, "`orbit` must be positive"),
         (lambda: CosmicRays(rate=-1), ValueError, "`rate` must not be negative"),
         (lambda: CosmicRays(electrons=0), ValueError, "`electrons` must be positive"),
+        (lambda: CosmicRays(rate=1 / u.s), ValueError, "`rate` must be in"),
+        (lambda: CosmicRays(pixel_size=0), ValueError, "`pixel_size` must be positive"),
+        (lambda: CosmicRays(depth=-1), ValueError, "`depth` must be positive"),
+        (lambda: CosmicRays(longest=0), ValueError, "`longest` must be positive"),
         (lambda: CosmicRays(rejection=1), TypeError, "`rejection` must be True or False"),
         (lambda: Jitter(-0.1), ValueError, "`rms` must not be negative"),
+        (lambda: Jitter(0.1, -1.0), ValueError, "`correlation_time` must not be negative"),
         (lambda: Jitter(1 * u.arcsec), ValueError, "`rms` must be in pix"),
         (lambda: Jitter(0.1, nodes=0), ValueError, "`nodes` must be at least 1"),
         (lambda: Throughput(1.5, 9e9, 0.75), ValueError, "response must not be negative"),
         (lambda: Throughput(series=[1.0]), ValueError, "one factor for each of the 2 cadences"),
+        (lambda: Throughput(period=0), ValueError, "`period` must be positive"),
+        (lambda: Throughput(series=[1.0, np.nan]), ValueError, "`series` must be a finite"),
+        (lambda: SensitivityDropouts(rate=-1), ValueError, "`rate` must not be negative"),
+        (lambda: SensitivityDropouts(recovery=2), ValueError, "`recovery` must not be above 1"),
+        (lambda: SensitivityDropouts(recovery_time=0), ValueError, "`recovery_time` must be pos"),
         (lambda: SensitivityDropouts(depth=2), ValueError, "`depth` must not be above 1"),
         (lambda: Smear(rows=0), ValueError, "`rows` must be at least 1"),
         (lambda: DarkCurrent(-1), ValueError, "`level` must not be negative"),
+        (lambda: DarkCurrent(scatter=-1), ValueError, "`scatter` must not be negative"),
+        (lambda: BrighterFatter(-1), ValueError, "`coefficient` must not be negative"),
+        (lambda: Undershoot(-1), ValueError, "`amplitude` must not be negative"),
+        (lambda: ChargeTransferInefficiency(0.1), ValueError, "`parallel` must be below 0.1"),
+        (lambda: ChargeTransferInefficiency(serial=-1), ValueError, "`serial` must not be neg"),
+        (lambda: ChargeTransferInefficiency(rows=0), ValueError, "`rows` must be at least 1"),
+        (lambda: ChargeTransferInefficiency(columns=1.5), TypeError, "`columns` must be an int"),
+        (lambda: RollingBands(rate=-1), ValueError, "`rate` must not be negative"),
+        (lambda: RollingBands(amplitude=-1), ValueError, "`amplitude` must not be negative"),
+        (lambda: RollingBands(duration=0), ValueError, "`duration` must be positive"),
+        (lambda: RollingBands(spacing=0 * u.pix), ValueError, "`spacing` must be positive"),
+        (lambda: RollingBands(speed=np.nan), ValueError, "`speed` must be finite"),
         (lambda: BrighterFatter(full_well=0), ValueError, "`full_well` must be positive"),
         (lambda: Undershoot(decay=0), ValueError, "`decay` must be positive"),
         (lambda: Gaps([(2, 1)]), ValueError, "`intervals` must not end before they begin"),
+        (lambda: Gaps([(1, np.nan)]), ValueError, "`intervals` must be finite and of the shape"),
         (lambda: Gaps([1, 2]), ValueError, "`intervals` must be finite and of the shape"),
         (lambda: "focus", TypeError, "`effects` must hold effects, got 'f'"),
         (lambda: 7, TypeError, "`effects` must be effects, got 7"),
@@ -356,7 +398,38 @@ def test_jitter_is_a_convolution():
     s = float(np.hypot(sigma, observation.truth.columns["JITTER_BLUR"][0]))
     wide = Star(12.0, 5 + x, 5 + y, psf=BivariateGaussianPSF(sigma_x=s, sigma_y=s))
     alone = simulate(wide, detector, Motion.still(1), noise=False).model()
-    np.testing.assert_allclose(observation.model(), alone, atol=1e-7 * 1.74e5)
+    np.testing.assert_allclose(observation.model(), alone, atol=1e-12 * 1.74e5)
+
+
+def test_jitter_of_tilted_and_other_densities_that_breathe():
+    from photutils.psf import MoffatPSF
+
+    widths = np.array([0.9, 1.2])
+    effects = Jitter(0.15, nodes=5), Focus(series=widths)
+    motion = Motion.still(2)
+    detector = Detector.k2(shape=(7, 7), interpixel_scatter=0.0)
+    psfs = (
+        BivariateGaussianPSF(sigma_x=0.8, sigma_y=0.6, rho=0.4),
+        BivariateGaussianPSF(sigma_x=0.8, sigma_y=0.6, rho=0.97),
+        MoffatPSF(alpha=1.5, beta=4.0),
+    )
+    for psf in psfs:
+        scene = Scene(Star(12.0, psf=psf), detector, motion, seed=1, noise=False, effects=effects)
+        observation = simulate(scene)
+        x, y, blur = (observation.truth.columns[f"JITTER_{k}"] for k in ("X", "Y", "BLUR"))
+        # The same normal distribution of positions, by a grid of its own.
+        at = np.linspace(-5, 5, 11)
+        weights = np.exp(-(at**2) / 2)
+        weights = np.outer(weights, weights).ravel() / weights.sum() ** 2
+        dx, dy = (blur[0] * grid.ravel() for grid in np.meshgrid(at, at))
+        for cadence, width in enumerate(widths):
+            path = Motion(np.arange(dx.size), x[cadence] + dx, y[cadence] + dy)
+            images = simulate(
+                Star(12.0, psf=psf), detector, path, seed=1, noise=False,
+                effects=Focus(series=np.full(dx.size, width)),
+            ).model()  # fmt: skip
+            mean = np.tensordot(weights, images, axes=1)
+            np.testing.assert_allclose(observation.model()[cadence], mean, atol=2e-6 * 1.74e5)
 
 
 def test_throughput_is_the_ratio_of_cadences():
@@ -500,8 +573,132 @@ def test_undershoot_of_one_pixel_and_of_a_flat_field():
     assert not charge[0, 0, :3].any()
 
 
+def test_charge_that_transfers_leave_behind():
+    epsilon, rows = 0.02, 30
+    charge = np.zeros((1, 9, 1))
+    charge[0, 2:5, 0] = 1e4, 2e4, 500.0
+    late = charge.copy()
+    ChargeTransferInefficiency(epsilon, 0.0, rows=rows).readout(None, None, None, late)
+    # Clock by clock: every packet leaves a part behind, and what passes the end is read.
+    wells, read = np.concatenate([np.zeros(rows), charge[0, :, 0]]), []
+    for _ in range(rows + 60):
+        kept = epsilon * wells
+        wells = np.append(wells[1:] - kept[1:], 0.0) + kept
+        read.append(wells[0])
+        wells[0] = 0.0
+    expected = np.array(read)[rows - 1 : rows + 8]
+    np.testing.assert_allclose(late[0, :, 0], expected, atol=1e-9 * charge.max())
+    # First-pixel response, and conservation: the trail of few transfers stays on the stamp.
+    assert late[0, 2, 0] == pytest.approx(1e4 * (1 - epsilon) ** (rows + 2))
+    long = np.zeros((2, 40, 40))
+    long[:, 2, 3] = 1e5
+    ChargeTransferInefficiency(1e-3, 2e-3).readout(None, None, None, long)
+    np.testing.assert_allclose(long.sum(axis=(1, 2)), 1e5, rtol=1e-13)
+    assert long[0, 2, 3] == pytest.approx(1e5 * (1 - 1e-3) ** 514 * (1 - 2e-3) ** 553)
+    flat = np.full((1, 5, 6), 700.0)
+    ChargeTransferInefficiency(1e-2, 1e-2).readout(None, None, None, flat)
+    assert np.all(flat == 700)
+
+
+def test_bands_roll_over_the_rows():
+    effect = RollingBands(rate=0.1, amplitude=4.0, spacing=9 * u.pix, speed=30 * u.pix / u.day)
+    arguments = Star(40.0), Detector.k2(shape=(36, 5)), Motion.still(700)
+    banded, plain = (
+        simulate(*arguments, seed=10, noise=False, effects=effects) for effects in (effect, ())
+    )
+    bands = (banded.flux.astype(float) - plain.flux).astype(float)
+    assert np.ptp(bands, axis=2).max() < 1e-4
+    # Four bands are on the stamp: their Fourier coefficient has their amplitude and phase.
+    wave = 2 * np.tensordot(bands[..., 0], np.exp(-2j * np.pi * np.arange(36) / 9), axes=1) / 36
+    size = banded.truth.columns["ROLLINGBANDS"]
+    np.testing.assert_allclose(np.abs(wave), size, atol=1e-4)
+    episodes = banded.truth.tables["ROLLINGBANDS"]
+    assert len(episodes) == 1
+    first = np.argmin(np.abs(banded.time - episodes["TIME"][0]))
+    turn = np.diff(np.unwrap(np.angle(wave[first - 5 : first + 5])))
+    days = np.diff(banded.time)[0]
+    np.testing.assert_allclose(turn, -2 * np.pi * 30 / 9 * days, rtol=0.02)
+    assert np.array_equal(banded.quality, np.where(size > 2, 131072, 0))
+    assert 0 < (size > 2).sum() < 700
+
+
+def test_detected_charge_fills_wells():
+    arguments = Star(9.0), Detector.k2(shape=(41, 9)).without_sensitivity(), Motion.still(400)
+    observation = simulate(*arguments, noise=("photon", "background"), seed=4)
+    flux, model = observation.flux.astype(float), observation.model()
+    depth = 1.08e6 / 6.019802903270 - 284
+    full = model[0] > 0.999999 * depth
+    ends = np.roll(full, 1, axis=0) ^ np.roll(full, -1, axis=0)
+    assert full.sum() > 5
+    # Full pixels are still but for the subtracted background; all photon noise is at the ends.
+    assert np.ptp(flux[:, full], axis=0).max() < 1e-6 * depth
+    column = flux[:, :, 4].sum(axis=1)
+    expected = np.sqrt((model[0, :, 4].sum() + 41 * 284) / observation.detector.exposure_time)
+    assert column.std() == pytest.approx(expected, rel=4 / np.sqrt(800))
+    assert flux[:, ends].std(axis=0).max() > 0.3 * expected
+    assert np.all(observation.flux_err[0, full] > 1)
+
+
+def test_bins_of_20_s_have_the_rays_of_120_s():
+    rays = CosmicRays(rate=5000.0, pixel_size=15.0)
+    mean = {}
+    for name, n in (("20 s", 180), ("120 s", 30)):
+        detector = Detector.tess(cadence=name, background=0.0).without_sensitivity()
+        motion = Motion.still(n, cadence=detector.cadence_days, time_format="btjd")
+        electrons = simulate(Star(40.0), detector, motion, noise=False, seed=1, effects=rays).flux
+        mean[name] = electrons.mean(dtype=float)
+    bright = simulate(Star(9.0), detector, motion, noise=False, seed=1)
+    fast = Detector.tess(cadence="20 s", background=0.0).without_sensitivity()
+    short = Motion.still(6, cadence=fast.cadence_days, time_format="btjd")
+    binned = simulate(Star(9.0), fast, short, noise=False, seed=1).flux.mean(axis=0)
+    np.testing.assert_allclose(binned, bright.flux[0], rtol=1e-6)
+    assert mean["20 s"] == pytest.approx(mean["120 s"], rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("motion", "detector", "bits"),
+    [
+        (Motion.k2_roll(400), Detector.k2(), {1048576, 64, 1024, 131072, 65536}),
+        (Motion.kepler(400, dump_interval=2.0), Detector.kepler(), {32, 64, 1024, 131072, 65536}),
+        (Motion.tess(800, cadence="1800 s"), Detector.tess(cadence="1800 s"), {32, 16, 4096, 128}),
+    ],
+)
+def test_files_have_the_bits_of_the_mission(motion, detector, bits, tmp_path):
+    start = motion.time[0]
+    effects = [
+        Argabrightening(rate=1.0), SensitivityDropouts(rate=0.01), RollingBands(rate=1.0),
+        ScatteredLight(flag_above=100.0), Gaps([(start + 1.0, start + 1.1)]),
+    ]  # fmt: skip
+    observation = simulate(Star(12.0), detector, motion, seed=2, effects=effects)
+    found = {1 << k for k in range(31) if np.any(observation.quality & (1 << k))}
+    assert found == bits
+    tpf = observation.to_tpf(quality_bitmask="none")
+    assert np.array_equal(tpf.quality, observation.quality)
+    assert read_truth(observation.write(tmp_path / "star.fits")) == observation.truth
+
+
+def test_a_mission_has_its_own_effects(tmp_path):
+    names = {
+        "kepler": {"CosmicRays", "Smear", "Undershoot", "RollingBands"},
+        "k2": {"Focus", "CosmicRays", "Smear", "Undershoot", "RollingBands"},
+        "tess": {"CosmicRays", "ScatteredLight"},
+    }
+    for name, expected in names.items():
+        detector = Detector.preset(name)
+        mission = Scene(Star(12.0), detector, Motion.still(3), seed=1, effects="mission")
+        assert mission.effects == mission_effects(detector)
+        assert {effect.name for effect in mission.effects} == expected
+        assert read_scene(simulate(mission).write(tmp_path / f"{name}.fits")) == mission
+    assert mission_effects(Detector.tess())[0].rejection
+    assert not mission_effects(Detector.tess(cadence=20))[0].rejection
+    assert mission_effects(PLAIN.replace(mission="survey")) == ()
+
+
 def test_effects_without_events(tmp_path):
-    effects = [CosmicRays(rate=0), SensitivityDropouts(rate=0), Argabrightening(rate=0)]
+    effects = [
+        CosmicRays(rate=0), SensitivityDropouts(rate=0), Argabrightening(rate=0),
+        RollingBands(rate=0), ChargeTransferInefficiency(0, 0),
+    ]  # fmt: skip
     observation = simulate(scene(*effects))
     assert np.array_equal(observation.flux, simulate(scene()).flux)
     truth = read_truth(observation.write(tmp_path / "star.fits"))

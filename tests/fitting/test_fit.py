@@ -137,8 +137,7 @@ class TestOptions:
             sigma_x=0.6, fixed={"sigma_x": True}, bounds={"sigma_y": (0.55, 0.7)}
         )
         fit, messages = messages_of(make(), psf, interpixel=0.01)
-        # The interpixel map takes up what the wrong width leaves, and the user is told.
-        assert "it describes errors of the PSF; interpixel=0 leaves it out" in messages
+        assert "the model does not describe the pixels" in messages
         assert "sigma_x" not in fit.names
         assert fit.model.sigma_x == 0.6
         assert fit.values["sigma_y"] == pytest.approx(0.55, abs=1e-12)
@@ -147,6 +146,10 @@ class TestOptions:
         assert np.isnan(fit.errors["sigma_y"])
         assert not fit.converged
         assert "the fit ends at bounds, sigma_y = 0.55" in messages
+        # The interpixel map takes up what a width leaves that is nearly right, with a warning.
+        nearly = BivariateGaussianPSF(sigma_x=0.51, fixed={"sigma_x": True})
+        _, messages = messages_of(make(), nearly, interpixel=0.01)
+        assert "it describes errors of the PSF; interpixel=0 leaves it out" in messages
 
     def test_one_cadence_as_astropy_fits_it(self):
         tpf = make(Motion.still(1), mag=16.0, shape=(9, 9))
@@ -230,7 +233,7 @@ class TestOptions:
         from_path, from_object = fit_tpf(path, 1), fit_tpf(read_tpf(path), 1)
         np.testing.assert_array_equal(from_path.flux, from_object.flux)
         assert from_path.meta == from_object.meta
-        error = np.median(from_path.observed_err) * u.electron / u.s
+        error = from_path.observed_err[0] * u.electron / u.s
         assert fit_tpf(path, 1, flux_err=error).converged
         with pytest.raises(ValueError, match="`flux_err` must be in electron / s"):
             fit_tpf(path, 1, flux_err=1 * u.pix)
@@ -304,16 +307,17 @@ class TestBadInput:
 
     def test_best_parameters_are_kept_when_steps_fail(self, monkeypatch):
         """Where no step can be made any more, what was found before is returned."""
-        step, calls = _solver._step, []
+        step, calls, allowed = _solver._step, [], 1
 
         def fails_later(*arguments):
             calls.append(arguments[1])
-            return step(*arguments) if len(calls) <= 4 else (None, 0.0)
+            return step(*arguments) if len(calls) <= allowed else (None, 0.0)
 
         tpf = make(n=30)
-        start, _ = messages_of(tpf, 1, max_steps=1)
         monkeypatch.setattr(_solver, "_step", fails_later)
-        fit, messages = messages_of(tpf, 1)
+        start, _ = messages_of(tpf, 1, interpixel=0.01)
+        calls, allowed = [], 4
+        fit, messages = messages_of(tpf, 1, interpixel=0.01)
         assert "has not converged" in messages
         assert not fit.converged
         assert fit.n_steps <= 4
@@ -417,6 +421,25 @@ def test_sensitivity_stays_within_what_a_pixel_can_do(curvature):
 
 
 class TestDefault:
+    @pytest.mark.parametrize("n", [60, 500])
+    def test_star_of_one_gaussian(self, n):
+        """The simplest model that is true is kept: nothing in it is without constraint."""
+        fit, messages = messages_of(make(n=n))
+        assert fit.converged
+        assert fit.names == ("sigma_x", "sigma_y", "rho")
+        assert fit.n_steps < 30
+        assert abs(fit.reduced_chi2 - 1) < 5 * np.sqrt(2 / fit.dof)
+        assert not messages
+
+    def test_errors_follow_the_misfit_of_the_bright_pixels(self):
+        """Most pixels have no light: they do not show that the PSF is wrong."""
+        motion = Motion.k2_roll(60)
+        psf = BivariateGaussianPSF(0.7, 0, 0, 0.45, 0.45) + BivariateGaussianPSF(0.3, 0.2, 0.1)
+        fit, _ = messages_of(make(motion, shape=(21, 21), psf=psf), 1, interpixel=0)
+        assert np.median(fit.chi2_pixels) < 1.5
+        image = np.median(fit.observed, axis=0)
+        assert fit.error_scale**2 > 0.3 * fit.chi2_pixels[image > 0.1 * image.max()].mean()
+
     def test_simulated_star(self, observation):
         """Where the model is true, the response between pixels is fitted with it."""
         fit = fit_tpf(observation.to_tpf())
@@ -451,6 +474,13 @@ class TestDefault:
         fit, messages = messages_of(tpf, 1)
         assert fit.path_scale()[0] == pytest.approx(1 / 3, rel=0.05)
         assert "the fitted motion along x is 0.33 times that of POS_CORR" in messages
+        for factor in (-1, 1.15, 0.85):
+            turned = make(n=40)
+            turned.pos_corr1 = turned.pos_corr1 / factor
+            fit, messages = messages_of(turned, 1)
+            assert fit.path_scale()[0] == pytest.approx(factor, abs=0.04)
+            assert "the fitted motion along x is" in messages
+            assert "along y" not in messages
 
     def test_progress(self, capsys):
         fit_tpf(make(n=20), 1, progress=True)

@@ -224,6 +224,33 @@ def test_centroids_follow_the_motion_of_a_real_file(shared_data, tmp_path):
     assert np.mean(row - tpf.row - truth["Y1"]) == pytest.approx(0, abs=0.02)
 
 
+def test_plot_shows_the_corrected_curve_at_its_cadences(observation):
+    curve = observation.to_lightcurve()[10:50:2]
+    axes = observation.plot(curve, title="a star")
+    _, corrected = axes["light curve"].get_lines()
+    drawn = corrected.get_ydata()
+    kept = np.isin(observation.cadenceno, curve.cadenceno)
+    assert np.array_equal(np.isfinite(drawn), kept)
+    np.testing.assert_allclose(drawn[kept], curve.flux.value / np.median(curve.flux.value))
+    raw = axes["light curve"].get_lines()[0].get_ydata()
+    summed = observation.flux[:, observation.aperture].sum(axis=1, dtype=float)
+    np.testing.assert_allclose(raw, summed / np.median(summed))
+    with pytest.raises(ValueError, match="one value for each of the 60 cadences"):
+        observation.plot(np.ones(5))
+    curve["cadenceno"] = curve.cadenceno + 1000
+    with pytest.raises(ValueError, match="does not have"):
+        observation.plot(curve)
+
+
+def test_animation_has_the_chosen_cadences(observation):
+    animation = observation.animate(step=20)
+    assert list(animation.new_frame_seq()) == [0, 1, 2]
+    html = animation.to_jshtml()
+    assert html.count("data:image/png") == 3
+    with pytest.raises(ValueError, match="`step` must be at least 1"):
+        observation.animate(step=0)
+
+
 def test_html_and_figure(observation):
     html = observation._repr_html_()
     assert html.startswith("<p>&lt;Observation K2: 60 cadences of 11 x 11 pixels, 2 stars")

@@ -133,7 +133,7 @@ def test_motion_within_a_cadence():
 def test_mean_and_variance_of_noise(terms):
     n = 4000
     detector = Detector.k2(shape=(5, 5))
-    observation = simulate(Star(11.0), detector, Motion.still(n), seed=2, noise=terms)
+    observation = simulate(Star(11.3), detector, Motion.still(n), seed=2, noise=terms)
     deviation = (observation.flux - observation.model()).astype(float)
     # Single precision rounds the brightest pixels, 1e5 e-/s, by 0.005 e-/s.
     error = observation.flux_err.astype(float)
