@@ -30,11 +30,11 @@ class PixelShares(Effect):
     ----------
     coefficients : array_like of shape (k, ny, nx)
         c, in the order of `terms`.
-    x_range, y_range : tuple of float
+    x_range, y_range : tuple of float, optional
         Least and largest column and row of the star, pixels of the stamp.
-    time_range : tuple of float
+    time_range : tuple of float, optional
         First and last time, days.
-    degree : int
+    degree : int, optional
         Largest i + j.
     time_degree : int, optional
         Largest k; terms with k > 0 have i + j of 3 at most.
@@ -59,7 +59,7 @@ class PixelShares(Effect):
     >>> from scope_models.effects import PixelShares
     >>> moved = np.zeros((1, 11, 11))
     >>> moved[0, 0, 0], moved[0, 5, 5] = 0.01, -0.01
-    >>> shares = PixelShares(moved, (4.0, 6.0), (4.0, 6.0), (0.0, 1.0), degree=0)
+    >>> shares = PixelShares(moved)
     >>> scene = Star(12.0), Detector.k2(), Motion.still(3)
     >>> with_it, without = (simulate(*scene, noise=False, effects=e) for e in (shares, ()))
     >>> print(((with_it.flux - without.flux)[0, 0, 0] / 1.74e5).round(4))
@@ -67,15 +67,16 @@ class PixelShares(Effect):
     """
 
     coefficients: np.ndarray
-    x_range: tuple
-    y_range: tuple
-    time_range: tuple
-    degree: int
+    x_range: tuple[float, float] = (0.0, 1.0)
+    y_range: tuple[float, float] = (0.0, 1.0)
+    time_range: tuple[float, float] = (0.0, 1.0)
+    degree: int = 0
     time_degree: int = 0
     star: int = 0
 
     def __post_init__(self):
         put = object.__setattr__
+        values = np.array(plain_array(self.coefficients, "", "coefficients"))
         for name, unit in (("x_range", "pix"), ("y_range", "pix"), ("time_range", "day")):
             pair = checked_pair(name, getattr(self, name), unit)
             if not pair[0] < pair[1]:
@@ -83,7 +84,6 @@ class PixelShares(Effect):
             put(self, name, pair)
         for name in ("degree", "time_degree", "star"):
             put(self, name, checked_integer(name, getattr(self, name), 0))
-        values = np.array(plain_array(self.coefficients, "", "coefficients"))
         if values.ndim != 3 or len(values) != len(self.terms) or not np.isfinite(values).all():
             raise ValueError(
                 f"`coefficients` must be finite, of shape ({len(self.terms)}, ny, nx), "

@@ -16,6 +16,7 @@ from scope_models.effects import (
     Focus,
     Gaps,
     Jitter,
+    PixelShares,
     RollingBands,
     ScatteredLight,
     SensitivityDropouts,
