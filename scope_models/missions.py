@@ -1,7 +1,7 @@
 """The missions: every number and name that a mission fixes, once, with its source."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 
 import numpy as np
@@ -126,6 +126,10 @@ class Mission:
         Name, as in the card MISSION and in `Detector.mission <scope_models.Detector>`.
     telescope : str
         The card TELESCOP.
+    instrument : str
+        The card INSTRUME.
+    template : str
+        The mission whose headers its files have, in lower case.
     band : str
         Name of the band in which magnitudes are given.
     time_format : {"bkjd", "btjd"}
@@ -181,6 +185,8 @@ class Mission:
 
     name: str
     telescope: str
+    instrument: str
+    template: str
     band: str
     time_format: str
     time_unit: str
@@ -490,6 +496,7 @@ _TESS_BITS = QualityBits(
 # channels: 0.947e6 to 1.19e6 electrons, median 1.08e6 (KSCI-19033, table 13).
 _PHOTOMETER = {
     "telescope": "Kepler",
+    "instrument": "Kepler Photometer",
     "band": "Kp",
     "time_format": "bkjd",
     "time_unit": "BJD - 2454833",
@@ -513,6 +520,7 @@ _PHOTOMETER = {
 }
 _KEPLER = Mission(
     name="Kepler",
+    template="kepler",
     start=131.5,  # about the beginning of quarter 1
     run="quarter",
     absent_columns=("RB_LEVEL",),
@@ -523,6 +531,7 @@ _KEPLER = Mission(
 )
 _K2 = Mission(
     name="K2",
+    template="k2",
     start=2144.1028,  # first time of campaign 3 (ktwo206103150-c03_llc.fits)
     run="campaign",
     absent_columns=(),
@@ -533,6 +542,8 @@ _K2 = Mission(
 _TESS = Mission(
     name="TESS",
     telescope="TESS",
+    instrument="TESS Photometer",
+    template="tess",
     band="T",
     time_format="btjd",
     time_unit="BJD - 2457000, days",
@@ -568,5 +579,20 @@ _TESS = Mission(
     field_center=(270.0, 66.5607),  # the north ecliptic pole
     tpf_class="TessTargetPixelFile",
 )
+# Telescopes on the ground: lightkurve opens no files but those that say Kepler or TESS. The zero
+# point is that of `Detector.ground` with its defaults.
+_GROUND = replace(
+    _TESS,
+    name="Ground",
+    instrument="ground-based telescope",
+    band="R",
+    pixel_scale=0.4,
+    zero_points=(("1 m", 3.36e9),),
+    zero_point_mag=0.0,
+    int_time=60.0,
+    read_time=10.0,
+    cadences=(Cadence("60 s", 1),),
+    well_depth=1e5,
+)
 #: The missions by name; read-only.
-MISSIONS = MappingProxyType({mission.name: mission for mission in (_KEPLER, _K2, _TESS)})
+MISSIONS = MappingProxyType({item.name: item for item in (_KEPLER, _K2, _TESS, _GROUND)})

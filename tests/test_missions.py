@@ -113,7 +113,7 @@ def test_full_flux_is_that_of_the_shallowest_channel():
 
 @pytest.mark.parametrize("mission", MISSIONS.values(), ids=MISSIONS)
 def test_every_mission_has_a_header_template(mission):
-    lines = (LAYOUTS / f"{mission.name.lower()}.hdr").read_text(encoding="ascii").splitlines()
+    lines = (LAYOUTS / f"{mission.template}.hdr").read_text(encoding="ascii").splitlines()
     keywords = [line[:8].strip() for line in lines]
     assert keywords.count("XTENSION") == 2
     for keyword in (mission.id_keyword, mission.magnitude_keyword, mission.gain_keyword):

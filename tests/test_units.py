@@ -13,7 +13,7 @@ import astropy.units as u
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
-from astropy.coordinates import SkyCoord
+from astropy.coordinates import EarthLocation, SkyCoord
 from astropy.modeling.fitting import TRFLSQFitter
 from astropy.table import MaskedColumn
 from astropy.time import Time, TimeDelta
@@ -38,7 +38,7 @@ from scope_models import photometry as ph
 from scope_models import plotting as pl
 from scope_models._arrays import plain_array, plain_number, plain_time
 from scope_models.correctors import PLDOptions
-from scope_models.effects import Effect
+from scope_models.effects import Effect, airmass, moon_geometry
 from scope_models.effects import noise as effects_noise
 from scope_models.effects.saturation import bleed
 from scope_models.exceptions import FitWarning
@@ -51,10 +51,12 @@ from scope_models.experiments.table1 import Table1
 from scope_models.io import TPFMetadata, make_tpf_hdulist, usable_positions
 from scope_models.missions import MISSIONS, Cadence, choose_cadence, full_flux
 from scope_models.models import (
+    DiffusionSensitivity,
     GaussHermitePSF,
     PRFGrid,
     TabulatedPRF,
     TabulatedPSF,
+    moffat_psf,
     sinusoidal_signal,
     stochastic_signal,
     tabulated_signal,
@@ -143,6 +145,15 @@ TPF = {
 
 def detector(name, value):
     return getattr(Detector(**(DETECTOR | {name: value})), name)
+
+
+PARANAL = EarthLocation.from_geodetic(-70.40, -24.63, 2635)
+NORTH = SkyCoord(40.0, -20.0, unit="deg")
+
+
+def ground(**changes):
+    made = Detector.ground(**changes)
+    return [made.background, made.psf[0].sigma_x.value, made.effects[1].rms(1.0)]
 
 
 def column(name, value):
@@ -339,6 +350,20 @@ ROWS = {
     },
     "Motion.kepler.cadence": (lambda v: Motion.kepler(3, cadence=v).time, 58.85, u.s),
     "Motion.tess.cadence": (lambda v: Motion.tess(3, cadence=v).time, 20.0, u.s),
+    **{
+        f"Detector.ground.{name}": (lambda v, name=name: ground(**{name: v}), value, unit)
+        for name, value, unit in (
+            ("aperture", 2.0, u.m),
+            ("altitude", 2000.0, u.m),
+            ("seeing", 1.5, u.arcsec),
+            ("pixel_scale", 0.5, u.arcsec),
+        )
+    },
+    "airmass.time": (lambda v: airmass(v, NORTH, PARANAL), [1400.5, 1400.6], u.day),
+    "moon_geometry.time": (
+        lambda v: moon_geometry(v, NORTH, PARANAL)["moon_phase"], [1400.5, 1400.6], u.day
+    ),
+    "moffat_psf.fwhm": (lambda v: moffat_psf(v)(1.0, 2.0), 2.5, u.pix),
     "Motion.ground.cadence": (lambda v: Motion.ground(3, cadence=v).time, 30.0, u.s),
     "Motion.random_walk.cadence": (lambda v: Motion.random_walk(3, cadence=v).time, 0.1, u.day),
     "Motion.failing_wheels.cadence": (
@@ -556,6 +581,13 @@ ROWS = {
         for kind in (TabulatedPSF, TabulatedPRF)
         for name in ("x_0", "y_0")
     },
+    "DiffusionSensitivity.sigma_d": (lambda v: DiffusionSensitivity(v)(0.4, 0), 0.2, u.pix),
+    "DiffusionSensitivity.response.dx": (
+        lambda v: DiffusionSensitivity(0.2).response(v, 0), 0.4, u.pix,
+    ),
+    "DiffusionSensitivity.response.dy": (
+        lambda v: DiffusionSensitivity(0.2).response(0, v), 0.4, u.pix,
+    ),
     "PRFGrid.at.column": (lambda v: GRID.at(v, 20)(1, 0), 51.0, u.pix),
     "PRFGrid.at.row": (lambda v: GRID.at(51, v)(1, 0), 20.0, u.pix),
     "fit_tpf.position_error": (fitted("position_error"), 0.2, u.pix),

@@ -3,15 +3,18 @@
 import matplotlib.pyplot as plt
 import numpy as np
 
-from scope_models import Detector, Motion, Star, simulate
+from scope_models import BivariateGaussianPSF, Detector, Motion, Star, simulate
 from scope_models.effects import (
     BrighterFatter,
     ChargeTransferInefficiency,
     CosmicRays,
+    Extinction,
     Focus,
     Jitter,
     RollingBands,
     ScatteredLight,
+    Scintillation,
+    Seeing,
     SensitivityDropouts,
     Throughput,
     rejected_shift,
@@ -149,6 +152,40 @@ def make_charge_figure():
     right.plot(levels, (1 - 4 * k) ** 2 + 4 * k**2)
     right.set_xlabel("Charge of a flat field (e$^-$)")
     right.set_ylabel("Variance over that of photons")
+    return figure
+
+
+def make_ground_figure():
+    """Return the figure of the noise per minute against the aperture of the telescope."""
+    apertures, column = np.array([0.4, 0.95, 2.0, 3.5, 8.0]), 1.3
+    options = {"airmass": column, "n_frames": 10, "int_time": 6.0, "read_time": 0.0}
+    options |= {"well_depth": None, "altitude": 2788.0}
+    wide = BivariateGaussianPSF(1.0, 0, 0, 3.4, 3.4)
+    kinds = {
+        "seeing of 1 arcsec": (Seeing(airmass=column), {}),
+        "diffuser of 8 arcsec": (
+            Seeing(0.0025),
+            {"shape": (29, 29), "pixel_scale": 1.0, "psf": wide},
+        ),
+    }
+    figure, axes = plt.subplots(layout="constrained")
+    for name, (seeing, changes) in kinds.items():
+        noise = []
+        for aperture in apertures:
+            effects = Extinction(0.07, column), Scintillation(aperture, 2788.0, column), seeing
+            detector = Detector.ground(aperture, **options, **changes, effects=effects)
+            motion = Motion.ground(300, aperture=aperture, pixel_scale=detector.pixel_scale)
+            flux = simulate(Star(11.0), detector, motion, seed=1).flux.sum(axis=(1, 2), dtype=float)
+            noise.append(1e6 * flux.std() / flux.mean())
+        axes.loglog(apertures, noise, "o", label=f"simulated, {name}")
+    fine = np.geomspace(0.3, 10, 100)
+    formula = [1e6 * Scintillation(d, 2788.0, column).rms(60.0) for d in fine]
+    axes.plot(fine, formula, label="scintillation")
+    for level in (300, 1000):
+        axes.axhline(level, color="gray", linestyle=":")
+    axes.set_xlabel("Aperture of the telescope (m)")
+    axes.set_ylabel("Noise per minute (ppm)")
+    axes.legend()
     return figure
 
 

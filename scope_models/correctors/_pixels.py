@@ -6,9 +6,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import ndimage
 
+from scope_models._checks import checked_weights
 from scope_models.correctors._clean import clean_pixels, precise_aperture
 from scope_models.exceptions import DetrendingWarning
 from scope_models.io.pixels import usable_positions
+from scope_models.photometry import aperture_flux
 
 __all__ = [
     "Pixels",
@@ -56,6 +58,8 @@ class Pixels:
         Sum over the aperture and its error, ``(n_cadences,)``.
     usable : ndarray of bool
         Cadences with finite time, finite pixels and a positive sum.
+    weights : ndarray or None
+        Weights of a moving aperture, ``(n_cadences, ny, nx)``; None: all pixels count alike.
     """
 
     time: np.ndarray
@@ -65,6 +69,12 @@ class Pixels:
     total: np.ndarray
     total_err: np.ndarray
     usable: np.ndarray
+    weights: np.ndarray | None = None
+
+    @property
+    def weighted(self):
+        """The same, with pixels multiplied with their weights: their fractions are measured."""
+        return self if self.weights is None else replace(self, flux=self.flux * self.weights)
 
 
 def choose_aperture(flux, flux_err, pipeline=None, pos_corr=None):
@@ -221,8 +231,8 @@ def aperture_pixels(series, aperture):
     ----------
     series : PixelSeries
         The pixels.
-    aperture : ndarray of bool or None
-        Pixels to sum; None: chosen.
+    aperture : ndarray or None
+        Pixels to sum, boolean, or weights of each cadence's pixels; None: chosen.
 
     Raises
     ------
@@ -230,29 +240,31 @@ def aperture_pixels(series, aperture):
         If the aperture is no mask of pixels with data, or the sums are not positive.
     """
     time, flux, flux_err = series.time, series.flux, series.flux_err
+    weights = None
     if aperture is None:
         aperture = choose_aperture(flux, flux_err, series.aperture, series.pos_corr)
+    elif np.ndim(aperture) == 3:
+        weights = checked_weights("aperture_mask", aperture, flux.shape)
+        aperture = _checked_aperture(np.nanmax(weights, axis=0) > 0, flux)
     else:
         aperture = _checked_aperture(aperture, flux)
-    inside = flux[:, aperture]
-    finite = np.isfinite(time) & np.isfinite(inside).all(axis=1)
-    with np.errstate(invalid="ignore"):
-        total = inside.sum(axis=1)
-        total_err = np.sqrt(np.sum(flux_err[:, aperture] ** 2, axis=1))
+    total, total_err = aperture_flux(flux, aperture if weights is None else weights, flux_err)
+    finite = np.isfinite(time) & np.isfinite(total) & np.isfinite(flux[:, aperture]).all(axis=1)
     positive = finite & (np.nan_to_num(total) > 0)
     if positive.sum() <= finite.sum() / 2:
         raise ValueError("the sum over `aperture_mask` must be positive in most cadences")
     if positive.sum() < finite.sum():
         _warn(f"{finite.sum() - positive.sum()} cadences without a positive flux are left out")
     total_err = _filled_errors(total, total_err, positive)
-    return Pixels(time, flux, flux_err, aperture, total, total_err, positive)
+    return Pixels(time, flux, flux_err, aperture, total, total_err, positive, weights)
 
 
-def can_predict(pixels, saturation):
+def can_predict(pixels, saturation, use):
     """
     Whether the pixel fractions can be predicted.
 
-    Not with few pixels or cadences, nor where pixels are full: their light depends on others'.
+    Not with few pixels or cadences, without FLUX_ERR, nor where pixels are full: their light
+    depends on others'.
 
     Parameters
     ----------
@@ -260,15 +272,17 @@ def can_predict(pixels, saturation):
         Pixels as measured.
     saturation : float or None
         Flux of a full pixel, e-/s.
+    use : ndarray of bool
+        Cadences from which they are learned, ``(n_cadences,)``.
     """
-    flux = pixels.flux[pixels.usable][:, pixels.aperture]
-    full = saturation is not None and np.quantile(flux, 0.99, axis=0).max(initial=0) > saturation
-    enough = flux.shape[0] >= _CADENCES_TO_PREDICT and flux.shape[1] >= _PIXELS_TO_PREDICT
-    varies = np.ptp(flux, axis=0).max(initial=0) > 0
-    return not full and enough and varies
+    flux, error = pixels.flux[use][:, pixels.aperture], pixels.flux_err[use]
+    if flux.shape[0] < _CADENCES_TO_PREDICT or flux.shape[1] < _PIXELS_TO_PREDICT:
+        return False
+    full = saturation is not None and np.quantile(flux, 0.99, axis=0).max() > saturation
+    return not full and np.ptp(flux, axis=0).max() > 0 and bool((error > 0).any())
 
 
-def with_predicted_fractions(pixels, pos_corr):
+def with_predicted_fractions(pixels, pos_corr, cadence_mask=None):
     """
     Return the star's light with predicted pixel fractions in place of the measured pixels.
 
@@ -278,12 +292,14 @@ def with_predicted_fractions(pixels, pos_corr):
         Pixels as measured.
     pos_corr : ndarray or None
         Offsets ``(n_cadences, 2)``, px.
+    cadence_mask : ndarray of bool, optional
+        Cadences from which images and constant light are learned, by default all.
 
     Returns
     -------
     pixels : Pixels
         ``total`` is the light without background and without the constant light that is known,
-        ``flux`` the predicted fractions times this.
+        ``flux`` the predicted fractions at constant focus times this.
     clean : CleanPixels
         What was found.
     """
@@ -294,7 +310,7 @@ def with_predicted_fractions(pixels, pos_corr):
         pos_corr = np.full((len(use), 2), np.nan)
     error = pixels.flux_err[use]
     valid = error > 0  # not NaN either
-    typical = np.median(error[valid]) if valid.any() else np.median(pixels.total_err[use])
+    typical = np.median(error[valid])
     clean = clean_pixels(
         pixels.time[use],
         pixels.flux[use][:, known],
@@ -302,16 +318,32 @@ def with_predicted_fractions(pixels, pos_corr):
         pos_corr[use],
         np.stack([columns, rows], axis=1),
         pixels.aperture[known],
+        None if cadence_mask is None else cadence_mask[use],
     )
+    light, light_error = clean.light, clean.light_error
+    if pixels.weights is not None:
+        clean = replace(clean, constant=0.0)
+        light, light_error = _light_in_window(pixels, clean, use, known)
     flux = np.zeros_like(pixels.flux)
     cube = np.zeros((use.sum(), *known.shape))
-    cube[:, known] = clean.shares * clean.light[:, None]
+    cube[:, known] = clean.still * light[:, None]
     flux[use] = cube
     total, total_err = np.full((2, len(use)), np.nan)
-    total[use], total_err[use] = clean.light, clean.light_error
+    total[use], total_err[use] = light, light_error
     usable = use & (np.nan_to_num(total) > 0)
     changes = {"flux": flux, "total": total, "total_err": total_err, "usable": usable}
     return replace(pixels, **changes), clean
+
+
+def _light_in_window(pixels, clean, use, known):
+    """Return the star's light from the part that a moving aperture holds, and its error."""
+    weights = pixels.weights[use][:, known] * pixels.aperture[known]
+    held = np.sum(weights * clean.shares, axis=1)
+    measured = pixels.flux[use][:, known] - clean.background
+    predicted = clean.shares * clean.light[:, None]
+    light = np.sum(weights * np.where(clean.repaired, predicted, measured), axis=1) / held
+    variance = np.sum((weights * pixels.flux_err[use][:, known]) ** 2, axis=1)
+    return light, np.sqrt(variance) / held
 
 
 def _checked_aperture(aperture, flux):

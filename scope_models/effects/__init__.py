@@ -1,12 +1,14 @@
 """What sky, telescope and detector do to light and charge, besides noise and saturation."""
 
 from scope_models.effects._effect import Conditions, Drawn, Effect, Exposures
+from scope_models.effects.atmosphere import Extinction, Scintillation, Seeing, airmass
 from scope_models.effects.background import Argabrightening, Background, ScatteredLight
 from scope_models.effects.charge import BrighterFatter, DarkCurrent, Smear, Undershoot
 from scope_models.effects.cosmic_rays import CosmicRays, rejected_shift
 from scope_models.effects.focus import Focus
 from scope_models.effects.gaps import Gaps
 from scope_models.effects.jitter import Jitter
+from scope_models.effects.night_sky import NightSky, moon_geometry
 from scope_models.effects.presets import mission_effects
 from scope_models.effects.readout import ChargeTransferInefficiency, RollingBands
 from scope_models.effects.response import SensitivityDropouts, Throughput
@@ -23,16 +25,22 @@ __all__ = [
     "Drawn",
     "Effect",
     "Exposures",
+    "Extinction",
     "Focus",
     "Gaps",
     "Jitter",
+    "NightSky",
     "PixelShares",
     "RollingBands",
     "ScatteredLight",
+    "Scintillation",
+    "Seeing",
     "SensitivityDropouts",
     "Smear",
     "Throughput",
     "Undershoot",
+    "airmass",
     "mission_effects",
+    "moon_geometry",
     "rejected_shift",
 ]

@@ -1,13 +1,13 @@
 """What all effects have in common: parameters, a truth that is drawn once, and places to act."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields
 
 import numpy as np
 
 from scope_models.missions import MISSIONS
 
-__all__ = ["Conditions", "Drawn", "Effect", "Exposures"]
+__all__ = ["Conditions", "Drawn", "Effect", "Exposures", "checked_effects"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,6 +34,8 @@ class Conditions:
         Standard deviation of one read, electrons.
     background : float
         Background of the detector, e-/s per pixel.
+    n_stars : int, optional
+        Number of stars.
 
     Examples
     --------
@@ -56,9 +58,10 @@ class Conditions:
     n_reads: int
     read_noise: float
     background: float
+    n_stars: int = 1
 
     @classmethod
-    def of(cls, detector, time):
+    def of(cls, detector, time, n_stars=1):
         """Return the conditions of a detector at the times of a motion.
 
         Parameters
@@ -67,14 +70,17 @@ class Conditions:
             The detector.
         time : ndarray of shape (n_cadences,)
             The times, days.
+        n_stars : int, optional
+            Number of stars.
 
         Returns
         -------
         Conditions
             The conditions.
         """
-        names = [item.name for item in fields(cls) if item.name != "time"]
-        return cls(time=time, **{name: getattr(detector, name) for name in names})
+        own = {"time": time, "n_stars": n_stars}
+        names = [item.name for item in fields(cls) if item.name not in own]
+        return cls(**own, **{name: getattr(detector, name) for name in names})
 
     def bit(self, name):
         """Return the mission's quality bit of a meaning.
@@ -200,7 +206,8 @@ class Effect:
     each piece of the series. An effect implements those that it needs; the others do nothing.
     They act in this order:
 
-    1. light: `width`, `exposures`, `shares` and `response`, before the stars' charge is known;
+    1. light: `width`, `exposures`, `shares`, `starlight` and `response`, before the charge of the
+       stars is known;
     2. light that is not the stars': `pedestal`;
     3. charge, after photon noise: `charge`;
     4. readout, before read noise and digitization: `readout`;
@@ -258,6 +265,9 @@ class Effect:
         returns the shape (m, ny, nx); ``star`` is the number of the star in the scene.
         """
 
+    def starlight(self, drawn, conditions):
+        """Return a factor on the stars' light, (n_cadences,) or (n_stars, n_cadences), or None."""
+
     def response(self, drawn, conditions, part):
         """Return a factor on all light that broadcasts to (m, ny, nx), or None."""
 
@@ -279,3 +289,16 @@ class Effect:
 
     def missing(self, drawn, conditions):
         """Return which cadences have no data, shape (n_cadences,), or None."""
+
+
+def checked_effects(effects):
+    """Return one effect or several as a tuple."""
+    if isinstance(effects, Effect):
+        return (effects,)
+    if not isinstance(effects, Iterable):
+        raise TypeError(f"`effects` must be effects, got {effects!r}")
+    effects = tuple(effects)
+    for effect in effects:
+        if not isinstance(effect, Effect):
+            raise TypeError(f"`effects` must hold effects, got {effect!r}")
+    return effects

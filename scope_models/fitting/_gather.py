@@ -24,6 +24,8 @@ _LARGEST_SCATTER = 3.0
 # Fitted motion over that of POS_CORR that is not in doubt, and the motion, pixels, from which it is
 # checked.
 _SCALES, _LEAST_MOTION = (0.9, 1.1), 0.01
+# Flux over the light in the pixels from which a model has invented it.
+_LARGEST_FLUX = 2.0
 # Reduced chi-squared from which a model does not describe the pixels.
 _LARGEST_CHI2 = 100.0
 
@@ -40,7 +42,7 @@ def make_results(problem, solution, errors, detectors, series):
 def _make_result(problem, solution, errors, model_pixels, number, detector, series):
     """Gather the fit of one file."""
     state, data, pixels = solution.state, problem.stamps[number], problem.slices[number]
-    shared, cadence, relative = errors
+    shared = errors[0]
     inside, s = data.pixels, problem.n_shared
     fitted = np.full(data.flux.shape, np.nan)
     fitted[:, inside] = model_pixels[:, pixels]
@@ -50,8 +52,8 @@ def _make_result(problem, solution, errors, model_pixels, number, detector, seri
         interpixel[inside] = 1 + state.interpixel[pixels]
         interpixel_err[inside] = np.sqrt(np.maximum(np.diag(shared)[s:][pixels], 0))
     stars = [k for k, star in enumerate(problem.stars) if star.stamp == number]
-    by_cadence = _by_cadence(problem, state, shared, cadence, relative, stars[0])
-    neighbors = tuple(FittedStar(**_of_star(problem, state, shared, cadence, k)) for k in stars[1:])
+    by_cadence = _by_cadence(problem, state, errors, stars[0])
+    neighbors = tuple(FittedStar(**_of_star(problem, state, errors, k)) for k in stars[1:])
     model = problem.prf.copy()
     middle = {name: float(np.median(by_cadence[name])) for name in ("x", "y", "flux")}
     places = {"x_0": middle["x"], "y_0": middle["y"], "flux": middle["flux"]}
@@ -99,53 +101,52 @@ def _make_result(problem, solution, errors, model_pixels, number, detector, seri
     )
 
 
-def _of_star(problem, state, shared, cadence, star):
+def _of_star(problem, state, errors, star):
     """Position and flux of a star, and their errors, by name."""
-    variances = np.maximum(np.einsum("nkk->nk", cadence), 0.0)
-    errors = dict(zip(problem.columns, variances.T, strict=True))
-
-    def of_shared(name):
-        """Variance of a shared parameter, or nothing."""
-        if name not in problem.names:
-            return 0.0
-        index = problem.names.index(name)
-        return max(shared[index, index], 0.0)
-
-    zero = np.zeros(len(state.cadence))
+    shared, cadence, _, mixed = errors
+    n, k, m = mixed.shape
+    by_cadence, by_shared = np.zeros((2, n, k)), np.zeros((2, n, m))
+    for axis, of_cadence, i, derivative in problem.position_terms(state, star):
+        (by_cadence if of_cadence else by_shared)[axis, :, i] = derivative
+    variances = np.einsum("ani,nij,anj->an", by_cadence, cadence, by_cadence)
+    variances += 2 * np.einsum("ani,nij,anj->an", by_cadence, mixed, by_shared)
+    variances += np.einsum("ani,ij,anj->an", by_shared, shared, by_shared, optimize=True)
     x, y = problem.xy(state, star).T
-    if problem.path:
-        for axis, name in enumerate("xy"):
-            block = slice(problem.n_shape + 3 * axis, problem.n_shape + 3 * axis + 3)
-            errors[name] = np.einsum(
-                "ni,ij,nj->n", problem.basis, shared[block, block], problem.basis
-            )
-    column = f"flux_{star}" if star else "flux"
-    flux_error = errors.get(column, zero + of_shared(f"flux_star_{star}"))
     result = {"x": x, "y": y, "flux": problem.fluxes(state, star)}
-    result["flux_err"] = np.sqrt(flux_error)
-    for axis in "xy":
-        variance = errors[axis] + of_shared(f"{axis}_star_{star}")
-        result[f"{axis}_err"] = np.sqrt(np.maximum(variance, 0.0))
-    return {name: np.array(value) for name, value in result.items()}
+    result |= {f"{axis}_err": variances[i] for i, axis in enumerate("xy")}
+    name = f"flux_{star}" if star else "flux"
+    result["flux_err"] = _variance(problem, shared, cadence, name, f"flux_star_{star}")
+    return _with_errors(result)
 
 
-def _by_cadence(problem, state, shared, cadence, relative, star):
+def _variance(problem, shared, cadence, column, name):
+    """Variance of what is a column of the cadences, a shared parameter, or none of them."""
+    if column in problem.columns:
+        i = problem.columns.index(column)
+        return cadence[:, i, i]
+    i = problem.names.index(name) if name in problem.names else None
+    return np.full(len(cadence), 0.0 if i is None else shared[i, i])
+
+
+def _with_errors(values):
+    """Arrays by name, with standard deviations for variances."""
+    return {
+        name: np.sqrt(np.maximum(value, 0.0)) if name.endswith("_err") else np.array(value)
+        for name, value in values.items()
+    }
+
+
+def _by_cadence(problem, state, errors, star):
     """Values and errors of each cadence by name."""
-    result = _of_star(problem, state, shared, cadence, star)
+    shared, cadence, relative, _ = errors
+    result = _of_star(problem, state, errors, star)
     i = problem.columns.index(f"flux_{star}" if star else "flux")
     result["flux_scatter"] = np.sqrt(np.maximum(relative[:, i, i], 0))
     stamp = problem.stars[star].stamp
     name = f"background_{stamp}" if stamp else "background"
-    result["background"] = np.array(problem.backgrounds(state, stamp))
-    variance = np.zeros(len(state.cadence))
-    if name in problem.columns:
-        j = problem.columns.index(name)
-        variance = cadence[:, j, j]
-    elif name in problem.names:
-        j = problem.names.index(name)
-        variance = variance + shared[j, j]
-    result["background_err"] = np.sqrt(np.maximum(variance, 0.0))
-    return result
+    background = {"background": problem.backgrounds(state, stamp)}
+    background["background_err"] = _variance(problem, shared, cadence, name, name)
+    return result | _with_errors(background)
 
 
 def _plain(value):
@@ -198,7 +199,10 @@ def _of_convergence(fit):
     powers = fit.model.response_powers
     others = [f"{name} = {fit.values[name]:.3g}" for name in fit.at_bounds if name not in powers]
     if others:
-        yield f"the fit ends at bounds, {', '.join(others)}: the model does not suit the pixels"
+        yield (
+            f"the fit ends at bounds, {', '.join(others)}: the model does not suit the pixels; try "
+            'neighbors="find" if there are other stars, or another psf'
+        )
 
 
 def _of_sensitivity(fit):
@@ -216,7 +220,8 @@ def _of_sensitivity(fit):
         elif np.isnan(error):
             yield (
                 f"the sensitivity is not measured: the PSF is wrong by {fit.error_scale:.2g} times "
-                f"the noise, and {name} = {value:.3g} describes that"
+                f"the noise (chi-squared {fit.reduced_chi2:.3g}), and {name} = {value:.3g} "
+                "describes that"
             )
         elif not error * 0.5**power < _LARGEST_EDGE_ERROR:
             yield (
@@ -233,12 +238,23 @@ def _of_pixels(fit):
             f"the response between pixels scatters by {100 * scatter:.2g} % where the prior is "
             f"{100 * prior:.2g} %: it describes errors of the PSF; interpixel=0 leaves it out"
         )
+    light, invented = _light(fit), np.median(fit.flux)
+    if invented > _LARGEST_FLUX * light > 0:
+        yield (
+            f"the flux is {invented:.4g} e-/s where the pixels hold {light:.4g}: the PSF has most "
+            "of its light outside of them, or two of its terms cancel"
+        )
     if fit.reduced_chi2 > _LARGEST_CHI2:
         row, column = np.unravel_index(np.nanargmax(fit.chi2_pixels), fit.chi2_pixels.shape)
         yield (
             f"the model does not describe the pixels: chi-squared per degree of freedom is "
             f"{fit.reduced_chi2:.4g}, and largest in column {column}, row {row}"
         )
+
+
+def _light(fit):
+    """Light in the pixels, e-/s."""
+    return float(np.nanmedian(np.nansum(fit.observed - fit.background[:, None, None], axis=(1, 2))))
 
 
 def _of_positions(fit):

@@ -24,6 +24,8 @@ _FOCUS_PRIOR = 0.05
 # Standard deviation of the scale of the motion about that of POS_CORR.
 _SCALE_PRIOR = 0.02
 _LARGEST_MOVE = 0.3
+# Standard deviation of the motion in a file about that in the first one, relative.
+_MAP_PRIOR = 0.3
 # How far another star may be from its first guess, pixels.
 _STAR_MOVE = 1.0
 
@@ -194,6 +196,8 @@ class Problem:
         Where the first star is, if the caller says so.
     span : tuple of float, optional
         First and last time that the focus covers, days.
+    center : tuple of float, optional
+        Position of the first star about which the motion in the other files is mapped.
     """
 
     stamps: tuple
@@ -203,6 +207,7 @@ class Problem:
     error_scale: float = 1.0
     target: np.ndarray | None = None
     span: tuple | None = None
+    center: tuple = (0.0, 0.0)
 
     # --- data -----------------------------------------------------------------------------
     @property
@@ -293,6 +298,11 @@ class Problem:
         result = list(fit_parameters(self.prf, shape))
         if self.n_affine:
             result += self._path_parameters
+        for i in range(1, len(self.stamps)):
+            result += [
+                FitParameter(name, "slope", prior=_MAP_PRIOR, center=one, start=one)
+                for name, one in zip(_map_names(i), (1.0, 0.0, 0.0, 1.0), strict=True)
+            ]
         for k, star in enumerate(self.stars[1:], start=1):
             for axis, start in (("x", star.x), ("y", star.y)):
                 result.append(
@@ -377,8 +387,10 @@ class Problem:
     @cached_property
     def _light_parts(self):
         """Parts of the light in the fitted pixels, of sum 1, shape ``(p,)``."""
-        light = [np.nanmedian(s.flux[:, s.pixels], axis=0) for s in self.stamps]
-        light = np.maximum(np.concatenate(light), 0.0)
+        flux = np.concatenate([s.flux[:, s.pixels] for s in self.stamps], axis=1)
+        seen = np.isfinite(flux).any(axis=0)
+        light = np.zeros(len(seen))
+        light[seen] = np.maximum(np.nanmedian(flux[:, seen], axis=0), 0.0)
         return light / light.sum()
 
     def rescaled(self, state):
@@ -386,7 +398,8 @@ class Problem:
         squares = (self._given_weight * (self.flux - self.model(state))) ** 2
         squares[self._given_weight == 0] = np.nan
         # Medians: neither cosmic rays nor single bad pixels count.
-        typical = np.median(np.nanmedian(squares, axis=0)) / _MEDIAN_SQUARE
+        seen = np.any(self._given_weight, axis=0)
+        typical = np.median(np.nanmedian(squares[:, seen], axis=0)) / _MEDIAN_SQUARE
         # Most parameters hang on the pixels with light, most pixels have none.
         light = self._light_parts
         n_light = 1 / np.sum(light**2)
@@ -413,12 +426,59 @@ class Problem:
         """The affine map of the path, shape ``(2, 3)``."""
         return state.shared[self.n_shape : self.n_shape + 6].reshape(2, 3)
 
+    def _map(self, state, stamp):
+        """How a file moves with the first one, shape ``(2, 2)``."""
+        if not stamp:
+            return np.eye(2)
+        start = self.names.index(_map_names(stamp)[0])
+        return state.shared[start : start + 4].reshape(2, 2)
+
     def xy(self, state, star=0):
         """Positions of a star in its stamp, shape ``(n, 2)``."""
         first = self.basis @ self.affine(state).T if self.path else state.cadence[:, :2]
         if star == 0:
             return first
-        return first + [self._shared_value(state, f"{axis}_star_{star}") for axis in "xy"]
+        moved = (first - self.center) @ self._map(state, self.stars[star].stamp).T + self.center
+        return moved + [self._shared_value(state, f"{axis}_star_{star}") for axis in "xy"]
+
+    def position_terms(self, state, star):
+        """
+        Parameters that move a star.
+
+        Parameters
+        ----------
+        state : State
+            Where they are.
+        star : int
+            Which star.
+
+        Yields
+        ------
+        axis : int
+            0 for x, 1 for y.
+        of_cadence : bool
+            Whether the parameter belongs to each cadence, or is shared.
+        index : int
+            Its number.
+        derivative : ndarray of shape (n,)
+            Derivative of the position.
+        """
+        stamp, one = self.stars[star].stamp, np.ones(len(self.flux))
+        matrix = self._map(state, stamp)
+        for axis in (0, 1):
+            for of, slope in enumerate(matrix[axis]):
+                if slope and self.path:
+                    for i in range(3):
+                        yield axis, False, self.n_shape + 3 * of + i, slope * self.basis[:, i]
+                elif slope:
+                    yield axis, True, of, slope * one
+            if stamp:
+                first = self.names.index(_map_names(stamp)[0]) + 2 * axis
+                moved = self.xy(state) - self.center
+                yield axis, False, first, moved[:, 0]
+                yield axis, False, first + 1, moved[:, 1]
+            if star:
+                yield axis, False, self.names.index(f"{'xy'[axis]}_star_{star}"), one
 
     def fluxes(self, state, star=0):
         """Fluxes of a star, shape ``(n,)``."""
@@ -559,16 +619,10 @@ class Problem:
         scale = response * flux
         for i, name in enumerate(self.names[: self.n_shape]):
             by_shared[..., i] += scale * derivatives[name]
-        for axis, name in enumerate("xy"):
-            moved = scale * derivatives[f"{name}_0"]
-            if self.path:
-                for i in range(3):
-                    along = self.n_shape + 3 * axis + i
-                    by_shared[..., along] += self.basis[part, i, None] * moved
-            else:
-                by_cadence[..., axis] += moved
-            if k:
-                by_shared[..., self.names.index(f"{name}_star_{k}")] = moved
+        moved = [scale * derivatives[name] for name in ("x_0", "y_0")]
+        for axis, of_cadence, i, derivative in self.position_terms(state, k):
+            by_parameter = by_cadence if of_cadence else by_shared
+            by_parameter[..., i] += derivative[part, None] * moved[axis]
         if self.options.focus is not None:
             number = self.focus_basis.shape[1]
             basis = self.focus_basis[part, np.newaxis]
@@ -612,3 +666,8 @@ class Problem:
             equations.shared[i, i] += precision * self.basis.T @ self.basis
             equations.shared_gradient[i] += precision * deviation[:, axis] @ self.basis
         return precision * np.sum(deviation**2)
+
+
+def _map_names(stamp):
+    """Names of the parameters that map the motion of the first file to that of another."""
+    return [f"{axis}_by_{of}_{stamp}" for axis in "xy" for of in "xy"]

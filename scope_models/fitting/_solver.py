@@ -292,6 +292,8 @@ def covariances(problem, solution):
         Likewise, with that of the shared ones.
     relative : ndarray of shape (n, k, k)
         Likewise, of the parameters of a cadence less their mean over all cadences.
+    mixed : ndarray of shape (n, k, m)
+        Of those of a cadence with the shared ones.
     """
     equations = solution.equations
     walls = _Walls(problem)
@@ -301,6 +303,8 @@ def covariances(problem, solution):
     shared = basis @ inverse @ basis.T
     alone = np.linalg.inv(_damped(equations.cadence, 0.0))
     along = alone @ equations.mixed
-    cadence = alone + (along @ shared) @ along.transpose(0, 2, 1)
-    along -= along.mean(axis=0)
-    return shared, cadence, alone + (along @ shared) @ along.transpose(0, 2, 1)
+    mixed = -along @ shared
+    cadence = alone - mixed @ along.transpose(0, 2, 1)
+    along = along - along.mean(axis=0)
+    relative = alone + (along @ shared) @ along.transpose(0, 2, 1)
+    return shared, cadence, relative, mixed

@@ -95,7 +95,8 @@ def fit_tpf(
     tpf : `~lightkurve.targetpixelfile.TargetPixelFile`, str or path-like, or a sequence of them
         The pixels, without the background of its column FLUX_BKG: the object, or a file, whose
         cadences with bad quality flags are left out as lightkurve does. Several files of one CCD
-        are fitted at once: with one PSF, sensitivity and motion, in the cadences that all have.
+        are fitted at once: with one PSF and sensitivity, and one motion up to a linear map that is
+        fitted with a prior of 0.3 about 1, in the cadences that all have.
     psf : int or `~astropy.modeling.Model`, optional
         1, 2 or 3 Gaussian components with free offsets; or a density or sum of densities, as for
         `~scope_models.PRF`; or a `~scope_models.PRF`. A model gives the starting values, and
@@ -327,10 +328,10 @@ def _rank(problem, solution):
     light = np.median(problem.flux[:, problem.slices[0]].sum(axis=1))
     strange = not 0 < np.median(problem.fluxes(solution.state)) < _LARGEST_FLUX * abs(light)
     # A free response between pixels describes errors of the PSF where the model is not true.
-    strange |= bool(problem.options.interpixel) and not _is_true(problem, solution)
+    absorbs = bool(problem.options.interpixel) and not _is_true(problem, solution)
     information = solution.equations.cost + problem.n_shared * np.log(problem.n_data)
     ends = bool(at_bound) or not solution.converged
-    return strange, ends, problem.error_scale, information
+    return absorbs, strange, ends, problem.error_scale, information
 
 
 def _guess(problem, steps):
@@ -429,8 +430,8 @@ def _make_problem(series, places, prf, flux_err, neighbor_flux, options):
     if options.focus is not None and "width" not in prf.parameter_kinds.values():
         raise ValueError("`focus` needs a PSF with a width: a Gaussian or an empirical term")
     span = float(stamps[0].time[0]), float(stamps[0].time[-1])
-    target = places[0][0]
-    return Problem(tuple(stamps), prf, options, tuple(stars), target=target, span=span), detectors
+    places = {"target": places[0][0], "span": span, "center": tuple(first.tolist())}
+    return Problem(tuple(stamps), prf, options, tuple(stars), **places), detectors
 
 
 def _in_common(stamps):

@@ -57,7 +57,7 @@ class TPFMetadata:
 
     Parameters
     ----------
-    mission : {"Kepler", "K2", "TESS"}
+    mission : {"Kepler", "K2", "TESS", "Ground"}
         The layout of the file.
     target_id : int
         KEPLERID or TICID, at least 1.

@@ -9,12 +9,13 @@ import numpy as np
 
 from scope_models._arrays import DIGITAL, PER_PIXEL, plain_array
 from scope_models._checks import checked_integer, checked_model, checked_number, checked_shape
+from scope_models.effects._effect import Effect, checked_effects
 from scope_models.effects.noise import stream
 from scope_models.io.pixels import read_pixels
 from scope_models.missions import MISSIONS, full_flux
 from scope_models.models import PRF, BivariateGaussianPSF
 from scope_models.models._description import model_in_pixels, value_key
-from scope_models.scene.presets import PRESETS
+from scope_models.scene.presets import PRESETS, ground_fields
 
 if TYPE_CHECKING:
     from astropy.modeling import Model
@@ -46,10 +47,11 @@ _NOT_NEGATIVE = {
 class Detector:
     r"""The pixels of a stamp: geometry, exposure, noise and response.
 
-    The presets `kepler`, `k2`, `k2_calibrated` and `tess` hold the numbers of the missions with
-    their sources; `preset` finds them, and those of your own, by name, and `from_tpf` takes what a
-    file has. A detector does not change; `replace` and `without_sensitivity` give new ones.
-    Detectors are equal if all their fields are. Numbers with a unit may be quantities.
+    The presets `kepler`, `k2`, `k2_calibrated`, `tess` and `ground` hold the numbers of the
+    missions, and of telescopes on the ground, with their sources; `preset` finds them, and those
+    of your own, by name, and `from_tpf` takes what a file has. A detector does not change;
+    `replace` and `without_sensitivity` give new ones. Detectors are equal if all their fields are.
+    Numbers with a unit may be quantities.
 
     Parameters
     ----------
@@ -95,6 +97,8 @@ class Detector:
         The distribution of the drawn responses about 1.
     psf : astropy.modeling.Model or None, optional
         The PSF of stars that have none of their own. Widths that are angles become pixels.
+    effects : Effect or sequence of Effect, optional
+        Effects of the instrument and its site that every scene has: see `scope_models.effects`.
 
     Raises
     ------
@@ -142,6 +146,7 @@ class Detector:
     interpixel_scatter: float = 0.0
     interpixel_distribution: str = "uniform"
     psf: "Model | None" = None
+    effects: tuple[Effect, ...] = ()
 
     def __post_init__(self):
         """Check every field and bring it to its type."""
@@ -176,6 +181,7 @@ class Detector:
         if self.sensitivity is not None:
             PRF(BivariateGaussianPSF() * self.sensitivity)
         self._check_well_depth()
+        put(self, "effects", checked_effects(self.effects))
         if self.interpixel is not None:
             put(self, "interpixel", _checked_map(self.interpixel, self.shape))
 
@@ -486,6 +492,88 @@ class Detector:
         (95.04, 48)
         """
         return cls.preset("tess", cadence, **changes)
+
+    @classmethod
+    def ground(
+        cls, aperture=1.0, altitude=2400.0, band="R", *, seeing=1.0, pixel_scale=0.4, airmass=1.0,
+        throughput=0.4, **changes,
+    ):  # fmt: skip
+        r"""Return a CCD on a ground-based telescope, with its atmosphere.
+
+        Parameters
+        ----------
+        aperture : float or Quantity, optional
+            Diameter of the telescope, m.
+        altitude : float or Quantity, optional
+            Altitude of the observatory, m, which matters to the scintillation.
+        band : {"V", "R", "I"}, optional
+            The band, in which the stars' magnitudes are.
+        seeing : float or Quantity, optional
+            Full width at half maximum of the PSF at the zenith, arcsec.
+        pixel_scale : float or Quantity, optional
+            Size of a pixel, arcsec.
+        airmass : float or array_like, optional
+            Airmass, one number or one for each cadence: `~scope_models.effects.airmass`.
+        throughput : float, optional
+            Part of the photons above the atmosphere that the detector would count without
+            extinction.
+        **changes
+            Any field of `Detector`, to replace these values.
+
+        Returns
+        -------
+        Detector
+            The detector. `Motion.ground <scope_models.Motion.ground>` is its motion, and its
+            files have the layout of TESS, which lightkurve opens.
+
+        Raises
+        ------
+        ValueError
+            If the band is unknown or a number outside its domain.
+        TypeError
+            If a field is misspelt.
+
+        Notes
+        -----
+        ======================= ==================== ==========================================
+        field                   value                source
+        ======================= ==================== ==========================================
+        shape                   (21, 21) px          our choice
+        zero_point              above the atmosphere 3640, 3080, 2550 Jy of width 0.16, 0.23,
+                                                     0.19 in V, R, I (Bessell 1979); 1.51e7
+                                                     photons / (s m2 Jy); the throughput, 0.4,
+                                                     is assumed
+        background              21.6, 20.9, 19.7 mag V, R, I, dark sky at the zenith of Paranal
+                                per arcsec2          (Patat 2003, A&A 400, 1183)
+        int_time, read_time     60 s, 10 s           our choice
+        gain, read_noise,       1 e-/DN, 7 e-,       assumed: typical of cooled CCDs
+        well_depth              1e5 e-
+        interpixel_scatter      0.002, normal        assumed: what flat fields leave
+        psf                     Moffat of the seeing :math:`\beta = 4.765` (Trujillo et al. 2001):
+                                                     `~scope_models.models.moffat_psf`
+        effects                 Extinction           0.11, 0.07, 0.05 mag per airmass in V, R, I
+                                                     (Patat 2003)
+        \                       Scintillation        Osborn et al. (2015)
+        \                       Seeing               width with the airmass to the power of 0.6;
+                                                     changes of 15 percent are assumed
+        \                       DarkCurrent          0.1 e-/s, assumed
+        ======================= ==================== ==========================================
+
+        Moonlight is the effect `~scope_models.effects.NightSky` of a scene.
+
+        Examples
+        --------
+        >>> from scope_models import Detector, Motion, Star, simulate
+        >>> detector = Detector.ground(2.0, altitude=2635, band="V", seeing=0.8)
+        >>> observation = simulate(Star(16.0), detector, Motion.ground(20), seed=1)
+        >>> type(observation.to_tpf()).__name__
+        'TessTargetPixelFile'
+        """
+        own = ground_fields(
+            aperture, altitude, band, seeing=seeing, pixel_scale=pixel_scale, airmass=airmass,
+            throughput=throughput,
+        )  # fmt: skip
+        return cls(**(own | changes))
 
     @classmethod
     def from_tpf(cls, tpf, **changes):

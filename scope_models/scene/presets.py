@@ -4,10 +4,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 
-from scope_models.missions import MISSIONS, Cadence, choose_cadence
-from scope_models.models import BivariateGaussianPSF, SensitivityPolynomial
+import numpy as np
 
-__all__ = ["PRESETS", "Preset", "register_preset"]
+from scope_models._checks import checked_number
+from scope_models.effects import DarkCurrent, Extinction, Scintillation, Seeing
+from scope_models.missions import MISSIONS, Cadence, choose_cadence
+from scope_models.models import BivariateGaussianPSF, SensitivityPolynomial, moffat_psf
+
+__all__ = ["BANDS", "PRESETS", "Preset", "ground_fields", "register_preset"]
 
 
 @dataclass(frozen=True)
@@ -162,4 +166,113 @@ register_preset(
     psf=BivariateGaussianPSF(0.45, sigma_x=0.55, sigma_y=0.55)
     + BivariateGaussianPSF(0.55, sigma_x=1.25, sigma_y=1.25),
 )
+
+
+@dataclass(frozen=True)
+class Band:
+    """A photometric band, as seen from the ground.
+
+    Parameters
+    ----------
+    flux : float
+        Flux of a star of magnitude 0 above the atmosphere, Jy.
+    width : float
+        Width over wavelength.
+    sky : float
+        Brightness of the dark sky at the zenith, mag per square arcsecond.
+    extinction : float
+        Extinction, mag per airmass.
+
+    Examples
+    --------
+    >>> from scope_models.scene.presets import BANDS
+    >>> BANDS["R"].extinction
+    0.07
+    """
+
+    flux: float
+    width: float
+    sky: float
+    extinction: float
+
+
+#: Bands by name. Fluxes and widths: Bessell (1979); sky and extinction: Paranal (Patat 2003).
+BANDS = MappingProxyType(
+    {
+        "V": Band(3640.0, 0.16, 21.6, 0.11),
+        "R": Band(3080.0, 0.23, 20.9, 0.07),
+        "I": Band(2550.0, 0.19, 19.7, 0.05),
+    }
+)
+_PHOTONS = 1.51e7  # per s, m2 and relative width of the band, of 1 Jy
+
+
+def ground_fields(
+    aperture=1.0, altitude=2400.0, band="R", *, seeing=1.0, pixel_scale=0.4, airmass=1.0,
+    throughput=0.4,
+):  # fmt: skip
+    """Return the fields of a detector on a ground-based telescope.
+
+    Parameters
+    ----------
+    aperture, altitude : float or Quantity, optional
+        As for `Detector.ground <scope_models.Detector.ground>`.
+    band : str, optional
+        As there.
+    seeing, pixel_scale : float or Quantity, optional
+        As there.
+    airmass : float or array_like, optional
+        As there.
+    throughput : float, optional
+        As there.
+
+    Returns
+    -------
+    dict
+        The fields.
+
+    Raises
+    ------
+    ValueError
+        If the band is unknown or a number outside its domain.
+
+    Examples
+    --------
+    >>> from scope_models.scene.presets import ground_fields
+    >>> print(f"{ground_fields(1.0)['zero_point']:.3g}")
+    3.36e+09
+    """
+    if band not in BANDS:
+        raise ValueError(f"`band` must be one of {', '.join(BANDS)}, got {band!r}")
+    found = BANDS[band]
+    aperture = checked_number("aperture", aperture, "m", positive=True)
+    seeing = checked_number("seeing", seeing, "arcsec", positive=True)
+    pixel_scale = checked_number("pixel_scale", pixel_scale, "arcsec", positive=True)
+    throughput = checked_number("throughput", throughput, positive=True)
+    photons = _PHOTONS * found.flux * found.width * np.pi / 4 * aperture**2
+    return {
+        "mission": "Ground",
+        "shape": (21, 21),
+        "pixel_scale": pixel_scale,
+        "zero_point": throughput * photons,
+        "zero_point_mag": 0.0,
+        "int_time": 60.0,
+        "read_time": 10.0,
+        "gain": 1.0,
+        "read_noise": 7.0,
+        "background": throughput * photons * 10 ** (-0.4 * found.sky) * pixel_scale**2,
+        "well_depth": 1e5,
+        "interpixel_scatter": 0.002,
+        "interpixel_distribution": "normal",
+        "psf": moffat_psf(seeing / pixel_scale),
+        "effects": (
+            Extinction(found.extinction, airmass),
+            Scintillation(aperture, altitude, airmass),
+            Seeing(airmass=airmass),
+            DarkCurrent(0.1),
+        ),
+    }
+
+
+register_preset("ground", **ground_fields())
 _OWN.extend(_REGISTERED)

@@ -12,10 +12,11 @@ from astropy.utils.exceptions import AstropyDeprecationWarning
 from scope_models._arrays import plain_number
 from scope_models._checks import checked_integer
 from scope_models.effects import Effect, mission_effects
+from scope_models.effects._effect import checked_effects
 from scope_models.effects.noise import check_seed, noise_terms
 from scope_models.io import TPFMetadata, read_truth, write_hdulist
 from scope_models.io._headers import tan_projection
-from scope_models.io._truth import truth_hdus
+from scope_models.io._truth import truth_blocks
 from scope_models.models._description import (
     describe_model,
     find_class,
@@ -63,8 +64,9 @@ class Scene:
         between the middles of the cadences by straight lines, and stay before the first and after
         the last. The relative flux is a mean over the cadence in any case.
     effects : Effect or sequence of Effect or "mission", optional
-        What sky, telescope and detector do besides noise and saturation: see
-        `scope_models.effects`. "mission" are those of `~scope_models.effects.mission_effects`.
+        What sky, telescope and detector do besides noise and saturation, after the detector's
+        own effects: see `scope_models.effects`. "mission" are those of
+        `~scope_models.effects.mission_effects`.
     target_id : int, optional
         KEPLERID or TICID of the target in a file; the default is 1.
     object_name : str, optional
@@ -134,7 +136,7 @@ class Scene:
         put("seed", None if self.seed is None else check_seed(self.seed))
         put("noise", noise_terms(self.noise))
         put("n_sub", checked_integer("n_sub", self.n_sub, 1))
-        put("effects", _checked_effects(self.effects, self.detector))
+        put("effects", _own_effects(self.effects, self.detector))
         for name in ("ra", "dec", "orientation"):
             if getattr(self, name) is not None:
                 put(name, plain_number(getattr(self, name), "deg", name))
@@ -304,8 +306,9 @@ class Scene:
         columns = scene_columns(self, relative_flux)
         given = self.detector.interpixel
         maps = {} if given is None else {"INTERPIXEL": given}
-        hdus = truth_hdus(self.motion.cadenceno, columns, maps, describe_scene(self), None)
-        return write_hdulist(fits.HDUList([fits.PrimaryHDU(), *hdus]), path, overwrite=overwrite)
+        blocks = truth_blocks(self.motion.cadenceno, columns, maps, describe_scene(self), None)
+        hdus = [fits.PrimaryHDU(), *(block.hdu() for block in blocks)]
+        return write_hdulist(fits.HDUList(hdus), path, overwrite=overwrite)
 
     @classmethod
     def read(cls, path):
@@ -364,19 +367,11 @@ def _checked_stars(stars):
     return stars
 
 
-def _checked_effects(effects, detector):
+def _own_effects(effects, detector):
     """Return one effect, several or the mission's as a tuple."""
     if isinstance(effects, str) and effects == "mission":
         return mission_effects(detector)
-    if isinstance(effects, Effect):
-        return (effects,)
-    if not isinstance(effects, Iterable):
-        raise TypeError(f"`effects` must be effects, got {effects!r}")
-    effects = tuple(effects)
-    for effect in effects:
-        if not isinstance(effect, Effect):
-            raise TypeError(f"`effects` must hold effects, got {effect!r}")
-    return effects
+    return checked_effects(effects)
 
 
 def read_scene(path):
@@ -513,6 +508,7 @@ def _describe_detector(detector):
         described[name] = describe_model(described[name])
     described["shape"] = list(detector.shape)
     described["interpixel"] = detector.interpixel is not None
+    described["effects"] = [_describe_effect(effect) for effect in detector.effects]
     return described
 
 
@@ -523,6 +519,7 @@ def _detector(described, interpixel):
         values[name] = make_model(values[name])
     values["shape"] = tuple(values["shape"])
     values["interpixel"] = interpixel if values["interpixel"] else None
+    values["effects"] = [_effect(described) for described in values.get("effects", ())]
     return Detector(**values)
 
 

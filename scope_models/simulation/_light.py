@@ -48,6 +48,8 @@ class StarLight:
         Flux at the star's magnitude, e-/s, before the response of the pixels.
     relative_flux : ndarray of shape (n_cadences,)
         Flux of each cadence, 1 at the star's magnitude.
+    passed : ndarray of shape (n_cadences,)
+        Factor of the effects on the star's light.
     series : ImageSeries
         Renders the star at unit flux.
     shares : tuple of callable, optional
@@ -62,6 +64,7 @@ class StarLight:
     widths: np.ndarray | None
     flux: float
     relative_flux: np.ndarray
+    passed: np.ndarray
     series: ImageSeries
     shares: tuple = ()
     shape: tuple = ()
@@ -100,7 +103,8 @@ class StarLight:
                 (f(x @ self.weights, y @ self.weights, cadences) for f in self.shares), whole
             )
         images[images < _DARK] = 0.0
-        images *= (self.flux * self.relative_flux[cadences])[:, np.newaxis, np.newaxis]
+        flux = self.flux * (self.relative_flux * self.passed)[cadences]
+        images *= flux[:, np.newaxis, np.newaxis]
         return images
 
 
@@ -147,9 +151,9 @@ def prepare(scene):
     ValueError
         If a star has no PSF, or a signal of another length.
     """
-    conditions = Conditions.of(scene.detector, scene.motion.time)
+    conditions = Conditions.of(scene.detector, scene.motion.time, len(scene.stars))
     effects, counts = [], Counter()
-    for effect in scene.effects:
+    for effect in (*scene.detector.effects, *scene.effects):
         counts[effect.name] += 1
         generator = stream(scene.seed, f"effect {effect.name} {counts[effect.name]}")
         effects.append((effect, effect.draw(conditions, generator)))
@@ -166,8 +170,11 @@ def _star_lights(scene, conditions, effects):
     exposures = _exposures(
         scene, [effect.exposures(drawn, conditions) for effect, drawn in effects]
     )
+    passed = _product(effect.starlight(drawn, conditions) for effect, drawn in effects)
+    passed = np.broadcast_to(1.0 if passed is None else passed, (len(scene.stars), len(time)))
     expanded, lights = exposures.expanded(), []
-    for number, (star, (x_0, y_0)) in enumerate(zip(scene.stars, scene.positions, strict=True)):
+    for number, star in enumerate(scene.stars):
+        x_0, y_0 = scene.positions[number]
         psf, response = _psf(star, detector), detector.sensitivity
         moved = exposures if exposures.blur and is_gaussian(psf, response) else expanded
         place = moved.x + x_0, moved.y + y_0
@@ -175,8 +182,8 @@ def _star_lights(scene, conditions, effects):
         flux, relative = detector.flux_from_mag(star.mag), star.relative_flux(time)
         found = (effect.shares(drawn, conditions, number) for effect, drawn in effects)
         shares = tuple(share for share in found if share is not None)
-        light = *place, moved.weights, widths, flux, relative, series, shares, detector.shape
-        lights.append(StarLight(*light))
+        light = flux, relative, passed[number], series, shares, detector.shape
+        lights.append(StarLight(*place, moved.weights, widths, *light))
     return lights
 
 

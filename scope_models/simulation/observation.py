@@ -224,10 +224,10 @@ class Observation:
         >>> observation.to_tpf(metadata={"target_id": 205998445}).targetid
         205998445
         """
-        from lightkurve import KeplerTargetPixelFile, TessTargetPixelFile
+        import lightkurve
 
         hdulist = make_tpf_hdulist(**self._tpf_arguments(metadata, aperture_mask))
-        kind = TessTargetPixelFile if self.detector.mission == "TESS" else KeplerTargetPixelFile
+        kind = getattr(lightkurve, MISSIONS[self.detector.mission].tpf_class)
         return kind(hdulist, quality_bitmask=quality_bitmask)
 
     def to_lightcurve(self, aperture_mask=None, *, metadata=None, quality_bitmask="default"):
@@ -422,7 +422,7 @@ class Observation:
         """Return the facts for the headers of a file with an aperture."""
         if self.detector.mission not in MISSIONS:
             raise ValueError(
-                f"`mission` must be Kepler, K2 or TESS to make a target pixel file, got "
+                "`mission` must be Kepler, K2 or TESS (or Ground) to make a target pixel file, got "
                 f"{self.detector.mission!r}"
             )
         facts = scene_facts(self.scene) | dict(changes or {})

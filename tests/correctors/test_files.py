@@ -68,8 +68,12 @@ def test_tess_file(shared_data, tmp_path):
     ],
 )
 def test_cards_that_stay_true_are_kept(shared_data, tmp_path, name):
-    detrend_file(shared_data / name, tmp_path / "lc.fits", order=1)
-    with fits.open(shared_data / name) as before, fits.open(tmp_path / "lc.fits") as after:
+    source = tmp_path / "tpf.fits"
+    with fits.open(shared_data / name) as hdus:
+        hdus[1].data = hdus[1].data[:800]
+        hdus.writeto(source, checksum=True)
+    detrend_file(source, tmp_path / "lc.fits", order=1)
+    with fits.open(source) as before, fits.open(tmp_path / "lc.fits") as after:
         for i, keywords in enumerate(
             [
                 "OBJECT INSTRUME TELESCOP MISSION CHANNEL CAMPAIGN KEPMAG TESSMAG SECTOR CCD PMRA",
@@ -138,6 +142,14 @@ def test_files_that_are_none(tmp_path):
     with pytest.raises(ValueError, match="not a target pixel file"):
         detrend_file(image, tmp_path / "lc.fits")
     assert {path.name for path in tmp_path.iterdir()} == {"text.fits", "image.fits"}
+
+
+def test_what_the_correction_refuses_names_the_file(tpf_file, tmp_path):
+    with fits.open(tpf_file) as hdus:
+        hdus[1].data["FLUX"][...] = 0
+        hdus.writeto(tmp_path / "dark.fits", checksum=True)
+    with pytest.raises(ValueError, match=r"dark\.fits: no pixel of `tpf` is above its noise"):
+        detrend_file(tmp_path / "dark.fits", tmp_path / "lc.fits")
 
 
 def test_command(tpf_file, tmp_path, capsys):

@@ -116,6 +116,49 @@ def test_several_files():
     assert np.median(fits[0].x_err) < np.median(alone.x_err)
 
 
+@pytest.mark.parametrize("positions", ["start", "path"])
+def test_motion_of_another_file_is_mapped(positions):
+    """A field that rotates and shrinks in the motion of the second file is found."""
+    motion = 3 * Motion.k2_roll(60)
+    matrix = np.array([[0.8, 0.3], [-0.2, 1.1]])
+    x, y = matrix @ [motion.x, motion.y]
+    there = Motion(time=motion.time, x=x, y=y, cadenceno=motion.cadenceno, quality=motion.quality)
+    observations = [
+        simulate(Star(12.5, 5.2, 4.1), DETECTOR, motion, seed=1),
+        simulate(Star(12.0, 4.7, 3.6), DETECTOR, there, seed=2),
+    ]
+    fits = fit_tpf([item.to_tpf() for item in observations], 1, interpixel=0, positions=positions)
+    second = fits[1]
+    names = ("x_by_x_1", "x_by_y_1", "y_by_x_1", "y_by_y_1")
+    for name, truth in zip(names, matrix.ravel(), strict=True):
+        assert abs(second.values[name] - truth) < 4 * second.errors[name] < 0.01
+    used = np.isin(observations[1].cadenceno, second.cadenceno)
+    for name in ("x", "y"):
+        truth = truth_of(observations[1], name, 0)[used]
+        pull = pulls(getattr(second, name), getattr(second, f"{name}_err"), truth)
+        assert np.abs(pull).max() < 5
+    assert abs(second.reduced_chi2 - 1) < 5 * np.sqrt(2 / second.dof)
+
+
+@pytest.mark.slow
+def test_seven_real_stars_share_a_psf(shared_data):
+    """One PSF for seven files; they move together, as their POS_CORR do, within the errors."""
+    paths = sorted((shared_data / "kepler_q12_ch4").glob("*.fits.gz"))
+    files = [read_pixels(path, quality_bitmask="default")[::4] for path in paths]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", FitWarning)
+        fits = fit_tpf(files, 1, empirical=6, interpixel=0, neighbors="find")
+    assert fits[0].converged
+    first = fits[0].pos_corr - fits[0].pos_corr.mean(axis=0)
+    for number, fit in enumerate(fits[1:], start=1):
+        other = fit.pos_corr - fit.pos_corr.mean(axis=0)
+        expected = np.linalg.lstsq(first, other, rcond=None)[0].T.ravel()
+        names = [f"{axis}_by_{of}_{number}" for axis in "xy" for of in "xy"]
+        for name, truth in zip(names, expected, strict=True):
+            assert abs(fit.values[name] - truth) < 3 * fit.errors[name]
+        assert min(fit.path_r2()) > 0.99
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [

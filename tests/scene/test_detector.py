@@ -12,6 +12,7 @@ from photutils.psf import GaussianPSF, MoffatPSF
 from scipy.stats import kstest, norm, uniform
 
 from scope_models import Detector, Motion, Star, read_detector, simulate
+from scope_models.effects import Gaps
 from scope_models.missions import Cadence
 from scope_models.models import PRF, BivariateGaussianPSF, SensitivityPolynomial
 from scope_models.scene import presets, register_preset
@@ -217,6 +218,7 @@ def test_every_field_can_be_overridden(preset):
         "interpixel_scatter": 0.0,
         "interpixel_distribution": "normal",
         "psf": None,
+        "effects": (Gaps([(0.0, 1.0)]),),
     }
     assert set(changes) == {item.name for item in dataclasses.fields(Detector)}
     detector = PRESETS[preset](**changes)

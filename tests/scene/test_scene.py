@@ -338,7 +338,7 @@ def test_preset_in_toml(tmp_path):
         ("shape = [7", "detector.toml: "),
         (
             'preset = "plato"',
-            "`preset` must be one of kepler, k2, k2_calibrated, tess, got 'plato'",
+            "`preset` must be one of kepler, k2, k2_calibrated, tess, ground, got 'plato'",
         ),
         ('preset = "k2"\nreed_noise = 1', "`reed_noise` is not a field of a detector"),
         ('cadence = "long"', "`cadence` is not a field of a detector"),

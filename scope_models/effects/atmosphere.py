@@ -1,0 +1,345 @@
+"""The atmosphere above a telescope on the ground: extinction, scintillation and seeing."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from astropy.coordinates import FK5, EarthLocation, SkyCoord
+from astropy.time import Time
+
+from scope_models._arrays import plain_array, plain_number, plain_time
+from scope_models._checks import checked_number
+from scope_models.effects._effect import Drawn, Effect
+from scope_models.missions import TIME_ZEROS
+
+__all__ = ["Extinction", "Scintillation", "Seeing", "airmass"]
+
+_TDB_MINUS_UTC = 69.184  # s, since 2017; 1 s is 15 arcsec of hour angle
+
+
+def equatorial_place(coord, time):
+    """Return right ascension and declination of the equinox of a time, deg."""
+    if not isinstance(coord, SkyCoord):
+        raise TypeError(f"`coord` must be a SkyCoord, got {coord!r}")
+    place = coord.transform_to(FK5(equinox=Time(time, format="jd", scale="tdb")))
+    return place.ra.deg, place.dec.deg
+
+
+def horizon_altitude(days, ra, dec, location):
+    """Return the altitude above the horizon, deg, at times in days of BTJD."""
+    if not isinstance(location, EarthLocation):
+        raise TypeError(f"`location` must be an EarthLocation, got {location!r}")
+    utc = days - _TDB_MINUS_UTC / 86400 + (TIME_ZEROS["btjd"] - 2451545.0)
+    # Greenwich mean sidereal time (Astronomical Almanac); UT1 - UTC is below 0.9 s.
+    sidereal = 280.46061837 + 360.98564736629 * utc
+    hour_angle = np.radians(sidereal + location.lon.deg - ra)
+    latitude, dec = location.lat.rad, np.radians(dec)
+    sine = np.sin(latitude) * np.sin(dec) + np.cos(latitude) * np.cos(dec) * np.cos(hour_angle)
+    return np.degrees(np.arcsin(np.clip(sine, -1, 1)))
+
+
+def airmass(time, coord, location):
+    """Return the airmass of a star.
+
+    By the formula of Kasten & Young (1989). The barycentric times are taken as those of the
+    observatory, from which they differ by up to 8 minutes.
+
+    Parameters
+    ----------
+    time : array_like or Time
+        Times, BTJD.
+    coord : SkyCoord
+        The star.
+    location : EarthLocation
+        The observatory.
+
+    Returns
+    -------
+    ndarray of shape (n,)
+        At least 1.
+
+    Raises
+    ------
+    TypeError
+        If an argument is of the wrong kind.
+    ValueError
+        If the star is below the horizon at any of the times.
+
+    References
+    ----------
+    Kasten, F. & Young, A. T. 1989, Applied Optics 28, 4735.
+
+    Examples
+    --------
+    >>> from astropy.coordinates import EarthLocation, SkyCoord
+    >>> from scope_models.effects import airmass
+    >>> paranal = EarthLocation.from_geodetic(-70.40, -24.63, 2635)
+    >>> star = SkyCoord("01h00m00s -24d38m00s")
+    >>> print(airmass([1400.6, 1400.7], star, paranal).round(2))
+    [1.15 1.  ]
+    """
+    days = np.atleast_1d(plain_time(time, "btjd", "time"))
+    ra, dec = equatorial_place(coord, TIME_ZEROS["btjd"] + days[0])
+    altitude = horizon_altitude(days, ra, dec, location)
+    if np.any(altitude <= 0):
+        raise ValueError(
+            f"`coord` must be above the horizon, got {np.sum(altitude <= 0)} of {days.size} times "
+            "at which it is below"
+        )
+    sine = np.sin(np.radians(altitude))
+    return np.maximum(1 / (sine + 0.50572 * (altitude + 6.07995) ** -1.6364), 1.0)
+
+
+def checked_airmass(effect):
+    """Bring the airmass of an effect, a number or one for each cadence, to its type."""
+    values = plain_array(effect.airmass, "", "airmass")
+    if values.ndim > 1 or not np.all(np.isfinite(values)) or np.any(values < 1):
+        raise ValueError("`airmass` must be 1 or more, one number or one for each cadence")
+    values.flags.writeable = False
+    object.__setattr__(effect, "airmass", values if values.ndim else float(values))
+
+
+def series_of(value, time, name):
+    """Return one value for each cadence."""
+    if np.ndim(value) and np.shape(value) != time.shape:
+        raise ValueError(
+            f"`{name}` must give one number for each of the {len(time)} cadences, got {len(value)}"
+        )
+    return np.broadcast_to(value, time.shape)
+
+
+def _red_noise(generator, time, correlation_time):
+    """Return a Gauss-Markov process of unit variance at any times."""
+    values = generator.standard_normal(len(time))
+    kept = np.exp(-np.diff(time) / correlation_time)
+    for i, part in enumerate(kept, start=1):
+        values[i] = part * values[i - 1] + np.sqrt(1 - part**2) * values[i]
+    return values
+
+
+def _check_numbers(effect, units, positive=()):
+    """Bring numbers of an effect to their units."""
+    for name, unit in units.items():
+        value = plain_number(getattr(effect, name), unit, name)
+        value = checked_number(name, value, positive=name in positive)
+        object.__setattr__(effect, name, value)
+
+
+@dataclass(frozen=True, eq=False)
+class Extinction(Effect):
+    r"""Light of the stars that the atmosphere absorbs and scatters.
+
+    .. math:: f(t) = 10^{-0.4 [k X(t) + c(t)]}
+
+    with the coefficient k, the airmass X, and the changes c of the transparency, a Gauss-Markov
+    process that all stars share.
+
+    Parameters
+    ----------
+    coefficient : float or Quantity, optional
+        Coefficient k, mag per airmass. 0.11, 0.07 and 0.05 in V, R and I: Paranal (Patat 2003).
+    airmass : float or array_like, optional
+        Airmass X, 1 or more, for all cadences or for each: `airmass` computes it.
+    scatter : float or Quantity, optional
+        Standard deviation of c, mag.
+    correlation_time : float or Quantity, optional
+        Correlation time of c, days; the default is assumed.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If an argument is of the wrong kind or outside its domain.
+
+    Notes
+    -----
+    The truth has the airmass and the factor on the light of the stars in the columns AIRMASS and
+    EXTINCTION. The background is that on the ground, and stays. Stars of all colors have the same
+    coefficient.
+
+    References
+    ----------
+    Patat, F. 2003, A&A 400, 1183, table A.1.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from scope_models import Detector, Motion, Star, simulate
+    >>> from scope_models.effects import Extinction
+    >>> effect = Extinction(0.1, airmass=np.array([1.0, 1.5, 2.0]))
+    >>> scene = Star(10.0), Detector.tess(), Motion.ground(3)
+    >>> truth = simulate(*scene, noise=False, effects=effect).truth
+    >>> print(-2.5 * np.log10(truth.columns["EXTINCTION"]))
+    [0.1  0.15 0.2 ]
+    """
+
+    coefficient: float = 0.07
+    airmass: float | np.ndarray = 1.0
+    scatter: float = 0.0
+    correlation_time: float = 0.1
+
+    def __post_init__(self):
+        units = {"coefficient": "mag", "scatter": "mag", "correlation_time": "day"}
+        _check_numbers(self, units, positive=("correlation_time",))
+        checked_airmass(self)
+
+    def draw(self, conditions, generator):
+        """Return the airmass and the factor of each cadence."""
+        time = conditions.time
+        column = series_of(self.airmass, time, "airmass")
+        change = self.scatter * _red_noise(generator, time, self.correlation_time)
+        factor = 10 ** (-0.4 * (self.coefficient * column + change))
+        return Drawn({"AIRMASS": np.array(column), "EXTINCTION": factor})
+
+    def starlight(self, drawn, conditions):
+        """Return the factor of each cadence."""
+        return drawn.columns["EXTINCTION"]
+
+
+@dataclass(frozen=True, eq=False)
+class Scintillation(Effect):
+    r"""Changes of the stars' light by turbulence high above the telescope.
+
+    .. math:: \sigma^2 = 10^{-5} C_Y^2 D^{-4/3} t^{-1} X^3 e^{-2 h / H}
+
+    with the aperture D (m), the exposure t (s), the airmass X and the altitude h of the telescope
+    [1]_. The formula holds for exposures that are long against the time in which the turbulence
+    crosses the aperture; the noise is then white. Each star has its own: stars that are closer
+    than some arcseconds share some of it, which is neglected.
+
+    Parameters
+    ----------
+    aperture : float or Quantity, optional
+        Diameter D of the telescope, m.
+    altitude : float or Quantity, optional
+        Altitude h of the telescope, m.
+    airmass : float or array_like, optional
+        Airmass X, 1 or more, for all cadences or for each.
+    coefficient : float, optional
+        Coefficient :math:`C_Y`, :math:`\mathrm{m}^{2/3}\,\mathrm{s}^{1/2}`; the default is about
+        the median of observatories [1]_.
+    scale_height : float or Quantity, optional
+        Scale height H of the turbulence, m [1]_.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If an argument is of the wrong kind or outside its domain.
+
+    Notes
+    -----
+    The truth has the factor of each cadence and star, log-normally distributed with a mean of 1,
+    in the column SCINTILLATION.
+
+    References
+    ----------
+    .. [1] Osborn, J. et al. 2015, MNRAS 452, 1707.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from scope_models.effects import Scintillation
+    >>> print(f"{1e6 * Scintillation(3.5 * u.m, altitude=2788).rms(60.0):.0f} ppm")
+    195 ppm
+    """
+
+    aperture: float = 1.0
+    altitude: float = 2400.0
+    airmass: float | np.ndarray = 1.0
+    coefficient: float = 1.56
+    scale_height: float = 8000.0
+
+    def __post_init__(self):
+        units = {"aperture": "m", "altitude": "m", "coefficient": "", "scale_height": "m"}
+        _check_numbers(self, units, positive=("aperture", "scale_height"))
+        checked_airmass(self)
+
+    def rms(self, exposure):
+        """Return the standard deviation of the relative flux.
+
+        Parameters
+        ----------
+        exposure : float or Quantity
+            Length of the exposure, s.
+
+        Returns
+        -------
+        float or ndarray
+            One number, or one for each airmass.
+
+        Raises
+        ------
+        ValueError
+            If the exposure is not positive.
+        """
+        exposure = checked_number("exposure", exposure, "s", positive=True)
+        height = np.exp(-self.altitude / self.scale_height)
+        size = self.coefficient * self.aperture ** (-2 / 3)
+        return np.sqrt(1e-5 / exposure) * size * height * np.asarray(self.airmass) ** 1.5
+
+    def draw(self, conditions, generator):
+        """Return the factor of each cadence and star."""
+        sigma = series_of(self.rms(conditions.exposure_time), conditions.time, "airmass")
+        log_variance = np.log1p(sigma**2)
+        each = [g.standard_normal(len(sigma)) for g in generator.spawn(conditions.n_stars)]
+        factor = np.exp(np.sqrt(log_variance) * each - log_variance / 2)
+        return Drawn({"SCINTILLATION": factor.T})
+
+    def starlight(self, drawn, conditions):
+        """Return the factor of each star and cadence."""
+        return drawn.columns["SCINTILLATION"].reshape(-1, conditions.n_stars).T
+
+
+@dataclass(frozen=True, eq=False)
+class Seeing(Effect):
+    r"""The width of the PSF with the seeing.
+
+    .. math:: w(t) = X(t)^{3/5} e^{s\,g(t)}
+
+    with the airmass X and a Gauss-Markov process g of unit variance. The exponent of X is that of
+    Kolmogorov turbulence. The detector's PSF is the one of w = 1.
+
+    Parameters
+    ----------
+    scatter : float, optional
+        Standard deviation s of the logarithm of the width; the default is assumed.
+    correlation_time : float or Quantity, optional
+        Correlation time of g, days; the default is assumed.
+    airmass : float or array_like, optional
+        Airmass X, 1 or more, for all cadences or for each.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If an argument is of the wrong kind or outside its domain.
+
+    Notes
+    -----
+    The truth has the relative width of each cadence in the column SEEING.
+
+    Examples
+    --------
+    >>> from scope_models import Detector, Motion, Star, simulate
+    >>> from scope_models.effects import Seeing
+    >>> scene = Star(10.0), Detector.tess(), Motion.ground(3)
+    >>> truth = simulate(*scene, seed=1, effects=Seeing(0.0, airmass=2.0)).truth
+    >>> print(truth.columns["SEEING"].round(3))
+    [1.516 1.516 1.516]
+    """
+
+    scatter: float = 0.15
+    correlation_time: float = 0.02
+    airmass: float | np.ndarray = 1.0
+
+    def __post_init__(self):
+        units = {"scatter": "", "correlation_time": "day"}
+        _check_numbers(self, units, positive=("correlation_time",))
+        checked_airmass(self)
+
+    def draw(self, conditions, generator):
+        """Return the relative width of each cadence."""
+        time = conditions.time
+        change = self.scatter * _red_noise(generator, time, self.correlation_time)
+        return Drawn({"SEEING": series_of(self.airmass, time, "airmass") ** 0.6 * np.exp(change)})
+
+    def width(self, drawn, conditions):
+        """Return the relative width of each cadence."""
+        return drawn.columns["SEEING"]
