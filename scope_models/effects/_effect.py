@@ -259,10 +259,21 @@ class Effect:
         """Return offsets of the stars within each cadence, `Exposures`, or None."""
 
     def shares(self, drawn, conditions, star):
-        """Return what is added to a star's images of unit flux, or None.
+        """Return a function of columns, rows (m,) and a slice, or None.
 
-        It is a function of columns and rows of shape (m,) and of a slice of m cadences, and
-        returns the shape (m, ny, nx); ``star`` is the number of the star in the scene.
+        Parameters
+        ----------
+        drawn : Drawn
+            The truth of the effect.
+        conditions : Conditions
+            What it needs of the scene.
+        star : int
+            Number of the star in the scene.
+
+        Returns
+        -------
+        callable or None
+            It returns what is added to the star's images of unit flux, shape (m, ny, nx).
         """
 
     def starlight(self, drawn, conditions):

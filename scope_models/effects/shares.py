@@ -29,7 +29,7 @@ class PixelShares(Effect):
     Parameters
     ----------
     coefficients : array_like of shape (k, ny, nx)
-        c, in the order of `terms`.
+        Coefficients c, in the order of `terms`.
     x_range, y_range : tuple of float, optional
         Least and largest column and row of the star, pixels of the stamp.
     time_range : tuple of float, optional
@@ -119,7 +119,22 @@ class PixelShares(Effect):
         return np.tensordot(polynomials(self.terms, *scaled)[0], self.coefficients, axes=1)
 
     def shares(self, drawn, conditions, star):
-        """Return the function of positions and cadences that gives the changes of a star."""
+        """Return the function that gives the changes of a star.
+
+        Parameters
+        ----------
+        drawn : Drawn
+            The truth of the effect.
+        conditions : Conditions
+            Times and shape.
+        star : int
+            Number of the star.
+
+        Returns
+        -------
+        callable or None
+            Function of columns, rows and a slice of cadences; None for other stars.
+        """
         if star != self.star:
             return None
         if self.coefficients.shape[1:] != tuple(conditions.shape):
