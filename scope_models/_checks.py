@@ -85,6 +85,19 @@ def checked_matrix(matrix):
     return a, b, c, d
 
 
+def checked_weights(name, weights, shape):
+    """Return weights of the pixels of each cadence; NaN where a cadence cannot be used."""
+    weights = np.asarray(weights)
+    if weights.dtype.kind not in "biuf" or weights.shape != tuple(shape):
+        raise ValueError(
+            f"`{name}` must be weights of shape {tuple(shape)}, got {weights.dtype} {weights.shape}"
+        )
+    weights = weights.astype(float)
+    if np.any(weights < 0) or np.any(np.isinf(weights)) or not np.any(weights > 0):
+        raise ValueError(f"`{name}` must be finite, not negative, and above zero somewhere")
+    return weights
+
+
 def checked_shape(shape):
     """Return the shape as a tuple of two positive integers."""
     try:

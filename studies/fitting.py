@@ -5,10 +5,12 @@ sensitivity at the Cramer-Rao bound; the response of the pixels that a star cros
 the motion of K2 to 0.1 %; on real pixels a chi-squared per pixel below that of photutils'
 GaussianPRF for each cadence.
 
-Run as ``OMP_NUM_THREADS=1 python studies/fitting.py``, with any of ``pulls``, ``real FOLDER``,
-``terms FOLDER``, ``drop FOLDER`` and ``twin FOLDER``, where FOLDER has the archive files.
+Run as ``OMP_NUM_THREADS=1 python studies/fitting.py``, with any of ``pulls``, ``scenes FILE``,
+``defaults FOLDER``, ``real FOLDER``, ``terms FOLDER``, ``drop FOLDER`` and ``twin FOLDER``, where
+FOLDER has the archive files. ``scenes`` continues where its FILE ends.
 """
 
+import json
 import sys
 import time
 import warnings
@@ -30,6 +32,7 @@ from scope_models import (
     simulate,
 )
 from scope_models.correctors import PLDCorrector
+from scope_models.exceptions import FitWarning
 from scope_models.photometry import cdpp
 
 FILES = {
@@ -42,6 +45,7 @@ TWO = BivariateGaussianPSF(0.75, 0, 0, 0.5, 0.45, 0.15) + BivariateGaussianPSF(
 )
 N_STARS = 250
 N_CADENCES = 1000
+N_SCENES, SCENE_CADENCES = 100, 60
 N_PHOTUTILS = 100
 MODELS = {
     "1 component": {"psf": 1},
@@ -119,6 +123,108 @@ def report_pulls():
                 f"{min(bound):.4f} to {max(bound):.4f}"
             )
         print(f"  chi-squared per degree of freedom {np.mean([row[3] for row in others]):.4f}\n")
+
+
+def make_scene(n_stars, seed):
+    """Return an observation of stars at least 2.5 px apart, and their places."""
+    generator = np.random.default_rng([n_stars, seed])
+    side = {1: 7, 2: 9, 5: 13}[n_stars]
+    places = []
+    while len(places) < n_stars:
+        place = generator.uniform(2.5, side - 3.5, 2)
+        if all(np.hypot(*(place - other)) > 2.5 for other in places):
+            places.append(place)
+    psf = BivariateGaussianPSF(
+        1, 0, 0, *generator.uniform(0.45, 0.6, 2), generator.uniform(-0.4, 0.4)
+    )
+    mags = np.sort(generator.uniform(11.5, 13.5, n_stars))
+    stars = [Star(mag, *place, psf=psf) for mag, place in zip(mags, places, strict=True)]
+    detector = Detector.k2(shape=(side, side), interpixel_scatter=0, well_depth=None)
+    return simulate(stars, detector, 2 * Motion.k2_roll(SCENE_CADENCES, seed=seed), seed=seed)
+
+
+def scene_pulls(n_stars, seed):
+    """Return the pulls of a scene by group: of what all share, of stars, and of cadences."""
+    observation = make_scene(n_stars, seed)
+    truth, psf = observation.truth, observation.stars[0].psf
+    places = [(star.x_0, star.y_0) for star in observation.stars]
+    fit = fit_tpf(
+        observation.to_tpf(quality_bitmask="none"), 1, curvature(), stars=np.round(places, 1),
+        interpixel=0, neighbor_flux="cadence",
+    )  # fmt: skip
+    used = np.isin(observation.cadenceno, fit.cadenceno)
+    values = {name: float(getattr(psf, name).value) for name in ("sigma_x", "sigma_y", "rho")}
+    values |= {"ax2": -0.05, "ay2": -0.05}
+    place = np.array(places) - places[0]
+    offsets = {f"{a}_star_{k}": place[k][i] for k in range(1, n_stars) for i, a in enumerate("xy")}
+
+    def shared(expected):
+        return {k: (fit.values[k] - v) / fit.errors[k] for k, v in expected.items()}
+
+    some = np.linspace(0, len(fit.time) - 1, 5).astype(int)
+    cadences = {}
+    for k, star in enumerate((fit, *fit.neighbors)):
+        flux = truth.flux[k] * truth.relative_flux[k][used]
+        for name, expected in (("x", truth.x[k, used]), ("y", truth.y[k, used]), ("flux", flux)):
+            error = getattr(star, f"{name}_err")
+            cadences[f"{name}_{k}"] = ((getattr(star, name) - expected) / error)[some].tolist()
+    return {
+        "n_stars": n_stars, "seed": seed, "converged": fit.converged, "chi2": fit.reduced_chi2,
+        "shared": shared(values), "star": shared(offsets), "cadence": cadences,
+    }  # fmt: skip
+
+
+def report_scenes(path):
+    """Run what the file does not have yet, and report all of it."""
+    path = Path(path)
+    rows = [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
+    done = {(row["n_stars"], row["seed"]) for row in rows}
+    with path.open("a") as file:
+        for seed in range(N_SCENES):
+            for n_stars in (1, 2, 5):
+                if (n_stars, seed) not in done:
+                    rows.append(scene_pulls(n_stars, seed))
+                    print(json.dumps(rows[-1]), file=file, flush=True)
+    for n_stars in (1, 2, 5):
+        own = [row for row in rows if row["n_stars"] == n_stars]
+        converged = sum(row["converged"] for row in own)
+        print(f"{n_stars} stars: {len(own)} scenes, {converged} converged")
+        for group in ("shared", "star", "cadence"):
+            values = [np.ravel(list(row[group].values())) for row in own]
+            pulls = np.concatenate(values)
+            if not pulls.size:
+                continue
+            inside = np.array([np.mean(np.abs(v) < 1) for v in values])
+            squares = np.array([np.mean(v**2) for v in values])
+            scatter = np.sqrt(squares.mean())
+            print(
+                f"  {group:8s} mean {pulls.mean():5.2f}, rms {scatter:.3f} +- "
+                f"{squares.std() / np.sqrt(len(own)) / 2 / scatter:.3f}, 68 % intervals hold "
+                f"{inside.mean():.3f} +- {inside.std() / np.sqrt(len(own)):.3f} of {pulls.size}"
+            )
+            for name in own[0][group]:
+                one = np.ravel([row[group][name] for row in own])
+                print(f"    {name:10s} rms {np.sqrt(np.mean(one**2)):.3f}, mean {one.mean():5.2f}")
+
+
+def report_defaults(folder):
+    """The default call on every file: seconds of the processor, steps, and how it ended."""
+    for path in sorted(Path(folder).glob("*_tpf/*.fits*")) + sorted(
+        Path(folder).glob("kepler_q12_ch4/*.fits.gz")
+    ):
+        begin = time.process_time()
+        with warnings.catch_warnings(record=True) as record:
+            warnings.simplefilter("always", FitWarning)
+            fit = fit_tpf(path)
+        messages = {str(w.message).partition(":")[0] for w in record if w.category is FitWarning}
+        print(
+            f"{path.name}: {fit.observed.shape}, {time.process_time() - begin:.1f} s, "
+            f"{fit.n_steps} steps, {'converged' if fit.converged else fit.at_bounds or 'not'}, "
+            f"{fit.names[0]}, chi-squared {fit.reduced_chi2:.3g}, median pixel "
+            f"{np.nanmedian(fit.chi2_pixels):.3g}, errors scaled by {fit.error_scale:.2f}, motion "
+            f"{fit.path_scale()[0]:.2f} {fit.path_scale()[1]:.2f}; {'; '.join(sorted(messages))}",
+            flush=True,
+        )
 
 
 def photutils_chi2(tpf):
@@ -342,6 +448,10 @@ def main():
     for i, argument in enumerate(arguments):
         if argument == "pulls":
             report_pulls()
+        elif argument == "scenes":
+            report_scenes(arguments[i + 1])
+        elif argument == "defaults":
+            report_defaults(arguments[i + 1])
         elif argument == "real":
             report_real(arguments[i + 1])
         elif argument == "terms":

@@ -57,7 +57,16 @@ def lightkurve(tpf, sky):
     return best
 
 
-METHODS = {"raw": raw, "lightkurve": lightkurve, "pld": pld, "scene": scene}
+def chosen(tpf, sky):
+    """Return the scores of the corrector that the rule chooses, and its name on standard error."""
+    from scope_models.correctors import choose_corrector
+
+    corrector = choose_corrector(tpf)
+    print(f"# {sky.regime.name} {sky.seed}: {type(corrector).__name__}", file=sys.stderr)
+    return score(corrector.corrected_lc, sky)
+
+
+METHODS = {"raw": raw, "lightkurve": lightkurve, "pld": pld, "scene": scene, "chosen": chosen}
 
 
 def run(task):

@@ -51,6 +51,7 @@ from scope_models.experiments.table1 import Table1
 from scope_models.io import TPFMetadata, make_tpf_hdulist, usable_positions
 from scope_models.missions import MISSIONS, Cadence, choose_cadence, full_flux
 from scope_models.models import (
+    DiffusionSensitivity,
     GaussHermitePSF,
     PRFGrid,
     TabulatedPRF,
@@ -598,6 +599,13 @@ ROWS = {
         for kind in (TabulatedPSF, TabulatedPRF)
         for name in ("x_0", "y_0")
     },
+    "DiffusionSensitivity.sigma_d": (lambda v: DiffusionSensitivity(v)(0.4, 0), 0.2, u.pix),
+    "DiffusionSensitivity.response.dx": (
+        lambda v: DiffusionSensitivity(0.2).response(v, 0), 0.4, u.pix,
+    ),
+    "DiffusionSensitivity.response.dy": (
+        lambda v: DiffusionSensitivity(0.2).response(0, v), 0.4, u.pix,
+    ),
     "PRFGrid.at.column": (lambda v: GRID.at(v, 20)(1, 0), 51.0, u.pix),
     "PRFGrid.at.row": (lambda v: GRID.at(51, v)(1, 0), 20.0, u.pix),
     "fit_tpf.position_error": (fitted("position_error"), 0.2, u.pix),

@@ -9,8 +9,8 @@ from scope_models import Detector, Motion, Star, simulate
 
 
 def write_animation(path):
-    """Write a day and a half of a star that moves ten times as far as K2's."""
-    detector, motion = Detector.k2(shape=(9, 9)), 10 * Motion.k2_roll(72)
+    """Write a day and a half of a star that moves five times as far as K2's."""
+    detector, motion = Detector.k2(), 5 * Motion.k2_roll(72)
     animation = simulate(Star(12.0), detector, motion, seed=1).animate(step=2, interval=120)
     animation.save(path, writer=PillowWriter(fps=8), dpi=70)
     plt.close("all")

@@ -57,7 +57,7 @@ def draw_correction():
 def draw_fit():
     """Draw data and residual of a fit, the residual in units of its noise."""
     observation = simulate(Star(12.0), Detector.k2(shape=(7, 7)), Motion.k2_roll(100), seed=1)
-    fit = fit_tpf(observation.to_tpf(), psf=1, interpixel=0)
+    fit = fit_tpf(observation.to_tpf(), psf=1)
     _, axes = _axes(ncols=2, sharey=True)
     panels = (
         ("data (e-/s)", fit.observed[0]),

@@ -24,7 +24,8 @@ def add_parser(commands):
         description="Print the medians of the scores by regime. full and high_passed: scatter in "
         "6.5 h about the truth over that of the noise; amplitude and depth: part of variability "
         "and transits that is kept; pull: deviations over quoted errors; kept: part of the "
-        "cadences. The truth with its noise has 1 everywhere.",
+        "cadences. The truth with its noise has 1 everywhere. bias and step, in ppm and 0 for the "
+        "truth: dependence on the place within the pixel, and steps from pixel to pixel.",
     )
     parser.add_argument("input", nargs="+", metavar="LC", help="light-curve files")
     parser.add_argument("--output", metavar="TABLE", help="write the scores of each file, as ECSV")

@@ -4,11 +4,17 @@
 from scope_models.correctors._features import Regressors
 from scope_models.correctors._files import detrend_file
 from scope_models.correctors._result import PLDFit
+from scope_models.correctors.compare import (
+    ComparisonResult,
+    choose_corrector,
+    compare_correctors,
+)
 from scope_models.correctors.model import PLDModel, PLDOptions
 from scope_models.correctors.pld import PLDCorrector
 from scope_models.correctors.scene import SceneCorrector, SceneResult
 
 __all__ = [
+    "ComparisonResult",
     "PLDCorrector",
     "PLDFit",
     "PLDModel",
@@ -17,6 +23,8 @@ __all__ = [
     "Regressors",
     "SceneCorrector",
     "SceneResult",
+    "choose_corrector",
+    "compare_correctors",
     "detrend_file",
 ]
 

@@ -25,6 +25,8 @@ _LONGEST = 8
 #: A period counts if the logarithm of the evidence grows by so much.
 _LEAST_GAIN = 12.0
 _MOST_PERIODS = 8
+#: Windows at most that are predicted from all other cadences.
+_MOST_WINDOWS = 120
 #: Number of times at most that hyper-parameters are fitted anew without outliers.
 _REFITS = 4
 #: The prior of the logarithm of each group's prior variance has this standard deviation about the
@@ -253,6 +255,36 @@ class FluxModel:
         solved = self.factor.solve(self.columns[self.use])[: n * width].reshape(n, width, -1)
         moved = solved.sum(axis=1) @ self.covariance[:, chosen]
         return float(1 - np.mean(np.sum(moved * x.mean(axis=1)[:, chosen], axis=1)))
+
+    def held_out(self, width, most=_MOST_WINDOWS):
+        """
+        Predict windows of cadences in use, each from all other cadences.
+
+        Parameters
+        ----------
+        width : int
+            Cadences in a window.
+        most : int, optional
+            Number of windows at most, spread over the series.
+
+        Returns
+        -------
+        residual, error : ndarray
+            Mean of measured minus predicted, and its expected standard deviation, per window.
+        """
+        n = self.use.sum()
+        starts = np.unique(np.linspace(0, n // width - 1, most).astype(int)) * width
+        rows = (starts[:, None] + np.arange(width)).ravel()
+        single = np.zeros((n, len(rows)))
+        single[rows, np.arange(len(rows))] = 1
+        shape = (len(starts), width, len(starts), width)
+        inverse = self.factor.solve(single)[rows].reshape(shape)
+        inverse = np.einsum("iaib->iab", inverse)
+        x = self.factor.solve(self.columns[self.use])[rows].reshape(len(starts), width, -1)
+        covariance = np.linalg.inv(inverse - (x @ self.covariance) @ x.transpose(0, 2, 1))
+        alpha = self.alpha[rows].reshape(len(starts), width, 1)
+        residual = (covariance @ alpha)[:, :, 0].mean(axis=1)
+        return residual, np.sqrt(covariance.sum(axis=(1, 2))) / width
 
     def deviations(self):
         """Return rests from the whole model in standard deviations of the white noise, ``(n,)``."""
@@ -527,7 +559,7 @@ def with_periods(model):
     return model
 
 
-def fit_flux(time, y, variance, groups, allowed, *, limits, flat=None):
+def fit_flux(time, y, variance, groups, allowed, *, limits, flat=None, start=None):
     """
     Fit the logarithm of a flux.
 
@@ -543,6 +575,9 @@ def fit_flux(time, y, variance, groups, allowed, *, limits, flat=None):
         Least, typical and largest prior standard deviation of the coefficients of each group.
     flat : ndarray, optional
         Further columns ``(n, m)`` with flat priors, such as a transit's.
+    start : FluxModel, optional
+        Fit of the same star with other columns of the same groups: its process and periods are
+        where the search begins, and no more periods are sought.
     """
     names = tuple(groups)
     parts, index, bounds = [], [], []
@@ -558,25 +593,43 @@ def fit_flux(time, y, variance, groups, allowed, *, limits, flat=None):
     index = np.concatenate([*index, np.full(extra.shape[1], -1)])
     y = y - np.median(y[allowed])
     spread = max(float(np.var(y[allowed])), float(np.median(variance[allowed])))
-    best = None
-    for part, amplitudes in _STARTS:
-        process = Process(1.0, tuple(a * spread for a in amplitudes), _PERIODS)
-        least, typical, largest = np.transpose(bounds)
-        prior = np.clip(part * typical, least, largest)
-        model = FluxModel(
-            time, y, variance, allowed.copy(), columns, index, names, prior, process, names,
-            tuple(map(tuple, bounds)),
-        )  # fmt: skip
-        model = _fit_groups(model)
-        if best is None or model.log_evidence > best.log_evidence:
-            best = model
-    model = with_periods(fit_hyper(best))
+    least, typical, largest = np.transpose(bounds)
+    first = FluxModel(
+        time, y, variance, allowed.copy(), columns, index, names, typical,
+        Process(1.0, (spread,), (1.0,)), names, tuple(map(tuple, bounds)),
+    )  # fmt: skip
+    if start is None:
+        trials = []
+        for part, amplitudes in _STARTS:
+            process = Process(1.0, tuple(a * spread for a in amplitudes), _PERIODS)
+            prior = np.clip(part * typical, least, largest)
+            trials.append(_fit_groups(replace(first, prior=prior, process=process)))
+        model = with_periods(fit_hyper(max(trials, key=lambda trial: trial.log_evidence)))
+    else:
+        model = fit_hyper(_begun(first, start), rounds=2)
     for _ in range(_REFITS):
         cleaned = without_outliers(model, allowed)
         if (cleaned.use == model.use).all():
             break
         model = fit_hyper(cleaned, rounds=2)
     return without_outliers(model, allowed)
+
+
+def _begun(model, start):
+    """Return a model with the process, periods and prior variances of another one's fit."""
+    m = len(model.names)
+    more = start.groups >= m
+    prior = start.prior.copy()
+    prior[:m] = np.clip(prior[:m], *np.transpose(model.bounds)[[0, 2]])
+    return replace(
+        model,
+        columns=np.concatenate([start.columns[:, more], model.columns], axis=1),
+        groups=np.concatenate([start.groups[more], model.groups]),
+        names=start.names,
+        prior=prior,
+        process=start.process,
+        use=start.use & model.use,
+    )
 
 
 def smooth_series(time, values, variance, columns):

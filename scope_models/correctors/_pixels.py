@@ -6,9 +6,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import ndimage
 
+from scope_models._checks import checked_weights
 from scope_models.correctors._clean import clean_pixels, precise_aperture
 from scope_models.exceptions import DetrendingWarning
 from scope_models.io.pixels import usable_positions
+from scope_models.photometry import aperture_flux
 
 __all__ = [
     "Pixels",
@@ -56,6 +58,8 @@ class Pixels:
         Sum over the aperture and its error, ``(n_cadences,)``.
     usable : ndarray of bool
         Cadences with finite time, finite pixels and a positive sum.
+    weights : ndarray or None
+        Weights of a moving aperture, ``(n_cadences, ny, nx)``; None: all pixels count alike.
     """
 
     time: np.ndarray
@@ -65,6 +69,12 @@ class Pixels:
     total: np.ndarray
     total_err: np.ndarray
     usable: np.ndarray
+    weights: np.ndarray | None = None
+
+    @property
+    def weighted(self):
+        """The same, with pixels multiplied with their weights: their fractions are measured."""
+        return self if self.weights is None else replace(self, flux=self.flux * self.weights)
 
 
 def choose_aperture(flux, flux_err, pipeline=None, pos_corr=None):
@@ -221,8 +231,8 @@ def aperture_pixels(series, aperture):
     ----------
     series : PixelSeries
         The pixels.
-    aperture : ndarray of bool or None
-        Pixels to sum; None: chosen.
+    aperture : ndarray or None
+        Pixels to sum, boolean, or weights of each cadence's pixels; None: chosen.
 
     Raises
     ------
@@ -230,22 +240,23 @@ def aperture_pixels(series, aperture):
         If the aperture is no mask of pixels with data, or the sums are not positive.
     """
     time, flux, flux_err = series.time, series.flux, series.flux_err
+    weights = None
     if aperture is None:
         aperture = choose_aperture(flux, flux_err, series.aperture, series.pos_corr)
+    elif np.ndim(aperture) == 3:
+        weights = checked_weights("aperture_mask", aperture, flux.shape)
+        aperture = _checked_aperture(np.nanmax(weights, axis=0) > 0, flux)
     else:
         aperture = _checked_aperture(aperture, flux)
-    inside = flux[:, aperture]
-    finite = np.isfinite(time) & np.isfinite(inside).all(axis=1)
-    with np.errstate(invalid="ignore"):
-        total = inside.sum(axis=1)
-        total_err = np.sqrt(np.sum(flux_err[:, aperture] ** 2, axis=1))
+    total, total_err = aperture_flux(flux, aperture if weights is None else weights, flux_err)
+    finite = np.isfinite(time) & np.isfinite(total) & np.isfinite(flux[:, aperture]).all(axis=1)
     positive = finite & (np.nan_to_num(total) > 0)
     if positive.sum() <= finite.sum() / 2:
         raise ValueError("the sum over `aperture_mask` must be positive in most cadences")
     if positive.sum() < finite.sum():
         _warn(f"{finite.sum() - positive.sum()} cadences without a positive flux are left out")
     total_err = _filled_errors(total, total_err, positive)
-    return Pixels(time, flux, flux_err, aperture, total, total_err, positive)
+    return Pixels(time, flux, flux_err, aperture, total, total_err, positive, weights)
 
 
 def can_predict(pixels, saturation):
@@ -303,15 +314,30 @@ def with_predicted_fractions(pixels, pos_corr):
         np.stack([columns, rows], axis=1),
         pixels.aperture[known],
     )
+    light, light_error = clean.light, clean.light_error
+    if pixels.weights is not None:
+        clean = replace(clean, constant=0.0)
+        light, light_error = _light_in_window(pixels, clean, use, known)
     flux = np.zeros_like(pixels.flux)
     cube = np.zeros((use.sum(), *known.shape))
-    cube[:, known] = clean.shares * clean.light[:, None]
+    cube[:, known] = clean.shares * light[:, None]
     flux[use] = cube
     total, total_err = np.full((2, len(use)), np.nan)
-    total[use], total_err[use] = clean.light, clean.light_error
+    total[use], total_err[use] = light, light_error
     usable = use & (np.nan_to_num(total) > 0)
     changes = {"flux": flux, "total": total, "total_err": total_err, "usable": usable}
     return replace(pixels, **changes), clean
+
+
+def _light_in_window(pixels, clean, use, known):
+    """Return the star's light from the part that a moving aperture holds, and its error."""
+    weights = pixels.weights[use][:, known] * clean.aperture
+    held = np.sum(weights * clean.shares, axis=1)
+    measured = pixels.flux[use][:, known] - clean.background
+    predicted = clean.shares * clean.light[:, None]
+    light = np.sum(weights * np.where(clean.repaired, predicted, measured), axis=1) / held
+    variance = np.sum((weights * pixels.flux_err[use][:, known]) ** 2, axis=1)
+    return light, np.sqrt(variance) / held
 
 
 def _checked_aperture(aperture, flux):

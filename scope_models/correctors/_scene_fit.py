@@ -21,7 +21,7 @@ from scope_models.correctors._scene_model import (
 from scope_models.correctors._scene_neighbors import find_neighbors
 from scope_models.correctors._scene_start import centroids, first_shape, first_track
 
-__all__ = ["WIDER", "SceneFit", "fit_scene"]
+__all__ = ["WIDER", "SceneFit", "fit_scene", "full_columns"]
 
 #: Cadences that constrain the shape, and number of its Gauss-Newton steps.
 _SHAPE_CADENCES, _SHAPE_STEPS = 250, 8
@@ -95,7 +95,7 @@ def _residual(shape, track, flux):
     return flux - light - track.background[:, None, None], light, images
 
 
-def _full_columns(flux, variance, well):
+def full_columns(flux, variance, well):
     """Mark the columns in which pixels saturate: charge bleeds along them."""
     full = np.zeros(flux.shape[1:], dtype=bool)
     if well is not None:
@@ -176,7 +176,7 @@ def fit_scene(time, flux, variance, pos_corr, peak, *, known=None, well=None, se
         Chooses among pixels for the first guess.
     """
     n = len(flux)
-    full = _full_columns(flux, variance, well)
+    full = full_columns(flux, variance, well)
     variance = np.where(full, np.inf, variance)
     (x, y), measured = first_track(flux, pos_corr, peak)
     shape, track = first_shape(flux, variance, x, y, np.random.default_rng(seed))

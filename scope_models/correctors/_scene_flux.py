@@ -4,6 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from scope_models.photometry import moving_aperture
+
 __all__ = [
     "LIMITS",
     "WindowFlux",
@@ -57,14 +59,6 @@ class WindowFlux:
     variance: np.ndarray
     model: np.ndarray
     shares: np.ndarray
-
-
-def soft_window(track, shape, radius):
-    """Return weights ``(n, ny, nx)`` that fall from 1 to 0 at a distance from the star."""
-    ny, nx = shape
-    u, v = np.arange(nx) - track.x[:, None], np.arange(ny) - track.y[:, None]
-    distance = np.hypot(u[:, None, :], v[:, :, None])
-    return 0.5 * (1 - np.tanh((distance - radius) / (2 * _EDGE)))
 
 
 def window_flux(flux, variance, fit, weights, background, background_variance):
@@ -192,12 +186,15 @@ def window_weights(fit, noise, window):
         The scene.
     noise : ndarray
         Typical variance of each pixel, ``(ny, nx)``.
-    window : float, "optimal" or ndarray of bool
-        Radius in pixels, weights in proportion to light over variance, or an aperture.
+    window : float, "optimal" or ndarray
+        Radius in pixels, weights in proportion to light over variance, or an aperture: a mask, or
+        weights of each cadence.
     """
     if isinstance(window, np.ndarray):
         return np.broadcast_to(window.astype(float), fit.star.shape)
     if window == "optimal":
         weights = np.clip(fit.star, 0, None) / noise
         return weights / weights.max(axis=(1, 2), keepdims=True)
-    return np.maximum(soft_window(fit.track, fit.star.shape[1:], window), fit.full)
+    track = fit.track
+    moving = moving_aperture(fit.star.shape[1:], track.x, track.y, window, edge=_EDGE)
+    return np.maximum(moving, fit.full)

@@ -270,6 +270,8 @@ class PLDModel:
                 pixels, saturation = predicted, None
             else:  # the model of the pixels has diverged
                 clean = None
+        if clean is None:
+            pixels = pixels.weighted
         breaks = segment_breaks(options.segments, pixels)
         design = DesignOptions(
             options.order, saturation, breaks, extra, options.pca_components, regressor_mask

@@ -43,10 +43,10 @@ class PLDCorrector(Corrector):
     tpf : `~lightkurve.targetpixelfile.TargetPixelFile`, str or path-like
         Kepler, K2, TESS or synthetic target pixel file, or the path of one. Cadences without a
         finite time or with pixels that are NaN are left out and stay NaN.
-    aperture_mask : array_like of bool, optional
-        Pixels ``(ny, nx)`` that are summed. By default all connected pixels
-        that the star lights up at some time: large apertures cost little,
-        because the model weighs pixels by their light.
+    aperture_mask : array_like, optional
+        Pixels ``(ny, nx)`` that are summed, boolean, or weights ``(n_cadences, ny, nx)`` of a
+        moving aperture. By default the pixels whose sum is expected to be most precise, of those
+        that the star lights up at some time.
 
     Attributes
     ----------

@@ -7,11 +7,11 @@ import numpy as np
 from astropy.table import QTable
 from lightkurve.correctors.corrector import Corrector
 
-from scope_models._checks import checked_cadences, checked_mask
+from scope_models._checks import checked_cadences, checked_integer, checked_mask, checked_weights
 from scope_models.correctors._flux_model import fit_flux
 from scope_models.correctors._pixels import credible_flux
 from scope_models.correctors._result import transit_column
-from scope_models.correctors._scene_fit import WIDER, fit_scene
+from scope_models.correctors._scene_fit import WIDER, fit_scene, full_columns
 from scope_models.correctors._scene_flux import (
     LIMITS,
     clean_background,
@@ -24,7 +24,7 @@ from scope_models.correctors._scene_start import centroids
 from scope_models.exceptions import DetrendingWarning
 from scope_models.io import read_pixels, read_tpf
 from scope_models.io.pixels import usable_positions
-from scope_models.photometry import cdpp
+from scope_models.photometry import aperture_flux, cdpp
 
 __all__ = ["SceneCorrector", "SceneResult"]
 
@@ -165,9 +165,10 @@ class SceneCorrector(Corrector):
     ----------
     tpf : `~lightkurve.targetpixelfile.TargetPixelFile`, str or path-like
         Kepler, K2, TESS or synthetic target pixel file, or the path of one.
-    aperture_mask : array_like of bool, optional
-        Pixels ``(ny, nx)`` that are summed. By default a window that follows the star, the one of
-        the smallest expected error.
+    aperture_mask : array_like, optional
+        Pixels ``(ny, nx)`` that are summed, boolean, or weights ``(n_cadences, ny, nx)`` of a
+        moving aperture. By default a window that follows the star, the one of the smallest
+        expected error.
     neighbors : array_like, `~astropy.table.Table` or `~astropy.coordinates.SkyCoord`, optional
         Other stars: columns and rows in the stamp ``(m, 2)`` in pixels, a table with columns ``x``
         and ``y`` or ``ra`` and ``dec``, or places on the sky, which are taken relative to the
@@ -208,7 +209,9 @@ class SceneCorrector(Corrector):
     def __init__(self, tpf, aperture_mask=None, neighbors=None):
         self.tpf = read_tpf(tpf)
         series = read_pixels(self.tpf)
-        if aperture_mask is not None:
+        if np.ndim(aperture_mask) == 3:
+            aperture_mask = checked_weights("aperture_mask", aperture_mask, series.flux.shape)
+        elif aperture_mask is not None:
             aperture_mask = checked_mask("aperture_mask", aperture_mask, series.flux.shape[1:])
         self._data = _Data.from_series(series, aperture_mask)
         self._known = None
@@ -216,8 +219,13 @@ class SceneCorrector(Corrector):
             origin, peak = self._data.origin, self._data.place
             self._known = KnownNeighbors.read(neighbors, series, origin, peak)
         shown = series.aperture if aperture_mask is None else aperture_mask
-        self.aperture_mask = shown.copy()
-        self.original_lc = self.tpf.to_lightcurve(aperture_mask=shown)
+        moving = shown.ndim == 3
+        self.aperture_mask = np.nanmax(shown, axis=0) > 0 if moving else shown.copy()
+        self.original_lc = self.tpf.to_lightcurve(aperture_mask=self.aperture_mask)
+        if moving:
+            lc = self.original_lc
+            total, error = aperture_flux(series.flux, shown, series.flux_err)
+            lc.flux, lc.flux_err = total * lc.flux.unit, error * lc.flux.unit
         self.cadence_mask = np.ones(len(series), dtype=bool)
         self.scene = self.result = self._chosen = None
 
@@ -310,9 +318,9 @@ class SceneCorrector(Corrector):
         limit = _NOISIEST**2 * min(variance for variance, *_ in found)
         time = data.time - data.time[0]
         best = None
-        for variance, window, one, crowding, by_width in found:
+        for variance, window, one, crowding, by_width in sorted(found, key=lambda f: f[0]):
             if variance > limit:
-                continue
+                break
             level = np.median(one.flux)
             positive = one.flux > 0.01 * level
             change = by_width * (scene.track.width - np.median(scene.track.width))
@@ -320,8 +328,9 @@ class SceneCorrector(Corrector):
             columns = make_columns(data.time, scene.track, one, by_width)
             relative = one.variance / np.where(positive, one.flux, level) ** 2
             model = fit_flux(
-                time, y, relative, columns, allowed & positive, limits=LIMITS, flat=flat
-            )
+                time, y, relative, columns, allowed & positive, limits=LIMITS, flat=flat,
+                start=best and best.model,
+            )  # fmt: skip
             total = np.where(positive, one.flux, np.nan)
             star = total / one.model / np.exp(change)
             trial = _Flux(window, total, star, relative, model, crowding)
@@ -381,7 +390,7 @@ class SceneCorrector(Corrector):
 
     def _warn(self):
         result = self.result
-        if self.scene.full.any():
+        if self.saturated:
             message = (
                 "pixels saturate: the model of the pixels holds for the others only, and "
                 "PLDCorrector corrects such stars better"
@@ -402,6 +411,53 @@ class SceneCorrector(Corrector):
                 "their light is taken off as constant, their variability is not"
             )
             warnings.warn(message, DetrendingWarning, stacklevel=4)
+
+    def held_out(self, width=13):
+        """
+        Predict windows of cadences by a model that has not seen them.
+
+        The scene and the hyper-parameters stay as they are; the coefficients and the star's
+        variability are inferred anew for each window from all others, in closed form.
+
+        Parameters
+        ----------
+        width : int, optional
+            Cadences in a window, counted among those in the fit; 13 long cadences are 6.4 hours.
+
+        Returns
+        -------
+        residual : `~numpy.ndarray`
+            Mean of measured minus predicted relative flux, per window; at most 120 windows.
+        error : `~numpy.ndarray`
+            Its expected standard deviation: noise and model.
+
+        Raises
+        ------
+        ValueError
+            If `correct` has not been called, or there are fewer cadences than two windows.
+        """
+        if self._chosen is None:
+            raise ValueError("call `correct` first")
+        width = checked_integer("width", width, 1)
+        if width > self.result.n_used // 2:
+            raise ValueError(f"`width` must be at most {self.result.n_used // 2}, got {width}")
+        return self._chosen.model.held_out(width)
+
+    @property
+    def positions(self):
+        """Column and row of the target in the stamp, pixels, ``(n_cadences, 2)``, as fitted."""
+        if self.scene is None:
+            raise ValueError("call `correct` first")
+        places = np.full((len(self._data.usable), 2), np.nan)
+        track = self.scene.track
+        places[self._data.usable] = self._data.origin + np.stack([track.x, track.y], axis=1)
+        return places
+
+    @property
+    def saturated(self):
+        """Whether pixels saturate: their columns are no part of the model."""
+        data = self._data
+        return bool(full_columns(data.flux, data.variance, data.well).any())
 
     def _is_worse(self):
         """Whether the correction adds noise, beyond the light of others that it takes off."""
@@ -524,8 +580,8 @@ class _Data:
         These pixels in the stamp, rows and columns.
     peak : tuple of float
         Column and row of the target within them.
-    aperture : ndarray of bool or None
-        The user's aperture, of the same pixels.
+    aperture : ndarray or None
+        The user's aperture, of the same pixels (and cadences).
     well : float or None
         Flux of a full pixel, e-/s, if it is known.
     """
@@ -549,6 +605,9 @@ class _Data:
         if not collected.any():
             raise ValueError("`tpf` has no pixels with data")
         usable = np.isfinite(series.time) & (good[:, collected].mean(axis=1) > 0.5)
+        moving = np.ndim(aperture) == 3
+        if moving:
+            usable &= np.isfinite(aperture).all(axis=(1, 2))
         if usable.sum() < _FEWEST_CADENCES:
             raise ValueError(
                 f"at least {_FEWEST_CADENCES} usable cadences are needed, got {usable.sum()}"
@@ -565,7 +624,11 @@ class _Data:
             if known[usable].any():
                 reach = float(np.nanmax(np.abs(pos_corr - np.nanmedian(pos_corr, axis=0))))
         mean = np.median(flux, axis=0)
-        inside = series.aperture if aperture is None else aperture
+        inside = aperture
+        if aperture is None:
+            inside = series.aperture
+        elif moving:
+            inside = np.max(aperture[usable], axis=0) > 0
         row, column = np.unravel_index(np.argmax(np.where(inside, mean, -np.inf)), mean.shape)
         box = tuple(
             slice(max(0, int(k - _REACH - reach)), min(size, int(k + _REACH + reach + 2)))
@@ -575,7 +638,7 @@ class _Data:
         peak = (float(column - box[1].start), float(row - box[0].start))
         return cls(
             series.time, usable, time, flux[cut], variance[cut], pos_corr, box, peak,
-            None if aperture is None else aperture[box],
+            aperture[usable][cut] if moving else (None if aperture is None else aperture[box]),
             series.mission and series.mission.full_flux,
         )  # fmt: skip
 

@@ -4,12 +4,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-__all__ = ["SkyScore", "score_light_curve"]
+__all__ = ["SkyScore", "score_light_curve", "score_places"]
 
 _BIN = 13  # cadences of 6.5 h
 _WINDOW = 3.0  # days
 _MOST_CLIPPED = 0.02
 _FEWEST = 100
+_PHASES = 8  # bins of a pixel along an axis
+_NEAR = 0.15  # px from the border of two pixels
+_SIDE = 8  # cadences on either side of a border, at least
 
 
 @dataclass(frozen=True)
@@ -97,6 +100,67 @@ def score_light_curve(time, flux, error, truth, transit, noise):
         kept=kept,
         floor=1e6 * floor,
     )
+
+
+def score_places(time, flux, truth, x, y):
+    """
+    Return how much a light curve depends on the star's place within the pixel.
+
+    Parameters
+    ----------
+    time : ndarray
+        Days.
+    flux, truth : ndarray
+        Light curve and true relative flux; NaN where there is none.
+    x, y : ndarray
+        True position, pixels.
+
+    Returns
+    -------
+    bias : float
+        Standard deviation of the part of the flux that is a sum of functions of the fractions of x
+        and y, ppm; its expected noise is taken off.
+    step : float
+        Root mean square of the steps where the star crosses from pixel to pixel, ppm; their
+        expected noise is taken off. NaN if it crosses none.
+    """
+    good = np.isfinite(flux) & np.isfinite(truth)
+    time, flux, truth, x, y = (a[good] for a in (time, flux, truth, x, y))
+    if good.sum() < _FEWEST or not np.median(flux) > 0:
+        return float("nan"), float("nan")
+    deviation = flux / truth / np.median(flux / truth) - 1
+    deviation = deviation - _running_mean(time, deviation)
+    fine = ~_outliers(deviation)
+    deviation, places = deviation[fine], (x[fine], y[fine])
+    bins = [((a + 0.5) % 1 * _PHASES).astype(int) for a in places]
+    columns = np.concatenate([np.eye(_PHASES)[number] for number in bins], axis=1)
+    found, _, rank, _ = np.linalg.lstsq(columns, deviation, rcond=None)
+    fitted = columns @ found
+    noise = np.sum((deviation - fitted) ** 2) / (len(deviation) - rank)
+    bias = np.sqrt(max(fitted.var() - noise * (rank - 1) / len(deviation), 0.0))
+    steps = [step for place in places for step in _steps(deviation, place)]
+    if not steps:
+        return 1e6 * float(bias), float("nan")
+    sizes, errors, cadences = np.transpose(steps)
+    mean = np.average(sizes**2 - errors**2, weights=cadences)
+    return 1e6 * float(bias), 1e6 * float(np.sqrt(max(mean, 0.0)))
+
+
+def _steps(values, place):
+    """Yield the step at each border of pixels, beside a parabola, its error and the cadences."""
+    border = np.floor(place)
+    distance = place - border - 0.5
+    near = np.abs(distance) < _NEAR
+    for one in np.unique(border[near]):
+        mine = near & (border == one)
+        beyond = distance[mine] > 0
+        if min(beyond.sum(), (~beyond).sum()) < _SIDE:
+            continue
+        columns = np.stack([beyond, *distance[mine] ** np.arange(3)[:, None]], axis=1)
+        inverse = np.linalg.pinv(columns.T @ columns)
+        found = inverse @ columns.T @ values[mine]
+        rest = values[mine] - columns @ found
+        yield found[0], np.sqrt(inverse[0, 0] * (rest @ rest) / (len(rest) - 4)), len(rest)
 
 
 def _outliers(values):

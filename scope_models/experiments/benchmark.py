@@ -12,12 +12,14 @@ from astropy.io.registry import IORegistryError
 from astropy.table import Table
 
 from scope_models._checks import checked_integer
+from scope_models.experiments._sky_scores import score_places
 from scope_models.experiments._statistics import percentiles, values_of
 from scope_models.experiments.batch import _absolute, _Files, _json, _run
 from scope_models.experiments.skies import REGIMES, make_sky, score
 from scope_models.io import write_hdulist
 from scope_models.io._opening import open_fits
 from scope_models.io.reading import first_table
+from scope_models.scene import K2Roll
 
 __all__ = ["benchmark_star", "make_benchmark", "score_light_curves", "summarize_scores"]
 
@@ -26,7 +28,7 @@ _STARS, _CADENCES = 200, 1100
 # Fluxes are multiples of 1/64 e-/s, far below the noise: the rounding errors of machines vanish.
 _STEPS = 64
 _DATE = "2026-01-01"
-_SCORES = ("full", "high_passed", "amplitude", "depth", "pull", "kept")
+_SCORES = ("full", "high_passed", "amplitude", "depth", "pull", "kept", "bias", "step")
 
 
 def benchmark_star(number):
@@ -145,7 +147,10 @@ def score_light_curves(paths):
     astropy.table.Table
         A row per file: "file", "regime" and the fields of
         `~scope_models.experiments.skies.SkyScore`. The truth with the noise of its pixels has 1 in
-        ``full``, ``high_passed``, ``amplitude``, ``depth`` and ``pull``.
+        ``full``, ``high_passed``, ``amplitude``, ``depth`` and ``pull``. For codes of photometry,
+        "bias" is the standard deviation of what depends on the place within the pixel, "step" the
+        root mean square of the steps where the star crosses from pixel to pixel, both in ppm and
+        less the expected noise: 0 for the truth.
 
     Raises
     ------
@@ -171,7 +176,12 @@ def score_light_curves(paths):
         numbers = np.asarray(lc["cadenceno"], dtype=int)
         if not len(lc) or numbers.min() < 1 or numbers.max() > len(sky.time):
             raise ValueError(f"{path} has cadences that the star does not have")
-        rows.append({"file": str(path), "regime": sky.regime.name} | asdict(score(lc, sky)))
+        row = {"file": str(path), "regime": sky.regime.name} | asdict(score(lc, sky))
+        flux = np.full(len(sky.time), np.nan)
+        flux[numbers - 1] = np.ma.filled(np.ma.asarray(lc["flux"], dtype=float), np.nan)
+        cadences = sky.cadenceno * K2Roll.cadence
+        bias, step = score_places(cadences, flux, sky.true_flux, sky.x, sky.y)
+        rows.append(row | {"bias": bias, "step": step})
     return Table(rows=rows)
 
 

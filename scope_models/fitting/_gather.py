@@ -220,7 +220,8 @@ def _of_sensitivity(fit):
         elif np.isnan(error):
             yield (
                 f"the sensitivity is not measured: the PSF is wrong by {fit.error_scale:.2g} times "
-                f"the noise, and {name} = {value:.3g} describes that"
+                f"the noise (chi-squared {fit.reduced_chi2:.3g}), and {name} = {value:.3g} "
+                "describes that"
             )
         elif not error * 0.5**power < _LARGEST_EDGE_ERROR:
             yield (

@@ -387,8 +387,10 @@ class Problem:
     @cached_property
     def _light_parts(self):
         """Parts of the light in the fitted pixels, of sum 1, shape ``(p,)``."""
-        light = [np.nanmedian(s.flux[:, s.pixels], axis=0) for s in self.stamps]
-        light = np.maximum(np.concatenate(light), 0.0)
+        flux = np.concatenate([s.flux[:, s.pixels] for s in self.stamps], axis=1)
+        seen = np.isfinite(flux).any(axis=0)
+        light = np.zeros(len(seen))
+        light[seen] = np.maximum(np.nanmedian(flux[:, seen], axis=0), 0.0)
         return light / light.sum()
 
     def rescaled(self, state):
@@ -396,7 +398,8 @@ class Problem:
         squares = (self._given_weight * (self.flux - self.model(state))) ** 2
         squares[self._given_weight == 0] = np.nan
         # Medians: neither cosmic rays nor single bad pixels count.
-        typical = np.median(np.nanmedian(squares, axis=0)) / _MEDIAN_SQUARE
+        seen = np.any(self._given_weight, axis=0)
+        typical = np.median(np.nanmedian(squares[:, seen], axis=0)) / _MEDIAN_SQUARE
         # Most parameters hang on the pixels with light, most pixels have none.
         light = self._light_parts
         n_light = 1 / np.sum(light**2)

@@ -6,6 +6,7 @@ from scope_models.fitting._problem import State
 from scope_models.models import (
     PRF,
     BivariateGaussianPSF,
+    DiffusionSensitivity,
     GaussHermitePSF,
     SensitivityPolynomial,
 )
@@ -50,9 +51,11 @@ def make_prf(psf, sensitivity, empirical):
         prf = psf.copy()
         _hold_constants(prf)
         return prf
-    if sensitivity is not None and not isinstance(sensitivity, SensitivityPolynomial):
+    responses = (SensitivityPolynomial, DiffusionSensitivity, type(None))
+    if not isinstance(sensitivity, responses):
         raise TypeError(
-            f"`sensitivity` must be a SensitivityPolynomial or None, got {sensitivity!r}"
+            "`sensitivity` must be a SensitivityPolynomial, a DiffusionSensitivity or None, got "
+            f"{sensitivity!r}"
         )
     compound, number = (_gaussians(psf), True) if isinstance(psf, int) else (psf, False)
     n_components = PRF(compound).n_components
@@ -109,10 +112,19 @@ def _gaussians(number):
 
 
 def _hold_constants(prf):
-    """Fix the constants of the sensitivity: they are the flux."""
+    """
+    Fix what pixels do not constrain.
+
+    The constants of the sensitivity are the flux, and diffusion is a wider Gaussian.
+    """
+    kinds = prf.parameter_kinds
     for name, (_, power) in prf.response_powers.items():
         if power == 0:
             getattr(prf, name).fixed = True
+    if any(kind == "width" and not getattr(prf, name).fixed for name, kind in kinds.items()):
+        for name, kind in kinds.items():
+            if kind == "diffusion":
+                getattr(prf, name).fixed = True
 
 
 def starting_state(problem):
@@ -184,7 +196,7 @@ def centroids(data, place=None):
 
 def is_faint(data, target, other):
     """Whether the light around a star is less than a tenth of that around the target."""
-    image = np.nan_to_num(np.nanmedian(data.light, axis=0))
+    image = np.nanmedian(np.where(np.isfinite(data.light).any(axis=0), data.light, 0.0), axis=0)
     row, column = np.indices(image.shape)
     near = [image[np.hypot(column - x, row - y) <= 1.0].max(initial=0) for x, y in (target, other)]
     return near[1] < _FAINT * near[0]

@@ -8,10 +8,12 @@ __all__ = ["FitParameter", "fit_parameters"]
 
 # Narrower PSFs are the same to a pixel; tighter correlations only cost time.
 _LEAST_WIDTH, _LARGEST_CORRELATION, _LARGEST_OFFSET = 0.1, 0.95, 2.0
+# Charge that diffuses farther is not collected in pixels.
+_LARGEST_DIFFUSION = 1.0
 # Standard deviation of the coefficients of an empirical term, whose first one is 1.
 _COEFFICIENT_PRIOR = 10.0
 _LARGEST_MOVE = 0.3
-_UNITS = {"width": "pix", "offset": "pix", "position": "pix", "flux": "e-/s"}
+_UNITS = {"width": "pix", "diffusion": "pix", "offset": "pix", "position": "pix", "flux": "e-/s"}
 
 
 @dataclass(frozen=True)
@@ -24,7 +26,7 @@ class FitParameter:
     name : str
         Its name.
     kind : str
-        "width", "correlation", "coefficient", "fraction", "offset" and "response" as in
+        "width", "correlation", "coefficient", "fraction", "offset", "response", "diffusion" as in
         `~scope_models.PRF.parameter_kinds`; "position", "slope", "flux" and "focus";
         or "other".
     lower, upper : float, optional
@@ -102,6 +104,8 @@ def fit_parameters(prf, shape):
         prior = _COEFFICIENT_PRIOR if kind == "coefficient" else np.inf
         if kind == "width":
             low, high = max(low, _LEAST_WIDTH), min(high, max(shape) / 2)
+        elif kind == "diffusion":
+            low, high = max(low, 0.0), min(high, _LARGEST_DIFFUSION)
         elif kind == "correlation":
             low, high = max(low, -_LARGEST_CORRELATION), min(high, _LARGEST_CORRELATION)
         elif kind == "response":
@@ -109,7 +113,7 @@ def fit_parameters(prf, shape):
             low, high = max(low, -largest), min(high, largest)
         elif kind == "offset":
             low, high = max(low, -_LARGEST_OFFSET), min(high, _LARGEST_OFFSET)
-        if kind in {"correlation", "fraction", "offset"}:
+        if kind in {"correlation", "fraction", "offset", "diffusion"}:
             step = _LARGEST_MOVE
         elif kind == "width" or (kind == "other" and low > 0):
             step, relative = _LARGEST_MOVE, True

@@ -13,6 +13,10 @@ from scope_models.scene.detector import Detector
 
 __all__ = ["FittedStar", "TPFFit"]
 
+# Chi-squared per degree of freedom above which coefficients of a sensitivity are not measured: they
+# describe errors of the PSF long before these are seen in chi-squared.
+_TRUE_CHI2 = 1.1
+
 
 @dataclass(frozen=True, eq=False)
 class FittedStar:
@@ -191,7 +195,7 @@ class TPFFit:
         """
         errors = dict(zip(self.names, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
         unknown = set(self.at_bounds)
-        if self.error_scale > 1:
+        if self.error_scale > 1 or self.reduced_chi2 > _TRUE_CHI2:
             unknown |= set(self.model.response_powers)
         return {name: np.nan if name in unknown else error for name, error in errors.items()}
 
@@ -333,14 +337,18 @@ class TPFFit:
         Returns
         -------
         tuple of float
-            Slope of x on POS_CORR1 and of y on POS_CORR2, in a fit of both; NaN without POS_CORR
-            or motion.
+            Slope of x on POS_CORR1 alone, and of y on POS_CORR2 alone: where a star moves along a
+            line, as with the roll of K2, those of a fit of both have no meaning. NaN without
+            POS_CORR or motion.
         """
         if self.pos_corr is None or not self.pos_corr.std(axis=0).all():
             return np.nan, np.nan
-        basis = np.column_stack([np.ones(len(self.x)), self.pos_corr])
-        slopes = np.linalg.lstsq(basis, np.column_stack([self.x, self.y]), rcond=None)[0]
-        return float(slopes[1, 0]), float(slopes[2, 1])
+        offsets = self.pos_corr - self.pos_corr.mean(axis=0)
+        slopes = [
+            path @ position / (path @ path)
+            for path, position in zip(offsets.T, (self.x, self.y), strict=True)
+        ]
+        return float(slopes[0]), float(slopes[1])
 
     # --- light curve, scene, figure, file -------------------------------------------------
     def to_lightcurve(self):

@@ -1,13 +1,15 @@
 """The headers of a target pixel file: a template for each mission, and the computed cards."""
 
 import warnings
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 
 from scope_models._version import __version__
+from scope_models.io._blocks import make_header
 
-__all__ = ["column_cards", "make_headers", "tan_projection"]
+__all__ = ["make_headers", "pixel_column_cards", "tan_projection"]
 
 _LAYOUTS = Path(__file__).with_name("layouts")
 _MATRIX = ("PC1_1", "PC1_2", "PC2_1", "PC2_2")
@@ -53,10 +55,13 @@ def make_headers(metadata, time, timecorr, used, aperture):
         "NPIXSAP": int(optimal.sum()),
         "NPIXMISS": int((optimal & ~collected).sum()),
     }
-    headers = _template(metadata.layout.template)
-    for header in headers:
-        for keyword in values.keys() & set(header):
-            header[keyword] = values[keyword]
+    headers = []
+    for cards in _template(metadata.layout.template):
+        filled = (
+            text if values.get(keyword) is None else (keyword, values[keyword], comment)
+            for keyword, text, comment in cards
+        )
+        headers.append(make_header(filled))
     if metadata.layout.template != metadata.mission.lower():
         headers[0]["MISSION"] = (metadata.mission, "kind of telescope; the layout is another's")
     _rename(headers[1], metadata)
@@ -64,16 +69,20 @@ def make_headers(metadata, time, timecorr, used, aperture):
     return headers
 
 
+@cache
 def _template(name):
-    """Return the headers of a layout; a card XTENSION begins each after the first."""
+    """Return keyword, text and comment of the cards of each header of a layout.
+
+    A card XTENSION begins each header after the first.
+    """
     from astropy.io import fits
 
-    headers = [fits.Header()]
+    headers = [[]]
     for card in fits.Header.fromtextfile(_LAYOUTS / f"{name}.hdr").cards:
         if card.keyword == "XTENSION":
-            headers.append(fits.Header())
+            headers.append([])
         else:
-            headers[-1].append(card, end=True)
+            headers[-1].append((card.keyword, str(card), card.comment))
     return headers
 
 
@@ -175,15 +184,13 @@ def _calendar_dates(zero, days):
         return times.utc.isot.tolist()
 
 
-def column_cards(number, column, metadata, shape):
-    """Return the cards of one column of the pixel table.
+def pixel_column_cards(columns, metadata, shape):
+    """Return the cards of the columns of the pixel table.
 
     Parameters
     ----------
-    number : int
-        Number of the column, from 1.
-    column : PixelColumn
-        The column.
+    columns : sequence of PixelColumn
+        The columns.
     metadata : TPFMetadata
         The facts.
     shape : tuple of int
@@ -194,20 +201,22 @@ def column_cards(number, column, metadata, shape):
     list of tuple
         Keyword, value and comment.
     """
-    n = number
-    cards = [
-        (f"TTYPE{n}", column.name, f"column title: {column.title}"),
-        (f"TFORM{n}", column.form(shape), "column format"),
-    ]
-    if column.unit:
-        cards.append((f"TUNIT{n}", column.unit, "column unit"))
-    cards.append((f"TDISP{n}", column.display, "column display format"))
-    if column.image_shape(shape):
-        rows, columns = column.image_shape(shape)
-        cards.append((f"TDIM{n}", f"({columns},{rows})", "column dimensions"))
-    if column.null is not None:
-        cards.append((f"TNULL{n}", column.null, "value of pixels without data"))
-    return [*cards, *_column_wcs(n, metadata, shape)] if column.is_pixels else cards
+    cards, places = [], []
+    for n, column in enumerate(columns, 1):
+        cards += [
+            (f"TTYPE{n}", column.name, f"column title: {column.title}"),
+            (f"TFORM{n}", column.form(shape), "column format"),
+        ]
+        if column.unit:
+            cards.append((f"TUNIT{n}", column.unit, "column unit"))
+        if column.null is not None:
+            cards.append((f"TNULL{n}", column.null, "value of pixels without data"))
+        cards.append((f"TDISP{n}", column.display, "column display format"))
+        if size := column.image_shape(shape):
+            cards.append((f"TDIM{n}", f"({size[1]},{size[0]})", "column dimensions"))
+        if column.is_pixels:
+            places += _column_wcs(n, metadata, shape)
+    return [*cards, *places]
 
 
 def _column_wcs(n, metadata, shape):

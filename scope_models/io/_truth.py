@@ -11,8 +11,9 @@ import numpy as np
 from astropy.table import Table
 
 from scope_models._arrays import native
+from scope_models.io._blocks import Block, column_cards
 
-__all__ = ["Truth", "truth_hdus", "truth_of"]
+__all__ = ["Truth", "truth_blocks", "truth_of"]
 
 _TPF_NAMES = {
     *("PRIMARY", "TARGETTABLES", "PIXELS", "APERTURE", "TARGET COSMIC RAY"),
@@ -231,7 +232,7 @@ def _same_arrays(one, other):
     )
 
 
-def truth_hdus(cadenceno, columns, maps, scene, tables):
+def truth_blocks(cadenceno, columns, maps, scene, tables):
     """Return the extensions that hold a truth.
 
     Parameters
@@ -249,18 +250,17 @@ def truth_hdus(cadenceno, columns, maps, scene, tables):
 
     Returns
     -------
-    list of astropy.io.fits.BinTableHDU and astropy.io.fits.ImageHDU
+    list of Block or astropy.io.fits.BinTableHDU
         The extensions.
     """
-    hdus = [_truth_hdu(cadenceno, columns or {}), *_map_hdus(maps or {})]
-    hdus += _table_hdus(tables or {}, {hdu.name for hdu in hdus})
-    return hdus if scene is None else [*hdus, _scene_hdu(scene)]
+    maps = maps or {}
+    blocks = [_truth_block(cadenceno, columns or {}), *_map_blocks(maps)]
+    blocks += _table_hdus(tables or {}, {name.upper() for name in maps})
+    return blocks if scene is None else [*blocks, _scene_block(scene)]
 
 
-def _truth_hdu(cadenceno, columns):
+def _truth_block(cadenceno, columns):
     """Return the TRUTH table."""
-    from astropy.io import fits
-
     arrays = {"CADENCENO": cadenceno}
     for name, values in columns.items():
         _check_name("truth_columns", name, {key.upper() for key in arrays})
@@ -279,11 +279,12 @@ def _truth_hdu(cadenceno, columns):
     rows = np.empty(len(cadenceno), dtype=fields)
     for name, array in arrays.items():
         rows[name] = array
-    hdu = fits.BinTableHDU(rows, name="TRUTH")
-    hdu.header.comments["TTYPE1"] = "column title: number of the cadence"
+    cards = column_cards(rows, {"CADENCENO": "number of the cadence"})
+    cards.append(("EXTNAME", "TRUTH", "extension name"))
     if numbered:
-        hdu.header[_NUMBERED] = (" ".join(numbered), "columns of vectors: a value for each star")
-    return hdu
+        comment = "columns of vectors: a value for each star"
+        cards.append((_NUMBERED, " ".join(numbered), comment))
+    return Block.table(rows, cards)
 
 
 def _vectors(arrays):
@@ -318,19 +319,20 @@ def _columns_of(hdu):
     return columns
 
 
-def _map_hdus(maps):
+def _map_blocks(maps):
     """Return an image for each map."""
-    from astropy.io import fits
-
-    hdus = []
+    blocks = {}
     for name, values in maps.items():
-        _check_name("truth_maps", name, _TPF_NAMES | {hdu.name for hdu in hdus})
+        _check_name("truth_maps", name, _TPF_NAMES | blocks.keys())
         array = np.array(values, dtype=float)
         if array.ndim != 2 or 0 in array.shape:
             raise ValueError(f"`truth_maps` {name} must be an image, got the shape {array.shape}")
-        header = fits.Header([("MAPNAME", name, "name of the map of truth")])
-        hdus.append(fits.ImageHDU(array, header, name=name.upper()))
-    return hdus
+        cards = [
+            ("MAPNAME", name, "name of the map of truth"),
+            ("EXTNAME", name.upper(), "extension name"),
+        ]
+        blocks[name.upper()] = Block.image(array, cards)
+    return list(blocks.values())
 
 
 def _table_hdus(tables, taken):
@@ -357,10 +359,8 @@ def _check_name(argument, name, taken):
         raise ValueError(f"`{argument}` must not use the name {name}, which is taken")
 
 
-def _scene_hdu(scene):
+def _scene_block(scene):
     """Return the SCENE table: a row for each key, and further rows where its value is long."""
-    from astropy.io import fits
-
     if not isinstance(scene, dict) or not all(
         isinstance(key, str) and key.isascii() and key == key.strip() != "" for key in scene
     ):
@@ -369,15 +369,11 @@ def _scene_hdu(scene):
         rows = [(key, part) for key, value in scene.items() for part in _parts(json.dumps(value))]
     except (TypeError, ValueError) as error:
         raise TypeError(f"`scene` must hold what JSON can: {error}") from error
-    columns = []
-    for i, name in enumerate(("KEY", "VALUE")):
-        texts = [row[i] for row in rows]
-        width = max(map(len, texts), default=1)
-        array = np.array(texts, dtype=f"S{width}")
-        columns.append(fits.Column(name, f"{width}A", array=array))
-    hdu = fits.BinTableHDU.from_columns(columns, name="SCENE")
-    hdu.header.comments["TTYPE2"] = "column title: value in JSON"
-    return hdu
+    widths = [max(map(len, texts), default=1) for texts in zip(*rows, strict=True)] or [1, 1]
+    kinds = [(name, f"S{width}") for name, width in zip(("KEY", "VALUE"), widths, strict=True)]
+    table = np.array(rows, dtype=kinds)
+    cards = column_cards(table, {"VALUE": "value in JSON"})
+    return Block.table(table, [*cards, ("EXTNAME", "SCENE", "extension name")])
 
 
 def _parts(text):

@@ -1,15 +1,17 @@
 """Target pixel files with truth, in the layouts of Kepler, K2 and TESS."""
 
 import gzip
+import inspect
 from pathlib import Path
 
 import numpy as np
 
 from scope_models.io._atomic import atomic_path
+from scope_models.io._blocks import CHECKSUM_COMMENT, Block, write_blocks
 from scope_models.io._columns import checked_columns, pixel_columns, table_rows
-from scope_models.io._headers import column_cards, make_headers
+from scope_models.io._headers import make_headers, pixel_column_cards
 from scope_models.io._metadata import TPFMetadata
-from scope_models.io._truth import truth_hdus, truth_of
+from scope_models.io._truth import truth_blocks, truth_of
 from scope_models.io.reading import open_fits
 
 __all__ = [
@@ -113,43 +115,10 @@ def make_tpf_hdulist(
     >>> [hdu.name for hdu in hdus]
     ['PRIMARY', 'TARGETTABLES', 'APERTURE', 'TRUTH']
     """
+    blocks = _tpf_blocks(**locals())
     from astropy.io import fits
 
-    if isinstance(metadata, str):
-        metadata = TPFMetadata(mission=metadata, target_id=1)
-    if not isinstance(metadata, TPFMetadata):
-        raise TypeError(
-            f"`metadata` must be a TPFMetadata or the name of a mission, got {metadata!r}"
-        )
-    n_cadences = len(np.atleast_1d(time))
-    given = {
-        "time": time,
-        "timecorr": timecorr,
-        "cadenceno": np.arange(1, n_cadences + 1) if cadenceno is None else cadenceno,
-        "raw_cnts": raw_cnts,
-        "flux": flux,
-        "flux_err": flux_err,
-        "flux_bkg": flux_bkg,
-        "flux_bkg_err": flux_bkg_err,
-        "cosmic_rays": cosmic_rays,
-        "quality": np.zeros(n_cadences, dtype=np.int32) if quality is None else quality,
-        "pos_corr1": pos_corr1,
-        "pos_corr2": pos_corr2,
-    }
-    values = checked_columns(metadata, given)
-    aperture = _aperture_bits(aperture, values["FLUX"].shape[1:])
-    hdus = fits.HDUList(_standard_hdus(metadata, values, aperture))
-    if "COSMIC_RAYS" in metadata.layout.absent_columns:
-        hdus.append(_cosmic_ray_hdu(metadata, values))
-    truth = truth_columns, truth_maps, scene, truth_tables
-    if any(part is not None for part in truth):
-        hdus.extend(truth_hdus(values["CADENCENO"], *truth))
-    hdus[0].header.set("NEXTEND", len(hdus) - 1, "number of extensions", after="EXTEND")
-    if not simulated:
-        for hdu in hdus:
-            if "SIMDATA" in hdu.header:
-                hdu.header["SIMDATA"] = (False, "the data are not simulated")
-    return hdus
+    return fits.HDUList([block.hdu() if isinstance(block, Block) else block for block in blocks])
 
 
 def write_tpf(path, *, overwrite=False, **contents):
@@ -186,7 +155,10 @@ def write_tpf(path, *, overwrite=False, **contents):
     >>> read_tpf(path).shape
     (100, 7, 5)
     """
-    return write_hdulist(make_tpf_hdulist(**contents), path, overwrite=overwrite)
+    arguments = inspect.signature(make_tpf_hdulist).bind(**contents)
+    arguments.apply_defaults()
+    blocks = _tpf_blocks(**arguments.arguments)
+    return _write(path, lambda stream: write_blocks(blocks, stream), overwrite=overwrite)
 
 
 def write_hdulist(hdulist, path, *, overwrite=False):
@@ -219,9 +191,10 @@ def write_hdulist(hdulist, path, *, overwrite=False):
     Traceback (most recent call last):
     FileNotFoundError: cannot write absent/star.fits: there is no folder ...absent
     """
-    with atomic_path(path, overwrite=overwrite) as temporary:
-        _write_whole(hdulist, temporary)
-    return Path(path)
+    hdulist[0].header["NEXTEND"] = (len(hdulist) - 1, "number of extensions")
+    for hdu in hdulist:
+        hdu.add_checksum(when=CHECKSUM_COMMENT)
+    return _write(path, hdulist.writeto, overwrite=overwrite)
 
 
 def read_truth(source):
@@ -267,46 +240,52 @@ def read_truth(source):
     return truth
 
 
-def _standard_hdus(metadata, values, aperture):
-    """Return the three HDUs that every target pixel file has."""
-    from astropy.io import fits
+def _tpf_blocks(
+    *, metadata, aperture, truth_columns, truth_maps, scene, truth_tables, simulated, **columns
+):
+    """Return the blocks of a target pixel file; the arguments are those of `make_tpf_hdulist`."""
+    if isinstance(metadata, str):
+        metadata = TPFMetadata(mission=metadata, target_id=1)
+    if not isinstance(metadata, TPFMetadata):
+        raise TypeError(
+            f"`metadata` must be a TPFMetadata or the name of a mission, got {metadata!r}"
+        )
+    n_cadences = len(np.atleast_1d(columns["time"]))
+    if columns["cadenceno"] is None:
+        columns["cadenceno"] = np.arange(1, n_cadences + 1)
+    if columns["quality"] is None:
+        columns["quality"] = np.zeros(n_cadences, dtype=np.int32)
+    values = checked_columns(metadata, columns)
+    aperture = _aperture_bits(aperture, values["FLUX"].shape[1:])
+    blocks = _standard_blocks(metadata, values, aperture)
+    if "COSMIC_RAYS" in metadata.layout.absent_columns:
+        blocks.append(_cosmic_ray_hdu(metadata, values))
+    truth = truth_columns, truth_maps, scene, truth_tables
+    if any(part is not None for part in truth):
+        blocks.extend(truth_blocks(values["CADENCENO"], *truth))
+    blocks[0].header.set("NEXTEND", len(blocks) - 1, "number of extensions", after="EXTEND")
+    if not simulated:
+        for block in blocks:
+            if "SIMDATA" in block.header:
+                block.header["SIMDATA"] = (False, "the data are not simulated")
+    return blocks
 
+
+def _standard_blocks(metadata, values, aperture):
+    """Return the three blocks that every target pixel file has."""
     shape = values["FLUX"].shape
     columns = pixel_columns(metadata)
     used = np.isfinite(values["TIME"]) & np.isfinite(values["FLUX"]).any(axis=(1, 2))
     timecorr = values.get("TIMECORR", np.full(shape[0], np.nan))
     used = int(used.sum())
-    primary, table, image = make_headers(metadata, values["TIME"], timecorr, used, aperture)
-    definitions = [
-        card
-        for number, column in enumerate(columns, 1)
-        for card in column_cards(number, column, metadata, shape[1:])
-    ]
+    headers = make_headers(metadata, values["TIME"], timecorr, used, aperture)
+    primary, table, image = (map(str, header.cards) for header in headers)
+    definitions = pixel_column_cards(columns, metadata, shape[1:])
     return [
-        fits.PrimaryHDU(header=primary),
-        _table_hdu(table_rows(columns, values, shape), columns, [*definitions, *table.cards]),
-        fits.ImageHDU(aperture, image),
+        Block.primary(primary),
+        Block.table(table_rows(columns, values, shape), [*definitions, *table]),
+        Block.image(aperture, image),
     ]
-
-
-def _table_hdu(rows, columns, cards):
-    """Return a table whose rows are already as FITS has them, without a copy."""
-    from astropy.io import fits
-
-    hdu = fits.BinTableHDU()
-    hdu.data = rows
-    # The columns find their arrays in the table. References of their own would close a ring
-    # through the arrays' bases, which Python's collector of garbage does not see.
-    hdu.columns.__dict__.pop("_arrays", None)
-    for column, description in zip(hdu.columns, columns, strict=True):
-        column.disp = description.display
-        if description.unit:
-            column.unit = description.unit
-        if description.null is not None:
-            column.null = description.null
-        column.__dict__.pop("array", None)
-    hdu.header = fits.Header([*hdu.header.cards[:8], *cards])
-    return hdu
 
 
 def _cosmic_ray_hdu(metadata, values):
@@ -346,15 +325,13 @@ def _aperture_bits(aperture, shape):
     return aperture.astype(np.int32)
 
 
-def _write_whole(hdulist, path):
-    """Write checksums, the number of extensions and data to a path."""
-    hdulist[0].header["NEXTEND"] = (len(hdulist) - 1, "number of extensions")
-    for hdu in hdulist:
-        hdu.add_checksum(when="checksum of the FITS standard")
-    with path.open("wb") as stream:
-        if path.suffix.lower() == ".gz":
+def _write(path, write, *, overwrite):
+    """Open a stream to a file that is there as a whole or not at all, and write to it."""
+    with atomic_path(path, overwrite=overwrite) as temporary, temporary.open("wb") as stream:
+        if temporary.suffix.lower() == ".gz":
             # No name and no time in it: the same contents give the same file.
             with gzip.GzipFile("", "wb", _COMPRESSION, stream, mtime=0) as compressed:
-                hdulist.writeto(compressed)
+                write(compressed)
         else:
-            hdulist.writeto(stream)
+            write(stream)
+    return Path(path)

@@ -5,7 +5,7 @@ from scope_models.models.empirical import GaussHermitePSF
 from scope_models.models.integration import integrate_pixels
 from scope_models.models.prf import PRF
 from scope_models.models.psf import BivariateGaussianPSF, moffat_psf
-from scope_models.models.sensitivity import SensitivityPolynomial
+from scope_models.models.sensitivity import DiffusionSensitivity, SensitivityPolynomial
 from scope_models.models.signals import TransitModel
 from scope_models.models.tables import PRFGrid, TabulatedPRF, TabulatedPSF
 from scope_models.models.variability import (
@@ -17,6 +17,7 @@ from scope_models.models.variability import (
 __all__ = [
     "PRF",
     "BivariateGaussianPSF",
+    "DiffusionSensitivity",
     "GaussHermitePSF",
     "PRFGrid",
     "SensitivityPolynomial",

@@ -6,10 +6,19 @@ from dataclasses import dataclass
 import numpy as np
 from astropy import units as u
 from astropy.modeling.models import Gaussian2D
+from scipy.special import erf
 
 from scope_models.models._gaussian import gaussian_pixels
 
-__all__ = ["FWHM", "ClosedForm", "closed_form", "is_photutils", "pixels_of"]
+__all__ = [
+    "FWHM",
+    "ClosedForm",
+    "closed_form",
+    "collected",
+    "diffused",
+    "is_photutils",
+    "pixels_of",
+]
 
 # Full width at half maximum of a normal density, in standard deviations.
 FWHM = 2 * np.sqrt(2 * np.log(2))
@@ -67,6 +76,44 @@ def closed_form(model, values):
     return None if gaussian is None else ClosedForm(gaussian[0], gaussian[1:], gaussian_pixels)
 
 
+def diffused(form, variance):
+    """
+    Return a closed form convolved with a circular normal distribution.
+
+    Parameters
+    ----------
+    form : ClosedForm
+        That of a density.
+    variance : float
+        Of the distribution along each axis, square pixels.
+
+    Returns
+    -------
+    form : ClosedForm or None
+        With the last derivative by the variance, under that name; None if it is no Gaussian.
+    """
+    if form.pixels is not gaussian_pixels:
+        return None
+    x_0, y_0, sigma_x, sigma_y, rho = form.parameters
+    wide, tall = np.sqrt(sigma_x**2 + variance), np.sqrt(sigma_y**2 + variance)
+    narrowed = sigma_x * sigma_y / (wide * tall)
+    parameters = (x_0, y_0, wide, tall, rho * narrowed)
+
+    def derivatives(*arguments):
+        image, by_x, by_y, by_wide, by_tall, by_tilt = form.derivatives(*arguments)
+        tilt = rho * narrowed
+        by_sigma_x = by_wide * sigma_x / wide + by_tilt * tilt * (1 / sigma_x - sigma_x / wide**2)
+        by_sigma_y = by_tall * sigma_y / tall + by_tilt * tilt * (1 / sigma_y - sigma_y / tall**2)
+        by_variance = by_wide / wide + by_tall / tall - by_tilt * tilt * (1 / wide**2 + 1 / tall**2)
+        parts = [image, by_x, by_y, by_sigma_x, by_sigma_y, by_tilt * narrowed, by_variance / 2]
+        return np.stack(np.broadcast_arrays(*parts))
+
+    if form.derivatives is None:
+        return ClosedForm(form.flux, parameters, form.pixels)
+    names = (*form.names, "variance")
+    return ClosedForm(form.flux, parameters, form.pixels, derivatives, names)
+
+
 def _gaussian(model, values):
     """Flux, x_0, y_0, sigma_x, sigma_y and rho of a Gaussian of astropy or photutils, or None."""
     name = type(model).__name__
@@ -107,3 +154,31 @@ def _from_axes(long, wide, angle):
 
 def is_photutils(model):
     return any(base.__module__.startswith("photutils.") for base in type(model).__mro__)
+
+
+def collected(offset, sigma):
+    """
+    Part of the charge that a pixel collects along one axis, and its derivative by sigma.
+
+    Parameters
+    ----------
+    offset : array_like
+        Where the charge is set free, from the pixel's center, pixels.
+    sigma : float
+        Standard deviation of the diffusion, pixels; 0 for none.
+
+    Returns
+    -------
+    part, derivative : `~numpy.ndarray`
+        Of the shape of the offset.
+    """
+    edges = np.asarray(offset, dtype=float) + np.array([0.5, -0.5]).reshape(
+        (2,) + (1,) * np.ndim(offset)
+    )
+    if sigma == 0:
+        inside = 0.5 * (np.sign(edges[0]) - np.sign(edges[1]))
+        return inside, np.zeros_like(inside)
+    scaled = edges / (np.sqrt(2) * sigma)
+    part = 0.5 * (erf(scaled[0]) - erf(scaled[1]))
+    slope = scaled * np.exp(-(scaled**2)) / (np.sqrt(np.pi) * sigma)
+    return part, slope[1] - slope[0]

@@ -21,7 +21,7 @@ class Response:
 
     Parameters
     ----------
-    model : `~scope_models.SensitivityPolynomial`
+    model : `~scope_models.SensitivityPolynomial` or `~scope_models.models.DiffusionSensitivity`
         The sensitivity.
     names : dict of str
         Its own parameters to those of the PRF.
@@ -39,6 +39,11 @@ class Response:
     def powers(self):
         """Axis and power by parameter of the PRF."""
         return {self.names[own]: place for own, place in self.model.powers.items()}
+
+    @property
+    def diffusion(self):
+        """Parameters of the PRF that are widths of a diffusion (list of str)."""
+        return [source for own, source in self.names.items() if own == "sigma_d"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,7 +115,7 @@ class Component:
         term = self.term(values)
         along, form = term.polynomials(), term.closed_form()
         if form is not None and form.derivatives is not None:
-            names = form.names
+            names = form.names  # ending in the variance of the diffusion, if there is any
             image, *parts = points.apply(form.derivatives, form.parameters, along)
         elif hasattr(self.model, "unit_derivatives"):
             names = ("x_0", "y_0")
@@ -120,7 +125,15 @@ class Component:
             image = integrate_term(term, points)
             parts = [self._by_quadrature(term, points, values, name) for name in names]
         own = dict(zip((self.shape.get(n, n) for n in names), parts, strict=True))
+        by_variance = own.pop("variance", None)
         for response in self.responses:
+            for name in response.diffusion:
+                if not values[name]:
+                    own[name] = np.zeros_like(image)
+                elif by_variance is None:
+                    own[name] = self._difference(points, values, name)
+                else:
+                    own[name] = 2 * values[name] * by_variance
             for name, (axis, _) in response.powers.items():
                 # The integral is linear in it: a monomial takes the place of the polynomial.
                 same = [other for other, place in response.powers.items() if place[0] == axis]

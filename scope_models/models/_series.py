@@ -158,8 +158,10 @@ def _number(value):
 
 def _gaussian(term):
     """Return sigma_x, sigma_y and rho of a bivariate normal density, None of any other."""
-    form = term.closed_form()
-    if form is None or form.pixels is not gaussian_pixels:
+    if term.closed_form() is None:
+        return None
+    form = term.undiffused().closed_form()  # the diffusion is added after the change of focus
+    if form.pixels is not gaussian_pixels:
         return None
     return tuple(float(value) for value in form.parameters[2:])
 
@@ -181,7 +183,7 @@ def _window(parts, shape, x, y, widest, blur):
             reached(
                 np.arange(n),
                 np.add.outer(ends * d, [p.min(), p.max()]),
-                np.hypot(widest * sigma, blur),
+                np.hypot(widest * sigma, np.hypot(blur, term.diffusion)),
             )
             for n, d, p, sigma in ((shape[1], dx, x, sigma_x), (shape[0], dy, y, sigma_y))
         )
@@ -207,7 +209,7 @@ def _engine(term, columns, rows, blur):
     along = term.polynomials()
     if gaussian is None:
         return _directly(term, columns, rows)
-    widened = _Widened(*gaussian, blur)
+    widened = _Widened(*gaussian, np.hypot(blur, term.diffusion))
     sigma_x, sigma_y, rho = widened()
     if not uses_series(sigma_x, sigma_y, rho, max(c.size for c in along) - 1):
         return _tensor(columns, rows, widened, along)

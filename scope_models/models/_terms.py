@@ -1,7 +1,7 @@
 # Licensed under a 3-clause BSD style license - see LICENSE
 """The sum-of-products form of a compound model, which is what gets integrated."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from astropy import units as u
@@ -9,8 +9,14 @@ from astropy.modeling import CompoundModel
 from astropy.modeling.models import Const2D
 
 from scope_models._arrays import is_angle, plain_array
-from scope_models.models._closed_form import FWHM, closed_form, is_photutils, pixels_of
-from scope_models.models.sensitivity import SensitivityPolynomial
+from scope_models.models._closed_form import (
+    FWHM,
+    closed_form,
+    diffused,
+    is_photutils,
+    pixels_of,
+)
+from scope_models.models.sensitivity import DiffusionSensitivity, SensitivityPolynomial
 
 __all__ = ["Factor", "Term", "expand", "is_pixel_integrated", "leaves"]
 
@@ -129,7 +135,7 @@ class Term:
     densities : tuple of Factor
         Everything that is neither constant nor a sensitivity.
     sensitivities : tuple of Factor
-        The `SensitivityPolynomial` among the factors.
+        The `SensitivityPolynomial` and `DiffusionSensitivity` among the factors.
     """
 
     scale: object = 1.0
@@ -148,12 +154,28 @@ class Term:
         """The closed form of the product, or None."""
         if len(self.densities) != 1:
             return None
-        return closed_form(self.densities[0].model, self.densities[0].values)
+        form = closed_form(self.densities[0].model, self.densities[0].values)
+        if form is None or not self.diffusion:
+            return form
+        flat = all(np.trim_zeros(row, "b").size <= 1 for row in self.polynomials())
+        return diffused(form, self.diffusion**2) if flat else None
+
+    @property
+    def diffusion(self):
+        """Standard deviation along each axis with which charge diffuses, pixels; 0 for none."""
+        sigmas = [f.values["sigma_d"] for f in self.sensitivities if "sigma_d" in f.values]
+        return float(np.sqrt(sum(np.ravel(pixels_of(s))[0] ** 2 for s in sigmas)))
+
+    def undiffused(self):
+        """The product without diffusion."""
+        return replace(
+            self, sensitivities=tuple(f for f in self.sensitivities if "sigma_d" not in f.values)
+        )
 
     def polynomials(self):
         """Coefficients along x and along y of the product of all sensitivities."""
         along_x, along_y = np.ones(1), np.ones(1)
-        for factor in self.sensitivities:
+        for factor in self.undiffused().sensitivities:
             names, numbers = list(factor.values), [float(v) for v in factor.values.values()]
             n_x = names.index("ay0")
             along_x = np.convolve(along_x, numbers[:n_x])
@@ -227,7 +249,7 @@ def expand(model):
     if isinstance(model, Const2D):
         amplitude = model.amplitude
         return [Term(scale=amplitude.value if amplitude.unit is None else amplitude.quantity)]
-    if isinstance(model, SensitivityPolynomial):
+    if isinstance(model, (SensitivityPolynomial, DiffusionSensitivity)):
         return [Term(sensitivities=(Factor.of(model),))]
     # A PRF that is nothing but a table stands for it.
     table = getattr(model, "table", None)

@@ -6,11 +6,14 @@ from astropy import units as u
 from astropy.modeling import Model
 
 from scope_models._arrays import plain_array
+from scope_models.models._closed_form import collected
 from scope_models.models._quadrature import integrate_adaptively
 from scope_models.models._terms import expand, is_pixel_integrated, leaves
 
 __all__ = ["integrate_pixels"]
 
+# Standard deviations of the diffusion beyond which no charge of a pixel comes from.
+_DIFFUSION_REACH = 7.0
 _METHODS = ("auto", "analytic", "quadrature")
 
 
@@ -129,6 +132,13 @@ def integrate_density(term, points, evaluate=None):
     n_points = points.x.size
     image = np.repeat(np.arange(n_images), n_points)
     x, y = np.tile(points.x, n_images), np.tile(points.y, n_images)
+    # Charge diffuses into a pixel from those around it.
+    sigma = term.diffusion
+    reach = int(np.ceil(_DIFFUSION_REACH * sigma))
+    near = np.arange(-reach, reach + 1)
+    dx, dy = (np.repeat(d.ravel(), x.size) for d in np.meshgrid(near, near))
+    image, x, y = np.tile(image, near.size**2), np.tile(x, near.size**2), np.tile(y, near.size**2)
+    x, y = x + dx, y + dy
     units = []
 
     def product(x_at, y_at, index):
@@ -144,11 +154,16 @@ def integrate_density(term, points, evaluate=None):
         y_at = np.broadcast_to(y[index].reshape(shape) + v_at, inside)
         value, unit = _number_and_unit((evaluate or product)(x_at, y_at, image[index]))
         units.append(unit)
-        response = np.polynomial.polynomial.polyval(u_at, along_x)
-        return value * response * np.polynomial.polynomial.polyval(v_at, along_y)
+        value = value * np.polynomial.polynomial.polyval(u_at, along_x)
+        value = value * np.polynomial.polynomial.polyval(v_at, along_y)
+        if not sigma:
+            return value
+        along_x_at = collected(u_at + dx[index].reshape(shape), sigma)[0]
+        return value * along_x_at * collected(v_at + dy[index].reshape(shape), sigma)[0]
 
     scale = min((factor.scale for factor in term.densities), default=1.0)
-    integrals = integrate_adaptively(integrand, image, scale)
+    integrals = integrate_adaptively(integrand, image, min(scale, sigma or scale))
+    integrals = integrals.reshape(near.size**2, -1).sum(axis=0)
     integrals = integrals.reshape(*lead, *points.shape)
     return integrals if units[-1] is None else integrals * units[-1]
 

@@ -33,7 +33,8 @@ class PRF(InstanceParameters, Fittable2DModel):
     ----------
     compound : `~astropy.modeling.Model`
         Sum of densities with the parameters ``flux``, ``x_0`` and ``y_0`` (our PSFs, photutils'
-        PSFs), each multiplied by any number of `~scope_models.SensitivityPolynomial`, such as
+        PSFs), each multiplied by any number of `~scope_models.SensitivityPolynomial` and
+        `~scope_models.models.DiffusionSensitivity`, such as
         ``(core + wings) * SensitivityPolynomial()``. A `~scope_models.models.TabulatedPRF` is a
         component too, but never times a sensitivity: its fluxes hold the response of the pixels.
     flux, x_0, y_0 : float or `~astropy.units.Quantity`, optional
@@ -225,7 +226,7 @@ class PRF(InstanceParameters, Fittable2DModel):
         for component, fraction in zip(self._components, self._fractions(values), strict=True):
             model = component.model.copy()
             for name, value in component.own_values(values, fraction).items():
-                setattr(model, name, float(value))
+                getattr(model, name).value = float(value)
             total = model if total is None else total + model
         return total
 
@@ -236,7 +237,7 @@ class PRF(InstanceParameters, Fittable2DModel):
         for response in self._responses:
             model = response.model.copy()
             for own, source in response.names.items():
-                setattr(model, own, float(getattr(self, source).value))
+                getattr(model, own).value = float(getattr(self, source).value)
             total = model if total is None else total * model
         return total
 
@@ -246,12 +247,16 @@ class PRF(InstanceParameters, Fittable2DModel):
         Kinds of the parameters in a fit, where they have one (dict of str).
 
         "width", "correlation", "coefficient" and "fraction" are shape, "offset" is a position
-        relative to the star, "response" is a coefficient of a sensitivity.
+        relative to the star, "response" is a coefficient of a sensitivity, "diffusion" the width
+        of one that shares charge.
         """
         kinds = {}
         for component in self._components:
             kinds |= component.kinds
-        return kinds | dict.fromkeys(self.response_powers, "response")
+        for response in self._responses:
+            kinds |= dict.fromkeys(response.powers, "response")
+            kinds |= dict.fromkeys(response.diffusion, "diffusion")
+        return kinds
 
     @property
     def response_powers(self):
@@ -313,7 +318,7 @@ class PRF(InstanceParameters, Fittable2DModel):
         x, y, *arrays = np.broadcast_arrays(x, y, *values.values())
         values = {name: a.reshape(-1) for name, a in zip(values, arrays, strict=True)}
         values["x_0"], values["y_0"] = values["x_0"] - x.ravel(), values["y_0"] - y.ravel()
-        for name in self.response_powers:
+        for name in (name for response in self._responses for name in response.names.values()):
             values[name] = one_number(name, values[name])
         images = self._images(PixelPoints(0.0, 0.0), values).reshape(x.shape)
         return images if unit is None else images * unit

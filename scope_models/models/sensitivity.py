@@ -1,15 +1,16 @@
 # Licensed under a 3-clause BSD style license - see LICENSE
-"""Sensitivity: the response of a pixel, as a function of the position within it."""
+"""Sensitivity: the response of pixels, as a function of the position within them."""
 
 import numpy as np
 from astropy import units as u
-from astropy.modeling import Fittable2DModel
+from astropy.modeling import Fittable2DModel, Parameter
 
 from scope_models._arrays import plain_array
+from scope_models.models._closed_form import collected
 from scope_models.models._instance_parameters import InstanceParameters, described
-from scope_models.models._validation import check_model_parameters
+from scope_models.models._validation import Domain, check_model_parameters
 
-__all__ = ["SensitivityPolynomial"]
+__all__ = ["DiffusionSensitivity", "SensitivityPolynomial"]
 
 
 def _offset(position):
@@ -146,3 +147,131 @@ def _polynomial(u, coefficients):
     for coefficient in coefficients[::-1]:
         value = value * u + coefficient
     return value
+
+
+class DiffusionSensitivity(Fittable2DModel):
+    r"""
+    Response of pixels that share charge: a box convolved with a normal distribution.
+
+    .. math:: s(u, v) = c(u)\, c(v), \qquad
+              c(u) = \frac{1}{2}\left[\mathrm{erf}\frac{u + 1/2}{\sqrt{2}\,\sigma_d} -
+              \mathrm{erf}\frac{u - 1/2}{\sqrt{2}\,\sigma_d}\right]
+
+    is the part of the charge from the offset (u, v) that a pixel collects. It does not end at the
+    pixel's edge: light that falls into a pixel is collected by its neighbors too, and the sum over
+    all pixels is 1. No light is lost, and a sum of all pixels does not depend on where the
+    star is, however deep the drop of a single pixel's response.
+
+    Parameters
+    ----------
+    sigma_d : float or `~astropy.units.Quantity`, optional
+        Standard deviation of the diffusion along each axis, pixels; 0 for none.
+    **kwargs
+        Keywords of `~astropy.modeling.Model`, such as ``fixed``, ``bounds`` and ``name``.
+
+    Raises
+    ------
+    ValueError
+        If sigma_d is negative or not finite.
+
+    Notes
+    -----
+    In a product with a density, integrated over pixels, this response reaches into the pixels
+    around: the result is that of the density convolved with the diffusion. A Gaussian becomes a
+    wider Gaussian, so that its width and sigma_d cannot be told apart by pixels, and
+    `~scope_models.fit_tpf` holds sigma_d where a width is free. A
+    `~scope_models.SensitivityPolynomial` in the product acts where the light falls, before the
+    charge diffuses.
+
+    Evaluated, the model is the part that the pixel which holds (x, y) keeps; `response` is that of
+    any pixel.
+
+    Examples
+    --------
+    >>> from scope_models import BivariateGaussianPSF, integrate_pixels
+    >>> from scope_models.models import DiffusionSensitivity
+    >>> sensitivity = DiffusionSensitivity(0.15)
+    >>> print(f"{sensitivity(3, 7):.4f} {sensitivity(2.5, 7):.4f}")
+    0.9983 0.4996
+    >>> image = integrate_pixels(BivariateGaussianPSF(1, 3, 3) * sensitivity, (7, 7))
+    >>> print(f"{image.sum():.6f}")
+    1.000000
+    """
+
+    sigma_d = Parameter(
+        default=0.1, bounds=(0.0, None), description="Standard deviation of the diffusion (pixel)"
+    )
+    sigma_d.validator(Domain("sigma_d", "at least 0"))
+
+    def __init__(self, sigma_d=sigma_d.default, **kwargs):
+        super().__init__(sigma_d=plain_array(sigma_d, u.pix, "sigma_d"), **kwargs)
+        check_model_parameters(self)
+
+    #: The response is no polynomial: it has no powers.
+    powers = {}  # noqa: RUF012 - astropy copies no class attributes
+
+    @property
+    def parameter_kinds(self):
+        """Kind of the parameter in a fit (dict of str)."""
+        return {"sigma_d": "diffusion"}
+
+    def response(self, dx, dy):
+        """
+        Part of the charge that a pixel collects.
+
+        Parameters
+        ----------
+        dx, dy : array_like or `~astropy.units.Quantity`
+            Where the charge is set free, from the pixel's center, pixels; anywhere.
+
+        Returns
+        -------
+        part : `~numpy.ndarray`
+            Of the common shape.
+        """
+        sigma = float(self.sigma_d.value)
+        dx, dy = plain_array(dx, u.pix, "dx"), plain_array(dy, u.pix, "dy")
+        return collected(dx, sigma)[0] * collected(dy, sigma)[0]
+
+    def evaluate(self, x, y, sigma_d):
+        """
+        Part of the charge that stays in the pixel where it is set free.
+
+        Parameters
+        ----------
+        x, y : array_like
+            Positions in pixels.
+        sigma_d : float
+            As for the class.
+
+        Returns
+        -------
+        part : `~numpy.ndarray`
+            Dimensionless.
+        """
+        sigma = float(np.ravel(sigma_d)[0])
+        return collected(_offset(x), sigma)[0] * collected(_offset(y), sigma)[0]
+
+    def fit_deriv(self, x, y, sigma_d):
+        """
+        Derivative of the response with respect to sigma_d.
+
+        Parameters
+        ----------
+        x, y : array_like
+            Positions in pixels.
+        sigma_d : float
+            As for the class.
+
+        Returns
+        -------
+        derivatives : list of `~numpy.ndarray`
+            One array.
+        """
+        sigma = float(np.ravel(sigma_d)[0])
+        along_x, by_x = collected(_offset(x), sigma)
+        along_y, by_y = collected(_offset(y), sigma)
+        return [along_x * by_y + by_x * along_y]
+
+    def _parameter_units_for_data_units(self, inputs_unit, outputs_unit):  # noqa: ARG002
+        return {}

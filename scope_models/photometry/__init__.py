@@ -1,10 +1,12 @@
 """Aperture masks, the fractions of light they hold, and the noise of light curves (CDPP)."""
 
 from scope_models.photometry.apertures import (
+    aperture_flux,
     circular_aperture,
     contamination_aperture,
     crowding,
     flux_fraction,
+    moving_aperture,
     signal_to_noise_aperture,
     threshold_aperture,
 )
@@ -12,11 +14,13 @@ from scope_models.photometry.precision import LONG_CADENCE, cdpp
 
 __all__ = [
     "LONG_CADENCE",
+    "aperture_flux",
     "cdpp",
     "circular_aperture",
     "contamination_aperture",
     "crowding",
     "flux_fraction",
+    "moving_aperture",
     "signal_to_noise_aperture",
     "threshold_aperture",
 ]

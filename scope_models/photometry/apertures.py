@@ -8,18 +8,21 @@ import astropy.units as u
 import numpy as np
 
 from scope_models._arrays import PER_PIXEL, plain_array
-from scope_models._checks import checked_mask, checked_number
+from scope_models._checks import checked_mask, checked_number, checked_shape
 
 __all__ = [
+    "aperture_flux",
     "circular_aperture",
     "contamination_aperture",
     "crowding",
     "flux_fraction",
+    "moving_aperture",
     "signal_to_noise_aperture",
     "threshold_aperture",
 ]
 
 _RATE = u.electron / u.s
+_NO_WEIGHT = 1e-3
 
 
 def threshold_aperture(target, threshold=None):
@@ -234,6 +237,119 @@ def circular_aperture(shape, x_0, y_0, radius, *, min_overlap=0.5):
         overlap = np.zeros(shape)
     where = f"no pixel of {shape} lies within `radius` {radius} of ({x_0}, {y_0})"
     return _not_empty(overlap > min_overlap * (1 - 1e-12), where)
+
+
+def moving_aperture(shape, x, y, radius, *, edge=0.35):
+    r"""
+    Make an aperture that follows a star, with a soft edge.
+
+    The weight of a pixel whose center is at the distance d from the star is
+
+    .. math::
+
+        w = \frac{1}{2} \left[1 - \tanh\frac{d - r}{2 e}\right];
+
+    weights below 0.001 are 0.
+
+    Parameters
+    ----------
+    shape : tuple of int
+        Rows and columns of the images.
+    x, y : array_like
+        Column and row of the star, pixels, ``(n_cadences,)``. Cadences in which they are NaN have
+        weights of NaN.
+    radius : float or array_like
+        Radius r in pixels, one or one per cadence: the aperture may grow.
+    edge : float, optional
+        Scale e of the edge in pixels.
+
+    Returns
+    -------
+    `~numpy.ndarray`
+        Weights between 0 and 1, ``(n_cadences, ny, nx)``.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If an argument is out of its domain.
+
+    Examples
+    --------
+    >>> from scope_models.photometry import moving_aperture
+    >>> moving_aperture((1, 4), [0.0, 2.0], [0.0, 0.0], radius=1.5, edge=0.1).round()
+    array([[[1., 1., 0., 0.]],
+    <BLANKLINE>
+           [[0., 1., 1., 1.]]])
+    """
+    ny, nx = checked_shape(shape)
+    x, y = np.broadcast_arrays(
+        *(np.atleast_1d(plain_array(v, u.pix, n)) for v, n in ((x, "x"), (y, "y")))
+    )
+    edge = checked_number("edge", edge, u.pix, positive=True)
+    radius = plain_array(radius, u.pix, "radius")
+    if x.ndim != 1 or radius.shape not in ((), x.shape):
+        raise ValueError(f"`x`, `y` and `radius` must have one number per cadence, got {x.shape}")
+    if not np.all(radius > 0):
+        raise ValueError("`radius` must be positive")
+    across, along = np.arange(nx) - x[:, None], np.arange(ny) - y[:, None]
+    distance = np.hypot(across[:, None, :], along[:, :, None])
+    weights = 0.5 * (1 - np.tanh((distance - np.reshape(radius, (-1, 1, 1))) / (2 * edge)))
+    return np.where(weights < _NO_WEIGHT, 0.0, weights)
+
+
+def aperture_flux(flux, aperture, flux_err=None):
+    """
+    Sum the pixels of a fixed or moving aperture.
+
+    Parameters
+    ----------
+    flux : array_like
+        Pixels ``(n_cadences, ny, nx)``, e-/s.
+    aperture : array_like
+        Mask ``(ny, nx)``, or weights ``(n_cadences, ny, nx)`` as of `moving_aperture`.
+    flux_err : array_like, optional
+        Their errors.
+
+    Returns
+    -------
+    total : `~numpy.ndarray`
+        Sum of the pixels times their weights, ``(n_cadences,)``; NaN where a pixel or weight is.
+        Pixels of weight 0 do not count.
+    total_err : `~numpy.ndarray`
+        Its error; only with `flux_err`.
+
+    Raises
+    ------
+    ValueError
+        If the shapes do not agree.
+
+    Examples
+    --------
+    >>> from scope_models.photometry import aperture_flux
+    >>> aperture_flux([[[1.0, 2.0]], [[3.0, 4.0]]], [[[1.0, 0.5]], [[0.5, 1.0]]])
+    array([2. , 5.5])
+    """
+    flux = plain_array(flux, _RATE, "flux")
+    aperture = np.asarray(aperture)
+    if flux.ndim != 3 or aperture.shape not in (flux.shape, flux.shape[1:]):
+        raise ValueError(
+            f"`aperture` must have shape {flux.shape[-2:]} or {flux.shape}, got {aperture.shape}"
+        )
+    if aperture.dtype == bool and aperture.ndim == 2:
+        inside, weights = flux[:, aperture], 1.0
+        errors = None if flux_err is None else plain_array(flux_err, _RATE, "flux_err")[:, aperture]
+    else:
+        weights = np.broadcast_to(aperture.astype(float), flux.shape).reshape(len(flux), -1)
+        inside = np.where(weights == 0, 0.0, flux.reshape(len(flux), -1))
+        errors = None
+        if flux_err is not None:
+            errors = plain_array(flux_err, _RATE, "flux_err").reshape(len(flux), -1)
+            errors = np.where(weights == 0, 0.0, errors)
+    with np.errstate(invalid="ignore"):
+        total = np.sum(weights * inside, axis=1)
+        if errors is None:
+            return total
+        return total, np.sqrt(np.sum((weights * errors) ** 2, axis=1))
 
 
 def crowding(target, neighbors, aperture):

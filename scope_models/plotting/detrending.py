@@ -8,7 +8,52 @@ from scope_models._arrays import plain_array
 from scope_models.photometry import cdpp
 from scope_models.plotting._style import DARK, GRAY, LIGHT, styled
 
-__all__ = ["plot_detrending", "plot_detrending_masks"]
+__all__ = ["plot_comparison", "plot_detrending", "plot_detrending_masks"]
+
+
+@styled
+def plot_comparison(time, fluxes, *, best=None):
+    """
+    Draw light curves below each other on one scale.
+
+    Parameters
+    ----------
+    time : array_like
+        Days, ``(n_cadences,)``.
+    fluxes : dict of str to array_like
+        Flux by name; each is divided by its median.
+    best : str, optional
+        The one that is drawn dark.
+
+    Returns
+    -------
+    `~numpy.ndarray` of `~matplotlib.axes.Axes`
+        One panel per light curve.
+
+    Examples
+    --------
+    >>> from scope_models.plotting.detrending import plot_comparison
+    >>> axes = plot_comparison([0, 1, 2], {"raw": [99, 100, 103], "pld": [100, 101, 100]})
+    >>> len(axes)
+    2
+    """
+    time, n = plain_array(time, u.day, "time"), len(fluxes)
+    _, axes = plt.subplots(
+        n, 1, figsize=(9, 1 + 1.8 * n), sharex=True, sharey=True, layout="constrained",
+        squeeze=False,
+    )  # fmt: skip
+    axes, shown = axes[:, 0], []
+    for ax, (name, flux) in zip(axes, fluxes.items(), strict=True):
+        values = plain_array(flux, None, "fluxes")
+        relative = values / np.nanmedian(values)
+        color = DARK if name == best else GRAY
+        ax.plot(time, relative, ".", ms=2, color=color, label=_label(name, values))
+        ax.legend(loc="upper right", fontsize="small")
+        ax.set_ylabel("Relative flux")
+        shown.append(relative)
+    _scale(axes[0], np.concatenate(shown))
+    axes[-1].set_xlabel("Time (d)")
+    return axes
 
 
 @styled
@@ -22,7 +67,7 @@ def plot_detrending(
     ----------
     time, flux, corrected : array_like
         Times in days and fluxes before and after in e-/s, ``(n_cadences,)``. Each panel is
-        scaled to all but the outermost per cent.
+        scaled to all but the outermost percent.
     systematics, trend : array_like, optional
         The two parts of the model in the unit of the flux.
     outliers, masked : array_like of bool, optional

@@ -202,7 +202,7 @@ def plot_twin(time, real, twin, residuals, *, time_label="Time (d)", labels=None
 
 
 def _without_outliers(series):
-    """Limits of an axis that hold all but the outermost half per cent of the values."""
+    """Limits of an axis that hold all but the outermost half percent of the values."""
     low, high = np.nanpercentile(np.concatenate([np.ravel(part) for part in series]), (0.5, 99.5))
     margin = 0.3 * (high - low) or 0.01
     return low - margin, high + margin

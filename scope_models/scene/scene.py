@@ -16,7 +16,7 @@ from scope_models.effects._effect import checked_effects
 from scope_models.effects.noise import check_seed, noise_terms
 from scope_models.io import TPFMetadata, read_truth, write_hdulist
 from scope_models.io._headers import tan_projection
-from scope_models.io._truth import truth_hdus
+from scope_models.io._truth import truth_blocks
 from scope_models.missions import TIME_ZEROS
 from scope_models.models._description import (
     check_coord,
@@ -435,8 +435,9 @@ class Scene:
         columns = scene_columns(self, relative_flux)
         given = self.detector.interpixel
         maps = {} if given is None else {"INTERPIXEL": given}
-        hdus = truth_hdus(self.motion.cadenceno, columns, maps, describe_scene(self), None)
-        return write_hdulist(fits.HDUList([fits.PrimaryHDU(), *hdus]), path, overwrite=overwrite)
+        blocks = truth_blocks(self.motion.cadenceno, columns, maps, describe_scene(self), None)
+        hdus = [fits.PrimaryHDU(), *(block.hdu() for block in blocks)]
+        return write_hdulist(fits.HDUList(hdus), path, overwrite=overwrite)
 
     @classmethod
     def read(cls, path):

@@ -6,6 +6,7 @@ from astropy.io import fits
 from astropy.table import Table
 
 from scope_models.cli import main
+from scope_models.experiments._sky_scores import score_places
 from scope_models.experiments.benchmark import (
     benchmark_star,
     make_benchmark,
@@ -58,6 +59,38 @@ def test_the_truth_with_its_noise_scores_1(tmp_path, transits):
     assert row["regime"] == sky.regime.name
     for name in ("full", "high_passed", "depth", "pull"):
         assert row[name] == pytest.approx(1, abs=0.25), name
+    assert row["bias"] < 1e6 * noise / 5
+
+
+@pytest.mark.parametrize("wrong", ["nothing", "bias", "step"])
+def test_dependence_on_the_place_within_the_pixel(wrong):
+    """A photometry with a known error: its size comes back, and the other score stays small."""
+    rng = np.random.default_rng(3)
+    time = np.arange(2000) * 0.02
+    x, y = 5 + 1.3 * np.sin(2 * np.pi * time / 0.27), 5 + 0.4 * np.cos(2 * np.pi * time / 0.31)
+    truth = 1 + 0.1 * np.sin(time)
+    factor = 1 + 2e-5 * rng.standard_normal(2000)
+    if wrong == "bias":
+        factor += 0.001 * np.cos(2 * np.pi * x)
+    elif wrong == "step":
+        factor += 0.001 * (np.round(x) % 2)
+    bias, step = score_places(time, 1000 * truth * factor, truth, x, y)
+    if wrong == "nothing":
+        assert bias < 10
+        assert step < 30
+    elif wrong == "bias":
+        expected = 1e6 * np.std(0.001 * np.cos(2 * np.pi * x))
+        assert bias == pytest.approx(expected, rel=0.1)
+        assert step < 100  # the parabola about a border is no cosine
+    else:
+        assert step == pytest.approx(1000, rel=0.05)
+
+
+def test_places_of_few_cadences():
+    assert np.isnan(score_places(*np.ones((5, 50)))).all()
+    x = np.full(300, 5.0)
+    bias, step = score_places(np.arange(300) * 0.02, x, np.ones(300), x, x)
+    assert (bias, np.isnan(step)) == (0, True)
 
 
 def test_a_file_is_found_by_its_target_number(tmp_path, transits):

@@ -13,7 +13,7 @@ from astropy.modeling.fitting import TRFLSQFitter
 
 import scope_models.models
 from scope_models import PRF, BivariateGaussianPSF, SensitivityPolynomial, TransitModel
-from scope_models.models import GaussHermitePSF, TabulatedPRF, TabulatedPSF
+from scope_models.models import DiffusionSensitivity, GaussHermitePSF, TabulatedPRF, TabulatedPSF
 
 RATE = u.electron / u.s
 
@@ -39,6 +39,14 @@ MODELS = {
         "input_unit": u.pix,
         "output_unit": RATE / u.pix**2,
         "bounded": True,
+        "free": None,
+    },
+    "DiffusionSensitivity": {
+        "model": DiffusionSensitivity(0.2),
+        "units": {},
+        "input_unit": u.pix,
+        "output_unit": u.dimensionless_unscaled,
+        "bounded": False,
         "free": None,
     },
     "GaussHermitePSF": {

@@ -10,11 +10,13 @@ from scipy.signal import savgol_coeffs
 
 from scope_models.photometry import (
     LONG_CADENCE,
+    aperture_flux,
     cdpp,
     circular_aperture,
     contamination_aperture,
     crowding,
     flux_fraction,
+    moving_aperture,
     signal_to_noise_aperture,
     threshold_aperture,
 )
@@ -293,3 +295,67 @@ IMAGE = np.ones((3, 3))
 def test_bad_apertures(call, message):
     with pytest.raises(ValueError, match=message):
         call()
+
+
+class TestMovingAperture:
+    def test_is_centered_on_the_star(self):
+        x, y = np.array([7.0, 8.3, 6.1]), np.array([7.2, 6.6, 8.0])
+        weights = moving_aperture((15, 15), x, y, 2.5, edge=0.5)
+        rows, columns = np.indices((15, 15))
+        total = weights.sum(axis=(1, 2))
+        np.testing.assert_allclose((weights * columns).sum(axis=(1, 2)) / total, x, atol=0.02)
+        np.testing.assert_allclose((weights * rows).sum(axis=(1, 2)) / total, y, atol=0.02)
+
+    def test_area_grows_with_the_radius(self):
+        radius = np.array([2.0, 3.0, 4.0])
+        weights = moving_aperture((15, 15), np.full(3, 7.2), np.full(3, 6.9), radius, edge=0.3)
+        # the integral of the weights over the plane is pi (r^2 + (pi e)^2 / 3)
+        expected = np.pi * (radius**2 + (np.pi * 0.3) ** 2 / 3)
+        np.testing.assert_allclose(weights.sum(axis=(1, 2)), expected, rtol=0.02)
+
+    def test_holds_a_star_that_a_fixed_aperture_loses(self):
+        x = np.linspace(3.0, 12.0, 40)
+        rows, columns = np.indices((9, 16))
+        images = np.exp(-0.5 * ((columns - x[:, None, None]) ** 2 + (rows - 4) ** 2) / 0.8**2)
+        fixed = circular_aperture((9, 16), 7.5, 4, 3.0)
+        moving = moving_aperture((9, 16), x, 4.0, 3.0)
+        assert np.ptp(aperture_flux(images, fixed)) > 1
+        assert np.ptp(aperture_flux(images, moving)) < 0.01 * aperture_flux(images, moving)[0]
+
+    def test_unknown_position_gives_nan(self):
+        weights = moving_aperture((5, 5), [2.0, np.nan], [2.0, 2.0], 1.5)
+        assert np.isfinite(weights[0]).all()
+        assert np.isnan(aperture_flux(np.ones((2, 5, 5)), weights)[1])
+
+    @pytest.mark.parametrize(
+        ("arguments", "match"),
+        [(([1.0], [1.0], 0.0), "`radius` must be positive"),
+         (([1.0], [1.0], [1.0, 2.0]), "one number per cadence")],
+    )  # fmt: skip
+    def test_bad_arguments(self, arguments, match):
+        with pytest.raises(ValueError, match=match):
+            moving_aperture((5, 5), *arguments)
+
+
+class TestApertureFlux:
+    def test_mask_and_equal_weights_agree(self):
+        rng = np.random.default_rng(1)
+        flux, error = rng.normal(100, 1, (4, 3, 3)), rng.uniform(1, 2, (4, 3, 3))
+        mask = np.eye(3, dtype=bool)
+        weights = np.broadcast_to(mask, flux.shape)
+        for one, other in zip(
+            aperture_flux(flux, mask, error), aperture_flux(flux, weights, error), strict=True
+        ):
+            np.testing.assert_allclose(one, other)
+        np.testing.assert_allclose(
+            aperture_flux(flux, mask, error)[1] ** 2, np.einsum("nii->n", error**2)
+        )
+
+    def test_pixels_without_weight_may_be_nan(self):
+        flux = np.array([[[1.0, np.nan]], [[1.0, 2.0]]])
+        np.testing.assert_array_equal(aperture_flux(flux, [[[1, 0]], [[1, 1]]]), [1.0, 3.0])
+        assert np.isnan(aperture_flux(flux, np.array([[True, True]]))[0])
+
+    def test_shapes_must_agree(self):
+        with pytest.raises(ValueError, match="`aperture` must have shape"):
+            aperture_flux(np.ones((2, 3, 3)), np.ones((2, 2), bool))

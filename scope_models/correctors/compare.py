@@ -1,0 +1,323 @@
+"""Correctors side by side on one star, and the rule that chooses one."""
+
+import time as clock
+import warnings
+from dataclasses import dataclass
+
+import astropy.units as u
+import numpy as np
+from astropy.table import QTable
+from astropy.units.cds import ppm
+
+from scope_models._checks import checked_cadences
+from scope_models.correctors.pld import PLDCorrector
+from scope_models.correctors.scene import SceneCorrector
+from scope_models.exceptions import DetrendingWarning
+from scope_models.io import read_tpf
+from scope_models.photometry import cdpp
+
+__all__ = ["ComparisonResult", "choose_corrector", "compare_correctors"]
+
+_NAMES = ("raw", "pld", "scene", "lightkurve")
+#: SceneCorrector is chosen if it predicts unseen windows better than PLDCorrector by this factor.
+_CLEARLY = 0.95
+#: Largest residuals of windows are left out: transits, flares and damaged pixels.
+_KEPT_WINDOWS = 0.9
+_WINDOW_HOURS = 6.5
+#: Columns of a comparison and their units.
+_COLUMNS = {
+    "cdpp_lightkurve": ppm,
+    "cdpp_everest": ppm,
+    "held_out": ppm,
+    "held_out_pull": None,
+    "transit_survival": None,
+    "seconds": u.s,
+}
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ComparisonResult:
+    """
+    Correctors on one star.
+
+    Parameters
+    ----------
+    table : `~astropy.table.QTable`
+        One row per corrector: ``corrector``, the ``aperture``, the CDPP of 6.5 h in both
+        conventions, ``held_out`` (mean size of the residuals of windows of 6.5 h that the model
+        has not seen, without the largest tenth), ``held_out_pull`` (their rms in units of the
+        expected errors), ``transit_survival`` (part of an unmasked transit of 6.5 h that is left)
+        and the time that it took. NaN where a corrector does not provide a number.
+    light_curves : dict
+        `~lightkurve.LightCurve` by corrector, on the same cadences.
+    correctors : dict
+        The corrector objects, with all their results; none for "raw".
+    best : str or None
+        The corrector that the rule of `choose_corrector` takes, None if neither was compared.
+    reason : str
+        Why.
+
+    Examples
+    --------
+    >>> from scope_models import Detector, Motion, Star, simulate
+    >>> from scope_models.correctors import compare_correctors
+    >>> observation = simulate(
+    ...     Star(13, 4, 4), Detector.k2(shape=(9, 9)), Motion.k2_roll(300, seed=1), seed=1
+    ... )
+    >>> comparison = compare_correctors(observation.to_tpf(), ("raw", "pld"))
+    >>> comparison.best
+    'pld'
+    """
+
+    table: QTable
+    light_curves: dict
+    correctors: dict
+    best: str | None
+    reason: str
+
+    def __repr__(self):
+        text = "\n".join(self.table.pformat(max_width=-1, max_lines=-1))
+        return f"{text}\nbest: {self.best}, because {self.reason}"
+
+    @property
+    def corrector(self):
+        """The corrector that was chosen, with its corrected light curve."""
+        return self.correctors.get(self.best)
+
+    def plot(self):
+        """
+        Draw the light curves below each other, on one scale.
+
+        Returns
+        -------
+        `~numpy.ndarray` of `~matplotlib.axes.Axes`
+            One panel per corrector.
+        """
+        from scope_models.plotting.detrending import plot_comparison  # imports matplotlib
+
+        time = next(iter(self.light_curves.values())).time.value
+        return plot_comparison(
+            time, {name: lc.flux.value for name, lc in self.light_curves.items()}, best=self.best
+        )
+
+
+def compare_correctors(
+    tpf, correctors=_NAMES, *, aperture_mask=None, cadence_mask=None, transit_mask=None
+):
+    """
+    Compare correctors on one star.
+
+    Parameters
+    ----------
+    tpf : `~lightkurve.targetpixelfile.TargetPixelFile`, str or path-like
+        Target pixel file.
+    correctors : sequence of str, optional
+        Of "raw" (the sum over the aperture), "pld", "scene" and "lightkurve" (lightkurve's
+        PLDCorrector).
+    aperture_mask : array_like of bool, optional
+        Pixels ``(ny, nx)`` that all of them sum. By default raw, PLD and lightkurve sum the pixels
+        that `PLDCorrector` chooses, and `SceneCorrector` its window.
+    cadence_mask, transit_mask : array_like of bool, optional
+        True where cadences may be fitted, and during transits, as in `PLDCorrector.correct`.
+
+    Returns
+    -------
+    ComparisonResult
+        Table, light curves and correctors. The CDPP is that of the cadences that all light curves
+        have, without those in transit.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If an argument is outside its domain.
+
+    Warns
+    -----
+    DetrendingWarning
+        If a corrector fails or warns; the text begins with its name.
+
+    See Also
+    --------
+    choose_corrector
+
+    Examples
+    --------
+    >>> from scope_models import Detector, Motion, Star, simulate
+    >>> from scope_models.correctors import compare_correctors
+    >>> observation = simulate(
+    ...     Star(13, 4, 4), Detector.k2(shape=(9, 9)), Motion.k2_roll(300, seed=1), seed=1
+    ... )
+    >>> comparison = compare_correctors(observation.to_tpf(), ("raw", "pld"))
+    >>> raw, corrected = comparison.table["cdpp_everest"]
+    >>> bool(corrected < raw)
+    True
+    """
+    tpf = read_tpf(tpf)
+    correctors = [correctors] if isinstance(correctors, str) else list(correctors)
+    if unknown := [name for name in correctors if name not in _NAMES]:
+        raise ValueError(f"`correctors` must be of {', '.join(_NAMES)}, got {unknown[0]!r}")
+    if not correctors or len(set(correctors)) < len(correctors):
+        raise ValueError("`correctors` must name each corrector once")
+    pld = PLDCorrector(tpf, aperture_mask)
+    options = {"cadence_mask": cadence_mask, "transit_mask": transit_mask}
+    objects, curves, rows = {}, {}, {}
+    for name in correctors:
+        begin = clock.perf_counter()
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always", DetrendingWarning)
+            try:
+                found, lc = _corrected(name, tpf, pld, aperture_mask, options)
+            except (ValueError, np.linalg.LinAlgError) as error:
+                found, lc = None, None
+                warnings.warn(f"fails: {error}", DetrendingWarning, stacklevel=2)
+        _pass_on(caught, name)
+        if lc is None:
+            continue
+        rows[name] = {"seconds": clock.perf_counter() - begin, "aperture": _aperture(found, pld)}
+        curves[name] = lc
+        if found is not None:
+            objects[name] = found
+            rows[name].update(_self_assessment(found))
+    if not curves:
+        raise ValueError("none of `correctors` could correct the file")
+    common = np.all([np.isfinite(lc.flux.value) for lc in curves.values()], axis=0)
+    common &= ~checked_cadences("transit_mask", transit_mask, len(common), default=False)
+    for name, lc in curves.items():
+        for method in ("lightkurve", "everest"):
+            rows[name][f"cdpp_{method}"] = cdpp(lc[common], method=method)
+    best, reason = _choice(objects)
+    return ComparisonResult(_table(rows), curves, objects, best, reason)
+
+
+def choose_corrector(tpf, *, aperture_mask=None, cadence_mask=None, transit_mask=None):
+    """
+    Correct a star with the corrector that its own data support.
+
+    `SceneCorrector` is taken if it predicts windows of 6.5 h, which the models have not seen,
+    better than `PLDCorrector` by at least 5 %, and `PLDCorrector` otherwise, always where pixels
+    saturate.
+
+    Parameters
+    ----------
+    tpf : `~lightkurve.targetpixelfile.TargetPixelFile`, str or path-like
+        Target pixel file.
+    aperture_mask, cadence_mask, transit_mask : array_like of bool, optional
+        As in `compare_correctors`.
+
+    Returns
+    -------
+    PLDCorrector or SceneCorrector
+        After its call of ``correct``, with ``corrected_lc`` and ``result``.
+
+    See Also
+    --------
+    compare_correctors
+
+    Examples
+    --------
+    >>> from scope_models import Detector, Motion, Star, simulate
+    >>> from scope_models.correctors import choose_corrector
+    >>> observation = simulate(
+    ...     Star(13, 4, 4), Detector.k2(shape=(9, 9)), Motion.k2_roll(300, seed=1), seed=1
+    ... )
+    >>> type(choose_corrector(observation.to_tpf())).__name__
+    'PLDCorrector'
+    """
+    return compare_correctors(
+        tpf, ("pld", "scene"), aperture_mask=aperture_mask, cadence_mask=cadence_mask,
+        transit_mask=transit_mask,
+    ).corrector  # fmt: skip
+
+
+def _corrected(name, tpf, pld, aperture_mask, options):
+    """Return the corrector and its light curve."""
+    if name == "raw":
+        return None, pld.original_lc
+    if name == "lightkurve":
+        return _lightkurve(tpf, pld.aperture_mask, options)
+    found = pld if name == "pld" else SceneCorrector(tpf, aperture_mask)
+    if name == "scene" and found.saturated:
+        raise ValueError("pixels saturate, which PLDCorrector models better")
+    return found, found.correct(**options)
+
+
+def _lightkurve(tpf, aperture, options):
+    """Return lightkurve's PLDCorrector after its default call, with a fixed random state."""
+    from lightkurve.correctors import PLDCorrector as LightkurveCorrector
+
+    n = len(tpf.time)
+    use = checked_cadences("cadence_mask", options["cadence_mask"], n, default=True)
+    use &= ~checked_cadences("transit_mask", options["transit_mask"], n, default=False)
+    state = np.random.get_state()  # noqa: NPY002 (its principal components draw from it)
+    np.random.seed(0)  # noqa: NPY002
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            found = LightkurveCorrector(tpf, aperture_mask=aperture)
+            lc = found.correct(cadence_mask=use)
+    finally:
+        np.random.set_state(state)  # noqa: NPY002
+    whole = tpf.to_lightcurve(aperture_mask=aperture)
+    flux = np.full(len(whole), np.nan)
+    flux[np.isin(whole["cadenceno"], lc["cadenceno"])] = lc.flux.value
+    whole.flux = flux * whole.flux.unit
+    return found, whole
+
+
+def _aperture(found, pld):
+    if isinstance(found, SceneCorrector):
+        window = found.result.window
+        return f"{window} px" if isinstance(window, float) else window
+    return f"{pld.aperture_mask.sum()} pixels"
+
+
+def _self_assessment(found):
+    """Return what a corrector of this package reports about itself."""
+    if not isinstance(found, (PLDCorrector, SceneCorrector)) or found.result is None:
+        return {}
+    width = _width(found)
+    if found.result.n_used < 2 * width:
+        return {"transit_survival": found.result.transit_survival}
+    residual, error = found.held_out(width)[:2]
+    size = np.sort(np.abs(residual))[: max(int(_KEPT_WINDOWS * len(residual)), 1)]
+    return {
+        "held_out": 1e6 * size.mean(),
+        "held_out_pull": np.sqrt(np.mean((residual / error) ** 2)),
+        "transit_survival": found.result.transit_survival,
+    }
+
+
+def _width(found):
+    """Return the number of cadences in 6.5 h."""
+    step = np.nanmedian(np.diff(found.original_lc.time.value))
+    return max(round(_WINDOW_HOURS / 24 / step), 1)
+
+
+def _choice(objects):
+    """Return the name of the better one of PLD and scene, and why."""
+    if "scene" not in objects or "pld" not in objects:
+        found = [name for name in ("pld", "scene") if name in objects]
+        return (found[0], "the other one was not compared or fails") if found else (None, "")
+    pld, scene = (_self_assessment(objects[name]).get("held_out") for name in ("pld", "scene"))
+    if pld is None or scene is None:
+        return "pld", "windows cannot be predicted"
+    text = f"it predicts unseen windows to {scene:.0f} ppm, PLD to {pld:.0f} ppm"
+    if scene < _CLEARLY * pld:
+        return "scene", text
+    return "pld", text.replace("it", "the scene", 1)
+
+
+def _pass_on(caught, name):
+    for warning in caught:
+        if issubclass(warning.category, DetrendingWarning):
+            warnings.warn(f"{name}: {warning.message}", DetrendingWarning, stacklevel=3)
+
+
+def _table(rows):
+    """Return the rows as a table with units."""
+    table = QTable({"corrector": list(rows), "aperture": [r["aperture"] for r in rows.values()]})
+    for name, unit in _COLUMNS.items():
+        values = np.array([row.get(name, np.nan) for row in rows.values()], dtype=float)
+        table[name] = values if unit is None else u.Quantity(values, unit)
+        table[name].info.format = ".1f" if unit else ".3f"
+    return table

@@ -1,0 +1,97 @@
+"""Tests of the comparison of correctors and of the rule that chooses one."""
+
+import numpy as np
+import pytest
+from astropy import units as u
+
+from scope_models.correctors import SceneCorrector, choose_corrector, compare, compare_correctors
+from scope_models.exceptions import DetrendingWarning
+from scope_models.experiments.skies import make_sky, score
+from scope_models.photometry import cdpp
+
+
+@pytest.fixture(scope="module")
+def compared(star):
+    """Return a comparison of a constant star of 12th magnitude."""
+    return compare_correctors(star.tpf, ("raw", "pld", "lightkurve"))
+
+
+def test_numbers_are_those_of_the_light_curves(compared):
+    raw, pld = (compared.light_curves[name] for name in ("raw", "pld"))
+    for method in ("lightkurve", "everest"):
+        column = compared.table[f"cdpp_{method}"].to_value(u.one)
+        assert column[0] == pytest.approx(1e-6 * cdpp(raw, method=method))
+        assert column[1] == pytest.approx(1e-6 * cdpp(pld, method=method))
+        assert column[1] < column[0]
+    corrector = compared.correctors["pld"]
+    residual, error, _ = corrector.held_out(13)
+    pull = np.sqrt(np.mean((residual / error) ** 2))
+    assert compared.table["held_out_pull"][1] == pytest.approx(pull)
+    assert compared.table["transit_survival"][1] == corrector.result.transit_survival
+    assert np.isnan(compared.table["transit_survival"][2])
+
+
+def test_apertures_and_cadences_are_the_same(compared):
+    assert len(set(compared.table["aperture"])) == 1
+    assert len({len(lc) for lc in compared.light_curves.values()}) == 1
+
+
+def test_text_has_all_columns_and_the_reason(compared):
+    text = repr(compared)
+    assert all(name in text for name in compared.table.colnames)
+    assert "best: pld, because the other one was not compared" in text
+    assert compared.corrector is compared.correctors["pld"]
+
+
+def test_picture(compared):
+    axes = compared.plot()
+    assert len(axes) == 3
+    assert axes[0].get_ylim() == axes[2].get_ylim()
+
+
+@pytest.mark.parametrize(
+    ("correctors", "match"),
+    [(("pld", "sff"), "must be of raw, pld, scene, lightkurve"), ((), "each corrector once"),
+     (("pld", "pld"), "each corrector once")],
+)  # fmt: skip
+def test_bad_names(star, correctors, match):
+    with pytest.raises(ValueError, match=match):
+        compare_correctors(star.tpf, correctors)
+
+
+@pytest.mark.parametrize(
+    ("scene", "best"), [(94.0, "scene"), (96.0, "pld"), (110.0, "pld"), (None, "pld")]
+)
+def test_rule(monkeypatch, scene, best):
+    numbers = {"pld": {"held_out": 100.0}, "scene": {} if scene is None else {"held_out": scene}}
+    monkeypatch.setattr(compare, "_self_assessment", lambda name: numbers[name])
+    chosen, reason = compare._choice({"pld": "pld", "scene": "scene"})
+    assert chosen == best
+    assert reason
+
+
+def test_failing_corrector_is_left_out(star, monkeypatch):
+    def fail(*_, **__):
+        raise ValueError("no light")
+
+    monkeypatch.setattr(SceneCorrector, "correct", fail)
+    with pytest.warns(DetrendingWarning, match="scene: fails: no light"):
+        found = compare_correctors(star.tpf, ("raw", "scene"))
+    assert list(found.table["corrector"]) == ["raw"]
+    assert found.best is None
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::scope_models.exceptions.DetrendingWarning")
+@pytest.mark.parametrize(
+    ("regime", "kind"),
+    [("k2-1x-eclipsing-neighbor", "SceneCorrector"), ("k2-1x-constant", "PLDCorrector"),
+     ("k2-1x-kp10-saturated", "PLDCorrector")],
+)  # fmt: skip
+def test_choice_on_messy_stars(regime, kind):
+    sky = make_sky(regime, 0)
+    tpf = sky.to_tpf()
+    corrector = choose_corrector(tpf)
+    assert type(corrector).__name__ == kind
+    raw = tpf.to_lightcurve(aperture_mask="pipeline")
+    assert score(corrector.corrected_lc, sky).full < 0.3 * score(raw, sky).full
