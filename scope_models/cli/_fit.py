@@ -57,6 +57,7 @@ def add_parser(commands):
 def run(arguments):
     """Fit one file or many; return the exit status."""
     from scope_models.io._atomic import check_output
+    from scope_models.io._opening import naming
 
     if arguments.cadences is not None and arguments.cadences < 1:
         raise ValueError(f"--cadences must be at least 1, got {arguments.cadences}")
@@ -74,7 +75,8 @@ def run(arguments):
     check_output(arguments.output, overwrite=arguments.overwrite, inputs=[path])
     if arguments.sensitivity:
         options["sensitivity"] = sm.SensitivityPolynomial(fixed={"ax1": True, "ay1": True})
-    fit = sm.fit_tpf(sm.io.read_pixels(path)[: arguments.cadences], **options)
+    with naming(path):
+        fit = sm.fit_tpf(sm.io.read_pixels(path)[: arguments.cadences], **options)
     path = fit.write(arguments.output, overwrite=arguments.overwrite)
     table = fit.table()
     for row in table[~table["fixed"]]:

@@ -6,6 +6,7 @@ from astropy.io import fits
 from scope_models.correctors.pld import PLDCorrector
 from scope_models.io import make_light_curve_hdulist, read_pixels, write_hdulist
 from scope_models.io._atomic import atomic_path, check_output
+from scope_models.io._opening import naming
 from scope_models.photometry import cdpp
 
 __all__ = ["detrend_file", "make_lightcurve_hdulist"]
@@ -61,9 +62,11 @@ def detrend_file(path, output, *, figure=None, overwrite=False, **options):
         from scope_models.plotting._saving import check_figure_format  # imports matplotlib
 
         check_figure_format(figure)
-    corrector = PLDCorrector(path)
-    corrector.correct(**options)
-    write_hdulist(make_lightcurve_hdulist(corrector), output, overwrite=overwrite)
+    with naming(path):
+        corrector = PLDCorrector(path)
+        corrector.correct(**options)
+        hdus = make_lightcurve_hdulist(corrector)
+    write_hdulist(hdus, output, overwrite=overwrite)
     if figure is not None:
         from scope_models.plotting._saving import save_figure
 

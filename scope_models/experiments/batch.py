@@ -22,6 +22,7 @@ from scope_models.experiments.reference import read_reference
 from scope_models.experiments.study import Study
 from scope_models.io import read_pixels, read_tpf, write_hdulist
 from scope_models.io._atomic import check_output
+from scope_models.io._opening import naming
 from scope_models.missions import MISSIONS
 from scope_models.models import TransitModel
 from scope_models.photometry import cdpp
@@ -263,10 +264,13 @@ def inject_file(path, planet, output, *, star=None, seed=1, overwrite=False):
         *(float(planet[name]) for name in ("depth", "duration", "period", "t0")),
         exposure_time=Detector.from_tpf(series).cadence_days,
     )
-    injected = inject(tpf, model, _light_of(tpf, star), seed=seed)
+    total = np.median(np.where(np.isfinite(series.flux), series.flux, 0).sum(axis=(1, 2)))
+    if not total > 0:
+        raise ValueError(f"{path} has no light in its pixels")
+    with naming(path):
+        injected = inject(tpf, model, _light_of(tpf, star), seed=seed)
     write_hdulist(injected.hdu, output, overwrite=overwrite)
     table = injected.hdu[-1].data
-    total = np.nanmedian(np.nansum(series.flux, axis=(1, 2)))
     return _header_row(series) | {
         "injected_depth": float(-np.min(table["FLUX_ADDED"]) / total),
         "in_transit": int(np.sum(table["SIGNAL"] < 1)),
@@ -366,6 +370,8 @@ def find_files(paths):
 
     Raises
     ------
+    OSError
+        If the search or the download fails.
     ValueError
         If a file is given twice, or nothing is found for a name.
 
@@ -395,25 +401,39 @@ def _downloaded(name):
     """Return the path of the first target pixel file that lightkurve finds."""
     import lightkurve
 
-    search = lightkurve.search_targetpixelfile(name)
-    if not len(search):
+    try:
+        search = lightkurve.search_targetpixelfile(name)
+        tpf = search[0].download() if len(search) else None
+    except Exception as error:  # of the network, from many libraries
+        reason = " ".join(str(error).split())
+        raise OSError(f"{name} is no file, and the search for it failed: {reason}") from error
+    if tpf is None:
         raise ValueError(f"{name} is no file, and no target pixel file is found for this name")
-    tpf = search[0].download()
     tpf.hdu.close()
     return tpf.path
 
 
 def _run(study, client, overwrite, sweep):
     """Run a study of files after a check of what it would write."""
-    outputs = {os.path.realpath(study.output_of(task["key"])): task for task in study.tasks()}
+    outputs = [study.output_of(task["key"]) for task in study.tasks()]
+    replaced = {_identity(path) for path in outputs}
     for name in study.input_paths():
-        if os.path.realpath(name) in outputs:
+        if _identity(name) in replaced:
             raise ValueError(f"{name} would be replaced by an output: choose another folder")
     if not overwrite and not (Path(study.folder) / FILE).exists():
         for path in outputs:
-            if Path(path).exists():
+            if path.exists():
                 raise FileExistsError(f"{path} exists already; pass overwrite=True to replace it")
     return run_experiment(study, study.folder, client, **(sweep or {}))
+
+
+def _identity(path):
+    """Return what is the same for all links to a file: device and inode, or the path if absent."""
+    try:
+        state = Path(path).stat()
+    except OSError:
+        return os.path.realpath(path)
+    return state.st_dev, state.st_ino
 
 
 def _absolute(folder):

@@ -12,7 +12,7 @@ from astropy import config
 
 from scope_models.exceptions import DamagedFileWarning
 
-__all__ = ["Conf", "RefusedError", "conf", "open_fits"]
+__all__ = ["Conf", "RefusedError", "conf", "naming", "open_fits"]
 
 _BLOCK = 2880
 _END = b"END".ljust(80)
@@ -130,6 +130,17 @@ def open_fits(path):
         raise _unreadable(path, error) from error
 
 
+@contextmanager
+def naming(path):
+    """Let errors of what is done with a file begin with its name."""
+    try:
+        yield
+    except ValueError as error:
+        if str(path) in str(error):
+            raise
+        raise ValueError(f"{path}: {error}") from error
+
+
 def _check_number(hdus, n_hdus, path):
     """Refuse a file of which astropy does not read every HDU."""
     if len(hdus) != n_hdus:
@@ -168,7 +179,8 @@ def _read_whole(path):
             raise _unreadable(path, error) from error
     if walk.mismatches:
         warnings.warn(
-            f"{path}: {' and '.join(walk.mismatches)} do not match: the file was damaged, "
+            f"{path}: {' and '.join(walk.mismatches)} "
+            f"do{'es' * (len(walk.mismatches) == 1)} not match: the file was damaged, "
             "or changed after it was written",
             DamagedFileWarning,
             stacklevel=5,
@@ -276,6 +288,8 @@ class _Walk:
             found = re.match(r"\s*(\d*)([LXBIJKAEDCMPQ])", str(form))
             if not found:
                 self._refuse(f"TFORM{number} is {form!r}")
+            if not isinstance(header.get(f"TTYPE{number}"), str):
+                self._refuse(f"TTYPE{number} is absent or no text")
             width += int(found[1] or 1) * _WIDTHS[found[2]]
         if width > lengths[0]:
             self._refuse(f"the columns of a table have {width:,.0f} bytes, its rows {lengths[0]:,}")

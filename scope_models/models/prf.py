@@ -8,9 +8,8 @@ from astropy.modeling.models import Const2D
 
 from scope_models._arrays import plain_array
 from scope_models.models._components import Component, Response
-from scope_models.models._instance_parameters import InstanceParameters
+from scope_models.models._parameters import InstanceParameters, check_model_parameters, one_number
 from scope_models.models._terms import expand, is_pixel_integrated
-from scope_models.models._validation import check_model_parameters, one_number
 from scope_models.models.integration import PixelPoints, integrate_term
 from scope_models.models.tables import PRFGrid
 

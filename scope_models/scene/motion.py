@@ -19,11 +19,9 @@ from scope_models.io.pixels import positions_of
 from scope_models.io.reading import read_positions
 from scope_models.missions import MISSIONS
 from scope_models.models._description import value_key
-from scope_models.scene._ground_tracking import GroundTracking
-from scope_models.scene._k2_final_campaign import K2FinalCampaign
 from scope_models.scene._k2_roll import K2Roll
-from scope_models.scene._kepler_pointing import KeplerPointing
 from scope_models.scene._motion_arrays import (
+    MotionStatistics,
     as_int32,
     as_pixels,
     as_times,
@@ -31,9 +29,8 @@ from scope_models.scene._motion_arrays import (
     check_time_format,
     repair,
 )
-from scope_models.scene._motion_statistics import MotionStatistics
-from scope_models.scene._tess_pointing import TESSPointing
-from scope_models.scene._walks import FailingWheels, RandomWalk
+from scope_models.scene._pointing import K2FinalCampaign, KeplerPointing, TESSPointing
+from scope_models.scene._tracking import FailingWheels, GroundTracking, RandomWalk
 
 __all__ = [
     "FailingWheels",

@@ -144,6 +144,14 @@ def test_files_that_are_none(tmp_path):
     assert {path.name for path in tmp_path.iterdir()} == {"text.fits", "image.fits"}
 
 
+def test_what_the_correction_refuses_names_the_file(tpf_file, tmp_path):
+    with fits.open(tpf_file) as hdus:
+        hdus[1].data["FLUX"][...] = 0
+        hdus.writeto(tmp_path / "dark.fits", checksum=True)
+    with pytest.raises(ValueError, match=r"dark\.fits: no pixel of `tpf` is above its noise"):
+        detrend_file(tmp_path / "dark.fits", tmp_path / "lc.fits")
+
+
 def test_command(tpf_file, tmp_path, capsys):
     output = tmp_path / "lc.fits"
     arguments = ["detrend", str(tpf_file), "--order", "2", "--output", str(output)]

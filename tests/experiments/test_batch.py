@@ -1,10 +1,12 @@
 """Many files: everything is written, failures are listed, runs go on, inputs are never replaced."""
 
+import os
 import shutil
 import sys
 
 import numpy as np
 import pytest
+from astropy.io import fits
 from astropy.table import Table
 from matplotlib.image import imread
 
@@ -188,6 +190,23 @@ class TestBadInput:
             inject_file(other, {k: v[0] for k, v in PLANET.items()}, other, overwrite=True)
         assert other.read_bytes() == before
 
+    @pytest.mark.parametrize("link", [os.symlink, os.link])
+    def test_nor_links_to_inputs(self, files, tmp_path, link):
+        (tmp_path / "out").mkdir()
+        link(files[1], tmp_path / "out" / "kp11-lc.fits")
+        with pytest.raises(ValueError, match=r"kp12\.fits would be replaced by an output"):
+            detrend(files[:2], tmp_path / "out", overwrite=True)
+
+    @pytest.mark.parametrize("value", [np.nan, np.inf, 0.0, -3.0])
+    def test_inject_into_no_light(self, files, tmp_path, value):
+        path, planet = files[0], {k: v[0] for k, v in PLANET.items()}
+        with fits.open(path) as hdus:
+            hdus[1].data["FLUX"][...] = value
+            hdus.writeto(path, overwrite=True, checksum=True)
+        with pytest.raises(ValueError, match=r"kp11\.fits has no light in its pixels"):
+            inject_file(path, planet, tmp_path / "out.fits", star=1.0)
+        assert not (tmp_path / "out.fits").exists()
+
     def test_files_of_others_are_kept(self, files, tmp_path):
         mine = tmp_path / "out" / "kp11-lc.fits"
         mine.parent.mkdir()
@@ -251,6 +270,24 @@ class TestNames:
         with pytest.raises(ValueError, match="no target pixel file is found for this name"):
             find_files(["TIC 1"])
         assert asked == ["EPIC 211956421", "TIC 1"]
+
+    def test_no_network_is_one_error(self, monkeypatch):
+        import lightkurve
+
+        def search(_):
+            raise RuntimeError("no route\nto host")
+
+        monkeypatch.setattr(lightkurve, "search_targetpixelfile", search)
+        with pytest.raises(
+            OSError, match="EPIC 1 is no file, and the search for it failed: no rou"
+        ):
+            find_files(["EPIC 1"])
+
+    @pytest.mark.remote_data
+    def test_are_downloaded(self):
+        (path,) = find_files(["EPIC 211956421"])
+        assert "211956421" in path
+        assert find_files(["EPIC 211956421"]) == (path,)  # from the cache
 
     def test_files_that_are_absent_are_not_searched(self, tmp_path, monkeypatch):
         monkeypatch.setitem(sys.modules, "lightkurve", None)

@@ -110,13 +110,13 @@ def test_changed_data(path, where, keyword):
     content = bytearray(path.read_bytes())
     content[where] ^= 1
     path.write_bytes(content)
-    with pytest.warns(DamagedFileWarning, match=rf"star\.fits: {keyword} of HDU \d do not match"):
+    with pytest.warns(DamagedFileWarning, match=rf"star\.fits: {keyword} of HDU \d does not match"):
         read(path)
 
 
 def test_changed_header(path):
     changed(path, b"TTYPE2  = 'X   ", b"TTYPE2  = 'Y   ")
-    with pytest.warns(DamagedFileWarning, match=r"star\.fits: CHECKSUM of HDU 1 do not match"):
+    with pytest.warns(DamagedFileWarning, match=r"star\.fits: CHECKSUM of HDU 1 does not match"):
         read(path)
 
 
@@ -139,6 +139,7 @@ def test_sums_are_those_of_astropy(shared_data):
         (b"TFORM1  = 'D       '", b"TFORM1  = '9999999D'", "have 80,000,000 bytes"),
         (b"TFORM2  = 'D       '", b"TFORM2  = '999999D '", "columns of a table have 8,000,000"),
         (b"TFORM2  = 'D       '", b"TFORM2  = 'y       '", "TFORM2 is 'y'"),
+        (b"TTYPE1  = ", b"TTYPF1  = ", "TTYPE1 is absent or no text"),
         (b"SIMPLE  =", b"PK\x03\x04    =", "does not begin with 'SIMPLE  ='"),
         (b"XTENSION= 'BINTABLE", b"XTENSION= 'IMAGE   ", "has no binary table"),
     ],
