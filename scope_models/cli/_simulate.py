@@ -322,7 +322,7 @@ def _planet(arguments):
             raise ValueError("--t0 and --duration need --period")
         return arguments.transit
     period = arguments.period
-    # 13 h (P / yr)^(1/3) (R / R_sun) (rho / rho_sun)^(-1/3): Winn 2010, arXiv:1001.2010, eq. 19.
+    # 13 h (P / yr)^(1/3) (R / R_sun) (rho / rho_sun)^(-1/3): arXiv:1001.2010, eq. 19.
     usual = 13 / 24 * (period / 365.25) ** (1 / 3)
     duration = usual if arguments.duration is None else arguments.duration
     return period, period / 2 if arguments.t0 is None else arguments.t0, arguments.depth, duration
