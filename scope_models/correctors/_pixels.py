@@ -337,7 +337,7 @@ def with_predicted_fractions(pixels, pos_corr, cadence_mask=None):
 
 def _light_in_window(pixels, clean, use, known):
     """Return the star's light from the part that a moving aperture holds, and its error."""
-    weights = pixels.weights[use][:, known] * clean.aperture
+    weights = pixels.weights[use][:, known] * pixels.aperture[known]
     held = np.sum(weights * clean.shares, axis=1)
     measured = pixels.flux[use][:, known] - clean.background
     predicted = clean.shares * clean.light[:, None]
