@@ -12,6 +12,7 @@ from scope_models._checks import checked_integer, checked_number
 from scope_models.fitting._data import detector_of, read_data
 from scope_models.fitting._gather import make_results, warn_of_fit
 from scope_models.fitting._problem import FitOptions, FitStar, Problem
+from scope_models.fitting._response import fit_response
 from scope_models.fitting._solver import covariances, solve
 from scope_models.fitting._stars import star_positions
 from scope_models.fitting._start import (
@@ -22,7 +23,6 @@ from scope_models.fitting._start import (
     make_rich_prf,
     starting_state,
 )
-from scope_models.fitting.response import fit_response
 from scope_models.io.pixels import read_pixels
 
 __all__ = ["fit_tpf"]
