@@ -51,6 +51,7 @@ from scope_models.experiments.table1 import Table1
 from scope_models.io import TPFMetadata, make_tpf_hdulist, usable_positions
 from scope_models.missions import MISSIONS, Cadence, choose_cadence, full_flux
 from scope_models.models import (
+    CorrectedPRF,
     DiffusionSensitivity,
     GaussHermitePSF,
     PRFGrid,
@@ -154,6 +155,15 @@ NORTH = SkyCoord(40.0, -20.0, unit="deg")
 def ground(**changes):
     made = Detector.ground(**changes)
     return [made.background, made.psf[0].sigma_x.value, made.effects[1].rms(1.0)]
+
+
+def cataloged(**options):
+    table = {"ra": [40, 40.002], "dec": [-20, -20.002], "mag": [12, 15]}
+    table |= {"pmra": [0.0, 100.0], "pmdec": [0.0, 0.0]}
+    scene = Scene.from_catalog(
+        table, NORTH, Detector.k2(), Motion.still(3), **({"ref_epoch": 2010.0} | options)
+    )
+    return scene.positions
 
 
 def column(name, value):
@@ -357,6 +367,15 @@ ROWS = {
             ("altitude", 2000.0, u.m),
             ("seeing", 1.5, u.arcsec),
             ("pixel_scale", 0.5, u.arcsec),
+        )
+    },
+    **{
+        f"Scene.from_catalog.{name}": (lambda v, name=name: cataloged(**{name: v}), value, unit)
+        for name, value, unit in (
+            ("orientation", 30.0, u.deg),
+            ("magnitude_limit", 14.0, u.mag),
+            ("background_stars", 20.0, u.mag),
+            ("ref_epoch", 2000.0, u.yr),
         )
     },
     "airmass.time": (lambda v: airmass(v, NORTH, PARANAL), [1400.5, 1400.6], u.day),
@@ -578,9 +597,12 @@ ROWS = {
             1.5,
             u.pix,
         )
-        for kind in (TabulatedPSF, TabulatedPRF)
+        for kind in (TabulatedPSF, TabulatedPRF, CorrectedPRF)
         for name in ("x_0", "y_0")
     },
+    "CorrectedPRF.radius": (
+        lambda v: CorrectedPRF(np.eye(7), order=2, radius=v, c_2_0=0.1)(1, 1), 1.5, u.pix,
+    ),
     "DiffusionSensitivity.sigma_d": (lambda v: DiffusionSensitivity(v)(0.4, 0), 0.2, u.pix),
     "DiffusionSensitivity.response.dx": (
         lambda v: DiffusionSensitivity(0.2).response(v, 0), 0.4, u.pix,
@@ -638,9 +660,11 @@ ANY_UNIT = {
 }  # fmt: skip
 NO_UNIT = {
     # a description that names a unit of something else
+    "Star.coord",
     "Detector.interpixel", "contamination_aperture.min_fraction", "circular_aperture.min_overlap",
     "generate_target.roll", "fit_tpf.interpixel", "PLDCorrector.correct.transit_model",
-    "PLDCorrector.correct.regressors", "TabulatedPSF.array", "TabulatedPSF.oversampling",
+    "PLDCorrector.correct.regressors", "CorrectedPRF.array", "CorrectedPRF.oversampling",
+    "TabulatedPSF.array", "TabulatedPSF.oversampling",
     "TabulatedPRF.array", "TabulatedPRF.oversampling", "K2MotionNoise.exponent",
     "SceneCorrector.correct.transit_model", "SceneCorrector.neighbors",
     "inject_files.star", "plot_precision.stars",

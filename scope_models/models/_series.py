@@ -172,7 +172,11 @@ def _window(parts, shape, x, y, widest, blur):
     for _, (dx, dy), term in parts:
         gaussian = _gaussian(term)
         if gaussian is None:
-            return slice(0, shape[0]), slice(0, shape[1])
+            reach = getattr(term.densities[0].model, "reach", None)
+            if reach is None:
+                return slice(0, shape[0]), slice(0, shape[1])
+            windows.append(_table_window(reach, shape, (x, y), (dx, dy), widest + blur))
+            continue
         sigma_x, sigma_y, _ = gaussian
         ends = np.array([1.0, widest])
         columns, rows = (
@@ -186,6 +190,17 @@ def _window(parts, shape, x, y, widest, blur):
         windows.append((rows.start, rows.stop, columns.start, columns.stop))
     lows, highs = np.min(windows, axis=0), np.max(windows, axis=0)
     return slice(int(lows[0]), int(highs[1])), slice(int(lows[2]), int(highs[3]))
+
+
+def _table_window(reach, shape, places, offsets, scale):
+    """Return the first and last of the rows and columns that a table covers, at least one."""
+    found = []
+    for n, place, offset, (low, high) in zip(shape[::-1], places, offsets, reach, strict=True):
+        first = np.floor(place.min() + scale * (low - abs(offset)) - 0.5)
+        last = np.ceil(place.max() + scale * (high + abs(offset)) + 0.5)
+        start = int(np.clip(first, 0, n - 1))
+        found.append((start, int(np.clip(last + 1, start + 1, n))))
+    return (*found[1], *found[0])
 
 
 def _engine(term, columns, rows, blur):

@@ -157,9 +157,10 @@ class PRF(InstanceParameters, Fittable2DModel):
         """The `~scope_models.models.TabulatedPRF` that the PRF is, or None."""
         if self.n_components > 1 or not hasattr(self._components[0].model, "unit_derivatives"):
             return None
-        table = self._components[0].model.copy()
-        for name in _POSITION:
-            setattr(table, name, getattr(self, name).value)
+        component, values = self._components[0], self._numbers()
+        table = component.model.copy()
+        for name, value in component.own_values(values, values["flux"]).items():
+            getattr(table, name).value = float(value)
         return table
 
     @classmethod
@@ -247,7 +248,7 @@ class PRF(InstanceParameters, Fittable2DModel):
 
         "width", "correlation", "coefficient" and "fraction" are shape, "offset" is a position
         relative to the star, "response" is a coefficient of a sensitivity, "diffusion" the width
-        of one that shares charge.
+        of one that shares charge, and "correction" a coefficient of a factor of a table.
         """
         kinds = {}
         for component in self._components:
