@@ -28,6 +28,8 @@ _STARS, _CADENCES = 200, 1100
 # Fluxes are multiples of 1/64 e-/s, far below the noise: the rounding errors of machines vanish.
 _STEPS = 64
 _DATE = "2026-01-01"
+# How files of bzip2, xz, zip, compress and zstandard begin.
+_COMPRESSED = (b"BZh", b"\xfd7zXZ", b"PK\x03\x04", b"\x1f\x9d", b"\x28\xb5\x2f\xfd")
 _SCORES = ("full", "high_passed", "amplitude", "depth", "pull", "kept", "bias", "step")
 
 
@@ -187,8 +189,13 @@ def score_light_curves(paths):
 
 def _read(path):
     """Return a light curve with lower-case columns, and the cards of its file."""
+    if Path(path).exists() and not Path(path).is_file():
+        raise ValueError(f"{path} is no regular file")
     with open(path, "rb") as file:  # noqa: PTH123 - fails if it is no file
-        is_fits = file.read(6) == b"SIMPLE" or str(path).endswith(".gz")
+        start = file.read(6)
+    if start.startswith(_COMPRESSED):
+        raise ValueError(f"{path} is compressed in a way whose size is not checked: unpack it")
+    is_fits = start.startswith((b"SIMPLE", b"\x1f\x8b"))
     try:
         if is_fits:
             with open_fits(path) as hdus:
