@@ -14,6 +14,7 @@ import json
 import sys
 import time
 import warnings
+from itertools import combinations
 from pathlib import Path
 
 import lightkurve as lk
@@ -129,11 +130,11 @@ def make_scene(n_stars, seed):
     """Return an observation of stars at least 2.5 px apart, and their places."""
     generator = np.random.default_rng([n_stars, seed])
     side = {1: 7, 2: 9, 5: 13}[n_stars]
-    places = []
-    while len(places) < n_stars:
-        place = generator.uniform(2.5, side - 3.5, 2)
-        if all(np.hypot(*(place - other)) > 2.5 for other in places):
-            places.append(place)
+    apart = 0.0
+    while apart < 2.5:
+        places = generator.uniform(2.5, side - 3.5, (n_stars, 2))
+        pairs = combinations(places, 2)
+        apart = min((np.hypot(*(one - other)) for one, other in pairs), default=np.inf)
     psf = BivariateGaussianPSF(
         1, 0, 0, *generator.uniform(0.45, 0.6, 2), generator.uniform(-0.4, 0.4)
     )

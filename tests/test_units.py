@@ -51,6 +51,7 @@ from scope_models.experiments.table1 import Table1
 from scope_models.io import TPFMetadata, make_tpf_hdulist, usable_positions
 from scope_models.missions import MISSIONS, Cadence, choose_cadence, full_flux
 from scope_models.models import (
+    CorrectedPRF,
     DiffusionSensitivity,
     GaussHermitePSF,
     PRFGrid,
@@ -578,9 +579,12 @@ ROWS = {
             1.5,
             u.pix,
         )
-        for kind in (TabulatedPSF, TabulatedPRF)
+        for kind in (TabulatedPSF, TabulatedPRF, CorrectedPRF)
         for name in ("x_0", "y_0")
     },
+    "CorrectedPRF.radius": (
+        lambda v: CorrectedPRF(np.eye(7), order=2, radius=v, c_2_0=0.1)(1, 1), 1.5, u.pix,
+    ),
     "DiffusionSensitivity.sigma_d": (lambda v: DiffusionSensitivity(v)(0.4, 0), 0.2, u.pix),
     "DiffusionSensitivity.response.dx": (
         lambda v: DiffusionSensitivity(0.2).response(v, 0), 0.4, u.pix,
@@ -640,7 +644,8 @@ NO_UNIT = {
     # a description that names a unit of something else
     "Detector.interpixel", "contamination_aperture.min_fraction", "circular_aperture.min_overlap",
     "generate_target.roll", "fit_tpf.interpixel", "PLDCorrector.correct.transit_model",
-    "PLDCorrector.correct.regressors", "TabulatedPSF.array", "TabulatedPSF.oversampling",
+    "PLDCorrector.correct.regressors", "CorrectedPRF.array", "CorrectedPRF.oversampling",
+    "TabulatedPSF.array", "TabulatedPSF.oversampling",
     "TabulatedPRF.array", "TabulatedPRF.oversampling", "K2MotionNoise.exponent",
     "SceneCorrector.correct.transit_model", "SceneCorrector.neighbors",
     "inject_files.star", "plot_precision.stars",

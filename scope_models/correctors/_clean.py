@@ -51,6 +51,8 @@ _CLIP, _MISFIT = 6.0, 0.05
 #: Constant light in the aperture, relative, below which it does not count; and the iteration at
 #: which that is decided.
 _FAINT, _DECIDED = 0.02, 6
+#: Weight of cadences that do not count.
+_NO_WEIGHT = 1e-6
 #: Widths in cadences of the kernels that are tried to smooth the focus and the background.
 _WIDTHS = (1.5, 3.0, 6.0, 12.0, 24.0, 48.0)
 
@@ -70,6 +72,8 @@ class CleanPixels:
         Standard deviation of its noise, e-/s, ``(n,)``.
     shares : ndarray
         Predicted fractions ``(n, n_pixels)``; they add up to 1 over the aperture and are 0 outside.
+    still : ndarray
+        The same without the changes of focus.
     background : ndarray
         Background, e-/s, ``(n, n_pixels)``; relative to its median where the dark pixels may hold
         the star's wings.
@@ -81,19 +85,17 @@ class CleanPixels:
         Constant light that was taken off, e-/s.
     repaired : ndarray of bool
         Pixels in cadences whose light was replaced by the model's, ``(n, n_pixels)``.
-    aperture : ndarray of bool
-        The pixels that are summed, ``(n_pixels,)``.
     """
 
     light: np.ndarray
     light_error: np.ndarray
     shares: np.ndarray
+    still: np.ndarray
     background: np.ndarray
     position: np.ndarray
     focus: np.ndarray
     constant: float
     repaired: np.ndarray
-    aperture: np.ndarray
 
 
 class _Features:
@@ -132,7 +134,7 @@ class _Features:
             yield solve_triangular(self._lower, (slope * kernel).T, lower=True).T
 
 
-def clean_pixels(time, flux, flux_err, position, grid, aperture, *, choose=None):
+def clean_pixels(time, flux, flux_err, position, grid, aperture, use=None):
     """
     Predict the pixel fractions of a star.
 
@@ -148,32 +150,29 @@ def clean_pixels(time, flux, flux_err, position, grid, aperture, *, choose=None)
         Column and row of each pixel ``(n_pixels, 2)``.
     aperture : ndarray of bool
         Pixels that are summed.
-    choose : callable, optional
-        Takes the light less background, its variances, and the positions, and returns a better
-        aperture.
+    use : ndarray of bool, optional
+        Cadences from which everything that they share is learned, ``(n,)``; by default all.
 
     Returns
     -------
     CleanPixels
         The result.
     """
-    state = _State(time, flux, flux_err, position, grid, aperture)
+    use = np.ones(len(flux), dtype=bool) if use is None else use
+    state = _State(time, flux, flux_err, position, grid, aperture, use)
     for iteration in range(_ITERATIONS):
         state.fit_pixels(iteration)
         state.fit_cadences(iteration)
-    inside = aperture
-    if choose is not None:
-        inside = choose(flux - state.unit * state.background, flux_err**2, state.z)
-    return state.result(inside, flux_err)
+    return state.result(flux_err)
 
 
 class _State:
     """The model and its parameters while they are fitted; fluxes in units of the star's."""
 
-    def __init__(self, time, flux, flux_err, position, grid, aperture):
+    def __init__(self, time, flux, flux_err, position, grid, aperture, use):
         n, n_pixels = flux.shape
-        self.time, self.grid, self.aperture = time, grid, aperture
-        typical = np.median(flux, axis=0)
+        self.time, self.grid, self.aperture, self.use = time, grid, aperture, use
+        typical = np.median(flux[use], axis=0)
         self.center = grid[np.argmax(typical)].astype(float)
         offset = (grid - grid.mean(axis=0)) / np.maximum(np.ptp(grid, axis=0), 1)
         self.planes = np.column_stack([np.ones(n_pixels), offset])
@@ -182,18 +181,18 @@ class _State:
         planes = np.zeros((n, 3)) + self.base
         planes[:, 0] += np.median(flux[:, dark] - typical[dark], axis=1)
         total = (flux - planes @ self.planes.T)[:, aperture].sum(axis=1)
-        self.unit = np.median(total)
+        self.unit = np.median(total[use])
         self.y, self.plane = flux / self.unit, planes / self.unit
         self.base = self.base / self.unit
         self.brightness = total / self.unit
-        self.noise = (np.median(flux_err, axis=0) / self.unit) ** 2
+        self.noise = (np.median(flux_err[use], axis=0) / self.unit) ** 2
         self.variance = self.noise
-        self.scale = np.maximum(np.quantile(self.y, 0.98, axis=0), 3 * np.sqrt(self.noise))
+        self.scale = np.maximum(np.quantile(self.y[use], 0.98, axis=0), 3 * np.sqrt(self.noise))
         self.good = np.ones((n, n_pixels), dtype=bool)
         self.focus, self.variable = np.zeros(n), np.zeros(n)
         self._start_positions(position, total)
-        self.features = _Features(self.z, _SCALE, _TOLERANCE, _MAX_RANK)
-        self.coarse = _Features(self.z, _COARSE_SCALE, _COARSE_TOLERANCE, _COARSE_RANK)
+        self.features = _Features(self.z[use], _SCALE, _TOLERANCE, _MAX_RANK)
+        self.coarse = _Features(self.z[use], _COARSE_SCALE, _COARSE_TOLERANCE, _COARSE_RANK)
 
     @property
     def background(self):
@@ -219,18 +218,20 @@ class _State:
         """Begin at POS_CORR, and where that is unknown or absurd at centroids in its scale."""
         light = (self.y - self.background)[:, self.aperture]
         centroid = light @ self.grid[self.aperture] * (self.unit / total)[:, None]
-        centroid = centroid - np.median(centroid, axis=0)
+        centroid = centroid - np.median(centroid[self.use], axis=0)
         known = np.isfinite(position).all(axis=1)
         offset = np.where(known[:, None], position, 0.0)
-        middle = np.median(offset[known], axis=0) if known.any() else np.zeros(2)
+        fit = known & self.use
+        middle = np.median(offset[fit], axis=0) if fit.any() else np.zeros(2)
         known &= np.abs(offset - middle).max(axis=1) < _ABSURD
-        if known.sum() < 0.2 * len(known) or np.ptp(offset[known], axis=0).max() == 0:
+        fit &= known
+        if fit.sum() < 0.2 * self.use.sum() or np.ptp(offset[fit], axis=0).max() == 0:
             self.known = np.ones(len(known), dtype=bool)
             self.z = self.expected = centroid
             return
         columns = np.column_stack([centroid, np.ones(len(centroid))])
-        expected = offset - np.median(offset[known], axis=0)
-        slope = np.linalg.lstsq(columns[known], expected[known], rcond=None)[0]
+        expected = offset - np.median(offset[fit], axis=0)
+        slope = np.linalg.lstsq(columns[fit], expected[fit], rcond=None)[0]
         self.known = known
         self.expected = np.where(known[:, None], expected, columns @ slope)
         self.z = self.expected.copy()
@@ -246,7 +247,7 @@ class _State:
         if strong:
             parts.append(-v * coarse)
         columns = np.concatenate(parts, axis=1)
-        fine = self.good.all(axis=1)
+        fine = self.use & self.good.all(axis=1)
         target = (self.y - self.background)[fine]
         values, vectors = np.linalg.eigh(columns[fine].T @ columns[fine])
         right = vectors.T @ (columns[fine].T @ target)
@@ -260,7 +261,7 @@ class _State:
             self._constant = coefficients[-few:]
 
     def _images(self):
-        """Return G with focus, its derivatives by x, y and w, and N, with sums as stated."""
+        """Return G, its derivatives by x, y and w, and N, with sums as stated."""
         inside = self.aperture
         image = self.features(self.z) @ self._main
         slopes = [part @ self._main for part in self.features.gradients(self.z)]
@@ -278,26 +279,32 @@ class _State:
         constant = np.zeros_like(image)
         if self._constant is not None:
             constant = _without_sum(coarse @ self._constant, image, inside)
-        if self._focus is not None:
-            image = image + self.focus[:, None] * focus
         return image, slopes, focus, constant
+
+    def _focused(self, image, focus):
+        """Return the images with the focus of each cadence, once it has an image of its own."""
+        return image if self._focus is None else image + self.focus[:, None] * focus
 
     def fit_cadences(self, iteration):
         """Improve brightness, background, position and focus of each cadence: one linear step."""
         image, slopes, focus, constant = self._images()
+        image = self._focused(image, focus)
         a = self.brightness[:, None]
         rest = self.y - a * image + self.variable[:, None] * constant - self.background
-        self.variance = np.maximum(self.noise, (1.4826 * np.median(np.abs(rest), axis=0)) ** 2)
+        self.variance = np.maximum(
+            self.noise, (1.4826 * np.median(np.abs(rest[self.use]), axis=0)) ** 2
+        )
         if iteration > 0:
             limit = _CLIP * np.sqrt(self.variance) + _MISFIT * np.abs(image)
-            self.good = ~_single(rest > limit)
+            self.good = ~_single(rest > limit, self.use)
         planes = [np.broadcast_to(plane, image.shape) for plane in self.planes.T]
         columns = [image, *planes, a * slopes[0], a * slopes[1], a * focus]
         jacobian = np.stack(columns, axis=1)
         weighted = jacobian * (self.good / self.variance)[:, None]
         hessian = weighted @ jacobian.transpose(0, 2, 1)
         right = (weighted @ rest[:, :, None])[:, :, 0]
-        tilt = 1.4826 * np.median(np.abs(self.plane[:, 0] - self.base[0])) + abs(self.base[0])
+        level = np.abs(self.plane[self.use, 0] - self.base[0])
+        tilt = 1.4826 * np.median(level) + abs(self.base[0])
         place = np.where(self.known, _POSITION_PRIOR**-2, 1e-2)
         priors = [
             (2, max(tilt, 1e-9) ** -2, self.base[1] - self.plane[:, 1]),
@@ -321,7 +328,8 @@ class _State:
 
     def _fit_brightness(self):
         """Fit brightness and positions once more, at the smoothed background and focus."""
-        image, slopes, _, constant = self._images()
+        image, slopes, focus, constant = self._images()
+        image = self._focused(image, focus)
         a = self.brightness[:, None]
         rest = self.y - self.background - a * image + self.variable[:, None] * constant
         jacobian = np.stack([image, a * slopes[0], a * slopes[1]], axis=1)
@@ -337,29 +345,30 @@ class _State:
 
     def _set_background(self, plane, errors, iteration):
         """Smooth the background as far as the data are for it; jumps of a cadence stay."""
-        plane = plane - np.median(plane, axis=0) + self.base
+        plane = plane - np.median(plane[self.use], axis=0) + self.base
         if iteration >= _FOCUS_FROM:
             for values, error in zip(plane.T, errors.T, strict=True):
-                smooth = _smoothed(self.time, values, error)
+                smooth = _smoothed(self.time, values, error, self.use)
                 rest = np.abs(values - smooth)
-                jumps = rest > _CLIP * np.maximum(error, 1.4826 * np.median(rest))
+                typical = 1.4826 * np.median(rest[self.use])
+                jumps = rest > _CLIP * np.maximum(error, typical)
                 values[:] = np.where(jumps, values, smooth)
         self.plane = plane
 
     def _set_variable(self, iteration):
         """Find the star's own variability: what is no function of position in its brightness."""
-        columns = self.features(self.z)
+        columns, use = self.features(self.z), self.use
         change = self.brightness - 1
-        gram, right = columns.T @ columns, columns.T @ change
+        gram, right = columns[use].T @ columns[use], columns[use].T @ change[use]
         variable = change
         for _ in range(3):
-            noise = 1.4826 * np.median(np.abs(variable - np.median(variable)))
+            noise = 1.4826 * np.median(np.abs(variable - np.median(variable[use]))[use])
             ridge = (noise / _RESPONSE_PRIOR) ** 2 * np.eye(len(gram))
             variable = change - columns @ np.linalg.solve(gram + ridge, right)
-        strong = iteration >= _CONSTANT_FROM and self._is_strong(variable)
+        strong = iteration >= _CONSTANT_FROM and self._is_strong(variable[use])
         if strong and iteration >= _DECIDED:
-            image, _, _, constant = self._images()
-            strong = self._constant_light(image, constant, self.aperture) > _FAINT
+            image, _, focus, constant = self._images()
+            strong = self._constant_light(self._focused(image, focus), constant) > _FAINT
         self.variable = variable if strong else np.zeros_like(variable)
 
     def _is_strong(self, variable):
@@ -367,7 +376,7 @@ class _State:
 
         Slower changes are no measure of constant light: focus and drifts are as slow.
         """
-        lag = max(2, round(_FAST / np.median(np.diff(self.time))))
+        lag = max(2, round(_FAST / np.median(np.diff(self.time[self.use]))))
         far, near = (variable[k:] - variable[:-k] for k in (lag, 1))
         size = np.mean(np.clip(far, *np.quantile(far, [0.02, 0.98])) ** 2) - np.mean(
             np.clip(near, *np.quantile(near, [0.02, 0.98])) ** 2
@@ -376,7 +385,8 @@ class _State:
 
     def _anchor(self):
         """Bring positions back to the scale of POS_CORR, without what follows the brightness."""
-        use = self.known.copy()
+        known = self.known & self.use
+        use = known
         columns = np.column_stack([self.z, np.ones(len(self.z)), self.variable])
         weight = np.diag([4e-4, 4e-4, 0.0, 4e-4])  # towards no change, where POS_CORR has no say
         change = np.zeros((4, 2))
@@ -385,50 +395,51 @@ class _State:
             gram[2, 2] += 1e-9
             change = np.linalg.solve(gram, columns[use].T @ (self.expected - self.z)[use])
             rest = self.expected - self.z - columns @ change
-            use = self.known & (np.abs(rest).max(axis=1) < 0.1)
+            use = known & (np.abs(rest).max(axis=1) < 0.1)
         self.z = self.z + columns @ change
 
     def _set_focus(self, focus, error, iteration):
         """Take from the focus what positions and brightness explain, and smooth it in time."""
         columns = np.column_stack([np.ones(len(focus)), self.z, self.variable])
-        focus = focus - columns @ np.linalg.lstsq(columns, focus, rcond=None)[0]
-        self.focus = _smoothed(self.time, focus, error) if iteration >= _FOCUS_FROM else focus
+        use = self.use
+        focus = focus - columns @ np.linalg.lstsq(columns[use], focus[use], rcond=None)[0]
+        self.focus = _smoothed(self.time, focus, error, use) if iteration >= _FOCUS_FROM else focus
 
-    def result(self, inside, flux_err):
-        """Return the light and the fractions of an aperture."""
+    def result(self, flux_err):
+        """Return the light and the fractions."""
         self._fit_brightness()
-        image, _, _, constant = self._images()
+        still, _, focus, constant = self._images()
+        image, inside = self._focused(still, focus), self.aperture
         model = self.brightness[:, None] * image - self.variable[:, None] * constant
         light = (np.where(self.good, self.y, model + self.background) - self.background)[:, inside]
         light, error = light.sum(axis=1), np.sqrt((flux_err[:, inside] ** 2).sum(axis=1))
-        whole = image[:, inside].sum(axis=1)
         misfit = np.average(self.variance / self.noise, weights=np.maximum(self.scale, 0))
         fits = misfit < _LARGEST_MISFIT
-        if fits and np.median(self.error * whole) * self.unit < np.median(error):
-            light, error = self.brightness * whole, self.error * whole * self.unit
-        shares = np.where(inside, image, 0.0) / whole[:, None]
-        other = self._constant_light(image, constant, inside)
+        if fits and np.median(self.error) * self.unit < np.median(error):
+            light, error = self.brightness, self.error * self.unit
+        other = self._constant_light(image, constant)
         return CleanPixels(
             light=self.unit * (light - other),
             light_error=error,
-            shares=shares,
+            shares=np.where(inside, image, 0.0),
+            still=np.where(inside, still, 0.0),
             background=self.unit * self.background,
             position=self.z,
             focus=self.focus,
             constant=self.unit * other,
             repaired=~self.good,
-            aperture=inside,
         )
 
-    def _constant_light(self, image, constant, inside):
+    def _constant_light(self, image, constant):
         """Return the constant light in the aperture, if the star's variability shows it.
 
         The star's brightest pixels hold none of it.
         """
         if not self.variable.any():
             return 0.0
-        mean, own = image.mean(axis=0), (image - constant).mean(axis=0)
-        bright = own > 0.3 * own[self.aperture].max()
+        mean, own = image[self.use].mean(axis=0), (image - constant)[self.use].mean(axis=0)
+        inside = self.aperture
+        bright = own > 0.3 * own[inside].max()
         part = float(np.clip(mean[bright].sum() / own[bright].sum(), 0.0, 1.0))
         both = mean[inside].sum(), own[inside].sum()
         return both[0] - part * both[1]
@@ -480,29 +491,35 @@ def _polynomials(position, degree):
     return np.column_stack([x**i * y**j for i, j in powers])
 
 
-def _single(hot):
+def _single(hot, use):
     """Return the pixels that are hot in one cadence only, as cosmic rays make them."""
-    near = np.zeros_like(hot)
-    near[1:] |= hot[:-1]
-    near[:-1] |= hot[1:]
+    near, seen = np.zeros_like(hot), hot & use[:, None]
+    near[1:] |= seen[:-1]
+    near[:-1] |= seen[1:]
     return hot & ~near
 
 
-def _smoothed(time, values, error):
-    """Smooth by local lines, with the width of the least median leave-one-out error."""
+def _smoothed(time, values, error, use):
+    """
+    Smooth by local lines, with the width of the least median leave-one-out error.
+
+    Cadences that are not in use take the values of those around them.
+    """
     step = np.median(np.diff(time))
     index = np.rint((time - time[0]) / step).astype(int)
-    start = (np.median(error) / np.maximum(error, 0.3 * np.median(error))) ** 2
+    typical = np.median(error[use])
+    start = np.where(use, (typical / np.maximum(error, 0.3 * typical)) ** 2, _NO_WEIGHT)
+    values = np.where(use, values, np.interp(time, time[use], values[use]))
     best = np.inf, values
     for width in _WIDTHS:
-        smooth, rest = _local_lines(index, values, start, width)
-        size = np.median(np.abs(rest))
+        smooth, rest = _local_lines(index, values, start, use, width)
+        size = np.median(np.abs(rest[use]))
         if size < best[0]:
             best = size, smooth
     return best[1]
 
 
-def _local_lines(index, values, start, width):
+def _local_lines(index, values, start, use, width):
     """Return robust local linear fits with a Gaussian kernel, and leave-one-out residuals."""
     half = int(3.5 * width) + 1
     d = np.arange(-half, half + 1.0)
@@ -519,5 +536,5 @@ def _local_lines(index, values, start, width):
         smooth = (s2 * m0 - s1 * m1) / determinant
         rest = (values - smooth) / np.maximum(1 - weight * s2 / determinant, 1e-3)
         size = np.abs(rest)
-        weight = np.where(size > _CLIP * 1.4826 * np.median(size), 1e-6, 1.0) * start
+        weight = np.where(size > _CLIP * 1.4826 * np.median(size[use]), _NO_WEIGHT, 1.0) * start
     return smooth, rest

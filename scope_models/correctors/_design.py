@@ -20,6 +20,7 @@ from scope_models.io import read_pixels
 __all__ = [
     "DesignOptions",
     "background_columns",
+    "focus_columns",
     "make_regressors",
     "neighbor_columns",
     "segment_breaks",
@@ -120,7 +121,7 @@ def _completed(columns, use, noise):
     return principal_columns(centered, fit, _TOLERANCE * noise)
 
 
-def segment_breaks(segments, pixels):
+def segment_breaks(segments, pixels, use):
     """
     Return the times at which segments begin, found or given.
 
@@ -130,32 +131,44 @@ def segment_breaks(segments, pixels):
         As in `PLDOptions`.
     pixels : Pixels
         The pixels.
+    use : ndarray of bool
+        Cadences from which they are found, ``(n_cadences,)``.
     """
     if segments is None:
         return ()
-    time = pixels.time[pixels.usable]
+    time = pixels.time[use]
     if not (isinstance(segments, str) and segments == "auto"):
         return tuple(float(b) for b in np.sort(segments) if time[0] < b <= time[-1])
-    tracks = _components(pixels.flux[pixels.usable][:, pixels.aperture], pixels)
+    tracks = _components(pixels.flux[use][:, pixels.aperture], pixels.total[use])
     return roll_reversals(time, tracks[:, 0]) if tracks.shape[1] else ()
 
 
-def _components(flux, pixels):
-    """Return the principal components of pixels over the sum, at usable cadences."""
-    relative = flux / pixels.total[pixels.usable][:, None]
-    everything = np.ones(len(relative), dtype=bool)
-    return principal_columns(center(relative, everything), everything, 0.0)
+def _components(flux, total, fit=None):
+    """Return the principal components of pixels over the sum."""
+    relative = flux / total[:, None]
+    fit = np.ones(len(relative), dtype=bool) if fit is None else fit
+    return principal_columns(center(relative, fit), fit, 0.0)
 
 
-def background_columns(pixels, n_components, mask):
+def focus_columns(clean, usable, use):
+    """Return the focus, and its products with the position, in units of their size."""
+    size = np.maximum([part[use[usable]].std(axis=0) for part in clean.position.T], 1e-12)
+    focus = clean.focus[:, None] / max(clean.focus[use[usable]].std(), 1e-12)
+    columns = np.full((len(usable), 3), np.nan)
+    columns[usable] = np.concatenate([focus, focus * clean.position / size], axis=1)
+    return columns
+
+
+def background_columns(pixels, n_components, mask, use):
     """Return the principal components of pixels over the flux, by default all outside."""
+    usable = pixels.usable
     outside = ~pixels.aperture if mask is None else mask
-    outside = outside & np.isfinite(pixels.flux[pixels.usable]).all(axis=0)
+    outside = outside & np.isfinite(pixels.flux[usable]).all(axis=0)
     if not outside.any():
         raise ValueError("`background` needs pixels with data outside of `aperture_mask`")
-    rotated = _components(pixels.flux[pixels.usable][:, outside], pixels)[:, :n_components]
-    columns = np.full((len(pixels.time), rotated.shape[1]), np.nan)
-    columns[pixels.usable] = rotated
+    rotated = _components(pixels.flux[usable][:, outside], pixels.total[usable], use[usable])
+    columns = np.full((len(usable), min(n_components, rotated.shape[1])), np.nan)
+    columns[usable] = rotated[:, :n_components]
     return columns
 
 
@@ -165,11 +178,10 @@ def neighbor_columns(cadenceno, neighbors):
     for other in neighbors:
         series = read_pixels(other)
         pixels = aperture_pixels(series, None)
-        rotated = _components(pixels.flux[pixels.usable][:, pixels.aperture], pixels)
+        usable = pixels.usable
+        rotated = _components(pixels.flux[usable][:, pixels.aperture], pixels.total[usable])
         rotated = rotated[:, :_NEIGHBOR_COMPONENTS]
-        _, here, there = np.intersect1d(
-            cadenceno, series.cadenceno[pixels.usable], return_indices=True
-        )
+        _, here, there = np.intersect1d(cadenceno, series.cadenceno[usable], return_indices=True)
         if not len(here):
             raise ValueError("`neighbors` must share cadences with the target, got none")
         columns = np.full((len(cadenceno), rotated.shape[1]), np.nan)

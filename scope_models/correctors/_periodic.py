@@ -67,7 +67,8 @@ def find_frequencies(solution, allowed):
     found = np.empty(0)
     rest = solution.y
     for _ in range(_ROUNDS):
-        use = allowed & ~_stands_alone(rest)
+        use = allowed.copy()
+        use[allowed] = ~_stands_alone(rest[allowed])
         trial = _with_simple_noise(solution.with_frequencies(found, use), rest)
         frequency, gain = _spectrum(trial)
         new = _peaks(frequency, gain, 1 / np.ptp(trial.data.time))

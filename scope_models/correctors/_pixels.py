@@ -259,11 +259,12 @@ def aperture_pixels(series, aperture):
     return Pixels(time, flux, flux_err, aperture, total, total_err, positive, weights)
 
 
-def can_predict(pixels, saturation):
+def can_predict(pixels, saturation, use):
     """
     Whether the pixel fractions can be predicted.
 
-    Not with few pixels or cadences, nor where pixels are full: their light depends on others'.
+    Not with few pixels or cadences, without FLUX_ERR, nor where pixels are full: their light
+    depends on others'.
 
     Parameters
     ----------
@@ -271,15 +272,17 @@ def can_predict(pixels, saturation):
         Pixels as measured.
     saturation : float or None
         Flux of a full pixel, e-/s.
+    use : ndarray of bool
+        Cadences from which they are learned, ``(n_cadences,)``.
     """
-    flux = pixels.flux[pixels.usable][:, pixels.aperture]
-    full = saturation is not None and np.quantile(flux, 0.99, axis=0).max(initial=0) > saturation
-    enough = flux.shape[0] >= _CADENCES_TO_PREDICT and flux.shape[1] >= _PIXELS_TO_PREDICT
-    varies = np.ptp(flux, axis=0).max(initial=0) > 0
-    return not full and enough and varies
+    flux, error = pixels.flux[use][:, pixels.aperture], pixels.flux_err[use]
+    if flux.shape[0] < _CADENCES_TO_PREDICT or flux.shape[1] < _PIXELS_TO_PREDICT:
+        return False
+    full = saturation is not None and np.quantile(flux, 0.99, axis=0).max() > saturation
+    return not full and np.ptp(flux, axis=0).max() > 0 and bool((error > 0).any())
 
 
-def with_predicted_fractions(pixels, pos_corr):
+def with_predicted_fractions(pixels, pos_corr, cadence_mask=None):
     """
     Return the star's light with predicted pixel fractions in place of the measured pixels.
 
@@ -289,12 +292,14 @@ def with_predicted_fractions(pixels, pos_corr):
         Pixels as measured.
     pos_corr : ndarray or None
         Offsets ``(n_cadences, 2)``, px.
+    cadence_mask : ndarray of bool, optional
+        Cadences from which images and constant light are learned, by default all.
 
     Returns
     -------
     pixels : Pixels
         ``total`` is the light without background and without the constant light that is known,
-        ``flux`` the predicted fractions times this.
+        ``flux`` the predicted fractions at constant focus times this.
     clean : CleanPixels
         What was found.
     """
@@ -305,7 +310,7 @@ def with_predicted_fractions(pixels, pos_corr):
         pos_corr = np.full((len(use), 2), np.nan)
     error = pixels.flux_err[use]
     valid = error > 0  # not NaN either
-    typical = np.median(error[valid]) if valid.any() else np.median(pixels.total_err[use])
+    typical = np.median(error[valid])
     clean = clean_pixels(
         pixels.time[use],
         pixels.flux[use][:, known],
@@ -313,6 +318,7 @@ def with_predicted_fractions(pixels, pos_corr):
         pos_corr[use],
         np.stack([columns, rows], axis=1),
         pixels.aperture[known],
+        None if cadence_mask is None else cadence_mask[use],
     )
     light, light_error = clean.light, clean.light_error
     if pixels.weights is not None:
@@ -320,7 +326,7 @@ def with_predicted_fractions(pixels, pos_corr):
         light, light_error = _light_in_window(pixels, clean, use, known)
     flux = np.zeros_like(pixels.flux)
     cube = np.zeros((use.sum(), *known.shape))
-    cube[:, known] = clean.shares * light[:, None]
+    cube[:, known] = clean.still * light[:, None]
     flux[use] = cube
     total, total_err = np.full((2, len(use)), np.nan)
     total[use], total_err[use] = light, light_error
@@ -331,7 +337,7 @@ def with_predicted_fractions(pixels, pos_corr):
 
 def _light_in_window(pixels, clean, use, known):
     """Return the star's light from the part that a moving aperture holds, and its error."""
-    weights = pixels.weights[use][:, known] * clean.aperture
+    weights = pixels.weights[use][:, known] * pixels.aperture[known]
     held = np.sum(weights * clean.shares, axis=1)
     measured = pixels.flux[use][:, known] - clean.background
     predicted = clean.shares * clean.light[:, None]

@@ -13,6 +13,8 @@ __all__ = ["Data", "Hyperparameters", "Posterior", "gram_matrix", "log_likelihoo
 #: The prior variance of the columns with flat priors, in units of the data's.
 _FLAT = 1e4
 _SQRT_2 = np.sqrt(2)
+#: Standard deviation of the logarithm of a group's prior variance about what is expected.
+_SPREAD = 2.0
 
 
 @dataclass(frozen=True)
@@ -34,6 +36,10 @@ class Data:
         Group of each column that has one.
     n_flat : int
         Number of columns with flat priors, whose largest elements are 1.
+    expected : ndarray, optional
+        Prior variance of each group that is expected, NaN where nothing is.
+    least_noise : float, optional
+        Least factor of the white noise's variance.
     """
 
     time: np.ndarray
@@ -42,6 +48,8 @@ class Data:
     columns: np.ndarray
     groups: np.ndarray
     n_flat: int
+    expected: np.ndarray | None = None
+    least_noise: float = 1e-4
 
     @property
     def n_groups(self):
@@ -61,6 +69,13 @@ class Data:
         """Mean square of the rows of each group: the variance it adds per prior variance."""
         square = np.mean(self.columns[:, : len(self.groups)] ** 2, axis=0)
         return np.bincount(self.groups, square, minlength=self.n_groups)
+
+    def improbability(self, variances):
+        """Return minus the logarithm of the hyperprior of variances, and its slopes by theirs."""
+        if self.expected is None:
+            return 0.0, np.zeros(self.n_groups)
+        ratio = np.nan_to_num(np.log(variances / self.expected)) / _SPREAD
+        return 0.5 * ratio @ ratio, ratio / _SPREAD
 
     def averaged(self, width):
         """Return the means of so many cadences each, one after the other."""

@@ -21,8 +21,9 @@ _ENOUGH = 4000
 _PRECISION = 1e-3
 #: Steps of a search at most, and of those that only tell which start is the best.
 _STEPS, _FEW_STEPS = 60, 10
-#: Bound of the period in days: what is faster than a transit is not a trend.
-_SHORTEST_PERIOD = 0.5
+#: Bounds of the period in days. What is faster than a transit is not a trend. With a longer period
+#: a straight line would cost little, and the star's would undo that of a slow drift.
+_SHORTEST_PERIOD, _LONGEST_PERIOD = 0.5, 5.0
 #: Variances of a group's part that are tried against others, in units of the data's.
 _SCAN = (1e-3, 0.03, 1.0, 30.0, 300.0)
 #: Where the search begins: the process' variance, and that of each group's part of the model,
@@ -48,10 +49,13 @@ def _fit_scales(gram, data, hyper, n_steps):
         used = 1 - posterior.shrinkage
         by_group = used - posterior.mean**2 / prior
         slope = 0.5 * np.bincount(data.groups, by_group[: len(data.groups)], minlength=n_groups)
+        unlikely, rise = data.improbability(np.exp(theta[1:]))
+        value, slope = value + unlikely, slope + rise
         return value, np.array([0.5 * (n - used.sum() - posterior.residual), *slope])
 
     unit = np.log(data.spread / data.sizes)
-    bounds = [(-12.0, 12.0), *zip(unit - 30, unit + np.log(_LARGEST), strict=True)]
+    least = np.log(data.least_noise / hyper.noise_scale)
+    bounds = [(least, 12.0), *zip(unit - 30, unit + np.log(_LARGEST), strict=True)]
     factor, *variances = _minimize(objective, [1.0, *hyper.variances], bounds, n, n_steps)
     return replace(
         hyper,
@@ -83,8 +87,12 @@ def _compressed(gram, data, hyper, smallest=1e-2):
     )
 
 
-def _fit_process(data, hyper):
-    """Maximize over noise, long-term process and a factor of all prior variances."""
+def _fit_process(data, hyper, whole):
+    """
+    Maximize over noise, long-term process and a factor of all prior variances.
+
+    The columns of ``data`` are those of ``whole``, compressed.
+    """
 
     def objective(theta):
         scale, variance, amplitude, period = np.exp(theta)
@@ -93,11 +101,13 @@ def _fit_process(data, hyper):
             value, slope = log_likelihood(data, trial, gradient=True)
         except np.linalg.LinAlgError:
             return np.inf, np.zeros_like(theta)
-        return -value, -slope
+        unlikely, rise = whole.improbability(hyper.variances * variance)
+        slope[1] -= rise.sum()
+        return unlikely - value, -slope
 
     amplitude = np.log([1e-5 * np.median(data.variance), _LARGEST * data.spread])
-    period = np.log([_SHORTEST_PERIOD, 10 * max(float(data.time[-1]), 1.0)])
-    bounds = [(-8.0, 16.0), (-8.0, 8.0), tuple(amplitude), tuple(period)]
+    period = np.log([_SHORTEST_PERIOD, _LONGEST_PERIOD])
+    bounds = [(np.log(data.least_noise), 16.0), (-8.0, 8.0), tuple(amplitude), tuple(period)]
     start = [hyper.noise_scale, 1.0, hyper.amplitude, hyper.period]
     scale, variance, amplitude, period = _minimize(objective, start, bounds, len(data.y))
     return replace(
@@ -139,7 +149,7 @@ def _improve(data, hyper):
     hyper, gram = fit_columns(data, hyper)
     if hyper.amplitude is None:
         return hyper
-    return _fit_process(_compressed(gram, data, hyper), hyper)
+    return _fit_process(_compressed(gram, data, hyper), hyper, data)
 
 
 def fit_hyperparameters(data, start=None, *, trend=True, tolerance=0.05, n_rounds=5):
@@ -170,17 +180,22 @@ def fit_hyperparameters(data, start=None, *, trend=True, tolerance=0.05, n_round
         hyper = fit_hyperparameters(data.averaged(width), start, **options)
         return fit_columns(data, hyper)[0]
     hyper = start if start is not None else _best_start(data, trend)
-    value = log_likelihood(data, hyper)
+    value = _plausibility(data, hyper)
     for k in range(n_rounds):
         scan = start is None or k == 0
         trial = _improve(data, _scanned(data, hyper) if scan else hyper)
-        improved = log_likelihood(data, trial)
+        improved = _plausibility(data, trial)
         if improved > value:
             hyper = trial
         if improved < value + tolerance:
             break
         value = improved
     return hyper
+
+
+def _plausibility(data, hyper):
+    """Return the logarithm of the likelihood times the hyperprior."""
+    return log_likelihood(data, hyper) - data.improbability(hyper.variances)[0]
 
 
 def _scanned(data, hyper):
@@ -209,7 +224,8 @@ def _likelihood_of_columns(gram, data, hyper):
         posterior = Posterior(gram, hyper.prior(data))
     except np.linalg.LinAlgError:
         return -np.inf
-    return -0.5 * (posterior.quadratic + posterior.log_determinant)
+    value = -0.5 * (posterior.quadratic + posterior.log_determinant)
+    return value - data.improbability(hyper.variances)[0]
 
 
 def _best_start(data, trend):
@@ -222,4 +238,4 @@ def _best_start(data, trend):
         for a, part, period in _STARTS
     ]
     fitted = [fit_columns(data, hyper, _FEW_STEPS)[0] for hyper in starts]
-    return max(fitted, key=lambda hyper: log_likelihood(data, hyper))
+    return max(fitted, key=lambda hyper: _plausibility(data, hyper))

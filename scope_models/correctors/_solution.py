@@ -20,6 +20,18 @@ _LITTLE = 0.01
 _FAST = 1.0
 
 
+#: Standard deviations of coefficients that are expected of predicted fractions: 1 % between the
+#: responses of pixels (Kepler Instrument Handbook), a few percent within them, some 1e-4 of the
+#: light at the aperture's edge. The data may change each by a factor of a few.
+_EXPECTED = {
+    "order 1": 0.012,
+    "order 2": 0.02,
+    "order 2, shared": 0.01,
+    "segments": 1e-4,
+    "focus": 5e-5,
+}
+
+
 class NothingToCorrectError(ValueError):
     """No regressor varies."""
 
@@ -49,6 +61,8 @@ class Solution:
     frequencies : tuple of float
         Frequencies of the periodic variability in cycles per day; the last columns of the
         variability are a cosine and a sine for each.
+    predicted : bool
+        Whether the pixel fractions are predicted, and hold no noise of the flux.
     """
 
     time: np.ndarray
@@ -61,6 +75,7 @@ class Solution:
     hyper: Hyperparameters
     n_trend: int = 1
     frequencies: tuple = ()
+    predicted: bool = False
 
     @cached_property
     def columns(self):
@@ -76,7 +91,15 @@ class Solution:
             self.columns[use],
             self.regressors.groups,
             self.flat.shape[1],
+            **self._expectations,
         )
+
+    @property
+    def _expectations(self):
+        if not self.predicted:
+            return {}
+        expected = [_EXPECTED.get(name, np.nan) for name in self.regressors.names]
+        return {"expected": np.square(expected), "least_noise": 1.0}
 
     @cached_property
     def process(self):
@@ -277,7 +300,7 @@ class Solution:
         return float(1 - np.mean(np.sum((x @ self.posterior.covariance[:k]) * solved, axis=1)))
 
 
-def fit(make_regressors, time, y, variance, use, flat_columns, options):
+def fit(make_regressors, time, y, variance, use, flat_columns, options, predicted=False):
     """
     Fit, and leave out outliers until there are none.
 
@@ -296,6 +319,8 @@ def fit(make_regressors, time, y, variance, use, flat_columns, options):
         Transit column ``(n, m)``, m = 0 or 1.
     options : PLDOptions
         Trend and clipping.
+    predicted : bool, optional
+        As in `Solution`.
     """
     regressors = make_regressors(use)
     if not regressors.columns.shape[1]:
@@ -303,7 +328,9 @@ def fit(make_regressors, time, y, variance, use, flat_columns, options):
     time = time - time[use][0]
     flat, scale = _flat_columns(time, flat_columns, options.n_trend)
     y = y - y[use].mean()
-    first = Solution(time, y, variance, use, regressors, flat, scale, None, options.n_trend)
+    first = Solution(
+        time, y, variance, use, regressors, flat, scale, None, options.n_trend, predicted=predicted
+    )
     solution = _without_outliers(first, make_regressors, options)
     if options.trend == "gp" and is_periodic(solution):
         frequencies = find_frequencies(solution, use)

@@ -12,6 +12,7 @@ from scope_models.correctors._clean import CleanPixels
 from scope_models.correctors._design import (
     DesignOptions,
     background_columns,
+    focus_columns,
     make_regressors,
     neighbor_columns,
     segment_breaks,
@@ -203,7 +204,7 @@ class PLDModel:
     clean: CleanPixels | None = None
 
     @classmethod
-    def from_tpf(cls, tpf, aperture_mask=None, **options):
+    def from_tpf(cls, tpf, aperture_mask=None, cadence_mask=None, **options):
         """
         Make the model of a target pixel file.
 
@@ -213,6 +214,8 @@ class PLDModel:
             As in `PLDCorrector`.
         aperture_mask : array_like of bool, optional
             As in `PLDCorrector`.
+        cadence_mask : ndarray of bool, optional
+            As in `from_pixels`.
         **options
             Arguments of `PLDOptions`.
 
@@ -223,10 +226,10 @@ class PLDModel:
         """
         series = read_pixels(tpf)
         pixels = aperture_pixels(series, aperture_mask)
-        return cls.from_pixels(pixels, PLDOptions(**options), series)
+        return cls.from_pixels(pixels, PLDOptions(**options), series, cadence_mask)
 
     @classmethod
-    def from_pixels(cls, pixels, options, series):
+    def from_pixels(cls, pixels, options, series, cadence_mask=None):
         """
         Make the model of pixels that have been read already.
 
@@ -238,19 +241,25 @@ class PLDModel:
             The options.
         series : PixelSeries
             Their file, for its mission and cadence numbers.
+        cadence_mask : ndarray of bool, optional
+            Cadences ``(n_cadences,)`` from which images and components are learned, by default
+            all.
 
         Returns
         -------
         PLDModel
             The model.
         """
-        extra = {}
+        extra, use = {}, pixels.usable
+        if cadence_mask is not None:
+            use = use & cadence_mask
+        _check_enough(use)
         background, outside = options.background, options.background_aperture_mask
         if outside is not None:
             outside = checked_mask("background_aperture_mask", outside, pixels.aperture.shape)
             background = background or _BACKGROUND_COLUMNS
         if background:
-            extra["background"] = background_columns(pixels, background, outside)
+            extra["background"] = background_columns(pixels, background, outside, use)
         regressor_mask = options.pld_aperture_mask
         if regressor_mask is not None:
             shape = pixels.aperture.shape
@@ -264,15 +273,16 @@ class PLDModel:
             saturation = series.mission and series.mission.full_flux
         clean = None
         plain = options.fractions != "measured" and regressor_mask is None and not background
-        if plain and can_predict(pixels, saturation):
-            predicted, clean = with_predicted_fractions(pixels, series.pos_corr)
+        if plain and can_predict(pixels, saturation, use):
+            predicted, clean = with_predicted_fractions(pixels, series.pos_corr, use)
             if predicted.usable.sum() > _CREDIBLE * pixels.usable.sum():
                 pixels, saturation = predicted, None
+                extra["focus"] = focus_columns(clean, pixels.usable, use)
             else:  # the model of the pixels has diverged
                 clean = None
         if clean is None:
             pixels = pixels.weighted
-        breaks = segment_breaks(options.segments, pixels)
+        breaks = segment_breaks(options.segments, pixels, use & pixels.usable)
         design = DesignOptions(
             options.order, saturation, breaks, extra, options.pca_components, regressor_mask
         )
@@ -339,10 +349,7 @@ class PLDModel:
         if transit_model is not None:
             column = transit_column(transit_model, pixels.time)
         allowed = (mask & ~in_transit)[usable]
-        if allowed.sum() < _FEWEST_CADENCES:
-            raise ValueError(
-                f"at least {_FEWEST_CADENCES} usable cadences are needed, got {allowed.sum()}"
-            )
+        _check_enough(allowed)
         total = pixels.total[usable]
         y = np.log(total / np.median(total[allowed]))
         variance = (pixels.total_err[usable] / total) ** 2
@@ -355,6 +362,7 @@ class PLDModel:
                 allowed,
                 column[usable],
                 self.options,
+                self.clean is not None,
             )
         except np.linalg.LinAlgError as error:
             raise ValueError(
@@ -397,19 +405,28 @@ def fit_pixels(pixels, options, series, cadence_mask=None, **transit):
     PLDFit
         The result; its ``model`` is the one that was chosen.
     """
-    fitted = PLDModel.from_pixels(pixels, options, series).fit(cadence_mask, **transit)
+
+    def fitted_with(options):
+        model = PLDModel.from_pixels(pixels, options, series, cadence_mask)
+        return model.fit(cadence_mask, **transit)
+
+    fitted = fitted_with(options)
     if options.fractions != "auto" or fitted.model.clean is None:
         return fitted
     if fitted.noise_scale < _MISFIT:
         return fitted
-    measured = PLDModel.from_pixels(pixels, replace(options, fractions="measured"), series)
-    measured = measured.fit(cadence_mask, **transit)
+    measured = fitted_with(replace(options, fractions="measured"))
     weighted = np.median(fitted.model.clean.light_error) < np.median(
         pixels.total_err[pixels.usable]
     )
     better = _unseen(measured) < (1 if weighted else _BETTER) * _unseen(fitted)
     better = better and _keeps_variability(measured, fitted)
     return measured if better else fitted
+
+
+def _check_enough(use):
+    if use.sum() < _FEWEST_CADENCES:
+        raise ValueError(f"at least {_FEWEST_CADENCES} usable cadences are needed, got {use.sum()}")
 
 
 def _unseen(fitted):

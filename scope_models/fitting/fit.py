@@ -116,7 +116,9 @@ def fit_tpf(
     empirical : int, optional
         Order of a `~scope_models.models.GaussHermitePSF` that is added to the PSF; 0 for none.
         Its width and its part of the flux are fixed, its coefficients have a prior of standard
-        deviation 10. For another width, give the term as a part of ``psf``.
+        deviation 10. For another width, give the term as a part of ``psf``. For a table of a PRF,
+        the order of the smooth factor of a `~scope_models.models.CorrectedPRF`, whose coefficients
+        have a prior of standard deviation 0.1.
     interpixel : float, optional
         Standard deviation, before the fit, of the response b between pixels; 0 fixes it at 1.
         None: 0.01 if the model then describes the pixels with a response that agrees with it, as

@@ -221,20 +221,20 @@ class AxisTable:
 
     def __init__(self, pixels, center, sigma, coefficients, n_orders, rho=0.0):
         self._arguments = pixels, coefficients, n_orders
-        self._center, self._sigma = center, sigma
+        self.center, self._sigma = center, sigma
         self._expansion = None
-        self._buffer = np.empty(0)
+        self.buffer = np.empty(0)
         if sigma.size == 1 and center.size > FEW:
             self._interpolate(rho)
 
     def _interpolate(self, rho):
         """Expand the integrals in Chebyshev polynomials of the position, if that pays."""
         pixels, coefficients, n_orders = self._arguments
-        low, high = np.min(self._center), np.max(self._center)
+        low, high = np.min(self.center), np.max(self.center)
         self._middle, self._half = (low + high) / 2, max((high - low) / 2, 1e-6)
         cycles = 7.7 / self._sigma[0] * self._half
         n = int(cycles + 5 * np.cbrt(cycles) + 8 + 0.5 * n_orders)
-        if 3 * n > self._center.size:
+        if 3 * n > self.center.size:
             return
         nodes, matrix = _chebyshev_rule(n)
         positions = self._middle + self._half * nodes
@@ -260,7 +260,7 @@ class AxisTable:
             It uses the same expansion.
         """
         table = copy(self)
-        table._center, table._buffer = center, np.empty(0)  # noqa: SLF001
+        table.center, table.buffer = center, np.empty(0)
         return table
 
     def __call__(self, part):
@@ -278,14 +278,14 @@ class AxisTable:
             Shape ``(m, n_orders, n)``; valid until the next call, which may use its memory.
         """
         pixels, coefficients, n_orders = self._arguments
-        center = self._center[part]
+        center = self.center[part]
         if self._expansion is None:
             sigma = self._sigma if self._sigma.size == 1 else self._sigma[part]
             return _axis_direct(pixels, center, sigma, coefficients, n_orders)
         n, width = self._expansion.shape
-        if self._buffer.size < center.size * width:
-            self._buffer = np.empty(center.size * width)
-        table = self._buffer[: center.size * width].reshape(center.size, width)
+        if self.buffer.size < center.size * width:
+            self.buffer = np.empty(center.size * width)
+        table = self.buffer[: center.size * width].reshape(center.size, width)
         basis = _chebyshev_vandermonde((center - self._middle) / self._half, n)
         np.matmul(basis.T, self._expansion, out=table)
         return table.reshape(-1, n_orders, pixels.size)

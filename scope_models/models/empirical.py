@@ -7,11 +7,12 @@ from astropy.units import UnitsError
 
 from scope_models.models._axis import axis_integrals, hermite_functions
 from scope_models.models._closed_form import ClosedForm, pixels_of
-from scope_models.models._instance_parameters import InstanceParameters, described
-from scope_models.models._validation import (
+from scope_models.models._parameters import (
     Domain,
+    InstanceParameters,
     check_model_parameters,
     check_psf_units,
+    described,
     one_number,
 )
 from scope_models.models.psf import BivariateGaussianPSF

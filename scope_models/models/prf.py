@@ -8,9 +8,8 @@ from astropy.modeling.models import Const2D
 
 from scope_models._arrays import plain_array
 from scope_models.models._components import Component, Response
-from scope_models.models._instance_parameters import InstanceParameters
+from scope_models.models._parameters import InstanceParameters, check_model_parameters, one_number
 from scope_models.models._terms import expand, is_pixel_integrated
-from scope_models.models._validation import check_model_parameters, one_number
 from scope_models.models.integration import PixelPoints, integrate_term
 from scope_models.models.tables import PRFGrid
 
@@ -158,9 +157,10 @@ class PRF(InstanceParameters, Fittable2DModel):
         """The `~scope_models.models.TabulatedPRF` that the PRF is, or None."""
         if self.n_components > 1 or not hasattr(self._components[0].model, "unit_derivatives"):
             return None
-        table = self._components[0].model.copy()
-        for name in _POSITION:
-            setattr(table, name, getattr(self, name).value)
+        component, values = self._components[0], self._numbers()
+        table = component.model.copy()
+        for name, value in component.own_values(values, values["flux"]).items():
+            getattr(table, name).value = float(value)
         return table
 
     @classmethod
@@ -248,7 +248,7 @@ class PRF(InstanceParameters, Fittable2DModel):
 
         "width", "correlation", "coefficient" and "fraction" are shape, "offset" is a position
         relative to the star, "response" is a coefficient of a sensitivity, "diffusion" the width
-        of one that shares charge.
+        of one that shares charge, and "correction" a coefficient of a factor of a table.
         """
         kinds = {}
         for component in self._components:

@@ -12,7 +12,7 @@ from scipy.special import roots_genlaguerre
 from scope_models._checks import checked_integer, checked_number
 from scope_models.models._closed_form import ClosedForm, pixels_of
 from scope_models.models._gaussian import gaussian_derivatives, gaussian_pixels
-from scope_models.models._validation import Domain, check_model_parameters, check_psf_units
+from scope_models.models._parameters import Domain, check_model_parameters, check_psf_units
 
 __all__ = ["BivariateGaussianPSF", "moffat_psf"]
 

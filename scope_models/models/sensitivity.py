@@ -7,8 +7,12 @@ from astropy.modeling import Fittable2DModel, Parameter
 
 from scope_models._arrays import plain_array
 from scope_models.models._closed_form import collected
-from scope_models.models._instance_parameters import InstanceParameters, described
-from scope_models.models._validation import Domain, check_model_parameters
+from scope_models.models._parameters import (
+    Domain,
+    InstanceParameters,
+    check_model_parameters,
+    described,
+)
 
 __all__ = ["DiffusionSensitivity", "SensitivityPolynomial"]
 

@@ -11,7 +11,7 @@ from exoplanet_core import kepler, quad_limbdark_light_curve
 from scipy.optimize import brentq
 
 from scope_models._arrays import plain_array, plain_number
-from scope_models.models._validation import Domain, check_model_parameters
+from scope_models.models._parameters import Domain, check_model_parameters
 
 __all__ = ["TransitModel"]
 

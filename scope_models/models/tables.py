@@ -15,7 +15,7 @@ from scipy.spatial import Delaunay
 from scope_models._arrays import plain_array, plain_number
 from scope_models.models._axis import gauss_legendre
 from scope_models.models._closed_form import ClosedForm, pixels_of
-from scope_models.models._validation import check_model_parameters, check_psf_units
+from scope_models.models._parameters import check_model_parameters, check_psf_units
 
 __all__ = ["PRFGrid", "TabulatedPRF", "TabulatedPSF"]
 

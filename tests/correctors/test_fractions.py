@@ -98,3 +98,19 @@ def test_own_pixels_end_at_the_valley():
     # a full column has many maxima, but it is one star
     full = np.where(columns == 3, 1.0 + 0.05 * (rows % 2), one)
     assert own_pixels(full, np.ravel_multi_index((3, 3), (7, 13)))[:, 3].all()
+
+
+def test_masked_cadences_do_not_change_the_others(star):
+    """Neither through the images, nor positions, focus, background and noise."""
+    mask = np.arange(400) % 40 < 35
+    hdus = star.tpf.hdu.__class__([hdu.copy() for hdu in star.tpf.hdu])
+    damaged = star.tpf.flux.value * (1 + 0.2 * np.indices((9, 9))[0])
+    hdus[1].data["FLUX"][~mask] = damaged[~mask]
+    aperture = np.ones((9, 9), dtype=bool)
+    found = []
+    for tpf in (star.tpf, KeplerTargetPixelFile(hdus)):
+        corrector = PLDCorrector(tpf, aperture)
+        found.append(corrector.correct(cadence_mask=mask).flux.value)
+        assert corrector.model.clean is not None
+    np.testing.assert_allclose(found[1][mask], found[0][mask], rtol=1e-9)
+    assert not np.allclose(found[1][~mask], found[0][~mask], rtol=1e-3)

@@ -104,8 +104,9 @@ def test_design_matrix(corrector):
     assert collection.values.shape == (400, sum(corrector.result.n_columns))
     sigma = [m.prior_sigma[0] ** 2 for m in collection.matrices]
     np.testing.assert_allclose(sigma, corrector.result.prior_variance)
-    columns = corrector.create_design_matrix(order=1).values
-    assert columns.shape[1] == corrector.result.n_columns[0]
+    collection = corrector.create_design_matrix(order=1)
+    assert collection.matrices[0].values.shape[1] == corrector.result.n_columns[0]
+    assert [m.name for m in collection.matrices] == ["order 1", "focus"]
 
 
 def drifting(star, corrector, drift):

@@ -96,7 +96,7 @@ def test_orders(star, order):
 def test_result(corrected):
     result = corrected.result
     table = result.to_table()
-    assert list(table["group"]) == ["order 1", "order 2", "order 2, shared"]
+    assert list(table["group"]) == ["order 1", "order 2", "order 2, shared", "focus"]
     used = table["effective_parameters"]
     assert np.all(used >= -1e-6)
     assert np.all(used <= table["n_columns"])

@@ -1,14 +1,59 @@
 # Licensed under a 3-clause BSD style license - see LICENSE
-"""Checks of model parameters where they enter."""
+"""Parameters of models: made per instance, and checked where they enter."""
 
 from dataclasses import dataclass
 
 import numpy as np
 from astropy import units as u
+from astropy.modeling import Parameter
 
 from scope_models._arrays import is_angle, plain_array
 
-__all__ = ["Domain", "check_model_parameters", "check_psf_units", "one_number"]
+__all__ = [
+    "Domain",
+    "InstanceParameters",
+    "check_model_parameters",
+    "check_psf_units",
+    "described",
+    "one_number",
+]
+
+
+class InstanceParameters:
+    """
+    Mixin of models whose number of parameters depends on their arguments.
+
+    It stands before the astropy class among the bases. A subclass calls `make_parameters` before
+    ``super().__init__``.
+    """
+
+    # Filled in by each instance.
+    _param_names = ()
+
+    def make_parameters(self, parameters):
+        """
+        Give this instance its own parameters, after those of its class.
+
+        Parameters
+        ----------
+        parameters : sequence of `~astropy.modeling.Parameter`
+            The parameters, with their names, in their order.
+        """
+        self._param_names = (*self._param_names, *(p.name for p in parameters))
+        for parameter in parameters:
+            parameter.model = self
+            self.__dict__[parameter.name] = parameter
+
+    @property
+    def param_names(self):
+        """Names of the parameters, in their order (tuple of str)."""
+        return self._param_names
+
+
+def described(name, description, **constraints):
+    """Return a parameter of default 0 with a description."""
+    return Parameter(name, default=0.0, description=description, **constraints)
+
 
 _TESTS = {
     "finite": np.isfinite,
@@ -74,9 +119,7 @@ def check_model_parameters(model):
     for name in model.param_names:
         parameter = getattr(model, name)
         Domain(name, "finite")(model, parameter.value)
-        validator = parameter._validator  # noqa: SLF001
-        if isinstance(validator, Domain):
-            validator(model, parameter.value)
+        parameter.validate(parameter.value)
 
 
 def check_psf_units(model):
