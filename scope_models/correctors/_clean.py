@@ -39,6 +39,8 @@ _FAST, _STRONG = 0.25, 0.02
 _RESPONSE_PRIOR = 0.05
 #: Mean variance about the model, in units of the noise, above which its brightness is not used.
 _LARGEST_MISFIT = 1.3
+#: Noise of that brightness, in units of the sum's, below which it is used.
+_LESS_NOISE = 0.9
 #: Part of the variance of lost light that is expected to remain: a tenth of the amplitude.
 _LOST = 0.01
 #: Part of the light in the aperture above which the level of dark pixels is background.
@@ -74,6 +76,9 @@ class CleanPixels:
         Predicted fractions ``(n, n_pixels)``; they add up to 1 over the aperture and are 0 outside.
     still : ndarray
         The same without the changes of focus.
+    outside : ndarray
+        The star's light in pixels outside of the aperture at constant focus, in units of that
+        inside, ``(n,)``.
     background : ndarray
         Background, e-/s, ``(n, n_pixels)``; relative to its median where the dark pixels may hold
         the star's wings.
@@ -91,6 +96,7 @@ class CleanPixels:
     light_error: np.ndarray
     shares: np.ndarray
     still: np.ndarray
+    outside: np.ndarray
     background: np.ndarray
     position: np.ndarray
     focus: np.ndarray
@@ -416,19 +422,34 @@ class _State:
         misfit = np.average(self.variance / self.noise, weights=np.maximum(self.scale, 0))
         fits = misfit < _LARGEST_MISFIT
         if fits and np.median(self.error) * self.unit < np.median(error):
-            light, error = self.brightness, self.error * self.unit
+            fitted = self._brightness_like(light)
+            part = self._roughness(fitted) / self._roughness(light)
+            if part < _LESS_NOISE:
+                light, error = fitted, np.maximum(self.error * self.unit, part * error)
         other = self._constant_light(image, constant)
         return CleanPixels(
             light=self.unit * (light - other),
             light_error=error,
             shares=np.where(inside, image, 0.0),
             still=np.where(inside, still, 0.0),
+            outside=still[:, ~inside].sum(axis=1),
             background=self.unit * self.background,
             position=self.z,
             focus=self.focus,
             constant=self.unit * other,
             repaired=~self.good,
         )
+
+    def _roughness(self, light):
+        """Return the typical change from cadence to cadence that positions do not explain."""
+        fit, change = self.features(self.z[self.use]), light[self.use] - 1
+        return np.median(np.abs(np.diff(change - _explained(fit, fit, change))))
+
+    def _brightness_like(self, light):
+        """Return the brightness with the sum's dependence on position and focus."""
+        columns = np.column_stack([self.features(self.z), self.focus]) * self.brightness[:, None]
+        change = (self.brightness - light)[self.use]
+        return self.brightness - _explained(columns, columns[self.use], change)
 
     def _constant_light(self, image, constant):
         """Return the constant light in the aperture, if the star's variability shows it.
@@ -477,6 +498,12 @@ def precise_aperture(light, variance, position):
     mask = np.zeros(len(order), dtype=bool)
     mask[order[: np.argmin(scatter) + 1]] = True
     return mask
+
+
+def _explained(columns, fit, values):
+    """Return what columns explain of values, whose rows are ``fit``."""
+    gram = fit.T @ fit + 1e-9 * len(fit) * np.eye(fit.shape[1])
+    return columns @ np.linalg.solve(gram, fit.T @ values)
 
 
 def _without_sum(values, image, inside):

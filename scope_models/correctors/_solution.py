@@ -29,6 +29,7 @@ _EXPECTED = {
     "order 2, shared": 0.01,
     "segments": 1e-4,
     "focus": 5e-5,
+    "aperture": 1.0,
 }
 
 

@@ -15,6 +15,7 @@ from scope_models.correctors._design import (
     focus_columns,
     make_regressors,
     neighbor_columns,
+    outside_column,
     segment_breaks,
 )
 from scope_models.correctors._features import Regressors
@@ -278,6 +279,7 @@ class PLDModel:
             if predicted.usable.sum() > _CREDIBLE * pixels.usable.sum():
                 pixels, saturation = predicted, None
                 extra["focus"] = focus_columns(clean, pixels.usable, use)
+                extra["aperture"] = outside_column(clean, pixels.usable)
             else:  # the model of the pixels has diverged
                 clean = None
         if clean is None:
