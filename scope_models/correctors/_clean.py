@@ -55,6 +55,8 @@ _CLIP, _MISFIT = 6.0, 0.05
 _FAINT, _DECIDED = 0.02, 6
 #: Weight of cadences that do not count.
 _NO_WEIGHT = 1e-6
+#: Wider kernels are not tried where one has so many times the error of the best.
+_WORSE = 1.05
 #: Widths in cadences of the kernels that are tried to smooth the focus and the background.
 _WIDTHS = (1.5, 3.0, 6.0, 12.0, 24.0, 48.0)
 
@@ -132,12 +134,16 @@ class _Features:
         """Return the functions at positions, ``(n, rank)``."""
         return solve_triangular(self._lower, self._kernel(position, self._pivots).T, lower=True).T
 
-    def gradients(self, position):
-        """Return their derivatives along x and y."""
+    def combined(self, position, coefficients):
+        """Return combinations of the functions, and their derivatives along x and y."""
         kernel = self._kernel(position, self._pivots)
-        for axis in (0, 1):
-            slope = (self._pivots[None, :, axis] - position[:, None, axis]) / self._scale**2
-            yield solve_triangular(self._lower, (slope * kernel).T, lower=True).T
+        weights = solve_triangular(self._lower, coefficients, lower=True, trans=1)
+        slopes = [
+            ((self._pivots[None, :, axis] - position[:, None, axis]) / self._scale**2 * kernel)
+            @ weights
+            for axis in (0, 1)
+        ]
+        return kernel @ weights, slopes
 
 
 def clean_pixels(time, flux, flux_err, position, grid, aperture, use=None):
@@ -269,8 +275,7 @@ class _State:
     def _images(self):
         """Return G, its derivatives by x, y and w, and N, with sums as stated."""
         inside = self.aperture
-        image = self.features(self.z) @ self._main
-        slopes = [part @ self._main for part in self.features.gradients(self.z)]
+        image, slopes = self.features.combined(self.z, self._main)
         total = image[:, inside].sum(axis=1, keepdims=True)
         image /= total
         slopes = [_without_sum(slope / total, image, inside) for slope in slopes]
@@ -297,18 +302,13 @@ class _State:
         image = self._focused(image, focus)
         a = self.brightness[:, None]
         rest = self.y - a * image + self.variable[:, None] * constant - self.background
-        self.variance = np.maximum(
-            self.noise, (1.4826 * np.median(np.abs(rest[self.use]), axis=0)) ** 2
-        )
+        spread = 1.4826 * np.median(np.abs(rest[self.use]), axis=0)
+        self.variance = np.maximum(self.noise, spread**2)
         if iteration > 0:
             limit = _CLIP * np.sqrt(self.variance) + _MISFIT * np.abs(image)
             self.good = ~_single(rest > limit, self.use)
-        planes = [np.broadcast_to(plane, image.shape) for plane in self.planes.T]
-        columns = [image, *planes, a * slopes[0], a * slopes[1], a * focus]
-        jacobian = np.stack(columns, axis=1)
-        weighted = jacobian * (self.good / self.variance)[:, None]
-        hessian = weighted @ jacobian.transpose(0, 2, 1)
-        right = (weighted @ rest[:, :, None])[:, :, 0]
+        columns = [image, *self.planes.T, a * slopes[0], a * slopes[1], a * focus]
+        hessian, right = self._normal_equations(columns, rest)
         level = np.abs(self.plane[self.use, 0] - self.base[0])
         tilt = 1.4826 * np.median(level) + abs(self.base[0])
         place = np.where(self.known, _POSITION_PRIOR**-2, 1e-2)
@@ -323,8 +323,9 @@ class _State:
             hessian[:, k, k] += weight
             right[:, k] += weight * distance
         hessian[:, range(7), range(7)] *= 1 + 1e-9
-        step = np.linalg.solve(hessian, right[:, :, None])[:, :, 0]
-        errors = np.sqrt(np.maximum(np.linalg.inv(hessian)[:, range(7), range(7)], 1e-30))
+        inverse = np.linalg.inv(hessian)
+        step = (inverse @ right[:, :, None])[:, :, 0]
+        errors = np.sqrt(np.maximum(inverse[:, range(7), range(7)], 1e-30))
         self.brightness = self.brightness + np.clip(step[:, 0], -0.3, 0.3)
         self.z = self.z + np.clip(step[:, 4:6], -0.1, 0.1)
         self._set_background(self.plane + step[:, 1:4], errors[:, 1:4], iteration)
@@ -332,20 +333,28 @@ class _State:
         self._anchor()
         self._set_focus(self.focus + np.clip(step[:, 6], -0.02, 0.02), errors[:, 6], iteration)
 
+    def _normal_equations(self, columns, rest):
+        """Return the Hessian and the right side of each cadence's least squares."""
+        both = np.empty((len(rest), len(columns) + 1, rest.shape[1]))
+        for k, column in enumerate([*columns, rest]):
+            both[:, k] = column
+        both *= np.sqrt(self.good / self.variance)[:, None]
+        product = both @ both.transpose(0, 2, 1)
+        return product[:, :-1, :-1].copy(), product[:, :-1, -1].copy()
+
     def _fit_brightness(self):
         """Fit brightness and positions once more, at the smoothed background and focus."""
         image, slopes, focus, constant = self._images()
         image = self._focused(image, focus)
         a = self.brightness[:, None]
         rest = self.y - self.background - a * image + self.variable[:, None] * constant
-        jacobian = np.stack([image, a * slopes[0], a * slopes[1]], axis=1)
-        weighted = jacobian * (self.good / self.variance)[:, None]
-        hessian = weighted @ jacobian.transpose(0, 2, 1)
+        columns = [image, a * slopes[0], a * slopes[1]]
+        hessian, right = self._normal_equations(columns, rest)
         place = np.where(self.known, _POSITION_PRIOR**-2, 1e-2)
         hessian[:, 1, 1] += place
         hessian[:, 2, 2] += place
         inverse = np.linalg.inv(hessian)
-        step = (inverse @ (weighted @ rest[:, :, None]))[:, :, 0]
+        step = (inverse @ right[:, :, None])[:, :, 0]
         self.brightness = self.brightness + np.clip(step[:, 0], -0.3, 0.3)
         self.error = np.sqrt(inverse[:, 0, 0])
 
@@ -541,6 +550,8 @@ def _smoothed(time, values, error, use):
     for width in _WIDTHS:
         smooth, rest = _local_lines(index, values, start, use, width)
         size = np.median(np.abs(rest[use]))
+        if size > _WORSE * best[0]:
+            break
         if size < best[0]:
             best = size, smooth
     return best[1]
