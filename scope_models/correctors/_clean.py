@@ -25,7 +25,8 @@ __all__ = ["CleanPixels", "clean_pixels", "precise_aperture"]
 _SCALE, _COARSE_SCALE = 0.8, 1.0
 _TOLERANCE, _COARSE_TOLERANCE = 1e-9, 1e-4
 _MAX_RANK, _COARSE_RANK = 120, 25
-_ITERATIONS = 10
+#: Number of iterations, and for stars whose constant light is learned.
+_ITERATIONS, _MORE_ITERATIONS = 7, 12
 #: Iterations after which the focus has an image of its own, and constant light counts.
 _FOCUS_FROM, _CONSTANT_FROM = 2, 3
 #: Prior standard deviations: position about POS_CORR (px), relative width.
@@ -52,7 +53,7 @@ _FAR, _FEWEST_FAR = 2.7, 15
 _CLIP, _MISFIT = 6.0, 0.05
 #: Constant light in the aperture, relative, below which it does not count; and the iteration at
 #: which that is decided.
-_FAINT, _DECIDED = 0.02, 6
+_FAINT, _DECIDED = 0.004, 5
 #: Weight of cadences that do not count.
 _NO_WEIGHT = 1e-6
 #: Wider kernels are not tried where one has so many times the error of the best.
@@ -172,7 +173,9 @@ def clean_pixels(time, flux, flux_err, position, grid, aperture, use=None):
     """
     use = np.ones(len(flux), dtype=bool) if use is None else use
     state = _State(time, flux, flux_err, position, grid, aperture, use)
-    for iteration in range(_ITERATIONS):
+    for iteration in range(_MORE_ITERATIONS):
+        if iteration >= _ITERATIONS and not state.variable.any():
+            break
         state.fit_pixels(iteration)
         state.fit_cadences(iteration)
     return state.result(flux_err)

@@ -34,7 +34,9 @@ _LARGEST_CORRECTION = 30.0
 #: Pixels around the lit ones that may belong to the aperture too.
 _MARGIN = 2
 #: Light between two peaks of one star, in units of the fainter one.
-_SAME_STAR = 0.7
+_SAME_STAR = 0.85
+#: Pixels of other stars count from this part of the star's brightest pixel on.
+_OTHER_STAR = 0.02
 #: The background is first sought in this part of the pixels, in so many at least for a slope.
 _DARK_PART, _FEWEST_DARK, _PLANE_FITS = 0.3, 8, 5
 #: Fewer cadences or pixels do not determine how the fractions change with position.
@@ -60,6 +62,8 @@ class Pixels:
         Cadences with finite time, finite pixels and a positive sum.
     weights : ndarray or None
         Weights of a moving aperture, ``(n_cadences, ny, nx)``; None: all pixels count alike.
+    crowding : float, optional
+        Part of the aperture's light that is in pixels of other stars.
     """
 
     time: np.ndarray
@@ -70,6 +74,7 @@ class Pixels:
     total_err: np.ndarray
     usable: np.ndarray
     weights: np.ndarray | None = None
+    crowding: float = 0.0
 
     @property
     def weighted(self):
@@ -169,7 +174,7 @@ def own_pixels(image, peak):
     """
     Return the pixels from which the light rises to a star's peak and not to another star's.
 
-    Peaks between which the light drops by less than 30 % of the fainter one are one star's.
+    Peaks between which the light drops by less than 15 % of the fainter one are one star's.
 
     Parameters
     ----------
@@ -256,7 +261,17 @@ def aperture_pixels(series, aperture):
     if positive.sum() < finite.sum():
         _warn(f"{finite.sum() - positive.sum()} cadences without a positive flux are left out")
     total_err = _filled_errors(total, total_err, positive)
-    return Pixels(time, flux, flux_err, aperture, total, total_err, positive, weights)
+    crowding = _light_of_others(flux[positive], aperture)
+    return Pixels(time, flux, flux_err, aperture, total, total_err, positive, weights, crowding)
+
+
+def _light_of_others(flux, aperture):
+    """Return the part of the aperture's light that is in pixels of other stars."""
+    typical = _typical(flux)
+    image = np.nan_to_num(typical - background_plane(typical))
+    peak = np.argmax(np.where(aperture, image, -np.inf))
+    others = aperture & ~own_pixels(image, peak) & (image > _OTHER_STAR * image.flat[peak])
+    return float(image[others].sum() / image[aperture].sum())
 
 
 def can_predict(pixels, saturation, use):

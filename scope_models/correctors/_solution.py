@@ -287,6 +287,15 @@ class Solution:
         used = 1 - self.posterior.shrinkage[: self.n_regressors]
         return np.bincount(self.regressors.groups, used)
 
+    def response(self, dip):
+        """Return the part of a small change of the data that the correction leaves."""
+        solved = self.process.solve(dip[self.use][:, None])
+        k = self.n_regressors
+        change = self.posterior.covariance[:k] @ (self.data.columns.T @ solved)[:, 0]
+        left = dip - self.regressors.columns @ change
+        centered = dip - dip.mean()
+        return float(centered @ left / (centered @ centered))
+
     def survival(self, width):
         """
         Return the part of a box-shaped dip that the correction leaves when it is in the fit.
