@@ -147,7 +147,7 @@ class _Features:
         return kernel @ weights, slopes
 
 
-def clean_pixels(time, flux, flux_err, position, grid, aperture, use=None):
+def clean_pixels(time, flux, flux_err, position, grid, aperture, *, use=None, own=None):
     """
     Predict the pixel fractions of a star.
 
@@ -165,6 +165,8 @@ def clean_pixels(time, flux, flux_err, position, grid, aperture, use=None):
         Pixels that are summed.
     use : ndarray of bool, optional
         Cadences from which everything that they share is learned, ``(n,)``; by default all.
+    own : ndarray of bool, optional
+        Pixels that show the star's brightness, by default all: not those of other stars.
 
     Returns
     -------
@@ -178,7 +180,7 @@ def clean_pixels(time, flux, flux_err, position, grid, aperture, use=None):
             break
         state.fit_pixels(iteration)
         state.fit_cadences(iteration)
-    return state.result(flux_err)
+    return state.result(flux_err, np.ones_like(aperture) if own is None else own)
 
 
 class _State:
@@ -311,7 +313,7 @@ class _State:
             limit = _CLIP * np.sqrt(self.variance) + _MISFIT * np.abs(image)
             self.good = ~_single(rest > limit, self.use)
         columns = [image, *self.planes.T, a * slopes[0], a * slopes[1], a * focus]
-        hessian, right = self._normal_equations(columns, rest)
+        hessian, right = self._normal_equations(columns, rest, self.good)
         level = np.abs(self.plane[self.use, 0] - self.base[0])
         tilt = 1.4826 * np.median(level) + abs(self.base[0])
         place = np.where(self.known, _POSITION_PRIOR**-2, 1e-2)
@@ -336,23 +338,23 @@ class _State:
         self._anchor()
         self._set_focus(self.focus + np.clip(step[:, 6], -0.02, 0.02), errors[:, 6], iteration)
 
-    def _normal_equations(self, columns, rest):
+    def _normal_equations(self, columns, rest, good):
         """Return the Hessian and the right side of each cadence's least squares."""
         both = np.empty((len(rest), len(columns) + 1, rest.shape[1]))
         for k, column in enumerate([*columns, rest]):
             both[:, k] = column
-        both *= np.sqrt(self.good / self.variance)[:, None]
+        both *= np.sqrt(good / self.variance)[:, None]
         product = both @ both.transpose(0, 2, 1)
         return product[:, :-1, :-1].copy(), product[:, :-1, -1].copy()
 
-    def _fit_brightness(self):
-        """Fit brightness and positions once more, at the smoothed background and focus."""
+    def _fit_brightness(self, own):
+        """Fit brightness and positions to some pixels, at the smoothed background and focus."""
         image, slopes, focus, constant = self._images()
         image = self._focused(image, focus)
         a = self.brightness[:, None]
         rest = self.y - self.background - a * image + self.variable[:, None] * constant
         columns = [image, a * slopes[0], a * slopes[1]]
-        hessian, right = self._normal_equations(columns, rest)
+        hessian, right = self._normal_equations(columns, rest, self.good & own)
         place = np.where(self.known, _POSITION_PRIOR**-2, 1e-2)
         hessian[:, 1, 1] += place
         hessian[:, 2, 2] += place
@@ -423,9 +425,9 @@ class _State:
         focus = focus - columns @ np.linalg.lstsq(columns[use], focus[use], rcond=None)[0]
         self.focus = _smoothed(self.time, focus, error, use) if iteration >= _FOCUS_FROM else focus
 
-    def result(self, flux_err):
+    def result(self, flux_err, own):
         """Return the light and the fractions."""
-        self._fit_brightness()
+        self._fit_brightness(own)
         still, _, focus, constant = self._images()
         image, inside = self._focused(still, focus), self.aperture
         model = self.brightness[:, None] * image - self.variable[:, None] * constant
