@@ -5,6 +5,7 @@ from dataclasses import asdict
 
 import numpy as np
 
+from scope_models._arrays import plain_tree
 from scope_models.exceptions import FitWarning
 from scope_models.fitting.result import FittedStar, TPFFit
 
@@ -96,7 +97,7 @@ def _make_result(problem, solution, errors, model_pixels, number, detector, seri
         time_format=data.time_format,
         detector=detector,
         options=asdict(problem.options),
-        meta={k: _plain(series.header[k]) for k in _FACTS if series.header.get(k) is not None},
+        meta=plain_tree({k: v for k in _FACTS if (v := series.header.get(k)) is not None}, str),
         **by_cadence,
     )
 
@@ -147,13 +148,6 @@ def _by_cadence(problem, state, errors, star):
     background = {"background": problem.backgrounds(state, stamp)}
     background["background_err"] = _variance(problem, shared, cadence, name, name)
     return result | _with_errors(background)
-
-
-def _plain(value):
-    """What JSON can hold."""
-    if isinstance(value, np.generic):
-        value = value.item()
-    return value if isinstance(value, str | int | float | bool | None) else str(value)
 
 
 def warn_of_fit(fit, stacklevel):

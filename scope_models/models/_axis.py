@@ -357,9 +357,10 @@ class AxisPanels:
 
     def _panel(self, key, center, scale):
         """Integrals within one panel, ``(m, n_orders * n)``."""
-        if key not in self._panels:
-            self._panels[key] = self._expand(key, 1 if scale is None else None)
-        expansion, sizes = self._panels[key]
+        known = key, scale is None  # a panel at one width is another one
+        if known not in self._panels:
+            self._panels[known] = self._expand(key, 1 if scale is None else None)
+        expansion, sizes = self._panels[known]
         if expansion is None:
             sigma = np.full(1, self._sigma) if scale is None else self._sigma * scale
             return self._direct(center, sigma)

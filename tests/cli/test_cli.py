@@ -214,6 +214,10 @@ class TestSimulate:
             assert np.all(tpf.pos_corr1 == 0)
         assert np.all(read_truth(path).maps["INTERPIXEL"] == 1)
 
+    def test_effects_of_the_mission(self, command):
+        _, path = command("--detector", "tess", "--cadences", "50", "--mission-effects")
+        assert [e.name for e in read_scene(path).effects] == ["CosmicRays", "ScatteredLight"]
+
     def test_detector_of_a_file(self, command, tmp_path):
         path = tmp_path / "detector.toml"
         text = 'preset = "k2"\nmission = "Kepler"\nshape = [9, 9]\nread_noise = 0\nn_frames = 1\n'
