@@ -537,7 +537,7 @@ def _periodic(model):
         count = int(np.clip(0.95 * nyquist / frequency, 1, _MOST_HARMONICS))
         gain, prior = candidates.gain(harmonics(model.time, frequency, count))
         sharp.append(_Wave(frequency, count, gain, prior))
-    best = max(sharp, key=lambda w: w.gain)
+    best = max(sharp, key=lambda w: w.gain, default=wave)
     if best.gain > 0.5 * wave.gain:
         best = _refined(candidates, best, 0.5)
     return max(wave, best, key=lambda w: w.gain)
