@@ -31,7 +31,7 @@ _MOST_WINDOWS = 120
 _REFITS = 4
 #: The prior of the logarithm of each group's prior variance has this standard deviation about the
 #: typical value.
-_SPREAD = 2.5
+_SPREAD = 1.0
 #: Where the search for the hyper-parameters begins: the prior variance of each group in units of
 #: the typical one, the variances of the processes in units of the data's; and the processes'
 #: periods in days.

@@ -25,7 +25,7 @@ _SMALLEST_SHARE = 2e-4
 _SCALES = {"position": 0.8, "fine position": 0.25}
 _MOST_COLUMNS = 90
 #: Scale (days) above which changes of the width are slow.
-_SLOW_WIDTH = 1.0
+_SLOW_WIDTH = 0.5
 #: The response to position changes within so many days: a polynomial of time of these degrees.
 _SLOW, _DEGREES = 12.0, (2, 8)
 #: Variance of the smooth background over that of a cadence's own.
@@ -35,10 +35,10 @@ _SMOOTHED = 0.08
 #: flux, and changes of slopes with time per pixel.
 LIMITS = {
     "model": (0.0, 0.3, 1.0),
-    "pixels": (0.0, 0.008, 0.03),
-    "position": (0.0, 1e-3, 0.1),
-    "fine position": (0.0, 3e-4, 0.03),
-    "place in pixel": (0.0, 3e-4, 0.03),
+    "pixels": (0.0, 0.004, 0.015),
+    "position": (0.0, 3e-4, 0.01),
+    "fine position": (0.0, 1e-4, 3e-3),
+    "place in pixel": (0.0, 1e-4, 3e-3),
     "width": (0.2, 0.5, 1.0),
     "fast width": (0.2, 0.5, 1.0),
     "width and position": (0.0, 0.1, 0.5),
