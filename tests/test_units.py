@@ -157,6 +157,15 @@ def ground(**changes):
     return [made.background, made.psf[0].sigma_x.value, made.effects[1].rms(1.0)]
 
 
+def cataloged(**options):
+    table = {"ra": [40, 40.002], "dec": [-20, -20.002], "mag": [12, 15]}
+    table |= {"pmra": [0.0, 100.0], "pmdec": [0.0, 0.0]}
+    scene = Scene.from_catalog(
+        table, NORTH, Detector.k2(), Motion.still(3), **({"ref_epoch": 2010.0} | options)
+    )
+    return scene.positions
+
+
 def column(name, value):
     rows = make_tpf_hdulist(**(TPF | {name: value}))[1].data
     return np.array(rows[name.upper()], dtype=float)
@@ -358,6 +367,15 @@ ROWS = {
             ("altitude", 2000.0, u.m),
             ("seeing", 1.5, u.arcsec),
             ("pixel_scale", 0.5, u.arcsec),
+        )
+    },
+    **{
+        f"Scene.from_catalog.{name}": (lambda v, name=name: cataloged(**{name: v}), value, unit)
+        for name, value, unit in (
+            ("orientation", 30.0, u.deg),
+            ("magnitude_limit", 14.0, u.mag),
+            ("background_stars", 20.0, u.mag),
+            ("ref_epoch", 2000.0, u.yr),
         )
     },
     "airmass.time": (lambda v: airmass(v, NORTH, PARANAL), [1400.5, 1400.6], u.day),
@@ -642,6 +660,7 @@ ANY_UNIT = {
 }  # fmt: skip
 NO_UNIT = {
     # a description that names a unit of something else
+    "Star.coord",
     "Detector.interpixel", "contamination_aperture.min_fraction", "circular_aperture.min_overlap",
     "generate_target.roll", "fit_tpf.interpixel", "PLDCorrector.correct.transit_model",
     "PLDCorrector.correct.regressors", "CorrectedPRF.array", "CorrectedPRF.oversampling",
