@@ -339,3 +339,12 @@ def test_answers_without_heavy_imports(argv):
     assert result.returncode == 0
     assert result.stdout
     assert result.stderr == "[]"
+
+
+def test_interrupt_during_the_first_import_is_one_line(monkeypatch, capsys):
+    def interrupted(name):
+        raise KeyboardInterrupt(name)
+
+    monkeypatch.setattr("scope_models.cli._main.importlib.import_module", interrupted)
+    assert main(["demo"]) == 130
+    assert capsys.readouterr().err == "scope-models: error: interrupted\n"
