@@ -11,6 +11,7 @@ __all__ = [
     "checked_cadences",
     "checked_integer",
     "checked_mask",
+    "checked_matrix",
     "checked_model",
     "checked_number",
     "checked_pair",
@@ -71,6 +72,17 @@ def checked_mask(name, mask, shape):
     if not mask.any():
         raise ValueError(f"`{name}` has no pixels")
     return mask.astype(bool)
+
+
+def checked_matrix(matrix):
+    """Return the four numbers of an invertible matrix of a projection."""
+    try:
+        a, b, c, d = (checked_number("matrix", value, any_sign=True) for value in matrix)
+    except (TypeError, ValueError) as error:
+        raise type(error)(f"`matrix` must be four finite numbers, got {matrix!r}") from None
+    if a * d == b * c:
+        raise ValueError(f"`matrix` must be invertible, got {matrix!r}")
+    return a, b, c, d
 
 
 def checked_weights(name, weights, shape):

@@ -3,6 +3,7 @@
 from astropy.utils.exceptions import AstropyUserWarning
 
 __all__ = [
+    "CatalogWarning",
     "DamagedFileWarning",
     "DamagedResultWarning",
     "DetrendingWarning",
@@ -16,6 +17,10 @@ __all__ = [
 
 class ScopeModelsWarning(AstropyUserWarning):
     """Base of all warnings of this package."""
+
+
+class CatalogWarning(ScopeModelsWarning):
+    """Stars of a catalog are left out."""
 
 
 class LostLightWarning(ScopeModelsWarning):

@@ -31,6 +31,7 @@ def add_parser(commands):
     parser.add_argument("--name", help="name of the target in the file")
     _add_motion(parser.add_argument_group("motion"))
     _add_star(parser.add_argument_group("star"))
+    _add_sky(parser.add_argument_group("sky"))
     _add_detector(parser.add_argument_group("detector"))
     parser.set_defaults(run=run, error=parser.error)
 
@@ -41,8 +42,8 @@ def _add_motion(group):
         "--motion",
         metavar="FILE",
         help="target pixel or light-curve file of Kepler, K2 or TESS whose POS_CORR columns the "
-        "star follows (default: a generated K2 roll for --detector k2; for the others the star "
-        "rests)",
+        "star follows (default: a generated K2 roll for --detector k2, the tracking of a telescope "
+        "for ground; for the others the star rests)",
     )
     group.add_argument("--scale", type=float, default=1.0, help="factor on the motion (default: 1)")
     group.add_argument("--cadences", type=int, metavar="N", help="only the first N cadences")
@@ -57,7 +58,9 @@ def _add_motion(group):
 
 def _add_star(group):
     """Add the options of the star."""
-    group.add_argument("--mag", type=float, help="magnitude, Kp or T; needed without --table")
+    group.add_argument(
+        "--mag", type=float, help="magnitude, Kp or T; needed without --table and --catalog"
+    )
     group.add_argument(
         "--position",
         type=float,
@@ -81,6 +84,22 @@ def _add_star(group):
         "duration; times in days",
     )
     group.add_argument(
+        "--period", type=float, metavar="DAYS", help="period of a planet; needs --depth"
+    )
+    group.add_argument("--depth", type=float, help="relative drop of its transits")
+    group.add_argument(
+        "--t0",
+        type=float,
+        metavar="DAYS",
+        help="its first mid-transit after the first cadence (default: half a period)",
+    )
+    group.add_argument(
+        "--duration",
+        type=float,
+        metavar="DAYS",
+        help="duration of its transits (default: a central transit of a star like the Sun)",
+    )
+    group.add_argument(
         "--neighbor",
         type=float,
         nargs=3,
@@ -91,14 +110,46 @@ def _add_star(group):
     )
 
 
+def _add_sky(group):
+    """Add the options of the place on the sky."""
+    group.add_argument("--ra", type=float, metavar="DEG", help="right ascension of the target")
+    group.add_argument("--dec", type=float, metavar="DEG", help="declination of the target")
+    group.add_argument(
+        "--orientation",
+        type=float,
+        metavar="DEG",
+        help="position angle of growing rows from north to east (default: 0)",
+    )
+    group.add_argument(
+        "--catalog",
+        metavar="FILE",
+        help="a table that astropy reads, as of Gaia, with the columns ra, dec and a magnitude, "
+        "and if wanted pmra, pmdec and ref_epoch: its stars are target and neighbors; needs --ra "
+        "and --dec",
+    )
+    group.add_argument(
+        "--magnitude-limit", type=float, metavar="MAG", help="leave out fainter stars of it"
+    )
+    group.add_argument(
+        "--background-stars",
+        type=float,
+        metavar="MAG",
+        help="draw stars down to this magnitude by the mean counts in this direction",
+    )
+    for run in ("campaign", "quarter", "sector"):
+        group.add_argument(f"--{run}", type=int, metavar="N", help=f"{run}, for the file's headers")
+    for place in ("channel", "camera", "ccd"):
+        group.add_argument(f"--{place}", type=int, metavar="N", help=f"{place}, for the same")
+
+
 def _add_detector(group):
     """Add the options of the detector."""
     group.add_argument(
         "--detector",
         default="k2",
         metavar="NAME",
-        help="the preset, kepler, k2, k2_calibrated or tess, or a TOML file of your own detector "
-        "(default: k2)",
+        help="the preset, kepler, k2, k2_calibrated, tess or ground, or a TOML file of your own "
+        "detector (default: k2)",
     )
     group.add_argument(
         "--shape", type=int, nargs=2, metavar=("NY", "NX"), help="rows and columns of the stamp"
@@ -107,6 +158,11 @@ def _add_detector(group):
         "--no-sensitivity",
         action="store_true",
         help="pixels that all respond alike, and evenly within: the control",
+    )
+    group.add_argument(
+        "--mission-effects",
+        action="store_true",
+        help="with the effects of the detector's mission: cosmic rays, smear and others",
     )
     noise = group.add_mutually_exclusive_group()
     noise.add_argument(
@@ -125,9 +181,9 @@ def run(arguments):
 
     if arguments.table is not None:
         return _run_table(arguments)
-    if arguments.output is None or arguments.mag is None:
-        arguments.error("--output and --mag are needed, or --table and --output-dir")
-    inputs = [arguments.motion, arguments.detector]
+    if arguments.output is None or (arguments.mag is None and arguments.catalog is None):
+        arguments.error("--output and --mag or --catalog are needed, or --table and --output-dir")
+    inputs = [arguments.motion, arguments.detector, arguments.catalog]
     check_output(
         arguments.output,
         overwrite=arguments.overwrite,
@@ -135,15 +191,15 @@ def run(arguments):
     )
     detector = _make_detector(arguments)
     motion = _make_motion(arguments, detector)
-    stars = _make_stars(arguments, detector, motion.time[0])
     noise = arguments.noise or not arguments.no_noise
-    observation = sm.simulate(
-        stars, detector, motion, seed=arguments.seed, noise=noise, n_sub=arguments.n_sub
-    )
-    metadata = {"target_id": arguments.target_id, "object_name": arguments.name}
-    observation.write(arguments.output, overwrite=arguments.overwrite, metadata=metadata)
+    fields = {"seed": arguments.seed, "noise": noise, "n_sub": arguments.n_sub}
+    fields |= {"effects": "mission"} if arguments.mission_effects else {}
+    scene = _make_scene(arguments, detector, motion, fields)
+    observation = sm.simulate(scene)
+    observation.write(arguments.output, overwrite=arguments.overwrite)
     rows, columns = detector.shape
-    print(f"{arguments.output}: {len(motion)} cadences of {rows} x {columns} pixels")
+    stars = f", {len(scene.stars)} stars" if arguments.catalog else ""
+    print(f"{arguments.output}: {len(motion)} cadences of {rows} x {columns} pixels{stars}")
     return 0
 
 
@@ -178,6 +234,9 @@ def _default_motion(arguments, detector, number):
 
     if detector.mission == "K2":
         return arguments.scale * sm.Motion.k2_roll(number)
+    if detector.mission == "Ground":
+        seconds, scale = detector.cadence_days * 86400, detector.pixel_scale
+        return arguments.scale * sm.Motion.ground(number, cadence=seconds, pixel_scale=scale)
     if arguments.scale != 1:
         raise ValueError(f"--scale needs --motion FILE with --detector {arguments.detector}")
     mission = MISSIONS.get(detector.mission, MISSIONS["Kepler"])
@@ -206,6 +265,40 @@ def _make_detector(arguments):
     return detector.without_sensitivity() if arguments.no_sensitivity else detector
 
 
+def _make_scene(arguments, detector, motion, fields):
+    """Return the scene that the options ask for."""
+    given = vars(arguments)
+    fields |= {"target_id": arguments.target_id, "object_name": arguments.name}
+    runs = ("campaign", "quarter", "sector", "channel", "camera", "ccd")
+    fields["metadata"] = {name: given[name] for name in runs if given[name] is not None}
+    if (arguments.ra is None) != (arguments.dec is None):
+        raise ValueError("--ra and --dec go together")
+    stars = _make_stars(arguments, detector, motion.time[0])
+    drawn = {"background_stars": arguments.background_stars}
+    if arguments.catalog is None and arguments.background_stars is None:
+        fields |= {name: given[name] for name in ("ra", "dec", "orientation")}
+        return sm.Scene(stars, detector, motion, **fields)
+    if arguments.ra is None or arguments.neighbor:
+        raise ValueError("--catalog and --background-stars need --ra and --dec, and no --neighbor")
+    return _make_field(arguments, stars[0], detector, motion, fields | drawn)
+
+
+def _make_field(arguments, target, detector, motion, options):
+    """Return the scene of a catalog."""
+    from astropy.coordinates import SkyCoord
+    from astropy.table import Table
+
+    table = None if arguments.catalog is None else Table.read(arguments.catalog)
+    options |= {"orientation": arguments.orientation or 0.0}
+    options |= {"magnitude_limit": arguments.magnitude_limit}
+    coord = SkyCoord(arguments.ra, arguments.dec, unit="deg")
+    if arguments.mag is None:
+        found = sm.Scene.from_catalog(table, coord, detector, motion, **options)
+        coord = SkyCoord(found.ra, found.dec, unit="deg")
+        target = target.replace(mag=found.stars[0].mag)
+    return sm.Scene.from_catalog(table, coord, detector, motion, target=target, **options)
+
+
 def _make_stars(arguments, detector, start):
     """Return the star and its neighbors that the options ask for."""
     x_0, y_0 = arguments.position or (None, None)
@@ -213,10 +306,29 @@ def _make_stars(arguments, detector, start):
     if arguments.psf is not None:
         sigma_x, sigma_y, rho = arguments.psf
         psf = sm.BivariateGaussianPSF(sigma_x=sigma_x, sigma_y=sigma_y, rho=rho)
-    if arguments.transit is not None:
-        period, t0, depth, duration = arguments.transit
+    planet = _planet(arguments)
+    if planet is not None:
+        period, t0, depth, duration = planet
         signal = sm.TransitModel.from_depth_duration(
             depth, duration, period, start + t0, exposure_time=detector.cadence_days
         )
-    star = sm.Star(arguments.mag, x_0, y_0, psf, signal)
+    # The magnitude of a catalog's star is set later.
+    star = sm.Star(arguments.mag or 0.0, x_0, y_0, psf, signal)
     return [star, *(sm.Star(mag, x, y, psf) for mag, x, y in arguments.neighbor)]
+
+
+def _planet(arguments):
+    """Return period, mid-transit, depth and duration of a planet, or None."""
+    if arguments.transit is not None and arguments.period is not None:
+        raise ValueError("--transit and --period exclude each other")
+    if (arguments.period is None) != (arguments.depth is None):
+        raise ValueError("--period and --depth go together")
+    if arguments.period is None:
+        if arguments.t0 is not None or arguments.duration is not None:
+            raise ValueError("--t0 and --duration need --period")
+        return arguments.transit
+    period = arguments.period
+    # 13 h (P / yr)^(1/3) (R / R_sun) (rho / rho_sun)^(-1/3): arXiv:1001.2010, eq. 19.
+    usual = 13 / 24 * (period / 365.25) ** (1 / 3)
+    duration = usual if arguments.duration is None else arguments.duration
+    return period, period / 2 if arguments.t0 is None else arguments.t0, arguments.depth, duration

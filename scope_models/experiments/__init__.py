@@ -39,6 +39,9 @@ _STUDIES = {
     "k2-motion": ("scope_models.experiments.k2_motion", "K2MotionNoise"),
     "motion": ("scope_models.experiments.motion", "MotionTest"),
     "recovery": ("scope_models.experiments.recovery", "Recovery"),
+    "tess": ("scope_models.experiments.tess", "TESSNoise"),
+    "breathing": ("scope_models.experiments.breathing", "BreathingPSF"),
+    "last-campaigns": ("scope_models.experiments.last_campaigns", "LastCampaigns"),
 }
 
 

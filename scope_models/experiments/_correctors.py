@@ -17,6 +17,7 @@ __all__ = [
     "best_setting",
     "correct",
     "noise_of",
+    "quiet",
     "residual_cdpp",
     "robust_scatter",
     "score",
@@ -191,7 +192,7 @@ def correct(name, setting, tpf, aperture, cadence_mask=None):
     """
     from lightkurve.correctors import PLDCorrector, SFFCorrector
 
-    with _quiet(), _fixed_randomness():
+    with quiet(), _fixed_randomness():
         try:
             if name == "lightkurve_pld":
                 mask = aperture if setting[0] == "whole" else None
@@ -241,7 +242,7 @@ def best_setting(name, tpf, aperture):
 
 
 @contextmanager
-def _quiet():
+def quiet():
     """Silence lightkurve's logger and its libraries' warnings."""
     logger = logging.getLogger("lightkurve")
     level = logger.level

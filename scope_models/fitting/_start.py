@@ -6,9 +6,11 @@ from scope_models.fitting._problem import State
 from scope_models.models import (
     PRF,
     BivariateGaussianPSF,
+    CorrectedPRF,
     DiffusionSensitivity,
     GaussHermitePSF,
     SensitivityPolynomial,
+    TabulatedPRF,
 )
 
 __all__ = ["centroids", "is_faint", "linear_start", "make_prf", "make_rich_prf", "starting_state"]
@@ -38,19 +40,15 @@ def make_prf(psf, sensitivity, empirical):
     sensitivity : SensitivityPolynomial or None
         Response within a pixel.
     empirical : int
-        Order of the empirical term; 0 for none.
+        Order of the empirical term, or of the correction of a table; 0 for none.
 
     Returns
     -------
     PRF
         With the fixed parameters of the fit.
     """
-    if isinstance(psf, PRF):
-        if sensitivity is not None or empirical:
-            raise ValueError("`sensitivity` and `empirical` must be left out if `psf` is a PRF")
-        prf = psf.copy()
-        _hold_constants(prf)
-        return prf
+    if isinstance(psf, (PRF, TabulatedPRF)):
+        return _given_prf(psf if isinstance(psf, PRF) else PRF(psf), sensitivity, empirical)
     responses = (SensitivityPolynomial, DiffusionSensitivity, type(None))
     if not isinstance(sensitivity, responses):
         raise TypeError(
@@ -76,6 +74,22 @@ def make_prf(psf, sensitivity, empirical):
         for k in range(1, n_components):
             for name in (f"x_offset_{k}", f"y_offset_{k}"):
                 getattr(prf, name).fixed = False
+    return prf
+
+
+def _given_prf(prf, sensitivity, order):
+    """A PRF of the caller, if it is a table times a smooth correction of that order."""
+    if sensitivity is not None:
+        raise ValueError("`sensitivity` must be left out if `psf` is a PRF")
+    table = prf.table
+    if order and table is None:
+        raise ValueError("`empirical` must be left out if `psf` is a PRF that is no table")
+    if order:
+        values = (getattr(table, name).value for name in ("flux", "x_0", "y_0"))
+        where = {"origin": table.origin, "uncertainty": table.uncertainty}
+        prf = PRF(CorrectedPRF(table.array, table.oversampling, *values, order=order, **where))
+    prf = prf.copy()
+    _hold_constants(prf)
     return prf
 
 

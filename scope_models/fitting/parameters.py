@@ -10,8 +10,9 @@ __all__ = ["FitParameter", "fit_parameters"]
 _LEAST_WIDTH, _LARGEST_CORRELATION, _LARGEST_OFFSET = 0.1, 0.95, 2.0
 # Charge that diffuses farther is not collected in pixels.
 _LARGEST_DIFFUSION = 1.0
-# Standard deviation of the coefficients of an empirical term, whose first one is 1.
-_COEFFICIENT_PRIOR = 10.0
+# Standard deviations of the coefficients of an empirical term, whose first one is 1, and of the
+# correction of a table.
+_PRIORS = {"coefficient": 10.0, "correction": 0.1}
 _LARGEST_MOVE = 0.3
 _UNITS = {"width": "pix", "diffusion": "pix", "offset": "pix", "position": "pix", "flux": "e-/s"}
 
@@ -26,7 +27,8 @@ class FitParameter:
     name : str
         Its name.
     kind : str
-        "width", "correlation", "coefficient", "fraction", "offset", "response", "diffusion" as in
+        "width", "correlation", "coefficient", "fraction", "offset", "response", "diffusion" and
+        "correction" as in
         `~scope_models.PRF.parameter_kinds`; "position", "slope", "flux" and "focus";
         or "other".
     lower, upper : float, optional
@@ -101,7 +103,7 @@ def fit_parameters(prf, shape):
         low, high = parameter.bounds
         low, high = -np.inf if low is None else low, np.inf if high is None else high
         kind, step, relative = kinds.get(name, "other"), np.inf, False
-        prior = _COEFFICIENT_PRIOR if kind == "coefficient" else np.inf
+        prior = _PRIORS.get(kind, np.inf)
         if kind == "width":
             low, high = max(low, _LEAST_WIDTH), min(high, max(shape) / 2)
         elif kind == "diffusion":

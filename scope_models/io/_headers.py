@@ -12,6 +12,7 @@ from scope_models.io._blocks import make_header
 __all__ = ["make_headers", "pixel_column_cards", "tan_projection"]
 
 _LAYOUTS = Path(__file__).with_name("layouts")
+_MATRIX = ("PC1_1", "PC1_2", "PC2_1", "PC2_2")
 _PROTECTED = ("SIMPLE", "BITPIX", "EXTEND", "NEXTEND", "EXTNAME", "EXTVER", "CHECKSUM", "DATASUM")
 _MAX_CARD_INTEGER = 2**63 - 1  # larger seeds are written as text, for readers with 64-bit integers
 
@@ -266,6 +267,15 @@ def tan_projection(metadata, shape):
     ra, dec = metadata.position
     scale = metadata.pixel_scale / 3600.0
     cosine, sine = (f(np.radians(metadata.orientation)).item() for f in (np.cos, np.sin))
+    matrix, words = metadata.matrix, ("",) * 4
+    if matrix is None:
+        matrix = cosine, 0.0 - sine, sine, cosine
+        words = (
+            ", cos(orientation)",
+            ", -sin(orientation)",
+            ", sin(orientation)",
+            ", cos(orientation)",
+        )
     return {
         "CTYPE1": ("RA---TAN", "right ascension, gnomonic projection"),
         "CTYPE2": ("DEC--TAN", "declination, gnomonic projection"),
@@ -277,10 +287,12 @@ def tan_projection(metadata, shape):
         "CUNIT2": ("deg", "unit of declination"),
         "CDELT1": (-scale, "[deg] pixel scale, east to the left"),
         "CDELT2": (scale, "[deg] pixel scale"),
-        "PC1_1": (cosine, "rotation matrix, cos(orientation)"),
-        "PC1_2": (0.0 - sine, "rotation matrix, -sin(orientation)"),
-        "PC2_1": (sine, "rotation matrix, sin(orientation)"),
-        "PC2_2": (cosine, "rotation matrix, cos(orientation)"),
+        **{
+            name: (value, f"rotation matrix{word}")
+            for name, value, word in zip(
+                ("PC1_1", "PC1_2", "PC2_1", "PC2_2"), matrix, words, strict=True
+            )
+        },
     }
 
 

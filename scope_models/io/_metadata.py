@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import astropy.units as u
 
 from scope_models._arrays import DIGITAL, PER_PIXEL
-from scope_models._checks import checked_integer, checked_number
+from scope_models._checks import checked_integer, checked_matrix, checked_number
 from scope_models.missions import MISSIONS
 
 if TYPE_CHECKING:
@@ -78,6 +78,9 @@ class TPFMetadata:
     orientation : float or Quantity, optional
         Position angle of the direction of growing rows, deg from north to east. At 0, rows grow
         to the north and columns to the west.
+    matrix : tuple of float, optional
+        PC1_1, PC1_2, PC2_1 and PC2_2 of the projection, in place of ``orientation``: what a step
+        along columns and rows is to the west and to the north.
     magnitude : float or Quantity, optional
         KEPMAG or TESSMAG.
     quarter, campaign, sector : int, optional
@@ -138,6 +141,7 @@ class TPFMetadata:
     x_0: float | None = None
     y_0: float | None = None
     orientation: float = 0.0
+    matrix: tuple[float, float, float, float] | None = None
     magnitude: float | None = None
     quarter: int | None = None
     campaign: int | None = None
@@ -186,6 +190,8 @@ class TPFMetadata:
             raise TypeError(f"`date` must be a datetime.date, got {self.date!r}")
         if not isinstance(self.extra_cards, Mapping):
             raise TypeError(f"`extra_cards` must be a mapping, got {self.extra_cards!r}")
+        if self.matrix is not None:
+            object.__setattr__(self, "matrix", checked_matrix(self.matrix))
         self._check_place()
 
     def _set_position(self, coord):

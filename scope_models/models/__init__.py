@@ -1,6 +1,7 @@
 # Licensed under a 3-clause BSD style license - see LICENSE
 """Models of light, of the response of pixels, of their integrals, and of stars' variability."""
 
+from scope_models.models.corrected import CorrectedPRF
 from scope_models.models.empirical import GaussHermitePSF
 from scope_models.models.integration import integrate_pixels
 from scope_models.models.prf import PRF
@@ -17,6 +18,7 @@ from scope_models.models.variability import (
 __all__ = [
     "PRF",
     "BivariateGaussianPSF",
+    "CorrectedPRF",
     "DiffusionSensitivity",
     "GaussHermitePSF",
     "PRFGrid",

@@ -118,7 +118,7 @@ class Component:
             names = form.names  # ending in the variance of the diffusion, if there is any
             image, *parts = points.apply(form.derivatives, form.parameters, along)
         elif hasattr(self.model, "unit_derivatives"):
-            names = ("x_0", "y_0")
+            names = self.model.param_names[1:]
             image, *parts = self._of_table(points, values)
         else:
             names = tuple(name for name in self.model.param_names if name != "flux")
@@ -142,10 +142,11 @@ class Component:
         return image, own
 
     def _of_table(self, points, values):
-        """Image of a table and its derivatives by position."""
+        """Image of a table and its derivatives by all but its flux."""
         own = self.own_values(values)
         x, y = (own[name][..., np.newaxis] for name in ("x_0", "y_0"))
-        parts = self.model.unit_derivatives(points.x - x, points.y - y)
+        shape = [float(own[name]) for name in self.model.param_names[3:]]
+        parts = self.model.unit_derivatives(points.x - x, points.y - y, *shape)
         return [part.reshape((*part.shape[:-1], *points.shape)) for part in parts]
 
     def _by_quadrature(self, term, points, values, name):

@@ -19,11 +19,15 @@ from scope_models._arrays import is_angle, plain_array
 from scope_models.models.sensitivity import SensitivityPolynomial
 
 __all__ = [
+    "check_coord",
+    "describe_coord",
     "describe_model",
     "find_class",
+    "make_coord",
     "make_model",
     "model_in_pixels",
     "packed",
+    "sky_place",
     "unpacked",
     "value_key",
 ]
@@ -67,6 +71,54 @@ def make_model(described):
         return combine(make_model(described["left"]), make_model(described["right"]))
     kind = find_class(described, Model, "a model")
     return kind(**{name: unpacked(value) for name, value in described["parameters"].items()})
+
+
+def describe_coord(coord):
+    """Return a place on the sky as its ICRS coordinates, proper motion and epoch."""
+    if coord is None:
+        return None
+    place = coord.icrs
+    described = {"ra": place.ra.deg.item(), "dec": place.dec.deg.item()}
+    if "s" in place.data.differentials:
+        for name in ("pm_ra_cosdec", "pm_dec"):
+            described[name] = getattr(place, name).to_value(u.mas / u.yr).item()
+    if coord.obstime is not None:
+        described["epoch"] = coord.obstime.jyear.item()
+    return described
+
+
+def make_coord(described):
+    """Return the place on the sky of a description."""
+    if described is None:
+        return None
+    from astropy.coordinates import SkyCoord
+    from astropy.time import Time
+
+    units = {"ra": u.deg, "dec": u.deg, "pm_ra_cosdec": u.mas / u.yr, "pm_dec": u.mas / u.yr}
+    values = {name: described[name] * unit for name, unit in units.items() if name in described}
+    epoch = described.get("epoch")
+    return SkyCoord(**values, obstime=None if epoch is None else Time(epoch, format="jyear"))
+
+
+def check_coord(coord):
+    """Check that a coordinate is one place on the sky, with an epoch if it moves."""
+    from astropy.coordinates import SkyCoord
+
+    if not isinstance(coord, SkyCoord) or not coord.isscalar:
+        raise TypeError(f"`coord` must be one SkyCoord, got {coord!r}")
+    if not np.isfinite(coord.icrs.ra.deg + coord.icrs.dec.deg):
+        raise ValueError(f"`coord` must be finite, got {coord!r}")
+    if "s" in coord.data.differentials and coord.obstime is None:
+        raise ValueError("`coord` must have an `obstime`, for it has a proper motion")
+
+
+def sky_place(coord, year):
+    """Return right ascension and declination in a Julian year, ICRS, deg."""
+    place = coord.icrs
+    if "s" in place.data.differentials:
+        since = (year - coord.obstime.jyear) * u.yr
+        place = place.spherical_offsets_by(place.pm_ra_cosdec * since, place.pm_dec * since)
+    return place.ra.deg.item(), place.dec.deg.item()
 
 
 def packed(value):
@@ -173,8 +225,9 @@ def value_key(value):
     hashable
         The key. Callables are compared by identity.
     """
-    if isinstance(value, Model):
-        return json.dumps(describe_model(value), sort_keys=True)
+    if isinstance(value, Model) or hasattr(value, "icrs"):  # a model, or a SkyCoord
+        describe = describe_model if isinstance(value, Model) else describe_coord
+        return json.dumps(describe(value), sort_keys=True)
     if isinstance(value, np.ndarray):
         return value.shape, value.dtype.str, value.tobytes()
     if isinstance(value, Mapping):

@@ -3,6 +3,7 @@
 
 import numpy as np
 
+from scope_models._arrays import without_unit
 from scope_models.models._axis import FEW, ROWS, AxisPanels
 from scope_models.models._gaussian import (
     contract,
@@ -136,24 +137,19 @@ def _parts(psf, sensitivity):
     """Return fraction of the flux, offset from the star and unit product of each component."""
     terms = [term for term in expand(psf) if np.any(term.scale)]
     first = terms[0].densities[0].values
-    total = sum(term.scale * _number(term.densities[0].values["flux"]) for term in terms)
+    total = sum(term.scale * without_unit(term.densities[0].values["flux"]) for term in terms)
     responses = [Term()] if sensitivity is None else expand(sensitivity)
     parts = []
     for term in terms:
-        values = {name: _number(v) for name, v in term.densities[0].values.items()}
+        values = {name: without_unit(v) for name, v in term.densities[0].values.items()}
         fraction = float(term.scale * values["flux"] / total)
-        offset = [float(values[n] - _number(first[n])) for n in ("x_0", "y_0")]
+        offset = [float(values[n] - without_unit(first[n])) for n in ("x_0", "y_0")]
         model = term.densities[0].model
         values |= {"flux": 1.0, "x_0": 0.0, "y_0": 0.0}
         unit = Term(densities=(Factor(model, values),), sensitivities=term.sensitivities)
         several = [Term()] if is_pixel_integrated(model) else responses
         parts.extend((fraction, offset, unit * response) for response in several)
     return parts
-
-
-def _number(value):
-    """Return a value without its unit."""
-    return getattr(value, "value", value)
 
 
 def _gaussian(term):
@@ -172,7 +168,11 @@ def _window(parts, shape, x, y, widest, blur):
     for _, (dx, dy), term in parts:
         gaussian = _gaussian(term)
         if gaussian is None:
-            return slice(0, shape[0]), slice(0, shape[1])
+            reach = getattr(term.densities[0].model, "reach", None)
+            if reach is None:
+                return slice(0, shape[0]), slice(0, shape[1])
+            windows.append(_table_window(reach, shape, (x, y), (dx, dy), widest + blur))
+            continue
         sigma_x, sigma_y, _ = gaussian
         ends = np.array([1.0, widest])
         columns, rows = (
@@ -186,6 +186,17 @@ def _window(parts, shape, x, y, widest, blur):
         windows.append((rows.start, rows.stop, columns.start, columns.stop))
     lows, highs = np.min(windows, axis=0), np.max(windows, axis=0)
     return slice(int(lows[0]), int(highs[1])), slice(int(lows[2]), int(highs[3]))
+
+
+def _table_window(reach, shape, places, offsets, scale):
+    """Return the first and last of the rows and columns that a table covers, at least one."""
+    found = []
+    for n, place, offset, (low, high) in zip(shape[::-1], places, offsets, reach, strict=True):
+        first = np.floor(place.min() + scale * (low - abs(offset)) - 0.5)
+        last = np.ceil(place.max() + scale * (high + abs(offset)) + 0.5)
+        start = int(np.clip(first, 0, n - 1))
+        found.append((start, int(np.clip(last + 1, start + 1, n))))
+    return (*found[1], *found[0])
 
 
 def _engine(term, columns, rows, blur):

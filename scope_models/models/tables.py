@@ -214,6 +214,14 @@ class _Table(Fittable2DModel):
         return None if self._error is None else self._error.samples
 
     @property
+    def reach(self):
+        """How far the table goes from the star along x and y, pixels (two pairs of float)."""
+        return tuple(
+            (-self.origin[axis] / step, (self.array.shape[1 - axis] - 1 - self.origin[axis]) / step)
+            for axis, step in enumerate(self.oversampling[::-1])
+        )
+
+    @property
     def arguments(self):
         """What makes an equal model: arguments without the parameters (dict)."""
         return {
@@ -256,11 +264,9 @@ class _Table(Fittable2DModel):
         bounding_box : tuple
             ``((y_low, y_high), (x_low, x_high))``, as astropy orders it.
         """
-        size = self.array.shape[::-1]
         box = []
         for axis, center in ((1, self.y_0), (0, self.x_0)):
-            origin, step = self.origin[axis], self.oversampling[1 - axis]
-            low, high = -origin / step, (size[axis] - 1 - origin) / step
+            low, high = self.reach[axis]
             unit = 1.0 if center.unit is None else u.pixel
             value = center.value if center.unit is None else center.quantity
             box.append((value + low * unit, value + high * unit))

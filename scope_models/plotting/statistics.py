@@ -1,12 +1,13 @@
-"""Figure of the statistics of motions."""
+"""Figures of single experiments: statistics of motions, maps of a grid."""
 
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.ticker import FuncFormatter, NullLocator
 
 from scope_models.plotting._style import styled
+from scope_models.plotting.experiments import plot_map
 
-__all__ = ["plot_motion_statistics"]
+__all__ = ["plot_maps", "plot_motion_statistics"]
 
 _MARKERS = "os^Dvp*X"
 _TITLES = {"mean": "Mean", "std": "Standard deviation", "maximum": "Maximum"}
@@ -54,4 +55,58 @@ def plot_motion_statistics(series, paper=None):
     axes[0].yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axes[0].set_ylabel("Distance from the reference position (pixel)")
     axes[0].legend(fontsize="small")
+    return figure
+
+
+@styled
+def plot_maps(maps, rows, columns, **labels):
+    """
+    Draw several maps of one grid on one logarithmic scale of colors.
+
+    Parameters
+    ----------
+    maps : mapping of str to array_like
+        For each title positive values ``(n_rows, n_columns)``.
+    rows, columns : array_like
+        As for `plot_map`.
+    **labels
+        Its ``row_label``, ``column_label``, ``label`` and ``text``; the colors are logarithms.
+
+    Returns
+    -------
+    `~matplotlib.figure.Figure`
+        One panel per map, two side by side.
+
+    Examples
+    --------
+    >>> import matplotlib
+    >>> matplotlib.use("agg")
+    >>> from scope_models.plotting.statistics import plot_maps
+    >>> labels = {"row_label": "Depth", "column_label": "Kp", "label": "Noise", "text": ".2g"}
+    >>> maps = {"raw": [[3.0, 1.0]], "corrected": [[1.0, 1.0]]}
+    >>> figure = plot_maps(maps, [1], [12, 13], **labels)
+    >>> [ax.get_title() for ax in figure.axes[:2]]
+    ['raw', 'corrected']
+    """
+    values = np.log10([np.asarray(value, dtype=float) for value in maps.values()])
+    span = float(np.nanmin(values)), float(np.nanmax(values))
+    lines = -(-len(maps) // 2)
+    figure, axes = plt.subplots(
+        lines, min(len(maps), 2), figsize=(9, 0.4 + 3.4 * lines), squeeze=False,
+        layout="constrained",
+    )  # fmt: skip
+    text, label = labels.pop("text", ".2f"), labels.pop("label")
+    for ax in axes.flat[len(maps) :]:
+        ax.remove()
+    for ax, title, value in zip(axes.flat, maps, values, strict=False):
+        plot_map(
+            value, rows, columns, **labels, label=f"log10 ({label.lower()})", text="", span=span,
+            title=title, ax=ax,
+        )  # fmt: skip
+        middle = (span[0] + span[1]) / 2
+        for (row, column), number in np.ndenumerate(value):
+            if np.isfinite(number):
+                color = "w" if number < middle else "k"
+                shown = format(10**number, text)
+                ax.text(column, row, shown, ha="center", va="center", color=color, fontsize="small")
     return figure

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from astropy.modeling import CompoundModel
 
+import scope_models.effects
 import scope_models.models
 from scope_models.io._atomic import atomic_path
 from scope_models.models._description import describe_model, make_model
@@ -25,7 +26,7 @@ _MODELS = {"psf": "+", "sensitivity": "*"}
 def read_detector(path):
     r"""Read a detector from a TOML file.
 
-    Each key is a field of `~scope_models.Detector`. Three are written in a way of their own:
+    Each key is a field of `~scope_models.Detector`. Four are written in a way of their own:
 
     - ``preset``, a name for `Detector.preset <scope_models.Detector.preset>` as "k2", takes all
       fields that are not given from that preset, with the preset's ``cadence``;
@@ -33,7 +34,9 @@ def read_detector(path):
       of a PSF of `scope_models.models`, or the full name of another package's, as
       "photutils.psf.MoffatPSF"; the other keys are its parameters;
     - ``sensitivity`` is a table, or several that are multiplied, with the arguments of
-      `~scope_models.SensitivityPolynomial`, or of another ``model``; ``false`` is none.
+      `~scope_models.SensitivityPolynomial`, or of another ``model``; ``false`` is none;
+    - ``effects`` are tables (``[[effects]]``) with the name of an ``effect`` of
+      `scope_models.effects` and its fields.
 
     Parameters
     ----------
@@ -77,7 +80,9 @@ def write_detector(detector, path, overwrite=False):
         value = getattr(detector, item.name)
         if value is None:  # TOML has no null: it is the default of all fields that may be None
             continue
-        if item.name in _MODELS:
+        if item.name == "effects":
+            tables += [text for effect in value for text in ("[[effects]]", *_effect(effect), "")]
+        elif item.name in _MODELS:
             parts = _parts(value, item.name)
             tables += [text for part in parts for text in (f"[[{item.name}]]", *_table(part), "")]
         else:
@@ -106,6 +111,24 @@ def _table(model):
     return [f"{name} = {_toml(value)}" for name, value in values.items() if value is not None]
 
 
+def _effect(effect):
+    """Return the lines of an effect."""
+    if type(effect).__module__.partition(".")[0] != "scope_models":
+        raise ValueError(f"`effects` with {effect.name} cannot be written as TOML")
+    values = {item.name: getattr(effect, item.name) for item in fields(effect)}
+    values = {"effect": type(effect).__name__} | values
+    return [f"{name} = {_toml(value)}" for name, value in values.items() if value is not None]
+
+
+def _made_effect(table):
+    """Return the effect of a table."""
+    values = dict(table) if isinstance(table, dict) else {}
+    name = values.pop("effect", None)
+    if not isinstance(name, str) or name not in scope_models.effects.__all__:
+        raise ValueError(f"`effects` must be tables with the name of an `effect`, got {name!r}")
+    return getattr(scope_models.effects, name)(**values)
+
+
 def _toml(value):
     """Return a value as TOML."""
     if isinstance(value, np.generic | np.ndarray):
@@ -128,6 +151,10 @@ def _detector_of_toml(values):
     for name in values:
         if name not in known:
             raise ValueError(f"`{name}` is not a field of a detector")
+    if "effects" in values:
+        given = values["effects"]
+        given = given if isinstance(given, list) else [given]
+        values["effects"] = [_made_effect(table) for table in given]
     if "psf" in values:
         values["psf"] = _combined(values["psf"], "psf", None, add)
     given = values.get("sensitivity")

@@ -11,7 +11,7 @@ from types import MappingProxyType
 import astropy.units as u
 import numpy as np
 
-from scope_models._arrays import PER_PIXEL, plain_time
+from scope_models._arrays import PER_PIXEL, plain_time, plain_tree
 from scope_models._checks import checked_integer, checked_number
 from scope_models.effects.noise import check_seed, fresh_seed, stream
 from scope_models.io._atomic import atomic_path
@@ -29,12 +29,13 @@ from scope_models.scene._motion_arrays import (
     check_time_format,
     repair,
 )
-from scope_models.scene._pointing import K2FinalCampaign, KeplerPointing, TESSPointing
+from scope_models.scene._pointing import K2Campaign18, K2FinalCampaign, KeplerPointing, TESSPointing
 from scope_models.scene._tracking import FailingWheels, GroundTracking, RandomWalk
 
 __all__ = [
     "FailingWheels",
     "GroundTracking",
+    "K2Campaign18",
     "K2FinalCampaign",
     "K2Roll",
     "KeplerPointing",
@@ -45,7 +46,7 @@ __all__ = [
 ]
 
 _KEPLER, _K2, _TESS = (MISSIONS[name] for name in ("Kepler", "K2", "TESS"))
-_C19 = 3528.1377  # 2018-08-30 15:17 UTC, the first cadence (K2 data release notes), BKJD
+_LAST = {18: K2Campaign18, 19: K2FinalCampaign}
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -570,27 +571,35 @@ class Motion:
         return cls._generated(pointing, time, _TESS, start, seed, cadence=days)
 
     @classmethod
-    def k2_final_campaign(cls, n_cadences=1291, *, seed=1, start=_C19, **parameters):
-        """Generate the motion of a star in K2 campaign 19, the last one.
+    def k2_final_campaign(cls, n_cadences=None, *, campaign=19, seed=1, start=None, **parameters):
+        """Generate the motion of a star in one of K2's last campaigns.
 
-        Compared with the K2 data release notes: 26.4 d in 1291 long cadences; 8.5 d off target, 7 d
-        with less than 1.5 px, here less than 1 px, and 11 d of erratic pointing.
+        Campaign 19 compared with the K2 data release notes: 26.4 d in 1291 long cadences; 8.4 d off
+        target, 7 d with less than 1.5 px, here less than 1 px, and 11 d of erratic pointing.
+
+        Campaign 18 compared with EPIC 211983544 (2490 long cadences, without flagged ones): the
+        motion along the direction of roll has the standard deviation 0.171 px there, 0.135 to 0.156
+        px here (20 seeds); the median step from one cadence to the next is 0.0115 px there, 0.013
+        px here; 101 cadences are flagged as with thruster firings there, 111 to 132 here.
 
         Parameters
         ----------
         n_cadences : int, optional
-            Number of long cadences; campaign 19 has 1291.
+            Number of long cadences; the default is the whole campaign.
+        campaign : {18, 19}, optional
+            The campaign.
         seed : int or None, optional
             Seed of all random numbers; None takes a new one, which is ``meta["seed"]``.
         start : float, Quantity or Time, optional
-            Time of the first cadence, BKJD.
+            Time of the first cadence, BKJD; by default that of the campaign.
         **parameters
-            Fields of `~scope_models.scene.motion.K2FinalCampaign` that differ from their defaults.
+            Fields of `~scope_models.scene.motion.K2FinalCampaign`, or of
+            `~scope_models.scene.motion.K2Campaign18`, that differ from their defaults.
 
         Returns
         -------
         Motion
-            The motion.
+            The motion, with the mission's cadence numbers.
 
         Raises
         ------
@@ -601,13 +610,22 @@ class Motion:
         --------
         >>> from scope_models import Motion
         >>> motion = Motion.k2_final_campaign()
-        >>> nominal = motion[motion.quality & 4 == 0]
+        >>> nominal = motion[(motion.cadenceno >= 167743) & (motion.cadenceno <= 168097)]
         >>> bool(nominal.statistics().maximum.value < 1.5)
         True
+        >>> print(Motion.k2_final_campaign(campaign=18).statistics(exclude=4))
+        0.131 +- 0.090 px, max 0.623 px, extent 0.97 px
         """
-        pointing, seed = K2FinalCampaign(**parameters), _checked_seed(seed)
-        n = checked_integer("n_cadences", n_cadences, 1)
-        return cls._generated(pointing, K2Roll.cadence * np.arange(n), _K2, start, seed)
+        if campaign not in _LAST:
+            raise ValueError(f"`campaign` must be 18 or 19, got {campaign!r}")
+        pointing, seed = _LAST[campaign](**parameters), _checked_seed(seed)
+        first, every = pointing.cadences
+        n = every if n_cadences is None else checked_integer("n_cadences", n_cadences, 1)
+        start = pointing.start if start is None else start
+        motion = cls._generated(pointing, K2Roll.cadence * np.arange(n), _K2, start, seed)
+        return motion._replace(
+            cadenceno=first + np.arange(n), meta={**motion.meta, "campaign": campaign}
+        )
 
     @classmethod
     def ground(cls, n_cadences=1000, *, cadence=60.0, seed=1, start=_TESS.start, **parameters):
@@ -865,7 +883,7 @@ class Motion:
         names = ("quality", "cadenceno")
         columns = {"time": self.time * u.day, "x": self.x * u.pix, "y": self.y * u.pix}
         table = QTable(columns | {name: getattr(self, name) for name in names})
-        table.meta = {"time_format": self.time_format, "motion": _plain_meta(self.meta)}
+        table.meta = {"time_format": self.time_format, "motion": plain_tree(self.meta)}
         with atomic_path(path, overwrite=overwrite) as temporary:
             table.write(temporary, format="ascii.ecsv", overwrite=True)
         return Path(path)
@@ -955,15 +973,6 @@ class Motion:
 def _checked_seed(seed):
     """Return a seed, a new one for None."""
     return fresh_seed() if seed is None else check_seed(seed)
-
-
-def _plain_meta(value):
-    """Return what is known of the source as what text holds."""
-    if isinstance(value, Mapping):
-        return {key: _plain_meta(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_plain_meta(item) for item in value]
-    return value.item() if isinstance(value, np.generic) else value
 
 
 def _checked_scale(pixel_scale):

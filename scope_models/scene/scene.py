@@ -9,22 +9,28 @@ from types import MappingProxyType
 import numpy as np
 from astropy.utils.exceptions import AstropyDeprecationWarning
 
-from scope_models._arrays import plain_number
-from scope_models._checks import checked_integer
+from scope_models._arrays import plain_number, plain_tree
+from scope_models._checks import checked_integer, checked_matrix
 from scope_models.effects import Effect, mission_effects
 from scope_models.effects._effect import checked_effects
 from scope_models.effects.noise import check_seed, noise_terms
 from scope_models.io import TPFMetadata, read_truth, write_hdulist
 from scope_models.io._headers import tan_projection
 from scope_models.io._truth import truth_blocks
+from scope_models.missions import TIME_ZEROS
 from scope_models.models._description import (
+    check_coord,
+    describe_coord,
     describe_model,
     find_class,
+    make_coord,
     make_model,
     packed,
+    sky_place,
     unpacked,
     value_key,
 )
+from scope_models.scene.catalog import find_target, place_stars, read_catalog, star_frame
 from scope_models.scene.detector import Detector
 from scope_models.scene.motion import Motion
 from scope_models.scene.star import Star
@@ -33,7 +39,7 @@ __all__ = ["Scene", "read_scene"]
 
 _VERSION = 2
 # What a file of the scene's observation says of the star and of the place of the stamp.
-_IDENTITY = ("target_id", "object_name", "ra", "dec", "orientation", "column", "row")
+_IDENTITY = ("target_id", "object_name", "ra", "dec", "orientation", "matrix", "column", "row")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -76,6 +82,9 @@ class Scene:
         mission.
     orientation : float or Quantity, optional
         Position angle of the direction of growing rows, deg from north to east.
+    matrix : tuple of float, optional
+        PC1_1, PC1_2, PC2_1 and PC2_2 of the projection, in place of ``orientation``: what a step
+        along columns and rows is to the west and to the north.
     column, row : int, optional
         Detector column and row of the stamp's first pixel.
     metadata : mapping, optional
@@ -112,6 +121,7 @@ class Scene:
     ra: float | None = field(default=None, kw_only=True)
     dec: float | None = field(default=None, kw_only=True)
     orientation: float | None = field(default=None, kw_only=True)
+    matrix: tuple[float, float, float, float] | None = field(default=None, kw_only=True)
     column: int | None = field(default=None, kw_only=True)
     row: int | None = field(default=None, kw_only=True)
     metadata: Mapping = field(default_factory=dict, kw_only=True)
@@ -137,6 +147,7 @@ class Scene:
         put("noise", noise_terms(self.noise))
         put("n_sub", checked_integer("n_sub", self.n_sub, 1))
         put("effects", _own_effects(self.effects, self.detector))
+        self._put_on_sky()
         for name in ("ra", "dec", "orientation"):
             if getattr(self, name) is not None:
                 put(name, plain_number(getattr(self, name), "deg", name))
@@ -187,19 +198,43 @@ class Scene:
             f"<th>x_0 (pixel)</th><th>y_0 (pixel)</th></tr>{rows}</table>"
         )
 
+    def _put_on_sky(self):
+        """Take the place on the sky of a target that has one, and check those of all stars."""
+        if self.matrix is not None:
+            object.__setattr__(self, "matrix", checked_matrix(self.matrix))
+        target = self.stars[0].coord
+        if target is not None:
+            place = sky_place(target, _middle_year(self.motion))
+            for name, value in zip(("ra", "dec"), place, strict=True):
+                if getattr(self, name) not in (None, value):
+                    raise ValueError(f"`{name}` must not be given for a target with a `coord`")
+                object.__setattr__(self, name, value)
+        for star in self.stars[1:]:
+            if star.coord is not None and (star.x_0, star.y_0) != (None, None):
+                raise ValueError("`coord` must not be given together with `x_0` or `y_0`")
+
+    def _year(self):
+        """Return the middle of the motion, Julian years."""
+        days = (
+            TIME_ZEROS[self.motion.time_format] + (self.motion.time[0] + self.motion.time[-1]) / 2
+        )
+        return 2000.0 + float(days - 2451545.0) / 365.25
+
     @property
     def positions(self):
         """Reference position (x_0, y_0) of each star, pixels; shape (n_stars, 2)."""
-        ny, nx = self.detector.shape
-        return np.array(
+        middle = [(n - 1) / 2 for n in self.detector.shape[::-1]]
+        found = np.array(
             [
-                (
-                    (nx - 1) / 2 if star.x_0 is None else star.x_0,
-                    (ny - 1) / 2 if star.y_0 is None else star.y_0,
-                )
-                for star in self.stars
+                [c if value is None else value for value, c in zip(place, middle, strict=True)]
+                for place in ((star.x_0, star.y_0) for star in self.stars)
             ]
         )
+        on_sky = [i for i, star in enumerate(self.stars) if i and star.coord is not None]
+        if on_sky:
+            places = [sky_place(self.stars[i].coord, _middle_year(self.motion)) for i in on_sky]
+            found[on_sky] = self.wcs.wcs_world2pix(places, 0)
+        return found
 
     @property
     def wcs(self):
@@ -210,6 +245,100 @@ class Scene:
         metadata = TPFMetadata.of(self.detector, **scene_facts(self))
         cards = tan_projection(metadata, self.detector.shape).items()
         return WCS(fits.Header([(keyword, *card) for keyword, card in cards]))
+
+    @classmethod
+    def from_catalog(
+        cls, table, coord, detector, motion, *, target=None, orientation=0.0, wcs=None,
+        magnitude=None, magnitude_limit=None, background_stars=None, ref_epoch=None, psf=None,
+        **fields,
+    ):  # fmt: skip
+        """Return the scene of a star and its neighbors on the sky.
+
+        Parameters
+        ----------
+        table : astropy.table.Table, mapping or None
+            The catalog: columns ``ra`` and ``dec`` (deg, ICRS), a magnitude, and if wanted
+            proper motions ``pmra`` (times the cosine of the declination) and ``pmdec``, mas/yr,
+            and their ``ref_epoch`` (Julian year). Names of Gaia, of VizieR and of the missions'
+            catalogs are found. Stars without a place or a magnitude are left out with a warning;
+            missing proper motions are 0. None is no catalog.
+        coord : SkyCoord
+            Place of the target at the time of the motion.
+        detector : Detector
+            The pixels.
+        motion : Motion
+            The motion that all stars share. Proper motions move stars to its middle.
+        target : Star, optional
+            The target, with its signal; its ``x_0`` and ``y_0`` are where ``coord`` is, by default
+            the middle of the stamp. It replaces the star of the table within a pixel of
+            ``coord``, if there is one. By default that star is the target.
+        orientation : float or Quantity, optional
+            Position angle of the direction of growing rows, deg from north to east.
+        wcs : astropy.wcs.WCS, optional
+            World coordinates of the stamp, as of a target pixel file, in place of
+            ``orientation``. They give the target's place and the pixel scale, too; distortions
+            within the stamp are left out.
+        magnitude : str, optional
+            Column of the magnitudes; by default the mission's band, else ``mag``, else Gaia's G,
+            taken as the mission's.
+        magnitude_limit : float or Quantity, optional
+            Fainter stars of the table are left out.
+        background_stars : float or Quantity, optional
+            Draw stars down to this magnitude by `~scope_models.scene.catalog.star_counts`, fainter
+            than all that are used of the table, at random places. ``seed`` fixes them.
+        ref_epoch : float, Quantity or Time, optional
+            Epoch of the table's places, Julian year, if it has no column of it.
+        psf : astropy.modeling.Model, PRFGrid or callable, optional
+            PSF of all stars, or how it varies with the place: PRFs of several places, or a
+            function of detector column and row that returns a model. It is taken at the middle of
+            blocks of 64 by 64 pixels.
+        **fields
+            Other fields of `Scene`, as ``seed``, ``column`` and ``row``.
+
+        Returns
+        -------
+        Scene
+            The target and all stars whose light falls into the stamp: those on it, and those
+            outside that add more than 1 % of the noise of a dark pixel to any pixel.
+
+        Raises
+        ------
+        TypeError
+            If an argument is of the wrong kind.
+        ValueError
+            If the table lacks a column or has no star at ``coord``, or ``wcs`` is of another
+            field.
+
+        Warns
+        -----
+        CatalogWarning
+            If stars of the table are left out because a number is missing.
+
+        Examples
+        --------
+        >>> from astropy.coordinates import SkyCoord
+        >>> from scope_models import Detector, Motion, Scene
+        >>> table = {"ra": [40.0, 40.003], "dec": [-20.0, -19.998], "mag": [12.0, 14.5]}
+        >>> coord = SkyCoord(40.0, -20.0, unit="deg")
+        >>> scene = Scene.from_catalog(table, coord, Detector.k2(), Motion.k2_roll(50), seed=1)
+        >>> print(scene.positions.round(2))
+        [[5.   5.  ]
+         [2.45 6.81]]
+        """
+        check_coord(coord)
+        year = _middle_year(motion)
+        places, mags = read_catalog(table, detector.mission, magnitude, ref_epoch, year)
+        coord, target, others = find_target(coord, target, places, mags, detector.pixel_scale)
+        if wcs is not None:
+            place, scale, fields["matrix"] = star_frame(coord, detector.shape, wcs)
+            detector = detector.replace(pixel_scale=scale)
+            target = target.replace(x_0=place[0], y_0=place[1])
+        if psf is not None and hasattr(psf, "param_names"):
+            detector, psf = detector.replace(psf=psf), None
+        ra, dec = coord.icrs.ra.deg, coord.icrs.dec.deg
+        base = cls(target, detector, motion, ra=ra, dec=dec, orientation=orientation, **fields)
+        stars = place_stars(base, places, mags, others, magnitude_limit, background_stars, psf)
+        return base.replace(stars=stars)
 
     def replace(self, **changes):
         """Return a scene with some fields changed.
@@ -334,6 +463,12 @@ class Scene:
         return read_scene(path)
 
 
+def _middle_year(motion):
+    """Return the middle of a motion, Julian years."""
+    days = TIME_ZEROS[motion.time_format] + (motion.time[0] + motion.time[-1]) / 2
+    return 2000.0 + float(days - 2451545.0) / 365.25
+
+
 def _scene_of(values):
     """Return the scene of its fields."""
     return Scene(**values)
@@ -448,16 +583,17 @@ def describe_scene(scene):
                 "y_0": star.y_0,
                 "psf": describe_model(star.psf),
                 "signal": star.signal is not None,
+                **({} if star.coord is None else {"coord": describe_coord(star.coord)}),
             }
             for star in scene.stars
         ],
         "detector": _describe_detector(scene.detector),
         "motion": {
             "time_format": scene.motion.time_format,
-            "meta": _for_json(scene.motion.meta),
+            "meta": plain_tree(scene.motion.meta, str),
         },
-        "options": _for_json(
-            {name: value for name, value in scene.options.items() if name != "effects"}
+        "options": plain_tree(
+            {name: value for name, value in scene.options.items() if name != "effects"}, str
         ),
         "effects": [_describe_effect(effect) for effect in scene.effects],
     }
@@ -465,7 +601,10 @@ def describe_scene(scene):
 
 def scene_facts(scene):
     """Return what a file of the scene says of target and stamp: fields of `TPFMetadata`."""
-    x_0, y_0 = scene.positions[0].tolist()
+    ny, nx = scene.detector.shape
+    target = scene.stars[0]
+    x_0 = (nx - 1) / 2 if target.x_0 is None else target.x_0
+    y_0 = (ny - 1) / 2 if target.y_0 is None else target.y_0
     facts = {"target_id": 1, "magnitude": scene.stars[0].mag, "x_0": x_0, "y_0": y_0}
     facts |= {"seed": scene.seed} | dict(scene.metadata)
     identity = {name: getattr(scene, name) for name in _IDENTITY}
@@ -491,7 +630,7 @@ def _describe_effect(effect):
     return {
         "module": type(effect).__module__,
         "class": type(effect).__qualname__,
-        "parameters": {name: _for_json(packed(value)) for name, value in values.items()},
+        "parameters": {name: plain_tree(packed(value), str) for name, value in values.items()},
     }
 
 
@@ -527,15 +666,5 @@ def _star(described, number, table):
     """Return the star of a description."""
     signal = np.asarray(table[f"SIGNAL{number}"]) if described["signal"] else None
     psf = make_model(described["psf"])
-    return Star(described["mag"], described["x_0"], described["y_0"], psf, signal)
-
-
-def _for_json(value):
-    """Return a value that JSON can hold."""
-    if isinstance(value, np.generic):
-        return value.item()
-    if isinstance(value, Mapping):
-        return {str(key): _for_json(item) for key, item in value.items()}
-    if isinstance(value, tuple | list):
-        return [_for_json(item) for item in value]
-    return value if isinstance(value, (str, int, float, bool, type(None))) else str(value)
+    coord = make_coord(described.get("coord"))
+    return Star(described["mag"], described["x_0"], described["y_0"], psf, signal, coord)

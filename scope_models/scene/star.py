@@ -10,10 +10,12 @@ from astropy.modeling import Model
 from scope_models._arrays import plain_array, plain_time
 from scope_models._checks import checked_model, checked_number
 from scope_models.models import PRF
-from scope_models.models._description import value_key
+from scope_models.models._description import check_coord, value_key
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+
+    from astropy.coordinates import SkyCoord
 
 __all__ = ["Star"]
 
@@ -37,6 +39,10 @@ class Star:
         Relative flux of each cadence: a one-dimensional model or a function of time (days), or
         one number per cadence. It is the mean over the cadence:
         `~scope_models.TransitModel` averages with its ``exposure_time``. None is constant.
+    coord : SkyCoord or None, optional
+        Place on the sky, in place of ``x_0`` and ``y_0``: a scene puts the star where its world
+        coordinates say. With a proper motion it needs an ``obstime``, and is moved to the middle
+        of the scene's motion. Of the target it is the place that the stamp looks at.
 
     Raises
     ------
@@ -62,6 +68,7 @@ class Star:
     y_0: float | None = None
     psf: "Model | None" = None
     signal: "Model | Callable | np.ndarray | None" = None
+    coord: "SkyCoord | None" = None
 
     def __post_init__(self):
         """Check every field and bring it to its type."""
@@ -74,6 +81,8 @@ class Star:
         if self.psf is not None:
             PRF(self.psf)  # fails if it cannot be integrated over pixels
         put(self, "signal", _checked_signal(self.signal))
+        if self.coord is not None:
+            check_coord(self.coord)
 
     def __eq__(self, other):
         if not isinstance(other, Star):

@@ -79,7 +79,7 @@ def simulate(stars, detector=None, motion=None, *, keep_model=False, chunk_size=
     Warns
     -----
     LostLightWarning
-        If a star loses more than 5 % of its light off the stamp where the motion takes it
+        If the target loses more than 5 % of its light off the stamp where the motion takes it
         farthest, or more than 5 % of the charge of a cadence bleeds off the stamp.
 
     Notes
@@ -293,16 +293,16 @@ def _unused(name, taken):
 
 
 def _warn_of_lost_light(scene, lost):
-    """Warn of stars whose light falls off the stamp."""
+    """Warn of a target whose light falls off the stamp; that of neighbors may."""
     shape = scene.detector.shape
-    for (x_0, y_0), fraction in zip(scene.positions, lost, strict=True):
-        if fraction > _LARGEST_LOSS:
-            warnings.warn(
-                f"the star at x_0 = {x_0:g}, y_0 = {y_0:g} loses up to {100 * fraction:.1f} % of "
-                f"its light off the stamp of {shape[0]} x {shape[1]} pixels",
-                LostLightWarning,
-                stacklevel=3,
-            )
+    x_0, y_0 = scene.positions[0]
+    if lost[0] > _LARGEST_LOSS:
+        warnings.warn(
+            f"the star at x_0 = {x_0:g}, y_0 = {y_0:g} loses up to {100 * lost[0]:.1f} % of its "
+            f"light off the stamp of {shape[0]} x {shape[1]} pixels",
+            LostLightWarning,
+            stacklevel=3,
+        )
 
 
 def _warn_of_spilled_charge(fraction, shape):

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from astropy.io import fits
 from astropy.table import Table
+from astropy.wcs import WCS
 from matplotlib.image import imread
 
 from scope_models import __version__, read_scene, simulate
@@ -154,6 +155,53 @@ class TestSimulate:
         middle = table["TIME"][flux < 0.99 * flux.max()].mean()
         assert middle - table["TIME"][0] == pytest.approx(0.5, abs=0.0205)
 
+    def test_star_of_a_catalog(self, tmp_path, capsys):
+        catalog = tmp_path / "field.csv"
+        rows = ["ra,dec,phot_g_mean_mag", "150,10,12.5", "150.003,10.002,15.5", "150.001,9.998,20"]
+        catalog.write_text("\n".join(rows), encoding="utf-8")
+        path = tmp_path / "star.fits"
+        sky = ["--ra", "150", "--dec", "10", "--campaign", "14", "--channel", "31"]
+        options = ["--catalog", str(catalog), "--period", "1.0", "--depth", "0.02", "--no-noise"]
+        command_line = ["simulate", "--cadences", "60", "--output", str(path), *sky, *options]
+        assert main([*command_line, "--magnitude-limit", "18"]) == 0
+        assert capsys.readouterr().out.endswith("of 11 x 11 pixels, 2 stars\n")
+        scene = read_scene(path)
+        assert [star.mag for star in scene.stars] == [12.5, 15.5]
+        header = fits.getheader(path)
+        assert (header["CAMPAIGN"], header["CHANNEL"]) == (14, 31)
+        assert (header["RA_OBJ"], header["DEC_OBJ"]) == (150.0, 10.0)
+        x, y = WCS(fits.getheader(path, "APERTURE")).wcs_world2pix(150.003, 10.002, 0)
+        np.testing.assert_allclose(scene.positions[1], [x, y], atol=0.01)
+        signal, time = read_truth(path).relative_flux[0], read_truth(path).columns["TIME"]
+        assert signal.min() == pytest.approx(0.98, abs=1e-3)
+        low = time[signal < 0.9999] - time[0]
+        assert low.mean() == pytest.approx(0.5, abs=0.0205)
+        # A central transit in front of the Sun lasts 13 h in a year.
+        assert np.ptp(low) == pytest.approx(13 / 24 / 365.25 ** (1 / 3), abs=0.03)
+        assert main([*command_line, "--mag", "11", "--overwrite", "--background-stars", "19"]) == 0
+        assert read_scene(path).stars[0].mag == 11.0
+
+    @pytest.mark.parametrize(
+        ("options", "message"),
+        [
+            (["--ra", "10"], "--ra and --dec go together"),
+            (["--background-stars", "18"], "need --ra and --dec"),
+            (["--period", "2"], "--period and --depth go together"),
+            (["--t0", "2"], "--t0 and --duration need --period"),
+            (["--period", "2", "--depth", "0.1", "--transit", "1", "1", "0.1", "0.1"], "exclude"),
+        ],
+    )
+    def test_options_that_need_others(self, command, capsys, options, message):
+        assert command(*options)[0] == 2
+        assert message in capsys.readouterr().err
+
+    def test_telescope_on_the_ground(self, command):
+        status, path = command("--detector", "ground", "--mag", "16", "--seed", "1")
+        assert status == 0
+        scene = read_scene(path)
+        assert scene.detector.effects[1].aperture == 1.0
+        assert scene.motion.x.std() > 0.1
+
     def test_detector(self, command):
         status, path = command("--detector", "tess", "--shape", "7", "9", "--no-sensitivity")
         assert status == 0
@@ -165,6 +213,10 @@ class TestSimulate:
             assert np.diff(tpf.time.value) == pytest.approx(120 / 86400, rel=1e-3)
             assert np.all(tpf.pos_corr1 == 0)
         assert np.all(read_truth(path).maps["INTERPIXEL"] == 1)
+
+    def test_effects_of_the_mission(self, command):
+        _, path = command("--detector", "tess", "--cadences", "50", "--mission-effects")
+        assert [e.name for e in read_scene(path).effects] == ["CosmicRays", "ScatteredLight"]
 
     def test_detector_of_a_file(self, command, tmp_path):
         path = tmp_path / "detector.toml"
@@ -287,3 +339,12 @@ def test_answers_without_heavy_imports(argv):
     assert result.returncode == 0
     assert result.stdout
     assert result.stderr == "[]"
+
+
+def test_interrupt_during_the_first_import_is_one_line(monkeypatch, capsys):
+    def interrupted(name):
+        raise KeyboardInterrupt(name)
+
+    monkeypatch.setattr("scope_models.cli._main.importlib.import_module", interrupted)
+    assert main(["demo"]) == 130
+    assert capsys.readouterr().err == "scope-models: error: interrupted\n"

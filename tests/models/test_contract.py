@@ -13,7 +13,13 @@ from astropy.modeling.fitting import TRFLSQFitter
 
 import scope_models.models
 from scope_models import PRF, BivariateGaussianPSF, SensitivityPolynomial, TransitModel
-from scope_models.models import DiffusionSensitivity, GaussHermitePSF, TabulatedPRF, TabulatedPSF
+from scope_models.models import (
+    CorrectedPRF,
+    DiffusionSensitivity,
+    GaussHermitePSF,
+    TabulatedPRF,
+    TabulatedPSF,
+)
 
 RATE = u.electron / u.s
 
@@ -29,6 +35,12 @@ def _table(kind, model):
     return kind(model(x, y), 5, 7.0, 0.1, -0.2)
 
 
+def _corrected():
+    table = _table(TabulatedPRF, PRF(BivariateGaussianPSF(sigma_x=0.6, sigma_y=0.7)))
+    coefficients = {"c_1_0": 0.02, "c_2_0": 0.1, "c_1_1": -0.05}
+    return CorrectedPRF(table.array, 5, 7.0, 0.1, -0.2, order=2, **coefficients)
+
+
 # Each row: a model inside its domain; inputs inside its domain; the unit of its inputs and that of
 # its output for parameters with units; whether it is bounded; parameters that a fit to its own
 # values cannot tell from others.
@@ -40,6 +52,14 @@ MODELS = {
         "output_unit": RATE / u.pix**2,
         "bounded": True,
         "free": None,
+    },
+    "CorrectedPRF": {
+        "model": _corrected(),
+        "units": {"flux": RATE, "x_0": u.pix, "y_0": u.pix},
+        "input_unit": u.pix,
+        "output_unit": RATE,
+        "bounded": True,
+        "free": {"flux", "x_0", "y_0", "c_2_0", "c_1_1"},
     },
     "DiffusionSensitivity": {
         "model": DiffusionSensitivity(0.2),
@@ -247,6 +267,7 @@ def test_nan_is_refused(name):
     make = {
         "SensitivityPolynomial": lambda: SensitivityPolynomial((np.nan, 1)),
         "PRF": lambda: PRF(_two_components(), flux=np.nan),
+        "CorrectedPRF": lambda: CorrectedPRF(np.ones((7, 7)), flux=np.nan),
         "TabulatedPRF": lambda: TabulatedPRF(np.ones((7, 7)), flux=np.nan),
         "TabulatedPSF": lambda: TabulatedPSF(np.ones((7, 7)), flux=np.nan),
     }.get(name, lambda: type(model)(**values))

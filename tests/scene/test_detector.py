@@ -347,3 +347,12 @@ def test_repr_names_what_matters():
     text = repr(Detector.tess())
     for part in ("TESS", "11 x 11 px", "21 arcsec", "60 frames", "read noise 10 e-"):
         assert part in text
+
+
+def test_a_file_of_a_telescope_on_the_ground(tmp_path):
+    detector = Detector.ground(2.0, altitude=2635.0, airmass=1.3)
+    assert read_detector(detector.write(tmp_path / "ground.toml")) == detector
+    path = tmp_path / "own.toml"
+    path.write_text('preset = "k2"\n[[effects]]\neffect = "Nothing"\n', encoding="utf-8")
+    with pytest.raises(ValueError, match="the name of an `effect`, got 'Nothing'"):
+        read_detector(path)

@@ -113,15 +113,50 @@ def test_jitter_of_tess_falls_with_the_cadence():
 
 def test_last_campaign_of_k2_has_its_parts():
     motion = Motion.k2_final_campaign()
+    bits = MISSIONS["K2"].quality
     days = motion.time - motion.time[0]
     assert days[-1] == pytest.approx(26.4, abs=0.05)
+    assert (motion.cadenceno[0], motion.cadenceno[-1]) == (167333, 168623)
     distance = np.hypot(motion.x, motion.y)
-    coarse = motion.quality & MISSIONS["K2"].quality.coarse_point > 0
-    assert np.array_equal(coarse, (days < 8.5) | (days >= 15.5))
-    assert distance[days < 8.5].min() > 4
-    assert distance[~coarse].max() < 1.5
-    assert 2 < np.sqrt(np.mean(distance[days >= 15.5] ** 2)) < 4.5
-    assert motion.quality.any()
+    coarse = motion.quality & bits.coarse_point > 0
+    # The parts of the release notes, by their cadence numbers.
+    first, last = motion.cadenceno <= 167742, motion.cadenceno >= 168098
+    nominal = ~first & ~last
+    assert coarse[first].all()
+    assert not coarse[nominal].any()
+    assert distance[first].min() > 4
+    assert distance[nominal].max() < 1.5
+    assert 2 < np.sqrt(np.mean(distance[last] ** 2)) < 4.5
+    assert 0.2 < coarse[last].mean() < 0.95
+    fine = motion.quality & bits.no_fine_point == 0
+    assert np.array_equal(fine, (motion.cadenceno >= 167743) & (motion.cadenceno <= 168481))
+    # The roll walks too: across a field, stars move differently.
+    other = Motion.k2_final_campaign(field=(4.59, -1.35))
+    assert np.ptp((other.y - motion.y)[last]) > 2 * np.ptp((other.y - motion.y)[nominal])
+    with pytest.raises(ValueError, match="`campaign` must be 18 or 19, got 17"):
+        Motion.k2_final_campaign(campaign=17)
+
+
+def test_campaign_18_moves_as_its_file(shared_data):
+    real = Motion.from_file(shared_data / "k2_tpf/ktwo211983544-c18_lpd-targ.fits.gz")
+    made = Motion.k2_final_campaign(campaign=18, seed=2)
+    bits = MISSIONS["K2"].quality
+    assert np.array_equal(made.cadenceno, real.cadenceno)
+    np.testing.assert_allclose(made.time, real.time, atol=0.01)
+    away = made.quality & bits.coarse_point > 0
+    assert np.all(real.quality[away] & bits.coarse_point)
+    dumps = [np.flatnonzero(m.quality & bits.desaturation) for m in (made, real)]
+    assert all(np.all(np.abs(np.diff(d) - 96) <= 1) for d in dumps)
+    firings = [np.sum(m.quality & bits.thruster_firing > 0) for m in (made, real)]
+    assert firings[0] == pytest.approx(firings[1], rel=0.35)
+    rejected = bits.coarse_point | bits.manual_exclude | bits.no_data
+    spread, steps = [], []
+    for motion in (made, real):
+        kept = motion[motion.quality & rejected == 0]
+        spread.append(np.sqrt(np.linalg.eigvalsh(np.cov(kept.x, kept.y))))
+        steps.append(np.median(np.hypot(np.diff(kept.x), np.diff(kept.y))))
+    np.testing.assert_allclose(spread[0], spread[1], rtol=0.3)
+    assert steps[0] == pytest.approx(steps[1], rel=0.2)
 
 
 def test_ground_in_nights():
@@ -226,6 +261,13 @@ def test_tables_of_others_are_refused_or_converted(tmp_path):
         Motion.read(path)
     with pytest.raises(FileNotFoundError):
         Motion.read(tmp_path / "absent.ecsv")
+
+
+@pytest.mark.parametrize("name", [*GENERATORS, "k2_roll"])
+def test_every_motion_is_drawn(name):
+    ax = getattr(Motion, name)(20, seed=2).plot()
+    assert ax.get_xlabel() == "Column (pixel)"
+    plt.close("all")
 
 
 def test_plot():

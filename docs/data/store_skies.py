@@ -1,0 +1,71 @@
+"""Store what a page shows of a study of skies: ``python docs/data/store_skies.py NAME RESULTS``.
+
+NAME is "tess", "breathing" or "last-campaigns", RESULTS the directory of ``scope-models experiment
+NAME --directory RESULTS``. Written are, beside this file, the summary and the tables of the page.
+"""
+
+import csv
+import sys
+from pathlib import Path
+
+import numpy as np
+from astropy.table import Table
+
+FOLDER = Path(__file__).parent
+NOISE = {
+    "aperture": "aperture",
+    "wide": "wide",
+    "pld": "PLD",
+    "scene": "scene model",
+}
+SURVIVALS = {"pld_survival": "PLD keeps", "scene_survival": "scene model keeps"}
+COLUMNS = {
+    "tess": {"neighbors": "neighbors", "mag": "T", "pixels": "pixels", "share": "share"}
+    | {"model": "noise model", "floor": "light alone"}
+    | NOISE
+    | SURVIVALS,
+    "breathing": {"amplitude": "amplitude", "period": "period (d)"}
+    | {f"{name}_ratio": title for name, title in NOISE.items()}
+    | SURVIVALS,
+    "last-campaigns": {"part": "part", "mag": "Kp", "kept": "kept", "mission": "mission"}
+    | {"floor": "light alone"}
+    | NOISE
+    | SURVIVALS,
+}
+
+
+def _cell(value):
+    """Return a cell with three digits, empty where nothing was measured."""
+    if isinstance(value, str):
+        return value
+    return "" if not np.isfinite(value) else f"{value:.3g}" if value < 1000 else f"{value:.0f}"
+
+
+def tables(name, summary):
+    """Return the rows of all tables by their names."""
+    columns = COLUMNS[name]
+    noise = [[_cell(row[key]) for key in columns] for row in summary]
+    verdicts, checked = summary.meta["claims"], summary.meta["claims_checked"]
+    claims = [
+        [claim, verdict, _cell(checked.get(claim, np.nan))] for claim, verdict in verdicts.items()
+    ]
+    return {
+        "noise": [list(columns.values()), *noise],
+        "claims": [["claim", "verdict", "largest value over its limit"], *claims],
+    }
+
+
+def main(name, results):
+    """Write the tables."""
+    summary = Table.read(Path(results, "summary.ecsv"))
+    for column in summary.colnames:
+        if summary[column].dtype.kind == "f":
+            summary[column][:] = [float(f"{value:.5g}") for value in np.array(summary[column])]
+    summary.write(FOLDER / f"{name}.ecsv", overwrite=True)
+    for part, rows in tables(name, summary).items():
+        with (FOLDER / f"{name}_{part}.csv").open("w", newline="", encoding="utf-8") as file:
+            csv.writer(file, lineterminator="\n").writerows(rows)
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

@@ -1,0 +1,338 @@
+"""Stars of catalogs: their places on the sky, proper motions, and faint stars between them."""
+
+import warnings
+
+import astropy.units as u
+import numpy as np
+from astropy.coordinates import SkyCoord
+from astropy.table import Table
+from astropy.time import Time
+
+from scope_models._arrays import plain_array, plain_number
+from scope_models.exceptions import CatalogWarning
+from scope_models.io import TPFMetadata
+from scope_models.missions import MISSIONS
+from scope_models.models import PRFGrid
+from scope_models.models._description import check_coord
+from scope_models.models._series import unit_images
+from scope_models.scene.star import Star
+
+__all__ = ["star_counts"]
+
+# Names of columns, in lower case, in order of preference.
+_RA, _DEC = ("ra", "ra_icrs", "raj2000", "_raj2000"), ("dec", "de_icrs", "dej2000", "_dej2000")
+_PROPER_MOTIONS = (("pmra", "pm_ra_cosdec"), ("pmdec", "pmde", "pm_dec"))
+_EPOCH = ("ref_epoch", "epoch")
+_MAGNITUDES = {
+    "Kp": ("kp", "kpmag", "kepmag", "k2mag"),
+    "T": ("tmag", "tessmag", "t"),
+    "R": ("rmag", "r"),
+}
+_ANY_MAGNITUDE = ("mag", "magnitude", "phot_g_mean_mag", "gmag")
+_TARGET_RADIUS = 1.0  # px
+_FARTHEST = 200.0  # px beyond the stamp
+# A star outside matters if it adds this part of a dark pixel's noise to any pixel.
+_LEAST_NOISE = 0.01
+_PSF_BLOCK = 64  # px in which the PSF is taken as the same
+_BATCH = 64
+_BRIGHTEST, _LOWEST_LATITUDE = 5.0, 20.0
+
+
+def star_counts(mag, coord):
+    r"""Return the number of stars brighter than a magnitude in a direction.
+
+    The analytic form of Bahcall & Soneira's model of the Galaxy for the V band, good to about
+    15 % from V = 5 to 30 at galactic latitudes of more than 20 degrees. Nearer to the plane the
+    counts at 20 degrees are given, which are too few.
+
+    Parameters
+    ----------
+    mag : float, array_like or Quantity
+        Magnitude.
+    coord : SkyCoord
+        The direction.
+
+    Returns
+    -------
+    ndarray
+        Stars per square degree.
+
+    Raises
+    ------
+    TypeError
+        If ``coord`` is no place on the sky.
+
+    References
+    ----------
+    Bahcall, J. N. & Soneira, R. M. 1980, ApJS 44, 73, equation B1.
+
+    Examples
+    --------
+    >>> from astropy.coordinates import SkyCoord
+    >>> from scope_models.scene.catalog import star_counts
+    >>> pole = SkyCoord(0, 90, unit="deg", frame="galactic")
+    >>> print(star_counts([12, 16, 20], pole).round())
+    [  11.  188. 1440.]
+    """
+    m = plain_array(mag, u.mag, "mag")
+    check_coord(coord)
+    galactic = coord.galactic
+    latitude = max(abs(galactic.b.deg), _LOWEST_LATITUDE)
+    sin_b, cos_b = np.sin(np.radians(latitude)), np.cos(np.radians(latitude))
+    cos_l = np.cos(galactic.l.rad)
+    faint = np.clip(m, 12, 20) - 12
+    mu, gamma = 0.03 + 0.0075 * faint, 0.36 - 0.04 * faint
+    disk = 925 * 10 ** (0.035 * (m - 15.75)) / (1 + 10 ** (-0.132 * (m - 15.75))) ** 3
+    disk /= (sin_b * (1 - mu * cos_b / sin_b * cos_l)) ** (3 - 5 * gamma)
+    halo = 1050 * 10 ** (0.087 * (m - 17.5)) / (1 + 10 ** (-0.18 * (m - 17.5))) ** 2.5
+    return disk + halo / (1 - cos_b * cos_l) ** (1.45 - 0.2 * cos_b * cos_l)
+
+
+def star_frame(coord, shape, wcs):
+    """Return how the stamp lies on the sky, of its world coordinates.
+
+    Parameters
+    ----------
+    coord : SkyCoord
+        Place of the target.
+    shape : tuple of int
+        Rows and columns of the stamp.
+    wcs : astropy.wcs.WCS
+        Its world coordinates.
+
+    Returns
+    -------
+    tuple of tuple, float and tuple
+        The target's column and row, the size of a pixel (arcsec), and the matrix of a `Scene`.
+
+    Raises
+    ------
+    ValueError
+        If the target is far from the stamp.
+    """
+    x, y = (float(value) for value in wcs.world_to_pixel(coord))
+    if not np.hypot(x, y) < 10 * sum(shape):
+        raise ValueError(f"`coord` is far from the field of `wcs`: column {x:g}, row {y:g}")
+    steps = wcs.pixel_to_world([x + 1, x], [y, y + 1])
+    east, north = (q.to_value(u.arcsec) for q in coord.spherical_offsets_to(steps))
+    scale = float(np.sqrt(abs(east[0] * north[1] - east[1] * north[0])))
+    return (x, y), scale, tuple((np.concatenate([-east, north]) / scale).tolist())
+
+
+def find_target(coord, target, places, mags, pixel_scale):
+    """Return the target's place, the target, and which stars of a catalog are others.
+
+    Parameters
+    ----------
+    coord : SkyCoord
+        Where the target is.
+    target : Star or None
+        The target, if it is given.
+    places : SkyCoord or None
+        Places of the catalog's stars.
+    mags : ndarray
+        Their magnitudes.
+    pixel_scale : float
+        Size of a pixel, arcsec.
+
+    Returns
+    -------
+    tuple of SkyCoord, Star and ndarray of bool
+        The place, the target, and the other stars.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If the target is no star, or there is none at its place.
+    """
+    if not isinstance(target, Star | None):
+        raise TypeError(f"`target` must be a Star, got {target!r}")
+    others = np.ones(len(mags), dtype=bool)
+    distance = coord.separation(places).arcsec if len(mags) else np.array([np.inf])
+    nearest = int(np.argmin(distance))
+    if distance[nearest] <= pixel_scale:
+        others[nearest] = False
+        if target is None:
+            coord, target = places[nearest], Star(mags[nearest])
+    if target is None:
+        far = f"; the nearest is {distance[nearest] / 3600:.3g} deg away" if len(mags) else ""
+        raise ValueError(f"`table` has no star within a pixel of `coord`{far}: give the `target`")
+    return coord, target.replace(coord=None), others
+
+
+def place_stars(base, places, mags, others, magnitude_limit, background_stars, psf):
+    """Return the stars of a scene.
+
+    Parameters
+    ----------
+    base : Scene
+        A scene of the target, with its place on the sky.
+    places : SkyCoord or None
+        Places of the catalog's stars.
+    mags : ndarray
+        Their magnitudes.
+    others : ndarray of bool
+        Which of them are used.
+    magnitude_limit, background_stars : float, Quantity or None
+        As for `Scene.from_catalog <scope_models.Scene.from_catalog>`.
+    psf : PRFGrid, callable or None
+        PSF that varies with the place.
+
+    Returns
+    -------
+    list of Star
+        The target and the stars whose light falls into the stamp.
+    """
+    x, y = np.zeros((2, len(mags)))
+    if len(mags):
+        x, y = base.wcs.wcs_world2pix(np.column_stack([places.ra.deg, places.dec.deg]), 0).T
+    used = others & np.isfinite(x + y)
+    if magnitude_limit is not None:
+        used &= mags <= plain_number(magnitude_limit, u.mag, "magnitude_limit")
+    drawn = _draw(base, background_stars, mags[used])
+    x, y, mags = (np.append(a[used], b) for a, b in zip((x, y, mags), drawn, strict=True))
+    stars = (
+        [base.stars[0].replace(psf=_psf_at(psf, base, *base.positions[0]))]
+        if psf
+        else [base.stars[0]]
+    )
+    kept = _lighting(base, x, y, mags, stars[0].psf or base.detector.psf)
+    made = {}
+    for star in zip(mags[kept], x[kept], y[kept], strict=True):
+        block = tuple(_PSF_BLOCK * (value // _PSF_BLOCK + 0.5) for value in star[1:])
+        if psf is not None and block not in made:
+            made[block] = _psf_at(psf, base, *block)
+        stars.append(Star(*star, psf=made.get(block)))
+    return stars
+
+
+def _column(table, names, unit):
+    """Return the values of the first column of some names, or None."""
+    known = {name.lower(): name for name in table.colnames}
+    for name in names:
+        if name in known:
+            return plain_array(table[known[name]], unit, f"table[{known[name]!r}]")
+    return None
+
+
+def read_catalog(table, mission, magnitude, ref_epoch, year):
+    """Return places at a time, and magnitudes, of a catalog's stars.
+
+    Parameters
+    ----------
+    table : astropy.table.Table, mapping or None
+        The catalog.
+    mission : str
+        The mission, whose band the magnitudes are in.
+    magnitude : str or None
+        Column of the magnitudes.
+    ref_epoch : float, Quantity, Time or None
+        Epoch of the places, Julian year.
+    year : float
+        The time, Julian year.
+
+    Returns
+    -------
+    tuple of SkyCoord or None and ndarray
+        Places and magnitudes.
+
+    Raises
+    ------
+    ValueError
+        If a column is missing or has values outside its domain.
+    """
+    if table is None:
+        return None, np.zeros(0)
+    table = Table(table)
+    band = MISSIONS[mission].band if mission in MISSIONS else ""
+    names = (
+        (*_MAGNITUDES.get(band, ()), *_ANY_MAGNITUDE) if magnitude is None else (magnitude.lower(),)
+    )
+    ra, dec, mags = (
+        _column(table, *item) for item in ((_RA, u.deg), (_DEC, u.deg), (names, u.mag))
+    )
+    for wanted, values in ((_RA[0], ra), (_DEC[0], dec), (" or ".join(names), mags)):
+        if values is None:
+            raise ValueError(
+                f"`table` must have a column {wanted}, got {', '.join(table.colnames) or 'none'}"
+            )
+    if np.any(np.abs(dec) > 90):
+        raise ValueError("`table` must have declinations within -90 to 90")
+    good = np.isfinite(ra) & np.isfinite(dec) & np.isfinite(mags)
+    if not good.all():
+        warnings.warn(
+            f"{np.sum(~good)} of {len(good)} stars of the table have no place or no magnitude, "
+            "and are left out",
+            CatalogWarning,
+            stacklevel=3,
+        )
+    places = SkyCoord(ra[good], dec[good], unit=u.deg)
+    motions = [_column(table, names, u.mas / u.yr) for names in _PROPER_MOTIONS]
+    if None in [None if m is None else 0 for m in motions] or not good.any():
+        return places, mags[good]
+    since = year - _reference(table, ref_epoch)
+    offsets = [np.nan_to_num(m[good]) * (since[good] if np.ndim(since) else since) for m in motions]
+    return places.spherical_offsets_by(*(offset * u.mas for offset in offsets)), mags[good]
+
+
+def _reference(table, ref_epoch):
+    """Return the epoch of the places, Julian years."""
+    if ref_epoch is not None:
+        is_time = isinstance(ref_epoch, Time)
+        return ref_epoch.jyear if is_time else plain_number(ref_epoch, u.yr, "ref_epoch")
+    found = _column(table, _EPOCH, u.yr)
+    if found is None or not np.all(np.isfinite(found)):
+        raise ValueError(
+            "`ref_epoch` must be given for a `table` with proper motions and without its column"
+        )
+    return found
+
+
+def _draw(base, faintest, mags):
+    """Return columns, rows and magnitudes of stars that are fainter than a catalog's."""
+    if faintest is None:
+        return np.zeros((3, 0))
+    faintest = plain_number(faintest, u.mag, "background_stars")
+    generator = np.random.default_rng([base.seed or 0, 1])
+    grid = np.linspace(min(max(mags, default=_BRIGHTEST), faintest), faintest, 200)
+    counts = star_counts(grid, SkyCoord(base.ra, base.dec, unit=u.deg))
+    ny, nx = base.detector.shape
+    margin = 20
+    area = (nx + 2 * margin) * (ny + 2 * margin) * (base.detector.pixel_scale / 3600) ** 2
+    n = generator.poisson(area * (counts[-1] - counts[0]))
+    u_mag, u_x, u_y = generator.random((n, 3)).T
+    drawn = np.interp(counts[0] + u_mag * (counts[-1] - counts[0]), counts, grid)
+    return u_x * (nx + 2 * margin) - margin - 0.5, u_y * (ny + 2 * margin) - margin - 0.5, drawn
+
+
+def _lighting(base, x, y, mags, model):
+    """Return which stars light the stamp."""
+    detector, motion = base.detector, base.motion
+    ny, nx = detector.shape
+    near = []
+    for place, moved, n in ((x, motion.x, nx), (y, motion.y, ny)):
+        low, high = place + moved.min(), place + moved.max()
+        near.append(np.maximum(np.maximum(-0.5 - high, low - (n - 0.5)), 0))
+    outside = np.hypot(*near)
+    kept = outside == 0
+    seconds = detector.exposure_time
+    variance = detector.background * seconds + detector.cadence_read_noise**2
+    least = _LEAST_NOISE * max(np.sqrt(variance), 1.0) / seconds
+    candidates = np.flatnonzero((outside > 0) & (outside < _FARTHEST))
+    for part in np.split(candidates, range(_BATCH, len(candidates), _BATCH)):
+        # The place within the motion that is nearest to the middle of the stamp.
+        at = [
+            np.clip((n - 1) / 2, p[part] + m.min(), p[part] + m.max())
+            for p, m, n in ((x, motion.x, nx), (y, motion.y, ny))
+        ]
+        brightest = unit_images(model, detector.shape, *at).max(axis=(1, 2), initial=0.0)
+        kept[part] = brightest * detector.flux_from_mag(mags[part]) > least
+    return kept
+
+
+def _psf_at(psf, base, x, y):
+    """Return the PSF at a place of the stamp."""
+    column = TPFMetadata.column if base.column is None else base.column
+    row = TPFMetadata.row if base.row is None else base.row
+    at = psf.at if isinstance(psf, PRFGrid) else psf
+    return at(column + x, row + y)
