@@ -427,8 +427,9 @@ class PLDFit:
             ("transit survival", f"{self.transit_survival:.3f}"),
             ("fractions", "measured" if self.model.clean is None else "predicted"),
             ("constant light taken off", f"{100 * self.contamination:.1f} %"),
-            ("in pixels of other stars", f"{100 * self.crowding:.1f} %"),
         ]
+        if self.crowding:
+            rows.append(("in pixels of other stars", f"{100 * self.crowding:.1f} %"))
         if np.isfinite(self.trend_sigma):
             trend = f"{1e6 * self.trend_sigma:.0f} ppm, {self.trend_period:.2f} d"
             rows.append(("trend", trend))
