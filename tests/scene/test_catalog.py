@@ -158,7 +158,7 @@ def test_background_stars_follow_the_counts():
     detector = Detector.tess(shape=(100, 100))
     motion = Motion.still(3, time_format="btjd", start=1400.0)
     found = []
-    for seed in range(8):
+    for seed in range(5):
         scene = Scene.from_catalog(
             None, pole, detector, motion, target=Star(10.0), background_stars=17.0, seed=seed
         )
@@ -166,7 +166,7 @@ def test_background_stars_follow_the_counts():
         found.append([star.mag for star, here in zip(scene.stars[1:], on, strict=True) if here])
     area = (100 * 21 / 3600) ** 2
     expected = area * (star_counts(17.0, pole) - star_counts(5.0, pole))
-    assert np.mean([len(mags) for mags in found]) == pytest.approx(expected, rel=0.1)
+    assert np.mean([len(mags) for mags in found]) == pytest.approx(expected, rel=0.15)
     middle = np.median(np.concatenate(found))
     assert star_counts(middle, pole) == pytest.approx(star_counts(17.0, pole) / 2, rel=0.15)
 
