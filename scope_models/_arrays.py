@@ -1,5 +1,7 @@
 """The door for values with units: the one place where quantities, times and masks become arrays."""
 
+from collections.abc import Mapping
+
 import numpy as np
 from astropy import units as u
 from astropy.time import Time, TimeDelta
@@ -12,8 +14,10 @@ __all__ = [
     "plain_array",
     "plain_number",
     "plain_time",
+    "plain_tree",
     "refuse_unit",
     "unmasked",
+    "without_unit",
 ]
 
 # Times beyond this are Julian dates, modified or not, which no mission's times reach.
@@ -215,6 +219,37 @@ def plain_time(value, time_format, name):
             "astropy.time.Time converts"
         )
     return days
+
+
+def without_unit(value):
+    """Return the value of a quantity, and anything else as it is."""
+    return getattr(value, "value", value)
+
+
+def plain_tree(value, other=None):
+    """Return nested mappings, sequences and numpy's numbers as those of Python.
+
+    Parameters
+    ----------
+    value : object
+        Mappings become dict, tuples and lists become list.
+    other : callable, optional
+        What is called for a value that JSON cannot hold; by default it stays.
+
+    Returns
+    -------
+    object
+        The value.
+    """
+    if isinstance(value, np.generic):
+        return value.item()
+    if isinstance(value, Mapping):
+        return {str(key): plain_tree(item, other) for key, item in value.items()}
+    if isinstance(value, tuple | list):
+        return [plain_tree(item, other) for item in value]
+    if other is None or isinstance(value, str | int | float | bool | None):
+        return value
+    return other(value)
 
 
 def refuse_unit(array, name):

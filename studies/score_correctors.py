@@ -132,20 +132,23 @@ def main():
     logging.getLogger("lightkurve").setLevel(logging.CRITICAL)
     warnings.simplefilter("ignore")
     methods = options.methods.split(",")
-    for source in sorted(options.sky.glob("sky*.fits"))[: options.stars]:
+    sources = sorted(options.sky.glob("sky*.fits"))[: options.stars]
+    for source in sources:
         for method in methods:
             target = options.curves / method / source.name
             if not target.exists():
                 target.parent.mkdir(parents=True, exist_ok=True)
                 correct(source, target, method)
+    paths = [options.curves / method / source.name for source in sources for method in methods]
+    table = score_light_curves(paths)
+    table["method"] = [path.parent.name for path in paths]
+    table["seconds"] = [Table.read(path).meta["SECONDS"] for path in paths]
+    table.write(options.curves / "scores.ecsv", overwrite=True)
     for method in methods:
-        paths = sorted((options.curves / method).glob("*.fits"))[: options.stars]
-        table = score_light_curves(paths)
-        table.write(options.curves / f"{method}.ecsv", overwrite=True)
-        row = summarize_scores(table)[-1]
-        seconds = np.median([Table.read(path).meta["SECONDS"] for path in paths])
+        mine = table[table["method"] == method]
+        row = summarize_scores(mine)[-1]
         values = " ".join(f"{row[name]:9.3g}" for name in row.colnames[2:])
-        print(f"{method:10} {len(paths):5d} {values} {seconds:6.2f} s")
+        print(f"{method:10} {len(mine):5d} {values} {np.median(mine['seconds']):6.2f} s")
 
 
 if __name__ == "__main__":

@@ -43,26 +43,26 @@ def main(argv=None):
     >>> main(["simulate", "--mag", "12", "--psf", "-1", "1", "0", "--output", "star.fits"])
     2
     """
-    arguments = _make_parser().parse_args(argv)
-    if argv is None:  # as a program: what is half written is removed before the end
-        signal.signal(signal.SIGTERM, _terminate)
-    # Its logger takes over warnings when it is imported: before ours, which print one line.
-    importlib.import_module("astropy")
-    with warnings.catch_warnings():
-        warnings.showwarning = _show_warning
-        # lightkurve says at import that an optional part of it is absent
-        warnings.filterwarnings("ignore", ".*tpfmodel submodule is not available", UserWarning)
-        try:
+    try:
+        arguments = _make_parser().parse_args(argv)
+        if argv is None:  # as a program: what is half written is removed before the end
+            signal.signal(signal.SIGTERM, _terminate)
+        # Its logger takes over warnings when it is imported: before ours, which print one line.
+        importlib.import_module("astropy")
+        with warnings.catch_warnings():
+            warnings.showwarning = _show_warning
+            # lightkurve says at import that an optional part of it is absent
+            warnings.filterwarnings("ignore", ".*tpfmodel submodule is not available", UserWarning)
             return arguments.run(arguments) or 0
-        except (ImportError, MemoryError, OSError, TypeError, ValueError) as error:
-            _tell("error", error)
-            return 2
-        except KeyboardInterrupt:
-            _tell("error", "interrupted")
-            return 130
-        except _TerminatedError:
-            _tell("error", "terminated")
-            return 143
+    except (ImportError, MemoryError, OSError, TypeError, ValueError) as error:
+        _tell("error", error)
+        return 2
+    except KeyboardInterrupt:
+        _tell("error", "interrupted")
+        return 130
+    except _TerminatedError:
+        _tell("error", "terminated")
+        return 143
 
 
 class _TerminatedError(BaseException):

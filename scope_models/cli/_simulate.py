@@ -159,6 +159,11 @@ def _add_detector(group):
         action="store_true",
         help="pixels that all respond alike, and evenly within: the control",
     )
+    group.add_argument(
+        "--mission-effects",
+        action="store_true",
+        help="with the effects of the detector's mission: cosmic rays, smear and others",
+    )
     noise = group.add_mutually_exclusive_group()
     noise.add_argument(
         "--noise",
@@ -188,6 +193,7 @@ def run(arguments):
     motion = _make_motion(arguments, detector)
     noise = arguments.noise or not arguments.no_noise
     fields = {"seed": arguments.seed, "noise": noise, "n_sub": arguments.n_sub}
+    fields |= {"effects": "mission"} if arguments.mission_effects else {}
     scene = _make_scene(arguments, detector, motion, fields)
     observation = sm.simulate(scene)
     observation.write(arguments.output, overwrite=arguments.overwrite)

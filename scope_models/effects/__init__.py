@@ -12,6 +12,7 @@ from scope_models.effects.night_sky import NightSky, moon_geometry
 from scope_models.effects.presets import mission_effects
 from scope_models.effects.readout import ChargeTransferInefficiency, RollingBands
 from scope_models.effects.response import SensitivityDropouts, Throughput
+from scope_models.effects.shares import PixelShares
 
 __all__ = [
     "Argabrightening",
@@ -29,6 +30,7 @@ __all__ = [
     "Gaps",
     "Jitter",
     "NightSky",
+    "PixelShares",
     "RollingBands",
     "ScatteredLight",
     "Scintillation",

@@ -206,8 +206,8 @@ class Effect:
     each piece of the series. An effect implements those that it needs; the others do nothing.
     They act in this order:
 
-    1. light: `width`, `exposures`, `starlight` and `response`, before the charge of the stars is
-       known;
+    1. light: `width`, `exposures`, `shares`, `starlight` and `response`, before the charge of the
+       stars is known;
     2. light that is not the stars': `pedestal`;
     3. charge, after photon noise: `charge`;
     4. readout, before read noise and digitization: `readout`;
@@ -257,6 +257,24 @@ class Effect:
 
     def exposures(self, drawn, conditions):
         """Return offsets of the stars within each cadence, `Exposures`, or None."""
+
+    def shares(self, drawn, conditions, star):
+        """Return a function of columns, rows (m,) and a slice, or None.
+
+        Parameters
+        ----------
+        drawn : Drawn
+            The truth of the effect.
+        conditions : Conditions
+            What it needs of the scene.
+        star : int
+            Number of the star in the scene.
+
+        Returns
+        -------
+        callable or None
+            It returns what is added to the star's images of unit flux, shape (m, ny, nx).
+        """
 
     def starlight(self, drawn, conditions):
         """Return a factor on the stars' light, (n_cadences,) or (n_stars, n_cadences), or None."""

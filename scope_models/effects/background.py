@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from scope_models._arrays import plain_number
+from scope_models._arrays import plain_array, plain_number
 from scope_models._checks import checked_number, checked_pair
 from scope_models.effects._effect import Drawn, Effect
 
@@ -65,6 +65,9 @@ class Background(_Sky):
     residual : float, optional
         Part of the light that the subtraction of the background leaves in the flux; 0 subtracts
         all of it, 1 none.
+    left : array_like or Quantity, optional
+        What the subtraction leaves besides, by cadence, e-/s per pixel; negative where it
+        subtracts too much.
 
     Raises
     ------
@@ -91,10 +94,15 @@ class Background(_Sky):
     drift: float = 0.0
     gradient: tuple[float, float] = (0.0, 0.0)
     residual: float = 0.0
+    left: np.ndarray | None = None
 
     def __post_init__(self):
         put = object.__setattr__
         put(self, "level", checked_number("level", plain_number(self.level, _RATE, "level")))
+        if self.left is not None:
+            put(self, "left", plain_array(self.left, _RATE, "left"))
+            if self.left.ndim != 1 or not np.all(np.isfinite(self.left)):
+                raise ValueError("`left` must be a finite one-dimensional array")
         put(self, "drift", plain_number(self.drift, "electron / (s day)", "drift"))
         checked_number("drift", self.drift, any_sign=True)
         _checked(self, self.residual, self.gradient)
@@ -105,7 +113,20 @@ class Background(_Sky):
         level = self.level + self.drift * (time - (time[0] + time[-1]) / 2)
         if np.any(level < 0):
             raise ValueError(f"`drift` makes the background negative, {level.min():g} e-/s")
+        if self.left is not None and self.left.shape != time.shape:
+            raise ValueError(
+                f"`left` must give one number for each of the {len(time)} cadences, "
+                f"got {len(self.left)}"
+            )
         return self._drawn(conditions, level)
+
+    def pedestal(self, drawn, conditions, part, electrons):
+        """Return the light, and the part of it that is subtracted."""
+        added, subtracted = super().pedestal(drawn, conditions, part, electrons)
+        if self.left is not None:
+            left = self.left[part] * conditions.exposure_time
+            subtracted = subtracted - left[:, np.newaxis, np.newaxis]
+        return added, subtracted
 
 
 @dataclass(frozen=True, eq=False)

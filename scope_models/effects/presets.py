@@ -20,7 +20,7 @@ def mission_effects(detector):
     highest and the lowest of ten reads are dropped where the detector's cadence does so, and
     scattered light at both ends of an orbit. What is assumed is in the description of each
     effect. Effects without a number of the mission, as dropouts of the sensitivity, are not
-    among them.
+    among them. The width of a PRF table cannot change: leave the focus out with one.
 
     Parameters
     ----------

@@ -64,7 +64,7 @@ class LastCampaigns(Study):
         A target pixel or light-curve file of campaign 18 whose motion is taken; by default it is
         generated.
     files : tuple of str, optional
-        Real target pixel files, which are corrected, too.
+        Real target pixel files, which are corrected, too. Their noise is in EVEREST's convention.
 
     Raises
     ------
@@ -277,7 +277,10 @@ class LastCampaigns(Study):
 
 
 def _real_noise(path):
-    """Return the noise of a real star, as far as it can be measured without the truth."""
+    """Return the noise of a real star in EVEREST's convention, which wild cadences hardly change.
+
+    The aperture is the file's. What needs the truth is NaN.
+    """
     from scope_models.correctors import PLDCorrector, SceneCorrector  # they import lightkurve
 
     row = dict.fromkeys((*noise_units(), *SURVIVALS, "seen", "share"), np.nan)
@@ -285,8 +288,8 @@ def _real_noise(path):
         with quiet():
             corrector = make(path)
             light_curve = corrector.correct()
-        row["aperture"] = cdpp(corrector.original_lc, duration=_HOURS)
-        row[name] = cdpp(light_curve, duration=_HOURS)
+        row["aperture"] = cdpp(corrector.original_lc, duration=_HOURS, method="everest")
+        row[name] = cdpp(light_curve, duration=_HOURS, method="everest")
         row["kept"] = float(np.mean(np.isfinite(light_curve.flux.value)))
         row["pixels"] = int(corrector.aperture_mask.sum())
     return row

@@ -14,6 +14,7 @@ from typing import ClassVar
 import numpy as np
 from astropy.utils.exceptions import AstropyDeprecationWarning
 
+from scope_models._arrays import plain_tree
 from scope_models._checks import checked_integer, checked_number
 
 __all__ = ["Study"]
@@ -213,7 +214,7 @@ class Study(ABC):
             The name of the study and all fields.
         """
         values = {item.name: getattr(self, item.name) for item in dataclasses.fields(self)}
-        return {"study": self.name, **{key: _plain(value) for key, value in values.items()}}
+        return {"study": self.name, **plain_tree(values)}
 
     def star_seed(self, key, purpose=""):
         """Return the seed of a star, which depends on its key and the study's seed only.
@@ -298,8 +299,3 @@ def _strings(value):
     elif isinstance(value, tuple):
         for item in value:
             yield from _strings(item)
-
-
-def _plain(value):
-    """Return tuples as lists."""
-    return [_plain(item) for item in value] if isinstance(value, tuple) else value

@@ -6,11 +6,12 @@ from dataclasses import fields
 import numpy as np
 
 from scope_models._arrays import native
+from scope_models.effects import PixelShares
 from scope_models.fitting.result import FittedStar
 from scope_models.io import write_hdulist
 from scope_models.io._opening import RefusedError, open_fits
 from scope_models.models import PRF
-from scope_models.models._description import describe_model, make_model
+from scope_models.models._description import describe_model, make_model, packed, unpacked
 from scope_models.scene.detector import Detector
 
 __all__ = ["read_fit", "write_fit"]
@@ -32,6 +33,7 @@ _COLUMNS = {
     "focus": "",
 }
 _OF_STAR = ("x", "y", "flux", "x_err", "y_err", "flux_err")
+_OF_RESPONSE = ("held_out", "outliers")
 _IMAGES = ("covariance", "interpixel", "interpixel_err", "observed", "observed_err", "fitted")
 _NUMBERS = ("chi2", "n_data", "n_parameters", "error_scale", "converged", "n_steps", "time_format")
 
@@ -52,6 +54,10 @@ def write_fit(fit, path, *, overwrite):
         columns += [
             fits.Column(f"POS_CORR{i + 1}", "D", unit="pixel", array=fit.pos_corr[:, i])
             for i in (0, 1)
+        ]
+    if fit.response:
+        columns += [
+            fits.Column(name.upper(), "L", array=getattr(fit, name)) for name in _OF_RESPONSE
         ]
     table = fit.table()
     parameters = fits.BinTableHDU(table, name="PARAMETERS")
@@ -97,6 +103,9 @@ def _fields_of(hdus):
     if "POS_CORR1" in table.names:
         corrections = [native(table[f"POS_CORR{i}"]) for i in (1, 2)]
         values["pos_corr"] = np.column_stack(corrections)
+    for name in _OF_RESPONSE:
+        if name.upper() in table.names:
+            values[name] = native(table[name.upper()]).astype(bool)
     values |= {name: native(hdus[name.upper()].data) for name in _IMAGES}
     cube = native(hdus["NEIGHBORS"].data) if "NEIGHBORS" in hdus else ()
     values["neighbors"] = tuple(FittedStar(*star) for star in cube)
@@ -110,6 +119,10 @@ def _fields_of(hdus):
     kinds = [model.parameter_kinds.get(name, "other") for name in described["names"]]
     described["kinds"] = tuple(described.get("kinds", kinds))  # the first version had none
     described["at_bounds"] = tuple(described.get("at_bounds", ()))
+    described["response"] = tuple(
+        PixelShares(**{name: unpacked(value) for name, value in shares.items()})
+        for shares in described.get("response", ())
+    )
     described["parameters"] = np.array(described["parameters"], dtype=float)
     if described["options"]["interpixel"] is None:
         described["options"]["interpixel"] = np.inf
@@ -143,6 +156,11 @@ def _description(fit):
         "parameters": fit.parameters.tolist(),
         "options": options,
         "meta": dict(fit.meta),
+        "response": [
+            {item.name: packed(getattr(shares, item.name)) for item in fields(shares)}
+            for shares in fit.response
+        ],
+        "chi2_held_out": fit.chi2_held_out,
         **{name: getattr(fit, name) for name in _NUMBERS},
     }
 

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.ndimage import median_filter, uniform_filter1d
 
-from scope_models.effects import Focus
+from scope_models.effects import Background, Focus
 from scope_models.missions import MISSIONS
 from scope_models.models import SensitivityPolynomial
 from scope_models.scene.motion import Motion
@@ -17,6 +17,8 @@ _SMOOTHING_DAYS = 0.5
 # Pixels fainter than this part of the brightest one tell the noise without light.
 _FAINT = 0.05
 _FEWEST_CADENCES = 20
+# Bands of frequency in which power is compared with that of the noise.
+_BANDS = 40
 
 
 def make_scene(fit, positions, signal):
@@ -26,6 +28,11 @@ def make_scene(fit, positions, signal):
     if signal not in {"smooth", "fitted", "constant"}:
         raise ValueError(f"`signal` must be 'smooth', 'fitted' or 'constant', got {signal!r}")
     x, y = fit.x, fit.y
+    if fit.response and fit.pos_corr is not None:
+        x, y = (
+            path + denoised(fit, p - path, error)
+            for p, path, error in zip((x, y), fit.pos_corr.T, (fit.x_err, fit.y_err), strict=True)
+        )
     if positions == "path":
         if fit.pos_corr is None:
             raise ValueError("`positions` is 'path', but the file had no POS_CORR")
@@ -53,6 +60,9 @@ def make_scene(fit, positions, signal):
         time_format=fit.time_format,
     )
     effects = () if np.all(fit.focus == 1) else (Focus(series=fit.focus),)
+    if fit.response:
+        left = denoised(fit, fit.background, fit.background_err)
+        effects += (*fit.response, Background(left=left))
     identity = _identity(fit.meta, detector.mission)
     return Scene(stars, detector, motion, effects=effects, **identity)
 
@@ -80,7 +90,9 @@ def _signal(fit, kind):
     if kind == "constant":
         return None
     relative = fit.flux / np.median(fit.flux)
-    if kind == "smooth":
+    if kind == "smooth" and fit.response:
+        relative = denoised(fit, fit.flux, fit.flux_scatter) / np.median(fit.flux)
+    elif kind == "smooth":
         # Sums of pixels: unlike fitted fluxes they know nothing of errors of the PSF.
         background = fit.background[:, None, None]
         light = np.nansum(fit.observed - background, axis=(1, 2))
@@ -97,6 +109,31 @@ def _smooth(time, values):
     size = min(2 * round(_SMOOTHING_DAYS / step / 2) + 1, 2 * (len(values) // 2) + 1)
     values = median_filter(values, size, mode="nearest")
     return uniform_filter1d(values, size, mode="nearest")
+
+
+def denoised(fit, values, error):
+    """
+    Values whose scatter is what they have beyond their errors, at each time scale.
+
+    Parameters
+    ----------
+    fit : TPFFit
+        The fit.
+    values, error : ndarray of shape (n,)
+        Values by cadence, and their errors.
+
+    Returns
+    -------
+    ndarray of shape (n,)
+        The values, with their variations scaled down to the power that noise does not explain.
+    """
+    slow = _smooth(fit.time, values)
+    fast = np.where(fit.outliers, 0.0, values - slow)
+    spectrum = np.fft.rfft(fast)
+    power = uniform_filter1d(np.abs(spectrum) ** 2, max(len(spectrum) // _BANDS, 3))
+    noise = np.sum(np.where(fit.outliers, 0.0, error * fit.error_scale) ** 2)
+    part = np.clip(1 - noise / np.maximum(power, 1e-300), 0.0, 1.0)
+    return slow + np.fft.irfft(np.sqrt(part) * spectrum, len(fast))
 
 
 def _read_noise(fit):

@@ -9,11 +9,11 @@ import numpy as np
 from astropy.modeling import Model
 
 from scope_models._checks import checked_integer, checked_number
-from scope_models.fitting._data import detector_of, read_data
+from scope_models.fitting._data import detector_of, read_data, star_positions
 from scope_models.fitting._gather import make_results, warn_of_fit
 from scope_models.fitting._problem import FitOptions, FitStar, Problem
+from scope_models.fitting._response import fit_response
 from scope_models.fitting._solver import covariances, solve
-from scope_models.fitting._stars import star_positions
 from scope_models.fitting._start import (
     centroids,
     is_faint,
@@ -29,6 +29,7 @@ __all__ = ["fit_tpf"]
 _BACKGROUNDS = ("cadence", "constant", "none")
 _POSITIONS = ("free", "start", "prior", "path")
 _LOSSES = ("linear", "soft_l1")
+_RESPONSES = ("psf", "pixels")
 _NEIGHBOR_FLUXES = ("auto", "cadence", "constant")
 # Prior of the response between pixels where the caller leaves it to the data, and the scatter, in
 # standard deviations of the prior, that is no response.
@@ -52,7 +53,7 @@ _LARGEST_FLUX = 2.0
 _PATIENCE = 5.0
 # How often errors are scaled, at most, where the model is not true.
 _RESCALINGS = 8
-# At most so many cadences give the first guess for those of a long series.
+# So many cadences give the first guess for those of a long series.
 _FEW = 300
 
 
@@ -70,6 +71,7 @@ def fit_tpf(
     positions="start",
     position_error=0.01,
     focus=None,
+    response="psf",
     loss="linear",
     loss_scale=3.0,
     flux_err=None,
@@ -135,6 +137,10 @@ def fit_tpf(
         Shortest time, days, in which the width of the PSF changes: all distances from the star
         scale with a cubic spline of time, with a prior of 5 %, to first order in the change.
         None: the width is constant.
+    response : {"psf", "pixels"}, optional
+        "psf": the pixels are those of PSF, sensitivity and b alone. "pixels": each pixel's share
+        of a star's light is that plus a polynomial of fitted position and slow time, for real
+        files: see the Notes.
     loss : {"linear", "soft_l1"}, optional
         Least squares, or a loss that grows only linearly with residuals above ``loss_scale``,
         for data with cosmic rays.
@@ -181,6 +187,11 @@ def fit_tpf(
     Chi-squared is always that of the given errors. The coefficients of a sensitivity then
     describe errors of the PSF: they have no error (NaN), and neither have parameters at bounds.
 
+    With ``response="pixels"``, b is 1, and a polynomial for each pixel follows what PSF, focus and
+    pixels do; its degree and its priors follow from the data. Every tenth cadence is held out:
+    ``chi2_held_out`` is its chi-squared per degree of freedom. Outliers are left out, and the
+    loss is that of least squares. ``sensitivity``, ``focus`` and ``interpixel`` must be left out.
+
     Examples
     --------
     >>> from scope_models import Detector, Motion, Star, fit_tpf, simulate
@@ -208,6 +219,8 @@ def fit_tpf(
     files = list(tpf) if several else [tpf]
     if not files:
         raise ValueError("`tpf` must have at least one file")
+    if _one_of("response", response, _RESPONSES) == "pixels":
+        _check_pixels(options, sensitivity, interpixel)
     series = [_series(file) for file in files]
     places = _places(stars, neighbors, series, several=several)
     prf = make_prf(2 if psf is None else psf, sensitivity, options.empirical)
@@ -215,23 +228,44 @@ def fit_tpf(
     with _progress_bar(progress) as bar:
         steps = partial(solve, max_steps=max_steps, report=bar)
         choice = _Choice(psf is None and not empirical, interpixel is None, sensitivity)
-        problem, solution = _fitted(problem, choice, steps, max_steps)
-    fits = make_results(problem, solution, covariances(problem, solution), detectors, series)
+        candidates = _candidates(problem, choice)
+        if response == "pixels":
+            candidates = _rough(problem, choice)
+        few = choice.psf or response == "pixels"
+        tried, steps = _tried(candidates, choice, steps, max_steps, few=few)
+        fitted = tried if response == "pixels" else _finished(problem, *tried, steps)
+        fits = make_results(*fitted, covariances(*fitted), detectors, series)
+        if response == "pixels":
+            fits = fit_response(problem, fitted[0], fitted[1].state, fits, bar)
     for fit in fits:
         warn_of_fit(fit, stacklevel=3)
     return tuple(fits) if several else fits[0]
 
 
-def _fitted(problem, choice, steps, max_steps):
-    """Fit with the first of several models that describes the pixels, or with the best."""
+def _tried(candidates, choice, steps, max_steps, *, few):
+    """Fit the first of several models that describes some of the pixels, or the best."""
     tried = []
-    for candidate, limit in _candidates(problem, choice):
-        tried.append(_guess(candidate, partial(steps, max_steps=min(max_steps, limit))))
+    for candidate, limit in candidates:
+        # No more than enough for a choice or a rough model; a guess may have up to twice as many.
+        every = (len(candidate.flux) + few * (_FEW - 1)) // _FEW
+        limited = partial(steps, max_steps=min(max_steps, limit))
+        tried.append(_guess(candidate, limited, every))
         if _is_true(*tried[-1], strictly=choice.psf):
             break
     best = min(tried, key=lambda item: _rank(*item))
     steps = partial(steps, max_steps=min(max_steps, _MANY_STEPS)) if choice.psf else steps
-    return _finished(problem, *best, steps)
+    return best, steps
+
+
+def _check_pixels(options, sensitivity, interpixel):
+    """Check that nothing is fitted that the response of each pixel contains."""
+    for name, given in (
+        ("sensitivity", sensitivity is not None),
+        ("focus", options.focus is not None),
+        ("interpixel", bool(interpixel)),
+    ):
+        if given:
+            raise ValueError(f'`{name}` must be left out with response="pixels", which contains it')
 
 
 @dataclass(frozen=True)
@@ -257,6 +291,14 @@ def _candidates(problem, choice):
     options = {"interpixel": 0.0} if choice.interpixel else {}
     plain = _with(problem, **options, **_held(problem))
     for prf in (gaussians[-1], make_rich_prf(choice.sensitivity)):
+        yield replace(plain, prf=prf), _MANY_STEPS
+
+
+def _rough(problem, choice):
+    """Models to try of the PSF from which the pixels deviate, and how many steps each is worth."""
+    plain = _with(problem, interpixel=0.0, loss="soft_l1", **_held(problem))
+    prfs = [make_prf(1, None, 0), make_rich_prf(None)] if choice.psf else [problem.prf]
+    for prf in prfs:
         yield replace(plain, prf=prf), _MANY_STEPS
 
 
@@ -297,9 +339,9 @@ def _rank(problem, solution):
     return absorbs, strange, ends, problem.error_scale, information
 
 
-def _guess(problem, steps):
+def _guess(problem, steps, every):
     """Fit a part of a long series, or the whole of a short one."""
-    problem = problem.thinned(-(-len(problem.flux) // _FEW))
+    problem = problem.thinned(max(every, 1))
     # What the shape of the PSF can imitate is freed when the shape is about right.
     early = np.array([p.kind != "response" for p in problem.parameters], dtype=bool)
     state = starting_state(problem)

@@ -106,6 +106,14 @@ class TPFFit:
         Options of the fit.
     meta : mapping
         What the file says of the star.
+    response : tuple of PixelShares, optional
+        Changes of each pixel's share in the light of each star, if they were fitted.
+    held_out : ndarray of bool or None, optional
+        Cadences from which the response has not learned.
+    chi2_held_out : float, optional
+        Their chi-squared per degree of freedom; NaN without a response.
+    outliers : ndarray of bool or None, optional
+        Cadences that the response does not describe: no part of it, nor of chi-squared.
 
     Examples
     --------
@@ -155,6 +163,10 @@ class TPFFit:
     detector: Detector
     options: Mapping
     meta: Mapping
+    response: tuple = ()
+    held_out: np.ndarray | None = None
+    chi2_held_out: float = np.nan
+    outliers: np.ndarray | None = None
 
     def __post_init__(self):
         stars = [value for star in self.neighbors for value in vars(star).values()]
@@ -195,7 +207,7 @@ class TPFFit:
         """
         errors = dict(zip(self.names, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
         unknown = set(self.at_bounds)
-        if self.error_scale > 1 or self.reduced_chi2 > _TRUE_CHI2:
+        if self.response or self.error_scale > 1 or self.reduced_chi2 > _TRUE_CHI2:
             unknown |= set(self.model.response_powers)
         return {name: np.nan if name in unknown else error for name, error in errors.items()}
 
@@ -228,7 +240,10 @@ class TPFFit:
 
     @cached_property
     def _squares(self):
-        return (self.residual / self.observed_err) ** 2
+        squares = (self.residual / self.observed_err) ** 2
+        if self.outliers is not None:
+            squares[self.outliers] = np.nan
+        return squares
 
     @cached_property
     def chi2_pixels(self):
@@ -387,7 +402,8 @@ class TPFFit:
             The fitted positions, with their noise, or those of the affine map of POS_CORR.
         signal : {"smooth", "fitted", "constant"}, optional
             Relative flux: the sum of the pixels smoothed over half a day, the fitted fluxes with
-            their noise, or none.
+            their noise, or none. With a response of each pixel, "smooth" are the fitted fluxes
+            with the power, in 40 bands of frequency, that their errors do not explain.
 
         Returns
         -------
@@ -400,7 +416,8 @@ class TPFFit:
 
         Notes
         -----
-        The fitted background is not in the scene: it is what the file left in the pixels.
+        The fitted background is not in the scene: it is what the file left in the pixels. With a
+        response of each pixel, it is, and so are the shares of the pixels.
         """
         from scope_models.fitting._scene import make_scene
 
@@ -426,15 +443,35 @@ class TPFFit:
             f"{n} cadences of {ny} x {nx} pixels, {stars} star{'s' * (stars > 1)}, {state}",
             f"chi-squared per degree of freedom {self.reduced_chi2:.4g}, typically {typical:.4g}",
             f"errors of the pixels scaled by {self.error_scale:.3g}",
+            *self._of_response(),
             f"flux {flux:.6g} e-/s at column {x:.3f}, row {y:.3f}",
         ]
         for axis, r2, scale in zip("xy", self.path_r2(), self.path_scale(), strict=True):
             if np.isfinite(scale):
                 lines.append(f"motion along {axis}: {scale:.3f} of POS_CORR, R2 {r2:.3f}")
-        for row in self.table():
+        for star in self.neighbors:
+            x, y, flux = (np.median(values) for values in (star.x, star.y, star.flux))
+            lines.append(f"other star: {flux:.6g} e-/s at column {x:.3f}, row {y:.3f}")
+        table, kinds = self.table(), self.all_kinds
+        terms = [
+            kinds.get(name) in {"coefficient", "correction", "focus"} for name in table["name"]
+        ]
+        for row in table[~np.array(terms, dtype=bool)]:
             error = "fixed" if row["fixed"] else f"+- {row['error']:.2g}"
             lines.append(f"  {row['name']:18s} {row['value']:12.6g} {error} {row['unit']}".rstrip())
+        if any(terms):
+            lines.append(f"  and {sum(terms)} coefficients of smooth terms")
         return "\n".join([*lines, *(f"! {doubt}" for doubt in doubts_of(self))])
+
+    def _of_response(self):
+        """Lines of the summary on the response of each pixel."""
+        if self.response:
+            shares, n = self.response[0], int(self.outliers.sum())
+            yield (
+                f"shares of pixels of degree {shares.degree} in position, {shares.time_degree} in "
+                f"time; chi-squared of {int(self.held_out.sum())} held-out cadences "
+                f"{self.chi2_held_out:.4g}; {n} outliers left out"
+            )
 
     def plot(self):
         """

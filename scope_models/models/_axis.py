@@ -7,7 +7,7 @@ of which ``dh_k/dz = -sqrt(k + 1) h_{k+1}``; `scope_models.models._gaussian` say
 """
 
 from copy import copy
-from functools import cache
+from functools import cache, lru_cache
 
 import numpy as np
 from scipy.special import erf
@@ -291,6 +291,12 @@ class AxisTable:
         return table.reshape(-1, n_orders, pixels.size)
 
 
+@lru_cache(maxsize=32)
+def _known_panels(*_):
+    """Return the panels of the arguments: stars of the same PSF share them."""
+    return {}
+
+
 class AxisPanels:
     """
     The integrals of an `AxisTable`, as a function of position and width alone.
@@ -317,7 +323,7 @@ class AxisPanels:
         self._arguments = pixels, coefficients, n_orders
         self._sigma = sigma
         self._needed = np.abs(rho) ** (0.5 * np.arange(n_orders)) / _CHEBYSHEV_TOLERANCE
-        self._panels = {}
+        self._panels = _known_panels(pixels.tobytes(), sigma, coefficients.tobytes(), n_orders, rho)
 
     def __call__(self, center, scale=None):
         """
@@ -351,9 +357,10 @@ class AxisPanels:
 
     def _panel(self, key, center, scale):
         """Integrals within one panel, ``(m, n_orders * n)``."""
-        if key not in self._panels:
-            self._panels[key] = self._expand(key, 1 if scale is None else None)
-        expansion, sizes = self._panels[key]
+        known = key, scale is None  # a panel at one width is another one
+        if known not in self._panels:
+            self._panels[known] = self._expand(key, 1 if scale is None else None)
+        expansion, sizes = self._panels[known]
         if expansion is None:
             sigma = np.full(1, self._sigma) if scale is None else self._sigma * scale
             return self._direct(center, sigma)

@@ -7,7 +7,7 @@ import numpy as np
 from astropy import units as u
 from astropy.modeling import Parameter
 
-from scope_models._arrays import is_angle, plain_array
+from scope_models._arrays import is_angle, plain_array, without_unit
 
 __all__ = [
     "Domain",
@@ -96,7 +96,7 @@ class Domain:
         ValueError
             If a value lies outside.
         """
-        value = np.asarray(getattr(value, "value", value), dtype=float)
+        value = np.asarray(without_unit(value), dtype=float)
         wrong = ~_TESTS[self.condition](value)
         if np.any(wrong):
             raise ValueError(f"`{self.name}` must be {self.condition}, got {value[wrong].flat[0]}")

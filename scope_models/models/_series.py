@@ -3,6 +3,7 @@
 
 import numpy as np
 
+from scope_models._arrays import without_unit
 from scope_models.models._axis import FEW, ROWS, AxisPanels
 from scope_models.models._gaussian import (
     contract,
@@ -136,24 +137,19 @@ def _parts(psf, sensitivity):
     """Return fraction of the flux, offset from the star and unit product of each component."""
     terms = [term for term in expand(psf) if np.any(term.scale)]
     first = terms[0].densities[0].values
-    total = sum(term.scale * _number(term.densities[0].values["flux"]) for term in terms)
+    total = sum(term.scale * without_unit(term.densities[0].values["flux"]) for term in terms)
     responses = [Term()] if sensitivity is None else expand(sensitivity)
     parts = []
     for term in terms:
-        values = {name: _number(v) for name, v in term.densities[0].values.items()}
+        values = {name: without_unit(v) for name, v in term.densities[0].values.items()}
         fraction = float(term.scale * values["flux"] / total)
-        offset = [float(values[n] - _number(first[n])) for n in ("x_0", "y_0")]
+        offset = [float(values[n] - without_unit(first[n])) for n in ("x_0", "y_0")]
         model = term.densities[0].model
         values |= {"flux": 1.0, "x_0": 0.0, "y_0": 0.0}
         unit = Term(densities=(Factor(model, values),), sensitivities=term.sensitivities)
         several = [Term()] if is_pixel_integrated(model) else responses
         parts.extend((fraction, offset, unit * response) for response in several)
     return parts
-
-
-def _number(value):
-    """Return a value without its unit."""
-    return getattr(value, "value", value)
 
 
 def _gaussian(term):

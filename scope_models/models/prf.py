@@ -6,7 +6,7 @@ from astropy import units as u
 from astropy.modeling import Fittable2DModel, Parameter
 from astropy.modeling.models import Const2D
 
-from scope_models._arrays import plain_array
+from scope_models._arrays import plain_array, without_unit
 from scope_models.models._components import Component, Response
 from scope_models.models._parameters import InstanceParameters, check_model_parameters, one_number
 from scope_models.models._terms import expand, is_pixel_integrated
@@ -309,7 +309,7 @@ class PRF(InstanceParameters, Fittable2DModel):
         values = dict(zip(self.param_names, parameters, strict=True))
         unit = getattr(values["flux"], "unit", None)
         x, y = plain_array(x, u.pixel, "x"), plain_array(y, u.pixel, "y")
-        values = {name: _plain(value) for name, value in values.items()}
+        values = {name: without_unit(value) for name, value in values.items()}
         if all(np.size(value) == 1 for value in values.values()):
             values = {name: float(np.reshape(value, -1)[0]) for name, value in values.items()}
             images = self._images(PixelPoints(x, y), values)
@@ -340,7 +340,7 @@ class PRF(InstanceParameters, Fittable2DModel):
             One array per parameter, in their order.
         """
         values = {
-            name: float(np.reshape(_plain(value), -1)[0])
+            name: float(np.reshape(without_unit(value), -1)[0])
             for name, value in zip(self.param_names, parameters, strict=True)
         }
         points = PixelPoints(x, y)
@@ -437,13 +437,13 @@ class PRF(InstanceParameters, Fittable2DModel):
         """
         if shape is None or np.ndim(shape) > 1 or out is not None or coords is not None:
             return super().render(shape if out is None else out, flux if coords is None else coords)
-        values = {name: _plain(_value(getattr(self, name))) for name in self.param_names}
+        values = {name: without_unit(_value(getattr(self, name))) for name in self.param_names}
         given = {"flux": flux, "x_0": x_0, "y_0": y_0}
         given = {k: _value(getattr(self, k)) if v is None else v for k, v in given.items()}
         flux = given["flux"] if isinstance(given["flux"], u.Quantity) else np.asarray(given["flux"])
         values |= {name: plain_array(given[name], u.pixel, name) for name in ("x_0", "y_0")}
         for name, value in {
-            "flux": _plain(flux),
+            "flux": without_unit(flux),
             "x_0": values["x_0"],
             "y_0": values["y_0"],
         }.items():
@@ -456,7 +456,7 @@ class PRF(InstanceParameters, Fittable2DModel):
                 "`flux`, `x_0` and `y_0` must have the same length, got shapes "
                 f"{np.shape(flux)}, {values['x_0'].shape} and {values['y_0'].shape}"
             ) from error
-        values["flux"] = _plain(flux)
+        values["flux"] = without_unit(flux)
         images = self._images(PixelPoints.from_shape(shape), values)
         return images * flux.unit if isinstance(flux, u.Quantity) else images
 
@@ -510,11 +510,6 @@ class PRF(InstanceParameters, Fittable2DModel):
 # ---------------------------------------------------------------------------------------------
 def _value(parameter):
     return parameter.value if parameter.unit is None else parameter.quantity
-
-
-def _plain(value):
-    """A number or array without its unit."""
-    return value.value if isinstance(value, u.Quantity) else value
 
 
 def _like(source, name, *, fixed=None, description=None):

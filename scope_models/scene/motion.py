@@ -11,7 +11,7 @@ from types import MappingProxyType
 import astropy.units as u
 import numpy as np
 
-from scope_models._arrays import PER_PIXEL, plain_time
+from scope_models._arrays import PER_PIXEL, plain_time, plain_tree
 from scope_models._checks import checked_integer, checked_number
 from scope_models.effects.noise import check_seed, fresh_seed, stream
 from scope_models.io._atomic import atomic_path
@@ -883,7 +883,7 @@ class Motion:
         names = ("quality", "cadenceno")
         columns = {"time": self.time * u.day, "x": self.x * u.pix, "y": self.y * u.pix}
         table = QTable(columns | {name: getattr(self, name) for name in names})
-        table.meta = {"time_format": self.time_format, "motion": _plain_meta(self.meta)}
+        table.meta = {"time_format": self.time_format, "motion": plain_tree(self.meta)}
         with atomic_path(path, overwrite=overwrite) as temporary:
             table.write(temporary, format="ascii.ecsv", overwrite=True)
         return Path(path)
@@ -973,15 +973,6 @@ class Motion:
 def _checked_seed(seed):
     """Return a seed, a new one for None."""
     return fresh_seed() if seed is None else check_seed(seed)
-
-
-def _plain_meta(value):
-    """Return what is known of the source as what text holds."""
-    if isinstance(value, Mapping):
-        return {key: _plain_meta(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_plain_meta(item) for item in value]
-    return value.item() if isinstance(value, np.generic) else value
 
 
 def _checked_scale(pixel_scale):

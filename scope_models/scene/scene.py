@@ -9,7 +9,7 @@ from types import MappingProxyType
 import numpy as np
 from astropy.utils.exceptions import AstropyDeprecationWarning
 
-from scope_models._arrays import plain_number
+from scope_models._arrays import plain_number, plain_tree
 from scope_models._checks import checked_integer, checked_matrix
 from scope_models.effects import Effect, mission_effects
 from scope_models.effects._effect import checked_effects
@@ -590,10 +590,10 @@ def describe_scene(scene):
         "detector": _describe_detector(scene.detector),
         "motion": {
             "time_format": scene.motion.time_format,
-            "meta": _for_json(scene.motion.meta),
+            "meta": plain_tree(scene.motion.meta, str),
         },
-        "options": _for_json(
-            {name: value for name, value in scene.options.items() if name != "effects"}
+        "options": plain_tree(
+            {name: value for name, value in scene.options.items() if name != "effects"}, str
         ),
         "effects": [_describe_effect(effect) for effect in scene.effects],
     }
@@ -630,7 +630,7 @@ def _describe_effect(effect):
     return {
         "module": type(effect).__module__,
         "class": type(effect).__qualname__,
-        "parameters": {name: _for_json(packed(value)) for name, value in values.items()},
+        "parameters": {name: plain_tree(packed(value), str) for name, value in values.items()},
     }
 
 
@@ -668,14 +668,3 @@ def _star(described, number, table):
     psf = make_model(described["psf"])
     coord = make_coord(described.get("coord"))
     return Star(described["mag"], described["x_0"], described["y_0"], psf, signal, coord)
-
-
-def _for_json(value):
-    """Return a value that JSON can hold."""
-    if isinstance(value, np.generic):
-        return value.item()
-    if isinstance(value, Mapping):
-        return {str(key): _for_json(item) for key, item in value.items()}
-    if isinstance(value, tuple | list):
-        return [_for_json(item) for item in value]
-    return value if isinstance(value, (str, int, float, bool, type(None))) else str(value)

@@ -27,7 +27,7 @@ __all__ = [
 ]
 
 # Pixels and exposures per piece of work: few enough for arrays to stay in the processor's cache.
-_PIECE = 1 << 15
+_PIECE = 1 << 16
 # A pixel with less than this part of a star's light is dark. Interpolation errs by less.
 _DARK = 1e-13
 
@@ -52,6 +52,10 @@ class StarLight:
         Factor of the effects on the star's light.
     series : ImageSeries
         Renders the star at unit flux.
+    shares : tuple of callable, optional
+        What effects add to the images of unit flux.
+    shape : tuple of int, optional
+        Shape of the stamp, all of which shares light.
     """
 
     x: np.ndarray
@@ -62,10 +66,14 @@ class StarLight:
     relative_flux: np.ndarray
     passed: np.ndarray
     series: ImageSeries
+    shares: tuple = ()
+    shape: tuple = ()
 
     @property
     def window(self):
         """Rows and columns that the star lights, a tuple of two slices."""
+        if self.shares:
+            return slice(0, self.shape[0]), slice(0, self.shape[1])
         return self.series.window
 
     def images(self, cadences):
@@ -85,10 +93,16 @@ class StarLight:
         k = x.shape[1]
         widths = None if self.widths is None else np.repeat(self.widths[cadences], k)
         images = self.series(x.ravel(), y.ravel(), widths)
-        images[images < _DARK] = 0.0
         if k > 1:
             images = images.reshape(len(x), k, *images.shape[1:])
             images = np.einsum("mkyx,k->myx", images, self.weights)
+        if self.shares:
+            whole = np.zeros((len(x), *self.shape))
+            whole[:, *self.series.window] = images
+            images = sum(
+                (f(x @ self.weights, y @ self.weights, cadences) for f in self.shares), whole
+            )
+        images[images < _DARK] = 0.0
         flux = self.flux * (self.relative_flux * self.passed)[cadences]
         images *= flux[:, np.newaxis, np.newaxis]
         return images
@@ -159,13 +173,17 @@ def _star_lights(scene, conditions, effects):
     passed = _product(effect.starlight(drawn, conditions) for effect, drawn in effects)
     passed = np.broadcast_to(1.0 if passed is None else passed, (len(scene.stars), len(time)))
     expanded, lights = exposures.expanded(), []
-    for star, (x_0, y_0), factor in zip(scene.stars, scene.positions, passed, strict=True):
+    for number, star in enumerate(scene.stars):
+        x_0, y_0 = scene.positions[number]
         psf, response = _psf(star, detector), detector.sensitivity
         moved = exposures if exposures.blur and is_gaussian(psf, response) else expanded
         place = moved.x + x_0, moved.y + y_0
         series = ImageSeries(psf, response, detector.shape, *place, widths, moved.blur)
         flux, relative = detector.flux_from_mag(star.mag), star.relative_flux(time)
-        lights.append(StarLight(*place, moved.weights, widths, flux, relative, factor, series))
+        found = (effect.shares(drawn, conditions, number) for effect, drawn in effects)
+        shares = tuple(share for share in found if share is not None)
+        light = flux, relative, passed[number], series, shares, detector.shape
+        lights.append(StarLight(*place, moved.weights, widths, *light))
     return lights
 
 

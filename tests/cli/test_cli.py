@@ -214,6 +214,10 @@ class TestSimulate:
             assert np.all(tpf.pos_corr1 == 0)
         assert np.all(read_truth(path).maps["INTERPIXEL"] == 1)
 
+    def test_effects_of_the_mission(self, command):
+        _, path = command("--detector", "tess", "--cadences", "50", "--mission-effects")
+        assert [e.name for e in read_scene(path).effects] == ["CosmicRays", "ScatteredLight"]
+
     def test_detector_of_a_file(self, command, tmp_path):
         path = tmp_path / "detector.toml"
         text = 'preset = "k2"\nmission = "Kepler"\nshape = [9, 9]\nread_noise = 0\nn_frames = 1\n'
@@ -335,3 +339,12 @@ def test_answers_without_heavy_imports(argv):
     assert result.returncode == 0
     assert result.stdout
     assert result.stderr == "[]"
+
+
+def test_interrupt_during_the_first_import_is_one_line(monkeypatch, capsys):
+    def interrupted(name):
+        raise KeyboardInterrupt(name)
+
+    monkeypatch.setattr("scope_models.cli._main.importlib.import_module", interrupted)
+    assert main(["demo"]) == 130
+    assert capsys.readouterr().err == "scope-models: error: interrupted\n"

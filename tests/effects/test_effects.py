@@ -18,6 +18,7 @@ from scope_models.effects import (
     Gaps,
     Jitter,
     NightSky,
+    PixelShares,
     RollingBands,
     ScatteredLight,
     Scintillation,
@@ -53,6 +54,8 @@ EFFECTS = {
     "night sky": NightSky(1.5, np.linspace(-20.0, 40.0, 60), 50 * u.deg, 30.0, residual=0.1),
     "charge transfer": ChargeTransferInefficiency(1e-4, 1e-4),
     "rolling bands": RollingBands(rate=3.0),
+    "shares": PixelShares(np.full((3, 11, 11), 1e-3), (4, 6), (4, 6), (2144, 2146), 1),
+    "left": Background(left=np.linspace(-5.0, 5.0, 60)),
     "gaps": Gaps([(2144.5, 2144.8), (2145.0, 2145.0)]),
 }
 

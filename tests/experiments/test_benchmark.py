@@ -1,5 +1,7 @@
 """The benchmark is the same every time, and its scores are those of the truth."""
 
+import lzma
+
 import numpy as np
 import pytest
 from astropy.io import fits
@@ -116,6 +118,12 @@ def test_other_files_are_refused(tmp_path):
         score_light_curves([tmp_path / "sky001.fits"])
     with pytest.raises(FileNotFoundError):
         score_light_curves([tmp_path / "absent.fits"])
+    packed = tmp_path / "sky000.ecsv.xz"
+    packed.write_bytes(lzma.compress(bytes(1000)))
+    with pytest.raises(ValueError, match="is compressed in a way whose size is not checked"):
+        score_light_curves([packed])
+    with pytest.raises(ValueError, match="is no regular file"):
+        score_light_curves([tmp_path])
 
 
 def test_summary():

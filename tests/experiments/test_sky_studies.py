@@ -1,6 +1,8 @@
 """Studies of TESS, of breathing PSFs and of K2's last campaigns."""
 
+import csv
 import re
+import runpy
 
 import numpy as np
 import pytest
@@ -166,3 +168,17 @@ def test_a_real_star_of_campaign_18(shared_data, tmp_path):
     summary = run_experiment(study, tmp_path, progress=False).summary
     real = summary[summary["part"] == "ktwo211983544-c18_lpd-targ.fits.gz"]
     assert real["pld"][0] < real["aperture"][0]
+
+
+@pytest.mark.parametrize("name", SMALL)
+def test_tables_of_the_page(name, repository):
+    folder = repository / "docs" / "data"
+    stored = runpy.run_path(str(folder / "store_skies.py"))
+    summary = Table.read(folder / f"{name}.ecsv")
+    study = make_study(name)
+    assert {key: summary.meta[key] for key in study.config()} == study.config()
+    study.draw(None, summary)
+    plt.close("all")
+    for part, rows in stored["tables"](name, summary).items():
+        with (folder / f"{name}_{part}.csv").open(encoding="utf-8") as file:
+            assert list(csv.reader(file)) == rows

@@ -24,6 +24,19 @@ def make_observation(n=300, shape=(11, 11)):
     return simulate(Star(12.0), Detector.k2(shape=shape), Motion.k2_roll(n), seed=1)
 
 
+COMMAND = "import sys; from scope_models.cli import main; sys.exit(main())"
+PLANET = [
+    "--period",
+    "1.5",
+    "--t0",
+    "2145",
+    "--depth",
+    "0.01",
+    "--duration",
+    "0.2",
+    "--star",
+    "scene",
+]
 WRITE = """
 import sys
 from scope_models import Detector, Motion, Star, simulate
@@ -60,7 +73,7 @@ def test_kills_while_writing(sign, tmp_path):
 
 @POSIX
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["detrend", "simulate"])
+@pytest.mark.parametrize("name", ["detrend", "simulate", "fit", "inject"])
 def test_kills_of_commands(name, tmp_path):
     """What a killed command leaves is a whole file or none; the next run is as the first."""
     rng = np.random.default_rng(2)
@@ -70,9 +83,10 @@ def test_kills_of_commands(name, tmp_path):
     command = {
         "detrend": ["detrend", str(source), "--order", "1", "--output", str(output)],
         "simulate": ["simulate", "--mag", "12", "--seed", "1", "--output", str(output)],
+        "fit": ["fit", str(source), "--components", "1", "--output", str(output)],
+        "inject": ["inject", str(source), "--output", str(output), *PLANET],
     }[name]
-    code = "import sys; from scope_models.cli import main; sys.exit(main())"
-    command = [sys.executable, "-c", code, *command, "--overwrite"]
+    command = [sys.executable, "-c", COMMAND, *command, "--overwrite"]
     start = time.monotonic()
     subprocess.run(command, check=True, capture_output=True)
     length = time.monotonic() - start
@@ -91,6 +105,53 @@ def test_kills_of_commands(name, tmp_path):
     subprocess.run(command, check=True, capture_output=True)
     assert sorted(path.name for path in output.parent.iterdir()) == sorted(contents)
     assert output.read_bytes() == contents["out.fits"]
+
+
+@POSIX
+@pytest.mark.slow
+def test_kills_of_a_run_with_two_workers(tmp_path):
+    """12 kills at random moments: no orphan, and the resumed run gives the bytes of a whole one."""
+    rng = np.random.default_rng(3)
+    paths = [str(tmp_path / f"star{i}.fits") for i in range(12)]
+    for i, path in enumerate(paths):
+        simulate(Star(12.0), Detector.k2(shape=(9, 9)), Motion.k2_roll(200), seed=i).write(path)
+
+    def command(folder, workers):
+        options = ["--order", "1", "--output-dir", str(folder), "--workers", str(workers)]
+        return [sys.executable, "-c", COMMAND, "detrend", *paths, *options]
+
+    subprocess.run(command(tmp_path / "whole", 1), check=True, capture_output=True)
+    kills = 0
+    for run in range(4):
+        folder = tmp_path / f"run{run}"
+        for _ in range(3):
+            with subprocess.Popen(
+                command(folder, 2), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
+                start_new_session=True,
+            ) as process:  # fmt: skip
+                time.sleep(rng.uniform(1, 9))
+                process.send_signal(signal.SIGKILL if kills % 2 else signal.SIGTERM)
+                _, error = process.communicate()
+            kills += 1
+            assert "Traceback" not in error
+            end = time.monotonic() + 60
+            while has_processes(process.pid):
+                assert time.monotonic() < end, "workers outlive their parent"
+                time.sleep(0.2)
+        subprocess.run(command(folder, 2), check=True, capture_output=True)
+        for path in (tmp_path / "whole").glob("*.fits"):
+            assert (folder / path.name).read_bytes() == path.read_bytes()
+        names = [{path.name for path in one.iterdir()} for one in (folder, tmp_path / "whole")]
+        assert names[0] == names[1]
+
+
+def has_processes(group):
+    """Return whether a process group has processes."""
+    try:
+        os.killpg(group, 0)
+    except ProcessLookupError:
+        return False
+    return True
 
 
 _UNREADABLE = 77

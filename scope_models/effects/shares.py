@@ -1,0 +1,183 @@
+"""Shares of a star's light in each pixel, where they are not those of its PSF."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.polynomial import legendre
+
+from scope_models._arrays import plain_array
+from scope_models._checks import checked_integer, checked_pair
+from scope_models.effects._effect import Effect
+
+__all__ = ["PixelShares"]
+
+# Highest degree in position of what changes in time.
+_SLOW_DEGREE = 3
+
+
+@dataclass(frozen=True, eq=False)
+class PixelShares(Effect):
+    r"""What each pixel holds of a star's light beyond its PSF: smooth in position and slow time.
+
+    .. math:: S_p(x, y, t) = P_p(x, y) + \sum_{ijk} c_{p,ijk}\, L_i(u)\, L_j(v)\, L_k(w)
+
+    with the PSF's (and sensitivity's) share P of unit flux, Legendre polynomials L, and the
+    star's position and the time scaled to -1..1 as u, v and w. `fit_tpf(..., response="pixels")
+    <scope_models.fit_tpf>` measures them. Outside the ranges the last term is that of the
+    nearest place or time in them.
+
+    Parameters
+    ----------
+    coefficients : array_like of shape (k, ny, nx)
+        Coefficients c, in the order of `terms`.
+    x_range, y_range : tuple of float, optional
+        Least and largest column and row of the star, pixels of the stamp.
+    time_range : tuple of float, optional
+        First and last time, days.
+    degree : int, optional
+        Largest i + j.
+    time_degree : int, optional
+        Largest k; terms with k > 0 have i + j of 3 at most.
+    star : int, optional
+        Number of the star in the scene.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If an argument is of the wrong kind or shape.
+
+    Notes
+    -----
+    A share that would be negative is zero in a simulation.
+
+    Examples
+    --------
+    One per cent of the star's light is in the first pixel instead of the middle one:
+
+    >>> import numpy as np
+    >>> from scope_models import Detector, Motion, Star, simulate
+    >>> from scope_models.effects import PixelShares
+    >>> moved = np.zeros((1, 11, 11))
+    >>> moved[0, 0, 0], moved[0, 5, 5] = 0.01, -0.01
+    >>> shares = PixelShares(moved)
+    >>> scene = Star(12.0), Detector.k2(), Motion.still(3)
+    >>> with_it, without = (simulate(*scene, noise=False, effects=e) for e in (shares, ()))
+    >>> print(((with_it.flux - without.flux)[0, 0, 0] / 1.74e5).round(4))
+    0.01
+    """
+
+    coefficients: np.ndarray
+    x_range: tuple[float, float] = (0.0, 1.0)
+    y_range: tuple[float, float] = (0.0, 1.0)
+    time_range: tuple[float, float] = (0.0, 1.0)
+    degree: int = 0
+    time_degree: int = 0
+    star: int = 0
+
+    def __post_init__(self):
+        put = object.__setattr__
+        values = np.array(plain_array(self.coefficients, "", "coefficients"))
+        for name, unit in (("x_range", "pix"), ("y_range", "pix"), ("time_range", "day")):
+            pair = checked_pair(name, getattr(self, name), unit)
+            if not pair[0] < pair[1]:
+                raise ValueError(f"`{name}` must increase, got {pair}")
+            put(self, name, pair)
+        for name in ("degree", "time_degree", "star"):
+            put(self, name, checked_integer(name, getattr(self, name), 0))
+        if values.ndim != 3 or len(values) != len(self.terms) or not np.isfinite(values).all():
+            raise ValueError(
+                f"`coefficients` must be finite, of shape ({len(self.terms)}, ny, nx), "
+                f"got {values.shape}"
+            )
+        values.flags.writeable = False
+        put(self, "coefficients", values)
+
+    @property
+    def terms(self):
+        """Degrees i, j, k of the terms, shape ``(k, 3)``."""
+        return polynomial_terms(self.degree, self.time_degree)
+
+    def changes(self, x, y, time):
+        """Return the shares less those of the PSF.
+
+        Parameters
+        ----------
+        x, y : array_like of shape (n,)
+            Column and row of the star, pixels.
+        time : array_like of shape (n,)
+            Days.
+
+        Returns
+        -------
+        ndarray of shape (n, ny, nx)
+            Parts of the star's flux.
+        """
+        scaled = (
+            scaled_to(*pair)
+            for pair in ((x, self.x_range), (y, self.y_range), (time, self.time_range))
+        )
+        return np.tensordot(polynomials(self.terms, *scaled)[0], self.coefficients, axes=1)
+
+    def shares(self, drawn, conditions, star):
+        """Return the function that gives the changes of a star.
+
+        Parameters
+        ----------
+        drawn : Drawn
+            The truth of the effect.
+        conditions : Conditions
+            Times and shape.
+        star : int
+            Number of the star.
+
+        Returns
+        -------
+        callable or None
+            Function of columns, rows and a slice of cadences; None for other stars.
+        """
+        if star != self.star:
+            return None
+        if self.coefficients.shape[1:] != tuple(conditions.shape):
+            raise ValueError(
+                f"`coefficients` are of {self.coefficients.shape[1:]} pixels, the stamp has "
+                f"{tuple(conditions.shape)}"
+            )
+        return lambda x, y, part: self.changes(x, y, conditions.time[part])
+
+
+def polynomial_terms(degree, time_degree):
+    """Return the degrees i, j, k of the terms, lowest first, ``(k, 3)``."""
+    return np.array(
+        [
+            (i, n - i, k)
+            for k in range(time_degree + 1)
+            for n in range((min(degree, _SLOW_DEGREE) if k else degree) + 1)
+            for i in range(n + 1)
+        ]
+    )
+
+
+def scaled_to(values, limits):
+    """Return values scaled to -1..1 between limits, and the nearest of these outside."""
+    low, high = limits
+    return np.clip(2 * (np.asarray(values, dtype=float) - low) / (high - low) - 1, -1.0, 1.0)
+
+
+def polynomials(terms, u, v, w):
+    """Return the products of Legendre polynomials, and their derivatives by u and v, ``(n, k)``."""
+    degrees = terms.max(axis=0)
+    tables = [legendre.legvander(x, n) for x, n in zip((u, v, w), degrees, strict=True)]
+    columns, rows, times = (t[:, terms[:, axis]] for axis, t in enumerate(tables))
+    by_u, by_v = (_slopes(tables[axis])[:, terms[:, axis]] for axis in (0, 1))
+    return columns * rows * times, by_u * rows * times, columns * by_v * times
+
+
+def _slopes(table):
+    """Return the derivatives of Legendre polynomials from their values."""
+    result = np.zeros_like(table)
+    for n in range(1, table.shape[1]):
+        # P'_n = P'_(n - 2) + (2 n - 1) P_(n - 1)
+        result[:, n] = (2 * n - 1) * table[:, n - 1]
+        if n > 1:
+            result[:, n] += result[:, n - 2]
+    return result

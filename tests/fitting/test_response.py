@@ -1,0 +1,188 @@
+"""The response of each pixel: messy stars, the twin, files, bad input, real pixels."""
+
+import warnings
+
+import numpy as np
+import pytest
+
+from scope_models import Motion, TPFFit, fit_tpf, simulate
+from scope_models.effects import PixelShares
+from scope_models.effects.shares import polynomial_terms, polynomials
+from scope_models.exceptions import FitWarning
+from scope_models.experiments.skies import SkyRegime, make_sky
+from scope_models.photometry import cdpp
+
+# A PSF of many parts, random response within the pixels, focus: another renderer than ours.
+FAINT = SkyRegime("faint", magnitude=16.0, shape=(6, 6))
+
+
+def fitted(pixels, **options):
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", FitWarning)
+        return fit_tpf(pixels, response="pixels", **options)
+
+
+@pytest.fixture(scope="module")
+def sky():
+    return make_sky(FAINT, seed=5, n_cadences=400)
+
+
+@pytest.fixture(scope="module")
+def fit(sky):
+    return fitted(sky.to_tpf())
+
+
+def test_messy_pixels_are_described(sky, fit):
+    assert fit.converged
+    assert 0.95 < fit.reduced_chi2 < 1.12
+    assert abs(fit.chi2_held_out / fit.reduced_chi2 - 1) < 0.1
+    assert fit.held_out.sum() == len(fit.time) // 10
+    # A PSF alone does not describe them.
+    held = {"positions": "prior", "interpixel": 0.0}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", FitWarning)
+        assert fit_tpf(sky.to_tpf(), psf=1, **held).reduced_chi2 > 1.5 * fit.reduced_chi2
+
+
+def test_flux_and_positions(sky, fit):
+    """They are right but for their gauge: smooth functions of the position."""
+    index = np.searchsorted(sky.cadenceno, fit.cadenceno)
+    x, y, t = sky.x[index], sky.y[index], fit.time - fit.time.mean()
+    gauge = np.column_stack([np.ones(len(x)), x, y, x * x, x * y, y * y, t, t * x, t * y])
+    truth = (
+        (fit.flux / sky.true_flux[index], fit.flux_err),
+        (fit.x, fit.x_err),
+        (fit.y, fit.y_err),
+    )
+    for found, error in truth:
+        rest = found - gauge @ np.linalg.lstsq(gauge, found, rcond=None)[0]
+        assert 0.85 < 1.4826 * np.median(np.abs(rest / error)) < 1.15
+    assert min(fit.path_scale()) > 0.9
+    assert max(fit.path_scale()) < 1.1
+
+
+def test_sum_of_shares_and_background(fit):
+    """No part of the model is common to all pixels: sums are those of PSF and background."""
+    light = (
+        np.nansum(fit.fitted, axis=(1, 2)) - np.isfinite(fit.fitted).sum((1, 2)) * fit.background
+    )
+    expected = fit.flux * fit.model.unit_images(fit.shape, fit.x, fit.y).sum(axis=(1, 2))
+    full = np.isfinite(fit.fitted).all(axis=(1, 2))
+    np.testing.assert_allclose(light[full], expected[full], rtol=0.03)
+
+
+def test_the_twin_has_the_shares(fit):
+    scene = fit.scene(signal="fitted").replace(noise=())
+    assert any(isinstance(effect, PixelShares) for effect in scene.effects)
+    model = simulate(scene).model() + fit.scene().effects[-1].left[:, None, None]
+    inside = np.isfinite(fit.fitted)
+    # Negative shares are zero there, and positions and backgrounds have less noise.
+    difference = (model - fit.fitted)[inside] / fit.observed_err[inside]
+    assert np.std(difference) < 0.5
+
+
+def test_the_twin_scatters_as_the_star(sky, fit):
+    twin = simulate(fit.scene().replace(seed=3))
+    observed = np.where(np.isfinite(fit.observed), fit.observed, fit.fitted)
+    good = ~fit.outliers
+    for aperture in (sky.aperture, np.ones(fit.shape, dtype=bool)):
+        real, again = (np.sum(cube[good][:, aperture], axis=1) for cube in (observed, twin.flux))
+        assert abs(cdpp(again) / cdpp(real) - 1) < 0.2
+
+
+def test_files(fit, tmp_path):
+    again = TPFFit.read(fit.write(tmp_path / "fit.fits"))
+    assert again.response == fit.response
+    assert again.chi2_held_out == fit.chi2_held_out
+    np.testing.assert_array_equal(again.held_out, fit.held_out)
+    np.testing.assert_array_equal(again.outliers, fit.outliers)
+    assert again.scene() == fit.scene()
+    assert "held-out cadences" in again.summary()
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"response": "pixel"}, "`response` must be one of psf, pixels"),
+        ({"interpixel": 0.01}, "`interpixel` must be left out with response"),
+        ({"focus": 2.0}, "`focus` must be left out with response"),
+    ],
+)
+def test_bad_options(sky, options, message):
+    with pytest.raises(ValueError, match=message):
+        fit_tpf(sky.to_tpf(), **{"response": "pixels", **options})
+
+
+def test_without_pos_corr(sky):
+    tpf = sky.to_tpf()[:150]
+    for name in ("POS_CORR1", "POS_CORR2"):
+        tpf.hdu[1].data[name][:] = np.nan
+    found = fitted(tpf)
+    assert found.pos_corr is None
+    assert 0.9 < found.reduced_chi2 < 1.2
+
+
+class TestShares:
+    def test_derivatives(self):
+        generator = np.random.default_rng(1)
+        terms = polynomial_terms(5, 2)
+        u, v, w = generator.uniform(-1, 1, (3, 20))
+        _, by_u, by_v = polynomials(terms, u, v, w)
+        step = 1e-6
+        for slopes, (du, dv) in ((by_u, (step, 0.0)), (by_v, (0.0, step))):
+            ends = [polynomials(terms, u + s * du, v + s * dv, w)[0] for s in (1, -1)]
+            np.testing.assert_allclose(slopes, (ends[0] - ends[1]) / (2 * step), atol=1e-7)
+
+    def test_changes_stop_at_the_ranges(self):
+        coefficients = np.random.default_rng(2).normal(size=(len(polynomial_terms(2, 1)), 3, 4))
+        shares = PixelShares(coefficients, (1.0, 2.0), (0.5, 1.5), (0.0, 10.0), 2, 1)
+        inside = shares.changes([2.0], [0.5], [10.0])
+        np.testing.assert_allclose(shares.changes([5.0], [-1.0], [99.0]), inside)
+
+    @pytest.mark.parametrize(
+        ("changes", "message"),
+        [
+            ({"coefficients": np.zeros((2, 3, 3))}, r"`coefficients` must be finite, of shape \(3"),
+            ({"coefficients": np.full((3, 3, 3), np.nan)}, "`coefficients` must be finite"),
+            ({"x_range": (2.0, 1.0)}, "`x_range` must increase"),
+            ({"degree": -1}, "`degree` must"),
+        ],
+    )
+    def test_bad_values(self, changes, message):
+        given = {"coefficients": np.zeros((3, 3, 3)), "x_range": (0, 1), "y_range": (0, 1)}
+        given |= {"time_range": (0, 1), "degree": 1}
+        with pytest.raises(ValueError, match=message):
+            PixelShares(**(given | changes))
+
+    def test_of_another_stamp(self):
+        from scope_models import Detector, Star
+
+        shares = PixelShares(np.zeros((1, 3, 3)), (0, 1), (0, 1), (0, 1), 0)
+        with pytest.raises(ValueError, match=r"`coefficients` are of \(3, 3\) pixels"):
+            simulate(Star(12.0), Detector.k2(), Motion.still(3), effects=shares)
+
+
+REAL = {
+    "k2_tpf/ktwo211956421-c05_lpd-targ.fits.gz": (1.35, 1.4),
+    "k2_tpf/ktwo211983544-c18_lpd-targ.fits.gz": (1.4, 1.3),
+    "kepler_tpf/kplr009002278-2010174085026_lpd-targ.fits.gz": (1.5, 1.5),
+    **{f"kepler_q12_ch4/tpf_0{n}.fits.gz": (1.5, 1.5) for n in (1, 2, 4, 5, 6, 7, 8)},
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", REAL)
+def test_real_pixels(shared_data, name):
+    found = fitted(shared_data / name)
+    image = np.median(np.nan_to_num(found.observed), axis=0)
+    brightest = found.chi2_pixels.ravel()[np.argsort(-image.ravel())[:6]]
+    assert np.nanmedian(found.chi2_pixels) <= REAL[name][0]
+    assert brightest.mean() <= REAL[name][1]
+    assert abs(found.chi2_held_out / found.reduced_chi2 - 1) < 0.1
+    assert found.converged
+    for scale, r2, moved in zip(
+        found.path_scale(), found.path_r2(), found.pos_corr.std(axis=0), strict=True
+    ):
+        if moved > 0.05:
+            assert 0.9 < scale < 1.1
+            assert r2 > 0.98
