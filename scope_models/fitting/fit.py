@@ -49,6 +49,8 @@ _POSITION_PART = 0.1
 _HELD = 0.001
 # Flux over the light in the stamp from which a model has invented it.
 _LARGEST_FLUX = 2.0
+# Part of the light in the stamp below which that is so too; every so many cadences give it.
+_LEAST_INSIDE, _SOME = 0.8, 10
 # Seconds after which a fit shows its progress.
 _PATIENCE = 5.0
 # How often errors are scaled, at most, where the model is not true.
@@ -332,6 +334,8 @@ def _rank(problem, solution):
     at_bound = np.any((shared <= limits.lower) | (shared >= limits.upper))
     light = np.median(problem.flux[:, problem.slices[0]].sum(axis=1))
     strange = not 0 < np.median(problem.fluxes(solution.state)) < _LARGEST_FLUX * abs(light)
+    images = problem.unit_images(solution.state, slice(None, None, _SOME))
+    strange |= np.median(images.sum(axis=1)) < _LEAST_INSIDE
     # A free response between pixels describes errors of the PSF where the model is not true.
     absorbs = bool(problem.options.interpixel) and not _is_true(problem, solution)
     information = solution.equations.cost + problem.n_shared * np.log(problem.n_data)
