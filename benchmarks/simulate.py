@@ -21,8 +21,9 @@ from pathlib import Path
 
 import numpy as np
 from _common import report_environment
+from astropy.coordinates import SkyCoord
 
-from scope_models import BivariateGaussianPSF, Detector, Motion, Star, simulate
+from scope_models import BivariateGaussianPSF, Detector, Motion, Scene, Star, simulate
 
 N_CADENCES = 3600
 REPEATS = 7
@@ -136,6 +137,21 @@ def report_scaling():
         print(f"  {n:8d}  {n_stars:5d}  {side:2d} x {side:2d}  {1e3 * taken:8.1f}  {per_item:5.1f}")
 
 
+def report_field():
+    print("\nA catalog: 100 cadences of 100 x 100 pixels with 500 stars")
+    rng, coord = np.random.default_rng(1), SkyCoord(150.0, 10.0, unit="deg")
+    ra, dec = 150 + (rng.random((2, 500)) - 0.5) * 100 * 3.98 / 3600
+    table = {"ra": ra, "dec": dec - 140, "mag": rng.uniform(12, 18, 500)}
+    arguments = table, coord, Detector.k2(shape=(100, 100)), Motion.k2_roll(100)
+    options = {"target": Star(12.0), "seed": 1}
+    scene = Scene.from_catalog(*arguments, **options)
+    for name, call in (
+        ("scene of the catalog", lambda: Scene.from_catalog(*arguments, **options)),
+        ("simulated", lambda: simulate(scene)),
+    ):
+        print(f"  {name:24s} {seconds(call, 3):7.2f} s")
+
+
 def report_memory():
     print("\nMemory: peak of a simulation over the size of its cubes")
     for n in (1000, 4000, 16000):
@@ -169,6 +185,7 @@ def main():
     report_speed()
     report_effects()
     report_scaling()
+    report_field()
     report_memory()
 
 

@@ -6,8 +6,8 @@ the motion of K2 to 0.1 %; on real pixels a chi-squared per pixel below that of 
 GaussianPRF for each cadence.
 
 Run as ``OMP_NUM_THREADS=1 python studies/fitting.py``, with any of ``pulls``, ``scenes FILE``,
-``defaults FOLDER``, ``real FOLDER``, ``terms FOLDER``, ``drop FOLDER`` and ``twin FOLDER``, where
-FOLDER has the archive files. ``scenes`` continues where its FILE ends.
+``defaults FOLDER``, ``real FOLDER``, ``terms FOLDER``, ``drop FOLDER``, ``response FOLDER`` and
+``twin FOLDER``, where FOLDER has the archive files. ``scenes`` continues where its FILE ends.
 """
 
 import json
@@ -24,6 +24,7 @@ from astropy.modeling.models import Const2D
 from astropy.utils.exceptions import AstropyUserWarning
 
 from scope_models import (
+    PRF,
     BivariateGaussianPSF,
     Detector,
     Motion,
@@ -388,59 +389,90 @@ def report_drop(folder):
     print()
 
 
-def light_curves(tpf):
-    """Return cadence numbers, times and the summed and de-trended light curves."""
-    corrector = PLDCorrector(tpf)
-    corrected = corrector.correct()
-    raw = tpf.to_lightcurve(aperture_mask=corrector.aperture_mask)
+def report_response(folder):
+    """The response of each pixel: misfit, positions and time of every shared file."""
+    print("Chi-squared per degree of freedom: all, median pixel, six brightest, held-out cadences")
+    folder = Path(folder)
+    paths = [folder / name for name in FILES.values()]
+    crowd = sorted((folder / "kepler_q12_ch4").glob("*.fits.gz"))
+    for path in (*paths, *crowd):
+        begin = time.process_time()
+        line_of(path.name, fit_tpf(path, response="pixels"), time.process_time() - begin)
+    begin = time.process_time()
+    fits = fit_tpf(crowd, response="pixels")
+    for path, fit in zip(crowd, fits, strict=True):
+        line_of(f"together {path.name}", fit, time.process_time() - begin)
+    table = PRF.from_tess(folder / "tess_prf", 2, 3, 1078, 889)
+    begin = time.process_time()
+    tess = folder / "tess_tpf" / "tesssip_tpf1.fits"
+    fit = fit_tpf(tess, table, stars="find", response="pixels")
+    line_of(f"{tess.name}, official PRF", fit, time.process_time() - begin)
+
+
+def line_of(name, fit, seconds):
+    """Print what a fit has found."""
+    image = np.median(np.nan_to_num(fit.observed), axis=0).ravel()
+    six = fit.chi2_pixels.ravel()[np.argsort(-image)[:6]]
+    hits = np.isnan(fit.observed[:, np.isfinite(fit.observed).any(axis=0)]).mean()
+    r2, scale = fit.path_r2(), fit.path_scale()
+    used = ~fit.outliers
+    print(
+        f"  {name:52s} {fit.reduced_chi2:.2f} {np.nanmedian(fit.chi2_pixels):.2f} "
+        f"{six.mean():.2f} {fit.chi2_held_out:.2f}; degrees {fit.response[0].degree} "
+        f"{fit.response[0].time_degree}; outliers {100 * fit.outliers.mean():.1f} % of cadences, "
+        f"{100 * hits:.2f} % of values; R2 {r2[0]:.3f} {r2[1]:.3f}; scale {scale[0]:.2f} "
+        f"{scale[1]:.2f}; flux {np.median(fit.flux):.0f} e-/s, CDPP "
+        f"{cdpp(fit.flux[used], method='everest'):.0f} ppm; {seconds:.1f} s, {fit.n_steps} steps"
+        f"{'' if fit.converged else ', not converged'}",
+        flush=True,
+    )
+
+
+def light_curves(tpf, aperture):
+    """Return the summed and de-trended light curves."""
+    corrected = PLDCorrector(tpf, aperture_mask=aperture).correct()
+    raw = tpf.to_lightcurve(aperture_mask=aperture)
     return [curve.remove_nans().normalize() for curve in (raw, corrected)]
 
 
 def report_twin(folder):
-    """Stars, as they are and without the fitted background, and their twins."""
+    """Stars and their twins in the same aperture and cadences."""
     from matplotlib import pyplot as plt
 
     from scope_models.plotting import plot_twin
 
     print("Twins: 6.5-h CDPP (ppm), lightkurve's and EVEREST's convention")
-    for star in ("EPIC 211956421", "EPIC 211983544"):
-        tpf = lk.read(Path(folder) / FILES[star])
-        fit = fit_model(tpf, "1, empirical 6")
-        tpf = tpf[np.isin(tpf.cadenceno, fit.cadenceno)]
-        observation = simulate(*fit.scene(), seed=1)
-        files = {
-            "file": tpf,
-            "real": tpf - fit.background[:, None, None],
-            "twin": observation.to_tpf(quality_bitmask="none"),
-        }
-        curves = {kind: light_curves(pixels) for kind, pixels in files.items()}
-        labels = {}
-        for kind, pair in curves.items():
-            row = [cdpp(curve, method=m) for curve in pair for m in ("lightkurve", "everest")]
-            print(
-                f"  {star} {kind}: summed {row[0]:.0f} {row[1]:.0f}, "
-                f"de-trended {row[2]:.0f} {row[3]:.0f}"
-            )
-            labels[kind] = f"(CDPP {row[1]:.0f}, {row[3]:.0f} ppm)"
-        exact = simulate(*fit.scene(signal="constant"), noise=False)
-        flux = exact.flux.sum(axis=(1, 2), dtype=float)
-        print(f"  forward model alone: {cdpp(flux):.0f} {cdpp(flux, method='everest'):.0f}")
+    for star, name in FILES.items():
+        fit = fit_tpf(Path(folder) / name, response="pixels")
+        tpf = lk.read(Path(folder) / name)
+        used = fit.cadenceno[~fit.outliers]
+        observation = simulate(fit.scene().replace(seed=1))
+        twin = observation.to_tpf(quality_bitmask="none")
+        tpf, twin = (pixels[np.isin(pixels.cadenceno, used)] for pixels in (tpf, twin))
+        own = PLDCorrector(tpf).aperture_mask
+        for label, aperture in (("pipeline", tpf.pipeline_mask), ("PLD", own)):
+            curves = {"real": light_curves(tpf, aperture), "twin": light_curves(twin, aperture)}
+            rows = {
+                kind: [cdpp(c, method=m) for c in pair for m in ("lightkurve", "everest")]
+                for kind, pair in curves.items()
+            }
+            for kind, row in rows.items():
+                print(
+                    f"  {star} {label} aperture, {kind}: summed {row[0]:.0f} {row[1]:.0f}, "
+                    f"de-trended {row[2]:.0f} {row[3]:.0f}",
+                    flush=True,
+                )
         residual = (observation.flux - observation.model()) / fit.observed_err
-        images = [np.nanstd(fit.residual / fit.observed_err, axis=0), residual.std(axis=0)]
-        n = min(len(curve) for kind in ("real", "twin") for curve in curves[kind])
+        images = [np.nanstd(fit.residual / fit.observed_err, axis=0), np.nanstd(residual, axis=0)]
+        n = min(len(curve) for pair in curves.values() for curve in pair)
         axes = plot_twin(
             curves["real"][0].time.value[:n],
-            *([curve.flux.value[:n] for curve in curves[kind]] for kind in ("real", "twin")),
+            *([curve.flux.value[:n] for curve in pair] for pair in curves.values()),
             images,
-            labels=labels,
+            labels={k: f"(CDPP {row[1]:.0f}, {row[3]:.0f} ppm)" for k, row in rows.items()},
         )
-        path = f"twin_{star.split()[-1]}.png"
-        axes["raw"].figure.savefig(path, dpi=110)
+        axes["raw"].figure.savefig(f"twin_{star.split()[-1]}.png", dpi=110)
         plt.close("all")
-        print(
-            f"  scatter of residuals in errors, median pixel: {np.median(images[0]):.2f} real, "
-            f"{np.median(images[1]):.2f} twin; figure {path}"
-        )
 
 
 def main():
@@ -459,6 +491,8 @@ def main():
             report_terms(arguments[i + 1])
         elif argument == "drop":
             report_drop(arguments[i + 1])
+        elif argument == "response":
+            report_response(arguments[i + 1])
         elif argument == "twin":
             report_twin(arguments[i + 1])
 

@@ -43,11 +43,13 @@ from scope_models.effects import noise as effects_noise
 from scope_models.effects.saturation import bleed
 from scope_models.exceptions import FitWarning
 from scope_models.experiments import populations
+from scope_models.experiments.breathing import BreathingPSF
 from scope_models.experiments.k2_motion import K2MotionNoise
 from scope_models.experiments.motion import MotionTest
 from scope_models.experiments.no_motion import NoMotion
 from scope_models.experiments.recovery import Recovery
 from scope_models.experiments.table1 import Table1
+from scope_models.experiments.tess import tess_noise
 from scope_models.io import TPFMetadata, make_tpf_hdulist, usable_positions
 from scope_models.missions import MISSIONS, Cadence, choose_cadence, full_flux
 from scope_models.models import (
@@ -73,7 +75,7 @@ TIME = np.array([1.0, 2.0, 3.0])
 IMAGE = np.array([[20.0, 100.0], [20.0, 0.5]])
 NUMBER = re.compile(r"float|array_like|ndarray|Quantity|Time\b|SkyCoord")
 UNIT = re.compile(
-    r"(?<![\w-])(days?|hours?|px|pixels?|e-(/s)?|electrons?|arcsec(/h)?|deg(rees)?|mag(nitudes?)?"
+    r"(?<![\w-])(days?|hours?|px|pixels?|e-(/s)?|[Ee]lectrons?|n?m|KEPMAG|arcsec(/h)?|deg(rees)?|mag(nitudes?)?"
     r"|ppm|km/s|s|DN|BKJD|BTJD)(?![\w-])"
 )
 
@@ -460,6 +462,32 @@ ROWS = {
     "crowding.target": (lambda v: ph.crowding(v, IMAGE[::-1], IMAGE > 50), IMAGE, RATE),
     "flux_fraction.target": (lambda v: ph.flux_fraction(v, IMAGE > 50), IMAGE, RATE),
     "flux_fraction.total": (lambda v: ph.flux_fraction(IMAGE, IMAGE > 50, v), 200.0, RATE),
+    **{
+        f"moving_aperture.{name}": (
+            lambda v, name=name: ph.moving_aperture(
+                (5, 5), **({"x": TIME, "y": TIME, "radius": 1.5} | {name: v})
+            ),
+            value,
+            u.pix,
+        )
+        for name, value in {"x": 2 * TIME, "y": 2 * TIME, "radius": 2.0, "edge": 0.2}.items()
+    },
+    **{
+        f"tess_noise.{name}": (
+            lambda v, name=name: tess_noise(**({"mag": 10.0, "pixels": 9} | {name: v})), value, unit
+        )
+        for name, value, unit in (
+            ("mag", 12.0, u.mag), ("hours", 2.0, u.hour), ("floor", 50.0, PPM)
+        )
+    },
+    "aperture_flux.flux": (
+        lambda v: ph.aperture_flux(v, IMAGE > 50), np.stack([IMAGE, IMAGE]), RATE
+    ),
+    "aperture_flux.flux_err": (
+        lambda v: ph.aperture_flux(np.stack([IMAGE, IMAGE]), IMAGE > 50, v),
+        np.stack([IMAGE, IMAGE]),
+        RATE,
+    ),
     "circular_aperture.x_0": (lambda v: ph.circular_aperture((5, 5), v, 2, 1.5), 2.2, u.pix),
     "circular_aperture.y_0": (lambda v: ph.circular_aperture((5, 5), 2, v, 1.5), 2.2, u.pix),
     "circular_aperture.radius": (lambda v: ph.circular_aperture((5, 5), 2, 2, v), 1.5, u.pix),
@@ -656,7 +684,7 @@ ANY_UNIT = {
     "BivariateGaussianPSF.flux", "PRF.render.flux",
     "plot_light_curve.flux", "plot_fold.flux", "plot_detrending.flux",
     "plot_detrending.corrected", "plot_pixels.image", "animate_pixels.cube", "plot_summary.image",
-    "plot_detector.image", "bleed.charge",
+    "plot_detector.image", "bleed.charge", "add_quantization.electrons", "add_read_noise.electrons",
 }  # fmt: skip
 NO_UNIT = {
     # a description that names a unit of something else
@@ -673,7 +701,7 @@ NO_UNIT = {
     "plot_detector.sensitivity", "plot_fit.chi2", "plot_twin.residuals",
     "plot_detrending_masks.scatter", "plot_recovery.depths", "plot_recovery.magnitudes",
     "plot_k2_motion.reference", "plot_no_motion.reference", "plot_no_motion.stars",
-    "plot_no_motion.summary",
+    "plot_no_motion.summary", "PLDCorrector.aperture_mask", "plot_degeneracy.grids",
 }  # fmt: skip
 # Classes whose objects the package makes, methods that astropy calls with numbers after it has
 # converted them (test_contract.py), and configurations, which files give as plain numbers.
@@ -682,7 +710,7 @@ MADE_BY_THE_PACKAGE = re.compile(
     r"|\w+\.(evaluate|fit_deriv|closed_form|unit_derivatives|track|times)\."
 )
 CONFIGURATIONS = re.compile(
-    r"(K2MotionNoise|MotionTest|NoMotion|Recovery|SkyRegime|Table1|bin_noise|noise_parts)\."
+    r"(BreathingPSF|K2MotionNoise|MotionTest|NoMotion|Recovery|SkyRegime|Table1|bin_noise|noise_parts)\."
 )
 
 
@@ -757,7 +785,9 @@ def test_arrays_that_are_changed_in_place_refuse_units():
             call(np.eye(3) * u.electron)
 
 
-@pytest.mark.parametrize("study", [K2MotionNoise, NoMotion, Recovery, Table1, MotionTest])
+@pytest.mark.parametrize(
+    "study", [BreathingPSF, K2MotionNoise, NoMotion, Recovery, Table1, MotionTest]
+)
 def test_configurations_refuse_units_by_name(study):
     for item in dataclasses.fields(study):
         if isinstance(item.default, float):

@@ -45,7 +45,7 @@ def _text(value):
     if isinstance(value, Model):
         return _describe(value)
     if isinstance(value, tuple):
-        return ", ".join(map(str, value))
+        return ", ".join(getattr(item, "name", str(item)) for item in value)
     return f"{value:.12g}" if isinstance(value, float) else str(value)
 
 

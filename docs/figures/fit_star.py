@@ -1,11 +1,11 @@
-"""Fit the PSF and the sensitivity of a real K2 star, and simulate its twin."""
+"""Fit the pixels of a real K2 star, and simulate its twin."""
 
 import warnings
 from pathlib import Path
 
 import numpy as np
 
-from scope_models import Detector, Motion, SensitivityPolynomial, Star, fit_tpf, simulate
+from scope_models import Detector, Motion, Star, fit_tpf, simulate
 from scope_models.exceptions import FitWarning
 from scope_models.io import read_tpf
 from scope_models.plotting import plot_twin
@@ -22,10 +22,9 @@ def fit_star(path=PATH):
     else:
         tpf = simulate(Star(15.0), Detector.k2(shape=(6, 6)), 2 * Motion.k2_roll(300), seed=1)
         tpf = tpf.to_tpf()
-    curvature = SensitivityPolynomial(fixed={"ax1": True, "ay1": True})
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", FitWarning)  # the text says what they tell
-        return fit_tpf(tpf, psf=2, sensitivity=curvature, interpixel=0, loss="soft_l1")
+        return fit_tpf(tpf)
 
 
 def make_figure(path=PATH):

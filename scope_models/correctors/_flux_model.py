@@ -31,7 +31,7 @@ _MOST_WINDOWS = 120
 _REFITS = 4
 #: The prior of the logarithm of each group's prior variance has this standard deviation about the
 #: typical value.
-_SPREAD = 2.5
+_SPREAD = 1.0
 #: Where the search for the hyper-parameters begins: the prior variance of each group in units of
 #: the typical one, the variances of the processes in units of the data's; and the processes'
 #: periods in days.
@@ -537,7 +537,7 @@ def _periodic(model):
         count = int(np.clip(0.95 * nyquist / frequency, 1, _MOST_HARMONICS))
         gain, prior = candidates.gain(harmonics(model.time, frequency, count))
         sharp.append(_Wave(frequency, count, gain, prior))
-    best = max(sharp, key=lambda w: w.gain)
+    best = max(sharp, key=lambda w: w.gain, default=wave)
     if best.gain > 0.5 * wave.gain:
         best = _refined(candidates, best, 0.5)
     return max(wave, best, key=lambda w: w.gain)

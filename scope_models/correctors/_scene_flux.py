@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.ndimage import gaussian_filter1d
 
 from scope_models.photometry import moving_aperture
 
@@ -23,6 +24,10 @@ _SMALLEST_SHARE = 2e-4
 #: Scales (px) of the smooth functions of position.
 _SCALES = {"position": 0.8, "fine position": 0.25}
 _MOST_COLUMNS = 90
+#: Scale (days) above which changes of the width are slow.
+_SLOW_WIDTH = 0.5
+#: The response to position changes within so many days: a polynomial of time of these degrees.
+_SLOW, _DEGREES = 12.0, (2, 8)
 #: Variance of the smooth background over that of a cadence's own.
 _SMOOTHED = 0.08
 #: Prior standard deviations of the coefficients of each group: least, typical and largest. They are
@@ -30,11 +35,12 @@ _SMOOTHED = 0.08
 #: flux, and changes of slopes with time per pixel.
 LIMITS = {
     "model": (0.0, 0.3, 1.0),
-    "pixels": (0.0, 0.008, 0.03),
-    "position": (0.0, 1e-3, 0.1),
-    "fine position": (0.0, 3e-4, 0.03),
-    "place in pixel": (0.0, 3e-4, 0.03),
+    "pixels": (0.0, 0.004, 0.015),
+    "position": (0.0, 3e-4, 0.01),
+    "fine position": (0.0, 1e-4, 3e-3),
+    "place in pixel": (0.0, 1e-4, 3e-3),
     "width": (0.2, 0.5, 1.0),
+    "fast width": (0.2, 0.5, 1.0),
     "width and position": (0.0, 0.1, 0.5),
     "slow position": (0.0, 3e-4, 0.005),
 }
@@ -150,10 +156,13 @@ def make_columns(time, track, window, by_width):
     phases = [2 * np.pi * (k * track.x + m * track.y) for k, m in waves]
     groups["place in pixel"] = np.stack([f(p) for p in phases for f in (np.cos, np.sin)], axis=1)
     change = (by_width * (track.width - np.median(track.width)))[:, None]
-    groups["width"] = change
+    # the fast part is noisier: it would attenuate the coefficient of the slow one
+    slow = gaussian_filter1d(change, _SLOW_WIDTH / np.median(np.diff(time)), axis=0)
+    groups["width"], groups["fast width"] = slow, change - slow
     groups["width and position"] = change * points
-    t = 2 * (time - time[0]) / (time[-1] - time[0]) - 1
-    slow = np.stack([t, 1.5 * t**2 - 0.5], axis=1)
+    span = time[-1] - time[0]
+    degree = int(np.clip(round(span / _SLOW), *_DEGREES))
+    slow = np.polynomial.legendre.legvander(2 * (time - time[0]) / span - 1, degree)[:, 1:]
     place = np.stack([x, y, x**2, x * y, y**2], axis=1)
     groups["slow position"] = (slow[:, :, None] * place[:, None, :]).reshape(len(time), -1)
     return groups

@@ -276,8 +276,8 @@ class PLDModel:
         if plain and can_predict(pixels, saturation, use):
             predicted, clean = with_predicted_fractions(pixels, series.pos_corr, use)
             if predicted.usable.sum() > _CREDIBLE * pixels.usable.sum():
-                pixels, saturation = predicted, None
                 extra["focus"] = focus_columns(clean, pixels.usable, use)
+                pixels, saturation = predicted, None
             else:  # the model of the pixels has diverged
                 clean = None
         if clean is None:

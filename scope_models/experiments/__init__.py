@@ -41,6 +41,7 @@ _STUDIES = {
     "recovery": ("scope_models.experiments.recovery", "Recovery"),
     "tess": ("scope_models.experiments.tess", "TESSNoise"),
     "breathing": ("scope_models.experiments.breathing", "BreathingPSF"),
+    "ground": ("scope_models.experiments.ground", "GroundPLD"),
     "last-campaigns": ("scope_models.experiments.last_campaigns", "LastCampaigns"),
 }
 

@@ -3,6 +3,7 @@
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
+import astropy.units as u
 import numpy as np
 from astropy.table import Table
 
@@ -46,9 +47,9 @@ def tess_noise(mag, pixels, hours=_HOURS, *, floor=60.0):
         Magnitudes T.
     pixels : array_like
         Pixels in the aperture.
-    hours : float, optional
-        Time scale h.
-    floor : float, optional
+    hours : float or Quantity, optional
+        Time scale h, hours.
+    floor : float or Quantity, optional
         Systematic floor, ppm in one hour.
 
     Returns
@@ -68,6 +69,8 @@ def tess_noise(mag, pixels, hours=_HOURS, *, floor=60.0):
     [ 87. 523.]
     """
     detector = Detector.tess()
+    hours = checked_number("hours", hours, u.hour, positive=True)
+    floor = checked_number("floor", floor, u.Unit(1e-6))
     flux = detector.flux_from_mag(plain_array(mag, "mag", "mag"))
     seconds = hours * 3600 * detector.exposure_time / (86400 * detector.cadence_days)
     sky = detector.background + detector.read_noise**2 / detector.int_time

@@ -1,4 +1,4 @@
-"""The pixels that are fitted: what of a target pixel file can be used."""
+"""The pixels that are fitted: what of a target pixel file can be used, and which stars it has."""
 
 import warnings
 from dataclasses import dataclass, replace
@@ -8,10 +8,15 @@ from astropy import units as u
 
 from scope_models._arrays import plain_array
 from scope_models.exceptions import FitWarning
+from scope_models.io._places import star_places
 from scope_models.io.pixels import read_pixels, usable_positions
 from scope_models.scene.detector import Detector
 
-__all__ = ["PixelData", "detector_of", "read_data"]
+__all__ = ["PixelData", "detector_of", "find_stars", "read_data", "star_positions"]
+
+# A local maximum of the median image is a star if it is brighter than this part of the brightest
+# pixel, and than so many errors of the median image.
+_LEAST_PART, _LEAST_SIGNIFICANCE = 0.05, 10.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,3 +189,57 @@ def detector_of(tpf):
     series = read_pixels(tpf)
     changes = {} if series.mission else {"mission": "Kepler"}
     return Detector.from_tpf(series, psf=None, sensitivity=None, **changes)
+
+
+def star_positions(name, places, series):
+    """
+    Return columns and rows of stars in a stamp, ``(k, 2)``.
+
+    Parameters
+    ----------
+    name : str
+        Name of the argument.
+    places : array_like, SkyCoord, Table or "find"
+        As in `~scope_models.io._places.star_places`, or "find".
+    series : PixelSeries
+        The pixels.
+    """
+    if isinstance(places, str):
+        if places != "find":
+            raise ValueError(f'`{name}` must be positions or "find", got {places!r}')
+        return find_stars(series.flux)
+    return star_places(name, places, series)
+
+
+def find_stars(flux):
+    """
+    Return the local maxima of the median image, the brightest first.
+
+    Parameters
+    ----------
+    flux : ndarray of shape (n, ny, nx)
+        The pixels.
+
+    Returns
+    -------
+    positions : ndarray of shape (k, 2)
+        Column and row of their pixels.
+    """
+    good = np.isfinite(flux)
+    flux = np.where(good, flux, np.nan)
+    seen = good.any(axis=0)
+    image, error = np.full(seen.shape, -np.inf), np.ones(seen.shape)
+    image[seen] = np.nanmedian(flux[:, seen], axis=0)
+    scatter = np.nanmedian(np.abs(flux[:, seen] - image[seen]), axis=0)
+    error[seen] = 1.4826 * scatter / np.sqrt(np.maximum(good[:, seen].sum(axis=0), 1))
+    image = image - np.median(image[seen])
+    padded = np.pad(image, 1, constant_values=-np.inf)
+    ny, nx = image.shape
+    around = [
+        padded[j : j + ny, i : i + nx] for j in range(3) for i in range(3) if (i, j) != (1, 1)
+    ]
+    peak = seen & (image > np.max(around, axis=0))
+    peak &= (image > _LEAST_PART * image[seen].max()) & (image > _LEAST_SIGNIFICANCE * error)
+    rows, columns = np.nonzero(peak)
+    order = np.argsort(-image[rows, columns])
+    return np.column_stack([columns, rows])[order].astype(float)

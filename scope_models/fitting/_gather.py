@@ -7,6 +7,7 @@ import numpy as np
 
 from scope_models._arrays import plain_tree
 from scope_models.exceptions import FitWarning
+from scope_models.fitting._data import find_stars
 from scope_models.fitting.result import FittedStar, TPFFit
 
 __all__ = ["doubts_of", "make_results", "warn_of_fit"]
@@ -27,6 +28,8 @@ _LARGEST_SCATTER = 3.0
 _SCALES, _LEAST_MOTION = (0.9, 1.1), 0.01
 # Flux over the light in the pixels from which a model has invented it.
 _LARGEST_FLUX = 2.0
+# Maxima so near a star are its own, pixels.
+_APART = 1.5
 # Reduced chi-squared from which a model does not describe the pixels.
 _LARGEST_CHI2 = 100.0
 
@@ -195,7 +198,7 @@ def _of_convergence(fit):
     if others:
         yield (
             f"the fit ends at bounds, {', '.join(others)}: the model does not suit the pixels; try "
-            'neighbors="find" if there are other stars, or another psf'
+            "another psf"
         )
 
 
@@ -244,6 +247,14 @@ def _of_pixels(fit):
             f"the model does not describe the pixels: chi-squared per degree of freedom is "
             f"{fit.reduced_chi2:.4g}, and largest in column {column}, row {row}"
         )
+        stars = [(np.median(star.x), np.median(star.y)) for star in (fit, *fit.neighbors)]
+        away = [np.hypot(*(place - stars).T).min() for place in find_stars(fit.observed)]
+        others = np.sum(np.array(away) > _APART)
+        if others:
+            yield (
+                f"{others} other maxi{'mum' if others == 1 else 'ma'} of the median image may be "
+                'other stars: neighbors="find" fits them'
+            )
 
 
 def _light(fit):

@@ -23,8 +23,8 @@ _LADDER = ((1, 1), (2, 2), (3, 3), (4, 4), (5, 6), (6, 8), (8, 8), (10, 8))
 _TRIAL_STEPS, _LEAST_GAIN = 4, 1e-2
 # Every tenth cadence is held out, from the sixth on.
 _EVERY, _FIRST = 10, 5
-# Standard deviation of positions about POS_CORR, pixels.
-_POSITION_ERROR = 0.1
+# Standard deviation of positions about POS_CORR: pixels, and parts of the motion, at most.
+_POSITION_ERROR, _POSITION_PART = 0.1, 0.5
 # ... where positions are the path, or free.
 _TIGHT, _LOOSE = 1e-6, 10.0
 # Standard deviations of the shares to begin with, relative to a pixel's share plus a part of all
@@ -36,9 +36,9 @@ _HIT, _MOST_HITS = 5.0, 0.02
 _OUTLIER = 6.0
 # Motion that agrees with POS_CORR so well is put on its scale.
 _LEAST_R2, _SCALES = 0.5, (0.5, 2.0)
-# Largest steps of a position, pixels; relative change of the cost that is none; largest number of
-# steps of the last rung.
-_MOVE, _SAME, _MOST_STEPS = 0.1, 1e-4, 40
+# Largest steps of a position, pixels; change of the cost that is none, relative and in parts of its
+# own scatter; steps of the last rung at most, and those after which the priors stay.
+_MOVE, _SAME, _SMALL, _MOST_STEPS, _WIDTH_STEPS = 0.1, 3e-4, 0.01, 80, 10
 # Part of the range of positions and pixels by which the polynomials reach farther; percentiles.
 _PAD, _INSIDE = (0.05, 0.01), (0.2, 99.8)
 # Pixels whose light is less than so many errors hardly count in the sum that is the flux: wide sums
@@ -139,7 +139,7 @@ class _Shares:
             model[:, pixels] += problem.backgrounds(state, i)[:, None]
         return model
 
-    def update(self, cadences, learned):
+    def update(self, cadences, learned, *, widths=True):
         """Fit the polynomials of all pixels to the light of some cadences."""
         problem, state = self.problem, cadences.state
         phi = self.basis(state)[0][learned]
@@ -172,7 +172,8 @@ class _Shares:
                     squares += np.bincount(self.order, scaled, len(squares))
                     counts += np.bincount(self.order, minlength=len(squares))
         self._fix_gauge()
-        self.width = np.maximum(np.sqrt(squares / counts), _LEAST_PRIOR)
+        if widths:
+            self.width = np.maximum(np.sqrt(squares / counts), _LEAST_PRIOR)
 
     def gauge(self, star):
         """What a common factor changes, and the weights of the sum that stays that of the PSF."""
@@ -292,14 +293,14 @@ def _climb(shares, cadences, center, error, held, steps, given, report):
     """Fit shares and cadences in turn; return whether the cost has settled."""
     before = np.inf
     for number in range(steps):
-        shares.update(cadences, cadences.used & ~held)
+        shares.update(cadences, cadences.used & ~held, widths=number < _WIDTH_STEPS)
         _improve(shares, cadences, center, error)
         _on_path(cadences, shares.problem, center)
         _leave_out(shares, cadences, given)
         cost = _cost(_squares(shares, cadences)[cadences.used & ~held])
         if report is not None:
             report(cost)
-        if number > 2 and abs(before - cost) < _SAME * cost:
+        if number > 2 and abs(before - cost) < max(_SAME * cost, _SMALL * np.sqrt(given.size)):
             return True, number + 1
         before = cost
     return False, steps
@@ -386,9 +387,11 @@ def fit_response(problem, few, state, fits, report=None):
         One per file.
     """
     asked = problem.options
-    error = {"path": _TIGHT, "prior": asked.position_error, "free": _LOOSE}.get(
-        asked.positions, _POSITION_ERROR
-    )
+    error = {"path": _TIGHT, "prior": asked.position_error, "free": _LOOSE}.get(asked.positions)
+    if error is None:
+        corr = problem.data.pos_corr
+        moved = np.inf if corr is None else np.hypot(*corr.std(axis=0)) or np.inf
+        error = min(_POSITION_ERROR, _POSITION_PART * moved)
     options = replace(few.options, positions="prior") if few.path else few.options
     problem = replace(few, stamps=problem.stamps, error_scale=1.0, options=options)
     center, cadences = _start(problem, state, few)

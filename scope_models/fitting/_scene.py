@@ -131,7 +131,8 @@ def denoised(fit, values, error):
     fast = np.where(fit.outliers, 0.0, values - slow)
     spectrum = np.fft.rfft(fast)
     power = uniform_filter1d(np.abs(spectrum) ** 2, max(len(spectrum) // _BANDS, 3))
-    noise = np.sum(np.where(fit.outliers, 0.0, error * fit.error_scale) ** 2)
+    # The pixels scatter by more than their errors.
+    noise = np.sum(np.where(fit.outliers, 0.0, error) ** 2) * max(fit.reduced_chi2, 1.0)
     part = np.clip(1 - noise / np.maximum(power, 1e-300), 0.0, 1.0)
     return slow + np.fft.irfft(np.sqrt(part) * spectrum, len(fast))
 

@@ -9,12 +9,11 @@ import numpy as np
 from astropy.modeling import Model
 
 from scope_models._checks import checked_integer, checked_number
-from scope_models.fitting._data import detector_of, read_data
+from scope_models.fitting._data import detector_of, read_data, star_positions
 from scope_models.fitting._gather import make_results, warn_of_fit
 from scope_models.fitting._problem import FitOptions, FitStar, Problem
 from scope_models.fitting._response import fit_response
 from scope_models.fitting._solver import covariances, solve
-from scope_models.fitting._stars import star_positions
 from scope_models.fitting._start import (
     centroids,
     is_faint,
@@ -50,11 +49,13 @@ _POSITION_PART = 0.1
 _HELD = 0.001
 # Flux over the light in the stamp from which a model has invented it.
 _LARGEST_FLUX = 2.0
+# Part of the light in the stamp below which that is so too; every so many cadences give it.
+_LEAST_INSIDE, _SOME = 0.8, 10
 # Seconds after which a fit shows its progress.
 _PATIENCE = 5.0
 # How often errors are scaled, at most, where the model is not true.
 _RESCALINGS = 8
-# At most so many cadences give the first guess for those of a long series.
+# So many cadences give the first guess for those of a long series.
 _FEW = 300
 
 
@@ -232,7 +233,8 @@ def fit_tpf(
         candidates = _candidates(problem, choice)
         if response == "pixels":
             candidates = _rough(problem, choice)
-        tried, steps = _tried(candidates, choice, steps, max_steps)
+        few = choice.psf or response == "pixels"
+        tried, steps = _tried(candidates, choice, steps, max_steps, few=few)
         fitted = tried if response == "pixels" else _finished(problem, *tried, steps)
         fits = make_results(*fitted, covariances(*fitted), detectors, series)
         if response == "pixels":
@@ -242,11 +244,14 @@ def fit_tpf(
     return tuple(fits) if several else fits[0]
 
 
-def _tried(candidates, choice, steps, max_steps):
+def _tried(candidates, choice, steps, max_steps, *, few):
     """Fit the first of several models that describes some of the pixels, or the best."""
     tried = []
     for candidate, limit in candidates:
-        tried.append(_guess(candidate, partial(steps, max_steps=min(max_steps, limit))))
+        # No more than enough for a choice or a rough model; a guess may have up to twice as many.
+        every = (len(candidate.flux) + few * (_FEW - 1)) // _FEW
+        limited = partial(steps, max_steps=min(max_steps, limit))
+        tried.append(_guess(candidate, limited, every))
         if _is_true(*tried[-1], strictly=choice.psf):
             break
     best = min(tried, key=lambda item: _rank(*item))
@@ -329,6 +334,8 @@ def _rank(problem, solution):
     at_bound = np.any((shared <= limits.lower) | (shared >= limits.upper))
     light = np.median(problem.flux[:, problem.slices[0]].sum(axis=1))
     strange = not 0 < np.median(problem.fluxes(solution.state)) < _LARGEST_FLUX * abs(light)
+    images = problem.unit_images(solution.state, slice(None, None, _SOME))
+    strange |= np.median(images.sum(axis=1)) < _LEAST_INSIDE
     # A free response between pixels describes errors of the PSF where the model is not true.
     absorbs = bool(problem.options.interpixel) and not _is_true(problem, solution)
     information = solution.equations.cost + problem.n_shared * np.log(problem.n_data)
@@ -336,9 +343,9 @@ def _rank(problem, solution):
     return absorbs, strange, ends, problem.error_scale, information
 
 
-def _guess(problem, steps):
+def _guess(problem, steps, every):
     """Fit a part of a long series, or the whole of a short one."""
-    problem = problem.thinned(-(-len(problem.flux) // _FEW))
+    problem = problem.thinned(max(every, 1))
     # What the shape of the PSF can imitate is freed when the shape is about right.
     early = np.array([p.kind != "response" for p in problem.parameters], dtype=bool)
     state = starting_state(problem)

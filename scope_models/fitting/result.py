@@ -449,9 +449,18 @@ class TPFFit:
         for axis, r2, scale in zip("xy", self.path_r2(), self.path_scale(), strict=True):
             if np.isfinite(scale):
                 lines.append(f"motion along {axis}: {scale:.3f} of POS_CORR, R2 {r2:.3f}")
-        for row in self.table():
+        for star in self.neighbors:
+            x, y, flux = (np.median(values) for values in (star.x, star.y, star.flux))
+            lines.append(f"other star: {flux:.6g} e-/s at column {x:.3f}, row {y:.3f}")
+        table, kinds = self.table(), self.all_kinds
+        terms = [
+            kinds.get(name) in {"coefficient", "correction", "focus"} for name in table["name"]
+        ]
+        for row in table[~np.array(terms, dtype=bool)]:
             error = "fixed" if row["fixed"] else f"+- {row['error']:.2g}"
             lines.append(f"  {row['name']:18s} {row['value']:12.6g} {error} {row['unit']}".rstrip())
+        if any(terms):
+            lines.append(f"  and {sum(terms)} coefficients of smooth terms")
         return "\n".join([*lines, *(f"! {doubt}" for doubt in doubts_of(self))])
 
     def _of_response(self):

@@ -62,8 +62,6 @@ def plot_fit(
     """
     data, model = plain_array(data, _RATE, "data"), plain_array(model, _RATE, "model")
     residual = plain_array(residual, _RATE, "residual")
-    data, model = plain_array(data, _RATE, "data"), plain_array(model, _RATE, "model")
-    residual = plain_array(residual, _RATE, "residual")
     x, y = plain_array(x, u.pix, "x"), plain_array(y, u.pix, "y")
     if pos_corr is not None:
         pos_corr = plain_array(pos_corr, u.pix, "pos_corr")
@@ -106,6 +104,8 @@ def plot_fit(
             ylabel="Flux (e$^-$ s$^{-1}$)",
         )
         ax.set_ylim(*_without_outliers([flux]))
+        ax.locator_params(axis="x", nbins=5)
+        ax.ticklabel_format(useOffset=False)
     return axes
 
 
@@ -120,9 +120,13 @@ def _draw_positions(ax, x, y, pos_corr):
         ax.plot(x, y, "k.", ms=2)
         ax.set(title="Positions", xlabel="Column (pixel)", ylabel="Row (pixel)")
         return
-    ax.plot(pos_corr[:, 0], x - np.median(x), "k.", ms=2, label="column")
-    ax.plot(pos_corr[:, 1], y - np.median(y), ".", color="0.6", ms=2, label="row")
-    ax.set(title="Positions", xlabel="POS_CORR (pixel)", ylabel="Position less median (pixel)")
+    path = pos_corr - np.median(pos_corr, axis=0)
+    ax.plot(path[:, 0], x - np.median(x), "k.", ms=2, label="column")
+    ax.plot(path[:, 1], y - np.median(y), ".", color="0.6", ms=2, label="row")
+    ax.locator_params(nbins=5)
+    ax.set(
+        title="Positions, less their medians", xlabel="POS_CORR (pixel)", ylabel="Fitted (pixel)"
+    )
     ax.legend(fontsize="small", markerscale=4)
 
 

@@ -38,6 +38,7 @@ from scope_models.scene.star import Star
 __all__ = ["Scene", "read_scene"]
 
 _VERSION = 2
+_SAME = 0.1  # deg
 # What a file of the scene's observation says of the star and of the place of the stamp.
 _IDENTITY = ("target_id", "object_name", "ra", "dec", "orientation", "matrix", "column", "row")
 
@@ -206,7 +207,9 @@ class Scene:
         if target is not None:
             place = sky_place(target, _middle_year(self.motion))
             for name, value in zip(("ra", "dec"), place, strict=True):
-                if getattr(self, name) not in (None, value):
+                given = getattr(self, name)
+                # A scene that is replaced has the place of another time.
+                if given is not None and abs(plain_number(given, "deg", name) - value) > _SAME:
                     raise ValueError(f"`{name}` must not be given for a target with a `coord`")
                 object.__setattr__(self, name, value)
         for star in self.stars[1:]:

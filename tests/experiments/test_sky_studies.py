@@ -24,7 +24,7 @@ from scope_models.experiments.tess import TESSNoise, tess_noise
 SMALL = {
     "tess": {"magnitudes": (9, 13), "neighbors": (0, 2), "cadences": 300, "stars": 1},
     "breathing": {"amplitudes": (0.01,), "periods": (1, 4), "cadences": 300, "stars": 1},
-    "last-campaigns": {"magnitudes": (12,), "stars": 1},
+    "last-campaigns": {"magnitudes": (12,), "parts": ("C19 erratic", "C19 off target")},
 }
 
 

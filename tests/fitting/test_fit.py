@@ -287,6 +287,7 @@ class TestBadInput:
         tpf = simulate(stars, detector, motion, seed=1).to_tpf()
         fit, messages = messages_of(tpf, 1)
         assert "does not describe the pixels" in messages
+        assert 'may be other stars: neighbors="find" fits them' in messages
         assert fit.error_scale > 2
 
     def test_still_star_does_not_tell_the_sensitivity(self, curvature):

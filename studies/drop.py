@@ -1,0 +1,159 @@
+"""The drop of the response within a pixel, from the flux of real stars against their place.
+
+Images constrain the PSF and the response only as a product: a change of the response that is a
+function of the place within the pixel scales all pixels of a star alike, and a fit takes it for
+flux. What is left is that flux, if the star is constant: light is lost where the star is between
+pixels. The amplitude is fitted beside what looks similar: differences between the pixels (a prior
+of 1 %), light beyond the stamp, and slow variability.
+
+Run as ``OMP_NUM_THREADS=1 python studies/drop.py FOLDER [FIGURE.png]`` with the archive files.
+"""
+
+import sys
+import warnings
+from pathlib import Path
+
+import numpy as np
+from astropy.utils.exceptions import AstropyUserWarning
+from matplotlib import pyplot as plt
+from scipy.interpolate import BSpline
+
+from scope_models import fit_tpf
+
+FILES = {
+    "EPIC 211956421": "k2_tpf/ktwo211956421-c05_lpd-targ.fits.gz",
+    "EPIC 211983544": "k2_tpf/ktwo211983544-c18_lpd-targ.fits.gz",
+    "Kepler-62": "kepler_tpf/kplr009002278-2010174085026_lpd-targ.fits.gz",
+}
+# Peak-to-peak ppm of all light of a Gaussian of 0.45 px that crosses a pixel along one axis.
+ANCHORS = {
+    "Saunders et al. (2019), drop 1.25 %": 187,
+    "ETEM2, 500 nm, 2.3 %": 357,
+    "ETEM2, 800 nm, 4 to 5 %": 762,
+    "k2_calibrated, 19 %": 2978,
+    "laboratory, 50 %": 8933,
+}
+SIGMA = 0.45
+FLAT, LOSS, KNOTS, PARTS = 0.01, 0.5, 1.5, 8
+SIGMAS = (0.35, 0.45, 0.5, 0.6)
+
+
+def predicted(anchor, sigma):
+    """Amplitude of an anchor for another width: that of the first harmonic of the pixels."""
+    return anchor * np.exp(-2 * np.pi**2 * (sigma**2 - SIGMA**2))
+
+
+def trend(time):
+    """Cubic splines of time."""
+    inner = np.linspace(time[0], time[-1], max(2, int(np.ptp(time) / KNOTS) + 1))
+    knots = np.concatenate([[inner[0]] * 3, inner, [inner[-1]] * 3])
+    return BSpline.design_matrix(time, knots, 3).toarray()
+
+
+def terms_of(fit):
+    """Return relative flux, and what it depends on: the drop, pixels, and light lost."""
+    # The fitted background absorbs errors of the PSF's wings: the pipeline's is the better one.
+    light = np.nansum(fit.observed, axis=(1, 2))
+    shares = (fit.fitted - fit.background[:, None, None]) / fit.flux[:, None, None]
+    shares = np.nan_to_num(shares).reshape(len(light), -1)
+    wave = 0.5 * (np.cos(2 * np.pi * fit.x) + np.cos(2 * np.pi * fit.y))
+    return light / np.median(light), wave, shares, 1 - shares.sum(axis=1)
+
+
+def amplitude(fit, keep):
+    """Peak-to-peak amplitude along one axis, its error for white noise, and the residuals."""
+    flux, wave, shares, lost = (value[keep] for value in terms_of(fit))
+    shares = shares - shares.mean(axis=0)
+    slow = trend(fit.time[keep])
+    wave, lost = wave - wave.mean(), lost - lost.mean()
+    columns = np.column_stack([wave, shares * FLAT, lost * LOSS, slow])
+    prior = np.concatenate([[0.0], np.ones(shares.shape[1] + 1), np.zeros(slow.shape[1])])
+    noise, good = 1e-3, np.ones(len(flux), dtype=bool)
+    for _ in range(8):
+        design, right = columns[good] / noise, flux[good] / noise
+        normal = design.T @ design + np.diag(prior) + 1e-9 * np.eye(len(prior))
+        solution = np.linalg.solve(normal, design.T @ right)
+        residual = flux - columns @ solution
+        noise = 1.4826 * np.median(np.abs(residual))
+        good = np.abs(residual) < 4 * noise
+    error = np.sqrt(np.linalg.inv(normal)[0, 0])
+    return solution[0], error, residual + solution[0] * columns[:, 0], good
+
+
+def measured(star, fit, sigma):
+    """Print the amplitude of a star and the drops it stands for; return it and its error."""
+    value, error, clean, good = amplitude(fit, np.ones(len(fit.time), dtype=bool))
+    part = np.arange(len(fit.time)) * PARTS // len(fit.time)
+    others = [amplitude(fit, part != i)[0] for i in range(PARTS)]
+    spread = np.sqrt((PARTS - 1) / PARTS * np.sum((others - np.mean(others)) ** 2))
+    total = np.hypot(error, spread)
+    print(
+        f"{star}: one Gaussian of {sigma:.2f} px, motion {np.ptp(fit.x[good]):.2f} and "
+        f"{np.ptp(fit.y[good]):.2f} px; amplitude {1e6 * value:.0f} +- {1e6 * error:.0f} (model) "
+        f"+- {1e6 * spread:.0f} (parts) ppm"
+    )
+    for assumed in (*SIGMAS, sigma):
+        drop, deviation = (0.0125 * 1e6 * v / predicted(187, assumed) for v in (value, total))
+        print(f"  drop for a PSF of {assumed:.2f} px: {drop:.2f} +- {deviation:.2f}")
+    return value, total, clean, good
+
+
+def report(folder, path):
+    """Print what the stars give, and draw them beside the anchors."""
+    figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4.5), layout="constrained")
+    width = np.linspace(0.35, 0.62, 50)
+    styles = ("-", "--", "-.", ":", (0, (1, 3)))
+    for (name, value), style in zip(ANCHORS.items(), styles, strict=True):
+        left.semilogy(width, predicted(value, width), ls=style, color="0.4", label=name)
+    numbers = []
+    for (star, file), marker in zip(FILES.items(), "osv", strict=True):
+        fit = fit_tpf(Path(folder) / file)
+        one = fit_tpf(Path(folder) / file, 1, interpixel=0, positions="path")
+        sigma = np.sqrt(one.values["sigma_x"] * one.values["sigma_y"])
+        value, total, clean, good = measured(star, fit, sigma)
+        if not star.startswith("EPIC"):
+            continue
+        numbers.append((value, total, sigma))
+        limit = 1e6 * (max(value, 0) + 1.645 * total)
+        left.errorbar(
+            sigma, limit, 0.5 * limit, uplims=True, fmt=f"k{marker}", label=f"{star}, 95 % limit"
+        )
+        place = fit.x[good] - np.rint(fit.x[good])
+        index = np.digitize(place, np.linspace(-0.5, 0.5, 21))
+        bins = [index == i for i in range(1, 21) if np.sum(index == i) > 20]
+        at = [place[one].mean() for one in bins]
+        mean = np.array([np.mean(1e6 * clean[good][one]) for one in bins])
+        error = [np.std(1e6 * clean[good][one]) / np.sqrt(np.sum(one)) for one in bins]
+        right.errorbar(at, mean - mean.mean(), error, fmt=f"k{marker}", ms=4, label=star)
+    weights = np.array([total**-2 for _, total, _ in numbers])
+    mean = np.sum(weights * [value for value, *_ in numbers]) / weights.sum()
+    limit = max(mean, 0) + 1.645 * weights.sum() ** -0.5
+    print(
+        f"Both K2 stars: {1e6 * mean:.0f} +- {1e6 * weights.sum() ** -0.5:.0f} ppm; below "
+        f"{1e6 * limit:.0f} ppm with 95 %"
+    )
+    for assumed in SIGMAS:
+        drop = 0.0125 * 1e6 * limit / predicted(187, assumed)
+        print(f"  drop for {assumed:.2f} px: below {drop:.2f}")
+    u = np.linspace(-0.5, 0.5, 101)
+    for (name, value), place in zip(list(ANCHORS.items())[3:], (0.0, 0.1), strict=True):
+        curve = 0.5 * predicted(value, 0.5) * np.cos(2 * np.pi * u)
+        right.plot(u, curve, color="0.5", lw=1)
+        right.annotate(name, (place, np.interp(place, u, curve)), fontsize="x-small", color="0.3")
+    left.set(xlabel="Standard deviation of the PSF (pixel)", ylabel="Peak to peak (ppm)")
+    right.set(xlabel="Column of the star within the pixel", ylabel="Relative flux (ppm)")
+    left.set_title("Anchors, and what two stars allow")
+    right.set_title("Flux against place; anchors for a PSF of 0.5 px")
+    left.legend(fontsize="x-small")
+    right.legend(fontsize="x-small")
+    figure.savefig(path, dpi=110)
+
+
+def main():
+    """Run the study."""
+    warnings.simplefilter("ignore", AstropyUserWarning)
+    report(sys.argv[1], sys.argv[2] if len(sys.argv) > 2 else "drop.png")
+
+
+if __name__ == "__main__":
+    main()
