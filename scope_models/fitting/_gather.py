@@ -246,6 +246,7 @@ def _of_pixels(fit):
         yield (
             f"the model does not describe the pixels: chi-squared per degree of freedom is "
             f"{fit.reduced_chi2:.4g}, and largest in column {column}, row {row}"
+            + ("" if fit.response else '; response="pixels" fits the share of each pixel')
         )
         stars = [(np.median(star.x), np.median(star.y)) for star in (fit, *fit.neighbors)]
         away = [np.hypot(*(place - stars).T).min() for place in find_stars(fit.observed)]
