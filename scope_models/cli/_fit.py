@@ -48,6 +48,13 @@ def add_parser(commands):
         help="what POS_CORR is used for (default: start)",
     )
     parser.add_argument(
+        "--response",
+        choices=("psf", "pixels"),
+        default="psf",
+        help="pixels: the share of each pixel is a smooth function of position and time, for "
+        "real files (default: psf)",
+    )
+    parser.add_argument(
         "--robust", action="store_true", help="a loss that suits data with cosmic rays"
     )
     parser.add_argument("--cadences", type=int, metavar="N", help="only the first N cadences")
@@ -66,6 +73,7 @@ def run(arguments):
         "empirical": arguments.empirical,
         "interpixel": arguments.interpixel,
         "positions": arguments.positions,
+        "response": arguments.response,
         "loss": "soft_l1" if arguments.robust else "linear",
     }
     if arguments.output_dir is not None:

@@ -19,8 +19,10 @@ from scope_models.photometry import cdpp
 __all__ = ["ComparisonResult", "choose_corrector", "compare_correctors"]
 
 _NAMES = ("raw", "pld", "scene", "lightkurve")
-#: SceneCorrector is chosen if it predicts unseen windows better than PLDCorrector by this factor.
-_CLEARLY = 0.95
+#: SceneCorrector is chosen if its residuals of unseen windows are below those of PLDCorrector by
+#: this factor; by the second one if the target's share in PLD's aperture is below the third number,
+#: because PLD does not take off the light of a constant star's neighbors.
+_CLEARLY, _CROWDED, _SHARE = 0.95, 1.1, 0.98
 #: Largest residuals of windows are left out: transits, flares and damaged pixels.
 _KEPT_WINDOWS = 0.9
 _WINDOW_HOURS = 6.5
@@ -194,8 +196,9 @@ def choose_corrector(tpf, *, aperture_mask=None, cadence_mask=None, transit_mask
     Correct a star with the corrector that its own data support.
 
     `SceneCorrector` is taken if it predicts windows of 6.5 h, which the models have not seen,
-    better than `PLDCorrector` by at least 5 %, and `PLDCorrector` otherwise, always where pixels
-    saturate.
+    better than `PLDCorrector` by at least 5 %, or worse by at most 10 % where other stars give
+    more than 2 % of the starlight in PLD's aperture. `PLDCorrector` is taken otherwise, and always
+    where pixels saturate.
 
     Parameters
     ----------
@@ -301,10 +304,13 @@ def _choice(objects):
     pld, scene = (_self_assessment(objects[name]).get("held_out") for name in ("pld", "scene"))
     if pld is None or scene is None:
         return "pld", "windows cannot be predicted"
-    text = f"it predicts unseen windows to {scene:.0f} ppm, PLD to {pld:.0f} ppm"
-    if scene < _CLEARLY * pld:
-        return "scene", text
-    return "pld", text.replace("it", "the scene", 1)
+    share = objects["scene"].crowding(objects["pld"].aperture_mask)
+    reason = (
+        f"the scene predicts unseen windows to {scene:.0f} ppm, PLD to {pld:.0f} ppm, and the "
+        f"target has {100 * share:.0f} % of the starlight in PLD's aperture"
+    )
+    limit = _CROWDED if share < _SHARE else _CLEARLY
+    return ("scene" if scene < limit * pld else "pld"), reason
 
 
 def _pass_on(caught, name):

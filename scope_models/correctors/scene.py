@@ -24,7 +24,7 @@ from scope_models.correctors._scene_start import centroids
 from scope_models.exceptions import DetrendingWarning
 from scope_models.io import read_pixels, read_tpf
 from scope_models.io.pixels import usable_positions
-from scope_models.photometry import aperture_flux, cdpp
+from scope_models.photometry import aperture_flux, cdpp, crowding
 
 __all__ = ["SceneCorrector", "SceneResult"]
 
@@ -311,14 +311,14 @@ class SceneCorrector(Corrector):
                 continue
             other = np.median(np.sum(weights * scene.others, axis=(1, 2)))
             by_width = np.log(np.sum(weights * scene.wider, axis=(1, 2)) / one.model) / WIDER
-            crowding = float(level / (level + other))
-            found.append((np.median(one.variance) / level**2, window, one, crowding, by_width))
+            share = float(level / (level + other))
+            found.append((np.median(one.variance) / level**2, window, one, share, by_width))
         if not found:
             raise ValueError("the target's flux must be positive in most cadences")
         limit = _NOISIEST**2 * min(variance for variance, *_ in found)
         time = data.time - data.time[0]
         best = None
-        for variance, window, one, crowding, by_width in sorted(found, key=lambda f: f[0]):
+        for variance, window, one, share, by_width in sorted(found, key=lambda f: f[0]):
             if variance > limit:
                 break
             level = np.median(one.flux)
@@ -333,7 +333,7 @@ class SceneCorrector(Corrector):
             )  # fmt: skip
             total = np.where(positive, one.flux, np.nan)
             star = total / one.model / np.exp(change)
-            trial = _Flux(window, total, star, relative, model, crowding)
+            trial = _Flux(window, total, star, relative, model, share)
             if best is None or trial.expected_error < best.expected_error:
                 best = trial
         return best
@@ -442,6 +442,31 @@ class SceneCorrector(Corrector):
         if width > self.result.n_used // 2:
             raise ValueError(f"`width` must be at most {self.result.n_used // 2}, got {width}")
         return self._chosen.model.held_out(width)
+
+    def crowding(self, aperture_mask):
+        """
+        Return the target's share in the starlight of an aperture.
+
+        Parameters
+        ----------
+        aperture_mask : array_like of bool
+            Pixels, ``(ny, nx)``.
+
+        Returns
+        -------
+        float
+            Light of the target over that of all stars of the fitted scene.
+
+        Raises
+        ------
+        ValueError
+            If `correct` has not been called, or the aperture has no light of the target.
+        """
+        if self.scene is None:
+            raise ValueError("call `correct` first")
+        mask = checked_mask("aperture_mask", aperture_mask, self.aperture_mask.shape)
+        star = self.scene.track.flux[:, None, None] * self.scene.star
+        return crowding(star, self.scene.others, mask[self._data.box])
 
     @property
     def positions(self):

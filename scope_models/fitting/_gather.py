@@ -246,6 +246,7 @@ def _of_pixels(fit):
         yield (
             f"the model does not describe the pixels: chi-squared per degree of freedom is "
             f"{fit.reduced_chi2:.4g}, and largest in column {column}, row {row}"
+            + ("" if fit.response else '; response="pixels" fits the share of each pixel')
         )
         stars = [(np.median(star.x), np.median(star.y)) for star in (fit, *fit.neighbors)]
         away = [np.hypot(*(place - stars).T).min() for place in find_stars(fit.observed)]
@@ -279,3 +280,6 @@ def _of_positions(fit):
     x, y = np.median(fit.x), np.median(fit.y)
     if not (0 <= x <= nx - 1 and 0 <= y <= ny - 1):
         yield f"the star is at the edge of the pixels: x = {x:.2f}, y = {y:.2f}"
+    lost = (fit.x <= -1) | (fit.x >= nx) | (fit.y <= -1) | (fit.y >= ny)
+    if lost.any():
+        yield f"in {lost.sum()} cadences the fitted position ends at its bounds, off the pixels"

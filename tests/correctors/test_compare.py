@@ -1,5 +1,7 @@
 """Tests of the comparison of correctors and of the rule that chooses one."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from astropy import units as u
@@ -60,12 +62,16 @@ def test_bad_names(star, correctors, match):
 
 
 @pytest.mark.parametrize(
-    ("scene", "best"), [(94.0, "scene"), (96.0, "pld"), (110.0, "pld"), (None, "pld")]
-)
-def test_rule(monkeypatch, scene, best):
-    numbers = {"pld": {"held_out": 100.0}, "scene": {} if scene is None else {"held_out": scene}}
-    monkeypatch.setattr(compare, "_self_assessment", lambda name: numbers[name])
-    chosen, reason = compare._choice({"pld": "pld", "scene": "scene"})
+    ("scene", "share", "best"),
+    [(94.0, 1.0, "scene"), (96.0, 1.0, "pld"), (None, 0.5, "pld"), (96.0, 0.97, "scene"),
+     (109.0, 0.97, "scene"), (111.0, 0.97, "pld")],
+)  # fmt: skip
+def test_rule(monkeypatch, scene, share, best):
+    pld = SimpleNamespace(aperture_mask=None, numbers={"held_out": 100.0})
+    numbers = {} if scene is None else {"held_out": scene}
+    other = SimpleNamespace(crowding=lambda _: share, numbers=numbers)
+    monkeypatch.setattr(compare, "_self_assessment", lambda one: one.numbers)
+    chosen, reason = compare._choice({"pld": pld, "scene": other})
     assert chosen == best
     assert reason
 

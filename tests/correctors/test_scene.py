@@ -47,6 +47,15 @@ def test_neighbor_is_found_where_it_is(neighbor):
     assert found["flux"][0].value == pytest.approx(light.sum(), rel=0.1)
 
 
+def test_crowding_of_an_aperture(neighbor):
+    sky, corrector = neighbor
+    box = np.zeros(sky.aperture.shape, dtype=bool)
+    y, x = (round(np.median(v)) for v in (sky.y, sky.x))
+    box[y - 2 : y + 3, x - 2 : x + 3] = True
+    own, other = (light[:, box].sum() for light in (sky.star_light, sky.neighbor_light))
+    assert corrector.crowding(box) == pytest.approx(own / (own + other), abs=0.02)
+
+
 def test_variable_star_is_kept(neighbor):
     sky, corrector = neighbor
     found = score(corrector.corrected_lc, sky)
