@@ -25,7 +25,8 @@ __all__ = ["CleanPixels", "clean_pixels", "precise_aperture"]
 _SCALE, _COARSE_SCALE = 0.8, 1.0
 _TOLERANCE, _COARSE_TOLERANCE = 1e-9, 1e-4
 _MAX_RANK, _COARSE_RANK = 120, 25
-_ITERATIONS = 10
+#: Number of iterations, and for stars whose constant light is learned.
+_ITERATIONS, _MORE_ITERATIONS = 7, 12
 #: Iterations after which the focus has an image of its own, and constant light counts.
 _FOCUS_FROM, _CONSTANT_FROM = 2, 3
 #: Prior standard deviations: position about POS_CORR (px), relative width.
@@ -39,6 +40,8 @@ _FAST, _STRONG = 0.25, 0.02
 _RESPONSE_PRIOR = 0.05
 #: Mean variance about the model, in units of the noise, above which its brightness is not used.
 _LARGEST_MISFIT = 1.3
+#: Noise of that brightness, in units of the sum's, below which it is used.
+_LESS_NOISE = 0.9
 #: Part of the variance of lost light that is expected to remain: a tenth of the amplitude.
 _LOST = 0.01
 #: Part of the light in the aperture above which the level of dark pixels is background.
@@ -50,9 +53,11 @@ _FAR, _FEWEST_FAR = 2.7, 15
 _CLIP, _MISFIT = 6.0, 0.05
 #: Constant light in the aperture, relative, below which it does not count; and the iteration at
 #: which that is decided.
-_FAINT, _DECIDED = 0.02, 6
+_FAINT, _DECIDED = 0.004, 5
 #: Weight of cadences that do not count.
 _NO_WEIGHT = 1e-6
+#: Wider kernels are not tried where one has so many times the error of the best.
+_WORSE = 1.05
 #: Widths in cadences of the kernels that are tried to smooth the focus and the background.
 _WIDTHS = (1.5, 3.0, 6.0, 12.0, 24.0, 48.0)
 
@@ -74,6 +79,9 @@ class CleanPixels:
         Predicted fractions ``(n, n_pixels)``; they add up to 1 over the aperture and are 0 outside.
     still : ndarray
         The same without the changes of focus.
+    outside : ndarray
+        The star's light in pixels outside of the aperture at constant focus, in units of that
+        inside, ``(n,)``.
     background : ndarray
         Background, e-/s, ``(n, n_pixels)``; relative to its median where the dark pixels may hold
         the star's wings.
@@ -91,6 +99,7 @@ class CleanPixels:
     light_error: np.ndarray
     shares: np.ndarray
     still: np.ndarray
+    outside: np.ndarray
     background: np.ndarray
     position: np.ndarray
     focus: np.ndarray
@@ -126,15 +135,19 @@ class _Features:
         """Return the functions at positions, ``(n, rank)``."""
         return solve_triangular(self._lower, self._kernel(position, self._pivots).T, lower=True).T
 
-    def gradients(self, position):
-        """Return their derivatives along x and y."""
+    def combined(self, position, coefficients):
+        """Return combinations of the functions, and their derivatives along x and y."""
         kernel = self._kernel(position, self._pivots)
-        for axis in (0, 1):
-            slope = (self._pivots[None, :, axis] - position[:, None, axis]) / self._scale**2
-            yield solve_triangular(self._lower, (slope * kernel).T, lower=True).T
+        weights = solve_triangular(self._lower, coefficients, lower=True, trans=1)
+        slopes = [
+            ((self._pivots[None, :, axis] - position[:, None, axis]) / self._scale**2 * kernel)
+            @ weights
+            for axis in (0, 1)
+        ]
+        return kernel @ weights, slopes
 
 
-def clean_pixels(time, flux, flux_err, position, grid, aperture, use=None):
+def clean_pixels(time, flux, flux_err, position, grid, aperture, *, use=None, own=None):
     """
     Predict the pixel fractions of a star.
 
@@ -152,6 +165,8 @@ def clean_pixels(time, flux, flux_err, position, grid, aperture, use=None):
         Pixels that are summed.
     use : ndarray of bool, optional
         Cadences from which everything that they share is learned, ``(n,)``; by default all.
+    own : ndarray of bool, optional
+        Pixels that show the star's brightness, by default all: not those of other stars.
 
     Returns
     -------
@@ -160,10 +175,12 @@ def clean_pixels(time, flux, flux_err, position, grid, aperture, use=None):
     """
     use = np.ones(len(flux), dtype=bool) if use is None else use
     state = _State(time, flux, flux_err, position, grid, aperture, use)
-    for iteration in range(_ITERATIONS):
+    for iteration in range(_MORE_ITERATIONS):
+        if iteration >= _ITERATIONS and not state.variable.any():
+            break
         state.fit_pixels(iteration)
         state.fit_cadences(iteration)
-    return state.result(flux_err)
+    return state.result(flux_err, np.ones_like(aperture) if own is None else own)
 
 
 class _State:
@@ -263,8 +280,7 @@ class _State:
     def _images(self):
         """Return G, its derivatives by x, y and w, and N, with sums as stated."""
         inside = self.aperture
-        image = self.features(self.z) @ self._main
-        slopes = [part @ self._main for part in self.features.gradients(self.z)]
+        image, slopes = self.features.combined(self.z, self._main)
         total = image[:, inside].sum(axis=1, keepdims=True)
         image /= total
         slopes = [_without_sum(slope / total, image, inside) for slope in slopes]
@@ -291,18 +307,13 @@ class _State:
         image = self._focused(image, focus)
         a = self.brightness[:, None]
         rest = self.y - a * image + self.variable[:, None] * constant - self.background
-        self.variance = np.maximum(
-            self.noise, (1.4826 * np.median(np.abs(rest[self.use]), axis=0)) ** 2
-        )
+        spread = 1.4826 * np.median(np.abs(rest[self.use]), axis=0)
+        self.variance = np.maximum(self.noise, spread**2)
         if iteration > 0:
             limit = _CLIP * np.sqrt(self.variance) + _MISFIT * np.abs(image)
             self.good = ~_single(rest > limit, self.use)
-        planes = [np.broadcast_to(plane, image.shape) for plane in self.planes.T]
-        columns = [image, *planes, a * slopes[0], a * slopes[1], a * focus]
-        jacobian = np.stack(columns, axis=1)
-        weighted = jacobian * (self.good / self.variance)[:, None]
-        hessian = weighted @ jacobian.transpose(0, 2, 1)
-        right = (weighted @ rest[:, :, None])[:, :, 0]
+        columns = [image, *self.planes.T, a * slopes[0], a * slopes[1], a * focus]
+        hessian, right = self._normal_equations(columns, rest, self.good)
         level = np.abs(self.plane[self.use, 0] - self.base[0])
         tilt = 1.4826 * np.median(level) + abs(self.base[0])
         place = np.where(self.known, _POSITION_PRIOR**-2, 1e-2)
@@ -317,8 +328,9 @@ class _State:
             hessian[:, k, k] += weight
             right[:, k] += weight * distance
         hessian[:, range(7), range(7)] *= 1 + 1e-9
-        step = np.linalg.solve(hessian, right[:, :, None])[:, :, 0]
-        errors = np.sqrt(np.maximum(np.linalg.inv(hessian)[:, range(7), range(7)], 1e-30))
+        inverse = np.linalg.inv(hessian)
+        step = (inverse @ right[:, :, None])[:, :, 0]
+        errors = np.sqrt(np.maximum(inverse[:, range(7), range(7)], 1e-30))
         self.brightness = self.brightness + np.clip(step[:, 0], -0.3, 0.3)
         self.z = self.z + np.clip(step[:, 4:6], -0.1, 0.1)
         self._set_background(self.plane + step[:, 1:4], errors[:, 1:4], iteration)
@@ -326,20 +338,28 @@ class _State:
         self._anchor()
         self._set_focus(self.focus + np.clip(step[:, 6], -0.02, 0.02), errors[:, 6], iteration)
 
-    def _fit_brightness(self):
-        """Fit brightness and positions once more, at the smoothed background and focus."""
+    def _normal_equations(self, columns, rest, good):
+        """Return the Hessian and the right side of each cadence's least squares."""
+        both = np.empty((len(rest), len(columns) + 1, rest.shape[1]))
+        for k, column in enumerate([*columns, rest]):
+            both[:, k] = column
+        both *= np.sqrt(good / self.variance)[:, None]
+        product = both @ both.transpose(0, 2, 1)
+        return product[:, :-1, :-1].copy(), product[:, :-1, -1].copy()
+
+    def _fit_brightness(self, own):
+        """Fit brightness and positions to some pixels, at the smoothed background and focus."""
         image, slopes, focus, constant = self._images()
         image = self._focused(image, focus)
         a = self.brightness[:, None]
         rest = self.y - self.background - a * image + self.variable[:, None] * constant
-        jacobian = np.stack([image, a * slopes[0], a * slopes[1]], axis=1)
-        weighted = jacobian * (self.good / self.variance)[:, None]
-        hessian = weighted @ jacobian.transpose(0, 2, 1)
+        columns = [image, a * slopes[0], a * slopes[1]]
+        hessian, right = self._normal_equations(columns, rest, self.good & own)
         place = np.where(self.known, _POSITION_PRIOR**-2, 1e-2)
         hessian[:, 1, 1] += place
         hessian[:, 2, 2] += place
         inverse = np.linalg.inv(hessian)
-        step = (inverse @ (weighted @ rest[:, :, None]))[:, :, 0]
+        step = (inverse @ right[:, :, None])[:, :, 0]
         self.brightness = self.brightness + np.clip(step[:, 0], -0.3, 0.3)
         self.error = np.sqrt(inverse[:, 0, 0])
 
@@ -405,9 +425,9 @@ class _State:
         focus = focus - columns @ np.linalg.lstsq(columns[use], focus[use], rcond=None)[0]
         self.focus = _smoothed(self.time, focus, error, use) if iteration >= _FOCUS_FROM else focus
 
-    def result(self, flux_err):
+    def result(self, flux_err, own):
         """Return the light and the fractions."""
-        self._fit_brightness()
+        self._fit_brightness(own)
         still, _, focus, constant = self._images()
         image, inside = self._focused(still, focus), self.aperture
         model = self.brightness[:, None] * image - self.variable[:, None] * constant
@@ -416,19 +436,34 @@ class _State:
         misfit = np.average(self.variance / self.noise, weights=np.maximum(self.scale, 0))
         fits = misfit < _LARGEST_MISFIT
         if fits and np.median(self.error) * self.unit < np.median(error):
-            light, error = self.brightness, self.error * self.unit
+            fitted = self._brightness_like(light)
+            part = self._roughness(fitted) / self._roughness(light)
+            if part < _LESS_NOISE:
+                light, error = fitted, np.maximum(self.error * self.unit, part * error)
         other = self._constant_light(image, constant)
         return CleanPixels(
             light=self.unit * (light - other),
             light_error=error,
             shares=np.where(inside, image, 0.0),
             still=np.where(inside, still, 0.0),
+            outside=still[:, ~inside].sum(axis=1),
             background=self.unit * self.background,
             position=self.z,
             focus=self.focus,
             constant=self.unit * other,
             repaired=~self.good,
         )
+
+    def _roughness(self, light):
+        """Return the typical change from cadence to cadence that positions do not explain."""
+        fit, change = self.features(self.z[self.use]), light[self.use] - 1
+        return np.median(np.abs(np.diff(change - _explained(fit, fit, change))))
+
+    def _brightness_like(self, light):
+        """Return the brightness with the sum's dependence on position and focus."""
+        columns = np.column_stack([self.features(self.z), self.focus]) * self.brightness[:, None]
+        change = (self.brightness - light)[self.use]
+        return self.brightness - _explained(columns, columns[self.use], change)
 
     def _constant_light(self, image, constant):
         """Return the constant light in the aperture, if the star's variability shows it.
@@ -479,6 +514,12 @@ def precise_aperture(light, variance, position):
     return mask
 
 
+def _explained(columns, fit, values):
+    """Return what columns explain of values, whose rows are ``fit``."""
+    gram = fit.T @ fit + 1e-9 * len(fit) * np.eye(fit.shape[1])
+    return columns @ np.linalg.solve(gram, fit.T @ values)
+
+
 def _without_sum(values, image, inside):
     """Return images whose sum over the aperture is taken off in the shape of the star."""
     return values - image * values[:, inside].sum(axis=1, keepdims=True)
@@ -514,6 +555,8 @@ def _smoothed(time, values, error, use):
     for width in _WIDTHS:
         smooth, rest = _local_lines(index, values, start, use, width)
         size = np.median(np.abs(rest[use]))
+        if size > _WORSE * best[0]:
+            break
         if size < best[0]:
             best = size, smooth
     return best[1]

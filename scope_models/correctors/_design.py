@@ -23,6 +23,7 @@ __all__ = [
     "focus_columns",
     "make_regressors",
     "neighbor_columns",
+    "outside_column",
     "segment_breaks",
 ]
 
@@ -157,6 +158,13 @@ def focus_columns(clean, usable, use):
     columns = np.full((len(usable), 3), np.nan)
     columns[usable] = np.concatenate([focus, focus * clean.position / size], axis=1)
     return columns
+
+
+def outside_column(clean, usable):
+    """Return the logarithm of the part of the star's light that the aperture holds."""
+    column = np.full((len(usable), 1), np.nan)
+    column[usable, 0] = -np.log(np.maximum(1 + clean.outside, 0.1))
+    return column
 
 
 def background_columns(pixels, n_components, mask, use):

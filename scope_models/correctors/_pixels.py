@@ -35,6 +35,8 @@ _LARGEST_CORRECTION = 30.0
 _MARGIN = 2
 #: Light between two peaks of one star, in units of the fainter one.
 _SAME_STAR = 0.7
+#: Pixels of other stars count from this part of the star's brightest pixel on.
+_OTHER_STAR = 0.02
 #: The background is first sought in this part of the pixels, in so many at least for a slope.
 _DARK_PART, _FEWEST_DARK, _PLANE_FITS = 0.3, 8, 5
 #: Fewer cadences or pixels do not determine how the fractions change with position.
@@ -60,6 +62,10 @@ class Pixels:
         Cadences with finite time, finite pixels and a positive sum.
     weights : ndarray or None
         Weights of a moving aperture, ``(n_cadences, ny, nx)``; None: all pixels count alike.
+    own : ndarray of bool, optional
+        Pixels that are not those of other stars, ``(ny, nx)``.
+    crowding : float, optional
+        Part of the aperture's light that is in pixels of other stars.
     """
 
     time: np.ndarray
@@ -70,6 +76,8 @@ class Pixels:
     total_err: np.ndarray
     usable: np.ndarray
     weights: np.ndarray | None = None
+    own: np.ndarray | None = None
+    crowding: float = 0.0
 
     @property
     def weighted(self):
@@ -256,7 +264,18 @@ def aperture_pixels(series, aperture):
     if positive.sum() < finite.sum():
         _warn(f"{finite.sum() - positive.sum()} cadences without a positive flux are left out")
     total_err = _filled_errors(total, total_err, positive)
-    return Pixels(time, flux, flux_err, aperture, total, total_err, positive, weights)
+    own, crowding = _own_light(flux[positive], aperture)
+    totals = total, total_err, positive
+    return Pixels(time, flux, flux_err, aperture, *totals, weights, own, crowding)
+
+
+def _own_light(flux, aperture):
+    """Return the star's pixels, and the part of the aperture's light that is in those of others."""
+    typical = _typical(flux)
+    image = np.nan_to_num(typical - background_plane(typical))
+    peak = np.argmax(np.where(aperture, image, -np.inf))
+    others = ~own_pixels(image, peak) & (image > _OTHER_STAR * image.flat[peak])
+    return ~others, float(image[aperture & others].sum() / image[aperture].sum())
 
 
 def can_predict(pixels, saturation, use):
@@ -318,7 +337,8 @@ def with_predicted_fractions(pixels, pos_corr, cadence_mask=None):
         pos_corr[use],
         np.stack([columns, rows], axis=1),
         pixels.aperture[known],
-        None if cadence_mask is None else cadence_mask[use],
+        use=None if cadence_mask is None else cadence_mask[use],
+        own=None if pixels.own is None else pixels.own[known],
     )
     light, light_error = clean.light, clean.light_error
     if pixels.weights is not None:

@@ -263,6 +263,11 @@ class PLDFit:
                 f"{100 * self.contamination:.1f} % of the light in the aperture is constant and "
                 "was taken off: another star or background"
             )
+        elif self.crowding > _CONTAMINATED:
+            found.append(
+                f"{100 * self.crowding:.0f} % of the light in the aperture is in pixels of other "
+                "stars: depths and amplitudes are too small by as much"
+            )
         low, high = np.quantile(self.solution.systematics[self.solution.use], (0.16, 0.84))
         change = (high - low) / 2
         whole = self.model.pixels.aperture.sum() >= _WHOLE
@@ -284,6 +289,11 @@ class PLDFit:
         """Constant light that was taken off, in units of all light in the aperture."""
         clean = self.model.clean
         return 0.0 if clean is None else clean.constant / (clean.constant + np.median(clean.light))
+
+    @property
+    def crowding(self):
+        """Part of the light in the aperture that is in pixels of other stars, at least."""
+        return self.model.pixels.crowding
 
     def covariance(self, cadences):
         """
@@ -338,6 +348,29 @@ class PLDFit:
         options = self.model.options
         solution = self.solution.with_flat(column, use)
         return solution.without_outliers(options).flat_coefficient(-1)
+
+    def survival(self, transit_model):
+        """
+        Return the part of a transit's depth that survives if it is not masked.
+
+        Transits that repeat may survive as periodic variability, deep ones as outliers; the mean
+        of one shallow transit is `transit_survival`.
+
+        Parameters
+        ----------
+        transit_model : array_like or callable
+            As in `PLDCorrector.correct`.
+
+        Returns
+        -------
+        float
+            Slope of the corrected flux on the model.
+        """
+        usable = self.model.pixels.usable
+        column = transit_column(transit_model, self.model.pixels.time)[usable]
+        if not column.any():
+            return np.nan
+        return self.solution.response(column[:, 0])
 
     def held_out(self, width=13):
         """
@@ -395,6 +428,8 @@ class PLDFit:
             ("fractions", "measured" if self.model.clean is None else "predicted"),
             ("constant light taken off", f"{100 * self.contamination:.1f} %"),
         ]
+        if self.crowding:
+            rows.append(("in pixels of other stars", f"{100 * self.crowding:.1f} %"))
         if np.isfinite(self.trend_sigma):
             trend = f"{1e6 * self.trend_sigma:.0f} ppm, {self.trend_period:.2f} d"
             rows.append(("trend", trend))

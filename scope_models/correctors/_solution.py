@@ -29,6 +29,7 @@ _EXPECTED = {
     "order 2, shared": 0.01,
     "segments": 1e-4,
     "focus": 5e-5,
+    "aperture": 1.0,
 }
 
 
@@ -285,6 +286,15 @@ class Solution:
         """Return, per group, the number of parameters that the data determine."""
         used = 1 - self.posterior.shrinkage[: self.n_regressors]
         return np.bincount(self.regressors.groups, used)
+
+    def response(self, dip):
+        """Return the part of a small change of the data that the correction leaves."""
+        solved = self.process.solve(dip[self.use][:, None])
+        k = self.n_regressors
+        change = self.posterior.covariance[:k] @ (self.data.columns.T @ solved)[:, 0]
+        left = dip - self.regressors.columns @ change
+        centered = dip - dip.mean()
+        return float(centered @ left / (centered @ centered))
 
     def survival(self, width):
         """

@@ -15,6 +15,7 @@ from scope_models.correctors._design import (
     focus_columns,
     make_regressors,
     neighbor_columns,
+    outside_column,
     segment_breaks,
 )
 from scope_models.correctors._features import Regressors
@@ -277,6 +278,7 @@ class PLDModel:
             predicted, clean = with_predicted_fractions(pixels, series.pos_corr, use)
             if predicted.usable.sum() > _CREDIBLE * pixels.usable.sum():
                 extra["focus"] = focus_columns(clean, pixels.usable, use)
+                extra["aperture"] = outside_column(clean, pixels.usable)
                 pixels, saturation = predicted, None
             else:  # the model of the pixels has diverged
                 clean = None
@@ -384,8 +386,8 @@ def fit_pixels(pixels, options, series, cadence_mask=None, **transit):
     Fit pixels, with the fractions that the data support.
 
     With ``fractions="auto"`` these are the predicted ones, unless they leave more noise than
-    FLUX_ERR explains, measured fractions predict windows that they have not seen better, and the
-    star's periodic variability is the same with both.
+    FLUX_ERR explains, no constant light was found, measured fractions predict windows that they
+    have not seen better, and the star's periodic variability is the same with both.
 
     Parameters
     ----------
@@ -413,7 +415,7 @@ def fit_pixels(pixels, options, series, cadence_mask=None, **transit):
     fitted = fitted_with(options)
     if options.fractions != "auto" or fitted.model.clean is None:
         return fitted
-    if fitted.noise_scale < _MISFIT:
+    if fitted.noise_scale < _MISFIT or fitted.model.clean.constant > 0:
         return fitted
     measured = fitted_with(replace(options, fractions="measured"))
     weighted = np.median(fitted.model.clean.light_error) < np.median(
