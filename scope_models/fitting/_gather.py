@@ -280,3 +280,6 @@ def _of_positions(fit):
     x, y = np.median(fit.x), np.median(fit.y)
     if not (0 <= x <= nx - 1 and 0 <= y <= ny - 1):
         yield f"the star is at the edge of the pixels: x = {x:.2f}, y = {y:.2f}"
+    lost = (fit.x <= -1) | (fit.x >= nx) | (fit.y <= -1) | (fit.y >= ny)
+    if lost.any():
+        yield f"in {lost.sum()} cadences the fitted position ends at its bounds, off the pixels"

@@ -403,7 +403,8 @@ class Problem:
         # Most parameters hang on the pixels with light, most pixels have none.
         light = self._light_parts
         n_light = 1 / np.sum(light**2)
-        weighted = np.nansum(squares * light, axis=1) / np.sum(light * ~np.isnan(squares), axis=1)
+        lit = np.sum(light * ~np.isnan(squares), axis=1)
+        weighted = np.nansum(squares * light, axis=1)[lit > 0] / lit[lit > 0]
         bright = np.median(weighted) / (1 - 2 / (9 * n_light)) ** 3
         by_chance = _CHANCE * np.sqrt(2 / (n_light * len(squares)))
         lost = self.n_data / max(self.n_data - self.n_free, 1)

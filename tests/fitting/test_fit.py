@@ -21,6 +21,7 @@ from scope_models import (
     simulate,
 )
 from scope_models.exceptions import FitWarning
+from scope_models.experiments.skies import make_sky
 from scope_models.fitting import _solver
 from scope_models.io import read_tpf
 from scope_models.models import TabulatedPRF
@@ -486,3 +487,15 @@ class TestDefault:
     def test_progress(self, capsys):
         fit_tpf(make(n=20), 1, progress=True)
         assert "cost" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("regime", ["k2-1x-constant", "k2-5x-constant", "k2-1x-kp17"])
+def test_sensitivity_of_messy_stars_is_not_quoted(regime, curvature):
+    """The PSF of these stars is no sum of Gaussians: a coefficient describes that, if anything."""
+    tpf = make_sky(regime, seed=3, n_cadences=200).to_tpf()
+    fit, messages = messages_of(tpf, sensitivity=curvature)
+    assert "the sensitivity is" in messages
+    assert fit.reduced_chi2 > 1.1
+    assert all(np.isnan(fit.errors[name]) for name in ("ax2", "ay2"))
+    np.testing.assert_allclose(fit.path_scale(), 1, atol=0.15)
