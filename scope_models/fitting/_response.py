@@ -21,8 +21,12 @@ __all__ = ["fit_response"]
 _LADDER = ((1, 1), (2, 2), (3, 3), (4, 4), (5, 6), (6, 8), (8, 8), (10, 8))
 # Steps on each rung, and by how much the next one must lower the cost of held-out cadences.
 _TRIAL_STEPS, _LEAST_GAIN = 4, 1e-2
+# Cost per pixel of the held-out cadences from which a model is far off.
+_FAR = 2.0
 # Every tenth cadence is held out, from the sixth on.
 _EVERY, _FIRST = 10, 5
+# Cadences that a response needs.
+_FEWEST = 20
 # Standard deviation of positions about POS_CORR: pixels, and parts of the motion, at most.
 _POSITION_ERROR, _POSITION_PART = 0.1, 0.5
 # ... where positions are the path, or free.
@@ -338,7 +342,10 @@ def _choose(problem, cadences, center, error, held, report):
         if best is not None:
             both = trial.used[held] & best[1].used[held]
             if cost[both].sum() > (1 - _LEAST_GAIN) * best[2][both].sum():
-                break
+                # A model that is far off may need more terms at once.
+                if np.median(best[2]) < _FAR * np.count_nonzero(given) / len(given):
+                    break
+                continue
         best = shares, trial, cost
     return best[0], best[1], steps
 
@@ -386,6 +393,10 @@ def fit_response(problem, few, state, fits, report=None):
     list of TPFFit
         One per file.
     """
+    if len(problem.flux) < _FEWEST:
+        raise ValueError(
+            f'`tpf` has {len(problem.flux)} cadences; response="pixels" needs {_FEWEST} or more'
+        )
     asked = problem.options
     error = {"path": _TIGHT, "prior": asked.position_error, "free": _LOOSE}.get(asked.positions)
     if error is None:

@@ -732,3 +732,16 @@ def test_tess_star(shared_data):
         lc = corrector.correct(order=1)
     assert type(lc).__name__ == "TessLightCurve"
     assert np.isfinite(lc.flux).all()
+
+
+def test_survival_is_what_the_correction_leaves_of_a_dip(corrected):
+    result = corrected.result
+    solution = result.solution
+    dip = np.where(np.arange(400) % 90 < 8, -1e-3, 0.0)
+    changed = dataclasses.replace(solution, y=solution.y + dip)
+    left = dip - changed.systematics + solution.systematics
+    slope = np.polyfit(dip, left, 1)[0]
+    assert result.survival(np.exp(dip)) == pytest.approx(slope, abs=1e-6)
+    assert 0.8 < slope < 1
+    with pytest.warns(DetrendingWarning, match="its event lies in a gap"):
+        assert np.isnan(result.survival(np.ones_like))

@@ -112,6 +112,11 @@ def test_bad_options(sky, options, message):
         fit_tpf(sky.to_tpf(), **{"response": "pixels", **options})
 
 
+def test_too_few_cadences(sky):
+    with pytest.raises(ValueError, match=r'`tpf` has 15 cadences; response="pixels" needs 20'):
+        fitted(sky.to_tpf()[:15], psf=1)
+
+
 def test_without_pos_corr(sky):
     tpf = sky.to_tpf()[:150]
     for name in ("POS_CORR1", "POS_CORR2"):

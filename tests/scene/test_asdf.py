@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from astropy.coordinates import SkyCoord
 
 from scope_models import (
     PRF,
@@ -81,7 +82,15 @@ def test_scene(tmp_path):
         metadata={"campaign": 5},
     )  # fmt: skip
     assert back(scene, tmp_path / "scene.asdf") == scene
-    assert back(Detector.tess(), tmp_path / "detector.asdf") == Detector.tess()
+    for detector in (Detector.tess(), Detector.ground()):
+        assert back(detector, tmp_path / "detector.asdf") == detector
+
+
+def test_star_on_the_sky(tmp_path):
+    star = Star(12.0, coord=SkyCoord(12.0, -3.0, unit="deg"))
+    found = back(star, tmp_path / "star.asdf")
+    assert found.coord.separation(star.coord).arcsec < 1e-9
+    assert found.replace(coord=star.coord) == star
 
 
 def test_functions_are_refused(tmp_path):
