@@ -8,6 +8,7 @@ import numpy as np
 
 from scope_models._arrays import plain_array
 from scope_models._checks import checked_integer, checked_mask
+from scope_models.effects import Effect
 from scope_models.io import TPFMetadata, Truth, make_tpf_hdulist, write_tpf
 from scope_models.missions import MISSIONS, TIME_ZEROS
 from scope_models.scene.scene import Scene, scene_facts
@@ -435,7 +436,11 @@ class Observation:
         light = self.star_images[:, aperture].sum(axis=1)
         if not light[0] > 0:
             return {}
-        total = self.truth.flux[0] * self.truth.relative_flux[0].mean()
+        relative = self.truth.relative_flux[0]
+        effects = (*self.detector.effects, *self.scene.effects)
+        if any(type(effect).starlight is not Effect.starlight for effect in effects):
+            relative = relative * prepare(self.scene).lights[0].passed
+        total = self.truth.flux[0] * relative.mean()
         return {"CROWDSAP": float(light[0] / light.sum()), "FLFRCSAP": float(light[0] / total)}
 
     def _tpf_arguments(self, metadata: Mapping | None, aperture_mask):

@@ -202,6 +202,18 @@ def test_lightkurve_opens_a_file_from_the_ground(tmp_path, request):
     np.testing.assert_array_equal(simulate(read_scene(path)).flux, observation.flux)
 
 
+def test_extinction_is_not_light_outside_the_aperture():
+    detector = Detector.ground(effects=(), interpixel_scatter=0.0)
+    scene = Star(15.0), detector, Motion.still(20)
+    plain, dim = (
+        simulate(*scene, seed=1, effects=effects) for effects in ((), Extinction(0.5, airmass=2.0))
+    )
+    files = [each.to_tpf(aperture_mask=plain.aperture) for each in (plain, dim)]
+    fractions = [tpf.hdu[1].header["FLFRCSAP"] for tpf in files]
+    assert fractions[0] == pytest.approx(fractions[1], rel=1e-6)
+    assert 0.7 < fractions[0] < 1
+
+
 @pytest.mark.parametrize(
     ("call", "message"),
     [
