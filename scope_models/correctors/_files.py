@@ -53,8 +53,8 @@ def detrend_file(path, output, *, figure=None, overwrite=False, **options):
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     star = observation.write(Path(folder) / "star.fits")
     ...     corrector = detrend_file(star, Path(folder) / "lc.fits", order=1)
-    >>> corrector.result.groups
-    ('order 1',)
+    >>> corrector.result.groups[0]
+    'order 1'
     """
     check_output(output, overwrite=overwrite, inputs=[path])
     if figure is not None:

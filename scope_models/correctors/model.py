@@ -193,8 +193,8 @@ class PLDModel:
     >>> observation = simulate(Star(12.0), Detector.k2(), Motion.k2_roll(300), seed=1)
     >>> model = PLDModel.from_tpf(observation.to_tpf(), order=1)
     >>> matrix = model.design_matrix()
-    >>> matrix.names
-    ('order 1',)
+    >>> matrix.names[0]
+    'order 1'
     >>> len(matrix.columns) == model.pixels.usable.size
     True
     """

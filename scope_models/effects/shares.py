@@ -61,7 +61,7 @@ class PixelShares(Effect):
     >>> moved[0, 0, 0], moved[0, 5, 5] = 0.01, -0.01
     >>> shares = PixelShares(moved)
     >>> scene = Star(12.0), Detector.k2(), Motion.still(3)
-    >>> with_it, without = (simulate(*scene, noise=False, effects=e) for e in (shares, ()))
+    >>> with_it, without = (simulate(*scene, seed=1, noise=False, effects=e) for e in (shares, ()))
     >>> print(((with_it.flux - without.flux)[0, 0, 0] / 1.74e5).round(3))
     0.01
     """

@@ -66,7 +66,7 @@ def tess_noise(mag, pixels, hours=_HOURS, *, floor=60.0):
     --------
     >>> from scope_models.experiments.tess import tess_noise
     >>> print(tess_noise([8.0, 12.0], [30, 10]).round())
-    [ 87. 523.]
+    [ 87. 515.]
     """
     detector = Detector.tess()
     hours = checked_number("hours", hours, u.hour, positive=True)
