@@ -193,7 +193,7 @@ class Problem:
     error_scale : float, optional
         Factor of all errors.
     target : ndarray of shape (2,), optional
-        Where the first star is, if the caller says so.
+        Position of the first star, if given.
     span : tuple of float, optional
         First and last time that the focus covers, days.
     center : tuple of float, optional
