@@ -49,10 +49,10 @@ def add_parser(commands):
     )
     parser.add_argument(
         "--response",
-        choices=("psf", "pixels"),
-        default="psf",
-        help="pixels: the share of each pixel is a smooth function of position and time, for "
-        "real files (default: psf)",
+        choices=("auto", "psf", "pixels"),
+        default="auto",
+        help="pixels: the share of each pixel is a smooth function of position and time; auto: "
+        "where no PSF describes the pixels (default: auto)",
     )
     parser.add_argument(
         "--robust", action="store_true", help="a loss that suits data with cosmic rays"

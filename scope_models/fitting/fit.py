@@ -29,7 +29,7 @@ __all__ = ["fit_tpf"]
 _BACKGROUNDS = ("cadence", "constant", "none")
 _POSITIONS = ("free", "start", "prior", "path")
 _LOSSES = ("linear", "soft_l1")
-_RESPONSES = ("psf", "pixels")
+_RESPONSES = ("auto", "psf", "pixels")
 _NEIGHBOR_FLUXES = ("auto", "cadence", "constant")
 # Prior of the response between pixels where the caller leaves it to the data, and the scatter, in
 # standard deviations of the prior, that is no response.
@@ -57,6 +57,8 @@ _PATIENCE = 5.0
 _RESCALINGS = 8
 # So many cadences give the first guess for those of a long series.
 _FEW = 300
+# Cadences from which the response of each pixel is fitted where no PSF describes the pixels.
+_ENOUGH = 100
 
 
 def fit_tpf(
@@ -73,7 +75,7 @@ def fit_tpf(
     positions="start",
     position_error=0.01,
     focus=None,
-    response="psf",
+    response="auto",
     loss="linear",
     loss_scale=3.0,
     flux_err=None,
@@ -101,9 +103,10 @@ def fit_tpf(
     psf : int or `~astropy.modeling.Model`, optional
         1, 2 or 3 Gaussian components with free offsets; or a density or sum of densities, as for
         `~scope_models.PRF`; or a `~scope_models.PRF`. A model gives the starting values, and
-        its ``fixed`` and ``bounds`` are kept. None: two components if they describe the pixels;
-        else what describes them better without a parameter at a bound, two components, or one
-        of fixed width with an empirical term of order 6, and with positions near POS_CORR.
+        its ``fixed`` and ``bounds`` are kept. None: one or two components if they describe the
+        pixels; else what describes them better without a parameter at a bound, one or two
+        components, or one of fixed width with an empirical term of order 6, with positions near
+        POS_CORR.
     sensitivity : `~scope_models.SensitivityPolynomial`, optional
         Response within a pixel: starting values, and by its ``fixed`` what is fitted. The
         constants are always fixed, because they are the flux. None: the response is 1.
@@ -139,10 +142,11 @@ def fit_tpf(
         Shortest time, days, in which the width of the PSF changes: all distances from the star
         scale with a cubic spline of time, with a prior of 5 %, to first order in the change.
         None: the width is constant.
-    response : {"psf", "pixels"}, optional
+    response : {"auto", "psf", "pixels"}, optional
         "psf": the pixels are those of PSF, sensitivity and b alone. "pixels": each pixel's share
-        of a star's light is that plus a polynomial of fitted position and slow time, for real
-        files: see the Notes.
+        of a star's light is that plus a polynomial of fitted position and slow time: see the
+        Notes. "auto": "pixels" for 100 cadences and more that no PSF describes, as in real
+        files, if PSF, sensitivity, b and focus are left to the data; else "psf".
     loss : {"linear", "soft_l1"}, optional
         Least squares, or a loss that grows only linearly with residuals above ``loss_scale``,
         for data with cosmic rays.
@@ -230,12 +234,16 @@ def fit_tpf(
     with _progress_bar(progress) as bar:
         steps = partial(solve, max_steps=max_steps, report=bar)
         choice = _Choice(psf is None and not empirical, interpixel is None, sensitivity)
-        candidates = _candidates(problem, choice)
+        if response != "pixels":
+            fitted = _tried(_candidates(problem, choice), choice, steps, max_steps, few=choice.psf)
+            open_to_all = choice.psf and choice.interpixel and sensitivity is None
+            if response == "auto" and open_to_all and options.focus is None:
+                response = _response_of(problem, *fitted)
         if response == "pixels":
-            candidates = _rough(problem, choice)
-        few = choice.psf or response == "pixels"
-        tried, steps = _tried(candidates, choice, steps, max_steps, few=few)
-        fitted = tried if response == "pixels" else _finished(problem, *tried, steps)
+            fitted = _tried(_rough(problem, choice), choice, steps, max_steps, few=True)
+        else:
+            most = min(max_steps, _MANY_STEPS) if choice.psf else max_steps
+            fitted = _finished(problem, *fitted, partial(steps, max_steps=most))
         fits = make_results(*fitted, covariances(*fitted), detectors, series)
         if response == "pixels":
             fits = fit_response(problem, fitted[0], fitted[1].state, fits, bar)
@@ -254,9 +262,13 @@ def _tried(candidates, choice, steps, max_steps, *, few):
         tried.append(_guess(candidate, limited, every))
         if _is_true(*tried[-1], strictly=choice.psf):
             break
-    best = min(tried, key=lambda item: _rank(*item))
-    steps = partial(steps, max_steps=min(max_steps, _MANY_STEPS)) if choice.psf else steps
-    return best, steps
+    return min(tried, key=lambda item: _rank(*item))
+
+
+def _response_of(problem, few, solution):
+    """Return the response with which all cadences are fitted, from the best PSF for some."""
+    enough = len(problem.flux) >= _ENOUGH
+    return "pixels" if enough and not _is_true(few, solution, strictly=True) else "psf"
 
 
 def _check_pixels(options, sensitivity, interpixel):

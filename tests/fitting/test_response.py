@@ -44,6 +44,20 @@ def test_messy_pixels_are_described(sky, fit):
         assert fit_tpf(sky.to_tpf(), psf=1, **held).reduced_chi2 > 1.5 * fit.reduced_chi2
 
 
+def test_default_follows_from_the_pixels(sky, fit, observation):
+    """Pixels that no PSF describes get their own responses, unless something else is given."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", FitWarning)
+        default = fit_tpf(sky.to_tpf())
+        few = fit_tpf(sky.to_tpf()[:99], max_steps=1)
+        given = fit_tpf(sky.to_tpf()[:120], interpixel=0.0, max_steps=1)
+    np.testing.assert_array_equal(default.flux, fit.flux)
+    assert default.response
+    assert not few.response
+    assert not given.response
+    assert not fit_tpf(observation.to_tpf()).response
+
+
 def test_flux_and_positions(sky, fit):
     """They are right but for their gauge: smooth functions of the position."""
     index = np.searchsorted(sky.cadenceno, fit.cadenceno)
@@ -102,7 +116,7 @@ def test_files(fit, tmp_path):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"response": "pixel"}, "`response` must be one of psf, pixels"),
+        ({"response": "pixel"}, "`response` must be one of auto, psf, pixels"),
         ({"interpixel": 0.01}, "`interpixel` must be left out with response"),
         ({"focus": 2.0}, "`focus` must be left out with response"),
     ],
