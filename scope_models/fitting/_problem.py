@@ -191,9 +191,9 @@ class Problem:
     stars : tuple of FitStar, optional
         The stars, the first one without offsets.
     error_scale : float, optional
-        Factor of all errors.
-    typical : float, optional
-        Typical residual, in given errors, from which a robust loss counts.
+        Factor of all errors in the fit.
+    misfit : float, optional
+        That of the errors that are quoted, from the residuals of the pixels with light.
     target : ndarray of shape (2,), optional
         Where the first star is, if the caller says so.
     span : tuple of float, optional
@@ -207,7 +207,7 @@ class Problem:
     options: FitOptions
     stars: tuple = (FitStar(),)
     error_scale: float = 1.0
-    typical: float = 1.0
+    misfit: float = 1.0
     target: np.ndarray | None = None
     span: tuple | None = None
     center: tuple = (0.0, 0.0)
@@ -412,19 +412,20 @@ class Problem:
         by_chance = _CHANCE * np.sqrt(2 / (n_light * len(squares)))
         lost = self.n_data / max(self.n_data - self.n_free, 1)
         typical, bright = lost * typical, lost * bright
-        knee = float(np.sqrt(typical)) if typical > _UNTRUE else 1.0
         untrue = typical > _UNTRUE or bright > _UNTRUE + by_chance
-        scale = float(np.sqrt(max(typical, bright))) if untrue else 1.0
-        changes = [scale / self.error_scale, knee / self.typical if self.options.soft else 1.0]
-        if np.max(np.abs(np.array(changes) - 1)) > _SAME:
-            return replace(self, error_scale=scale, typical=knee)
+        misfit = scale = float(np.sqrt(max(typical, bright))) if untrue else 1.0
+        if self.options.soft:
+            # In units of larger errors, cosmic rays in the pixels without light are no outliers.
+            scale = float(np.sqrt(typical)) if typical > _UNTRUE else 1.0
+        if max(abs(scale / self.error_scale - 1), abs(misfit / self.misfit - 1)) > _SAME:
+            return replace(self, error_scale=scale, misfit=misfit)
         return self
 
-    @property
-    def _soft(self):
-        """Scale of the robust loss in scaled errors, or None; bright pixels do not count in it."""
-        soft = self.options.soft
-        return soft and soft * self.typical / self.error_scale
+    def quoted(self):
+        """Return the problem with the errors that are quoted, and the same weights of outliers."""
+        soft = self.options.loss_scale * self.error_scale / self.misfit
+        options = replace(self.options, loss_scale=soft)
+        return replace(self, error_scale=self.misfit, options=options)
 
     # --- parts of a state -----------------------------------------------------------------
     def _shared_value(self, state, name):
@@ -572,7 +573,7 @@ class Problem:
         n, k, m = len(self.flux), len(self.columns), self.n_shared + self.n_pixels
         shared, gradient = np.zeros((m, m)), np.zeros(m)
         mixed, block, block_gradient = np.zeros((n, k, m)), np.zeros((n, k, k)), np.zeros((n, k))
-        cost, soft, s = 0.0, self._soft, self.n_shared
+        cost, soft, s = 0.0, self.options.soft, self.n_shared
         for part in self.chunks():
             residual, by_shared, by_pixel, by_cadence = self._linearise(state, part)
             weight = self.weight[part]
