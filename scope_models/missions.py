@@ -163,7 +163,7 @@ class Mission:
     run : {"quarter", "campaign", "sector"}
         What an observing run is called.
     places : tuple of str
-        What tells the place on the focal plane.
+        What determines the place on the focal plane.
     absent_columns : tuple of str
         Columns that its target pixel files lack, of all that there are.
     displays : tuple of str
@@ -390,7 +390,7 @@ def _is_positive(value):
 def full_flux(well_depth, int_time, background=0.0):
     """Return the flux from which a pixel of an archive file may be full.
 
-    The channels differ, and a file does not say how deep the wells are: the shallowest of Kepler's
+    The channels differ, and a file does not give the depth of the wells: the shallowest of Kepler's
     84 channels are full at 0.877 of the median (0.947e6 of 1.08e6 electrons, KSCI-19033, table
     13). For other missions that is an assumption.
 

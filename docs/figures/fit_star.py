@@ -23,7 +23,7 @@ def fit_star(path=PATH):
         tpf = simulate(Star(15.0), Detector.k2(shape=(6, 6)), 2 * Motion.k2_roll(300), seed=1)
         tpf = tpf.to_tpf()
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", FitWarning)  # the text says what they tell
+        warnings.simplefilter("ignore", FitWarning)  # the text describes them
         return fit_tpf(tpf)
 
 

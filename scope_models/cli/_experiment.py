@@ -67,7 +67,7 @@ class _List(argparse.Action):
 
 
 def run(arguments):
-    """Run the study and say where its results are."""
+    """Run the study and print where its results are."""
     client = _workers.client_of(arguments)
     study = _make_study(arguments)
     try:
@@ -89,7 +89,7 @@ def run(arguments):
 
 
 def _make_study(arguments):
-    """Return the study that the arguments ask for."""
+    """Return the study of the arguments."""
     fields = dict(_field(text) for text in arguments.fields)
     if arguments.config is not None:
         return sm.experiments.read_config(arguments.config, arguments.name, fields)

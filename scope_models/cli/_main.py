@@ -51,7 +51,7 @@ def main(argv=None):
         importlib.import_module("astropy")
         with warnings.catch_warnings():
             warnings.showwarning = _show_warning
-            # lightkurve says at import that an optional part of it is absent
+            # lightkurve warns at import that an optional part of it is absent
             warnings.filterwarnings("ignore", ".*tpfmodel submodule is not available", UserWarning)
             return arguments.run(arguments) or 0
     except (ImportError, MemoryError, OSError, TypeError, ValueError) as error:
@@ -66,7 +66,7 @@ def main(argv=None):
 
 
 class _TerminatedError(BaseException):
-    """The process was asked to end, by SIGTERM."""
+    """The process received SIGTERM."""
 
 
 def _terminate(*_):
@@ -78,7 +78,7 @@ def _make_parser():
     parser = _Parser(
         prog="scope-models",
         description="Simulate what a space telescope records of a moving star.",
-        epilog="`scope-models COMMAND --help` tells more of a command.",
+        epilog="`scope-models COMMAND --help` describes a command.",
     )
     parser.add_argument("--version", action="version", version=f"%(prog)s {__version__}")
     commands = parser.add_subparsers(metavar="COMMAND", required=True)

@@ -216,7 +216,7 @@ def _run_table(arguments):
 
 
 def _make_motion(arguments, detector):
-    """Return the motion that the options ask for."""
+    """Return the motion of the options."""
     number = arguments.cadences
     if number is not None and number < 1:
         raise ValueError(f"--cadences must be at least 1, got {number}")
@@ -249,7 +249,7 @@ def _default_motion(arguments, detector, number):
 
 
 def _make_detector(arguments):
-    """Return the detector that the options ask for."""
+    """Return the detector of the options."""
     from scope_models.scene.presets import PRESETS
 
     changes = {} if arguments.shape is None else {"shape": tuple(arguments.shape)}
@@ -300,7 +300,7 @@ def _make_field(arguments, target, detector, motion, options):
 
 
 def _make_stars(arguments, detector, start):
-    """Return the star and its neighbors that the options ask for."""
+    """Return the star and its neighbors of the options."""
     x_0, y_0 = arguments.position or (None, None)
     psf = signal = None
     if arguments.psf is not None:

@@ -409,7 +409,7 @@ def without_outliers(model, allowed, sigma=5.0, largest=0.3):
     """
     for _ in range(4):
         deviations = np.abs(model.deviations())
-        # outliers have raised the fitted noise, but it is not below what FLUX_ERR says
+        # outliers have raised the fitted noise, but it is not below FLUX_ERR
         formal = model.process.noise_scale**-0.5
         spread = max(1.4826 * np.median(deviations[model.use]), min(formal, 1.0))
         use = allowed & (deviations < sigma * spread)
@@ -547,7 +547,7 @@ def with_periods(model):
     """
     Add the periods of a variable star, one after the other, as long as the evidence grows.
 
-    Each has sines and cosines of a frequency and of as many multiples as the evidence asks for.
+    Each has sines and cosines of a frequency and of as many multiples as the evidence supports.
     """
     for k in range(_MOST_PERIODS):
         wave = _periodic(model)

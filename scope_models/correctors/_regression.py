@@ -148,7 +148,7 @@ class Posterior:
         root = np.sqrt(prior)
         m = root[:, None] * gram[:-1, :-1] * root
         m.flat[:: len(root) + 1] += 1
-        # The matrix is symmetric: its transpose is in the order that LAPACK wants.
+        # The matrix is symmetric: its transpose is in the order that LAPACK takes.
         lower, failed = dpotrf(m.T, lower=1, clean=1, overwrite_a=1)
         if failed:
             raise np.linalg.LinAlgError("the columns' covariance is not positive definite")

@@ -11,16 +11,16 @@ __all__ = ["RowCenters", "find_row_centers", "without_saturation"]
 _PART, _FEWEST = 0.01, 3
 #: Standard deviation in pixels of the Gaussian that stands for the star along a full column.
 _DRAWN_WIDTH = 0.6
-#: Columns within so many pixels of the star tell its row; so far reaches its tilt.
+#: Columns within so many pixels of the star constrain its row; so far reaches its tilt.
 _REACH = 4
-#: A column tells the row if it holds this share of the light; with twice the share fully.
+#: A column constrains the row if it holds this share of the light; with twice the share fully.
 _SMALLEST_SHARE = 5e-3
 #: ... and no pixel is fuller than 1, with 0.8 fully.
 _TAPER = 0.2
 #: Standard deviations: what a column's center of light does not follow the model by (pixel), and
 #: the pixels' responses (relative).
 _MISFIT, _RESPONSE = 1e-3, 0.05
-#: Standard deviation in pixels of the center of all light, where no column tells the row.
+#: Standard deviation in pixels of the center of all light, where no column constrains the row.
 _FALLBACK = 0.5
 
 
@@ -44,11 +44,11 @@ class RowCenters:
 
 def without_saturation(images, aperture, use, saturation, noise):
     """
-    Return images in which full columns do not tell how bright the star is.
+    Return images in which full columns do not depend on the star's brightness.
 
-    A full pixel stays full when the star dims: its share of the light tells of the dimming, and
+    A full pixel stays full when the star dims: its share of the light follows the dimming, and
     must not be a regressor. Charge bleeds along the columns, so that a column's sum does not
-    depend on it, and columns without full pixels tell the row of the star. Full columns
+    depend on it, and columns without full pixels constrain the row of the star. Full columns
     are replaced by images of these alone: a Gaussian along the column about the star's row,
     as bright as the column.
 
@@ -59,7 +59,7 @@ def without_saturation(images, aperture, use, saturation, noise):
     aperture : ndarray of bool
         ``(ny, nx)``; outside of it the images become zero.
     use : ndarray of bool
-        Cadences that tell which columns are full and what the star looks like.
+        Cadences that determine which columns are full and the star's mean image.
     saturation : float or None
         Flux of a full pixel, in the images' unit.
     noise : float

@@ -7,6 +7,7 @@ import numpy as np
 from astropy.coordinates import SkyCoord
 
 from scope_models.correctors._scene_model import render
+from scope_models.correctors._scene_start import NoLightError
 from scope_models.exceptions import DetrendingWarning
 from scope_models.io._places import star_places, target_place
 
@@ -121,7 +122,13 @@ def find_neighbors(shape, track, flux, variance, known, refit):
     if known is not None:
         found = np.column_stack([np.zeros(len(known.places)), known.offsets(track)])
         if len(found):
-            shape, track, found = _settled(shape, track, flux, variance, found, refit, known)
+            settled = _settled(shape, track, flux, variance, found, refit, known)
+            if settled is None:
+                raise ValueError(
+                    "the scene with the given `neighbors` does not describe the pixels; "
+                    "PLDCorrector needs no model of the scene"
+                )
+            shape, track, found = settled
         return replace(shape, neighbors=found, first_neighbors=found), track
     found = np.empty((0, 3))
     while len(found) < _MOST:
@@ -130,18 +137,21 @@ def find_neighbors(shape, track, flux, variance, known, refit):
             break
         tried = np.concatenate([found, [new]])
         trial = _settled(shape, track, flux, variance, tried, refit)
-        if not _separate(trial[2], np.median(trial[1].flux)):
+        if trial is None or not _separate(trial[2], np.median(trial[1].flux)):
             break
         shape, track, found = trial
     return replace(shape, neighbors=found, first_neighbors=found), track
 
 
 def _settled(shape, track, flux, variance, found, refit, known=None):
-    """Measure the neighbors and the target's first model by turns."""
+    """Measure the neighbors and the target's first model by turns; None if that diverges."""
     for _ in range(4):
         found = _measured(shape, track, flux, variance, found, move=known is None)
         old = track
-        shape, track = refit(flux - _light_of(shape, track, found))
+        try:
+            shape, track = refit(flux - _light_of(shape, track, found))
+        except NoLightError:
+            return None
         if known is None:
             moved = [np.median(track.x - old.x), np.median(track.y - old.y)]
             found = found - [0.0, *moved]

@@ -6,13 +6,17 @@ from scipy.optimize import lsq_linear
 from scope_models.correctors._scene_model import Shape, Track
 from scope_models.correctors._splines import make_grid
 
-__all__ = ["centroids", "first_shape", "first_track", "fit_gaussians"]
+__all__ = ["NoLightError", "centroids", "first_shape", "first_track", "fit_gaussians"]
 
 #: Widths of the Gaussians whose sum is the first guess, in units of the star's.
 _WIDTHS = (0.7, 0.85, 1.0, 1.2, 1.5, 2.0, 3.0, 5.0)
 #: Standard deviation of the window of the centroids (px).
 _WINDOW = 1.5
 _MOST_PIXELS = 20000
+
+
+class NoLightError(ValueError):
+    """No profile with positive flux describes the pixels of the target."""
 
 
 def centroids(images, x, y, steps=6):
@@ -142,6 +146,11 @@ def first_shape(flux, variance, x, y, rng):
         Without neighbors.
     track : Track
         With a rough flux.
+
+    Raises
+    ------
+    NoLightError
+        If no positive profile describes the pixels.
     """
     n, ny, nx = flux.shape
     u = np.broadcast_to((np.arange(nx) - x[:, None])[:, None, :], flux.shape)
@@ -165,6 +174,8 @@ def first_shape(flux, variance, x, y, rng):
     c = grid.centers
     image = profile(*(a.astype(float) for a in np.meshgrid(c, c)))
     sum_of = np.sum(profile(*np.meshgrid(np.arange(-12.0, 13), np.arange(-12.0, 13))))
+    if not sum_of > 0:
+        raise NoLightError("the pixels hold no light of the target; use PLDCorrector")
     coefficients = grid.interpolate(image / sum_of)
     none = np.empty((0, 3))
     shape = Shape(grid, coefficients, coefficients, np.ones((ny, nx)), none, none)

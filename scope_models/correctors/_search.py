@@ -19,7 +19,7 @@ __all__ = ["fit_columns", "fit_hyperparameters"]
 _ENOUGH = 4000
 #: A search ends when a step improves the likelihood's logarithm by about so much.
 _PRECISION = 1e-3
-#: Steps of a search at most, and of those that only tell which start is the best.
+#: Steps of a search at most, and of those that only find the best start.
 _STEPS, _FEW_STEPS = 60, 10
 #: Bounds of the period in days. What is faster than a transit is not a trend. With a longer period
 #: a straight line would cost little, and the star's would undo that of a slow drift.

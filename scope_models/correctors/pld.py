@@ -36,7 +36,7 @@ class PLDCorrector(Corrector):
 
     A dimming of the star changes all pixels alike and leaves the fractions
     as they are: the model can take a transit for systematics only by chance,
-    and `PLDFit.transit_survival` says how much.
+    and `PLDFit.transit_survival` estimates how much.
 
     Parameters
     ----------
@@ -194,9 +194,9 @@ class PLDCorrector(Corrector):
         saturation : "auto", None or float, optional
             Flux in e-/s above which a pixel is saturated, by default that of
             the mission if it is known. A full pixel stays full when the star
-            dims, so that its share of the light would tell the model of a
+            dims, so that its share of the light would reveal to the model a
             transit: columns with such pixels are replaced by images of their
-            sum at the row that other columns tell. None: all pixels count.
+            sum at the row of the other columns. None: all pixels count.
         sigma : float, optional
             Cadences that deviate by more standard deviations from what
             all others predict are outliers.

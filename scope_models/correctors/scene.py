@@ -156,7 +156,7 @@ class SceneCorrector(Corrector):
     Background and neighbors are taken off; the star's flux is summed in a window that follows it.
     The logarithm of this flux, less that of what the model predicts, is a function of position,
     width and slow time with Gaussian priors, plus the star's variability (two Gaussian processes
-    and the periods that the evidence asks for), plus white noise.
+    and the periods that the evidence supports), plus white noise.
 
     None of the regressors depends on the star's brightness. So variability and transits are kept,
     also where a neighbor or background lies in the aperture; see the page on correctors.

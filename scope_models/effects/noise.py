@@ -35,7 +35,7 @@ _DEFAULT_TERMS = frozenset({"photon", "background", "read"})
 # Below this mean the quantile is searched exactly; above, the asymptotic inverse picks another
 # integer than the exact inverse in fewer than 1e-4 of all draws, and then its neighbor.
 _SEARCH_BELOW = 30.0
-# Beyond this deviate (probability 3e-14) double precision cannot tell 1 - u from zero.
+# Beyond this deviate (probability 3e-14) double precision cannot distinguish 1 - u from zero.
 _LARGEST_DEVIATE = 7.5
 # A mean below _RARE gives a count only for a deviate above _RARE_DEVIATE.
 _RARE, _RARE_DEVIATE = 1e-3, 3.09
@@ -92,7 +92,7 @@ def fresh_seed():
 
 
 def noise_terms(noise):
-    """Return the set of noise terms that a ``noise`` argument asks for.
+    """Return the set of noise terms of a ``noise`` argument.
 
     Parameters
     ----------

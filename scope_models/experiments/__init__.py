@@ -47,7 +47,7 @@ _STUDIES = {
 
 
 class _Studies(Mapping):
-    """The classes of the studies by name; a class is imported when it is asked for."""
+    """The classes of the studies by name; a class is imported at its first use."""
 
     def __getitem__(self, name):
         module, attribute = _STUDIES[name]

@@ -32,7 +32,7 @@ class Claim:
     Parameters
     ----------
     name : str
-        What the paper says.
+        The paper's claim.
     scale : float
         Multiple of K2's motion.
     faintest : float

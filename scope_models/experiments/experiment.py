@@ -25,7 +25,7 @@ class ExperimentResult:
     table : astropy.table.Table
         One row per star that did not fail, ``results.ecsv``.
     summary : astropy.table.Table
-        What the results say, ``summary.ecsv``.
+        The summary, ``summary.ecsv``.
     failures : astropy.table.Table
         One row per star that failed, ``failures.ecsv``, which is there only if one did; its
         tracebacks are JSON.

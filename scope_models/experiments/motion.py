@@ -287,7 +287,7 @@ class MotionTest(Study):
             One row per motion and magnitude: medians of the columns of `measure`, and the 16th
             and 84th percentile of the CDPP in EVEREST's convention; Kepler's median,
             10th and 90th percentile, and our CDPP over Kepler's median; and "below_paper", the
-            limit that the paper states over our CDPP. In ``meta``, "claims" says of each claim of
+            limit that the paper states over our CDPP. In ``meta``, "claims" has, for each claim of
             the paper, by its name, whether it holds for ours; "claims_checked" has its definition,
             and for each corrector whether it holds and by which number; "kepler_like_to" has the
             faintest magnitude to which each multiple of the motion is Kepler-like; "survival" has
@@ -325,7 +325,7 @@ class MotionTest(Study):
         return summary
 
     def _checked_claims(self, table, summary):
-        """Return each claim by its name: its definition, and what each corrector says to it."""
+        """Return each claim by its name: its definition, and the result of each corrector."""
         scale, mag, kepler = (np.array(summary[k]) for k in ("scale", "mag", "kepler_median"))
         claims = {}
         for claim in CLAIMS:

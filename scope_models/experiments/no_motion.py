@@ -46,7 +46,7 @@ class NoMotion(Study):
     magnitudes : tuple of float, optional
         Middles of the bins.
     stars : int, optional
-        Stars per bin. The paper has 5, which say little about a 10th percentile. The magnitudes
+        Stars per bin. The paper has 5, too few for a 10th percentile. The magnitudes
         within a bin and the probabilities of the variability are spread evenly over the stars.
     width : float, optional
         Width of the bins: magnitudes are uniform within. The reference has bins of 0.5 mag.

@@ -29,7 +29,7 @@ class Recovery(Study):
 
     Each star is drawn as `~scope_models.experiments.populations.draw_star` does, with a planet
     on an orbit of its own, simulated on the paper's detector, and de-trended by
-    `~scope_models.correctors.PLDCorrector`, which is told nothing of the planet. A search by box
+    `~scope_models.correctors.PLDCorrector`, without a mask of the transits. A search by box
     least squares follows, without cadences that stand out from both neighbors. The planet is
     recovered if the strongest box is at least `threshold` times its error deep, and all boxes are
     within half a transit of true ones. Then what was found is masked, the star is de-trended
@@ -283,7 +283,7 @@ class Recovery(Study):
             its standard deviation.
             In ``meta``: "false_alarms", how many stars without planet have a detection, and
             "half_complete", the depth (ppm) of 50 % completeness by motion and magnitude; and
-            "by_motion", what all planets of a motion say together.
+            "by_motion", the statistics of all planets of a motion.
         """
         names = ("scale", "mag", "depth")
         cells = {}
@@ -316,7 +316,7 @@ class Recovery(Study):
         return summary
 
     def _cell(self, rows):
-        """Return what the stars of a cell say."""
+        """Return the statistics of the stars of a cell."""
         recovered = np.array(rows["recovered"])
         row = {
             "stars": len(rows),
@@ -407,7 +407,7 @@ def _half_complete(depths, completeness):
 
 
 def _by_motion(rows, threshold):
-    """Return what all planets at one multiple of the motion say together.
+    """Return the statistics of all planets at one multiple of the motion.
 
     Parameters
     ----------

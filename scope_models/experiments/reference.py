@@ -73,7 +73,7 @@ def read_reference(name, stars="unsaturated"):
     name : {"kepler", "k2_c03_raw", "k2_c03_everest"}
         Light curves of Kepler's pipeline; of K2 campaign 3, raw, and de-trended by EVEREST 2.
     stars : {"unsaturated", "saturated", "all"}, optional
-        Which stars of K2. The Kepler table does not tell, and has "all" whatever is asked for.
+        Which stars of K2. The Kepler table makes no difference, and has "all" in every case.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""A study: a grid of stars, what is measured of each, and what the measurements say."""
+"""A study: a grid of stars, the measurement of each, and their summary."""
 
 import dataclasses
 import hashlib
@@ -46,7 +46,7 @@ class Study(ABC):
     Raises
     ------
     TypeError
-        If a field is of another type than its annotation says.
+        If a field is of another type than its annotation.
     ValueError
         If a field is outside its domain.
 
@@ -147,7 +147,7 @@ class Study(ABC):
 
     @abstractmethod
     def summarize(self, table):
-        """Return what the results say, beside the reference.
+        """Return a summary of the results beside the reference.
 
         Parameters
         ----------

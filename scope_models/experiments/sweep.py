@@ -132,7 +132,7 @@ def run_sweep(
         If the directory cannot be written to, the disk is full, or another run is writing to the
         directory. Stars that are finished are kept.
     ModuleNotFoundError
-        If workers are asked for and Dask is not installed.
+        If workers are requested and Dask is not installed.
     SweepError
         If an executor breaks, a scheduler is lost, or processes cannot be started.
 

@@ -195,7 +195,7 @@ class Problem:
     misfit : float, optional
         That of the errors that are quoted, from the residuals of the pixels with light.
     target : ndarray of shape (2,), optional
-        Where the first star is, if the caller says so.
+        Position of the first star, if given.
     span : tuple of float, optional
         First and last time that the focus covers, days.
     center : tuple of float, optional

@@ -14,7 +14,7 @@ __all__ = ["make_scene", "sensitivity_profiles"]
 
 # Two periods of the roll of K2: what is faster is the pixels', not the star's.
 _SMOOTHING_DAYS = 0.5
-# Pixels fainter than this part of the brightest one tell the noise without light.
+# Pixels fainter than this part of the brightest one give the noise without light.
 _FAINT = 0.05
 _FEWEST_CADENCES = 20
 # Bands of frequency in which power is compared with that of the noise.
@@ -93,7 +93,7 @@ def _signal(fit, kind):
     if kind == "smooth" and fit.response:
         relative = denoised(fit, fit.flux, fit.flux_scatter) / np.median(fit.flux)
     elif kind == "smooth":
-        # Sums of pixels: unlike fitted fluxes they know nothing of errors of the PSF.
+        # Sums of pixels: unlike fitted fluxes they do not depend on errors of the PSF.
         background = fit.background[:, None, None]
         light = np.nansum(fit.observed - background, axis=(1, 2))
         expected = np.nansum(fit.fitted - background, axis=(1, 2))

@@ -267,7 +267,7 @@ def solve(problem, state, max_steps, *, n_steps=0, only=None, loosely=False, rep
         if report is not None:
             report(equations.cost)
         distance = _distance(equations, walls, state.shared)
-        if converged:  # that was one more step, to be nearer than asked for
+        if converged:  # one more step, beyond the tolerance
             break
     converged = distance < max(_ABSOLUTE, relative * equations.cost)
     return Solution(state, equations, bool(converged), n_steps, float(distance))

@@ -25,7 +25,7 @@ _RICH_ORDER = 6
 _BRIGHT = 0.1
 # ... within so many pixels of it, and where so high a percentile over the cadences is bright.
 _NEAR, _OFTEN = 2, 98
-# Stars fainter than this part of the target are constant unless the caller says otherwise.
+# Stars fainter than this part of the target are constant by default.
 _FAINT = 0.1
 
 

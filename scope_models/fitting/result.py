@@ -105,7 +105,7 @@ class TPFFit:
     options : mapping
         Options of the fit.
     meta : mapping
-        What the file says of the star.
+        The file's description of the star.
     response : tuple of PixelShares, optional
         Changes of each pixel's share in the light of each star, if they were fitted.
     held_out : ndarray of bool or None, optional

@@ -1,4 +1,4 @@
-"""What the headers of a target pixel file say, and how the missions' layouts differ."""
+"""The headers of a target pixel file, and how the missions' layouts differ."""
 
 import datetime as dt
 from collections.abc import Mapping

@@ -71,7 +71,7 @@ conf = Conf()
 
 
 class RefusedError(ValueError):
-    """A file does not have what is asked for, or is damaged; the message names it."""
+    """A file lacks the requested data, or is damaged; the message names it."""
 
 
 @contextmanager

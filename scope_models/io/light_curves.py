@@ -1,4 +1,4 @@
-"""The door out for light curves: files that keep what the pixels' headers say and stays true."""
+"""The door out for light curves: files that keep the header cards of the pixels that stay true."""
 
 import datetime as dt
 import re

@@ -540,7 +540,7 @@ def positions_of(source):
     Returns
     -------
     PositionColumns
-        The columns as they are, and what the header says.
+        The columns as they are, and the header's description.
 
     Raises
     ------

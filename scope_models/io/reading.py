@@ -47,7 +47,7 @@ class TableColumns:
     Attributes
     ----------
     columns : dict of str to ndarray
-        The columns that were asked for and are there, by upper-case name; floats are float64 and
+        The requested columns that exist, by upper-case name; floats are float64 and
         integers keep their type, all in native byte order.
     header : dict
         Cards of the primary header, overridden by those of the table.
@@ -83,9 +83,9 @@ class PositionColumns:
     cadenceno : ndarray, shape (n,), or None
         CADENCENO, if the file has it; 1, 2, ... n where it has only zeros.
     time_format : {"bkjd", "btjd"} or None
-        What the header says of the zero of time; None if it says nothing.
+        The header's zero of time; None if it has none.
     meta : dict
-        What the header says of the source: any of mission, object, campaign, quarter, sector,
+        The header's description of the source: any of mission, object, campaign, quarter, sector,
         channel, camera, ccd, ra and dec, and the name of the file as filename.
 
     Examples
@@ -174,7 +174,7 @@ def read_positions(path):
     Returns
     -------
     PositionColumns
-        The columns as they are, and what the header says.
+        The columns as they are, and the header's description.
 
     Raises
     ------
@@ -215,7 +215,7 @@ def read_positions(path):
 
 
 def facts_of(header):
-    """Return what the header of an archive file says of the source.
+    """Return the source described by the header of an archive file.
 
     Parameters
     ----------
@@ -254,7 +254,7 @@ def time_format_of(header):
     Returns
     -------
     {"bkjd", "btjd"} or None
-        BJD - 2454833 (Kepler, K2), BJD - 2457000 (TESS), or None if the header does not say.
+        BJD - 2454833 (Kepler, K2), BJD - 2457000 (TESS), or None if the header has none.
 
     Raises
     ------

@@ -3,7 +3,7 @@
 Integrals over pixels along one axis: normal densities, Hermite functions and polynomials.
 
 The functions are ``h_k(z) = He_k(z) phi(z) / sqrt(k!)`` with the probabilists' Hermite polynomials,
-of which ``dh_k/dz = -sqrt(k + 1) h_{k+1}``; `scope_models.models._gaussian` says what for.
+of which ``dh_k/dz = -sqrt(k + 1) h_{k+1}``; used in `scope_models.models._gaussian`.
 """
 
 from copy import copy

@@ -22,7 +22,7 @@ __all__ = ["Factor", "Term", "expand", "is_pixel_integrated", "leaves"]
 
 # photutils' models whose values are fluxes of pixels; its names for densities end in PSF.
 _INTEGRATED_NAMES = {"ImagePSF", "GriddedPSFModel", "EPSFModel", "FittableImageModel"}
-# Parameters that tell the width of a density, and by what they exceed a standard deviation.
+# Parameters that set the width of a density, and their ratio to a standard deviation.
 _WIDTHS = {
     "sigma": 1.0,
     "sigma_x": 1.0,
@@ -85,7 +85,7 @@ class Factor:
 
     @property
     def scale(self):
-        """Smallest width in pixels, as far as the parameters' names tell it."""
+        """Smallest width in pixels, as far as the parameters' names show it."""
         widths = [
             np.min(np.abs(pixels_of(value))) / _WIDTHS[name]
             for name, value in self.values.items()

@@ -46,7 +46,7 @@ class GaussHermitePSF(InstanceParameters, Fittable2DModel):
     sigma_x, sigma_y : float or `~astropy.units.Quantity`
         Widths of the first term in pixels.
     order : int, optional
-        Largest k + m. The default is what the given coefficients ask for, at least 4.
+        Largest k + m. The default is that of the given coefficients, at least 4.
     **kwargs
         Coefficients ``c_k_m``, 0 by default, and keywords of `~astropy.modeling.Model`.
 
@@ -177,7 +177,7 @@ class GaussHermitePSF(InstanceParameters, Fittable2DModel):
         engine : callable
             ``engine(x, y, x_0, y_0, sigma_x, sigma_y, x_coefficients, y_coefficients)``, with the
             columns, the rows, positions of shape ``(...)`` and the polynomial response along the
-            axes, returns images ``(..., ny, nx)``, after an axis of derivatives if asked for.
+            axes, returns images ``(..., ny, nx)``, after an axis of derivatives if requested.
 
         Examples
         --------
@@ -288,13 +288,13 @@ def _coefficient_names(order):
 
 
 def _orders(name):
-    """The orders along x and y that a coefficient's name tells."""
+    """The orders along x and y in a coefficient's name."""
     _, k, m = name.split("_")
     return int(k), int(m)
 
 
 def _checked_order(order, given):
-    """The order, or the one that the names of coefficients ask for."""
+    """The order, or the smallest one with all named coefficients."""
     if order is None:
         order = max([4, *(sum(_orders(name)) for name in given)])
     if isinstance(order, bool) or not isinstance(order, int | np.integer) or not 1 <= order <= 20:

@@ -248,7 +248,7 @@ def integrate_pixels(model, shape=None, *, x=None, y=None, method="auto"):
 
     for any two-dimensional model or compound m. Products are integrated jointly: the integral of
     a PSF times a sensitivity (equation 1 of Saunders et al. 2019) is not the product of their
-    integrals, which knows nothing of the response within a pixel.
+    integrals, which ignores the response within a pixel.
 
     Sums are taken apart, constants come out, and a Gaussian (`~scope_models.BivariateGaussianPSF`,
     `~astropy.modeling.functional_models.Gaussian2D`, photutils' GaussianPSF and
@@ -346,7 +346,7 @@ def _rule(integrand, index, corner_u, corner_v, size, n):
 
 def _integrate_adaptively(integrand, groups, scale):
     """
-    Integrate a function over unit squares, with more nodes where it asks for them.
+    Integrate a function over unit squares, with more nodes where it needs them.
 
     Every square is integrated by two rules; where they differ by more than 1e-11 of the sum of
     its group, the number of nodes grows by half, and beyond 48 per axis the square is cut into

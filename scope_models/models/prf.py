@@ -60,7 +60,7 @@ class PRF(InstanceParameters, Fittable2DModel):
 
     Bounds and fixed parameters are taken over from the components. Two kinds are fixed unless
     that is changed by, for example, ``prf.ax2.fixed = False``: the coefficients of the sensitivity
-    and the offsets, because a single image hardly tells them from position, flux and width.
+    and the offsets, because a single image hardly separates them from position, flux and width.
 
     Evaluated at positions that are no integers, the model gives the flux in the unit square
     around them, with the response of a pixel centered there, as photutils' PRFs do.

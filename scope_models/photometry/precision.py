@@ -121,7 +121,7 @@ def _cadence_days(time, cadence):
         steps = np.diff(time[np.isfinite(time)])
         cadence = np.median(steps) if len(steps) else np.nan
         if not cadence > 0:
-            raise ValueError("`cadence` cannot be told from the times, which must increase")
+            raise ValueError("`cadence` cannot be derived from the times, which must increase")
         return cadence
     days = plain_number(cadence, u.day, "cadence")
     if not (np.isfinite(days) and days > 0):

@@ -71,7 +71,7 @@ def plot_detrending(
     systematics, trend : array_like, optional
         The two parts of the model in the unit of the flux.
     outliers, masked : array_like of bool, optional
-        Cadences that the fit left out, by itself or because it was told to.
+        Cadences that the fit left out, as outliers or by a mask.
 
     Returns
     -------
@@ -117,7 +117,7 @@ def _scale(ax, values):
 
 
 def _label(name, flux):
-    """Add the noise, where there are enough cadences to tell."""
+    """Add the noise, where there are enough cadences."""
     try:
         return f"{name}, CDPP {cdpp(flux, method='everest'):.0f} ppm"
     except ValueError:

@@ -299,12 +299,12 @@ class Motion:
         bad : {"interpolate", "drop", "error"}, optional
             What becomes of cadences with an unusable time or position: see `from_arrays`.
         time_format : {"bkjd", "btjd"}, optional
-            Zero of the times. The default is what the header says, and "bkjd" if it says nothing.
+            Zero of the times. The default is that of the header, and "bkjd" if it has none.
 
         Returns
         -------
         Motion
-            The motion; its ``meta`` has what the header says of mission, object, campaign, quarter
+            The motion; its ``meta`` has the header's mission, object, campaign, quarter
             or sector, position on the sky and detector, and the name of the file.
 
         Raises
@@ -344,7 +344,7 @@ class Motion:
         """Take the motion of a lightkurve target pixel file or light curve.
 
         The cadences are those that the object has: lightkurve leaves out cadences by their quality
-        flags when it reads a file, unless told otherwise.
+        flags when it reads a file, by default.
 
         Parameters
         ----------
@@ -437,7 +437,7 @@ class Motion:
         n_cadences : int, optional
             Number of long cadences. A longer series begins like a shorter one.
         seed : int or None, optional
-            Seed of all random numbers; None takes a new one, which ``meta["seed"]`` tells.
+            Seed of all random numbers; None takes a new one, which ``meta["seed"]`` holds.
         start : float, Quantity or Time, optional
             Time of the first cadence, BKJD; the default is the beginning of campaign 3.
         **parameters

@@ -39,7 +39,7 @@ __all__ = ["Scene", "read_scene"]
 
 _VERSION = 2
 _SAME = 0.1  # deg
-# What a file of the scene's observation says of the star and of the place of the stamp.
+# Header cards on the star and on the place of the stamp.
 _IDENTITY = ("target_id", "object_name", "ra", "dec", "orientation", "matrix", "column", "row")
 
 
@@ -603,7 +603,7 @@ def describe_scene(scene):
 
 
 def scene_facts(scene):
-    """Return what a file of the scene says of target and stamp: fields of `TPFMetadata`."""
+    """Return the scene's target and stamp as fields of `TPFMetadata`."""
     ny, nx = scene.detector.shape
     target = scene.stars[0]
     x_0 = (nx - 1) / 2 if target.x_0 is None else target.x_0

@@ -237,3 +237,11 @@ def test_pictures(constant):
     corrector = constant[1]
     assert len(corrector.diagnose()) == 3
     assert len(corrector.diagnose_masks()) == 2
+
+
+@pytest.mark.slow
+def test_neighbors_of_a_saturated_star_that_diverge_are_left_out():
+    tpf = make_sky("k2-1x-kp9-saturated", 5008).to_tpf()
+    with pytest.warns(DetrendingWarning, match="saturate"):
+        curve = SceneCorrector(tpf).correct()
+    assert np.isfinite(curve.flux.value).mean() > 0.9

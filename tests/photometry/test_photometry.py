@@ -162,7 +162,7 @@ def test_cdpp_bad_flux(flux, message):
 
 def test_cdpp_needs_times_that_increase(lk):
     lc = lk.LightCurve(time=np.zeros(100), flux=np.ones(100))
-    with pytest.raises(ValueError, match="`cadence` cannot be told from the times"):
+    with pytest.raises(ValueError, match="`cadence` cannot be derived from the times"):
         cdpp(lc)
 
 
