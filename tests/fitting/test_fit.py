@@ -451,7 +451,9 @@ class TestDefault:
         assert fit.error_scale > 2
         # At the minimum the derivative of the loss by the background of each cadence is zero.
         residual = fit.residual / fit.observed_err
-        by_background = np.sum(residual / np.sqrt(1 + (residual / 3) ** 2) / fit.observed_err, (1, 2))
+        by_background = np.sum(
+            residual / np.sqrt(1 + (residual / 3) ** 2) / fit.observed_err, (1, 2)
+        )
         information = np.sqrt(np.sum(fit.observed_err**-2.0, axis=(1, 2)))
         assert np.abs(by_background / information).max() < 0.1
 
