@@ -396,7 +396,8 @@ class _State:
 
         Slower changes are no measure of constant light: focus and drifts are as slow.
         """
-        lag = max(2, round(_FAST / np.median(np.diff(self.time[self.use]))))
+        lag = round(_FAST / np.median(np.diff(self.time[self.use])))
+        lag = int(np.clip(lag, 2, len(variable) // 2))  # nights are short
         far, near = (variable[k:] - variable[:-k] for k in (lag, 1))
         size = np.mean(np.clip(far, *np.quantile(far, [0.02, 0.98])) ** 2) - np.mean(
             np.clip(near, *np.quantile(near, [0.02, 0.98])) ** 2

@@ -268,14 +268,12 @@ class PLDFit:
                 f"{100 * self.crowding:.0f} % of the light in the aperture is in pixels of other "
                 "stars: depths and amplitudes are too small by as much"
             )
-        low, high = np.quantile(self.solution.systematics[self.solution.use], (0.16, 0.84))
-        change = (high - low) / 2
         whole = self.model.pixels.aperture.sum() >= _WHOLE
-        if self.model.clean is None and whole and change > _FOLLOWING:
+        if whole and self.may_follow:
             found.append(
-                f"measured fractions explain changes of {100 * change:.0f} % of the flux: with "
-                "other light in the aperture they follow the star, and its variability is lost; "
-                'compare `fractions="predicted"`'
+                f"measured fractions explain changes of {100 * self._change:.0f} % of the flux: "
+                "with other light in the aperture they follow the star, and its variability is "
+                'lost; compare `fractions="predicted"`'
             )
         if self.noise_scale > _NOISY:
             found.append(
@@ -283,6 +281,16 @@ class PLDFit:
                 "varies faster than the trend model, or systematics are left"
             )
         return found
+
+    @cached_property
+    def _change(self):
+        low, high = np.quantile(self.solution.systematics[self.solution.use], (0.16, 0.84))
+        return (high - low) / 2
+
+    @property
+    def may_follow(self):
+        """Whether measured fractions explain so much that they may be the star's variability."""
+        return self.model.clean is None and bool(self._change > _FOLLOWING)
 
     @property
     def contamination(self):

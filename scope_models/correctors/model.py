@@ -46,6 +46,11 @@ _BETTER = 0.7
 #: ... and the part of a variability that they must keep if its standard deviation is so many
 #: times the noise.
 _KEPT, _STRONG = 0.95, 3.0
+#: Changes from cadence to cadence with predicted fractions, in units of those without a correction
+#: and of those with measured fractions, from which on predicted ones have failed.
+_ROUGHER = 1.1
+#: Part of the changes that are not the largest.
+_USUAL = 0.9
 _TRENDS = {"gp": 1, "quadratic": 3}
 
 
@@ -387,7 +392,9 @@ def fit_pixels(pixels, options, series, cadence_mask=None, **transit):
 
     With ``fractions="auto"`` these are the predicted ones, unless they leave more noise than
     FLUX_ERR explains, no constant light was found, measured fractions predict windows that they
-    have not seen better, and the star's periodic variability is the same with both.
+    have not seen better, and the star's periodic variability is the same with both. Predicted
+    ones that make the light curve rougher than it was have failed too: under the seeing of the
+    ground, for example, which no smooth focus describes.
 
     Parameters
     ----------
@@ -415,15 +422,18 @@ def fit_pixels(pixels, options, series, cadence_mask=None, **transit):
     fitted = fitted_with(options)
     if options.fractions != "auto" or fitted.model.clean is None:
         return fitted
-    if fitted.noise_scale < _MISFIT or fitted.model.clean.constant > 0:
+    rough = _roughness(fitted.corrected()[0]) / _ROUGHER
+    failed = rough > _roughness(pixels.total)
+    if fitted.model.clean.constant > 0 or (fitted.noise_scale < _MISFIT and not failed):
         return fitted
     measured = fitted_with(replace(options, fractions="measured"))
     weighted = np.median(fitted.model.clean.light_error) < np.median(
         pixels.total_err[pixels.usable]
     )
     better = _unseen(measured) < (1 if weighted else _BETTER) * _unseen(fitted)
-    better = better and _keeps_variability(measured, fitted)
-    return measured if better else fitted
+    if failed and not fitted.crowding and not measured.may_follow:
+        better = better or rough > _roughness(measured.corrected()[0])
+    return measured if better and _keeps_variability(measured, fitted) else fitted
 
 
 def _check_enough(use):
@@ -435,6 +445,11 @@ def _unseen(fitted):
     """Mean size of the residuals of windows that the model has not seen, without the largest."""
     size = np.sort(np.abs(fitted.held_out(fitted.window)[0]))
     return size[: max(int(0.9 * len(size)), 1)].mean()
+
+
+def _roughness(flux):
+    """Size of relative changes from cadence to cadence, but for the largest."""
+    return np.nanquantile(np.abs(np.diff(flux)), _USUAL) / np.nanmedian(flux)
 
 
 def _keeps_variability(measured, predicted):

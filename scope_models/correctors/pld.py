@@ -168,8 +168,9 @@ class PLDCorrector(Corrector):
             background predicts them, or as they are measured. Measured
             fractions follow the star where other light is in the aperture.
             By default predicted ones, unless these leave 1.5 times the noise
-            of FLUX_ERR, measured ones predict unseen windows 30 % better, and the
-            star's variability is the same with both. ``pld_aperture_mask``,
+            of FLUX_ERR, measured ones predict unseen windows 30 % better, or predicted ones
+            make the light curve rougher than it was (seeing), and the star's
+            variability is the same with both. ``pld_aperture_mask``,
             ``background``, full pixels and fewer than 200 cadences or 4
             pixels allow measured ones only.
         pca_components : int, optional

@@ -6,10 +6,13 @@ import numpy as np
 import pytest
 from lightkurve import KeplerTargetPixelFile
 
+from scope_models import Detector, Motion, Star, simulate
 from scope_models.correctors import PLDCorrector, PLDModel, model
 from scope_models.correctors._pixels import background_plane, own_pixels
+from scope_models.effects import Seeing
 from scope_models.exceptions import DetrendingWarning
 from scope_models.experiments.skies import make_sky, score
+from scope_models.models import sinusoidal_signal
 
 
 @pytest.fixture(scope="module")
@@ -48,6 +51,32 @@ def test_predicted_fractions_hold_no_noise(star):
     ]
     assert rough[0] < rough[1]
     assert predicted.fit().noise_scale == pytest.approx(1, abs=0.3)
+
+
+@pytest.mark.filterwarnings("ignore::scope_models.exceptions.DetrendingWarning")
+def test_measured_fractions_under_the_seeing_of_the_ground():
+    """The PSF's width is another one in each exposure, which no smooth focus describes."""
+    detector = Detector.ground(shape=(17, 17), effects=(Seeing(),))
+    tpf = simulate(Star(14.5, 8, 8), detector, Motion.ground(240, seed=6), seed=6).to_tpf()
+    corrector = PLDCorrector(tpf)
+    scatter = {}
+    for fractions in ("predicted", "measured", "auto"):
+        flux = corrector.correct(fractions=fractions).flux.value
+        scatter[fractions] = np.nanstd(flux) / np.nanmedian(flux)
+    assert corrector.model.clean is None
+    assert scatter["auto"] == scatter["measured"] < 0.5 * scatter["predicted"]
+
+
+def test_a_focus_that_hardly_changes_takes_no_slow_variability():
+    """Its noise resembles the star's 9 days by chance."""
+    detector, motion = Detector.k2(shape=(9, 9)), 2 * Motion.k2_roll(700)
+    variability = sinusoidal_signal(0.002, period=9.0)
+    tpf = simulate(Star(12.5, signal=variability), detector, motion, seed=1).to_tpf()
+    corrector = PLDCorrector(tpf)
+    lc = corrector.correct()
+    assert corrector.model.clean is not None
+    ratio = lc.flux.value / variability(lc.time.value)
+    assert np.nanstd(ratio) / np.nanmedian(ratio) < 2e-4
 
 
 def test_fractions_is_checked(star):
