@@ -94,7 +94,7 @@ def _make_result(problem, solution, errors, model_pixels, number, detector, seri
         chi2=float(np.nansum(squares)),
         n_data=n_data,
         n_parameters=round(n_parameters),
-        error_scale=problem.error_scale,
+        error_scale=problem.misfit,
         converged=solution.converged and not at_bounds.any(),
         n_steps=solution.n_steps,
         time_format=data.time_format,

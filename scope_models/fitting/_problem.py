@@ -191,7 +191,9 @@ class Problem:
     stars : tuple of FitStar, optional
         The stars, the first one without offsets.
     error_scale : float, optional
-        Factor of all errors.
+        Factor of all errors in the fit.
+    misfit : float, optional
+        That of the errors that are quoted, from the residuals of the pixels with light.
     target : ndarray of shape (2,), optional
         Position of the first star, if given.
     span : tuple of float, optional
@@ -205,6 +207,7 @@ class Problem:
     options: FitOptions
     stars: tuple = (FitStar(),)
     error_scale: float = 1.0
+    misfit: float = 1.0
     target: np.ndarray | None = None
     span: tuple | None = None
     center: tuple = (0.0, 0.0)
@@ -408,11 +411,21 @@ class Problem:
         bright = np.median(weighted) / (1 - 2 / (9 * n_light)) ** 3
         by_chance = _CHANCE * np.sqrt(2 / (n_light * len(squares)))
         lost = self.n_data / max(self.n_data - self.n_free, 1)
-        untrue = lost * typical > _UNTRUE or lost * bright > _UNTRUE + by_chance
-        scale = float(np.sqrt(lost * max(typical, bright))) if untrue else 1.0
-        if abs(scale / self.error_scale - 1) > _SAME:
-            return replace(self, error_scale=scale)
+        typical, bright = lost * typical, lost * bright
+        untrue = typical > _UNTRUE or bright > _UNTRUE + by_chance
+        misfit = scale = float(np.sqrt(max(typical, bright))) if untrue else 1.0
+        if self.options.soft:
+            # In units of larger errors, cosmic rays in the pixels without light are no outliers.
+            scale = float(np.sqrt(typical)) if typical > _UNTRUE else 1.0
+        if max(abs(scale / self.error_scale - 1), abs(misfit / self.misfit - 1)) > _SAME:
+            return replace(self, error_scale=scale, misfit=misfit)
         return self
+
+    def quoted(self):
+        """Return the problem with the errors that are quoted, and the same weights of outliers."""
+        soft = self.options.loss_scale * self.error_scale / self.misfit
+        options = replace(self.options, loss_scale=soft)
+        return replace(self, error_scale=self.misfit, options=options)
 
     # --- parts of a state -----------------------------------------------------------------
     def _shared_value(self, state, name):

@@ -295,7 +295,7 @@ def covariances(problem, solution):
     mixed : ndarray of shape (n, k, m)
         Of those of a cadence with the shared ones.
     """
-    equations = solution.equations
+    equations = problem.quoted().expand(solution.state)
     walls = _Walls(problem)
     reduced = _eliminate(equations)
     basis = walls.basis(walls.outward(solution.state.shared, reduced.gradient))

@@ -187,9 +187,11 @@ def fit_tpf(
     of the flux. x and y are the position of the first component. Pixel values that are not
     finite, and cadences with too few of them, are left out.
 
-    Where the model is not true, and the typical squared residual, from medians over cadences and
-    pixels, is above 1.5 squared errors, all errors are scaled up by its root, the attribute
-    ``error_scale``, so that priors keep their weight and the errors of the parameters grow.
+    Where the model is not true, and the typical squared residual of all pixels, or of those with
+    light, from medians, is above 1.5 squared errors, all errors are scaled up by the root of the
+    larger one, the attribute ``error_scale``, so that priors keep their weight and the errors of
+    the parameters grow. With ``loss="soft_l1"`` the errors of the fit itself follow all pixels
+    alike, and only the errors of the result follow ``error_scale``.
     Chi-squared is always that of the given errors. The coefficients of a sensitivity then
     describe errors of the PSF: they have no error (NaN), and neither have parameters at bounds.
 
@@ -337,7 +339,7 @@ def _is_true(problem, solution, *, strictly=False):
     dof = max(problem.n_data - problem.n_free, 1)
     excess = solution.equations.cost / dof - 1
     enough = not strictly or (solution.converged and excess < _EXCESS * np.sqrt(2 / dof))
-    return problem.error_scale == 1.0 and agrees and enough
+    return problem.misfit == 1.0 and agrees and enough
 
 
 def _rank(problem, solution):
@@ -352,7 +354,7 @@ def _rank(problem, solution):
     absorbs = bool(problem.options.interpixel) and not _is_true(problem, solution)
     information = solution.equations.cost + problem.n_shared * np.log(problem.n_data)
     ends = bool(at_bound) or not solution.converged
-    return absorbs, strange, ends, problem.error_scale, information
+    return absorbs, strange, ends, problem.misfit, information
 
 
 def _guess(problem, steps, every):

@@ -256,7 +256,7 @@ def moffat_psf(fwhm, beta=4.765, n_components=8):
     Returns
     -------
     psf : `~astropy.modeling.Model`
-        Sum of `BivariateGaussianPSF`, of flux 1.
+        Sum of `~scope_models.BivariateGaussianPSF`, of flux 1.
 
     Raises
     ------

@@ -442,6 +442,21 @@ class TestDefault:
         image = np.median(fit.observed, axis=0)
         assert fit.error_scale**2 > 0.3 * fit.chi2_pixels[image > 0.1 * image.max()].mean()
 
+    def test_a_robust_loss_follows_all_pixels_alike(self):
+        """Most pixels have no light: the loss counts in their noise, the errors in the misfit."""
+        motion = Motion.k2_roll(40)
+        psf = BivariateGaussianPSF(0.7, 0, 0, 0.45, 0.45) + BivariateGaussianPSF(0.3, 0.2, 0.1)
+        tpf = make(motion, shape=(15, 15), psf=psf)
+        fit, _ = messages_of(tpf, 1, interpixel=0, loss="soft_l1")
+        assert fit.error_scale > 2
+        # At the minimum the derivative of the loss by the background of each cadence is zero.
+        residual = fit.residual / fit.observed_err
+        by_background = np.sum(
+            residual / np.sqrt(1 + (residual / 3) ** 2) / fit.observed_err, (1, 2)
+        )
+        information = np.sqrt(np.sum(fit.observed_err**-2.0, axis=(1, 2)))
+        assert np.abs(by_background / information).max() < 0.1
+
     def test_simulated_star(self, observation):
         """Where the model is true, the response between pixels is fitted with it."""
         fit = fit_tpf(observation.to_tpf())
