@@ -20,6 +20,8 @@ _TRANSIT_HOURS = 6.5
 #: Smaller apertures lose light when the star moves, which the fractions explain.
 _WHOLE = 9
 _MANY, _CONTAMINATED, _FOLLOWING, _NOISY = 0.1, 0.02, 0.05, 25.0
+#: Part of a transit outside of the mask above which its depth is not trusted.
+_UNMASKED = 0.1
 #: Numbers of a fit that go into the metadata of its table.
 _NUMBERS = (
     "noise_scale",
@@ -347,15 +349,33 @@ class PLDFit:
         scale, error : float
             Amplitude in units of the model's, and its standard deviation; NaN and infinity if no
             cadence samples the event.
+
+        Warns
+        -----
+        DetrendingWarning
+            If the transits were neither masked nor fitted jointly.
         """
         usable = self.model.pixels.usable
         column = transit_column(transit_model, self.model.pixels.time)[usable]
         if not column.any():
             return np.nan, np.inf
+        self._check_masked(column[:, 0])
         use = self.solution.use | self.transit_mask[usable]
         options = self.model.options
         solution = self.solution.with_flat(column, use)
         return solution.without_outliers(options).flat_coefficient(-1)
+
+    def _check_masked(self, column):
+        """Warn if the fit has taken a transit for variability, systematics or outliers."""
+        event = np.abs(column - np.median(column))
+        free = self.cadence_mask[self.model.pixels.usable]
+        if not self.joint and event[free].sum() > _UNMASKED * event.sum():
+            message = (
+                "the transits were neither masked nor fitted jointly: part of their depth may be "
+                "in the variability or the systematics; `correct` with `transit_mask=` or "
+                "`transit_model=` first"
+            )
+            warnings.warn(message, DetrendingWarning, stacklevel=4)
 
     def survival(self, transit_model):
         """

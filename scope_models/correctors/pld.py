@@ -342,6 +342,11 @@ class PLDCorrector(Corrector):
         -------
         scale, error : float
             Amplitude in units of the model's, and its standard deviation.
+
+        Warns
+        -----
+        DetrendingWarning
+            If the transits were neither masked nor fitted jointly by `correct`.
         """
         return self._fitted().fit_transit(transit_model)
 
