@@ -211,7 +211,7 @@ def report_scenes(path):
 
 
 def report_defaults(folder, response):
-    """The default PSF on every file, with a response: seconds of the processor, steps, and how it ended."""
+    """The default PSF on every file, with a response: time, steps, and how it ended."""
     for path in sorted(Path(folder).glob("*_tpf/*.fits*")) + sorted(
         Path(folder).glob("kepler_q12_ch4/*.fits.gz")
     ):
