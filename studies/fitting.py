@@ -6,8 +6,9 @@ the motion of K2 to 0.1 %; on real pixels a chi-squared per pixel below that of 
 GaussianPRF for each cadence.
 
 Run as ``OMP_NUM_THREADS=1 python studies/fitting.py``, with any of ``pulls``, ``scenes FILE``,
-``defaults FOLDER``, ``real FOLDER``, ``terms FOLDER``, ``drop FOLDER``, ``response FOLDER`` and
-``twin FOLDER``, where FOLDER has the archive files. ``scenes`` continues where its FILE ends.
+``defaults FOLDER RESPONSE``, ``real FOLDER``, ``terms FOLDER``, ``drop FOLDER``, ``response
+FOLDER`` and ``twin FOLDER``, where FOLDER has the archive files and RESPONSE is "auto" or "psf".
+``scenes`` continues where its FILE ends.
 """
 
 import json
@@ -209,15 +210,15 @@ def report_scenes(path):
                 print(f"    {name:10s} rms {np.sqrt(np.mean(one**2)):.3f}, mean {one.mean():5.2f}")
 
 
-def report_defaults(folder):
-    """The default call on every file: seconds of the processor, steps, and how it ended."""
+def report_defaults(folder, response):
+    """The default PSF on every file, with a response: time, steps, and how it ended."""
     for path in sorted(Path(folder).glob("*_tpf/*.fits*")) + sorted(
         Path(folder).glob("kepler_q12_ch4/*.fits.gz")
     ):
         begin = time.process_time()
         with warnings.catch_warnings(record=True) as record:
             warnings.simplefilter("always", FitWarning)
-            fit = fit_tpf(path)
+            fit = fit_tpf(path, response=response)
         messages = {str(w.message).partition(":")[0] for w in record if w.category is FitWarning}
         print(
             f"{path.name}: {fit.observed.shape}, {time.process_time() - begin:.1f} s, "
@@ -484,7 +485,7 @@ def main():
         elif argument == "scenes":
             report_scenes(arguments[i + 1])
         elif argument == "defaults":
-            report_defaults(arguments[i + 1])
+            report_defaults(*arguments[i + 1 : i + 3])
         elif argument == "real":
             report_real(arguments[i + 1])
         elif argument == "terms":
