@@ -88,7 +88,7 @@ class CleanPixels:
     position : ndarray
         Position relative to the median, px, ``(n, 2)``.
     focus : ndarray
-        Relative change of the PSF's width, up to a factor, ``(n,)``.
+        Slow relative change of the PSF's width, up to a factor, ``(n,)``.
     constant : float
         Constant light that was taken off, e-/s.
     repaired : ndarray of bool
@@ -450,10 +450,17 @@ class _State:
             outside=still[:, ~inside].sum(axis=1),
             background=self.unit * self.background,
             position=self.z,
-            focus=self.focus,
+            focus=self._slow_focus(),
             constant=self.unit * other,
             repaired=~self.good,
         )
+
+    def _slow_focus(self):
+        """Return the slow changes of the focus: fast ones may be dimmings beside constant light."""
+        step = np.median(np.diff(self.time))
+        index = np.rint((self.time - self.time[0]) / step).astype(int)
+        weight = np.where(self.use, 1.0, _NO_WEIGHT)
+        return _local_lines(index, self.focus, weight, self.use, _FAST / step)[0]
 
     def _roughness(self, light):
         """Return the typical change from cadence to cadence that positions do not explain."""

@@ -34,8 +34,8 @@ _SHARED_TOLERANCE = 1e-6
 _MAX_RANK = 300
 _REACH = 2
 _NEIGHBOR_COMPONENTS = 10
-#: Relative change of the PSF's width below which the focus is noise, and its columns are as small.
-_LEAST_FOCUS = 3e-4
+#: Relative change of the PSF's width that is the unit of the focus.
+_FOCUS_UNIT = 2e-3
 
 
 @dataclass(frozen=True)
@@ -155,13 +155,13 @@ def _components(flux, total, fit=None):
 
 def focus_columns(clean, usable, use):
     """
-    Return the focus, and its products with the position, in units of their size.
+    Return the focus, and its products with the position in units of its size.
 
-    A focus that hardly changes gives small columns: in units of its size it would explain the
-    star's slow variability by chance.
+    The focus has a unit of its own: in units of its size, one that hardly changes would explain the
+    star's variability.
     """
     size = np.maximum([part[use[usable]].std(axis=0) for part in clean.position.T], 1e-12)
-    focus = clean.focus[:, None] / max(clean.focus[use[usable]].std(), _LEAST_FOCUS)
+    focus = clean.focus[:, None] / _FOCUS_UNIT
     columns = np.full((len(usable), 3), np.nan)
     columns[usable] = np.concatenate([focus, focus * clean.position / size], axis=1)
     return columns

@@ -15,6 +15,8 @@ _FLAT = 1e4
 _SQRT_2 = np.sqrt(2)
 #: Standard deviation of the logarithm of a group's prior variance about what is expected.
 _SPREAD = 2.0
+#: ... and about its limit, beyond it.
+_EXCESS = 0.1
 
 
 @dataclass(frozen=True)
@@ -38,6 +40,8 @@ class Data:
         Number of columns with flat priors, whose largest elements are 1.
     expected : ndarray, optional
         Prior variance of each group that is expected, NaN where nothing is.
+    most : ndarray, optional
+        Largest prior variance of each group, with `expected`.
     least_noise : float, optional
         Least factor of the white noise's variance.
     """
@@ -49,6 +53,7 @@ class Data:
     groups: np.ndarray
     n_flat: int
     expected: np.ndarray | None = None
+    most: np.ndarray | None = None
     least_noise: float = 1e-4
 
     @property
@@ -75,7 +80,8 @@ class Data:
         if self.expected is None:
             return 0.0, np.zeros(self.n_groups)
         ratio = np.nan_to_num(np.log(variances / self.expected)) / _SPREAD
-        return 0.5 * ratio @ ratio, ratio / _SPREAD
+        excess = np.maximum(np.log(variances / self.most), 0.0) / _EXCESS
+        return 0.5 * (ratio @ ratio + excess @ excess), ratio / _SPREAD + excess / _EXCESS
 
     def averaged(self, width):
         """Return the means of so many cadences each, one after the other."""

@@ -31,6 +31,9 @@ _EXPECTED = {
     "focus": 5e-5,
     "aperture": 1.0,
 }
+#: Those of the focus have a limit: a width that changes by 1 % changes the response of the pixels by
+#: 1e-3 at most. What seems to be a focus may be a dimming of the star beside constant light.
+_MOST = {"focus": 5e-4}
 
 
 class NothingToCorrectError(ValueError):
@@ -100,7 +103,8 @@ class Solution:
         if not self.predicted:
             return {}
         expected = [_EXPECTED.get(name, np.nan) for name in self.regressors.names]
-        return {"expected": np.square(expected), "least_noise": 1.0}
+        most = [_MOST.get(name, 1e9) for name in self.regressors.names]
+        return {"expected": np.square(expected), "most": np.square(most), "least_noise": 1.0}
 
     @cached_property
     def process(self):
