@@ -58,6 +58,8 @@ _FAINT, _DECIDED = 0.004, 5
 _NO_WEIGHT = 1e-6
 #: Wider kernels are not tried where one has so many times the error of the best.
 _WORSE = 1.05
+#: Width in days of the kernel beyond which outliers of the focus are dips, and none of the focus.
+_SLOW = 0.05
 #: Widths in cadences of the kernels that are tried to smooth the focus and the background.
 _WIDTHS = (1.5, 3.0, 6.0, 12.0, 24.0, 48.0)
 
@@ -88,7 +90,7 @@ class CleanPixels:
     position : ndarray
         Position relative to the median, px, ``(n, 2)``.
     focus : ndarray
-        Slow relative change of the PSF's width, up to a factor, ``(n,)``.
+        Relative change of the PSF's width without short dips, up to a factor, ``(n,)``.
     constant : float
         Constant light that was taken off, e-/s.
     repaired : ndarray of bool
@@ -456,11 +458,11 @@ class _State:
         )
 
     def _slow_focus(self):
-        """Return the slow changes of the focus: fast ones may be dimmings beside constant light."""
+        """Return the focus without short dips, which may be dimmings beside constant light."""
         step = np.median(np.diff(self.time))
         index = np.rint((self.time - self.time[0]) / step).astype(int)
         weight = np.where(self.use, 1.0, _NO_WEIGHT)
-        return _local_lines(index, self.focus, weight, self.use, _FAST / step)[0]
+        return _local_lines(index, self.focus, weight, self.use, _SLOW / step)[0]
 
     def _roughness(self, light):
         """Return the typical change from cadence to cadence that positions do not explain."""

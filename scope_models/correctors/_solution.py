@@ -31,7 +31,7 @@ _EXPECTED = {
     "focus": 5e-5,
     "aperture": 1.0,
 }
-#: Those of the focus have a limit: a width that changes by 1 % changes the response of the pixels by
+#: Those of the focus have a limit: a width that changes by 1 % changes the response of pixels by
 #: 1e-3 at most. What seems to be a focus may be a dimming of the star beside constant light.
 _MOST = {"focus": 5e-4}
 

@@ -11,6 +11,7 @@ from scope_models.correctors import PLDCorrector, PLDModel, model
 from scope_models.correctors._pixels import background_plane, own_pixels
 from scope_models.effects import Seeing
 from scope_models.exceptions import DetrendingWarning
+from scope_models.experiments import make_study
 from scope_models.experiments.skies import make_sky, score
 from scope_models.models import sinusoidal_signal
 
@@ -160,3 +161,12 @@ def test_light_in_pixels_of_other_stars_is_reported(crowded, star):
     true = (crowded.neighbor_light / (crowded.neighbor_light + crowded.star_light)).mean()
     assert 0.5 * true < fitted.crowding < 0.4
     assert "in pixels of other stars" in str(fitted)
+
+
+@pytest.mark.slow
+def test_transits_in_a_crowded_field_are_no_change_of_focus():
+    """The light of neighbors does not dim with the star: its images seem to widen."""
+    study = make_study("tess", {"magnitudes": [12.0], "neighbors": [10]})
+    (task,) = study.tasks()
+    row = study.measure(task, study.observation(task))
+    assert row["pld_survival"] > 0.8
