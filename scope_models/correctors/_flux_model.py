@@ -27,7 +27,7 @@ _LEAST_GAIN = 12.0
 _MOST_PERIODS = 8
 #: Windows at most that are predicted from all other cadences.
 _MOST_WINDOWS = 120
-#: Number of times at most that hyper-parameters are fitted anew without outliers.
+#: Number of times at most that hyper-parameters are fitted again without outliers.
 _REFITS = 4
 #: The prior of the logarithm of each group's prior variance has this standard deviation about the
 #: typical value.

@@ -405,7 +405,7 @@ class PLDFit:
         Predict windows of cadences by a model that has not seen them.
 
         The hyper-parameters stay as they are; the coefficients and the long-term variability are
-        inferred anew for each window from all others, in closed form.
+        inferred again for each window from all others, in closed form.
 
         Parameters
         ----------

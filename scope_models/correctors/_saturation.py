@@ -1,4 +1,4 @@
-"""Images of columns with full pixels, drawn anew without the charge that has bled."""
+"""Images of columns with full pixels, drawn again without the charge that has bled."""
 
 from dataclasses import dataclass
 

@@ -355,7 +355,7 @@ class PLDCorrector(Corrector):
         Predict windows of cadences by a model that has not seen them.
 
         The hyper-parameters are those of the last correction; the coefficients and the
-        long-term variability are inferred anew for each window from all others, in closed form.
+        long-term variability are inferred again for each window from all others, in closed form.
 
         Parameters
         ----------

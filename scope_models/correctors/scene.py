@@ -417,7 +417,7 @@ class SceneCorrector(Corrector):
         Predict windows of cadences by a model that has not seen them.
 
         The scene and the hyper-parameters stay as they are; the coefficients and the star's
-        variability are inferred anew for each window from all others, in closed form.
+        variability are inferred again for each window from all others, in closed form.
 
         Parameters
         ----------

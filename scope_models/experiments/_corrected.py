@@ -49,7 +49,7 @@ def corrected_noise(observation, hours):
         standard deviation of means of `hours` without any filter, both in ppm of the target's
         flux, NaN where a corrector refuses the data; the same of the noise of the light alone in
         both apertures, "floor" and "floor_wide"; "pld_survival" and "scene_survival", the part of
-        the depth of transits of 1 % that is left if the corrector is not told of them. The noise
+        the depth of transits of 1 % that is left if they are not masked. The noise
         of correctors is divided by it. "pixels" and "share" are the number of pixels of the file's
         aperture and the target's share in its starlight; "kept" is the part of the cadences with
         a finite flux of PLD.

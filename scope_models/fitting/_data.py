@@ -17,6 +17,8 @@ __all__ = ["PixelData", "detector_of", "find_stars", "read_data", "star_position
 # A local maximum of the median image is a star if it is brighter than this part of the brightest
 # pixel, and than so many errors of the median image.
 _LEAST_PART, _LEAST_SIGNIFICANCE = 0.05, 10.0
+# Given stars farther outside of the pixels have no light in them, pixels.
+_FARTHEST = 5.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -208,7 +210,15 @@ def star_positions(name, places, series):
         if places != "find":
             raise ValueError(f'`{name}` must be positions or "find", got {places!r}')
         return find_stars(series.flux)
-    return star_places(name, places, series)
+    found = star_places(name, places, series)
+    size = np.array(series.flux.shape[:0:-1])  # columns, rows
+    far = (np.abs(found - (size - 1) / 2) - size / 2).max(axis=1, initial=-np.inf) > _FARTHEST
+    if name == "stars":
+        far[:1] = False  # the target, which is checked against the pixels
+    if far.any():
+        message = f"{far.sum()} of `{name}` are far outside of the pixels and are left out"
+        warnings.warn(message, FitWarning, stacklevel=4)
+    return found[~far]
 
 
 def find_stars(flux):

@@ -182,7 +182,7 @@ class DiffusionSensitivity(Fittable2DModel):
     -----
     In a product with a density, integrated over pixels, this response reaches into the pixels
     around: the result is that of the density convolved with the diffusion. A Gaussian becomes a
-    wider Gaussian, so that its width and sigma_d cannot be told apart by pixels, and
+    wider Gaussian, so that pixels do not separate its width and sigma_d, and
     `~scope_models.fit_tpf` holds sigma_d where a width is free. A
     `~scope_models.SensitivityPolynomial` in the product acts where the light falls, before the
     charge diffuses.

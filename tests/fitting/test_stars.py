@@ -191,3 +191,10 @@ def test_tess_star_with_its_neighbor(shared_data):
         fit = fit_tpf(series, prf, stars="find", interpixel=0, neighbor_flux="cadence")
     assert np.median(fit.flux) == pytest.approx(12200, rel=0.05)
     assert len(fit.neighbors) >= 1
+
+
+def test_neighbors_far_outside_of_the_pixels_are_left_out():
+    tpf = simulate(Star(13.0), Detector.k2(shape=(7, 7)), Motion.k2_roll(60), seed=1).to_tpf()
+    with pytest.warns(FitWarning, match="1 of `neighbors` are far outside"):
+        fit = fit_tpf(tpf, psf=1, neighbors=[(500.0, 4.0)])
+    assert not fit.neighbors
