@@ -66,8 +66,8 @@ def parameter(default, text, *, least=None, positive=None, different="", among=(
     ... class Grid(Study):
     ...     '''A grid of stars.'''
     ...     stars: int = parameter(5, "Stars per magnitude.", least=1)
-    >>> Grid.__doc__.splitlines()[-8:-6]
-    ['stars : int, optional', '    Stars per magnitude.']
+    >>> "Stars per magnitude." in Grid.__doc__
+    True
     """
     domain = {"least": least, "positive": positive, "different": different, "among": tuple(among)}
     return dataclasses.field(default=default, metadata={"text": text, "domain": domain})
