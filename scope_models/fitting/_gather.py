@@ -154,34 +154,13 @@ def _by_cadence(problem, state, errors, star):
 
 
 def warn_of_fit(fit, stacklevel):
-    """
-    Warn of what is doubtful about a fit.
-
-    Parameters
-    ----------
-    fit : TPFFit
-        The fit.
-    stacklevel : int
-        Whose line the warning names.
-    """
+    """Warn of what is doubtful about a fit."""
     for message in doubts_of(fit):
         warnings.warn(message, FitWarning, stacklevel=stacklevel)
 
 
 def doubts_of(fit):
-    """
-    Return what is doubtful about a fit.
-
-    Parameters
-    ----------
-    fit : TPFFit
-        The fit.
-
-    Returns
-    -------
-    messages : list of str
-        One for each doubt.
-    """
+    """Return what is doubtful about a fit, a message for each doubt."""
     messages = [*_of_convergence(fit), *_of_sensitivity(fit), *_of_pixels(fit)]
     return [*messages, *_of_positions(fit)]
 

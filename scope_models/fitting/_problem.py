@@ -32,43 +32,18 @@ _STAR_MOVE = 1.0
 
 @dataclass(frozen=True)
 class FitOptions:
-    """
-    Options of a fit, as `~scope_models.fit_tpf` takes them.
-
-    Parameters
-    ----------
-    empirical : int
-        Order of the empirical term.
-    interpixel : float
-        Standard deviation of the response between pixels; 0 fixes it at 1.
-    background : {"cadence", "constant", "none"}
-        Background left in the pixels.
-    positions : {"start", "free", "prior", "path"}
-        What ties positions to POS_CORR.
-    position_error : float
-        Standard deviation about the path for "prior", pixels.
-    scale_error : float
-        Standard deviation of the scale of the path about that of POS_CORR.
-    loss : {"linear", "soft_l1"}
-        Loss.
-    loss_scale : float
-        Residual, in standard deviations, from which "soft_l1" grows only linearly.
-    saturation : bool
-        Whether saturated columns are left out.
-    focus : float or None
-        Shortest time in which the width of the PSF changes, days.
-    """
+    """Options of a fit, as `~scope_models.fit_tpf` describes them."""
 
     empirical: int = 0
-    interpixel: float = 0.01
+    interpixel: float = 0.01  # 0 fixes the response at 1
     background: str = "cadence"
     positions: str = "start"
     position_error: float = 0.01
-    scale_error: float = _SCALE_PRIOR
+    scale_error: float = _SCALE_PRIOR  # of the path about that of POS_CORR
     loss: str = "linear"
     loss_scale: float = 3.0
     saturation: bool = True
-    focus: float | None = None
+    focus: float | None = None  # days
 
     @property
     def soft(self):
@@ -78,70 +53,33 @@ class FitOptions:
 
 @dataclass(frozen=True)
 class FitStar:
-    """
-    A star of a fit, relative to the first one.
-
-    Parameters
-    ----------
-    x, y : float, optional
-        Its first guess in pixels of its stamp, less that of the first star.
-    stamp : int, optional
-        Which file it is in.
-    constant : bool, optional
-        Whether its flux is the same in all cadences.
-    """
+    """A star of a fit: its first guess in pixels of its stamp, less that of the first star."""
 
     x: float = 0.0
     y: float = 0.0
-    stamp: int = 0
-    constant: bool = False
+    stamp: int = 0  # which file it is in
+    constant: bool = False  # whether its flux is the same in all cadences
 
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """
-    Values of all free parameters.
+    """Values of all free parameters."""
 
-    Parameters
-    ----------
-    shared : ndarray of shape (s,)
-        What `Problem.parameters` lists.
-    interpixel : ndarray of shape (p,)
-        Response of each fitted pixel less 1.
-    cadence : ndarray of shape (n, k)
-        Per cadence what `Problem.columns` names.
-    """
-
-    shared: np.ndarray
-    interpixel: np.ndarray
-    cadence: np.ndarray
+    shared: np.ndarray  # (s,): what `Problem.parameters` lists
+    interpixel: np.ndarray  # (p,): response of each fitted pixel less 1
+    cadence: np.ndarray  # (n, k): what `Problem.columns` names
 
 
 @dataclass(frozen=True, eq=False)
 class Limits:
-    """
-    What a step may do, as numbers.
+    """What a step may do, as numbers."""
 
-    Parameters
-    ----------
-    lower, upper : ndarray of shape (s,)
-        Bounds of the shared parameters.
-    largest_step : ndarray of shape (s,)
-        How far they may move in one step.
-    relative : ndarray of bool, shape (s,)
-        Whether that is a part of their values.
-    gauge : ndarray of shape (p,) or None
-        Weights of the fitted pixels whose mean response is held at 1.
-    cadence_lower, cadence_upper, cadence_step : ndarray of shape (k,)
-        Bounds and largest steps of the parameters of a cadence.
-    """
-
-    lower: np.ndarray
+    lower: np.ndarray  # (s,): bounds of the shared parameters
     upper: np.ndarray
-    largest_step: np.ndarray
-    relative: np.ndarray
-    gauge: np.ndarray | None
-    cadence_lower: np.ndarray
+    largest_step: np.ndarray  # (s,)
+    relative: np.ndarray  # (s,), bool: whether that is a part of their values
+    gauge: np.ndarray | None  # (p,): weights of the pixels whose mean response is held at 1
+    cadence_lower: np.ndarray  # (k,): bounds and largest steps of the parameters of a cadence
     cadence_upper: np.ndarray
     cadence_step: np.ndarray
 
@@ -152,65 +90,29 @@ class Limits:
 
 @dataclass(frozen=True, eq=False)
 class NormalEquations:
-    """
-    Second-order expansion of half the cost: ``cost/2 - g d + d H d / 2``.
+    """Second-order expansion of half the cost: ``cost/2 - g d + d H d / 2``."""
 
-    Parameters
-    ----------
-    cost : float
-        Chi-squared, with the loss, and the priors.
-    shared, shared_gradient : ndarray of shape (m, m), (m,)
-        Block of shared parameters and interpixel map.
-    mixed : ndarray of shape (n, k, m)
-        Cadence by shared.
-    cadence, cadence_gradient : ndarray of shape (n, k, k), (n, k)
-        Blocks of the cadences.
-    """
-
-    cost: float
-    shared: np.ndarray
+    cost: float  # chi-squared, with the loss, and the priors
+    shared: np.ndarray  # (m, m): block of shared parameters and interpixel map
     shared_gradient: np.ndarray
-    mixed: np.ndarray
-    cadence: np.ndarray
+    mixed: np.ndarray  # (n, k, m): cadence by shared
+    cadence: np.ndarray  # (n, k, k): blocks of the cadences
     cadence_gradient: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """
-    What is fitted to what.
+    """What is fitted to what."""
 
-    Parameters
-    ----------
-    stamps : tuple of PixelData
-        The pixels of each file, in the same cadences.
-    prf : PRF
-        The model; its parameters hold starts, bounds and fixed values.
-    options : FitOptions
-        The options.
-    stars : tuple of FitStar, optional
-        The stars, the first one without offsets.
-    error_scale : float, optional
-        Factor of all errors in the fit.
-    misfit : float, optional
-        That of the errors that are quoted, from the residuals of the pixels with light.
-    target : ndarray of shape (2,), optional
-        Position of the first star, if given.
-    span : tuple of float, optional
-        First and last time that the focus covers, days.
-    center : tuple of float, optional
-        Position of the first star about which the motion in the other files is mapped.
-    """
-
-    stamps: tuple
-    prf: object
+    stamps: tuple  # PixelData of each file, in the same cadences
+    prf: object  # its parameters hold starts, bounds and fixed values
     options: FitOptions
-    stars: tuple = (FitStar(),)
-    error_scale: float = 1.0
-    misfit: float = 1.0
-    target: np.ndarray | None = None
-    span: tuple | None = None
-    center: tuple = (0.0, 0.0)
+    stars: tuple = (FitStar(),)  # the first one without offsets
+    error_scale: float = 1.0  # factor of all errors in the fit
+    misfit: float = 1.0  # ... of the errors that are quoted, from the pixels with light
+    target: np.ndarray | None = None  # position of the first star, if given
+    span: tuple | None = None  # first and last time that the focus covers, days
+    center: tuple = (0.0, 0.0)  # where the first star is in the linear map to other files
 
     # --- data -----------------------------------------------------------------------------
     @property
@@ -456,26 +358,10 @@ class Problem:
         return moved + [self._shared_value(state, f"{axis}_star_{star}") for axis in "xy"]
 
     def position_terms(self, state, star):
-        """
-        Parameters that move a star.
+        """Yield the parameters that move a star, and how.
 
-        Parameters
-        ----------
-        state : State
-            Where they are.
-        star : int
-            Which star.
-
-        Yields
-        ------
-        axis : int
-            0 for x, 1 for y.
-        of_cadence : bool
-            Whether the parameter belongs to each cadence, or is shared.
-        index : int
-            Its number.
-        derivative : ndarray of shape (n,)
-            Derivative of the position.
+        Each is ``(axis, of_cadence, index, derivative)``: 0 for x or 1 for y; whether the parameter
+        belongs to each cadence, or is shared; its number; the derivative of the position, ``(n,)``.
         """
         stamp, one = self.stars[star].stamp, np.ones(len(self.flux))
         matrix = self._map(state, stamp)
@@ -557,19 +443,7 @@ class Problem:
         return model
 
     def expand(self, state):
-        """
-        Cost and its normal equations.
-
-        Parameters
-        ----------
-        state : State
-            Where to expand.
-
-        Returns
-        -------
-        NormalEquations
-            The expansion.
-        """
+        """Cost and its normal equations at a state."""
         n, k, m = len(self.flux), len(self.columns), self.n_shared + self.n_pixels
         shared, gradient = np.zeros((m, m)), np.zeros(m)
         mixed, block, block_gradient = np.zeros((n, k, m)), np.zeros((n, k, k)), np.zeros((n, k))

@@ -372,26 +372,10 @@ def _start(problem, state, few):
 
 
 def fit_response(problem, few, state, fits, report=None):
-    """
-    Fit the response of each pixel.
+    """Fit the response of each pixel in all cadences; return a `TPFFit` per file.
 
-    Parameters
-    ----------
-    problem : Problem
-        All cadences.
-    few : Problem
-        Some of them, to which the PSF was fitted.
-    state : State
-        That fit: its shared parameters are kept.
-    fits : list of TPFFit
-        The same as results, one per file.
-    report : callable, optional
-        Called with the cost after each step.
-
-    Returns
-    -------
-    list of TPFFit
-        One per file.
+    ``few`` is the problem of some of the cadences, to which the PSF was fitted with the result
+    ``state``, whose shared parameters are kept, and ``fits`` for each file.
     """
     if len(problem.flux) < _FEWEST:
         raise ValueError(

@@ -20,8 +20,7 @@ __all__ = [
 
 
 class InstanceParameters:
-    """
-    Mixin of models whose number of parameters depends on their arguments.
+    """Mixin of models whose number of parameters depends on their arguments.
 
     It stands before the astropy class among the bases. A subclass calls `make_parameters` before
     ``super().__init__``.
@@ -31,14 +30,7 @@ class InstanceParameters:
     _param_names = ()
 
     def make_parameters(self, parameters):
-        """
-        Give this instance its own parameters, after those of its class.
-
-        Parameters
-        ----------
-        parameters : sequence of `~astropy.modeling.Parameter`
-            The parameters, with their names, in their order.
-        """
+        """Give this instance its own parameters, after those of its class."""
         self._param_names = (*self._param_names, *(p.name for p in parameters))
         for parameter in parameters:
             parameter.model = self
@@ -66,36 +58,13 @@ _TESTS = {
 
 @dataclass(frozen=True)
 class Domain:
-    """
-    Validator of a parameter; a class, so that models that hold it can be pickled.
-
-    Parameters
-    ----------
-    name : str
-        Name of the parameter.
-    condition : {"finite", "positive", "inside (-1, 1)", "at least 0", "at least 0 and below 1"}
-        Where its values must lie.
-    """
+    """Validator of a parameter; a class, so that models that hold it can be pickled."""
 
     name: str
     condition: str
 
     def __call__(self, model, value):  # noqa: ARG002
-        """
-        Raise where a value lies outside the domain.
-
-        Parameters
-        ----------
-        model : `~astropy.modeling.Model`
-            The model; not used.
-        value : float, `~numpy.ndarray` or `~astropy.units.Quantity`
-            The value.
-
-        Raises
-        ------
-        ValueError
-            If a value lies outside.
-        """
+        """Raise where a value lies outside the domain; the model is not used."""
         value = np.asarray(without_unit(value), dtype=float)
         wrong = ~_TESTS[self.condition](value)
         if np.any(wrong):
@@ -103,19 +72,7 @@ class Domain:
 
 
 def check_model_parameters(model):
-    """
-    Raise where a parameter of a model is not finite or outside its domain.
-
-    Parameters
-    ----------
-    model : `~astropy.modeling.Model`
-        The model.
-
-    Raises
-    ------
-    ValueError
-        If a parameter holds NaN or infinity, or its validator refuses it.
-    """
+    """Raise where a parameter of a model is not finite or outside its domain."""
     for name in model.param_names:
         parameter = getattr(model, name)
         Domain(name, "finite")(model, parameter.value)
@@ -123,18 +80,9 @@ def check_model_parameters(model):
 
 
 def check_psf_units(model):
-    """
-    Raise where a parameter of a PSF has a unit that it cannot have.
+    """Raise where a parameter of a PSF has a unit that it cannot have.
 
-    Parameters
-    ----------
-    model : `~astropy.modeling.Model`
-        The PSF: positions and widths are pixels or angles, its flux has any unit, all else none.
-
-    Raises
-    ------
-    ValueError
-        If another unit is found.
+    Positions and widths are pixels or angles, the flux has any unit, all else none.
     """
     for name in model.param_names:
         unit = getattr(model, name).unit
@@ -146,26 +94,7 @@ def check_psf_units(model):
 
 
 def one_number(name, value):
-    """
-    Return the one value of an array that holds the same number everywhere.
-
-    Parameters
-    ----------
-    name : str
-        Name of the parameter.
-    value : array_like
-        The value.
-
-    Returns
-    -------
-    float
-        The number.
-
-    Raises
-    ------
-    ValueError
-        If the values differ.
-    """
+    """Return the one value of an array that holds the same number everywhere."""
     value = np.reshape(value, -1)
     if value.size > 1 and np.ptp(value):
         raise ValueError(f"`{name}` must be one number, got {np.unique(value).size} values")

@@ -137,23 +137,7 @@ class CorrectedPRF(InstanceParameters, TabulatedPRF):
         return [table * factor, by_x, by_y, *by_coefficient]
 
     def evaluate(self, x, y, flux, x_0, y_0, *coefficients):
-        """
-        Flux in the pixels.
-
-        Parameters
-        ----------
-        x, y : array_like
-            Columns and rows of the pixels.
-        flux, x_0, y_0 : array_like
-            As for the class.
-        *coefficients : array_like
-            The coefficients, in their order.
-
-        Returns
-        -------
-        flux : `~numpy.ndarray`
-            Of the common shape.
-        """
+        """Flux in the pixels."""
         offsets = [
             plain_array(a, "pix", n) - plain_array(b, "pix", f"{n}_0")
             for n, a, b in (("x", x, x_0), ("y", y, y_0))
@@ -161,21 +145,7 @@ class CorrectedPRF(InstanceParameters, TabulatedPRF):
         return flux * self.unit_derivatives(*offsets, *coefficients)[0]
 
     def fit_deriv(self, x, y, flux, x_0, y_0, *coefficients):
-        """
-        Derivatives with respect to the parameters.
-
-        Parameters
-        ----------
-        x, y : array_like
-            Positions in pixels.
-        flux, x_0, y_0, *coefficients : float
-            As for the class.
-
-        Returns
-        -------
-        derivatives : list of `~numpy.ndarray`
-            In the order of the parameters.
-        """
+        """Derivatives with respect to the parameters, in their order."""
         unit, *others = self.unit_derivatives(
             np.asarray(x) - x_0, np.asarray(y) - y_0, *coefficients
         )

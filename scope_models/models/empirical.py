@@ -113,21 +113,7 @@ class GaussHermitePSF(InstanceParameters, Fittable2DModel):
         return matrix, places
 
     def evaluate(self, x, y, flux, x_0, y_0, sigma_x, sigma_y, *coefficients):
-        """
-        Density at the positions.
-
-        Parameters
-        ----------
-        x, y : array_like
-            Positions in pixels.
-        flux, x_0, y_0, sigma_x, sigma_y, *coefficients : array_like
-            The parameters, in their order.
-
-        Returns
-        -------
-        density : `~numpy.ndarray`
-            In units of flux per square pixel.
-        """
+        """Density at the positions, in units of flux per square pixel."""
         matrix, _ = self._matrix(coefficients)
         along_x, along_y = (
             hermite_functions(np.asarray((u - u_0) / sigma, dtype=float), self.order + 1)
@@ -138,21 +124,7 @@ class GaussHermitePSF(InstanceParameters, Fittable2DModel):
         )
 
     def fit_deriv(self, x, y, flux, x_0, y_0, sigma_x, sigma_y, *coefficients):
-        """
-        Derivatives of the density with respect to the parameters.
-
-        Parameters
-        ----------
-        x, y : array_like
-            Positions in pixels.
-        flux, x_0, y_0, sigma_x, sigma_y, *coefficients : array_like
-            The parameters, in their order.
-
-        Returns
-        -------
-        derivatives : list of `~numpy.ndarray`
-            One array per parameter, in their order.
-        """
+        """Derivatives of the density with respect to the parameters, in their order."""
         matrix, places = self._matrix(coefficients)
         tables = []
         for u, u_0, sigma in ((x, x_0, sigma_x), (y, y_0, sigma_y)):

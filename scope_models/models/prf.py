@@ -291,21 +291,7 @@ class PRF(InstanceParameters, Fittable2DModel):
         return total
 
     def evaluate(self, x, y, *parameters):
-        """
-        Flux in the pixels.
-
-        Parameters
-        ----------
-        x, y : array_like
-            Columns and rows of the pixels.
-        *parameters : array_like
-            The parameters, in their order; arrays broadcast with x and y.
-
-        Returns
-        -------
-        flux : `~numpy.ndarray` or `~astropy.units.Quantity`
-            Of the common shape.
-        """
+        """Flux in the pixels at columns x and rows y, with which arrays of parameters broadcast."""
         values = dict(zip(self.param_names, parameters, strict=True))
         unit = getattr(values["flux"], "unit", None)
         x, y = plain_array(x, u.pixel, "x"), plain_array(y, u.pixel, "y")
@@ -324,21 +310,7 @@ class PRF(InstanceParameters, Fittable2DModel):
         return images if unit is None else images * unit
 
     def fit_deriv(self, x, y, *parameters):
-        """
-        Derivatives of the flux in the pixels with respect to the parameters.
-
-        Parameters
-        ----------
-        x, y : array_like
-            Columns and rows of the pixels.
-        *parameters : float
-            The parameters, in their order.
-
-        Returns
-        -------
-        derivatives : list of `~numpy.ndarray`
-            One array per parameter, in their order.
-        """
+        """Derivatives of the flux in the pixels with respect to the parameters, in their order."""
         values = {
             name: float(np.reshape(without_unit(value), -1)[0])
             for name, value in zip(self.param_names, parameters, strict=True)

@@ -113,21 +113,7 @@ class BivariateGaussianPSF(Fittable2DModel):
 
     @staticmethod
     def evaluate(x, y, flux, x_0, y_0, sigma_x, sigma_y, rho):
-        """
-        Density at the positions.
-
-        Parameters
-        ----------
-        x, y : array_like
-            Positions in pixels.
-        flux, x_0, y_0, sigma_x, sigma_y, rho : array_like
-            As for the class.
-
-        Returns
-        -------
-        density : `~numpy.ndarray`
-            In units of flux per square pixel.
-        """
+        """Density at the positions, in units of flux per square pixel."""
         z_x = (x - x_0) / sigma_x
         z_y = (y - y_0) / sigma_y
         rest = 1 - rho**2
@@ -136,21 +122,7 @@ class BivariateGaussianPSF(Fittable2DModel):
 
     @staticmethod
     def fit_deriv(x, y, flux, x_0, y_0, sigma_x, sigma_y, rho):
-        """
-        Derivatives of the density with respect to the parameters.
-
-        Parameters
-        ----------
-        x, y : array_like
-            Positions in pixels.
-        flux, x_0, y_0, sigma_x, sigma_y, rho : array_like
-            As for the class.
-
-        Returns
-        -------
-        derivatives : list of `~numpy.ndarray`
-            One array per parameter, in their order.
-        """
+        """Derivatives of the density with respect to the parameters, in their order."""
         z_x = (x - x_0) / sigma_x
         z_y = (y - y_0) / sigma_y
         rest = 1 - rho**2

@@ -102,40 +102,12 @@ class SensitivityPolynomial(InstanceParameters, Fittable2DModel):
         return dict(zip(self.param_names, along, strict=True))
 
     def evaluate(self, x, y, *coefficients):
-        """
-        Response at the positions.
-
-        Parameters
-        ----------
-        x, y : array_like
-            Positions in pixels.
-        *coefficients : array_like
-            The parameters, in their order.
-
-        Returns
-        -------
-        response : `~numpy.ndarray`
-            Dimensionless.
-        """
+        """Response at the positions, dimensionless."""
         along_x = _polynomial(_offset(x), coefficients[: self._n_x])
         return along_x * _polynomial(_offset(y), coefficients[self._n_x :])
 
     def fit_deriv(self, x, y, *coefficients):
-        """
-        Derivatives of the response with respect to the coefficients.
-
-        Parameters
-        ----------
-        x, y : array_like
-            Positions in pixels.
-        *coefficients : array_like
-            The parameters, in their order.
-
-        Returns
-        -------
-        derivatives : list of `~numpy.ndarray`
-            One array per parameter, in their order.
-        """
+        """Derivatives of the response with respect to the coefficients, in their order."""
         u, v = _offset(x), _offset(y)
         along_x = _polynomial(u, coefficients[: self._n_x])
         along_y = _polynomial(v, coefficients[self._n_x :])
@@ -238,40 +210,12 @@ class DiffusionSensitivity(Fittable2DModel):
         return collected(dx, sigma)[0] * collected(dy, sigma)[0]
 
     def evaluate(self, x, y, sigma_d):
-        """
-        Part of the charge that stays in the pixel where it is set free.
-
-        Parameters
-        ----------
-        x, y : array_like
-            Positions in pixels.
-        sigma_d : float
-            As for the class.
-
-        Returns
-        -------
-        part : `~numpy.ndarray`
-            Dimensionless.
-        """
+        """Part of the charge that stays in the pixel where it is set free."""
         sigma = float(np.ravel(sigma_d)[0])
         return collected(_offset(x), sigma)[0] * collected(_offset(y), sigma)[0]
 
     def fit_deriv(self, x, y, sigma_d):
-        """
-        Derivative of the response with respect to sigma_d.
-
-        Parameters
-        ----------
-        x, y : array_like
-            Positions in pixels.
-        sigma_d : float
-            As for the class.
-
-        Returns
-        -------
-        derivatives : list of `~numpy.ndarray`
-            One array.
-        """
+        """Derivative of the response with respect to sigma_d, a list of one array."""
         sigma = float(np.ravel(sigma_d)[0])
         along_x, by_x = collected(_offset(x), sigma)
         along_y, by_y = collected(_offset(y), sigma)

@@ -235,21 +235,7 @@ class _Table(Fittable2DModel):
         return self._surface.value(_number(x) - _number(x_0), _number(y) - _number(y_0), **along)
 
     def fit_deriv(self, x, y, flux, x_0, y_0):
-        """
-        Derivatives with respect to the parameters.
-
-        Parameters
-        ----------
-        x, y : array_like
-            Positions in pixels.
-        flux, x_0, y_0 : float
-            As for the class.
-
-        Returns
-        -------
-        derivatives : list of `~numpy.ndarray`
-            By flux, x_0 and y_0.
-        """
+        """Derivatives by flux, x_0 and y_0."""
         unit, by_x, by_y = (
             self._values(x, y, x_0, y_0, along_x=i, along_y=j) for i, j in ((0, 0), (1, 0), (0, 1))
         )
@@ -351,21 +337,7 @@ class TabulatedPSF(_Table):
     """
 
     def evaluate(self, x, y, flux, x_0, y_0):
-        """
-        Density at the positions.
-
-        Parameters
-        ----------
-        x, y : array_like
-            Positions in pixels.
-        flux, x_0, y_0 : array_like
-            As for the class.
-
-        Returns
-        -------
-        density : `~numpy.ndarray`
-            In units of flux per square pixel.
-        """
+        """Density at the positions, in units of flux per square pixel."""
         density = flux * self._values(x, y, x_0, y_0)
         return density / u.pixel**2 if isinstance(x, u.Quantity) else density
 
@@ -443,21 +415,7 @@ class TabulatedPRF(_Table):
     pixel_integrated = True
 
     def evaluate(self, x, y, flux, x_0, y_0):
-        """
-        Flux in the pixels.
-
-        Parameters
-        ----------
-        x, y : array_like
-            Columns and rows of the pixels.
-        flux, x_0, y_0 : array_like
-            As for the class.
-
-        Returns
-        -------
-        flux : `~numpy.ndarray`
-            Of the common shape.
-        """
+        """Flux in the pixels."""
         return flux * self._values(x, y, x_0, y_0)
 
     def unit_derivatives(self, dx, dy):
