@@ -16,6 +16,7 @@ __all__ = [
     "plain_time",
     "plain_tree",
     "refuse_unit",
+    "same",
     "unmasked",
     "without_unit",
 ]
@@ -70,7 +71,10 @@ def plain_array(value, unit, name, *, pixel_scale=None, equivalencies=()):
         raise TypeError(f"`{name}` must be numbers, got a Time{_hint(unit)}")
     value = value.to(u.day) if isinstance(value, TimeDelta) else unmasked(value)
     if isinstance(value, (list, tuple)) and any(isinstance(item, u.Quantity) for item in value):
-        value = _joined(value, name)
+        try:
+            value = u.Quantity(value)
+        except (TypeError, u.UnitConversionError) as error:
+            raise TypeError(f"`{name}` mixes units: {error}") from error
     found = getattr(value, "unit", None)
     try:
         if found is None:
@@ -158,6 +162,13 @@ def plain_tree(value, other=None):
     return other(value)
 
 
+def same(one, other):
+    """Return whether arrays, of which NaN equals NaN, or other values are equal."""
+    if isinstance(one, np.ndarray) and isinstance(other, np.ndarray):
+        return np.array_equal(one, other, equal_nan=one.dtype.kind == other.dtype.kind == "f")
+    return one == other
+
+
 def refuse_unit(array, name):
     """Raise an error if an array that is changed in place has a unit."""
     if hasattr(array, "unit"):
@@ -172,11 +183,3 @@ def is_angle(unit):
 def _hint(unit):
     text = u.Unit(unit).to_string()
     return f" (unit: {text})" if text else ""
-
-
-def _joined(values, name):
-    """Return the quantity of a sequence of quantities."""
-    try:
-        return u.Quantity(values)
-    except (TypeError, u.UnitConversionError) as error:
-        raise TypeError(f"`{name}` mixes units: {error}") from error
