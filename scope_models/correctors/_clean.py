@@ -17,6 +17,7 @@ only where the star itself varies strongly (v). Pixels and cadences are fitted i
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.fft import irfft, next_fast_len, rfft
 from scipy.linalg import cholesky, solve_triangular
 
 __all__ = ["CleanPixels", "clean_pixels", "precise_aperture"]
@@ -62,6 +63,8 @@ _WORSE = 1.05
 _SLOW = 0.05
 #: Widths in cadences of the kernels that are tried to smooth the focus and the background.
 _WIDTHS = (1.5, 3.0, 6.0, 12.0, 24.0, 48.0)
+#: Kernels of this width and wider ones are convolved by Fourier transforms.
+_WIDE = 12.0
 
 
 @dataclass(frozen=True)
@@ -210,6 +213,7 @@ class _State:
         self.good = np.ones((n, n_pixels), dtype=bool)
         self.focus, self.variable = np.zeros(n), np.zeros(n)
         self._start_positions(position, total)
+        self.smoothed = _Smoother(time, use)
         self.features = _Features(self.z[use], _SCALE, _TOLERANCE, _MAX_RANK)
         self.coarse = _Features(self.z[use], _COARSE_SCALE, _COARSE_TOLERANCE, _COARSE_RANK)
 
@@ -370,9 +374,9 @@ class _State:
         plane = plane - np.median(plane[self.use], axis=0) + self.base
         if iteration >= _FOCUS_FROM:
             for values, error in zip(plane.T, errors.T, strict=True):
-                smooth = _smoothed(self.time, values, error, self.use)
+                smooth = self.smoothed(values, error)
                 rest = np.abs(values - smooth)
-                typical = 1.4826 * np.median(rest[self.use])
+                typical = 1.4826 * _median(rest[self.use])
                 jumps = rest > _CLIP * np.maximum(error, typical)
                 values[:] = np.where(jumps, values, smooth)
         self.plane = plane
@@ -426,7 +430,7 @@ class _State:
         columns = np.column_stack([np.ones(len(focus)), self.z, self.variable])
         use = self.use
         focus = focus - columns @ np.linalg.lstsq(columns[use], focus[use], rcond=None)[0]
-        self.focus = _smoothed(self.time, focus, error, use) if iteration >= _FOCUS_FROM else focus
+        self.focus = self.smoothed(focus, error) if iteration >= _FOCUS_FROM else focus
 
     def result(self, flux_err, own):
         """Return the light and the fractions."""
@@ -459,10 +463,8 @@ class _State:
 
     def _slow_focus(self):
         """Return the focus without short dips, which may be dimmings beside constant light."""
-        step = np.median(np.diff(self.time))
-        index = np.rint((self.time - self.time[0]) / step).astype(int)
         weight = np.where(self.use, 1.0, _NO_WEIGHT)
-        return _local_lines(index, self.focus, weight, self.use, _SLOW / step)[0]
+        return self.smoothed.lines(self.focus, weight, _SLOW / self.smoothed.step)[0]
 
     def _roughness(self, light):
         """Return the typical change from cadence to cadence that positions do not explain."""
@@ -550,44 +552,72 @@ def _single(hot, use):
     return hot & ~near
 
 
-def _smoothed(time, values, error, use):
-    """
-    Smooth by local lines, with the width of the least median leave-one-out error.
+class _Smoother:
+    """Robust local lines in time, with Gaussian kernels whose widths are in cadences."""
 
-    Cadences that are not in use take the values of those around them.
-    """
-    step = np.median(np.diff(time))
-    index = np.rint((time - time[0]) / step).astype(int)
-    typical = np.median(error[use])
-    start = np.where(use, (typical / np.maximum(error, 0.3 * typical)) ** 2, _NO_WEIGHT)
-    values = np.where(use, values, np.interp(time, time[use], values[use]))
-    best = np.inf, values
-    for width in _WIDTHS:
-        smooth, rest = _local_lines(index, values, start, use, width)
-        size = np.median(np.abs(rest[use]))
-        if size > _WORSE * best[0]:
-            break
-        if size < best[0]:
-            best = size, smooth
-    return best[1]
+    def __init__(self, time, use):
+        self.time, self.use = time, use
+        self.step = _median(np.diff(time))
+        self._index = np.rint((time - time[0]) / self.step).astype(int)
+        self._kernels = {}
+
+    def __call__(self, values, error):
+        """
+        Smooth with the width of the least median leave-one-out error.
+
+        Cadences that are not in use take the values of those around them.
+        """
+        use = self.use
+        typical = _median(error[use])
+        start = np.where(use, (typical / np.maximum(error, 0.3 * typical)) ** 2, _NO_WEIGHT)
+        values = np.where(use, values, np.interp(self.time, self.time[use], values[use]))
+        best = np.inf, values
+        for width in _WIDTHS:
+            smooth, size = self.lines(values, start, width)
+            if size > _WORSE * best[0]:
+                break
+            if size < best[0]:
+                best = size, smooth
+        return best[1]
+
+    def lines(self, values, start, width):
+        """Return robust local linear fits, and the median of leave-one-out errors."""
+        weight = start
+        for _ in range(3):
+            s0, s1, s2, m0, m1 = self._moments(weight, weight * values, width)
+            determinant = s0 * s2 - s1**2
+            determinant = np.where(determinant > 1e-12 * s0 * s2, determinant, np.inf)
+            smooth = (s2 * m0 - s1 * m1) / determinant
+            rest = np.abs(values - smooth) / np.maximum(1 - weight * s2 / determinant, 1e-3)
+            size = _median(rest[self.use])
+            before, weight = weight, np.where(rest > _CLIP * 1.4826 * size, _NO_WEIGHT, 1.0) * start
+            if (weight == before).all():
+                break
+        return smooth, size
+
+    def _moments(self, weight, data, width):
+        """Return moments of the weights about each cadence, to order 2, and of the data, to 1."""
+        grid = np.zeros((2, self._index[-1] + 1))
+        grid[:, self._index] = weight, data
+        half = int(3.5 * width) + 1
+        size = next_fast_len(self._index[-1] + 1 + half, real=True)
+        if width not in self._kernels:
+            d = np.arange(-half, half + 1.0)
+            kernels = np.exp(-0.5 * (d / width) ** 2) * np.array([d**0, -d, d * d])
+            self._kernels[width] = rfft(kernels, size) if width >= _WIDE else kernels
+        kernels = self._kernels[width]
+        if width < _WIDE:
+            pairs = [(grid[0], k) for k in kernels] + [(grid[1], k) for k in kernels[:2]]
+            moments = np.array([np.convolve(values, k)[half:-half] for values, k in pairs])
+        else:
+            whole = rfft(grid, size)
+            moments = irfft(whole[[0, 0, 0, 1, 1]] * kernels[[0, 1, 2, 0, 1]], size)[:, half:]
+        return moments[:, self._index]
 
 
-def _local_lines(index, values, start, use, width):
-    """Return robust local linear fits with a Gaussian kernel, and leave-one-out residuals."""
-    half = int(3.5 * width) + 1
-    d = np.arange(-half, half + 1.0)
-    kernel = np.exp(-0.5 * (d / width) ** 2)
-    moments = [kernel, -d * kernel, d * d * kernel]
-    weight = start
-    for _ in range(3):
-        grid, data = np.zeros((2, index[-1] + 1))
-        grid[index], data[index] = weight, weight * values
-        s0, s1, s2 = (np.convolve(grid, moment)[half:-half][index] for moment in moments)
-        m0, m1 = (np.convolve(data, moment)[half:-half][index] for moment in moments[:2])
-        determinant = s0 * s2 - s1**2
-        determinant = np.where(determinant > 1e-12 * s0 * s2, determinant, np.inf)
-        smooth = (s2 * m0 - s1 * m1) / determinant
-        rest = (values - smooth) / np.maximum(1 - weight * s2 / determinant, 1e-3)
-        size = np.abs(rest)
-        weight = np.where(size > _CLIP * 1.4826 * np.median(size[use]), _NO_WEIGHT, 1.0) * start
-    return smooth, rest
+def _median(values):
+    """Return the median of finite values, faster than `numpy.median` for short arrays."""
+    middle = len(values) // 2
+    if len(values) % 2:
+        return np.partition(values, middle)[middle]
+    return np.partition(values, (middle - 1, middle))[middle - 1 : middle + 1].mean()

@@ -65,21 +65,7 @@ class ImageSeries:
         self._shape = rows.size, columns.size
 
     def __call__(self, x, y, widths=None):
-        """
-        Images at positions.
-
-        Parameters
-        ----------
-        x, y : `~numpy.ndarray`
-            Columns and rows of the star, shape ``(m,)``.
-        widths : `~numpy.ndarray`, optional
-            Factors on the width of the PSF about the star's position, shape ``(m,)``.
-
-        Returns
-        -------
-        images : `~numpy.ndarray`
-            Shape ``(m, ...)`` of the `window`.
-        """
+        """Images ``(m, ...)`` of the `window` at positions and factors on the width ``(m,)``."""
         images = np.zeros((len(x), *self._shape))
         if not images.size:
             return images
@@ -92,40 +78,12 @@ class ImageSeries:
 
 
 def is_gaussian(psf, sensitivity):
-    """
-    Whether all of a PSF times a sensitivity is bivariate normal times polynomials.
-
-    Parameters
-    ----------
-    psf, sensitivity : `~astropy.modeling.Model`
-        As for `ImageSeries`.
-
-    Returns
-    -------
-    gaussian : bool
-        Whether `ImageSeries` can blur it.
-    """
+    """Whether PSF times sensitivity is bivariate normal times polynomials, which can be blurred."""
     return all(_gaussian(term) is not None for _, _, term in _parts(psf, sensitivity))
 
 
 def unit_images(psf, shape, x, y):
-    """
-    Images of a star of unit flux at a few positions, without a response, each integrated directly.
-
-    Parameters
-    ----------
-    psf : `~astropy.modeling.Model`
-        As for `ImageSeries`.
-    shape : tuple of int
-        Shape (ny, nx) of the stamp.
-    x, y : `~numpy.ndarray`
-        Columns and rows of the star, shape ``(m,)``.
-
-    Returns
-    -------
-    images : `~numpy.ndarray`
-        Shape ``(m, ny, nx)``.
-    """
+    """Images ``(m, ny, nx)`` of unit flux at a few positions ``(m,)``, each integrated directly."""
     columns, rows = (np.arange(n, dtype=float) for n in shape[::-1])
     images = np.zeros((len(x), *shape))
     for fraction, (dx, dy), term in _parts(psf, None):

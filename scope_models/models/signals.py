@@ -321,21 +321,7 @@ class TransitModel(Fittable1DModel):
         return dict(_UNITS)  # astropy's fitters convert times to `input_units`
 
     def evaluate(self, x, period, t0, rp, a, inc, ecc, omega, u1, u2):
-        """
-        Evaluate the relative flux.
-
-        Parameters
-        ----------
-        x : array_like
-            Times in days (mid-exposure), of any shape.
-        period, t0, rp, a, inc, ecc, omega, u1, u2 : float
-            The parameters, see the class.
-
-        Returns
-        -------
-        `~numpy.ndarray`
-            Relative flux, 1 outside transits.
-        """
+        """Relative flux, 1 outside transits, at times of mid-exposure in days, of any shape."""
         given = {"period": period, "t0": t0, "rp": rp, "a": a, "inc": inc, "ecc": ecc}
         given |= {"omega": omega, "u1": u1, "u2": u2}
         p = {name: _number(name, value) for name, value in given.items()}
