@@ -9,9 +9,8 @@ from scope_models._arrays import plain_array
 from scope_models.models._closed_form import collected
 from scope_models.models._parameters import (
     Domain,
-    InstanceParameters,
     check_model_parameters,
-    described,
+    make_parameters,
 )
 
 __all__ = ["DiffusionSensitivity", "SensitivityPolynomial"]
@@ -32,7 +31,7 @@ def _checked(name, coefficients):
     return coefficients
 
 
-class SensitivityPolynomial(InstanceParameters, Fittable2DModel):
+class SensitivityPolynomial(Fittable2DModel):
     r"""
     Response within each pixel: a polynomial in x times a polynomial in y.
 
@@ -78,8 +77,8 @@ class SensitivityPolynomial(InstanceParameters, Fittable2DModel):
         self._n_x = x_coefficients.size
         values = {f"ax{n}": value for n, value in enumerate(x_coefficients)}
         values |= {f"ay{n}": value for n, value in enumerate(y_coefficients)}
-        self.make_parameters(
-            [described(n, f"Coefficient of {'uv'['xy'.index(n[1])]}^{n[2:]}") for n in values]
+        make_parameters(
+            self, {n: f"Coefficient of {'uv'['xy'.index(n[1])]}^{n[2:]}" for n in values}
         )
         super().__init__(**values, **kwargs)
         check_model_parameters(self)
@@ -87,12 +86,12 @@ class SensitivityPolynomial(InstanceParameters, Fittable2DModel):
     @property
     def x_coefficients(self):
         """Coefficients along x, the constant first (tuple of float)."""
-        return tuple(float(getattr(self, n).value) for n in self._param_names[: self._n_x])
+        return tuple(float(getattr(self, n).value) for n in self.param_names[: self._n_x])
 
     @property
     def y_coefficients(self):
         """Coefficients along y, the constant first (tuple of float)."""
-        return tuple(float(getattr(self, n).value) for n in self._param_names[self._n_x :])
+        return tuple(float(getattr(self, n).value) for n in self.param_names[self._n_x :])
 
     @property
     def powers(self):
