@@ -233,26 +233,7 @@ def _same_arrays(one, other):
 
 
 def truth_blocks(cadenceno, columns, maps, scene, tables):
-    """Return the extensions that hold a truth.
-
-    Parameters
-    ----------
-    cadenceno : ndarray of int, shape (n,)
-        Numbers of the cadences.
-    columns : dict of str to array_like of shape (n, ...) or None
-        True values at each cadence.
-    maps : dict of str to array_like of shape (ny, nx) or None
-        Images.
-    scene : dict or None
-        What can be text in JSON.
-    tables : dict of str to astropy.table.Table or None
-        Lists of any length.
-
-    Returns
-    -------
-    list of Block or astropy.io.fits.BinTableHDU
-        The extensions.
-    """
+    """Return the extensions that hold a truth; the arguments are those of `make_tpf_hdulist`."""
     maps = maps or {}
     blocks = [_truth_block(cadenceno, columns or {}), *_map_blocks(maps)]
     blocks += _table_hdus(tables or {}, {name.upper() for name in maps})
@@ -388,18 +369,7 @@ def _parts(text):
 
 
 def truth_of(hdus):
-    """Return the truth in an HDU list.
-
-    Parameters
-    ----------
-    hdus : astropy.io.fits.HDUList
-        The file.
-
-    Returns
-    -------
-    Truth or None
-        None if the file has no TRUTH table.
-    """
+    """Return the truth in an HDU list; None if it has no TRUTH table."""
     if "TRUTH" not in hdus or hdus["TRUTH"].columns.names[:1] != ["CADENCENO"]:
         return None
     columns = _columns_of(hdus["TRUTH"])

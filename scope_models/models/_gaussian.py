@@ -263,24 +263,10 @@ def _evaluate(x, y, parameters, coefficients, engines, n_images):
 def gaussian_pixels(
     x, y, x_0, y_0, sigma_x, sigma_y, rho, x_coefficients=(1,), y_coefficients=(1,), flux=1.0
 ):
-    """
-    Integrate bivariate normal densities times a polynomial over a grid of pixels.
+    """Integrate normal densities ``(...)`` times a polynomial over pixels: ``(..., ny, nx)``.
 
-    Parameters
-    ----------
-    x, y : `~numpy.ndarray`
-        Centers of the pixel columns, shape ``(nx,)``, and rows, shape ``(ny,)``.
-    x_0, y_0, sigma_x, sigma_y, rho : float or `~numpy.ndarray`
-        Parameters of the densities; they broadcast to a shape ``(...)``.
-    x_coefficients, y_coefficients : array_like
-        Coefficients of the polynomials in u and v, the constants first.
-    flux : float or `~numpy.ndarray`
-        Integrals of the densities over the plane.
-
-    Returns
-    -------
-    images : `~numpy.ndarray`
-        Integrals, shape ``(..., ny, nx)``.
+    ``x`` and ``y`` are the centers of the pixel columns ``(nx,)`` and rows ``(ny,)``; the
+    coefficients are those of the polynomials in u and v, the constants first.
     """
     parameters = (flux, x_0, y_0, sigma_x, sigma_y, rho)
     coefficients = (x_coefficients, y_coefficients)
@@ -290,25 +276,10 @@ def gaussian_pixels(
 def gaussian_derivatives(
     x, y, x_0, y_0, sigma_x, sigma_y, rho, x_coefficients=(1,), y_coefficients=(1,)
 ):
-    """
-    Integrals of `gaussian_pixels` and their derivatives with respect to the five parameters.
+    """The integrals of `gaussian_pixels` for unit flux, and derivatives: ``(6, ..., ny, nx)``.
 
-    The integrals are linear in the coefficients, whose derivatives are integrals of monomials.
-
-    Parameters
-    ----------
-    x, y : `~numpy.ndarray`
-        Centers of the pixel columns, shape ``(nx,)``, and rows, shape ``(ny,)``.
-    x_0, y_0, sigma_x, sigma_y, rho : float or `~numpy.ndarray`
-        Parameters of the densities, of unit integral; they broadcast to a shape ``(...)``.
-    x_coefficients, y_coefficients : array_like
-        Coefficients of the polynomials in u and v, the constants first.
-
-    Returns
-    -------
-    images : `~numpy.ndarray`
-        Shape ``(6, ..., ny, nx)``: the integrals, then their derivatives with respect to x_0,
-        y_0, sigma_x, sigma_y and rho.
+    The derivatives are by x_0, y_0, sigma_x, sigma_y and rho. The integrals are linear in the
+    coefficients, whose derivatives are integrals of monomials.
     """
     parameters = (1.0, x_0, y_0, sigma_x, sigma_y, rho)
     coefficients = (x_coefficients, y_coefficients)

@@ -68,21 +68,7 @@ class ImageSeries:
         self._shape = rows.size, columns.size
 
     def __call__(self, x, y, widths=None):
-        """
-        Images at positions.
-
-        Parameters
-        ----------
-        x, y : `~numpy.ndarray`
-            Columns and rows of the star, shape ``(m,)``.
-        widths : `~numpy.ndarray`, optional
-            Factors on the width of the PSF about the star's position, shape ``(m,)``.
-
-        Returns
-        -------
-        images : `~numpy.ndarray`
-            Shape ``(m, ...)`` of the `window`.
-        """
+        """Images ``(m, ...)`` of the `window` at positions and factors on the width ``(m,)``."""
         if 0 in self._shape:
             return np.zeros((len(x), *self._shape))
         scale, images = 1.0 if widths is None else widths, None
@@ -94,58 +80,18 @@ class ImageSeries:
         return images
 
     def lost(self, x, y):
-        """
-        Largest part of the star's light that falls off the stamp.
-
-        Parameters
-        ----------
-        x, y : `~numpy.ndarray`
-            A few columns and rows of the star, shape ``(m,)``.
-
-        Returns
-        -------
-        fraction : float
-            Between 0 and 1, whatever the response.
-        """
+        """Largest part of the star's light that falls off the stamp at a few positions."""
         images = _summed(self._components, self._stamp, x, y)
         return float(np.clip(1.0 - images.sum(axis=(1, 2)).min(), 0.0, 1.0))
 
 
 def is_gaussian(psf, sensitivity):
-    """
-    Whether all of a PSF times a sensitivity is bivariate normal times polynomials.
-
-    Parameters
-    ----------
-    psf, sensitivity : `~astropy.modeling.Model`
-        As for `ImageSeries`.
-
-    Returns
-    -------
-    gaussian : bool
-        Whether `ImageSeries` can blur it.
-    """
+    """Whether PSF times sensitivity is bivariate normal times polynomials, which can be blurred."""
     return all(part[-1] is not None for part in _with_response(_components(psf), sensitivity))
 
 
 def unit_images(psf, shape, x, y):
-    """
-    Images of a star of unit flux at a few positions, without a response, each integrated directly.
-
-    Parameters
-    ----------
-    psf : `~astropy.modeling.Model`
-        As for `ImageSeries`.
-    shape : tuple of int
-        Shape (ny, nx) of the stamp.
-    x, y : `~numpy.ndarray`
-        Columns and rows of the star, shape ``(m,)``.
-
-    Returns
-    -------
-    images : `~numpy.ndarray`
-        Shape ``(m, ny, nx)``.
-    """
+    """Images ``(m, ny, nx)`` of unit flux at a few positions ``(m,)``, each integrated directly."""
     return _summed(_components(psf), shape, x, y)
 
 

@@ -184,7 +184,10 @@ def plot_twin(time, real, twin, residuals, *, time_label="Time (d)", labels=None
     'Twin'
     """
     labels, time = labels or {}, plain_array(time, u.day, "time")
-    residuals = [plain_array(image, u.one, "residuals") for image in residuals]
+    real, twin, residuals = (
+        [plain_array(item, u.one, name) for item in items]
+        for name, items in (("real", real), ("twin", twin), ("residuals", residuals))
+    )
     figure = plt.figure(figsize=(11, 5), layout="constrained")
     axes = figure.subplot_mosaic([["raw", "real"], ["corrected", "twin"]], width_ratios=[2.4, 1])
     for number, (name, title) in enumerate((("raw", "Summed"), ("corrected", "De-trended"))):

@@ -8,7 +8,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.colors import LogNorm
 from matplotlib.patheffects import Normal, Stroke
 
-from scope_models._arrays import plain_array
+from scope_models._arrays import plain_array, plain_number
 from scope_models.plotting._style import styled
 
 __all__ = [
@@ -280,6 +280,7 @@ def animate_pixels(cube, time=None, aperture=None, *, interval=50, time_label="T
         name = f"cadence {frame + 1}" if time is None else f"{time_label}: {time[frame]:.4f}"
         return picture, ax.set_title(name)
 
+    interval = plain_number(interval, u.ms, "interval")
     return FuncAnimation(ax.figure, draw, frames=len(cube), interval=interval)
 
 
