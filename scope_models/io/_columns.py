@@ -164,14 +164,11 @@ def _check_errors(checked):
         raise ValueError(f"`flux_bkg_err` must not be negative, got {np.nanmin(background_error)}")
 
 
-def _has_unit(values):
-    """Return whether values are times, quantities or masked, which plain arrays are not."""
-    return any(hasattr(values, name) for name in ("unit", "mask", "jd1"))
-
-
 def _plain(name, values):
     """Return values in the unit of their column as an array; plain arrays are not copied."""
-    return plain_array(values, _UNITS[name], name) if _has_unit(values) else np.asarray(values)
+    # Only times, quantities and masked values have these.
+    special = any(hasattr(values, attribute) for attribute in ("unit", "mask", "jd1"))
+    return plain_array(values, _UNITS[name], name) if special else np.asarray(values)
 
 
 def _floats(name, values, shape, *, broadcast=False):

@@ -10,7 +10,7 @@ from types import MappingProxyType
 import numpy as np
 from astropy.table import Table
 
-from scope_models._arrays import native
+from scope_models._arrays import native, same
 from scope_models.io._blocks import Block, column_cards
 
 __all__ = ["Truth", "truth_blocks", "truth_of"]
@@ -225,10 +225,7 @@ def _read_only(values):
 def _same_arrays(one, other):
     """Return whether mappings hold equal arrays under the same names."""
     return one.keys() == other.keys() and all(
-        np.array_equal(np.asarray(one[name]), np.asarray(other[name]), equal_nan=True)
-        if np.asarray(one[name]).dtype.kind == "f"
-        else np.array_equal(np.asarray(one[name]), np.asarray(other[name]))
-        for name in one
+        same(np.asarray(one[name]), np.asarray(other[name])) for name in one
     )
 
 
