@@ -65,7 +65,7 @@ def tess_noise(mag, pixels, hours=1.0, *, floor=60.0):
     flux = detector.flux_from_mag(plain_array(mag, "mag", "mag"))
     seconds = hours * 3600 * detector.exposure_time / (86400 * detector.cadence_days)
     sky = detector.background + detector.read_noise**2 / detector.int_time
-    light = (flux + np.asarray(pixels) * sky) / (flux**2 * seconds)
+    light = (flux + plain_array(pixels, u.one, "pixels") * sky) / (flux**2 * seconds)
     return np.sqrt(1e12 * light + floor**2 / hours)
 
 
