@@ -4,6 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from scope_models._values import Value
+
 __all__ = ["FitParameter", "fit_parameters"]
 
 # Narrower PSFs are the same to a pixel; tighter correlations only cost time.
@@ -18,7 +20,7 @@ _UNITS = {"width": "pix", "diffusion": "pix", "offset": "pix", "position": "pix"
 
 
 @dataclass(frozen=True)
-class FitParameter:
+class FitParameter(Value):
     """
     A parameter that all cadences share.
 
