@@ -196,22 +196,24 @@ class _State:
     def __init__(self, time, flux, flux_err, position, grid, aperture, use):
         n, n_pixels = flux.shape
         self.time, self.grid, self.aperture, self.use = time, grid, aperture, use
-        typical = np.median(flux[use], axis=0)
+        typical = _median(flux[use].T)
         self.center = grid[np.argmax(typical)].astype(float)
         offset = (grid - grid.mean(axis=0)) / np.maximum(np.ptp(grid, axis=0), 1)
         self.planes = np.column_stack([np.ones(n_pixels), offset])
         dark = np.argsort(typical)[: max(3, n_pixels // 4)]
         self.base = self._dark_plane(typical, dark)
         planes = np.zeros((n, 3)) + self.base
-        planes[:, 0] += np.median(flux[:, dark] - typical[dark], axis=1)
+        planes[:, 0] += _median(flux[:, dark] - typical[dark])
         total = (flux - planes @ self.planes.T)[:, aperture].sum(axis=1)
-        self.unit = np.median(total[use])
+        self.unit = _median(total[use])
         self.y, self.plane = flux / self.unit, planes / self.unit
         self.base = self.base / self.unit
         self.brightness = total / self.unit
-        self.noise = (np.median(flux_err[use], axis=0) / self.unit) ** 2
+        self.noise = (_median(flux_err[use].T) / self.unit) ** 2
         self.variance = self.noise
-        self.scale = np.maximum(np.quantile(self.y[use], 0.98, axis=0), 3 * np.sqrt(self.noise))
+        self.scale = np.maximum(
+            np.quantile(self.y[use].T.copy(), 0.98, axis=1), 3 * np.sqrt(self.noise)
+        )
         self.good = np.ones((n, n_pixels), dtype=bool)
         self.focus, self.variable = np.zeros(n), np.zeros(n)
         self._start_positions(position, total)
@@ -292,19 +294,26 @@ class _State:
         total = (kernel @ weights[:, inside].sum(axis=1))[:, None]
         kernel /= total
         image = kernel @ weights
+
+        def without_sum(columns, coefficients):
+            """Return images whose sum over the aperture is taken off in the shape of the star."""
+            over = columns @ coefficients[:, inside].sum(axis=1)
+            columns = np.concatenate([columns, -over[:, None] * kernel], axis=1)
+            return columns @ np.concatenate([coefficients, weights])
+
         # multiples of the image drop out with the sums
-        slopes = [kernel @ moved for moved in self.features.slope_weights(weights)]
-        slopes = [_without_sum(slope, image, inside) for slope in slopes]
+        slopes = [without_sum(kernel, moved) for moved in self.features.slope_weights(weights)]
+        constant = 0.0
         if self._focus is None:
             # A PSF that widens about the star's center.
             far = self.grid - self.center - self.z[:, None]
             focus = far[:, :, 0] * slopes[0] + far[:, :, 1] * slopes[1] - 2 * image
+            focus -= image * (focus @ inside)[:, None]
         else:
             coarse = self.coarse(self.z)
-            focus = coarse / total @ self._focus
-        focus, constant = _without_sum(focus, image, inside), 0.0
-        if self._constant is not None:
-            constant = _without_sum(coarse @ self._constant, image, inside)
+            focus = without_sum(coarse / total, self._focus)
+            if self._constant is not None:
+                constant = without_sum(coarse, self._constant)
         return image, slopes, focus, constant
 
     def _focused(self, image, focus):
@@ -553,11 +562,6 @@ def _explained(columns, fit, values):
     """Return what columns explain of values, whose rows are ``fit``."""
     gram = fit.T @ fit + 1e-9 * len(fit) * np.eye(fit.shape[1])
     return columns @ np.linalg.solve(gram, fit.T @ values)
-
-
-def _without_sum(values, image, inside):
-    """Return images whose sum over the aperture is taken off in the shape of the star."""
-    return values - image * (values @ inside)[:, None]
 
 
 def _polynomials(position, degree):

@@ -134,18 +134,18 @@ def signal_to_noise_aperture(
 def _grow(signal, variance):
     """Return the pixels that each raise the ratio of the sums, in the order found."""
     chosen, total, total_variance, best = [], 0.0, 0.0, 0.0
-    free = signal > 0
-    while free.any():
-        ratio = np.zeros_like(signal)
-        ratio[free] = (total + signal[free]) / np.sqrt(total_variance + variance[free])
-        index = int(np.argmax(ratio))
+    lit = np.flatnonzero(signal > 0)
+    signal, variance = signal[lit], variance[lit]
+    for _ in lit:
+        ratio = (total + signal) / np.sqrt(total_variance + variance)
+        index = ratio.argmax()
         if ratio[index] <= best:
             break
         best = ratio[index]
-        chosen.append(index)
-        free[index] = False
+        chosen.append(lit[index])
         total += signal[index]
         total_variance += variance[index]
+        signal[index] = -np.inf
     return chosen
 
 
