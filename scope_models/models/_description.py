@@ -16,6 +16,7 @@ from astropy import units as u
 from astropy.modeling import CompoundModel, Model
 
 from scope_models._arrays import is_angle, plain_array
+from scope_models.models._parameters import value_of
 from scope_models.models.sensitivity import SensitivityPolynomial
 
 __all__ = [
@@ -158,7 +159,7 @@ def model_in_pixels(model, pixel_scale):
         return model
     values = {}
     for name, p in parameters.items():
-        values[name] = p.value if p.unit is None else p.quantity
+        values[name] = value_of(p)
         if name != "theta" and (is_angle(p.unit) or p.unit == u.pix):
             values[name] = plain_array(p.quantity, u.pix, name, pixel_scale=pixel_scale)
     return type(model)(**values, name=model.name, fixed=model.fixed, bounds=model.bounds)
