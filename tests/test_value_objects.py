@@ -85,8 +85,8 @@ def test_value_objects(kind):
     name = dataclasses.fields(one)[0].name
     with pytest.raises(dataclasses.FrozenInstanceError):
         setattr(one, name, None)
-    with pytest.raises(TypeError, match="unexpected keyword argument 'colour'"):
-        one.replace(colour=1)
+    with pytest.raises(TypeError, match="unexpected keyword argument 'hue'"):
+        one.replace(hue=1)
 
 
 def test_arrays_of_the_caller_stay_his_own():
