@@ -10,9 +10,16 @@ from astropy import units as u
 from scipy.interpolate import BSpline, LinearNDInterpolator, RectBivariateSpline
 
 from scope_models._arrays import plain_array, plain_number
+from scope_models._values import Value, frozen
 from scope_models.models._axis import gauss_legendre
 from scope_models.models._closed_form import ClosedForm, pixels_of
-from scope_models.models._parameters import StarModel, check_model_parameters, check_psf_units
+from scope_models.models._parameters import (
+    StarModel,
+    check_model_parameters,
+    check_psf_units,
+    numbers_of,
+    value_of,
+)
 
 __all__ = ["PRFGrid", "TabulatedPRF", "TabulatedPSF"]
 
@@ -221,9 +228,6 @@ class _Table(StarModel):
             "uncertainty": self.uncertainty,
         }
 
-    def _values(self, x, y, x_0, y_0):
-        return self._surface.value(_number(x) - _number(x_0), _number(y) - _number(y_0))
-
     def _offsets(self):
         """Offsets of the samples from the star along x and y, pixels."""
         return tuple(
@@ -248,6 +252,10 @@ class _Table(StarModel):
         value = self._surface.value
         return value(dx, dy), -value(dx, dy, along_x=1), -value(dx, dy, along_y=1)
 
+    def evaluate(self, x, y, flux, x_0, y_0):
+        """Flux in the pixels, or density in units of flux per square pixel."""
+        return flux * self._surface.value(_number(x) - _number(x_0), _number(y) - _number(y_0))
+
     def fit_deriv(self, x, y, flux, x_0, y_0, *others):
         """Derivatives with respect to the parameters, in their order."""
         offsets = _number(x) - _number(x_0), _number(y) - _number(y_0)
@@ -266,8 +274,7 @@ class _Table(StarModel):
         box = []
         for axis, center in ((1, self.y_0), (0, self.x_0)):
             low, high = self.reach[axis]
-            unit = 1.0 if center.unit is None else u.pixel
-            value = center.value if center.unit is None else center.quantity
+            unit, value = 1.0 if center.unit is None else u.pixel, value_of(center)
             box.append((value + low * unit, value + high * unit))
         return tuple(box)
 
@@ -343,7 +350,7 @@ class TabulatedPSF(_Table):
 
     def evaluate(self, x, y, flux, x_0, y_0):
         """Density at the positions, in units of flux per square pixel."""
-        density = flux * self._values(x, y, x_0, y_0)
+        density = super().evaluate(x, y, flux, x_0, y_0)
         return density / u.pixel**2 if isinstance(x, u.Quantity) else density
 
     def closed_form(self, values):
@@ -415,10 +422,6 @@ class TabulatedPRF(_Table):
     #: Values are fluxes of pixels, not a density.
     pixel_integrated = True
 
-    def evaluate(self, x, y, flux, x_0, y_0):
-        """Flux in the pixels."""
-        return flux * self._values(x, y, x_0, y_0)
-
     def uncertainty_image(self, shape):
         """
         Return the uncertainty of the fluxes in an image that the table brings with it.
@@ -471,8 +474,7 @@ class TabulatedPRF(_Table):
 
         if not isinstance(model, ImagePSF):
             raise TypeError(f"`model` must be an ImagePSF, got {type(model).__name__}")
-        values = (getattr(model, name).value for name in ("flux", "x_0", "y_0"))
-        return cls(model.data, model.oversampling, *values, origin=model.origin)
+        return cls(model.data, model.oversampling, **numbers_of(model), origin=model.origin)
 
     def to_photutils(self):
         """
@@ -490,10 +492,9 @@ class TabulatedPRF(_Table):
         """
         from photutils.psf import ImagePSF
 
-        values = {name: getattr(self, name).value for name in self.param_names}
         return ImagePSF(
             np.array(self.array),
-            **values,
+            **numbers_of(self),
             origin=self.origin,
             oversampling=_integers(self.oversampling),
         )
@@ -505,8 +506,8 @@ def _integers(oversampling):
     return tuple(round(value) for value in oversampling)
 
 
-@dataclass(frozen=True, eq=False)
-class PRFGrid:
+@dataclass(frozen=True, eq=False, repr=False)
+class PRFGrid(Value):
     """
     PRF tables at several places of a detector.
 
@@ -549,7 +550,7 @@ class PRFGrid:
             same = table.array.shape == first.array.shape and table.origin == first.origin
             if not same or table.oversampling != first.oversampling:
                 raise ValueError("`tables` must have one shape, oversampling and origin")
-        object.__setattr__(self, "places", places)
+        object.__setattr__(self, "places", frozen(places))
         object.__setattr__(self, "tables", tables)
 
     def weights(self, column, row):

@@ -202,7 +202,7 @@ def _within(values, sigma, iterations):
     return keep
 
 
-def _everest_cdpp(time, flux, width, filter_window):  # noqa: ARG001 (same signature)
+def _everest_cdpp(_time, flux, width, filter_window):
     if len(flux) >= filter_window:
         flux = flux - savgol_filter(flux, filter_window, _FILTER_ORDER)
         flux = flux + 1 - np.median(flux)

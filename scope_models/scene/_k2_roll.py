@@ -11,6 +11,7 @@ import astropy.units as u
 import numpy as np
 
 from scope_models._checks import check_fields
+from scope_models._values import Value
 from scope_models.missions import MISSIONS
 from scope_models.scene._pointing import (
     ARCSEC_PER_RADIAN,
@@ -30,7 +31,7 @@ _MEMORY = 20
 
 
 @dataclass(frozen=True)
-class K2Roll:
+class K2Roll(Value):
     r"""The roll of K2 about its boresight, and a star at some distance from that.
 
     Sunlight rolls the field; about every six hours thrusters put the roll angle :math:`\theta`

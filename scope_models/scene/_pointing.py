@@ -8,6 +8,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from scope_models._checks import check_fields
+from scope_models._values import Value
 from scope_models.missions import MISSIONS
 
 __all__ = [
@@ -31,7 +32,7 @@ _LOWEST = 1e-300
 
 
 @dataclass(frozen=True)
-class Pointing:
+class Pointing(Value):
     """Base of the generators of motions; every parameter may be a quantity."""
 
     #: Units of the parameters.

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from html import escape
 from numbers import Integral, Real
 from pathlib import Path
@@ -13,11 +13,11 @@ import numpy as np
 
 from scope_models._arrays import PER_PIXEL, plain_tree
 from scope_models._checks import checked_number
+from scope_models._values import Value
 from scope_models.io._atomic import atomic_path
 from scope_models.io.pixels import positions_of
 from scope_models.io.reading import read_positions
 from scope_models.missions import MISSIONS
-from scope_models.models._description import value_key
 from scope_models.scene import _generators
 from scope_models.scene._k2_roll import K2Campaign18, K2FinalCampaign, K2Roll
 from scope_models.scene._motion_arrays import (
@@ -51,7 +51,7 @@ __all__ = [
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Motion:
+class Motion(Value):
     """The positions of a star on the detector, cadence by cadence.
 
     Positions are offsets from a reference position and always finite. Usually one of the class
@@ -129,18 +129,6 @@ class Motion:
             object.__setattr__(self, name, value)
         object.__setattr__(self, "meta", MappingProxyType(dict(self.meta)))
 
-    def __eq__(self, other):
-        if not isinstance(other, Motion):
-            return NotImplemented
-        return value_key(self) == value_key(other)
-
-    def __hash__(self):
-        return hash(value_key((self.time, self.x, self.y)))
-
-    def __reduce__(self):
-        arguments = (self.time, self.x, self.y, self.quality, self.cadenceno)
-        return type(self), (*arguments, self.time_format, dict(self.meta))
-
     def __repr__(self):
         first, last = self.time[0], self.time[-1]
         return (
@@ -192,27 +180,6 @@ class Motion:
         if not isinstance(other, Motion):
             return NotImplemented
         return Motion.concatenate([self, other])
-
-    def replace(self, **changes):
-        """Return a motion with some fields changed.
-
-        Parameters
-        ----------
-        **changes
-            Fields of `Motion` and their new values.
-
-        Returns
-        -------
-        Motion
-            The new motion.
-
-        Examples
-        --------
-        >>> from scope_models import Motion
-        >>> Motion.still(2).replace(x=[0.0, 0.5]).x
-        array([0. , 0.5])
-        """
-        return replace(self, **changes)
 
     @classmethod
     def from_arrays(
