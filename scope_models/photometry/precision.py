@@ -26,17 +26,15 @@ def cdpp(lc_or_flux, duration=6.5, method="lightkurve", *, cadence=None, filter_
     pointing systematics, so compare like with like:
 
     ``"lightkurve"``
-        `lightkurve.LightCurve.estimate_cdpp`: the flux is divided by an
-        iteratively 3-sigma clipped Savitzky-Golay trend (order 2, 101
-        cadences; gaps longer than 5 cadences split it), clipped at 5 sigma,
-        and the result is the standard deviation of its running mean. Same
-        number as lightkurve.
+        `lightkurve.LightCurve.estimate_cdpp`: the flux is divided by an iteratively 3-sigma clipped
+        Savitzky-Golay trend (order 2, 101 cadences; gaps longer than 5 cadences split it), clipped
+        at 5 sigma, and the result is the standard deviation of its running mean. Same number as
+        lightkurve.
     ``"everest"``
-        The EVEREST catalogs: a Savitzky-Golay trend (order 2, 49 cadences)
-        is subtracted, points farther than 5 (scaled) median absolute
-        deviations from a 50-cadence smooth are dropped, and the result is
-        the median, over all running windows of :math:`n` cadences, of the
-        window's standard deviation divided by :math:`\sqrt{n}`.
+        The EVEREST catalogs: a Savitzky-Golay trend (order 2, 49 cadences) is subtracted, points
+        farther than 5 (scaled) median absolute deviations from a 50-cadence smooth are dropped, and
+        the result is the median, over all running windows of :math:`n` cadences, of the window's
+        standard deviation divided by :math:`\sqrt{n}`.
 
     White noise of 100 ppm per long cadence has a 6.5-hour CDPP of nominally
     :math:`100 / \sqrt{13} = 27.7` ppm; the first convention gives 23.1 (the
@@ -63,8 +61,7 @@ def cdpp(lc_or_flux, duration=6.5, method="lightkurve", *, cadence=None, filter_
     Returns
     -------
     float or `~numpy.ndarray`
-        CDPP in parts per million; an array of shape ``(n_series,)`` for
-        two-dimensional input.
+        CDPP in parts per million; an array of shape ``(n_series,)`` for two-dimensional input.
 
     Raises
     ------
