@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from scope_models._values import Value
 from scope_models.models._parameters import numbers_of
 
 __all__ = ["FitParameter", "fit_parameters"]
@@ -20,7 +21,7 @@ _UNITS = {"width": "pix", "diffusion": "pix", "offset": "pix", "position": "pix"
 
 
 @dataclass(frozen=True)
-class FitParameter:
+class FitParameter(Value):
     """
     A parameter that all cadences share.
 
