@@ -31,9 +31,8 @@ class FitParameter(Value):
         Its name.
     kind : str
         "width", "correlation", "coefficient", "fraction", "offset", "response", "diffusion" and
-        "correction" as in
-        `~scope_models.PRF.parameter_kinds`; "position", "slope", "flux" and "focus";
-        or "other".
+        "correction" as in `~scope_models.PRF.parameter_kinds`; "position", "slope", "flux" and
+        "focus"; or "other".
     lower, upper : float, optional
         Bounds.
     largest_step : float, optional

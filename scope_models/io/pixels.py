@@ -134,24 +134,20 @@ class PixelSeries(Value):
         ValueError
             If no cadence is left, or the choice is unknown.
         """
-        bits = self._bits(quality_bitmask)
+        rejected = self.mission.quality.rejected if self.mission else 0
+        choice, named = quality_bitmask, {"none": 0, "default": rejected}
+        is_integer = isinstance(choice, Integral) and not isinstance(choice, bool)
+        if not is_integer and not (isinstance(choice, str) and choice in named):
+            raise ValueError(
+                f'`quality_bitmask` must be "default", "none" or an integer, got {choice!r}'
+            )
+        bits = int(choice) if is_integer else named[choice]
         keep = (self.quality & bits) == 0
         if bits and self.mission is not None and not self.mission.quality.no_data:
             keep &= np.isfinite(self.time)
         if not keep.any():
             raise ValueError(f"all {len(self)} cadences have quality flags of {bits}")
         return self if keep.all() else self[keep]
-
-    def _bits(self, quality_bitmask):
-        if isinstance(quality_bitmask, str) and quality_bitmask == "none":
-            return 0
-        if isinstance(quality_bitmask, str) and quality_bitmask == "default":
-            return self.mission.quality.rejected if self.mission else 0
-        if isinstance(quality_bitmask, Integral) and not isinstance(quality_bitmask, bool):
-            return int(quality_bitmask)
-        raise ValueError(
-            f'`quality_bitmask` must be "default", "none" or an integer, got {quality_bitmask!r}'
-        )
 
 
 def read_pixels(source, *, quality_bitmask=None):

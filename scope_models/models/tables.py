@@ -587,7 +587,10 @@ class PRFGrid(Value):
         place = np.clip(place, low, high)
         columns, rows = (np.unique(p) for p in self.places.T)
         if columns.size * rows.size == len(self.tables):
-            along = [_hat(nodes, at) for nodes, at in zip((columns, rows), place, strict=True)]
+            along = [
+                np.array([np.interp(at, nodes, row) for row in np.eye(nodes.size)])
+                for nodes, at in zip((columns, rows), place, strict=True)
+            ]
             index = [
                 np.searchsorted(n, p) for n, p in zip((columns, rows), self.places.T, strict=True)
             ]
@@ -755,11 +758,6 @@ class PRFGrid(Value):
         if not tables:
             raise ValueError(f"{path} holds no PRF images")
         return cls(places, tables)
-
-
-def _hat(nodes, at):
-    """Weights of linear interpolation in one dimension."""
-    return np.array([np.interp(at, nodes, row) for row in np.eye(nodes.size)])
 
 
 def _card(header, name, path):
