@@ -594,7 +594,7 @@ class _Detrend(FileStudy):
 
     def draw(self, table, summary):
         """Draw the noise over the magnitude, beside Kepler's and K2's."""
-        from scope_models.plotting.precision import plot_precision  # imports matplotlib
+        from scope_models.plotting.statistics import plot_precision  # imports matplotlib
 
         reference = {
             "Kepler": read_reference("kepler"),

@@ -84,7 +84,7 @@ def run_experiment(study, directory, client=None, **options):
         study = make_study(study)
     if not isinstance(study, Study):
         raise TypeError(f"`study` must be a Study or the name of one, got {study!r}")
-    from scope_models.plotting._saving import save_figure  # imports matplotlib
+    from scope_models.plotting._style import save_figure  # imports matplotlib
 
     folder = Path(directory)
     sweep = run_sweep(study, folder, client, **options)

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from scope_models._values import Value
 from scope_models.models._parameters import numbers_of
 
 __all__ = ["FitParameter", "fit_parameters"]
@@ -20,7 +21,7 @@ _UNITS = {"width": "pix", "diffusion": "pix", "offset": "pix", "position": "pix"
 
 
 @dataclass(frozen=True)
-class FitParameter:
+class FitParameter(Value):
     """
     A parameter that all cadences share.
 
@@ -30,9 +31,8 @@ class FitParameter:
         Its name.
     kind : str
         "width", "correlation", "coefficient", "fraction", "offset", "response", "diffusion" and
-        "correction" as in
-        `~scope_models.PRF.parameter_kinds`; "position", "slope", "flux" and "focus";
-        or "other".
+        "correction" as in `~scope_models.PRF.parameter_kinds`; "position", "slope", "flux" and
+        "focus"; or "other".
     lower, upper : float, optional
         Bounds.
     largest_step : float, optional

@@ -7,6 +7,7 @@ from html import escape
 
 import numpy as np
 
+from scope_models._values import Value
 from scope_models.fitting.parameters import FitParameter
 from scope_models.models import PRF
 from scope_models.models._parameters import numbers_of
@@ -19,8 +20,8 @@ __all__ = ["FittedStar", "TPFFit"]
 _TRUE_CHI2 = 1.1
 
 
-@dataclass(frozen=True, eq=False)
-class FittedStar:
+@dataclass(frozen=True, eq=False, repr=False)
+class FittedStar(Value):
     """
     Another star in a fit.
 
@@ -49,7 +50,7 @@ class FittedStar:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class TPFFit:
+class TPFFit(Value):
     """
     A model of all pixels and cadences of a target pixel file.
 

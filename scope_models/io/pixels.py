@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
-from dataclasses import replace as dataclass_replace
 from numbers import Integral
 from os import PathLike
 from types import MappingProxyType
@@ -10,7 +9,8 @@ from types import MappingProxyType
 import numpy as np
 from astropy.time import Time
 
-from scope_models._arrays import plain_array, plain_time, same
+from scope_models._arrays import plain_array, plain_time
+from scope_models._values import Value
 from scope_models.io._opening import RefusedError, naming, open_fits
 from scope_models.io.reading import (
     PositionColumns,
@@ -31,7 +31,7 @@ LARGEST_OFFSET = 50.0
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class PixelSeries:
+class PixelSeries(Value):
     """The pixels of a star, cadence by cadence, as a target pixel file holds them.
 
     `read_pixels` makes it. The arrays are read-only. ``series[a:b]`` and ``series[mask]`` choose
@@ -84,8 +84,6 @@ class PixelSeries:
     header: Mapping
     mission: Mission | None
 
-    __hash__ = None
-
     def __post_init__(self):
         for item in fields(self):
             value = getattr(self, item.name)
@@ -94,10 +92,6 @@ class PixelSeries:
                 value.flags.writeable = False
                 object.__setattr__(self, item.name, value)
         object.__setattr__(self, "header", MappingProxyType(dict(self.header)))
-
-    def __reduce__(self):
-        values = [getattr(self, item.name) for item in fields(self)]
-        return type(self), tuple(dict(v) if isinstance(v, Mapping) else v for v in values)
 
     def __repr__(self):
         n, ny, nx = self.flux.shape
@@ -109,34 +103,12 @@ class PixelSeries:
     def __len__(self):
         return len(self.time)
 
-    def __eq__(self, other):
-        if not isinstance(other, PixelSeries):
-            return NotImplemented
-        return all(
-            same(getattr(self, item.name), getattr(other, item.name)) for item in fields(self)
-        )
-
     def __getitem__(self, cadences):
         if isinstance(cadences, Integral):
             raise TypeError(f"cadences are chosen by slices or masks, got {cadences!r}")
         names = ("time", "cadenceno", "quality", "flux", "flux_err", "flux_bkg", "pos_corr")
         values = {name: getattr(self, name) for name in names}
         return self.replace(**{k: v if v is None else v[cadences] for k, v in values.items()})
-
-    def replace(self, **changes):
-        """Return a series with some attributes replaced.
-
-        Parameters
-        ----------
-        **changes
-            Attributes and their new values.
-
-        Returns
-        -------
-        PixelSeries
-            The series.
-        """
-        return dataclass_replace(self, **changes)
 
     @property
     def time_format(self):
@@ -162,24 +134,20 @@ class PixelSeries:
         ValueError
             If no cadence is left, or the choice is unknown.
         """
-        bits = self._bits(quality_bitmask)
+        rejected = self.mission.quality.rejected if self.mission else 0
+        choice, named = quality_bitmask, {"none": 0, "default": rejected}
+        is_integer = isinstance(choice, Integral) and not isinstance(choice, bool)
+        if not is_integer and not (isinstance(choice, str) and choice in named):
+            raise ValueError(
+                f'`quality_bitmask` must be "default", "none" or an integer, got {choice!r}'
+            )
+        bits = int(choice) if is_integer else named[choice]
         keep = (self.quality & bits) == 0
         if bits and self.mission is not None and not self.mission.quality.no_data:
             keep &= np.isfinite(self.time)
         if not keep.any():
             raise ValueError(f"all {len(self)} cadences have quality flags of {bits}")
         return self if keep.all() else self[keep]
-
-    def _bits(self, quality_bitmask):
-        if isinstance(quality_bitmask, str) and quality_bitmask == "none":
-            return 0
-        if isinstance(quality_bitmask, str) and quality_bitmask == "default":
-            return self.mission.quality.rejected if self.mission else 0
-        if isinstance(quality_bitmask, Integral) and not isinstance(quality_bitmask, bool):
-            return int(quality_bitmask)
-        raise ValueError(
-            f'`quality_bitmask` must be "default", "none" or an integer, got {quality_bitmask!r}'
-        )
 
 
 def read_pixels(source, *, quality_bitmask=None):

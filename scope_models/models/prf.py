@@ -93,7 +93,8 @@ class PRF(StarModel):
 
     def __init__(self, compound, flux=None, x_0=None, y_0=None, **kwargs):
         if isinstance(compound, PRF):
-            compound = _parts_of(compound)
+            parts = compound.psf * compound.sensitivity if compound.sensitivity else compound.psf
+            compound = Const2D(float(compound.flux.value)) * parts
         terms = [term for term in expand(compound) if np.any(term.scale)]
         _check_compound(compound, terms)
         self._components = _components_of(terms)
@@ -108,7 +109,8 @@ class PRF(StarModel):
             "x_0": value_of(first.x_0) if x_0 is None else x_0,
             "y_0": value_of(first.y_0) if y_0 is None else y_0,
         }
-        parameters = self._overall_parameters(first, alone=len(terms) == 1)
+        alone = _POSITION if len(terms) == 1 else ()
+        parameters = {name: _like(getattr(first, name), name) for name in alone}
         for k, component in enumerate(self._components):
             for own, name in component.shape.items():
                 source = getattr(component.model, own)
@@ -138,17 +140,6 @@ class PRF(StarModel):
             plain_array(value_of(getattr(self, name)), u.pixel, name)
         if any(getattr(c.model, "fit_deriv", None) is None for c in self._components):
             self.fit_deriv = None  # fitters then estimate the derivatives
-
-    @staticmethod
-    def _overall_parameters(first, *, alone):
-        descriptions = {
-            "flux": "Flux of the star in all components",
-            "x_0": "Column of the star (pixel)",
-            "y_0": "Row of the star (pixel)",
-        }
-        if alone:
-            return {n: _like(getattr(first, n), n, description=d) for n, d in descriptions.items()}
-        return {name: Parameter(name, description=text) for name, text in descriptions.items()}
 
     # -----------------------------------------------------------------------------------------
     # Parts
@@ -477,7 +468,7 @@ class PRF(StarModel):
 # ---------------------------------------------------------------------------------------------
 # Helpers
 # ---------------------------------------------------------------------------------------------
-def _like(source, name, *, fixed=None, description=None):
+def _like(source, name, *, fixed=None):
     """A parameter with the constraints of another."""
     if source.tied:
         raise ValueError(
@@ -487,17 +478,10 @@ def _like(source, name, *, fixed=None, description=None):
         name,
         fixed=source.fixed if fixed is None else fixed,
         bounds=source.bounds,
-        description=source.__doc__ or source.name if description is None else description,
+        description=source.__doc__ or source.name,
     )
     validator = source._validator  # noqa: SLF001 - astropy gives it out by no other way
     return parameter if validator is None else parameter.validator(validator)
-
-
-def _parts_of(prf):
-    """The compound that a PRF was made of, at its present flux."""
-    compound, sensitivity = prf.psf, prf.sensitivity
-    parts = compound if sensitivity is None else compound * sensitivity
-    return Const2D(float(prf.flux.value)) * parts
 
 
 def _table_at(grid, column, row):

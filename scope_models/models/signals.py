@@ -12,6 +12,7 @@ from exoplanet_core import kepler, quad_limbdark_light_curve
 from scipy.optimize import brentq
 
 from scope_models._arrays import plain_array, plain_number
+from scope_models._checks import checked_number
 from scope_models.models._parameters import Domain, check_model_parameters, value_of
 
 __all__ = ["TransitModel"]
@@ -20,6 +21,7 @@ __all__ = ["TransitModel"]
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(101)
 
 _ORBIT = ("period", "a", "inc", "ecc", "omega")
+_DENSITY = u.g / u.cm**3
 _UNITS = {"period": u.day, "t0": u.day, "inc": u.deg, "omega": u.deg}
 
 
@@ -259,7 +261,9 @@ class TransitModel(Fittable1DModel):
         if a is not None:
             a = plain_number(a, u.one, "a")
         if density is not None:
-            a = _axis_from_density(density, period)
+            density = checked_number("density", density, _DENSITY, positive=True) * _DENSITY
+            cube = constants.G * density * (period * u.day) ** 2 / (3 * np.pi)
+            a = float(np.cbrt(cube.to_value(u.one)))
         if b is not None:
             b = plain_number(b, u.one, "b")
             cosine = b * (1 + ecc * np.sin(np.radians(omega))) / (a * (1 - ecc**2))
@@ -308,7 +312,7 @@ class TransitModel(Fittable1DModel):
         """Mean density of the star in g/cm3 that the period and `a` imply."""
         p = self._in_units()
         density = 3 * np.pi * p["a"] ** 3 / (constants.G * (p["period"] * u.day) ** 2)
-        return float(density.to_value(u.g / u.cm**3))
+        return float(density.to_value(_DENSITY))
 
     @property
     def input_units(self):
@@ -346,13 +350,6 @@ def _require(condition, name, domain, value):
 def _number(name, value):
     """Return a parameter as one plain number, from a scalar, an array of one or a Quantity."""
     return plain_array(value, _UNITS.get(name, u.one), name).item()
-
-
-def _axis_from_density(density, period):
-    density = plain_number(density, u.g / u.cm**3, "density") * u.g / u.cm**3
-    _require(density.value > 0, "density", "positive", density)
-    cube = constants.G * density * (period * u.day) ** 2 / (3 * np.pi)
-    return float(np.cbrt(cube.to_value(u.dimensionless_unscaled)))
 
 
 def _fastest(period, a, ecc):

@@ -10,6 +10,7 @@ from astropy import units as u
 from scipy.interpolate import BSpline, LinearNDInterpolator, RectBivariateSpline
 
 from scope_models._arrays import plain_array, plain_number
+from scope_models._values import Value, frozen
 from scope_models.models._axis import gauss_legendre
 from scope_models.models._closed_form import ClosedForm, pixels_of
 from scope_models.models._parameters import (
@@ -505,8 +506,8 @@ def _integers(oversampling):
     return tuple(round(value) for value in oversampling)
 
 
-@dataclass(frozen=True, eq=False)
-class PRFGrid:
+@dataclass(frozen=True, eq=False, repr=False)
+class PRFGrid(Value):
     """
     PRF tables at several places of a detector.
 
@@ -549,7 +550,7 @@ class PRFGrid:
             same = table.array.shape == first.array.shape and table.origin == first.origin
             if not same or table.oversampling != first.oversampling:
                 raise ValueError("`tables` must have one shape, oversampling and origin")
-        object.__setattr__(self, "places", places)
+        object.__setattr__(self, "places", frozen(places))
         object.__setattr__(self, "tables", tables)
 
     def weights(self, column, row):
@@ -586,7 +587,10 @@ class PRFGrid:
         place = np.clip(place, low, high)
         columns, rows = (np.unique(p) for p in self.places.T)
         if columns.size * rows.size == len(self.tables):
-            along = [_hat(nodes, at) for nodes, at in zip((columns, rows), place, strict=True)]
+            along = [
+                np.array([np.interp(at, nodes, row) for row in np.eye(nodes.size)])
+                for nodes, at in zip((columns, rows), place, strict=True)
+            ]
             index = [
                 np.searchsorted(n, p) for n, p in zip((columns, rows), self.places.T, strict=True)
             ]
@@ -754,11 +758,6 @@ class PRFGrid:
         if not tables:
             raise ValueError(f"{path} holds no PRF images")
         return cls(places, tables)
-
-
-def _hat(nodes, at):
-    """Weights of linear interpolation in one dimension."""
-    return np.array([np.interp(at, nodes, row) for row in np.eye(nodes.size)])
 
 
 def _card(header, name, path):

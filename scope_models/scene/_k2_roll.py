@@ -12,6 +12,7 @@ import numpy as np
 
 from scope_models._arrays import PER_PIXEL
 from scope_models._checks import checked_number, checked_pair
+from scope_models._values import Value
 from scope_models.missions import MISSIONS
 
 __all__ = [
@@ -50,7 +51,7 @@ _UNITS = {
 
 
 @dataclass(frozen=True)
-class K2Roll:
+class K2Roll(Value):
     r"""The roll of K2 about its boresight, and a star at some distance from that.
 
     Sunlight rolls the field; about every six hours thrusters put the roll angle :math:`\theta`

@@ -6,6 +6,7 @@ import astropy.units as u
 import numpy as np
 
 from scope_models._arrays import PER_PIXEL, plain_array, plain_number, plain_time
+from scope_models._values import Value
 from scope_models.io.pixels import LARGEST_OFFSET, usable_positions
 from scope_models.missions import MISSIONS, TIME_ZEROS
 
@@ -158,7 +159,7 @@ def _fill_times(time, number, timeless):
 
 
 @dataclass(frozen=True)
-class MotionStatistics:
+class MotionStatistics(Value):
     """The row of a motion in a table of motions.
 
     Attributes

@@ -8,6 +8,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from scope_models._checks import checked_number, checked_pair
+from scope_models._values import Value
 from scope_models.missions import MISSIONS
 from scope_models.scene._k2_roll import (
     ARCSEC_PER_RADIAN,
@@ -28,7 +29,7 @@ __all__ = [
 
 
 @dataclass(frozen=True)
-class Pointing:
+class Pointing(Value):
     """Base of the generators of motions; every parameter may be a quantity."""
 
     #: Units of the parameters; of the unit one where they are not named.

@@ -13,12 +13,12 @@ import numpy as np
 
 from scope_models._arrays import PER_PIXEL, plain_time, plain_tree
 from scope_models._checks import checked_integer, checked_number
+from scope_models._values import Value
 from scope_models.effects.noise import check_seed, fresh_seed, stream
 from scope_models.io._atomic import atomic_path
 from scope_models.io.pixels import positions_of
 from scope_models.io.reading import read_positions
 from scope_models.missions import MISSIONS
-from scope_models.models._description import value_key
 from scope_models.scene._k2_roll import K2Roll
 from scope_models.scene._motion_arrays import (
     MotionStatistics,
@@ -50,7 +50,7 @@ _LAST = {18: K2Campaign18, 19: K2FinalCampaign}
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Motion:
+class Motion(Value):
     """The positions of a star on the detector, cadence by cadence.
 
     Positions are offsets from a reference position and always finite. Usually one of the class
@@ -128,18 +128,6 @@ class Motion:
             object.__setattr__(self, name, value)
         object.__setattr__(self, "meta", MappingProxyType(dict(self.meta)))
 
-    def __eq__(self, other):
-        if not isinstance(other, Motion):
-            return NotImplemented
-        return value_key(self) == value_key(other)
-
-    def __hash__(self):
-        return hash(value_key((self.time, self.x, self.y)))
-
-    def __reduce__(self):
-        arguments = (self.time, self.x, self.y, self.quality, self.cadenceno)
-        return type(self), (*arguments, self.time_format, dict(self.meta))
-
     def __repr__(self):
         first, last = self.time[0], self.time[-1]
         return (
@@ -165,7 +153,7 @@ class Motion:
             if not -len(self) <= item < len(self):
                 raise IndexError(f"cadence {item} is out of range for {len(self)} cadences")
             item = [item]
-        return self._replace(
+        return self.replace(
             time=self.time[item],
             x=self.x[item],
             y=self.y[item],
@@ -181,7 +169,7 @@ class Motion:
         if not math.isfinite(factor):
             raise ValueError(f"the scale of a motion must be finite, got {factor}")
         scale = factor * self.meta.get("scale", 1)
-        return self._replace(
+        return self.replace(
             x=factor * self.x, y=factor * self.y, meta={**self.meta, "scale": scale}
         )
 
@@ -191,10 +179,6 @@ class Motion:
         if not isinstance(other, Motion):
             return NotImplemented
         return Motion.concatenate([self, other])
-
-    def _replace(self, **changes):
-        values = {name: getattr(self, name) for name in self.__dataclass_fields__}
-        return type(self)(**{**values, **changes})
 
     @classmethod
     def from_arrays(
@@ -621,7 +605,7 @@ class Motion:
         n = every if n_cadences is None else checked_integer("n_cadences", n_cadences, 1)
         start = pointing.start if start is None else start
         motion = cls._generated(pointing, K2Roll.cadence * np.arange(n), _K2, start, seed)
-        return motion._replace(
+        return motion.replace(
             cadenceno=first + np.arange(n), meta={**motion.meta, "campaign": campaign}
         )
 
@@ -994,7 +978,7 @@ def _shifted(motion, before):
     steps = np.diff(before.time) if len(before) > 1 else np.diff(motion.time)
     step = np.median(steps) if len(steps) else K2Roll.cadence
     number = motion.cadenceno.astype(np.int64)
-    return motion._replace(
+    return motion.replace(
         time=motion.time - motion.time[0] + (before.time[-1] + step),
         cadenceno=number - number[0] + (before.cadenceno[-1] + 1),
     )
