@@ -38,13 +38,6 @@ _SAME = """Returns
 -------
 `Target`
     The same object."""
-_AX = """ax : `~matplotlib.axes.Axes`, optional
-    Where to draw; a new figure by default.
-
-Returns
--------
-`~matplotlib.axes.Axes`
-    The Axes."""
 
 
 def generate_target(
@@ -631,27 +624,17 @@ class Target:
             mask = checked_mask("aperture_mask", mask, self.detector.shape)
         return self.to_tpf(**options).to_lightcurve(aperture_mask=mask)
 
+    @documented()
     def write(self, path, overwrite=False, *, metadata=None):
-        """Write a target pixel file with the truth and `aperture`.
+        """Write a target pixel file with the truth and `aperture`, .fits or .fits.gz.
 
         Parameters
         ----------
-        path : str or path-like
-            The file, .fits or .fits.gz.
-        overwrite : bool, optional
-            Whether to replace a file.
+        {path}
         metadata : mapping, optional
             Fields of `scope_models.io.TPFMetadata`.
 
-        Returns
-        -------
-        pathlib.Path
-            The file.
-
-        Raises
-        ------
-        OSError
-            If the file exists and is not to be replaced, or cannot be written.
+        {written}
 
         Examples
         --------
@@ -747,13 +730,13 @@ class Target:
             sensitivity, light, image, oversample, aperture=self.aperture, axes=axes
         )
 
-    @documented(ax=_AX)
+    @documented()
     def display_aperture(self, *, ax=None):
         """Draw the pixels of the first cadence with the outline of the aperture.
 
         Parameters
         ----------
-        {ax}
+        {draw}
 
         Examples
         --------
@@ -765,13 +748,13 @@ class Target:
 
         return plot_pixels(self.targetpixelfile[0], self.aperture, title="First cadence", ax=ax)
 
-    @documented(ax=_AX)
+    @documented()
     def display_motion(self, *, ax=None):
         """Draw the track of the star over the pixels, colored by time.
 
         Parameters
         ----------
-        {ax}
+        {draw}
 
         Examples
         --------
@@ -821,6 +804,7 @@ class Target:
             title=f"Simulated star, magnitude {self.star.mag:g}",
         )
 
+    @documented()
     def plot_transit(self, number=0, *, window=None, ax=None):
         """Draw the light curve folded on a transit that was added.
 
@@ -832,8 +816,7 @@ class Target:
             Which of `transits`.
         window : float, optional
             Hours to draw on either side of mid-transit; by default twice the transit's duration.
-        ax : `~matplotlib.axes.Axes`, optional
-            Where to draw; a new figure by default.
+        {ax}
 
         Returns
         -------
@@ -873,6 +856,7 @@ class Target:
             ax=ax,
         )
 
+    @documented()
     def animate(self, *, step=1, interval=50, ax=None):
         """Animate the pixels.
 
@@ -882,8 +866,7 @@ class Target:
             Draw every step-th cadence.
         interval : float, optional
             Milliseconds per frame.
-        ax : `~matplotlib.axes.Axes`, optional
-            Where to draw; a new figure by default.
+        {ax}
 
         Returns
         -------

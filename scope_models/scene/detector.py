@@ -672,25 +672,13 @@ class Detector(Value):
             deviates = generator.standard_normal(self.shape)
         return np.maximum(1.0 + self.interpixel_scatter * deviates, 0.0)
 
+    @documented()
     def write(self, path, overwrite=False):
         """Write the detector as TOML.
 
         Parameters
         ----------
-        path : str or path-like
-            The file.
-        overwrite : bool, optional
-            Whether to replace a file.
-
-        Returns
-        -------
-        pathlib.Path
-            The file, for `read`.
-
-        Raises
-        ------
-        OSError
-            If the file exists and is not to be replaced, or cannot be written.
+        {write}
         ValueError
             If the PSF is no sum of models, or the sensitivity no product.
 
