@@ -30,6 +30,7 @@ _EXPECTED = {
     "segments": 1e-4,
     "focus": 5e-5,
     "aperture": 1.0,
+    "constant light": 0.003,
 }
 #: Those of the focus have a limit: a width that changes by 1 % changes the response of pixels by
 #: 1e-3 at most. What seems to be a focus may be a dimming of the star beside constant light.
