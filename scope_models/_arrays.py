@@ -16,6 +16,7 @@ __all__ = [
     "plain_time",
     "plain_tree",
     "refuse_unit",
+    "same",
     "unmasked",
     "without_unit",
 ]
@@ -34,18 +35,7 @@ DIGITAL = tuple(
 
 
 def native(array):
-    """Return a new array in the machine's byte order; FITS has the other one.
-
-    Parameters
-    ----------
-    array : array_like
-        Values of any kind.
-
-    Returns
-    -------
-    ndarray
-        The same values.
-    """
+    """Return a new array in the machine's byte order; FITS has the other one."""
     array = np.asarray(array)
     return np.array(array, dtype=array.dtype.newbyteorder("="))
 
@@ -53,17 +43,7 @@ def native(array):
 def unmasked(value, fill=np.nan):
     """Return an array without its mask, with ``fill`` where it is masked; keep its unit.
 
-    Parameters
-    ----------
-    value : array_like, Quantity, Masked, numpy.ma.MaskedArray or Column
-        The values.
-    fill : float, optional
-        What stands in masked places. Integer arrays with masked places become float arrays.
-
-    Returns
-    -------
-    array_like or Quantity
-        The values.
+    Integer arrays with masked places become float arrays.
     """
     mask = getattr(value, "mask", None)
     if mask is None or callable(mask):  # a method of pandas' series
@@ -79,41 +59,26 @@ def unmasked(value, fill=np.nan):
 
 
 def plain_array(value, unit, name, *, pixel_scale=None, equivalencies=()):
-    """Return the values of an argument in its documented unit, as an array of floats.
+    """Return an argument in its documented unit, as an array of floats; masked values become NaN.
 
-    Parameters
-    ----------
-    value : array_like, Quantity or sequence of Quantity
-        Plain numbers are taken to be in ``unit``; masked values become NaN.
-    unit : str, Unit or None
-        The documented unit; "" for numbers without one, None for any, as of relative values.
-    name : str
-        The argument's name, for messages.
-    pixel_scale : float, optional
-        Arcseconds per pixel: with it, angles convert to pixels and back. Without it they are
-        refused.
-    equivalencies : sequence, optional
-        Further conversions of `astropy.units`.
-
-    Returns
-    -------
-    ndarray
-        The values, float64.
-
-    Raises
-    ------
-    TypeError
-        If the argument holds no numbers.
-    ValueError
-        If its unit does not convert.
+    Plain numbers are in ``unit`` already: "" for none, None for any, as of relative values. With
+    a ``pixel_scale`` in arcseconds, angles convert to pixels and back; without it they are refused.
+    Errors name the argument: a TypeError if it holds no numbers, a ValueError if its unit does not
+    convert.
     """
     any_unit, unit = unit is None, u.Unit("" if unit is None else unit)
     if isinstance(value, Time):
         raise TypeError(f"`{name}` must be numbers, got a Time{_hint(unit)}")
     value = value.to(u.day) if isinstance(value, TimeDelta) else unmasked(value)
-    if isinstance(value, (list, tuple)) and any(isinstance(item, u.Quantity) for item in value):
-        value = _joined(value, name)
+    if _holds_quantities(value):
+        try:
+            value = _joined(value)
+        except (TypeError, u.UnitConversionError) as error:
+            raise TypeError(f"`{name}` mixes units: {error}") from error
     found = getattr(value, "unit", None)
+    wanted = unit.to_string() or "a number without a unit"
+    if isinstance(found, u.FunctionUnitBase) and found.physical_unit != u.one:
+        raise ValueError(f"`{name}` must be in {wanted}, or convert to it, got {found}")
     try:
         if found is None:
             array = np.asarray(value)
@@ -130,7 +95,6 @@ def plain_array(value, unit, name, *, pixel_scale=None, equivalencies=()):
     try:
         return quantity.to_value(unit, equivalencies=list(equivalencies))
     except u.UnitConversionError:
-        wanted = unit.to_string() or "a number without a unit"
         hint = ""
         if pixel_scale is None and is_angle(quantity.unit) and unit == u.pix:
             hint = "; there is no pixel scale here to convert an angle with"
@@ -140,31 +104,7 @@ def plain_array(value, unit, name, *, pixel_scale=None, equivalencies=()):
 
 
 def plain_number(value, unit, name, **options):
-    """Return one value of an argument in its documented unit, as a float.
-
-    Parameters
-    ----------
-    value : float or Quantity
-        The value.
-    unit : str or Unit
-        The documented unit.
-    name : str
-        The argument's name, for messages.
-    **options
-        As in `plain_array`.
-
-    Returns
-    -------
-    float
-        The value.
-
-    Raises
-    ------
-    TypeError
-        If the argument is not one number.
-    ValueError
-        If its unit does not convert.
-    """
+    """Return one value of an argument as a float; ``options`` are those of `plain_array`."""
     if value is None or isinstance(value, (bool, np.bool_, str)):
         raise TypeError(f"`{name}` must be a number, got {value!r}{_hint(unit)}")
     array = plain_array(value, unit, name, **options)
@@ -176,26 +116,8 @@ def plain_number(value, unit, name, **options):
 def plain_time(value, time_format, name):
     """Return times as days from a mission's zero of time.
 
-    Parameters
-    ----------
-    value : array_like, Quantity or Time
-        A Time of any scale and format, a Quantity of time or plain numbers since the zero.
-    time_format : {"bkjd", "btjd"} or None
-        The zero: BJD - 2454833 or BJD - 2457000 (TDB). None refuses a Time.
-    name : str
-        The argument's name, for messages.
-
-    Returns
-    -------
-    ndarray
-        Days.
-
-    Raises
-    ------
-    TypeError
-        If the argument holds no times.
-    ValueError
-        If its unit does not convert, or plain numbers are Julian dates.
+    ``time_format`` is "bkjd" or "btjd", the zeros BJD - 2454833 and BJD - 2457000 (TDB); None
+    refuses a Time. Plain numbers that are Julian dates are refused.
     """
     from scope_models.missions import TIME_ZEROS  # that module converts units with this one
 
@@ -229,17 +151,7 @@ def without_unit(value):
 def plain_tree(value, other=None):
     """Return nested mappings, sequences and numpy's numbers as those of Python.
 
-    Parameters
-    ----------
-    value : object
-        Mappings become dict, tuples and lists become list.
-    other : callable, optional
-        What is called for a value that JSON cannot hold; by default it stays.
-
-    Returns
-    -------
-    object
-        The value.
+    ``other`` is called for a value that JSON cannot hold; by default it stays.
     """
     if isinstance(value, np.generic):
         return value.item()
@@ -250,6 +162,13 @@ def plain_tree(value, other=None):
     if other is None or isinstance(value, str | int | float | bool | None):
         return value
     return other(value)
+
+
+def same(one, other):
+    """Return whether arrays, of which NaN equals NaN, or other values are equal."""
+    if isinstance(one, np.ndarray) and isinstance(other, np.ndarray):
+        return np.array_equal(one, other, equal_nan=one.dtype.kind == other.dtype.kind == "f")
+    return one == other
 
 
 def refuse_unit(array, name):
@@ -268,9 +187,13 @@ def _hint(unit):
     return f" (unit: {text})" if text else ""
 
 
-def _joined(values, name):
-    """Return the quantity of a sequence of quantities."""
-    try:
-        return u.Quantity(values)
-    except (TypeError, u.UnitConversionError) as error:
-        raise TypeError(f"`{name}` mixes units: {error}") from error
+def _holds_quantities(value):
+    """Return whether a value is a sequence, of sequences or not, with a quantity in it."""
+    return isinstance(value, (list, tuple)) and any(
+        isinstance(item, u.Quantity) or _holds_quantities(item) for item in value
+    )
+
+
+def _joined(values):
+    """Return the quantity of a sequence of quantities, or of such sequences."""
+    return u.Quantity([_joined(v) if isinstance(v, (list, tuple)) else v for v in values])

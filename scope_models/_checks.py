@@ -16,6 +16,7 @@ __all__ = [
     "checked_number",
     "checked_pair",
     "checked_shape",
+    "checked_weights",
 ]
 
 

@@ -9,21 +9,7 @@ __all__ = ["moved", "renamed"]
 
 
 def moved(old, *new):
-    """Return the module-level ``__getattr__`` of a module whose names have moved.
-
-    Parameters
-    ----------
-    old : str
-        The old module.
-    *new : str
-        The modules that hold its names now.
-
-    Returns
-    -------
-    callable
-        Returns an attribute of the first new module that has it, with an
-        `~astropy.utils.exceptions.AstropyDeprecationWarning`.
-    """
+    """Return the module-level ``__getattr__`` of a module whose names have moved to others."""
 
     def __getattr__(name):  # noqa: N807
         if not name.startswith("__"):
@@ -42,21 +28,7 @@ def moved(old, *new):
 
 
 def renamed(module, **names):
-    """Return the module-level ``__getattr__`` of a module some of whose names are new.
-
-    Parameters
-    ----------
-    module : str
-        The module.
-    **names : str
-        Old names, and the new one of each.
-
-    Returns
-    -------
-    callable
-        Returns the attribute of the new name, with an
-        `~astropy.utils.exceptions.AstropyDeprecationWarning`.
-    """
+    """Return the module-level ``__getattr__`` of a module some of whose names are new."""
 
     def __getattr__(name):  # noqa: N807
         if name not in names:

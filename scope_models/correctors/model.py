@@ -6,7 +6,7 @@ from numbers import Real
 import numpy as np
 from astropy import units as u
 
-from scope_models._arrays import plain_array, plain_number
+from scope_models._arrays import plain_number, plain_time
 from scope_models._checks import checked_integer, checked_mask
 from scope_models.correctors._clean import CleanPixels
 from scope_models.correctors._design import (
@@ -144,7 +144,7 @@ def _checked_segments(segments):
     if segments is None or (isinstance(segments, str) and segments == "auto"):
         return segments
     try:
-        breaks = np.atleast_1d(plain_array(segments, u.day, "segments")).ravel()
+        breaks = np.atleast_1d(plain_time(segments, None, "segments")).ravel()
     except TypeError:
         breaks = np.array([np.nan])
     if not np.isfinite(breaks).all():

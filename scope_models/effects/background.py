@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from scope_models._arrays import plain_array, plain_number
+from scope_models._arrays import plain_array, plain_number, plain_time
 from scope_models._checks import checked_number, checked_pair
 from scope_models.effects._effect import Drawn, Effect
 
@@ -195,7 +195,7 @@ class ScatteredLight(_Sky):
             value = plain_number(getattr(self, name), "day", name)
             put(self, name, checked_number(name, value, positive=True))
         if self.perigee is not None:
-            put(self, "perigee", plain_number(self.perigee, "day", "perigee"))
+            put(self, "perigee", plain_time(self.perigee, None, "perigee"))
             checked_number("perigee", self.perigee, any_sign=True)
         _checked(self, self.residual, self.gradient)
 

@@ -6,7 +6,7 @@ from functools import cache
 import numpy as np
 from scipy.special import ndtr
 
-from scope_models._arrays import plain_number
+from scope_models._arrays import plain_array, plain_number
 from scope_models._checks import checked_number
 from scope_models.effects._effect import Drawn, Effect
 
@@ -169,7 +169,7 @@ def rejected_shift(charge):
     >>> print(rejected_shift([0.0, 2.0, 50.0]).round(3))
     [0.    1.232 1.485]
     """
-    return np.interp(charge, *_shift_table())
+    return np.interp(plain_array(charge, "", "charge"), *_shift_table())
 
 
 @cache

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from scope_models._arrays import plain_array, plain_number
+from scope_models._arrays import plain_array, plain_number, plain_time
 from scope_models._checks import checked_number
 from scope_models.effects._effect import Drawn, Effect
 
@@ -75,9 +75,9 @@ class Focus(Effect):
         for name in ("period", "thermal_time"):
             value = plain_number(getattr(self, name), "day", name)
             put(self, name, checked_number(name, value, positive=True))
-        for name, unit in (("events", "day"), ("series", "")):
+        for name, plain, kind in (("events", plain_time, None), ("series", plain_array, "")):
             if getattr(self, name) is not None:
-                values = plain_array(getattr(self, name), unit, name)
+                values = plain(getattr(self, name), kind, name)
                 if values.ndim != 1 or not np.all(np.isfinite(values)):
                     raise ValueError(f"`{name}` must be a finite one-dimensional array")
                 put(self, name, values)

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from scope_models._arrays import plain_array
+from scope_models._arrays import plain_array, plain_time
 from scope_models.effects._effect import Drawn, Effect
 
 __all__ = ["Gaps"]
@@ -52,6 +52,7 @@ class Gaps(Effect):
             raise ValueError(
                 f"`intervals` must be finite and of the shape (n, 2), got {intervals.shape}"
             )
+        plain_time(intervals[:, 0], None, "intervals")  # no Julian dates; an end may be far away
         if np.any(intervals[:, 1] < intervals[:, 0]):
             raise ValueError("`intervals` must not end before they begin")
         object.__setattr__(self, "intervals", intervals)

@@ -199,7 +199,7 @@ def _checked_job(study, directory, *, write_tpfs):
         return Job(study)
     if directory is None:
         raise ValueError("`write_tpfs` needs a `directory`")
-    if not (hasattr(study, "observation") and hasattr(study, "measure")):
+    if type(study).observation is Study.observation:
         raise ValueError(f"the study `{study.name}` has no pixels that could be written")
     return Job(study, directory)
 

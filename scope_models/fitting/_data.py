@@ -23,36 +23,17 @@ _FARTHEST = 5.0
 
 @dataclass(frozen=True, eq=False)
 class PixelData:
-    """
-    Pixels and cadences of a target pixel file that a fit uses.
+    """Pixels and cadences of a target pixel file that a fit uses."""
 
-    Parameters
-    ----------
-    time : ndarray of shape (n,)
-        Days.
-    cadenceno, quality : ndarray of int, shape (n,)
-        Numbers and flags of the cadences.
-    flux, flux_err : ndarray of shape (n, ny, nx)
-        e-/s; NaN where not used.
-    pixels : ndarray of bool, shape (ny, nx)
-        Pixels with data.
-    pos_corr : ndarray of shape (n, 2) or None
-        Offsets along columns and rows, interpolated where they are unusable; None if absent.
-    time_format : str
-        "bkjd" or "btjd".
-    light : ndarray of shape (n, ny, nx)
-        Flux with that of saturated pixels, for the first guess of the positions.
-    """
-
-    time: np.ndarray
+    time: np.ndarray  # (n,), days
     cadenceno: np.ndarray
     quality: np.ndarray
-    flux: np.ndarray
+    flux: np.ndarray  # (n, ny, nx), e-/s; NaN where not used
     flux_err: np.ndarray
-    pixels: np.ndarray
-    pos_corr: np.ndarray | None
+    pixels: np.ndarray  # (ny, nx), bool: those with data
+    pos_corr: np.ndarray | None  # (n, 2), interpolated where it is unusable; None if absent
     time_format: str
-    light: np.ndarray
+    light: np.ndarray  # flux with that of saturated pixels, for the first guess of the positions
 
     @property
     def shape(self):
@@ -67,32 +48,7 @@ class PixelData:
 
 
 def read_data(series, flux_err, detector, n_free, *, saturation):
-    """
-    Take from the pixels of a file what can be fitted.
-
-    Parameters
-    ----------
-    series : PixelSeries
-        The pixels.
-    flux_err : array_like or None
-        Errors in place of those of the file, e-/s.
-    detector : Detector
-        The depth of the wells.
-    n_free : int
-        Parameters of a cadence: it needs more pixels than these.
-    saturation : bool
-        Whether saturated columns are left out.
-
-    Returns
-    -------
-    PixelData
-        The data.
-
-    Raises
-    ------
-    TypeError, ValueError
-        If there is nothing to fit.
-    """
+    """Take from a `PixelSeries` what can be fitted; a cadence needs more than ``n_free`` pixels."""
     flux = np.array(series.flux)
     if not np.isfinite(flux).any():
         raise ValueError("`flux` has no finite value")
@@ -175,37 +131,14 @@ def _pos_corr(offsets):
 
 
 def detector_of(tpf):
-    """
-    The detector that recorded a target pixel file, from its headers.
-
-    Parameters
-    ----------
-    tpf : lightkurve.TargetPixelFile, path-like or PixelSeries
-        The file.
-
-    Returns
-    -------
-    Detector
-        A preset with the file's exposure, gain, read noise and background.
-    """
+    """The preset with the exposure, gain, read noise and background of a target pixel file."""
     series = read_pixels(tpf)
     changes = {} if series.mission else {"mission": "Kepler"}
     return Detector.from_tpf(series, psf=None, sensitivity=None, **changes)
 
 
 def star_positions(name, places, series):
-    """
-    Return columns and rows of stars in a stamp, ``(k, 2)``.
-
-    Parameters
-    ----------
-    name : str
-        Name of the argument.
-    places : array_like, SkyCoord, Table or "find"
-        As in `~scope_models.io._places.star_places`, or "find".
-    series : PixelSeries
-        The pixels.
-    """
+    """Return columns and rows of stars in a stamp, ``(k, 2)``, of `star_places` or "find"."""
     if isinstance(places, str):
         if places != "find":
             raise ValueError(f'`{name}` must be positions or "find", got {places!r}')
@@ -222,19 +155,7 @@ def star_positions(name, places, series):
 
 
 def find_stars(flux):
-    """
-    Return the local maxima of the median image, the brightest first.
-
-    Parameters
-    ----------
-    flux : ndarray of shape (n, ny, nx)
-        The pixels.
-
-    Returns
-    -------
-    positions : ndarray of shape (k, 2)
-        Column and row of their pixels.
-    """
+    """Return columns and rows ``(k, 2)`` of the maxima of the median image, the brightest first."""
     good = np.isfinite(flux)
     flux = np.where(good, flux, np.nan)
     seen = good.any(axis=0)

@@ -9,7 +9,7 @@ from scipy.interpolate import BSpline
 
 from scope_models.fitting.parameters import FitParameter, fit_parameters
 
-__all__ = ["FitOptions", "FitStar", "Limits", "NormalEquations", "Problem", "State"]
+__all__ = ["FitOptions", "FitStar", "Limits", "NormalEquations", "Problem", "State", "numbered"]
 
 # Cadences whose derivatives are held at once.
 _CHUNK = 256
@@ -32,43 +32,18 @@ _STAR_MOVE = 1.0
 
 @dataclass(frozen=True)
 class FitOptions:
-    """
-    Options of a fit, as `~scope_models.fit_tpf` takes them.
-
-    Parameters
-    ----------
-    empirical : int
-        Order of the empirical term.
-    interpixel : float
-        Standard deviation of the response between pixels; 0 fixes it at 1.
-    background : {"cadence", "constant", "none"}
-        Background left in the pixels.
-    positions : {"start", "free", "prior", "path"}
-        What ties positions to POS_CORR.
-    position_error : float
-        Standard deviation about the path for "prior", pixels.
-    scale_error : float
-        Standard deviation of the scale of the path about that of POS_CORR.
-    loss : {"linear", "soft_l1"}
-        Loss.
-    loss_scale : float
-        Residual, in standard deviations, from which "soft_l1" grows only linearly.
-    saturation : bool
-        Whether saturated columns are left out.
-    focus : float or None
-        Shortest time in which the width of the PSF changes, days.
-    """
+    """Options of a fit, as `~scope_models.fit_tpf` describes them."""
 
     empirical: int = 0
-    interpixel: float = 0.01
+    interpixel: float = 0.01  # 0 fixes the response at 1
     background: str = "cadence"
     positions: str = "start"
     position_error: float = 0.01
-    scale_error: float = _SCALE_PRIOR
+    scale_error: float = _SCALE_PRIOR  # of the path about that of POS_CORR
     loss: str = "linear"
     loss_scale: float = 3.0
     saturation: bool = True
-    focus: float | None = None
+    focus: float | None = None  # days
 
     @property
     def soft(self):
@@ -78,70 +53,33 @@ class FitOptions:
 
 @dataclass(frozen=True)
 class FitStar:
-    """
-    A star of a fit, relative to the first one.
-
-    Parameters
-    ----------
-    x, y : float, optional
-        Its first guess in pixels of its stamp, less that of the first star.
-    stamp : int, optional
-        Which file it is in.
-    constant : bool, optional
-        Whether its flux is the same in all cadences.
-    """
+    """A star of a fit: its first guess in pixels of its stamp, less that of the first star."""
 
     x: float = 0.0
     y: float = 0.0
-    stamp: int = 0
-    constant: bool = False
+    stamp: int = 0  # which file it is in
+    constant: bool = False  # whether its flux is the same in all cadences
 
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """
-    Values of all free parameters.
+    """Values of all free parameters."""
 
-    Parameters
-    ----------
-    shared : ndarray of shape (s,)
-        What `Problem.parameters` lists.
-    interpixel : ndarray of shape (p,)
-        Response of each fitted pixel less 1.
-    cadence : ndarray of shape (n, k)
-        Per cadence what `Problem.columns` names.
-    """
-
-    shared: np.ndarray
-    interpixel: np.ndarray
-    cadence: np.ndarray
+    shared: np.ndarray  # (s,): what `Problem.parameters` lists
+    interpixel: np.ndarray  # (p,): response of each fitted pixel less 1
+    cadence: np.ndarray  # (n, k): what `Problem.columns` names
 
 
 @dataclass(frozen=True, eq=False)
 class Limits:
-    """
-    What a step may do, as numbers.
+    """What a step may do, as numbers."""
 
-    Parameters
-    ----------
-    lower, upper : ndarray of shape (s,)
-        Bounds of the shared parameters.
-    largest_step : ndarray of shape (s,)
-        How far they may move in one step.
-    relative : ndarray of bool, shape (s,)
-        Whether that is a part of their values.
-    gauge : ndarray of shape (p,) or None
-        Weights of the fitted pixels whose mean response is held at 1.
-    cadence_lower, cadence_upper, cadence_step : ndarray of shape (k,)
-        Bounds and largest steps of the parameters of a cadence.
-    """
-
-    lower: np.ndarray
+    lower: np.ndarray  # (s,): bounds of the shared parameters
     upper: np.ndarray
-    largest_step: np.ndarray
-    relative: np.ndarray
-    gauge: np.ndarray | None
-    cadence_lower: np.ndarray
+    largest_step: np.ndarray  # (s,)
+    relative: np.ndarray  # (s,), bool: whether that is a part of their values
+    gauge: np.ndarray | None  # (p,): weights of the pixels whose mean response is held at 1
+    cadence_lower: np.ndarray  # (k,): bounds and largest steps of the parameters of a cadence
     cadence_upper: np.ndarray
     cadence_step: np.ndarray
 
@@ -152,65 +90,29 @@ class Limits:
 
 @dataclass(frozen=True, eq=False)
 class NormalEquations:
-    """
-    Second-order expansion of half the cost: ``cost/2 - g d + d H d / 2``.
+    """Second-order expansion of half the cost: ``cost/2 - g d + d H d / 2``."""
 
-    Parameters
-    ----------
-    cost : float
-        Chi-squared, with the loss, and the priors.
-    shared, shared_gradient : ndarray of shape (m, m), (m,)
-        Block of shared parameters and interpixel map.
-    mixed : ndarray of shape (n, k, m)
-        Cadence by shared.
-    cadence, cadence_gradient : ndarray of shape (n, k, k), (n, k)
-        Blocks of the cadences.
-    """
-
-    cost: float
-    shared: np.ndarray
+    cost: float  # chi-squared, with the loss, and the priors
+    shared: np.ndarray  # (m, m): block of shared parameters and interpixel map
     shared_gradient: np.ndarray
-    mixed: np.ndarray
-    cadence: np.ndarray
+    mixed: np.ndarray  # (n, k, m): cadence by shared
+    cadence: np.ndarray  # (n, k, k): blocks of the cadences
     cadence_gradient: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """
-    What is fitted to what.
+    """What is fitted to what."""
 
-    Parameters
-    ----------
-    stamps : tuple of PixelData
-        The pixels of each file, in the same cadences.
-    prf : PRF
-        The model; its parameters hold starts, bounds and fixed values.
-    options : FitOptions
-        The options.
-    stars : tuple of FitStar, optional
-        The stars, the first one without offsets.
-    error_scale : float, optional
-        Factor of all errors in the fit.
-    misfit : float, optional
-        That of the errors that are quoted, from the residuals of the pixels with light.
-    target : ndarray of shape (2,), optional
-        Position of the first star, if given.
-    span : tuple of float, optional
-        First and last time that the focus covers, days.
-    center : tuple of float, optional
-        Position of the first star about which the motion in the other files is mapped.
-    """
-
-    stamps: tuple
-    prf: object
+    stamps: tuple  # PixelData of each file, in the same cadences
+    prf: object  # its parameters hold starts, bounds and fixed values
     options: FitOptions
-    stars: tuple = (FitStar(),)
-    error_scale: float = 1.0
-    misfit: float = 1.0
-    target: np.ndarray | None = None
-    span: tuple | None = None
-    center: tuple = (0.0, 0.0)
+    stars: tuple = (FitStar(),)  # the first one without offsets
+    error_scale: float = 1.0  # factor of all errors in the fit
+    misfit: float = 1.0  # ... of the errors that are quoted, from the pixels with light
+    target: np.ndarray | None = None  # position of the first star, if given
+    span: tuple | None = None  # first and last time that the focus covers, days
+    center: tuple = (0.0, 0.0)  # where the first star is in the linear map to other files
 
     # --- data -----------------------------------------------------------------------------
     @property
@@ -218,18 +120,20 @@ class Problem:
         """The pixels of the first file."""
         return self.stamps[0]
 
+    def _joined(self, name):
+        """The fitted pixels of all files, shape ``(n, p)``; NaN where there are no data."""
+        return np.concatenate([getattr(s, name)[:, s.pixels] for s in self.stamps], axis=1)
+
     @cached_property
     def flux(self):
         """Fluxes of the fitted pixels, shape ``(n, p)``, 0 where there are none."""
-        flux = np.concatenate([s.flux[:, s.pixels] for s in self.stamps], axis=1)
+        flux = self._joined("flux")
         return np.where(np.isfinite(flux), flux, 0.0)
 
     @cached_property
     def _given_weight(self):
-        flux = np.concatenate([s.flux[:, s.pixels] for s in self.stamps], axis=1)
-        error = np.concatenate([s.flux_err[:, s.pixels] for s in self.stamps], axis=1)
-        good = np.isfinite(flux)
-        return np.where(good, 1 / np.where(good, error, 1.0), 0.0)
+        good = np.isfinite(self._joined("flux"))
+        return np.where(good, 1 / np.where(good, self._joined("flux_err"), 1.0), 0.0)
 
     @cached_property
     def weight(self):
@@ -299,8 +203,12 @@ class Problem:
         """The shared parameters, in their order."""
         shape = np.max([s.shape for s in self.stamps], axis=0) if self.stamps else (1, 1)
         result = list(fit_parameters(self.prf, shape))
-        if self.n_affine:
-            result += self._path_parameters
+        for i, axis in enumerate("xy" if self.n_affine else ()):
+            scale = {"kind": "slope", "prior": self.options.scale_error}
+            result += [
+                FitParameter(f"{axis}_const", "position"),
+                *(FitParameter(f"{axis}_by_corr{j + 1}", **scale, center=i == j) for j in (0, 1)),
+            ]
         for i in range(1, len(self.stamps)):
             result += [
                 FitParameter(name, "slope", prior=_MAP_PRIOR, center=one, start=one)
@@ -308,39 +216,23 @@ class Problem:
             ]
         for k, star in enumerate(self.stars[1:], start=1):
             for axis, start in (("x", star.x), ("y", star.y)):
-                result.append(
-                    FitParameter(
-                        f"{axis}_star_{k}",
-                        "position",
-                        start - _STAR_MOVE,
-                        start + _STAR_MOVE,
-                        _LARGEST_MOVE,
-                        start=start,
-                    )
-                )
+                reach = start - _STAR_MOVE, start + _STAR_MOVE, _LARGEST_MOVE
+                result.append(FitParameter(f"{axis}_star_{k}", "position", *reach, start=start))
         result += [
             FitParameter(f"flux_star_{k}", "flux")
             for k, star in enumerate(self.stars)
             if star.constant
         ]
         if self.options.background == "constant":
-            names = ["background", *(f"background_{i}" for i in range(1, len(self.stamps)))]
-            result += [FitParameter(name, "flux") for name in names]
+            result += [
+                FitParameter(numbered("background", i), "flux") for i in range(len(self.stamps))
+            ]
         if self.options.focus is not None:
             number = self.focus_basis.shape[1]
             result += [
                 FitParameter(f"focus_{i}", "focus", prior=_FOCUS_PRIOR) for i in range(number)
             ]
         return tuple(result)
-
-    @property
-    def _path_parameters(self):
-        """The affine map from POS_CORR to the positions."""
-        for i, axis in enumerate("xy"):
-            yield FitParameter(f"{axis}_const", "position")
-            for j in (0, 1):
-                scale = {"prior": self.options.scale_error, "center": float(i == j)}
-                yield FitParameter(f"{axis}_by_corr{j + 1}", "slope", **scale)
 
     @cached_property
     def names(self):
@@ -361,12 +253,9 @@ class Problem:
     def columns(self):
         """Names of the parameters of a cadence."""
         position = () if self.path else ("x", "y")
-        fluxes = tuple(
-            f"flux_{k}" if k else "flux" for k, s in enumerate(self.stars) if not s.constant
-        )
+        fluxes = (numbered("flux", k) for k, s in enumerate(self.stars) if not s.constant)
         number = max(len(self.stamps), 1) if self.options.background == "cadence" else 0
-        return (*position, *fluxes, *(f"background_{i}" if i else "background"
-                                      for i in range(number)))  # fmt: skip
+        return (*position, *fluxes, *(numbered("background", i) for i in range(number)))
 
     @cached_property
     def limits(self):
@@ -375,22 +264,17 @@ class Problem:
         if not self.path:
             ny, nx = self.data.shape
             low[:2], high[:2], step[:2] = -1.0, (nx, ny), _LARGEST_MOVE
-        parameters = self.parameters
-        return Limits(
-            np.array([p.lower for p in parameters], dtype=float),
-            np.array([p.upper for p in parameters], dtype=float),
-            np.array([p.largest_step for p in parameters], dtype=float),
-            np.array([p.relative for p in parameters], dtype=bool),
-            self._light_parts if self.n_pixels else None,
-            low,
-            high,
-            step,
-        )
+        shared = [
+            np.array([getattr(p, name) for p in self.parameters], dtype=kind)
+            for name, kind in (("lower", float), ("upper", float), ("largest_step", float),
+                               ("relative", bool))
+        ]  # fmt: skip
+        return Limits(*shared, self._light_parts if self.n_pixels else None, low, high, step)
 
     @cached_property
     def _light_parts(self):
         """Parts of the light in the fitted pixels, of sum 1, shape ``(p,)``."""
-        flux = np.concatenate([s.flux[:, s.pixels] for s in self.stamps], axis=1)
+        flux = self._joined("flux")
         seen = np.isfinite(flux).any(axis=0)
         light = np.zeros(len(seen))
         light[seen] = np.maximum(np.nanmedian(flux[:, seen], axis=0), 0.0)
@@ -456,26 +340,10 @@ class Problem:
         return moved + [self._shared_value(state, f"{axis}_star_{star}") for axis in "xy"]
 
     def position_terms(self, state, star):
-        """
-        Parameters that move a star.
+        """Yield the parameters that move a star, and how.
 
-        Parameters
-        ----------
-        state : State
-            Where they are.
-        star : int
-            Which star.
-
-        Yields
-        ------
-        axis : int
-            0 for x, 1 for y.
-        of_cadence : bool
-            Whether the parameter belongs to each cadence, or is shared.
-        index : int
-            Its number.
-        derivative : ndarray of shape (n,)
-            Derivative of the position.
+        Each is ``(axis, of_cadence, index, derivative)``: 0 for x or 1 for y; whether the parameter
+        belongs to each cadence, or is shared; its number; the derivative of the position, ``(n,)``.
         """
         stamp, one = self.stars[star].stamp, np.ones(len(self.flux))
         matrix = self._map(state, stamp)
@@ -498,11 +366,11 @@ class Problem:
         """Fluxes of a star, shape ``(n,)``."""
         if self.stars[star].constant:
             return np.full(len(state.cadence), self._shared_value(state, f"flux_star_{star}"))
-        return state.cadence[:, self.columns.index(f"flux_{star}" if star else "flux")]
+        return state.cadence[:, self.columns.index(numbered("flux", star))]
 
     def backgrounds(self, state, stamp=0):
         """Backgrounds of a file, shape ``(n,)``."""
-        name = f"background_{stamp}" if stamp else "background"
+        name = numbered("background", stamp)
         if self.options.background == "cadence":
             return state.cadence[:, self.columns.index(name)]
         constant = self.options.background == "constant"
@@ -557,19 +425,7 @@ class Problem:
         return model
 
     def expand(self, state):
-        """
-        Cost and its normal equations.
-
-        Parameters
-        ----------
-        state : State
-            Where to expand.
-
-        Returns
-        -------
-        NormalEquations
-            The expansion.
-        """
+        """Cost and its normal equations at a state."""
         n, k, m = len(self.flux), len(self.columns), self.n_shared + self.n_pixels
         shared, gradient = np.zeros((m, m)), np.zeros(m)
         mixed, block, block_gradient = np.zeros((n, k, m)), np.zeros((n, k, k)), np.zeros((n, k))
@@ -618,7 +474,7 @@ class Problem:
             )
         residual = self.flux[part] - response * light
         for i, pixels in enumerate(self.slices):
-            name = f"background_{i}" if i else "background"
+            name = numbered("background", i)
             residual[:, pixels] -= self.backgrounds(state, i)[part, None]
             if self.options.background == "constant":
                 by_shared[:, pixels, self.names.index(name)] = 1.0
@@ -644,7 +500,7 @@ class Problem:
         if self.stars[k].constant:
             by_shared[..., self.names.index(f"flux_star_{k}")] = response * image
         else:
-            by_cadence[..., self.columns.index(f"flux_{k}" if k else "flux")] = response * image
+            by_cadence[..., self.columns.index(numbered("flux", k))] = response * image
         return flux * image
 
     def _with_priors(self, state, equations):
@@ -680,6 +536,11 @@ class Problem:
             equations.shared[i, i] += precision * self.basis.T @ self.basis
             equations.shared_gradient[i] += precision * deviation[:, axis] @ self.basis
         return precision * np.sum(deviation**2)
+
+
+def numbered(name, k):
+    """Name of what belongs to star or file k; that of the first one has no number."""
+    return f"{name}_{k}" if k else name
 
 
 def _map_names(stamp):

@@ -112,21 +112,7 @@ def _smooth(time, values):
 
 
 def denoised(fit, values, error):
-    """
-    Values whose scatter is what they have beyond their errors, at each time scale.
-
-    Parameters
-    ----------
-    fit : TPFFit
-        The fit.
-    values, error : ndarray of shape (n,)
-        Values by cadence, and their errors.
-
-    Returns
-    -------
-    ndarray of shape (n,)
-        The values, with their variations scaled down to the power that noise does not explain.
-    """
+    """Values ``(n,)`` with their variations scaled down to the power that errors do not explain."""
     slow = _smooth(fit.time, values)
     fast = np.where(fit.outliers, 0.0, values - slow)
     spectrum = np.fft.rfft(fast)
@@ -155,19 +141,10 @@ def _read_noise(fit):
 
 
 def sensitivity_profiles(fit):
-    """
-    The fitted sensitivity along both axes, with its uncertainty.
+    """The fitted sensitivity along both axes, with its uncertainty, or None if it is no polynomial.
 
-    Parameters
-    ----------
-    fit : TPFFit
-        The fit.
-
-    Returns
-    -------
-    profiles : dict or None
-        "offset" and, by axis, value and standard deviation, all of the same shape; NaN where a
-        coefficient is at its bound. None if there is no polynomial.
+    "offset" and, by axis, value and standard deviation, all of the same shape; NaN where a
+    coefficient is at its bound.
     """
     model = fit.sensitivity
     if not isinstance(model, SensitivityPolynomial):

@@ -29,28 +29,13 @@ _KNOWN = 1e-11
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """
-    Where the iterations ended.
+    """Where the iterations ended."""
 
-    Parameters
-    ----------
-    state : State
-        The best parameters.
-    equations : NormalEquations
-        Expansion there.
-    converged : bool
-        Whether an undamped step would change next to nothing.
-    n_steps : int
-        Number of accepted steps.
-    distance : float
-        By how much an undamped step would lower the cost.
-    """
-
-    state: State
-    equations: object
-    converged: bool
+    state: State  # the best parameters
+    equations: object  # the expansion there
+    converged: bool  # whether an undamped step would change next to nothing
     n_steps: int
-    distance: float
+    distance: float  # by how much an undamped step would lower the cost
 
 
 class _Walls:
@@ -127,19 +112,14 @@ def _eliminate(equations, damping=0.0):
     return _Reduced(matrix, equations.shared_gradient - product[:m, m], factor, right)
 
 
-def _scales(matrix):
-    """Scales of parameters by the diagonal of a positive matrix; 0 for what is not in it."""
-    diagonal = np.diag(matrix)
-    return np.where(diagonal > 0, 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0)), 0.0)
-
-
 def _spectrum(matrix, whole):
     """
     Scales, eigenvalues and vectors of a reduced matrix in the scales of the whole one.
 
     What is left of a direction that the cadences can imitate is a rounding error in these scales.
     """
-    scale = _scales(whole)
+    diagonal = np.diag(whole)
+    scale = np.where(diagonal > 0, 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0)), 0.0)
     values, vectors = np.linalg.eigh(matrix * scale[:, None] * scale)
     return scale, values, vectors
 
@@ -216,30 +196,10 @@ def _promise(equations, shared, cadence):
 
 
 def solve(problem, state, max_steps, *, n_steps=0, only=None, loosely=False, report=None):
-    """
-    Minimize the cost.
+    """Minimize the cost from a state.
 
-    Parameters
-    ----------
-    problem : Problem
-        What is fitted.
-    state : State
-        Start.
-    max_steps : int
-        Largest number of steps.
-    n_steps : int, optional
-        Steps taken before.
-    only : ndarray of bool, shape (s,), optional
-        Shared parameters that are free while the others, and the interpixel map, wait.
-    loosely : bool, optional
-        Whether the result is only a start for what follows.
-    report : callable, optional
-        Called with the cost after each step.
-
-    Returns
-    -------
-    Solution
-        The best state.
+    With ``only``, the other shared parameters and the interpixel map wait; ``loosely``: the result
+    is a start for what follows. ``report`` is called with the cost after each step.
     """
     walls = _Walls(problem, only)
     equations = problem.expand(state)
@@ -274,26 +234,10 @@ def solve(problem, state, max_steps, *, n_steps=0, only=None, loosely=False, rep
 
 
 def covariances(problem, solution):
-    """
-    Covariance of the shared parameters and of each cadence's own.
+    """Covariances of the shared parameters ``(m, m)`` and of each cadence's own ``(n, k, k)``.
 
-    Parameters
-    ----------
-    problem : Problem
-        What was fitted.
-    solution : Solution
-        The result.
-
-    Returns
-    -------
-    shared : ndarray of shape (m, m)
-        With the uncertainty of the parameters of the cadences.
-    cadence : ndarray of shape (n, k, k)
-        Likewise, with that of the shared ones.
-    relative : ndarray of shape (n, k, k)
-        Likewise, of the parameters of a cadence less their mean over all cadences.
-    mixed : ndarray of shape (n, k, m)
-        Of those of a cadence with the shared ones.
+    Each holds the uncertainty of the other. The third is that of the parameters of a cadence less
+    their mean over all cadences, the last, ``(n, k, m)``, that of a cadence's with the shared ones.
     """
     equations = problem.quoted().expand(solution.state)
     walls = _Walls(problem)

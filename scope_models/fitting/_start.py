@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from scope_models.fitting._problem import State
+from scope_models.fitting._problem import State, numbered
 from scope_models.models import (
     PRF,
     BivariateGaussianPSF,
@@ -30,22 +30,10 @@ _FAINT = 0.1
 
 
 def make_prf(psf, sensitivity, empirical):
-    """
-    The model of a star.
+    """The model of a star, with the fixed parameters of the fit.
 
-    Parameters
-    ----------
-    psf : int or Model
-        Number of Gaussian components, a density or sum of densities, or a PRF.
-    sensitivity : SensitivityPolynomial or None
-        Response within a pixel.
-    empirical : int
-        Order of the empirical term, or of the correction of a table; 0 for none.
-
-    Returns
-    -------
-    PRF
-        With the fixed parameters of the fit.
+    ``psf`` is a number of Gaussian components, a density or a sum of densities, or a PRF;
+    ``empirical`` is the order of the empirical term, or of the correction of a table, 0 for none.
     """
     if isinstance(psf, (PRF, TabulatedPRF)):
         return _given_prf(psf if isinstance(psf, PRF) else PRF(psf), sensitivity, empirical)
@@ -94,20 +82,9 @@ def _given_prf(prf, sensitivity, order):
 
 
 def make_rich_prf(sensitivity):
-    """
-    The model of a star whose PSF is no sum of Gaussians: one Gaussian, and an empirical term.
+    """The model of a star whose PSF is no sum of Gaussians: one Gaussian, and an empirical term.
 
     The Gaussian is fixed, so that all but the positions is linear: nothing ends at a bound.
-
-    Parameters
-    ----------
-    sensitivity : SensitivityPolynomial or None
-        Response within a pixel.
-
-    Returns
-    -------
-    PRF
-        With the fixed parameters of the fit.
     """
     sigma, fixed = _SIGMAS[0], dict.fromkeys(("sigma_x", "sigma_y", "rho"), True)
     psf = BivariateGaussianPSF(1 - _EMPIRICAL_FRACTION, 0, 0, sigma, sigma, fixed=fixed)
@@ -142,19 +119,7 @@ def _hold_constants(prf):
 
 
 def starting_state(problem):
-    """
-    Positions from centroids, fluxes from linear fits, the rest from the model.
-
-    Parameters
-    ----------
-    problem : Problem
-        What is fitted.
-
-    Returns
-    -------
-    State
-        The start.
-    """
+    """Positions from centroids, fluxes from linear fits, the rest from the model."""
     xy = centroids(problem.data, problem.target)
     positions = problem.options.positions
     shared = np.array([p.start for p in problem.parameters])
@@ -171,15 +136,9 @@ def starting_state(problem):
 
 
 def centroids(data, place=None):
-    """
-    First moments over the bright pixels around the brightest of each cadence, ``(n, 2)``.
+    """First moments over the bright pixels around the brightest of each cadence, ``(n, 2)``.
 
-    Parameters
-    ----------
-    data : PixelData
-        The pixels.
-    place : ndarray of shape (2,), optional
-        Column and row near which the star is; else the brightest pixels are its own.
+    With the place of a star, column and row, the brightest pixels near it are its own.
     """
     seen = np.isfinite(data.light).any(axis=0)
     image = np.where(seen, np.nanmedian(np.where(seen, data.light, 0), axis=0), 0.0)
@@ -227,21 +186,9 @@ def _robust_map(basis, xy):
 
 
 def linear_start(problem, state):
-    """
-    Find the fluxes and backgrounds, in which the model is linear.
+    """Find the fluxes and backgrounds, in which the model is linear, with the rest of a state.
 
-    Parameters
-    ----------
-    problem : Problem
-        What is fitted.
-    state : State
-        The other parameters.
-
-    Returns
-    -------
-    State
-        With fluxes and backgrounds of all cadences; the flux of a constant star is the median of
-        what it would be in each cadence.
+    The flux of a constant star is the median of what it would be in each cadence.
     """
     shared, cadence = state.shared.copy(), state.cadence.copy()
     both = problem.options.background == "cadence"
@@ -263,7 +210,7 @@ def linear_start(problem, state):
         if star.constant:
             shared[problem.names.index(f"flux_star_{k}")] = np.median(values[:, k])
         else:
-            cadence[:, problem.columns.index(f"flux_{k}" if k else "flux")] = values[:, k]
+            cadence[:, problem.columns.index(numbered("flux", k))] = values[:, k]
     if both:
         cadence[:, -len(problem.stamps) :] = values[:, len(problem.stars) :]
     return State(shared, state.interpixel, cadence)

@@ -25,46 +25,9 @@ def atomic_path(path, *, overwrite=False, inputs=()):
     its temporary file, whose name begins with a dot; the next one that writes to the folder on
     the same computer removes it (not on Windows).
 
-    Parameters
-    ----------
-    path : str or path-like
-        The file to write. A symbolic link is followed.
-    overwrite : bool, optional
-        Whether a file that exists is replaced; the new one keeps its permissions. Without it, a
-        file that appears while the body runs is not replaced either.
-    inputs : sequence of str or path-like, optional
-        Files that are never replaced, also if ``path`` is a link to one of them.
-
-    Yields
-    ------
-    pathlib.Path
-        The path to write to. No file is there yet.
-
-    Raises
-    ------
-    FileExistsError
-        If the file exists and ``overwrite`` is false.
-    FileNotFoundError, NotADirectoryError
-        If the folder of ``path`` is not there, or is not a folder.
-    IsADirectoryError
-        If ``path`` is a folder.
-    PermissionError
-        If the folder cannot be written to.
-    OSError
-        If the body cannot write the file, as on a full disk; the message names the file.
-    ValueError
-        If the file is one of ``inputs``.
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> from pathlib import Path
-    >>> from scope_models.io._atomic import atomic_path
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     with atomic_path(Path(folder) / "numbers.txt") as temporary:
-    ...         _ = temporary.write_text("1 2 3")
-    ...     [file.name for file in Path(folder).iterdir()]
-    ['numbers.txt']
+    Without ``overwrite``, neither a file that exists nor one that appears while the body runs is
+    replaced. ``inputs`` are never replaced, also if ``path`` is a link to one of them. Errors are
+    an OSError or a ValueError that names the file.
     """
     target, temporary = _checked(path, overwrite=overwrite, inputs=inputs)
     _remove_orphans(target.parent)
@@ -80,29 +43,7 @@ def atomic_path(path, *, overwrite=False, inputs=()):
 
 
 def check_output(path, *, overwrite=False, inputs=()):
-    """Raise the errors of `atomic_path` before any work is done for the file.
-
-    Parameters
-    ----------
-    path : str or path-like
-        The file that will be written.
-    overwrite : bool, optional
-        Whether a file that exists is replaced.
-    inputs : sequence of str or path-like, optional
-        Files that are never replaced.
-
-    Raises
-    ------
-    OSError, ValueError
-        As `atomic_path`.
-
-    Examples
-    --------
-    >>> from scope_models.io._atomic import check_output
-    >>> check_output("stars/star.fits")
-    Traceback (most recent call last):
-    FileNotFoundError: cannot write stars/star.fits: there is no folder ...stars
-    """
+    """Raise the errors of `atomic_path` before any work is done for the file."""
     _checked(path, overwrite=overwrite, inputs=inputs)
 
 

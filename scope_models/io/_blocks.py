@@ -10,7 +10,14 @@ import numpy as np
 if TYPE_CHECKING:
     from astropy.io import fits
 
-__all__ = ["CHECKSUM_COMMENT", "Block", "column_cards", "make_header", "write_blocks"]
+__all__ = [
+    "CHECKSUM_COMMENT",
+    "Block",
+    "checksum_of",
+    "column_cards",
+    "make_header",
+    "write_blocks",
+]
 
 CHECKSUM_COMMENT = "checksum of the FITS standard"
 _BLOCK = 2880
@@ -22,15 +29,7 @@ _EXCLUDED = {*range(0x3A, 0x41), *range(0x5B, 0x61)}
 
 @dataclass(frozen=True)
 class Block:
-    """A header and its data.
-
-    Parameters
-    ----------
-    header : astropy.io.fits.Header
-        All cards but the checksums.
-    data : ndarray or None
-        An image, or the rows of a table.
-    """
+    """A header without checksums and its data: an image, the rows of a table, or None."""
 
     header: "fits.Header"
     data: np.ndarray | None = None
@@ -103,27 +102,20 @@ class Block:
         if self.data is not None:
             data = np.ascontiguousarray(self.data, self.data.dtype.newbyteorder(">"))
             data = data.reshape(-1).view(np.uint8)
-        total = _sum(data)
+        total = checksum_of(data)
         text = self.header.tostring(endcard=False, padding=False)
         text += _card("CHECKSUM", _NO_CHECKSUM, CHECKSUM_COMMENT)
         text += _card("DATASUM", str(total), CHECKSUM_COMMENT)
-        text = _padded((text + "END").encode("ascii"), b" ")
-        checksum = _encoded(_sum(np.frombuffer(text, np.uint8), total) ^ 0xFFFFFFFF)
+        text = (text + "END").encode("ascii")
+        text += b" " * (-len(text) % _BLOCK)
+        checksum = _encoded(checksum_of(np.frombuffer(text, np.uint8), total) ^ 0xFFFFFFFF)
         stream.write(text.replace(f"'{_NO_CHECKSUM}'".encode(), f"'{checksum}'".encode()))
         stream.write(data.data)
         stream.write(bytes(-len(data) % _BLOCK))
 
 
 def write_blocks(blocks, stream):
-    """Write a FITS file to a binary stream.
-
-    Parameters
-    ----------
-    blocks : sequence of Block or astropy.io.fits HDU
-        The file.
-    stream : binary file
-        Where to write.
-    """
+    """Write blocks and HDUs as a FITS file to a binary stream."""
     from astropy.io import fits
 
     for block in blocks:
@@ -137,17 +129,9 @@ def write_blocks(blocks, stream):
 
 
 def make_header(cards):
-    """Return a header, 20 times as fast as astropy formats and checks its cards.
+    """Return a header of texts of 80 characters or (keyword, value, comment).
 
-    Parameters
-    ----------
-    cards : iterable of str or tuple
-        Texts of 80 characters; or keyword, value and comment.
-
-    Returns
-    -------
-    astropy.io.fits.Header
-        The header. Its cards are parsed when they are read.
+    It is made 20 times as fast as astropy formats and checks cards, which are parsed when read.
     """
     from astropy.io import fits
 
@@ -174,20 +158,7 @@ def _card(keyword, value, comment):
 
 
 def column_cards(rows, titles):
-    """Return the cards that define the columns of a table.
-
-    Parameters
-    ----------
-    rows : ndarray
-        A structured array.
-    titles : dict of str to str
-        Titles of some columns.
-
-    Returns
-    -------
-    list of tuple
-        Keyword, value and comment of each card.
-    """
+    """Return the cards that define the columns of a structured array, with titles of some."""
     cards = []
     for i, name in enumerate(rows.dtype.names, 1):
         field = rows.dtype[name]
@@ -202,12 +173,7 @@ def column_cards(rows, titles):
     return cards
 
 
-def _padded(text, filler):
-    """Return text filled up to whole blocks."""
-    return text.ljust(-(-len(text) // _BLOCK) * _BLOCK, filler)
-
-
-def _sum(data, start=0):
+def checksum_of(data, start=0):
     """Return the ones' complement sum of bytes in 32-bit numbers."""
     rest = len(data) % 4
     total = start + int(data[: len(data) - rest].view(">u4").sum(dtype=np.uint64))

@@ -63,18 +63,7 @@ _COLUMNS = (
 
 
 def pixel_columns(metadata):
-    """Return the columns of the mission's pixel table.
-
-    Parameters
-    ----------
-    metadata : TPFMetadata
-        The facts.
-
-    Returns
-    -------
-    tuple of PixelColumn
-        The columns in order.
-    """
+    """Return the columns of the mission's pixel table in order."""
     layout = metadata.layout
     displays = dict(zip("DE", layout.displays[:2], strict=True)) | {"J": layout.displays[2]}
     columns = []
@@ -88,21 +77,9 @@ def pixel_columns(metadata):
 
 
 def table_rows(columns, values, shape):
-    """Return the rows of the pixel table, as they are in the file.
+    """Return the rows of the pixel table, as they are in the file: a structured array.
 
-    Parameters
-    ----------
-    columns : tuple of PixelColumn
-        The columns.
-    values : dict of str to ndarray
-        The values of each; NaN, or the null value, where there are none.
-    shape : tuple of int
-        Cadences, rows and columns.
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        A structured array in FITS byte order.
+    Columns without values hold NaN or the null value. ``shape`` is that of the fluxes.
     """
     n_cadences, *stamp = shape
     rows = np.empty(n_cadences, dtype=[column.dtype(stamp) for column in columns])
@@ -123,26 +100,9 @@ def table_rows(columns, values, shape):
 
 
 def checked_columns(metadata, values):
-    """Check the arrays of a target pixel file against each other.
+    """Check the arrays of a target pixel file against each other; return those that are there.
 
-    Parameters
-    ----------
-    metadata : TPFMetadata
-        The facts.
-    values : dict of str to array_like or None
-        Lower-case names of the columns; None for what is absent.
-
-    Returns
-    -------
-    dict of str to ndarray
-        The columns by their names in the file; those that are absent are left out.
-
-    Raises
-    ------
-    TypeError
-        If integers are not integers.
-    ValueError
-        If shapes do not agree, or values are outside their domain.
+    ``values`` have lower-case names, the result those of the file.
     """
     flux = _plain("flux", values["flux"])
     if flux.ndim != 3 or 0 in flux.shape:
@@ -204,14 +164,11 @@ def _check_errors(checked):
         raise ValueError(f"`flux_bkg_err` must not be negative, got {np.nanmin(background_error)}")
 
 
-def _has_unit(values):
-    """Return whether values are times, quantities or masked, which plain arrays are not."""
-    return any(hasattr(values, name) for name in ("unit", "mask", "jd1"))
-
-
 def _plain(name, values):
     """Return values in the unit of their column as an array; plain arrays are not copied."""
-    return plain_array(values, _UNITS[name], name) if _has_unit(values) else np.asarray(values)
+    # Only times, quantities and masked values have these.
+    special = any(hasattr(values, attribute) for attribute in ("unit", "mask", "jd1"))
+    return plain_array(values, _UNITS[name], name) if special else np.asarray(values)
 
 
 def _floats(name, values, shape, *, broadcast=False):

@@ -18,30 +18,10 @@ _MAX_CARD_INTEGER = 2**63 - 1  # larger seeds are written as text, for readers w
 
 
 def make_headers(metadata, time, timecorr, used, aperture):
-    """Return the headers of a target pixel file, without those of the columns.
+    """Return the headers of file, pixel table (without its columns) and aperture.
 
-    Parameters
-    ----------
-    metadata : TPFMetadata
-        The facts.
-    time : ndarray, shape (n,)
-        Times of mid-cadence, days, NaN where there is none.
-    timecorr : ndarray, shape (n,)
-        Barycentric minus spacecraft time, days, NaN where unknown.
-    used : int
-        Number of cadences with a time and any flux.
-    aperture : ndarray of int, shape (ny, nx)
-        Bit 1 for pixels that are collected, bit 2 for those of the optimal aperture.
-
-    Returns
-    -------
-    list of astropy.io.fits.Header
-        The headers of the file, the pixel table and the aperture.
-
-    Raises
-    ------
-    ValueError
-        If an extra card cannot be one, or has a value already.
+    ``time`` and ``timecorr`` are days ``(n,)``, NaN where unknown; ``used`` is the number of
+    cadences with a time and any flux; ``aperture`` holds bits, 1 for collected and 2 for optimal.
     """
     optimal, collected = aperture & 2 > 0, aperture & 1 > 0
     sky = {key: value for key, (value, _) in tan_projection(metadata, aperture.shape).items()}
@@ -185,22 +165,7 @@ def _calendar_dates(zero, days):
 
 
 def pixel_column_cards(columns, metadata, shape):
-    """Return the cards of the columns of the pixel table.
-
-    Parameters
-    ----------
-    columns : sequence of PixelColumn
-        The columns.
-    metadata : TPFMetadata
-        The facts.
-    shape : tuple of int
-        Rows and columns of the stamp.
-
-    Returns
-    -------
-    list of tuple
-        Keyword, value and comment.
-    """
+    """Return keyword, value and comment of the cards of the columns of the pixel table."""
     cards, places = [], []
     for n, column in enumerate(columns, 1):
         cards += [
@@ -247,20 +212,7 @@ def _column_wcs(n, metadata, shape):
 
 
 def tan_projection(metadata, shape):
-    """Return the gnomonic projection about the target.
-
-    Parameters
-    ----------
-    metadata : TPFMetadata
-        The facts.
-    shape : tuple of int
-        Rows and columns of the stamp.
-
-    Returns
-    -------
-    dict of str to tuple
-        Keyword to value and comment.
-    """
+    """Return value and comment, by keyword, of the gnomonic projection about the target."""
     ny, nx = shape
     x_0 = (nx - 1) / 2 if metadata.x_0 is None else metadata.x_0
     y_0 = (ny - 1) / 2 if metadata.y_0 is None else metadata.y_0

@@ -18,37 +18,10 @@ _WCS = {
 
 
 def star_places(name, places, series):
-    """
-    Return columns and rows of stars in a stamp.
+    """Return columns and rows ``(k, 2)`` of stars in the stamp of a `PixelSeries`.
 
-    Parameters
-    ----------
-    name : str
-        Name of the argument.
-    places : array_like, SkyCoord or Table
-        Columns and rows, shape ``(k, 2)``; places on the sky; a table with the columns x and y,
-        or ra and dec.
-    series : PixelSeries
-        The pixels, whose coordinates convert places on the sky.
-
-    Returns
-    -------
-    positions : ndarray of shape (k, 2)
-        Column and row in pixels of the stamp.
-
-    Raises
-    ------
-    TypeError, ValueError
-        If the places are not finite positions, or the file has no coordinates.
-
-    Examples
-    --------
-    >>> from scope_models import Detector, Motion, Star, simulate
-    >>> from scope_models.io import read_pixels
-    >>> from scope_models.io._places import star_places
-    >>> series = read_pixels(simulate(Star(12), Detector.k2(), Motion.k2_roll(50), seed=1).to_tpf())
-    >>> star_places("stars", [[3, 4]], series)
-    array([[3., 4.]])
+    ``places`` are columns and rows, a SkyCoord, or a table with the columns x and y, or ra and dec;
+    ``name`` is the argument in messages.
     """
     columns = {key.lower(): key for key in getattr(places, "colnames", ())}
     if {"x", "y"} <= set(columns):
@@ -73,28 +46,7 @@ def star_places(name, places, series):
 
 
 def target_place(series):
-    """
-    Return the target's place by its coordinates.
-
-    Parameters
-    ----------
-    series : PixelSeries
-        The pixels.
-
-    Returns
-    -------
-    place : ndarray of shape (2,) or None
-        Column and row in pixels of the stamp; None if the file has no coordinates of the target.
-
-    Examples
-    --------
-    >>> from scope_models import Detector, Motion, Star, simulate
-    >>> from scope_models.io import read_pixels
-    >>> from scope_models.io._places import target_place
-    >>> series = read_pixels(simulate(Star(12), Detector.k2(), Motion.k2_roll(50), seed=1).to_tpf())
-    >>> target_place(series).round(3)
-    array([5., 5.])
-    """
+    """Return the target's column and row in the stamp by its coordinates; None without these."""
     place = [series.header.get(key) for key in ("RA_OBJ", "DEC_OBJ")]
     if None in place:
         return None

@@ -10,7 +10,7 @@ from types import MappingProxyType
 import numpy as np
 from astropy.table import Table
 
-from scope_models._arrays import native
+from scope_models._arrays import native, same
 from scope_models.io._blocks import Block, column_cards
 
 __all__ = ["Truth", "truth_blocks", "truth_of"]
@@ -225,34 +225,12 @@ def _read_only(values):
 def _same_arrays(one, other):
     """Return whether mappings hold equal arrays under the same names."""
     return one.keys() == other.keys() and all(
-        np.array_equal(np.asarray(one[name]), np.asarray(other[name]), equal_nan=True)
-        if np.asarray(one[name]).dtype.kind == "f"
-        else np.array_equal(np.asarray(one[name]), np.asarray(other[name]))
-        for name in one
+        same(np.asarray(one[name]), np.asarray(other[name])) for name in one
     )
 
 
 def truth_blocks(cadenceno, columns, maps, scene, tables):
-    """Return the extensions that hold a truth.
-
-    Parameters
-    ----------
-    cadenceno : ndarray of int, shape (n,)
-        Numbers of the cadences.
-    columns : dict of str to array_like of shape (n, ...) or None
-        True values at each cadence.
-    maps : dict of str to array_like of shape (ny, nx) or None
-        Images.
-    scene : dict or None
-        What can be text in JSON.
-    tables : dict of str to astropy.table.Table or None
-        Lists of any length.
-
-    Returns
-    -------
-    list of Block or astropy.io.fits.BinTableHDU
-        The extensions.
-    """
+    """Return the extensions that hold a truth; the arguments are those of `make_tpf_hdulist`."""
     maps = maps or {}
     blocks = [_truth_block(cadenceno, columns or {}), *_map_blocks(maps)]
     blocks += _table_hdus(tables or {}, {name.upper() for name in maps})
@@ -388,18 +366,7 @@ def _parts(text):
 
 
 def truth_of(hdus):
-    """Return the truth in an HDU list.
-
-    Parameters
-    ----------
-    hdus : astropy.io.fits.HDUList
-        The file.
-
-    Returns
-    -------
-    Truth or None
-        None if the file has no TRUTH table.
-    """
+    """Return the truth in an HDU list; None if it has no TRUTH table."""
     if "TRUTH" not in hdus or hdus["TRUTH"].columns.names[:1] != ["CADENCENO"]:
         return None
     columns = _columns_of(hdus["TRUTH"])

@@ -10,8 +10,8 @@ from types import MappingProxyType
 import numpy as np
 from astropy.time import Time
 
-from scope_models._arrays import plain_array, plain_time
-from scope_models.io._opening import RefusedError, open_fits
+from scope_models._arrays import plain_array, plain_time, same
+from scope_models.io._opening import RefusedError, naming, open_fits
 from scope_models.io.reading import (
     PositionColumns,
     cards_of,
@@ -97,7 +97,7 @@ class PixelSeries:
 
     def __reduce__(self):
         values = [getattr(self, item.name) for item in fields(self)]
-        return _restored, tuple(dict(v) if isinstance(v, Mapping) else v for v in values)
+        return type(self), tuple(dict(v) if isinstance(v, Mapping) else v for v in values)
 
     def __repr__(self):
         n, ny, nx = self.flux.shape
@@ -113,7 +113,7 @@ class PixelSeries:
         if not isinstance(other, PixelSeries):
             return NotImplemented
         return all(
-            _same(getattr(self, item.name), getattr(other, item.name)) for item in fields(self)
+            same(getattr(self, item.name), getattr(other, item.name)) for item in fields(self)
         )
 
     def __getitem__(self, cadences):
@@ -233,25 +233,15 @@ def read_pixels(source, *, quality_bitmask=None):
         with open_fits(source) as hdus:
             series = _of_hdus(hdus, source)
     elif isinstance(source, fits.HDUList):
-        try:
-            series = _of_hdus(source, name)
-        except RefusedError as error:
-            raise ValueError(str(error)) from None
+        series = _of_hdus(source, name)
     else:
         series = _of_tpf(source)
     if series is not source:
         _check_times(series, name)
     if quality_bitmask is None:
         quality_bitmask = "default" if isinstance(source, str | PathLike) else "none"
-    return _without_flagged(series, quality_bitmask, name)
-
-
-def _without_flagged(series, quality_bitmask, name):
-    """Leave out flagged cadences; the message names the file."""
-    try:
+    with naming(name):
         return series.without_flagged(quality_bitmask)
-    except ValueError as error:
-        raise ValueError(f"{name}: {error}") from None
 
 
 def read_tpf(source, *, quality_bitmask="default"):
@@ -295,7 +285,8 @@ def read_tpf(source, *, quality_bitmask="default"):
     _check_times(series, source)
     if series.mission is None:
         raise ValueError(f"{source} names no known mission in MISSION or TELESCOP")
-    _without_flagged(series, quality_bitmask, source)
+    with naming(source):
+        series.without_flagged(quality_bitmask)
     kind = getattr(lightkurve, series.mission.tpf_class)
     try:
         return kind(whole, quality_bitmask=quality_bitmask)
@@ -429,20 +420,8 @@ def _check_times(series, name):
     if steps.size:
         before, after = known[steps[0] : steps[0] + 2]
         raise ValueError(f"the times of {name} must increase, got {after} after {before}")
-    try:
+    with naming(name):
         _ = series.time_format
-    except ValueError as error:
-        raise ValueError(f"{name}: {error}") from None
-
-
-def _restored(*values):
-    return PixelSeries(*values)
-
-
-def _same(a, b):
-    if isinstance(a, np.ndarray) and isinstance(b, np.ndarray):
-        return np.array_equal(a, b, equal_nan=a.dtype.kind == "f" and b.dtype.kind == "f")
-    return a == b
 
 
 def _aperture_of(hdus, stamp):
@@ -504,25 +483,7 @@ def _integers(values, n):
 
 
 def pos_corr_of(source):
-    """Return column and row offsets of lightkurve's object in pixels, or None.
-
-    Parameters
-    ----------
-    source : lightkurve.TargetPixelFile or lightkurve.LightCurve
-        The object.
-
-    Returns
-    -------
-    ndarray of shape (n, 2) or None
-        POS_CORR1 and POS_CORR2, NaN where they are masked; None if it has none.
-
-    Examples
-    --------
-    >>> from lightkurve import LightCurve
-    >>> from scope_models.io.pixels import pos_corr_of
-    >>> pos_corr_of(LightCurve(time=[1.0, 2.0], flux=[1.0, 1.0])) is None
-    True
-    """
+    """Return POS_CORR of lightkurve's object, pixels, ``(n, 2)``; None if it has none."""
     columns = [_attribute(source, f"pos_corr{axis}") for axis in (1, 2)]
     if any(column is None for column in columns):
         return None
@@ -530,32 +491,7 @@ def pos_corr_of(source):
 
 
 def positions_of(source):
-    """Return where a star was, by lightkurve's object.
-
-    Parameters
-    ----------
-    source : lightkurve.TargetPixelFile or lightkurve.LightCurve
-        The object.
-
-    Returns
-    -------
-    PositionColumns
-        The columns as they are, and the header's description.
-
-    Raises
-    ------
-    TypeError
-        If the object has no time, or no POS_CORR1 and POS_CORR2.
-
-    Examples
-    --------
-    >>> from lightkurve import LightCurve
-    >>> from scope_models.io.pixels import positions_of
-    >>> lc = LightCurve(time=[1.0, 2.0], flux=[1.0, 1.0])
-    >>> lc["pos_corr1"], lc["pos_corr2"] = [0.0, 0.2], [0.1, 0.1]
-    >>> positions_of(lc).pos_corr1
-    array([0. , 0.2])
-    """
+    """Return the `PositionColumns` of lightkurve's object: where a star was."""
     pos_corr = pos_corr_of(source)
     if _attribute(source, "time") is None or pos_corr is None:
         raise TypeError(

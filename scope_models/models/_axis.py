@@ -37,19 +37,7 @@ _LOG_STEP = 0.125
 
 @cache
 def gauss_legendre(n):
-    """
-    Nodes and weights of the Gauss-Legendre rule on a pixel.
-
-    Parameters
-    ----------
-    n : int
-        Number of nodes.
-
-    Returns
-    -------
-    nodes, weights : `~numpy.ndarray`
-        Nodes in (-1/2, 1/2) and weights that sum to 1, both of shape ``(n,)``, read-only.
-    """
+    """Nodes in (-1/2, 1/2) and weights of sum 1 of the Gauss-Legendre rule of n nodes."""
     nodes, weights = np.polynomial.legendre.leggauss(n)
     nodes, weights = nodes / 2, weights / 2
     nodes.flags.writeable = weights.flags.writeable = False
@@ -57,20 +45,9 @@ def gauss_legendre(n):
 
 
 def gaussian_nodes(scale, degree):
-    """
-    Node count per pixel and axis that integrates a Gaussian to about 1e-13 of its flux.
+    """Nodes per pixel and axis that integrate a Gaussian to about 1e-13 of its flux.
 
-    Parameters
-    ----------
-    scale : float
-        Smallest width of the density (standard deviation), in pixels.
-    degree : int
-        Degree of the polynomial that multiplies it.
-
-    Returns
-    -------
-    n : int
-        Number of Gauss-Legendre nodes.
+    ``scale`` is its smallest standard deviation in pixels, ``degree`` that of a polynomial factor.
     """
     return int(np.ceil(5 + 2.1 / scale)) + (degree + 1) // 2
 
@@ -141,10 +118,10 @@ def _axis_closed_form(pixels, center, sigma, coefficients, n_orders):
         for n, coefficient in enumerate(row):
             if coefficient:
                 integrals[j] += factor[j] * coefficient * moments[n]
-        k = np.arange(j + 1, n_orders)[:, np.newaxis, np.newaxis]
-        factor[j + 1 :] /= np.sqrt(k - j)
         if j == n_orders - 1:
             break
+        k = np.arange(j + 1, n_orders)[:, np.newaxis, np.newaxis]
+        factor[j + 1 :] /= np.sqrt(k - j)
         low, high = _horner(row, -0.5), _horner(row, 0.5)
         part = table[: n_orders - 1 - j]
         integrals[j + 1 :] -= factor[j + 1 :] * (high * part[:, 1] - low * part[:, 0])
@@ -246,37 +223,13 @@ class AxisTable:
             self._expansion = expansion[: _count(sizes)]
 
     def moved(self, center):
-        """
-        A table for other positions within the range of the present ones.
-
-        Parameters
-        ----------
-        center : `~numpy.ndarray`
-            The positions, shape ``(m,)``.
-
-        Returns
-        -------
-        table : AxisTable
-            It uses the same expansion.
-        """
+        """A table of the same expansion for positions ``(m,)`` within the present range."""
         table = copy(self)
         table.center, table.buffer = center, np.empty(0)
         return table
 
     def __call__(self, part):
-        """
-        The integrals at a slice of the positions.
-
-        Parameters
-        ----------
-        part : slice
-            Which positions.
-
-        Returns
-        -------
-        integrals : `~numpy.ndarray`
-            Shape ``(m, n_orders, n)``; valid until the next call, which may use its memory.
-        """
+        """The integrals at a slice of the positions, ``(m, n_orders, n)``, until the next call."""
         pixels, coefficients, n_orders = self._arguments
         center = self.center[part]
         if self._expansion is None:
@@ -298,49 +251,23 @@ def _known_panels(*_):
 
 
 class AxisPanels:
-    """
-    The integrals of an `AxisTable`, as a function of position and width alone.
+    """The integrals of an `AxisTable`, as a function of position and width alone.
 
     An `AxisTable` interpolates over the range of the positions that it is given. Here the ranges
     are fixed: one pixel in position, an eighth in the logarithm of the width. The integrals at a
-    position are then the same, to the last bit, whatever other positions there are.
-
-    Parameters
-    ----------
-    pixels : `~numpy.ndarray`
-        Pixel centers, shape ``(n,)``.
-    sigma : float
-        Width of the density in pixels.
-    coefficients : `~numpy.ndarray`
-        Coefficients of the polynomial, the constant first.
-    n_orders : int
-        Number of orders k, from 0.
-    rho : float
-        Correlation coefficient.
+    position are then the same, to the last bit, whatever other positions there are. The arguments
+    are those of an `AxisTable`, with one width and no positions. Axes of equal arguments share
+    their `panels`.
     """
 
     def __init__(self, pixels, sigma, coefficients, n_orders, rho=0.0):
         self._arguments = pixels, coefficients, n_orders
         self._sigma = sigma
         self._needed = np.abs(rho) ** (0.5 * np.arange(n_orders)) / _CHEBYSHEV_TOLERANCE
-        self._panels = _known_panels(pixels.tobytes(), sigma, coefficients.tobytes(), n_orders, rho)
+        self.panels = _known_panels(pixels.tobytes(), sigma, coefficients.tobytes(), n_orders, rho)
 
     def __call__(self, center, scale=None):
-        """
-        The integrals at positions.
-
-        Parameters
-        ----------
-        center : `~numpy.ndarray`
-            The positions, shape ``(m,)``.
-        scale : `~numpy.ndarray`, optional
-            Factor on the width at each position, shape ``(m,)``.
-
-        Returns
-        -------
-        integrals : `~numpy.ndarray`
-            Shape ``(m, n_orders, n)``.
-        """
+        """Integrals ``(m, n_orders, n)`` at positions and factors on the width ``(m,)``."""
         pixels, _, n_orders = self._arguments
         place = np.rint(center)
         step = None if scale is None else np.rint(np.log(scale) / _LOG_STEP)
@@ -358,9 +285,9 @@ class AxisPanels:
     def _panel(self, key, center, scale):
         """Integrals within one panel, ``(m, n_orders * n)``."""
         known = key, scale is None  # a panel at one width is another one
-        if known not in self._panels:
-            self._panels[known] = self._expand(key, 1 if scale is None else None)
-        expansion, sizes = self._panels[known]
+        if known not in self.panels:
+            self.panels[known] = self._expand(key, 1 if scale is None else None)
+        expansion, sizes = self.panels[known]
         if expansion is None:
             sigma = np.full(1, self._sigma) if scale is None else self._sigma * scale
             return self._direct(center, sigma)
@@ -405,18 +332,6 @@ class AxisPanels:
 
 
 def axis_integrals(pixels, center, sigma, coefficients, n_orders=1, rho=0.0):
-    """
-    All integrals of an `AxisTable`.
-
-    Parameters
-    ----------
-    pixels, center, sigma, coefficients, n_orders, rho
-        See `AxisTable`.
-
-    Returns
-    -------
-    integrals : `~numpy.ndarray`
-        Shape ``(m, n_orders, n)``.
-    """
+    """All integrals of an `AxisTable`, shape ``(m, n_orders, n)``."""
     table = AxisTable(pixels, center, sigma, coefficients, n_orders, rho)
     return table(slice(None))

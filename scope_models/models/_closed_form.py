@@ -55,21 +55,7 @@ class ClosedForm:
 
 
 def closed_form(model, values):
-    """
-    Return the integrals over pixels of a density in closed form.
-
-    Parameters
-    ----------
-    model : `~astropy.modeling.Model`
-        The density.
-    values : dict
-        Its parameters: float, array or `~astropy.units.Quantity`.
-
-    Returns
-    -------
-    form : ClosedForm or None
-        None if there is none.
-    """
+    """Return the `ClosedForm` of a density at values of its parameters, or None."""
     if hasattr(model, "closed_form"):
         return model.closed_form(values)
     gaussian = _gaussian(model, values)
@@ -77,20 +63,9 @@ def closed_form(model, values):
 
 
 def diffused(form, variance):
-    """
-    Return a closed form convolved with a circular normal distribution.
+    """Return a closed form convolved with a circular Gaussian; None if it is none itself.
 
-    Parameters
-    ----------
-    form : ClosedForm
-        That of a density.
-    variance : float
-        Of the distribution along each axis, square pixels.
-
-    Returns
-    -------
-    form : ClosedForm or None
-        With the last derivative by the variance, under that name; None if it is no Gaussian.
+    Its last derivative is by the variance, square pixels, under that name.
     """
     if form.pixels is not gaussian_pixels:
         return None
@@ -157,20 +132,9 @@ def is_photutils(model):
 
 
 def collected(offset, sigma):
-    """
-    Part of the charge that a pixel collects along one axis, and its derivative by sigma.
+    """Part of the charge that a pixel collects along one axis, and its derivative by sigma.
 
-    Parameters
-    ----------
-    offset : array_like
-        Where the charge is set free, from the pixel's center, pixels.
-    sigma : float
-        Standard deviation of the diffusion, pixels; 0 for none.
-
-    Returns
-    -------
-    part, derivative : `~numpy.ndarray`
-        Of the shape of the offset.
+    The charge is set free at an offset from the pixel's center and diffuses by sigma, pixels.
     """
     edges = np.asarray(offset, dtype=float) + np.array([0.5, -0.5]).reshape(
         (2,) + (1,) * np.ndim(offset)

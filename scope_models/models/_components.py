@@ -16,16 +16,7 @@ _STEP = 1e-4
 
 @dataclass(frozen=True, eq=False)
 class Response:
-    """
-    A sensitivity in a PRF.
-
-    Parameters
-    ----------
-    model : `~scope_models.SensitivityPolynomial` or `~scope_models.models.DiffusionSensitivity`
-        The sensitivity.
-    names : dict of str
-        Its own parameters to those of the PRF.
-    """
+    """A sensitivity in a PRF; ``names`` leads from its own parameters to those of the PRF."""
 
     model: object
     names: dict
@@ -95,23 +86,7 @@ class Component:
         )
 
     def derivatives(self, points, values):
-        """
-        Image of unit flux, and its derivatives.
-
-        Parameters
-        ----------
-        points : `~scope_models.models.integration.PixelPoints`
-            The pixels.
-        values : dict
-            Value of each parameter of the PRF; x_0 and y_0 may have shape ``(n,)``.
-
-        Returns
-        -------
-        image : `~numpy.ndarray`
-            Shape ``(..., *points.shape)``.
-        derivatives : dict of str to `~numpy.ndarray`
-            By parameter of the PRF.
-        """
+        """Image of unit flux ``(..., *points.shape)``, and derivatives by parameter of the PRF."""
         term = self.term(values)
         along, form = term.polynomials(), term.closed_form()
         if form is not None and form.derivatives is not None:

@@ -145,20 +145,7 @@ def unpacked(value):
 
 
 def model_in_pixels(model, pixel_scale):
-    """Return a model whose widths and positions are pixels, where they were angles.
-
-    Parameters
-    ----------
-    model : astropy.modeling.Model or None
-        A PSF, or a sum or product of models.
-    pixel_scale : float
-        Arcseconds per pixel.
-
-    Returns
-    -------
-    astropy.modeling.Model or None
-        The model itself if it holds no angles.
-    """
+    """Return a model whose widths and positions are pixels, where they were angles."""
     if model is None:
         return None
     if isinstance(model, CompoundModel):
@@ -178,29 +165,7 @@ def model_in_pixels(model, pixel_scale):
 
 
 def find_class(described, base, what):
-    """Return the class of a description.
-
-    Parameters
-    ----------
-    described : dict
-        Its "module" and "class".
-    base : type
-        What it is derived from.
-    what : str
-        How messages call that.
-
-    Returns
-    -------
-    type
-        The class.
-
-    Raises
-    ------
-    ValueError
-        If its module belongs to another package that was not imported before.
-    TypeError
-        If it is not such a class.
-    """
+    """Return the class of a description; ``what`` is what messages call its base."""
     module = described["module"]
     if module not in sys.modules and module.partition(".")[0] not in _TRUSTED:
         raise ValueError(f"import {module} before reading a scene with its {described['class']}")
@@ -213,18 +178,7 @@ def find_class(described, base, what):
 
 
 def value_key(value):
-    """Return what is equal, and hashes alike, for equal values.
-
-    Parameters
-    ----------
-    value : object
-        A frozen dataclass, whose fields are compared, or what such a field holds.
-
-    Returns
-    -------
-    hashable
-        The key. Callables are compared by identity.
-    """
+    """Return what is equal, and hashes alike, for equal values; callables by identity."""
     if isinstance(value, Model) or hasattr(value, "icrs"):  # a model, or a SkyCoord
         describe = describe_model if isinstance(value, Model) else describe_coord
         return json.dumps(describe(value), sort_keys=True)

@@ -23,16 +23,18 @@ density they are evaluated at Chebyshev nodes and interpolated, with as many nod
 last coefficients below the rounding error.
 """
 
+from math import prod
+
 import numpy as np
 
 from scope_models.models._axis import FEW, AxisTable, gauss_legendre, gaussian_nodes
 
 __all__ = [
+    "REACH",
     "contract",
     "gaussian_derivatives",
     "gaussian_pixels",
     "n_terms",
-    "reached",
     "series_step",
     "uses_series",
 ]
@@ -40,7 +42,7 @@ __all__ = [
 # The series is cut where the rest is below this part of the total flux.
 _TOLERANCE = 1e-11
 # Beyond this many standard deviations a Gaussian holds less than 1e-16 of its flux.
-_REACH = 8.5
+REACH = 8.5
 # Elements of temporary arrays: few enough for them to stay in the processor's cache.
 _TENSOR_CHUNK = 1 << 16
 _SERIES_CHUNK = 1 << 15
@@ -65,7 +67,8 @@ def _narrowest(sigma_x, sigma_y, rho):
 
 def uses_series(sigma_x, sigma_y, rho, degree):
     """Whether the series is cheaper than the tensor quadrature (costs as measured)."""
-    return n_terms(rho) <= gaussian_nodes(_narrowest(sigma_x, sigma_y, rho), degree) ** 2
+    n = n_terms(rho)
+    return n == 1 or n <= gaussian_nodes(_narrowest(sigma_x, sigma_y, rho), degree) ** 2
 
 
 def contract(y_table, x_table, out):
@@ -214,12 +217,12 @@ def _tensor_derivatives(x, y, parameters, coefficients, out):
     out[...] = images
 
 
-def reached(pixels, center, sigma):
+def _reached(pixels, center, sigma):
     """Slice of the pixels that any of the densities reaches."""
-    if np.any(np.diff(pixels) <= 0):
+    if not (pixels[1:] > pixels[:-1]).all():
         return slice(0, pixels.size)
-    reach = _REACH * np.max(sigma) + 0.5
-    start, stop = np.searchsorted(pixels, [np.min(center) - reach, np.max(center) + reach])
+    reach = REACH * sigma.max() + 0.5
+    start, stop = pixels.searchsorted([center.min() - reach, center.max() + reach])
     return slice(int(start), int(stop))
 
 
@@ -234,7 +237,7 @@ def _evaluate(x, y, parameters, coefficients, engines, n_images):
     """Apply the cheaper of two engines, series and tensor rule, to the pixels within reach."""
     parameters = [np.asarray(p, dtype=float) for p in parameters]
     shape = np.broadcast_shapes(*(p.shape for p in parameters))
-    n = int(np.prod(shape))
+    n = prod(shape)
     # What is common to all densities stays a single number, which is faster; not the positions.
     common = [p.size == 1 and i not in {1, 2} for i, p in enumerate(parameters)]
     flat = [
@@ -249,8 +252,8 @@ def _evaluate(x, y, parameters, coefficients, engines, n_images):
     for start in range(0, n, step):
         part = slice(start, start + step)
         values = [p if alone else p[part] for p, alone in zip(flat, common, strict=True)]
-        columns = reached(x, values[1], values[3])
-        rows = reached(y, values[2], values[4])
+        columns = _reached(x, values[1], values[3])
+        rows = _reached(y, values[2], values[4])
         if columns.start < columns.stop and rows.start < rows.stop:
             out = images[:, part, rows, columns]
             engines[0 if series else 1](x[columns], y[rows], values, coefficients, out)
@@ -260,24 +263,10 @@ def _evaluate(x, y, parameters, coefficients, engines, n_images):
 def gaussian_pixels(
     x, y, x_0, y_0, sigma_x, sigma_y, rho, x_coefficients=(1,), y_coefficients=(1,), flux=1.0
 ):
-    """
-    Integrate bivariate normal densities times a polynomial over a grid of pixels.
+    """Integrate normal densities ``(...)`` times a polynomial over pixels: ``(..., ny, nx)``.
 
-    Parameters
-    ----------
-    x, y : `~numpy.ndarray`
-        Centers of the pixel columns, shape ``(nx,)``, and rows, shape ``(ny,)``.
-    x_0, y_0, sigma_x, sigma_y, rho : float or `~numpy.ndarray`
-        Parameters of the densities; they broadcast to a shape ``(...)``.
-    x_coefficients, y_coefficients : array_like
-        Coefficients of the polynomials in u and v, the constants first.
-    flux : float or `~numpy.ndarray`
-        Integrals of the densities over the plane.
-
-    Returns
-    -------
-    images : `~numpy.ndarray`
-        Integrals, shape ``(..., ny, nx)``.
+    ``x`` and ``y`` are the centers of the pixel columns ``(nx,)`` and rows ``(ny,)``; the
+    coefficients are those of the polynomials in u and v, the constants first.
     """
     parameters = (flux, x_0, y_0, sigma_x, sigma_y, rho)
     coefficients = (x_coefficients, y_coefficients)
@@ -287,25 +276,10 @@ def gaussian_pixels(
 def gaussian_derivatives(
     x, y, x_0, y_0, sigma_x, sigma_y, rho, x_coefficients=(1,), y_coefficients=(1,)
 ):
-    """
-    Integrals of `gaussian_pixels` and their derivatives with respect to the five parameters.
+    """The integrals of `gaussian_pixels` for unit flux, and derivatives: ``(6, ..., ny, nx)``.
 
-    The integrals are linear in the coefficients, whose derivatives are integrals of monomials.
-
-    Parameters
-    ----------
-    x, y : `~numpy.ndarray`
-        Centers of the pixel columns, shape ``(nx,)``, and rows, shape ``(ny,)``.
-    x_0, y_0, sigma_x, sigma_y, rho : float or `~numpy.ndarray`
-        Parameters of the densities, of unit integral; they broadcast to a shape ``(...)``.
-    x_coefficients, y_coefficients : array_like
-        Coefficients of the polynomials in u and v, the constants first.
-
-    Returns
-    -------
-    images : `~numpy.ndarray`
-        Shape ``(6, ..., ny, nx)``: the integrals, then their derivatives with respect to x_0,
-        y_0, sigma_x, sigma_y and rho.
+    The derivatives are by x_0, y_0, sigma_x, sigma_y and rho. The integrals are linear in the
+    coefficients, whose derivatives are integrals of monomials.
     """
     parameters = (1.0, x_0, y_0, sigma_x, sigma_y, rho)
     coefficients = (x_coefficients, y_coefficients)

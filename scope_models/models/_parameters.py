@@ -5,54 +5,65 @@ from dataclasses import dataclass
 
 import numpy as np
 from astropy import units as u
-from astropy.modeling import Parameter
+from astropy.modeling import Fittable2DModel, Parameter
+from astropy.units import UnitsError
 
 from scope_models._arrays import is_angle, plain_array, without_unit
 
 __all__ = [
     "Domain",
-    "InstanceParameters",
+    "StarModel",
     "check_model_parameters",
     "check_psf_units",
-    "described",
+    "gaussian_box",
+    "make_parameters",
     "one_number",
 ]
 
 
-class InstanceParameters:
-    """
-    Mixin of models whose number of parameters depends on their arguments.
+class StarModel(Fittable2DModel):
+    """A star: its flux and position, and the units that follow from those of the position."""
 
-    It stands before the astropy class among the bases. A subclass calls `make_parameters` before
-    ``super().__init__``.
-    """
+    flux = Parameter(default=1.0, description="Flux of the star")
+    x_0 = Parameter(default=0.0, description="Column of the star (pixel)")
+    y_0 = Parameter(default=0.0, description="Row of the star (pixel)")
 
-    # Filled in by each instance.
-    _param_names = ()
-
-    def make_parameters(self, parameters):
-        """
-        Give this instance its own parameters, after those of its class.
-
-        Parameters
-        ----------
-        parameters : sequence of `~astropy.modeling.Parameter`
-            The parameters, with their names, in their order.
-        """
-        self._param_names = (*self._param_names, *(p.name for p in parameters))
-        for parameter in parameters:
-            parameter.model = self
-            self.__dict__[parameter.name] = parameter
+    #: Whether values are fluxes of pixels, not a density.
+    pixel_integrated = False
 
     @property
-    def param_names(self):
-        """Names of the parameters, in their order (tuple of str)."""
-        return self._param_names
+    def input_units(self):
+        """Units of x and y, or None."""
+        unit = self.x_0.input_unit
+        return unit and {self.inputs[0]: unit, self.inputs[1]: self.y_0.input_unit}
+
+    def _parameter_units_for_data_units(self, inputs_unit, outputs_unit):
+        unit, other = (inputs_unit[name] for name in self.inputs)
+        if unit != other:
+            raise UnitsError("units of x and y must be the same")
+        kinds = getattr(self, "parameter_kinds", {})
+        lengths = ("x_0", "y_0", *(n for n, kind in kinds.items() if kind in {"width", "offset"}))
+        flux = outputs_unit[self.outputs[0]] * (1 if self.pixel_integrated else unit**2)
+        return {"flux": flux, **dict.fromkeys(lengths, unit)}
 
 
-def described(name, description, **constraints):
-    """Return a parameter of default 0 with a description."""
-    return Parameter(name, default=0.0, description=description, **constraints)
+def make_parameters(model, parameters):
+    """Give a model parameters of its own, by name, after those of its class.
+
+    It is called before the model's ``__init__``. A description stands for a parameter of default 0.
+    """
+    model.param_names = tuple(dict.fromkeys((*model.param_names, *parameters)))
+    for name, given in parameters.items():
+        plain = isinstance(given, str)
+        parameter = Parameter(name, default=0.0, description=given) if plain else given
+        parameter.model = model
+        model.__dict__[name] = parameter
+
+
+def gaussian_box(model, factor):
+    """Rectangle of a half-width of so many sigma_x and sigma_y, as astropy orders it."""
+    d_x, d_y = factor * model.sigma_x, factor * model.sigma_y
+    return ((model.y_0 - d_y, model.y_0 + d_y), (model.x_0 - d_x, model.x_0 + d_x))
 
 
 _TESTS = {
@@ -66,36 +77,13 @@ _TESTS = {
 
 @dataclass(frozen=True)
 class Domain:
-    """
-    Validator of a parameter; a class, so that models that hold it can be pickled.
-
-    Parameters
-    ----------
-    name : str
-        Name of the parameter.
-    condition : {"finite", "positive", "inside (-1, 1)", "at least 0", "at least 0 and below 1"}
-        Where its values must lie.
-    """
+    """Validator of a parameter; a class, so that models that hold it can be pickled."""
 
     name: str
     condition: str
 
     def __call__(self, model, value):  # noqa: ARG002
-        """
-        Raise where a value lies outside the domain.
-
-        Parameters
-        ----------
-        model : `~astropy.modeling.Model`
-            The model; not used.
-        value : float, `~numpy.ndarray` or `~astropy.units.Quantity`
-            The value.
-
-        Raises
-        ------
-        ValueError
-            If a value lies outside.
-        """
+        """Raise where a value lies outside the domain; the model is not used."""
         value = np.asarray(without_unit(value), dtype=float)
         wrong = ~_TESTS[self.condition](value)
         if np.any(wrong):
@@ -103,19 +91,7 @@ class Domain:
 
 
 def check_model_parameters(model):
-    """
-    Raise where a parameter of a model is not finite or outside its domain.
-
-    Parameters
-    ----------
-    model : `~astropy.modeling.Model`
-        The model.
-
-    Raises
-    ------
-    ValueError
-        If a parameter holds NaN or infinity, or its validator refuses it.
-    """
+    """Raise where a parameter of a model is not finite or outside its domain."""
     for name in model.param_names:
         parameter = getattr(model, name)
         Domain(name, "finite")(model, parameter.value)
@@ -123,18 +99,9 @@ def check_model_parameters(model):
 
 
 def check_psf_units(model):
-    """
-    Raise where a parameter of a PSF has a unit that it cannot have.
+    """Raise where a parameter of a PSF has a unit that it cannot have.
 
-    Parameters
-    ----------
-    model : `~astropy.modeling.Model`
-        The PSF: positions and widths are pixels or angles, its flux has any unit, all else none.
-
-    Raises
-    ------
-    ValueError
-        If another unit is found.
+    Positions and widths are pixels or angles, the flux has any unit, all else none.
     """
     for name in model.param_names:
         unit = getattr(model, name).unit
@@ -146,26 +113,7 @@ def check_psf_units(model):
 
 
 def one_number(name, value):
-    """
-    Return the one value of an array that holds the same number everywhere.
-
-    Parameters
-    ----------
-    name : str
-        Name of the parameter.
-    value : array_like
-        The value.
-
-    Returns
-    -------
-    float
-        The number.
-
-    Raises
-    ------
-    ValueError
-        If the values differ.
-    """
+    """Return the one value of an array that holds the same number everywhere."""
     value = np.reshape(value, -1)
     if value.size > 1 and np.ptp(value):
         raise ValueError(f"`{name}` must be one number, got {np.unique(value).size} values")

@@ -1,7 +1,7 @@
 # Licensed under a 3-clause BSD style license - see LICENSE
 """The sum-of-products form of a compound model, which is what gets integrated."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from astropy import units as u
@@ -42,16 +42,7 @@ _SCALE_OF_OTHERS = 0.3
 
 @dataclass(frozen=True, eq=False)
 class Factor:
-    """
-    A model with the numbers to evaluate it with.
-
-    Parameters
-    ----------
-    model : `~astropy.modeling.Model`
-        What to evaluate.
-    values : dict
-        Parameter name to float, array or `~astropy.units.Quantity`. Arrays have shape ``(n,)``.
-    """
+    """A model with the numbers ``(n,)`` or quantities, by parameter, to evaluate it with."""
 
     model: object
     values: dict
@@ -97,20 +88,10 @@ class Factor:
         return max(float(min(widths) * np.sqrt(1 - rho**2)), 1e-3)
 
     def evaluate(self, x, y, index):
-        """
-        Value of the model at positions.
+        """Value of the model at positions ``(m, ...)`` in pixels.
 
-        Parameters
-        ----------
-        x, y : `~numpy.ndarray`
-            Positions in pixels, shape ``(m, ...)``.
-        index : `~numpy.ndarray` of int
-            Which value of each parameter belongs to each of the m entries, shape ``(m,)``.
-
-        Returns
-        -------
-        value : `~numpy.ndarray` or `~astropy.units.Quantity`
-            Shape ``(m, ...)``; with a unit, it is that of the density times square pixels.
+        ``index`` chooses the value of each parameter that belongs to each of the m entries. A unit
+        is that of the density times square pixels.
         """
         shape = (-1,) + (1,) * (np.ndim(x) - 1)
         values = [v if np.ndim(v) == 0 else v[index].reshape(shape) for v in self.values.values()]
@@ -125,22 +106,11 @@ class Factor:
 
 @dataclass(frozen=True, eq=False)
 class Term:
-    """
-    A product: a number, densities and sensitivities.
-
-    Parameters
-    ----------
-    scale : float or array
-        What is constant over the pixels.
-    densities : tuple of Factor
-        Everything that is neither constant nor a sensitivity.
-    sensitivities : tuple of Factor
-        The `SensitivityPolynomial` and `DiffusionSensitivity` among the factors.
-    """
+    """A product: a scale that is constant over the pixels, densities, and sensitivities."""
 
     scale: object = 1.0
-    densities: tuple = field(default=())
-    sensitivities: tuple = field(default=())
+    densities: tuple = ()
+    sensitivities: tuple = ()  # SensitivityPolynomial and DiffusionSensitivity
 
     def __mul__(self, other):
         """The product of two terms is a term."""
@@ -184,19 +154,7 @@ class Term:
 
 
 def is_pixel_integrated(model):
-    """
-    Whether the values of a model are fluxes of pixels rather than a density.
-
-    Parameters
-    ----------
-    model : `~astropy.modeling.Model`
-        A model that is no compound.
-
-    Returns
-    -------
-    answer : bool
-        True for `~scope_models.PRF` and photutils' PRF and image models.
-    """
+    """Whether a model's values are fluxes of pixels, as of a PRF or an image of photutils."""
     if getattr(model, "pixel_integrated", False):
         return True
     names = {base.__name__ for base in type(model).__mro__}
@@ -206,38 +164,14 @@ def is_pixel_integrated(model):
 
 
 def leaves(model):
-    """
-    The models that a compound is made of.
-
-    Parameters
-    ----------
-    model : `~astropy.modeling.Model`
-        Any model.
-
-    Returns
-    -------
-    leaves : list of `~astropy.modeling.Model`
-        From left to right.
-    """
+    """The models that a compound is made of, from left to right."""
     if isinstance(model, CompoundModel):
         return leaves(model.left) + leaves(model.right)
     return [model]
 
 
 def expand(model):
-    """
-    The terms whose sum a model is.
-
-    Parameters
-    ----------
-    model : `~astropy.modeling.Model`
-        Any model; sums, differences and products are taken apart, everything else is left whole.
-
-    Returns
-    -------
-    terms : list of Term
-        The terms.
-    """
+    """The terms whose sum a model is; operators but ``+``, ``-`` and ``*`` are left whole."""
     if isinstance(model, CompoundModel):
         if model.op == "+":
             return expand(model.left) + expand(model.right)

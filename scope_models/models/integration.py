@@ -30,19 +30,7 @@ _CHUNK = 1 << 18
 
 
 class PixelPoints:
-    """
-    Pixel centers, and the grid of columns and rows that they lie on.
-
-    Parameters
-    ----------
-    x, y : array_like
-        Column and row of each pixel; they broadcast.
-
-    Raises
-    ------
-    ValueError
-        If they do not broadcast, are empty or not finite.
-    """
+    """Pixel centers, which broadcast, and the grid of columns and rows that they lie on."""
 
     def __init__(self, x, y):
         try:
@@ -121,22 +109,10 @@ def _scaled(images, factor):
 
 
 def integrate_density(term, points, evaluate=None):
-    """
-    Integrate the product of a term's factors over pixels by quadrature.
+    """Integrate the product of a term's factors, without its scale, over pixels by quadrature.
 
-    Parameters
-    ----------
-    term : `~scope_models.models._terms.Term`
-        What to integrate; its scale is left out.
-    points : PixelPoints
-        The pixels.
-    evaluate : callable, optional
-        ``evaluate(x, y, index)`` in place of the product of the densities.
-
-    Returns
-    -------
-    images : `~numpy.ndarray` or `~astropy.units.Quantity`
-        Shape ``(..., *points.shape)``.
+    ``evaluate(x, y, index)`` may take the place of the product of the densities. The images have
+    the shape ``(..., *points.shape)``.
     """
     along_x, along_y = term.polynomials()
     lead = np.broadcast_shapes(*(factor.size for factor in term.densities), ())
@@ -181,23 +157,7 @@ def integrate_density(term, points, evaluate=None):
 
 
 def integrate_term(term, points, method="auto"):
-    """
-    Integrate one term over pixels.
-
-    Parameters
-    ----------
-    term : `~scope_models.models._terms.Term`
-        What to integrate.
-    points : PixelPoints
-        The pixels.
-    method : {"auto", "analytic", "quadrature"}
-        As for `integrate_pixels`.
-
-    Returns
-    -------
-    images : `~numpy.ndarray` or `~astropy.units.Quantity`
-        Shape ``(..., *points.shape)``.
-    """
+    """Integrate one term by a method of `integrate_pixels`: ``(..., *points.shape)``."""
     along_x, along_y = term.polynomials()
     if not term.densities:
         mean_x, mean_y = (
@@ -345,32 +305,13 @@ def _rule(integrand, index, corner_u, corner_v, size, n):
 
 
 def _integrate_adaptively(integrand, groups, scale):
-    """
-    Integrate a function over unit squares, with more nodes where it needs them.
+    """Integrate ``integrand(u, v, index)`` over unit squares, with more nodes where it needs them.
 
-    Every square is integrated by two rules; where they differ by more than 1e-11 of the sum of
-    its group, the number of nodes grows by half, and beyond 48 per axis the square is cut into
-    quarters.
-
-    Parameters
-    ----------
-    integrand : callable
-        ``integrand(u, v, index)`` with offsets u of shape ``(m, 1, k)`` and v of shape
-        ``(m, k, 1)`` from the centers of the squares ``index``, shape ``(m,)``.
-    groups : `~numpy.ndarray` of int
-        Which image each square belongs to, shape ``(n,)``.
-    scale : float
-        Smallest width of the integrand in pixels, which sets the first number of nodes.
-
-    Returns
-    -------
-    integrals : `~numpy.ndarray`
-        Shape ``(n,)``.
-
-    Warns
-    -----
-    IntegrationWarning
-        Where a square has not converged in the end.
+    The offsets from the centers of the squares ``index`` ``(m,)`` are u, ``(m, 1, k)``, and v,
+    ``(m, k, 1)``. Every square is integrated by two rules; where they differ by more than 1e-11 of
+    the sum of its image, which ``groups`` numbers, the number of nodes grows by half, and beyond 48
+    per axis the square is cut into quarters. ``scale``, the smallest width of the integrand in
+    pixels, sets the first number of nodes. Squares that have not converged warn.
     """
     n = min(int(np.ceil(5 + 2.1 / scale)), _MOST_NODES)
     index = np.arange(groups.size)

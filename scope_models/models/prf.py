@@ -3,22 +3,27 @@
 
 import numpy as np
 from astropy import units as u
-from astropy.modeling import Fittable2DModel, Parameter
+from astropy.modeling import Parameter
 from astropy.modeling.models import Const2D
 
 from scope_models._arrays import plain_array, without_unit
 from scope_models.models._components import Component, Response
-from scope_models.models._parameters import InstanceParameters, check_model_parameters, one_number
+from scope_models.models._parameters import (
+    StarModel,
+    check_model_parameters,
+    make_parameters,
+    one_number,
+)
 from scope_models.models._terms import expand, is_pixel_integrated
 from scope_models.models.integration import PixelPoints, integrate_term
-from scope_models.models.tables import PRFGrid
+from scope_models.models.tables import PRFGrid, TabulatedPRF
 
 __all__ = ["PRF"]
 
 _POSITION = ("flux", "x_0", "y_0")
 
 
-class PRF(InstanceParameters, Fittable2DModel):
+class PRF(StarModel):
     r"""
     Flux per pixel of a star: a compound of densities and sensitivities, integrated over pixels.
 
@@ -82,7 +87,6 @@ class PRF(InstanceParameters, Fittable2DModel):
     (2, 5, 5)
     """
 
-    #: Values are fluxes of pixels, not a density.
     pixel_integrated = True
 
     def __init__(self, compound, flux=None, x_0=None, y_0=None, **kwargs):
@@ -125,7 +129,7 @@ class PRF(InstanceParameters, Fittable2DModel):
             for own, name in response.names.items():
                 parameters[name] = _like(getattr(response.model, own), name, fixed=True)
                 values[name] = _value(getattr(response.model, own))
-        self.make_parameters(list(parameters.values()))
+        make_parameters(self, parameters)
         super().__init__(**(values | kwargs))
         check_model_parameters(self)
         for name in ("x_0", "y_0"):
@@ -155,7 +159,7 @@ class PRF(InstanceParameters, Fittable2DModel):
     @property
     def table(self):
         """The `~scope_models.models.TabulatedPRF` that the PRF is, or None."""
-        if self.n_components > 1 or not hasattr(self._components[0].model, "unit_derivatives"):
+        if self.n_components > 1 or not isinstance(self._components[0].model, TabulatedPRF):
             return None
         component, values = self._components[0], self._numbers()
         table = component.model.copy()
@@ -291,21 +295,7 @@ class PRF(InstanceParameters, Fittable2DModel):
         return total
 
     def evaluate(self, x, y, *parameters):
-        """
-        Flux in the pixels.
-
-        Parameters
-        ----------
-        x, y : array_like
-            Columns and rows of the pixels.
-        *parameters : array_like
-            The parameters, in their order; arrays broadcast with x and y.
-
-        Returns
-        -------
-        flux : `~numpy.ndarray` or `~astropy.units.Quantity`
-            Of the common shape.
-        """
+        """Flux in the pixels at columns x and rows y, with which arrays of parameters broadcast."""
         values = dict(zip(self.param_names, parameters, strict=True))
         unit = getattr(values["flux"], "unit", None)
         x, y = plain_array(x, u.pixel, "x"), plain_array(y, u.pixel, "y")
@@ -324,21 +314,7 @@ class PRF(InstanceParameters, Fittable2DModel):
         return images if unit is None else images * unit
 
     def fit_deriv(self, x, y, *parameters):
-        """
-        Derivatives of the flux in the pixels with respect to the parameters.
-
-        Parameters
-        ----------
-        x, y : array_like
-            Columns and rows of the pixels.
-        *parameters : float
-            The parameters, in their order.
-
-        Returns
-        -------
-        derivatives : list of `~numpy.ndarray`
-            One array per parameter, in their order.
-        """
+        """Derivatives of the flux in the pixels with respect to the parameters, in their order."""
         values = {
             name: float(np.reshape(without_unit(value), -1)[0])
             for name, value in zip(self.param_names, parameters, strict=True)
@@ -486,22 +462,13 @@ class PRF(InstanceParameters, Fittable2DModel):
             for axis in range(2)
         )
 
-    @property
-    def input_units(self):
-        """Units of x and y, or None."""
-        unit = self.x_0.input_unit
-        if unit is None:
-            return None
-        return {self.inputs[0]: unit, self.inputs[1]: self.y_0.input_unit}
-
     def _parameter_units_for_data_units(self, inputs_unit, outputs_unit):
-        unit = inputs_unit[self.inputs[0]]
-        units = {"flux": outputs_unit[self.outputs[0]], "x_0": unit, "y_0": unit}
+        units = super()._parameter_units_for_data_units(inputs_unit, outputs_unit)
+        data = {name: 1 * unit for name, unit in {**inputs_unit, **outputs_unit}.items()}
         for component in self._components:
-            convert = component.model._parameter_units_for_data_units  # noqa: SLF001
-            own = convert(inputs_unit, outputs_unit)
-            units |= {component.shape[n]: value for n, value in own.items() if n in component.shape}
-            units |= dict.fromkeys(component.offsets, unit)
+            own = component.model.with_units_from_data(**data)
+            found = {name: getattr(own, source).unit for source, name in component.shape.items()}
+            units |= {name: unit for name, unit in found.items() if unit is not None}
         return units
 
 

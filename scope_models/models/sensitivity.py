@@ -9,9 +9,8 @@ from scope_models._arrays import plain_array
 from scope_models.models._closed_form import collected
 from scope_models.models._parameters import (
     Domain,
-    InstanceParameters,
     check_model_parameters,
-    described,
+    make_parameters,
 )
 
 __all__ = ["DiffusionSensitivity", "SensitivityPolynomial"]
@@ -32,7 +31,7 @@ def _checked(name, coefficients):
     return coefficients
 
 
-class SensitivityPolynomial(InstanceParameters, Fittable2DModel):
+class SensitivityPolynomial(Fittable2DModel):
     r"""
     Response within each pixel: a polynomial in x times a polynomial in y.
 
@@ -78,8 +77,8 @@ class SensitivityPolynomial(InstanceParameters, Fittable2DModel):
         self._n_x = x_coefficients.size
         values = {f"ax{n}": value for n, value in enumerate(x_coefficients)}
         values |= {f"ay{n}": value for n, value in enumerate(y_coefficients)}
-        self.make_parameters(
-            [described(n, f"Coefficient of {'uv'['xy'.index(n[1])]}^{n[2:]}") for n in values]
+        make_parameters(
+            self, {n: f"Coefficient of {'uv'['xy'.index(n[1])]}^{n[2:]}" for n in values}
         )
         super().__init__(**values, **kwargs)
         check_model_parameters(self)
@@ -87,12 +86,12 @@ class SensitivityPolynomial(InstanceParameters, Fittable2DModel):
     @property
     def x_coefficients(self):
         """Coefficients along x, the constant first (tuple of float)."""
-        return tuple(float(getattr(self, n).value) for n in self._param_names[: self._n_x])
+        return tuple(float(getattr(self, n).value) for n in self.param_names[: self._n_x])
 
     @property
     def y_coefficients(self):
         """Coefficients along y, the constant first (tuple of float)."""
-        return tuple(float(getattr(self, n).value) for n in self._param_names[self._n_x :])
+        return tuple(float(getattr(self, n).value) for n in self.param_names[self._n_x :])
 
     @property
     def powers(self):
@@ -102,40 +101,12 @@ class SensitivityPolynomial(InstanceParameters, Fittable2DModel):
         return dict(zip(self.param_names, along, strict=True))
 
     def evaluate(self, x, y, *coefficients):
-        """
-        Response at the positions.
-
-        Parameters
-        ----------
-        x, y : array_like
-            Positions in pixels.
-        *coefficients : array_like
-            The parameters, in their order.
-
-        Returns
-        -------
-        response : `~numpy.ndarray`
-            Dimensionless.
-        """
+        """Response at the positions, dimensionless."""
         along_x = _polynomial(_offset(x), coefficients[: self._n_x])
         return along_x * _polynomial(_offset(y), coefficients[self._n_x :])
 
     def fit_deriv(self, x, y, *coefficients):
-        """
-        Derivatives of the response with respect to the coefficients.
-
-        Parameters
-        ----------
-        x, y : array_like
-            Positions in pixels.
-        *coefficients : array_like
-            The parameters, in their order.
-
-        Returns
-        -------
-        derivatives : list of `~numpy.ndarray`
-            One array per parameter, in their order.
-        """
+        """Derivatives of the response with respect to the coefficients, in their order."""
         u, v = _offset(x), _offset(y)
         along_x = _polynomial(u, coefficients[: self._n_x])
         along_y = _polynomial(v, coefficients[self._n_x :])
@@ -238,40 +209,12 @@ class DiffusionSensitivity(Fittable2DModel):
         return collected(dx, sigma)[0] * collected(dy, sigma)[0]
 
     def evaluate(self, x, y, sigma_d):
-        """
-        Part of the charge that stays in the pixel where it is set free.
-
-        Parameters
-        ----------
-        x, y : array_like
-            Positions in pixels.
-        sigma_d : float
-            As for the class.
-
-        Returns
-        -------
-        part : `~numpy.ndarray`
-            Dimensionless.
-        """
+        """Part of the charge that stays in the pixel where it is set free."""
         sigma = float(np.ravel(sigma_d)[0])
         return collected(_offset(x), sigma)[0] * collected(_offset(y), sigma)[0]
 
     def fit_deriv(self, x, y, sigma_d):
-        """
-        Derivative of the response with respect to sigma_d.
-
-        Parameters
-        ----------
-        x, y : array_like
-            Positions in pixels.
-        sigma_d : float
-            As for the class.
-
-        Returns
-        -------
-        derivatives : list of `~numpy.ndarray`
-            One array.
-        """
+        """Derivative of the response with respect to sigma_d, a list of one array."""
         sigma = float(np.ravel(sigma_d)[0])
         along_x, by_x = collected(_offset(x), sigma)
         along_y, by_y = collected(_offset(y), sigma)

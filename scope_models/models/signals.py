@@ -7,6 +7,7 @@ import astropy.units as u
 import numpy as np
 from astropy import constants
 from astropy.modeling import Fittable1DModel, Parameter
+from astropy.time import Time
 from exoplanet_core import kepler, quad_limbdark_light_curve
 from scipy.optimize import brentq
 
@@ -104,6 +105,9 @@ class TransitModel(Fittable1DModel):
     _input_units_allow_dimensionless = True
 
     def __init__(self, *args, exposure_time=0.0, **kwargs):
+        for name, value in (*zip(self.param_names, args, strict=False), *kwargs.items()):
+            if isinstance(value, Time):
+                raise TypeError(f"`{name}` must be in days from a zero of your own, got a Time")
         super().__init__(*args, **kwargs)
         if len(self.parameters) != len(self.param_names):
             raise ValueError("the parameters of a TransitModel must be scalars")
@@ -317,24 +321,11 @@ class TransitModel(Fittable1DModel):
         return dict(_UNITS)  # astropy's fitters convert times to `input_units`
 
     def evaluate(self, x, period, t0, rp, a, inc, ecc, omega, u1, u2):
-        """
-        Evaluate the relative flux.
-
-        Parameters
-        ----------
-        x : array_like
-            Times in days (mid-exposure), of any shape.
-        period, t0, rp, a, inc, ecc, omega, u1, u2 : float
-            The parameters, see the class.
-
-        Returns
-        -------
-        `~numpy.ndarray`
-            Relative flux, 1 outside transits.
-        """
+        """Relative flux, 1 outside transits, at times of mid-exposure in days, of any shape."""
         given = {"period": period, "t0": t0, "rp": rp, "a": a, "inc": inc, "ecc": ecc}
         given |= {"omega": omega, "u1": u1, "u2": u2}
         p = {name: _number(name, value) for name, value in given.items()}
+        _require(p["rp"] >= 0, "rp", "at least 0", p["rp"])  # also where `rp.value` was set
         x = plain_array(x, u.day, "x")
         orbit = tuple(p[name] for name in _ORBIT)
         time = x.ravel() - p["t0"]

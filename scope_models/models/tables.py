@@ -7,15 +7,12 @@ from pathlib import Path
 
 import numpy as np
 from astropy import units as u
-from astropy.modeling import Fittable2DModel, Parameter
-from astropy.units import UnitsError
-from scipy.interpolate import BSpline, RectBivariateSpline
-from scipy.spatial import Delaunay
+from scipy.interpolate import BSpline, LinearNDInterpolator, RectBivariateSpline
 
 from scope_models._arrays import plain_array, plain_number
 from scope_models.models._axis import gauss_legendre
 from scope_models.models._closed_form import ClosedForm, pixels_of
-from scope_models.models._parameters import check_model_parameters, check_psf_units
+from scope_models.models._parameters import StarModel, check_model_parameters, check_psf_units
 
 __all__ = ["PRFGrid", "TabulatedPRF", "TabulatedPSF"]
 
@@ -157,20 +154,16 @@ class _AxisRule:
         return sums.reshape(*self.shape, n_functions)
 
 
-class _Table(Fittable2DModel):
+class _Table(StarModel):
     """What tables of densities and of fluxes of pixels have in common."""
-
-    flux = Parameter(default=1.0, description="Flux of the star")
-    x_0 = Parameter(default=0.0, description="Column of the star (pixel)")
-    y_0 = Parameter(default=0.0, description="Row of the star (pixel)")
 
     def __init__(
         self,
         array,
         oversampling=1,
-        flux=flux.default,
-        x_0=x_0.default,
-        y_0=y_0.default,
+        flux=1.0,
+        x_0=0.0,
+        y_0=0.0,
         *,
         origin=None,
         uncertainty=None,
@@ -216,10 +209,7 @@ class _Table(Fittable2DModel):
     @property
     def reach(self):
         """How far the table goes from the star along x and y, pixels (two pairs of float)."""
-        return tuple(
-            (-self.origin[axis] / step, (self.array.shape[1 - axis] - 1 - self.origin[axis]) / step)
-            for axis, step in enumerate(self.oversampling[::-1])
-        )
+        return tuple((along[0], along[-1]) for along in self._offsets())
 
     @property
     def arguments(self):
@@ -231,29 +221,38 @@ class _Table(Fittable2DModel):
             "uncertainty": self.uncertainty,
         }
 
-    def _values(self, x, y, x_0, y_0, **along):
-        return self._surface.value(_number(x) - _number(x_0), _number(y) - _number(y_0), **along)
+    def _values(self, x, y, x_0, y_0):
+        return self._surface.value(_number(x) - _number(x_0), _number(y) - _number(y_0))
 
-    def fit_deriv(self, x, y, flux, x_0, y_0):
+    def _offsets(self):
+        """Offsets of the samples from the star along x and y, pixels."""
+        return tuple(
+            (np.arange(self.array.shape[1 - axis]) - self.origin[axis]) / step
+            for axis, step in enumerate(self.oversampling[::-1])
+        )
+
+    def unit_derivatives(self, dx, dy):
         """
-        Derivatives with respect to the parameters.
+        Return the table and its derivatives by the position of the star.
 
         Parameters
         ----------
-        x, y : array_like
-            Positions in pixels.
-        flux, x_0, y_0 : float
-            As for the class.
+        dx, dy : array_like
+            Offsets from the star in pixels; they broadcast.
 
         Returns
         -------
-        derivatives : list of `~numpy.ndarray`
-            By flux, x_0 and y_0.
+        value, by_x_0, by_y_0 : `~numpy.ndarray`
+            For a star of unit flux.
         """
-        unit, by_x, by_y = (
-            self._values(x, y, x_0, y_0, along_x=i, along_y=j) for i, j in ((0, 0), (1, 0), (0, 1))
-        )
-        return [unit, -flux * by_x, -flux * by_y]
+        value = self._surface.value
+        return value(dx, dy), -value(dx, dy, along_x=1), -value(dx, dy, along_y=1)
+
+    def fit_deriv(self, x, y, flux, x_0, y_0, *others):
+        """Derivatives with respect to the parameters, in their order."""
+        offsets = _number(x) - _number(x_0), _number(y) - _number(y_0)
+        unit, *parts = self.unit_derivatives(*offsets, *others)
+        return [unit, *(flux * part for part in parts)]
 
     def bounding_box(self):
         """
@@ -271,14 +270,6 @@ class _Table(Fittable2DModel):
             value = center.value if center.unit is None else center.quantity
             box.append((value + low * unit, value + high * unit))
         return tuple(box)
-
-    @property
-    def input_units(self):
-        """Units of x and y, or None."""
-        unit = self.x_0.input_unit
-        if unit is None:
-            return None
-        return {self.inputs[0]: unit, self.inputs[1]: self.y_0.input_unit}
 
 
 def _number(value):
@@ -351,21 +342,7 @@ class TabulatedPSF(_Table):
     """
 
     def evaluate(self, x, y, flux, x_0, y_0):
-        """
-        Density at the positions.
-
-        Parameters
-        ----------
-        x, y : array_like
-            Positions in pixels.
-        flux, x_0, y_0 : array_like
-            As for the class.
-
-        Returns
-        -------
-        density : `~numpy.ndarray`
-            In units of flux per square pixel.
-        """
+        """Density at the positions, in units of flux per square pixel."""
         density = flux * self._values(x, y, x_0, y_0)
         return density / u.pixel**2 if isinstance(x, u.Quantity) else density
 
@@ -390,10 +367,6 @@ class TabulatedPSF(_Table):
 
         place = tuple(pixels_of(values[name]) for name in ("x_0", "y_0"))
         return ClosedForm(values["flux"], place, surface.integrals, derivatives, ("x_0", "y_0"))
-
-    def _parameter_units_for_data_units(self, inputs_unit, outputs_unit):
-        unit = _common_unit(inputs_unit, self.inputs)
-        return {"flux": outputs_unit[self.outputs[0]] * unit**2, "x_0": unit, "y_0": unit}
 
 
 class TabulatedPRF(_Table):
@@ -443,39 +416,8 @@ class TabulatedPRF(_Table):
     pixel_integrated = True
 
     def evaluate(self, x, y, flux, x_0, y_0):
-        """
-        Flux in the pixels.
-
-        Parameters
-        ----------
-        x, y : array_like
-            Columns and rows of the pixels.
-        flux, x_0, y_0 : array_like
-            As for the class.
-
-        Returns
-        -------
-        flux : `~numpy.ndarray`
-            Of the common shape.
-        """
+        """Flux in the pixels."""
         return flux * self._values(x, y, x_0, y_0)
-
-    def unit_derivatives(self, dx, dy):
-        """
-        Return fluxes of pixels and their derivatives by the position of the star.
-
-        Parameters
-        ----------
-        dx, dy : array_like
-            Offsets of the pixels from the star in pixels; they broadcast.
-
-        Returns
-        -------
-        flux, by_x_0, by_y_0 : `~numpy.ndarray`
-            For a star of unit flux.
-        """
-        value = self._surface.value
-        return value(dx, dy), -value(dx, dy, along_x=1), -value(dx, dy, along_y=1)
 
     def uncertainty_image(self, shape):
         """
@@ -555,16 +497,6 @@ class TabulatedPRF(_Table):
             origin=self.origin,
             oversampling=_integers(self.oversampling),
         )
-
-    def _parameter_units_for_data_units(self, inputs_unit, outputs_unit):
-        unit = _common_unit(inputs_unit, self.inputs)
-        return {"flux": outputs_unit[self.outputs[0]], "x_0": unit, "y_0": unit}
-
-
-def _common_unit(inputs_unit, inputs):
-    if inputs_unit[inputs[0]] != inputs_unit[inputs[1]]:
-        raise UnitsError("units of x and y must be the same")
-    return inputs_unit[inputs[0]]
 
 
 def _integers(oversampling):
@@ -659,14 +591,9 @@ class PRFGrid:
                 np.searchsorted(n, p) for n, p in zip((columns, rows), self.places.T, strict=True)
             ]
             return along[0][index[0]] * along[1][index[1]]
-        triangles = Delaunay(self.places)
-        found = int(triangles.find_simplex(place, tol=1e-9))
-        if found < 0:
+        weights = LinearNDInterpolator(self.places, np.eye(len(self.tables)))(place)[0]
+        if np.isnan(weights).any():
             raise ValueError(f"column {place[0]:g}, row {place[1]:g} is not between the places")
-        transform = triangles.transform[found]
-        part = transform[:2] @ (place - transform[2])
-        weights = np.zeros(len(self.tables))
-        weights[triangles.simplices[found]] = [*part, 1 - part.sum()]
         return np.maximum(weights, 0.0)
 
     def at(self, column, row):

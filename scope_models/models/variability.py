@@ -13,6 +13,28 @@ from scope_models.missions import MISSIONS
 __all__ = ["sinusoidal_signal", "stochastic_signal", "tabulated_signal"]
 
 _PPM = u.Unit(1e-6)
+
+
+class _OfTime:
+    """Mixin of signals: times with a unit become days, and other units are refused."""
+
+    def evaluate(self, x, *parameters):
+        return super().evaluate(plain_array(x, u.day, "time"), *parameters)
+
+
+class SineSignal(_OfTime, Sine1D):
+    """A sine of the time in days."""
+
+
+class TabulatedSignal(_OfTime, Tabular1D):
+    """A table of the time in days."""
+
+    @property
+    def arguments(self):
+        """Arguments that make an equal signal."""
+        return {"points": self.points, "lookup_table": self.lookup_table}
+
+
 #: Savitzky-Golay filter of lightkurve's CDPP: span in days (101 Kepler long cadences) and order.
 _FILTER_DAYS, _FILTER_ORDER = 101 * MISSIONS["Kepler"].cadence_days("long"), 2
 
@@ -52,7 +74,7 @@ def sinusoidal_signal(amplitude, period, phase=0.0):
         raise ValueError(f"`amplitude` must be at least 0 and below 1, got {amplitude}")
     if not (np.isfinite(period) and period > 0):
         raise ValueError(f"`period` must be positive, got {period}")
-    return Const1D(1.0) + Sine1D(amplitude, 1 / period, phase)
+    return Const1D(1.0) + SineSignal(amplitude, 1 / period, phase)
 
 
 def tabulated_signal(time, flux):
@@ -91,7 +113,7 @@ def tabulated_signal(time, flux):
     # one more point on either side, so far away that no time lies beyond it
     points = np.concatenate([[-1e12], time, [1e12]])
     table = np.concatenate([flux[:1], flux, flux[-1:]])
-    return Tabular1D(points, table, method="linear")
+    return TabulatedSignal(points, table, method="linear")
 
 
 def stochastic_signal(time, cdpp, *, timescale=0.25, quality=0.5**0.5, duration=6.5, seed=None):

@@ -7,7 +7,7 @@ quantities that convert.
 import astropy.units as u
 import numpy as np
 
-from scope_models._arrays import PER_PIXEL, plain_array
+from scope_models._arrays import PER_PIXEL, plain_array, plain_number
 from scope_models._checks import checked_mask, checked_number, checked_shape
 
 __all__ = [
@@ -134,18 +134,18 @@ def signal_to_noise_aperture(
 def _grow(signal, variance):
     """Return the pixels that each raise the ratio of the sums, in the order found."""
     chosen, total, total_variance, best = [], 0.0, 0.0, 0.0
-    free = signal > 0
-    while free.any():
-        ratio = np.zeros_like(signal)
-        ratio[free] = (total + signal[free]) / np.sqrt(total_variance + variance[free])
-        index = int(np.argmax(ratio))
+    lit = np.flatnonzero(signal > 0)
+    signal, variance = signal[lit], variance[lit]
+    for _ in lit:
+        ratio = (total + signal) / np.sqrt(total_variance + variance)
+        index = ratio.argmax()
         if ratio[index] <= best:
             break
         best = ratio[index]
-        chosen.append(index)
-        free[index] = False
+        chosen.append(lit[index])
         total += signal[index]
         total_variance += variance[index]
+        signal[index] = -np.inf
     return chosen
 
 
@@ -184,6 +184,7 @@ def contamination_aperture(target, neighbors, *, min_fraction=0.5, threshold=Non
     """
     target = _images(target, "target")
     neighbors = _images(neighbors, "neighbors", target.shape[1:])
+    min_fraction = plain_number(min_fraction, u.one, "min_fraction")
     if not 0 <= min_fraction <= 1:
         raise ValueError(f"`min_fraction` must be between 0 and 1, got {min_fraction}")
     light, other = np.mean(target, axis=0), np.mean(neighbors, axis=0)
@@ -230,6 +231,7 @@ def circular_aperture(shape, x_0, y_0, radius, *, min_overlap=0.5):
     x_0 = checked_number("x_0", x_0, u.pix, any_sign=True)
     y_0 = checked_number("y_0", y_0, u.pix, any_sign=True)
     radius = checked_number("radius", radius, u.pix, positive=True)
+    min_overlap = plain_number(min_overlap, u.one, "min_overlap")
     if not 0 < min_overlap <= 1:
         raise ValueError(f"`min_overlap` must be above 0 and at most 1, got {min_overlap}")
     overlap = CircularAperture((x_0, y_0), radius).to_mask(method="exact").to_image(shape)

@@ -4,7 +4,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.ticker import FuncFormatter, NullLocator
 
-from scope_models.plotting._style import styled
+from scope_models.plotting._style import make_panels, styled
 from scope_models.plotting.experiments import plot_map
 
 __all__ = ["plot_maps", "plot_motion_statistics"]
@@ -90,23 +90,11 @@ def plot_maps(maps, rows, columns, **labels):
     """
     values = np.log10([np.asarray(value, dtype=float) for value in maps.values()])
     span = float(np.nanmin(values)), float(np.nanmax(values))
-    lines = -(-len(maps) // 2)
-    figure, axes = plt.subplots(
-        lines, min(len(maps), 2), figsize=(9, 0.4 + 3.4 * lines), squeeze=False,
-        layout="constrained",
-    )  # fmt: skip
-    text, label = labels.pop("text", ".2f"), labels.pop("label")
-    for ax in axes.flat[len(maps) :]:
-        ax.remove()
-    for ax, title, value in zip(axes.flat, maps, values, strict=False):
+    figure, axes = make_panels(len(maps), 2, (9, 0, 0.4, 3.4))
+    text, label = labels.pop("text", ".2f"), f"log10 ({labels.pop('label').lower()})"
+    for ax, title, value in zip(axes, maps, values, strict=True):
         plot_map(
-            value, rows, columns, **labels, label=f"log10 ({label.lower()})", text="", span=span,
-            title=title, ax=ax,
+            value, rows, columns, **labels, label=label, span=span, title=title, ax=ax,
+            text=lambda number: format(10**number, text),
         )  # fmt: skip
-        middle = (span[0] + span[1]) / 2
-        for (row, column), number in np.ndenumerate(value):
-            if np.isfinite(number):
-                color = "w" if number < middle else "k"
-                shown = format(10**number, text)
-                ax.text(column, row, shown, ha="center", va="center", color=color, fontsize="small")
     return figure

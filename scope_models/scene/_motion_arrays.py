@@ -39,9 +39,13 @@ def as_pixels(value, name, n, pixel_scale=None):
     )
 
 
-def as_times(value, name, n, time_format):
-    """Return a new one-dimensional array of n times in days."""
-    return _checked_shape(np.array(plain_time(value, time_format, name)), name, n)
+def as_times(value, time_format):
+    """Return a new one-dimensional array of times in days, at least one."""
+    check_time_format(time_format)
+    time = np.array(plain_time(value, time_format, "time"))
+    if time.size == 0:
+        raise ValueError("`time` is empty: a motion must have at least one cadence")
+    return _checked_shape(time, "time", time.size)
 
 
 def as_int32(value, name, n):
@@ -98,11 +102,8 @@ def repair(time, x, y, quality, cadenceno, *, time_format, bad, pixel_scale=None
     """
     if bad not in {"interpolate", "drop", "error"}:
         raise ValueError(f'`bad` must be "interpolate", "drop" or "error", got {bad!r}')
-    check_time_format(time_format)
-    n = np.size(time)
-    if n == 0:
-        raise ValueError("`time` is empty: a motion must have at least one cadence")
-    time = as_times(time, "time", n, time_format)
+    time = as_times(time, time_format)
+    n = len(time)
     x, y = as_pixels(x, "x", n, pixel_scale), as_pixels(y, "y", n, pixel_scale)
     flags = as_int32(np.zeros(n, np.int32) if quality is None else quality, "quality", n)
     number = as_int32(np.arange(1, n + 1) if cadenceno is None else cadenceno, "cadenceno", n)

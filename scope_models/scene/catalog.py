@@ -248,6 +248,9 @@ def read_catalog(table, mission, magnitude, ref_epoch, year):
     names = (
         (*_MAGNITUDES.get(band, ()), *_ANY_MAGNITUDE) if magnitude is None else (magnitude.lower(),)
     )
+    if ref_epoch is not None:
+        is_time = isinstance(ref_epoch, Time)
+        ref_epoch = ref_epoch.jyear if is_time else plain_number(ref_epoch, u.yr, "ref_epoch")
     ra, dec, mags = (
         _column(table, *item) for item in ((_RA, u.deg), (_DEC, u.deg), (names, u.mag))
     )
@@ -270,16 +273,13 @@ def read_catalog(table, mission, magnitude, ref_epoch, year):
     motions = [_column(table, names, u.mas / u.yr) for names in _PROPER_MOTIONS]
     if None in [None if m is None else 0 for m in motions] or not good.any():
         return places, mags[good]
-    since = year - _reference(table, ref_epoch)
+    since = year - (_epoch(table) if ref_epoch is None else ref_epoch)
     offsets = [np.nan_to_num(m[good]) * (since[good] if np.ndim(since) else since) for m in motions]
     return places.spherical_offsets_by(*(offset * u.mas for offset in offsets)), mags[good]
 
 
-def _reference(table, ref_epoch):
+def _epoch(table):
     """Return the epoch of the places, Julian years."""
-    if ref_epoch is not None:
-        is_time = isinstance(ref_epoch, Time)
-        return ref_epoch.jyear if is_time else plain_number(ref_epoch, u.yr, "ref_epoch")
     found = _column(table, _EPOCH, u.yr)
     if found is None or not np.all(np.isfinite(found)):
         raise ValueError(

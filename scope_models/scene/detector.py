@@ -823,7 +823,7 @@ class Detector:
 
 def _checked_map(response, shape):
     """Return a read-only copy of an interpixel map."""
-    response = np.array(response, dtype=float)
+    response = np.array(plain_array(response, u.one, "interpixel"))
     if response.shape != shape:
         raise ValueError(f"`interpixel` must have the shape {shape}, got {response.shape}")
     if not np.all(np.isfinite(response)) or response.min() < 0:

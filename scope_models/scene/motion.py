@@ -107,13 +107,11 @@ class Motion:
     __array_ufunc__ = None
 
     def __post_init__(self):
-        n = np.size(self.time)
-        if n == 0:
-            raise ValueError("`time` is empty: a motion must have at least one cadence")
+        time = as_times(self.time, self.time_format)
+        n = len(time)
         quality = np.zeros(n, dtype=np.int32) if self.quality is None else self.quality
         cadenceno = np.arange(1, n + 1) if self.cadenceno is None else self.cadenceno
-        check_time_format(self.time_format)
-        values = {"time": as_times(self.time, "time", n, self.time_format)}
+        values = {"time": time}
         values |= {name: as_pixels(getattr(self, name), name, n) for name in ("x", "y")}
         for name, value in values.items():
             if not np.all(np.isfinite(value)):

@@ -11,7 +11,7 @@ from scope_models.effects import Conditions, Exposures
 from scope_models.effects.noise import stream
 from scope_models.effects.saturation import bleed
 from scope_models.models._axis import ROWS
-from scope_models.models._series import ImageSeries, is_gaussian, unit_images
+from scope_models.models._series import ImageSeries, is_gaussian
 
 __all__ = [
     "Prepared",
@@ -102,7 +102,7 @@ class StarLight:
             images = sum(
                 (f(x @ self.weights, y @ self.weights, cadences) for f in self.shares), whole
             )
-        images[images < _DARK] = 0.0
+        np.putmask(images, images < _DARK, 0.0)
         flux = self.flux * (self.relative_flux * self.passed)[cadences]
         images *= flux[:, np.newaxis, np.newaxis]
         return images
@@ -193,28 +193,16 @@ def _product(factors):
     return reduce(mul, given) if given else None
 
 
-def lost_fractions(scene):
-    """Return the largest part of each star's light that the motion takes off the stamp.
-
-    Parameters
-    ----------
-    scene : Scene
-        The scene.
-
-    Returns
-    -------
-    ndarray of shape (n_stars,)
-        Between 0 and 1.
-    """
-    x, y = scene.motion.x, scene.motion.y
+def lost_fractions(prepared):
+    """Return the largest part of each star's light that the motion takes off the stamp, a list."""
+    motion, positions = prepared.scene.motion, prepared.scene.positions
+    x, y = motion.x, motion.y
     # Farthest along the axes and along the diagonals.
-    extremes = np.unique([f(u) for u in (x, y, x + y, x - y) for f in (np.argmin, np.argmax)])
-    lost = []
-    for star, (x_0, y_0) in zip(scene.stars, scene.positions, strict=True):
-        place = x_0 + x[extremes], y_0 + y[extremes]
-        images = unit_images(_psf(star, scene.detector), scene.detector.shape, *place)
-        lost.append(1.0 - images.sum(axis=(1, 2)).min())
-    return np.clip(lost, 0.0, 1.0)
+    extremes = sorted({i for u in (x, y, x + y, x - y) for i in (u.argmin(), u.argmax())})
+    return [
+        light.series.lost(x_0 + x[extremes], y_0 + y[extremes])
+        for light, (x_0, y_0) in zip(prepared.lights, positions, strict=True)
+    ]
 
 
 def _exposures(scene, added):
@@ -274,17 +262,24 @@ def gather(prepared, cadences, sums=None, aperture=None):
     """
     scene, interpixel = prepared.scene, prepared.interpixel
     n = len(range(*cadences.indices(len(scene.motion))))
-    electrons = np.zeros((n, *scene.detector.shape))
+    shape = n, *scene.detector.shape
+    electrons = None
     for number, light in enumerate(prepared.lights):
         images, window = light.images(cadences), light.window
-        electrons[:, *window] += images
         if sums is not None:
             weights = (interpixel * aperture)[window].ravel()
             flat = images.reshape(n, -1)
             sums.in_aperture[number, cadences] = np.einsum("mp,p->m", flat, weights)
             # One after the other: the sum is the same in pieces of any size.
+            first = images[0].copy()
             images[0] += sums.images[number, *window]
-            sums.images[number, *window] = images.sum(axis=0)
+            images.sum(axis=0, out=sums.images[number, *window])
+            images[0] = first
+        if electrons is None and images.shape == shape:
+            electrons = images
+            continue
+        electrons = np.zeros(shape) if electrons is None else electrons
+        electrons[:, *window] += images
     electrons *= interpixel * scene.detector.exposure_time
     response = _response(prepared, cadences)
     return electrons if response is None else np.multiply(electrons, response, out=electrons)
@@ -374,9 +369,10 @@ def pieces(scene, size=None):
     """
     n = len(scene.motion)
     if size is None:
-        # A piece needs about 70 bytes per pixel and the result 12: a fifth of the cadences
-        # at most keeps the memory below three times the result.
-        size = min(_PIECE // int(np.prod(scene.detector.shape)), n // 5) // scene.n_sub - ROWS + 1
+        # A piece needs up to 80 bytes per pixel, 50 without noise, and the result 12: so many
+        # pieces keep the memory below three times the result.
+        pixels = n * int(np.prod(scene.detector.shape))
+        size = -(-n // (scene.n_sub * max(5 if scene.noise else 3, -(-pixels // _PIECE))))
     size = max(-(-size // ROWS), 1) * ROWS
     return [slice(start, min(start + size, n)) for start in range(0, n, size)]
 
