@@ -20,7 +20,7 @@ import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
 from scipy.linalg import cholesky, solve_triangular
 
-from scope_models.correctors._constant_light import constant_light
+from scope_models.correctors._constant_light import constant_light, varying_light
 
 __all__ = ["CleanPixels", "clean_pixels", "precise_aperture"]
 
@@ -473,8 +473,9 @@ class _State:
         image, inside = self._focused(still, focus), self.aperture
         light = self.y - self.background
         light[~self.good] -= self._rest(image, constant)[~self.good]
-        light = light[:, inside]
-        light, error = light.sum(axis=1), np.sqrt((flux_err[:, inside] ** 2).sum(axis=1))
+        light, pixels = light[:, inside].sum(axis=1), light
+        light = light - self._varying_light(pixels - light[:, None] * image, image, slopes, ~own)
+        error = np.sqrt((flux_err[:, inside] ** 2).sum(axis=1))
         misfit = np.average(self.variance / self.noise, weights=np.maximum(self.scale, 0))
         fits = misfit < _LARGEST_MISFIT
         if fits and np.median(self.error) * self.unit < np.median(error):
@@ -511,6 +512,14 @@ class _State:
         columns = np.column_stack([self.features(self.z), self.focus]) * self.brightness[:, None]
         change = (self.brightness - light)[self.use]
         return self.brightness - _explained(columns, columns[self.use], change)
+
+    def _varying_light(self, rest, image, slopes, others):
+        """Return the light in the aperture that varies with other stars."""
+        if others.any():
+            columns = np.column_stack([self.features(self.z), self.focus])
+            rest = rest - _explained(columns, columns[self.use], rest[self.use])
+        where = self.grid, self.aperture, self.use
+        return varying_light(rest, image, slopes, self.noise, others, *where)
 
     def _constant_light(self, image, slopes, constant):
         """Return the constant light in the aperture, if the star's variability shows it."""

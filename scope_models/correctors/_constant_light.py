@@ -1,14 +1,15 @@
-"""Constant light beside a variable star: what of an aperture's light does not vary with the star.
+"""Light of other stars in an aperture: what does not vary with the star.
 
 The images of a variable star's pixels are those of all light, and of what varies. Their difference
 is the constant light, up to a multiple of the star's image, and up to a shift of it: positions that
 were fitted may follow the star's brightness a little. Both are fixed in the star's bright pixels,
-which hold hardly more than the wing of a neighbor.
+which hold hardly more than the wing of a neighbor. The light of a variable neighbor is found
+likewise, from what its own pixels show of its variability.
 """
 
 import numpy as np
 
-__all__ = ["constant_light"]
+__all__ = ["constant_light", "varying_light"]
 
 #: The star's bright pixels have this part of the brightest one's light.
 _BRIGHT = 0.1
@@ -17,6 +18,8 @@ _IMAGE_ERROR, _SHIFT = 0.003, 0.01
 _PASSES, _REWEIGHTS = 3, 10
 #: Width (px) of the rings of the star's profile.
 _RING = 0.5
+#: A neighbor is variable if its pixels vary by this part, and by so many times their noise.
+_VARIABLE, _SIGNIFICANT = 0.005, 5.0
 #: Degree of the polynomials of position by which constant light changes.
 _DEGREE = 3
 
@@ -47,9 +50,62 @@ def constant_light(image, own, slopes, position, grid, inside, use):
         Part of the light in each cadence, ``(n,)``.
     """
     mean, *columns = (values[use].mean(axis=0) for values in (image, own, *slopes))
-    star, columns = columns[0], np.column_stack(columns)
-    bright = inside & (star > _BRIGHT * star[inside].max())
-    wing = np.zeros_like(mean)
+    bright = inside & (columns[0] > _BRIGHT * columns[0][inside].max())
+    coefficients, root, wing = _own_part(mean, np.column_stack(columns), bright, grid)
+    a = np.stack([own, *slopes], axis=2)[:, bright] * root[:, None]
+    hessian, right = a.transpose(0, 2, 1) @ a, ((image - wing)[:, None, bright] * root) @ a
+    hessian[:, [1, 2], [1, 2]] += _SHIFT**-2
+    right[:, 0, 1:] += coefficients[1:] / _SHIFT**2
+    part = np.linalg.solve(hessian, right.transpose(0, 2, 1))[:, 0, 0]
+    light = image[:, inside].sum(axis=1) - part * own[:, inside].sum(axis=1)
+    return _smooth(light, position, use)
+
+
+def varying_light(rest, image, slopes, noise, others, grid, inside, use):
+    """
+    Return what a variable neighbor adds to the light in an aperture.
+
+    Parameters
+    ----------
+    rest : ndarray
+        Pixels less the star's image times the light in the aperture, without what positions and
+        focus explain, ``(n, n_pixels)``.
+    image, slopes, grid, inside, use
+        As in `constant_light`.
+    noise : ndarray
+        Variance of the pixels' noise, ``(n_pixels,)``.
+    others : ndarray of bool
+        Pixels of other stars.
+
+    Returns
+    -------
+    ndarray
+        Light about its mean, ``(n,)``; 0 if no neighbor varies.
+    """
+    star = image[use].mean(axis=0)
+    weight = np.where(others, star / noise, 0)
+    if not weight.any():
+        return np.zeros(len(rest))
+    weight /= star @ weight
+    change = rest @ weight
+    size, error = 1.4826 * np.median(np.abs(change[use])), np.sqrt(noise @ weight**2)
+    if size < max(_VARIABLE, _SIGNIFICANT * error):
+        return np.zeros(len(rest))
+    fit = use & (np.abs(change) < 10 * size)
+    response = change[fit] @ rest[fit] / (change[fit] @ change[fit] - error**2 * fit.sum())
+    bright = inside & ~others & (star > _BRIGHT * star[inside].max())
+    columns = np.column_stack([star, *(slope[use].mean(axis=0) for slope in slopes)])
+    part = -_own_part(response, columns, bright, grid)[0][0]
+    return part * change if 0 < part < 1 else np.zeros(len(rest))
+
+
+def _own_part(mean, columns, bright, grid):
+    """
+    Fit an image by the star's and its slopes in bright pixels, beside the wing of a neighbor.
+
+    Returns the coefficients, the square roots of the weights of the bright pixels, and the wing.
+    """
+    star, wing = columns[:, 0], np.zeros_like(mean)
     for _ in range(_PASSES):
         error = np.hypot(_IMAGE_ERROR * star, wing)[bright]
         weight = np.ones(bright.sum())
@@ -60,14 +116,7 @@ def constant_light(image, own, slopes, position, grid, inside, use):
             rest = mean - wing - columns @ coefficients
             weight = 1 / (1 + (rest[bright] / error) ** 2)
         wing = _wing(rest + wing, star, grid)
-    root = np.sqrt(weight) / error
-    a = np.stack([own, *slopes], axis=2)[:, bright] * root[:, None]
-    hessian, right = a.transpose(0, 2, 1) @ a, ((image - wing)[:, None, bright] * root) @ a
-    hessian[:, [1, 2], [1, 2]] += _SHIFT**-2
-    right[:, 0, 1:] += coefficients[1:] / _SHIFT**2
-    part = np.linalg.solve(hessian, right.transpose(0, 2, 1))[:, 0, 0]
-    light = image[:, inside].sum(axis=1) - part * own[:, inside].sum(axis=1)
-    return _smooth(light, position, use)
+    return coefficients, root, wing
 
 
 def _wing(other, star, grid):

@@ -21,6 +21,11 @@ _ROUNDS = 20
 _LARGEST_SHIFT = 0.2
 #: At most one frequency for so many cadences, and so many.
 _CADENCES_PER_FREQUENCY, _MOST = 15, 60
+#: Where so much of the frequencies up to this part of the fastest that cadences resolve, and
+#: beyond, are multiples of one, eclipses are sharp: all multiples are taken, ...
+_MULTIPLES, _SHARP = 0.7, 0.5
+#: ... up to this part of the fastest, for so many cadences at most one, and so many.
+_LAST, _CADENCES_PER_MULTIPLE, _MOST_MULTIPLES = 2.0, 12, 100
 #: Period in days of the slow process, which stands for all that is not periodic.
 _SLOW = 5.0
 #: Cadences that differ from the median of five by so many standard deviations stand alone.
@@ -78,7 +83,9 @@ def find_frequencies(solution, allowed):
         found = _shifted(found, solution, trial.hyper, use)
         rest = replace(solution, hyper=trial.hyper).with_frequencies(found, use).unexplained
     plain = replace(solution, hyper=trial.hyper)
-    return _significant(found, plain, use)
+    found = _significant(found, plain, use)
+    first = _fundamental(found, solution)
+    return found if first is None else _multiples(first, plain, use)
 
 
 def _significant(frequencies, trial, use):
@@ -97,6 +104,37 @@ def _significant(frequencies, trial, use):
         limit = np.median(gain[weak])
         frequencies = frequencies[~(weak & (gain <= limit))]
     return frequencies
+
+
+def _fastest(solution):
+    """Return the fastest frequency that the cadences resolve."""
+    return 0.5 / float(np.median(np.diff(solution.data.time)))
+
+
+def _fundamental(frequencies, solution):
+    """Return the frequency of which most are multiples up to fast ones, None if there is none."""
+    limit = _SHARP * _fastest(solution)
+    if frequencies.max(initial=0.0) < limit:
+        return None
+    near = 0.5 * _APART / np.ptp(solution.data.time)
+    slow = np.sort(frequencies[frequencies < limit])
+    for first in np.divide.outer(slow[:_AT_ONCE], (1, 2, 3)).ravel():
+        number = np.maximum(np.round(slow / first), 1)
+        good = np.abs(slow - number * first) < near
+        if good.mean() > _MULTIPLES and len(np.unique(number)) > _MULTIPLES * number.max():
+            number, slow = number[good], slow[good]
+            return float(number @ slow / (number @ number))
+    return None
+
+
+def _multiples(first, solution, use):
+    """Return the multiples of a frequency, which is improved with ever more of them."""
+    for most in (20, 40):
+        number = np.arange(1, most + 1)
+        shift = _shifted(first * number, solution, solution.hyper, use) - first * number
+        first += float(number @ shift / (number @ number))
+    most = min(use.sum() // _CADENCES_PER_MULTIPLE, _LAST * _fastest(solution) / first)
+    return first * np.arange(1, min(int(most), _MOST_MULTIPLES) + 1)
 
 
 def _shifted(frequencies, solution, hyper, use):

@@ -6,7 +6,7 @@ from functools import cached_property
 import numpy as np
 
 from scope_models.correctors._periodic import find_frequencies, harmonic_columns, is_periodic
-from scope_models.correctors._regression import Data, Hyperparameters, Posterior, log_likelihood
+from scope_models.correctors._regression import FLAT, Data, Hyperparameters, Posterior, log_likelihood
 from scope_models.correctors._search import fit_columns, fit_hyperparameters
 
 __all__ = ["NothingToCorrectError", "Solution", "fit"]
@@ -372,9 +372,14 @@ def _without_outliers(solution, make_regressors, options):
 
 
 def _evidence(solution, allowed):
-    """Log-likelihood with the outliers, which may be anywhere in the range of the data."""
+    """
+    Log-likelihood with the outliers, which may be anywhere in the range of the data.
+
+    The amplitudes of waves are as large as the data's, not as wide as flat priors are.
+    """
     n_outliers = allowed.sum() - solution.use.sum()
-    return solution.log_likelihood - n_outliers * np.log(np.ptp(solution.y[allowed]))
+    value = solution.log_likelihood - n_outliers * np.log(np.ptp(solution.y[allowed]))
+    return value + len(solution.frequencies) * np.log(FLAT)
 
 
 def _flat_columns(time, extra, n_trend):
