@@ -473,8 +473,9 @@ class _State:
         image, inside = self._focused(still, focus), self.aperture
         light = self.y - self.background
         light[~self.good] -= self._rest(image, constant)[~self.good]
-        light, pixels = light[:, inside].sum(axis=1), light
-        light = light - self._varying_light(pixels - light[:, None] * image, image, slopes, ~own)
+        pixels, light = light, light[:, inside].sum(axis=1)
+        rest = pixels - light[:, None] * image + self.variable[:, None] * constant
+        light = light - self._varying_light(rest, image, slopes, ~own)
         error = np.sqrt((flux_err[:, inside] ** 2).sum(axis=1))
         misfit = np.average(self.variance / self.noise, weights=np.maximum(self.scale, 0))
         fits = misfit < _LARGEST_MISFIT
