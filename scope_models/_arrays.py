@@ -16,7 +16,6 @@ __all__ = [
     "plain_time",
     "plain_tree",
     "refuse_unit",
-    "same",
     "unmasked",
     "without_unit",
 ]
@@ -162,13 +161,6 @@ def plain_tree(value, other=None):
     if other is None or isinstance(value, str | int | float | bool | None):
         return value
     return other(value)
-
-
-def same(one, other):
-    """Return whether arrays, of which NaN equals NaN, or other values are equal."""
-    if isinstance(one, np.ndarray) and isinstance(other, np.ndarray):
-        return np.array_equal(one, other, equal_nan=one.dtype.kind == other.dtype.kind == "f")
-    return one == other
 
 
 def refuse_unit(array, name):

@@ -1,13 +1,15 @@
 """Checks of arguments that several modules share."""
 
+from dataclasses import fields
 from numbers import Integral
 
 import numpy as np
 from astropy.modeling import Model
 
-from scope_models._arrays import plain_number
+from scope_models._arrays import PER_PIXEL, plain_number
 
 __all__ = [
+    "check_fields",
     "checked_cadences",
     "checked_integer",
     "checked_mask",
@@ -39,6 +41,31 @@ def checked_number(name, value, unit="", *, positive=False, any_sign=False, **op
     if value < 0 and not any_sign:
         raise ValueError(f"`{name}` must not be negative, got {value}")
     return value
+
+
+def check_fields(instance):
+    """Bring the fields of a frozen dataclass that its ``units`` name, numbers or pairs, to them.
+
+    None stays. Its ``positive`` names those that must not be 0, ``any_sign`` those of any sign.
+    """
+    kind = type(instance)
+    for item in fields(instance):
+        name, value = item.name, getattr(instance, item.name)
+        if name not in kind.units or value is None:
+            continue
+        unit, names = kind.units[name], PER_PIXEL if name == "pixel_scale" else ()
+        if isinstance(item.default, tuple):
+            value = checked_pair(name, value, unit)
+        else:
+            value = checked_number(
+                name,
+                value,
+                unit,
+                positive=name in kind.positive,
+                any_sign=name in kind.any_sign,
+                equivalencies=names,
+            )
+        object.__setattr__(instance, name, value)
 
 
 def checked_integer(name, value, smallest):

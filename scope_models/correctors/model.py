@@ -8,6 +8,7 @@ from astropy import units as u
 
 from scope_models._arrays import plain_number, plain_time
 from scope_models._checks import checked_integer, checked_mask
+from scope_models._values import Value, frozen
 from scope_models.correctors._clean import CleanPixels
 from scope_models.correctors._design import (
     DesignOptions,
@@ -55,8 +56,8 @@ _USUAL = 0.9
 _TRENDS = {"gp": 1, "quadratic": 3}
 
 
-@dataclass(frozen=True, eq=False)
-class PLDOptions:
+@dataclass(frozen=True, eq=False, repr=False)
+class PLDOptions(Value):
     """
     Options of pixel level decorrelation.
 
@@ -130,6 +131,9 @@ class PLDOptions:
         if not isinstance(self.sigma, Real) or not self.sigma > 0:
             raise ValueError(f"`sigma` must be positive, got {self.sigma!r}")
         checked_integer("max_clips", self.max_clips, 0)
+        for name in ("pld_aperture_mask", "background_aperture_mask", "regressors"):
+            if isinstance(getattr(self, name), np.ndarray):
+                object.__setattr__(self, name, frozen(getattr(self, name)))
         object.__setattr__(self, "segments", _checked_segments(self.segments))
         object.__setattr__(self, "saturation", _checked_saturation(self.saturation))
 

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field, fields
 
 import numpy as np
 
+from scope_models._values import Value
 from scope_models.missions import MISSIONS
 
 __all__ = ["Conditions", "Drawn", "Effect", "Exposures", "checked_effects"]
@@ -197,8 +198,8 @@ class Drawn:
     tables: Mapping = field(default_factory=dict)
 
 
-@dataclass(frozen=True, eq=False)
-class Effect:
+@dataclass(frozen=True, eq=False, repr=False)
+class Effect(Value):
     """Something that sky, telescope or detector do to light or charge.
 
     An effect is a frozen dataclass with physical parameters. The simulator draws its truth once
@@ -233,15 +234,6 @@ class Effect:
 
     #: Whether the pedestal is light, to which the pixels respond, or charge of another kind.
     is_light = True
-
-    def __eq__(self, other):
-        if type(other) is not type(self):
-            return NotImplemented
-        names = [item.name for item in fields(self)]
-        return all(np.array_equal(getattr(self, name), getattr(other, name)) for name in names)
-
-    def __hash__(self):
-        return hash(repr(self))
 
     @property
     def name(self):

@@ -8,6 +8,7 @@ from astropy.time import Time
 
 from scope_models._arrays import plain_array, plain_number, plain_time
 from scope_models._checks import checked_number
+from scope_models._values import frozen
 from scope_models.effects._effect import Drawn, Effect
 from scope_models.missions import TIME_ZEROS
 
@@ -94,8 +95,7 @@ def checked_airmass(effect):
     values = plain_array(effect.airmass, "", "airmass")
     if values.ndim > 1 or not np.all(np.isfinite(values)) or np.any(values < 1):
         raise ValueError("`airmass` must be 1 or more, one number or one for each cadence")
-    values.flags.writeable = False
-    object.__setattr__(effect, "airmass", values if values.ndim else float(values))
+    object.__setattr__(effect, "airmass", frozen(values) if values.ndim else float(values))
 
 
 def series_of(value, time, name):
@@ -124,7 +124,7 @@ def _check_numbers(effect, units, positive=()):
         object.__setattr__(effect, name, value)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Extinction(Effect):
     r"""Light of the stars that the atmosphere absorbs and scatters.
 
@@ -194,7 +194,7 @@ class Extinction(Effect):
         return drawn.columns["EXTINCTION"]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Scintillation(Effect):
     r"""Changes of the stars' light by turbulence high above the telescope.
 
@@ -288,7 +288,7 @@ class Scintillation(Effect):
         return drawn.columns["SCINTILLATION"].reshape(-1, conditions.n_stars).T
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Seeing(Effect):
     r"""The width of the PSF with the seeing.
 

@@ -6,6 +6,7 @@ import numpy as np
 
 from scope_models._arrays import plain_array, plain_number, plain_time
 from scope_models._checks import checked_number, checked_pair
+from scope_models._values import frozen
 from scope_models.effects._effect import Drawn, Effect
 
 __all__ = ["Argabrightening", "Background", "ScatteredLight"]
@@ -45,7 +46,7 @@ class _Sky(Effect):
         return Drawn({name: level}, {f"{name}_SHAPE": plane})
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Background(_Sky):
     r"""Diffuse light besides the detector's background: level, drift and gradient.
 
@@ -100,7 +101,7 @@ class Background(_Sky):
         put = object.__setattr__
         put(self, "level", checked_number("level", plain_number(self.level, _RATE, "level")))
         if self.left is not None:
-            put(self, "left", plain_array(self.left, _RATE, "left"))
+            put(self, "left", frozen(plain_array(self.left, _RATE, "left")))
             if self.left.ndim != 1 or not np.all(np.isfinite(self.left)):
                 raise ValueError("`left` must be a finite one-dimensional array")
         put(self, "drift", plain_number(self.drift, "electron / (s day)", "drift"))
@@ -129,7 +130,7 @@ class Background(_Sky):
         return added, subtracted
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class ScatteredLight(_Sky):
     r"""Light of Earth and Moon that rises towards the ends of TESS's orbits.
 
@@ -215,7 +216,7 @@ class ScatteredLight(_Sky):
         return np.where(strong, conditions.bit("scattered_light"), 0)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Argabrightening(_Sky):
     """Flashes of diffuse light in single cadences, as of debris from the spacecraft.
 

@@ -12,7 +12,7 @@ from scope_models.effects._effect import Drawn, Effect
 __all__ = ["BrighterFatter", "DarkCurrent", "Smear", "Undershoot"]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Smear(Effect):
     r"""Light of a column that falls into all its pixels while frames are shifted to the readout.
 
@@ -68,7 +68,7 @@ class Smear(Effect):
         return smear, smear * (1 - self.residual)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class DarkCurrent(Effect):
     r"""Thermal charge, which differs from pixel to pixel.
 
@@ -128,7 +128,7 @@ class DarkCurrent(Effect):
         return dark * seconds, subtracted * seconds
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class BrighterFatter(Effect):
     r"""Charge that pushes the borders of its pixel inwards: bright stars are wider.
 
@@ -193,7 +193,7 @@ class BrighterFatter(Effect):
             electrons[tuple(high)] += moved
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Undershoot(Effect):
     r"""Readout electronics that read too little after a bright pixel.
 

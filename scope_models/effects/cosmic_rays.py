@@ -17,7 +17,7 @@ _POINTS = 16
 _READS = 10
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class CosmicRays(Effect):
     r"""Particles that cross the detector from all directions.
 

@@ -10,12 +10,13 @@ import numpy as np
 
 from scope_models._arrays import plain_array, plain_number, plain_time
 from scope_models._checks import checked_number
+from scope_models._values import frozen
 from scope_models.effects._effect import Drawn, Effect
 
 __all__ = ["Focus"]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Focus(Effect):
     r"""The width of the PSF as a sinusoid, a thermal response to events, or a series.
 
@@ -80,7 +81,7 @@ class Focus(Effect):
                 values = plain(getattr(self, name), kind, name)
                 if values.ndim != 1 or not np.all(np.isfinite(values)):
                     raise ValueError(f"`{name}` must be a finite one-dimensional array")
-                put(self, name, values)
+                put(self, name, frozen(values))
         if abs(self.amplitude) >= 1:
             raise ValueError(f"`amplitude` must be below 1, got {self.amplitude}")
 

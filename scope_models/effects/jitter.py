@@ -12,7 +12,7 @@ from scope_models.effects._effect import Drawn, Effect, Exposures
 __all__ = ["Jitter"]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Jitter(Effect):
     r"""Random motion of the pointing during exposures, white or with a correlation time.
 

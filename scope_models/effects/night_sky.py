@@ -9,6 +9,7 @@ from astropy.time import Time
 
 from scope_models._arrays import plain_array, plain_number, plain_time
 from scope_models._checks import checked_number
+from scope_models._values import frozen
 from scope_models.effects.atmosphere import (
     checked_airmass,
     equatorial_place,
@@ -73,7 +74,7 @@ def moon_geometry(time, coord, location):
     }
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class NightSky(_Sky):
     r"""How the sky grows brighter towards the horizon and with the Moon.
 
@@ -150,7 +151,7 @@ class NightSky(_Sky):
             values = plain_array(getattr(self, name), u.deg, name)
             if values.ndim > 1 or not np.all((values >= low) & (values <= high)):
                 raise ValueError(f"`{name}` must be between {low} and {high} deg")
-            put(self, name, values if values.ndim else float(values))
+            put(self, name, frozen(values) if values.ndim else float(values))
         for name, unit in (("extinction", u.mag), ("dark_sky", u.mag)):
             put(self, name, checked_number(name, plain_number(getattr(self, name), unit, name)))
         _checked(self, self.residual, self.gradient)

@@ -12,7 +12,7 @@ from scope_models.effects._effect import Drawn, Effect
 __all__ = ["ChargeTransferInefficiency", "RollingBands"]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class ChargeTransferInefficiency(Effect):
     r"""Charge that stays behind when the rows, and then the pixels of a row, are transferred.
 
@@ -95,7 +95,7 @@ def _late(epsilon, transfers, n):
     return late
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class RollingBands(Effect):
     r"""Episodes of an oscillation of the electronics, seen as bands that roll over the rows.
 

@@ -6,12 +6,13 @@ import numpy as np
 
 from scope_models._arrays import plain_array, plain_number
 from scope_models._checks import checked_number
+from scope_models._values import frozen
 from scope_models.effects._effect import Drawn, Effect
 
 __all__ = ["SensitivityDropouts", "Throughput"]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Throughput(Effect):
     r"""Response of all pixels that changes in time, as with the temperature.
 
@@ -71,7 +72,7 @@ class Throughput(Effect):
             series = plain_array(self.series, "", "series")
             if series.ndim != 1 or not np.all(np.isfinite(series)):
                 raise ValueError("`series` must be a finite one-dimensional array")
-            put(self, "series", series)
+            put(self, "series", frozen(series))
 
     def draw(self, conditions, generator):
         """Return the factor of each cadence."""
@@ -94,7 +95,7 @@ class Throughput(Effect):
         return drawn.columns["THROUGHPUT"][part, np.newaxis, np.newaxis]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class SensitivityDropouts(Effect):
     r"""Sudden losses of sensitivity of single pixels, which recover in part.
 

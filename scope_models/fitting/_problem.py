@@ -8,6 +8,7 @@ import numpy as np
 from scipy.interpolate import BSpline
 
 from scope_models.fitting.parameters import FitParameter, fit_parameters
+from scope_models.models._parameters import numbers_of
 
 __all__ = ["FitOptions", "FitStar", "Limits", "NormalEquations", "Problem", "State", "numbered"]
 
@@ -407,8 +408,7 @@ class Problem:
         """Derivative of images by the relative width: all distances from the star scale."""
         kinds = self.prf.parameter_kinds
         scaled = [name for name, kind in kinds.items() if kind in {"width", "offset"}]
-        numbers = {name: float(np.ravel(getattr(self.prf, name).value)[0]) for name in scaled}
-        numbers |= {name: values[name] for name in scaled if name in values}
+        numbers = numbers_of(self.prf) | values
         return sum(numbers[name] * derivatives[name] for name in scaled)
 
     def model(self, state):

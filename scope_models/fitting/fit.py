@@ -101,11 +101,10 @@ def fit_tpf(
         fitted with a prior of 0.3 about 1, in the cadences that all have.
     psf : int or `~astropy.modeling.Model`, optional
         1, 2 or 3 Gaussian components with free offsets; or a density or sum of densities, as for
-        `~scope_models.PRF`; or a `~scope_models.PRF`. A model gives the starting values, and
-        its ``fixed`` and ``bounds`` are kept. None: one or two components if they describe the
-        pixels; else what describes them better without a parameter at a bound, one or two
-        components, or one of fixed width with an empirical term of order 6, with positions near
-        POS_CORR.
+        `~scope_models.PRF`; or a `~scope_models.PRF`. A model gives the starting values, and its
+        ``fixed`` and ``bounds`` are kept. None: one or two components if they describe the pixels;
+        else what describes them better without a parameter at a bound, one or two components, or
+        one of fixed width with an empirical term of order 6, with positions near POS_CORR.
     sensitivity : `~scope_models.SensitivityPolynomial`, optional
         Response within a pixel: starting values, and by its ``fixed`` what is fitted. The
         constants are always fixed, because they are the flux. None: the response is 1.

@@ -226,13 +226,6 @@ def _reached(pixels, center, sigma):
     return slice(int(start), int(stop))
 
 
-def _tensor_step(x, y, parameters, degree):
-    """Number of densities whose values at the nodes fit into the cache together."""
-    *_, sigma_x, sigma_y, rho = parameters
-    n_nodes = gaussian_nodes(_narrowest(sigma_x, sigma_y, rho), degree)
-    return max(1, int(_TENSOR_CHUNK / (max(x.size * y.size, 1) * n_nodes**2)))
-
-
 def _evaluate(x, y, parameters, coefficients, engines, n_images):
     """Apply the cheaper of two engines, series and tensor rule, to the pixels within reach."""
     parameters = [np.asarray(p, dtype=float) for p in parameters]
@@ -247,7 +240,10 @@ def _evaluate(x, y, parameters, coefficients, engines, n_images):
     coefficients = [np.atleast_1d(np.asarray(c, dtype=float)) for c in coefficients]
     degree = max(c.size for c in coefficients) - 1
     series = uses_series(*flat[3:], degree)
-    step = max(n, 1) if series else _tensor_step(x, y, flat, degree)
+    step = max(n, 1)
+    if not series:
+        n_nodes = max(x.size * y.size, 1) * gaussian_nodes(_narrowest(*flat[3:]), degree) ** 2
+        step = max(1, int(_TENSOR_CHUNK / n_nodes))
     images = np.zeros((n_images, n, y.size, x.size))
     for start in range(0, n, step):
         part = slice(start, start + step)

@@ -1,9 +1,11 @@
-"""The style that all figures share."""
+"""What all figures share: the style, panels, labels, and the way into a file."""
 
 from functools import wraps
+from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.backend_bases import FigureCanvasBase
 
 __all__ = [
     "DARK",
@@ -11,9 +13,11 @@ __all__ = [
     "GRAY",
     "LIGHT",
     "STYLE",
+    "check_figure_format",
     "given_or_new",
     "label_pixels",
     "make_panels",
+    "save_figure",
     "scale_to",
     "styled",
 ]
@@ -65,3 +69,16 @@ def scale_to(ax, *series):
         low, high = np.nanpercentile(values[np.isfinite(values)], (0.5, 99.5))
         margin = 0.3 * (high - low) or 0.01 * abs(high) or 1.0
         ax.set_ylim(low - margin, high + margin)
+
+
+def check_figure_format(path):
+    """Refuse a file whose suffix is no format of figures, before any work is done for it."""
+    formats = FigureCanvasBase.get_supported_filetypes()
+    if Path(path).suffix[1:].lower() not in formats:
+        raise ValueError(f"cannot write {path}: the formats of figures are {', '.join(formats)}")
+
+
+def save_figure(figure, path):
+    """Write a figure to a file, and give its memory back."""
+    figure.savefig(path, dpi=150)
+    plt.close(figure)

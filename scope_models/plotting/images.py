@@ -103,8 +103,7 @@ def plot_psf(psf, oversample=1, *, title="PSF on the detector", ax=None):
     Parameters
     ----------
     psf : array_like
-        Density ``(ny * oversample, nx * oversample)`` in e-/s per square
-        pixel.
+        Density ``(ny * oversample, nx * oversample)`` in e-/s per square pixel.
     oversample : int, optional
         Samples per pixel along each axis.
     title : str, optional

@@ -90,8 +90,7 @@ def plot_fold(
     model : array_like, optional
         Relative flux of a model at the same times, drawn as a line.
     window : float, optional
-        Hours to draw on either side of mid-transit; half a period by
-        default.
+        Hours to draw on either side of mid-transit; half a period by default.
     n_bins : int, optional
         Number of bins over the window.
     title : str, optional
@@ -173,8 +172,7 @@ def plot_summary(
     cdpp, corrected_cdpp : float, optional
         Noise of the two light curves in ppm.
     model : array_like, optional
-        Expected relative flux ``(n_cadences,)``, drawn over the de-trended
-        light curve.
+        Expected relative flux ``(n_cadences,)``, drawn over the de-trended light curve.
     noise : float or array_like, optional
         Expected relative standard deviation of a cadence, a number or
         ``(n_cadences,)``: a band about the de-trended light curve.
