@@ -132,9 +132,7 @@ def _wing(other, star, grid):
     ring = (radius / _RING).astype(int)
     rings = np.unique(ring)
     size = np.log(np.maximum(star, 1e-5 * star.max()))
-    profile, place = (
-        [np.median(values[ring == k]) for k in rings] for values in (size, radius)
-    )
+    profile, place = ([np.median(values[ring == k]) for k in rings] for values in (size, radius))
     image = np.exp(np.interp(distance, place, profile))
     return image * (light @ image) / (image[around] @ image[around])
 

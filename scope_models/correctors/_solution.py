@@ -6,7 +6,13 @@ from functools import cached_property
 import numpy as np
 
 from scope_models.correctors._periodic import find_frequencies, harmonic_columns, is_periodic
-from scope_models.correctors._regression import FLAT, Data, Hyperparameters, Posterior, log_likelihood
+from scope_models.correctors._regression import (
+    FLAT,
+    Data,
+    Hyperparameters,
+    Posterior,
+    log_likelihood,
+)
 from scope_models.correctors._search import fit_columns, fit_hyperparameters
 
 __all__ = ["NothingToCorrectError", "Solution", "fit"]
