@@ -9,6 +9,7 @@ import os
 import re
 import warnings
 from dataclasses import dataclass, fields
+from functools import partial
 from pathlib import Path
 from typing import ClassVar
 
@@ -470,7 +471,7 @@ class FileStudy(Study):
     def __reduce__(self):
         """Leave out the lists, which tasks have star by star, for workers."""
         names = [item.name for item in fields(self) if item.name not in {"files", "rows"}]
-        return _restored, (type(self), {name: getattr(self, name) for name in names})
+        return partial(type(self), **{name: getattr(self, name) for name in names}), ()
 
     def config(self):
         """Return the name of the study and its options."""
@@ -536,10 +537,6 @@ class FileStudy(Study):
     def draw(self, table, summary):
         """Draw nothing."""
         return
-
-
-def _restored(study, values):
-    return study(**values)
 
 
 def _state(file):
