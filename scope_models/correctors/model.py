@@ -130,6 +130,8 @@ class PLDOptions(Value):
         if not isinstance(self.sigma, Real) or not self.sigma > 0:
             raise ValueError(f"`sigma` must be positive, got {self.sigma!r}")
         checked_integer("max_clips", self.max_clips, 0)
+        if hasattr(self.neighbors, "flux"):
+            object.__setattr__(self, "neighbors", (self.neighbors,))
         for name in ("pld_aperture_mask", "background_aperture_mask", "regressors"):
             if isinstance(getattr(self, name), np.ndarray):
                 object.__setattr__(self, name, frozen(getattr(self, name)))

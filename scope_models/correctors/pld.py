@@ -6,7 +6,12 @@ import numpy as np
 from lightkurve.correctors.corrector import Corrector
 
 from scope_models._checks import checked_cadences
-from scope_models.correctors._lightkurve import named_mask, to_collection, translated
+from scope_models.correctors._lightkurve import (
+    LightkurveNames,
+    named_mask,
+    to_collection,
+    translated,
+)
 from scope_models.correctors._pixels import aperture_pixels, credible_flux
 from scope_models.correctors._solution import NothingToCorrectError
 from scope_models.correctors.model import PLDOptions, fit_pixels
@@ -16,7 +21,7 @@ from scope_models.io import read_pixels, read_tpf
 __all__ = ["PLDCorrector"]
 
 
-class PLDCorrector(Corrector):
+class PLDCorrector(LightkurveNames, Corrector):
     r"""
     Remove pointing systematics with the help of the target's own pixels.
 
