@@ -66,7 +66,8 @@ def detrend_files(paths, output_dir, client=None, *, overwrite=False, sweep=None
         Options of `run_sweep`: retry_failed, progress, chunk_size and in_flight.
     **options
         Arguments of `~scope_models.correctors.PLDCorrector.correct` that are numbers, text, or
-        true or false.
+        true or false; ``survival=False`` leaves out the survival of transits, which takes half
+        of the time.
 
     Returns
     -------
@@ -598,8 +599,8 @@ class _Detrend(_Files):
                 row[f"{prefix}cdpp{end}"] = _cdpp(lc, method)
         crowding = corrector.tpf.hdu[1].header.get("CROWDSAP")
         row["crowding"] = float(crowding) if isinstance(crowding, (int, float)) else np.nan
-        survival = getattr(corrector.result, "transit_survival", None)
-        row["survival"] = np.nan if survival is None else float(survival)
+        survival = options.get("survival", True) and corrector.result is not None
+        row["survival"] = corrector.result.transit_survival if survival else np.nan
         row["n_outliers"] = int(np.sum(corrector.outlier_mask))
         return row
 
