@@ -69,9 +69,15 @@ def plain_array(value, unit, name, *, pixel_scale=None, equivalencies=()):
     if isinstance(value, Time):
         raise TypeError(f"`{name}` must be numbers, got a Time{_hint(unit)}")
     value = value.to(u.day) if isinstance(value, TimeDelta) else unmasked(value)
-    if isinstance(value, (list, tuple)) and any(isinstance(item, u.Quantity) for item in value):
-        value = _joined(value, name)
+    if _holds_quantities(value):
+        try:
+            value = _joined(value)
+        except (TypeError, u.UnitConversionError) as error:
+            raise TypeError(f"`{name}` mixes units: {error}") from error
     found = getattr(value, "unit", None)
+    wanted = unit.to_string() or "a number without a unit"
+    if isinstance(found, u.FunctionUnitBase) and found.physical_unit != u.one:
+        raise ValueError(f"`{name}` must be in {wanted}, or convert to it, got {found}")
     try:
         if found is None:
             array = np.asarray(value)
@@ -88,7 +94,6 @@ def plain_array(value, unit, name, *, pixel_scale=None, equivalencies=()):
     try:
         return quantity.to_value(unit, equivalencies=list(equivalencies))
     except u.UnitConversionError:
-        wanted = unit.to_string() or "a number without a unit"
         hint = ""
         if pixel_scale is None and is_angle(quantity.unit) and unit == u.pix:
             hint = "; there is no pixel scale here to convert an angle with"
@@ -174,9 +179,13 @@ def _hint(unit):
     return f" (unit: {text})" if text else ""
 
 
-def _joined(values, name):
-    """Return the quantity of a sequence of quantities."""
-    try:
-        return u.Quantity(values)
-    except (TypeError, u.UnitConversionError) as error:
-        raise TypeError(f"`{name}` mixes units: {error}") from error
+def _holds_quantities(value):
+    """Return whether a value is a sequence, of sequences or not, with a quantity in it."""
+    return isinstance(value, (list, tuple)) and any(
+        isinstance(item, u.Quantity) or _holds_quantities(item) for item in value
+    )
+
+
+def _joined(values):
+    """Return the quantity of a sequence of quantities, or of such sequences."""
+    return u.Quantity([_joined(v) if isinstance(v, (list, tuple)) else v for v in values])

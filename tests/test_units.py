@@ -38,7 +38,15 @@ from scope_models import photometry as ph
 from scope_models import plotting as pl
 from scope_models._arrays import plain_array, plain_number, plain_time
 from scope_models.correctors import PLDOptions
-from scope_models.effects import Effect, airmass, moon_geometry
+from scope_models.effects import (
+    Effect,
+    Focus,
+    Gaps,
+    ScatteredLight,
+    airmass,
+    moon_geometry,
+    rejected_shift,
+)
 from scope_models.effects import noise as effects_noise
 from scope_models.effects.saturation import bleed
 from scope_models.exceptions import FitWarning
@@ -173,10 +181,10 @@ def column(name, value):
     return np.array(rows[name.upper()], dtype=float)
 
 
-def animated(time):
-    animation = pl.animate_pixels(np.ones((3, 2, 2)), time)
+def animated(time, **options):
+    animation = pl.animate_pixels(np.ones((3, 2, 2)), time, **options)
     animation._draw_was_started = True  # it warns if nobody looks at it
-    return animation._func(1)[1].get_text()
+    return animation
 
 
 def fitted(name):
@@ -252,6 +260,22 @@ ROWS = {
     ),
     "integrate_pixels.y": (
         lambda v: integrate_pixels(BivariateGaussianPSF(), x=[0.0, 1.0], y=v), [0.0, 1.0], u.pix
+    ),
+    "contamination_aperture.min_fraction": (
+        lambda v: ph.contamination_aperture(IMAGE, IMAGE[::-1], min_fraction=v), 0.9, u.one
+    ),
+    "circular_aperture.min_overlap": (
+        lambda v: ph.circular_aperture((5, 5), 2, 2, 1.5, min_overlap=v), 0.9, u.one
+    ),
+    "Detector.interpixel": (
+        lambda v: Detector.k2(shape=(2, 2), interpixel=v).interpixel, np.full((2, 2), 0.9), u.one
+    ),
+    "poisson_quantile.deviate": (
+        lambda v: effects_noise.poisson_quantile(v, 30.0), [1.0, 2.0], u.one
+    ),
+    "rejected_shift.charge": (rejected_shift, [1.0, 2.0], u.one),
+    "animate_pixels.interval": (
+        lambda v: animated(TIME, interval=v)._interval, 30.0, u.ms
     ),
     "sinusoidal_signal.period": (lambda v: sinusoidal_signal(0.1, v)(TIME), 4.0, u.day),
     "tabulated_signal.time": (lambda v: tabulated_signal(v, [1, 0.9, 1])(TIME / 2), TIME, u.day),
@@ -664,7 +688,7 @@ ROWS = {
     "plot_cdpp.series": (
         drawn(lambda v: pl.plot_cdpp({"stars": ([12, 13], v)}), VALUE), [20.0, 30.0], PPM
     ),
-    "animate_pixels.time": (animated, TIME, u.day),
+    "animate_pixels.time": (lambda v: animated(v)._func(1)[1].get_text(), TIME, u.day),
     "plot_detrending.time": (drawn(plot_detrending, VALUE, TIME, TIME), TIME, u.day),
 }  # fmt: skip
 # Arguments that are passed on.
@@ -688,9 +712,8 @@ ANY_UNIT = {
 }  # fmt: skip
 NO_UNIT = {
     # a description that names a unit of something else
-    "Star.coord",
-    "Detector.interpixel", "contamination_aperture.min_fraction", "circular_aperture.min_overlap",
-    "generate_target.roll", "fit_tpf.interpixel", "PLDCorrector.correct.transit_model",
+    "Star.coord", "generate_target.roll",
+    "fit_tpf.interpixel", "PLDCorrector.correct.transit_model",
     "PLDCorrector.correct.regressors", "CorrectedPRF.array", "CorrectedPRF.oversampling",
     "TabulatedPSF.array", "TabulatedPSF.oversampling",
     "TabulatedPRF.array", "TabulatedPRF.oversampling", "K2MotionNoise.exponent",
@@ -830,6 +853,19 @@ def test_times_of_any_format_and_scale():
         Star(time[0])
 
 
+def test_julian_dates_are_refused_where_times_of_the_mission_are_meant():
+    julian = 2456977.1
+    for name, call in {
+        "intervals": lambda: Gaps([(julian, julian + 1)]),
+        "events": lambda: Focus(events=[julian]),
+        "perigee": lambda: ScatteredLight(perigee=julian),
+        "segments": lambda: PLDOptions(segments=[julian]),
+        "start": lambda: Motion.k2_roll(3, start=julian),
+    }.items():
+        with pytest.raises(ValueError, match=f"`{name}` must be .*as in Julian dates"):
+            call()
+
+
 def test_places_on_the_sky():
     place = SkyCoord("22h30m", "-10d")
     metadata = TPFMetadata(mission="K2", target_id=1, coord=place.galactic)
@@ -872,6 +908,37 @@ def test_masked_values_keep_their_unit():
     assert np.array_equal(plain_time(time, "bkjd", "x"), [np.nan, 2], equal_nan=True)
 
 
+def test_nested_sequences_of_quantities():
+    assert plain_array([(1 * u.hour, 2 * u.day)], u.hour, "x").tolist() == [[1, 48]]
+    moved = Motion([0 * u.hour, 24 * u.hour], [0 * u.pix, 1 * u.pix], [0, 0])
+    assert moved == Motion([0, 1], [0, 1], [0, 0])
+    with pytest.raises(TypeError, match="`intervals` mixes units"):
+        Gaps([(1 * u.hour, 2 * u.kg)])
+
+
+def test_magnitudes_of_other_systems_are_refused():
+    assert Star(u.Magnitude(12)).mag == 12
+    for wrong in (12 * u.ABmag, u.Magnitude(12 * u.mag(u.electron / u.s))):
+        with pytest.raises(ValueError, match=r"`mag` must be in mag, or convert to it, got mag\("):
+            Star(wrong)
+
+
+@pytest.mark.parametrize(
+    "signal",
+    [
+        TransitModel(),
+        sinusoidal_signal(0.1, 1.0),
+        tabulated_signal(TIME, [1, 0.9, 1]),
+        TransitModel() * sinusoidal_signal(0.1, 1.0),
+    ],
+    ids=["transit", "sine", "table", "product"],
+)
+def test_signals_convert_times(signal):
+    np.testing.assert_allclose(signal(24 * TIME * u.hour), signal(TIME), rtol=1e-12)
+    with pytest.raises((ValueError, u.UnitsError), match=r"must be in d|could not be"):
+        signal(TIME * u.kg)
+
+
 def test_transits_are_fitted_with_units():
     true = TransitModel.from_depth_duration(0.01, 3.5 * u.hour, 4.16 * u.day, 24 * u.hour)
     assert true.duration == pytest.approx(3.5 / 24)
@@ -891,5 +958,10 @@ def test_parameters_of_a_transit_are_checked_when_they_are_set():
     for name, value in (("rp", -1), ("period", 0), ("a", -2), ("ecc", 1)):
         with pytest.raises(ValueError, match=f"`{name}` must be"):
             setattr(planet, name, value)
+    planet.rp.value = -1  # which astropy does not check
+    with pytest.raises(ValueError, match=r"`rp` must be at least 0, got -1\.0"):
+        planet(0.0)
+    with pytest.raises(TypeError, match="`t0` must be in days from a zero of your own, got a Time"):
+        TransitModel(t0=Time(2456977.0, format="jd"))
     with pytest.raises(ValueError, match="`rp` must be in a number without a unit"):
         TransitModel(rp=1 * u.R_earth)

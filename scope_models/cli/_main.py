@@ -55,13 +55,13 @@ def main(argv=None):
             warnings.filterwarnings("ignore", ".*tpfmodel submodule is not available", UserWarning)
             return arguments.run(arguments) or 0
     except (ImportError, MemoryError, OSError, TypeError, ValueError) as error:
-        _tell("error", error)
+        _write("error", error)
         return 2
     except KeyboardInterrupt:
-        _tell("error", "interrupted")
+        _write("error", "interrupted")
         return 130
     except _TerminatedError:
-        _tell("error", "terminated")
+        _write("error", "terminated")
         return 143
 
 
@@ -88,11 +88,11 @@ def _make_parser():
 
 
 def _show_warning(message, *_):
-    """Tell of a warning in one line."""
-    _tell("warning", message)
+    """Write a warning as one line."""
+    _write("warning", message)
 
 
-def _tell(kind, message):
+def _write(kind, message):
     """Write a message as one line to the standard error."""
     if isinstance(message, OSError) and message.strerror and message.filename is not None:
         message = f"{message.filename}: {message.strerror}"

@@ -17,6 +17,7 @@ only where the star itself varies strongly (v). Pixels and cadences are fitted i
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.fft import irfft, next_fast_len, rfft
 from scipy.linalg import cholesky, solve_triangular
 
 __all__ = ["CleanPixels", "clean_pixels", "precise_aperture"]
@@ -62,6 +63,8 @@ _WORSE = 1.05
 _SLOW = 0.05
 #: Widths in cadences of the kernels that are tried to smooth the focus and the background.
 _WIDTHS = (1.5, 3.0, 6.0, 12.0, 24.0, 48.0)
+#: Kernels of this width and wider ones are convolved by Fourier transforms.
+_WIDE = 12.0
 
 
 @dataclass(frozen=True)
@@ -120,33 +123,35 @@ class _Features:
             pivot = int(np.argmax(rest))
             if rest[pivot] < tolerance:
                 break
-            row = self._kernel(few, few[pivot : pivot + 1])[:, 0] - rows[:k, pivot] @ rows[:k]
+            row = _kernel(few, few[pivot : pivot + 1], scale)[:, 0] - rows[:k, pivot] @ rows[:k]
             rows[k] = row / np.sqrt(rest[pivot])
             rest = np.maximum(rest - rows[k] ** 2, 0)
             pivots.append(pivot)
         self._pivots = few[pivots]
-        kernel = self._kernel(self._pivots, self._pivots)
+        kernel = self.kernel(self._pivots)
         kernel.flat[:: len(kernel) + 1] += 1e-10
         self._lower = cholesky(kernel, lower=True)
 
-    def _kernel(self, a, b):
-        square = (a[:, None, 0] - b[None, :, 0]) ** 2 + (a[:, None, 1] - b[None, :, 1]) ** 2
-        return np.exp(-0.5 * square / self._scale**2)
+    def kernel(self, position):
+        """Return the kernels of the pivots, of which the functions are combinations."""
+        return _kernel(position, self._pivots, self._scale)
 
     def __call__(self, position):
         """Return the functions at positions, ``(n, rank)``."""
-        return solve_triangular(self._lower, self._kernel(position, self._pivots).T, lower=True).T
+        return solve_triangular(self._lower, self.kernel(position).T, lower=True).T
 
-    def combined(self, position, coefficients):
-        """Return combinations of the functions, and their derivatives along x and y."""
-        kernel = self._kernel(position, self._pivots)
-        weights = solve_triangular(self._lower, coefficients, lower=True, trans=1)
-        slopes = [
-            ((self._pivots[None, :, axis] - position[:, None, axis]) / self._scale**2 * kernel)
-            @ weights
-            for axis in (0, 1)
-        ]
-        return kernel @ weights, slopes
+    def weights(self, coefficients):
+        """Return weights of the kernels that make combinations of the functions."""
+        return solve_triangular(self._lower, coefficients, lower=True, trans=1)
+
+    def slope_weights(self, weights):
+        """Return those of derivatives along x and y, plus multiples of the combinations."""
+        return [pivot[:, None] / self._scale**2 * weights for pivot in self._pivots.T]
+
+
+def _kernel(a, b, scale):
+    square = (a[:, None, 0] - b[None, :, 0]) ** 2 + (a[:, None, 1] - b[None, :, 1]) ** 2
+    return np.exp(-0.5 * square / scale**2)
 
 
 def clean_pixels(time, flux, flux_err, position, grid, aperture, *, use=None, own=None):
@@ -191,25 +196,29 @@ class _State:
     def __init__(self, time, flux, flux_err, position, grid, aperture, use):
         n, n_pixels = flux.shape
         self.time, self.grid, self.aperture, self.use = time, grid, aperture, use
-        typical = np.median(flux[use], axis=0)
+        typical = _median(flux[use].T)
         self.center = grid[np.argmax(typical)].astype(float)
         offset = (grid - grid.mean(axis=0)) / np.maximum(np.ptp(grid, axis=0), 1)
         self.planes = np.column_stack([np.ones(n_pixels), offset])
         dark = np.argsort(typical)[: max(3, n_pixels // 4)]
         self.base = self._dark_plane(typical, dark)
         planes = np.zeros((n, 3)) + self.base
-        planes[:, 0] += np.median(flux[:, dark] - typical[dark], axis=1)
+        planes[:, 0] += _median(flux[:, dark] - typical[dark])
         total = (flux - planes @ self.planes.T)[:, aperture].sum(axis=1)
-        self.unit = np.median(total[use])
+        self.unit = _median(total[use])
         self.y, self.plane = flux / self.unit, planes / self.unit
         self.base = self.base / self.unit
         self.brightness = total / self.unit
-        self.noise = (np.median(flux_err[use], axis=0) / self.unit) ** 2
+        self.noise = (_median(flux_err[use].T) / self.unit) ** 2
         self.variance = self.noise
-        self.scale = np.maximum(np.quantile(self.y[use], 0.98, axis=0), 3 * np.sqrt(self.noise))
+        self.scale = np.maximum(
+            np.quantile(self.y[use].T.copy(), 0.98, axis=1), 3 * np.sqrt(self.noise)
+        )
         self.good = np.ones((n, n_pixels), dtype=bool)
         self.focus, self.variable = np.zeros(n), np.zeros(n)
         self._start_positions(position, total)
+        self.smoothed = _Smoother(time, use)
+        self._place = np.where(self.known, _POSITION_PRIOR**-2, 1e-2)
         self.features = _Features(self.z[use], _SCALE, _TOLERANCE, _MAX_RANK)
         self.coarse = _Features(self.z[use], _COARSE_SCALE, _COARSE_TOLERANCE, _COARSE_RANK)
 
@@ -266,10 +275,9 @@ class _State:
         if strong:
             parts.append(-v * coarse)
         columns = np.concatenate(parts, axis=1)
-        fine = self.use & self.good.all(axis=1)
-        target = (self.y - self.background)[fine]
-        values, vectors = np.linalg.eigh(columns[fine].T @ columns[fine])
-        right = vectors.T @ (columns[fine].T @ target)
+        columns[~(self.use & self.good.all(axis=1))] = 0
+        values, vectors = np.linalg.eigh(columns.T @ columns)
+        right = vectors.T @ (columns.T @ (self.y - self.background))
         ridge = self.variance / self.scale**2
         coefficients = vectors @ (right / (np.maximum(values, 0)[:, None] + ridge))
         rank, few = basis.shape[1], coarse.shape[1]
@@ -280,23 +288,32 @@ class _State:
             self._constant = coefficients[-few:]
 
     def _images(self):
-        """Return G, its derivatives by x, y and w, and N, with sums as stated."""
-        inside = self.aperture
-        image, slopes = self.features.combined(self.z, self._main)
-        total = image[:, inside].sum(axis=1, keepdims=True)
-        image /= total
-        slopes = [_without_sum(slope / total, image, inside) for slope in slopes]
-        coarse = self.coarse(self.z)
+        """Return G, its derivatives by x, y and w, and N or nothing, with sums as stated."""
+        inside, weights = self.aperture, self.features.weights(self._main)
+        kernel = self.features.kernel(self.z)
+        total = (kernel @ weights[:, inside].sum(axis=1))[:, None]
+        kernel /= total
+        image = kernel @ weights
+
+        def without_sum(columns, coefficients):
+            """Return images whose sum over the aperture is taken off in the shape of the star."""
+            over = columns @ coefficients[:, inside].sum(axis=1)
+            columns = np.concatenate([columns, -over[:, None] * kernel], axis=1)
+            return columns @ np.concatenate([coefficients, weights])
+
+        # multiples of the image drop out with the sums
+        slopes = [without_sum(kernel, moved) for moved in self.features.slope_weights(weights)]
+        constant = 0.0
         if self._focus is None:
             # A PSF that widens about the star's center.
             far = self.grid - self.center - self.z[:, None]
             focus = far[:, :, 0] * slopes[0] + far[:, :, 1] * slopes[1] - 2 * image
+            focus -= image * (focus @ inside)[:, None]
         else:
-            focus = coarse @ self._focus / total
-        focus = _without_sum(focus, image, inside)
-        constant = np.zeros_like(image)
-        if self._constant is not None:
-            constant = _without_sum(coarse @ self._constant, image, inside)
+            coarse = self.coarse(self.z)
+            focus = without_sum(coarse / total, self._focus)
+            if self._constant is not None:
+                constant = without_sum(coarse, self._constant)
         return image, slopes, focus, constant
 
     def _focused(self, image, focus):
@@ -307,87 +324,105 @@ class _State:
         """Improve brightness, background, position and focus of each cadence: one linear step."""
         image, slopes, focus, constant = self._images()
         image = self._focused(image, focus)
-        a = self.brightness[:, None]
-        rest = self.y - a * image + self.variable[:, None] * constant - self.background
-        spread = 1.4826 * np.median(np.abs(rest[self.use]), axis=0)
+        rest = self._rest(image, constant)
+        spread = 1.4826 * _median(np.abs(rest[self.use].T))
         self.variance = np.maximum(self.noise, spread**2)
         if iteration > 0:
-            limit = _CLIP * np.sqrt(self.variance) + _MISFIT * np.abs(image)
-            self.good = ~_single(rest > limit, self.use)
-        columns = [image, *self.planes.T, a * slopes[0], a * slopes[1], a * focus]
-        hessian, right = self._normal_equations(columns, rest, self.good)
+            hot = rest > _CLIP * np.sqrt(self.variance)
+            hot[hot] = (rest - _CLIP * np.sqrt(self.variance) - _MISFIT * np.abs(image))[hot] > 0
+            self.good = ~_single(hot, self.use)
+        hessian, right = self._normal_equations([image, *slopes, focus], rest, self.good)
         level = np.abs(self.plane[self.use, 0] - self.base[0])
-        tilt = 1.4826 * np.median(level) + abs(self.base[0])
-        place = np.where(self.known, _POSITION_PRIOR**-2, 1e-2)
+        tilt = max(1.4826 * _median(level) + abs(self.base[0]), 1e-9)
         priors = [
-            (2, max(tilt, 1e-9) ** -2, self.base[1] - self.plane[:, 1]),
-            (3, max(tilt, 1e-9) ** -2, self.base[2] - self.plane[:, 2]),
-            (4, place, (self.expected - self.z)[:, 0]),
-            (5, place, (self.expected - self.z)[:, 1]),
-            (6, _FOCUS_PRIOR**-2, -self.focus),
+            (1, self._place, (self.expected - self.z)[:, 0]),
+            (2, self._place, (self.expected - self.z)[:, 1]),
+            (3, _FOCUS_PRIOR**-2, -self.focus),
+            (5, tilt**-2, self.base[1] - self.plane[:, 1]),
+            (6, tilt**-2, self.base[2] - self.plane[:, 2]),
         ]
         for k, weight, distance in priors:
-            hessian[:, k, k] += weight
-            right[:, k] += weight * distance
-        hessian[:, range(7), range(7)] *= 1 + 1e-9
-        inverse = np.linalg.inv(hessian)
-        step = (inverse @ right[:, :, None])[:, :, 0]
-        errors = np.sqrt(np.maximum(inverse[:, range(7), range(7)], 1e-30))
-        self.brightness = self.brightness + np.clip(step[:, 0], -0.3, 0.3)
-        self.z = self.z + np.clip(step[:, 4:6], -0.1, 0.1)
-        self._set_background(self.plane + step[:, 1:4], errors[:, 1:4], iteration)
+            hessian[k, k] += weight
+            right[k] += weight * distance
+        step, error = _solved(hessian, right)
+        self.brightness = self.brightness + np.clip(step[0], -0.3, 0.3)
+        self.z = self.z + np.clip(step[1:3], -0.1, 0.1).T
+        self._set_background(self.plane + step[4:].T, error[4:].T, iteration)
         self._set_variable(iteration)
         self._anchor()
-        self._set_focus(self.focus + np.clip(step[:, 6], -0.02, 0.02), errors[:, 6], iteration)
+        self._set_focus(self.focus + np.clip(step[3], -0.02, 0.02), error[3], iteration)
 
-    def _normal_equations(self, columns, rest, good):
-        """Return the Hessian and the right side of each cadence's least squares."""
-        both = np.empty((len(rest), len(columns) + 1, rest.shape[1]))
-        for k, column in enumerate([*columns, rest]):
-            both[:, k] = column
-        both *= np.sqrt(good / self.variance)[:, None]
-        product = both @ both.transpose(0, 2, 1)
-        return product[:, :-1, :-1].copy(), product[:, :-1, -1].copy()
+    def _rest(self, image, constant):
+        """Return what images and background leave of the light."""
+        rest = self.y - self.background
+        rest -= self.brightness[:, None] * image
+        if self._constant is not None:
+            rest += self.variable[:, None] * constant
+        return rest
+
+    def _normal_equations(self, images, rest, good, n_planes=3):
+        """
+        Return the Hessian and the right side of each cadence's least squares, ``(k, k, n)``.
+
+        The images are those of brightness, position, and focus. They are overwritten.
+        """
+        root, damaged = 1 / np.sqrt(self.variance), np.nonzero(~good)
+        for values in (*images, rest):
+            np.multiply(values, root, out=values)
+            values[damaged] = 0
+        planes = self.planes[:, :n_planes] * root[:, None]
+        first, k = len(images), len(images) + n_planes
+        hessian, right = np.zeros((k, k, len(rest))), np.zeros((k, len(rest)))
+        for i, values in enumerate(images):
+            for j in range(i + 1):
+                hessian[i, j] = np.einsum("ij,ij->i", values, images[j])
+            hessian[first:, i] = (values @ planes).T
+            right[i] = np.einsum("ij,ij->i", values, rest)
+        right[first:] = (rest @ planes).T
+        hessian[first:, first:] = (planes.T @ planes)[:, :, None]
+        for cadence, pixel in zip(*damaged, strict=True):
+            hessian[first:, first:, cadence] -= np.outer(planes[pixel], planes[pixel])
+        hessian[1:first] *= self.brightness
+        hessian[:, 1:first] *= self.brightness
+        right[1:first] *= self.brightness
+        return hessian, right
 
     def _fit_brightness(self, own):
         """Fit brightness and positions to some pixels, at the smoothed background and focus."""
         image, slopes, focus, constant = self._images()
         image = self._focused(image, focus)
-        a = self.brightness[:, None]
-        rest = self.y - self.background - a * image + self.variable[:, None] * constant
-        columns = [image, a * slopes[0], a * slopes[1]]
-        hessian, right = self._normal_equations(columns, rest, self.good & own)
-        place = np.where(self.known, _POSITION_PRIOR**-2, 1e-2)
-        hessian[:, 1, 1] += place
-        hessian[:, 2, 2] += place
-        inverse = np.linalg.inv(hessian)
-        step = (inverse @ right[:, :, None])[:, :, 0]
-        self.brightness = self.brightness + np.clip(step[:, 0], -0.3, 0.3)
-        self.error = np.sqrt(inverse[:, 0, 0])
+        rest = self._rest(image, constant)
+        hessian, right = self._normal_equations([image, *slopes], rest, self.good & own, 0)
+        hessian[[1, 2], [1, 2]] += self._place
+        step, error = _solved(hessian, right)
+        self.brightness = self.brightness + np.clip(step[0], -0.3, 0.3)
+        self.error = error[0]
 
     def _set_background(self, plane, errors, iteration):
         """Smooth the background as far as the data are for it; jumps of a cadence stay."""
         plane = plane - np.median(plane[self.use], axis=0) + self.base
         if iteration >= _FOCUS_FROM:
             for values, error in zip(plane.T, errors.T, strict=True):
-                smooth = _smoothed(self.time, values, error, self.use)
+                smooth = self.smoothed(values, error)
                 rest = np.abs(values - smooth)
-                typical = 1.4826 * np.median(rest[self.use])
+                typical = 1.4826 * _median(rest[self.use])
                 jumps = rest > _CLIP * np.maximum(error, typical)
                 values[:] = np.where(jumps, values, smooth)
         self.plane = plane
 
     def _set_variable(self, iteration):
         """Find the star's own variability: what is no function of position in its brightness."""
+        if iteration < _CONSTANT_FROM:
+            return
         columns, use = self.features(self.z), self.use
         change = self.brightness - 1
         gram, right = columns[use].T @ columns[use], columns[use].T @ change[use]
         variable = change
         for _ in range(3):
-            noise = 1.4826 * np.median(np.abs(variable - np.median(variable[use]))[use])
+            noise = 1.4826 * _median(np.abs(variable[use] - _median(variable[use])))
             ridge = (noise / _RESPONSE_PRIOR) ** 2 * np.eye(len(gram))
             variable = change - columns @ np.linalg.solve(gram + ridge, right)
-        strong = iteration >= _CONSTANT_FROM and self._is_strong(variable[use])
+        strong = self._is_strong(variable[use])
         if strong and iteration >= _DECIDED:
             image, _, focus, constant = self._images()
             strong = self._constant_light(self._focused(image, focus), constant) > _FAINT
@@ -426,15 +461,16 @@ class _State:
         columns = np.column_stack([np.ones(len(focus)), self.z, self.variable])
         use = self.use
         focus = focus - columns @ np.linalg.lstsq(columns[use], focus[use], rcond=None)[0]
-        self.focus = _smoothed(self.time, focus, error, use) if iteration >= _FOCUS_FROM else focus
+        self.focus = self.smoothed(focus, error) if iteration >= _FOCUS_FROM else focus
 
     def result(self, flux_err, own):
         """Return the light and the fractions."""
         self._fit_brightness(own)
         still, _, focus, constant = self._images()
         image, inside = self._focused(still, focus), self.aperture
-        model = self.brightness[:, None] * image - self.variable[:, None] * constant
-        light = (np.where(self.good, self.y, model + self.background) - self.background)[:, inside]
+        light = self.y - self.background
+        light[~self.good] -= self._rest(image, constant)[~self.good]
+        light = light[:, inside]
         light, error = light.sum(axis=1), np.sqrt((flux_err[:, inside] ** 2).sum(axis=1))
         misfit = np.average(self.variance / self.noise, weights=np.maximum(self.scale, 0))
         fits = misfit < _LARGEST_MISFIT
@@ -459,10 +495,8 @@ class _State:
 
     def _slow_focus(self):
         """Return the focus without short dips, which may be dimmings beside constant light."""
-        step = np.median(np.diff(self.time))
-        index = np.rint((self.time - self.time[0]) / step).astype(int)
         weight = np.where(self.use, 1.0, _NO_WEIGHT)
-        return _local_lines(index, self.focus, weight, self.use, _SLOW / step)[0]
+        return self.smoothed.lines(self.focus, weight, _SLOW / self.smoothed.step)[0]
 
     def _roughness(self, light):
         """Return the typical change from cadence to cadence that positions do not explain."""
@@ -530,11 +564,6 @@ def _explained(columns, fit, values):
     return columns @ np.linalg.solve(gram, fit.T @ values)
 
 
-def _without_sum(values, image, inside):
-    """Return images whose sum over the aperture is taken off in the shape of the star."""
-    return values - image * values[:, inside].sum(axis=1, keepdims=True)
-
-
 def _polynomials(position, degree):
     """Return all products of powers of both coordinates up to a degree, the constant first."""
     x, y = (position / np.maximum(np.abs(position).max(axis=0), 1e-9)).T
@@ -550,44 +579,89 @@ def _single(hot, use):
     return hot & ~near
 
 
-def _smoothed(time, values, error, use):
+class _Smoother:
+    """Robust local lines in time, with Gaussian kernels whose widths are in cadences."""
+
+    def __init__(self, time, use):
+        self.time, self.use = time, use
+        self.step = _median(np.diff(time))
+        self._index = np.rint((time - time[0]) / self.step).astype(int)
+        self._kernels = {}
+
+    def __call__(self, values, error):
+        """
+        Smooth with the width of the least median leave-one-out error.
+
+        Cadences that are not in use take the values of those around them.
+        """
+        use = self.use
+        typical = _median(error[use])
+        start = np.where(use, (typical / np.maximum(error, 0.3 * typical)) ** 2, _NO_WEIGHT)
+        values = np.where(use, values, np.interp(self.time, self.time[use], values[use]))
+        best = np.inf, values
+        for width in _WIDTHS:
+            smooth, size = self.lines(values, start, width)
+            if size > _WORSE * best[0]:
+                break
+            if size < best[0]:
+                best = size, smooth
+        return best[1]
+
+    def lines(self, values, start, width):
+        """Return robust local linear fits, and the median of leave-one-out errors."""
+        weight = start
+        for _ in range(3):
+            s0, s1, s2, m0, m1 = self._moments(weight, weight * values, width)
+            determinant = s0 * s2 - s1**2
+            determinant = np.where(determinant > 1e-12 * s0 * s2, determinant, np.inf)
+            smooth = (s2 * m0 - s1 * m1) / determinant
+            rest = np.abs(values - smooth) / np.maximum(1 - weight * s2 / determinant, 1e-3)
+            size = _median(rest[self.use])
+            before, weight = weight, np.where(rest > _CLIP * 1.4826 * size, _NO_WEIGHT, 1.0) * start
+            if (weight == before).all():
+                break
+        return smooth, size
+
+    def _moments(self, weight, data, width):
+        """Return moments of the weights about each cadence, to order 2, and of the data, to 1."""
+        grid = np.zeros((2, self._index[-1] + 1))
+        grid[:, self._index] = weight, data
+        half = int(3.5 * width) + 1
+        size = next_fast_len(self._index[-1] + 1 + half, real=True)
+        if width not in self._kernels:
+            d = np.arange(-half, half + 1.0)
+            kernels = np.exp(-0.5 * (d / width) ** 2) * np.array([d**0, -d, d * d])
+            self._kernels[width] = rfft(kernels, size) if width >= _WIDE else kernels
+        kernels = self._kernels[width]
+        if width < _WIDE:
+            pairs = [(grid[0], k) for k in kernels] + [(grid[1], k) for k in kernels[:2]]
+            moments = np.array([np.convolve(values, k)[half:-half] for values, k in pairs])
+        else:
+            whole = rfft(grid, size)
+            moments = irfft(whole[[0, 0, 0, 1, 1]] * kernels[[0, 1, 2, 0, 1]], size)[:, half:]
+        return moments[:, self._index]
+
+
+def _median(values):
+    """Return the median along the last axis of finite values; faster than `numpy.median`."""
+    middle = values.shape[-1] // 2
+    if values.shape[-1] % 2:
+        return np.partition(values, middle)[..., middle]
+    return np.partition(values, (middle - 1, middle))[..., middle - 1 : middle + 1].mean(axis=-1)
+
+
+def _solved(hessian, right):
     """
-    Smooth by local lines, with the width of the least median leave-one-out error.
+    Solve many small systems at once by Cholesky factors.
 
-    Cadences that are not in use take the values of those around them.
+    Parameters are a Hessian ``(k, k, n)``, of which the lower triangle is used, and a right side
+    ``(k, n)``. Returned are the solution and its standard deviations, ``(k, n)``.
     """
-    step = np.median(np.diff(time))
-    index = np.rint((time - time[0]) / step).astype(int)
-    typical = np.median(error[use])
-    start = np.where(use, (typical / np.maximum(error, 0.3 * typical)) ** 2, _NO_WEIGHT)
-    values = np.where(use, values, np.interp(time, time[use], values[use]))
-    best = np.inf, values
-    for width in _WIDTHS:
-        smooth, rest = _local_lines(index, values, start, use, width)
-        size = np.median(np.abs(rest[use]))
-        if size > _WORSE * best[0]:
-            break
-        if size < best[0]:
-            best = size, smooth
-    return best[1]
-
-
-def _local_lines(index, values, start, use, width):
-    """Return robust local linear fits with a Gaussian kernel, and leave-one-out residuals."""
-    half = int(3.5 * width) + 1
-    d = np.arange(-half, half + 1.0)
-    kernel = np.exp(-0.5 * (d / width) ** 2)
-    moments = [kernel, -d * kernel, d * d * kernel]
-    weight = start
-    for _ in range(3):
-        grid, data = np.zeros((2, index[-1] + 1))
-        grid[index], data[index] = weight, weight * values
-        s0, s1, s2 = (np.convolve(grid, moment)[half:-half][index] for moment in moments)
-        m0, m1 = (np.convolve(data, moment)[half:-half][index] for moment in moments[:2])
-        determinant = s0 * s2 - s1**2
-        determinant = np.where(determinant > 1e-12 * s0 * s2, determinant, np.inf)
-        smooth = (s2 * m0 - s1 * m1) / determinant
-        rest = (values - smooth) / np.maximum(1 - weight * s2 / determinant, 1e-3)
-        size = np.abs(rest)
-        weight = np.where(size > _CLIP * 1.4826 * np.median(size[use]), _NO_WEIGHT, 1.0) * start
-    return smooth, rest
+    inverse = np.zeros_like(hessian)  # of the factor
+    for i in range(len(right)):
+        row = np.einsum("jkn,kn->jn", inverse[:i, :i], hessian[i, :i])
+        pivot = (1 + 1e-9) * hessian[i, i] - np.einsum("jn,jn->n", row, row)
+        inverse[i, i] = 1 / np.sqrt(np.maximum(pivot, 1e-30))
+        inverse[i, :i] = -inverse[i, i] * np.einsum("jn,jkn->kn", row, inverse[:i, :i])
+    solution = np.einsum("jin,jn->in", inverse, np.einsum("ijn,jn->in", inverse, right))
+    return solution, np.sqrt(np.einsum("jin,jin->in", inverse, inverse))

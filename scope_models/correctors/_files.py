@@ -61,7 +61,7 @@ def detrend_file(path, output, *, figure=None, overwrite=False, survival=True, *
     check_output(output, overwrite=overwrite, inputs=[path])
     if figure is not None:
         check_output(figure, overwrite=overwrite, inputs=[path, output])
-        from scope_models.plotting._saving import check_figure_format  # imports matplotlib
+        from scope_models.plotting._style import check_figure_format  # imports matplotlib
 
         check_figure_format(figure)
     with naming(path):
@@ -70,7 +70,7 @@ def detrend_file(path, output, *, figure=None, overwrite=False, survival=True, *
         hdus = make_lightcurve_hdulist(corrector, survival=survival)
     write_hdulist(hdus, output, overwrite=overwrite)
     if figure is not None:
-        from scope_models.plotting._saving import save_figure
+        from scope_models.plotting._style import save_figure
 
         with atomic_path(figure, overwrite=overwrite) as temporary:
             save_figure(corrector.diagnose()[0].figure, temporary)

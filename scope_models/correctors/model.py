@@ -6,8 +6,9 @@ from numbers import Real
 import numpy as np
 from astropy import units as u
 
-from scope_models._arrays import plain_array, plain_number
+from scope_models._arrays import plain_number, plain_time
 from scope_models._checks import checked_integer, checked_mask
+from scope_models._values import Value, frozen
 from scope_models.correctors._clean import CleanPixels
 from scope_models.correctors._design import (
     DesignOptions,
@@ -55,8 +56,8 @@ _USUAL = 0.9
 _TRENDS = {"gp": 1, "quadratic": 3}
 
 
-@dataclass(frozen=True, eq=False)
-class PLDOptions:
+@dataclass(frozen=True, eq=False, repr=False)
+class PLDOptions(Value):
     """
     Options of pixel level decorrelation.
 
@@ -130,6 +131,9 @@ class PLDOptions:
         if not isinstance(self.sigma, Real) or not self.sigma > 0:
             raise ValueError(f"`sigma` must be positive, got {self.sigma!r}")
         checked_integer("max_clips", self.max_clips, 0)
+        for name in ("pld_aperture_mask", "background_aperture_mask", "regressors"):
+            if isinstance(getattr(self, name), np.ndarray):
+                object.__setattr__(self, name, frozen(getattr(self, name)))
         object.__setattr__(self, "segments", _checked_segments(self.segments))
         object.__setattr__(self, "saturation", _checked_saturation(self.saturation))
 
@@ -144,7 +148,7 @@ def _checked_segments(segments):
     if segments is None or (isinstance(segments, str) and segments == "auto"):
         return segments
     try:
-        breaks = np.atleast_1d(plain_array(segments, u.day, "segments")).ravel()
+        breaks = np.atleast_1d(plain_time(segments, None, "segments")).ravel()
     except TypeError:
         breaks = np.array([np.nan])
     if not np.isfinite(breaks).all():

@@ -206,7 +206,7 @@ def poisson_quantile(deviate, mean):
     >>> poisson_quantile(np.array([-1.0, 0.0, 1.0]), 4.0)
     array([2., 4., 6.])
     """
-    deviate = np.asarray(deviate, dtype=float)
+    deviate = plain_array(deviate, u.one, "deviate")
     mean = plain_array(mean, u.electron, "mean")
     shape = np.broadcast_shapes(deviate.shape, mean.shape)
     deviate = np.broadcast_to(deviate, shape)

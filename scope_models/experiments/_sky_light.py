@@ -18,26 +18,9 @@ def red_noise(rng, time, scale):
 
 
 def make_motion(kind, rng, time, scale):
-    """
-    Return the offsets of a star and the cadences in which thrusters fire.
+    """Return offsets in pixels along x and y, and the cadences in which thrusters fire.
 
-    Parameters
-    ----------
-    kind : {"k2", "kepler", "tess", "walk", "wheels"}
-        The kind of motion.
-    rng : numpy.random.Generator
-        Source of the numbers.
-    time : ndarray
-        Days from the beginning.
-    scale : float
-        Factor of the offsets.
-
-    Returns
-    -------
-    x, y : ndarray
-        Offsets in pixels.
-    firing : ndarray of bool
-        Cadences of thruster firings or momentum dumps.
+    `kind` is "k2", "kepler", "tess", "walk" or "wheels"; `time` is in days from the beginning.
     """
     x, y, firing = _MOTIONS[kind](rng, time)
     return scale * x, scale * y, firing
@@ -117,26 +100,10 @@ _MOTIONS = {"k2": _roll, "kepler": _drift, "tess": _orbits, "walk": _walk, "whee
 
 
 def make_light(kind, rng, time, period, amplitude):
-    """
-    Return the relative flux of a star without transits.
+    """Return the relative flux of a star without transits, near 1.
 
-    Parameters
-    ----------
-    kind : {"constant", "spots", "rr_lyrae", "delta_scuti", "eclipsing", "flaring", "sine"}
-        The kind of variability.
-    rng : numpy.random.Generator
-        Source of the numbers.
-    time : ndarray
-        Days from the beginning.
-    period : float
-        Days.
-    amplitude : float
-        About half the range (constant: not used; eclipsing: depth of the primary eclipse).
-
-    Returns
-    -------
-    ndarray
-        Relative flux, near 1.
+    `kind` is one of `_LIGHTS`; the period is in days, the amplitude about half the range (constant:
+    not used; eclipsing: depth of the primary eclipse).
     """
     return _LIGHTS[kind](rng, time, period, amplitude)
 
@@ -220,26 +187,9 @@ _LIGHTS = {
 
 
 def make_transit(rng, time, depth, period, duration):
-    """
-    Return relative flux 1 with transits.
+    """Return relative flux 1 with transits of a relative depth; period and duration are in days.
 
-    Parameters
-    ----------
-    rng : numpy.random.Generator
-        Source of the phase.
-    time : ndarray
-        Days from the beginning.
-    depth : float
-        Relative depth; 0: no transits.
-    period : float
-        Days; infinity: a single transit near the middle.
-    duration : float
-        Days.
-
-    Returns
-    -------
-    ndarray
-        1 outside of transits.
+    An infinite period is a single transit near the middle.
     """
     phase = rng.uniform(0.35, 0.65)
     if np.isinf(period):

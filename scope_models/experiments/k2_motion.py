@@ -7,12 +7,11 @@ from typing import ClassVar
 import numpy as np
 from astropy.table import Table
 
-from scope_models._checks import checked_integer, checked_number
 from scope_models.experiments._statistics import compared, holds
 from scope_models.experiments.no_motion import noise_parts
 from scope_models.experiments.populations import draw_star, motion_from_name, stamp_around
 from scope_models.experiments.reference import PERCENTILES, read_reference
-from scope_models.experiments.study import Study
+from scope_models.experiments.study import Study, parameter
 from scope_models.photometry import cdpp
 from scope_models.scene.detector import Detector
 from scope_models.simulation import simulate
@@ -84,38 +83,6 @@ class K2MotionNoise(Study):
     :math:`T (F / F_{14})^g` for a flux F and :math:`F_{14}` at Kp 14. Stars with a pixel above 90 %
     of its well have a larger aperture, as EVEREST's.
 
-    Parameters
-    ----------
-    seed : int, optional
-        Seed of all random numbers.
-    magnitudes : tuple of float, optional
-        Magnitudes Kp.
-    detectors : tuple of str, optional
-        Out of `DETECTORS`.
-    motions : tuple of str, optional
-        ``"field"``, a generated motion of each star's own, evenly spread over the field of view and
-        over the time of a campaign, or motions as
-        `~scope_models.experiments.populations.motion_from_name` takes them.
-    stars : int, optional
-        Stars per magnitude, motion and detector. The paper has 5. The same stars, but for their
-        magnitude, are in all bins.
-    cadences : int, optional
-        Long cadences per star, at a random time of the campaign, or all of a motion if it has
-        fewer. A campaign has 3380.
-    shift : float, optional
-        Largest distance of a star from the middle of a pixel along each axis. The paper has 0.2;
-        real stars are anywhere.
-    threshold, exponent : float, optional
-        T in e-/s, and g. Fitted. A threshold of 0 takes the aperture of the highest signal-to-noise
-        ratio.
-    saturated_part : float, optional
-        Part of the flux of a saturated star that a pixel of its aperture has.
-
-    Raises
-    ------
-    TypeError, ValueError
-        If a field is of the wrong type or outside its domain.
-
     References
     ----------
     Saunders, N. et al. 2019, "The Pointing Limits of Transiting Exoplanet Light Curve
@@ -136,38 +103,51 @@ class K2MotionNoise(Study):
         ("cdpp", "cdpp_lightkurve", "white", "losses", "intrapixel", "systematics"), "ppm"
     )
 
-    magnitudes: tuple[float, ...] = tuple(11 + 0.5 * k for k in range(9))
-    detectors: tuple[str, ...] = ("paper", "calibrated")
-    motions: tuple[str, ...] = ("field",)
-    stars: int = 60
-    cadences: int = 1000
-    shift: float = 0.5
-    threshold: float = 140.0
-    exponent: float = 0.5
-    saturated_part: float = 1e-4
-
-    def __post_init__(self):
-        super().__post_init__()
-        checked_integer("stars", self.stars, 1)
-        checked_integer("cadences", self.cadences, 100)
-        for name in ("shift", "threshold", "exponent", "saturated_part"):
-            checked_number(name, getattr(self, name))
-        for name in ("magnitudes", "detectors", "motions"):
-            values = getattr(self, name)
-            if not values or len(set(values)) < len(values):
-                raise ValueError(f"`{name}` must be one or more different values, got {values}")
-        for name in self.detectors:
-            if name not in DETECTORS:
-                raise ValueError(f"`detectors` must be among {', '.join(DETECTORS)}, got {name!r}")
+    magnitudes: tuple[float, ...] = parameter(
+        tuple(11 + 0.5 * k for k in range(9)), "Magnitudes Kp.", different="values"
+    )
+    detectors: tuple[str, ...] = parameter(
+        ("paper", "calibrated"), "Out of `DETECTORS`.", different="values", among=DETECTORS
+    )
+    motions: tuple[str, ...] = parameter(
+        ("field",),
+        '``"field"``, a generated motion of each star\'s own, evenly spread over the field of view '
+        "and over the time of a campaign, or motions as "
+        "`~scope_models.experiments.populations.motion_from_name` takes them.",
+        different="values",
+    )
+    stars: int = parameter(
+        60,
+        "Stars per magnitude, motion and detector. The paper has 5. The same stars, but for their "
+        "magnitude, are in all bins.",
+        least=1,
+    )
+    cadences: int = parameter(
+        1000,
+        "Long cadences per star, at a random time of the campaign, or all of a motion if it has "
+        "fewer. A campaign has 3380.",
+        least=100,
+    )
+    shift: float = parameter(
+        0.5,
+        "Largest distance of a star from the middle of a pixel along each axis. The paper has 0.2; "
+        "real stars are anywhere.",
+        positive=False,
+    )
+    threshold: float = parameter(
+        140.0,
+        "T in e-/s. Fitted. 0 takes the aperture of the highest signal-to-noise ratio.",
+        positive=False,
+    )
+    exponent: float = parameter(0.5, "The exponent g. Fitted.", positive=False)
+    saturated_part: float = parameter(
+        1e-4,
+        "Part of the flux of a saturated star that a pixel of its aperture has.",
+        positive=False,
+    )
 
     def tasks(self):
-        """Return one task per star.
-
-        Returns
-        -------
-        list of dict
-            The tasks.
-        """
+        """Return one task per star."""
         return [
             {
                 "key": f"{detector}-motion{number}-kp{mag:g}-{index}",
@@ -181,18 +161,7 @@ class K2MotionNoise(Study):
         ]  # fmt: skip
 
     def observation(self, task):
-        """Return the pixels of a star; both detectors see the same star and motion.
-
-        Parameters
-        ----------
-        task : dict
-            One of `tasks`.
-
-        Returns
-        -------
-        Observation
-            The pixels.
-        """
+        """Return the pixels of a star; both detectors see the same star and motion."""
         rng = self.star_rng(task["star"])
         if task["motion"] == "field":
             shift = self.star_rng("field", "shift").uniform()
@@ -209,20 +178,10 @@ class K2MotionNoise(Study):
     def measure(self, task, observation):
         """Return the noise of a star, and what contributes to it.
 
-        Parameters
-        ----------
-        task : dict
-            One of `tasks`.
-        observation : Observation
-            The star.
-
-        Returns
-        -------
-        dict
-            CDPP in both conventions; in EVEREST's convention and without noise, that by light
-            moving out of the aperture alone (``losses``), with the response within pixels
-            (``intrapixel``), and with that between pixels (``systematics``); ``white``, the
-            nominal noise of photons, background and reads; and what the aperture is.
+        CDPP in both conventions; in EVEREST's convention and without noise, that by light moving
+        out of the aperture alone (``losses``), with the response within pixels (``intrapixel``),
+        and with that between pixels (``systematics``); ``white``, the nominal noise of photons,
+        background and reads; and what the aperture is.
         """
         detector = observation.detector
         flat = self._noiseless(observation, detector.without_sensitivity())
@@ -281,17 +240,9 @@ class K2MotionNoise(Study):
     def summarize(self, table):
         """Return our noise beside that of campaign 3.
 
-        Parameters
-        ----------
-        table : astropy.table.Table
-            The results.
-
-        Returns
-        -------
-        astropy.table.Table
-            Per detector, motion and magnitude: percentiles of the noise with errors by resampling,
-            campaign 3's (saturated stars included, as they are in ours), the ratios, and medians of
-            the contributions. ``meta`` has what was fitted and what holds.
+        Per detector, motion and magnitude: percentiles of the noise with errors by resampling,
+        campaign 3's (saturated stars included, as they are in ours), the ratios, and medians of
+        the contributions. ``meta`` has what was fitted and what holds.
         """
         reference = read_reference("k2_c03_raw", "all")
         rows = []
@@ -329,20 +280,7 @@ class K2MotionNoise(Study):
         return row
 
     def draw(self, table, summary):
-        """Draw our noise over that of campaign 3, and what contributes to it.
-
-        Parameters
-        ----------
-        table : astropy.table.Table
-            The results.
-        summary : astropy.table.Table
-            The summary of them.
-
-        Returns
-        -------
-        matplotlib.figure.Figure
-            The figure.
-        """
+        """Draw our noise over that of campaign 3, and what contributes to it."""
         from scope_models.plotting.calibration import plot_k2_motion  # imports matplotlib
 
         motion = summary["motion"][0]

@@ -2,11 +2,12 @@
 
 import re
 from dataclasses import fields
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 
-from scope_models._checks import checked_number
+from scope_models._checks import checked_integer, checked_number
 from scope_models.missions import MISSIONS
 from scope_models.scene.motion import K2Roll, Motion
 from scope_models.scene.star import Star
@@ -186,6 +187,10 @@ def motion_from_name(name, n_cadences=None):
     return _usable(Motion.from_file(Path(name), bad="drop"), name)[:n_cadences]
 
 
+#: `motion_from_name` for studies, in which all stars have the same motion.
+cached_motion = lru_cache(maxsize=8)(motion_from_name)
+
+
 def _usable(motion, name):
     """Return a motion without flagged cadences and without absurd positions."""
     keep = (motion.quality & MISSIONS["K2"].quality.rejected) == 0
@@ -244,8 +249,7 @@ def stamp_around(motion, margin=5):
     >>> stamp_around(10 * Motion.k2_roll(500))
     ((18, 13), 6, 10)
     """
-    if margin < 0:
-        raise ValueError(f"`margin` must not be negative, got {margin}")
+    margin = checked_integer("margin", margin, 0)
     sizes, origins = [], []
     for values in (motion.y, motion.x):
         low, high = int(np.floor(values.min() + 0.5)), int(np.ceil(values.max() - 0.5))

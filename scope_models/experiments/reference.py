@@ -6,9 +6,11 @@
 from functools import cache
 from importlib import resources
 
+import astropy.units as u
 import numpy as np
 from astropy.table import Table
 
+from scope_models._arrays import plain_array, plain_number
 from scope_models._checks import checked_number
 
 __all__ = ["PERCENTILES", "REFERENCES", "bin_noise", "read_reference", "reference_noise"]
@@ -45,7 +47,8 @@ def bin_noise(mag, cdpp, centers, width=0.5, *, fewest=1):
     >>> table["n"].tolist(), table["median"].tolist()
     ([3, 1], [20.0, 99.0])
     """
-    mag, cdpp = np.asarray(mag, dtype=float), np.asarray(cdpp, dtype=float)
+    mag, centers = plain_array(mag, u.mag, "mag"), plain_array(centers, u.mag, "centers")
+    cdpp, width = plain_array(cdpp, 1e-6, "cdpp"), plain_number(width, u.mag, "width")
     rows = []
     for center in centers:
         inside = (mag >= center - width / 2) & (mag < center + width / 2)

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from scope_models._checks import checked_integer
+from scope_models._values import Value
 from scope_models.experiments._sky_light import make_light, make_motion, make_transit, red_noise
 from scope_models.experiments._sky_pixels import bleed, make_psf, make_response, render
 from scope_models.experiments._sky_scores import SkyScore, score_light_curve
@@ -48,7 +49,7 @@ _PHOTOMETERS = {
 
 
 @dataclass(frozen=True)
-class SkyRegime:
+class SkyRegime(Value):
     """A kind of messy star.
 
     Parameters

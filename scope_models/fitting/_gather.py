@@ -8,6 +8,7 @@ import numpy as np
 from scope_models._arrays import plain_tree
 from scope_models.exceptions import FitWarning
 from scope_models.fitting._data import find_stars
+from scope_models.fitting._problem import numbered
 from scope_models.fitting.result import FittedStar, TPFFit
 
 __all__ = ["doubts_of", "make_results", "warn_of_fit"]
@@ -118,8 +119,8 @@ def _of_star(problem, state, errors, star):
     x, y = problem.xy(state, star).T
     result = {"x": x, "y": y, "flux": problem.fluxes(state, star)}
     result |= {f"{axis}_err": variances[i] for i, axis in enumerate("xy")}
-    name = f"flux_{star}" if star else "flux"
-    result["flux_err"] = _variance(problem, shared, cadence, name, f"flux_star_{star}")
+    names = numbered("flux", star), f"flux_star_{star}"
+    result["flux_err"] = _variance(problem, shared, cadence, *names)
     return _with_errors(result)
 
 
@@ -144,10 +145,10 @@ def _by_cadence(problem, state, errors, star):
     """Values and errors of each cadence by name."""
     shared, cadence, relative, _ = errors
     result = _of_star(problem, state, errors, star)
-    i = problem.columns.index(f"flux_{star}" if star else "flux")
+    i = problem.columns.index(numbered("flux", star))
     result["flux_scatter"] = np.sqrt(np.maximum(relative[:, i, i], 0))
     stamp = problem.stars[star].stamp
-    name = f"background_{stamp}" if stamp else "background"
+    name = numbered("background", stamp)
     background = {"background": problem.backgrounds(state, stamp)}
     background["background_err"] = _variance(problem, shared, cadence, name, name)
     return result | _with_errors(background)
@@ -161,8 +162,7 @@ def warn_of_fit(fit, stacklevel):
 
 def doubts_of(fit):
     """Return what is doubtful about a fit, a message for each doubt."""
-    messages = [*_of_convergence(fit), *_of_sensitivity(fit), *_of_pixels(fit)]
-    return [*messages, *_of_positions(fit)]
+    return [*_of_convergence(fit), *_of_sensitivity(fit), *_of_pixels(fit), *_of_positions(fit)]
 
 
 def _of_convergence(fit):

@@ -8,8 +8,9 @@ import numpy as np
 from scipy.interpolate import BSpline
 
 from scope_models.fitting.parameters import FitParameter, fit_parameters
+from scope_models.models._parameters import numbers_of
 
-__all__ = ["FitOptions", "FitStar", "Limits", "NormalEquations", "Problem", "State"]
+__all__ = ["FitOptions", "FitStar", "Limits", "NormalEquations", "Problem", "State", "numbered"]
 
 # Cadences whose derivatives are held at once.
 _CHUNK = 256
@@ -120,18 +121,20 @@ class Problem:
         """The pixels of the first file."""
         return self.stamps[0]
 
+    def _joined(self, name):
+        """The fitted pixels of all files, shape ``(n, p)``; NaN where there are no data."""
+        return np.concatenate([getattr(s, name)[:, s.pixels] for s in self.stamps], axis=1)
+
     @cached_property
     def flux(self):
         """Fluxes of the fitted pixels, shape ``(n, p)``, 0 where there are none."""
-        flux = np.concatenate([s.flux[:, s.pixels] for s in self.stamps], axis=1)
+        flux = self._joined("flux")
         return np.where(np.isfinite(flux), flux, 0.0)
 
     @cached_property
     def _given_weight(self):
-        flux = np.concatenate([s.flux[:, s.pixels] for s in self.stamps], axis=1)
-        error = np.concatenate([s.flux_err[:, s.pixels] for s in self.stamps], axis=1)
-        good = np.isfinite(flux)
-        return np.where(good, 1 / np.where(good, error, 1.0), 0.0)
+        good = np.isfinite(self._joined("flux"))
+        return np.where(good, 1 / np.where(good, self._joined("flux_err"), 1.0), 0.0)
 
     @cached_property
     def weight(self):
@@ -201,8 +204,12 @@ class Problem:
         """The shared parameters, in their order."""
         shape = np.max([s.shape for s in self.stamps], axis=0) if self.stamps else (1, 1)
         result = list(fit_parameters(self.prf, shape))
-        if self.n_affine:
-            result += self._path_parameters
+        for i, axis in enumerate("xy" if self.n_affine else ()):
+            scale = {"kind": "slope", "prior": self.options.scale_error}
+            result += [
+                FitParameter(f"{axis}_const", "position"),
+                *(FitParameter(f"{axis}_by_corr{j + 1}", **scale, center=i == j) for j in (0, 1)),
+            ]
         for i in range(1, len(self.stamps)):
             result += [
                 FitParameter(name, "slope", prior=_MAP_PRIOR, center=one, start=one)
@@ -210,39 +217,23 @@ class Problem:
             ]
         for k, star in enumerate(self.stars[1:], start=1):
             for axis, start in (("x", star.x), ("y", star.y)):
-                result.append(
-                    FitParameter(
-                        f"{axis}_star_{k}",
-                        "position",
-                        start - _STAR_MOVE,
-                        start + _STAR_MOVE,
-                        _LARGEST_MOVE,
-                        start=start,
-                    )
-                )
+                reach = start - _STAR_MOVE, start + _STAR_MOVE, _LARGEST_MOVE
+                result.append(FitParameter(f"{axis}_star_{k}", "position", *reach, start=start))
         result += [
             FitParameter(f"flux_star_{k}", "flux")
             for k, star in enumerate(self.stars)
             if star.constant
         ]
         if self.options.background == "constant":
-            names = ["background", *(f"background_{i}" for i in range(1, len(self.stamps)))]
-            result += [FitParameter(name, "flux") for name in names]
+            result += [
+                FitParameter(numbered("background", i), "flux") for i in range(len(self.stamps))
+            ]
         if self.options.focus is not None:
             number = self.focus_basis.shape[1]
             result += [
                 FitParameter(f"focus_{i}", "focus", prior=_FOCUS_PRIOR) for i in range(number)
             ]
         return tuple(result)
-
-    @property
-    def _path_parameters(self):
-        """The affine map from POS_CORR to the positions."""
-        for i, axis in enumerate("xy"):
-            yield FitParameter(f"{axis}_const", "position")
-            for j in (0, 1):
-                scale = {"prior": self.options.scale_error, "center": float(i == j)}
-                yield FitParameter(f"{axis}_by_corr{j + 1}", "slope", **scale)
 
     @cached_property
     def names(self):
@@ -263,12 +254,9 @@ class Problem:
     def columns(self):
         """Names of the parameters of a cadence."""
         position = () if self.path else ("x", "y")
-        fluxes = tuple(
-            f"flux_{k}" if k else "flux" for k, s in enumerate(self.stars) if not s.constant
-        )
+        fluxes = (numbered("flux", k) for k, s in enumerate(self.stars) if not s.constant)
         number = max(len(self.stamps), 1) if self.options.background == "cadence" else 0
-        return (*position, *fluxes, *(f"background_{i}" if i else "background"
-                                      for i in range(number)))  # fmt: skip
+        return (*position, *fluxes, *(numbered("background", i) for i in range(number)))
 
     @cached_property
     def limits(self):
@@ -277,22 +265,17 @@ class Problem:
         if not self.path:
             ny, nx = self.data.shape
             low[:2], high[:2], step[:2] = -1.0, (nx, ny), _LARGEST_MOVE
-        parameters = self.parameters
-        return Limits(
-            np.array([p.lower for p in parameters], dtype=float),
-            np.array([p.upper for p in parameters], dtype=float),
-            np.array([p.largest_step for p in parameters], dtype=float),
-            np.array([p.relative for p in parameters], dtype=bool),
-            self._light_parts if self.n_pixels else None,
-            low,
-            high,
-            step,
-        )
+        shared = [
+            np.array([getattr(p, name) for p in self.parameters], dtype=kind)
+            for name, kind in (("lower", float), ("upper", float), ("largest_step", float),
+                               ("relative", bool))
+        ]  # fmt: skip
+        return Limits(*shared, self._light_parts if self.n_pixels else None, low, high, step)
 
     @cached_property
     def _light_parts(self):
         """Parts of the light in the fitted pixels, of sum 1, shape ``(p,)``."""
-        flux = np.concatenate([s.flux[:, s.pixels] for s in self.stamps], axis=1)
+        flux = self._joined("flux")
         seen = np.isfinite(flux).any(axis=0)
         light = np.zeros(len(seen))
         light[seen] = np.maximum(np.nanmedian(flux[:, seen], axis=0), 0.0)
@@ -384,11 +367,11 @@ class Problem:
         """Fluxes of a star, shape ``(n,)``."""
         if self.stars[star].constant:
             return np.full(len(state.cadence), self._shared_value(state, f"flux_star_{star}"))
-        return state.cadence[:, self.columns.index(f"flux_{star}" if star else "flux")]
+        return state.cadence[:, self.columns.index(numbered("flux", star))]
 
     def backgrounds(self, state, stamp=0):
         """Backgrounds of a file, shape ``(n,)``."""
-        name = f"background_{stamp}" if stamp else "background"
+        name = numbered("background", stamp)
         if self.options.background == "cadence":
             return state.cadence[:, self.columns.index(name)]
         constant = self.options.background == "constant"
@@ -425,8 +408,7 @@ class Problem:
         """Derivative of images by the relative width: all distances from the star scale."""
         kinds = self.prf.parameter_kinds
         scaled = [name for name, kind in kinds.items() if kind in {"width", "offset"}]
-        numbers = {name: float(np.ravel(getattr(self.prf, name).value)[0]) for name in scaled}
-        numbers |= {name: values[name] for name in scaled if name in values}
+        numbers = numbers_of(self.prf) | values
         return sum(numbers[name] * derivatives[name] for name in scaled)
 
     def model(self, state):
@@ -492,7 +474,7 @@ class Problem:
             )
         residual = self.flux[part] - response * light
         for i, pixels in enumerate(self.slices):
-            name = f"background_{i}" if i else "background"
+            name = numbered("background", i)
             residual[:, pixels] -= self.backgrounds(state, i)[part, None]
             if self.options.background == "constant":
                 by_shared[:, pixels, self.names.index(name)] = 1.0
@@ -518,7 +500,7 @@ class Problem:
         if self.stars[k].constant:
             by_shared[..., self.names.index(f"flux_star_{k}")] = response * image
         else:
-            by_cadence[..., self.columns.index(f"flux_{k}" if k else "flux")] = response * image
+            by_cadence[..., self.columns.index(numbered("flux", k))] = response * image
         return flux * image
 
     def _with_priors(self, state, equations):
@@ -554,6 +536,11 @@ class Problem:
             equations.shared[i, i] += precision * self.basis.T @ self.basis
             equations.shared_gradient[i] += precision * deviation[:, axis] @ self.basis
         return precision * np.sum(deviation**2)
+
+
+def numbered(name, k):
+    """Name of what belongs to star or file k; that of the first one has no number."""
+    return f"{name}_{k}" if k else name
 
 
 def _map_names(stamp):

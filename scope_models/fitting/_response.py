@@ -11,7 +11,7 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from scope_models.effects.shares import PixelShares, polynomial_terms, polynomials, scaled_to
-from scope_models.fitting._problem import _UNTRUE, State
+from scope_models.fitting._problem import _UNTRUE, State, numbered
 from scope_models.fitting._start import centroids, linear_start
 from scope_models.fitting.result import FittedStar
 
@@ -219,10 +219,10 @@ def _linearized(shares, state):
         design[:, pixels, 0] += flux * by_x
         design[:, pixels, 1] += flux * by_y
         if not star.constant:
-            design[:, pixels, columns.index(f"flux_{k}" if k else "flux")] = image
+            design[:, pixels, columns.index(numbered("flux", k))] = image
     for i, pixels in enumerate(problem.slices):
         residual[:, pixels] -= problem.backgrounds(state, i)[:, None]
-        name = f"background_{i}" if i else "background"
+        name = numbered("background", i)
         if name in columns:
             design[:, pixels, columns.index(name)] = 1.0
     return residual, design
@@ -263,14 +263,15 @@ def _on_path(cadences, problem, center):
     cadences.state = replace(cadences.state, cadence=cadence)
 
 
-def _squares(shares, cadences):
+def _squares(shares, cadences, weight=None):
     """Squared residuals in errors of all pixels, 0 where they are not used."""
-    return (cadences.weight * (shares.problem.flux - shares.model(cadences.state))) ** 2
+    weight = cadences.weight if weight is None else weight
+    return (weight * (shares.problem.flux - shares.model(cadences.state))) ** 2
 
 
-def _cost(squares):
-    """Cost that grows only linearly with large residuals."""
-    return float(np.sum(2 * _SOFT**2 * (np.sqrt(1 + squares / _SOFT**2) - 1)))
+def _costs(squares):
+    """Cost of each cadence, which grows only linearly with large residuals."""
+    return np.sum(2 * _SOFT**2 * (np.sqrt(1 + squares / _SOFT**2) - 1), axis=1)
 
 
 def _leave_out(shares, cadences, given):
@@ -301,19 +302,13 @@ def _climb(shares, cadences, center, error, held, steps, given, report):
         _improve(shares, cadences, center, error)
         _on_path(cadences, shares.problem, center)
         _leave_out(shares, cadences, given)
-        cost = _cost(_squares(shares, cadences)[cadences.used & ~held])
+        cost = float(_costs(_squares(shares, cadences)[cadences.used & ~held]).sum())
         if report is not None:
             report(cost)
         if number > 2 and abs(before - cost) < max(_SAME * cost, _SMALL * np.sqrt(given.size)):
             return True, number + 1
         before = cost
     return False, steps
-
-
-def _held_cost(shares, cadences, held, given):
-    """Cost of the cadences that are held out, cadence by cadence."""
-    squares = (given * (shares.problem.flux - shares.model(cadences.state))) ** 2
-    return np.sum(2 * _SOFT**2 * (np.sqrt(1 + squares[held] / _SOFT**2) - 1), axis=1)
 
 
 def _choose(problem, cadences, center, error, held, report):
@@ -338,7 +333,7 @@ def _choose(problem, cadences, center, error, held, report):
             shares, trial = best[0].richer(*degrees), replace(best[1])
         _, more = _climb(shares, trial, center, error, held, _TRIAL_STEPS, given, report)
         steps += more
-        cost = _held_cost(shares, trial, held, given)
+        cost = _costs(_squares(shares, trial, given)[held])
         if best is not None:
             both = trial.used[held] & best[1].used[held]
             if cost[both].sum() > (1 - _LEAST_GAIN) * best[2][both].sum():
@@ -462,7 +457,7 @@ def _result(found, number, fit):
     n_parameters = round(part * shares.n_free + free[cadences.used].sum())
     chi2 = float(np.nansum(squares))
     mean = chi2 / max(n_data.sum() - n_parameters, 1)
-    column = f"background_{number}" if number else "background"
+    column = numbered("background", number)
     error = np.zeros(len(held))
     if column in problem.columns:
         error = np.sqrt(found.variance[:, problem.columns.index(column)])
@@ -499,7 +494,7 @@ def _of_star(problem, state, variance, star):
     """Position and flux of a star, and their errors, by name."""
     x, y = problem.xy(state, star).T
     result = {"x": x, "y": y, "flux": problem.fluxes(state, star)}
-    column = f"flux_{star}" if star else "flux"
+    column = numbered("flux", star)
     known = dict(zip(problem.columns, np.sqrt(variance).T, strict=True))
     zero = np.zeros(len(x))
     errors = {"x_err": known["x"], "y_err": known["y"], "flux_err": known.get(column, zero)}

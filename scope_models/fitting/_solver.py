@@ -112,19 +112,14 @@ def _eliminate(equations, damping=0.0):
     return _Reduced(matrix, equations.shared_gradient - product[:m, m], factor, right)
 
 
-def _scales(matrix):
-    """Scales of parameters by the diagonal of a positive matrix; 0 for what is not in it."""
-    diagonal = np.diag(matrix)
-    return np.where(diagonal > 0, 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0)), 0.0)
-
-
 def _spectrum(matrix, whole):
     """
     Scales, eigenvalues and vectors of a reduced matrix in the scales of the whole one.
 
     What is left of a direction that the cadences can imitate is a rounding error in these scales.
     """
-    scale = _scales(whole)
+    diagonal = np.diag(whole)
+    scale = np.where(diagonal > 0, 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0)), 0.0)
     values, vectors = np.linalg.eigh(matrix * scale[:, None] * scale)
     return scale, values, vectors
 

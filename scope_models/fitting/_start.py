@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from scope_models.fitting._problem import State
+from scope_models.fitting._problem import State, numbered
 from scope_models.models import (
     PRF,
     BivariateGaussianPSF,
@@ -210,7 +210,7 @@ def linear_start(problem, state):
         if star.constant:
             shared[problem.names.index(f"flux_star_{k}")] = np.median(values[:, k])
         else:
-            cadence[:, problem.columns.index(f"flux_{k}" if k else "flux")] = values[:, k]
+            cadence[:, problem.columns.index(numbered("flux", k))] = values[:, k]
     if both:
         cadence[:, -len(problem.stamps) :] = values[:, len(problem.stars) :]
     return State(shared, state.interpixel, cadence)

@@ -3,7 +3,6 @@
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
-from os import PathLike
 
 import numpy as np
 from astropy.modeling import Model
@@ -102,11 +101,10 @@ def fit_tpf(
         fitted with a prior of 0.3 about 1, in the cadences that all have.
     psf : int or `~astropy.modeling.Model`, optional
         1, 2 or 3 Gaussian components with free offsets; or a density or sum of densities, as for
-        `~scope_models.PRF`; or a `~scope_models.PRF`. A model gives the starting values, and
-        its ``fixed`` and ``bounds`` are kept. None: one or two components if they describe the
-        pixels; else what describes them better without a parameter at a bound, one or two
-        components, or one of fixed width with an empirical term of order 6, with positions near
-        POS_CORR.
+        `~scope_models.PRF`; or a `~scope_models.PRF`. A model gives the starting values, and its
+        ``fixed`` and ``bounds`` are kept. None: one or two components if they describe the pixels;
+        else what describes them better without a parameter at a bound, one or two components, or
+        one of fixed width with an empirical term of order 6, with positions near POS_CORR.
     sensitivity : `~scope_models.SensitivityPolynomial`, optional
         Response within a pixel: starting values, and by its ``fixed`` what is fitted. The
         constants are always fixed, because they are the flux. None: the response is 1.
@@ -209,9 +207,10 @@ def fit_tpf(
     >>> print(f"{fit.values['sigma_x']:.2f} {fit.reduced_chi2:.1f}")
     0.50 1.0
     """
+    width = _PRIOR if interpixel is None else interpixel  # infinite: without a prior
     options = FitOptions(
         empirical=checked_integer("empirical", empirical, 0),
-        interpixel=_PRIOR if interpixel is None else _checked_width("interpixel", interpixel),
+        interpixel=width if width == np.inf else checked_number("interpixel", width),
         background=_one_of("background", background, _BACKGROUNDS),
         positions=_one_of("positions", positions, _POSITIONS),
         position_error=checked_number("position_error", position_error, "pix", positive=True),
@@ -229,7 +228,7 @@ def fit_tpf(
         raise ValueError("`tpf` must have at least one file")
     if _one_of("response", response, _RESPONSES) == "pixels":
         _check_pixels(options, sensitivity, interpixel)
-    series = [_series(file) for file in files]
+    series = [read_pixels(file) for file in files]
     places = _places(stars, neighbors, series, several=several)
     prf = make_prf(2 if psf is None else psf, sensitivity, options.empirical)
     problem, detectors = _make_problem(series, places, prf, flux_err, neighbor_flux, options)
@@ -239,8 +238,9 @@ def fit_tpf(
         if response != "pixels":
             fitted = _tried(_candidates(problem, choice), choice, steps, max_steps, few=choice.psf)
             open_to_all = choice.psf and choice.interpixel and sensitivity is None
-            if response == "auto" and open_to_all and options.focus is None:
-                response = _response_of(problem, *fitted)
+            enough = len(problem.flux) >= _ENOUGH and options.focus is None
+            if response == "auto" and open_to_all and enough:
+                response = "psf" if _is_true(*fitted, strictly=True) else "pixels"
         if response == "pixels":
             fitted = _tried(_rough(problem, choice), choice, steps, max_steps, few=True)
         else:
@@ -265,12 +265,6 @@ def _tried(candidates, choice, steps, max_steps, *, few):
         if _is_true(*tried[-1], strictly=choice.psf):
             break
     return min(tried, key=lambda item: _rank(*item))
-
-
-def _response_of(problem, few, solution):
-    """Return the response with which all cadences are fitted, from the best PSF for some."""
-    enough = len(problem.flux) >= _ENOUGH
-    return "pixels" if enough and not _is_true(few, solution, strictly=True) else "psf"
 
 
 def _check_pixels(options, sensitivity, interpixel):
@@ -395,12 +389,6 @@ def _rescaled(problem, solution, steps):
     return problem, solution
 
 
-def _series(file):
-    """The pixels of a file; cadences with bad flags are left out where it is read here."""
-    is_path = isinstance(file, str | PathLike)
-    return read_pixels(file, quality_bitmask="default" if is_path else "none")
-
-
 def _places(stars, neighbors, series, *, several):
     """Per file, the position of the target or None, and those of the other stars."""
     if stars is not None and neighbors is not None:
@@ -487,8 +475,3 @@ def _one_of(name, value, allowed):
     if value not in allowed:
         raise ValueError(f"`{name}` must be one of {', '.join(allowed)}, got {value!r}")
     return value
-
-
-def _checked_width(name, value):
-    """A number that is not negative; infinity is one."""
-    return np.inf if value == np.inf else checked_number(name, value)

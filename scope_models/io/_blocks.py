@@ -10,7 +10,14 @@ import numpy as np
 if TYPE_CHECKING:
     from astropy.io import fits
 
-__all__ = ["CHECKSUM_COMMENT", "Block", "column_cards", "make_header", "write_blocks"]
+__all__ = [
+    "CHECKSUM_COMMENT",
+    "Block",
+    "checksum_of",
+    "column_cards",
+    "make_header",
+    "write_blocks",
+]
 
 CHECKSUM_COMMENT = "checksum of the FITS standard"
 _BLOCK = 2880
@@ -95,12 +102,13 @@ class Block:
         if self.data is not None:
             data = np.ascontiguousarray(self.data, self.data.dtype.newbyteorder(">"))
             data = data.reshape(-1).view(np.uint8)
-        total = _sum(data)
+        total = checksum_of(data)
         text = self.header.tostring(endcard=False, padding=False)
         text += _card("CHECKSUM", _NO_CHECKSUM, CHECKSUM_COMMENT)
         text += _card("DATASUM", str(total), CHECKSUM_COMMENT)
-        text = _padded((text + "END").encode("ascii"), b" ")
-        checksum = _encoded(_sum(np.frombuffer(text, np.uint8), total) ^ 0xFFFFFFFF)
+        text = (text + "END").encode("ascii")
+        text += b" " * (-len(text) % _BLOCK)
+        checksum = _encoded(checksum_of(np.frombuffer(text, np.uint8), total) ^ 0xFFFFFFFF)
         stream.write(text.replace(f"'{_NO_CHECKSUM}'".encode(), f"'{checksum}'".encode()))
         stream.write(data.data)
         stream.write(bytes(-len(data) % _BLOCK))
@@ -165,12 +173,7 @@ def column_cards(rows, titles):
     return cards
 
 
-def _padded(text, filler):
-    """Return text filled up to whole blocks."""
-    return text.ljust(-(-len(text) // _BLOCK) * _BLOCK, filler)
-
-
-def _sum(data, start=0):
+def checksum_of(data, start=0):
     """Return the ones' complement sum of bytes in 32-bit numbers."""
     rest = len(data) % 4
     total = start + int(data[: len(data) - rest].view(">u4").sum(dtype=np.uint64))

@@ -11,6 +11,7 @@ import numpy as np
 from astropy import config
 
 from scope_models.exceptions import DamagedFileWarning
+from scope_models.io._blocks import checksum_of
 
 __all__ = ["Conf", "RefusedError", "conf", "naming", "open_fits"]
 
@@ -163,14 +164,12 @@ def _read_whole(path):
     size = path.stat().st_size
     if size == 0:
         raise ValueError(f"{path} is empty")
-    with path.open("rb") as stream:
-        packed = stream.read(len(_GZIP)) == _GZIP
-        stream.seek(0)
-        limit = conf.max_bytes
-        if packed:
-            limit = min(limit, max(_SMALL, conf.max_ratio * size))
-            stream = gzip.GzipFile(fileobj=stream)  # noqa: PLW2901
-        walk = _Walk(stream, path, limit)
+    with path.open("rb") as file:
+        stream, limit = file, conf.max_bytes
+        if file.read(len(_GZIP)) == _GZIP:
+            stream, limit = gzip.GzipFile(fileobj=file), max(_SMALL, conf.max_ratio * size)
+        file.seek(0)
+        walk = _Walk(stream, path, min(limit, conf.max_bytes))
         try:
             content = walk.content()
         except RefusedError as error:
@@ -207,7 +206,9 @@ class _Walk:
             padded = -(-size // _BLOCK) * _BLOCK
             if data + padded > self._limit:
                 self._refuse_size(f"HDU {n_hdus} claims {size:,} bytes")
-            if self._read_on(padded) < padded:
+            while (left := data + padded - len(self._bytes)) and self._read(min(left, _CHUNK)):
+                pass  # in pieces: a claim needs no memory
+            if left:
                 found = len(self._bytes) - data
                 self._refuse(f"HDU {n_hdus} ends after {found:,} of {padded:,} bytes")
             self._verify(header, start, data, n_hdus)
@@ -222,13 +223,6 @@ class _Walk:
         piece = self._stream.read(size)
         self._bytes += piece
         return piece
-
-    def _read_on(self, size):
-        """Read data in pieces, and return how many bytes there were."""
-        left = size
-        while left and (piece := self._read(min(left, _CHUNK))):
-            left -= len(piece)
-        return size - left
 
     def _is_padding(self, block):
         """Return whether the file ends with zeros or blanks; refuse other things after it."""
@@ -309,7 +303,8 @@ class _Walk:
             if not text:
                 continue
             wanted = 0 if keyword == "CHECKSUM" else int(text) if text.isdigit() else -1
-            if _sum_of_words(memoryview(self._bytes)[begin:]) != wanted % _ONES:
+            found = checksum_of(np.frombuffer(memoryview(self._bytes)[begin:], np.uint8))
+            if found % _ONES != wanted % _ONES:
                 self.mismatches.append(f"{keyword} of HDU {number}")
                 return
 
@@ -321,9 +316,3 @@ class _Walk:
             f"{self._path} is too large: {reason}, the limit is {self._limit:,} "
             "(scope_models.io.conf.max_bytes, max_ratio)"
         )
-
-
-def _sum_of_words(part):
-    """Return the sum of 32-bit words modulo 2^32 - 1."""
-    words = np.frombuffer(part, dtype=">u4") if part else np.zeros(1)
-    return int(words.sum(dtype=np.uint64)) % _ONES

@@ -4,9 +4,9 @@ import datetime as dt
 import re
 
 import numpy as np
-from astropy.time import Time
 
 from scope_models._version import __version__
+from scope_models.io._headers import calendar_dates
 from scope_models.io.pixels import read_pixels
 
 __all__ = ["make_light_curve_hdulist"]
@@ -14,6 +14,7 @@ __all__ = ["make_light_curve_hdulist"]
 _COLLECTED, _OPTIMAL = 1, 2
 # What describes columns, images and their coordinates in the pixels' headers.
 _OF_COLUMNS = re.compile(r"\d|WC|T(TYPE|FORM|UNIT|DISP|DIM|NULL|SCAL|ZERO)\d|NAXIS")
+_OF_SIZES = re.compile("NAXIS")
 # What describes the pixels' file, the pipeline's aperture, or cadences that may have been left out.
 _NO_LONGER_TRUE = {
     *("SIMPLE", "XTENSION", "BITPIX", "EXTEND", "NEXTEND", "PCOUNT", "GCOUNT", "TFIELDS"),
@@ -75,7 +76,14 @@ def make_light_curve_hdulist(tpf, columns, *, aperture, cards=()):
     primary = fits.PrimaryHDU()
     primary.header["NEXTEND"] = (2, "number of standard extensions")
     primary.header["EXTNAME"] = ("PRIMARY", "name of extension")
-    primary.header.extend(_new_cards(), end=True)
+    new = [
+        ("ORIGIN", "Unofficial data product", "institution responsible for this file"),
+        ("DATE", dt.datetime.now(dt.UTC).date().isoformat(), "file creation date"),
+        # lightkurve finds the kind of a file by this word.
+        ("CREATOR", "scope_models LightCurve", "program that made this file"),
+        ("PROCVER", f"scope_models {__version__}", "software version"),
+    ]
+    primary.header.extend(new, end=True)
     primary.header.extend(_kept(sources[0]), end=True)
     primary.header["TELESCOP"] = (series.mission.telescope, "telescope")
     for keyword, value, comment in cards:
@@ -91,23 +99,12 @@ def make_light_curve_hdulist(tpf, columns, *, aperture, cards=()):
     return fits.HDUList([primary, table, _aperture_hdu(tpf, sources, np.asarray(aperture))])
 
 
-def _new_cards():
-    """Return what is new about the file."""
-    return [
-        ("ORIGIN", "Unofficial data product", "institution responsible for this file"),
-        ("DATE", dt.datetime.now(dt.UTC).date().isoformat(), "file creation date"),
-        # lightkurve finds the kind of a file by this word.
-        ("CREATOR", "scope_models LightCurve", "program that made this file"),
-        ("PROCVER", f"scope_models {__version__}", "software version"),
-    ]
-
-
-def _kept(header):
+def _kept(header, left_out=_OF_COLUMNS):
     """Return the cards of a header that stay true."""
     return [
         card
         for card in header.cards
-        if card.keyword not in _NO_LONGER_TRUE and not _OF_COLUMNS.match(card.keyword)
+        if card.keyword not in _NO_LONGER_TRUE and not left_out.match(card.keyword)
     ]
 
 
@@ -120,13 +117,13 @@ def _span(time, series):
     delta = series.header.get("TIMEDEL")
     half = delta / 2 if isinstance(delta, float) and delta > 0 else 0.0
     first, last = float(known[0] - half), float(known[-1] + half)
-    dates = Time([first, last], series.mission.time_zero, format="jd", scale="tdb").utc.isot
+    dates = calendar_dates(series.mission.time_zero, (first, last))
     return [
         ("TSTART", first, "first cadence in this file begins, days as TIME"),
         ("TSTOP", last, "last cadence in this file ends, days as TIME"),
         ("TELAPSE", last - first, "[d] TSTOP - TSTART"),
-        ("DATE-OBS", str(dates[0]), "TSTART as UTC date at the barycenter"),
-        ("DATE-END", str(dates[1]), "TSTOP as UTC date at the barycenter"),
+        ("DATE-OBS", dates[0], "TSTART as UTC date at the barycenter"),
+        ("DATE-END", dates[1], "TSTOP as UTC date at the barycenter"),
     ]
 
 
@@ -141,15 +138,6 @@ def _aperture_hdu(tpf, sources, aperture):
             bits = (given & ~_OPTIMAL).astype(np.int32)
     hdu = fits.ImageHDU(bits | np.where(aperture, _OPTIMAL, 0).astype(np.int32), name="APERTURE")
     if len(sources) > 2:
-        hdu.header.extend(_kept_aperture(sources[2]), end=True)
+        hdu.header.extend(_kept(sources[2], _OF_SIZES), end=True)  # with its coordinates
     hdu.header["NPIXSAP"] = (int(aperture.sum()), "pixels in the aperture of the light curve")
     return hdu
-
-
-def _kept_aperture(header):
-    """Return the cards of the aperture that stay true, with its coordinates."""
-    return [
-        card
-        for card in header.cards
-        if card.keyword not in _NO_LONGER_TRUE and not card.keyword.startswith("NAXIS")
-    ]

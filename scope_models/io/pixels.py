@@ -2,16 +2,17 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
-from dataclasses import replace as dataclass_replace
 from numbers import Integral
 from os import PathLike
 from types import MappingProxyType
 
 import numpy as np
+from astropy import units as u
 from astropy.time import Time
 
-from scope_models._arrays import plain_array, plain_time
-from scope_models.io._opening import RefusedError, open_fits
+from scope_models._arrays import plain_array, plain_time, unmasked
+from scope_models._values import Value
+from scope_models.io._opening import RefusedError, naming, open_fits
 from scope_models.io.reading import (
     PositionColumns,
     cards_of,
@@ -26,12 +27,19 @@ __all__ = ["PixelSeries", "read_pixels", "read_tpf", "usable_positions"]
 
 _OPTIMAL = 2  # the bit of the optimal aperture in the APERTURE extension
 _FLUX = "electron / s"
+#: Keywords of the WCS of the column FLUX, and their names in an image.
+_WCS = {
+    "1CTYP5": "CTYPE1", "2CTYP5": "CTYPE2", "1CRPX5": "CRPIX1", "2CRPX5": "CRPIX2",
+    "1CRVL5": "CRVAL1", "2CRVL5": "CRVAL2", "1CUNI5": "CUNIT1", "2CUNI5": "CUNIT2",
+    "1CDLT5": "CDELT1", "2CDLT5": "CDELT2", "11PC5": "PC1_1", "12PC5": "PC1_2",
+    "21PC5": "PC2_1", "22PC5": "PC2_2",
+}  # fmt: skip
 #: Offsets of so many pixels and more are no positions: archive files have -83 to -1023 px.
 LARGEST_OFFSET = 50.0
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class PixelSeries:
+class PixelSeries(Value):
     """The pixels of a star, cadence by cadence, as a target pixel file holds them.
 
     `read_pixels` makes it. The arrays are read-only. ``series[a:b]`` and ``series[mask]`` choose
@@ -84,8 +92,6 @@ class PixelSeries:
     header: Mapping
     mission: Mission | None
 
-    __hash__ = None
-
     def __post_init__(self):
         for item in fields(self):
             value = getattr(self, item.name)
@@ -94,10 +100,6 @@ class PixelSeries:
                 value.flags.writeable = False
                 object.__setattr__(self, item.name, value)
         object.__setattr__(self, "header", MappingProxyType(dict(self.header)))
-
-    def __reduce__(self):
-        values = [getattr(self, item.name) for item in fields(self)]
-        return _restored, tuple(dict(v) if isinstance(v, Mapping) else v for v in values)
 
     def __repr__(self):
         n, ny, nx = self.flux.shape
@@ -109,34 +111,12 @@ class PixelSeries:
     def __len__(self):
         return len(self.time)
 
-    def __eq__(self, other):
-        if not isinstance(other, PixelSeries):
-            return NotImplemented
-        return all(
-            _same(getattr(self, item.name), getattr(other, item.name)) for item in fields(self)
-        )
-
     def __getitem__(self, cadences):
         if isinstance(cadences, Integral):
             raise TypeError(f"cadences are chosen by slices or masks, got {cadences!r}")
         names = ("time", "cadenceno", "quality", "flux", "flux_err", "flux_bkg", "pos_corr")
         values = {name: getattr(self, name) for name in names}
         return self.replace(**{k: v if v is None else v[cadences] for k, v in values.items()})
-
-    def replace(self, **changes):
-        """Return a series with some attributes replaced.
-
-        Parameters
-        ----------
-        **changes
-            Attributes and their new values.
-
-        Returns
-        -------
-        PixelSeries
-            The series.
-        """
-        return dataclass_replace(self, **changes)
 
     @property
     def time_format(self):
@@ -162,24 +142,20 @@ class PixelSeries:
         ValueError
             If no cadence is left, or the choice is unknown.
         """
-        bits = self._bits(quality_bitmask)
+        rejected = self.mission.quality.rejected if self.mission else 0
+        choice, named = quality_bitmask, {"none": 0, "default": rejected}
+        is_integer = isinstance(choice, Integral) and not isinstance(choice, bool)
+        if not is_integer and not (isinstance(choice, str) and choice in named):
+            raise ValueError(
+                f'`quality_bitmask` must be "default", "none" or an integer, got {choice!r}'
+            )
+        bits = int(choice) if is_integer else named[choice]
         keep = (self.quality & bits) == 0
         if bits and self.mission is not None and not self.mission.quality.no_data:
             keep &= np.isfinite(self.time)
         if not keep.any():
             raise ValueError(f"all {len(self)} cadences have quality flags of {bits}")
         return self if keep.all() else self[keep]
-
-    def _bits(self, quality_bitmask):
-        if isinstance(quality_bitmask, str) and quality_bitmask == "none":
-            return 0
-        if isinstance(quality_bitmask, str) and quality_bitmask == "default":
-            return self.mission.quality.rejected if self.mission else 0
-        if isinstance(quality_bitmask, Integral) and not isinstance(quality_bitmask, bool):
-            return int(quality_bitmask)
-        raise ValueError(
-            f'`quality_bitmask` must be "default", "none" or an integer, got {quality_bitmask!r}'
-        )
 
 
 def read_pixels(source, *, quality_bitmask=None):
@@ -233,25 +209,15 @@ def read_pixels(source, *, quality_bitmask=None):
         with open_fits(source) as hdus:
             series = _of_hdus(hdus, source)
     elif isinstance(source, fits.HDUList):
-        try:
-            series = _of_hdus(source, name)
-        except RefusedError as error:
-            raise ValueError(str(error)) from None
+        series = _of_hdus(source, name)
     else:
         series = _of_tpf(source)
     if series is not source:
         _check_times(series, name)
     if quality_bitmask is None:
         quality_bitmask = "default" if isinstance(source, str | PathLike) else "none"
-    return _without_flagged(series, quality_bitmask, name)
-
-
-def _without_flagged(series, quality_bitmask, name):
-    """Leave out flagged cadences; the message names the file."""
-    try:
+    with naming(name):
         return series.without_flagged(quality_bitmask)
-    except ValueError as error:
-        raise ValueError(f"{name}: {error}") from None
 
 
 def read_tpf(source, *, quality_bitmask="default"):
@@ -302,7 +268,8 @@ def read_tpf(source, *, quality_bitmask="default"):
     _check_times(series, source)
     if series.mission is None:
         raise ValueError(f"{source} names no known mission in MISSION or TELESCOP")
-    _without_flagged(series, quality_bitmask, source)
+    with naming(source):
+        series.without_flagged(quality_bitmask)
     kind = getattr(lightkurve, series.mission.tpf_class)
     try:
         return kind(whole, quality_bitmask=quality_bitmask)
@@ -436,20 +403,8 @@ def _check_times(series, name):
     if steps.size:
         before, after = known[steps[0] : steps[0] + 2]
         raise ValueError(f"the times of {name} must increase, got {after} after {before}")
-    try:
+    with naming(name):
         _ = series.time_format
-    except ValueError as error:
-        raise ValueError(f"{name}: {error}") from None
-
-
-def _restored(*values):
-    return PixelSeries(*values)
-
-
-def _same(a, b):
-    if isinstance(a, np.ndarray) and isinstance(b, np.ndarray):
-        return np.array_equal(a, b, equal_nan=a.dtype.kind == "f" and b.dtype.kind == "f")
-    return a == b
 
 
 def _aperture_of(hdus, stamp):
@@ -511,25 +466,7 @@ def _integers(values, n):
 
 
 def pos_corr_of(source):
-    """Return column and row offsets of lightkurve's object in pixels, or None.
-
-    Parameters
-    ----------
-    source : lightkurve.TargetPixelFile or lightkurve.LightCurve
-        The object.
-
-    Returns
-    -------
-    ndarray of shape (n, 2) or None
-        POS_CORR1 and POS_CORR2, NaN where they are masked; None if it has none.
-
-    Examples
-    --------
-    >>> from lightkurve import LightCurve
-    >>> from scope_models.io.pixels import pos_corr_of
-    >>> pos_corr_of(LightCurve(time=[1.0, 2.0], flux=[1.0, 1.0])) is None
-    True
-    """
+    """Return POS_CORR of lightkurve's object, pixels, ``(n, 2)``; None if it has none."""
     columns = [_attribute(source, f"pos_corr{axis}") for axis in (1, 2)]
     if any(column is None for column in columns):
         return None
@@ -537,32 +474,7 @@ def pos_corr_of(source):
 
 
 def positions_of(source):
-    """Return where a star was, by lightkurve's object.
-
-    Parameters
-    ----------
-    source : lightkurve.TargetPixelFile or lightkurve.LightCurve
-        The object.
-
-    Returns
-    -------
-    PositionColumns
-        The columns as they are, and the header's description.
-
-    Raises
-    ------
-    TypeError
-        If the object has no time, or no POS_CORR1 and POS_CORR2.
-
-    Examples
-    --------
-    >>> from lightkurve import LightCurve
-    >>> from scope_models.io.pixels import positions_of
-    >>> lc = LightCurve(time=[1.0, 2.0], flux=[1.0, 1.0])
-    >>> lc["pos_corr1"], lc["pos_corr2"] = [0.0, 0.2], [0.1, 0.1]
-    >>> positions_of(lc).pos_corr1
-    array([0. , 0.2])
-    """
+    """Return the `PositionColumns` of lightkurve's object: where a star was."""
     pos_corr = pos_corr_of(source)
     if _attribute(source, "time") is None or pos_corr is None:
         raise TypeError(
@@ -591,3 +503,53 @@ def _header_of(tpf):
     if "BJDREFI" not in cards and form in TIME_ZEROS:
         cards["BJDREFI"] = int(TIME_ZEROS[form])
     return cards
+
+
+def star_places(name, places, series):
+    """Return columns and rows ``(k, 2)`` of stars in the stamp of a `PixelSeries`.
+
+    ``places`` are columns and rows, a SkyCoord, or a table with the columns x and y, or ra and dec;
+    ``name`` is the argument in messages.
+    """
+    from astropy.coordinates import SkyCoord
+
+    columns = {key.lower(): key for key in getattr(places, "colnames", ())}
+    if {"x", "y"} <= set(columns):
+        places = np.column_stack(
+            [plain_array(places[columns[k]], u.pixel, f"{name}[{k!r}]") for k in "xy"]
+        )
+    elif {"ra", "dec"} <= set(columns):
+        ra, dec = (unmasked(places[columns[k]]) for k in ("ra", "dec"))
+        places = SkyCoord(*(plain_array(v, u.deg, name) for v in (ra, dec)), unit=u.deg)
+    elif columns:
+        raise ValueError(f"`{name}` must have the columns x and y, or ra and dec")
+    if isinstance(places, SkyCoord):
+        places = np.column_stack(_wcs(series).world_to_pixel(places.reshape(-1)))
+    positions = np.atleast_2d(plain_array(places, u.pixel, name))
+    if positions.size == 0:
+        return np.zeros((0, 2))
+    if positions.ndim != 2 or positions.shape[1] != 2 or not np.isfinite(positions).all():
+        raise ValueError(
+            f"`{name}` must be finite positions of shape (k, 2), got shape {positions.shape}"
+        )
+    return positions
+
+
+def target_place(series):
+    """Return the target's column and row in the stamp by its coordinates; None without these."""
+    place = [series.header.get(key) for key in ("RA_OBJ", "DEC_OBJ")]
+    if None in place:
+        return None
+    from astropy.coordinates import SkyCoord
+
+    return star_places("tpf", SkyCoord(*place, unit=u.deg), series)[0]
+
+
+def _wcs(series):
+    """The WCS of the stamp, from the cards of the table."""
+    from astropy.wcs import WCS
+
+    cards = {own: series.header.get(key) for key, own in _WCS.items()}
+    if cards["CRVAL1"] is None or cards["CRPIX1"] is None:
+        raise ValueError("the file has no WCS: give positions in pixels")
+    return WCS({key: value for key, value in cards.items() if value is not None})

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from scope_models._arrays import native
-from scope_models.io._opening import RefusedError, open_fits
+from scope_models.io._opening import RefusedError, naming, open_fits
 from scope_models.missions import TIME_ZEROS, Mission
 
 __all__ = [
@@ -199,10 +199,8 @@ def read_positions(path):
     number = columns.get("CADENCENO")
     if number is not None and not number.any():  # TESScut's files have only zeros
         number = np.arange(1, len(number) + 1)
-    try:
+    with naming(path):
         time_format = time_format_of(header)
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from None
     return PositionColumns(
         columns["TIME"].astype(float),
         columns["POS_CORR1"].astype(float),
@@ -278,25 +276,7 @@ def time_format_of(header):
 
 
 def first_table(hdus, path):
-    """Return the first binary table of a file.
-
-    Parameters
-    ----------
-    hdus : astropy.io.fits.HDUList
-        The file.
-    path : str or path-like
-        Its name, for messages.
-
-    Returns
-    -------
-    astropy.io.fits.BinTableHDU
-        The table.
-
-    Raises
-    ------
-    ValueError
-        If there is none, or it has no rows.
-    """
+    """Return the first binary table of a file."""
     from astropy.io import fits
 
     table = next((hdu for hdu in hdus if isinstance(hdu, fits.BinTableHDU)), None)
@@ -306,29 +286,7 @@ def first_table(hdus, path):
 
 
 def column_of(table, name, path, ndim=1):
-    """Return a column in native byte order, floats as float64.
-
-    Parameters
-    ----------
-    table : astropy.io.fits.BinTableHDU
-        The table.
-    name : str
-        The column, as the table has it.
-    path : str or path-like
-        The file's name, for messages.
-    ndim : {1, 3}, optional
-        Whether a row holds one number or an image.
-
-    Returns
-    -------
-    ndarray
-        The column.
-
-    Raises
-    ------
-    ValueError
-        If the column holds something else.
-    """
+    """Return a column of numbers, or of images, in native byte order, floats as float64."""
     values = np.asarray(table.data[name])
     if values.ndim != ndim or values.dtype.kind not in "iuf":
         what = {1: "one number", 3: "an image of numbers"}[ndim]
@@ -341,16 +299,7 @@ def column_of(table, name, path, ndim=1):
 def cards_of(*headers):
     """Return the cards of headers as a dict; later headers go before earlier ones.
 
-    Parameters
-    ----------
-    *headers : mapping
-        Headers.
-
-    Returns
-    -------
-    dict
-        Keywords and values: None for cards without a value. Comments, checksums and the sizes of
-        the file's parts are left out.
+    None stands for a blank card. Comments, checksums and sizes of the file's parts are left out.
     """
     simple = (str, bool, int, float, complex)
     return {

@@ -5,46 +5,77 @@ from dataclasses import dataclass
 
 import numpy as np
 from astropy import units as u
-from astropy.modeling import Parameter
+from astropy.modeling import Fittable2DModel, Parameter
+from astropy.units import UnitsError
 
 from scope_models._arrays import is_angle, plain_array, without_unit
 
 __all__ = [
     "Domain",
-    "InstanceParameters",
+    "StarModel",
     "check_model_parameters",
     "check_psf_units",
-    "described",
+    "gaussian_box",
+    "make_parameters",
+    "numbers_of",
     "one_number",
+    "value_of",
 ]
 
 
-class InstanceParameters:
-    """Mixin of models whose number of parameters depends on their arguments.
+class StarModel(Fittable2DModel):
+    """A star: its flux and position, and the units that follow from those of the position."""
 
-    It stands before the astropy class among the bases. A subclass calls `make_parameters` before
-    ``super().__init__``.
-    """
+    flux = Parameter(default=1.0, description="Flux of the star")
+    x_0 = Parameter(default=0.0, description="Column of the star (pixel)")
+    y_0 = Parameter(default=0.0, description="Row of the star (pixel)")
 
-    # Filled in by each instance.
-    _param_names = ()
-
-    def make_parameters(self, parameters):
-        """Give this instance its own parameters, after those of its class."""
-        self._param_names = (*self._param_names, *(p.name for p in parameters))
-        for parameter in parameters:
-            parameter.model = self
-            self.__dict__[parameter.name] = parameter
+    #: Whether values are fluxes of pixels, not a density.
+    pixel_integrated = False
 
     @property
-    def param_names(self):
-        """Names of the parameters, in their order (tuple of str)."""
-        return self._param_names
+    def input_units(self):
+        """Units of x and y, or None."""
+        unit = self.x_0.input_unit
+        return unit and {self.inputs[0]: unit, self.inputs[1]: self.y_0.input_unit}
+
+    def _parameter_units_for_data_units(self, inputs_unit, outputs_unit):
+        unit, other = (inputs_unit[name] for name in self.inputs)
+        if unit != other:
+            raise UnitsError("units of x and y must be the same")
+        kinds = getattr(self, "parameter_kinds", {})
+        lengths = ("x_0", "y_0", *(n for n, kind in kinds.items() if kind in {"width", "offset"}))
+        flux = outputs_unit[self.outputs[0]] * (1 if self.pixel_integrated else unit**2)
+        return {"flux": flux, **dict.fromkeys(lengths, unit)}
 
 
-def described(name, description, **constraints):
-    """Return a parameter of default 0 with a description."""
-    return Parameter(name, default=0.0, description=description, **constraints)
+def make_parameters(model, parameters):
+    """Give a model parameters of its own, by name, after those of its class.
+
+    It is called before the model's ``__init__``. A description stands for a parameter of default 0.
+    """
+    model.param_names = tuple(dict.fromkeys((*model.param_names, *parameters)))
+    for name, given in parameters.items():
+        plain = isinstance(given, str)
+        parameter = Parameter(name, default=0.0, description=given) if plain else given
+        parameter.model = model
+        model.__dict__[name] = parameter
+
+
+def value_of(parameter):
+    """Return the value of a parameter, with its unit if it has one."""
+    return parameter.value if parameter.unit is None else parameter.quantity
+
+
+def numbers_of(model):
+    """Return the value of each parameter of a model as a float, by name."""
+    return {name: float(np.ravel(getattr(model, name).value)[0]) for name in model.param_names}
+
+
+def gaussian_box(model, factor):
+    """Rectangle of a half-width of so many sigma_x and sigma_y, as astropy orders it."""
+    d_x, d_y = factor * model.sigma_x, factor * model.sigma_y
+    return ((model.y_0 - d_y, model.y_0 + d_y), (model.x_0 - d_x, model.x_0 + d_x))
 
 
 _TESTS = {
@@ -63,7 +94,7 @@ class Domain:
     name: str
     condition: str
 
-    def __call__(self, model, value):  # noqa: ARG002
+    def __call__(self, _model, value):
         """Raise where a value lies outside the domain; the model is not used."""
         value = np.asarray(without_unit(value), dtype=float)
         wrong = ~_TESTS[self.condition](value)

@@ -5,13 +5,13 @@ import numpy as np
 
 from scope_models._arrays import plain_array
 from scope_models._checks import checked_integer, checked_number
-from scope_models.models._parameters import InstanceParameters, described
+from scope_models.models._parameters import make_parameters
 from scope_models.models.tables import TabulatedPRF
 
 __all__ = ["CorrectedPRF"]
 
 
-class CorrectedPRF(InstanceParameters, TabulatedPRF):
+class CorrectedPRF(TabulatedPRF):
     r"""
     A table of a PRF times a smooth function of the offset from the star.
 
@@ -58,27 +58,18 @@ class CorrectedPRF(InstanceParameters, TabulatedPRF):
     45.3 10.9 99.8
     """
 
-    flux, x_0, y_0 = (getattr(TabulatedPRF, name).copy() for name in ("flux", "x_0", "y_0"))
-
     def __init__(
         self, array, oversampling=1, flux=1.0, x_0=0.0, y_0=0.0, *, order=2, radius=2.0, **kwargs
     ):
         self.order = checked_integer("order", order, 1)
         self.radius = checked_number("radius", radius, "pix", positive=True)
-        names = [f"c_{k}_{m}" for k, m in self._orders()]
-        self.make_parameters(
-            [
-                described(name, f"Coefficient of T_{k} T_{m}")
-                for name, (k, m) in zip(names, self._orders(), strict=True)
-            ]
-        )
+        names = {f"c_{k}_{m}": f"Coefficient of T_{k} T_{m}" for k, m in self._orders()}
+        make_parameters(self, names)
         kwargs = dict.fromkeys(names, 0.0) | kwargs
         super().__init__(array, oversampling, flux, x_0, y_0, **kwargs)
-        ny, nx = self.array.shape
-        dx = (np.arange(nx) - self.origin[0]) / self.oversampling[1]
-        dy = (np.arange(ny) - self.origin[1]) / self.oversampling[0]
-        along_x, along_y = (np.polynomial.chebyshev.chebvander(self._t(d)[0], self.order)
-                            for d in (dx, dy))  # fmt: skip
+        along_x, along_y = (
+            np.polynomial.chebyshev.chebvander(self._t(d)[0], self.order) for d in self._offsets()
+        )
         means = along_y.T @ self.array @ along_x / self.array.sum()
         self._means = np.array([means[m, k] for k, m in self._orders()])
 
@@ -144,13 +135,6 @@ class CorrectedPRF(InstanceParameters, TabulatedPRF):
         ]
         return flux * self.unit_derivatives(*offsets, *coefficients)[0]
 
-    def fit_deriv(self, x, y, flux, x_0, y_0, *coefficients):
-        """Derivatives with respect to the parameters, in their order."""
-        unit, *others = self.unit_derivatives(
-            np.asarray(x) - x_0, np.asarray(y) - y_0, *coefficients
-        )
-        return [unit, *(flux * other for other in others)]
-
     def to_photutils(self):
         """
         Return the corrected table as a model of photutils.
@@ -171,9 +155,7 @@ class CorrectedPRF(InstanceParameters, TabulatedPRF):
         table : TabulatedPRF
             With the correction in its samples.
         """
-        ny, nx = self.array.shape
-        dx = (np.arange(nx) - self.origin[0]) / self.oversampling[1]
-        dy = (np.arange(ny) - self.origin[1]) / self.oversampling[0]
+        dx, dy = self._offsets()
         samples = self.unit_derivatives(dx, dy[:, np.newaxis], *self.parameters[3:])[0]
         values = (getattr(self, name).value for name in ("flux", "x_0", "y_0"))
         return TabulatedPRF(samples, self.oversampling, *values, origin=self.origin)

@@ -2,17 +2,16 @@
 """An empirical PSF: a smooth surface of Gauss-Hermite functions, integrated in closed form."""
 
 import numpy as np
-from astropy.modeling import Fittable2DModel, Parameter
-from astropy.units import UnitsError
 
 from scope_models.models._axis import axis_integrals, hermite_functions
 from scope_models.models._closed_form import ClosedForm, pixels_of
 from scope_models.models._parameters import (
     Domain,
-    InstanceParameters,
+    StarModel,
     check_model_parameters,
     check_psf_units,
-    described,
+    gaussian_box,
+    make_parameters,
     one_number,
 )
 from scope_models.models.psf import BivariateGaussianPSF
@@ -23,7 +22,7 @@ __all__ = ["GaussHermitePSF"]
 _BATCH = 512
 
 
-class GaussHermitePSF(InstanceParameters, Fittable2DModel):
+class GaussHermitePSF(StarModel):
     r"""
     A Gaussian with a smooth surface of low order on it.
 
@@ -65,9 +64,6 @@ class GaussHermitePSF(InstanceParameters, Fittable2DModel):
     [12.11 35.44 11.24]
     """
 
-    flux = Parameter(default=1.0, description="Integral of the density")
-    x_0 = Parameter(default=0.0, description="Column of the center (pixel)")
-    y_0 = Parameter(default=0.0, description="Row of the center (pixel)")
     sigma_x = BivariateGaussianPSF.sigma_x.copy()
     sigma_y = BivariateGaussianPSF.sigma_y.copy()
     sigma_x.validator(Domain("sigma_x", "positive"))
@@ -76,7 +72,8 @@ class GaussHermitePSF(InstanceParameters, Fittable2DModel):
     def __init__(self, flux=1.0, x_0=0.0, y_0=0.0, sigma_x=0.5, sigma_y=0.5, order=None, **kwargs):
         given = [name for name in kwargs if name.startswith("c_")]
         self.order = _checked_order(order, given)
-        values = dict.fromkeys(_coefficient_names(self.order), 0.0)
+        n_terms = range(1, self.order + 1)
+        values = {f"c_{n - m}_{m}": 0.0 for n in n_terms for m in range(n + 1)}
         unknown = set(given) - set(values)
         if unknown:
             raise ValueError(
@@ -89,9 +86,7 @@ class GaussHermitePSF(InstanceParameters, Fittable2DModel):
                     "model for each"
                 )
         places = {name: _orders(name) for name in values}
-        self.make_parameters(
-            [described(n, f"Coefficient of h_{k} h_{m}") for n, (k, m) in places.items()]
-        )
+        make_parameters(self, {n: f"Coefficient of h_{k} h_{m}" for n, (k, m) in places.items()})
         values |= {"flux": flux, "x_0": x_0, "y_0": y_0, "sigma_x": sigma_x, "sigma_y": sigma_y}
         super().__init__(**(values | kwargs))
         check_model_parameters(self)
@@ -105,7 +100,7 @@ class GaussHermitePSF(InstanceParameters, Fittable2DModel):
 
     def _matrix(self, coefficients):
         """Coefficients as a matrix ``[m, k]``, and the places of the free ones in it."""
-        places = [_orders(name) for name in self._param_names[5:]]
+        places = [_orders(name) for name in self.param_names[5:]]
         matrix = np.zeros((self.order + 1, self.order + 1))
         matrix[0, 0] = 1.0
         for (k, m), value in zip(places, coefficients, strict=True):
@@ -221,42 +216,8 @@ class GaussHermitePSF(InstanceParameters, Fittable2DModel):
         )
 
     def bounding_box(self, factor=6.5):
-        """
-        Rectangle outside which hardly any flux lies.
-
-        Parameters
-        ----------
-        factor : float, optional
-            Half-width in standard deviations; the order adds its square root.
-
-        Returns
-        -------
-        bounding_box : tuple
-            ``((y_low, y_high), (x_low, x_high))``, as astropy orders it.
-        """
-        factor += np.sqrt(self.order)
-        d_x, d_y = factor * self.sigma_x, factor * self.sigma_y
-        return ((self.y_0 - d_y, self.y_0 + d_y), (self.x_0 - d_x, self.x_0 + d_x))
-
-    @property
-    def input_units(self):
-        """Units of x and y, or None."""
-        unit = self.x_0.input_unit
-        if unit is None:
-            return None
-        return {self.inputs[0]: unit, self.inputs[1]: self.y_0.input_unit}
-
-    def _parameter_units_for_data_units(self, inputs_unit, outputs_unit):
-        unit = inputs_unit[self.inputs[0]]
-        if unit != inputs_unit[self.inputs[1]]:
-            raise UnitsError("units of x and y must be the same")
-        units = dict.fromkeys(("x_0", "y_0", "sigma_x", "sigma_y"), unit)
-        return {"flux": outputs_unit[self.outputs[0]] * unit**2, **units}
-
-
-def _coefficient_names(order):
-    """Names of all coefficients but the first, by rising order."""
-    return [f"c_{n - m}_{m}" for n in range(1, order + 1) for m in range(n + 1)]
+        """Rectangle outside which hardly any flux lies: 6.5 widths, and the root of the order."""
+        return gaussian_box(self, factor + np.sqrt(self.order))
 
 
 def _orders(name):

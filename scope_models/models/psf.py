@@ -3,16 +3,22 @@
 
 from functools import reduce
 from operator import add
+from typing import ClassVar
 
 import numpy as np
-from astropy.modeling import Fittable2DModel, Parameter
-from astropy.units import UnitsError
+from astropy.modeling import Parameter
 from scipy.special import roots_genlaguerre
 
 from scope_models._checks import checked_integer, checked_number
 from scope_models.models._closed_form import ClosedForm, pixels_of
 from scope_models.models._gaussian import gaussian_derivatives, gaussian_pixels
-from scope_models.models._parameters import Domain, check_model_parameters, check_psf_units
+from scope_models.models._parameters import (
+    Domain,
+    StarModel,
+    check_model_parameters,
+    check_psf_units,
+    gaussian_box,
+)
 
 __all__ = ["BivariateGaussianPSF", "moffat_psf"]
 
@@ -22,7 +28,7 @@ _LARGEST_RHO = 1 - 1e-9
 _LEAST_FRACTION = 1e-5
 
 
-class BivariateGaussianPSF(Fittable2DModel):
+class BivariateGaussianPSF(StarModel):
     r"""
     Bivariate normal density times a flux.
 
@@ -74,9 +80,6 @@ class BivariateGaussianPSF(Fittable2DModel):
     812.2
     """
 
-    flux = Parameter(default=1.0, description="Integral of the density")
-    x_0 = Parameter(default=0.0, description="Column of the star (pixel)")
-    y_0 = Parameter(default=0.0, description="Row of the star (pixel)")
     sigma_x = Parameter(
         default=0.5, bounds=(_TINY, None), description="Standard deviation along x (pixel)"
     )
@@ -93,13 +96,13 @@ class BivariateGaussianPSF(Fittable2DModel):
     rho.validator(Domain("rho", "inside (-1, 1)"))
 
     #: Kinds of the parameters in a fit.
-    parameter_kinds = {"sigma_x": "width", "sigma_y": "width", "rho": "correlation"}  # noqa: RUF012
+    parameter_kinds: ClassVar = {"sigma_x": "width", "sigma_y": "width", "rho": "correlation"}
 
     def __init__(
         self,
-        flux=flux.default,
-        x_0=x_0.default,
-        y_0=y_0.default,
+        flux=1.0,
+        x_0=0.0,
+        y_0=0.0,
         sigma_x=sigma_x.default,
         sigma_y=sigma_y.default,
         rho=rho.default,
@@ -162,41 +165,8 @@ class BivariateGaussianPSF(Fittable2DModel):
         )
 
     def bounding_box(self, factor=6.5):
-        """
-        Rectangle outside which less than 2e-10 of the flux lies.
-
-        Parameters
-        ----------
-        factor : float, optional
-            Half-width in standard deviations.
-
-        Returns
-        -------
-        bounding_box : tuple
-            ``((y_low, y_high), (x_low, x_high))``, as astropy orders it.
-        """
-        d_x, d_y = factor * self.sigma_x, factor * self.sigma_y
-        return ((self.y_0 - d_y, self.y_0 + d_y), (self.x_0 - d_x, self.x_0 + d_x))
-
-    @property
-    def input_units(self):
-        """Units of x and y, or None."""
-        unit = self.x_0.input_unit
-        if unit is None:
-            return None
-        return {self.inputs[0]: unit, self.inputs[1]: self.y_0.input_unit}
-
-    def _parameter_units_for_data_units(self, inputs_unit, outputs_unit):
-        unit = inputs_unit[self.inputs[0]]
-        if unit != inputs_unit[self.inputs[1]]:
-            raise UnitsError("units of x and y must be the same")
-        return {
-            "flux": outputs_unit[self.outputs[0]] * unit**2,
-            "x_0": unit,
-            "y_0": unit,
-            "sigma_x": unit,
-            "sigma_y": unit,
-        }
+        """Rectangle outside which less than 2e-10 of the flux lies: 6.5 standard deviations."""
+        return gaussian_box(self, factor)
 
 
 def moffat_psf(fwhm, beta=4.765, n_components=8):

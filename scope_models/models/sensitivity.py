@@ -1,6 +1,8 @@
 # Licensed under a 3-clause BSD style license - see LICENSE
 """Sensitivity: the response of pixels, as a function of the position within them."""
 
+from typing import ClassVar
+
 import numpy as np
 from astropy import units as u
 from astropy.modeling import Fittable2DModel, Parameter
@@ -9,9 +11,8 @@ from scope_models._arrays import plain_array
 from scope_models.models._closed_form import collected
 from scope_models.models._parameters import (
     Domain,
-    InstanceParameters,
     check_model_parameters,
-    described,
+    make_parameters,
 )
 
 __all__ = ["DiffusionSensitivity", "SensitivityPolynomial"]
@@ -32,7 +33,7 @@ def _checked(name, coefficients):
     return coefficients
 
 
-class SensitivityPolynomial(InstanceParameters, Fittable2DModel):
+class SensitivityPolynomial(Fittable2DModel):
     r"""
     Response within each pixel: a polynomial in x times a polynomial in y.
 
@@ -78,8 +79,8 @@ class SensitivityPolynomial(InstanceParameters, Fittable2DModel):
         self._n_x = x_coefficients.size
         values = {f"ax{n}": value for n, value in enumerate(x_coefficients)}
         values |= {f"ay{n}": value for n, value in enumerate(y_coefficients)}
-        self.make_parameters(
-            [described(n, f"Coefficient of {'uv'['xy'.index(n[1])]}^{n[2:]}") for n in values]
+        make_parameters(
+            self, {n: f"Coefficient of {'uv'['xy'.index(n[1])]}^{n[2:]}" for n in values}
         )
         super().__init__(**values, **kwargs)
         check_model_parameters(self)
@@ -87,12 +88,12 @@ class SensitivityPolynomial(InstanceParameters, Fittable2DModel):
     @property
     def x_coefficients(self):
         """Coefficients along x, the constant first (tuple of float)."""
-        return tuple(float(getattr(self, n).value) for n in self._param_names[: self._n_x])
+        return tuple(float(getattr(self, n).value) for n in self.param_names[: self._n_x])
 
     @property
     def y_coefficients(self):
         """Coefficients along y, the constant first (tuple of float)."""
-        return tuple(float(getattr(self, n).value) for n in self._param_names[self._n_x :])
+        return tuple(float(getattr(self, n).value) for n in self.param_names[self._n_x :])
 
     @property
     def powers(self):
@@ -114,7 +115,7 @@ class SensitivityPolynomial(InstanceParameters, Fittable2DModel):
         n_y = len(coefficients) - self._n_x
         return [u**n * along_y for n in range(self._n_x)] + [along_x * v**n for n in range(n_y)]
 
-    def _parameter_units_for_data_units(self, inputs_unit, outputs_unit):  # noqa: ARG002
+    def _parameter_units_for_data_units(self, _inputs_unit, _outputs_unit):
         return {}
 
 
@@ -184,12 +185,10 @@ class DiffusionSensitivity(Fittable2DModel):
         check_model_parameters(self)
 
     #: The response is no polynomial: it has no powers.
-    powers = {}  # noqa: RUF012 - astropy copies no class attributes
+    powers: ClassVar = {}
 
-    @property
-    def parameter_kinds(self):
-        """Kind of the parameter in a fit (dict of str)."""
-        return {"sigma_d": "diffusion"}
+    #: Kind of the parameter in a fit.
+    parameter_kinds: ClassVar = {"sigma_d": "diffusion"}
 
     def response(self, dx, dy):
         """
@@ -221,5 +220,5 @@ class DiffusionSensitivity(Fittable2DModel):
         along_y, by_y = collected(_offset(y), sigma)
         return [along_x * by_y + by_x * along_y]
 
-    def _parameter_units_for_data_units(self, inputs_unit, outputs_unit):  # noqa: ARG002
+    def _parameter_units_for_data_units(self, _inputs_unit, _outputs_unit):
         return {}

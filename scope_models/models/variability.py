@@ -13,6 +13,28 @@ from scope_models.missions import MISSIONS
 __all__ = ["sinusoidal_signal", "stochastic_signal", "tabulated_signal"]
 
 _PPM = u.Unit(1e-6)
+
+
+class _OfTime:
+    """Mixin of signals: times with a unit become days, and other units are refused."""
+
+    def evaluate(self, x, *parameters):
+        return super().evaluate(plain_array(x, u.day, "time"), *parameters)
+
+
+class SineSignal(_OfTime, Sine1D):
+    """A sine of the time in days."""
+
+
+class TabulatedSignal(_OfTime, Tabular1D):
+    """A table of the time in days."""
+
+    @property
+    def arguments(self):
+        """Arguments that make an equal signal."""
+        return {"points": self.points, "lookup_table": self.lookup_table}
+
+
 #: Savitzky-Golay filter of lightkurve's CDPP: span in days (101 Kepler long cadences) and order.
 _FILTER_DAYS, _FILTER_ORDER = 101 * MISSIONS["Kepler"].cadence_days("long"), 2
 
@@ -52,7 +74,7 @@ def sinusoidal_signal(amplitude, period, phase=0.0):
         raise ValueError(f"`amplitude` must be at least 0 and below 1, got {amplitude}")
     if not (np.isfinite(period) and period > 0):
         raise ValueError(f"`period` must be positive, got {period}")
-    return Const1D(1.0) + Sine1D(amplitude, 1 / period, phase)
+    return Const1D(1.0) + SineSignal(amplitude, 1 / period, phase)
 
 
 def tabulated_signal(time, flux):
@@ -91,21 +113,19 @@ def tabulated_signal(time, flux):
     # one more point on either side, so far away that no time lies beyond it
     points = np.concatenate([[-1e12], time, [1e12]])
     table = np.concatenate([flux[:1], flux, flux[-1:]])
-    return Tabular1D(points, table, method="linear")
+    return TabulatedSignal(points, table, method="linear")
 
 
 def stochastic_signal(time, cdpp, *, timescale=0.25, quality=0.5**0.5, duration=6.5, seed=None):
     r"""
     Draw red noise, such as granulation, whose CDPP has a stated expected value.
 
-    The noise is a Gaussian process of a damped, stochastically driven
-    harmonic oscillator (celerite2's ``SHOTerm`` [1]_): with the default
-    quality :math:`1/\sqrt{2}` its power is flat at low frequency and falls
-    as the fourth power of the frequency, as granulation's does. It is scaled
-    so that the root mean square of lightkurve's CDPP is `cdpp`: the variance
-    of its running mean after the Savitzky-Golay filter follows from the
-    covariance. The estimator's clipping and the edges of the filter raise
-    its mean by up to 3 %.
+    The noise is a Gaussian process of a damped, stochastically driven harmonic oscillator
+    (celerite2's ``SHOTerm`` [1]_): with the default quality :math:`1/\sqrt{2}` its power is flat at
+    low frequency and falls as the fourth power of the frequency, as granulation's does. It is
+    scaled so that the root mean square of lightkurve's CDPP is `cdpp`: the variance of its running
+    mean after the Savitzky-Golay filter follows from the covariance. The estimator's clipping and
+    the edges of the filter raise its mean by up to 3 %.
 
     Parameters
     ----------
@@ -117,8 +137,7 @@ def stochastic_signal(time, cdpp, *, timescale=0.25, quality=0.5**0.5, duration=
     timescale : float or `~astropy.units.Quantity`, optional
         Period of the oscillator in days.
     quality : float, optional
-        Quality factor of the oscillator; well above 1 for
-        quasi-periodic variability.
+        Quality factor of the oscillator; well above 1 for quasi-periodic variability.
     duration : float or `~astropy.units.Quantity`, optional
         Time scale of the CDPP in hours.
     seed : int or `~numpy.random.Generator`, optional

@@ -7,7 +7,7 @@ quantities that convert.
 import astropy.units as u
 import numpy as np
 
-from scope_models._arrays import PER_PIXEL, plain_array
+from scope_models._arrays import PER_PIXEL, plain_array, plain_number
 from scope_models._checks import checked_mask, checked_number, checked_shape
 
 __all__ = [
@@ -35,11 +35,9 @@ def threshold_aperture(target, threshold=None):
     Parameters
     ----------
     target : array_like
-        Noise-free image ``(ny, nx)`` or cube ``(n_cadences, ny, nx)`` of the
-        target alone in e-/s.
+        Noise-free image ``(ny, nx)`` or cube ``(n_cadences, ny, nx)`` of the target alone in e-/s.
     threshold : float, optional
-        Lowest flux per pixel in e-/s; by default 0.1 % of the brightest
-        pixel of the whole cube.
+        Lowest flux per pixel in e-/s; by default 0.1 % of the brightest pixel of the whole cube.
 
     Returns
     -------
@@ -73,10 +71,9 @@ def signal_to_noise_aperture(
     """
     Grow the aperture of the highest signal-to-noise ratio.
 
-    From the pixel of highest ratio on, the pixel that raises the ratio of
-    the sum most is added, until none does [1]_. The variance of a pixel
-    holds the photons of target, neighbors and background, and the read
-    noise of all frames.
+    From the pixel of highest ratio on, the pixel that raises the ratio of the sum most is added,
+    until none does [1]_. The variance of a pixel holds the photons of target, neighbors and
+    background, and the read noise of all frames.
 
     Parameters
     ----------
@@ -134,18 +131,18 @@ def signal_to_noise_aperture(
 def _grow(signal, variance):
     """Return the pixels that each raise the ratio of the sums, in the order found."""
     chosen, total, total_variance, best = [], 0.0, 0.0, 0.0
-    free = signal > 0
-    while free.any():
-        ratio = np.zeros_like(signal)
-        ratio[free] = (total + signal[free]) / np.sqrt(total_variance + variance[free])
-        index = int(np.argmax(ratio))
+    lit = np.flatnonzero(signal > 0)
+    signal, variance = signal[lit], variance[lit]
+    for _ in lit:
+        ratio = (total + signal) / np.sqrt(total_variance + variance)
+        index = ratio.argmax()
         if ratio[index] <= best:
             break
         best = ratio[index]
-        chosen.append(index)
-        free[index] = False
+        chosen.append(lit[index])
         total += signal[index]
         total_variance += variance[index]
+        signal[index] = -np.inf
     return chosen
 
 
@@ -156,13 +153,11 @@ def contamination_aperture(target, neighbors, *, min_fraction=0.5, threshold=Non
     Parameters
     ----------
     target : array_like
-        Noise-free image ``(ny, nx)`` or cube ``(n_cadences, ny, nx)`` of the
-        target alone in e-/s.
+        Noise-free image ``(ny, nx)`` or cube ``(n_cadences, ny, nx)`` of the target alone in e-/s.
     neighbors : array_like
         The same of all other stars.
     min_fraction : float, optional
-        Lowest share of the target in a pixel's starlight, summed over
-        cadences, between 0 and 1.
+        Lowest share of the target in a pixel's starlight, summed over cadences, between 0 and 1.
     threshold : float, optional
         As in `threshold_aperture`, applied first.
 
@@ -184,6 +179,7 @@ def contamination_aperture(target, neighbors, *, min_fraction=0.5, threshold=Non
     """
     target = _images(target, "target")
     neighbors = _images(neighbors, "neighbors", target.shape[1:])
+    min_fraction = plain_number(min_fraction, u.one, "min_fraction")
     if not 0 <= min_fraction <= 1:
         raise ValueError(f"`min_fraction` must be between 0 and 1, got {min_fraction}")
     light, other = np.mean(target, axis=0), np.mean(neighbors, axis=0)
@@ -204,8 +200,7 @@ def circular_aperture(shape, x_0, y_0, radius, *, min_overlap=0.5):
     radius : float
         Radius in pixels.
     min_overlap : float, optional
-        Lowest fraction of a pixel's area within the circle, above 0 and at
-        most 1.
+        Lowest fraction of a pixel's area within the circle, above 0 and at most 1.
 
     Returns
     -------
@@ -230,6 +225,7 @@ def circular_aperture(shape, x_0, y_0, radius, *, min_overlap=0.5):
     x_0 = checked_number("x_0", x_0, u.pix, any_sign=True)
     y_0 = checked_number("y_0", y_0, u.pix, any_sign=True)
     radius = checked_number("radius", radius, u.pix, positive=True)
+    min_overlap = plain_number(min_overlap, u.one, "min_overlap")
     if not 0 < min_overlap <= 1:
         raise ValueError(f"`min_overlap` must be above 0 and at most 1, got {min_overlap}")
     overlap = CircularAperture((x_0, y_0), radius).to_mask(method="exact").to_image(shape)
@@ -408,8 +404,7 @@ def flux_fraction(target, aperture, total=None):
     Returns
     -------
     float
-        Target flux in the aperture over its total flux, averaged over
-        cadences.
+        Target flux in the aperture over its total flux, averaged over cadences.
 
     Examples
     --------

@@ -10,6 +10,7 @@ from astropy.modeling import Model
 
 from scope_models import effects, models
 from scope_models.models import PRF, SensitivityPolynomial, TransitModel
+from scope_models.models.variability import SineSignal, TabulatedSignal
 from scope_models.scene.detector import Detector
 from scope_models.scene.motion import Motion
 from scope_models.scene.scene import Scene
@@ -27,6 +28,7 @@ def _classes(module, base):
 
 
 _MODELS = _classes(models, Model)
+_MODELS |= {kind.__name__: kind for kind in (SineSignal, TabulatedSignal)}
 _VALUES = {kind.__name__: kind for kind in (Detector, Motion, Scene, Star)}
 _VALUES |= _classes(effects, effects.Effect)
 del _VALUES["Effect"]

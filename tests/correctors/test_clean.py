@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.special import erf
 
-from scope_models.correctors._clean import _smoothed, clean_pixels, precise_aperture
+from scope_models.correctors._clean import _Smoother, clean_pixels, precise_aperture
 
 SIZE, SIGMA, FLUX = 9, 0.6, 1e5
 TIME = 0.02 * np.arange(500)
@@ -138,7 +138,7 @@ def test_smoothing_takes_the_width_that_the_data_ask_for(scale):
     signal = np.sin(2 * np.pi * TIME / scale)
     noise = 0.3 * rng.normal(size=len(TIME))
     all_cadences = np.ones(len(TIME), dtype=bool)
-    smooth = _smoothed(TIME, signal + noise, np.full(len(TIME), 0.3), all_cadences)
+    smooth = _Smoother(TIME, all_cadences)(signal + noise, np.full(len(TIME), 0.3))
     assert (smooth - signal).std() < (0.8 if scale < 1 else 0.35) * noise.std()
 
 
@@ -157,3 +157,17 @@ def test_faint_noisy_star_is_not_taken_for_a_variable_one():
     flux, error = observed(300 * image(x, y) + 100 * image(x + 3, y))
     found = clean_pixels(TIME, flux, error, measured, GRID, np.ones(len(GRID), bool))
     assert found.constant == 0
+
+
+@pytest.mark.parametrize("width", [3.0, 12.0, 60.0])
+def test_local_lines_are_weighted_least_squares(width):
+    rng = np.random.default_rng(5)
+    use = rng.random(200) < 0.8
+    time = np.cumsum(rng.choice([1.0, 2.0], 200))
+    values, weight = 0.1 * time + rng.normal(size=200), np.where(use, 1.0, 1e-6)
+    smooth, _ = _Smoother(time, use).lines(values, weight, width)
+    for k in (0, 57, 199):
+        kernel = np.exp(-0.5 * ((time - time[k]) / width) ** 2)
+        kernel[np.abs(time - time[k]) > 3.5 * width + 1] = 0
+        line = np.polynomial.Polynomial.fit(time - time[k], values, 1, w=np.sqrt(weight * kernel))
+        np.testing.assert_allclose(smooth[k], line(0.0), rtol=1e-8)

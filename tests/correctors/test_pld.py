@@ -1,5 +1,6 @@
 """`PLDCorrector` from outside."""
 
+import dataclasses
 import warnings
 
 import numpy as np
