@@ -331,12 +331,9 @@ class PLDCorrector(LightkurveNames, Corrector):
         """
         Measure the depth of a transit, with all uncertainties of the last correction.
 
-        The amplitude of the model is fitted jointly with the systematics and
-        the long-term variability, whose hyper-parameters stay as `correct`
-        has found them. Used are the cadences of the fit and those of
-        ``transit_mask`` that are no outliers from the model with the transit.
-        Errors of the corrected light curve are correlated; here that is
-        taken into account.
+        See `PLDFit.fit_transit`: the amplitude of the model is fitted jointly with the
+        systematics and the long-term variability, and the response of the whole correction to
+        the transit is taken into account. It takes one to three further corrections.
 
         Parameters
         ----------
