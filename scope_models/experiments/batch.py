@@ -68,7 +68,8 @@ def detrend_files(paths, output_dir, client=None, *, overwrite=False, sweep=None
         Options of `run_sweep`: retry_failed, progress, chunk_size and in_flight.
     **options
         Arguments of `~scope_models.correctors.PLDCorrector.correct` that are numbers, text, or
-        true or false.
+        true or false; ``survival=False`` leaves out the survival of transits, which takes half
+        of the time.
 
     Returns
     -------
@@ -585,7 +586,8 @@ class _Detrend(FileStudy):
                 end = "" if method == "everest" else f"_{method}"
                 row[f"{prefix}cdpp{end}"] = _cdpp(lc, method)
         row["crowding"] = _number(corrector.tpf.hdu[1].header.get("CROWDSAP"))
-        row["survival"] = _number(getattr(corrector.result, "transit_survival", None))
+        found = corrector.result if options.get("survival", True) else None
+        row["survival"] = _number(getattr(found, "transit_survival", None))
         row["n_outliers"] = int(np.sum(corrector.outlier_mask))
         return row
 

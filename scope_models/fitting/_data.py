@@ -8,8 +8,7 @@ from astropy import units as u
 
 from scope_models._arrays import plain_array
 from scope_models.exceptions import FitWarning
-from scope_models.io._places import star_places
-from scope_models.io.pixels import read_pixels, usable_positions
+from scope_models.io.pixels import read_pixels, star_places, usable_positions
 from scope_models.scene.detector import Detector
 
 __all__ = ["PixelData", "detector_of", "find_stars", "read_data", "star_positions"]

@@ -17,8 +17,9 @@ from scope_models.models._parameters import (
     value_of,
 )
 from scope_models.models._terms import expand, is_pixel_integrated
+from scope_models.models.grids import PRFGrid
 from scope_models.models.integration import PixelPoints, integrate_term
-from scope_models.models.tables import PRFGrid, TabulatedPRF
+from scope_models.models.tables import TabulatedPRF
 
 __all__ = ["PRF"]
 

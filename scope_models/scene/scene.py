@@ -205,13 +205,6 @@ class Scene(Value):
             if star.coord is not None and (star.x_0, star.y_0) != (None, None):
                 raise ValueError("`coord` must not be given together with `x_0` or `y_0`")
 
-    def _year(self):
-        """Return the middle of the motion, Julian years."""
-        days = (
-            TIME_ZEROS[self.motion.time_format] + (self.motion.time[0] + self.motion.time[-1]) / 2
-        )
-        return 2000.0 + float(days - 2451545.0) / 365.25
-
     @property
     def positions(self):
         """Reference position (x_0, y_0) of each star, pixels; shape (n_stars, 2)."""

@@ -36,26 +36,9 @@ _DARK = 1e-13
 class StarLight:
     """One star of a scene: where its light falls in each cadence, and how much of it.
 
-    Parameters
-    ----------
-    x, y : ndarray of shape (n_cadences, k)
-        Position in each exposure, pixels.
-    weights : ndarray of shape (k,)
-        Part of each exposure in a cadence.
-    widths : ndarray of shape (n_cadences,) or None
-        Factor on the width of the PSF.
-    flux : float
-        Flux at the star's magnitude, e-/s, before the response of the pixels.
-    relative_flux : ndarray of shape (n_cadences,)
-        Flux of each cadence, 1 at the star's magnitude.
-    passed : ndarray of shape (n_cadences,)
-        Factor of the effects on the star's light.
-    series : ImageSeries
-        Renders the star at unit flux.
-    shares : tuple of callable, optional
-        What effects add to the images of unit flux.
-    shape : tuple of int, optional
-        Shape of the stamp, all of which shares light.
+    Its places ``x`` and ``y``, ``(n_cadences, k)``, are those of k exposures in each cadence with
+    ``weights``; ``flux`` is in e-/s at the star's magnitude, and ``relative_flux`` and ``passed``,
+    the factor of the effects, are those of each cadence.
     """
 
     x: np.ndarray
@@ -77,18 +60,7 @@ class StarLight:
         return self.series.window
 
     def images(self, cadences):
-        """Return the star's flux in some cadences, e-/s, without interpixel map.
-
-        Parameters
-        ----------
-        cadences : slice or ndarray of int
-            The cadences.
-
-        Returns
-        -------
-        ndarray of shape (m, ...)
-            Images of the `window`, means over the exposures of a cadence.
-        """
+        """Return the star's flux in some cadences, e-/s, without interpixel map."""
         x, y = self.x[cadences], self.y[cadences]
         k = x.shape[1]
         widths = None if self.widths is None else np.repeat(self.widths[cadences], k)
@@ -110,21 +82,7 @@ class StarLight:
 
 @dataclass(frozen=True, eq=False)
 class Prepared:
-    """A scene with all that is computed before its first cadence.
-
-    Parameters
-    ----------
-    scene : Scene
-        The scene, with its seed.
-    conditions : Conditions
-        What effects need of it.
-    effects : list of tuple of Effect and Drawn
-        The effects and their truth.
-    lights : list of StarLight
-        The light of each star.
-    interpixel : ndarray of shape (ny, nx)
-        Response of each pixel against the others.
-    """
+    """A scene with its seed, and all that is computed before its first cadence."""
 
     scene: object
     conditions: Conditions
@@ -134,23 +92,7 @@ class Prepared:
 
 
 def prepare(scene):
-    """Return a scene with the truth of its effects and the light of its stars.
-
-    Parameters
-    ----------
-    scene : Scene
-        The scene, with its seed.
-
-    Returns
-    -------
-    Prepared
-        What the cadences are made of.
-
-    Raises
-    ------
-    ValueError
-        If a star has no PSF, or a signal of another length.
-    """
+    """Return a scene with the truth of its effects and the light of its stars."""
     conditions = Conditions.of(scene.detector, scene.motion.time, len(scene.stars))
     effects, counts = [], Counter()
     for effect in (*scene.detector.effects, *scene.effects):
@@ -227,14 +169,10 @@ def _psf(star, detector):
 
 @dataclass(eq=False)
 class StarSums:
-    """Sums over each star's light that are taken while it is rendered.
+    """Sums over each star's light that are taken while it is rendered, e-/s.
 
-    Parameters
-    ----------
-    images : ndarray of shape (n_stars, ny, nx)
-        Flux of each star over all cadences, e-/s, with the response of the pixels.
-    in_aperture : ndarray of shape (n_stars, n_cadences)
-        Flux of each star in the aperture, e-/s.
+    ``images`` are over all cadences, with the response of the pixels; ``in_aperture`` is the light
+    in the aperture, ``(n_stars, n_cadences)``.
     """
 
     images: np.ndarray
@@ -244,21 +182,7 @@ class StarSums:
 def gather(prepared, cadences, sums=None, aperture=None):
     """Return the electrons that the light of all stars makes in a slice of cadences.
 
-    Parameters
-    ----------
-    prepared : Prepared
-        The scene.
-    cadences : slice
-        The cadences.
-    sums : StarSums, optional
-        What is summed up on the way.
-    aperture : ndarray of bool, shape (ny, nx), optional
-        The aperture of ``sums``.
-
-    Returns
-    -------
-    ndarray of shape (m, ny, nx)
-        Electrons before the wells fill.
+    The wells have not filled yet. ``sums`` are taken on the way, those in an ``aperture``.
     """
     scene, interpixel = prepared.scene, prepared.interpixel
     n = len(range(*cadences.indices(len(scene.motion))))
@@ -296,20 +220,8 @@ def _response(prepared, cadences):
 def pedestal(prepared, cadences, electrons):
     """Return the charge besides the stars' in some cadences, and the part that is subtracted.
 
-    Parameters
-    ----------
-    prepared : Prepared
-        The scene.
-    cadences : slice
-        The cadences.
-    electrons : ndarray of shape (m, ny, nx)
-        Expected charge of the stars.
-
-    Returns
-    -------
-    tuple of two ndarray
-        Expected electrons, of shape (ny, nx) if they are the same in all cadences, or
-        (m, ny, nx).
+    Both are expected electrons, ``(ny, nx)`` if they are the same in all cadences, else
+    ``(m, ny, nx)``; ``electrons`` is the expected charge of the stars.
     """
     conditions, response = prepared.conditions, _response(prepared, cadences)
     sky = conditions.background * prepared.interpixel * conditions.exposure_time
@@ -327,19 +239,8 @@ def pedestal(prepared, cadences, electrons):
 def fill_wells(scene, electrons, background):
     """Let the charge beyond the depth of the wells bleed, in place.
 
-    Parameters
-    ----------
-    scene : Scene
-        The scene.
-    electrons : ndarray of shape (m, ny, nx)
-        Electrons of the stars; changed in place.
-    background : ndarray
-        Electrons of the background, which fill the wells too.
-
-    Returns
-    -------
-    float
-        The largest part of the charge of a cadence that bleeds off the stamp.
+    Electrons of the background fill the wells too. Returns the largest part of the charge of a
+    cadence that bleeds off the stamp.
     """
     if scene.detector.well_depth is None:
         return 0.0
@@ -353,20 +254,7 @@ def fill_wells(scene, electrons, background):
 
 
 def pieces(scene, size=None):
-    """Return slices of cadences that together are all of them.
-
-    Parameters
-    ----------
-    scene : Scene
-        The scene.
-    size : int, optional
-        Cadences per piece; rounded up to a multiple of 16.
-
-    Returns
-    -------
-    list of slice
-        The pieces.
-    """
+    """Return slices of cadences that together are all of them; ``size`` is rounded up to 16."""
     n = len(scene.motion)
     if size is None:
         # A piece needs up to 80 bytes per pixel, 50 without noise, and the result 12: so many
@@ -378,17 +266,6 @@ def pieces(scene, size=None):
 
 
 def share_of_target(light):
-    """Return the target's share in the flux of all stars, NaN where there is none.
-
-    Parameters
-    ----------
-    light : ndarray of shape (n_stars, n_cadences)
-        Flux of each star.
-
-    Returns
-    -------
-    ndarray of shape (n_cadences,)
-        Between 0 and 1.
-    """
+    """Return the target's share in the flux ``(n_stars, n_cadences)``, NaN without light."""
     total = light.sum(axis=0)
     return np.divide(light[0], total, out=np.full(len(total), np.nan), where=total > 0)
