@@ -6,7 +6,7 @@ from numbers import Integral
 import numpy as np
 from astropy.modeling import Model
 
-from scope_models._arrays import PER_PIXEL, plain_number
+from scope_models._arrays import plain_number
 
 __all__ = [
     "check_fields",
@@ -46,25 +46,23 @@ def checked_number(name, value, unit="", *, positive=False, any_sign=False, **op
 def check_fields(instance):
     """Bring the fields of a frozen dataclass that its ``units`` name, numbers or pairs, to them.
 
-    None stays. Its ``positive`` names those that must not be 0, ``any_sign`` those of any sign.
+    A unit may have equivalencies with it. None stays. Of its fields, ``positive`` must not be 0,
+    ``any_sign`` may be negative, and ``at_most_one`` must not be above 1.
     """
     kind = type(instance)
     for item in fields(instance):
         name, value = item.name, getattr(instance, item.name)
         if name not in kind.units or value is None:
             continue
-        unit, names = kind.units[name], PER_PIXEL if name == "pixel_scale" else ()
+        unit = kind.units[name]
+        unit, names = unit if isinstance(unit, tuple) else (unit, ())
         if isinstance(item.default, tuple):
-            value = checked_pair(name, value, unit)
+            value = checked_pair(name, value, unit, equivalencies=names)
         else:
-            value = checked_number(
-                name,
-                value,
-                unit,
-                positive=name in kind.positive,
-                any_sign=name in kind.any_sign,
-                equivalencies=names,
-            )
+            signs = {"positive": name in kind.positive, "any_sign": name in kind.any_sign}
+            value = checked_number(name, value, unit, **signs, equivalencies=names)
+            if name in kind.at_most_one and value > 1:
+                raise ValueError(f"`{name}` must not be above 1, got {value}")
         object.__setattr__(instance, name, value)
 
 

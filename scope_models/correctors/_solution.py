@@ -298,28 +298,6 @@ class Solution:
         used = 1 - self.posterior.shrinkage[: self.n_regressors]
         return np.bincount(self.regressors.groups, used)
 
-    def response(self, dip):
-        """Return the part of a small change of the data that the correction leaves."""
-        solved = self.process.solve(dip[self.use][:, None])
-        k = self.n_regressors
-        change = self.posterior.covariance[:k] @ (self.data.columns.T @ solved)[:, 0]
-        left = dip - self.regressors.columns @ change
-        centered = dip - dip.mean()
-        return float(centered @ left / (centered @ centered))
-
-    def survival(self, width):
-        """
-        Return the part of a box-shaped dip that the correction leaves when it is in the fit.
-
-        Averaged over all windows of ``width`` cadences in use.
-        """
-        k = self.n_regressors
-        n_windows = len(self.alpha) // width
-        shape = (n_windows, width, -1)
-        x = self.regressors.columns[self.use][: n_windows * width].reshape(shape).mean(axis=1)
-        solved = self.solved[: n_windows * width, :-1].reshape(shape).sum(axis=1)
-        return float(1 - np.mean(np.sum((x @ self.posterior.covariance[:k]) * solved, axis=1)))
-
 
 def fit(make_regressors, time, y, variance, use, flat_columns, options, predicted=False):
     """

@@ -23,11 +23,6 @@ class Gaps(Effect):
     intervals : array_like or Quantity, shape (n, 2)
         Begin and end of each gap, days in the format of the motion.
 
-    Raises
-    ------
-    TypeError, ValueError
-        If an argument is of the wrong kind or outside its domain.
-
     Notes
     -----
     The truth has 1 in the column GAPS for each cadence without data, else 0. Positions and light

@@ -10,6 +10,7 @@ from typing import ClassVar
 import astropy.units as u
 import numpy as np
 
+from scope_models._arrays import PER_PIXEL
 from scope_models._checks import check_fields
 from scope_models._values import Value
 from scope_models.missions import MISSIONS
@@ -144,12 +145,13 @@ class K2Roll(Value):
         "pointing_jitter": u.arcsec,
         "orbital_speed": u.km / u.s,
         "campaign": u.day,
-        "pixel_scale": u.arcsec,
+        "pixel_scale": (u.arcsec, PER_PIXEL),
     }
     positive: ClassVar[frozenset] = frozenset(
         {"reversal_interval", "reset_interval", "campaign", "pixel_scale"}
     )
     any_sign: ClassVar[frozenset] = frozenset({"solar_rate", "reversal", "orbital_speed"})
+    at_most_one: ClassVar[frozenset] = frozenset()
     # Length of a long cadence in days, with the digits of TIMEDEL in headers. Not a parameter: the
     # jitters are measured at this cadence.
     cadence: ClassVar[float] = round(MISSIONS["K2"].cadence_days("long"), 14)

@@ -41,6 +41,8 @@ class Pointing(Value):
     positive: ClassVar[frozenset] = frozenset()
     #: Parameters that may be negative.
     any_sign: ClassVar[frozenset] = frozenset()
+    #: Parameters that must not be above 1.
+    at_most_one: ClassVar[frozenset] = frozenset()
 
     def __post_init__(self):
         check_fields(self)
