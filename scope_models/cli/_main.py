@@ -50,7 +50,7 @@ def main(argv=None):
         # Its logger takes over warnings when it is imported: before ours, which print one line.
         importlib.import_module("astropy")
         with warnings.catch_warnings():
-            warnings.showwarning = _show_warning
+            warnings.showwarning = lambda message, *_: _write("warning", message)
             # lightkurve warns at import that an optional part of it is absent
             warnings.filterwarnings("ignore", ".*tpfmodel submodule is not available", UserWarning)
             return arguments.run(arguments) or 0
@@ -85,11 +85,6 @@ def _make_parser():
     for command in _COMMANDS:
         command.add_parser(commands)
     return parser
-
-
-def _show_warning(message, *_):
-    """Write a warning as one line."""
-    _write("warning", message)
 
 
 def _write(kind, message):

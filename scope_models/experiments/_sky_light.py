@@ -2,7 +2,7 @@
 
 import numpy as np
 
-__all__ = ["make_light", "make_motion", "make_transit", "red_noise"]
+__all__ = ["LIGHTS", "MOTIONS", "make_transit", "red_noise"]
 
 
 def red_noise(rng, time, scale):
@@ -15,15 +15,6 @@ def red_noise(rng, time, scale):
         last = keep * last + np.sqrt(1 - keep**2) * new if i else last
         values[i] = last
     return values
-
-
-def make_motion(kind, rng, time, scale):
-    """Return offsets in pixels along x and y, and the cadences in which thrusters fire.
-
-    `kind` is "k2", "kepler", "tess", "walk" or "wheels"; `time` is in days from the beginning.
-    """
-    x, y, firing = _MOTIONS[kind](rng, time)
-    return scale * x, scale * y, firing
 
 
 def _roll(rng, time):
@@ -96,20 +87,9 @@ def _wheels(rng, time):
     return *offsets, firing
 
 
-_MOTIONS = {"k2": _roll, "kepler": _drift, "tess": _orbits, "walk": _walk, "wheels": _wheels}
-
-
-def make_light(kind, rng, time, period, amplitude):
-    """Return the relative flux of a star without transits, near 1.
-
-    `kind` is one of `_LIGHTS`; the period is in days, the amplitude about half the range (constant:
-    not used; eclipsing: depth of the primary eclipse).
-    """
-    return _LIGHTS[kind](rng, time, period, amplitude)
-
-
-def _constant(rng, time, period, amplitude):  # noqa: ARG001 - all have the same arguments
-    return np.ones(len(time))
+#: Offsets in pixels along x and y, and the cadences in which thrusters fire, by the kind of motion.
+#: Times are in days from the beginning.
+MOTIONS = {"k2": _roll, "kepler": _drift, "tess": _orbits, "walk": _walk, "wheels": _wheels}
 
 
 def _sine(rng, time, period, amplitude):
@@ -175,8 +155,10 @@ def _flaring(rng, time, period, amplitude):
     return np.minimum(values, 2.0)
 
 
-_LIGHTS = {
-    "constant": _constant,
+#: Relative flux of a star without transits, near 1, by the kind of variability. The period is in
+#: days, the amplitude about half the range; of an eclipsing binary, the depth.
+LIGHTS = {
+    "constant": lambda rng, time, period, amplitude: np.ones(len(time)),  # noqa: ARG005
     "spots": _spots,
     "sine": _sine,
     "rr_lyrae": _rr_lyrae,

@@ -9,6 +9,7 @@ import os
 import re
 import warnings
 from dataclasses import dataclass, fields
+from functools import partial
 from pathlib import Path
 from typing import ClassVar
 
@@ -67,7 +68,8 @@ def detrend_files(paths, output_dir, client=None, *, overwrite=False, sweep=None
         Options of `run_sweep`: retry_failed, progress, chunk_size and in_flight.
     **options
         Arguments of `~scope_models.correctors.PLDCorrector.correct` that are numbers, text, or
-        true or false.
+        true or false; ``survival=False`` leaves out the survival of transits, which takes half
+        of the time.
 
     Returns
     -------
@@ -470,7 +472,7 @@ class FileStudy(Study):
     def __reduce__(self):
         """Leave out the lists, which tasks have star by star, for workers."""
         names = [item.name for item in fields(self) if item.name not in {"files", "rows"}]
-        return _restored, (type(self), {name: getattr(self, name) for name in names})
+        return partial(type(self), **{name: getattr(self, name) for name in names}), ()
 
     def config(self):
         """Return the name of the study and its options."""
@@ -538,10 +540,6 @@ class FileStudy(Study):
         return
 
 
-def _restored(study, values):
-    return study(**values)
-
-
 def _state(file):
     """Return size and age of a file, so that one that has changed is computed again."""
     try:
@@ -588,7 +586,8 @@ class _Detrend(FileStudy):
                 end = "" if method == "everest" else f"_{method}"
                 row[f"{prefix}cdpp{end}"] = _cdpp(lc, method)
         row["crowding"] = _number(corrector.tpf.hdu[1].header.get("CROWDSAP"))
-        row["survival"] = _number(getattr(corrector.result, "transit_survival", None))
+        found = corrector.result if options.get("survival", True) else None
+        row["survival"] = _number(getattr(found, "transit_survival", None))
         row["n_outliers"] = int(np.sum(corrector.outlier_mask))
         return row
 

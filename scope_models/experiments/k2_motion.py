@@ -29,6 +29,7 @@ _TOLERANCE = 0.15
 _CLAIMED = (11.0, 14.5)
 _GOLDEN = 0.6180339887498949
 _LAW_MAGNITUDE = 14.0
+_PARTS = ("cdpp_lightkurve", "white", "losses", "intrapixel", "systematics", "n_pixels")
 
 
 def field_motion(number, cadences, *, place=None, rng=None):
@@ -251,33 +252,28 @@ class K2MotionNoise(Study):
                 for mag in self.magnitudes:
                     chosen = (table["detector"] == detector) & (table["motion"] == motion)
                     stars = table[chosen & (np.asarray(table["mag"]) == mag)]
-                    if len(stars):
-                        row = {"detector": detector, "motion": Path(motion).name, "mag": mag}
-                        rows.append(row | self._summary_of(stars, reference, mag))
+                    if not len(stars):
+                        continue
+                    row = {"detector": detector, "motion": Path(motion).name, "mag": mag}
+                    row["stars"] = len(stars)
+                    row |= compared("noise", stars["cdpp"], reference, mag, PERCENTILES, known="k2")
+                    row |= {name: float(np.median(stars[name])) for name in _PARTS}
+                    row["saturated"] = float(np.mean(stars["saturated"]))
+                    rows.append(row)
         summary = Table(rows=rows)
         summary.meta["fitted"] = {
             "calibrated": "Detector.k2_calibrated", "threshold": self.threshold,
             "exponent": self.exponent,
         }  # fmt: skip
+        mags = np.asarray(summary["mag"], dtype=float)
+        bins = (summary["motion"] == "field") & (mags >= _CLAIMED[0]) & (mags <= _CLAIMED[1])
         summary.meta["claims"] = {
             f"{name} sensitivity: median within {100 * _TOLERANCE:.0f} % of K2 campaign 3 in every "
-            f"bin, Kp {_CLAIMED[0]:g} to {_CLAIMED[1]:g}": holds(
-                _claimed(summary, name), _TOLERANCE
-            )
+            f"bin, Kp {_CLAIMED[0]:g} to {_CLAIMED[1]:g}": holds(ratios, _TOLERANCE)
             for name in self.detectors
-            if len(_claimed(summary, name))
+            if len(ratios := summary["noise_median_ratio"][bins & (summary["detector"] == name)])
         }
         return summary
-
-    @staticmethod
-    def _summary_of(stars, reference, mag):
-        """Return the summary of the stars of one magnitude."""
-        row = {"stars": len(stars)}
-        row |= compared("noise", stars["cdpp"], reference, mag, PERCENTILES, known="k2")
-        for name in ("cdpp_lightkurve", "white", "losses", "intrapixel", "systematics", "n_pixels"):
-            row[name] = float(np.median(stars[name]))
-        row["saturated"] = float(np.mean(stars["saturated"]))
-        return row
 
     def draw(self, table, summary):
         """Draw our noise over that of campaign 3, and what contributes to it."""
@@ -289,10 +285,3 @@ class K2MotionNoise(Study):
             for name in self.detectors
         }
         return plot_k2_motion(series, read_reference("k2_c03_raw", "all"))
-
-
-def _claimed(summary, detector):
-    """Return the ratios of the medians for which the claim is made."""
-    mag = np.asarray(summary["mag"], dtype=float)
-    rows = (summary["detector"] == detector) & (summary["motion"] == "field")
-    return summary["noise_median_ratio"][rows & (mag >= _CLAIMED[0]) & (mag <= _CLAIMED[1])]

@@ -369,6 +369,11 @@ class Problem:
             return np.full(len(state.cadence), self._shared_value(state, f"flux_star_{star}"))
         return state.cadence[:, self.columns.index(numbered("flux", star))]
 
+    def path_of(self, state, star):
+        """Positions and fluxes of a star by name, ``(n,)``."""
+        x, y = self.xy(state, star).T
+        return {"x": x, "y": y, "flux": self.fluxes(state, star)}
+
     def backgrounds(self, state, stamp=0):
         """Backgrounds of a file, shape ``(n,)``."""
         name = numbered("background", stamp)

@@ -239,6 +239,8 @@ def read_tpf(source, *, quality_bitmask="default"):
 
     Raises
     ------
+    TypeError
+        If the source is a `PixelSeries`, which has no light curves.
     OSError, ValueError
         As `read_pixels`, or if the headers name no mission.
 
@@ -250,6 +252,11 @@ def read_tpf(source, *, quality_bitmask="default"):
     >>> read_tpf(observation.write("star.fits")).flux.shape
     (50, 11, 11)
     """
+    if isinstance(source, PixelSeries):
+        raise TypeError(
+            "`tpf` must be lightkurve's target pixel file or a path, got a PixelSeries: read the "
+            "file with `read_tpf`"
+        )
     if not isinstance(source, str | PathLike):
         return source
     import lightkurve

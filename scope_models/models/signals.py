@@ -11,7 +11,7 @@ from astropy.time import Time
 from exoplanet_core import kepler, quad_limbdark_light_curve
 from scipy.optimize import brentq
 
-from scope_models._arrays import plain_array, plain_number
+from scope_models._arrays import LARGEST_DAY, plain_array, plain_number
 from scope_models._checks import checked_number
 from scope_models.models._parameters import Domain, check_model_parameters, value_of
 
@@ -328,6 +328,8 @@ class TransitModel(Fittable1DModel):
         p = {name: _number(name, value) for name, value in given}
         _require(p["rp"] >= 0, "rp", "at least 0", p["rp"])  # also where `rp.value` was set
         x = plain_array(x, u.day, "x")
+        if p["t0"] > LARGEST_DAY and np.any(np.abs(x) <= LARGEST_DAY):
+            raise ValueError(f"`t0` must have the zero of the times, got the date {p['t0']:.1f}")
         orbit = tuple(p[name] for name in _ORBIT)
         time = x.ravel() - p["t0"]
         flux = np.where(np.isfinite(time), 1.0, np.nan)
