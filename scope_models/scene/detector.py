@@ -104,7 +104,7 @@ class Detector(Value):
     Raises
     ------
     TypeError
-        If a field is misspelt or of the wrong kind.
+        If a field is misspelled or of the wrong kind.
     ValueError
         If a number is not finite or outside its domain.
 
@@ -257,7 +257,7 @@ class Detector(Value):
         ValueError
             If there is no such preset or cadence.
         TypeError
-            If a field is misspelt.
+            If a field is misspelled.
 
         Examples
         --------
@@ -293,7 +293,7 @@ class Detector(Value):
         ValueError
             If ``cadence`` is unknown.
         TypeError
-            If a field is misspelt.
+            If a field is misspelled.
 
         Notes
         -----
@@ -351,7 +351,7 @@ class Detector(Value):
         ValueError
             If ``cadence`` is unknown.
         TypeError
-            If a field is misspelt.
+            If a field is misspelled.
 
         Notes
         -----
@@ -393,7 +393,7 @@ class Detector(Value):
         ValueError
             If ``cadence`` is unknown.
         TypeError
-            If a field is misspelt.
+            If a field is misspelled.
 
         Notes
         -----
@@ -449,7 +449,7 @@ class Detector(Value):
         ValueError
             If ``cadence`` is unknown.
         TypeError
-            If a field is misspelt.
+            If a field is misspelled.
 
         Notes
         -----
@@ -524,7 +524,7 @@ class Detector(Value):
         ValueError
             If the band is unknown or a number outside its domain.
         TypeError
-            If a field is misspelt.
+            If a field is misspelled.
 
         Notes
         -----
@@ -591,7 +591,7 @@ class Detector(Value):
         Raises
         ------
         TypeError
-            If ``tpf`` is no target pixel file, or a field is misspelt.
+            If ``tpf`` is no target pixel file, or a field is misspelled.
         OSError
             If the file cannot be opened.
         ValueError

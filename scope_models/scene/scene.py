@@ -341,7 +341,7 @@ class Scene(Value):
         Raises
         ------
         TypeError
-            If a field is misspelt.
+            If a field is misspelled.
 
         Examples
         --------
