@@ -10,7 +10,6 @@ from scope_models._arrays import plain_array, without_unit
 from scope_models.models._components import Component, Response
 from scope_models.models._parameters import (
     StarModel,
-    check_model_parameters,
     make_parameters,
     numbers_of,
     one_number,
@@ -136,15 +135,9 @@ class PRF(StarModel):
                 values[name] = value_of(getattr(response.model, own))
         make_parameters(self, parameters)
         super().__init__(**(values | kwargs))
-        check_model_parameters(self)
-        for name in ("x_0", "y_0"):
-            plain_array(value_of(getattr(self, name)), u.pixel, name)
         if any(getattr(c.model, "fit_deriv", None) is None for c in self._components):
             self.fit_deriv = None  # fitters then estimate the derivatives
 
-    # -----------------------------------------------------------------------------------------
-    # Parts
-    # -----------------------------------------------------------------------------------------
     @property
     def n_components(self):
         """Number of densities or tables in the compound."""
@@ -272,9 +265,6 @@ class PRF(StarModel):
             raise ValueError(f"`values` has no parameter {', '.join(sorted(unknown))}")
         return own | {name: float(value) for name, value in (values or {}).items()}
 
-    # -----------------------------------------------------------------------------------------
-    # Evaluation
-    # -----------------------------------------------------------------------------------------
     def _fractions(self, values):
         """Part of the flux in each component."""
         others = [values[c.fraction] for c in self._components if c.fraction]
@@ -430,9 +420,6 @@ class PRF(StarModel):
         images = self._images(PixelPoints.from_shape(shape), values)
         return images * flux.unit if isinstance(flux, u.Quantity) else images
 
-    # -----------------------------------------------------------------------------------------
-    # Extent and units
-    # -----------------------------------------------------------------------------------------
     def bounding_box(self):
         """
         Rectangle that holds all pixels that the components' bounding boxes reach.
@@ -456,6 +443,10 @@ class PRF(StarModel):
             for axis in range(2)
         )
 
+    def _check_units(self):
+        for name in ("x_0", "y_0"):  # the components have checked theirs
+            plain_array(value_of(getattr(self, name)), u.pixel, name)
+
     def _parameter_units_for_data_units(self, inputs_unit, outputs_unit):
         units = super()._parameter_units_for_data_units(inputs_unit, outputs_unit)
         data = {name: 1 * unit for name, unit in {**inputs_unit, **outputs_unit}.items()}
@@ -466,9 +457,6 @@ class PRF(StarModel):
         return units
 
 
-# ---------------------------------------------------------------------------------------------
-# Helpers
-# ---------------------------------------------------------------------------------------------
 def _like(source, name, *, fixed=None):
     """A parameter with the constraints of another."""
     if source.tied:

@@ -12,8 +12,6 @@ from scope_models.models._axis import gauss_legendre
 from scope_models.models._closed_form import ClosedForm, pixels_of
 from scope_models.models._parameters import (
     StarModel,
-    check_model_parameters,
-    check_psf_units,
     numbers_of,
     value_of,
 )
@@ -177,8 +175,6 @@ class _Table(StarModel):
                 )
             self._error = _Surface(error, self._surface.oversampling, self._surface.origin)
         super().__init__(flux=flux, x_0=x_0, y_0=y_0, **kwargs)
-        check_model_parameters(self)
-        check_psf_units(self)
 
     @property
     def array(self):
