@@ -1,4 +1,3 @@
-# Licensed under a 3-clause BSD style license - see LICENSE
 """Parameters of models: made per instance, and checked where they enter."""
 
 from dataclasses import dataclass

@@ -1,4 +1,3 @@
-# Licensed under a 3-clause BSD style license - see LICENSE
 """An empirical PSF: a smooth surface of Gauss-Hermite functions, integrated in closed form."""
 
 import numpy as np

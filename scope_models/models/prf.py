@@ -1,4 +1,3 @@
-# Licensed under a 3-clause BSD style license - see LICENSE
 """Pixel response functions: what a fit or a renderer sees of a star, flux per pixel."""
 
 import numpy as np
@@ -400,25 +399,20 @@ class PRF(StarModel):
         values = {name: without_unit(value_of(getattr(self, name))) for name in self.param_names}
         given = {"flux": flux, "x_0": x_0, "y_0": y_0}
         given = {k: value_of(getattr(self, k)) if v is None else v for k, v in given.items()}
-        flux = given["flux"] if isinstance(given["flux"], u.Quantity) else np.asarray(given["flux"])
-        values |= {name: plain_array(given[name], u.pixel, name) for name in ("x_0", "y_0")}
-        for name, value in {
-            "flux": without_unit(flux),
-            "x_0": values["x_0"],
-            "y_0": values["y_0"],
-        }.items():
+        unit = getattr(given["flux"], "unit", None)
+        own = {k: plain_array(v, u.pixel if k != "flux" else None, k) for k, v in given.items()}
+        for name, value in own.items():
             if value.ndim > 1 or not np.all(np.isfinite(value)):
                 raise ValueError(f"`{name}` must be finite, a number or of shape (n,)")
+        shapes = [value.shape for value in own.values()]
         try:
-            np.broadcast_shapes(np.shape(flux), values["x_0"].shape, values["y_0"].shape)
+            np.broadcast_shapes(*shapes)
         except ValueError as error:
             raise ValueError(
-                "`flux`, `x_0` and `y_0` must have the same length, got shapes "
-                f"{np.shape(flux)}, {values['x_0'].shape} and {values['y_0'].shape}"
+                f"`flux`, `x_0` and `y_0` must have the same length, got shapes {shapes}"
             ) from error
-        values["flux"] = without_unit(flux)
-        images = self._images(PixelPoints.from_shape(shape), values)
-        return images * flux.unit if isinstance(flux, u.Quantity) else images
+        images = self._images(PixelPoints.from_shape(shape), values | own)
+        return images if unit is None else images * unit
 
     def bounding_box(self):
         """

@@ -1,4 +1,3 @@
-# Licensed under a 3-clause BSD style license - see LICENSE
 """Point spread functions: the light of a star before the pixel, as densities."""
 
 from functools import reduce

@@ -1,4 +1,3 @@
-# Licensed under a 3-clause BSD style license - see LICENSE
 """Tabulated PSFs and PRFs, which splines interpolate and integrate."""
 
 from functools import cached_property
