@@ -1,11 +1,12 @@
-"""The line about the machine and the versions that every benchmark prints first."""
+"""What benchmarks share: the line about the machine and the versions, and a clock."""
 
 import importlib
 import os
 import platform
 import sys
+import time
 
-__all__ = ["report_environment"]
+__all__ = ["report_environment", "seconds"]
 
 
 def report_environment(*packages):
@@ -18,3 +19,15 @@ def report_environment(*packages):
     modules = {name: importlib.import_module(name) for name in names}
     versions = ", ".join(f"{name} {module.__version__}" for name, module in modules.items())
     print(f"Python {platform.python_version()}, {versions}\n")
+
+
+def seconds(*functions, repeats=5, choose=min, clock=time.process_time):
+    """Return the shortest of several times of each function, called in turn; of one, a number."""
+    times = [[] for _ in functions]
+    for _ in range(repeats):
+        for function, spent in zip(functions, times, strict=True):
+            start = clock()
+            function()
+            spent.append(clock() - start)
+    chosen = [choose(spent) for spent in times]
+    return chosen[0] if len(chosen) == 1 else chosen

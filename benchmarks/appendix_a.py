@@ -6,26 +6,15 @@ once; it is not run here.
 Run as ``OMP_NUM_THREADS=1 python benchmarks/appendix_a.py``.
 """
 
+import statistics
 import tempfile
-import time
 from pathlib import Path
 
-import numpy as np
-from _common import report_environment
+from _common import report_environment, seconds
 
 from scope_models import generate_target
 
 REPEATS = 7
-
-
-def seconds(function):
-    """Return the median of several processor times."""
-    times = []
-    for _ in range(REPEATS):
-        start = time.process_time()
-        function()
-        times.append(time.process_time() - start)
-    return np.median(times)
 
 
 def main():
@@ -39,7 +28,8 @@ def main():
     }
     print("1000 cadences of 7 x 7 pixels, median of 7, processor time")
     for name, function in steps.items():
-        print(f"{name:28s} {1e3 * seconds(function):8.0f} ms")
+        taken = seconds(function, repeats=REPEATS, choose=statistics.median)
+        print(f"{name:28s} {1e3 * taken:8.0f} ms")
     print("the released code, pixels      69000 ms (measured once, not in this run)")
 
 

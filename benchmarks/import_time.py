@@ -4,30 +4,27 @@ import statistics
 import subprocess
 import sys
 import time
+from functools import partial
 
-from _common import report_environment
+from _common import report_environment, seconds
 
 REPEATS = 9
 
 
-def seconds(code):
+def fresh(code):
     """Return the median time of a fresh interpreter that runs the code."""
-    times = []
-    for _ in range(REPEATS):
-        start = time.perf_counter()
-        subprocess.run([sys.executable, "-c", code], check=True)
-        times.append(time.perf_counter() - start)
-    return statistics.median(times)
+    command = partial(subprocess.run, [sys.executable, "-c", code], check=True)
+    return seconds(command, repeats=REPEATS, choose=statistics.median, clock=time.perf_counter)
 
 
 def main():
     """Print the environment and the times, less that of an empty interpreter."""
     report_environment()
     print(f"Median of {REPEATS} fresh interpreters")
-    empty = seconds("pass")
+    empty = fresh("pass")
     print(f"{'empty interpreter':28s} {empty:6.3f} s")
     for module in ["numpy", "astropy.modeling.models", "scope_models"]:
-        print(f"import {module:21s} {seconds(f'import {module}') - empty:6.3f} s")
+        print(f"import {module:21s} {fresh(f'import {module}') - empty:6.3f} s")
 
 
 if __name__ == "__main__":

@@ -7,10 +7,8 @@ times its rotated GaussianPRF (photutils >= 3.1). Then the largest error against
 Run as ``OMP_NUM_THREADS=1 python benchmarks/pixel_integration.py``.
 """
 
-import time
-
 import numpy as np
-from _common import report_environment
+from _common import report_environment, seconds
 from photutils.psf import CircularGaussianPRF, GaussianPRF, MoffatPSF
 
 from scope_models import BivariateGaussianPSF, SensitivityPolynomial, integrate_pixels
@@ -24,18 +22,9 @@ PAIRS, CALLS = 9, 5
 
 def paired_seconds(ours, theirs):
     """Return the medians of both times and of their ratio, from blocks of calls in turn."""
-    times = []
-    for _ in range(PAIRS):
-        pair = []
-        for function in (ours, theirs):
-            calls = []
-            for _ in range(CALLS):
-                start = time.process_time()
-                function()
-                calls.append(time.process_time() - start)
-            pair.append(min(calls))
-        times.append(pair)
-    times = np.array(times)
+    times = np.array(
+        [[seconds(function, repeats=CALLS) for function in (ours, theirs)] for _ in range(PAIRS)]
+    )
     return *np.median(times, axis=0), np.median(times[:, 0] / times[:, 1])
 
 
@@ -90,9 +79,7 @@ def main():
             f"{theirs_time * 1e3:7.2f} ms {ratio:7.3f} {error:9.1e}"
         )
     moffat = MoffatPSF(flux=1.0, x_0=x, y_0=y, alpha=0.8, beta=2.5) * SensitivityPolynomial()
-    start = time.process_time()
-    integrate_pixels(moffat, (SIZE, SIZE))
-    elapsed = time.process_time() - start
+    elapsed = seconds(lambda: integrate_pixels(moffat, (SIZE, SIZE)), repeats=1)
     print(f"\nphotutils' MoffatPSF with sensitivity, by quadrature: {elapsed:.2f} s")
 
 

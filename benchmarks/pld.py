@@ -7,30 +7,17 @@ Run as ``OMP_NUM_THREADS=1 python benchmarks/pld.py``.
 """
 
 import itertools
-import logging
 import resource
-import time
-import warnings
 from functools import partial
 
 import numpy as np
-from _common import report_environment
+from _common import report_environment, seconds
 
 from scope_models import Detector, Motion, Star, simulate
 from scope_models.correctors import PLDCorrector
+from scope_models.experiments._correctors import quiet
 
 REPEATS = 5
-
-
-def seconds(*functions, repeats=REPEATS):
-    """Return the shortest of several processor times of each function, called in turn."""
-    times = [[] for _ in functions]
-    for _ in range(repeats):
-        for function, spent in zip(functions, times, strict=True):
-            start = time.process_time()
-            function()
-            spent.append(time.process_time() - start)
-    return [min(spent) for spent in times]
 
 
 def make_tpf(n, scale=3.0):
@@ -71,7 +58,7 @@ def report_against_lightkurve():
     for n, scale, order in itertools.product((1000, 3600), (1, 3), (1, 2, 3)):
         tpf = make_tpf(n, scale)
         ways = (partial(way, tpf, order) for way in (correct, correct_with_lightkurve))
-        ours, other = seconds(*ways)
+        ours, other = seconds(*ways, repeats=REPEATS)
         ratio = ours / other
         print(f"{n:8d} {scale:6d}x {order:6d} {ours:10.3f} {other:16.3f} {ratio:7.2f}", flush=True)
 
@@ -80,17 +67,16 @@ def report_growth():
     print("\nShort cadences, order 2, ours")
     print("cadences   time (s)   per 1000 cadences (ms)   peak memory of the process (MiB)")
     for n in (2500, 5000, 10_000, 20_000, 40_000):
-        (spent,) = seconds(partial(correct, make_short_tpf(n)), repeats=2)
+        spent = seconds(partial(correct, make_short_tpf(n)), repeats=2)
         peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
         print(f"{n:8d} {spent:10.2f} {1e6 * spent / n:24.1f} {peak:34.0f}", flush=True)
 
 
 def main():
-    logging.getLogger("lightkurve").setLevel(logging.ERROR)
-    warnings.simplefilter("ignore")
     report_environment("celerite2", "lightkurve")
-    report_against_lightkurve()
-    report_growth()
+    with quiet():
+        report_against_lightkurve()
+        report_growth()
 
 
 if __name__ == "__main__":

@@ -15,12 +15,12 @@ import os
 import subprocess
 import sys
 import tempfile
-import time
 import tracemalloc
+from functools import partial
 from pathlib import Path
 
 import numpy as np
-from _common import report_environment
+from _common import report_environment, seconds
 from astropy.coordinates import SkyCoord
 
 from scope_models import BivariateGaussianPSF, Detector, Motion, Scene, Star, simulate
@@ -29,16 +29,6 @@ N_CADENCES = 3600
 REPEATS = 7
 NOISE_TERMS = ("photon", "background", "read", "quantization")
 ROUNDS = 3
-
-
-def seconds(function, repeats=REPEATS):
-    """Return the shortest of several times of the processor."""
-    times = []
-    for _ in range(repeats):
-        start = time.process_time()
-        function()
-        times.append(time.process_time() - start)
-    return min(times)
 
 
 def measure_speed():
@@ -62,7 +52,7 @@ def measure_speed():
         rows["simulated (all terms) and written"] = lambda: simulate(
             star, detector, motion, seed=1, noise=NOISE_TERMS
         ).write(path, overwrite=True)
-        return {name: seconds(function) for name, function in rows.items()}
+        return {name: seconds(function, repeats=REPEATS) for name, function in rows.items()}
 
 
 def report_speed():
@@ -118,7 +108,9 @@ def report_effects():
     print("\nEffects: 1000 TESS cadences of 11 x 11 pixels with 20 stars, ms of a core")
     cases = {"none": []} | {type(effect).__name__: [effect] for effect in every} | {"all": every}
     for name, some in cases.items():
-        taken = seconds(lambda: simulate(stars, Detector.tess(), motion, seed=1, effects=some), 3)  # noqa: B023
+        taken = seconds(
+            partial(simulate, stars, Detector.tess(), motion, seed=1, effects=some), repeats=3
+        )
         print(f"  {name:20s} {1e3 * taken:7.1f}")
 
 
@@ -132,7 +124,7 @@ def report_scaling():
     ]:
         motion, detector = Motion.k2_roll(n), Detector.k2(shape=(side, side))
         stars = [Star(12.0)] * n_stars
-        taken = seconds(lambda: simulate(stars, detector, motion, seed=1), 5)  # noqa: B023
+        taken = seconds(partial(simulate, stars, detector, motion, seed=1))
         per_item = 1e9 * taken / (n * n_stars * side**2)
         print(f"  {n:8d}  {n_stars:5d}  {side:2d} x {side:2d}  {1e3 * taken:8.1f}  {per_item:5.1f}")
 
@@ -149,7 +141,7 @@ def report_field():
         ("scene of the catalog", lambda: Scene.from_catalog(*arguments, **options)),
         ("simulated", lambda: simulate(scene)),
     ):
-        print(f"  {name:24s} {seconds(call, 3):7.2f} s")
+        print(f"  {name:24s} {seconds(call, repeats=3):7.2f} s")
 
 
 def report_memory():
@@ -166,7 +158,7 @@ def report_memory():
 
 
 def is_cube(value):
-    """Tell whether a field of an observation is a cube with memory of its own."""
+    """Return whether a field of an observation is a cube with memory of its own."""
     return isinstance(value, np.ndarray) and value.base is None
 
 

@@ -46,10 +46,9 @@ class Draws(Study):
     """Stars that cost nothing: a row of 15 random numbers."""
 
     name: ClassVar[str] = "draws"
+    grid: ClassVar[dict] = {"index": "stars"}
+    key: ClassVar[str] = "star{index}"
     stars: int = 10
-
-    def tasks(self):
-        return [{"key": f"star{i}", "mag": 12.0, "index": i} for i in range(self.stars)]
 
     def run_star(self, task):
         values = self.star_rng(task["key"]).random(15)
@@ -71,7 +70,7 @@ class Small(Draws):
     def run_star(self, task):
         seed = self.star_seed(task["key"])
         detector, motion = Detector.k2(shape=(7, 7)), Motion.still(100)
-        flux = simulate(Star(task["mag"]), detector, motion, seed=seed).flux.sum(axis=(1, 2))
+        flux = simulate(Star(12.0), detector, motion, seed=seed).flux.sum(axis=(1, 2))
         values = np.percentile(flux, np.linspace(0, 100, 14))
         return {"scatter": flux.std()} | {f"value{i}": value for i, value in enumerate(values)}
 

@@ -8,6 +8,7 @@ from astropy.time import Time, TimeDelta
 
 __all__ = [
     "DIGITAL",
+    "LARGEST_DAY",
     "PER_PIXEL",
     "is_angle",
     "native",
@@ -16,13 +17,12 @@ __all__ = [
     "plain_time",
     "plain_tree",
     "refuse_unit",
-    "same",
     "unmasked",
     "without_unit",
 ]
 
-# Times beyond this are Julian dates, modified or not, which no mission's times reach.
-_LARGEST_DAY = 2e4
+#: Times beyond this are Julian dates, modified or not, which no mission's times reach.
+LARGEST_DAY = 2e4
 _CASTING = {"O": "unsafe", "f": "same_kind", "i": "same_kind", "u": "same_kind"}
 #: Equivalencies of quantities that are given per pixel.
 PER_PIXEL = ((u.arcsec / u.pix, u.arcsec), (u.electron / u.s / u.pix, u.electron / u.s))
@@ -131,7 +131,7 @@ def plain_time(value, time_format, name):
         zero = Time(TIME_ZEROS[time_format], format="jd", scale="tdb")
         return np.where(mask, np.nan, (plain.tdb - zero).to_value(u.day))
     days = plain_array(value, u.day, name)
-    if np.any(np.isfinite(days) & (days > _LARGEST_DAY)):
+    if np.any(np.isfinite(days) & (days > LARGEST_DAY)):
         zero = TIME_ZEROS.get(time_format)
         wanted = (
             "days since a mission's zero of time" if zero is None else f"BJD - {zero:.0f} in days"
@@ -162,13 +162,6 @@ def plain_tree(value, other=None):
     if other is None or isinstance(value, str | int | float | bool | None):
         return value
     return other(value)
-
-
-def same(one, other):
-    """Return whether arrays, of which NaN equals NaN, or other values are equal."""
-    if isinstance(one, np.ndarray) and isinstance(other, np.ndarray):
-        return np.array_equal(one, other, equal_nan=one.dtype.kind == other.dtype.kind == "f")
-    return one == other
 
 
 def refuse_unit(array, name):

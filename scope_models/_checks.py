@@ -1,5 +1,6 @@
 """Checks of arguments that several modules share."""
 
+from dataclasses import fields
 from numbers import Integral
 
 import numpy as np
@@ -8,6 +9,7 @@ from astropy.modeling import Model
 from scope_models._arrays import plain_number
 
 __all__ = [
+    "check_fields",
     "checked_cadences",
     "checked_integer",
     "checked_mask",
@@ -39,6 +41,29 @@ def checked_number(name, value, unit="", *, positive=False, any_sign=False, **op
     if value < 0 and not any_sign:
         raise ValueError(f"`{name}` must not be negative, got {value}")
     return value
+
+
+def check_fields(instance):
+    """Bring the fields of a frozen dataclass that its ``units`` name, numbers or pairs, to them.
+
+    A unit may have equivalencies with it. None stays. Of its fields, ``positive`` must not be 0,
+    ``any_sign`` may be negative, and ``at_most_one`` must not be above 1.
+    """
+    kind = type(instance)
+    for item in fields(instance):
+        name, value = item.name, getattr(instance, item.name)
+        if name not in kind.units or value is None:
+            continue
+        unit = kind.units[name]
+        unit, names = unit if isinstance(unit, tuple) else (unit, ())
+        if isinstance(item.default, tuple):
+            value = checked_pair(name, value, unit, equivalencies=names)
+        else:
+            signs = {"positive": name in kind.positive, "any_sign": name in kind.any_sign}
+            value = checked_number(name, value, unit, **signs, equivalencies=names)
+            if name in kind.at_most_one and value > 1:
+                raise ValueError(f"`{name}` must not be above 1, got {value}")
+        object.__setattr__(instance, name, value)
 
 
 def checked_integer(name, value, smallest):

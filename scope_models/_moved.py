@@ -11,7 +11,7 @@ __all__ = ["moved", "renamed"]
 def moved(old, *new):
     """Return the module-level ``__getattr__`` of a module whose names have moved to others."""
 
-    def __getattr__(name):  # noqa: N807
+    def attribute(name):
         if not name.startswith("__"):
             for path in new:
                 module = importlib.import_module(path)
@@ -24,13 +24,13 @@ def moved(old, *new):
                     return getattr(module, name)
         raise AttributeError(f"module {old!r} has no attribute {name!r}")
 
-    return __getattr__
+    return attribute
 
 
 def renamed(module, **names):
     """Return the module-level ``__getattr__`` of a module some of whose names are new."""
 
-    def __getattr__(name):  # noqa: N807
+    def attribute(name):
         if name not in names:
             raise AttributeError(f"module {module!r} has no attribute {name!r}")
         warnings.warn(
@@ -40,4 +40,4 @@ def renamed(module, **names):
         )
         return getattr(importlib.import_module(module), names[name])
 
-    return __getattr__
+    return attribute

@@ -7,6 +7,7 @@ from types import MappingProxyType
 import numpy as np
 
 from scope_models._arrays import plain_number
+from scope_models._values import Value
 
 __all__ = [
     "MISSIONS",
@@ -28,7 +29,7 @@ _FULL_FRACTION = 0.877
 
 
 @dataclass(frozen=True)
-class Cadence:
+class Cadence(Value):
     """A kind of cadence that a mission records.
 
     Parameters
@@ -56,7 +57,7 @@ class Cadence:
 
 
 @dataclass(frozen=True, kw_only=True)
-class QualityBits:
+class QualityBits(Value):
     """Bits of the QUALITY column, by meaning; 0 where a mission has no such bit.
 
     Parameters
@@ -115,7 +116,7 @@ class QualityBits:
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
-class Mission:
+class Mission(Value):
     """What a mission fixes for all its stars.
 
     `~scope_models.missions.MISSIONS` holds Kepler, K2 and TESS by their names.

@@ -14,7 +14,6 @@ parts of the grid.
 import argparse
 import itertools
 import json
-import logging
 import warnings
 from pathlib import Path
 
@@ -30,7 +29,12 @@ from scope_models import (
     simulate,
 )
 from scope_models.correctors import PLDCorrector
-from scope_models.experiments._correctors import score
+from scope_models.experiments._correctors import (
+    CONVENTIONS,
+    LIGHTKURVE_CORRECTORS,
+    correct,
+    score,
+)
 from scope_models.photometry import cdpp
 
 MAGNITUDES = tuple(np.arange(10, 15.6, 0.5))
@@ -128,7 +132,7 @@ def noise_scores(corrector, observation, signal):
     lc = corrector.corrected_lc
     good = np.isfinite(lc.flux.value)
     corrected = lc.flux.value[good] / signal[good]
-    for method in ("lightkurve", "everest"):
+    for method in CONVENTIONS:
         scores[f"cdpp_{method}"] = cdpp(corrected, method=method)
         scores[f"raw_{method}"] = cdpp(
             corrector.original_lc.flux.value[good] / signal[good], method=method
@@ -138,19 +142,11 @@ def noise_scores(corrector, observation, signal):
 
 def best_of_lightkurve(tpf, corrector, signal):
     """Return the lowest CDPP of orders 1 to 3, in our aperture and in lightkurve's own."""
-    from lightkurve.correctors import PLDCorrector as LightkurveCorrector
-
     best = {}
-    for aperture, order in itertools.product((corrector.aperture_mask, None), (1, 2, 3)):
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            try:
-                other = LightkurveCorrector(tpf, aperture_mask=aperture)
-                lc = other.correct(pld_order=order, cadence_mask=signal == 1)
-            except (np.linalg.LinAlgError, ValueError):
-                continue
-        for method in ("lightkurve", "everest"):
-            found = cdpp(lc.flux.value / signal, method=method)
+    for setting in LIGHTKURVE_CORRECTORS["lightkurve_pld"]:
+        flux = correct("lightkurve_pld", setting, tpf, corrector.aperture_mask, signal == 1)
+        for method in CONVENTIONS if flux is not None else ():
+            found = cdpp(flux / signal, method=method)
             best[method] = min(best.get(method, np.inf), found)
     return best
 
@@ -223,9 +219,7 @@ def print_scale(scale, rows):
     for row in rows:
         cells.setdefault((row["detector"], row["mag"]), []).append(row)
     largest = max(
-        np.median(column(cell, f"residual_{m}"))
-        for cell in cells.values()
-        for m in ("lightkurve", "everest")
+        np.median(column(cell, f"residual_{m}")) for cell in cells.values() for m in CONVENTIONS
     )
     names = ("held_out_mad", "held_out_rms", "held_out_known_rms", "held_out_pull",
              "residual_lightkurve", "residual_everest")  # fmt: skip
@@ -277,7 +271,7 @@ def print_lightkurve(rows):
     if not rows:
         return
     print("\nresidual CDPP of the best of lightkurve's orders 1 to 3 over ours")
-    for method in ("lightkurve", "everest"):
+    for method in CONVENTIONS:
         ratio = np.array([r["best_lightkurve"][method] / r[f"cdpp_{method}"] for r in rows])
         bright = np.array([r["mag"] <= 12 and r["scale"] >= 5 for r in rows])
         extra = (
@@ -342,7 +336,6 @@ def parse(arguments=None):
 
 def main(arguments=None):
     options = parse(arguments)
-    logging.getLogger("lightkurve").setLevel(logging.ERROR)
     warnings.filterwarnings("ignore", ".*tpfmodel submodule is not available", UserWarning)
     if not (options.report or options.figure):
         run(options)

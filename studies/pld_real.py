@@ -8,14 +8,13 @@ is that of orders 1 to 3 in five apertures. Run it as
 """
 
 import argparse
-import logging
-import warnings
 from pathlib import Path
 
 import numpy as np
 from celerite2 import GaussianProcess, terms
 
 from scope_models.correctors import PLDCorrector
+from scope_models.experiments._correctors import CONVENTIONS, quiet
 from scope_models.photometry import cdpp
 
 STARS = {
@@ -25,7 +24,7 @@ STARS = {
 KEPLER_62 = "kepler_tpf/kplr009002278-2010174085026_lpd-targ.fits.gz"
 #: Period (d), mid-transit (BKJD), duration (h); see tests/correctors/test_pld.py.
 PLANETS = {"b": (5.714932, 170.9189, 2.31), "d": (18.16406, 180.8117, 2.97)}
-METHODS = ("lightkurve", "everest")
+METHODS = CONVENTIONS[::-1]
 VARIABLE, PERIODS, AMPLITUDE = "EPIC 211983544", (0.8, 1.2, 1.69, 2.5, 4.0), 0.02
 
 
@@ -176,11 +175,10 @@ def main():
     folder = Path("../shared/data")
     parser.add_argument("--data", type=Path, default=folder, metavar="FOLDER")
     folder = parser.parse_args().data
-    logging.getLogger("lightkurve").setLevel(logging.ERROR)
-    warnings.simplefilter("ignore")
-    report_cdpp(folder)
-    report_variability(folder)
-    report_transits(folder)
+    with quiet():
+        report_cdpp(folder)
+        report_variability(folder)
+        report_transits(folder)
 
 
 if __name__ == "__main__":

@@ -12,17 +12,15 @@ true flux with the expected noise of the file's aperture.
 """
 
 import argparse
-import logging
 import sys
 import time
-import warnings
 from pathlib import Path
 
 import numpy as np
 from astropy.table import Table
 
 from scope_models import Detector, Motion, PLDCorrector, SceneCorrector, Star, simulate
-from scope_models.exceptions import LostLightWarning
+from scope_models.experiments._correctors import quiet
 from scope_models.experiments.benchmark import benchmark_star, score_light_curves, summarize_scores
 from scope_models.io import read_tpf
 
@@ -80,9 +78,7 @@ def cbv(tpf, number):
     curves = []
     for one in range(ENSEMBLE):
         star = Star(12.0, *(5 + rng.uniform(-0.5, 0.5, 2)))
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", LostLightWarning)
-            observation = simulate(star, detector, motion, seed=one, noise=False)
+        observation = simulate(star, detector, motion, seed=one, noise=False)
         flux = observation.flux[:, observation.aperture].sum(axis=1, dtype=float)
         curves.append(flux / flux.mean() - 1)
     basis = np.linalg.svd(np.array(curves), full_matrices=False)[2][:COMPONENTS]
@@ -129,8 +125,6 @@ def main():
     parser.add_argument("--methods", default=",".join(METHODS))
     parser.add_argument("--stars", type=int, default=200)
     options = parser.parse_args()
-    logging.getLogger("lightkurve").setLevel(logging.CRITICAL)
-    warnings.simplefilter("ignore")
     methods = options.methods.split(",")
     sources = sorted(options.sky.glob("sky*.fits"))[: options.stars]
     for source in sources:
@@ -138,7 +132,8 @@ def main():
             target = options.curves / method / source.name
             if not target.exists():
                 target.parent.mkdir(parents=True, exist_ok=True)
-                correct(source, target, method)
+                with quiet():
+                    correct(source, target, method)
     paths = [options.curves / method / source.name for source in sources for method in methods]
     table = score_light_curves(paths)
     table["method"] = [path.parent.name for path in paths]

@@ -866,6 +866,15 @@ def test_julian_dates_are_refused_where_times_of_the_mission_are_meant():
             call()
 
 
+def test_transits_have_the_zero_of_the_times():
+    julian = TransitModel(t0=2456977.0)
+    assert julian(2456977.0) < 1
+    with pytest.raises(
+        ValueError, match=r"`t0` must have the zero of the times, got the date 245697"
+    ):
+        simulate(Star(12.0, signal=julian), Detector.k2(), Motion.still(3))
+
+
 def test_places_on_the_sky():
     place = SkyCoord("22h30m", "-10d")
     metadata = TPFMetadata(mission="K2", target_id=1, coord=place.galactic)

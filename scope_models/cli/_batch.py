@@ -1,11 +1,9 @@
-"""What the commands share that take many files."""
+"""What the commands share that compute many stars or files."""
 
 import sys
 import warnings
 
-from scope_models.cli import _workers
-
-__all__ = ["add_inputs", "add_options", "run", "single"]
+__all__ = ["add_inputs", "add_options", "add_workers", "client_of", "run", "single"]
 
 
 def add_inputs(parser, output):
@@ -38,25 +36,31 @@ def add_options(parser):
         help="folder for the files of many inputs and for the tables of results; the same command "
         "goes on where a run has stopped",
     )
-    _workers.add_options(parser)
+    add_workers(parser)
+
+
+def add_workers(parser):
+    """Add ``--workers`` and ``--scheduler``, of which one may be given."""
+    group = parser.add_mutually_exclusive_group()
+    group.add_argument(
+        "--workers", type=int, default=1, metavar="N", help="processes on this machine (default: 1)"
+    )
+    group.add_argument(
+        "--scheduler", metavar="ADDRESS", help="address of a Dask scheduler, as tls://host:8786"
+    )
+
+
+def client_of(arguments):
+    """Return what computes the stars, as `run_sweep` takes it."""
+    if arguments.workers < 1:
+        raise ValueError(f"--workers must be at least 1, got {arguments.workers}")
+    return arguments.scheduler or (None if arguments.workers == 1 else arguments.workers)
 
 
 def run(name, arguments, *inputs, **options):
-    """Call a function of `~scope_models.experiments` for many files; print what it has found.
+    """Call a function of `experiments` for many files, print what it has found, return the status.
 
-    Parameters
-    ----------
-    name : str
-        The function.
-    arguments : argparse.Namespace
-        The arguments of the command.
-    *inputs, **options
-        What the function gets.
-
-    Returns
-    -------
-    int
-        The exit status: 1 if a file has failed.
+    It is 1 if a file has failed; ``inputs`` and ``options`` are for the function.
     """
     from scope_models.exceptions import FailedStarsWarning
     from scope_models.experiments import SweepError, batch, benchmark
@@ -67,7 +71,7 @@ def run(name, arguments, *inputs, **options):
             result = getattr(batch, name, getattr(benchmark, name, None))(
                 *inputs,
                 arguments.output_dir,
-                _workers.client_of(arguments),
+                client_of(arguments),
                 overwrite=arguments.overwrite,
                 sweep={"progress": sys.stderr.isatty()},
                 **options,

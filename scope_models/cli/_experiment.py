@@ -6,7 +6,7 @@ import sys
 import tomllib
 
 import scope_models as sm
-from scope_models.cli import _workers
+from scope_models.cli import _batch
 
 __all__ = ["add_parser", "run"]
 
@@ -38,7 +38,7 @@ def add_parser(commands):
     parser.add_argument(
         "--directory", metavar="DIR", help="folder for the results (default: the study's name)"
     )
-    _workers.add_options(parser)
+    _batch.add_workers(parser)
     parser.add_argument(
         "--write-tpfs", action="store_true", help="write a target pixel file of each star too"
     )
@@ -68,7 +68,7 @@ class _List(argparse.Action):
 
 def run(arguments):
     """Run the study and print where its results are."""
-    client = _workers.client_of(arguments)
+    client = _batch.client_of(arguments)
     study = _make_study(arguments)
     try:
         result = sm.experiments.run_experiment(

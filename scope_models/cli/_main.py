@@ -50,18 +50,18 @@ def main(argv=None):
         # Its logger takes over warnings when it is imported: before ours, which print one line.
         importlib.import_module("astropy")
         with warnings.catch_warnings():
-            warnings.showwarning = _show_warning
+            warnings.showwarning = lambda message, *_: _write("warning", message)
             # lightkurve warns at import that an optional part of it is absent
             warnings.filterwarnings("ignore", ".*tpfmodel submodule is not available", UserWarning)
             return arguments.run(arguments) or 0
     except (ImportError, MemoryError, OSError, TypeError, ValueError) as error:
-        _tell("error", error)
+        _write("error", error)
         return 2
     except KeyboardInterrupt:
-        _tell("error", "interrupted")
+        _write("error", "interrupted")
         return 130
     except _TerminatedError:
-        _tell("error", "terminated")
+        _write("error", "terminated")
         return 143
 
 
@@ -87,12 +87,7 @@ def _make_parser():
     return parser
 
 
-def _show_warning(message, *_):
-    """Tell of a warning in one line."""
-    _tell("warning", message)
-
-
-def _tell(kind, message):
+def _write(kind, message):
     """Write a message as one line to the standard error."""
     if isinstance(message, OSError) and message.strerror and message.filename is not None:
         message = f"{message.filename}: {message.strerror}"

@@ -6,6 +6,7 @@ from scope_models.cli import _batch
 __all__ = ["add_parser", "run"]
 
 _CADENCES = 1000
+_RUNS = ("campaign", "quarter", "sector", "channel", "camera", "ccd")
 
 
 def add_parser(commands):
@@ -36,6 +37,13 @@ def add_parser(commands):
     parser.set_defaults(run=run, error=parser.error)
 
 
+def _add(group, kind, *options):
+    """Add options of a type: the name, the metavar or those of several values, and the help."""
+    for name, metavar, text in options:
+        several = {"nargs": len(metavar)} if isinstance(metavar, tuple) else {}
+        group.add_argument(f"--{name}", type=kind, metavar=metavar, help=text, **several)
+
+
 def _add_motion(group):
     """Add the options of the motion."""
     group.add_argument(
@@ -46,7 +54,7 @@ def _add_motion(group):
         "for ground; for the others the star rests)",
     )
     group.add_argument("--scale", type=float, default=1.0, help="factor on the motion (default: 1)")
-    group.add_argument("--cadences", type=int, metavar="N", help="only the first N cadences")
+    _add(group, int, ("cadences", "N", "only the first N cadences"))
     group.add_argument(
         "--n-sub",
         type=int,
@@ -58,46 +66,32 @@ def _add_motion(group):
 
 def _add_star(group):
     """Add the options of the star."""
-    group.add_argument(
-        "--mag", type=float, help="magnitude, Kp or T; needed without --table and --catalog"
-    )
-    group.add_argument(
-        "--position",
-        type=float,
-        nargs=2,
-        metavar=("X", "Y"),
-        help="column and row, pixels from 0 (default: the middle)",
-    )
-    group.add_argument(
-        "--psf",
-        type=float,
-        nargs=3,
-        metavar=("SIGMA_X", "SIGMA_Y", "RHO"),
-        help="widths, in pixels, and correlation of a Gaussian PSF (default: the detector's)",
-    )
-    group.add_argument(
-        "--transit",
-        type=float,
-        nargs=4,
-        metavar=("PERIOD", "T0", "DEPTH", "DURATION"),
-        help="a planet: period and first mid-transit after the first cadence, relative drop, and "
-        "duration; times in days",
-    )
-    group.add_argument(
-        "--period", type=float, metavar="DAYS", help="period of a planet; needs --depth"
-    )
-    group.add_argument("--depth", type=float, help="relative drop of its transits")
-    group.add_argument(
-        "--t0",
-        type=float,
-        metavar="DAYS",
-        help="its first mid-transit after the first cadence (default: half a period)",
-    )
-    group.add_argument(
-        "--duration",
-        type=float,
-        metavar="DAYS",
-        help="duration of its transits (default: a central transit of a star like the Sun)",
+    _add(
+        group,
+        float,
+        ("mag", None, "magnitude, Kp or T; needed without --table and --catalog"),
+        ("position", ("X", "Y"), "column and row, pixels from 0 (default: the middle)"),
+        (
+            "psf",
+            ("SIGMA_X", "SIGMA_Y", "RHO"),
+            "widths, in pixels, and correlation of a Gaussian PSF (default: the detector's)",
+        ),
+        (
+            "transit",
+            ("PERIOD", "T0", "DEPTH", "DURATION"),
+            (
+                "a planet: period and first mid-transit after the first cadence, relative drop, "
+                "and duration; times in days"
+            ),
+        ),
+        ("period", "DAYS", "period of a planet; needs --depth"),
+        ("depth", None, "relative drop of its transits"),
+        ("t0", "DAYS", "its first mid-transit after the first cadence (default: half a period)"),
+        (
+            "duration",
+            "DAYS",
+            "duration of its transits (default: a central transit of a star like the Sun)",
+        ),
     )
     group.add_argument(
         "--neighbor",
@@ -112,13 +106,12 @@ def _add_star(group):
 
 def _add_sky(group):
     """Add the options of the place on the sky."""
-    group.add_argument("--ra", type=float, metavar="DEG", help="right ascension of the target")
-    group.add_argument("--dec", type=float, metavar="DEG", help="declination of the target")
-    group.add_argument(
-        "--orientation",
-        type=float,
-        metavar="DEG",
-        help="position angle of growing rows from north to east (default: 0)",
+    _add(
+        group,
+        float,
+        ("ra", "DEG", "right ascension of the target"),
+        ("dec", "DEG", "declination of the target"),
+        ("orientation", "DEG", "position angle of growing rows from north to east (default: 0)"),
     )
     group.add_argument(
         "--catalog",
@@ -127,19 +120,18 @@ def _add_sky(group):
         "and if wanted pmra, pmdec and ref_epoch: its stars are target and neighbors; needs --ra "
         "and --dec",
     )
-    group.add_argument(
-        "--magnitude-limit", type=float, metavar="MAG", help="leave out fainter stars of it"
+    _add(
+        group,
+        float,
+        ("magnitude-limit", "MAG", "leave out fainter stars of it"),
+        (
+            "background-stars",
+            "MAG",
+            "draw stars down to this magnitude by the mean counts in this direction",
+        ),
     )
-    group.add_argument(
-        "--background-stars",
-        type=float,
-        metavar="MAG",
-        help="draw stars down to this magnitude by the mean counts in this direction",
-    )
-    for run in ("campaign", "quarter", "sector"):
-        group.add_argument(f"--{run}", type=int, metavar="N", help=f"{run}, for the file's headers")
-    for place in ("channel", "camera", "ccd"):
-        group.add_argument(f"--{place}", type=int, metavar="N", help=f"{place}, for the same")
+    _add(group, int, *((name, "N", f"{name}, for the file's headers") for name in _RUNS[:3]))
+    _add(group, int, *((name, "N", f"{name}, for the same") for name in _RUNS[3:]))
 
 
 def _add_detector(group):
@@ -151,19 +143,15 @@ def _add_detector(group):
         help="the preset, kepler, k2, k2_calibrated, tess or ground, or a TOML file of your own "
         "detector (default: k2)",
     )
-    group.add_argument(
-        "--shape", type=int, nargs=2, metavar=("NY", "NX"), help="rows and columns of the stamp"
-    )
-    group.add_argument(
-        "--no-sensitivity",
-        action="store_true",
-        help="pixels that all respond alike, and evenly within: the control",
-    )
-    group.add_argument(
-        "--mission-effects",
-        action="store_true",
-        help="with the effects of the detector's mission: cosmic rays, smear and others",
-    )
+    _add(group, int, ("shape", ("NY", "NX"), "rows and columns of the stamp"))
+    for name, text in (
+        ("no-sensitivity", "pixels that all respond alike, and evenly within: the control"),
+        (
+            "mission-effects",
+            "with the effects of the detector's mission: cosmic rays, smear and others",
+        ),
+    ):
+        group.add_argument(f"--{name}", action="store_true", help=text)
     noise = group.add_mutually_exclusive_group()
     noise.add_argument(
         "--noise",
@@ -269,8 +257,7 @@ def _make_scene(arguments, detector, motion, fields):
     """Return the scene that the options ask for."""
     given = vars(arguments)
     fields |= {"target_id": arguments.target_id, "object_name": arguments.name}
-    runs = ("campaign", "quarter", "sector", "channel", "camera", "ccd")
-    fields["metadata"] = {name: given[name] for name in runs if given[name] is not None}
+    fields["metadata"] = {name: given[name] for name in _RUNS if given[name] is not None}
     if (arguments.ra is None) != (arguments.dec is None):
         raise ValueError("--ra and --dec go together")
     stars = _make_stars(arguments, detector, motion.time[0])

@@ -20,6 +20,8 @@ import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
 from scipy.linalg import cholesky, solve_triangular
 
+from scope_models.correctors._constant_light import constant_light, varying_light
+
 __all__ = ["CleanPixels", "clean_pixels", "precise_aperture"]
 
 #: Scale (px) of the response functions of position, and of those of focus and constant light.
@@ -98,7 +100,7 @@ class CleanPixels:
     focus : ndarray
         Relative change of the PSF's width without short dips, up to a factor, ``(n,)``.
     constant : float
-        Constant light that was taken off, e-/s.
+        Constant light that was taken off, e-/s, the median.
     repaired : ndarray of bool
         Pixels in cadences whose light was replaced by the model's, ``(n, n_pixels)``.
     """
@@ -441,8 +443,9 @@ class _State:
             variable = change - columns @ np.linalg.solve(gram + ridge, right)
         strong = self._is_strong(variable[use])
         if strong and iteration >= _DECIDED:
-            image, _, focus, constant = self._images()
-            strong = self._constant_light(self._focused(image, focus), constant) > _FAINT
+            image, slopes, focus, constant = self._images()
+            light = self._constant_light(self._focused(image, focus), slopes, constant)
+            strong = np.median(light[use]) > _FAINT
         self.variable = variable if strong else np.zeros_like(variable)
 
     def _is_strong(self, variable):
@@ -483,12 +486,14 @@ class _State:
     def result(self, flux_err, own):
         """Return the light and the fractions."""
         self._fit_brightness(own)
-        still, _, focus, constant = self._images()
+        still, slopes, focus, constant = self._images()
         image, inside = self._focused(still, focus), self.aperture
         light = self.y - self.background
         light[~self.good] -= self._rest(image, constant)[~self.good]
-        light = light[:, inside]
-        light, error = light.sum(axis=1), np.sqrt((flux_err[:, inside] ** 2).sum(axis=1))
+        pixels, light = light, light[:, inside].sum(axis=1)
+        rest = pixels - light[:, None] * image + self.variable[:, None] * constant
+        light = light - self._varying_light(rest, image, slopes, ~own)
+        error = np.sqrt((flux_err[:, inside] ** 2).sum(axis=1))
         misfit = np.average(self.variance / self.noise, weights=np.maximum(self.scale, 0))
         fits = misfit < _LARGEST_MISFIT
         if fits and np.median(self.error) * self.unit < np.median(error):
@@ -496,7 +501,7 @@ class _State:
             part = self._roughness(fitted) / self._roughness(light)
             if part < _LESS_NOISE:
                 light, error = fitted, np.maximum(self.error * self.unit, part * error)
-        other = self._constant_light(image, constant)
+        other = self._constant_light(image, slopes, constant)
         return CleanPixels(
             light=self.unit * (light - other),
             light_error=error,
@@ -506,7 +511,7 @@ class _State:
             background=self.unit * self.background,
             position=self.z,
             focus=self._slow_focus(),
-            constant=self.unit * other,
+            constant=self.unit * np.median(other[self.use]),
             repaired=~self.good,
         )
 
@@ -526,19 +531,21 @@ class _State:
         change = (self.brightness - light)[self.use]
         return self.brightness - _explained(columns, columns[self.use], change)
 
-    def _constant_light(self, image, constant):
-        """Return the constant light in the aperture, if the star's variability shows it.
+    def _varying_light(self, rest, image, slopes, others):
+        """Return the light in the aperture that varies with other stars."""
+        if others.any():
+            columns = np.column_stack([self.features(self.z), self.focus])
+            rest = rest - _explained(columns, columns[self.use], rest[self.use])
+        where = self.grid, self.aperture, self.use
+        return varying_light(rest, image, slopes, self.noise, others, *where)
 
-        The star's brightest pixels hold none of it.
-        """
+    def _constant_light(self, image, slopes, constant):
+        """Return the constant light in the aperture, if the star's variability shows it."""
         if not self.variable.any():
-            return 0.0
-        mean, own = image[self.use].mean(axis=0), (image - constant)[self.use].mean(axis=0)
-        inside = self.aperture
-        bright = own > 0.3 * own[inside].max()
-        part = float(np.clip(mean[bright].sum() / own[bright].sum(), 0.0, 1.0))
-        both = mean[inside].sum(), own[inside].sum()
-        return both[0] - part * both[1]
+            return np.zeros(len(image))
+        level = (self.brightness - self.variable)[self.use].mean()
+        images = image, image - constant, slopes
+        return level * constant_light(*images, self.z, self.grid, self.aperture, self.use)
 
 
 def precise_aperture(light, variance, position):

@@ -12,7 +12,7 @@ from scope_models.photometry import cdpp
 __all__ = ["detrend_file", "make_lightcurve_hdulist"]
 
 
-def detrend_file(path, output, *, figure=None, overwrite=False, **options):
+def detrend_file(path, output, *, figure=None, overwrite=False, survival=True, **options):
     """
     Correct a target pixel file, and write the light curve to a FITS file.
 
@@ -26,6 +26,8 @@ def detrend_file(path, output, *, figure=None, overwrite=False, **options):
         Where to save the figure of `PLDCorrector.diagnose`; its suffix is the format.
     overwrite : bool, optional
         Whether files that exist are replaced.
+    survival : bool, optional
+        Whether the file has the card PLDSURV, `PLDFit.survival`: it takes a second correction.
     **options
         Arguments of `PLDCorrector.correct`.
 
@@ -59,23 +61,23 @@ def detrend_file(path, output, *, figure=None, overwrite=False, **options):
     check_output(output, overwrite=overwrite, inputs=[path])
     if figure is not None:
         check_output(figure, overwrite=overwrite, inputs=[path, output])
-        from scope_models.plotting._saving import check_figure_format  # imports matplotlib
+        from scope_models.plotting._style import check_figure_format  # imports matplotlib
 
         check_figure_format(figure)
     with naming(path):
         corrector = PLDCorrector(path)
         corrector.correct(**options)
-        hdus = make_lightcurve_hdulist(corrector)
+        hdus = make_lightcurve_hdulist(corrector, survival=survival)
     write_hdulist(hdus, output, overwrite=overwrite)
     if figure is not None:
-        from scope_models.plotting._saving import save_figure
+        from scope_models.plotting._style import save_figure
 
         with atomic_path(figure, overwrite=overwrite) as temporary:
             save_figure(corrector.diagnose()[0].figure, temporary)
     return corrector
 
 
-def make_lightcurve_hdulist(corrector):
+def make_lightcurve_hdulist(corrector, *, survival=True):
     """
     Make the FITS file of a corrected light curve.
 
@@ -83,6 +85,8 @@ def make_lightcurve_hdulist(corrector):
     ----------
     corrector : PLDCorrector
         After a correction.
+    survival : bool, optional
+        As in `detrend_file`.
 
     Returns
     -------
@@ -94,7 +98,7 @@ def make_lightcurve_hdulist(corrector):
         corrector.tpf,
         _columns(corrector),
         aperture=corrector.aperture_mask,
-        cards=_cards(corrector),
+        cards=_cards(corrector, survival),
     )
 
 
@@ -122,7 +126,7 @@ def _columns(corrector):
     ]
 
 
-def _cards(corrector):
+def _cards(corrector, survival):
     """Return keyword, value and comment of what the correction found."""
     result = corrector.result
     cards = []
@@ -135,8 +139,10 @@ def _cards(corrector):
             ("PLDNOISE", result.noise_scale, "white noise variance over FLUX_ERR^2"),
             ("PLDLNL", result.log_likelihood, "log marginal likelihood"),
             ("PLDDOF", sum(result.effective_parameters), "effective number of parameters"),
-            ("PLDSURV", result.transit_survival, "part of an unmasked transit that survives"),
         ]  # fmt: skip
+        if survival and np.isfinite(result.transit_survival):
+            comment = "part of an unmasked transit that survives"
+            cards.append(("PLDSURV", result.transit_survival, comment))
     for name, lc in (("RAWCDPP", corrector.original_lc), ("CDPP", corrector.corrected_lc)):
         try:
             value = cdpp(lc, method="everest")

@@ -7,7 +7,7 @@ from astropy.utils.exceptions import AstropyDeprecationWarning
 
 from scope_models._arrays import plain_array
 
-__all__ = ["external_columns", "named_mask", "to_collection", "translated"]
+__all__ = ["LightkurveNames", "external_columns", "named_mask", "to_collection", "translated"]
 
 _RENAMED = {"pld_order": "order", "n_pca_terms": "pca_components", "niters": "max_clips"}
 _SUCCESSORS = {
@@ -22,6 +22,27 @@ _SUCCESSORS = {
     "use_gp": 'choose `trend="gp"` or `trend="quadratic"`',
     "gp_timescale": 'the time scale of `trend="gp"` is fitted to the data: leave it out',
 }
+_FOUND = "`print(corrector.result)` and `corrector.result.to_table()` have what the fit found"
+_ATTRIBUTES = {
+    "dmc": "call `create_design_matrix()`",
+    "design_matrix_collection": "call `create_design_matrix()`",
+    "X": "call `create_design_matrix()`",
+    "coefficients": _FOUND,
+    "coefficients_err": _FOUND,
+    "diagnose_priors": f"prior widths follow from the data; {_FOUND}",
+    "diagnostic_lightcurves": "`diagnose()` draws the systematics and the trend",
+    "model_lc": "divide `original_lc` by `corrected_lc`",
+    "lc": "it is `original_lc`",
+}
+
+
+class LightkurveNames:
+    """Mixin whose errors name what replaces an attribute of lightkurve's corrector."""
+
+    def __getattr__(self, name):
+        if name in _ATTRIBUTES:
+            raise AttributeError(f"`{name}` is not an attribute here: {_ATTRIBUTES[name]}")
+        raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
 
 
 def translated(options):
@@ -42,6 +63,8 @@ def translated(options):
     """
     found = {}
     for name, value in options.items():
+        if name in (*_RENAMED, *_SUCCESSORS) and (value is None or value is False):
+            continue  # lightkurve's defaults
         if name in _RENAMED:
             found[_RENAMED[name]] = value
         elif name == "propagate_errors":
@@ -78,13 +101,18 @@ def named_mask(tpf, mask, name):
     tpf : `~lightkurve.targetpixelfile.TargetPixelFile`
         The file.
     mask : str, array_like of bool or None
-        "pipeline", "threshold" (`create_threshold_mask` with 3 standard deviations), "all",
-        "background" (pixels below the median) or "empty"; anything else is returned as it is.
+        "pipeline", "threshold" (`create_threshold_mask` with 3 standard deviations), "default"
+        (the first of these that the file has), "all", "background" (pixels below the median) or
+        "empty". Integers are 0 and 1, or the bits of a pipeline. Else it is returned as it is.
     name : str
         The argument's name, for messages.
     """
     if not isinstance(mask, str):
+        if isinstance(mask, np.ndarray) and mask.dtype.kind in "iu":
+            return mask > 0 if mask.max(initial=0) < 2 else (mask & 2) > 0
         return mask
+    if mask == "default":
+        mask = "pipeline" if tpf.pipeline_mask.any() else "threshold"
     if mask == "pipeline":
         if not tpf.pipeline_mask.any():
             raise ValueError(f'`{name}` cannot be "pipeline": the file has no such aperture')

@@ -27,6 +27,11 @@ _PARTS = (1.0, 0.01)
 _LARGEST_SHIFT = 0.2
 #: At most one frequency for so many cadences, and so many.
 _CADENCES_PER_FREQUENCY, _MOST = 15, 60
+#: Where so much of the frequencies up to this part of the fastest that cadences resolve, and
+#: beyond, are multiples of one, eclipses are sharp: all multiples are taken, ...
+_MULTIPLES, _SHARP = 0.7, 0.5
+#: ... up to this part of the fastest, for so many cadences at most one, and so many.
+_LAST, _CADENCES_PER_MULTIPLE, _MOST_MULTIPLES = 1.5, 12, 100
 #: Period in days of the slow process, which stands for all that is not periodic.
 _SLOW = 5.0
 #: Cadences that differ from the median of five by so many standard deviations stand alone.
@@ -82,12 +87,23 @@ def find_frequencies(solution, allowed):
         found = np.append(found, [_refined(f, trial) for f in new])
         if not judged and len(found) >= _ENOUGH_TO_JUDGE:
             judged = True
-            if _likelihood(solution, found, use) < _likelihood(solution, (), use) - _WORSE:
+            if _is_continuous(found, solution, use):
                 return np.empty(0)
-        found = _shifted(found, solution, trial.hyper, use)
-        rest = replace(solution, hyper=trial.hyper).with_frequencies(found, use).unexplained
+        plain = replace(solution, hyper=trial.hyper)
+        found = found + _shifts(found, plain, use)
+        rest = plain.with_frequencies(found, use).unexplained
     plain = replace(solution, hyper=trial.hyper)
-    return _significant(found, plain, use)
+    found = _significant(found, plain, use)
+    first = _fundamental(found, solution)
+    return found if first is None else _multiples(first, plain, use)
+
+
+def _is_continuous(frequencies, solution, use):
+    """Whether a star varies at all frequencies, so that these are no better than a process."""
+    if _divisor(np.sort(frequencies), solution) is not None:
+        return False
+    alone = _likelihood(solution, (), use)
+    return _likelihood(solution, frequencies, use) < alone - _WORSE
 
 
 def _likelihood(solution, frequencies, use):
@@ -115,17 +131,57 @@ def _significant(frequencies, trial, use):
     return frequencies
 
 
-def _shifted(frequencies, solution, hyper, use):
-    """Return frequencies after one step of Gauss and Newton for all of them together."""
-    trial = replace(solution, hyper=hyper).with_frequencies(frequencies, use)
+def _fastest(solution):
+    """Return the fastest frequency that the cadences resolve."""
+    return 0.5 / float(np.median(np.diff(solution.data.time)))
+
+
+def _fundamental(frequencies, solution):
+    """Return the frequency of which most are multiples up to fast ones, None if there is none."""
+    limit = _SHARP * _fastest(solution)
+    if frequencies.max(initial=0.0) < limit:
+        return None
+    return _divisor(np.sort(frequencies[frequencies < limit]), solution)
+
+
+def _divisor(slow, solution):
+    """Return the frequency of which most of some are multiples, None if there is none."""
+    near = 0.5 * _APART / np.ptp(solution.data.time)
+    for first in np.divide.outer(slow[:_AT_ONCE], (1, 2, 3)).ravel():
+        number = np.maximum(np.round(slow / first), 1)
+        good = np.abs(slow - number * first) < near
+        if good.mean() > _MULTIPLES and len(np.unique(number)) > _MULTIPLES * number.max():
+            number, slow = number[good], slow[good]
+            return float(number @ slow / (number @ number))
+    return None
+
+
+def _multiples(first, solution, use):
+    """Return the multiples of a frequency, which is improved with ever more of them."""
+    limit = min(int(_LAST * _fastest(solution) / first), _MOST_MULTIPLES)
+    for most in (10, 20, 40):
+        number = np.arange(1, min(most, limit) + 1)
+        first += float(_shifts(first * number, solution, use, number)[0])
+    return first * np.arange(1, min(use.sum() // _CADENCES_PER_MULTIPLE, limit) + 1)
+
+
+def _shifts(frequencies, solution, use, numbers=None):
+    """
+    Return one step of Gauss and Newton.
+
+    It is for each frequency, or with ``numbers`` for the one of which they are multiples.
+    """
+    trial = solution.with_frequencies(frequencies, use)
     k, n = trial.n_regressors, solution.n_trend
     cos, sin = trial.posterior.mean[k + n : k + trial.n_trend].reshape(-1, 2).T
     phase = 2 * np.pi * np.outer(trial.time, frequencies)
     slope = 2 * np.pi * trial.time[:, None] * (sin * np.cos(phase) - cos * np.sin(phase))
+    if numbers is not None:
+        slope = slope @ numbers[:, None]
     trial = trial.with_flat(slope, use)
     step = trial.posterior.mean[k + trial.n_trend :] / trial.scale[trial.n_trend :]
     limit = _LARGEST_SHIFT / np.ptp(trial.data.time)
-    return frequencies + np.clip(step, -limit, limit)
+    return np.clip(step, -limit, limit)
 
 
 def _stands_alone(y):

@@ -8,7 +8,8 @@ import numpy as np
 from astropy.table import QTable
 
 from scope_models._arrays import plain_array
-from scope_models._checks import checked_integer
+from scope_models._checks import checked_integer, checked_number
+from scope_models.correctors._injection import box_signal
 from scope_models.correctors._solution import Solution
 from scope_models.exceptions import DetrendingWarning
 
@@ -20,6 +21,15 @@ _TRANSIT_HOURS = 6.5
 #: Smaller apertures lose light when the star moves, which the fractions explain.
 _WHOLE = 9
 _MANY, _CONTAMINATED, _FOLLOWING, _NOISY = 0.1, 0.02, 0.05, 25.0
+#: Depth of the boxes of `PLDFit.survival`: so many errors of their mean, within these bounds.
+_OBVIOUS, _SHALLOW, _DEEP = 10.0, 1e-3, 0.3
+#: Largest number of times that a transit is taken out of the pixels, and what may be left, in
+#: errors.
+_REMOVALS, _NOTHING = 3, 0.2
+#: Uncertain part of the light of other stars in the aperture.
+_SHARE_ERROR = 0.05
+#: The first removal in errors, at least; and bounds of the response of the chain.
+_AT_LEAST, _RESPONSES = 3.0, (0.1, 2.0)
 #: Part of a transit outside of the mask above which its depth is not trusted.
 _UNMASKED = 0.1
 #: Numbers of a fit that go into the metadata of its table.
@@ -56,8 +66,8 @@ class PLDFit:
         The linear algebra: coefficients, covariances, cadences in the fit.
     cadence_mask, transit_mask : ndarray of bool
         Cadences that the fit was allowed to use, and those in transit, ``(n_cadences,)``.
-    joint : bool, optional
-        Whether a transit model was fitted jointly.
+    transit_model : array_like or callable, optional
+        The transit model that was fitted jointly.
 
     Examples
     --------
@@ -74,7 +84,7 @@ class PLDFit:
     solution: Solution
     cadence_mask: np.ndarray
     transit_mask: np.ndarray
-    joint: bool = False
+    transit_model: object = None
 
     # Hyper-parameters and diagnostics
 
@@ -169,16 +179,23 @@ class PLDFit:
     @cached_property
     def transit_survival(self):
         """
-        Part of a transit's depth that survives if the transit is not masked.
+        Part of a transit's depth that survives if the transit is not masked: `survival`.
 
-        1 minus what the regressors take out of a box of `window` cadences, averaged over all
-        positions.
+        Found when it is first read, by another correction of the pixels.
         """
-        return self.solution.survival(self.window)
+        return self.survival()
+
+    @property
+    def joint(self):
+        """Whether a transit model was fitted jointly."""
+        return self.transit_model is not None
 
     @property
     def transit_scale(self):
-        """Amplitude of the jointly fitted transit model (1: as given), NaN without one."""
+        """Amplitude of the jointly fitted transit model (1: as given), NaN without one.
+
+        That of `fit_transit`, with the response of the whole chain.
+        """
         return self._transit[0]
 
     @property
@@ -188,7 +205,7 @@ class PLDFit:
 
     @cached_property
     def _transit(self):
-        return self.solution.flat_coefficient(-1) if self.joint else (np.nan, np.nan)
+        return self.fit_transit(self.transit_model) if self.joint else (np.nan, np.nan)
 
     # The light curve's parts
 
@@ -331,6 +348,74 @@ class PLDFit:
 
     # Questions to the data at the fitted hyper-parameters
 
+    def survival(self, transit_model=None, *, depth=None):
+        """
+        Return the part of a transit's depth that survives the whole correction.
+
+        The transit is put into the star's own light in the pixels, without that of neighbors and
+        background, and everything is done again with the same aperture and options: predicted
+        fractions, regressors, variances and time scales, outliers. Transits that repeat may
+        survive as periodic variability, deep ones as outliers. Light of other stars
+        in the aperture makes the depth smaller too. A number above 1 is a transit that the
+        correction makes deeper.
+
+        Parameters
+        ----------
+        transit_model : array_like or callable, optional
+            As in `PLDCorrector.correct`. By default up to eight boxes of `window` cadences, at
+            places without a period.
+        depth : float, optional
+            Depth of the boxes, by default 0.001 or ten times the error of their mean flux, if that
+            is more. With a transit model, its depth.
+
+        Returns
+        -------
+        float
+            Slope of the corrected flux on the model; NaN if the model is constant in the data, or
+            the correction fails with the transit in it.
+        """
+        pixels = self.model.pixels
+        if transit_model is None:
+            if depth is None:
+                depth = self._obvious_depth
+            column = np.log(box_signal(self.used, self.window, _checked_depth(depth)))
+        else:
+            column = transit_column(transit_model, pixels.time)
+            if not column.shape[1]:
+                return np.nan
+            column = column[:, 0]
+            if depth is not None:
+                column = column * np.log1p(-_checked_depth(depth)) / column.min()
+        try:
+            again = self._with_signal(column)
+        except ValueError:
+            return np.nan
+        ratio = again.corrected()[0] / self.corrected()[0]
+        known = np.isfinite(ratio) & (self.cadence_mask | self.transit_mask)
+        return _depth_ratio(np.exp(column[known]) - 1, ratio[known] / np.median(ratio[known]))
+
+    @property
+    def _obvious_depth(self):
+        """Depth of a transit of `window` cadences that is obvious, but not deep."""
+        flux, error = self.corrected()
+        noise = np.nanmedian(error / flux) / np.sqrt(self.window)
+        return float(np.clip(_OBVIOUS * noise, _SHALLOW, _DEEP))
+
+    def _with_signal(self, column):
+        """Return the fit of the same pixels with the star's light times ``exp(column)``."""
+        model = self.model
+        source = model.source.dimmed(np.exp(column), model.clean)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", DetrendingWarning)
+            again = type(model).from_pixels(
+                source.pixels, model.options, source.series, source.cadence_mask
+            )
+            return again.fit(
+                self.cadence_mask,
+                transit_mask=self.transit_mask,
+                transit_model=self.transit_model,
+            )
+
     def fit_transit(self, transit_model):
         """
         Measure the depth of a transit with all uncertainties of the correction.
@@ -338,6 +423,11 @@ class PLDFit:
         The amplitude of the model is fitted jointly with the systematics and the long-term
         variability, whose hyper-parameters stay as they are. Used are the cadences of the fit and
         those of ``transit_mask`` that are no outliers from the model with the transit.
+
+        Then the transit is taken out of the star's light in the pixels, and everything is
+        done again: what the fit still finds is the response of the chain, pixel fractions and
+        all. The amplitude is the one that leaves no transit in the fit. It is relative to all
+        light in the aperture, less constant light that was taken off.
 
         Parameters
         ----------
@@ -355,15 +445,31 @@ class PLDFit:
         DetrendingWarning
             If the transits were neither masked nor fitted jointly.
         """
-        usable = self.model.pixels.usable
-        column = transit_column(transit_model, self.model.pixels.time)[usable]
-        if not column.any():
+        column = transit_column(transit_model, self.model.pixels.time)
+        if not column[self.model.pixels.usable].any():
             return np.nan, np.inf
-        self._check_masked(column[:, 0])
-        use = self.solution.use | self.transit_mask[usable]
-        options = self.model.options
-        solution = self.solution.with_flat(column, use)
-        return solution.without_outliers(options).flat_coefficient(-1)
+        self._check_masked(column[self.model.pixels.usable, 0])
+        first = _fitted_depth(self, column)
+        if not np.isfinite(first).all():
+            return first
+        return self._without_response(column, *first)
+
+    def _without_response(self, column, found, error):
+        """Return the amplitude whose removal from the pixels leaves no transit, and its error."""
+        share = self.model.source.star_light(self.model.clean)[1]
+        taken, left, response = [0.0], [found], share
+        while len(left) <= _REMOVALS and abs(left[-1]) > _NOTHING * error:
+            step = left[-1] / response
+            if len(left) == 1:  # removing next to nothing would measure no response
+                step = np.copysign(max(abs(step), _AT_LEAST * error), step)
+            taken.append(taken[-1] + step)
+            found, error = _fitted_depth(self._with_signal(-taken[-1] * column[:, 0]), column)
+            if abs(step) > error:
+                response = np.clip((left[-1] - found) / step, *_RESPONSES)
+            left.append(found)
+        scale = share * (taken[-1] + left[-1] / response)
+        error = np.hypot(error * share / response, _SHARE_ERROR * (1 - share) * scale)
+        return float(scale), float(error)
 
     def _check_masked(self, column):
         """Warn if the fit has taken a transit for variability, systematics or outliers."""
@@ -376,29 +482,6 @@ class PLDFit:
                 "`transit_model=` first"
             )
             warnings.warn(message, DetrendingWarning, stacklevel=4)
-
-    def survival(self, transit_model):
-        """
-        Return the part of a transit's depth that survives if it is not masked.
-
-        Transits that repeat may survive as periodic variability, deep ones as outliers; the mean
-        of one shallow transit is `transit_survival`.
-
-        Parameters
-        ----------
-        transit_model : array_like or callable
-            As in `PLDCorrector.correct`.
-
-        Returns
-        -------
-        float
-            Slope of the corrected flux on the model.
-        """
-        usable = self.model.pixels.usable
-        column = transit_column(transit_model, self.model.pixels.time)[usable]
-        if not column.any():
-            return np.nan
-        return self.solution.response(column[:, 0])
 
     def held_out(self, width=13):
         """
@@ -474,7 +557,7 @@ class PLDFit:
     def __repr__(self):
         return (
             f"<PLDFit: order {self.model.options.order}, {self.n_used} cadences, "
-            f"{self.n_outliers} outliers, transit survival {self.transit_survival:.3f}>"
+            f"{self.n_outliers} outliers>"
         )
 
     def __str__(self):
@@ -485,6 +568,35 @@ class PLDFit:
             f"<tr><th>{label}</th><td>{value}</td></tr>" for label, value in self._rows()
         )
         return f"<table>{rows}</table>"
+
+
+def _fitted_depth(fitted, column):
+    """Return amplitude and error of a transit at fixed regressors."""
+    usable, solution = fitted.model.pixels.usable, fitted.solution
+    solution = solution.with_flat(column[usable], solution.use | fitted.transit_mask[usable])
+    return solution.without_outliers(fitted.model.options).flat_coefficient(-1)
+
+
+def _depth_ratio(signal, flux):
+    """Return the depth of events in a flux over that in a signal, with a line about each event."""
+    edges = np.flatnonzero(np.diff(signal != 0, prepend=False, append=False))
+    upper = lower = 0.0
+    for start, end in edges.reshape(-1, 2):
+        near = slice(max(2 * start - end, 0), 2 * end - start)
+        both = np.column_stack([flux, signal])[near]
+        line = np.vander(np.arange(len(both)), 2)
+        both -= line @ np.linalg.lstsq(line, both)[0]
+        upper += both[:, 0] @ both[:, 1]
+        lower += both[:, 1] @ both[:, 1]
+    return float(upper / lower) if lower > 0 else np.nan
+
+
+def _checked_depth(depth):
+    """Return a depth between 0 and 1."""
+    depth = checked_number("depth", depth, positive=True)
+    if depth >= 1:
+        raise ValueError(f"`depth` must be less than 1, got {depth}")
+    return depth
 
 
 def transit_column(model, time):

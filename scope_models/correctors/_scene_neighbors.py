@@ -9,7 +9,7 @@ from astropy.coordinates import SkyCoord
 from scope_models.correctors._scene_model import render
 from scope_models.correctors._scene_start import NoLightError
 from scope_models.exceptions import DetrendingWarning
-from scope_models.io._places import star_places, target_place
+from scope_models.io.pixels import star_places, target_place
 
 __all__ = ["KnownNeighbors", "find_neighbors"]
 
@@ -51,7 +51,7 @@ class KnownNeighbors:
         Parameters
         ----------
         neighbors : array_like, Table or SkyCoord
-            As in `~scope_models.io._places.star_places`.
+            As in `~scope_models.io.pixels.star_places`.
         series : PixelSeries
             The pixels.
         origin, peak : ndarray

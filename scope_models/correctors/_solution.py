@@ -6,7 +6,13 @@ from functools import cached_property
 import numpy as np
 
 from scope_models.correctors._periodic import find_frequencies, harmonic_columns, is_periodic
-from scope_models.correctors._regression import Data, Hyperparameters, Posterior, log_likelihood
+from scope_models.correctors._regression import (
+    FLAT,
+    Data,
+    Hyperparameters,
+    Posterior,
+    log_likelihood,
+)
 from scope_models.correctors._search import fit_columns, fit_hyperparameters
 
 __all__ = ["NothingToCorrectError", "Solution", "fit"]
@@ -30,6 +36,7 @@ _EXPECTED = {
     "segments": 1e-4,
     "focus": 5e-5,
     "aperture": 1.0,
+    "constant light": 0.003,
 }
 #: Those of the focus have a limit: a width that changes by 1 % changes the response of pixels by
 #: 1e-3 at most. What seems to be a focus may be a dimming of the star beside constant light.
@@ -291,28 +298,6 @@ class Solution:
         used = 1 - self.posterior.shrinkage[: self.n_regressors]
         return np.bincount(self.regressors.groups, used)
 
-    def response(self, dip):
-        """Return the part of a small change of the data that the correction leaves."""
-        solved = self.process.solve(dip[self.use][:, None])
-        k = self.n_regressors
-        change = self.posterior.covariance[:k] @ (self.data.columns.T @ solved)[:, 0]
-        left = dip - self.regressors.columns @ change
-        centered = dip - dip.mean()
-        return float(centered @ left / (centered @ centered))
-
-    def survival(self, width):
-        """
-        Return the part of a box-shaped dip that the correction leaves when it is in the fit.
-
-        Averaged over all windows of ``width`` cadences in use.
-        """
-        k = self.n_regressors
-        n_windows = len(self.alpha) // width
-        shape = (n_windows, width, -1)
-        x = self.regressors.columns[self.use][: n_windows * width].reshape(shape).mean(axis=1)
-        solved = self.solved[: n_windows * width, :-1].reshape(shape).sum(axis=1)
-        return float(1 - np.mean(np.sum((x @ self.posterior.covariance[:k]) * solved, axis=1)))
-
 
 def fit(make_regressors, time, y, variance, use, flat_columns, options, predicted=False):
     """
@@ -371,9 +356,14 @@ def _without_outliers(solution, make_regressors, options):
 
 
 def _evidence(solution, allowed):
-    """Log-likelihood with the outliers, which may be anywhere in the range of the data."""
+    """
+    Log-likelihood with the outliers, which may be anywhere in the range of the data.
+
+    The amplitudes of waves are as large as the data's, not as wide as flat priors are.
+    """
     n_outliers = allowed.sum() - solution.use.sum()
-    return solution.log_likelihood - n_outliers * np.log(np.ptp(solution.y[allowed]))
+    value = solution.log_likelihood - n_outliers * np.log(np.ptp(solution.y[allowed]))
+    return value + len(solution.frequencies) * np.log(FLAT)
 
 
 def _flat_columns(time, extra, n_trend):

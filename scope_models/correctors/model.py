@@ -8,10 +8,12 @@ from astropy import units as u
 
 from scope_models._arrays import plain_number, plain_time
 from scope_models._checks import checked_integer, checked_mask
+from scope_models._values import Value, frozen
 from scope_models.correctors._clean import CleanPixels
 from scope_models.correctors._design import (
     DesignOptions,
     background_columns,
+    constant_columns,
     focus_columns,
     make_regressors,
     neighbor_columns,
@@ -19,6 +21,7 @@ from scope_models.correctors._design import (
     segment_breaks,
 )
 from scope_models.correctors._features import Regressors
+from scope_models.correctors._injection import Source
 from scope_models.correctors._lightkurve import external_columns
 from scope_models.correctors._pixels import (
     Pixels,
@@ -54,8 +57,8 @@ _USUAL = 0.9
 _TRENDS = {"gp": 1, "quadratic": 3}
 
 
-@dataclass(frozen=True, eq=False)
-class PLDOptions:
+@dataclass(frozen=True, eq=False, repr=False)
+class PLDOptions(Value):
     """
     Options of pixel level decorrelation.
 
@@ -129,6 +132,11 @@ class PLDOptions:
         if not isinstance(self.sigma, Real) or not self.sigma > 0:
             raise ValueError(f"`sigma` must be positive, got {self.sigma!r}")
         checked_integer("max_clips", self.max_clips, 0)
+        if hasattr(self.neighbors, "flux"):
+            object.__setattr__(self, "neighbors", (self.neighbors,))
+        for name in ("pld_aperture_mask", "background_aperture_mask", "regressors"):
+            if isinstance(getattr(self, name), np.ndarray):
+                object.__setattr__(self, name, frozen(getattr(self, name)))
         object.__setattr__(self, "segments", _checked_segments(self.segments))
         object.__setattr__(self, "saturation", _checked_saturation(self.saturation))
 
@@ -186,6 +194,8 @@ class PLDModel:
         saturation, columns of background and neighbors.
     clean : CleanPixels or None
         What was found about the pixels if the fractions are predicted ones.
+    source : Source or None
+        The pixels as measured, and the file: what `PLDFit.survival` puts dimmings into.
 
     See Also
     --------
@@ -208,6 +218,7 @@ class PLDModel:
     options: PLDOptions
     design: DesignOptions
     clean: CleanPixels | None = None
+    source: Source | None = None
 
     @classmethod
     def from_tpf(cls, tpf, aperture_mask=None, cadence_mask=None, **options):
@@ -256,7 +267,7 @@ class PLDModel:
         PLDModel
             The model.
         """
-        extra, use = {}, pixels.usable
+        extra, use, source = {}, pixels.usable, Source(pixels, series, cadence_mask)
         if cadence_mask is not None:
             use = use & cadence_mask
         _check_enough(use)
@@ -284,6 +295,8 @@ class PLDModel:
             if predicted.usable.sum() > _CREDIBLE * pixels.usable.sum():
                 extra["focus"] = focus_columns(clean, pixels.usable, use)
                 extra["aperture"] = outside_column(clean, pixels.usable)
+                if clean.constant > 0:
+                    extra["constant light"] = constant_columns(clean, predicted.usable, use)
                 pixels, saturation = predicted, None
             else:  # the model of the pixels has diverged
                 clean = None
@@ -293,7 +306,7 @@ class PLDModel:
         design = DesignOptions(
             options.order, saturation, breaks, extra, options.pca_components, regressor_mask
         )
-        return cls(pixels, options, design, clean)
+        return cls(pixels, options, design, clean, source)
 
     def __repr__(self):
         return (
@@ -383,7 +396,9 @@ class PLDModel:
                 "damaged. Raise `sigma`, set `max_clips` to 0, or leave cadences out with "
                 "`cadence_mask`"
             )
-        return PLDFit(self, solution, mask & ~in_transit, in_transit, joint=column.size > 0)
+        if not column.size:
+            transit_model = None
+        return PLDFit(self, solution, mask & ~in_transit, in_transit, transit_model)
 
 
 def fit_pixels(pixels, options, series, cadence_mask=None, **transit):

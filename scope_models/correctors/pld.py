@@ -6,7 +6,12 @@ import numpy as np
 from lightkurve.correctors.corrector import Corrector
 
 from scope_models._checks import checked_cadences
-from scope_models.correctors._lightkurve import named_mask, to_collection, translated
+from scope_models.correctors._lightkurve import (
+    LightkurveNames,
+    named_mask,
+    to_collection,
+    translated,
+)
 from scope_models.correctors._pixels import aperture_pixels, credible_flux
 from scope_models.correctors._solution import NothingToCorrectError
 from scope_models.correctors.model import PLDOptions, fit_pixels
@@ -16,7 +21,7 @@ from scope_models.io import read_pixels, read_tpf
 __all__ = ["PLDCorrector"]
 
 
-class PLDCorrector(Corrector):
+class PLDCorrector(LightkurveNames, Corrector):
     r"""
     Remove pointing systematics with the help of the target's own pixels.
 
@@ -326,12 +331,9 @@ class PLDCorrector(Corrector):
         """
         Measure the depth of a transit, with all uncertainties of the last correction.
 
-        The amplitude of the model is fitted jointly with the systematics and
-        the long-term variability, whose hyper-parameters stay as `correct`
-        has found them. Used are the cadences of the fit and those of
-        ``transit_mask`` that are no outliers from the model with the transit.
-        Errors of the corrected light curve are correlated; here that is
-        taken into account.
+        See `PLDFit.fit_transit`: the amplitude of the model is fitted jointly with the
+        systematics and the long-term variability, and the response of the whole correction to
+        the transit is taken into account. It takes one to three further corrections.
 
         Parameters
         ----------

@@ -1,13 +1,33 @@
 """What all effects have in common: parameters, a truth that is drawn once, and places to act."""
 
+import inspect
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields
+from typing import ClassVar
 
 import numpy as np
 
+from scope_models._arrays import plain_array
+from scope_models._checks import check_fields
+from scope_models._values import Value, frozen
 from scope_models.missions import MISSIONS
 
-__all__ = ["Conditions", "Drawn", "Effect", "Exposures", "checked_effects"]
+__all__ = [
+    "Conditions",
+    "Drawn",
+    "Effect",
+    "Exposures",
+    "checked_effects",
+    "checked_series",
+    "series_of",
+]
+
+_RAISES = """
+Raises
+------
+TypeError, ValueError
+    If an argument is of the wrong kind or outside its domain.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,8 +217,8 @@ class Drawn:
     tables: Mapping = field(default_factory=dict)
 
 
-@dataclass(frozen=True, eq=False)
-class Effect:
+@dataclass(frozen=True, eq=False, repr=False)
+class Effect(Value):
     """Something that sky, telescope or detector do to light or charge.
 
     An effect is a frozen dataclass with physical parameters. The simulator draws its truth once
@@ -233,15 +253,24 @@ class Effect:
 
     #: Whether the pedestal is light, to which the pixels respond, or charge of another kind.
     is_light = True
+    #: Units of the parameters that are numbers or pairs.
+    units: ClassVar[dict] = {}
+    #: Of these, those that must not be 0, that may be negative, and that must not be above 1.
+    positive: ClassVar[frozenset] = frozenset()
+    any_sign: ClassVar[frozenset] = frozenset()
+    at_most_one: ClassVar[frozenset] = frozenset()
 
-    def __eq__(self, other):
-        if type(other) is not type(self):
-            return NotImplemented
-        names = [item.name for item in fields(self)]
-        return all(np.array_equal(getattr(self, name), getattr(other, name)) for name in names)
+    def __init_subclass__(cls, **options):
+        """Complete the docstring: all effects check their parameters alike."""
+        super().__init_subclass__(**options)
+        text = inspect.cleandoc(cls.__doc__ or "")
+        if "\nParameters\n---" in text and "\nRaises\n---" not in text:
+            begin = [text.find(f"\n{name}\n---") for name in ("Notes", "References", "Examples")]
+            end = min((place for place in begin if place >= 0), default=len(text))
+            cls.__doc__ = f"{text[:end]}{_RAISES}{text[end:]}\n"
 
-    def __hash__(self):
-        return hash(repr(self))
+    def __post_init__(self):
+        check_fields(self)
 
     @property
     def name(self):
@@ -313,3 +342,21 @@ def checked_effects(effects):
         if not isinstance(effect, Effect):
             raise TypeError(f"`effects` must hold effects, got {effect!r}")
     return effects
+
+
+def checked_series(effect, name, unit=""):
+    """Bring a field of an effect, one finite number for each cadence or None, to its unit."""
+    if getattr(effect, name) is not None:
+        values = plain_array(getattr(effect, name), unit, name)
+        if values.ndim != 1 or not np.all(np.isfinite(values)):
+            raise ValueError(f"`{name}` must be a finite one-dimensional array")
+        object.__setattr__(effect, name, frozen(values))
+
+
+def series_of(value, time, name, noun="number"):
+    """Return one value for each cadence, of one for all or for each."""
+    if np.ndim(value) and np.shape(value) != time.shape:
+        raise ValueError(
+            f"`{name}` must give one {noun} for each of the {len(time)} cadences, got {len(value)}"
+        )
+    return np.broadcast_to(value, time.shape)

@@ -1,14 +1,16 @@
 """The atmosphere above a telescope on the ground: extinction, scintillation and seeing."""
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from astropy.coordinates import FK5, EarthLocation, SkyCoord
 from astropy.time import Time
 
-from scope_models._arrays import plain_array, plain_number, plain_time
+from scope_models._arrays import plain_array, plain_time
 from scope_models._checks import checked_number
-from scope_models.effects._effect import Drawn, Effect
+from scope_models._values import frozen
+from scope_models.effects._effect import Drawn, Effect, series_of
 from scope_models.missions import TIME_ZEROS
 
 __all__ = ["Extinction", "Scintillation", "Seeing", "airmass"]
@@ -94,17 +96,7 @@ def checked_airmass(effect):
     values = plain_array(effect.airmass, "", "airmass")
     if values.ndim > 1 or not np.all(np.isfinite(values)) or np.any(values < 1):
         raise ValueError("`airmass` must be 1 or more, one number or one for each cadence")
-    values.flags.writeable = False
-    object.__setattr__(effect, "airmass", values if values.ndim else float(values))
-
-
-def series_of(value, time, name):
-    """Return one value for each cadence."""
-    if np.ndim(value) and np.shape(value) != time.shape:
-        raise ValueError(
-            f"`{name}` must give one number for each of the {len(time)} cadences, got {len(value)}"
-        )
-    return np.broadcast_to(value, time.shape)
+    object.__setattr__(effect, "airmass", frozen(values) if values.ndim else float(values))
 
 
 def _red_noise(generator, time, correlation_time):
@@ -116,15 +108,7 @@ def _red_noise(generator, time, correlation_time):
     return values
 
 
-def _check_numbers(effect, units, positive=()):
-    """Bring numbers of an effect to their units."""
-    for name, unit in units.items():
-        value = plain_number(getattr(effect, name), unit, name)
-        value = checked_number(name, value, positive=name in positive)
-        object.__setattr__(effect, name, value)
-
-
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Extinction(Effect):
     r"""Light of the stars that the atmosphere absorbs and scatters.
 
@@ -143,11 +127,6 @@ class Extinction(Effect):
         Standard deviation of c, mag.
     correlation_time : float or Quantity, optional
         Correlation time of c, days; the default is assumed.
-
-    Raises
-    ------
-    TypeError, ValueError
-        If an argument is of the wrong kind or outside its domain.
 
     Notes
     -----
@@ -176,9 +155,11 @@ class Extinction(Effect):
     scatter: float = 0.0
     correlation_time: float = 0.1
 
+    units: ClassVar[dict] = {"coefficient": "mag", "scatter": "mag", "correlation_time": "day"}
+    positive: ClassVar[frozenset] = frozenset({"correlation_time"})
+
     def __post_init__(self):
-        units = {"coefficient": "mag", "scatter": "mag", "correlation_time": "day"}
-        _check_numbers(self, units, positive=("correlation_time",))
+        super().__post_init__()
         checked_airmass(self)
 
     def draw(self, conditions, generator):
@@ -194,7 +175,7 @@ class Extinction(Effect):
         return drawn.columns["EXTINCTION"]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Scintillation(Effect):
     r"""Changes of the stars' light by turbulence high above the telescope.
 
@@ -219,11 +200,6 @@ class Scintillation(Effect):
     scale_height : float or Quantity, optional
         Scale height H of the turbulence, m [1]_.
 
-    Raises
-    ------
-    TypeError, ValueError
-        If an argument is of the wrong kind or outside its domain.
-
     Notes
     -----
     The truth has the factor of each cadence and star, log-normally distributed with a mean of 1,
@@ -247,9 +223,16 @@ class Scintillation(Effect):
     coefficient: float = 1.56
     scale_height: float = 8000.0
 
+    units: ClassVar[dict] = {
+        "aperture": "m",
+        "altitude": "m",
+        "coefficient": "",
+        "scale_height": "m",
+    }
+    positive: ClassVar[frozenset] = frozenset({"aperture", "scale_height"})
+
     def __post_init__(self):
-        units = {"aperture": "m", "altitude": "m", "coefficient": "", "scale_height": "m"}
-        _check_numbers(self, units, positive=("aperture", "scale_height"))
+        super().__post_init__()
         checked_airmass(self)
 
     def rms(self, exposure):
@@ -288,7 +271,7 @@ class Scintillation(Effect):
         return drawn.columns["SCINTILLATION"].reshape(-1, conditions.n_stars).T
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Seeing(Effect):
     r"""The width of the PSF with the seeing.
 
@@ -305,11 +288,6 @@ class Seeing(Effect):
         Correlation time of g, days; the default is assumed.
     airmass : float or array_like, optional
         Airmass X, 1 or more, for all cadences or for each.
-
-    Raises
-    ------
-    TypeError, ValueError
-        If an argument is of the wrong kind or outside its domain.
 
     Notes
     -----
@@ -329,9 +307,11 @@ class Seeing(Effect):
     correlation_time: float = 0.02
     airmass: float | np.ndarray = 1.0
 
+    units: ClassVar[dict] = {"scatter": "", "correlation_time": "day"}
+    positive: ClassVar[frozenset] = frozenset({"correlation_time"})
+
     def __post_init__(self):
-        units = {"scatter": "", "correlation_time": "day"}
-        _check_numbers(self, units, positive=("correlation_time",))
+        super().__post_init__()
         checked_airmass(self)
 
     def draw(self, conditions, generator):

@@ -1,33 +1,20 @@
 """Background: light that is not the stars', and what its subtraction leaves behind."""
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
-from scope_models._arrays import plain_array, plain_number, plain_time
-from scope_models._checks import checked_number, checked_pair
-from scope_models.effects._effect import Drawn, Effect
+from scope_models._arrays import plain_time
+from scope_models._checks import checked_number
+from scope_models.effects._effect import Drawn, Effect, checked_series, series_of
 
 __all__ = ["Argabrightening", "Background", "ScatteredLight"]
 
 _RATE = "electron / s"
 
 
-def _plane(shape, gradient):
-    """Return 1 plus a gradient per pixel about the middle of the stamp."""
-    ny, nx = shape
-    y, x = np.mgrid[:ny, :nx]
-    return 1 + gradient[0] * (x - (nx - 1) / 2) + gradient[1] * (y - (ny - 1) / 2)
-
-
-def _checked(effect, residual, gradient):
-    """Bring what the effects share to its type."""
-    put = object.__setattr__
-    put(effect, "residual", checked_number("residual", residual, any_sign=True))
-    put(effect, "gradient", checked_pair("gradient", gradient))
-
-
-class _Sky(Effect):
+class SkyEffect(Effect):
     """An effect whose truth has a level for each cadence and a plane over the stamp."""
 
     def pedestal(self, drawn, conditions, part, electrons):
@@ -37,16 +24,17 @@ class _Sky(Effect):
         return added, added * (1 - self.residual)
 
     def _drawn(self, conditions, level):
-        """Return the truth of a level for each cadence."""
-        plane = _plane(conditions.shape, self.gradient)
+        """Return the truth of a level for each cadence: it, and 1 plus the gradient."""
+        y, x = (np.arange(n) - (n - 1) / 2 for n in conditions.shape)
+        plane = 1 + self.gradient[0] * x + self.gradient[1] * y[:, np.newaxis]
         if np.any(plane < 0):
             raise ValueError(f"`gradient` makes the light of some pixels negative: {self.gradient}")
         name = self.name.upper()
         return Drawn({name: level}, {f"{name}_SHAPE": plane})
 
 
-@dataclass(frozen=True, eq=False)
-class Background(_Sky):
+@dataclass(frozen=True, eq=False, repr=False)
+class Background(SkyEffect):
     r"""Diffuse light besides the detector's background: level, drift and gradient.
 
     .. math:: B(x, y, t) = [l + d (t - t_m)] [1 + g_x (x - x_m) + g_y (y - y_m)]
@@ -68,11 +56,6 @@ class Background(_Sky):
     left : array_like or Quantity, optional
         What the subtraction leaves besides, by cadence, e-/s per pixel; negative where it
         subtracts too much.
-
-    Raises
-    ------
-    TypeError, ValueError
-        If an argument is of the wrong kind or outside its domain.
 
     Notes
     -----
@@ -96,16 +79,17 @@ class Background(_Sky):
     residual: float = 0.0
     left: np.ndarray | None = None
 
+    units: ClassVar[dict] = {
+        "level": _RATE,
+        "drift": "electron / (s day)",
+        "gradient": "",
+        "residual": "",
+    }
+    any_sign: ClassVar[frozenset] = frozenset({"drift", "residual"})
+
     def __post_init__(self):
-        put = object.__setattr__
-        put(self, "level", checked_number("level", plain_number(self.level, _RATE, "level")))
-        if self.left is not None:
-            put(self, "left", plain_array(self.left, _RATE, "left"))
-            if self.left.ndim != 1 or not np.all(np.isfinite(self.left)):
-                raise ValueError("`left` must be a finite one-dimensional array")
-        put(self, "drift", plain_number(self.drift, "electron / (s day)", "drift"))
-        checked_number("drift", self.drift, any_sign=True)
-        _checked(self, self.residual, self.gradient)
+        super().__post_init__()
+        checked_series(self, "left", _RATE)
 
     def draw(self, conditions, generator):
         """Return the level of each cadence and its shape."""
@@ -113,11 +97,7 @@ class Background(_Sky):
         level = self.level + self.drift * (time - (time[0] + time[-1]) / 2)
         if np.any(level < 0):
             raise ValueError(f"`drift` makes the background negative, {level.min():g} e-/s")
-        if self.left is not None and self.left.shape != time.shape:
-            raise ValueError(
-                f"`left` must give one number for each of the {len(time)} cadences, "
-                f"got {len(self.left)}"
-            )
+        series_of(0.0 if self.left is None else self.left, time, "left")
         return self._drawn(conditions, level)
 
     def pedestal(self, drawn, conditions, part, electrons):
@@ -129,8 +109,8 @@ class Background(_Sky):
         return added, subtracted
 
 
-@dataclass(frozen=True, eq=False)
-class ScatteredLight(_Sky):
+@dataclass(frozen=True, eq=False, repr=False)
+class ScatteredLight(SkyEffect):
     r"""Light of Earth and Moon that rises towards the ends of TESS's orbits.
 
     .. math:: B(t) = p \left(e^{-d(t) / \tau} - e^{-P / 2 \tau}\right)
@@ -156,11 +136,6 @@ class ScatteredLight(_Sky):
         Light from which cadences have the mission's quality bit, where it has one, e-/s per
         pixel; None sets none. TESS sets its bit 4096 where light of Earth or Moon is strong.
 
-    Raises
-    ------
-    TypeError, ValueError
-        If an argument is of the wrong kind or outside its domain.
-
     Notes
     -----
     The truth has the light of each cadence (e-/s per pixel) in the column SCATTEREDLIGHT, and its
@@ -185,19 +160,22 @@ class ScatteredLight(_Sky):
     residual: float = 0.0
     flag_above: float | None = None
 
+    units: ClassVar[dict] = {
+        "peak": _RATE,
+        "time_scale": "day",
+        "orbit": "day",
+        "gradient": "",
+        "residual": "",
+        "flag_above": _RATE,
+    }
+    positive: ClassVar[frozenset] = frozenset({"time_scale", "orbit"})
+    any_sign: ClassVar[frozenset] = frozenset({"residual"})
+
     def __post_init__(self):
-        put = object.__setattr__
-        put(self, "peak", checked_number("peak", plain_number(self.peak, _RATE, "peak")))
-        if self.flag_above is not None:
-            level = plain_number(self.flag_above, _RATE, "flag_above")
-            put(self, "flag_above", checked_number("flag_above", level))
-        for name in ("time_scale", "orbit"):
-            value = plain_number(getattr(self, name), "day", name)
-            put(self, name, checked_number(name, value, positive=True))
+        super().__post_init__()
         if self.perigee is not None:
-            put(self, "perigee", plain_time(self.perigee, None, "perigee"))
-            checked_number("perigee", self.perigee, any_sign=True)
-        _checked(self, self.residual, self.gradient)
+            days = float(plain_time(self.perigee, None, "perigee"))
+            object.__setattr__(self, "perigee", checked_number("perigee", days, any_sign=True))
 
     def draw(self, conditions, generator):
         """Return the light of each cadence and its shape."""
@@ -215,8 +193,8 @@ class ScatteredLight(_Sky):
         return np.where(strong, conditions.bit("scattered_light"), 0)
 
 
-@dataclass(frozen=True, eq=False)
-class Argabrightening(_Sky):
+@dataclass(frozen=True, eq=False, repr=False)
+class Argabrightening(SkyEffect):
     """Flashes of diffuse light in single cadences, as of debris from the spacecraft.
 
     Each cadence has a flash with the same probability; flashes have exponentially distributed
@@ -232,11 +210,6 @@ class Argabrightening(_Sky):
         Relative change of the light per pixel along x and y.
     residual : float, optional
         Part of the light that the subtraction of the background leaves in the flux.
-
-    Raises
-    ------
-    TypeError, ValueError
-        If an argument is of the wrong kind or outside its domain.
 
     Notes
     -----
@@ -259,11 +232,8 @@ class Argabrightening(_Sky):
     gradient: tuple[float, float] = (0.0, 0.0)
     residual: float = 0.0
 
-    def __post_init__(self):
-        put = object.__setattr__
-        for name, unit in (("rate", "1 / day"), ("brightness", _RATE)):
-            put(self, name, checked_number(name, plain_number(getattr(self, name), unit, name)))
-        _checked(self, self.residual, self.gradient)
+    units: ClassVar[dict] = {"rate": "1 / day", "brightness": _RATE, "gradient": "", "residual": ""}
+    any_sign: ClassVar[frozenset] = frozenset({"residual"})
 
     def draw(self, conditions, generator):
         """Return the light of each cadence and its shape."""

@@ -1,18 +1,18 @@
 """What a detector does to charge: smear, dark current, brighter-fatter effect, undershoot."""
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from scipy.signal import lfilter
 
-from scope_models._arrays import plain_number
-from scope_models._checks import checked_integer, checked_number
+from scope_models._checks import checked_integer
 from scope_models.effects._effect import Drawn, Effect
 
 __all__ = ["BrighterFatter", "DarkCurrent", "Smear", "Undershoot"]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Smear(Effect):
     r"""Light of a column that falls into all its pixels while frames are shifted to the readout.
 
@@ -29,11 +29,6 @@ class Smear(Effect):
         Rows N through which the charge of a pixel is shifted; Kepler's CCDs have 1070.
     residual : float, optional
         Part that the calibration leaves in the flux; its photon noise stays in any case.
-
-    Raises
-    ------
-    TypeError, ValueError
-        If an argument is of the wrong kind or outside its domain.
 
     Notes
     -----
@@ -55,10 +50,12 @@ class Smear(Effect):
 
     is_light = False  # the response of the pixels is in the charge already
 
+    units: ClassVar[dict] = {"residual": ""}
+    any_sign: ClassVar[frozenset] = frozenset({"residual"})
+
     def __post_init__(self):
+        super().__post_init__()
         object.__setattr__(self, "rows", checked_integer("rows", self.rows, 1))
-        residual = checked_number("residual", self.residual, any_sign=True)
-        object.__setattr__(self, "residual", residual)
 
     def pedestal(self, drawn, conditions, part, electrons):
         """Return the smear, and the part of it that is subtracted."""
@@ -68,7 +65,7 @@ class Smear(Effect):
         return smear, smear * (1 - self.residual)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class DarkCurrent(Effect):
     r"""Thermal charge, which differs from pixel to pixel.
 
@@ -80,11 +77,6 @@ class DarkCurrent(Effect):
         Standard deviation of the pixels' dark current over its mean; negative values become 0.
     residual : float, optional
         Part of the deviations from the mean that the calibration leaves in the flux.
-
-    Raises
-    ------
-    TypeError, ValueError
-        If an argument is of the wrong kind or outside its domain.
 
     Notes
     -----
@@ -107,12 +99,8 @@ class DarkCurrent(Effect):
 
     is_light = False
 
-    def __post_init__(self):
-        put = object.__setattr__
-        level = plain_number(self.level, "electron / s", "level")
-        put(self, "level", checked_number("level", level))
-        put(self, "scatter", checked_number("scatter", self.scatter))
-        put(self, "residual", checked_number("residual", self.residual, any_sign=True))
+    units: ClassVar[dict] = {"level": "electron / s", "scatter": "", "residual": ""}
+    any_sign: ClassVar[frozenset] = frozenset({"residual"})
 
     def draw(self, conditions, generator):
         """Return the dark current of each pixel."""
@@ -128,7 +116,7 @@ class DarkCurrent(Effect):
         return dark * seconds, subtracted * seconds
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class BrighterFatter(Effect):
     r"""Charge that pushes the borders of its pixel inwards: bright stars are wider.
 
@@ -151,11 +139,6 @@ class BrighterFatter(Effect):
     full_well : float or Quantity, optional
         Charge W, electrons; the default is Kepler's median.
 
-    Raises
-    ------
-    TypeError, ValueError
-        If an argument is of the wrong kind or outside its domain.
-
     Notes
     -----
     It acts on the charge after photon noise, background included; ``observation.model()`` is
@@ -175,11 +158,8 @@ class BrighterFatter(Effect):
     coefficient: float = 0.02
     full_well: float = 1.08e6
 
-    def __post_init__(self):
-        put = object.__setattr__
-        put(self, "coefficient", checked_number("coefficient", self.coefficient))
-        well = plain_number(self.full_well, "electron", "full_well")
-        put(self, "full_well", checked_number("full_well", well, positive=True))
+    units: ClassVar[dict] = {"coefficient": "", "full_well": "electron"}
+    positive: ClassVar[frozenset] = frozenset({"full_well"})
 
     def charge(self, drawn, conditions, part, electrons):
         """Move charge over the borders."""
@@ -193,7 +173,7 @@ class BrighterFatter(Effect):
             electrons[tuple(high)] += moved
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Undershoot(Effect):
     r"""Readout electronics that read too little after a bright pixel.
 
@@ -209,11 +189,6 @@ class Undershoot(Effect):
         Part a that the next pixel loses; 0.0039 for Kepler.
     decay : float or Quantity, optional
         Length d in which it decays by e, pixels.
-
-    Raises
-    ------
-    TypeError, ValueError
-        If an argument is of the wrong kind or outside its domain.
 
     Notes
     -----
@@ -232,11 +207,8 @@ class Undershoot(Effect):
     amplitude: float = 0.0039
     decay: float = 5.0
 
-    def __post_init__(self):
-        put = object.__setattr__
-        put(self, "amplitude", checked_number("amplitude", self.amplitude))
-        decay = plain_number(self.decay, "pix", "decay")
-        put(self, "decay", checked_number("decay", decay, positive=True))
+    units: ClassVar[dict] = {"amplitude": "", "decay": "pix"}
+    positive: ClassVar[frozenset] = frozenset({"decay"})
 
     def readout(self, drawn, conditions, part, electrons):
         """Take the undershoot off."""

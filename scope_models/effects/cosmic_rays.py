@@ -2,12 +2,12 @@
 
 from dataclasses import dataclass
 from functools import cache
+from typing import ClassVar
 
 import numpy as np
 from scipy.special import ndtr
 
-from scope_models._arrays import plain_array, plain_number
-from scope_models._checks import checked_number
+from scope_models._arrays import plain_array
 from scope_models.effects._effect import Drawn, Effect
 
 __all__ = ["CosmicRays", "rejected_shift"]
@@ -17,7 +17,7 @@ _POINTS = 16
 _READS = 10
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class CosmicRays(Effect):
     r"""Particles that cross the detector from all directions.
 
@@ -42,11 +42,6 @@ class CosmicRays(Effect):
         Length at which tracks are cut, pixels.
     rejection : bool, optional
         Whether the highest and the lowest of ten reads are dropped, as on board of TESS.
-
-    Raises
-    ------
-    TypeError, ValueError
-        If an argument is of the wrong kind or outside its domain.
 
     Notes
     -----
@@ -76,12 +71,17 @@ class CosmicRays(Effect):
     longest: float = 15.0
     rejection: bool = False
 
+    units: ClassVar[dict] = {
+        "rate": "1 / (cm2 s)",
+        "electrons": "electron",
+        "pixel_size": "um",
+        "depth": "um",
+        "longest": "pix",
+    }
+    positive: ClassVar[frozenset] = frozenset({"electrons", "pixel_size", "depth", "longest"})
+
     def __post_init__(self):
-        put = object.__setattr__
-        units = {"rate": "1 / (cm2 s)", "electrons": "electron", "pixel_size": "um"}
-        for name, unit in (units | {"depth": "um", "longest": "pix"}).items():
-            value = plain_number(getattr(self, name), unit, name)
-            put(self, name, checked_number(name, value, positive=name != "rate"))
+        super().__post_init__()
         if not isinstance(self.rejection, bool):
             raise TypeError(f"`rejection` must be True or False, got {self.rejection!r}")
 

@@ -5,17 +5,17 @@ All distances from the star's position scale with the relative width w, and the 
 """
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
-from scope_models._arrays import plain_array, plain_number, plain_time
-from scope_models._checks import checked_number
-from scope_models.effects._effect import Drawn, Effect
+from scope_models._arrays import plain_time
+from scope_models.effects._effect import Drawn, Effect, checked_series, series_of
 
 __all__ = ["Focus"]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Focus(Effect):
     r"""The width of the PSF as a sinusoid, a thermal response to events, or a series.
 
@@ -40,11 +40,6 @@ class Focus(Effect):
     series : array_like, optional
         Relative width s of each cadence; the default is 1.
 
-    Raises
-    ------
-    TypeError, ValueError
-        If an argument is of the wrong kind or outside its domain.
-
     Notes
     -----
     The truth has the relative width of each cadence in the column FOCUS.
@@ -68,19 +63,22 @@ class Focus(Effect):
     events: np.ndarray = ()
     series: np.ndarray | None = None
 
+    units: ClassVar[dict] = {
+        "amplitude": "",
+        "period": "day",
+        "phase": "",
+        "thermal": "",
+        "thermal_time": "day",
+    }
+    positive: ClassVar[frozenset] = frozenset({"period", "thermal_time"})
+    any_sign: ClassVar[frozenset] = frozenset({"amplitude", "phase", "thermal"})
+
     def __post_init__(self):
-        put = object.__setattr__
-        for name in ("amplitude", "phase", "thermal"):
-            put(self, name, checked_number(name, getattr(self, name), any_sign=True))
-        for name in ("period", "thermal_time"):
-            value = plain_number(getattr(self, name), "day", name)
-            put(self, name, checked_number(name, value, positive=True))
-        for name, plain, kind in (("events", plain_time, None), ("series", plain_array, "")):
-            if getattr(self, name) is not None:
-                values = plain(getattr(self, name), kind, name)
-                if values.ndim != 1 or not np.all(np.isfinite(values)):
-                    raise ValueError(f"`{name}` must be a finite one-dimensional array")
-                put(self, name, values)
+        super().__post_init__()
+        if self.events is not None:
+            object.__setattr__(self, "events", plain_time(self.events, None, "events"))
+        checked_series(self, "events", "day")
+        checked_series(self, "series")
         if abs(self.amplitude) >= 1:
             raise ValueError(f"`amplitude` must be below 1, got {self.amplitude}")
 
@@ -92,12 +90,7 @@ class Focus(Effect):
             since = np.maximum(time - event, 0.0)
             width += self.thermal * np.exp(-since / self.thermal_time) * (time >= event)
         if self.series is not None:
-            if self.series.shape != time.shape:
-                raise ValueError(
-                    f"`series` must give one width for each of the {len(time)} cadences, "
-                    f"got {len(self.series)}"
-                )
-            width *= self.series
+            width *= series_of(self.series, time, "series", "width")
         if not np.all(width > 0):
             raise ValueError(f"the width of the PSF must be positive, got {width.min():g}")
         return Drawn({"FOCUS": width})

@@ -5,12 +5,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from scope_models._arrays import plain_array, plain_time
+from scope_models._values import frozen
 from scope_models.effects._effect import Drawn, Effect
 
 __all__ = ["Gaps"]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Gaps(Effect):
     """Intervals in which nothing is recorded.
 
@@ -21,11 +22,6 @@ class Gaps(Effect):
     ----------
     intervals : array_like or Quantity, shape (n, 2)
         Begin and end of each gap, days in the format of the motion.
-
-    Raises
-    ------
-    TypeError, ValueError
-        If an argument is of the wrong kind or outside its domain.
 
     Notes
     -----
@@ -55,7 +51,7 @@ class Gaps(Effect):
         plain_time(intervals[:, 0], None, "intervals")  # no Julian dates; an end may be far away
         if np.any(intervals[:, 1] < intervals[:, 0]):
             raise ValueError("`intervals` must not end before they begin")
-        object.__setattr__(self, "intervals", intervals)
+        object.__setattr__(self, "intervals", frozen(intervals))
 
     def draw(self, conditions, generator):
         """Return which cadences have no data."""

@@ -1,18 +1,18 @@
 """Jitter: motion faster than a cadence."""
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from scipy.signal import lfilter
 
-from scope_models._arrays import plain_number
-from scope_models._checks import checked_integer, checked_number
+from scope_models._checks import checked_integer
 from scope_models.effects._effect import Drawn, Effect, Exposures
 
 __all__ = ["Jitter"]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Jitter(Effect):
     r"""Random motion of the pointing during exposures, white or with a correlation time.
 
@@ -38,11 +38,6 @@ class Jitter(Effect):
         Nodes per axis for PSFs that are not Gaussian. 3 give all moments of the image up to the
         fifth, and render each star at ``nodes**2`` places per cadence.
 
-    Raises
-    ------
-    TypeError, ValueError
-        If an argument is of the wrong kind or outside its domain.
-
     Notes
     -----
     The truth has the mean offset of each cadence in the columns JITTER_X and JITTER_Y, and the
@@ -63,12 +58,11 @@ class Jitter(Effect):
     correlation_time: float = 0.0
     nodes: int = 3
 
+    units: ClassVar[dict] = {"rms": "pix", "correlation_time": "s"}
+
     def __post_init__(self):
-        put = object.__setattr__
-        put(self, "rms", checked_number("rms", plain_number(self.rms, "pix", "rms")))
-        name = "correlation_time"
-        put(self, name, checked_number(name, plain_number(self.correlation_time, "s", name)))
-        put(self, "nodes", checked_integer("nodes", self.nodes, 1))
+        super().__post_init__()
+        object.__setattr__(self, "nodes", checked_integer("nodes", self.nodes, 1))
 
     def draw(self, conditions, generator):
         """Return the mean offset of each cadence, and the blur."""

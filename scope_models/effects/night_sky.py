@@ -1,21 +1,18 @@
 """The sky above a telescope on the ground: airglow, and moonlight that the air scatters."""
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import astropy.units as u
 import numpy as np
 from astropy.coordinates import SkyCoord, get_body, get_sun
 from astropy.time import Time
 
-from scope_models._arrays import plain_array, plain_number, plain_time
-from scope_models._checks import checked_number
-from scope_models.effects.atmosphere import (
-    checked_airmass,
-    equatorial_place,
-    horizon_altitude,
-    series_of,
-)
-from scope_models.effects.background import _checked, _Sky
+from scope_models._arrays import plain_array, plain_time
+from scope_models._values import frozen
+from scope_models.effects._effect import series_of
+from scope_models.effects.atmosphere import checked_airmass, equatorial_place, horizon_altitude
+from scope_models.effects.background import SkyEffect
 from scope_models.missions import TIME_ZEROS
 
 __all__ = ["NightSky", "moon_geometry"]
@@ -73,8 +70,8 @@ def moon_geometry(time, coord, location):
     }
 
 
-@dataclass(frozen=True, eq=False)
-class NightSky(_Sky):
+@dataclass(frozen=True, eq=False, repr=False)
+class NightSky(SkyEffect):
     r"""How the sky grows brighter towards the horizon and with the Moon.
 
     The detector's background is the dark sky at the zenith. Towards the horizon it has the factor
@@ -107,11 +104,6 @@ class NightSky(_Sky):
     residual : float, optional
         Part of the light that the subtraction of the background leaves in the flux.
 
-    Raises
-    ------
-    TypeError, ValueError
-        If an argument is of the wrong kind or outside its domain.
-
     Notes
     -----
     The truth has what the sky adds to the detector's background (e-/s per pixel) in the column
@@ -143,17 +135,18 @@ class NightSky(_Sky):
     gradient: tuple[float, float] = (0.0, 0.0)
     residual: float = 0.0
 
+    units: ClassVar[dict] = {"extinction": "mag", "dark_sky": "mag", "gradient": "", "residual": ""}
+    any_sign: ClassVar[frozenset] = frozenset({"residual"})
+
     def __post_init__(self):
-        put = object.__setattr__
+        super().__post_init__()
         checked_airmass(self)
         for name, (low, high) in _DOMAINS.items():
             values = plain_array(getattr(self, name), u.deg, name)
             if values.ndim > 1 or not np.all((values >= low) & (values <= high)):
                 raise ValueError(f"`{name}` must be between {low} and {high} deg")
-            put(self, name, values if values.ndim else float(values))
-        for name, unit in (("extinction", u.mag), ("dark_sky", u.mag)):
-            put(self, name, checked_number(name, plain_number(getattr(self, name), unit, name)))
-        _checked(self, self.residual, self.gradient)
+            values = frozen(values) if values.ndim else float(values)
+            object.__setattr__(self, name, values)
 
     def draw(self, conditions, generator):
         """Return what the sky adds to the background in each cadence."""

@@ -1,18 +1,18 @@
 """What the readout does: charge that transfers leave behind, and bands that roll over the rows."""
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from scipy.special import xlog1py
 
-from scope_models._arrays import plain_number
-from scope_models._checks import checked_integer, checked_number
+from scope_models._checks import checked_integer
 from scope_models.effects._effect import Drawn, Effect
 
 __all__ = ["ChargeTransferInefficiency", "RollingBands"]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class ChargeTransferInefficiency(Effect):
     r"""Charge that stays behind when the rows, and then the pixels of a row, are transferred.
 
@@ -33,11 +33,6 @@ class ChargeTransferInefficiency(Effect):
     rows, columns : int, optional
         Transfers of the stamp's first row and column; each next one needs one more. The default
         is the middle of a CCD of 1024 x 1100 pixels.
-
-    Raises
-    ------
-    TypeError, ValueError
-        If an argument is of the wrong kind or outside its domain.
 
     Notes
     -----
@@ -63,12 +58,13 @@ class ChargeTransferInefficiency(Effect):
     rows: int = 512
     columns: int = 550
 
+    units: ClassVar[dict] = {"parallel": "", "serial": ""}
+
     def __post_init__(self):
+        super().__post_init__()
         for name in ("parallel", "serial"):
-            value = checked_number(name, getattr(self, name))
-            if value >= 0.1:
-                raise ValueError(f"`{name}` must be below 0.1, got {value}")
-            object.__setattr__(self, name, value)
+            if getattr(self, name) >= 0.1:
+                raise ValueError(f"`{name}` must be below 0.1, got {getattr(self, name)}")
         for name in ("rows", "columns"):
             object.__setattr__(self, name, checked_integer(name, getattr(self, name), 1))
 
@@ -95,7 +91,7 @@ def _late(epsilon, transfers, n):
     return late
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class RollingBands(Effect):
     r"""Episodes of an oscillation of the electronics, seen as bands that roll over the rows.
 
@@ -118,11 +114,6 @@ class RollingBands(Effect):
         Period :math:`\lambda` of the bands, pixels.
     speed : float or Quantity, optional
         Speed v of the bands, pixels per day.
-
-    Raises
-    ------
-    TypeError, ValueError
-        If an argument is of the wrong kind or outside its domain.
 
     Notes
     -----
@@ -148,14 +139,15 @@ class RollingBands(Effect):
     spacing: float = 20.0
     speed: float = 40.0
 
-    def __post_init__(self):
-        put = object.__setattr__
-        units = {"rate": "1 / day", "amplitude": "electron / s", "speed": "pix / day"}
-        for name, unit in (units | {"duration": "day", "spacing": "pix"}).items():
-            value = plain_number(getattr(self, name), unit, name)
-            positive = name in {"duration", "spacing"}
-            value = checked_number(name, value, positive=positive, any_sign=name == "speed")
-            put(self, name, value)
+    units: ClassVar[dict] = {
+        "rate": "1 / day",
+        "amplitude": "electron / s",
+        "duration": "day",
+        "spacing": "pix",
+        "speed": "pix / day",
+    }
+    positive: ClassVar[frozenset] = frozenset({"duration", "spacing"})
+    any_sign: ClassVar[frozenset] = frozenset({"speed"})
 
     def draw(self, conditions, generator):
         """Return the episodes, and the amplitude of each cadence."""

@@ -1,17 +1,16 @@
 """Changes of the response in time: of all pixels together, and of single pixels."""
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
-from scope_models._arrays import plain_array, plain_number
-from scope_models._checks import checked_number
-from scope_models.effects._effect import Drawn, Effect
+from scope_models.effects._effect import Drawn, Effect, checked_series, series_of
 
 __all__ = ["SensitivityDropouts", "Throughput"]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Throughput(Effect):
     r"""Response of all pixels that changes in time, as with the temperature.
 
@@ -32,11 +31,6 @@ class Throughput(Effect):
         Relative change d per day.
     series : array_like, optional
         Factor :math:`s_0` of each cadence, such as a temperature times its coefficient, plus 1.
-
-    Raises
-    ------
-    TypeError, ValueError
-        If an argument is of the wrong kind or outside its domain.
 
     Notes
     -----
@@ -59,19 +53,13 @@ class Throughput(Effect):
     drift: float = 0.0
     series: np.ndarray | None = None
 
+    units: ClassVar[dict] = {"amplitude": "", "period": "day", "phase": "", "drift": "1 / day"}
+    positive: ClassVar[frozenset] = frozenset({"period"})
+    any_sign: ClassVar[frozenset] = frozenset({"amplitude", "phase", "drift"})
+
     def __post_init__(self):
-        put = object.__setattr__
-        for name in ("amplitude", "phase"):
-            put(self, name, checked_number(name, getattr(self, name), any_sign=True))
-        period = plain_number(self.period, "day", "period")
-        put(self, "period", checked_number("period", period, positive=True))
-        drift = plain_number(self.drift, "1 / day", "drift")
-        put(self, "drift", checked_number("drift", drift, any_sign=True))
-        if self.series is not None:
-            series = plain_array(self.series, "", "series")
-            if series.ndim != 1 or not np.all(np.isfinite(series)):
-                raise ValueError("`series` must be a finite one-dimensional array")
-            put(self, "series", series)
+        super().__post_init__()
+        checked_series(self, "series")
 
     def draw(self, conditions, generator):
         """Return the factor of each cadence."""
@@ -79,12 +67,7 @@ class Throughput(Effect):
         factor = 1 + self.amplitude * np.sin(2 * np.pi * (time / self.period + self.phase))
         factor += self.drift * (time - (time[0] + time[-1]) / 2)
         if self.series is not None:
-            if self.series.shape != time.shape:
-                raise ValueError(
-                    f"`series` must give one factor for each of the {len(time)} cadences, "
-                    f"got {len(self.series)}"
-                )
-            factor *= self.series
+            factor *= series_of(self.series, time, "series", "factor")
         if np.any(factor < 0):
             raise ValueError(f"the response must not be negative, got {factor.min():g}")
         return Drawn({"THROUGHPUT": factor})
@@ -94,7 +77,7 @@ class Throughput(Effect):
         return drawn.columns["THROUGHPUT"][part, np.newaxis, np.newaxis]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class SensitivityDropouts(Effect):
     r"""Sudden losses of sensitivity of single pixels, which recover in part.
 
@@ -112,11 +95,6 @@ class SensitivityDropouts(Effect):
         Part k of the depth that recovers.
     recovery_time : float or Quantity, optional
         Time :math:`\tau` of the recovery, days.
-
-    Raises
-    ------
-    TypeError, ValueError
-        If an argument is of the wrong kind or outside its domain.
 
     Notes
     -----
@@ -139,15 +117,9 @@ class SensitivityDropouts(Effect):
     recovery: float = 0.5
     recovery_time: float = 0.1
 
-    def __post_init__(self):
-        put = object.__setattr__
-        put(self, "rate", checked_number("rate", plain_number(self.rate, "1 / day", "rate")))
-        for name in ("depth", "recovery"):
-            put(self, name, checked_number(name, getattr(self, name)))
-            if getattr(self, name) > 1:
-                raise ValueError(f"`{name}` must not be above 1, got {getattr(self, name)}")
-        value = plain_number(self.recovery_time, "day", "recovery_time")
-        put(self, "recovery_time", checked_number("recovery_time", value, positive=True))
+    units: ClassVar[dict] = {"rate": "1 / day", "depth": "", "recovery": "", "recovery_time": "day"}
+    positive: ClassVar[frozenset] = frozenset({"recovery_time"})
+    at_most_one: ClassVar[frozenset] = frozenset({"depth", "recovery"})
 
     def draw(self, conditions, generator):
         """Return the dropouts."""

@@ -7,6 +7,7 @@ from numpy.polynomial import legendre
 
 from scope_models._arrays import plain_array
 from scope_models._checks import checked_integer, checked_pair
+from scope_models._values import frozen
 from scope_models.effects._effect import Effect
 
 __all__ = ["PixelShares"]
@@ -15,7 +16,7 @@ __all__ = ["PixelShares"]
 _SLOW_DEGREE = 3
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class PixelShares(Effect):
     r"""What each pixel holds of a star's light beyond its PSF: smooth in position and slow time.
 
@@ -89,8 +90,7 @@ class PixelShares(Effect):
                 f"`coefficients` must be finite, of shape ({len(self.terms)}, ny, nx), "
                 f"got {values.shape}"
             )
-        values.flags.writeable = False
-        put(self, "coefficients", values)
+        put(self, "coefficients", frozen(values))
 
     @property
     def terms(self):

@@ -26,20 +26,10 @@ TRANSIT_DEFINITION = (
 
 @dataclass(frozen=True)
 class Claim:
-    """
-    A limit on the median CDPP at a motion, in every bin of magnitude up to the faintest.
+    """A limit in ppm on the median CDPP at a multiple of K2's motion, in every bin to the faintest.
 
-    Parameters
-    ----------
-    name : str
-        The paper's claim.
-    scale : float
-        Multiple of K2's motion.
-    faintest : float
-        Faintest magnitude of the claim.
-    limit : float or None
-        Limit in ppm. None is the median of Kepler's stars at each magnitude: "Kepler-like" is
-        taken in the sense in which EVEREST's light curves are called so, to be at most that.
+    A limit of None is the median of Kepler's stars at each magnitude: "Kepler-like" is taken in the
+    sense in which EVEREST's light curves are called so, to be at most that.
     """
 
     name: str
@@ -57,21 +47,12 @@ class Claim:
         )
 
     def check(self, scale, mag, cdpp, kepler):
-        """
-        Check the claim.
+        """Check the claim for motion, magnitude, median CDPP and Kepler's median of each cell.
 
-        Parameters
-        ----------
-        scale, mag, cdpp, kepler : array_like
-            Per cell of the grid: motion, magnitude, median CDPP and Kepler's median, ppm.
-
-        Returns
-        -------
-        dict
-            "verdict" ("holds", "does not hold" or, if the grid lacks its motion, its faintest
-            magnitude or the noise in one of its bins, "not checked"); "cdpp_ppm", "limit_ppm" and
-            "mag" of the cell that is nearest to its limit or farthest above; and "times_below",
-            limit over CDPP there: below 1 if the claim does not hold.
+        Return "verdict" ("holds", "does not hold" or, if the grid lacks its motion, its faintest
+        magnitude or the noise in one of its bins, "not checked"); "cdpp_ppm", "limit_ppm" and "mag"
+        of the cell that is nearest to its limit or farthest above; and "times_below", limit over
+        CDPP there: below 1 if the claim does not hold.
         """
         scale, mag, cdpp, kepler = (
             np.asarray(values, dtype=float) for values in (scale, mag, cdpp, kepler)
@@ -112,19 +93,7 @@ def paper_limit(scale, mag):
 
 
 def kepler_like_to(mag, cdpp, kepler):
-    """
-    Return the faintest magnitude to which every bin is at most Kepler's median.
-
-    Parameters
-    ----------
-    mag, cdpp, kepler : array_like
-        Magnitude, median CDPP and Kepler's median per bin.
-
-    Returns
-    -------
-    float or None
-        The magnitude; None if the brightest bin is above already.
-    """
+    """Return the faintest magnitude to which every bin is at most Kepler's median, or None."""
     faintest = None
     for where in np.argsort(mag):
         if not cdpp[where] <= kepler[where]:
@@ -134,23 +103,12 @@ def kepler_like_to(mag, cdpp, kepler):
 
 
 def check_transits(depth, error, true):
-    """
-    Check whether transits are retrieved.
+    """Check whether transits are retrieved from measured depths, their errors and the true depth.
 
-    Parameters
-    ----------
-    depth, error : array_like
-        Measured depth per star and its error, in any unit.
-    true : float
-        The depth that was put in.
-
-    Returns
-    -------
-    dict
-        "verdict"; the "share" of stars whose depth is retrieved in the sense of
-        `TRANSIT_DEFINITION`; the number of "stars"; the weighted mean of measured over true depth,
-        "ratio", and its error; and the standard deviation of the deviations in units of their
-        errors, "pull".
+    Return "verdict"; the "share" of stars whose depth is retrieved in the sense of
+    `TRANSIT_DEFINITION`; the number of "stars"; the weighted mean of measured over true depth,
+    "ratio", and its error; and the standard deviation of the deviations in units of their errors,
+    "pull".
     """
     depth, error = np.asarray(depth, dtype=float), np.asarray(error, dtype=float)
     known = np.isfinite(depth) & np.isfinite(error)

@@ -1,14 +1,20 @@
 """Noise of a constant star in two apertures and after two corrections, beside its floor."""
 
+from dataclasses import dataclass
+from typing import ClassVar
+
 import numpy as np
+from astropy.table import Table
 from scipy.ndimage import binary_dilation
 
 from scope_models.experiments._correctors import quiet
+from scope_models.experiments._statistics import cells, checked_claims, values_of
+from scope_models.experiments.study import Study
 from scope_models.models import TransitModel
 from scope_models.photometry import cdpp
 from scope_models.simulation import simulate
 
-__all__ = ["METHODS", "SURVIVALS", "checked_claims", "corrected_noise", "medians_of", "noise_units"]
+__all__ = ["METHODS", "SURVIVALS", "CorrectedStudy", "amplitude", "corrected_noise", "curves"]
 
 #: What is compared: the file's aperture, one that is a pixel wider, and the two correctors.
 METHODS = {
@@ -17,43 +23,77 @@ METHODS = {
     "pld": "PLDCorrector",
     "scene": "SceneCorrector",
 }
-
-
 #: Columns of the part of transits that is left.
 SURVIVALS = ("pld_survival", "scene_survival")
 # Transits that are put in to see how much of them is left.
 _DEPTH, _DURATION, _PERIOD = 0.01, 0.25, 3.1
+_NOISE = ("floor", "floor_wide", *METHODS)
 
 
-def noise_units():
-    """Return the units of the columns of `corrected_noise` that are noise."""
-    names = ("floor", "floor_wide", *METHODS)
-    return dict.fromkeys((*names, *(f"{name}_full" for name in names)), "ppm")
+@dataclass(frozen=True, kw_only=True)
+class CorrectedStudy(Study):
+    """Base of studies whose summary is medians of cells, and claims that are ratios to a limit.
 
-
-def corrected_noise(observation, hours):
+    A cell is all rows with the same values of the columns `cell`; medians are taken of `columns`
+    and of what has a unit.
     """
-    Return the noise of a star without signal before and after corrections.
 
-    Parameters
-    ----------
-    observation : Observation
-        The star and its neighbors, none of which varies.
-    hours : float
-        Time scale of the noise.
+    units: ClassVar[dict] = dict.fromkeys((*_NOISE, *(f"{name}_full" for name in _NOISE)), "ppm")
+    hours: ClassVar[float] = 6.5
+    cell: ClassVar[tuple] = ()
+    columns: ClassVar[tuple] = SURVIVALS
 
-    Returns
-    -------
-    dict
+    def measure(self, task, observation):
+        """Return the noise of a star without signal before and after corrections.
+
         For each of `METHODS` the CDPP in lightkurve's convention, and, followed by "_full", the
         standard deviation of means of `hours` without any filter, both in ppm of the target's
         flux, NaN where a corrector refuses the data; the same of the noise of the light alone in
         both apertures, "floor" and "floor_wide"; "pld_survival" and "scene_survival", the part of
-        the depth of transits of 1 % that is left if they are not masked. The noise
-        of correctors is divided by it. "pixels" and "share" are the number of pixels of the file's
-        aperture and the target's share in its starlight; "kept" is the part of the cadences with
-        a finite flux of PLD.
-    """
+        the depth of transits of 1 % that is left if they are not masked, by which the noise of
+        correctors is divided. "pixels" and "share" are the number of pixels of the file's aperture
+        and the target's share in its starlight; "kept" is the part of the cadences with a finite
+        flux of PLD.
+        """
+        return corrected_noise(observation, self.hours)
+
+    def medians(self, table):
+        """Return the medians of the cells, as rows."""
+        rows = []
+        for cell, part in cells(table, self.cell):
+            rows.append(cell | {"stars": len(part)})
+            for name in (*self.columns, *self.units):
+                values = values_of(part, name)
+                finite = values[np.isfinite(values)]
+                rows[-1][name] = float(np.median(finite)) if len(finite) else np.nan
+        return rows
+
+    def compare(self, table, summary):
+        """Add columns to the summary; by default none."""
+
+    def summarize(self, table):
+        """Return medians per cell, and in ``meta`` the claims.
+
+        "claims" has the verdicts, "claims_checked" the ratio to its limit that decides each.
+        """
+        summary = Table(self.medians(table))
+        self.compare(table, summary)
+        for name in self.units:
+            summary[name].unit = "ppm"
+        claims = self.claims(summary)
+        summary.meta["claims"], summary.meta["claims_checked"] = checked_claims(claims)
+        return summary
+
+
+def curves(part, **further):
+    """Return noise against magnitude of each method and of further columns, for a panel."""
+    names = {"floor": "Light alone"} | METHODS | further
+    mag = np.array(part["mag"])
+    return {label: (mag, np.array(part[name])) for name, label in names.items()}
+
+
+def corrected_noise(observation, hours):
+    """Return what `CorrectedStudy.measure` does; neither the star nor a neighbor varies."""
     from scope_models.correctors import PLDCorrector, SceneCorrector  # they import lightkurve
 
     scene, days = observation.scene, observation.detector.cadence_days
@@ -97,7 +137,7 @@ def corrected_noise(observation, hours):
                 continue
         level = np.nanmedian(plain)
         flux = target_flux(correctors[0].aperture_mask)[0] if name == "pld" else level
-        survival = _amplitude((dimmed - plain) / flux, planet(observation.time[used]) - 1)
+        survival = amplitude((dimmed - plain) / flux, planet(observation.time[used]) - 1)
         row[f"{name}_survival"] = survival
         change = (plain - level) / flux / survival
         row[name], row[f"{name}_full"] = _noise(change, hours, width, days)
@@ -106,7 +146,7 @@ def corrected_noise(observation, hours):
     return row
 
 
-def _amplitude(change, shape):
+def amplitude(change, shape):
     """Return the least-squares amplitude of a shape, beside a constant."""
     good = np.isfinite(change)
     change, shape = (values[good] - values[good].mean() for values in (change, shape))
@@ -120,62 +160,3 @@ def _noise(change, hours, width, days):
         return np.nan, np.nan
     means = change[: len(change) // width * width].reshape(-1, width).mean(axis=1)
     return cdpp(1 + change, duration=hours, cadence=days), 1e6 * float(np.std(means))
-
-
-def medians_of(table, keys, columns):
-    """
-    Return the medians of columns in each cell of a grid.
-
-    Parameters
-    ----------
-    table : astropy.table.Table
-        The results.
-    keys : sequence of str
-        Columns whose values make a cell.
-    columns : iterable of str
-        Columns of which medians are taken, NaN left out.
-
-    Returns
-    -------
-    list of dict
-        One row per cell, sorted, with the number of its "stars".
-    """
-    cells = {}
-    for number, cell in enumerate(zip(*(table[key] for key in keys), strict=True)):
-        cells.setdefault(cell, []).append(number)
-    rows = []
-    for cell in sorted(cells):
-        part = table[cells[cell]]
-        row = dict(zip(keys, cell, strict=True)) | {"stars": len(part)}
-        for name in columns:
-            values = np.ma.filled(np.ma.asarray(part[name], dtype=float), np.nan)
-            finite = values[np.isfinite(values)]
-            row[name] = float(np.median(finite)) if len(finite) else np.nan
-        rows.append(row)
-    return rows
-
-
-def checked_claims(claims):
-    """
-    Return the verdicts on claims that are ratios to a limit.
-
-    Parameters
-    ----------
-    claims : mapping of str to array_like
-        For each claim, which the text states, the ratios that must be at most 1; NaN where one
-        could not be measured, empty if nothing was.
-
-    Returns
-    -------
-    verdicts, checked : dict
-        "holds", "does not hold" or "not checked" by claim, and the largest ratio of each.
-    """
-    verdicts, checked = {}, {}
-    for claim, values in claims.items():
-        ratios = np.atleast_1d(np.asarray(values, dtype=float))
-        if not ratios.size or np.isnan(ratios).any():
-            verdicts[claim] = "not checked"
-            continue
-        verdicts[claim] = "holds" if ratios.max() <= 1 else "does not hold"
-        checked[claim] = float(ratios.max())
-    return verdicts, checked

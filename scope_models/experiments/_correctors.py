@@ -35,21 +35,14 @@ LIGHTKURVE_CORRECTORS = {
 
 @dataclass(frozen=True)
 class Scores:
-    """
-    Scores of a corrected light curve; 1 is what the noise alone gives.
+    """Scores of a corrected light curve; 1 is what the noise alone gives.
 
-    Parameters
-    ----------
-    held_out_mad, held_out_rms : float
-        Scatter of the mean residuals of windows that the model has not seen, over the floor; from
-        the median absolute deviation, and rms.
-    held_out_pull : float
-        Rms of the windows' mean residuals in units of their predicted errors.
-    residual_lightkurve, residual_everest : float
-        CDPP of corrected over true flux, over the CDPP of the noise, in both conventions.
-    floor : float
-        Standard deviation of the noise' window means, ppm. The noise is white, so that it is the
-        noise' own over the square root of the window: better known than from a few windows.
+    `held_out_mad` and `held_out_rms`: scatter of the mean residuals of windows that the model has
+    not seen, over the floor; from the median absolute deviation, and rms. `held_out_pull`: rms of
+    these residuals in units of their predicted errors. `residual_*`: CDPP of corrected over true
+    flux, over the CDPP of the noise. `floor`: standard deviation of the noise's window means, ppm.
+    The noise is white, so that it is the noise's own over the square root of the window: better
+    known than from a few windows.
     """
 
     held_out_mad: float
@@ -67,33 +60,15 @@ def robust_scatter(values):
 
 
 def residual_cdpp(corrected, truth, noise, method):
-    """
-    Return the CDPP of corrected over true flux, over the CDPP of the noise alone.
-
-    Parameters
-    ----------
-    corrected, truth, noise : ndarray
-        Corrected flux, true relative flux and relative noise, ``(n,)``.
-    method : {"lightkurve", "everest"}
-        Convention of the CDPP.
-    """
+    """Return the CDPP of corrected over true flux, over the CDPP of the noise alone."""
     return cdpp(corrected / truth, method=method) / cdpp(1 + noise, method=method)
 
 
 def score(corrector, truth, noise, width=13):
-    """
-    Score the last correction of a corrector.
+    """Score the last correction of a PLDCorrector with windows of `width` cadences.
 
-    Parameters
-    ----------
-    corrector : PLDCorrector
-        After a call of `PLDCorrector.correct`.
-    truth : ndarray
-        True relative flux, ``(n_cadences,)``.
-    noise : ndarray
-        Noise of the sum over the aperture over its expected value, ``(n_cadences,)``.
-    width : int, optional
-        Cadences in a window.
+    `truth` is the true relative flux, `noise` that of the sum over the aperture over its expected
+    value.
     """
     means, errors, used = corrector.held_out(width)
     floor = float(np.std(noise[used]) / np.sqrt(width))
@@ -114,22 +89,11 @@ def score(corrector, truth, noise, width=13):
 
 
 def noise_of(corrector, observation):
-    """
-    Return the noise of a star without signal before and after de-trending.
+    """Return the noise of a star without signal before and after the last correction.
 
-    Parameters
-    ----------
-    corrector : PLDCorrector
-        After a call of `PLDCorrector.correct`.
-    observation : Observation
-        The pixels that it has corrected, no cadence of which is flagged.
-
-    Returns
-    -------
-    dict
-        CDPP in ppm, "raw", "pld" and "floor", that of the noise alone in the aperture's sum, and
-        "residual", the ratio of the last two, each followed by the convention; and the scores
-        "held_out_mad" and "held_out_rms".
+    CDPP in ppm, "raw", "pld" and "floor", that of the noise alone in the aperture's sum, and
+    "residual", the ratio of the last two, each followed by the convention; and the scores
+    "held_out_mad" and "held_out_rms". No cadence of the observation is flagged.
     """
     mask = corrector.aperture_mask
     expected = observation.model()[:, mask].sum(axis=1)
@@ -145,20 +109,9 @@ def noise_of(corrector, observation):
 
 
 def transit_amplitude(flux, transit):
-    """
-    Return the amplitude of a transit in a light curve.
+    """Return the least-squares amplitude of a transit in a light curve, in units of the model's.
 
-    Parameters
-    ----------
-    flux : ndarray
-        The light curve.
-    transit : ndarray
-        Relative flux of the model, 1 outside of transits.
-
-    Returns
-    -------
-    float
-        Least-squares amplitude in units of the model's.
+    `transit` is the relative flux of the model, 1 outside of transits.
     """
     good = np.isfinite(flux)
     shape = transit[good] - 1
@@ -168,27 +121,12 @@ def transit_amplitude(flux, transit):
 
 
 def correct(name, setting, tpf, aperture, cadence_mask=None):
-    """
-    Correct a target pixel file with one of lightkurve's correctors.
+    """Return the flux that one of lightkurve's correctors makes of a target pixel file, or None.
 
-    Parameters
-    ----------
-    name : str
-        One of `LIGHTKURVE_CORRECTORS`.
-    setting : tuple
-        One of its settings. "whole" is `aperture`, "pipeline" that of the file. SFF gets
-        the light curve of `aperture` and the columns POS_CORR, which in simulations are the truth.
-    tpf : lightkurve.KeplerTargetPixelFile
-        The pixels.
-    aperture : ndarray of bool
-        The aperture that holds the star wherever it goes.
-    cadence_mask : ndarray of bool, optional
-        True where a cadence may be used in the fit.
-
-    Returns
-    -------
-    ndarray
-        The corrected flux, or None if the corrector fails.
+    `name` is one of `LIGHTKURVE_CORRECTORS`, `setting` one of its settings. "whole" is `aperture`,
+    "pipeline" that of the file. SFF gets the light curve of `aperture` and the columns POS_CORR,
+    which in simulations are the truth. `cadence_mask` is True where a cadence may be used in the
+    fit.
     """
     from lightkurve.correctors import PLDCorrector, SFFCorrector
 
@@ -210,24 +148,9 @@ def correct(name, setting, tpf, aperture, cadence_mask=None):
 
 
 def best_setting(name, tpf, aperture):
-    """
-    Return the lowest CDPP of all settings in each convention, and EVEREST's setting.
+    """Return the lowest CDPP of all settings by convention, and the best setting in EVEREST's.
 
-    Parameters
-    ----------
-    name : str
-        One of `LIGHTKURVE_CORRECTORS`.
-    tpf : lightkurve.KeplerTargetPixelFile
-        The pixels.
-    aperture : ndarray of bool
-        See `correct`.
-
-    Returns
-    -------
-    lowest : dict
-        CDPP in ppm by the name of the convention; empty if the corrector always fails.
-    setting : tuple
-        The setting with the lowest CDPP in EVEREST's convention, or None.
+    They are empty and None if the corrector always fails.
     """
     lowest, best = {}, None
     for setting in LIGHTKURVE_CORRECTORS[name]:

@@ -19,16 +19,10 @@ _N_DURATIONS = 6
 
 @dataclass(frozen=True)
 class Found:
-    """The strongest periodic box in a light curve.
+    """The strongest periodic box in a light curve: times in days, `t0` the middle of the first box.
 
-    Parameters
-    ----------
-    period, t0, duration : float
-        Days; the middle of the first box.
-    snr : float
-        Depth over its error.
-    sde : float
-        Height of the peak over the mean of the periodogram in units of its standard deviation.
+    `snr` is the depth over its error, `sde` the height of the peak over the mean of the periodogram
+    in units of its standard deviation.
     """
 
     period: float
@@ -50,20 +44,7 @@ class Found:
 
 
 def flattened(time, flux, masked=None):
-    """Return a light curve over its running median, as relative flux.
-
-    Parameters
-    ----------
-    time, flux : ndarray
-        Times in days and fluxes.
-    masked : ndarray of bool, optional
-        Cadences, as those in transit, that the median does not see.
-
-    Returns
-    -------
-    ndarray
-        Relative flux, about 1.
-    """
+    """Return a light curve over its running median, which does not see masked cadences."""
     seen = np.isfinite(flux) if masked is None else np.isfinite(flux) & ~masked
     width = int(_FLAT_DAYS / np.median(np.diff(time))) | 1
     # straight lines across the mask keep the window in the middle
@@ -72,41 +53,15 @@ def flattened(time, flux, masked=None):
 
 
 def isolated(flux, sigma=6.0):
-    """Return which cadences stand out from both neighbors, as no transit does.
-
-    Parameters
-    ----------
-    flux : ndarray
-        Relative fluxes, all finite.
-    sigma : float, optional
-        By how many standard deviations.
-
-    Returns
-    -------
-    ndarray of bool
-        The cadences.
-    """
+    """Return which cadences stand out from both neighbors by `sigma`, as no transit does."""
     noise = 1.4826 * np.median(np.abs(flux - np.median(flux)))
     return np.abs(flux - median_filter(flux, size=3, mode="mirror")) > sigma * noise
 
 
 def search(time, flux, shortest, longest):
-    """Return the strongest periodic box (box least squares).
+    """Return the periodic box of the highest signal-to-noise ratio (box least squares).
 
-    Parameters
-    ----------
-    time, flux : ndarray
-        Times in days and relative fluxes, all finite.
-    shortest, longest : float
-        Shortest and longest transit to search for, days.
-
-    Returns
-    -------
-    Found
-        The box of the highest signal-to-noise ratio. Periods are from 1 d to half the time span.
-
-    References
-    ----------
+    Transits last `shortest` to `longest` days, periods are from 1 d to half the time span. See
     Kovacs, G., Zucker, S. & Mazeh, T. 2002, A&A, 391, 369.
     """
     noise = 1.4826 * np.median(np.abs(flux - np.median(flux)))
@@ -129,25 +84,10 @@ def search(time, flux, shortest, longest):
 
 
 def fit_shape(time, flux, error, found, exposure_time):
-    """Fit a transit to what a search has found.
+    """Return a transit fitted to what a search has found, its duration and the error of that.
 
-    Parameters
-    ----------
-    time, flux : ndarray
-        Times in days and relative fluxes, all finite.
-    error : float
-        Standard deviation of the fluxes.
-    found : Found
-        Where to begin.
-    exposure_time : float
-        Length of a cadence, days.
-
-    Returns
-    -------
-    model : TransitModel
-        A central transit of a star with the limb darkening that is TransitModel's default.
-    duration, duration_error : float
-        From first to fourth contact, days.
+    The transit is central, with the default limb darkening; `error` is the standard deviation of
+    the relative fluxes, the duration that from first to fourth contact in days.
     """
     near = found.in_transit(time, widths=1.5)
     time, flux = time[near], flux[near]

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-__all__ = ["make_light", "make_motion", "make_transit", "red_noise"]
+__all__ = ["LIGHTS", "MOTIONS", "make_transit", "red_noise"]
 
 
 def red_noise(rng, time, scale):
@@ -15,32 +15,6 @@ def red_noise(rng, time, scale):
         last = keep * last + np.sqrt(1 - keep**2) * new if i else last
         values[i] = last
     return values
-
-
-def make_motion(kind, rng, time, scale):
-    """
-    Return the offsets of a star and the cadences in which thrusters fire.
-
-    Parameters
-    ----------
-    kind : {"k2", "kepler", "tess", "walk", "wheels"}
-        The kind of motion.
-    rng : numpy.random.Generator
-        Source of the numbers.
-    time : ndarray
-        Days from the beginning.
-    scale : float
-        Factor of the offsets.
-
-    Returns
-    -------
-    x, y : ndarray
-        Offsets in pixels.
-    firing : ndarray of bool
-        Cadences of thruster firings or momentum dumps.
-    """
-    x, y, firing = _MOTIONS[kind](rng, time)
-    return scale * x, scale * y, firing
 
 
 def _roll(rng, time):
@@ -113,36 +87,9 @@ def _wheels(rng, time):
     return *offsets, firing
 
 
-_MOTIONS = {"k2": _roll, "kepler": _drift, "tess": _orbits, "walk": _walk, "wheels": _wheels}
-
-
-def make_light(kind, rng, time, period, amplitude):
-    """
-    Return the relative flux of a star without transits.
-
-    Parameters
-    ----------
-    kind : {"constant", "spots", "rr_lyrae", "delta_scuti", "eclipsing", "flaring", "sine"}
-        The kind of variability.
-    rng : numpy.random.Generator
-        Source of the numbers.
-    time : ndarray
-        Days from the beginning.
-    period : float
-        Days.
-    amplitude : float
-        About half the range (constant: not used; eclipsing: depth of the primary eclipse).
-
-    Returns
-    -------
-    ndarray
-        Relative flux, near 1.
-    """
-    return _LIGHTS[kind](rng, time, period, amplitude)
-
-
-def _constant(rng, time, period, amplitude):  # noqa: ARG001 - all have the same arguments
-    return np.ones(len(time))
+#: Offsets in pixels along x and y, and the cadences in which thrusters fire, by the kind of motion.
+#: Times are in days from the beginning.
+MOTIONS = {"k2": _roll, "kepler": _drift, "tess": _orbits, "walk": _walk, "wheels": _wheels}
 
 
 def _sine(rng, time, period, amplitude):
@@ -208,8 +155,10 @@ def _flaring(rng, time, period, amplitude):
     return np.minimum(values, 2.0)
 
 
-_LIGHTS = {
-    "constant": _constant,
+#: Relative flux of a star without transits, near 1, by the kind of variability. The period is in
+#: days, the amplitude about half the range; of an eclipsing binary, the depth.
+LIGHTS = {
+    "constant": lambda rng, time, period, amplitude: np.ones(len(time)),  # noqa: ARG005
     "spots": _spots,
     "sine": _sine,
     "rr_lyrae": _rr_lyrae,
@@ -220,26 +169,9 @@ _LIGHTS = {
 
 
 def make_transit(rng, time, depth, period, duration):
-    """
-    Return relative flux 1 with transits.
+    """Return relative flux 1 with transits of a relative depth; period and duration are in days.
 
-    Parameters
-    ----------
-    rng : numpy.random.Generator
-        Source of the phase.
-    time : ndarray
-        Days from the beginning.
-    depth : float
-        Relative depth; 0: no transits.
-    period : float
-        Days; infinity: a single transit near the middle.
-    duration : float
-        Days.
-
-    Returns
-    -------
-    ndarray
-        1 outside of transits.
+    An infinite period is a single transit near the middle.
     """
     phase = rng.uniform(0.35, 0.65)
     if np.isinf(period):

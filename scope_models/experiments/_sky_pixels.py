@@ -20,17 +20,10 @@ _CHUNK = 300
 
 @dataclass(frozen=True)
 class PixelResponse:
-    """
-    The transforms of all pixels' response maps.
+    """The transforms of all pixels' response maps.
 
-    Parameters
-    ----------
-    shape : tuple of int
-        Rows and columns of the stamp.
-    transforms : ndarray of complex
-        ``(modes, pixels)``, the modes of columns not negative.
-    size : int
-        Size of the periodic field in pixels.
+    `shape` is rows and columns of the stamp, `transforms` complex, ``(modes, pixels)``, the modes
+    of columns not negative, and `size` the pixels of the periodic field.
     """
 
     shape: tuple
@@ -46,20 +39,10 @@ class PixelResponse:
 
 
 def make_psf(rng, width):
-    """
-    Return a PSF of Gaussians off the center, a Moffat wing and spikes.
+    """Return a PSF of Gaussians off the center, a Moffat wing and spikes.
 
-    Parameters
-    ----------
-    rng : numpy.random.Generator
-        Source of the shape.
-    width : float
-        Standard deviation of the core in pixels.
-
-    Returns
-    -------
-    callable
-        Density at ``(x, y)`` from the star, not normalized.
+    It is a function of ``(x, y)`` from the star, not normalized; `width` is the standard deviation
+    of the core in pixels.
     """
     cores = [
         (part, *rng.normal(0, 0.25 * width, 2), width * rng.uniform(0.85, 1.5), rng.uniform(0.8, 1))
@@ -89,24 +72,10 @@ def make_psf(rng, width):
 
 
 def make_response(rng, shape, *, drop, scatter):
-    """
-    Return the response of pixels that differ in sensitivity and within themselves.
+    """Return the `PixelResponse` of pixels that differ in sensitivity and within themselves.
 
-    Parameters
-    ----------
-    rng : numpy.random.Generator
-        Source of the maps.
-    shape : tuple of int
-        Rows and columns of the stamp.
-    drop : float
-        Mean relative drop from the center of a pixel to the middle of its edge.
-    scatter : float
-        Standard deviation of the pixels' sensitivity, relative.
-
-    Returns
-    -------
-    PixelResponse
-        The transforms of the maps.
+    `drop` is the mean relative drop from the center of a pixel to the middle of its edge, `scatter`
+    the relative standard deviation of the pixels' sensitivity.
     """
     ny, nx = shape
     u = (np.arange(_OVERSAMPLING) + 0.5) / _OVERSAMPLING - 0.5
@@ -133,24 +102,9 @@ def make_response(rng, shape, *, drop, scatter):
 
 
 def render(response, psf, x, y, width):
-    """
-    Return the light of a star of flux 1 in all pixels.
+    """Return the light ``(n, ny, nx)`` of a star of flux 1 in all pixels.
 
-    Parameters
-    ----------
-    response : PixelResponse
-        The pixels.
-    psf : callable
-        See `make_psf`.
-    x, y : ndarray
-        Column and row of the star in each cadence, pixels.
-    width : ndarray
-        Relative width of the PSF in each cadence, about 1.
-
-    Returns
-    -------
-    ndarray
-        ``(n, ny, nx)``.
+    `x`, `y` and the relative width of the PSF are given for each cadence.
     """
     series = [_series(response, psf, 1 + step) for step in (-_WIDTH_STEP, 0.0, _WIDTH_STEP)]
     slope = (series[2] - series[0]) / (2 * _WIDTH_STEP)
@@ -185,20 +139,9 @@ def _series(response, psf, width):
 
 
 def bleed(electrons, well):
-    """
-    Return images whose full pixels have spilled along their columns, half up and half down.
+    """Return images whose pixels above the well have spilled along columns, half up and half down.
 
-    Parameters
-    ----------
-    electrons : ndarray
-        Images ``(n, ny, nx)``.
-    well : float
-        Most that a pixel holds.
-
-    Returns
-    -------
-    ndarray
-        Images with the same sum, but for what leaves the stamp.
+    The sum stays, but for what leaves the stamp.
     """
     images = electrons.copy()
     full = (images > well).any(axis=(0, 1))

@@ -59,24 +59,10 @@ class SkyScore:
 
 
 def score_light_curve(time, flux, error, truth, transit, noise):
-    """
-    Score a light curve.
+    """Return the `SkyScore` of a light curve with errors, both NaN where there is none.
 
-    Parameters
-    ----------
-    time : ndarray
-        Days.
-    flux, error : ndarray
-        Light curve and its errors; NaN where there is none.
-    truth, transit : ndarray
-        True relative flux, and its transits alone.
-    noise : float
-        Expected relative noise of a cadence.
-
-    Returns
-    -------
-    SkyScore
-        The scores.
+    `truth` is the true relative flux, `transit` its transits alone, `noise` the expected relative
+    noise of a cadence; `time` is in days.
     """
     good = np.isfinite(flux) & np.isfinite(error)
     kept = float(good.mean())
@@ -103,26 +89,11 @@ def score_light_curve(time, flux, error, truth, transit, noise):
 
 
 def score_places(time, flux, truth, x, y):
-    """
-    Return how much a light curve depends on the star's place within the pixel.
+    """Return how much a light curve depends on the star's place within the pixel, in ppm.
 
-    Parameters
-    ----------
-    time : ndarray
-        Days.
-    flux, truth : ndarray
-        Light curve and true relative flux; NaN where there is none.
-    x, y : ndarray
-        True position, pixels.
-
-    Returns
-    -------
-    bias : float
-        Standard deviation of the part of the flux that is a sum of functions of the fractions of x
-        and y, ppm; its expected noise is taken off.
-    step : float
-        Root mean square of the steps where the star crosses from pixel to pixel, ppm; their
-        expected noise is taken off. NaN if it crosses none.
+    "bias" is the standard deviation of the part of the flux that is a sum of functions of the
+    fractions of x and y; "step" the root mean square of the steps where the star crosses from pixel
+    to pixel, NaN if it crosses none. The expected noise is taken off both.
     """
     good = np.isfinite(flux) & np.isfinite(truth)
     time, flux, truth, x, y = (a[good] for a in (time, flux, truth, x, y))

@@ -1,37 +1,36 @@
-"""Percentiles of the results of many stars, alone and beside those of real stars."""
+"""Percentiles and claims of the results of many stars, alone and beside those of real stars."""
 
 import numpy as np
 
 from scope_models.experiments.reference import PERCENTILES
 
-__all__ = ["cell_medians", "compared", "holds", "percentiles", "values_of"]
+__all__ = [
+    "cells",
+    "checked_claims",
+    "compared",
+    "holds",
+    "on_grid",
+    "percentiles",
+    "values_of",
+]
 
 _RESAMPLES = 400
 
 
+def cells(table, names):
+    """Yield each combination of values of columns that there is, sorted, with its rows."""
+    found = {}
+    for number, cell in enumerate(zip(*(table[name] for name in names), strict=True)):
+        found.setdefault(cell, []).append(number)
+    for cell in sorted(found):
+        yield dict(zip(names, cell, strict=True)), table[found[cell]]
+
+
 def compared(prefix, noise, reference, mag, names, *, known="kepler"):
-    """Return percentiles of the noise with errors, and their ratios to the reference.
+    """Return percentiles of noise at a magnitude with errors, and their ratios to the reference.
 
-    Parameters
-    ----------
-    prefix : str
-        What the columns are named after.
-    noise : array_like
-        Noise of our stars.
-    reference : astropy.table.Table
-        Percentiles of real stars by magnitude.
-    mag : float
-        Magnitude.
-    names : sequence of str
-        Names out of `PERCENTILES`.
-    known : str, optional
-        What the columns of the reference are named after.
-
-    Returns
-    -------
-    dict
-        For each name ours, its standard deviation under resampling of the stars, the
-        reference and the ratio.
+    The errors are the standard deviation under resampling of the stars; ``names`` are those of
+    `PERCENTILES`, ``prefix`` and ``known`` what our columns and the reference's are named after.
     """
     noise = np.asarray(noise, dtype=float)
     picks = np.random.default_rng(0).integers(len(noise), size=(_RESAMPLES, len(noise)))
@@ -51,22 +50,25 @@ def compared(prefix, noise, reference, mag, names, *, known="kepler"):
 
 
 def holds(ratios, tolerance):
-    """Return whether all ratios are near 1, in words.
-
-    Parameters
-    ----------
-    ratios : array_like
-        Ratios.
-    tolerance : float
-        Largest deviation from 1.
-
-    Returns
-    -------
-    str
-        "holds" or "does not hold".
-    """
+    """Return "holds" or "does not hold": whether all ratios deviate from 1 by that at most."""
     near = np.all(np.abs(np.asarray(ratios, dtype=float) - 1) <= tolerance)
     return "holds" if near else "does not hold"
+
+
+def checked_claims(claims):
+    """Return the verdicts on claims that are ratios to a limit, and the largest ratio of each.
+
+    A claim holds if its ratios are at most 1; it is not checked if there is none, or one is NaN.
+    """
+    verdicts, checked = {}, {}
+    for claim, values in claims.items():
+        ratios = np.atleast_1d(np.asarray(values, dtype=float))
+        if not ratios.size or np.isnan(ratios).any():
+            verdicts[claim] = "not checked"
+            continue
+        verdicts[claim] = "holds" if ratios.max() <= 1 else "does not hold"
+        checked[claim] = float(ratios.max())
+    return verdicts, checked
 
 
 def values_of(table, name):
@@ -84,27 +86,9 @@ def percentiles(values):
     return [float(value) for value in np.percentile(values, [16, 50, 84])]
 
 
-def cell_medians(rows, with_percentiles):
-    """
-    Return the medians of all columns of the stars of one motion and magnitude.
-
-    Parameters
-    ----------
-    rows : astropy.table.Table
-        Results with the columns "scale" and "mag", which are the same in all rows.
-    with_percentiles : sequence of str
-        Columns of which the 16th and 84th percentiles are returned too, as NAME_low and NAME_high.
-
-    Returns
-    -------
-    dict
-        The numbers by their names, and the number of "stars".
-    """
-    cell = {"scale": float(rows["scale"][0]), "mag": float(rows["mag"][0]), "stars": len(rows)}
-    for name in rows.colnames:
-        if name in {"key", "index", *cell}:
-            continue
-        low, cell[name], high = percentiles(values_of(rows, name))
-        if name in with_percentiles:
-            cell[f"{name}_low"], cell[f"{name}_high"] = low, high
-    return cell
+def on_grid(summary, rows, columns, name):
+    """Return a column as a map over two others, each given by its name and its values."""
+    values = np.full((len(rows[1]), len(columns[1])), np.nan)
+    for row in summary:
+        values[rows[1].index(row[rows[0]]), columns[1].index(row[columns[0]])] = row[name]
+    return values

@@ -13,12 +13,11 @@ from pathlib import Path
 from scope_models._version import __version__
 from scope_models.exceptions import DamagedResultWarning
 
-__all__ = ["FILE", "BusyError", "Store", "provenance"]
+__all__ = ["FILE", "Store", "provenance"]
 
 #: Name of the file in a results directory.
 FILE = "results.sqlite"
 _OUTPUTS = ("stars", "results.ecsv", "summary.ecsv", "failures.ecsv", "figure.png", "tpfs")
-_CONTENTS = "contents of "
 # Seconds of work that a power failure may cost.
 _SYNC_INTERVAL = 5.0
 _SCHEMA = """
@@ -27,37 +26,14 @@ _SCHEMA = """
 """
 
 
-class BusyError(OSError):
-    """Another run works in the results directory."""
-
-
 class Store:
     """The records of a sweep, in a results directory or, without one, in memory.
 
-    A record is a dictionary: "task", and either "row" or "error" and "traceback". The connection
-    holds an exclusive lock on the file, which ends with the process, however it ends.
-
-    Parameters
-    ----------
-    directory : pathlib.Path or None
-        The results directory, which is made if need be.
-    study : Study
-        The study.
-    tasks : list of dict
-        All tasks of the study; records of other tasks are ignored.
-
-    Raises
-    ------
-    OSError
-        If the directory cannot be made or written to, or another run is writing to it.
-    ValueError
-        If it was made with another configuration, is damaged, or holds files of another origin
-        that would be replaced.
-
-    Warns
-    -----
-    DamagedResultWarning
-        If records are damaged; they are left out.
+    A record is a dictionary: "task", and either "row" or "error" and "traceback". Records of other
+    tasks than those given are ignored, damaged ones are left out with a warning. The connection
+    holds an exclusive lock on the file, which ends with the process, however it ends. A directory
+    of another configuration or another origin, or a damaged file, is a ValueError; one that cannot
+    be written to, or that another run is writing to, an OSError.
     """
 
     def __init__(self, directory, study, tasks):
@@ -80,7 +56,9 @@ class Store:
     def _begin(self, study):
         """Lock the file, and check that it belongs to the same study."""
         made = {"creator": f"scope_models {__version__}", **study.config()}
-        made |= {_CONTENTS + path: _checksum(path) for path in study.input_files()}
+        for path in study.input_files():
+            with Path(path).open("rb") as file:
+                made[f"contents of {path}"] = hashlib.file_digest(file, "sha256").hexdigest()
         execute = self._connection.execute
         # An exclusive lock needs no shared memory, so that network file systems serve too.
         execute("PRAGMA locking_mode = EXCLUSIVE")
@@ -95,13 +73,23 @@ class Store:
             there = dict(json.loads(found[0]))
         except (TypeError, ValueError) as error:
             raise ValueError(f"{self._path} is damaged: choose another directory") from error
-        _check_same(self.directory, json.loads(json.dumps(made)), there)
+        here = json.loads(json.dumps(made))
+        differ = [
+            f"`{name}` ({_shown(name, there)} there, {_shown(name, here)} here)"
+            for name in {**here, **there}
+            if name not in here or name not in there or here[name] != there[name]
+        ]
+        if differ:
+            raise ValueError(
+                f"{self.directory} was made with another configuration, which differs in "
+                f"{', '.join(differ)}; choose another directory"
+            )
 
     def _load(self, tasks):
         """Read which stars earlier runs have finished."""
         damaged = []
         for key, text, crc in self._connection.execute("SELECT key, record, crc FROM stars"):
-            if crc != _crc(key, text):
+            if crc != zlib.crc32(text, zlib.crc32(key)):
                 damaged.append(repr(key)[1:])
                 continue
             record = json.loads(text)
@@ -136,16 +124,13 @@ class Store:
     def add(self, record):
         """Keep a record in a transaction of its own; a failure does not replace a result.
 
-        Raises
-        ------
-        OSError
-            If it cannot be written; nothing of it is left then.
+        Nothing of a record is left if it cannot be written, which is an OSError.
         """
         key, failed = record["task"]["key"], "error" in record
         if failed and self.is_done(key):
             return
-        text = json.dumps(record).encode()
-        row = key, text.decode(), _crc(key.encode(), text)
+        text = json.dumps(record)
+        row = key, text, zlib.crc32(text.encode(), zlib.crc32(key.encode()))
         with self._clear_errors():
             self._connection.execute("INSERT OR REPLACE INTO stars VALUES (?, ?, ?)", row)
             if time.monotonic() - self._synced > _SYNC_INTERVAL:
@@ -167,18 +152,18 @@ class Store:
         except sqlite3.DatabaseError as error:
             code = getattr(error, "sqlite_errorcode", 0) & 0xFF
             if code in {sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED}:
-                raise BusyError(
+                raise OSError(
                     f"another run is writing to {self.directory}: wait until it has ended, or "
                     "choose another directory"
                 ) from None
             if code in {sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB}:
                 raise ValueError(f"{self._path} is damaged: choose another directory") from error
-            clear = OSError(
+            number = errno.ENOSPC if code == sqlite3.SQLITE_FULL else errno.EIO
+            raise _numbered(
+                OSError, number,
                 f"cannot write to {self._path}; the {len(self)} stars that are finished are kept, "
-                f"and the same call goes on from there: the reason is: {error}"
-            )
-            clear.errno = errno.ENOSPC if code == sqlite3.SQLITE_FULL else errno.EIO
-            raise clear from error
+                f"and the same call goes on from there: the reason is: {error}",
+            ) from error  # fmt: skip
 
 
 def provenance(study):
@@ -195,53 +180,25 @@ def _file_in(directory):
         raise NotADirectoryError(f"cannot write to {directory}: it is a file") from None
     except OSError as error:
         message = f"cannot make the folder {directory}: {error.strerror or error}"
-        raise _same_error(error, message) from error
+        raise _numbered(type(error), error.errno, message) from error
     path = directory / FILE
-    if not path.exists():
-        for name in _OUTPUTS:
-            if (directory / name).exists():
-                raise ValueError(
-                    f"{directory} is not empty, and not a results directory either: it has "
-                    f"{name}, but no {FILE}; choose another directory"
-                )
+    for name in () if path.exists() else _OUTPUTS:
+        if (directory / name).exists():
+            raise ValueError(
+                f"{directory} is not empty, and not a results directory either: it has "
+                f"{name}, but no {FILE}; choose another directory"
+            )
     return path
 
 
-def _same_error(error, message):
-    """Return an error of the same type and number with another message."""
-    other = type(error)(message)
-    other.errno = error.errno
-    return other
+def _numbered(kind, number, message):
+    """Return an OSError with a number that its message does not begin with."""
+    error = kind(message)
+    error.errno = number
+    return error
 
 
-def _crc(key, text):
-    """Return the checksum of a record and its key."""
-    return zlib.crc32(text, zlib.crc32(key))
-
-
-def _checksum(path):
-    """Return the checksum of a file."""
-    with Path(path).open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
-
-
-def _check_same(directory, here, there):
-    """Refuse a directory of another configuration."""
-    absent = object()
-    differ = []
-    for name in {**here, **there}:
-        new, old = (values.get(name, absent) for values in (here, there))
-        if new != old:
-            shown = ["absent" if value is absent else _shown(value) for value in (old, new)]
-            differ.append(f"`{name}` ({shown[0]} there, {shown[1]} here)")
-    if differ:
-        raise ValueError(
-            f"{directory} was made with another configuration, which differs in "
-            f"{', '.join(differ)}; choose another directory"
-        )
-
-
-def _shown(value):
+def _shown(name, values):
     """Return a value for a message, shortened."""
-    text = json.dumps(value)
+    text = json.dumps(values[name]) if name in values else "absent"
     return text if len(text) <= 60 else f"{text[:57]}..."

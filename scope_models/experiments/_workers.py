@@ -51,29 +51,49 @@ class LostWorkersError(Exception):
     """The workers, or the scheduler that gives them work, are lost."""
 
 
+class _OneThread:
+    """One thread for BLAS and OpenMP, from the first entry to the last exit of any thread.
+
+    The matrices are small, cores are better used by further stars, and the number of threads
+    changes the rounding of the results.
+    """
+
+    def __init__(self):
+        self._lock = threading.Lock()
+        self._depth = 0
+        self._limits = None
+
+    def __enter__(self):
+        with self._lock:
+            if self._depth == 0:
+                self._limits = threadpool_limits(1)
+            self._depth += 1
+
+    def __exit__(self, *_):
+        with self._lock:
+            self._depth -= 1
+            if self._depth == 0:
+                self._limits.restore_original_limits()
+
+
+one_thread = _OneThread()
+
+
 @dataclass(frozen=True)
 class Job:
-    """Computes stars of a study; a worker gets it with its tasks.
-
-    Parameters
-    ----------
-    study : Study
-        The study.
-    directory : pathlib.Path or None
-        Results directory in which the pixels are written; None does not write them.
-    """
+    """Computes stars of a study; with a directory, their pixels are written there."""
 
     study: Study
     directory: Path | None = None
 
     def __call__(self, tasks):
         """Return the record of each task: its row, or its failure."""
-        with one_thread():
+        with one_thread:
             return [self._record(task) for task in tasks]
 
     def _record(self, task):
         try:
-            return {"task": task, "row": _checked_row(self._row(task), task)}
+            return {"task": task, "row": _checked_values(self._row(task), "result", task)}
         except PixelsNotWrittenError:
             raise
         except Exception as error:  # noqa: BLE001 - whatever it is, the other stars go on
@@ -96,48 +116,23 @@ class Job:
 def _failure(task, error):
     """Return the record of a star that failed; long texts are cut in the middle."""
     try:
-        text = f"{type(error).__name__}: {error}"
-        trace = "".join(traceback.format_exception(error))
+        texts = f"{type(error).__name__}: {error}", "".join(traceback.format_exception(error))
     except Exception:  # noqa: BLE001 - an exception that cannot be printed
-        text = trace = type(error).__name__
-    return {"task": task, "error": _kept(text, 1000), "traceback": _kept(trace, 4000)}
-
-
-def _kept(text, size):
-    """Return a text as UTF-8 can hold it, cut in the middle if it is long."""
-    if len(text) > size:
-        text = f"{text[: size // 2]} [...] {text[-size // 2 :]}"
-    return text.encode("utf-8", "backslashreplace").decode()
+        texts = [type(error).__name__] * 2
+    kept = []
+    for text, size in zip(texts, (1000, 4000), strict=True):
+        cut = f"{text[: size // 2]} [...] {text[-size // 2 :]}" if len(text) > size else text
+        kept.append(cut.encode("utf-8", "backslashreplace").decode())
+    return {"task": task, "error": kept[0], "traceback": kept[1]}
 
 
 def tpf_path(directory, key):
-    """Return the target pixel file of a star.
-
-    There are 256 folders, so that no folder has too many files.
-    """
+    """Return the target pixel file of a star, in one of 256 folders so that none gets too full."""
     return directory / "tpfs" / sha256(key.encode()).hexdigest()[:2] / f"{key}.fits"
 
 
 def checked_tasks(study):
-    """Return the tasks of a study after a check of what it has made.
-
-    Parameters
-    ----------
-    study : Study
-        The study.
-
-    Returns
-    -------
-    list of dict
-        The tasks, with plain values.
-
-    Raises
-    ------
-    ValueError
-        If there are none, or keys are not unique or no file names.
-    TypeError
-        If a value is no number, string, or true or false.
-    """
+    """Return the tasks of a study, with plain values and unique keys that can be names of files."""
     tasks = [_checked_values(task, "task") for task in study.tasks()]
     if not tasks:
         raise ValueError(f"the study `{study.name}` has no stars: one of its lists is empty")
@@ -155,15 +150,10 @@ def checked_tasks(study):
     return tasks
 
 
-def _checked_row(row, task):
-    """Return a result with Python's own types."""
-    if taken := row.keys() & task.keys():
-        raise ValueError(f"a result must not be named as a value of its task: {sorted(taken)}")
-    return _checked_values(row, "result")
-
-
-def _checked_values(values, kind):
+def _checked_values(values, kind, task=()):
     """Return a dictionary of numbers and strings with Python's own types."""
+    if taken := [name for name in sorted(values) if name in task]:
+        raise ValueError(f"a result must not be named as a value of its task: {taken}")
     plain = {
         name: value.item() if isinstance(value, np.generic) else value
         for name, value in values.items()
@@ -178,57 +168,13 @@ def _checked_values(values, kind):
     return plain
 
 
-class _Limiter:
-    """One thread for linear algebra from the first entry to the last exit of any thread."""
-
-    def __init__(self):
-        self._lock = threading.Lock()
-        self._depth = 0
-        self._limits = None
-
-    def enter(self):
-        with self._lock:
-            if self._depth == 0:
-                self._limits = threadpool_limits(1)
-            self._depth += 1
-
-    def leave(self):
-        with self._lock:
-            self._depth -= 1
-            if self._depth == 0:
-                self._limits.restore_original_limits()
-
-
-_LIMITER = _Limiter()
-
-
-@contextmanager
-def one_thread():
-    """Keep BLAS and OpenMP to one thread.
-
-    The matrices are small, cores are better used by further stars, and the number of threads
-    changes the rounding of the results.
-    """
-    _LIMITER.enter()
-    try:
-        yield
-    finally:
-        _LIMITER.leave()
-
-
 def is_address(client):
     """Return whether a text is the address of a scheduler."""
     return isinstance(client, str) and _ADDRESS.fullmatch(client) is not None
 
 
 def check_client(client):
-    """Refuse what cannot compute stars.
-
-    Parameters
-    ----------
-    client : object
-        As `run_sweep` takes it.
-    """
+    """Refuse what cannot compute stars."""
     if isinstance(client, Integral) and not isinstance(client, bool):
         checked_integer("client", client, 1)
     elif isinstance(client, str):
@@ -242,33 +188,12 @@ def check_client(client):
 
 
 def computed(client, job, tasks, chunk_size, in_flight):
-    """Yield the records of all tasks as they are finished.
+    """Yield the records of all tasks as they are finished; the client is as for `run_sweep`.
 
     Stars whose process died are computed again one at a time, so that only the star that kills
-    its process is recorded as failed.
-
-    Parameters
-    ----------
-    client : object
-        As `run_sweep` takes it.
-    job : Job
-        What is run.
-    tasks : list of dict
-        The tasks.
-    chunk_size, in_flight : int
-        Tasks in a chunk, and chunks that are submitted and not completed, at most.
-
-    Yields
-    ------
-    dict
-        A record.
-
-    Raises
-    ------
-    LostWorkersError
-        If an executor breaks, or a scheduler is lost.
+    its process is recorded as failed. A LostWorkersError stands for an executor that is broken or
+    a scheduler that is lost.
     """
-    chunks = itertools.batched if hasattr(itertools, "batched") else _batched
     if client is None:
         for task in tasks:
             yield from job([task])
@@ -276,64 +201,60 @@ def computed(client, job, tasks, chunk_size, in_flight):
     with ExitStack() as stack:
         if isinstance(client, Integral):
             in_flight = 2 * client
-        executor = stack.enter_context(_executor(client))
+        if isinstance(client, (Integral, str)):
+            client = stack.enter_context(_dask_client(client))
         suspects = []
-        for chunk, outcome in _completed(*executor, job, chunks(tasks, chunk_size), in_flight):
-            if _is_death(outcome):
+        for chunk, outcome in _completed(client, job, _chunks(tasks, chunk_size), in_flight):
+            if type(outcome).__name__ == "KilledWorker":
                 suspects += chunk
             else:
                 yield from _records(chunk, outcome)
-        for chunk, outcome in _completed(*executor, job, chunks(suspects, 1), 1):
+        for chunk, outcome in _completed(client, job, _chunks(suspects, 1), 1):
             yield from _records(chunk, outcome)
 
 
-def _is_death(outcome):
-    """Return whether the process of a chunk has died."""
-    return type(outcome).__name__ == "KilledWorker"
+def _chunks(tasks, size):
+    """Return an iterator of lists of at most ``size`` tasks."""
+    tasks = iter(tasks)
+    return iter(lambda: list(itertools.islice(tasks, size)), [])
 
 
 def _records(chunk, outcome):
     """Return the records of a chunk from what its worker returned or raised."""
     if isinstance(outcome, PixelsNotWrittenError):
         raise outcome
-    if _is_death(outcome):
+    if type(outcome).__name__ == "KilledWorker":
         return [{"task": task, "error": _DIED, "traceback": _DIED} for task in chunk]
     if isinstance(outcome, Exception):
         return [_failure(task, outcome) for task in chunk]
     return outcome
 
 
-def _batched(tasks, size):
-    """Yield lists of at most ``size`` tasks, as `itertools.batched` of Python 3.12."""
-    tasks = iter(tasks)
-    return iter(lambda: list(itertools.islice(tasks, size)), [])
-
-
-def _completed(executor, is_alive, job, chunks, in_flight):
+def _completed(client, job, chunks, in_flight):
     """Submit chunks, a bounded number at a time; yield each with its result or exception."""
+    is_dask = hasattr(client, "get_executor")
+    executor = client.get_executor(pure=False) if is_dask else client
     waiting, lost = {}, []
     try:
         while True:
-            while not lost and len(waiting) < in_flight:
-                chunk = next(chunks, None)
-                if chunk is None:
-                    break
+            while not lost and len(waiting) < in_flight and (chunk := next(chunks, None)):
                 try:
-                    waiting[executor.submit(job, list(chunk))] = list(chunk)
+                    waiting[executor.submit(job, chunk)] = chunk
                 except RuntimeError:  # broken or closed
                     lost += chunk
             if not waiting:
                 break
             done = wait(waiting, timeout=_POLL, return_when=FIRST_COMPLETED).done
-            if not done and not is_alive():
+            # a lost scheduler leaves futures that were submitted meanwhile pending for ever
+            if not done and is_dask and client.status != "running":
                 lost += itertools.chain.from_iterable(waiting.values())
                 break
             for future in done:
-                chunk, outcome = waiting.pop(future), _outcome(future)
-                if outcome is None:
+                chunk = waiting.pop(future)
+                if future.cancelled() or isinstance(future.exception(), BrokenExecutor):
                     lost += chunk
                 else:
-                    yield chunk, outcome
+                    yield chunk, future.exception() or future.result()
     finally:
         for future in waiting:
             future.cancel()
@@ -341,26 +262,6 @@ def _completed(executor, is_alive, job, chunks, in_flight):
         keys = sorted(task["key"] for task in lost)
         shown = ", ".join(keys[:4]) + (", ..." if len(keys) > 4 else "")
         raise LostWorkersError(f"the workers are lost, with {len(keys)} stars in flight ({shown})")
-
-
-def _outcome(future):
-    """Return the result of a future or its exception; None if its executor is broken."""
-    if future.cancelled() or isinstance(future.exception(), BrokenExecutor):
-        return None
-    return future.exception() or future.result()
-
-
-@contextmanager
-def _executor(client):
-    """Give an executor for what `run_sweep` takes, and a function that checks its connection."""
-    with ExitStack() as stack:
-        if isinstance(client, (Integral, str)):
-            client = stack.enter_context(_dask_client(client))
-        if hasattr(client, "get_executor"):
-            # a lost scheduler leaves futures that were submitted meanwhile pending for ever
-            yield client.get_executor(pure=False), lambda: client.status == "running"
-        else:
-            yield client, lambda: True
 
 
 @contextmanager
@@ -377,13 +278,24 @@ def _dask_client(where):
         with Client(where) as client:
             yield client
         return
-    # A worker that dies gives its stars back at once, and no port is open to other machines.
     with (
+        # A worker that dies gives its stars back at once.
         dask.config.set({"distributed.scheduler.allowed-failures": 0}),
         _later_interrupts() as allow_interrupts,
-        _begun(LocalCluster, where) as cluster,
-        Client(cluster) as client,
+        ExitStack() as stack,
     ):
+        try:
+            # No port is open to other machines.
+            cluster = LocalCluster(
+                n_workers=where, threads_per_worker=1, host="127.0.0.1", dashboard_address=None,
+                memory_limit=0, silence_logs=logging.CRITICAL,
+            )  # fmt: skip
+        except RuntimeError as error:
+            raise LostWorkersError(
+                "worker processes die as they begin, see their message; a script must start its "
+                'work under `if __name__ == "__main__":`'
+            ) from error
+        client = stack.enter_context(Client(stack.enter_context(cluster)))
         client.register_worker_callbacks(partial(_begin_worker, warnings.filters[:]))
         allow_interrupts()
         yield client
@@ -404,24 +316,6 @@ def _later_interrupts():
         yield partial(signal.pthread_sigmask, signal.SIG_SETMASK, before)
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
-def _begun(cluster, number):
-    """Return a cluster on this machine, on its loopback and without a dashboard."""
-    try:
-        return cluster(
-            n_workers=number,
-            threads_per_worker=1,
-            host="127.0.0.1",
-            dashboard_address=None,
-            memory_limit=0,
-            silence_logs=logging.CRITICAL,
-        )
-    except RuntimeError as error:
-        raise LostWorkersError(
-            "worker processes die as they begin, see their message; a script must start its work "
-            'under `if __name__ == "__main__":`'
-        ) from error
 
 
 def _begin_worker(filters):

@@ -9,12 +9,15 @@ import os
 import re
 import warnings
 from dataclasses import dataclass, fields
+from functools import partial
 from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
 from astropy.table import Table
 
+from scope_models._arrays import without_unit
+from scope_models.experiments._correctors import CONVENTIONS
 from scope_models.experiments._statistics import percentiles, values_of
 from scope_models.experiments._store import FILE
 from scope_models.experiments.experiment import run_experiment
@@ -42,7 +45,6 @@ __all__ = [
     "simulate_table",
 ]
 
-_CONVENTIONS = ("everest", "lightkurve")
 _PLANET = ("period", "t0", "depth", "duration")
 _FITS = re.compile(r"\.(fits|fit|fts)(\.gz)?$", re.IGNORECASE)
 _LONGEST = 300  # characters of the warnings of a star
@@ -66,7 +68,8 @@ def detrend_files(paths, output_dir, client=None, *, overwrite=False, sweep=None
         Options of `run_sweep`: retry_failed, progress, chunk_size and in_flight.
     **options
         Arguments of `~scope_models.correctors.PLDCorrector.correct` that are numbers, text, or
-        true or false.
+        true or false; ``survival=False`` leaves out the survival of transits, which takes half
+        of the time.
 
     Returns
     -------
@@ -101,8 +104,7 @@ def detrend_files(paths, output_dir, client=None, *, overwrite=False, sweep=None
     >>> bool((result.table["cdpp"] < result.table["raw_cdpp"]).all())
     True
     """
-    study = _Detrend(files=find_files(paths), folder=_absolute(output_dir), options=_json(options))
-    return _run(study, client, overwrite, sweep)
+    return _Detrend.run(find_files(paths), output_dir, client, overwrite, sweep, options)
 
 
 def fit_files(paths, output_dir, client=None, *, overwrite=False, sweep=None, **options):
@@ -145,8 +147,7 @@ def fit_files(paths, output_dir, client=None, *, overwrite=False, sweep=None, **
     >>> result.table["n_cadences"].tolist()
     [95]
     """
-    study = _Fit(files=find_files(paths), folder=_absolute(output_dir), options=_json(options))
-    return _run(study, client, overwrite, sweep)
+    return _Fit.run(find_files(paths), output_dir, client, overwrite, sweep, options)
 
 
 def inject_files(
@@ -210,12 +211,8 @@ def inject_files(
             f"got {len(planets)}"
         )
     rows = [{name: float(row[name]) for name in _PLANET} for row in planets]
-    rows = tuple(json.dumps(row) for row in (rows if len(rows) > 1 else rows * len(files)))
-    options = _json({"star": star})
-    study = _Inject(
-        files=files, rows=rows, folder=_absolute(output_dir), options=options, seed=seed
-    )
-    return _run(study, client, overwrite, sweep)
+    rows = rows if len(rows) > 1 else rows * len(files)
+    return _Inject.run(files, output_dir, client, overwrite, sweep, {"star": star}, rows, seed)
 
 
 def inject_file(path, planet, output, *, star=None, seed=1, overwrite=False):
@@ -257,6 +254,8 @@ def inject_file(path, planet, output, *, star=None, seed=1, overwrite=False):
     >>> round(inject_file(path, planet, "planet.fits")["injected_depth"], 3)
     0.01
     """
+    from scope_models import fit_tpf
+
     check_output(output, overwrite=overwrite, inputs=[path])
     tpf = read_tpf(path)
     series = read_pixels(tpf)
@@ -267,8 +266,13 @@ def inject_file(path, planet, output, *, star=None, seed=1, overwrite=False):
     total = np.median(np.where(np.isfinite(series.flux), series.flux, 0).sum(axis=(1, 2)))
     if not total > 0:
         raise ValueError(f"{path} has no light in its pixels")
+    if star is None:
+        star = "scene" if "SCENE" in tpf.hdu else "fit"
+    if isinstance(star, str) and star not in {"scene", "fit"}:
+        raise ValueError(f'`star` must be "scene", "fit" or a share, got {star!r}')
     with naming(path):
-        injected = inject(tpf, model, _light_of(tpf, star), seed=seed)
+        light = None if star == "scene" else fit_tpf(tpf) if star == "fit" else star
+        injected = inject(tpf, model, light, seed=seed)
     write_hdulist(injected.hdu, output, overwrite=overwrite)
     table = injected.hdu[-1].data
     return _header_row(series) | {
@@ -338,17 +342,18 @@ def simulate_table(
     planet = [name for name in _PLANET if name in table.colnames]
     if planet and len(planet) < len(_PLANET):
         raise ValueError(f"`table` must have all or none of {', '.join(_PLANET)}, got {planet}")
-    rows = tuple(json.dumps(_plain_row(row, table.colnames)) for row in table)
+    rows = [
+        {
+            name: np.asarray(without_unit(row[name])).item()
+            for name in table.colnames
+            if not np.ma.is_masked(row[name])
+        }
+        for row in table
+    ]
     width = max(4, len(str(len(rows))))
-    names = tuple(
-        str(row["name"]) if "name" in table.colnames else f"star{number:0{width}d}"
-        for number, row in enumerate(table, start=1)
-    )
-    options = _json({"detector": str(detector), "motion": str(motion), "cadences": cadences})
-    study = _Simulate(
-        files=names, rows=rows, folder=_absolute(output_dir), options=options, seed=seed
-    )
-    return _run(study, client, overwrite, sweep)
+    names = [str(row.get("name", f"star{n:0{width}d}")) for n, row in enumerate(rows, start=1)]
+    options = {"detector": str(detector), "motion": str(motion), "cadences": cadences}
+    return _Simulate.run(names, output_dir, client, overwrite, sweep, options, rows, seed)
 
 
 def find_files(paths):
@@ -413,20 +418,6 @@ def _downloaded(name):
     return tpf.path
 
 
-def _run(study, client, overwrite, sweep):
-    """Run a study of files after a check of what it would write."""
-    outputs = [study.output_of(task["key"]) for task in study.tasks()]
-    replaced = {_identity(path) for path in outputs}
-    for name in study.input_paths():
-        if _identity(name) in replaced:
-            raise ValueError(f"{name} would be replaced by an output: choose another folder")
-    if not overwrite and not (Path(study.folder) / FILE).exists():
-        for path in outputs:
-            if path.exists():
-                raise FileExistsError(f"{path} exists already; pass overwrite=True to replace it")
-    return run_experiment(study, study.folder, client, **(sweep or {}))
-
-
 def _identity(path):
     """Return what is the same for all links to a file: device and inode, or the path if absent."""
     try:
@@ -434,10 +425,6 @@ def _identity(path):
     except OSError:
         return os.path.realpath(path)
     return state.st_dev, state.st_ino
-
-
-def _absolute(folder):
-    return str(Path(folder).absolute())
 
 
 def _detector(name):
@@ -450,27 +437,8 @@ def _detector(name):
     return Detector.preset(name)
 
 
-def _json(options):
-    """Return options as text; what a worker and a results file cannot hold is refused."""
-    for name, value in options.items():
-        if not isinstance(value, (bool, int, float, str, type(None))):
-            raise TypeError(f"`{name}` must be a number, text, or true or false, got {value!r}")
-    return json.dumps(options, sort_keys=True)
-
-
-def _plain_row(row, names):
-    """Return a row of a table as plain values, without those that are masked."""
-    values = {}
-    for name in names:
-        value = row[name]
-        if not np.ma.is_masked(value):
-            value = getattr(value, "value", value)
-            values[name] = value.item() if isinstance(value, np.generic) else value
-    return values
-
-
 @dataclass(frozen=True, kw_only=True)
-class _Files(Study):
+class FileStudy(Study):
     """Base of studies whose stars are files. Only the options are its configuration."""
 
     suffix: ClassVar[str] = ""
@@ -480,10 +448,31 @@ class _Files(Study):
     folder: str = ""
     options: str = "{}"
 
+    @classmethod
+    def run(cls, files, folder, client, overwrite, sweep, options, rows=(), seed=1):
+        """Run the study after a check of its options and of what it would write."""
+        for name, value in options.items():
+            if not isinstance(value, (bool, int, float, str, type(None))):
+                raise TypeError(f"`{name}` must be a number, text, or true or false, got {value!r}")
+        folder = Path(folder).absolute()
+        study = cls(
+            files=files, rows=tuple(map(json.dumps, rows)), folder=str(folder), seed=seed,
+            options=json.dumps(options, sort_keys=True),
+        )  # fmt: skip
+        outputs = [study.output_of(task["key"]) for task in study.tasks()]
+        replaced = {_identity(path) for path in outputs}
+        for name in study.input_paths():
+            if _identity(name) in replaced:
+                raise ValueError(f"{name} would be replaced by an output: choose another folder")
+        for path in () if overwrite or (folder / FILE).exists() else outputs:
+            if path.exists():
+                raise FileExistsError(f"{path} exists already; pass overwrite=True to replace it")
+        return run_experiment(study, folder, client, **(sweep or {}))
+
     def __reduce__(self):
         """Leave out the lists, which tasks have star by star, for workers."""
         names = [item.name for item in fields(self) if item.name not in {"files", "rows"}]
-        return _restored, (type(self), {name: getattr(self, name) for name in names})
+        return partial(type(self), **{name: getattr(self, name) for name in names}), ()
 
     def config(self):
         """Return the name of the study and its options."""
@@ -551,10 +540,6 @@ class _Files(Study):
         return
 
 
-def _restored(study, values):
-    return study(**values)
-
-
 def _state(file):
     """Return size and age of a file, so that one that has changed is computed again."""
     try:
@@ -569,13 +554,17 @@ def _header_row(series):
     header, mission = series.header, series.mission
     row = {"object": str(header.get("OBJECT") or ""), "n_cadences": len(series)}
     row["mission"] = mission.name if mission else ""
-    magnitude = header.get(mission.magnitude_keyword) if mission else None
-    row["mag"] = float(magnitude) if isinstance(magnitude, (int, float)) else np.nan
+    row["mag"] = _number(header.get(mission.magnitude_keyword) if mission else None)
     return row
 
 
+def _number(value):
+    """Return a number, NaN for anything else."""
+    return float(value) if isinstance(value, (int, float)) else np.nan
+
+
 @dataclass(frozen=True, kw_only=True)
-class _Detrend(_Files):
+class _Detrend(FileStudy):
     """Light curves of files."""
 
     name: ClassVar[str] = "detrend"
@@ -593,19 +582,18 @@ class _Detrend(_Files):
         row = _header_row(read_pixels(corrector.tpf))
         row["n_pixels"] = int(corrector.aperture_mask.sum())
         for prefix, lc in (("raw_", corrector.original_lc), ("", corrector.corrected_lc)):
-            for method in _CONVENTIONS:
+            for method in CONVENTIONS:
                 end = "" if method == "everest" else f"_{method}"
                 row[f"{prefix}cdpp{end}"] = _cdpp(lc, method)
-        crowding = corrector.tpf.hdu[1].header.get("CROWDSAP")
-        row["crowding"] = float(crowding) if isinstance(crowding, (int, float)) else np.nan
-        survival = getattr(corrector.result, "transit_survival", None)
-        row["survival"] = np.nan if survival is None else float(survival)
+        row["crowding"] = _number(corrector.tpf.hdu[1].header.get("CROWDSAP"))
+        found = corrector.result if options.get("survival", True) else None
+        row["survival"] = _number(getattr(found, "transit_survival", None))
         row["n_outliers"] = int(np.sum(corrector.outlier_mask))
         return row
 
     def draw(self, table, summary):
         """Draw the noise over the magnitude, beside Kepler's and K2's."""
-        from scope_models.plotting.precision import plot_precision  # imports matplotlib
+        from scope_models.plotting.statistics import plot_precision  # imports matplotlib
 
         reference = {
             "Kepler": read_reference("kepler"),
@@ -624,7 +612,7 @@ def _cdpp(lc, method):
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Fit(_Files):
+class _Fit(FileStudy):
     """Fits of files."""
 
     name: ClassVar[str] = "fit"
@@ -655,7 +643,7 @@ class _Fit(_Files):
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Inject(_Files):
+class _Inject(FileStudy):
     """Files with transits."""
 
     name: ClassVar[str] = "inject"
@@ -670,21 +658,8 @@ class _Inject(_Files):
         )
 
 
-def _light_of(tpf, star):
-    """Return what `~scope_models.simulation.inject` takes as the light of the star."""
-    if star is None:
-        star = "scene" if "SCENE" in tpf.hdu else "fit"
-    if star == "fit":
-        from scope_models import fit_tpf
-
-        return fit_tpf(tpf)
-    if isinstance(star, str) and star != "scene":
-        raise ValueError(f'`star` must be "scene", "fit" or a share, got {star!r}')
-    return None if star == "scene" else star
-
-
 @dataclass(frozen=True, kw_only=True)
-class _Simulate(_Files):
+class _Simulate(FileStudy):
     """Stars of a table."""
 
     name: ClassVar[str] = "simulate"

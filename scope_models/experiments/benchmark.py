@@ -1,6 +1,5 @@
 """A fixed set of messy stars whose truth is known, and scores of anybody's corrections of them."""
 
-import json
 import re
 from dataclasses import asdict, dataclass
 from functools import lru_cache
@@ -15,7 +14,7 @@ from astropy.table import Table
 from scope_models._checks import checked_integer
 from scope_models.experiments._sky_scores import score_places
 from scope_models.experiments._statistics import percentiles, values_of
-from scope_models.experiments.batch import _absolute, _Files, _json, _run
+from scope_models.experiments.batch import FileStudy
 from scope_models.experiments.skies import REGIMES, make_sky, score
 from scope_models.io import write_hdulist
 from scope_models.io._opening import open_fits
@@ -101,16 +100,13 @@ def make_benchmark(output_dir, client=None, *, stars=_STARS, overwrite=False, sw
     ['k2-1x-constant']
     """
     names = tuple(REGIMES)
-    stars = range(checked_integer("stars", stars, 1))
-    files = tuple(f"sky{number:03d}-{names[number % len(names)]}" for number in stars)
-    rows = tuple(json.dumps({"number": number}) for number in stars)
-    folder = _absolute(output_dir)
-    study = _Benchmark(files=files, rows=rows, folder=folder, options=_json({"version": 1}))
-    return _run(study, client, overwrite, sweep)
+    rows = [{"number": number} for number in range(checked_integer("stars", stars, 1))]
+    files = [f"sky{n:03d}-{names[n % len(names)]}" for n in range(stars)]
+    return _Benchmark.run(files, output_dir, client, overwrite, sweep, {"version": 1}, rows)
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Benchmark(_Files):
+class _Benchmark(FileStudy):
     """Stars of the benchmark."""
 
     name: ClassVar[str] = "benchmark"

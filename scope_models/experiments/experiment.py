@@ -84,16 +84,23 @@ def run_experiment(study, directory, client=None, **options):
         study = make_study(study)
     if not isinstance(study, Study):
         raise TypeError(f"`study` must be a Study or the name of one, got {study!r}")
-    from scope_models.plotting._saving import save_figure  # imports matplotlib
+    from scope_models.plotting._style import save_figure  # imports matplotlib
 
     folder = Path(directory)
     sweep = run_sweep(study, folder, client, **options)
-    _write_failures(sweep.failures, folder / "failures.ecsv")
+    failed = folder / "failures.ecsv"
+    if len(sweep.failures):
+        failures = sweep.failures.copy()
+        # ECSV takes the blanks off the beginnings of the lines of a text
+        failures["traceback"] = [json.dumps(text) for text in failures["traceback"]]
+        _write(failures, failed)
+    else:
+        failed.unlink(missing_ok=True)
     files = [_write(sweep.table, folder / "results.ecsv")]
     if not len(sweep.table):
         raise SweepError(
             f"all {len(sweep.failures)} stars failed, the first one with "
-            f"{sweep.failures['error'][0]}; see {folder / 'failures.ecsv'}"
+            f"{sweep.failures['error'][0]}; see {failed}"
         )
     summary = study.summarize(sweep.table)
     summary.meta = provenance(study) | summary.meta
@@ -103,7 +110,7 @@ def run_experiment(study, directory, client=None, **options):
         with atomic_path(files[-1], overwrite=True) as temporary:
             save_figure(figure, temporary)
     if len(sweep.failures):
-        files.append(folder / "failures.ecsv")
+        files.append(failed)
     return ExperimentResult(sweep.table, summary, sweep.failures, tuple(files))
 
 
@@ -112,14 +119,3 @@ def _write(table, path):
     with atomic_path(path, overwrite=True) as temporary:
         table.write(temporary, format="ascii.ecsv")
     return path
-
-
-def _write_failures(failures, path):
-    """Write the table of failures, or take away that of an earlier run."""
-    if len(failures):
-        failures = failures.copy()
-        # ECSV takes the blanks off the beginnings of the lines of a text
-        failures["traceback"] = [json.dumps(text) for text in failures["traceback"]]
-        _write(failures, path)
-    else:
-        path.unlink(missing_ok=True)

@@ -4,13 +4,12 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from astropy.table import Table
 
-from scope_models._checks import checked_integer, checked_number
 from scope_models.effects import DarkCurrent, Extinction, Scintillation, Seeing
-from scope_models.experiments._corrected import checked_claims, medians_of
+from scope_models.experiments._corrected import CorrectedStudy, amplitude
 from scope_models.experiments._correctors import quiet
-from scope_models.experiments.study import Study
+from scope_models.experiments._statistics import cells, on_grid
+from scope_models.experiments.study import parameter
 from scope_models.io import make_tpf_hdulist
 from scope_models.models import TransitModel, moffat_psf
 from scope_models.scene.detector import Detector
@@ -39,7 +38,7 @@ _SURVIVALS = tuple(f"{name}_survival" for name in _METHODS if name.startswith("d
 
 
 @dataclass(frozen=True, kw_only=True)
-class GroundPLD(Study):
+class GroundPLD(CorrectedStudy):
     """Noise of stars from the ground with and without pixel-level de-correlation.
 
     A telescope with seeing, extinction, thin clouds and scintillation follows a field for some
@@ -47,28 +46,6 @@ class GroundPLD(Study):
     differential photometry. PLD, with pixel fractions as they are measured, gets the target's
     pixels as they are, and divided by the reference; and the latter with the fractions that a
     model of the pixels predicts, whose width is smooth in time.
-
-    Parameters
-    ----------
-    seed : int, optional
-        Seed of all random numbers.
-    flats : tuple of float, optional
-        Standard deviation of the pixels' response after flat-fielding.
-    drifts : tuple of float, optional
-        Standard deviation of the drift of the tracking, arcsec/h.
-    aperture : float, optional
-        Diameter of the telescope, m.
-    mag : float, optional
-        Magnitude R of the target; the comparison stars are 0.3 mag brighter.
-    stars : int, optional
-        Fields per cell.
-    cadences : int, optional
-        Exposures of 60 s, 120 in a night.
-
-    Raises
-    ------
-    TypeError, ValueError
-        If a field is of the wrong type or outside its domain.
 
     Examples
     --------
@@ -79,58 +56,34 @@ class GroundPLD(Study):
 
     name: ClassVar[str] = "ground"
     units: ClassVar[dict] = dict.fromkeys(("floor", *_METHODS), "ppm")
+    grid: ClassVar[dict] = {"index": "stars", "flat": "flats", "drift": "drifts"}
+    key: ClassVar[str] = "flat{flat:g}-drift{drift:g}-{index}"
+    cell: ClassVar[tuple] = ("flat", "drift")
+    columns: ClassVar[tuple] = ("floor", *_METHODS, *_SURVIVALS)
 
-    flats: tuple[float, ...] = (0.002, 0.01)
-    drifts: tuple[float, ...] = (0.03, 0.15)
-    aperture: float = 1.0
-    mag: float = 14.5
-    stars: int = 3
-    cadences: int = 360
-
-    def __post_init__(self):
-        super().__post_init__()
-        checked_integer("stars", self.stars, 1)
-        checked_integer("cadences", self.cadences, 120)
-        checked_number("aperture", self.aperture, positive=True)
-        for name in ("flats", "drifts"):
-            values = getattr(self, name)
-            if not values or len(set(values)) < len(values):
-                raise ValueError(f"`{name}` must be one or more different numbers, got {values}")
-            for value in values:
-                checked_number(name, value)
-
-    def tasks(self):
-        """Return one task per field.
-
-        Returns
-        -------
-        list of dict
-            Keys "key", "flat", "drift" and "index".
-        """
-        return [
-            {
-                "key": f"flat{flat:g}-drift{drift:g}-{index}",
-                "flat": flat, "drift": drift, "index": index,
-            }
-            for index in range(self.stars)
-            for flat in self.flats
-            for drift in self.drifts
-        ]  # fmt: skip
+    flats: tuple[float, ...] = parameter(
+        (0.002, 0.01),
+        "Standard deviation of the pixels' response after flat-fielding.",
+        different="numbers",
+        positive=False,
+    )
+    drifts: tuple[float, ...] = parameter(
+        (0.03, 0.15),
+        "Standard deviation of the drift of the tracking, arcsec/h.",
+        different="numbers",
+        positive=False,
+    )
+    aperture: float = parameter(1.0, "Diameter of the telescope, m.", positive=True)
+    mag: float = parameter(
+        14.5, "Magnitude R of the target; the comparison stars are 0.3 mag brighter."
+    )
+    stars: int = parameter(3, "Fields per cell.", least=1)
+    cadences: int = parameter(360, "Exposures of 60 s, 120 in a night.", least=120)
 
     def observation(self, task, signal=None):
         """Return the pixels of a field: the same stars and weather in all cells.
 
-        Parameters
-        ----------
-        task : dict
-            One of `tasks`.
-        signal : TransitModel, optional
-            Signal of the target.
-
-        Returns
-        -------
-        Observation
-            The observation.
+        The signal is that of the target.
         """
         field = f"field{task['index']}"
         seed = self.star_seed(field, "noise")
@@ -149,9 +102,8 @@ class GroundPLD(Study):
             self.aperture, shape=_SHAPE, int_time=_EXPOSURE, read_time=_CADENCE - _EXPOSURE,
             interpixel_scatter=task["flat"], effects=effects, psf=moffat_psf(2.5, n_components=5),
         )  # fmt: skip
-        places = np.array([_TARGET, *_COMPARISONS]) + self.star_rng(field).uniform(
-            -0.5, 0.5, (4, 2)
-        )
+        shifts = self.star_rng(field).uniform(-0.5, 0.5, (4, 2))
+        places = np.array([_TARGET, *_COMPARISONS]) + shifts
         stars = [Star(self.mag - 0.3 * (i > 0), *place) for i, place in enumerate(places)]
         stars[0] = stars[0].replace(signal=signal)
         return simulate(stars, detector, motion, seed=seed)
@@ -159,112 +111,69 @@ class GroundPLD(Study):
     def measure(self, task, observation):
         """Return the noise of a target, without any filter in time.
 
-        Parameters
-        ----------
-        task : dict
-            One of `tasks`.
-        observation : Observation
-            Its pixels.
-
-        Returns
-        -------
-        dict
-            Standard deviation of means of 30 minutes in ppm: of the aperture alone ("raw"), of
-            the aperture over the comparison stars ("differential"), the same after PLD ("_pld",
-            "_predicted"), and of the noise of photons, sky, detector and scintillation that
-            differential photometry cannot avoid ("floor"); the part of the depth of transits of
-            1 % that is left, "_survival", by which the noise is divided.
+        Standard deviation of means of 30 minutes in ppm: of the aperture alone ("raw"), of the
+        aperture over the comparison stars ("differential"), the same after PLD ("_pld",
+        "_predicted"), and of the noise of photons, sky, detector and scintillation that
+        differential photometry cannot avoid ("floor"); the part of the depth of transits of 1 %
+        that is left, "_survival", by which the noise is divided.
         """
         time = observation.time
         planet = TransitModel.from_depth_duration(
             _DEPTH, _DURATION, 0.9, time[0] + 0.125, exposure_time=_EXPOSURE / 86400
         )
-        shape = planet(time) - 1
         still = _photometry(observation)
         dimmed = _photometry(self.observation(task, planet))
         row = {"floor": _floor(observation)}
         for name in _METHODS:
-            change, transit = still[name], dimmed[name]
             survival = 1.0
             if f"{name}_survival" in _SURVIVALS:
-                good = np.isfinite(change + transit)
-                difference = (transit - change)[good] - np.mean((transit - change)[good])
-                centered = shape[good] - shape[good].mean()
-                survival = float(centered @ difference / (centered @ centered))
+                survival = amplitude(dimmed[name] - still[name], planet(time) - 1)
                 row[f"{name}_survival"] = survival
-            row[name] = _noise(change) / abs(survival)
+            row[name] = _noise(still[name]) / abs(survival)
         return row
 
-    def summarize(self, table):
-        """Return medians per cell, and check what was expected.
+    def compare(self, table, summary):
+        """Add "ratio", the noise of PLD on differential pixels over that without, and its error.
 
-        Parameters
-        ----------
-        table : astropy.table.Table
-            The results.
-
-        Returns
-        -------
-        astropy.table.Table
-            One row per flat and drift: medians; "ratio", the noise of PLD on differential pixels
-            over that of differential photometry, the median over the fields, and its standard
-            error "ratio_error". In ``meta`` "claims" and "claims_checked": verdicts, and the
-            number that decides.
+        It is the median over the fields, and "ratio_error" its standard error.
         """
-        keys = ("flat", "drift")
-        summary = Table(medians_of(table, keys, (*self.units, *_SURVIVALS)))
-        ratios = np.asarray(table["differential_pld"] / table["differential"], dtype=float)
-        for row, cell in enumerate(zip(summary["flat"], summary["drift"], strict=True)):
-            part = ratios[(table["flat"] == cell[0]) & (table["drift"] == cell[1])]
-            if row == 0:
-                summary["ratio"] = summary["ratio_error"] = np.nan
-            summary["ratio"][row] = np.median(part)
-            # 1.25 sigma / sqrt(n): the standard error of a median of normal numbers.
-            error = 1.2533 * np.std(part, ddof=1) / np.sqrt(len(part)) if len(part) > 1 else np.nan
-            summary["ratio_error"][row] = error
-        for name in self.units:
-            summary[name].unit = "ppm"
+        ratios = [
+            np.array(part["differential_pld"] / part["differential"], dtype=float)
+            for _, part in cells(table, self.cell)
+        ]
+        summary["ratio"] = [np.median(ratio) for ratio in ratios]
+        # 1.25 sigma / sqrt(n): the standard error of a median of normal numbers.
+        summary["ratio_error"] = [
+            1.2533 * np.std(ratio, ddof=1) / np.sqrt(len(ratio)) if len(ratio) > 1 else np.nan
+            for ratio in ratios
+        ]
+
+    def claims(self, summary):
+        """Return the ratio of each claim to its limit."""
         good, poor = (summary["flat"] <= 0.002), (summary["flat"] >= 0.01)
-        alone = np.array(summary["differential"] / summary["raw_pld"])
-        claims = {
-            "PLD alone is 3 times noisier than differential photometry": 3 * alone,
+        ratio = np.array(summary["ratio"])
+        return {
+            "PLD alone is 3 times noisier than differential photometry": (
+                3 * np.array(summary["differential"] / summary["raw_pld"])
+            ),
             "with flats of 1 % PLD lowers the noise of differential photometry by 10 %": (
-                np.array(summary["ratio"][poor]) / 0.9
+                ratio[poor] / 0.9
             ),
             "with flats of 0.2 % PLD changes it by less than 10 %": (
-                1 + np.abs(np.array(summary["ratio"][good]) - 1) - 0.1
+                1 + np.abs(ratio[good] - 1) - 0.1
             ),
             "PLD on differential pixels keeps 90 % of the depth of transits": (
                 0.9 / np.array(summary["differential_pld_survival"])
             ),
         }
-        summary.meta["claims"], summary.meta["claims_checked"] = checked_claims(claims)
-        return summary
 
     def draw(self, table, summary):
-        """Draw maps of the noise of each method.
-
-        Parameters
-        ----------
-        table : astropy.table.Table
-            The results.
-        summary : astropy.table.Table
-            The summary of them.
-
-        Returns
-        -------
-        matplotlib.figure.Figure
-            The figure.
-        """
+        """Draw maps of the noise of each method."""
         from scope_models.plotting.statistics import plot_maps  # imports matplotlib
 
         rows, columns = sorted(self.flats), sorted(self.drifts)
-        maps = {}
-        for name, label in _METHODS.items():
-            values = np.full((len(rows), len(columns)), np.nan)
-            for row in summary:
-                values[rows.index(row["flat"]), columns.index(row["drift"])] = row[name]
-            maps[label] = values
+        axes = ("flat", rows), ("drift", columns)
+        maps = {label: on_grid(summary, *axes, name) for name, label in _METHODS.items()}
         return plot_maps(
             maps, [100 * value for value in rows], columns,
             row_label="Response between pixels (%)", column_label="Drift (arcsec/h)",

@@ -7,12 +7,11 @@ from typing import ClassVar
 import numpy as np
 from astropy.table import Table
 
-from scope_models._checks import checked_integer, checked_number
 from scope_models.experiments._statistics import compared, holds
 from scope_models.experiments.no_motion import noise_parts
 from scope_models.experiments.populations import draw_star, motion_from_name, stamp_around
 from scope_models.experiments.reference import PERCENTILES, read_reference
-from scope_models.experiments.study import Study
+from scope_models.experiments.study import Study, parameter
 from scope_models.photometry import cdpp
 from scope_models.scene.detector import Detector
 from scope_models.simulation import simulate
@@ -30,6 +29,7 @@ _TOLERANCE = 0.15
 _CLAIMED = (11.0, 14.5)
 _GOLDEN = 0.6180339887498949
 _LAW_MAGNITUDE = 14.0
+_PARTS = ("cdpp_lightkurve", "white", "losses", "intrapixel", "systematics", "n_pixels")
 
 
 def field_motion(number, cadences, *, place=None, rng=None):
@@ -84,38 +84,6 @@ class K2MotionNoise(Study):
     :math:`T (F / F_{14})^g` for a flux F and :math:`F_{14}` at Kp 14. Stars with a pixel above 90 %
     of its well have a larger aperture, as EVEREST's.
 
-    Parameters
-    ----------
-    seed : int, optional
-        Seed of all random numbers.
-    magnitudes : tuple of float, optional
-        Magnitudes Kp.
-    detectors : tuple of str, optional
-        Out of `DETECTORS`.
-    motions : tuple of str, optional
-        ``"field"``, a generated motion of each star's own, evenly spread over the field of view and
-        over the time of a campaign, or motions as
-        `~scope_models.experiments.populations.motion_from_name` takes them.
-    stars : int, optional
-        Stars per magnitude, motion and detector. The paper has 5. The same stars, but for their
-        magnitude, are in all bins.
-    cadences : int, optional
-        Long cadences per star, at a random time of the campaign, or all of a motion if it has
-        fewer. A campaign has 3380.
-    shift : float, optional
-        Largest distance of a star from the middle of a pixel along each axis. The paper has 0.2;
-        real stars are anywhere.
-    threshold, exponent : float, optional
-        T in e-/s, and g. Fitted. A threshold of 0 takes the aperture of the highest signal-to-noise
-        ratio.
-    saturated_part : float, optional
-        Part of the flux of a saturated star that a pixel of its aperture has.
-
-    Raises
-    ------
-    TypeError, ValueError
-        If a field is of the wrong type or outside its domain.
-
     References
     ----------
     Saunders, N. et al. 2019, "The Pointing Limits of Transiting Exoplanet Light Curve
@@ -136,38 +104,51 @@ class K2MotionNoise(Study):
         ("cdpp", "cdpp_lightkurve", "white", "losses", "intrapixel", "systematics"), "ppm"
     )
 
-    magnitudes: tuple[float, ...] = tuple(11 + 0.5 * k for k in range(9))
-    detectors: tuple[str, ...] = ("paper", "calibrated")
-    motions: tuple[str, ...] = ("field",)
-    stars: int = 60
-    cadences: int = 1000
-    shift: float = 0.5
-    threshold: float = 140.0
-    exponent: float = 0.5
-    saturated_part: float = 1e-4
-
-    def __post_init__(self):
-        super().__post_init__()
-        checked_integer("stars", self.stars, 1)
-        checked_integer("cadences", self.cadences, 100)
-        for name in ("shift", "threshold", "exponent", "saturated_part"):
-            checked_number(name, getattr(self, name))
-        for name in ("magnitudes", "detectors", "motions"):
-            values = getattr(self, name)
-            if not values or len(set(values)) < len(values):
-                raise ValueError(f"`{name}` must be one or more different values, got {values}")
-        for name in self.detectors:
-            if name not in DETECTORS:
-                raise ValueError(f"`detectors` must be among {', '.join(DETECTORS)}, got {name!r}")
+    magnitudes: tuple[float, ...] = parameter(
+        tuple(11 + 0.5 * k for k in range(9)), "Magnitudes Kp.", different="values"
+    )
+    detectors: tuple[str, ...] = parameter(
+        ("paper", "calibrated"), "Out of `DETECTORS`.", different="values", among=DETECTORS
+    )
+    motions: tuple[str, ...] = parameter(
+        ("field",),
+        '``"field"``, a generated motion of each star\'s own, evenly spread over the field of view '
+        "and over the time of a campaign, or motions as "
+        "`~scope_models.experiments.populations.motion_from_name` takes them.",
+        different="values",
+    )
+    stars: int = parameter(
+        60,
+        "Stars per magnitude, motion and detector. The paper has 5. The same stars, but for their "
+        "magnitude, are in all bins.",
+        least=1,
+    )
+    cadences: int = parameter(
+        1000,
+        "Long cadences per star, at a random time of the campaign, or all of a motion if it has "
+        "fewer. A campaign has 3380.",
+        least=100,
+    )
+    shift: float = parameter(
+        0.5,
+        "Largest distance of a star from the middle of a pixel along each axis. The paper has 0.2; "
+        "real stars are anywhere.",
+        positive=False,
+    )
+    threshold: float = parameter(
+        140.0,
+        "T in e-/s. Fitted. 0 takes the aperture of the highest signal-to-noise ratio.",
+        positive=False,
+    )
+    exponent: float = parameter(0.5, "The exponent g. Fitted.", positive=False)
+    saturated_part: float = parameter(
+        1e-4,
+        "Part of the flux of a saturated star that a pixel of its aperture has.",
+        positive=False,
+    )
 
     def tasks(self):
-        """Return one task per star.
-
-        Returns
-        -------
-        list of dict
-            The tasks.
-        """
+        """Return one task per star."""
         return [
             {
                 "key": f"{detector}-motion{number}-kp{mag:g}-{index}",
@@ -181,18 +162,7 @@ class K2MotionNoise(Study):
         ]  # fmt: skip
 
     def observation(self, task):
-        """Return the pixels of a star; both detectors see the same star and motion.
-
-        Parameters
-        ----------
-        task : dict
-            One of `tasks`.
-
-        Returns
-        -------
-        Observation
-            The pixels.
-        """
+        """Return the pixels of a star; both detectors see the same star and motion."""
         rng = self.star_rng(task["star"])
         if task["motion"] == "field":
             shift = self.star_rng("field", "shift").uniform()
@@ -209,20 +179,10 @@ class K2MotionNoise(Study):
     def measure(self, task, observation):
         """Return the noise of a star, and what contributes to it.
 
-        Parameters
-        ----------
-        task : dict
-            One of `tasks`.
-        observation : Observation
-            The star.
-
-        Returns
-        -------
-        dict
-            CDPP in both conventions; in EVEREST's convention and without noise, that by light
-            moving out of the aperture alone (``losses``), with the response within pixels
-            (``intrapixel``), and with that between pixels (``systematics``); ``white``, the
-            nominal noise of photons, background and reads; and what the aperture is.
+        CDPP in both conventions; in EVEREST's convention and without noise, that by light moving
+        out of the aperture alone (``losses``), with the response within pixels (``intrapixel``),
+        and with that between pixels (``systematics``); ``white``, the nominal noise of photons,
+        background and reads; and what the aperture is.
         """
         detector = observation.detector
         flat = self._noiseless(observation, detector.without_sensitivity())
@@ -281,17 +241,9 @@ class K2MotionNoise(Study):
     def summarize(self, table):
         """Return our noise beside that of campaign 3.
 
-        Parameters
-        ----------
-        table : astropy.table.Table
-            The results.
-
-        Returns
-        -------
-        astropy.table.Table
-            Per detector, motion and magnitude: percentiles of the noise with errors by resampling,
-            campaign 3's (saturated stars included, as they are in ours), the ratios, and medians of
-            the contributions. ``meta`` has what was fitted and what holds.
+        Per detector, motion and magnitude: percentiles of the noise with errors by resampling,
+        campaign 3's (saturated stars included, as they are in ours), the ratios, and medians of
+        the contributions. ``meta`` has what was fitted and what holds.
         """
         reference = read_reference("k2_c03_raw", "all")
         rows = []
@@ -300,49 +252,31 @@ class K2MotionNoise(Study):
                 for mag in self.magnitudes:
                     chosen = (table["detector"] == detector) & (table["motion"] == motion)
                     stars = table[chosen & (np.asarray(table["mag"]) == mag)]
-                    if len(stars):
-                        row = {"detector": detector, "motion": Path(motion).name, "mag": mag}
-                        rows.append(row | self._summary_of(stars, reference, mag))
+                    if not len(stars):
+                        continue
+                    row = {"detector": detector, "motion": Path(motion).name, "mag": mag}
+                    row["stars"] = len(stars)
+                    row |= compared("noise", stars["cdpp"], reference, mag, PERCENTILES, known="k2")
+                    row |= {name: float(np.median(stars[name])) for name in _PARTS}
+                    row["saturated"] = float(np.mean(stars["saturated"]))
+                    rows.append(row)
         summary = Table(rows=rows)
         summary.meta["fitted"] = {
             "calibrated": "Detector.k2_calibrated", "threshold": self.threshold,
             "exponent": self.exponent,
         }  # fmt: skip
+        mags = np.asarray(summary["mag"], dtype=float)
+        bins = (summary["motion"] == "field") & (mags >= _CLAIMED[0]) & (mags <= _CLAIMED[1])
         summary.meta["claims"] = {
             f"{name} sensitivity: median within {100 * _TOLERANCE:.0f} % of K2 campaign 3 in every "
-            f"bin, Kp {_CLAIMED[0]:g} to {_CLAIMED[1]:g}": holds(
-                _claimed(summary, name), _TOLERANCE
-            )
+            f"bin, Kp {_CLAIMED[0]:g} to {_CLAIMED[1]:g}": holds(ratios, _TOLERANCE)
             for name in self.detectors
-            if len(_claimed(summary, name))
+            if len(ratios := summary["noise_median_ratio"][bins & (summary["detector"] == name)])
         }
         return summary
 
-    @staticmethod
-    def _summary_of(stars, reference, mag):
-        """Return the summary of the stars of one magnitude."""
-        row = {"stars": len(stars)}
-        row |= compared("noise", stars["cdpp"], reference, mag, PERCENTILES, known="k2")
-        for name in ("cdpp_lightkurve", "white", "losses", "intrapixel", "systematics", "n_pixels"):
-            row[name] = float(np.median(stars[name]))
-        row["saturated"] = float(np.mean(stars["saturated"]))
-        return row
-
     def draw(self, table, summary):
-        """Draw our noise over that of campaign 3, and what contributes to it.
-
-        Parameters
-        ----------
-        table : astropy.table.Table
-            The results.
-        summary : astropy.table.Table
-            The summary of them.
-
-        Returns
-        -------
-        matplotlib.figure.Figure
-            The figure.
-        """
+        """Draw our noise over that of campaign 3, and what contributes to it."""
         from scope_models.plotting.calibration import plot_k2_motion  # imports matplotlib
 
         motion = summary["motion"][0]
@@ -351,10 +285,3 @@ class K2MotionNoise(Study):
             for name in self.detectors
         }
         return plot_k2_motion(series, read_reference("k2_c03_raw", "all"))
-
-
-def _claimed(summary, detector):
-    """Return the ratios of the medians for which the claim is made."""
-    mag = np.asarray(summary["mag"], dtype=float)
-    rows = (summary["detector"] == detector) & (summary["motion"] == "field")
-    return summary["noise_median_ratio"][rows & (mag >= _CLAIMED[0]) & (mag <= _CLAIMED[1])]

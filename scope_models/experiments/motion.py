@@ -1,14 +1,12 @@
 """The paper's motion test: de-trended noise against magnitude at multiples of K2's motion."""
 
 from dataclasses import dataclass
-from functools import lru_cache
 from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
 from astropy.table import Table
 
-from scope_models._checks import checked_integer, checked_number
 from scope_models.experiments._claims import (
     CLAIMS,
     TRANSIT_CLAIM,
@@ -24,11 +22,11 @@ from scope_models.experiments._correctors import (
     noise_of,
     transit_amplitude,
 )
-from scope_models.experiments._statistics import cell_medians, percentiles, values_of
+from scope_models.experiments._statistics import cells, percentiles, values_of
 from scope_models.experiments.k2_motion import DETECTORS
-from scope_models.experiments.populations import draw_star, motion_from_name, stamp_around
+from scope_models.experiments.populations import cached_motion, draw_star, stamp_around
 from scope_models.experiments.reference import read_reference, reference_noise
-from scope_models.experiments.study import Study
+from scope_models.experiments.study import Study, parameter
 from scope_models.models import TransitModel
 from scope_models.simulation import simulate
 
@@ -46,6 +44,7 @@ _COLUMNS_IN_PPM = (
     *(f"depth_{name}" for name in _CORRECTORS[1:]),
 )
 _WITH_PERCENTILES = [f"{name}_everest" for name in _CORRECTORS]
+_KEPLER_COLUMNS = ("kepler_median", "kepler_p10", "kepler_p90")
 _MARGINS = {"paper": 5, "calibrated": 8}  # pixels; the calibrated PSF has wings
 _TRANSIT_SCALE = 5.0  # of the paper's claim on transits
 _PERIOD, _DURATION = 3.1, 0.25  # of the transits, days
@@ -59,39 +58,6 @@ class MotionTest(Study):
     simulated, and is de-trended by
     `~scope_models.correctors.PLDCorrector` and, if wanted, by lightkurve's correctors in the same
     aperture. At some motions a second simulation, with the same noise, has transits.
-
-    Parameters
-    ----------
-    seed : int, optional
-        Seed of stars and noise.
-    magnitudes : tuple of float, optional
-        Magnitudes Kp.
-    scales : tuple of float, optional
-        Multiples of the motion.
-    stars : int, optional
-        Stars per magnitude and multiple.
-    cadences : int, optional
-        Cadences per star.
-    motion : str, optional
-        Motion, as `~scope_models.experiments.populations.motion_from_name` takes it.
-    detector : {"paper", "calibrated"}, optional
-        `Detector.k2 <scope_models.Detector.k2>` with the paper's response, or
-        `Detector.k2_calibrated <scope_models.Detector.k2_calibrated>`, which has K2's noise.
-    order : int, optional
-        Order of our PLD.
-    transit_depth : float, optional
-        Depth of the transits that are put in, ppm.
-    transit_scales : tuple of float, optional
-        Multiples of the motion at which transits are put in; those that are not in `scales` are
-        passed over.
-    lightkurve_pld, lightkurve_sff : bool, optional
-        Whether to run lightkurve's correctors too. PLD has the best of orders 1 to 3 in two
-        apertures, SFF the best of 5, 10 and 20 windows and the true positions.
-
-    Raises
-    ------
-    TypeError, ValueError
-        If a field is of the wrong type or outside its domain.
 
     References
     ----------
@@ -108,33 +74,45 @@ class MotionTest(Study):
 
     name: ClassVar[str] = "motion"
     units: ClassVar[dict] = dict.fromkeys(_COLUMNS_IN_PPM, "ppm")
+    grid: ClassVar[dict] = {"index": "stars", "scale": "scales", "mag": "magnitudes"}
+    key: ClassVar[str] = "kp{mag:g}-x{scale:g}-{index}"
 
-    magnitudes: tuple[float, ...] = tuple(10 + 0.5 * k for k in range(12))
-    scales: tuple[float, ...] = (1.0, 2.0, 4.0, 5.0, 10.0)
-    stars: int = 5
-    cadences: int = 1000
-    motion: str = "k2_roll"
-    detector: str = "paper"
-    order: int = 2
-    transit_depth: float = 1000.0
-    transit_scales: tuple[float, ...] = (_TRANSIT_SCALE,)
-    lightkurve_pld: bool = True
-    lightkurve_sff: bool = True
+    magnitudes: tuple[float, ...] = parameter(
+        tuple(10 + 0.5 * k for k in range(12)), "Magnitudes Kp.", different="numbers"
+    )
+    scales: tuple[float, ...] = parameter(
+        (1.0, 2.0, 4.0, 5.0, 10.0), "Multiples of the motion.", different="numbers", positive=True
+    )
+    stars: int = parameter(5, "Stars per magnitude and multiple.", least=1)
+    cadences: int = parameter(1000, "Cadences per star.", least=100)
+    motion: str = parameter(
+        "k2_roll", "Motion, as `~scope_models.experiments.populations.motion_from_name` takes it."
+    )
+    detector: str = parameter(
+        "paper",
+        "`Detector.k2 <scope_models.Detector.k2>` with the paper's response, or "
+        "`Detector.k2_calibrated <scope_models.Detector.k2_calibrated>`, which has K2's noise.",
+        among=DETECTORS,
+    )
+    order: int = parameter(2, "Order of our PLD.", least=1)
+    transit_depth: float = parameter(1000.0, "Depth of the transits that are put in, ppm.")
+    transit_scales: tuple[float, ...] = parameter(
+        (_TRANSIT_SCALE,),
+        "Multiples of the motion at which transits are put in; those that are not in `scales` are "
+        "passed over.",
+        positive=True,
+    )
+    lightkurve_pld: bool = parameter(
+        True, "Whether to run lightkurve's PLD too, with the best of orders 1 to 3, two apertures."
+    )
+    lightkurve_sff: bool = parameter(
+        True,
+        "Whether to run lightkurve's SFF too, with the best of 5, 10 and 20 windows and the true "
+        "positions.",
+    )
 
     def __post_init__(self):
         super().__post_init__()
-        for name in ("stars", "order"):
-            checked_integer(name, getattr(self, name), 1)
-        checked_integer("cadences", self.cadences, 100)
-        for name in ("magnitudes", "scales"):
-            values = getattr(self, name)
-            if not values or len(set(values)) < len(values):
-                raise ValueError(f"`{name}` must be one or more different numbers, got {values}")
-        if self.detector not in DETECTORS:
-            raise ValueError(f"`detector` must be {' or '.join(DETECTORS)}, got {self.detector!r}")
-        for name in ("scales", "transit_scales"):
-            for scale in getattr(self, name):
-                checked_number(name, scale, positive=True)
         known = read_reference("kepler")["mag"]
         if min(self.magnitudes) < known.min() or max(self.magnitudes) > known.max():
             raise ValueError(
@@ -146,49 +124,17 @@ class MotionTest(Study):
                 f"`transit_depth` must be between 0 and 1e6 ppm, got {self.transit_depth}"
             )
 
-    def tasks(self):
-        """Return one task per star, so that any beginning of them is a sample of the grid.
-
-        Returns
-        -------
-        list of dict
-            Keys "key", "mag", "scale" and "index".
-        """
-        return [
-            {"key": f"kp{mag:g}-x{scale:g}-{index}", "mag": mag, "scale": scale, "index": index}
-            for index in range(self.stars)
-            for scale in self.scales
-            for mag in self.magnitudes
-        ]
-
     def input_files(self):
-        """Return the file of the motion, if it is one.
-
-        Returns
-        -------
-        list of str
-            Paths.
-        """
+        """Return the file of the motion, if it is one."""
         return [self.motion] if Path(self.motion).is_file() else []
 
     def observation(self, task):
-        """Return the pixels of a star without transits.
-
-        Parameters
-        ----------
-        task : dict
-            One of `tasks`.
-
-        Returns
-        -------
-        Observation
-            The observation.
-        """
+        """Return the pixels of a star without transits."""
         return simulate(*self._scene(task), seed=self.star_seed(task["key"], "noise"))
 
     def _scene(self, task):
         """Return star, detector and motion."""
-        motion = task["scale"] * _motion(self.motion, self.cadences)
+        motion = task["scale"] * cached_motion(self.motion, self.cadences)
         shape, x_0, y_0 = stamp_around(motion, _MARGINS[self.detector])
         detector = DETECTORS[self.detector](shape=shape)
         rng = self.star_rng(task["key"])
@@ -205,23 +151,12 @@ class MotionTest(Study):
     def measure(self, task, observation):
         """Return the noise of a star before and after de-trending, and depths of transits.
 
-        Parameters
-        ----------
-        task : dict
-            One of `tasks`.
-        observation : Observation
-            Its pixels.
-
-        Returns
-        -------
-        dict
-            CDPP in ppm in both conventions: "raw", "floor" (of the noise alone in the aperture's
-            sum) and of each corrector, followed by the convention; "residual", that of ours over
-            the floor; the scores "held_out_mad" and "held_out_rms", see the page on PLD; and the
-            number of pixels in the aperture.
-            At `transit_scales` the depths in ppm, of ours with the transits masked and jointly
-            fitted, and the part of the depth that survives in each corrector if it is told
-            nothing of the transits.
+        CDPP in ppm in both conventions: "raw", "floor" (of the noise alone in the aperture's sum)
+        and of each corrector, followed by the convention; "residual", that of ours over the floor;
+        the scores "held_out_mad" and "held_out_rms", see the page on PLD; and the number of pixels
+        in the aperture. At `transit_scales` the depths in ppm, of ours with the transits masked
+        and jointly fitted, and the part of the depth that each corrector leaves if the transits
+        are not masked.
         """
         from scope_models.correctors import PLDCorrector  # imports lightkurve
 
@@ -276,32 +211,20 @@ class MotionTest(Study):
     def summarize(self, table):
         """Return medians per motion and magnitude beside Kepler's, and check the paper's claims.
 
-        Parameters
-        ----------
-        table : astropy.table.Table
-            The results.
-
-        Returns
-        -------
-        astropy.table.Table
-            One row per motion and magnitude: medians of the columns of `measure`, and the 16th
-            and 84th percentile of the CDPP in EVEREST's convention; Kepler's median,
-            10th and 90th percentile, and our CDPP over Kepler's median; and "below_paper", the
-            limit that the paper states over our CDPP. In ``meta``, "claims" has, for each claim of
-            the paper, by its name, whether it holds for ours; "claims_checked" has its definition,
-            and for each corrector whether it holds and by which number; "kepler_like_to" has the
-            faintest magnitude to which each multiple of the motion is Kepler-like; "survival" has
-            the median, 16th and 84th percentile of the part of a transit's depth that is left.
+        One row per motion and magnitude: medians of the columns of `measure`, and the 16th and
+        84th percentile of the CDPP in EVEREST's convention; Kepler's median, 10th and 90th
+        percentile, and our CDPP over Kepler's median; and "below_paper", the limit that the paper
+        states over our CDPP. In ``meta``, "claims" has, for each claim of the paper, by its name,
+        whether it holds for ours; "claims_checked" has its definition, and for each corrector
+        whether it holds and by which number; "kepler_like_to" has the faintest magnitude to which
+        each multiple of the motion is Kepler-like; "survival" has the median, 16th and 84th
+        percentile of the part of a transit's depth that is left.
         """
-        cells = {}
-        for number, cell in enumerate(zip(table["scale"], table["mag"], strict=True)):
-            cells.setdefault(cell, []).append(number)
-        summary = Table(
-            [cell_medians(table[cells[cell]], _WITH_PERCENTILES) for cell in sorted(cells)]
-        )
+        summary = Table([_medians(cell, rows) for cell, rows in cells(table, ("scale", "mag"))])
         mags = np.array(summary["mag"])
-        for name in ("median", "p10", "p90"):
-            summary[f"kepler_{name}"] = np.round(reference_noise("kepler", mags, name), 2)
+        for name in _KEPLER_COLUMNS:
+            noise = reference_noise("kepler", mags, name.removeprefix("kepler_"))
+            summary[name] = np.round(noise, 2)
         summary["over_kepler"] = summary["pld_everest"] / summary["kepler_median"]
         limits = [paper_limit(scale, mag) for scale, mag in summary.iterrows("scale", "mag")]
         summary["below_paper"] = np.array(limits) / summary["pld_everest"]
@@ -320,7 +243,7 @@ class MotionTest(Study):
             faintest = kepler_like_to(part["mag"], part["pld_everest"], part["kepler_median"])
             summary.meta["kepler_like_to"][f"{scale:g}x"] = faintest
         for name in summary.colnames:
-            if name.removesuffix("_low").removesuffix("_high") in self.units | _KEPLER_UNITS:
+            if name.removesuffix("_low").removesuffix("_high") in (*self.units, *_KEPLER_COLUMNS):
                 summary[name].unit = "ppm"
         return summary
 
@@ -341,20 +264,7 @@ class MotionTest(Study):
         return claims
 
     def draw(self, table, summary):
-        """Draw CDPP against magnitude: a panel per corrector, a curve per multiple of the motion.
-
-        Parameters
-        ----------
-        table : astropy.table.Table
-            The results.
-        summary : astropy.table.Table
-            The summary of them.
-
-        Returns
-        -------
-        matplotlib.figure.Figure
-            The figure.
-        """
+        """Draw CDPP against magnitude: a panel per corrector, a curve per motion."""
         from scope_models.plotting import plot_cdpp_panels  # imports matplotlib
 
         scales = sorted(set(summary["scale"]))
@@ -386,13 +296,15 @@ class MotionTest(Study):
         return axes[_TITLES["pld"]].figure
 
 
-_KEPLER_UNITS = {f"kepler_{name}": "ppm" for name in ("median", "p10", "p90")}
-
-
-@lru_cache(maxsize=2)
-def _motion(name, cadences):
-    """Return a motion, which is the same for all stars."""
-    return motion_from_name(name, cadences)
+def _medians(cell, rows):
+    """Return the medians of all columns of the stars of a cell, and some percentiles."""
+    cell = {name: float(value) for name, value in cell.items()} | {"stars": len(rows)}
+    for name in rows.colnames:
+        if name not in {"key", "index", "scale", "mag", "stars"}:
+            low, cell[name], high = percentiles(values_of(rows, name))
+            if name in _WITH_PERCENTILES:
+                cell[f"{name}_low"], cell[f"{name}_high"] = low, high
+    return cell
 
 
 def _present(summary):

@@ -7,11 +7,10 @@ import numpy as np
 from astropy.table import Table
 from scipy.special import ndtri
 
-from scope_models._checks import checked_integer, checked_number
 from scope_models.experiments._statistics import compared, holds
 from scope_models.experiments.populations import draw_star
 from scope_models.experiments.reference import PERCENTILES, read_reference
-from scope_models.experiments.study import Study
+from scope_models.experiments.study import Study, parameter
 from scope_models.models import stochastic_signal
 from scope_models.photometry import cdpp
 from scope_models.scene.detector import Detector
@@ -38,35 +37,6 @@ class NoMotion(Study):
     curve of each star its own variability, red noise
     (`~scope_models.models.stochastic_signal`) of a CDPP that is log-normal for dwarfs and, in
     another way, for giants. The part of giants is :math:`f_g e^{-\gamma (Kp - 11.5)}`.
-
-    Parameters
-    ----------
-    seed : int, optional
-        Seed of all random numbers.
-    magnitudes : tuple of float, optional
-        Middles of the bins.
-    stars : int, optional
-        Stars per bin. The paper has 5, too few for a 10th percentile. The magnitudes
-        within a bin and the probabilities of the variability are spread evenly over the stars.
-    width : float, optional
-        Width of the bins: magnitudes are uniform within. The reference has bins of 0.5 mag.
-        With 0 all stars have the magnitude in the middle.
-    cadences : int, optional
-        Long cadences per star.
-    floor : float, optional
-        CDPP of the floor, ppm: its standard deviation per cadence over :math:`\sqrt{13}`. Fitted.
-    dwarf_cdpp, dwarf_scatter : float, optional
-        Median of the CDPP (lightkurve's convention) of dwarfs' variability, ppm, and standard
-        deviation of its natural logarithm. Fitted.
-    giant_cdpp, giant_scatter : float, optional
-        The same of giants. Fitted.
-    giant_fraction, giant_decline : float, optional
-        Part of giants :math:`f_g` at Kp 11.5, and its decline :math:`\gamma` per magnitude. Fitted.
-
-    Raises
-    ------
-    TypeError, ValueError
-        If a field is of the wrong type or outside its domain.
 
     Notes
     -----
@@ -97,58 +67,59 @@ class NoMotion(Study):
         "variability": "ppm",
     }  # fmt: skip
 
-    magnitudes: tuple[float, ...] = tuple(float(mag) for mag in np.arange(11.5, 15.6, 0.5))
-    stars: int = 100
-    width: float = 0.5
-    cadences: int = 1000
-    floor: float = 8.7
-    dwarf_cdpp: float = 23.5
-    dwarf_scatter: float = 0.79
-    giant_cdpp: float = 209.0
-    giant_scatter: float = 0.38
-    giant_fraction: float = 0.43
-    giant_decline: float = 0.28
+    grid: ClassVar[dict] = {"mag": "magnitudes", "index": "stars"}
+    key: ClassVar[str] = "kp{mag:g}-{index}"
+
+    magnitudes: tuple[float, ...] = parameter(
+        tuple(float(mag) for mag in np.arange(11.5, 15.6, 0.5)), "Middles of the bins."
+    )
+    stars: int = parameter(
+        100,
+        "Stars per bin. The paper has 5, too few for a 10th percentile. The magnitudes within a "
+        "bin and the probabilities of the variability are spread evenly over the stars.",
+        least=1,
+    )
+    width: float = parameter(
+        0.5,
+        "Width of the bins: magnitudes are uniform within. The reference has bins of 0.5 mag. With "
+        "0 all stars have the magnitude in the middle.",
+        positive=False,
+    )
+    cadences: int = parameter(1000, "Long cadences per star.", least=100)
+    floor: float = parameter(
+        8.7,
+        r"CDPP of the floor, ppm: its standard deviation per cadence over :math:`\sqrt{13}`. "
+        "Fitted.",
+        positive=False,
+    )
+    dwarf_cdpp: float = parameter(
+        23.5,
+        "Median of the CDPP (lightkurve's convention) of dwarfs' variability, ppm. Fitted.",
+        positive=True,
+    )
+    dwarf_scatter: float = parameter(
+        0.79, "Standard deviation of its natural logarithm. Fitted.", positive=False
+    )
+    giant_cdpp: float = parameter(
+        209.0, "Median of the CDPP of giants' variability, ppm. Fitted.", positive=True
+    )
+    giant_scatter: float = parameter(0.38, "The scatter of giants. Fitted.", positive=False)
+    giant_fraction: float = parameter(
+        0.43, "Part of giants :math:`f_g` at Kp 11.5. Fitted.", positive=False
+    )
+    giant_decline: float = parameter(
+        0.28, r"Its decline :math:`\gamma` per magnitude. Fitted.", positive=False
+    )
 
     def __post_init__(self):
         super().__post_init__()
-        checked_integer("stars", self.stars, 1)
-        checked_integer("cadences", self.cadences, 100)
         if not self.magnitudes:
             raise ValueError("`magnitudes` must hold at least one number")
-        for name in ("width", "floor", "dwarf_scatter", "giant_scatter", "giant_decline"):
-            checked_number(name, getattr(self, name))
-        for name in ("dwarf_cdpp", "giant_cdpp"):
-            checked_number(name, getattr(self, name), positive=True)
-        if checked_number("giant_fraction", self.giant_fraction) > 1:
+        if self.giant_fraction > 1:
             raise ValueError(f"`giant_fraction` must not be above 1, got {self.giant_fraction}")
 
-    def tasks(self):
-        """Return one task per star.
-
-        Returns
-        -------
-        list of dict
-            The tasks.
-        """
-        return [
-            {"key": f"kp{mag:g}-{index}", "mag": mag, "index": index}
-            for mag in self.magnitudes
-            for index in range(self.stars)
-        ]
-
     def observation(self, task):
-        """Return the star with its variability.
-
-        Parameters
-        ----------
-        task : dict
-            One of `tasks`.
-
-        Returns
-        -------
-        Observation
-            The pixels.
-        """
+        """Return the pixels of a star with its variability."""
         motion = Motion.still(self.cadences)
         star = self._star(task)
         level, _ = self._variability(task, star.mag)
@@ -159,18 +130,8 @@ class NoMotion(Study):
     def measure(self, task, observation):
         """Return the noise of a star with its variability, and of the same star without it.
 
-        Parameters
-        ----------
-        task : dict
-            One of `tasks`.
-        observation : Observation
-            The star with its variability.
-
-        Returns
-        -------
-        dict
-            CDPP with variability and with detector noise alone, in both conventions; the parts of
-            photons, background and read noise; and what was drawn.
+        CDPP with variability and with detector noise alone, in both conventions; the parts of
+        photons, background and read noise; and what was drawn.
         """
         star = observation.stars[0]
         quiet = simulate(
@@ -218,18 +179,9 @@ class NoMotion(Study):
     def summarize(self, table):
         """Return our percentiles beside Kepler's.
 
-        Parameters
-        ----------
-        table : astropy.table.Table
-            The results.
-
-        Returns
-        -------
-        astropy.table.Table
-            Per bin: the 10th percentile and the median of detector noise alone, and all
-            percentiles with variability, with Kepler's and the ratio to them; ``_error`` is the
-            standard deviation under resampling of the stars. ``meta`` has what was fitted and
-            what holds.
+        Per bin: the 10th percentile and the median of detector noise alone, and all percentiles
+        with variability, with Kepler's and the ratio to them; ``_error`` is the standard deviation
+        under resampling of the stars. ``meta`` has what was fitted and what holds.
         """
         reference = read_reference("kepler")
         rows = []
@@ -263,20 +215,7 @@ class NoMotion(Study):
         return summary
 
     def draw(self, table, summary):
-        """Draw our noise over Kepler's.
-
-        Parameters
-        ----------
-        table : astropy.table.Table
-            The results.
-        summary : astropy.table.Table
-            The summary of them.
-
-        Returns
-        -------
-        matplotlib.figure.Figure
-            The figure.
-        """
+        """Draw our noise over Kepler's."""
         from scope_models.plotting.calibration import plot_no_motion  # imports matplotlib
 
         return plot_no_motion(table, summary, read_reference("kepler"))

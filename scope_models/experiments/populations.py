@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import fields
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -184,6 +185,10 @@ def motion_from_name(name, n_cadences=None):
     if kind == "k2_roll":
         return _generated(text, options, n_cadences or _CADENCES)
     return _usable(Motion.from_file(Path(name), bad="drop"), name)[:n_cadences]
+
+
+#: `motion_from_name` for studies, in which all stars have the same motion.
+cached_motion = lru_cache(maxsize=8)(motion_from_name)
 
 
 def _usable(motion, name):

@@ -1,18 +1,16 @@
 """Transits that are put in, and what is found of them after de-trending."""
 
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import ClassVar
 
 import numpy as np
 from astropy.table import Table
 
-from scope_models._checks import checked_integer, checked_number
 from scope_models.experiments._correctors import transit_amplitude
 from scope_models.experiments._search import fit_shape, flattened, isolated, search
-from scope_models.experiments._statistics import percentiles, values_of
-from scope_models.experiments.populations import draw_star, motion_from_name, stamp_around
-from scope_models.experiments.study import Study
+from scope_models.experiments._statistics import cells, on_grid, percentiles, values_of
+from scope_models.experiments.populations import cached_motion, draw_star, stamp_around
+from scope_models.experiments.study import Study, parameter
 from scope_models.models import TransitModel
 from scope_models.scene.detector import Detector
 from scope_models.simulation import simulate
@@ -34,36 +32,6 @@ class Recovery(Study):
     recovered if the strongest box is at least `threshold` times its error deep, and all boxes are
     within half a transit of true ones. Then what was found is masked, the star is de-trended
     again, and a transit is fitted.
-
-    Parameters
-    ----------
-    seed : int, optional
-        Seed of stars, planets and noise.
-    magnitudes : tuple of float, optional
-        Magnitudes Kp.
-    depths : tuple of float, optional
-        Depths at mid-transit in ppm. 0 is a star without planet, and counts false alarms.
-    scales : tuple of float, optional
-        Multiples of the motion.
-    stars : int, optional
-        Stars per magnitude, depth and multiple.
-    cadences : int, optional
-        Cadences per star.
-    motion : str, optional
-        Motion, as `~scope_models.experiments.populations.motion_from_name` takes it.
-    order : int, optional
-        Order of PLD.
-    periods : tuple of float, optional
-        Shortest and longest period in days; their logarithms are distributed uniformly.
-    durations : tuple of float, optional
-        Shortest and longest duration in days, distributed uniformly.
-    threshold : float, optional
-        Signal-to-noise ratio of a detection. The default is that of Kepler's pipeline.
-
-    Raises
-    ------
-    TypeError, ValueError
-        If a field is of the wrong type or outside its domain.
 
     References
     ----------
@@ -88,29 +56,43 @@ class Recovery(Study):
         **dict.fromkeys(("joint_depth", "joint_depth_error", "white_noise"), "ppm"),
     }
 
-    magnitudes: tuple[float, ...] = (11.0, 12.0, 13.0, 14.0, 15.0)
-    depths: tuple[float, ...] = (0.0, 50.0, 100.0, 200.0, 400.0, 800.0)
-    scales: tuple[float, ...] = (1.0, 5.0)
-    stars: int = 2
-    cadences: int = 1000
-    motion: str = "k2_roll"
-    order: int = 2
-    periods: tuple[float, ...] = (2.0, 6.0)
-    durations: tuple[float, ...] = (0.1, 0.25)
-    threshold: float = 7.1
+    grid: ClassVar[dict] = {
+        "index": "stars", "scale": "scales", "depth": "depths", "mag": "magnitudes",
+    }  # fmt: skip
+    key: ClassVar[str] = "kp{mag:g}-x{scale:g}-d{depth:g}-{index}"
+
+    magnitudes: tuple[float, ...] = parameter(
+        (11.0, 12.0, 13.0, 14.0, 15.0), "Magnitudes Kp.", different="numbers"
+    )
+    depths: tuple[float, ...] = parameter(
+        (0.0, 50.0, 100.0, 200.0, 400.0, 800.0),
+        "Depths at mid-transit in ppm. 0 is a star without planet, and counts false alarms.",
+        different="numbers",
+    )
+    scales: tuple[float, ...] = parameter(
+        (1.0, 5.0), "Multiples of the motion.", different="numbers", positive=True
+    )
+    stars: int = parameter(2, "Stars per magnitude, depth and multiple.", least=1)
+    cadences: int = parameter(1000, "Cadences per star.", least=100)
+    motion: str = parameter(
+        "k2_roll", "Motion, as `~scope_models.experiments.populations.motion_from_name` takes it."
+    )
+    order: int = parameter(2, "Order of PLD.", least=1)
+    periods: tuple[float, ...] = parameter(
+        (2.0, 6.0),
+        "Shortest and longest period in days; their logarithms are distributed uniformly.",
+    )
+    durations: tuple[float, ...] = parameter(
+        (0.1, 0.25), "Shortest and longest duration in days, distributed uniformly."
+    )
+    threshold: float = parameter(
+        7.1,
+        "Signal-to-noise ratio of a detection. The default is that of Kepler's pipeline.",
+        positive=True,
+    )
 
     def __post_init__(self):
         super().__post_init__()
-        for name in ("stars", "order"):
-            checked_integer(name, getattr(self, name), 1)
-        checked_integer("cadences", self.cadences, 100)
-        checked_number("threshold", self.threshold, positive=True)
-        for name in ("magnitudes", "depths", "scales"):
-            values = getattr(self, name)
-            if not values or len(set(values)) < len(values):
-                raise ValueError(f"`{name}` must be one or more different numbers, got {values}")
-        for scale in self.scales:
-            checked_number("scales", scale, positive=True)
         for depth in self.depths:
             if not 0 <= depth < 1e6:
                 raise ValueError(f"`depths` must be at least 0 and below 1e6 ppm, got {depth}")
@@ -126,39 +108,9 @@ class Recovery(Study):
                 f"{self.periods[0]:g} d, got {self.durations[1]:g} d"
             )
 
-    def tasks(self):
-        """Return one task per star, so that any beginning of them is a sample of the grid.
-
-        Returns
-        -------
-        list of dict
-            Keys "key", "mag", "scale", "depth" and "index".
-        """
-        return [
-            {
-                "key": f"kp{mag:g}-x{scale:g}-d{depth:g}-{index}",
-                "mag": mag, "scale": scale, "depth": depth, "index": index,
-            }
-            for index in range(self.stars)
-            for scale in self.scales
-            for depth in self.depths
-            for mag in self.magnitudes
-        ]  # fmt: skip
-
     def observation(self, task):
-        """Return the pixels of a star with its planet.
-
-        Parameters
-        ----------
-        task : dict
-            One of `tasks`.
-
-        Returns
-        -------
-        Observation
-            The observation.
-        """
-        motion = task["scale"] * _motion(self.motion, self.cadences)
+        """Return the pixels of a star with its planet."""
+        motion = task["scale"] * cached_motion(self.motion, self.cadences)
         shape, x_0, y_0 = stamp_around(motion)
         detector = Detector.k2(shape=shape)
         signal = None
@@ -188,23 +140,13 @@ class Recovery(Study):
     def measure(self, task, observation):
         """Return what is found of the planet of a star.
 
-        Parameters
-        ----------
-        task : dict
-            One of `tasks`.
-        observation : Observation
-            Its pixels.
-
-        Returns
-        -------
-        dict
-            "white_noise", the least that a cadence can have (ppm), with the true image known;
-            "snr", "sde", "found_period" of the strongest box; "detected", whether it is above the
-            threshold, and "recovered", whether it is the planet too. Of a planet its "period" and
-            "duration"; "expected_snr", that of its transits in this noise; "survival", the
-            part of its depth that the first de-trending leaves; and "joint_depth" with its
-            error, fitted together with the systematics by the true shape. Of a recovered one
-            "found_depth" and "found_duration" with their errors, by the shape that was found.
+        "white_noise", the least that a cadence can have (ppm), with the true image known; "snr",
+        "sde", "found_period" of the strongest box; "detected", whether it is above the threshold,
+        and "recovered", whether it is the planet too. Of a planet its "period" and "duration";
+        "expected_snr", that of its transits in this noise; "survival", the part of its depth that
+        the first de-trending leaves; and "joint_depth" with its error, fitted together with the
+        systematics by the true shape. Of a recovered one "found_depth" and "found_duration" with
+        their errors, by the shape that was found.
         """
         from scope_models.correctors import PLDCorrector  # imports lightkurve
 
@@ -266,39 +208,25 @@ class Recovery(Study):
     def summarize(self, table):
         """Return completeness and errors per motion, magnitude and depth.
 
-        Parameters
-        ----------
-        table : astropy.table.Table
-            The results.
+        One row per motion, magnitude and depth: the number of stars, "completeness", the fraction
+        that is recovered, and "expected", the fraction whose transits would be above the threshold
+        in the least white noise; medians of both signal-to-noise ratios and of the survival; the
+        median of found over true depth and duration of those that are recovered, with half the
+        range from the 16th to the 84th percentile; and, of all, the median of the jointly fitted
+        over the true depth, and of its error in units of its standard deviation.
 
-        Returns
-        -------
-        astropy.table.Table
-            One row per motion, magnitude and depth: the number of stars, "completeness", the
-            fraction that is recovered, and "expected", the fraction whose transits would be
-            above the threshold in the least white noise; medians of both signal-to-noise ratios
-            and of the survival; the median of found over true depth and duration of those that
-            are recovered, with half the range from the 16th to the 84th percentile; and, of all,
-            the median of the jointly fitted over the true depth, and of its error in units of
-            its standard deviation.
-            In ``meta``: "false_alarms", how many stars without planet have a detection, and
-            "half_complete", the depth (ppm) of 50 % completeness by motion and magnitude; and
-            "by_motion", the statistics of all planets of a motion.
+        In ``meta``: "false_alarms", how many stars without planet have a detection;
+        "half_complete", the depth (ppm) of 50 % completeness by motion and magnitude; and
+        "by_motion", the statistics of all planets of a motion.
         """
         names = ("scale", "mag", "depth")
-        cells = {}
-        for number, cell in enumerate(zip(*(table[name] for name in names), strict=True)):
-            cells.setdefault(cell, []).append(number)
-        empty = [number for cell, rows in cells.items() if cell[2] == 0 for number in rows]
-        rows = [
-            dict(zip(names, cell, strict=True)) | self._cell(table[cells[cell]])
-            for cell in sorted(cells)
-            if cell[2] > 0
-        ]
+        found = list(cells(table, names))
+        rows = [cell | self._cell(part) for cell, part in found if cell["depth"] > 0]
+        empty = [part["detected"] for cell, part in found if cell["depth"] == 0]
         summary = Table(rows, names=None if rows else names)
         summary["depth"].unit = "ppm"
-        alarms = int(np.sum(table["detected"][empty])) if empty else 0
-        summary.meta["false_alarms"] = f"{alarms} of {len(empty)} stars without planet"
+        alarms, stars = (sum(count(part) for part in empty) for count in (np.sum, len))
+        summary.meta["false_alarms"] = f"{alarms} of {stars} stars without planet"
         summary.meta["half_complete"] = {
             f"{scale:g}x": {
                 f"Kp {mag:g}": _half_complete(part["depth"], part["completeness"])
@@ -338,38 +266,19 @@ class Recovery(Study):
         return row
 
     def draw(self, table, summary):
-        """Draw maps of completeness, and of found over true depth, over depth and magnitude.
-
-        Parameters
-        ----------
-        table : astropy.table.Table
-            The results.
-        summary : astropy.table.Table
-            The summary of them.
-
-        Returns
-        -------
-        matplotlib.figure.Figure
-            The figure: a column of panels per motion.
-        """
+        """Draw maps of completeness and of found over true depth: a column of panels per motion."""
         from scope_models.plotting.recovery import plot_recovery  # imports matplotlib
 
         mags = sorted({float(mag) for mag in self.magnitudes})
         depths = sorted({float(depth) for depth in self.depths if depth > 0})
         panels = {}
         for scale in sorted(self.scales):
-            maps = np.full((2, len(depths), len(mags)), np.nan)
-            for row in summary[summary["scale"] == scale]:
-                place = depths.index(row["depth"]), mags.index(row["mag"])
-                maps[(slice(None), *place)] = row["completeness"], row["depth_ratio"]
-            panels[f"{scale:g}x motion"] = maps
+            part = summary[summary["scale"] == scale]
+            axes = ("depth", depths), ("mag", mags)
+            panels[f"{scale:g}x motion"] = np.array(
+                [on_grid(part, *axes, name) for name in ("completeness", "depth_ratio")]
+            )
         return plot_recovery(panels, depths, mags)
-
-
-@lru_cache(maxsize=8)
-def _motion(name, n_cadences):
-    """Return a motion, once per process."""
-    return motion_from_name(name, n_cadences)
 
 
 def _white_noise(observation):
@@ -380,20 +289,9 @@ def _white_noise(observation):
 
 
 def _half_complete(depths, completeness):
-    """Return the depth at which half of the planets are recovered.
+    """Return the depth at which the completeness last rises above one half, in its logarithm.
 
-    Parameters
-    ----------
-    depths : array_like
-        Depths, increasing.
-    completeness : array_like
-        Fraction that is recovered at each.
-
-    Returns
-    -------
-    float
-        Interpolated in the logarithm of the depth, where the completeness last rises above one
-        half; 0 if it is above everywhere, infinite if it is below at the largest depth.
+    0 if it is above everywhere, infinite if it is below at the largest depth.
     """
     below = np.flatnonzero(np.asarray(completeness) < 0.5)
     if len(below) == 0:
@@ -409,22 +307,11 @@ def _half_complete(depths, completeness):
 def _by_motion(rows, threshold):
     """Return the statistics of all planets at one multiple of the motion.
 
-    Parameters
-    ----------
-    rows : astropy.table.Table
-        The results of stars with planets.
-    threshold : float
-        Signal-to-noise ratio of a detection.
-
-    Returns
-    -------
-    dict
-        Numbers of planets: "planets", "recovered", "expected" (above the threshold in the least
-        noise), and "false" (the strongest box is above the threshold and not the planet);
-        weighted means of found over true values with their errors, of depth and duration of those
-        recovered ("found_depth", "found_duration") and of the jointly fitted depth of all
-        ("joint_depth"); the standard deviations of their pulls; and the medians of the survival
-        and of the found over the expected ratio, of planets above twice the threshold.
+    Numbers of planets: "planets", "recovered", "expected" (above the threshold in the least noise)
+    and "false" (the strongest box is above the threshold and not the planet); weighted means of
+    found over true values with their errors, of depth and duration of those recovered and of the
+    jointly fitted depth of all; the standard deviations of their pulls; and the medians of the
+    survival and of the found over the expected ratio, of planets above twice the threshold.
     """
     recovered, detected = (np.array(rows[name]) for name in ("recovered", "detected"))
     expected = values_of(rows, "expected_snr")

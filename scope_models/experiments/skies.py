@@ -9,7 +9,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from scope_models._checks import checked_integer
-from scope_models.experiments._sky_light import make_light, make_motion, make_transit, red_noise
+from scope_models._values import Value
+from scope_models.experiments._sky_light import LIGHTS, MOTIONS, make_transit, red_noise
 from scope_models.experiments._sky_pixels import bleed, make_psf, make_response, render
 from scope_models.experiments._sky_scores import SkyScore, score_light_curve
 from scope_models.io.tpf import TPFMetadata, make_tpf_hdulist
@@ -48,7 +49,7 @@ _PHOTOMETERS = {
 
 
 @dataclass(frozen=True)
-class SkyRegime:
+class SkyRegime(Value):
     """A kind of messy star.
 
     Parameters
@@ -336,15 +337,21 @@ def make_sky(regime, seed=0, *, n_cadences=1100):
     >>> bool(score(lc, sky).full > 3)
     True
     """
-    regime = _regime(regime)
+    if not isinstance(regime, SkyRegime):
+        if regime not in REGIMES:
+            raise ValueError(f"`regime` must be one of {', '.join(REGIMES)}, got {regime!r}")
+        regime = REGIMES[regime]
     n = checked_integer("n_cadences", n_cadences, 100)
     root = np.random.SeedSequence([seed, *regime.name.encode()])
     names = ("motion", "star", "optics", "sky", "noise", "events")
     rngs = dict(zip(names, map(np.random.default_rng, root.spawn(len(names))), strict=True))
     photometer = _PHOTOMETERS[regime.mission]
     time = _CADENCE * np.arange(n)
-    dx, dy, firing = make_motion(regime.motion, rngs["motion"], time, regime.scale)
-    true_flux, transit = _light(regime, rngs["star"], time)
+    dx, dy, firing = MOTIONS[regime.motion](rngs["motion"], time)
+    dx, dy = regime.scale * dx, regime.scale * dy
+    light = LIGHTS[regime.star](rngs["star"], time, regime.period, regime.amplitude)
+    transit = make_transit(rngs["star"], time, regime.depth, regime.transit_period, regime.duration)
+    true_flux = light * transit
     width = _width(regime, rngs["optics"], time)
     own, others, (x, y) = _starlight(regime, photometer, rngs["optics"], time, (dx, dy), width)
     star_light = own * true_flux[:, None, None]
@@ -416,21 +423,6 @@ def _plain_column(column):
     """Return a column of a light curve as plain numbers, NaN where masked."""
     values = getattr(column, "value", column)
     return np.ma.filled(np.ma.masked_invalid(np.ma.asarray(values, dtype=float)), np.nan)
-
-
-def _regime(regime):
-    if isinstance(regime, SkyRegime):
-        return regime
-    if regime not in REGIMES:
-        raise ValueError(f"`regime` must be one of {', '.join(REGIMES)}, got {regime!r}")
-    return REGIMES[regime]
-
-
-def _light(regime, rng, time):
-    """Return the relative flux with and of transits alone."""
-    light = make_light(regime.star, rng, time, regime.period, regime.amplitude)
-    transit = make_transit(rng, time, regime.depth, regime.transit_period, regime.duration)
-    return light * transit, transit
 
 
 def _width(regime, rng, time):

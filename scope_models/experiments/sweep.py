@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
 
-import numpy as np
-from astropy.table import MaskedColumn, Table
+from astropy.table import Table
 from astropy.utils.decorators import deprecated_renamed_argument
 from astropy.utils.exceptions import AstropyDeprecationWarning
 from tqdm import tqdm
@@ -158,7 +157,13 @@ def run_sweep(
     in_flight = checked_integer("in_flight", in_flight, 1)
     check_client(client)
     directory = None if directory is None else Path(directory).absolute()
-    job = _checked_job(study, directory, write_tpfs=write_tpfs)
+    if not isinstance(study, Study):
+        raise TypeError(f"`study` must be a Study, got {study!r}")
+    if write_tpfs and directory is None:
+        raise ValueError("`write_tpfs` needs a `directory`")
+    if write_tpfs and type(study).observation is Study.observation:
+        raise ValueError(f"the study `{study.name}` has no pixels that could be written")
+    job = Job(study, directory if write_tpfs else None)
     tasks = checked_tasks(study)
     with closing(Store(directory, study, tasks)) as store:
         missing = [task for task in tasks if _is_missing(task, store, job, retry=retry_failed)]
@@ -166,12 +171,30 @@ def run_sweep(
             bar = tqdm(total=len(tasks), initial=len(tasks) - len(missing), desc=study.name,
                        unit="star", smoothing=0.05, disable=not progress)  # fmt: skip
             records = computed(client, job, missing, chunk_size, in_flight)
-            with one_thread(), bar, closing(records):
+            with one_thread, bar, closing(records):
                 _keep(records, store, bar)
-        table = _results_table(study, tasks, store)
-        failed = [store.read(task["key"]) for task in tasks if store.has_failed(task["key"])]
-    _warn_of(failed)
-    return SweepResult(table, _failures_table(study, failed), len(missing), directory)
+        keys = [task["key"] for task in tasks]
+        done = [store.read(key) for key in keys if store.is_done(key)]
+        failed = [store.read(key) for key in keys if store.has_failed(key)]
+    if failed:
+        warnings.warn(
+            f"{len(failed)} stars failed, the first one, {failed[0]['task']['key']}, with "
+            f"{failed[0]['error']}",
+            FailedStarsWarning,
+            stacklevel=3,
+        )
+    rows = [record["task"] | record["row"] for record in done]
+    names = list(dict.fromkeys(name for row in rows for name in row))
+    table = Table(rows or None, names=names or None, meta=provenance(study))
+    for name in study.units.keys() & set(table.colnames):
+        table[name].unit = study.units[name]
+    names = "key", "error", "task", "traceback"
+    rows = [
+        (record["task"]["key"], record["error"], json.dumps(record["task"]), record["traceback"])
+        for record in failed
+    ]
+    failures = Table(rows=rows or None, names=names, dtype=[str] * 4, meta=provenance(study))
+    return SweepResult(table, failures, len(missing), directory)
 
 
 def _in_order(directory, client):
@@ -191,28 +214,15 @@ def _in_order(directory, client):
     return directory, client
 
 
-def _checked_job(study, directory, *, write_tpfs):
-    """Return what computes stars, after a check of the arguments."""
-    if not isinstance(study, Study):
-        raise TypeError(f"`study` must be a Study, got {study!r}")
-    if not write_tpfs:
-        return Job(study)
-    if directory is None:
-        raise ValueError("`write_tpfs` needs a `directory`")
-    if not (hasattr(study, "observation") and hasattr(study, "measure")):
-        raise ValueError(f"the study `{study.name}` has no pixels that could be written")
-    return Job(study, directory)
-
-
 def _is_missing(task, store, job, *, retry):
     """Return whether a star is to be computed."""
     key = task["key"]
     if store.has_failed(key):
         return retry
-    if not store.is_done(key):
-        return True
-    return not job.study.has_output(task) or (
-        job.directory is not None and not tpf_path(job.directory, key).is_file()
+    return (
+        not store.is_done(key)
+        or not job.study.has_output(task)
+        or (job.directory is not None and not tpf_path(job.directory, key).is_file())
     )
 
 
@@ -226,68 +236,8 @@ def _keep(records, store, bar):
                 failed += 1
                 bar.set_postfix(failed=failed, refresh=False)
             bar.update()
-    except PixelsNotWrittenError as error:
-        raise OSError(
-            f"cannot write pixels; the {len(store)} stars that are finished are kept, and the "
-            f"same call goes on from there: {error}"
-        ) from error
-    except LostWorkersError as error:
-        raise SweepError(
-            f"{error}; the {len(store)} stars that are finished are kept, and the same call goes "
-            "on from there"
-        ) from error
-
-
-def _warn_of(failures):
-    """Warn of stars that failed."""
-    if failures:
-        first = failures[0]
-        warnings.warn(
-            f"{len(failures)} stars failed, the first one, {first['task']['key']}, with "
-            f"{first['error']}",
-            FailedStarsWarning,
-            stacklevel=4,
-        )
-
-
-def _results_table(study, tasks, store):
-    """Return the results in the order of the tasks; what a star lacks is masked."""
-    columns, n_rows = {}, 0
-    for task in tasks:
-        if not store.is_done(task["key"]):
-            continue
-        for name, value in (task | store.read(task["key"])["row"]).items():
-            column = columns.setdefault(name, [])
-            column += [None] * (n_rows - len(column))
-            column.append(value)
-        n_rows += 1
-    table = Table({name: _column(values, n_rows) for name, values in columns.items()})
-    for name, unit in study.units.items():
-        if name in table.colnames:
-            table[name].unit = unit
-    table.meta.update(provenance(study))
-    return table
-
-
-def _column(values, n_rows):
-    """Return values as a column; None, and what is lacking at the end, is masked."""
-    values = values + [None] * (n_rows - len(values))
-    missing = [value is None for value in values]
-    if not any(missing):
-        return np.array(values)
-    filler = type(next(value for value in values if value is not None))()
-    filled = [filler if value is None else value for value in values]
-    return MaskedColumn(np.array(filled), mask=missing)
-
-
-def _failures_table(study, failures):
-    """Return the stars that failed, each with its task and traceback."""
-    columns = {
-        "key": [failure["task"]["key"] for failure in failures],
-        "error": [failure["error"] for failure in failures],
-        "task": [json.dumps(failure["task"]) for failure in failures],
-        "traceback": [failure["traceback"] for failure in failures],
-    }
-    table = Table({name: np.array(values, dtype=str) for name, values in columns.items()})
-    table.meta.update(provenance(study))
-    return table
+    except (PixelsNotWrittenError, LostWorkersError) as error:
+        kept = f"the {len(store)} stars that are finished are kept, and the same call goes on from"
+        if isinstance(error, LostWorkersError):
+            raise SweepError(f"{error}; {kept} there") from error
+        raise OSError(f"cannot write pixels; {kept} there: {error}") from error

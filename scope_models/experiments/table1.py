@@ -7,9 +7,8 @@ from typing import ClassVar
 import numpy as np
 from astropy.table import Table
 
-from scope_models._checks import checked_integer, checked_number
 from scope_models.experiments.populations import motion_from_name
-from scope_models.experiments.study import Study
+from scope_models.experiments.study import Study, parameter
 
 __all__ = ["PAPER_PIXELS", "Table1"]
 
@@ -24,25 +23,6 @@ class Table1(Study):
 
     The distance of the star from its reference position, r, has a mean, a standard deviation
     and a maximum; the extent is the largest distance between any two positions.
-
-    Parameters
-    ----------
-    seed : int, optional
-        Not used: the motions have seeds of their own.
-    motions : tuple of str, optional
-        Motions, as `~scope_models.experiments.populations.motion_from_name` takes them: files or
-        generators.
-    scales : tuple of float, optional
-        Factors on the motions.
-    cadences : int, optional
-        Cadences of each motion, counted from its beginning; fewer if it is shorter.
-    pixel_scale : float, optional
-        Size of a pixel in arcsec.
-
-    Raises
-    ------
-    TypeError, ValueError
-        If a field is of the wrong type or outside its domain.
 
     References
     ----------
@@ -63,26 +43,24 @@ class Table1(Study):
         "mean_angle": "arcsec", "std_angle": "arcsec", "maximum_angle": "arcsec",
     }  # fmt: skip
 
-    motions: tuple[str, ...] = ("k2_roll",)
-    scales: tuple[float, ...] = (1.0, 2.0, 5.0, 10.0)
-    cadences: int = _PAPER_CADENCES
-    pixel_scale: float = 3.98
-
-    def __post_init__(self):
-        super().__post_init__()
-        checked_integer("cadences", self.cadences, 2)
-        checked_number("pixel_scale", self.pixel_scale, positive=True)
-        for scale in self.scales:
-            checked_number("scales", scale, positive=True)
+    seed: int = parameter(1, "Not used: the motions have seeds of their own.", least=0)
+    motions: tuple[str, ...] = parameter(
+        ("k2_roll",),
+        "Motions, as `~scope_models.experiments.populations.motion_from_name` takes them: files or "
+        "generators.",
+    )
+    scales: tuple[float, ...] = parameter(
+        (1.0, 2.0, 5.0, 10.0), "Factors on the motions.", positive=True
+    )
+    cadences: int = parameter(
+        _PAPER_CADENCES,
+        "Cadences of each motion, counted from its beginning; fewer if it is shorter.",
+        least=2,
+    )
+    pixel_scale: float = parameter(3.98, "Size of a pixel in arcsec.", positive=True)
 
     def tasks(self):
-        """Return one task per motion and scale.
-
-        Returns
-        -------
-        list of dict
-            The tasks.
-        """
+        """Return one task per motion and scale."""
         return [
             {"key": f"motion{number}-x{scale:g}", "motion": motion, "scale": scale}
             for number, motion in enumerate(self.motions)
@@ -90,18 +68,7 @@ class Table1(Study):
         ]
 
     def run_star(self, task):
-        """Return the statistics of a motion.
-
-        Parameters
-        ----------
-        task : dict
-            One of `tasks`.
-
-        Returns
-        -------
-        dict
-            The statistics in pixels and as angles, and the number of cadences.
-        """
+        """Return the statistics of a motion in pixels and as angles."""
         motion = task["scale"] * motion_from_name(task["motion"], self.cadences)
         pixels = motion.statistics(self.pixel_scale)
         angles = pixels.in_arcsec()
@@ -110,18 +77,10 @@ class Table1(Study):
         return row | {f"{name}_angle": getattr(angles, name).value for name in names[:3]}
 
     def summarize(self, table):
-        """Return our statistics beside the paper's, and whether they agree.
+        """Return our statistics beside the paper's.
 
-        Parameters
-        ----------
-        table : astropy.table.Table
-            The results.
-
-        Returns
-        -------
-        astropy.table.Table
-            Per motion and scale: ours, the paper's, and the ratio, of mean, standard deviation
-            and maximum; and the extent, which the paper does not have.
+        Per motion and scale: ours, the paper's, and the ratio, of mean, standard deviation and
+        maximum; and the extent, which the paper does not have.
         """
         summary = Table(table["motion", "scale", "cadences"], copy=True, masked=False)
         for name, paper in PAPER_PIXELS.items():
@@ -135,20 +94,7 @@ class Table1(Study):
         return summary
 
     def draw(self, table, summary):
-        """Draw the statistics against the scale.
-
-        Parameters
-        ----------
-        table : astropy.table.Table
-            The results.
-        summary : astropy.table.Table
-            The summary of them.
-
-        Returns
-        -------
-        matplotlib.figure.Figure
-            The figure.
-        """
+        """Draw the statistics against the scale."""
         from scope_models.plotting.statistics import plot_motion_statistics  # imports matplotlib
 
         names = ("scale", *PAPER_PIXELS)

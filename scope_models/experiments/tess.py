@@ -5,21 +5,13 @@ from typing import ClassVar
 
 import astropy.units as u
 import numpy as np
-from astropy.table import Table
 
 from scope_models._arrays import plain_array
-from scope_models._checks import checked_integer, checked_number
+from scope_models._checks import checked_number
 from scope_models.effects import ScatteredLight, mission_effects
-from scope_models.experiments._corrected import (
-    METHODS,
-    SURVIVALS,
-    checked_claims,
-    corrected_noise,
-    medians_of,
-    noise_units,
-)
+from scope_models.experiments._corrected import SURVIVALS, CorrectedStudy, curves
 from scope_models.experiments._correctors import quiet
-from scope_models.experiments.study import Study
+from scope_models.experiments.study import parameter
 from scope_models.scene.detector import Detector
 from scope_models.scene.motion import Motion
 from scope_models.scene.star import Star
@@ -27,12 +19,11 @@ from scope_models.simulation import simulate
 
 __all__ = ["TESSNoise", "tess_noise"]
 
-_HOURS = 1.0
 _SPAN, _SLOPE = 6.0, 0.3  # magnitudes of neighbors below the target, and slope of log counts
 _CLEAR = 1.0  # px between the target and a neighbor, at least
 
 
-def tess_noise(mag, pixels, hours=_HOURS, *, floor=60.0):
+def tess_noise(mag, pixels, hours=1.0, *, floor=60.0):
     r"""Return the noise that TESS's noise model predicts.
 
     .. math:: \sigma^2 = \frac{F + n (B + 10^2 / t_2)}{F^2\, t} + \frac{\sigma_s^2}{h}
@@ -79,34 +70,12 @@ def tess_noise(mag, pixels, hours=_HOURS, *, floor=60.0):
 
 
 @dataclass(frozen=True, kw_only=True)
-class TESSNoise(Study):
+class TESSNoise(CorrectedStudy):
     """Noise of TESS stars in an hour, raw and corrected, beside the mission's noise model.
 
     Each star moves as `Motion.tess <scope_models.Motion.tess>` over a sector, has the mission's
     cosmic rays with their rejection, and scattered light of which a part is left. Half of the
     stars have neighbors, drawn from a law of counts and placed anywhere on the stamp.
-
-    Parameters
-    ----------
-    seed : int, optional
-        Seed of all random numbers.
-    magnitudes : tuple of float, optional
-        Magnitudes T.
-    neighbors : tuple of int, optional
-        Numbers of neighbors within six magnitudes of the target on the stamp.
-    stars : int, optional
-        Stars per magnitude and number of neighbors.
-    cadence : str, optional
-        Cadence of TESS.
-    cadences : int, optional
-        Cadences per star; 1268 are a sector of 1800 s.
-    residual : float, optional
-        Part of the scattered light that is left in the flux.
-
-    Raises
-    ------
-    TypeError, ValueError
-        If a field is of the wrong type or outside its domain.
 
     Examples
     --------
@@ -117,56 +86,34 @@ class TESSNoise(Study):
     """
 
     name: ClassVar[str] = "tess"
-    units: ClassVar[dict] = noise_units()
+    grid: ClassVar[dict] = {"index": "stars", "neighbors": "neighbors", "mag": "magnitudes"}
+    key: ClassVar[str] = "t{mag:g}-n{neighbors}-{index}"
+    hours: ClassVar[float] = 1.0
+    cell: ClassVar[tuple] = ("neighbors", "mag")
+    columns: ClassVar[tuple] = ("pixels", "share", *SURVIVALS)
 
-    magnitudes: tuple[float, ...] = (8.0, 9.0, 10.0, 11.0, 12.0, 13.0, 14.0)
-    neighbors: tuple[int, ...] = (0, 10)
-    stars: int = 1
-    cadence: str = "1800 s"
-    cadences: int = 1268
-    residual: float = 0.002
+    magnitudes: tuple[float, ...] = parameter(
+        (8.0, 9.0, 10.0, 11.0, 12.0, 13.0, 14.0), "Magnitudes T.", different="numbers"
+    )
+    neighbors: tuple[int, ...] = parameter(
+        (0, 10),
+        "Numbers of neighbors within six magnitudes of the target on the stamp.",
+        different="numbers",
+        least=0,
+    )
+    stars: int = parameter(1, "Stars per magnitude and number of neighbors.", least=1)
+    cadence: str = parameter("1800 s", "Cadence of TESS.")
+    cadences: int = parameter(1268, "Cadences per star; 1268 are a sector of 1800 s.", least=200)
+    residual: float = parameter(
+        0.002, "Part of the scattered light that is left in the flux.", positive=False
+    )
 
     def __post_init__(self):
         super().__post_init__()
-        checked_integer("stars", self.stars, 1)
-        checked_integer("cadences", self.cadences, 200)
-        checked_number("residual", self.residual)
-        for number in self.neighbors:
-            checked_integer("neighbors", number, 0)
         Detector.tess(cadence=self.cadence)
-        for name in ("magnitudes", "neighbors"):
-            values = getattr(self, name)
-            if not values or len(set(values)) < len(values):
-                raise ValueError(f"`{name}` must be one or more different numbers, got {values}")
-
-    def tasks(self):
-        """Return one task per star.
-
-        Returns
-        -------
-        list of dict
-            Keys "key", "mag", "neighbors" and "index".
-        """
-        return [
-            {"key": f"t{mag:g}-n{number}-{index}", "mag": mag, "neighbors": number, "index": index}
-            for index in range(self.stars)
-            for number in self.neighbors
-            for mag in self.magnitudes
-        ]
 
     def observation(self, task):
-        """Return the pixels of a star.
-
-        Parameters
-        ----------
-        task : dict
-            One of `tasks`.
-
-        Returns
-        -------
-        Observation
-            The observation.
-        """
+        """Return the pixels of a star and its neighbors."""
         rng = self.star_rng(task["key"])
         detector = Detector.tess(cadence=self.cadence)
         middle = [(n - 1) / 2 for n in detector.shape[::-1]]
@@ -190,100 +137,42 @@ class TESSNoise(Study):
         with quiet():  # neighbors at the edges lose light
             return simulate(stars, detector, motion, seed=seed, effects=effects)
 
-    def measure(self, task, observation):
-        """Return the noise of a star in an hour.
-
-        Parameters
-        ----------
-        task : dict
-            One of `tasks`.
-        observation : Observation
-            Its pixels.
-
-        Returns
-        -------
-        dict
-            CDPP in ppm of the file's aperture, "aperture", of one that is a pixel wider, "wide",
-            of the correctors, "pld" and "scene", over the part of transits that they leave,
-            "pld_survival" and "scene_survival", and of the light alone, "floor" and "floor_wide";
-            the same without a filter, "_full"; "pixels", "share" and "kept".
-        """
-        return corrected_noise(observation, _HOURS)
-
-    def summarize(self, table):
-        """Return medians beside the noise model, and check what was expected.
-
-        Parameters
-        ----------
-        table : astropy.table.Table
-            The results.
-
-        Returns
-        -------
-        astropy.table.Table
-            One row per number of neighbors and magnitude: medians, and "model", the noise model
-            with as many pixels. In ``meta`` "claims" and "claims_checked": verdicts, and the
-            number that decides.
-        """
-        columns = ("pixels", "share", *SURVIVALS, *self.units)
-        summary = Table(medians_of(table, ("neighbors", "mag"), columns))
+    def compare(self, table, summary):
+        """Add "model", the noise model with as many pixels."""
         summary["model"] = tess_noise(np.array(summary["mag"]), np.array(summary["pixels"]))
-        for name in (*self.units, "model"):
-            summary[name].unit = "ppm"
+        summary["model"].unit = "ppm"
+
+    def claims(self, summary):
+        """Return the ratio of each claim to its limit."""
         alone = summary[summary["neighbors"] == 0]
         crowded = summary[summary["neighbors"] > 0]
-        best = np.fmin(np.array(alone["pld"]), np.array(alone["scene"]))
         bright, faint = alone[alone["mag"] <= 9], alone[alone["mag"] >= 13]
-        claims = {
+        best = np.fmin(np.array(alone["pld"]), np.array(alone["scene"]))
+        return {
             "apertures of stars without neighbors are below the noise model with its 60 ppm": (
-                np.array(alone["aperture"] / alone["model"])
+                alone["aperture"] / alone["model"]
             ),
             "the better corrector is within 30 % of the noise of the light without neighbors": (
                 best / np.array(alone["floor"]) / 1.3
             ),
             "with neighbors the scene model is at most 10 % noisier than PLD": (
-                np.array(crowded["scene"] / crowded["pld"]) / 1.1
+                crowded["scene"] / crowded["pld"] / 1.1
             ),
             "to T 9 a wider aperture is less noisy without a filter": (
-                np.array(bright["wide_full"] / bright["aperture_full"])
+                bright["wide_full"] / bright["aperture_full"]
             ),
-            "from T 13 on a wider aperture is noisier": (
-                np.array(faint["aperture"] / faint["wide"])
-            ),
+            "from T 13 on a wider aperture is noisier": faint["aperture"] / faint["wide"],
         }
-        summary.meta["claims"], summary.meta["claims_checked"] = checked_claims(claims)
-        return summary
 
     def draw(self, table, summary):
-        """Draw noise against magnitude, with and without neighbors.
-
-        Parameters
-        ----------
-        table : astropy.table.Table
-            The results.
-        summary : astropy.table.Table
-            The summary of them.
-
-        Returns
-        -------
-        matplotlib.figure.Figure
-            The figure.
-        """
+        """Draw noise against magnitude, with and without neighbors."""
         from scope_models.plotting import plot_cdpp_panels  # imports matplotlib
 
-        panels = {}
-        for number in self.neighbors:
-            part = summary[summary["neighbors"] == number]
-            mag = np.array(part["mag"])
-            series = {"Light alone": (mag, np.array(part["floor"]))}
-            series |= {label: (mag, np.array(part[name])) for name, label in METHODS.items()}
-            panels[f"{number} neighbors"] = series
-        first = summary[summary["neighbors"] == self.neighbors[0]]
-        model = {
-            "mag": np.array(first["mag"]), "median": np.array(first["model"]),
-            "label": "Noise model, 60 ppm",
-        }  # fmt: skip
-        axes = plot_cdpp_panels(panels, model)
+        parts = {number: summary[summary["neighbors"] == number] for number in self.neighbors}
+        panels = {f"{number} neighbors": curves(part) for number, part in parts.items()}
+        first = parts[self.neighbors[0]]
+        model = {name: np.array(first[key]) for name, key in (("mag", "mag"), ("median", "model"))}
+        axes = plot_cdpp_panels(panels, model | {"label": "Noise model, 60 ppm"})
         for ax in axes.values():
             ax.set(xlabel="Magnitude (T)", ylabel="1-h CDPP (ppm)")
         return next(iter(axes.values())).figure

@@ -12,6 +12,7 @@ from scope_models.io import write_hdulist
 from scope_models.io._opening import RefusedError, open_fits
 from scope_models.models import PRF
 from scope_models.models._description import describe_model, make_model, packed, unpacked
+from scope_models.models._parameters import numbers_of
 from scope_models.scene.detector import Detector
 
 __all__ = ["read_fit", "write_fit"]
@@ -145,7 +146,7 @@ def _description(fit):
         "model": {
             "psf": describe_model(model.psf),
             "sensitivity": describe_model(model.sensitivity),
-            "values": {n: float(np.ravel(getattr(model, n).value)[0]) for n in names},
+            "values": numbers_of(model),
             "fixed": {n: bool(getattr(model, n).fixed) for n in names},
             "bounds": {n: list(getattr(model, n).bounds) for n in names},
         },

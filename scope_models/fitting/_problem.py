@@ -8,6 +8,7 @@ import numpy as np
 from scipy.interpolate import BSpline
 
 from scope_models.fitting.parameters import FitParameter, fit_parameters
+from scope_models.models._parameters import numbers_of
 
 __all__ = ["FitOptions", "FitStar", "Limits", "NormalEquations", "Problem", "State", "numbered"]
 
@@ -368,6 +369,11 @@ class Problem:
             return np.full(len(state.cadence), self._shared_value(state, f"flux_star_{star}"))
         return state.cadence[:, self.columns.index(numbered("flux", star))]
 
+    def path_of(self, state, star):
+        """Positions and fluxes of a star by name, ``(n,)``."""
+        x, y = self.xy(state, star).T
+        return {"x": x, "y": y, "flux": self.fluxes(state, star)}
+
     def backgrounds(self, state, stamp=0):
         """Backgrounds of a file, shape ``(n,)``."""
         name = numbered("background", stamp)
@@ -407,8 +413,7 @@ class Problem:
         """Derivative of images by the relative width: all distances from the star scale."""
         kinds = self.prf.parameter_kinds
         scaled = [name for name, kind in kinds.items() if kind in {"width", "offset"}]
-        numbers = {name: float(np.ravel(getattr(self.prf, name).value)[0]) for name in scaled}
-        numbers |= {name: values[name] for name in scaled if name in values}
+        numbers = numbers_of(self.prf) | values
         return sum(numbers[name] * derivatives[name] for name in scaled)
 
     def model(self, state):

@@ -4,6 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from scope_models._values import Value
+from scope_models.models._parameters import numbers_of
+
 __all__ = ["FitParameter", "fit_parameters"]
 
 # Narrower PSFs are the same to a pixel; tighter correlations only cost time.
@@ -18,7 +21,7 @@ _UNITS = {"width": "pix", "diffusion": "pix", "offset": "pix", "position": "pix"
 
 
 @dataclass(frozen=True)
-class FitParameter:
+class FitParameter(Value):
     """
     A parameter that all cadences share.
 
@@ -28,9 +31,8 @@ class FitParameter:
         Its name.
     kind : str
         "width", "correlation", "coefficient", "fraction", "offset", "response", "diffusion" and
-        "correction" as in
-        `~scope_models.PRF.parameter_kinds`; "position", "slope", "flux" and "focus";
-        or "other".
+        "correction" as in `~scope_models.PRF.parameter_kinds`; "position", "slope", "flux" and
+        "focus"; or "other".
     lower, upper : float, optional
         Bounds.
     largest_step : float, optional
@@ -95,7 +97,7 @@ def fit_parameters(prf, shape):
     ['sigma_x', 'sigma_y', 'rho']
     """
     kinds, powers = prf.parameter_kinds, prf.response_powers
-    result = []
+    result, start = [], numbers_of(prf)
     for name in prf.param_names[3:]:
         parameter = getattr(prf, name)
         if parameter.fixed:
@@ -119,6 +121,5 @@ def fit_parameters(prf, shape):
             step = _LARGEST_MOVE
         elif kind == "width" or (kind == "other" and low > 0):
             step, relative = _LARGEST_MOVE, True
-        start = float(np.ravel(parameter.value)[0])
-        result.append(FitParameter(name, kind, low, high, step, relative, prior, start=start))
+        result.append(FitParameter(name, kind, low, high, step, relative, prior, start=start[name]))
     return tuple(result)

@@ -7,8 +7,10 @@ from html import escape
 
 import numpy as np
 
+from scope_models._values import Value
 from scope_models.fitting.parameters import FitParameter
 from scope_models.models import PRF
+from scope_models.models._parameters import numbers_of
 from scope_models.scene.detector import Detector
 
 __all__ = ["FittedStar", "TPFFit"]
@@ -18,8 +20,8 @@ __all__ = ["FittedStar", "TPFFit"]
 _TRUE_CHI2 = 1.1
 
 
-@dataclass(frozen=True, eq=False)
-class FittedStar:
+@dataclass(frozen=True, eq=False, repr=False)
+class FittedStar(Value):
     """
     Another star in a fit.
 
@@ -48,7 +50,7 @@ class FittedStar:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class TPFFit:
+class TPFFit(Value):
     """
     A model of all pixels and cadences of a target pixel file.
 
@@ -273,13 +275,11 @@ class TPFFit:
         """
         from astropy.table import QTable
 
-        errors, values, kinds = self.errors, self.values, self.all_kinds
+        errors, kinds, values = self.errors, self.all_kinds, numbers_of(self.model) | self.values
         rows = []
         for name in dict.fromkeys((*self.names, *self.model.param_names[3:])):
-            free = name in values
-            value = values[name] if free else float(np.ravel(getattr(self.model, name).value)[0])
             unit = FitParameter(name, kinds.get(name, "other")).unit
-            rows.append((name, value, errors.get(name, 0.0), unit, not free))
+            rows.append((name, values[name], errors.get(name, 0.0), unit, name not in errors))
         names = ("name", "value", "error", "unit", "fixed")
         table = QTable(rows=rows, names=names, dtype=("U32", float, float, "U8", bool))
         table["value"].info.format, table["error"].info.format = ".6g", ".2g"

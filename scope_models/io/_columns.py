@@ -9,7 +9,7 @@ from scope_models._arrays import plain_array, plain_time
 __all__ = ["PixelColumn", "checked_columns", "pixel_columns", "table_rows"]
 
 _ROLLING_BAND_DURATIONS = 5
-_UNITS = {"time": "d", "timecorr": "d", "pos_corr1": "pix", "pos_corr2": "pix"}
+_UNITS = {"timecorr": "d", "pos_corr1": "pix", "pos_corr2": "pix"}
 _UNITS |= dict.fromkeys(
     ("flux", "flux_err", "flux_bkg", "flux_bkg_err", "cosmic_rays"), "electron / s"
 )
@@ -104,7 +104,15 @@ def checked_columns(metadata, values):
 
     ``values`` have lower-case names, the result those of the file.
     """
-    flux = _plain("flux", values["flux"])
+    # Only times, quantities and masked values have these; plain arrays are not copied.
+    special = ("unit", "mask", "jd1")
+    values = {
+        name: plain_array(value, _UNITS[name], name)
+        if name in _UNITS and any(hasattr(value, attribute) for attribute in special)
+        else value
+        for name, value in values.items()
+    }
+    flux = np.asarray(values["flux"])
     if flux.ndim != 3 or 0 in flux.shape:
         raise ValueError(f"`flux` must have the shape (n_cadences, ny, nx), got {flux.shape}")
     checked = {"TIME": _checked_time(metadata, values["time"], len(flux))}
@@ -164,16 +172,9 @@ def _check_errors(checked):
         raise ValueError(f"`flux_bkg_err` must not be negative, got {np.nanmin(background_error)}")
 
 
-def _plain(name, values):
-    """Return values in the unit of their column as an array; plain arrays are not copied."""
-    # Only times, quantities and masked values have these.
-    special = any(hasattr(values, attribute) for attribute in ("unit", "mask", "jd1"))
-    return plain_array(values, _UNITS[name], name) if special else np.asarray(values)
-
-
 def _floats(name, values, shape, *, broadcast=False):
     """Return an array of floats of a shape, without infinities."""
-    array = _plain(name, values)
+    array = np.asarray(values)
     if array.dtype.kind not in "iufb":
         raise TypeError(f"`{name}` must be an array of numbers, got {array.dtype}")
     if broadcast:

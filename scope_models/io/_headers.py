@@ -9,7 +9,7 @@ import numpy as np
 from scope_models._version import __version__
 from scope_models.io._blocks import make_header
 
-__all__ = ["make_headers", "pixel_column_cards", "tan_projection"]
+__all__ = ["calendar_dates", "make_headers", "pixel_column_cards", "tan_projection"]
 
 _LAYOUTS = Path(__file__).with_name("layouts")
 _MATRIX = ("PC1_1", "PC1_2", "PC2_1", "PC2_2")
@@ -134,7 +134,7 @@ def _span(metadata, time, timecorr, used):
     zero, delta, live = metadata.layout.time_zero, metadata.cadence_days, metadata.duty_cycle
     timed = np.flatnonzero(np.isfinite(time))[[0, -1]]
     start, stop = time[timed[0]] - delta / 2, time[timed[1]] + delta / 2
-    dates = _calendar_dates(zero, (start, stop))
+    dates = calendar_dates(zero, (start, stop))
     spacecraft = (time - timecorr)[timed] + (zero - 2400000.5)
     first, last = (value.item() if np.isfinite(value) else None for value in spacecraft)
     return {
@@ -153,7 +153,7 @@ def _span(metadata, time, timecorr, used):
     }
 
 
-def _calendar_dates(zero, days):
+def calendar_dates(zero, days):
     """Return UTC calendar dates of barycentric times."""
     from astropy.time import Time
 

@@ -9,6 +9,7 @@ import astropy.units as u
 
 from scope_models._arrays import DIGITAL, PER_PIXEL
 from scope_models._checks import checked_integer, checked_matrix, checked_number
+from scope_models._values import Value
 from scope_models.missions import MISSIONS
 
 if TYPE_CHECKING:
@@ -48,8 +49,8 @@ _UNITS = {
 _RUNS = ("quarter", "campaign", "sector")
 
 
-@dataclass(frozen=True, kw_only=True)
-class TPFMetadata:
+@dataclass(frozen=True, eq=False, kw_only=True)
+class TPFMetadata(Value):
     """Facts for the headers of a target pixel file.
 
     `of` takes those of a detector. What is None and has no default below becomes a card without a

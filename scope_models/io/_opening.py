@@ -164,14 +164,12 @@ def _read_whole(path):
     size = path.stat().st_size
     if size == 0:
         raise ValueError(f"{path} is empty")
-    with path.open("rb") as stream:
-        packed = stream.read(len(_GZIP)) == _GZIP
-        stream.seek(0)
-        limit = conf.max_bytes
-        if packed:
-            limit = min(limit, max(_SMALL, conf.max_ratio * size))
-            stream = gzip.GzipFile(fileobj=stream)  # noqa: PLW2901
-        walk = _Walk(stream, path, limit)
+    with path.open("rb") as file:
+        stream, limit = file, conf.max_bytes
+        if file.read(len(_GZIP)) == _GZIP:
+            stream, limit = gzip.GzipFile(fileobj=file), max(_SMALL, conf.max_ratio * size)
+        file.seek(0)
+        walk = _Walk(stream, path, min(limit, conf.max_bytes))
         try:
             content = walk.content()
         except RefusedError as error:

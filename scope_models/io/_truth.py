@@ -10,7 +10,8 @@ from types import MappingProxyType
 import numpy as np
 from astropy.table import Table
 
-from scope_models._arrays import native, same
+from scope_models._arrays import native
+from scope_models._values import Value
 from scope_models.io._blocks import Block, column_cards
 
 __all__ = ["Truth", "truth_blocks", "truth_of"]
@@ -25,7 +26,7 @@ _LONGEST_TEXT = 2000  # CFITSIO reads texts of up to 2879 characters
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Truth:
+class Truth(Value):
     """What lies behind the pixels of an observation.
 
     ``observation.truth`` holds it, and `~scope_models.read_truth` reads the same from the file.
@@ -64,7 +65,7 @@ class Truth:
     maps: dict = field(default_factory=dict)
     scene: dict = field(default_factory=dict)
     tables: dict = field(default_factory=dict)
-    model: np.ndarray | None = None
+    model: np.ndarray | None = field(default=None, compare=False)
 
     def __post_init__(self):
         columns = {name: np.array(values) for name, values in self.columns.items()}
@@ -72,31 +73,12 @@ class Truth:
             values.flags.writeable = False
         object.__setattr__(self, "columns", MappingProxyType(columns))
 
-    def __reduce__(self):
-        return type(self), (dict(self.columns), self.maps, self.scene, self.tables, self.model)
-
     def __repr__(self):
         n = len(self._names("X"))
         options = self.scene.get("options", {})
         noise = ", ".join(sorted(options.get("noise") or ())) or "none"
         stars = f"{n} star{'' if n == 1 else 's'}"
         return f"<Truth of {stars}, seed {options.get('seed')}, noise: {noise}>"
-
-    def __eq__(self, other):
-        if not isinstance(other, Truth):
-            return NotImplemented
-        return (
-            self.scene == other.scene
-            and _same_arrays(self.maps, other.maps)
-            and _same_arrays(self.columns, other.columns)
-            and self.tables.keys() == other.tables.keys()
-            and all(
-                _same_arrays(dict(table.items()), dict(other.tables[name].items()))
-                for name, table in self.tables.items()
-            )
-        )
-
-    __hash__ = None
 
     @property
     def table(self):
@@ -220,13 +202,6 @@ def _read_only(values):
     view = np.asarray(values).view()
     view.flags.writeable = False
     return view
-
-
-def _same_arrays(one, other):
-    """Return whether mappings hold equal arrays under the same names."""
-    return one.keys() == other.keys() and all(
-        same(np.asarray(one[name]), np.asarray(other[name])) for name in one
-    )
 
 
 def truth_blocks(cadenceno, columns, maps, scene, tables):

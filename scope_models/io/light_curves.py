@@ -4,9 +4,9 @@ import datetime as dt
 import re
 
 import numpy as np
-from astropy.time import Time
 
 from scope_models._version import __version__
+from scope_models.io._headers import calendar_dates
 from scope_models.io.pixels import read_pixels
 
 __all__ = ["make_light_curve_hdulist"]
@@ -117,13 +117,13 @@ def _span(time, series):
     delta = series.header.get("TIMEDEL")
     half = delta / 2 if isinstance(delta, float) and delta > 0 else 0.0
     first, last = float(known[0] - half), float(known[-1] + half)
-    dates = Time([first, last], series.mission.time_zero, format="jd", scale="tdb").utc.isot
+    dates = calendar_dates(series.mission.time_zero, (first, last))
     return [
         ("TSTART", first, "first cadence in this file begins, days as TIME"),
         ("TSTOP", last, "last cadence in this file ends, days as TIME"),
         ("TELAPSE", last - first, "[d] TSTOP - TSTART"),
-        ("DATE-OBS", str(dates[0]), "TSTART as UTC date at the barycenter"),
-        ("DATE-END", str(dates[1]), "TSTOP as UTC date at the barycenter"),
+        ("DATE-OBS", dates[0], "TSTART as UTC date at the barycenter"),
+        ("DATE-END", dates[1], "TSTOP as UTC date at the barycenter"),
     ]
 
 

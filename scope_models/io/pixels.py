@@ -2,15 +2,16 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
-from dataclasses import replace as dataclass_replace
 from numbers import Integral
 from os import PathLike
 from types import MappingProxyType
 
 import numpy as np
+from astropy import units as u
 from astropy.time import Time
 
-from scope_models._arrays import plain_array, plain_time, same
+from scope_models._arrays import plain_array, plain_time, unmasked
+from scope_models._values import Value
 from scope_models.io._opening import RefusedError, naming, open_fits
 from scope_models.io.reading import (
     PositionColumns,
@@ -26,12 +27,19 @@ __all__ = ["PixelSeries", "read_pixels", "read_tpf", "usable_positions"]
 
 _OPTIMAL = 2  # the bit of the optimal aperture in the APERTURE extension
 _FLUX = "electron / s"
+#: Keywords of the WCS of the column FLUX, and their names in an image.
+_WCS = {
+    "1CTYP5": "CTYPE1", "2CTYP5": "CTYPE2", "1CRPX5": "CRPIX1", "2CRPX5": "CRPIX2",
+    "1CRVL5": "CRVAL1", "2CRVL5": "CRVAL2", "1CUNI5": "CUNIT1", "2CUNI5": "CUNIT2",
+    "1CDLT5": "CDELT1", "2CDLT5": "CDELT2", "11PC5": "PC1_1", "12PC5": "PC1_2",
+    "21PC5": "PC2_1", "22PC5": "PC2_2",
+}  # fmt: skip
 #: Offsets of so many pixels and more are no positions: archive files have -83 to -1023 px.
 LARGEST_OFFSET = 50.0
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class PixelSeries:
+class PixelSeries(Value):
     """The pixels of a star, cadence by cadence, as a target pixel file holds them.
 
     `read_pixels` makes it. The arrays are read-only. ``series[a:b]`` and ``series[mask]`` choose
@@ -84,8 +92,6 @@ class PixelSeries:
     header: Mapping
     mission: Mission | None
 
-    __hash__ = None
-
     def __post_init__(self):
         for item in fields(self):
             value = getattr(self, item.name)
@@ -94,10 +100,6 @@ class PixelSeries:
                 value.flags.writeable = False
                 object.__setattr__(self, item.name, value)
         object.__setattr__(self, "header", MappingProxyType(dict(self.header)))
-
-    def __reduce__(self):
-        values = [getattr(self, item.name) for item in fields(self)]
-        return type(self), tuple(dict(v) if isinstance(v, Mapping) else v for v in values)
 
     def __repr__(self):
         n, ny, nx = self.flux.shape
@@ -109,34 +111,12 @@ class PixelSeries:
     def __len__(self):
         return len(self.time)
 
-    def __eq__(self, other):
-        if not isinstance(other, PixelSeries):
-            return NotImplemented
-        return all(
-            same(getattr(self, item.name), getattr(other, item.name)) for item in fields(self)
-        )
-
     def __getitem__(self, cadences):
         if isinstance(cadences, Integral):
             raise TypeError(f"cadences are chosen by slices or masks, got {cadences!r}")
         names = ("time", "cadenceno", "quality", "flux", "flux_err", "flux_bkg", "pos_corr")
         values = {name: getattr(self, name) for name in names}
         return self.replace(**{k: v if v is None else v[cadences] for k, v in values.items()})
-
-    def replace(self, **changes):
-        """Return a series with some attributes replaced.
-
-        Parameters
-        ----------
-        **changes
-            Attributes and their new values.
-
-        Returns
-        -------
-        PixelSeries
-            The series.
-        """
-        return dataclass_replace(self, **changes)
 
     @property
     def time_format(self):
@@ -162,24 +142,20 @@ class PixelSeries:
         ValueError
             If no cadence is left, or the choice is unknown.
         """
-        bits = self._bits(quality_bitmask)
+        rejected = self.mission.quality.rejected if self.mission else 0
+        choice, named = quality_bitmask, {"none": 0, "default": rejected}
+        is_integer = isinstance(choice, Integral) and not isinstance(choice, bool)
+        if not is_integer and not (isinstance(choice, str) and choice in named):
+            raise ValueError(
+                f'`quality_bitmask` must be "default", "none" or an integer, got {choice!r}'
+            )
+        bits = int(choice) if is_integer else named[choice]
         keep = (self.quality & bits) == 0
         if bits and self.mission is not None and not self.mission.quality.no_data:
             keep &= np.isfinite(self.time)
         if not keep.any():
             raise ValueError(f"all {len(self)} cadences have quality flags of {bits}")
         return self if keep.all() else self[keep]
-
-    def _bits(self, quality_bitmask):
-        if isinstance(quality_bitmask, str) and quality_bitmask == "none":
-            return 0
-        if isinstance(quality_bitmask, str) and quality_bitmask == "default":
-            return self.mission.quality.rejected if self.mission else 0
-        if isinstance(quality_bitmask, Integral) and not isinstance(quality_bitmask, bool):
-            return int(quality_bitmask)
-        raise ValueError(
-            f'`quality_bitmask` must be "default", "none" or an integer, got {quality_bitmask!r}'
-        )
 
 
 def read_pixels(source, *, quality_bitmask=None):
@@ -263,6 +239,8 @@ def read_tpf(source, *, quality_bitmask="default"):
 
     Raises
     ------
+    TypeError
+        If the source is a `PixelSeries`, which has no light curves.
     OSError, ValueError
         As `read_pixels`, or if the headers name no mission.
 
@@ -274,6 +252,11 @@ def read_tpf(source, *, quality_bitmask="default"):
     >>> read_tpf(observation.write("star.fits")).flux.shape
     (50, 11, 11)
     """
+    if isinstance(source, PixelSeries):
+        raise TypeError(
+            "`tpf` must be lightkurve's target pixel file or a path, got a PixelSeries: read the "
+            "file with `read_tpf`"
+        )
     if not isinstance(source, str | PathLike):
         return source
     import lightkurve
@@ -520,3 +503,53 @@ def _header_of(tpf):
     if "BJDREFI" not in cards and form in TIME_ZEROS:
         cards["BJDREFI"] = int(TIME_ZEROS[form])
     return cards
+
+
+def star_places(name, places, series):
+    """Return columns and rows ``(k, 2)`` of stars in the stamp of a `PixelSeries`.
+
+    ``places`` are columns and rows, a SkyCoord, or a table with the columns x and y, or ra and dec;
+    ``name`` is the argument in messages.
+    """
+    from astropy.coordinates import SkyCoord
+
+    columns = {key.lower(): key for key in getattr(places, "colnames", ())}
+    if {"x", "y"} <= set(columns):
+        places = np.column_stack(
+            [plain_array(places[columns[k]], u.pixel, f"{name}[{k!r}]") for k in "xy"]
+        )
+    elif {"ra", "dec"} <= set(columns):
+        ra, dec = (unmasked(places[columns[k]]) for k in ("ra", "dec"))
+        places = SkyCoord(*(plain_array(v, u.deg, name) for v in (ra, dec)), unit=u.deg)
+    elif columns:
+        raise ValueError(f"`{name}` must have the columns x and y, or ra and dec")
+    if isinstance(places, SkyCoord):
+        places = np.column_stack(_wcs(series).world_to_pixel(places.reshape(-1)))
+    positions = np.atleast_2d(plain_array(places, u.pixel, name))
+    if positions.size == 0:
+        return np.zeros((0, 2))
+    if positions.ndim != 2 or positions.shape[1] != 2 or not np.isfinite(positions).all():
+        raise ValueError(
+            f"`{name}` must be finite positions of shape (k, 2), got shape {positions.shape}"
+        )
+    return positions
+
+
+def target_place(series):
+    """Return the target's column and row in the stamp by its coordinates; None without these."""
+    place = [series.header.get(key) for key in ("RA_OBJ", "DEC_OBJ")]
+    if None in place:
+        return None
+    from astropy.coordinates import SkyCoord
+
+    return star_places("tpf", SkyCoord(*place, unit=u.deg), series)[0]
+
+
+def _wcs(series):
+    """The WCS of the stamp, from the cards of the table."""
+    from astropy.wcs import WCS
+
+    cards = {own: series.header.get(key) for key, own in _WCS.items()}
+    if cards["CRVAL1"] is None or cards["CRPIX1"] is None:
+        raise ValueError("the file has no WCS: give positions in pixels")
+    return WCS({key: value for key, value in cards.items() if value is not None})

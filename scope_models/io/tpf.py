@@ -73,8 +73,7 @@ def make_tpf_hdulist(
     quality : array_like of int, shape (n,), optional
         Quality flags, 0 by default. Kepler and K2 get bit 65536 wherever time is NaN.
     pos_corr1, pos_corr2 : array_like, shape (n,), optional
-        Offsets of the star along columns (x) and rows (y), pixels; NaN, the default, where
-        unknown.
+        Offsets of the star along columns (x) and rows (y), pixels; NaN, the default, where unknown.
     timecorr : array_like, shape (n,), optional
         Barycentric minus spacecraft time, days; NaN by default.
     cosmic_rays : array_like, shape (n, ny, nx), optional

@@ -118,10 +118,10 @@ def _axis_closed_form(pixels, center, sigma, coefficients, n_orders):
         for n, coefficient in enumerate(row):
             if coefficient:
                 integrals[j] += factor[j] * coefficient * moments[n]
-        k = np.arange(j + 1, n_orders)[:, np.newaxis, np.newaxis]
-        factor[j + 1 :] /= np.sqrt(k - j)
         if j == n_orders - 1:
             break
+        k = np.arange(j + 1, n_orders)[:, np.newaxis, np.newaxis]
+        factor[j + 1 :] /= np.sqrt(k - j)
         low, high = _horner(row, -0.5), _horner(row, 0.5)
         part = table[: n_orders - 1 - j]
         integrals[j + 1 :] -= factor[j + 1 :] * (high * part[:, 1] - low * part[:, 0])
@@ -256,14 +256,15 @@ class AxisPanels:
     An `AxisTable` interpolates over the range of the positions that it is given. Here the ranges
     are fixed: one pixel in position, an eighth in the logarithm of the width. The integrals at a
     position are then the same, to the last bit, whatever other positions there are. The arguments
-    are those of an `AxisTable`, with one width and no positions.
+    are those of an `AxisTable`, with one width and no positions. Axes of equal arguments share
+    their `panels`.
     """
 
     def __init__(self, pixels, sigma, coefficients, n_orders, rho=0.0):
         self._arguments = pixels, coefficients, n_orders
         self._sigma = sigma
         self._needed = np.abs(rho) ** (0.5 * np.arange(n_orders)) / _CHEBYSHEV_TOLERANCE
-        self._panels = _known_panels(pixels.tobytes(), sigma, coefficients.tobytes(), n_orders, rho)
+        self.panels = _known_panels(pixels.tobytes(), sigma, coefficients.tobytes(), n_orders, rho)
 
     def __call__(self, center, scale=None):
         """Integrals ``(m, n_orders, n)`` at positions and factors on the width ``(m,)``."""
@@ -284,9 +285,9 @@ class AxisPanels:
     def _panel(self, key, center, scale):
         """Integrals within one panel, ``(m, n_orders * n)``."""
         known = key, scale is None  # a panel at one width is another one
-        if known not in self._panels:
-            self._panels[known] = self._expand(key, 1 if scale is None else None)
-        expansion, sizes = self._panels[known]
+        if known not in self.panels:
+            self.panels[known] = self._expand(key, 1 if scale is None else None)
+        expansion, sizes = self.panels[known]
         if expansion is None:
             sigma = np.full(1, self._sigma) if scale is None else self._sigma * scale
             return self._direct(center, sigma)

@@ -2,20 +2,18 @@
 """Models as what JSON can hold, and back."""
 
 import importlib
-import json
 import math
 import operator
 import sys
 import zlib
 from base64 import b64decode, b64encode
-from collections.abc import Mapping
-from dataclasses import fields
 
 import numpy as np
 from astropy import units as u
 from astropy.modeling import CompoundModel, Model
 
 from scope_models._arrays import is_angle, plain_array
+from scope_models.models._parameters import value_of
 from scope_models.models.sensitivity import SensitivityPolynomial
 
 __all__ = [
@@ -29,7 +27,6 @@ __all__ = [
     "packed",
     "sky_place",
     "unpacked",
-    "value_key",
 ]
 
 _OPERATORS = {"+": operator.add, "-": operator.sub, "*": operator.mul}
@@ -158,7 +155,7 @@ def model_in_pixels(model, pixel_scale):
         return model
     values = {}
     for name, p in parameters.items():
-        values[name] = p.value if p.unit is None else p.quantity
+        values[name] = value_of(p)
         if name != "theta" and (is_angle(p.unit) or p.unit == u.pix):
             values[name] = plain_array(p.quantity, u.pix, name, pixel_scale=pixel_scale)
     return type(model)(**values, name=model.name, fixed=model.fixed, bounds=model.bounds)
@@ -175,19 +172,3 @@ def find_class(described, base, what):
     if not (isinstance(kind, type) and issubclass(kind, base)):
         raise TypeError(f"{module}.{described['class']} is not {what}")
     return kind
-
-
-def value_key(value):
-    """Return what is equal, and hashes alike, for equal values; callables by identity."""
-    if isinstance(value, Model) or hasattr(value, "icrs"):  # a model, or a SkyCoord
-        describe = describe_model if isinstance(value, Model) else describe_coord
-        return json.dumps(describe(value), sort_keys=True)
-    if isinstance(value, np.ndarray):
-        return value.shape, value.dtype.str, value.tobytes()
-    if isinstance(value, Mapping):
-        return frozenset((key, value_key(item)) for key, item in value.items())
-    if isinstance(value, (list, tuple)):
-        return tuple(value_key(item) for item in value)
-    if hasattr(value, "__dataclass_fields__"):
-        return tuple(value_key(getattr(value, item.name)) for item in fields(value))
-    return value

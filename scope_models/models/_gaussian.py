@@ -23,16 +23,18 @@ density they are evaluated at Chebyshev nodes and interpolated, with as many nod
 last coefficients below the rounding error.
 """
 
+from math import prod
+
 import numpy as np
 
 from scope_models.models._axis import FEW, AxisTable, gauss_legendre, gaussian_nodes
 
 __all__ = [
+    "REACH",
     "contract",
     "gaussian_derivatives",
     "gaussian_pixels",
     "n_terms",
-    "reached",
     "series_step",
     "uses_series",
 ]
@@ -40,7 +42,7 @@ __all__ = [
 # The series is cut where the rest is below this part of the total flux.
 _TOLERANCE = 1e-11
 # Beyond this many standard deviations a Gaussian holds less than 1e-16 of its flux.
-_REACH = 8.5
+REACH = 8.5
 # Elements of temporary arrays: few enough for them to stay in the processor's cache.
 _TENSOR_CHUNK = 1 << 16
 _SERIES_CHUNK = 1 << 15
@@ -65,7 +67,8 @@ def _narrowest(sigma_x, sigma_y, rho):
 
 def uses_series(sigma_x, sigma_y, rho, degree):
     """Whether the series is cheaper than the tensor quadrature (costs as measured)."""
-    return n_terms(rho) <= gaussian_nodes(_narrowest(sigma_x, sigma_y, rho), degree) ** 2
+    n = n_terms(rho)
+    return n == 1 or n <= gaussian_nodes(_narrowest(sigma_x, sigma_y, rho), degree) ** 2
 
 
 def contract(y_table, x_table, out):
@@ -214,27 +217,20 @@ def _tensor_derivatives(x, y, parameters, coefficients, out):
     out[...] = images
 
 
-def reached(pixels, center, sigma):
+def _reached(pixels, center, sigma):
     """Slice of the pixels that any of the densities reaches."""
-    if np.any(np.diff(pixels) <= 0):
+    if not (pixels[1:] > pixels[:-1]).all():
         return slice(0, pixels.size)
-    reach = _REACH * np.max(sigma) + 0.5
-    start, stop = np.searchsorted(pixels, [np.min(center) - reach, np.max(center) + reach])
+    reach = REACH * sigma.max() + 0.5
+    start, stop = pixels.searchsorted([center.min() - reach, center.max() + reach])
     return slice(int(start), int(stop))
-
-
-def _tensor_step(x, y, parameters, degree):
-    """Number of densities whose values at the nodes fit into the cache together."""
-    *_, sigma_x, sigma_y, rho = parameters
-    n_nodes = gaussian_nodes(_narrowest(sigma_x, sigma_y, rho), degree)
-    return max(1, int(_TENSOR_CHUNK / (max(x.size * y.size, 1) * n_nodes**2)))
 
 
 def _evaluate(x, y, parameters, coefficients, engines, n_images):
     """Apply the cheaper of two engines, series and tensor rule, to the pixels within reach."""
     parameters = [np.asarray(p, dtype=float) for p in parameters]
     shape = np.broadcast_shapes(*(p.shape for p in parameters))
-    n = int(np.prod(shape))
+    n = prod(shape)
     # What is common to all densities stays a single number, which is faster; not the positions.
     common = [p.size == 1 and i not in {1, 2} for i, p in enumerate(parameters)]
     flat = [
@@ -244,13 +240,16 @@ def _evaluate(x, y, parameters, coefficients, engines, n_images):
     coefficients = [np.atleast_1d(np.asarray(c, dtype=float)) for c in coefficients]
     degree = max(c.size for c in coefficients) - 1
     series = uses_series(*flat[3:], degree)
-    step = max(n, 1) if series else _tensor_step(x, y, flat, degree)
+    step = max(n, 1)
+    if not series:
+        n_nodes = max(x.size * y.size, 1) * gaussian_nodes(_narrowest(*flat[3:]), degree) ** 2
+        step = max(1, int(_TENSOR_CHUNK / n_nodes))
     images = np.zeros((n_images, n, y.size, x.size))
     for start in range(0, n, step):
         part = slice(start, start + step)
         values = [p if alone else p[part] for p, alone in zip(flat, common, strict=True)]
-        columns = reached(x, values[1], values[3])
-        rows = reached(y, values[2], values[4])
+        columns = _reached(x, values[1], values[3])
+        rows = _reached(y, values[2], values[4])
         if columns.start < columns.stop and rows.start < rows.stop:
             out = images[:, part, rows, columns]
             engines[0 if series else 1](x[columns], y[rows], values, coefficients, out)

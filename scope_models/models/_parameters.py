@@ -17,7 +17,9 @@ __all__ = [
     "check_psf_units",
     "gaussian_box",
     "make_parameters",
+    "numbers_of",
     "one_number",
+    "value_of",
 ]
 
 
@@ -60,6 +62,16 @@ def make_parameters(model, parameters):
         model.__dict__[name] = parameter
 
 
+def value_of(parameter):
+    """Return the value of a parameter, with its unit if it has one."""
+    return parameter.value if parameter.unit is None else parameter.quantity
+
+
+def numbers_of(model):
+    """Return the value of each parameter of a model as a float, by name."""
+    return {name: float(np.ravel(getattr(model, name).value)[0]) for name in model.param_names}
+
+
 def gaussian_box(model, factor):
     """Rectangle of a half-width of so many sigma_x and sigma_y, as astropy orders it."""
     d_x, d_y = factor * model.sigma_x, factor * model.sigma_y
@@ -82,7 +94,7 @@ class Domain:
     name: str
     condition: str
 
-    def __call__(self, model, value):  # noqa: ARG002
+    def __call__(self, _model, value):
         """Raise where a value lies outside the domain; the model is not used."""
         value = np.asarray(without_unit(value), dtype=float)
         wrong = ~_TESTS[self.condition](value)

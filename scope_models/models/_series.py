@@ -1,15 +1,17 @@
 # Licensed under a 3-clause BSD style license - see LICENSE
 """Images of one star in all cadences of a series: each depends on its own position alone."""
 
+import math
+
 import numpy as np
 
 from scope_models._arrays import without_unit
 from scope_models.models._axis import FEW, ROWS, AxisPanels
 from scope_models.models._gaussian import (
+    REACH,
     contract,
     gaussian_pixels,
     n_terms,
-    reached,
     series_step,
     uses_series,
 )
@@ -55,114 +57,132 @@ class ImageSeries:
 
     def __init__(self, psf, sensitivity, shape, x, y, widths=None, blur=0.0):
         widest = 1.0 if widths is None else np.max(widths)
-        parts = _parts(psf, sensitivity)
+        self._components, self._stamp = _components(psf), shape
+        parts = _with_response(self._components, sensitivity)
         self.window = _window(parts, shape, x, y, widest, blur)
         rows, columns = (np.arange(s.start, s.stop, dtype=float) for s in self.window)
         self._parts = [
-            (fraction, offset, _engine(term, columns, rows, blur))
-            for fraction, offset, term in parts
+            (fraction, offset, _engine(term, gaussian, columns, rows, blur))
+            for fraction, offset, term, gaussian in parts
         ]
         self._shape = rows.size, columns.size
 
     def __call__(self, x, y, widths=None):
         """Images ``(m, ...)`` of the `window` at positions and factors on the width ``(m,)``."""
-        images = np.zeros((len(x), *self._shape))
-        if not images.size:
-            return images
-        scale = 1.0 if widths is None else widths
-        for number, (fraction, (dx, dy), engine) in enumerate(self._parts):
+        if 0 in self._shape:
+            return np.zeros((len(x), *self._shape))
+        scale, images = 1.0 if widths is None else widths, None
+        for fraction, (dx, dy), engine in self._parts:
             image = engine(x + scale * dx, y + scale * dy, widths)
-            image *= fraction
-            images = image if number == 0 else np.add(images, image, out=images)
+            if fraction != 1.0:
+                image *= fraction
+            images = image if images is None else np.add(images, image, out=images)
         return images
+
+    def lost(self, x, y):
+        """Largest part of the star's light that falls off the stamp at a few positions."""
+        images = _summed(self._components, self._stamp, x, y)
+        return float(np.clip(1.0 - images.sum(axis=(1, 2)).min(), 0.0, 1.0))
 
 
 def is_gaussian(psf, sensitivity):
     """Whether PSF times sensitivity is bivariate normal times polynomials, which can be blurred."""
-    return all(_gaussian(term) is not None for _, _, term in _parts(psf, sensitivity))
+    return all(part[-1] is not None for part in _with_response(_components(psf), sensitivity))
 
 
 def unit_images(psf, shape, x, y):
     """Images ``(m, ny, nx)`` of unit flux at a few positions ``(m,)``, each integrated directly."""
+    return _summed(_components(psf), shape, x, y)
+
+
+def _summed(components, shape, x, y):
+    """Return the images of `unit_images` of the components of a PSF."""
     columns, rows = (np.arange(n, dtype=float) for n in shape[::-1])
     images = np.zeros((len(x), *shape))
-    for fraction, (dx, dy), term in _parts(psf, None):
+    for fraction, (dx, dy), term in components:
         images += fraction * _directly(term, columns, rows)(x + dx, y + dy, None)
     return images
 
 
-def _parts(psf, sensitivity):
-    """Return fraction of the flux, offset from the star and unit product of each component."""
+def _components(psf):
+    """Return fraction of the flux, offset from the star and unit term of each component."""
     terms = [term for term in expand(psf) if np.any(term.scale)]
     first = terms[0].densities[0].values
     total = sum(term.scale * without_unit(term.densities[0].values["flux"]) for term in terms)
-    responses = [Term()] if sensitivity is None else expand(sensitivity)
-    parts = []
+    components = []
     for term in terms:
         values = {name: without_unit(v) for name, v in term.densities[0].values.items()}
         fraction = float(term.scale * values["flux"] / total)
         offset = [float(values[n] - without_unit(first[n])) for n in ("x_0", "y_0")]
-        model = term.densities[0].model
         values |= {"flux": 1.0, "x_0": 0.0, "y_0": 0.0}
-        unit = Term(densities=(Factor(model, values),), sensitivities=term.sensitivities)
-        several = [Term()] if is_pixel_integrated(model) else responses
-        parts.extend((fraction, offset, unit * response) for response in several)
+        unit = Factor(term.densities[0].model, values)
+        components.append(
+            (fraction, offset, Term(densities=(unit,), sensitivities=term.sensitivities))
+        )
+    return components
+
+
+def _with_response(components, sensitivity):
+    """Return fraction, offset, unit product and the Gaussian of each component and response."""
+    responses = [Term()] if sensitivity is None else expand(sensitivity)
+    parts = []
+    for fraction, offset, unit in components:
+        several = [Term()] if is_pixel_integrated(unit.densities[0].model) else responses
+        for response in several:
+            term = unit * response
+            parts.append((fraction, offset, term, _gaussian(term)))
     return parts
 
 
 def _gaussian(term):
     """Return sigma_x, sigma_y and rho of a bivariate normal density, None of any other."""
-    if term.closed_form() is None:
-        return None
-    form = term.undiffused().closed_form()  # the diffusion is added after the change of focus
-    if form.pixels is not gaussian_pixels:
+    form = term.closed_form()
+    if form is not None and term.diffusion:  # it is added after the change of focus
+        form = term.undiffused().closed_form()
+    if form is None or form.pixels is not gaussian_pixels:
         return None
     return tuple(float(value) for value in form.parameters[2:])
 
 
 def _window(parts, shape, x, y, widest, blur):
     """Return the rows and columns that any component lights at any position."""
+    ends = (float(x.min()), float(x.max())), (float(y.min()), float(y.max()))
     windows = []
-    for _, (dx, dy), term in parts:
-        gaussian = _gaussian(term)
+    for _, offsets, term, gaussian in parts:
         if gaussian is None:
             reach = getattr(term.densities[0].model, "reach", None)
             if reach is None:
                 return slice(0, shape[0]), slice(0, shape[1])
-            windows.append(_table_window(reach, shape, (x, y), (dx, dy), widest + blur))
+            windows.append(_table_window(reach, shape, ends, offsets, widest + blur))
             continue
-        sigma_x, sigma_y, _ = gaussian
-        ends = np.array([1.0, widest])
-        columns, rows = (
-            reached(
-                np.arange(n),
-                np.add.outer(ends * d, [p.min(), p.max()]),
-                np.hypot(widest * sigma, np.hypot(blur, term.diffusion)),
-            )
-            for n, d, p, sigma in ((shape[1], dx, x, sigma_x), (shape[0], dy, y, sigma_y))
-        )
-        windows.append((rows.start, rows.stop, columns.start, columns.stop))
+        blurred, limits = math.hypot(blur, term.diffusion), []
+        for axis in (1, 0):
+            reach = REACH * math.hypot(widest * gaussian[axis], blurred) + 0.5
+            near, far = sorted((offsets[axis], widest * offsets[axis]))
+            low, high = ends[axis]
+            outer = low + near - reach, high + far + reach
+            limits += [min(max(math.ceil(end), 0), shape[1 - axis]) for end in outer]
+        windows.append(limits)
     lows, highs = np.min(windows, axis=0), np.max(windows, axis=0)
     return slice(int(lows[0]), int(highs[1])), slice(int(lows[2]), int(highs[3]))
 
 
-def _table_window(reach, shape, places, offsets, scale):
+def _table_window(reach, shape, ends, offsets, scale):
     """Return the first and last of the rows and columns that a table covers, at least one."""
     found = []
-    for n, place, offset, (low, high) in zip(shape[::-1], places, offsets, reach, strict=True):
-        first = np.floor(place.min() + scale * (low - abs(offset)) - 0.5)
-        last = np.ceil(place.max() + scale * (high + abs(offset)) + 0.5)
+    for n, place, offset, (low, high) in zip(shape[::-1], ends, offsets, reach, strict=True):
+        first = np.floor(place[0] + scale * (low - abs(offset)) - 0.5)
+        last = np.ceil(place[1] + scale * (high + abs(offset)) + 0.5)
         start = int(np.clip(first, 0, n - 1))
         found.append((start, int(np.clip(last + 1, start + 1, n))))
     return (*found[1], *found[0])
 
 
-def _engine(term, columns, rows, blur):
+def _engine(term, gaussian, columns, rows, blur):
     """Return the function of positions and widths that renders one component."""
-    gaussian = _gaussian(term)
-    along = term.polynomials()
     if gaussian is None:
         return _directly(term, columns, rows)
+    along = term.polynomials()
     widened = _Widened(*gaussian, np.hypot(blur, term.diffusion))
     sigma_x, sigma_y, rho = widened()
     if not uses_series(sigma_x, sigma_y, rho, max(c.size for c in along) - 1):
@@ -173,14 +193,25 @@ def _engine(term, columns, rows, blur):
     y_axis = AxisPanels(rows, sigma_y, along[1], n, abs(rho))
     step = series_step(n, columns, rows) // ROWS * ROWS
 
+    def tables(x, y):
+        """Return the integrals along both axes, in one go where they are in the same panel."""
+        if x_axis.panels is not y_axis.panels or np.rint(x[0]) != np.rint(y[0]):
+            return x_axis(x), y_axis(y)
+        both = x_axis(np.concatenate([x, y]))
+        return both[: x.size], both[x.size :]
+
     def render(x, y, widths):
         images = np.empty((x.size, rows.size, columns.size))
         for start in range(0, x.size, step):
-            part = slice(start, start + step)
-            wide, tall, tilt = (None, None, rho) if widths is None else widened.over(widths[part])
-            y_table = y_axis(y[part], tall)
-            y_table *= np.reshape(tilt, (-1, 1, 1)) ** orders
-            contract(y_table, x_axis(x[part], wide), images[part])
+            part, tilt = slice(start, start + step), rho
+            if widths is None:
+                x_table, y_table = tables(x[part], y[part])
+            else:
+                wide, tall, tilt = widened.over(widths[part])
+                x_table, y_table = x_axis(x[part], wide), y_axis(y[part], tall)
+            if n > 1:
+                y_table *= np.reshape(tilt, (-1, 1, 1)) ** orders
+            contract(y_table, x_table, images[part])
         return images
 
     return render

@@ -16,6 +16,7 @@ from scope_models.models._closed_form import (
     is_photutils,
     pixels_of,
 )
+from scope_models.models._parameters import value_of
 from scope_models.models.sensitivity import DiffusionSensitivity, SensitivityPolynomial
 
 __all__ = ["Factor", "Term", "expand", "is_pixel_integrated", "leaves"]
@@ -62,11 +63,9 @@ class Factor:
             parameter = getattr(model, name)
             if name != "theta" and is_angle(parameter.unit):
                 plain_array(parameter.quantity, u.pix, name)  # refuses angles by name
-            values[name] = (
-                np.asarray(parameter.value)
-                if parameter.unit is None
-                else (np.asarray(parameter.value) * parameter.unit)
-            )
+            values[name] = np.asarray(parameter.value)
+            if parameter.unit is not None:
+                values[name] = values[name] * parameter.unit
         return cls(model, values)
 
     @property
@@ -181,8 +180,7 @@ def expand(model):
             left, right = expand(model.left), expand(model.right)
             return [a * b for a in left for b in right]
     if isinstance(model, Const2D):
-        amplitude = model.amplitude
-        return [Term(scale=amplitude.value if amplitude.unit is None else amplitude.quantity)]
+        return [Term(scale=value_of(model.amplitude))]
     if isinstance(model, (SensitivityPolynomial, DiffusionSensitivity)):
         return [Term(sensitivities=(Factor.of(model),))]
     # A PRF that is nothing but a table stands for it.

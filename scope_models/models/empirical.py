@@ -72,7 +72,8 @@ class GaussHermitePSF(StarModel):
     def __init__(self, flux=1.0, x_0=0.0, y_0=0.0, sigma_x=0.5, sigma_y=0.5, order=None, **kwargs):
         given = [name for name in kwargs if name.startswith("c_")]
         self.order = _checked_order(order, given)
-        values = dict.fromkeys(_coefficient_names(self.order), 0.0)
+        n_terms = range(1, self.order + 1)
+        values = {f"c_{n - m}_{m}": 0.0 for n in n_terms for m in range(n + 1)}
         unknown = set(given) - set(values)
         if unknown:
             raise ValueError(
@@ -217,11 +218,6 @@ class GaussHermitePSF(StarModel):
     def bounding_box(self, factor=6.5):
         """Rectangle outside which hardly any flux lies: 6.5 widths, and the root of the order."""
         return gaussian_box(self, factor + np.sqrt(self.order))
-
-
-def _coefficient_names(order):
-    """Names of all coefficients but the first, by rising order."""
-    return [f"c_{n - m}_{m}" for n in range(1, order + 1) for m in range(n + 1)]
 
 
 def _orders(name):

@@ -7,7 +7,7 @@ import numpy as np
 from astropy import units as u
 from astropy.modeling import Model
 
-from scope_models._arrays import plain_array
+from scope_models._arrays import plain_array, without_unit
 from scope_models.exceptions import IntegrationWarning
 from scope_models.models._axis import gauss_legendre
 from scope_models.models._closed_form import collected
@@ -90,12 +90,6 @@ class PixelPoints:
         return images.reshape((*images.shape[:-1], *self.shape))
 
 
-def _number_and_unit(value):
-    if isinstance(value, u.Quantity):
-        return value.value, value.unit
-    return value, None
-
-
 def _spread(number, points):
     """Give numbers of shape (n,) the trailing axes of the points."""
     return np.reshape(number, np.shape(number) + (1,) * len(points.shape))
@@ -140,9 +134,9 @@ def integrate_density(term, points, evaluate=None):
         inside = np.broadcast_shapes(u_at.shape, v_at.shape)
         x_at = np.broadcast_to(x[index].reshape(shape) + u_at, inside)
         y_at = np.broadcast_to(y[index].reshape(shape) + v_at, inside)
-        value, unit = _number_and_unit((evaluate or product)(x_at, y_at, image[index]))
-        units.append(unit)
-        value = value * np.polynomial.polynomial.polyval(u_at, along_x)
+        value = (evaluate or product)(x_at, y_at, image[index])
+        units.append(getattr(value, "unit", None))
+        value = without_unit(value) * np.polynomial.polynomial.polyval(u_at, along_x)
         value = value * np.polynomial.polynomial.polyval(v_at, along_y)
         if not sigma:
             return value

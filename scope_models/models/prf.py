@@ -12,11 +12,14 @@ from scope_models.models._parameters import (
     StarModel,
     check_model_parameters,
     make_parameters,
+    numbers_of,
     one_number,
+    value_of,
 )
 from scope_models.models._terms import expand, is_pixel_integrated
+from scope_models.models.grids import PRFGrid
 from scope_models.models.integration import PixelPoints, integrate_term
-from scope_models.models.tables import PRFGrid, TabulatedPRF
+from scope_models.models.tables import TabulatedPRF
 
 __all__ = ["PRF"]
 
@@ -91,27 +94,29 @@ class PRF(StarModel):
 
     def __init__(self, compound, flux=None, x_0=None, y_0=None, **kwargs):
         if isinstance(compound, PRF):
-            compound = _parts_of(compound)
+            parts = compound.psf * compound.sensitivity if compound.sensitivity else compound.psf
+            compound = Const2D(float(compound.flux.value)) * parts
         terms = [term for term in expand(compound) if np.any(term.scale)]
         _check_compound(compound, terms)
         self._components = _components_of(terms)
-        self._responses = _distinct(r for c in self._components for r in c.responses)
+        self._responses = list({id(r): r for c in self._components for r in c.responses}.values())
         first = terms[0].densities[0].model
-        fluxes = [term.scale * _value(term.densities[0].model.flux) for term in terms]
+        fluxes = [term.scale * value_of(term.densities[0].model.flux) for term in terms]
         total = sum(fluxes[1:], start=fluxes[0])
         if not np.isfinite(total) or total <= 0:
             raise ValueError(f"the components' fluxes must add up to a positive sum, got {total}")
         values = {
             "flux": total if flux is None else flux,
-            "x_0": _value(first.x_0) if x_0 is None else x_0,
-            "y_0": _value(first.y_0) if y_0 is None else y_0,
+            "x_0": value_of(first.x_0) if x_0 is None else x_0,
+            "y_0": value_of(first.y_0) if y_0 is None else y_0,
         }
-        parameters = self._overall_parameters(first, alone=len(terms) == 1)
+        alone = _POSITION if len(terms) == 1 else ()
+        parameters = {name: _like(getattr(first, name), name) for name in alone}
         for k, component in enumerate(self._components):
             for own, name in component.shape.items():
                 source = getattr(component.model, own)
                 parameters[name] = _like(source, name)
-                values[name] = _value(source)
+                values[name] = value_of(source)
             if component.fraction:
                 parameters[component.fraction] = Parameter(
                     component.fraction,
@@ -124,29 +129,18 @@ class PRF(StarModel):
                         name, fixed=True, description=f"{axis[0]} of component {k} less {axis}"
                     )
                     source, origin = getattr(component.model, axis), getattr(first, axis)
-                    values[name] = _value(source) - _value(origin)
+                    values[name] = value_of(source) - value_of(origin)
         for response in self._responses:
             for own, name in response.names.items():
                 parameters[name] = _like(getattr(response.model, own), name, fixed=True)
-                values[name] = _value(getattr(response.model, own))
+                values[name] = value_of(getattr(response.model, own))
         make_parameters(self, parameters)
         super().__init__(**(values | kwargs))
         check_model_parameters(self)
         for name in ("x_0", "y_0"):
-            plain_array(_value(getattr(self, name)), u.pixel, name)
+            plain_array(value_of(getattr(self, name)), u.pixel, name)
         if any(getattr(c.model, "fit_deriv", None) is None for c in self._components):
             self.fit_deriv = None  # fitters then estimate the derivatives
-
-    @staticmethod
-    def _overall_parameters(first, *, alone):
-        descriptions = {
-            "flux": "Flux of the star in all components",
-            "x_0": "Column of the star (pixel)",
-            "y_0": "Row of the star (pixel)",
-        }
-        if alone:
-            return {n: _like(getattr(first, n), n, description=d) for n, d in descriptions.items()}
-        return {name: Parameter(name, description=text) for name, text in descriptions.items()}
 
     # -----------------------------------------------------------------------------------------
     # Parts
@@ -161,7 +155,7 @@ class PRF(StarModel):
         """The `~scope_models.models.TabulatedPRF` that the PRF is, or None."""
         if self.n_components > 1 or not isinstance(self._components[0].model, TabulatedPRF):
             return None
-        component, values = self._components[0], self._numbers()
+        component, values = self._components[0], self._own_or()
         table = component.model.copy()
         for name, value in component.own_values(values, values["flux"]).items():
             getattr(table, name).value = float(value)
@@ -225,7 +219,7 @@ class PRF(StarModel):
 
         A density or a sum of densities; a table of a PRF stands for itself.
         """
-        values = self._numbers()
+        values = self._own_or()
         total = None
         for component, fraction in zip(self._components, self._fractions(values), strict=True):
             model = component.model.copy()
@@ -270,9 +264,9 @@ class PRF(StarModel):
             powers |= response.powers
         return powers
 
-    def _numbers(self, values=None):
+    def _own_or(self, values=None):
         """Value of each parameter as a float, with others in their place."""
-        own = {n: float(np.ravel(getattr(self, n).value)[0]) for n in self.param_names}
+        own = numbers_of(self)
         unknown = set(values or {}) - set(own)
         if unknown:
             raise ValueError(f"`values` has no parameter {', '.join(sorted(unknown))}")
@@ -377,7 +371,7 @@ class PRF(StarModel):
         >>> images.shape, sorted(derivatives)
         ((2, 5, 5), ['rho', 'sigma_x', 'sigma_y', 'x_0', 'y_0'])
         """
-        numbers = self._numbers(values)
+        numbers = self._own_or(values)
         for name, value in (("x_0", x_0), ("y_0", y_0)):
             if value is not None:
                 numbers[name] = plain_array(value, u.pixel, name)
@@ -413,9 +407,9 @@ class PRF(StarModel):
         """
         if shape is None or np.ndim(shape) > 1 or out is not None or coords is not None:
             return super().render(shape if out is None else out, flux if coords is None else coords)
-        values = {name: without_unit(_value(getattr(self, name))) for name in self.param_names}
+        values = {name: without_unit(value_of(getattr(self, name))) for name in self.param_names}
         given = {"flux": flux, "x_0": x_0, "y_0": y_0}
-        given = {k: _value(getattr(self, k)) if v is None else v for k, v in given.items()}
+        given = {k: value_of(getattr(self, k)) if v is None else v for k, v in given.items()}
         flux = given["flux"] if isinstance(given["flux"], u.Quantity) else np.asarray(given["flux"])
         values |= {name: plain_array(given[name], u.pixel, name) for name in ("x_0", "y_0")}
         for name, value in {
@@ -448,7 +442,7 @@ class PRF(StarModel):
         bounding_box : tuple
             ``((y_low, y_high), (x_low, x_high))``, as astropy orders it.
         """
-        values = {name: _value(getattr(self, name)) for name in self.param_names}
+        values = {name: value_of(getattr(self, name)) for name in self.param_names}
         boxes = []
         for component in self._components:
             model = component.model.copy()
@@ -475,11 +469,7 @@ class PRF(StarModel):
 # ---------------------------------------------------------------------------------------------
 # Helpers
 # ---------------------------------------------------------------------------------------------
-def _value(parameter):
-    return parameter.value if parameter.unit is None else parameter.quantity
-
-
-def _like(source, name, *, fixed=None, description=None):
+def _like(source, name, *, fixed=None):
     """A parameter with the constraints of another."""
     if source.tied:
         raise ValueError(
@@ -489,18 +479,10 @@ def _like(source, name, *, fixed=None, description=None):
         name,
         fixed=source.fixed if fixed is None else fixed,
         bounds=source.bounds,
-        description=source.__doc__ or source.name if description is None else description,
+        description=source.__doc__ or source.name,
     )
-    if source._validator is not None:  # noqa: SLF001
-        parameter.validator(source._validator)  # noqa: SLF001
-    return parameter
-
-
-def _parts_of(prf):
-    """The compound that a PRF was made of, at its present flux."""
-    compound, sensitivity = prf.psf, prf.sensitivity
-    parts = compound if sensitivity is None else compound * sensitivity
-    return Const2D(float(prf.flux.value)) * parts
+    validator = source._validator  # noqa: SLF001 - astropy gives it out by no other way
+    return parameter if validator is None else parameter.validator(validator)
 
 
 def _table_at(grid, column, row):
@@ -535,11 +517,6 @@ def _components_of(terms):
             )
         )
     return components
-
-
-def _distinct(items):
-    """The items without repetition, in their order."""
-    return list({id(item): item for item in items}.values())
 
 
 def _check_compound(compound, terms):

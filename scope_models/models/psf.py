@@ -3,6 +3,7 @@
 
 from functools import reduce
 from operator import add
+from typing import ClassVar
 
 import numpy as np
 from astropy.modeling import Parameter
@@ -95,7 +96,7 @@ class BivariateGaussianPSF(StarModel):
     rho.validator(Domain("rho", "inside (-1, 1)"))
 
     #: Kinds of the parameters in a fit.
-    parameter_kinds = {"sigma_x": "width", "sigma_y": "width", "rho": "correlation"}  # noqa: RUF012
+    parameter_kinds: ClassVar = {"sigma_x": "width", "sigma_y": "width", "rho": "correlation"}
 
     def __init__(
         self,

@@ -1,6 +1,8 @@
 # Licensed under a 3-clause BSD style license - see LICENSE
 """Sensitivity: the response of pixels, as a function of the position within them."""
 
+from typing import ClassVar
+
 import numpy as np
 from astropy import units as u
 from astropy.modeling import Fittable2DModel, Parameter
@@ -113,7 +115,7 @@ class SensitivityPolynomial(Fittable2DModel):
         n_y = len(coefficients) - self._n_x
         return [u**n * along_y for n in range(self._n_x)] + [along_x * v**n for n in range(n_y)]
 
-    def _parameter_units_for_data_units(self, inputs_unit, outputs_unit):  # noqa: ARG002
+    def _parameter_units_for_data_units(self, _inputs_unit, _outputs_unit):
         return {}
 
 
@@ -183,12 +185,10 @@ class DiffusionSensitivity(Fittable2DModel):
         check_model_parameters(self)
 
     #: The response is no polynomial: it has no powers.
-    powers = {}  # noqa: RUF012 - astropy copies no class attributes
+    powers: ClassVar = {}
 
-    @property
-    def parameter_kinds(self):
-        """Kind of the parameter in a fit (dict of str)."""
-        return {"sigma_d": "diffusion"}
+    #: Kind of the parameter in a fit.
+    parameter_kinds: ClassVar = {"sigma_d": "diffusion"}
 
     def response(self, dx, dy):
         """
@@ -220,5 +220,5 @@ class DiffusionSensitivity(Fittable2DModel):
         along_y, by_y = collected(_offset(y), sigma)
         return [along_x * by_y + by_x * along_y]
 
-    def _parameter_units_for_data_units(self, inputs_unit, outputs_unit):  # noqa: ARG002
+    def _parameter_units_for_data_units(self, _inputs_unit, _outputs_unit):
         return {}

@@ -11,8 +11,9 @@ from astropy.time import Time
 from exoplanet_core import kepler, quad_limbdark_light_curve
 from scipy.optimize import brentq
 
-from scope_models._arrays import plain_array, plain_number
-from scope_models.models._parameters import Domain, check_model_parameters
+from scope_models._arrays import LARGEST_DAY, plain_array, plain_number
+from scope_models._checks import checked_number
+from scope_models.models._parameters import Domain, check_model_parameters, value_of
 
 __all__ = ["TransitModel"]
 
@@ -20,6 +21,7 @@ __all__ = ["TransitModel"]
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(101)
 
 _ORBIT = ("period", "a", "inc", "ecc", "omega")
+_DENSITY = u.g / u.cm**3
 _UNITS = {"period": u.day, "t0": u.day, "inc": u.deg, "omega": u.deg}
 
 
@@ -112,18 +114,14 @@ class TransitModel(Fittable1DModel):
         if len(self.parameters) != len(self.param_names):
             raise ValueError("the parameters of a TransitModel must be scalars")
         check_model_parameters(self)
-        self._numbers()
+        self._in_units()
         days = plain_number(exposure_time, u.day, "exposure_time")
         _require(np.isfinite(days) and days >= 0, "exposure_time", "at least 0", exposure_time)
         self.exposure_time = days
 
-    def _numbers(self):
+    def _in_units(self):
         """Return the value of each parameter in its documented unit."""
-        parameters = {name: getattr(self, name) for name in self.param_names}
-        return {
-            name: _number(name, p.value if p.unit is None else p.quantity)
-            for name, p in parameters.items()
-        }
+        return {name: _number(name, value_of(getattr(self, name))) for name in self.param_names}
 
     @classmethod
     def from_depth_duration(
@@ -263,7 +261,9 @@ class TransitModel(Fittable1DModel):
         if a is not None:
             a = plain_number(a, u.one, "a")
         if density is not None:
-            a = _axis_from_density(density, period)
+            density = checked_number("density", density, _DENSITY, positive=True) * _DENSITY
+            cube = constants.G * density * (period * u.day) ** 2 / (3 * np.pi)
+            a = float(np.cbrt(cube.to_value(u.one)))
         if b is not None:
             b = plain_number(b, u.one, "b")
             cosine = b * (1 + ecc * np.sin(np.radians(omega))) / (a * (1 - ecc**2))
@@ -275,7 +275,7 @@ class TransitModel(Fittable1DModel):
     @property
     def impact_parameter(self):
         """Distance of the planet from the star's center at `t0`, in stellar radii."""
-        p = self._numbers()
+        p = self._in_units()
         ecc, sine = p["ecc"], np.sin(np.radians(p["omega"]))
         cosine = np.cos(np.radians(p["inc"]))
         return float(p["a"] * cosine * (1 - ecc**2) / (1 + ecc * sine))
@@ -283,17 +283,19 @@ class TransitModel(Fittable1DModel):
     @property
     def depth(self):
         """Relative drop at `t0` for a short exposure."""
-        b = abs(self.impact_parameter)
-        p = self._numbers()
-        return float(-_drop(b, p["rp"], p["u1"], p["u2"]))
+        p = self._in_units()
+        return float(-_drop(abs(self.impact_parameter), p["rp"], p["u1"], p["u2"]))
 
     @property
     def duration(self):
         """Time from first to fourth contact in days, 0 without a transit."""
-        p = self._numbers()
+        p = self._in_units()
         reach = 1 + p["rp"]
         args = tuple(p[name] for name in _ORBIT)
-        separation = lambda time: _separation(np.array([time]), *args)[0] - reach  # noqa: E731
+
+        def separation(time):
+            return _separation(np.array([time]), *args)[0] - reach
+
         if not separation(0.0) < 0:
             return 0.0
         step = reach / _fastest(*args[:2], args[3])
@@ -308,25 +310,26 @@ class TransitModel(Fittable1DModel):
     @property
     def stellar_density(self):
         """Mean density of the star in g/cm3 that the period and `a` imply."""
-        p = self._numbers()
+        p = self._in_units()
         density = 3 * np.pi * p["a"] ** 3 / (constants.G * (p["period"] * u.day) ** 2)
-        return float(density.to_value(u.g / u.cm**3))
+        return float(density.to_value(_DENSITY))
 
     @property
     def input_units(self):
         """Unit of times: days; plain numbers are taken as days."""
         return {self.inputs[0]: u.day}
 
-    def _parameter_units_for_data_units(self, inputs_unit, outputs_unit):  # noqa: ARG002
+    def _parameter_units_for_data_units(self, _inputs_unit, _outputs_unit):
         return dict(_UNITS)  # astropy's fitters convert times to `input_units`
 
     def evaluate(self, x, period, t0, rp, a, inc, ecc, omega, u1, u2):
         """Relative flux, 1 outside transits, at times of mid-exposure in days, of any shape."""
-        given = {"period": period, "t0": t0, "rp": rp, "a": a, "inc": inc, "ecc": ecc}
-        given |= {"omega": omega, "u1": u1, "u2": u2}
-        p = {name: _number(name, value) for name, value in given.items()}
+        given = zip(self.param_names, (period, t0, rp, a, inc, ecc, omega, u1, u2), strict=True)
+        p = {name: _number(name, value) for name, value in given}
         _require(p["rp"] >= 0, "rp", "at least 0", p["rp"])  # also where `rp.value` was set
         x = plain_array(x, u.day, "x")
+        if p["t0"] > LARGEST_DAY and np.any(np.abs(x) <= LARGEST_DAY):
+            raise ValueError(f"`t0` must have the zero of the times, got the date {p['t0']:.1f}")
         orbit = tuple(p[name] for name in _ORBIT)
         time = x.ravel() - p["t0"]
         flux = np.where(np.isfinite(time), 1.0, np.nan)
@@ -349,13 +352,6 @@ def _require(condition, name, domain, value):
 def _number(name, value):
     """Return a parameter as one plain number, from a scalar, an array of one or a Quantity."""
     return plain_array(value, _UNITS.get(name, u.one), name).item()
-
-
-def _axis_from_density(density, period):
-    density = plain_number(density, u.g / u.cm**3, "density") * u.g / u.cm**3
-    _require(density.value > 0, "density", "positive", density)
-    cube = constants.G * density * (period * u.day) ** 2 / (3 * np.pi)
-    return float(np.cbrt(cube.to_value(u.dimensionless_unscaled)))
 
 
 def _fastest(period, a, ecc):

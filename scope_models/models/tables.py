@@ -1,20 +1,24 @@
 # Licensed under a 3-clause BSD style license - see LICENSE
-"""Tabulated PSFs and PRFs: your own, photutils' and the official ones of Kepler and TESS."""
+"""Tabulated PSFs and PRFs, which splines interpolate and integrate."""
 
-from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 
 import numpy as np
 from astropy import units as u
-from scipy.interpolate import BSpline, LinearNDInterpolator, RectBivariateSpline
+from scipy.interpolate import BSpline, RectBivariateSpline
 
-from scope_models._arrays import plain_array, plain_number
+from scope_models._arrays import plain_array
 from scope_models.models._axis import gauss_legendre
 from scope_models.models._closed_form import ClosedForm, pixels_of
-from scope_models.models._parameters import StarModel, check_model_parameters, check_psf_units
+from scope_models.models._parameters import (
+    StarModel,
+    check_model_parameters,
+    check_psf_units,
+    numbers_of,
+    value_of,
+)
 
-__all__ = ["PRFGrid", "TabulatedPRF", "TabulatedPSF"]
+__all__ = ["TabulatedPRF", "TabulatedPSF"]
 
 # A Gaussian PRF of sigma 0.5 px at 9 samples per pixel is interpolated to 0.005 ppm of its flux by
 # degree 5, to 1.2 ppm by degree 3 and to 700 ppm by degree 1 (rms in 3 x 3 px).
@@ -23,8 +27,6 @@ _DEGREE = 5
 _BATCH = 128
 # Rounding errors at the edge of a table, in samples.
 _EDGE = 1e-9
-# Farther outside the places of a grid nothing is extrapolated, pixels.
-_FAR = 100.0
 
 
 class _Surface:
@@ -42,14 +44,6 @@ class _Surface:
 
     def __reduce__(self):
         return _Surface, (np.array(self.samples), self.oversampling, self.origin)
-
-    def __eq__(self, other):
-        if not isinstance(other, _Surface):
-            return NotImplemented
-        same = (self.oversampling, self.origin) == (other.oversampling, other.origin)
-        return same and np.array_equal(self.samples, other.samples)
-
-    __hash__ = None
 
     @cached_property
     def spline(self):
@@ -221,9 +215,6 @@ class _Table(StarModel):
             "uncertainty": self.uncertainty,
         }
 
-    def _values(self, x, y, x_0, y_0):
-        return self._surface.value(_number(x) - _number(x_0), _number(y) - _number(y_0))
-
     def _offsets(self):
         """Offsets of the samples from the star along x and y, pixels."""
         return tuple(
@@ -248,6 +239,10 @@ class _Table(StarModel):
         value = self._surface.value
         return value(dx, dy), -value(dx, dy, along_x=1), -value(dx, dy, along_y=1)
 
+    def evaluate(self, x, y, flux, x_0, y_0):
+        """Flux in the pixels, or density in units of flux per square pixel."""
+        return flux * self._surface.value(_number(x) - _number(x_0), _number(y) - _number(y_0))
+
     def fit_deriv(self, x, y, flux, x_0, y_0, *others):
         """Derivatives with respect to the parameters, in their order."""
         offsets = _number(x) - _number(x_0), _number(y) - _number(y_0)
@@ -266,8 +261,7 @@ class _Table(StarModel):
         box = []
         for axis, center in ((1, self.y_0), (0, self.x_0)):
             low, high = self.reach[axis]
-            unit = 1.0 if center.unit is None else u.pixel
-            value = center.value if center.unit is None else center.quantity
+            unit, value = 1.0 if center.unit is None else u.pixel, value_of(center)
             box.append((value + low * unit, value + high * unit))
         return tuple(box)
 
@@ -343,7 +337,7 @@ class TabulatedPSF(_Table):
 
     def evaluate(self, x, y, flux, x_0, y_0):
         """Density at the positions, in units of flux per square pixel."""
-        density = flux * self._values(x, y, x_0, y_0)
+        density = super().evaluate(x, y, flux, x_0, y_0)
         return density / u.pixel**2 if isinstance(x, u.Quantity) else density
 
     def closed_form(self, values):
@@ -412,12 +406,7 @@ class TabulatedPRF(_Table):
     [ 0.05  7.81 45.95 14.29  0.17]
     """
 
-    #: Values are fluxes of pixels, not a density.
     pixel_integrated = True
-
-    def evaluate(self, x, y, flux, x_0, y_0):
-        """Flux in the pixels."""
-        return flux * self._values(x, y, x_0, y_0)
 
     def uncertainty_image(self, shape):
         """
@@ -471,8 +460,7 @@ class TabulatedPRF(_Table):
 
         if not isinstance(model, ImagePSF):
             raise TypeError(f"`model` must be an ImagePSF, got {type(model).__name__}")
-        values = (getattr(model, name).value for name in ("flux", "x_0", "y_0"))
-        return cls(model.data, model.oversampling, *values, origin=model.origin)
+        return cls(model.data, model.oversampling, **numbers_of(model), origin=model.origin)
 
     def to_photutils(self):
         """
@@ -490,294 +478,16 @@ class TabulatedPRF(_Table):
         """
         from photutils.psf import ImagePSF
 
-        values = {name: getattr(self, name).value for name in self.param_names}
         return ImagePSF(
             np.array(self.array),
-            **values,
+            **numbers_of(self),
             origin=self.origin,
-            oversampling=_integers(self.oversampling),
+            oversampling=integer_oversampling(self.oversampling),
         )
 
 
-def _integers(oversampling):
+def integer_oversampling(oversampling):
+    """Return the oversampling as integers, which photutils needs."""
     if any(value != round(value) for value in oversampling):
         raise ValueError(f"photutils needs an integer `oversampling`, got {oversampling}")
     return tuple(round(value) for value in oversampling)
-
-
-@dataclass(frozen=True, eq=False)
-class PRFGrid:
-    """
-    PRF tables at several places of a detector.
-
-    Parameters
-    ----------
-    places : array_like of shape (n, 2)
-        Column and row of each table.
-    tables : tuple of TabulatedPRF
-        The tables, all of one shape, oversampling and origin.
-
-    Raises
-    ------
-    ValueError
-        If the tables do not belong together, or there are two for one place.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from scope_models.models import PRFGrid, TabulatedPRF
-    >>> places = [(1, 1), (1, 101), (101, 1), (101, 101)]
-    >>> y, x = np.mgrid[-5:6, -5:6]
-    >>> tables = [TabulatedPRF(np.exp(-(x**2 + y**2) / (2 + c / 100))) for c, r in places]
-    >>> table = PRFGrid(places, tables).at(51, 20)
-    >>> print(f"{table(1, 0):.4f}")
-    0.6627
-    """
-
-    places: np.ndarray
-    tables: tuple
-
-    def __post_init__(self):
-        places = plain_array(self.places, u.pixel, "places")
-        tables = tuple(self.tables)
-        if places.shape != (len(tables), 2) or not np.isfinite(places).all() or not tables:
-            raise ValueError(f"`places` must have the shape ({len(tables)}, 2), got {places.shape}")
-        if len(np.unique(places, axis=0)) < len(places):
-            raise ValueError("`places` must differ: there are two tables of one place")
-        first = tables[0]
-        for table in tables:
-            same = table.array.shape == first.array.shape and table.origin == first.origin
-            if not same or table.oversampling != first.oversampling:
-                raise ValueError("`tables` must have one shape, oversampling and origin")
-        object.__setattr__(self, "places", places)
-        object.__setattr__(self, "tables", tables)
-
-    def weights(self, column, row):
-        """
-        Return the weight of each table at a place.
-
-        Bilinear where the places are a rectangular grid, else linear in the triangles between
-        them. Outside the places the nearest edge counts.
-
-        Parameters
-        ----------
-        column, row : float or `~astropy.units.Quantity`
-            The place in pixels.
-
-        Returns
-        -------
-        weights : `~numpy.ndarray`
-            Not negative, of sum 1.
-
-        Raises
-        ------
-        ValueError
-            If the place is more than 100 px outside.
-        """
-        place = np.array(
-            [plain_number(column, u.pixel, "column"), plain_number(row, u.pixel, "row")]
-        )
-        low, high = self.places.min(axis=0), self.places.max(axis=0)
-        if not (np.all(place >= low - _FAR) and np.all(place <= high + _FAR)):
-            raise ValueError(
-                f"`column` and `row` must be near columns {low[0]:g} to {high[0]:g} and rows "
-                f"{low[1]:g} to {high[1]:g}, got {place[0]:g} and {place[1]:g}"
-            )
-        place = np.clip(place, low, high)
-        columns, rows = (np.unique(p) for p in self.places.T)
-        if columns.size * rows.size == len(self.tables):
-            along = [_hat(nodes, at) for nodes, at in zip((columns, rows), place, strict=True)]
-            index = [
-                np.searchsorted(n, p) for n, p in zip((columns, rows), self.places.T, strict=True)
-            ]
-            return along[0][index[0]] * along[1][index[1]]
-        weights = LinearNDInterpolator(self.places, np.eye(len(self.tables)))(place)[0]
-        if np.isnan(weights).any():
-            raise ValueError(f"column {place[0]:g}, row {place[1]:g} is not between the places")
-        return np.maximum(weights, 0.0)
-
-    def at(self, column, row):
-        """
-        Return the table of a place.
-
-        Parameters
-        ----------
-        column, row : float or `~astropy.units.Quantity`
-            The place in pixels, as the tables count them.
-
-        Returns
-        -------
-        table : TabulatedPRF
-            Its uncertainty is that of the weighted tables.
-
-        Raises
-        ------
-        ValueError
-            If the place is more than 100 px outside.
-        """
-        weights, first = self.weights(column, row), self.tables[0]
-        used = [(w, t) for w, t in zip(weights, self.tables, strict=True) if w]
-        error = None
-        if all(table.uncertainty is not None for _, table in used):
-            error = np.sqrt(sum((w * table.uncertainty) ** 2 for w, table in used))
-        samples = sum(w * table.array for w, table in used)
-        return TabulatedPRF(samples, first.oversampling, origin=first.origin, uncertainty=error)
-
-    def to_photutils(self):
-        """
-        Return the grid as a model of photutils, which is bilinear between the places too.
-
-        Returns
-        -------
-        model : `~photutils.psf.GriddedPSFModel`
-            With x_0 and y_0 in the pixels of the places.
-
-        Raises
-        ------
-        ValueError
-            If the places are no rectangular grid.
-        """
-        from astropy.nddata import NDData
-        from photutils.psf import GriddedPSFModel
-
-        columns, rows = (np.unique(p) for p in self.places.T)
-        if columns.size * rows.size != len(self.tables):
-            raise ValueError("photutils needs places on a rectangular grid; use at(column, row)")
-        meta = {
-            "grid_xypos": [tuple(place) for place in self.places.tolist()],
-            "oversampling": _integers(self.tables[0].oversampling),
-        }
-        return GriddedPSFModel(NDData(np.array([t.array for t in self.tables]), meta=meta))
-
-    @classmethod
-    def from_photutils(cls, model):
-        """
-        Make a grid of a model of photutils.
-
-        Parameters
-        ----------
-        model : `~photutils.psf.GriddedPSFModel`
-            The model.
-
-        Returns
-        -------
-        grid : PRFGrid
-            The grid.
-
-        Raises
-        ------
-        TypeError
-            If the model is another one.
-        """
-        from photutils.psf import GriddedPSFModel
-
-        if not isinstance(model, GriddedPSFModel):
-            raise TypeError(f"`model` must be a GriddedPSFModel, got {type(model).__name__}")
-        tables = [TabulatedPRF(image, model.oversampling) for image in model.data]
-        return cls(model.grid_xypos, tables)
-
-    @classmethod
-    def from_tess(cls, path, camera=None, ccd=None):
-        """
-        Read the official PRF tables of TESS.
-
-        Parameters
-        ----------
-        path : str or path-like
-            One file, or a folder with the files of at least one CCD and of one epoch (sectors 1
-            to 3, or 4 and later).
-        camera, ccd : int, optional
-            Which CCD; not needed if there is only one.
-
-        Returns
-        -------
-        grid : PRFGrid
-            The tables of the CCD.
-
-        Raises
-        ------
-        FileNotFoundError
-            If there are no such files.
-        ValueError
-            If the files are not of that format, of several CCDs, or of several epochs.
-        """
-        path = Path(path)
-        files = sorted([*path.glob("*prf*.fits"), *path.glob("*prf*.fits.gz")])
-        files = files if path.is_dir() else [path]
-        found = [_read_tess(file) for file in files]
-        chosen = [
-            item
-            for item in found
-            if (camera is None or item[0][0] == camera) and (ccd is None or item[0][1] == ccd)
-        ]
-        if not chosen:
-            raise FileNotFoundError(f"{path} has no PRF of camera {camera}, CCD {ccd}")
-        if len({item[0] for item in chosen}) > 1:
-            raise ValueError(f"{path} holds several CCDs: give `camera` and `ccd`")
-        if len({item[1] for item in chosen}) < len(chosen):
-            raise ValueError(f"{path} holds several epochs of a place: give the folder of one")
-        return cls([item[1] for item in chosen], [item[2] for item in chosen])
-
-    @classmethod
-    def from_kepler(cls, path):
-        """
-        Read an official PRF file of Kepler, of one channel.
-
-        Parameters
-        ----------
-        path : str or path-like
-            The file, with five places: the corners and the center.
-
-        Returns
-        -------
-        grid : PRFGrid
-            The tables of the channel.
-
-        Raises
-        ------
-        OSError
-            If the file cannot be opened.
-        ValueError
-            If it is not of that format.
-        """
-        from astropy.io import fits
-
-        places, tables = [], []
-        with fits.open(path) as hdus:
-            for hdu in hdus:
-                if hdu.is_image and hdu.header.get("NAXIS") == 2:
-                    step = _card(hdu.header, "CDELT1P", path), _card(hdu.header, "CDELT2P", path)
-                    samples = np.asarray(hdu.data, dtype=float)
-                    table = TabulatedPRF(samples, tuple(round(1 / s, 6) for s in step[::-1]))
-                    tables.append(table)
-                    places.append([_card(hdu.header, f"CRVAL{i}P", path) for i in (1, 2)])
-        if not tables:
-            raise ValueError(f"{path} holds no PRF images")
-        return cls(places, tables)
-
-
-def _hat(nodes, at):
-    """Weights of linear interpolation in one dimension."""
-    return np.array([np.interp(at, nodes, row) for row in np.eye(nodes.size)])
-
-
-def _card(header, name, path):
-    try:
-        return float(header[name])
-    except (KeyError, TypeError, ValueError):
-        raise ValueError(f"{path} is no PRF file: it has no card {name}") from None
-
-
-def _read_tess(path):
-    """CCD, place and table of a file."""
-    from astropy.io import fits
-
-    with fits.open(path) as hdus:
-        header = hdus[0].header
-        ccd = int(_card(header, "CAM", path)), int(_card(header, "CCD", path))
-        place = _card(header, "CCD_CREF", path), _card(header, "CCD_RREF", path)
-        origin = tuple(_card(header, f"CRPIX{i}P", path) - 1 for i in (1, 2))
-        error = np.asarray(hdus[1].data, dtype=float) if len(hdus) > 1 else None
-        samples = np.asarray(hdus[0].data, dtype=float)
-        oversampling = _card(header, "NSAMP", path)
-        return ccd, place, TabulatedPRF(samples, oversampling, origin=origin, uncertainty=error)

@@ -120,14 +120,12 @@ def stochastic_signal(time, cdpp, *, timescale=0.25, quality=0.5**0.5, duration=
     r"""
     Draw red noise, such as granulation, whose CDPP has a stated expected value.
 
-    The noise is a Gaussian process of a damped, stochastically driven
-    harmonic oscillator (celerite2's ``SHOTerm`` [1]_): with the default
-    quality :math:`1/\sqrt{2}` its power is flat at low frequency and falls
-    as the fourth power of the frequency, as granulation's does. It is scaled
-    so that the root mean square of lightkurve's CDPP is `cdpp`: the variance
-    of its running mean after the Savitzky-Golay filter follows from the
-    covariance. The estimator's clipping and the edges of the filter raise
-    its mean by up to 3 %.
+    The noise is a Gaussian process of a damped, stochastically driven harmonic oscillator
+    (celerite2's ``SHOTerm`` [1]_): with the default quality :math:`1/\sqrt{2}` its power is flat at
+    low frequency and falls as the fourth power of the frequency, as granulation's does. It is
+    scaled so that the root mean square of lightkurve's CDPP is `cdpp`: the variance of its running
+    mean after the Savitzky-Golay filter follows from the covariance. The estimator's clipping and
+    the edges of the filter raise its mean by up to 3 %.
 
     Parameters
     ----------
@@ -139,8 +137,7 @@ def stochastic_signal(time, cdpp, *, timescale=0.25, quality=0.5**0.5, duration=
     timescale : float or `~astropy.units.Quantity`, optional
         Period of the oscillator in days.
     quality : float, optional
-        Quality factor of the oscillator; well above 1 for
-        quasi-periodic variability.
+        Quality factor of the oscillator; well above 1 for quasi-periodic variability.
     duration : float or `~astropy.units.Quantity`, optional
         Time scale of the CDPP in hours.
     seed : int or `~numpy.random.Generator`, optional

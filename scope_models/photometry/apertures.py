@@ -35,11 +35,9 @@ def threshold_aperture(target, threshold=None):
     Parameters
     ----------
     target : array_like
-        Noise-free image ``(ny, nx)`` or cube ``(n_cadences, ny, nx)`` of the
-        target alone in e-/s.
+        Noise-free image ``(ny, nx)`` or cube ``(n_cadences, ny, nx)`` of the target alone in e-/s.
     threshold : float, optional
-        Lowest flux per pixel in e-/s; by default 0.1 % of the brightest
-        pixel of the whole cube.
+        Lowest flux per pixel in e-/s; by default 0.1 % of the brightest pixel of the whole cube.
 
     Returns
     -------
@@ -73,10 +71,9 @@ def signal_to_noise_aperture(
     """
     Grow the aperture of the highest signal-to-noise ratio.
 
-    From the pixel of highest ratio on, the pixel that raises the ratio of
-    the sum most is added, until none does [1]_. The variance of a pixel
-    holds the photons of target, neighbors and background, and the read
-    noise of all frames.
+    From the pixel of highest ratio on, the pixel that raises the ratio of the sum most is added,
+    until none does [1]_. The variance of a pixel holds the photons of target, neighbors and
+    background, and the read noise of all frames.
 
     Parameters
     ----------
@@ -134,18 +131,18 @@ def signal_to_noise_aperture(
 def _grow(signal, variance):
     """Return the pixels that each raise the ratio of the sums, in the order found."""
     chosen, total, total_variance, best = [], 0.0, 0.0, 0.0
-    free = signal > 0
-    while free.any():
-        ratio = np.zeros_like(signal)
-        ratio[free] = (total + signal[free]) / np.sqrt(total_variance + variance[free])
-        index = int(np.argmax(ratio))
+    lit = np.flatnonzero(signal > 0)
+    signal, variance = signal[lit], variance[lit]
+    for _ in lit:
+        ratio = (total + signal) / np.sqrt(total_variance + variance)
+        index = ratio.argmax()
         if ratio[index] <= best:
             break
         best = ratio[index]
-        chosen.append(index)
-        free[index] = False
+        chosen.append(lit[index])
         total += signal[index]
         total_variance += variance[index]
+        signal[index] = -np.inf
     return chosen
 
 
@@ -156,13 +153,11 @@ def contamination_aperture(target, neighbors, *, min_fraction=0.5, threshold=Non
     Parameters
     ----------
     target : array_like
-        Noise-free image ``(ny, nx)`` or cube ``(n_cadences, ny, nx)`` of the
-        target alone in e-/s.
+        Noise-free image ``(ny, nx)`` or cube ``(n_cadences, ny, nx)`` of the target alone in e-/s.
     neighbors : array_like
         The same of all other stars.
     min_fraction : float, optional
-        Lowest share of the target in a pixel's starlight, summed over
-        cadences, between 0 and 1.
+        Lowest share of the target in a pixel's starlight, summed over cadences, between 0 and 1.
     threshold : float, optional
         As in `threshold_aperture`, applied first.
 
@@ -205,8 +200,7 @@ def circular_aperture(shape, x_0, y_0, radius, *, min_overlap=0.5):
     radius : float
         Radius in pixels.
     min_overlap : float, optional
-        Lowest fraction of a pixel's area within the circle, above 0 and at
-        most 1.
+        Lowest fraction of a pixel's area within the circle, above 0 and at most 1.
 
     Returns
     -------
@@ -410,8 +404,7 @@ def flux_fraction(target, aperture, total=None):
     Returns
     -------
     float
-        Target flux in the aperture over its total flux, averaged over
-        cadences.
+        Target flux in the aperture over its total flux, averaged over cadences.
 
     Examples
     --------

@@ -6,6 +6,7 @@ from astropy.time import Time
 from scipy.signal import savgol_filter
 
 from scope_models._arrays import plain_array, plain_number
+from scope_models._checks import checked_number
 from scope_models.missions import MISSIONS
 
 __all__ = ["LONG_CADENCE", "cdpp"]
@@ -26,17 +27,15 @@ def cdpp(lc_or_flux, duration=6.5, method="lightkurve", *, cadence=None, filter_
     pointing systematics, so compare like with like:
 
     ``"lightkurve"``
-        `lightkurve.LightCurve.estimate_cdpp`: the flux is divided by an
-        iteratively 3-sigma clipped Savitzky-Golay trend (order 2, 101
-        cadences; gaps longer than 5 cadences split it), clipped at 5 sigma,
-        and the result is the standard deviation of its running mean. Same
-        number as lightkurve.
+        `lightkurve.LightCurve.estimate_cdpp`: the flux is divided by an iteratively 3-sigma clipped
+        Savitzky-Golay trend (order 2, 101 cadences; gaps longer than 5 cadences split it), clipped
+        at 5 sigma, and the result is the standard deviation of its running mean. Same number as
+        lightkurve.
     ``"everest"``
-        The EVEREST catalogs: a Savitzky-Golay trend (order 2, 49 cadences)
-        is subtracted, points farther than 5 (scaled) median absolute
-        deviations from a 50-cadence smooth are dropped, and the result is
-        the median, over all running windows of :math:`n` cadences, of the
-        window's standard deviation divided by :math:`\sqrt{n}`.
+        The EVEREST catalogs: a Savitzky-Golay trend (order 2, 49 cadences) is subtracted, points
+        farther than 5 (scaled) median absolute deviations from a 50-cadence smooth are dropped, and
+        the result is the median, over all running windows of :math:`n` cadences, of the window's
+        standard deviation divided by :math:`\sqrt{n}`.
 
     White noise of 100 ppm per long cadence has a 6.5-hour CDPP of nominally
     :math:`100 / \sqrt{13} = 27.7` ppm; the first convention gives 23.1 (the
@@ -63,8 +62,7 @@ def cdpp(lc_or_flux, duration=6.5, method="lightkurve", *, cadence=None, filter_
     Returns
     -------
     float or `~numpy.ndarray`
-        CDPP in parts per million; an array of shape ``(n_series,)`` for
-        two-dimensional input.
+        CDPP in parts per million; an array of shape ``(n_series,)`` for two-dimensional input.
 
     Raises
     ------
@@ -91,9 +89,15 @@ def cdpp(lc_or_flux, duration=6.5, method="lightkurve", *, cadence=None, filter_
     days = _cadence_days(time, cadence)
     if time is None:
         time = np.arange(flux.shape[-1]) * days
-    width = _window_cadences(duration, days)
+    hours = plain_number(duration, u.hour, "duration")
+    if not (np.isfinite(hours) and hours > 0):
+        raise ValueError(f"`duration` must be positive, got {duration}")
+    width = round(hours / 24 / days)
+    if width < 1:
+        raise ValueError(f"`duration` must be at least half a cadence, got {duration}")
     if filter_window is None:
-        filter_window = _odd(_FILTER_CADENCES[method] * LONG_CADENCE.to_value(u.day) / days)
+        length = _FILTER_CADENCES[method] * LONG_CADENCE.to_value(u.day) / days
+        filter_window = max(2 * int(length // 2) + 1, _FILTER_ORDER + 1)
     elif filter_window % 2 != 1 or filter_window <= _FILTER_ORDER:
         raise ValueError(f"`filter_window` must be odd and at least 3, got {filter_window}")
     estimator = _lightkurve_cdpp if method == "lightkurve" else _everest_cdpp
@@ -123,24 +127,7 @@ def _cadence_days(time, cadence):
         if not cadence > 0:
             raise ValueError("`cadence` cannot be derived from the times, which must increase")
         return cadence
-    days = plain_number(cadence, u.day, "cadence")
-    if not (np.isfinite(days) and days > 0):
-        raise ValueError(f"`cadence` must be positive, got {cadence}")
-    return days
-
-
-def _window_cadences(duration, days):
-    hours = plain_number(duration, u.hour, "duration")
-    if not (np.isfinite(hours) and hours > 0):
-        raise ValueError(f"`duration` must be positive, got {duration}")
-    width = round(hours / 24 / days)
-    if width < 1:
-        raise ValueError(f"`duration` must be at least half a cadence, got {duration}")
-    return width
-
-
-def _odd(number):
-    return max(2 * int(number // 2) + 1, _FILTER_ORDER + 1)
+    return checked_number("cadence", cadence, u.day, positive=True)
 
 
 def _estimate(estimator, time, flux, width, filter_window):
@@ -202,7 +189,7 @@ def _within(values, sigma, iterations):
     return keep
 
 
-def _everest_cdpp(time, flux, width, filter_window):  # noqa: ARG001 (same signature)
+def _everest_cdpp(_time, flux, width, filter_window):
     if len(flux) >= filter_window:
         flux = flux - savgol_filter(flux, filter_window, _FILTER_ORDER)
         flux = flux + 1 - np.median(flux)

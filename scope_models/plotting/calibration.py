@@ -3,7 +3,7 @@
 import matplotlib.pyplot as plt
 import numpy as np
 
-from scope_models.plotting._style import styled
+from scope_models.plotting._style import make_panels, styled
 
 __all__ = ["plot_degeneracy", "plot_k2_motion", "plot_no_motion"]
 
@@ -171,17 +171,10 @@ def plot_degeneracy(grids, marks=None):
     >>> len(plot_degeneracy({0.1: (a_2, b, cost), 0.2: (a_2, b, cost + 5)}).axes)
     3
     """
-    columns = min(len(grids), 3)
-    rows = -(-len(grids) // columns)
-    figure, axes = plt.subplots(
-        rows, columns, figsize=(1 + 3.4 * columns, 0.6 + 3.2 * rows), sharex=True, sharey=True,
-        squeeze=False, layout="constrained",
-    )  # fmt: skip
+    figure, axes = make_panels(len(grids), 3, (1, 3.4, 0.6, 3.2), sharex=True, sharey=True)
     lowest = min(np.min(cost) for _, _, cost in grids.values())
     levels = [0, 2.3, 6.2, 11.8, 20, 40, 80]
-    for ax in axes.flat[len(grids) :]:
-        ax.remove()
-    for ax, (wings, (a_2, scatter, cost)) in zip(axes.flat, sorted(grids.items()), strict=False):
+    for ax, (wings, (a_2, scatter, cost)) in zip(axes, sorted(grids.items()), strict=True):
         excess = np.asarray(cost) - lowest
         order = np.argsort(a_2)
         shown = ax.contourf(np.asarray(a_2)[order], 100 * np.asarray(scatter), excess[order].T,
@@ -194,9 +187,9 @@ def plot_degeneracy(grids, marks=None):
         ax.set_title(f"{100 * wings:.0f} % in the wings")
         ax.set(xlabel="$a_2$")
         ax.label_outer()
-    for ax in axes[:, 0]:
+    for ax in axes[::3]:
         ax.set_ylabel("Standard deviation of $b$ (%)")
     if marks:
-        axes[0, 0].legend(fontsize="small", loc="upper left")
+        axes[0].legend(fontsize="small", loc="upper left")
     figure.colorbar(shown, ax=axes, label=r"$\chi^2$ above the lowest")
     return figure

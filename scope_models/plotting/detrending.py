@@ -6,7 +6,8 @@ import numpy as np
 
 from scope_models._arrays import plain_array
 from scope_models.photometry import cdpp
-from scope_models.plotting._style import DARK, GRAY, LIGHT, styled
+from scope_models.plotting._style import DARK, GRAY, LIGHT, label_pixels, scale_to, styled
+from scope_models.plotting.images import draw_outline
 
 __all__ = ["plot_comparison", "plot_detrending", "plot_detrending_masks"]
 
@@ -51,7 +52,7 @@ def plot_comparison(time, fluxes, *, best=None):
         ax.legend(loc="upper right", fontsize="small")
         ax.set_ylabel("Relative flux")
         shown.append(relative)
-    _scale(axes[0], np.concatenate(shown))
+    scale_to(axes[0], *shown)
     axes[-1].set_xlabel("Time (d)")
     return axes
 
@@ -99,21 +100,12 @@ def plot_detrending(
     names = ("Measured flux (e-/s)", "Model (e-/s)", "Corrected flux (e-/s)")
     shown = (flux, flux if systematics is None else systematics, corrected)
     for ax, name, values in zip(axes, names, shown, strict=True):
-        _scale(ax, np.asarray(values, dtype=float))
+        scale_to(ax, values)
         ax.set_ylabel(name)
         if ax.get_legend_handles_labels()[0]:
             ax.legend(loc="upper right", fontsize="small")
     axes[2].set_xlabel("Time (d)")
     return axes
-
-
-def _scale(ax, values):
-    """Scale a panel to its values, without the outliers."""
-    finite = values[np.isfinite(values)]
-    if finite.size:
-        low, high = np.percentile(finite, [0.5, 99.5])
-        room = 0.3 * (high - low) or 1.0
-        ax.set_ylim(low - room, high + room)
 
 
 def _label(name, flux):
@@ -158,8 +150,6 @@ def plot_detrending_masks(image, aperture, scatter):
     for ax, values, title in zip(axes, (image, scatter), titles, strict=True):
         drawn = ax.imshow(values, origin="lower", cmap="cividis")
         ax.figure.colorbar(drawn, ax=ax)
-        for row, column in np.argwhere(aperture):
-            frame = plt.Rectangle((column - 0.5, row - 0.5), 1, 1, fill=False, color="w", lw=0.8)
-            ax.add_patch(frame)
-        ax.set(title=title, xlabel="Column (pixel)", ylabel="Row (pixel)")
+        draw_outline(ax, aperture)
+        label_pixels(ax, title)
     return axes

@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.patheffects import Normal, Stroke
 
 from scope_models._arrays import plain_array
-from scope_models.plotting._style import styled
+from scope_models.plotting._style import given_or_new, make_panels, styled
 
 __all__ = ["plot_cdpp", "plot_cdpp_panels", "plot_map"]
 
@@ -51,8 +51,7 @@ def plot_cdpp(series, reference=None, *, limits=(), title="", legend=True, ax=No
     >>> [text.get_text() for text in ax.get_legend().get_texts()]
     ['Kepler, median', '1x']
     """
-    if ax is None:
-        _, ax = plt.subplots(figsize=(5.6, 4.6), layout="constrained")
+    ax = given_or_new(ax, 5.6, 4.6)
     if reference is not None:
         _draw_reference(ax, reference)
     shades = plt.get_cmap("viridis_r")(np.linspace(0.15, 1, max(len(series), 2)))
@@ -136,14 +135,8 @@ def plot_cdpp_panels(panels, reference=None, *, limits=(), residuals=None, colum
     """
     titles = [*panels, *([_RESIDUALS] if residuals else [])]
     columns = min(columns, len(titles))
-    rows = -(-len(titles) // columns)
-    _, grid = plt.subplots(
-        rows, columns, figsize=(0.7 + 4.1 * columns, 0.3 + 3.9 * rows), sharex=True, squeeze=False,
-        layout="constrained",
-    )  # fmt: skip
-    axes = dict(zip(titles, grid.flat, strict=False))
-    for ax in grid.flat[len(titles) :]:
-        ax.remove()
+    _, grid = make_panels(len(titles), columns, (0.7, 4.1, 0.3, 3.9), sharex=True)
+    axes = dict(zip(titles, grid, strict=True))
     first = axes[titles[0]]
     for title, series in panels.items():
         if axes[title] is not first:
@@ -182,8 +175,8 @@ def plot_map(
         What belongs to each row and column; the first row is the lowest.
     row_label, column_label, label : str
         Labels, with units, of the axes and of the colors.
-    text : str, optional
-        Format of the numbers in the cells; "" leaves them out.
+    text : str or callable, optional
+        Format of the numbers in the cells, or a function that writes them; "" leaves them out.
     span : tuple of float, optional
         Ends of the colors; by default those of the values.
     title : str, optional
@@ -218,9 +211,8 @@ def plot_map(
         raise ValueError(
             f"`values` must have shape {(len(rows), len(columns))}, got {values.shape}"
         )
-    if ax is None:
-        size = (2.4 + 0.55 * len(columns), 1.6 + 0.45 * len(rows))
-        _, ax = plt.subplots(figsize=np.clip(size, 3.6, 12), layout="constrained")
+    size = 2.4 + 0.55 * len(columns), 1.6 + 0.45 * len(rows)
+    ax = given_or_new(ax, *np.clip(size, 3.6, 12))
     low, high = (None, None) if span is None else span
     shown = ax.imshow(values, origin="lower", aspect="auto", cmap="viridis", vmin=low, vmax=high)
     ax.set_xticks(range(len(columns)), [f"{value:g}" for value in columns])
@@ -229,9 +221,7 @@ def plot_map(
     ax.figure.colorbar(shown, ax=ax, label=label)
     for (row, column), value in np.ndenumerate(values):
         if text and np.isfinite(value):
-            dark = shown.norm(value) < 0.55
-            ax.text(
-                column, row, format(value, text), ha="center", va="center", fontsize="small",
-                color="w" if dark else "k",
-            )  # fmt: skip
+            number = text(value) if callable(text) else format(value, text)
+            color = "w" if shown.norm(value) < 0.55 else "k"
+            ax.text(column, row, number, ha="center", va="center", fontsize="small", color=color)
     return ax

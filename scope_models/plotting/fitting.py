@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.colors import AsinhNorm, LogNorm
 
 from scope_models._arrays import plain_array
-from scope_models.plotting._style import styled
+from scope_models.plotting._style import FLUX, label_pixels, scale_to, styled
 
 __all__ = ["plot_fit", "plot_twin"]
 
@@ -77,48 +77,39 @@ def plot_fit(
     light = AsinhNorm(_LINEAR * top, -_LINEAR * top, top)
     for name, image in (("data", data), ("model", model)):
         shown = axes[name].imshow(image, origin="lower", cmap="viridis", norm=light)
-        _label_image(axes[name], _TITLES[name])
-    bar = figure.colorbar(shown, ax=axes["model"], label="Flux (e$^-$ s$^{-1}$)")
+        label_pixels(axes[name], _TITLES[name])
+    bar = figure.colorbar(shown, ax=axes["model"], label=FLUX)
     ticks = [0.0, *(part * top for part in (_LINEAR, 0.1, 1))]
     bar.set_ticks(ticks, labels=[f"{tick:.3g}" for tick in ticks])
     bar.minorticks_off()
     shown = axes["residual"].imshow(
         residual, origin="lower", cmap="RdBu_r", vmin=-largest, vmax=largest
     )
-    title = f"{_TITLES['residual']}, to {100 * largest / top:.2g} %"
-    _label_image(axes["residual"], title)
-    figure.colorbar(shown, ax=axes["residual"], label="Flux (e$^-$ s$^{-1}$)")
+    label_pixels(axes["residual"], f"{_TITLES['residual']}, to {100 * largest / top:.2g} %")
+    figure.colorbar(shown, ax=axes["residual"], label=FLUX)
     _draw_positions(axes["positions"], x, y, pos_corr)
     if chi2 is not None:
         shown = axes["chi2"].imshow(chi2, origin="lower", cmap="viridis", norm=LogNorm())
-        _label_image(axes["chi2"], f"Chi-squared, median {np.nanmedian(chi2):.3g}")
+        label_pixels(axes["chi2"], f"Chi-squared, median {np.nanmedian(chi2):.3g}")
         figure.colorbar(shown, ax=axes["chi2"], label="Per degree of freedom")
     if sensitivity:
         _draw_sensitivity(axes["sensitivity"], sensitivity)
     elif flux is not None:
         ax = axes["light curve"]
         ax.plot(np.arange(flux.size) if time is None else time, flux, "k.", ms=2)
-        ax.set(
-            title="Light curve",
-            xlabel="Cadence" if time is None else "Time (d)",
-            ylabel="Flux (e$^-$ s$^{-1}$)",
-        )
-        ax.set_ylim(*_without_outliers([flux]))
+        label = "Cadence" if time is None else "Time (d)"
+        ax.set(title="Light curve", xlabel=label, ylabel=FLUX)
+        scale_to(ax, flux)
         ax.locator_params(axis="x", nbins=5)
         ax.ticklabel_format(useOffset=False)
     return axes
-
-
-def _label_image(ax, title):
-    """Label an image of pixels."""
-    ax.set(title=title, xlabel="Column (pixel)", ylabel="Row (pixel)")
 
 
 def _draw_positions(ax, x, y, pos_corr):
     """Draw positions against POS_CORR, or as a track."""
     if pos_corr is None:
         ax.plot(x, y, "k.", ms=2)
-        ax.set(title="Positions", xlabel="Column (pixel)", ylabel="Row (pixel)")
+        label_pixels(ax, "Positions")
         return
     path = pos_corr - np.median(pos_corr, axis=0)
     ax.plot(path[:, 0], x - np.median(x), "k.", ms=2, label="column")
@@ -197,19 +188,11 @@ def plot_twin(time, real, twin, residuals, *, time_label="Time (d)", labels=None
             time, twin[number], ".", color="0.6", ms=1.5, label=f"twin {labels.get('twin', '')}"
         )
         ax.set(title=title, ylabel="Relative flux", xlabel=time_label)
-        ax.set_ylim(*_without_outliers([real[number], twin[number]]))
+        scale_to(ax, real[number], twin[number])
         ax.legend(fontsize="small", markerscale=4)
     norm = LogNorm(*(f([f(image[image > 0]) for image in residuals]) for f in (np.min, np.max)))
     for name, image in zip(("real", "twin"), residuals, strict=True):
         shown = axes[name].imshow(image, origin="lower", cmap="viridis", norm=norm)
-        axes[name].set(title=name.replace("real", "star").capitalize(), xlabel="Column (pixel)")
-        axes[name].set_ylabel("Row (pixel)")
+        label_pixels(axes[name], name.replace("real", "star").capitalize())
         figure.colorbar(shown, ax=axes[name], label="Scatter of residuals (errors)")
     return axes
-
-
-def _without_outliers(series):
-    """Limits of an axis that hold all but the outermost half percent of the values."""
-    low, high = np.nanpercentile(np.concatenate([np.ravel(part) for part in series]), (0.5, 99.5))
-    margin = 0.3 * (high - low) or 0.01
-    return low - margin, high + margin

@@ -9,7 +9,7 @@ from matplotlib.colors import LogNorm
 from matplotlib.patheffects import Normal, Stroke
 
 from scope_models._arrays import plain_array, plain_number
-from scope_models.plotting._style import styled
+from scope_models.plotting._style import FLUX, given_or_new, styled
 
 __all__ = [
     "animate_pixels",
@@ -57,9 +57,9 @@ def plot_pixels(image, aperture=None, *, log=False, title="Pixel image", ax=None
     if log:
         top = np.nanmax(image)
         norm = LogNorm(vmin=max(np.nanmin(image), 1e-4 * top), vmax=top, clip=True)
-    ax = _draw_image(image, 1, "Flux (e$^-$ s$^{-1}$)", title, ax, cmap="viridis", norm=norm)
+    ax = _draw_image(image, 1, FLUX, title, ax, cmap="viridis", norm=norm)
     if aperture is not None:
-        _outline(ax, np.asarray(aperture, dtype=bool))
+        draw_outline(ax, np.asarray(aperture, dtype=bool))
     return ax
 
 
@@ -103,8 +103,7 @@ def plot_psf(psf, oversample=1, *, title="PSF on the detector", ax=None):
     Parameters
     ----------
     psf : array_like
-        Density ``(ny * oversample, nx * oversample)`` in e-/s per square
-        pixel.
+        Density ``(ny * oversample, nx * oversample)`` in e-/s per square pixel.
     oversample : int, optional
         Samples per pixel along each axis.
     title : str, optional
@@ -201,7 +200,7 @@ def plot_motion(time, x, y, shape=None, *, time_label="Time (d)", title="Motion"
     """
     time = plain_array(time, u.day, "time")
     x, y = plain_array(x, u.pix, "x"), plain_array(y, u.pix, "y")
-    ax = _axes(ax)
+    ax = given_or_new(ax, 5, 4.2)
     points = np.column_stack([x, y])
     track = LineCollection(
         np.stack([points[:-1], points[1:]], axis=1), cmap="viridis", lw=0.6, alpha=0.5
@@ -230,8 +229,7 @@ def _draw_surroundings(ax, x, y):
     for draw, along, across in ((ax.vlines, *limits), (ax.hlines, *limits[::-1])):
         edges = np.arange(np.ceil(along[0] + 0.5), along[1] + 0.5) - 0.5
         draw(edges, *across, color="0.5", lw=0.9, zorder=0)
-    ax.set(xlim=limits[0], ylim=limits[1])
-    ax.set(xlabel="Column (pixel)", ylabel="Row (pixel)")
+    ax.set(xlim=limits[0], ylim=limits[1], xlabel="Column (pixel)", ylabel="Row (pixel)")
     ax.set_aspect("equal")
 
 
@@ -284,12 +282,6 @@ def animate_pixels(cube, time=None, aperture=None, *, interval=50, time_label="T
     return FuncAnimation(ax.figure, draw, frames=len(cube), interval=interval)
 
 
-def _axes(ax):
-    if ax is None:
-        _, ax = plt.subplots(figsize=(5, 4.2), layout="constrained")
-    return ax
-
-
 def _image(image):
     image = plain_array(image, None, "image")
     if image.ndim != 2:
@@ -298,7 +290,7 @@ def _image(image):
 
 
 def _draw_image(image, oversample, label, title, ax, **kwargs):
-    ax = _axes(ax)
+    ax = given_or_new(ax, 5, 4.2)
     ny, nx = (size / oversample for size in image.shape)
     extent = (-0.5, nx - 0.5, -0.5, ny - 0.5)
     shown = ax.imshow(image, origin="lower", extent=extent, interpolation="nearest", **kwargs)
@@ -320,14 +312,12 @@ def _pixel_axes(ax, x_limits, y_limits):
     ax.grid(which="minor", color="0.6", lw=0.5)
 
 
-def _outline(ax, aperture):
+def draw_outline(ax, aperture):
     """Draw the edges between pixels inside and outside, white on black."""
     padded = np.pad(aperture, 1)
-    lines = []
-    for row, column in zip(*np.nonzero(padded[1:] != padded[:-1]), strict=True):
-        lines.append([(column - 1.5, row - 0.5), (column - 0.5, row - 0.5)])
-    for row, column in zip(*np.nonzero(padded[:, 1:] != padded[:, :-1]), strict=True):
-        lines.append([(column - 0.5, row - 1.5), (column - 0.5, row - 0.5)])
+    below, left = padded[1:] != padded[:-1], padded[:, 1:] != padded[:, :-1]
+    lines = [[(x - 1.5, y - 0.5), (x - 0.5, y - 0.5)] for y, x in np.argwhere(below)]
+    lines += [[(x - 0.5, y - 1.5), (x - 0.5, y - 0.5)] for y, x in np.argwhere(left)]
     edges = LineCollection(lines, colors="w", lw=2, zorder=3, capstyle="round", clip_on=False)
     edges.set_path_effects([Stroke(linewidth=4.5, foreground="k"), Normal()])
     edges.set_label("aperture")

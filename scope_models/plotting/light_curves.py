@@ -5,7 +5,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from scope_models._arrays import plain_array, plain_number
-from scope_models.plotting._style import DARK, LIGHT, styled
+from scope_models.plotting._style import DARK, LIGHT, given_or_new, styled
 from scope_models.plotting.images import plot_motion, plot_pixels
 
 __all__ = [
@@ -58,8 +58,7 @@ def plot_light_curve(
     >>> [text.get_text() for text in ax.get_legend().get_texts()]
     ['raw, CDPP 23.1 ppm', 'de-trended']
     """
-    if ax is None:
-        _, ax = plt.subplots(figsize=(8, 3.2), layout="constrained")
+    ax = given_or_new(ax, 8, 3.2)
     time, flux = plain_array(time, u.day, "time"), plain_array(flux, None, "flux")
     cdpp, corrected_cdpp = _ppm(cdpp, "cdpp"), _ppm(corrected_cdpp, "corrected_cdpp")
     relative = flux / np.nanmedian(flux)
@@ -91,8 +90,7 @@ def plot_fold(
     model : array_like, optional
         Relative flux of a model at the same times, drawn as a line.
     window : float, optional
-        Hours to draw on either side of mid-transit; half a period by
-        default.
+        Hours to draw on either side of mid-transit; half a period by default.
     n_bins : int, optional
         Number of bins over the window.
     title : str, optional
@@ -122,8 +120,7 @@ def plot_fold(
     near = np.isfinite(flux) & (np.abs(phase) <= window)
     if not near.any():
         raise ValueError(f"`window` of {window} h around mid-transit holds no cadence")
-    if ax is None:
-        _, ax = plt.subplots(figsize=(6, 3.6), layout="constrained")
+    ax = given_or_new(ax, 6, 3.6)
     ax.plot(phase[near], flux[near], ".", ms=3, color="0.75", label="cadences")
     edges = np.linspace(-window, window, n_bins + 1)
     count, _ = np.histogram(phase[near], edges)
@@ -175,8 +172,7 @@ def plot_summary(
     cdpp, corrected_cdpp : float, optional
         Noise of the two light curves in ppm.
     model : array_like, optional
-        Expected relative flux ``(n_cadences,)``, drawn over the de-trended
-        light curve.
+        Expected relative flux ``(n_cadences,)``, drawn over the de-trended light curve.
     noise : float or array_like, optional
         Expected relative standard deviation of a cadence, a number or
         ``(n_cadences,)``: a band about the de-trended light curve.

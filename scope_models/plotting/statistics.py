@@ -1,13 +1,13 @@
-"""Figures of single experiments: statistics of motions, maps of a grid."""
+"""Figures of single experiments: statistics of motions, maps of a grid, noise of real stars."""
 
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.ticker import FuncFormatter, NullLocator
 
-from scope_models.plotting._style import styled
+from scope_models.plotting._style import make_panels, styled
 from scope_models.plotting.experiments import plot_map
 
-__all__ = ["plot_maps", "plot_motion_statistics"]
+__all__ = ["plot_maps", "plot_motion_statistics", "plot_precision"]
 
 _MARKERS = "os^Dvp*X"
 _TITLES = {"mean": "Mean", "std": "Standard deviation", "maximum": "Maximum"}
@@ -90,23 +90,49 @@ def plot_maps(maps, rows, columns, **labels):
     """
     values = np.log10([np.asarray(value, dtype=float) for value in maps.values()])
     span = float(np.nanmin(values)), float(np.nanmax(values))
-    lines = -(-len(maps) // 2)
-    figure, axes = plt.subplots(
-        lines, min(len(maps), 2), figsize=(9, 0.4 + 3.4 * lines), squeeze=False,
-        layout="constrained",
-    )  # fmt: skip
-    text, label = labels.pop("text", ".2f"), labels.pop("label")
-    for ax in axes.flat[len(maps) :]:
-        ax.remove()
-    for ax, title, value in zip(axes.flat, maps, values, strict=False):
+    figure, axes = make_panels(len(maps), 2, (9, 0, 0.4, 3.4))
+    text, label = labels.pop("text", ".2f"), f"log10 ({labels.pop('label').lower()})"
+    for ax, title, value in zip(axes, maps, values, strict=True):
         plot_map(
-            value, rows, columns, **labels, label=f"log10 ({label.lower()})", text="", span=span,
-            title=title, ax=ax,
+            value, rows, columns, **labels, label=label, span=span, title=title, ax=ax,
+            text=lambda number: format(10**number, text),
         )  # fmt: skip
-        middle = (span[0] + span[1]) / 2
-        for (row, column), number in np.ndenumerate(value):
-            if np.isfinite(number):
-                color = "w" if number < middle else "k"
-                shown = format(10**number, text)
-                ax.text(column, row, shown, ha="center", va="center", color=color, fontsize="small")
+    return figure
+
+
+@styled
+def plot_precision(stars, reference):
+    """
+    Draw the noise of stars before and after a correction over their magnitude.
+
+    Parameters
+    ----------
+    stars : mapping of str to array_like
+        Per star, ``(n,)`` each: "mag", "raw_cdpp" and "cdpp" (ppm). NaN is not drawn.
+    reference : mapping of str to mapping
+        For each label "mag", "p10" and "median" (ppm), ``(k,)`` each.
+
+    Returns
+    -------
+    `~matplotlib.figure.Figure`
+        The figure.
+
+    Examples
+    --------
+    >>> from scope_models.plotting.statistics import plot_precision
+    >>> stars = {"mag": [12.0, 14.0], "raw_cdpp": [200, 300], "cdpp": [25, 60]}
+    >>> kepler = {"mag": [12, 14], "p10": [17, 43], "median": [26, 53]}
+    >>> plot_precision(stars, {"Kepler": kepler}).axes[0].get_xlabel()
+    'Magnitude'
+    """
+    figure, axes = plt.subplots(figsize=(6.4, 4.6), layout="constrained")
+    for (label, values), style in zip(reference.items(), ("k--", "k:", "k-."), strict=False):
+        axes.plot(values["mag"], values["median"], style, lw=1.2, label=f"{label}, median")
+    mag = np.asarray(stars["mag"], dtype=float)
+    axes.plot(mag, stars["raw_cdpp"], ".", color="0.6", label="before")
+    axes.plot(mag, stars["cdpp"], ".", color="#2c5aa0", label="corrected")
+    axes.set(yscale="log", xlabel="Magnitude", ylabel="6.5-h CDPP (ppm)")
+    if np.isfinite(mag).any():
+        axes.set_xlim(np.nanmin(mag) - 0.5, np.nanmax(mag) + 0.5)
+    axes.legend(fontsize="small")
     return figure

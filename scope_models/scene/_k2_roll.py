@@ -1,56 +1,38 @@
-"""The roll of K2 about its boresight: pure functions of numbers, arrays and random generators.
+"""The roll of K2 about its boresight, and the pointing of its last campaigns.
 
 Angles are in arcseconds and times in hours, measured from the beginning of the first cadence.
 """
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import ClassVar
 
 import astropy.units as u
 import numpy as np
 
 from scope_models._arrays import PER_PIXEL
-from scope_models._checks import checked_number, checked_pair
+from scope_models._checks import check_fields
+from scope_models._values import Value
 from scope_models.missions import MISSIONS
+from scope_models.scene._pointing import (
+    ARCSEC_PER_RADIAN,
+    DAYS_PER_YEAR,
+    SPEED_OF_LIGHT,
+    Pointing,
+    correlated,
+    due,
+)
 
-__all__ = [
-    "K2Roll",
-    "aberration_scale",
-    "cadence_means",
-    "fire_thrusters",
-    "red_noise",
-    "solar_rate",
-]
+__all__ = ["K2Campaign18", "K2FinalCampaign", "K2Roll", "cadence_means"]
 
-ARCSEC_PER_RADIAN = 180 * 3600 / math.pi
-SPEED_OF_LIGHT = 299792.458  # km/s
-DAYS_PER_YEAR = 365.25
 # Length of a firing in hours: about 7 % of all extend over two long cadences.
-FIRING = 2 / 60
+_FIRING = 2 / 60
 # Noise that is older than this many correlation times is forgotten (exp(-20) = 2e-9).
 _MEMORY = 20
-_UNITS = {
-    "solar_rate": u.arcsec / u.hour,
-    "reversal": u.day,
-    "reversal_interval": u.day,
-    "rate_growth": u.hour**-1,
-    "rate_scatter": u.one,
-    "reset_interval": u.hour,
-    "reset_jitter": u.hour,
-    "deadband": u.arcsec,
-    "reset_scatter": u.arcsec,
-    "roll_jitter": u.arcsec,
-    "roll_jitter_time": u.hour,
-    "pointing_jitter": u.arcsec,
-    "orbital_speed": u.km / u.s,
-    "campaign": u.day,
-    "pixel_scale": u.arcsec,
-}
 
 
 @dataclass(frozen=True)
-class K2Roll:
+class K2Roll(Value):
     r"""The roll of K2 about its boresight, and a star at some distance from that.
 
     Sunlight rolls the field; about every six hours thrusters put the roll angle :math:`\theta`
@@ -147,6 +129,29 @@ class K2Roll:
     campaign: float = 80.0
     pixel_scale: float = 3.98
 
+    units: ClassVar[dict] = {
+        "field": u.deg,
+        "solar_rate": u.arcsec / u.hour,
+        "reversal": u.day,
+        "reversal_interval": u.day,
+        "rate_growth": u.hour**-1,
+        "rate_scatter": u.one,
+        "reset_interval": u.hour,
+        "reset_jitter": u.hour,
+        "deadband": u.arcsec,
+        "reset_scatter": u.arcsec,
+        "roll_jitter": u.arcsec,
+        "roll_jitter_time": u.hour,
+        "pointing_jitter": u.arcsec,
+        "orbital_speed": u.km / u.s,
+        "campaign": u.day,
+        "pixel_scale": (u.arcsec, PER_PIXEL),
+    }
+    positive: ClassVar[frozenset] = frozenset(
+        {"reversal_interval", "reset_interval", "campaign", "pixel_scale"}
+    )
+    any_sign: ClassVar[frozenset] = frozenset({"solar_rate", "reversal", "orbital_speed"})
+    at_most_one: ClassVar[frozenset] = frozenset()
     # Length of a long cadence in days, with the digits of TIMEDEL in headers. Not a parameter: the
     # jitters are measured at this cadence.
     cadence: ClassVar[float] = round(MISSIONS["K2"].cadence_days("long"), 14)
@@ -155,18 +160,7 @@ class K2Roll:
         pair = self.field
         if not isinstance(pair, tuple | list | np.ndarray) or len(pair) != 2:
             raise TypeError(f"`field` must be a pair of numbers in degrees, got {pair!r}")
-        object.__setattr__(self, "field", checked_pair("field", pair, u.deg))
-        for item in fields(self)[1:]:
-            name = item.name
-            value = checked_number(
-                name,
-                getattr(self, name),
-                _UNITS[name],
-                equivalencies=PER_PIXEL if name == "pixel_scale" else (),
-                positive=name in {"reversal_interval", "reset_interval", "campaign", "pixel_scale"},
-                any_sign=name in {"solar_rate", "reversal", "orbital_speed"},
-            )
-            object.__setattr__(self, name, value)
+        check_fields(self)
 
     def track(self, n_cadences, streams):
         """Return where the star goes, and when thrusters fire.
@@ -196,17 +190,21 @@ class K2Roll:
         hours = 24 * self.cadence
         edges = hours * np.arange(n_cadences + 1)
         roll, fired = self._sawtooth(edges, streams("thrusters"))
-        noise = red_noise(streams("roll"), n_cadences, self.roll_jitter_time / hours)
+        noise = _red_noise(streams("roll"), n_cadences, self.roll_jitter_time / hours)
         angle = (roll + self.roll_jitter * noise) / ARCSEC_PER_RADIAN
         arm_x, arm_y = (3600 * degrees / self.pixel_scale for degrees in self.field)
         middle = (edges[:-1] + hours / 2) / 24
-        stretch = aberration_scale(middle, self.orbital_speed, self.campaign)
+        # The field is larger by (v/c) cos(angle from the direction opposite to the velocity), which
+        # goes through zero in the middle of a campaign; less its mean over the campaign.
+        angle_to_motion = 2 * math.pi / DAYS_PER_YEAR * (middle - self.campaign / 2)
+        stretch = np.cos(angle_to_motion) - np.sinc(self.campaign / DAYS_PER_YEAR)
+        stretch *= self.orbital_speed / SPEED_OF_LIGHT
         residual = streams("pointing").standard_normal((n_cadences, 2))
         residual *= self.pointing_jitter / self.pixel_scale
         x = stretch * arm_x - angle * arm_y + residual[:, 0]
         y = stretch * arm_y + angle * arm_x + residual[:, 1]
         firing = np.zeros(n_cadences, dtype=bool)
-        for moment in (fired, fired + FIRING):
+        for moment in (fired, fired + _FIRING):
             index = np.floor(moment / hours).astype(int)
             firing[index[(index >= 0) & (index < n_cadences)]] = True
         return x, y, firing
@@ -220,101 +218,40 @@ class K2Roll:
         moved = np.clip(self.reset_jitter * deviates[:, 0], -0.45 * interval, 0.45 * interval)
         times = first + interval * (np.arange(len(deviates)) - 1) + moved
         times[0] = min(times[0], 0.0)
-        rate, acceleration = solar_rate(
-            times, self.solar_rate, 24 * self.reversal, 24 * self.reversal_interval
-        )
-        state, fired = fire_thrusters(
+        frequency = math.pi / (24 * self.reversal_interval)
+        phase = frequency * (24 * self.reversal - times)
+        state, fired = self._fire_thrusters(
             times,
-            rate,
-            acceleration,
+            self.solar_rate * np.sin(phase),
+            -self.solar_rate * frequency * np.cos(phase),
             self.reset_scatter * deviates[:, 1],
             1 + self.rate_scatter * deviates[:, 2],
-            deadband=self.deadband,
-            growth=self.rate_growth,
         )
         return cadence_means(times, state, edges), times[fired]
 
+    def _fire_thrusters(self, times, rate, acceleration, offsets, factors):
+        """Let the roll drift from a reset on, and reset it where it has left the deadband.
 
-def solar_rate(time, rate, reversal, half_period):
-    """Return the roll rate that sunlight drives, and its derivative.
-
-    Parameters
-    ----------
-    time : ndarray
-        Times in hours.
-    rate : float
-        Amplitude of the rate in arcsec/h, positive before the reversal.
-    reversal, half_period : float
-        Time of the first reversal of the sense, and the time between reversals, in hours.
-
-    Returns
-    -------
-    ndarray, ndarray
-        Rate in arcsec/h, and its derivative in arcsec/h^2.
-    """
-    frequency = math.pi / half_period
-    phase = frequency * (reversal - time)
-    return rate * np.sin(phase), -rate * frequency * np.cos(phase)
-
-
-def fire_thrusters(times, rate, acceleration, offsets, factors, *, deadband, growth):
-    r"""Let the roll drift, and reset it at the times when it has left the deadband.
-
-    Between two occasions the angle is :math:`\theta + \omega \tau + \alpha \tau^2 / 2`.
-
-    Parameters
-    ----------
-    times : ndarray, shape (n,)
-        The occasions to fire, increasing, in hours. The roll starts from a reset at the first.
-    rate, acceleration : ndarray, shape (n,)
-        Rate driven by sunlight and its derivative at these times, in arcsec/h and arcsec/h^2.
-    offsets : ndarray, shape (n,)
-        Angle after a firing at each of these times, in arcsec.
-    factors : ndarray, shape (n,)
-        Factor on the rate after a firing at each of these times.
-    deadband : float
-        The thrusters fire where the angle is larger than this, in arcsec.
-    growth : float
-        Relative growth of the rate per hour since the last firing.
-
-    Returns
-    -------
-    ndarray of shape (n, 3), ndarray of shape (n,)
-        Angle, rate and acceleration from each of the times on, and where thrusters fired.
-    """
-    state = np.empty((len(times), 3))
-    fired = np.zeros(len(times), dtype=bool)
-    angle, last = offsets[0], 0
-    for i, time in enumerate(times):
-        if abs(angle) > deadband and i > 0:
-            fired[i], angle, last = True, offsets[i], i
-        grown = 1 + growth * (time - times[last])
-        omega = factors[last] * rate[i] * grown
-        alpha = factors[last] * (acceleration[i] * grown + growth * rate[i])
-        state[i] = angle, omega, alpha
-        if i + 1 < len(times):
-            step = times[i + 1] - time
-            angle += omega * step + alpha * step**2 / 2
-    return state, fired
+        Angle, rate and acceleration from each occasion on, ``(n, 3)``, and where thrusters fired.
+        """
+        state = np.empty((len(times), 3))
+        fired = np.zeros(len(times), dtype=bool)
+        angle, last = offsets[0], 0
+        for i, time in enumerate(times):
+            if abs(angle) > self.deadband and i > 0:
+                fired[i], angle, last = True, offsets[i], i
+            grown = 1 + self.rate_growth * (time - times[last])
+            omega = factors[last] * rate[i] * grown
+            alpha = factors[last] * (acceleration[i] * grown + self.rate_growth * rate[i])
+            state[i] = angle, omega, alpha
+            if i + 1 < len(times):
+                step = times[i + 1] - time
+                angle += omega * step + alpha * step**2 / 2
+        return state, fired
 
 
 def cadence_means(times, state, edges):
-    """Return the mean of a piecewise quadratic angle over each cadence, exactly.
-
-    Parameters
-    ----------
-    times : ndarray, shape (m,)
-        Beginnings of the pieces in hours; the first is at or before the first edge.
-    state : ndarray, shape (m, 3)
-        Angle, rate and acceleration at the beginning of each piece.
-    edges : ndarray, shape (n + 1,)
-        Beginnings and ends of the cadences in hours.
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        Mean angle in each cadence in arcsec.
-    """
+    """Return the exact mean over each cadence of an angle that is quadratic in pieces."""
 
     def integral(piece, tau):
         angle, omega, alpha = state[piece].T
@@ -326,22 +263,10 @@ def cadence_means(times, state, edges):
     return np.diff(before[piece] + integral(piece, edges - times[piece])) / np.diff(edges)
 
 
-def red_noise(generator, n, correlation):
-    """Return stationary normal noise of unit variance that forgets itself exponentially.
+def _red_noise(generator, n, correlation):
+    """Return normal noise of unit variance that forgets itself in ``correlation`` samples.
 
-    Parameters
-    ----------
-    generator : numpy.random.Generator
-        Source of randomness. A longer series begins like a shorter one.
-    n : int
-        Number of samples.
-    correlation : float
-        Correlation time in samples; 0 gives white noise.
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        The noise.
+    A longer series begins like a shorter one.
     """
     length = math.ceil(_MEMORY * correlation)
     white = generator.standard_normal(n + length)
@@ -351,27 +276,148 @@ def red_noise(generator, n, correlation):
     return np.convolve(white, kernel / np.sqrt(np.sum(kernel**2)), mode="valid")
 
 
-def aberration_scale(time, speed, campaign):
-    r"""Return the relative stretch of the field by velocity aberration, less its mean.
+# Distance of the edge of the field from the boresight, px (arXiv:1512.06162).
+_EDGE = 6278.0
+# Displacement that the halos of apertures allow for, px (K2 data release notes).
+_HALO = 3.0
+# Time between momentum dumps, days: 96 long cadences on the file of EPIC 211983544 (campaign 18).
+_DUMPS = 1.9616
 
-    A field seen at an angle :math:`\lambda` from the direction opposite to the velocity is larger
-    by :math:`(v/c) \cos\lambda`. K2 looks along its orbit in the middle of a campaign, so that
-    :math:`\lambda` goes through zero there at the rate of one turn per year.
+
+@dataclass(frozen=True)
+class K2Campaign18(Pointing):
+    """The pointing of K2 campaign 18: nominal but for one excursion.
+
+    The K2 data release notes describe a pointing "well within the limits of that seen in other
+    K2 campaigns" with less than 1.9 px for 2490 long cadences, but for the cadences 162613 to
+    162627 with more than 4 px, and the very last one. Both are flagged as of coarse pointing. The
+    roll is that of `~scope_models.scene.motion.K2Roll` with the reversals that the star EPIC
+    211983544 has.
 
     Parameters
     ----------
-    time : ndarray
-        Times in days from the beginning of the campaign.
-    speed : float
-        Orbital speed in km/s, negative where the field lies ahead.
-    campaign : float
-        Length of the campaign in days.
+    excursion : float or Quantity
+        Displacement of the boresight along a random direction in the flagged cadences, px.
+    field : tuple of float or Quantity
+        Distance of the star from the boresight along columns and rows, deg; the default is that
+        of EPIC 211983544.
 
-    Returns
-    -------
-    ndarray
-        The stretch: a displacement away from the boresight per distance from it.
+    Examples
+    --------
+    >>> from scope_models.scene.motion import K2Campaign18
+    >>> K2Campaign18(excursion=5.0).excursion
+    5.0
     """
-    turn = 2 * math.pi / DAYS_PER_YEAR
-    mean = np.sinc(campaign / DAYS_PER_YEAR)  # of the cosine below over the campaign
-    return speed / SPEED_OF_LIGHT * (np.cos(turn * (time - campaign / 2)) - mean)
+
+    units: ClassVar[dict] = {"excursion": u.pix, "field": u.deg}
+    #: Number of the first long cadence, and of all.
+    cadences: ClassVar[tuple] = (161969, 2490)
+    #: Time of the first cadence, BKJD (EPIC 211983544).
+    start: ClassVar[float] = 3418.5463
+
+    excursion: float = 4.5
+    field: tuple = (0.45, 3.16)
+
+    def track(self, time, streams):
+        """Return where the star goes, and the flagged cadences."""
+        roll = K2Roll(field=self.field, reversal=5.8, reversal_interval=37.3, rate_growth=0.027)
+        x, y, firing = roll.track(len(time), streams)
+        number = self.cadences[0] + np.arange(len(time))
+        away = ((number >= 162613) & (number <= 162627)) | (number == 164458)
+        direction = 2 * np.pi * streams("direction").random()
+        x += self.excursion * np.cos(direction) * away
+        y += self.excursion * np.sin(direction) * away
+        dumps = due(time, _DUMPS, streams("dumps"))
+        return x, y, {"thruster_firing": firing, "coarse_point": away, "desaturation": dumps}
+
+
+@dataclass(frozen=True)
+class K2FinalCampaign(Pointing):
+    """The pointing of K2 campaign 19, in which the fuel ran out.
+
+    The K2 data release notes describe 26.4 days (long cadences 167333 to 168623): 8.5 days in
+    which the boresight was off target, so that nearly all stars were outside of their pixels; 7
+    days of nominal pointing with less than 1.5 px; and 11 days in which "the boresight and roll
+    fluctuated erratically", with usable parts up to cadence 168481. The roll of
+    `~scope_models.scene.motion.K2Roll` goes on in all of them. How far boresight and roll went is
+    not in the notes, and assumed here.
+
+    Cadences are flagged as without fine pointing in the first part and after the last usable one,
+    and as of coarse pointing in the first part and where boresight and erratic roll take a star
+    at the edge of the field farther than 3 px, for which the apertures of K2 allow.
+
+    Parameters
+    ----------
+    off_target_time, nominal_time, erratic_length : float or Quantity
+        Length of the first and of the second part, and time from then on with fine pointing,
+        days; those of the notes' cadence numbers.
+    off_target : float or Quantity
+        Displacement of the boresight in the first part, px; assumed.
+    erratic, erratic_time : float or Quantity
+        Standard deviation of the boresight per axis in the last part, px, and its correlation
+        time, hours; assumed.
+    erratic_roll : float or Quantity
+        Standard deviation of the additional roll in the last part, arcsec; assumed.
+    field : tuple of float or Quantity
+        Distance of the star from the boresight along columns and rows, deg.
+
+    Examples
+    --------
+    >>> from scope_models.scene.motion import K2FinalCampaign
+    >>> K2FinalCampaign(erratic=5.0).erratic
+    5.0
+    """
+
+    units: ClassVar[dict] = {
+        "off_target_time": u.day,
+        "nominal_time": u.day,
+        "erratic_length": u.day,
+        "off_target": u.pix,
+        "erratic": u.pix,
+        "erratic_time": u.hour,
+        "erratic_roll": u.arcsec,
+        "field": u.deg,
+    }
+    positive: ClassVar[frozenset] = frozenset({"off_target_time", "nominal_time", "erratic_time"})
+    #: Number of the first long cadence, and of all.
+    cadences: ClassVar[tuple] = (167333, 1291)
+    #: Time of the first cadence, BKJD: 2018-08-30 15:17 UTC (K2 data release notes).
+    start: ClassVar[float] = 3528.1377
+
+    off_target_time: float = 8.375
+    nominal_time: float = 7.25
+    erratic_length: float = 7.84
+    off_target: float = 6.0
+    erratic: float = 2.0
+    erratic_time: float = 12.0
+    erratic_roll: float = 30.0
+    field: tuple = (-4.59, 1.35)
+
+    def track(self, time, streams):
+        """Return where the star goes, and the flagged cadences."""
+        roll = K2Roll(field=self.field)
+        x, y, firing = roll.track(len(time), streams)
+        first = time < self.off_target_time
+        nominal_end = self.off_target_time + self.nominal_time
+        last = time >= nominal_end
+        correlation = self.erratic_time / (24 * K2Roll.cadence)
+        angle, dx, dy = (
+            size * last * correlated(streams(name), len(time), correlation)
+            for name, size in (
+                ("erratic roll", self.erratic_roll / ARCSEC_PER_RADIAN),
+                ("erratic x", self.erratic),
+                ("erratic y", self.erratic),
+            )
+        )
+        direction = 2 * np.pi * streams("direction").random()
+        dx += self.off_target * np.cos(direction) * first
+        dy += self.off_target * np.sin(direction) * first
+        arm_x, arm_y = (3600 * degrees / roll.pixel_scale for degrees in self.field)
+        lost = first | (time >= nominal_end + self.erratic_length)
+        flags = {
+            "thruster_firing": firing,
+            "coarse_point": first | (np.hypot(dx, dy) + _EDGE * np.abs(angle) > _HALO),
+            "no_fine_point": lost,
+            "desaturation": due(time, _DUMPS, streams("dumps")),
+        }
+        return x + dx - angle * arm_y, y + dy + angle * arm_x, flags

@@ -6,6 +6,7 @@ import astropy.units as u
 import numpy as np
 
 from scope_models._arrays import PER_PIXEL, plain_array, plain_number, plain_time
+from scope_models._values import Value
 from scope_models.io.pixels import LARGEST_OFFSET, usable_positions
 from scope_models.missions import MISSIONS, TIME_ZEROS
 
@@ -80,25 +81,8 @@ def check_increasing(values, name):
 def repair(time, x, y, quality, cadenceno, *, time_format, bad, pixel_scale=None):
     """Interpolate, drop or refuse cadences without a usable time or position.
 
-    Parameters
-    ----------
-    time, x, y : array_like, Quantity or Time, shape (n,)
-        Times in days, and offsets in pixels.
-    quality, cadenceno : array_like of int, shape (n,), or None
-        Quality flags, and cadence numbers.
-    time_format : {"bkjd", "btjd"}
-        Zero of the times, which decides about the flags to set.
-    bad : {"interpolate", "drop", "error"}
-        What to do.
-    pixel_scale : float, optional
-        Arcseconds per pixel, for offsets that are angles.
-
-    Returns
-    -------
-    time, x, y, quality, cadenceno : ndarray
-        New arrays without unusable values.
-    n_bad : int
-        The number of cadences that had some.
+    Returns new arrays, and the number of cadences with unusable values; the arguments are those of
+    `Motion.from_arrays`.
     """
     if bad not in {"interpolate", "drop", "error"}:
         raise ValueError(f'`bad` must be "interpolate", "drop" or "error", got {bad!r}')
@@ -158,7 +142,7 @@ def _fill_times(time, number, timeless):
 
 
 @dataclass(frozen=True)
-class MotionStatistics:
+class MotionStatistics(Value):
     """The row of a motion in a table of motions.
 
     Attributes
@@ -265,20 +249,7 @@ class MotionStatistics:
 
 
 def largest_distance(x, y):
-    """Return the largest distance between any two points.
-
-    The two points are corners of the convex hull, which has few.
-
-    Parameters
-    ----------
-    x, y : ndarray, shape (n,)
-        The points.
-
-    Returns
-    -------
-    float
-        The distance.
-    """
+    """Return the largest distance between any two points, which are corners of the hull."""
     # Not imported with the package: it takes a third of the time that the package has for that.
     from scipy.spatial import ConvexHull, QhullError
     from scipy.spatial.distance import pdist

@@ -1,94 +1,107 @@
-"""The pointing of spacecraft: Kepler, TESS, and the last campaigns of K2."""
+"""Pointing of telescopes in space and on the ground, and made-up ones for tests of correctors."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import ClassVar
 
 import astropy.units as u
 import numpy as np
 from scipy.signal import lfilter
 
-from scope_models._checks import checked_number, checked_pair
+from scope_models._checks import check_fields
+from scope_models._values import Value
 from scope_models.missions import MISSIONS
-from scope_models.scene._k2_roll import (
-    ARCSEC_PER_RADIAN,
-    DAYS_PER_YEAR,
-    SPEED_OF_LIGHT,
-    K2Roll,
-)
 
 __all__ = [
-    "K2Campaign18",
-    "K2FinalCampaign",
+    "ARCSEC_PER_RADIAN",
+    "DAYS_PER_YEAR",
+    "SPEED_OF_LIGHT",
+    "FailingWheels",
+    "GroundTracking",
     "KeplerPointing",
     "Pointing",
+    "RandomWalk",
     "TESSPointing",
     "correlated",
     "due",
 ]
 
+ARCSEC_PER_RADIAN = 180 * 3600 / np.pi
+SPEED_OF_LIGHT = 299792.458  # km/s
+DAYS_PER_YEAR = 365.25
+_LOWEST = 1e-300
+
 
 @dataclass(frozen=True)
-class Pointing:
+class Pointing(Value):
     """Base of the generators of motions; every parameter may be a quantity."""
 
-    #: Units of the parameters; of the unit one where they are not named.
+    #: Units of the parameters.
     units: ClassVar[dict] = {}
+    #: Parameters that must not be 0.
+    positive: ClassVar[frozenset] = frozenset()
     #: Parameters that may be negative.
     any_sign: ClassVar[frozenset] = frozenset()
+    #: Parameters that must not be above 1.
+    at_most_one: ClassVar[frozenset] = frozenset()
 
     def __post_init__(self):
-        for item in fields(self):
-            name, value = item.name, getattr(self, item.name)
-            unit = self.units.get(name, u.one)
-            if isinstance(item.default, tuple):
-                value = checked_pair(name, value, unit)
-            else:
-                value = checked_number(
-                    name, value, unit, any_sign=name in self.any_sign, positive=item.default > 0
-                    and name.endswith(("interval", "time", "period")),
-                )  # fmt: skip
-            object.__setattr__(self, name, value)
+        check_fields(self)
+
+    def times(self, n_cadences, cadence):
+        """Return the times of cadences.
+
+        Parameters
+        ----------
+        n_cadences : int
+            Number of cadences.
+        cadence : float
+            Time between cadences, days.
+
+        Returns
+        -------
+        ndarray, shape (n_cadences,)
+            Times since the beginning, days.
+        """
+        return cadence * np.arange(n_cadences)
+
+    def track(self, time, streams):
+        """Return where the star goes, and the flagged cadences.
+
+        Parameters
+        ----------
+        time : ndarray, shape (n,)
+            Times since the beginning, days.
+        streams : callable
+            A function of a name that returns a random generator at its beginning.
+
+        Returns
+        -------
+        x, y : ndarray, shape (n,)
+            Offsets, px.
+        flags : dict of str to ndarray of bool
+            Cadences by the meaning of their quality bit.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> from scope_models.effects.noise import stream
+        >>> from scope_models.scene.motion import KeplerPointing
+        >>> x, y, flags = KeplerPointing().track(np.arange(9) / 48, lambda name: stream(1, name))
+        >>> list(flags)
+        ['desaturation']
+        """
+        raise NotImplementedError
 
 
 def due(time, interval, generator):
-    """Return the cadences in which something is due that recurs at an interval.
-
-    Parameters
-    ----------
-    time : ndarray, shape (n,)
-        Times in days, increasing.
-    interval : float
-        The interval in days.
-    generator : numpy.random.Generator
-        Draws the phase.
-
-    Returns
-    -------
-    ndarray of bool, shape (n,)
-        The first cadence at or after each occasion.
-    """
+    """Return the first cadence at or after each occasion of what recurs at an interval, in days."""
     phase = generator.random() * interval
     number = np.floor((time - time[0] + phase) / interval)
     return np.diff(number, prepend=number[0]) > 0
 
 
 def correlated(generator, n, correlation):
-    """Return stationary normal noise of unit variance with an exponential correlation.
-
-    Parameters
-    ----------
-    generator : numpy.random.Generator
-        Source of randomness. A longer series begins like a shorter one.
-    n : int
-        Number of samples.
-    correlation : float
-        Correlation time in samples; 0 gives white noise.
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        The noise.
-    """
+    """Return normal noise of unit variance whose correlation decays by e in a number of samples."""
     kept = np.exp(-1 / correlation) if correlation > 0 else 0.0
     white = generator.standard_normal(n)
     white[1:] *= np.sqrt(1 - kept**2)
@@ -144,6 +157,7 @@ class KeplerPointing(Pointing):
         "jitter": u.pix,
         "dump_interval": u.day,
     }
+    positive: ClassVar[frozenset] = frozenset({"drift_time", "heater_period", "dump_interval"})
     any_sign: ClassVar[frozenset] = frozenset({"latitude", "phase"})
 
     field: tuple = (2.2, 1.6)
@@ -158,31 +172,7 @@ class KeplerPointing(Pointing):
     dump_interval: float = 2.98
 
     def track(self, time, streams):
-        """Return where the star goes, and the cadences with a momentum dump.
-
-        Parameters
-        ----------
-        time : ndarray, shape (n,)
-            Times since the beginning, evenly spaced, days.
-        streams : callable
-            A function of a name that returns a random generator at its beginning.
-
-        Returns
-        -------
-        x, y : ndarray, shape (n,)
-            Offsets, px.
-        flags : dict of str to ndarray of bool
-            Cadences by the meaning of their quality bit.
-
-        Examples
-        --------
-        >>> import numpy as np
-        >>> from scope_models.effects.noise import stream
-        >>> from scope_models.scene.motion import KeplerPointing
-        >>> x, y, flags = KeplerPointing().track(np.arange(9) / 48, lambda name: stream(1, name))
-        >>> list(flags)
-        ['desaturation']
-        """
+        """Return where the star goes, and the cadences with a momentum dump."""
         step = time[1] - time[0] if len(time) > 1 else 1.0
         angle = 2 * np.pi * time / DAYS_PER_YEAR + np.radians(self.phase)
         speed = self.orbital_speed * np.cos(np.radians(self.latitude))
@@ -243,6 +233,7 @@ class TESSPointing(Pointing):
         "field": u.deg,
         "orbital_speed": u.km / u.s,
         "jitter": u.pix,
+        "blue": u.one,
         "drift": u.pix,
         "drift_time": u.day,
         "dump_interval": u.day,
@@ -250,6 +241,9 @@ class TESSPointing(Pointing):
         "orbit_time": u.day,
         "gap_time": u.day,
     }
+    positive: ClassVar[frozenset] = frozenset(
+        {"drift_time", "dump_interval", "orbit_time", "gap_time"}
+    )
 
     field: tuple = (6.0, 6.0)
     orbital_speed: float = 29.8
@@ -263,58 +257,13 @@ class TESSPointing(Pointing):
     gap_time: float = 1.13
 
     def times(self, n_cadences, cadence):
-        """Return the times of cadences, with the gap after each orbit.
-
-        Parameters
-        ----------
-        n_cadences : int
-            Number of cadences.
-        cadence : float
-            Time between cadences, days.
-
-        Returns
-        -------
-        ndarray, shape (n_cadences,)
-            Times since the beginning, days.
-
-        Examples
-        --------
-        >>> from scope_models.scene.motion import TESSPointing
-        >>> TESSPointing(orbit_time=1.0, gap_time=0.5).times(5, 0.5)
-        array([0. , 0.5, 1.5, 2. , 3. ])
-        """
+        """Return the times of cadences, with the gap after each orbit."""
         number = np.arange(n_cadences)
         per_orbit = max(1, round(self.orbit_time / cadence))
         return cadence * number + self.gap_time * (number // per_orbit)
 
     def track(self, time, streams, cadence=_REFERENCE):
-        """Return where the star goes, and the cadences with a momentum dump.
-
-        Parameters
-        ----------
-        time : ndarray, shape (n,)
-            Times since the beginning, days.
-        streams : callable
-            A function of a name that returns a random generator at its beginning.
-        cadence : float, optional
-            Time between cadences, days.
-
-        Returns
-        -------
-        x, y : ndarray, shape (n,)
-            Offsets, px.
-        flags : dict of str to ndarray of bool
-            Cadences by the meaning of their quality bit.
-
-        Examples
-        --------
-        >>> import numpy as np
-        >>> from scope_models.effects.noise import stream
-        >>> from scope_models.scene.motion import TESSPointing
-        >>> x, y, flags = TESSPointing().track(np.arange(9) / 720, lambda name: stream(1, name))
-        >>> list(flags)
-        ['desaturation']
-        """
+        """Return where the star goes, and the cadences with a momentum dump."""
         n, middle = len(time), self.orbit_time + self.gap_time / 2
         turn = 2 * np.pi * (time - middle) / DAYS_PER_YEAR
         stretch = self.orbital_speed / SPEED_OF_LIGHT * np.sin(turn)
@@ -331,195 +280,185 @@ class TESSPointing(Pointing):
         return (*moved, {"desaturation": dumps})
 
 
-# Distance of the edge of the field from the boresight, px (arXiv:1512.06162).
-_EDGE = 6278.0
-# Displacement that the halos of apertures allow for, px (K2 data release notes).
-_HALO = 3.0
-# Time between momentum dumps, days: 96 long cadences on the file of EPIC 211983544 (campaign 18).
-_DUMPS = 1.9616
-
-
 @dataclass(frozen=True)
-class K2Campaign18(Pointing):
-    """The pointing of K2 campaign 18: nominal but for one excursion.
+class GroundTracking(Pointing):
+    r"""The tracking of a ground-based telescope in nights.
 
-    The K2 data release notes describe a pointing "well within the limits of that seen in other
-    K2 campaigns" with less than 1.9 px for 2490 long cadences, but for the cadences 162613 to
-    162627 with more than 4 px, and the very last one. Both are flagged as of coarse pointing. The
-    roll is that of `~scope_models.scene.motion.K2Roll` with the reversals that the star EPIC
-    211983544 has.
+    In each night the star is put on its place again to within ``pointing``, and then drifts. Wind
+    and image motion have the power spectrum :math:`f^{-5/3}` between the length of the night and
+    two cadences. The image motion has the variance :math:`0.18 (\lambda / D)^{1/3} (\lambda /
+    r_0)^{5/3}` per axis [1]_ with :math:`r_0 = 0.98 \lambda / \mathrm{seeing}`, as in
+    instantaneous exposures: longer ones average some of it. Other numbers are assumed.
 
     Parameters
     ----------
-    excursion : float or Quantity
-        Displacement of the boresight along a random direction in the flagged cadences, px.
-    field : tuple of float or Quantity
-        Distance of the star from the boresight along columns and rows, deg; the default is that
-        of EPIC 211983544.
+    aperture : float or Quantity
+        Diameter D of the telescope, m.
+    seeing : float or Quantity
+        Full width at half maximum of the seeing, arcsec.
+    wavelength : float or Quantity
+        Wavelength, nm.
+    pixel_scale : float or Quantity
+        Size of a pixel, arcsec.
+    night : float or Quantity
+        Length of a night, hours.
+    pointing : float or Quantity
+        Standard deviation of the position at the beginning of a night per axis, arcsec.
+    drift : float or Quantity
+        Standard deviation of the rate of the drift of a night per axis, arcsec/h.
+    wind : float or Quantity
+        Standard deviation of the shaking by wind per axis, arcsec.
 
-    Examples
-    --------
-    >>> from scope_models.scene.motion import K2Campaign18
-    >>> K2Campaign18(excursion=5.0).excursion
-    5.0
-    """
-
-    units: ClassVar[dict] = {"excursion": u.pix, "field": u.deg}
-    #: Number of the first long cadence, and of all.
-    cadences: ClassVar[tuple] = (161969, 2490)
-    #: Time of the first cadence, BKJD (EPIC 211983544).
-    start: ClassVar[float] = 3418.5463
-
-    excursion: float = 4.5
-    field: tuple = (0.45, 3.16)
-
-    def track(self, time, streams):
-        """Return where the star goes, and the flagged cadences.
-
-        Parameters
-        ----------
-        time : ndarray, shape (n,)
-            Times since the beginning, days.
-        streams : callable
-            A function of a name that returns a random generator at its beginning.
-
-        Returns
-        -------
-        x, y : ndarray, shape (n,)
-            Offsets, px.
-        flags : dict of str to ndarray of bool
-            Cadences by the meaning of their quality bit.
-
-        Examples
-        --------
-        >>> import numpy as np
-        >>> from scope_models.effects.noise import stream
-        >>> from scope_models.scene.motion import K2Campaign18
-        >>> x, y, flags = K2Campaign18().track(np.arange(700) / 48.9, lambda name: stream(1, name))
-        >>> int(flags["coarse_point"].sum())
-        15
-        """
-        roll = K2Roll(field=self.field, reversal=5.8, reversal_interval=37.3, rate_growth=0.027)
-        x, y, firing = roll.track(len(time), streams)
-        number = self.cadences[0] + np.arange(len(time))
-        away = ((number >= 162613) & (number <= 162627)) | (number == 164458)
-        direction = 2 * np.pi * streams("direction").random()
-        x += self.excursion * np.cos(direction) * away
-        y += self.excursion * np.sin(direction) * away
-        dumps = due(time, _DUMPS, streams("dumps"))
-        return x, y, {"thruster_firing": firing, "coarse_point": away, "desaturation": dumps}
-
-
-@dataclass(frozen=True)
-class K2FinalCampaign(Pointing):
-    """The pointing of K2 campaign 19, in which the fuel ran out.
-
-    The K2 data release notes describe 26.4 days (long cadences 167333 to 168623): 8.5 days in
-    which the boresight was off target, so that nearly all stars were outside of their pixels; 7
-    days of nominal pointing with less than 1.5 px; and 11 days in which "the boresight and roll
-    fluctuated erratically", with usable parts up to cadence 168481. The roll of
-    `~scope_models.scene.motion.K2Roll` goes on in all of them. How far boresight and roll went is
-    not in the notes, and assumed here.
-
-    Cadences are flagged as without fine pointing in the first part and after the last usable one,
-    and as of coarse pointing in the first part and where boresight and erratic roll take a star
-    at the edge of the field farther than 3 px, for which the apertures of K2 allow.
-
-    Parameters
+    References
     ----------
-    off_target_time, nominal_time, erratic_length : float or Quantity
-        Length of the first and of the second part, and time from then on with fine pointing,
-        days; those of the notes' cadence numbers.
-    off_target : float or Quantity
-        Displacement of the boresight in the first part, px; assumed.
-    erratic, erratic_time : float or Quantity
-        Standard deviation of the boresight per axis in the last part, px, and its correlation
-        time, hours; assumed.
-    erratic_roll : float or Quantity
-        Standard deviation of the additional roll in the last part, arcsec; assumed.
-    field : tuple of float or Quantity
-        Distance of the star from the boresight along columns and rows, deg.
+    .. [1] Sarazin, M. & Roddier, F. 1990, A&A 227, 294.
 
     Examples
     --------
-    >>> from scope_models.scene.motion import K2FinalCampaign
-    >>> K2FinalCampaign(erratic=5.0).erratic
-    5.0
+    >>> from scope_models.scene.motion import GroundTracking
+    >>> print(f"{GroundTracking(aperture=1.0, seeing=1.0).image_motion:.3f}")
+    0.305
     """
 
     units: ClassVar[dict] = {
-        "off_target_time": u.day,
-        "nominal_time": u.day,
-        "erratic_length": u.day,
-        "off_target": u.pix,
-        "erratic": u.pix,
-        "erratic_time": u.hour,
-        "erratic_roll": u.arcsec,
-        "field": u.deg,
+        "aperture": u.m,
+        "seeing": u.arcsec,
+        "wavelength": u.nm,
+        "pixel_scale": u.arcsec,
+        "night": u.hour,
+        "pointing": u.arcsec,
+        "drift": u.arcsec / u.hour,
+        "wind": u.arcsec,
     }
-    #: Number of the first long cadence, and of all.
-    cadences: ClassVar[tuple] = (167333, 1291)
-    #: Time of the first cadence, BKJD: 2018-08-30 15:17 UTC (K2 data release notes).
-    start: ClassVar[float] = 3528.1377
+    positive: ClassVar[frozenset] = frozenset(
+        {"aperture", "seeing", "wavelength", "pixel_scale", "night"}
+    )
 
-    off_target_time: float = 8.375
-    nominal_time: float = 7.25
-    erratic_length: float = 7.84
-    off_target: float = 6.0
-    erratic: float = 2.0
-    erratic_time: float = 12.0
-    erratic_roll: float = 30.0
-    field: tuple = (-4.59, 1.35)
+    aperture: float = 1.0
+    seeing: float = 1.0
+    wavelength: float = 600.0
+    pixel_scale: float = 0.4
+    night: float = 8.0
+    pointing: float = 0.5
+    drift: float = 0.3
+    wind: float = 0.1
+
+    @property
+    def image_motion(self):
+        """Standard deviation of the image motion per axis in a short exposure, arcsec."""
+        wave = self.wavelength * 1e-9
+        arcsec = np.pi / 180 / 3600
+        fried = 0.98 * wave / (self.seeing * arcsec)
+        variance = 0.18 * (wave / self.aperture) ** (1 / 3) * (wave / fried) ** (5 / 3)
+        return float(np.sqrt(variance) / arcsec)
+
+    def times(self, n_cadences, cadence):
+        """Return the times of cadences, with a gap after each night."""
+        per_night = max(1, int(self.night / 24 / cadence))
+        number = np.arange(n_cadences)
+        return number // per_night + cadence * (number % per_night)
 
     def track(self, time, streams):
-        """Return where the star goes, and the flagged cadences.
+        """Return where the star goes."""
+        night = np.floor(time + 1e-9).astype(int)
+        shaking = np.hypot(self.wind, self.image_motion)
+        moved = []
+        for axis in "xy":
+            generator = streams(f"ground {axis}")
+            offset = np.empty(len(time))
+            for number in np.unique(night):
+                here = night == number
+                start, rate = generator.standard_normal(2)
+                hours = 24 * (time[here] - time[here][0])
+                offset[here] = self.pointing * start + self.drift * rate * hours
+                offset[here] += shaking * _turbulence(generator, here.sum())
+            moved.append(offset / self.pixel_scale)
+        return (*moved, {})
 
-        Parameters
-        ----------
-        time : ndarray, shape (n,)
-            Times since the beginning, days.
-        streams : callable
-            A function of a name that returns a random generator at its beginning.
 
-        Returns
-        -------
-        x, y : ndarray, shape (n,)
-            Offsets, px.
-        flags : dict of str to ndarray of bool
-            Cadences by the meaning of their quality bit.
+def _turbulence(generator, n):
+    """Return noise of unit variance with the power spectrum f^(-5/3)."""
+    spectrum = np.fft.rfft(generator.standard_normal(n))
+    frequency = np.arange(len(spectrum), dtype=float)
+    weights = np.where(frequency > 0, np.maximum(frequency, 1.0) ** (-5 / 6), 0.0)
+    # Each frequency stands for two, but the highest of an even number.
+    power = 2 * np.sum(weights**2) - (weights[-1] ** 2 if n % 2 == 0 else 0.0)
+    return np.fft.irfft(spectrum * weights, n) * np.sqrt(n / max(power, _LOWEST))
 
-        Examples
-        --------
-        >>> import numpy as np
-        >>> from scope_models.effects.noise import stream
-        >>> from scope_models.scene.motion import K2FinalCampaign
-        >>> x, y, flags = K2FinalCampaign().track(np.arange(9) / 48, lambda name: stream(1, name))
-        >>> bool(flags["coarse_point"].all())
-        True
-        """
-        roll = K2Roll(field=self.field)
-        x, y, firing = roll.track(len(time), streams)
-        first = time < self.off_target_time
-        nominal_end = self.off_target_time + self.nominal_time
-        last = time >= nominal_end
-        correlation = self.erratic_time / (24 * K2Roll.cadence)
-        angle, dx, dy = (
-            size * last * correlated(streams(name), len(time), correlation)
-            for name, size in (
-                ("erratic roll", self.erratic_roll / ARCSEC_PER_RADIAN),
-                ("erratic x", self.erratic),
-                ("erratic y", self.erratic),
-            )
-        )
+
+@dataclass(frozen=True)
+class RandomWalk(Pointing):
+    r"""A random walk of the star, :math:`\langle x^2 \rangle = D^2 t` per axis; made up.
+
+    Parameters
+    ----------
+    spread : float or Quantity
+        Standard deviation per axis after one day D, px.
+
+    Examples
+    --------
+    >>> from scope_models.scene.motion import RandomWalk
+    >>> RandomWalk(spread=0.2).spread
+    0.2
+    """
+
+    units: ClassVar[dict] = {"spread": u.pix}
+
+    spread: float = 0.1
+
+    def track(self, time, streams):
+        """Return where the star goes."""
+        steps = self.spread * np.sqrt(np.diff(time, prepend=time[0]))
+        walk = steps[:, np.newaxis] * streams("walk").standard_normal((len(time), 2))
+        x, y = np.cumsum(walk, axis=0).T
+        return x, y, {}
+
+
+@dataclass(frozen=True)
+class FailingWheels(Pointing):
+    """A pointing whose wheels lose their grip: a drift, a walk and jumps that grow; made up.
+
+    Parameters
+    ----------
+    drift : float or Quantity
+        Rate of the drift along a random direction, px/d.
+    spread : float or Quantity
+        Standard deviation of the walk per axis after one day, px.
+    jump : float or Quantity
+        Standard deviation of a jump per axis at the end of the first day, px; it grows with the
+        square root of time.
+    jump_interval : float or Quantity
+        Mean time between jumps, days. Their cadences are flagged as of coarse pointing.
+
+    Examples
+    --------
+    >>> from scope_models.scene.motion import FailingWheels
+    >>> FailingWheels(jump=1.0).jump
+    1.0
+    """
+
+    units: ClassVar[dict] = {
+        "drift": u.pix / u.day,
+        "spread": u.pix,
+        "jump": u.pix,
+        "jump_interval": u.day,
+    }
+    positive: ClassVar[frozenset] = frozenset({"jump_interval"})
+
+    drift: float = 0.02
+    spread: float = 0.05
+    jump: float = 0.1
+    jump_interval: float = 2.0
+
+    def track(self, time, streams):
+        """Return where the star goes, and the cadences with a jump."""
+        x, y, _ = RandomWalk(spread=self.spread).track(time, streams)
         direction = 2 * np.pi * streams("direction").random()
-        dx += self.off_target * np.cos(direction) * first
-        dy += self.off_target * np.sin(direction) * first
-        arm_x, arm_y = (3600 * degrees / roll.pixel_scale for degrees in self.field)
-        lost = first | (time >= nominal_end + self.erratic_length)
-        flags = {
-            "thruster_firing": firing,
-            "coarse_point": first | (np.hypot(dx, dy) + _EDGE * np.abs(angle) > _HALO),
-            "no_fine_point": lost,
-            "desaturation": due(time, _DUMPS, streams("dumps")),
-        }
-        return x + dx - angle * arm_y, y + dy + angle * arm_x, flags
+        steps = np.diff(time, prepend=time[0])
+        jumps = streams("jumps").random(len(time)) < -np.expm1(-steps / self.jump_interval)
+        sizes = streams("sizes").standard_normal((len(time), 2))
+        sizes *= self.jump * np.sqrt(time)[:, np.newaxis]
+        jumped = np.cumsum(np.where(jumps[:, np.newaxis], sizes, 0.0), axis=0)
+        x = x + self.drift * np.cos(direction) * time + jumped[:, 0]
+        y = y + self.drift * np.sin(direction) * time + jumped[:, 1]
+        return x, y, {"coarse_point": jumps}

@@ -89,27 +89,7 @@ def star_counts(mag, coord):
 
 
 def star_frame(coord, shape, wcs):
-    """Return how the stamp lies on the sky, of its world coordinates.
-
-    Parameters
-    ----------
-    coord : SkyCoord
-        Place of the target.
-    shape : tuple of int
-        Rows and columns of the stamp.
-    wcs : astropy.wcs.WCS
-        Its world coordinates.
-
-    Returns
-    -------
-    tuple of tuple, float and tuple
-        The target's column and row, the size of a pixel (arcsec), and the matrix of a `Scene`.
-
-    Raises
-    ------
-    ValueError
-        If the target is far from the stamp.
-    """
+    """Return the target's place, the pixel scale (arcsec) and the matrix of a scene, of a WCS."""
     x, y = (float(value) for value in wcs.world_to_pixel(coord))
     if not np.hypot(x, y) < 10 * sum(shape):
         raise ValueError(f"`coord` is far from the field of `wcs`: column {x:g}, row {y:g}")
@@ -120,31 +100,7 @@ def star_frame(coord, shape, wcs):
 
 
 def find_target(coord, target, places, mags, pixel_scale):
-    """Return the target's place, the target, and which stars of a catalog are others.
-
-    Parameters
-    ----------
-    coord : SkyCoord
-        Where the target is.
-    target : Star or None
-        The target, if it is given.
-    places : SkyCoord or None
-        Places of the catalog's stars.
-    mags : ndarray
-        Their magnitudes.
-    pixel_scale : float
-        Size of a pixel, arcsec.
-
-    Returns
-    -------
-    tuple of SkyCoord, Star and ndarray of bool
-        The place, the target, and the other stars.
-
-    Raises
-    ------
-    TypeError, ValueError
-        If the target is no star, or there is none at its place.
-    """
+    """Return the target's place, the target, and which stars of a catalog are others."""
     if not isinstance(target, Star | None):
         raise TypeError(f"`target` must be a Star, got {target!r}")
     others = np.ones(len(mags), dtype=bool)
@@ -161,27 +117,10 @@ def find_target(coord, target, places, mags, pixel_scale):
 
 
 def place_stars(base, places, mags, others, magnitude_limit, background_stars, psf):
-    """Return the stars of a scene.
+    """Return the target and the stars whose light falls into the stamp of a scene of the target.
 
-    Parameters
-    ----------
-    base : Scene
-        A scene of the target, with its place on the sky.
-    places : SkyCoord or None
-        Places of the catalog's stars.
-    mags : ndarray
-        Their magnitudes.
-    others : ndarray of bool
-        Which of them are used.
-    magnitude_limit, background_stars : float, Quantity or None
-        As for `Scene.from_catalog <scope_models.Scene.from_catalog>`.
-    psf : PRFGrid, callable or None
-        PSF that varies with the place.
-
-    Returns
-    -------
-    list of Star
-        The target and the stars whose light falls into the stamp.
+    The catalog's stars that are ``others`` are used; ``psf`` varies with the place. The other
+    arguments are those of `Scene.from_catalog`.
     """
     x, y = np.zeros((2, len(mags)))
     if len(mags):
@@ -216,31 +155,7 @@ def _column(table, names, unit):
 
 
 def read_catalog(table, mission, magnitude, ref_epoch, year):
-    """Return places at a time, and magnitudes, of a catalog's stars.
-
-    Parameters
-    ----------
-    table : astropy.table.Table, mapping or None
-        The catalog.
-    mission : str
-        The mission, whose band the magnitudes are in.
-    magnitude : str or None
-        Column of the magnitudes.
-    ref_epoch : float, Quantity, Time or None
-        Epoch of the places, Julian year.
-    year : float
-        The time, Julian year.
-
-    Returns
-    -------
-    tuple of SkyCoord or None and ndarray
-        Places and magnitudes.
-
-    Raises
-    ------
-    ValueError
-        If a column is missing or has values outside its domain.
-    """
+    """Return places at a time (Julian year), and magnitudes, of a catalog's stars."""
     if table is None:
         return None, np.zeros(0)
     table = Table(table)

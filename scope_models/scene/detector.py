@@ -9,12 +9,13 @@ import numpy as np
 
 from scope_models._arrays import DIGITAL, PER_PIXEL, plain_array
 from scope_models._checks import checked_integer, checked_model, checked_number, checked_shape
+from scope_models._values import Value, frozen
 from scope_models.effects._effect import Effect, checked_effects
 from scope_models.effects.noise import stream
 from scope_models.io.pixels import read_pixels
 from scope_models.missions import MISSIONS, full_flux
 from scope_models.models import PRF, BivariateGaussianPSF
-from scope_models.models._description import model_in_pixels, value_key
+from scope_models.models._description import model_in_pixels
 from scope_models.scene.presets import PRESETS, ground_fields
 
 if TYPE_CHECKING:
@@ -44,7 +45,7 @@ _NOT_NEGATIVE = {
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Detector:
+class Detector(Value):
     r"""The pixels of a stamp: geometry, exposure, noise and response.
 
     The presets `kepler`, `k2`, `k2_calibrated`, `tess` and `ground` hold the numbers of the
@@ -196,14 +197,6 @@ class Detector:
                 f"`well_depth` must exceed the background of a frame, "
                 f"{self.background * self.int_time:g} e-, got {depth:g}"
             )
-
-    def __eq__(self, other):
-        if not isinstance(other, Detector):
-            return NotImplemented
-        return value_key(self) == value_key(other)
-
-    def __hash__(self):
-        return hash(value_key(self))
 
     def __repr__(self):
         depth = "none" if self.well_depth is None else f"{self.well_depth:g} e-"
@@ -720,32 +713,6 @@ class Detector:
             deviates = generator.standard_normal(self.shape)
         return np.maximum(1.0 + self.interpixel_scatter * deviates, 0.0)
 
-    def replace(self, **changes):
-        """Return a detector with some fields changed.
-
-        Parameters
-        ----------
-        **changes
-            Fields of `Detector` and their new values.
-
-        Returns
-        -------
-        Detector
-            The new detector.
-
-        Raises
-        ------
-        TypeError
-            If a field is misspelt.
-
-        Examples
-        --------
-        >>> from scope_models import Detector
-        >>> Detector.k2().replace(background=0.0).background
-        0.0
-        """
-        return replace(self, **changes)
-
     def write(self, path, overwrite=False):
         """Write the detector as TOML.
 
@@ -823,13 +790,12 @@ class Detector:
 
 def _checked_map(response, shape):
     """Return a read-only copy of an interpixel map."""
-    response = np.array(plain_array(response, u.one, "interpixel"))
+    response = plain_array(response, u.one, "interpixel")
     if response.shape != shape:
         raise ValueError(f"`interpixel` must have the shape {shape}, got {response.shape}")
     if not np.all(np.isfinite(response)) or response.min() < 0:
         raise ValueError("`interpixel` must be finite and not negative")
-    response.flags.writeable = False
-    return response
+    return frozen(response)
 
 
 def _zero_point_value(mission, zero_point):

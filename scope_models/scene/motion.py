@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from html import escape
 from numbers import Integral, Real
 from pathlib import Path
@@ -11,26 +11,30 @@ from types import MappingProxyType
 import astropy.units as u
 import numpy as np
 
-from scope_models._arrays import PER_PIXEL, plain_time, plain_tree
-from scope_models._checks import checked_integer, checked_number
-from scope_models.effects.noise import check_seed, fresh_seed, stream
+from scope_models._arrays import PER_PIXEL, plain_tree
+from scope_models._checks import checked_number
+from scope_models._values import Value
 from scope_models.io._atomic import atomic_path
 from scope_models.io.pixels import positions_of
 from scope_models.io.reading import read_positions
 from scope_models.missions import MISSIONS
-from scope_models.models._description import value_key
-from scope_models.scene._k2_roll import K2Roll
+from scope_models.scene import _generators
+from scope_models.scene._k2_roll import K2Campaign18, K2FinalCampaign, K2Roll
 from scope_models.scene._motion_arrays import (
     MotionStatistics,
     as_int32,
     as_pixels,
     as_times,
     check_increasing,
-    check_time_format,
     repair,
 )
-from scope_models.scene._pointing import K2Campaign18, K2FinalCampaign, KeplerPointing, TESSPointing
-from scope_models.scene._tracking import FailingWheels, GroundTracking, RandomWalk
+from scope_models.scene._pointing import (
+    FailingWheels,
+    GroundTracking,
+    KeplerPointing,
+    RandomWalk,
+    TESSPointing,
+)
 
 __all__ = [
     "FailingWheels",
@@ -45,12 +49,9 @@ __all__ = [
     "TESSPointing",
 ]
 
-_KEPLER, _K2, _TESS = (MISSIONS[name] for name in ("Kepler", "K2", "TESS"))
-_LAST = {18: K2Campaign18, 19: K2FinalCampaign}
-
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Motion:
+class Motion(Value):
     """The positions of a star on the detector, cadence by cadence.
 
     Positions are offsets from a reference position and always finite. Usually one of the class
@@ -128,18 +129,6 @@ class Motion:
             object.__setattr__(self, name, value)
         object.__setattr__(self, "meta", MappingProxyType(dict(self.meta)))
 
-    def __eq__(self, other):
-        if not isinstance(other, Motion):
-            return NotImplemented
-        return value_key(self) == value_key(other)
-
-    def __hash__(self):
-        return hash(value_key((self.time, self.x, self.y)))
-
-    def __reduce__(self):
-        arguments = (self.time, self.x, self.y, self.quality, self.cadenceno)
-        return type(self), (*arguments, self.time_format, dict(self.meta))
-
     def __repr__(self):
         first, last = self.time[0], self.time[-1]
         return (
@@ -165,7 +154,7 @@ class Motion:
             if not -len(self) <= item < len(self):
                 raise IndexError(f"cadence {item} is out of range for {len(self)} cadences")
             item = [item]
-        return self._replace(
+        return self.replace(
             time=self.time[item],
             x=self.x[item],
             y=self.y[item],
@@ -181,7 +170,7 @@ class Motion:
         if not math.isfinite(factor):
             raise ValueError(f"the scale of a motion must be finite, got {factor}")
         scale = factor * self.meta.get("scale", 1)
-        return self._replace(
+        return self.replace(
             x=factor * self.x, y=factor * self.y, meta={**self.meta, "scale": scale}
         )
 
@@ -191,10 +180,6 @@ class Motion:
         if not isinstance(other, Motion):
             return NotImplemented
         return Motion.concatenate([self, other])
-
-    def _replace(self, **changes):
-        values = {name: getattr(self, name) for name in self.__dataclass_fields__}
-        return type(self)(**{**values, **changes})
 
     @classmethod
     def from_arrays(
@@ -384,385 +369,14 @@ class Motion:
             meta=columns.meta,
         )
 
-    @classmethod
-    def still(cls, n_cadences, *, start=_K2.start, cadence=K2Roll.cadence, time_format="bkjd"):
-        """Make a motion that stays at the reference position.
-
-        Parameters
-        ----------
-        n_cadences : int
-            Number of cadences.
-        start : float, Quantity or Time, optional
-            Time of the first cadence in days; the default is the beginning of K2 campaign 3.
-        cadence : float or Quantity, optional
-            Time between cadences in days; the default is Kepler's long cadence.
-        time_format : {"bkjd", "btjd"}, optional
-            Zero of the times.
-
-        Returns
-        -------
-        Motion
-            The motion.
-
-        Raises
-        ------
-        ValueError
-            If the number or the cadence is not positive.
-
-        Examples
-        --------
-        >>> from scope_models import Motion
-        >>> Motion.still(3).x
-        array([0., 0., 0.])
-        """
-        n = checked_integer("n_cadences", n_cadences, 1)
-        cadence = checked_number("cadence", cadence, u.day, positive=True)
-        time = _checked_start(start, time_format) + cadence * np.arange(n)
-        return cls(time, np.zeros(n), np.zeros(n), time_format=time_format)
-
-    @classmethod
-    def k2_roll(cls, n_cadences=1000, *, seed=10, start=_K2.start, **parameters):
-        """Generate the motion of a K2 star while the spacecraft rolls about its boresight.
-
-        The parameters' defaults describe EPIC 205998445 in campaign 3, and
-        `~scope_models.scene.motion.K2Roll` gives their sources. No series is rescaled to wanted
-        statistics; the default seed is the first one for which the 1000 cadences of the paper [1]_
-        have its row, 0.17 +- 0.12 px and at most 0.59 px, within 5 %. Cadences in which thrusters
-        fire have the quality flag 1048576.
-
-        Parameters
-        ----------
-        n_cadences : int, optional
-            Number of long cadences. A longer series begins like a shorter one.
-        seed : int or None, optional
-            Seed of all random numbers; None takes a new one, which ``meta["seed"]`` holds.
-        start : float, Quantity or Time, optional
-            Time of the first cadence, BKJD; the default is the beginning of campaign 3.
-        **parameters
-            Fields of `~scope_models.scene.motion.K2Roll` that differ from their defaults, as
-            ``field=(6.94, 0.0)``.
-
-        Returns
-        -------
-        Motion
-            The motion.
-
-        Raises
-        ------
-        ValueError
-            If a number is not finite, or out of its range.
-        TypeError
-            If the number of cadences or the seed is not an integer, or a parameter has another
-            name.
-
-        References
-        ----------
-        .. [1] Saunders, N. et al., "The Pointing Limits of Transiting Exoplanet Light Curve
-           Characterization with Pixel Level De-correlation", table 1.
-
-        Examples
-        --------
-        >>> from scope_models import Motion
-        >>> print(Motion.k2_roll().statistics())
-        0.170 +- 0.118 px, max 0.595 px, extent 1.07 px
-        >>> edge = Motion.k2_roll(field=(6.94, 0.0))
-        >>> print(edge.statistics())
-        0.247 +- 0.171 px, max 0.862 px, extent 1.56 px
-        """
-        n = checked_integer("n_cadences", n_cadences, 1)
-        roll = K2Roll(**parameters)
-        seed = fresh_seed() if seed is None else check_seed(seed)
-        x, y, firing = roll.track(n, lambda name: stream(seed, f"k2_roll {name}"))
-        return cls(
-            _checked_start(start, "bkjd") + roll.cadence * np.arange(n),
-            x,
-            y,
-            np.where(firing, _K2.quality.thruster_firing, 0),
-            meta={"mission": "K2", "generator": asdict(roll), "seed": seed},
-        )
-
-    @classmethod
-    def kepler(cls, n_cadences=4500, *, cadence="long", seed=1, start=_KEPLER.start, **parameters):
-        """Generate the motion of a Kepler star over a quarter.
-
-        Compared with Kepler-62 in quarter 5 (4634 cadences): range along columns and rows 0.123 and
-        0.092 px there, 0.122 and 0.090 px here; robust scatter about a running median of 49
-        cadences 0.00022 and 0.00020 px there, 0.00024 and 0.00027 px here.
-
-        Parameters
-        ----------
-        n_cadences : int, optional
-            Number of cadences; a quarter has about 4500 long ones.
-        cadence : str, float or Quantity, optional
-            A cadence of Kepler, by its name or length in seconds.
-        seed : int or None, optional
-            Seed of all random numbers; None takes a new one, which is ``meta["seed"]``.
-        start : float, Quantity or Time, optional
-            Time of the first cadence, BKJD.
-        **parameters
-            Fields of `~scope_models.scene.motion.KeplerPointing` that differ from their defaults.
-
-        Returns
-        -------
-        Motion
-            The motion.
-
-        Raises
-        ------
-        TypeError, ValueError
-            If an argument is of the wrong kind or out of its range.
-
-        Examples
-        --------
-        >>> from scope_models import Motion
-        >>> motion = Motion.kepler(500)
-        >>> bool(abs(motion.x).max() < 0.2)
-        True
-        """
-        pointing, seed = KeplerPointing(**parameters), _checked_seed(seed)
-        n, days = checked_integer("n_cadences", n_cadences, 1), _KEPLER.cadence_days(cadence)
-        return cls._generated(pointing, days * np.arange(n), _KEPLER, start, seed)
-
-    @classmethod
-    def tess(cls, n_cadences=None, *, cadence="120 s", seed=1, start=_TESS.start, **parameters):
-        """Generate the motion of a TESS star over a sector of two orbits.
-
-        Compared with TIC 273589987 in sector 15 (100 cadences of 120 s): scatter along columns and
-        rows 0.0027 and 0.0051 px there and here, correlation from one cadence to the next -0.31
-        there and here.
-
-        Parameters
-        ----------
-        n_cadences : int, optional
-            Number of cadences; the default is a sector.
-        cadence : str, float or Quantity, optional
-            A cadence of TESS, by its name or length in seconds.
-        seed : int or None, optional
-            Seed of all random numbers; None takes a new one, which is ``meta["seed"]``.
-        start : float, Quantity or Time, optional
-            Time of the first cadence, BTJD.
-        **parameters
-            Fields of `~scope_models.scene.motion.TESSPointing` that differ from their defaults.
-
-        Returns
-        -------
-        Motion
-            The motion.
-
-        Raises
-        ------
-        TypeError, ValueError
-            If an argument is of the wrong kind or out of its range.
-
-        Examples
-        --------
-        >>> from scope_models import Motion
-        >>> motion = Motion.tess(cadence="1800 s")
-        >>> len(motion), motion.time_format
-        (1268, 'btjd')
-        """
-        pointing, seed = TESSPointing(**parameters), _checked_seed(seed)
-        days = _TESS.cadence_days(cadence)
-        sector = 2 * round(pointing.orbit_time / days)
-        n = sector if n_cadences is None else checked_integer("n_cadences", n_cadences, 1)
-        time = pointing.times(n, days)
-        return cls._generated(pointing, time, _TESS, start, seed, cadence=days)
-
-    @classmethod
-    def k2_final_campaign(cls, n_cadences=None, *, campaign=19, seed=1, start=None, **parameters):
-        """Generate the motion of a star in one of K2's last campaigns.
-
-        Campaign 19 compared with the K2 data release notes: 26.4 d in 1291 long cadences; 8.4 d off
-        target, 7 d with less than 1.5 px, here less than 1 px, and 11 d of erratic pointing.
-
-        Campaign 18 compared with EPIC 211983544 (2490 long cadences, without flagged ones): the
-        motion along the direction of roll has the standard deviation 0.171 px there, 0.135 to 0.156
-        px here (20 seeds); the median step from one cadence to the next is 0.0115 px there, 0.013
-        px here; 101 cadences are flagged as with thruster firings there, 111 to 132 here.
-
-        Parameters
-        ----------
-        n_cadences : int, optional
-            Number of long cadences; the default is the whole campaign.
-        campaign : {18, 19}, optional
-            The campaign.
-        seed : int or None, optional
-            Seed of all random numbers; None takes a new one, which is ``meta["seed"]``.
-        start : float, Quantity or Time, optional
-            Time of the first cadence, BKJD; by default that of the campaign.
-        **parameters
-            Fields of `~scope_models.scene.motion.K2FinalCampaign`, or of
-            `~scope_models.scene.motion.K2Campaign18`, that differ from their defaults.
-
-        Returns
-        -------
-        Motion
-            The motion, with the mission's cadence numbers.
-
-        Raises
-        ------
-        TypeError, ValueError
-            If an argument is of the wrong kind or out of its range.
-
-        Examples
-        --------
-        >>> from scope_models import Motion
-        >>> motion = Motion.k2_final_campaign()
-        >>> nominal = motion[(motion.cadenceno >= 167743) & (motion.cadenceno <= 168097)]
-        >>> bool(nominal.statistics().maximum.value < 1.5)
-        True
-        >>> print(Motion.k2_final_campaign(campaign=18).statistics(exclude=4))
-        0.131 +- 0.090 px, max 0.623 px, extent 0.97 px
-        """
-        if campaign not in _LAST:
-            raise ValueError(f"`campaign` must be 18 or 19, got {campaign!r}")
-        pointing, seed = _LAST[campaign](**parameters), _checked_seed(seed)
-        first, every = pointing.cadences
-        n = every if n_cadences is None else checked_integer("n_cadences", n_cadences, 1)
-        start = pointing.start if start is None else start
-        motion = cls._generated(pointing, K2Roll.cadence * np.arange(n), _K2, start, seed)
-        return motion._replace(
-            cadenceno=first + np.arange(n), meta={**motion.meta, "campaign": campaign}
-        )
-
-    @classmethod
-    def ground(cls, n_cadences=1000, *, cadence=60.0, seed=1, start=_TESS.start, **parameters):
-        """Generate the motion of a star on a ground-based telescope, night by night.
-
-        The image motion is that of the seeing and the aperture; pointing, drift and wind are
-        assumed.
-
-        Parameters
-        ----------
-        n_cadences : int, optional
-            Number of exposures.
-        cadence : float or Quantity, optional
-            Time between exposures, s.
-        seed : int or None, optional
-            Seed of all random numbers; None takes a new one, which is ``meta["seed"]``.
-        start : float, Quantity or Time, optional
-            Time of the first cadence, BTJD.
-        **parameters
-            Fields of `~scope_models.scene.motion.GroundTracking` that differ from their defaults.
-
-        Returns
-        -------
-        Motion
-            The motion.
-
-        Raises
-        ------
-        TypeError, ValueError
-            If an argument is of the wrong kind or out of its range.
-
-        Examples
-        --------
-        >>> from scope_models import Motion
-        >>> motion = Motion.ground(1000, cadence=60.0, night=6.0)
-        >>> print(f"{motion.time[360] - motion.time[359]:.2f}")
-        0.75
-        """
-        pointing, seed = GroundTracking(**parameters), _checked_seed(seed)
-        n = checked_integer("n_cadences", n_cadences, 1)
-        days = checked_number("cadence", cadence, u.s, positive=True) / 86400
-        return cls._generated(pointing, pointing.times(n, days), _TESS, start, seed)
-
-    @classmethod
-    def random_walk(
-        cls, n_cadences=1000, *, cadence=K2Roll.cadence, seed=1, start=_K2.start, **parameters
-    ):
-        """Generate a random walk, to test what corrects motions.
-
-        It is no mission's motion.
-
-        Parameters
-        ----------
-        n_cadences : int, optional
-            Number of cadences. A longer series begins like a shorter one.
-        cadence : float or Quantity, optional
-            Time between cadences, days.
-        seed : int or None, optional
-            Seed of all random numbers; None takes a new one, which is ``meta["seed"]``.
-        start : float, Quantity or Time, optional
-            Time of the first cadence, BKJD.
-        **parameters
-            Fields of `~scope_models.scene.motion.RandomWalk` that differ from their defaults.
-
-        Returns
-        -------
-        Motion
-            The motion.
-
-        Raises
-        ------
-        TypeError, ValueError
-            If an argument is of the wrong kind or out of its range.
-
-        Examples
-        --------
-        >>> from scope_models import Motion
-        >>> len(Motion.random_walk(100))
-        100
-        """
-        pointing, seed = RandomWalk(**parameters), _checked_seed(seed)
-        n = checked_integer("n_cadences", n_cadences, 1)
-        days = checked_number("cadence", cadence, u.day, positive=True)
-        return cls._generated(pointing, days * np.arange(n), _K2, start, seed)
-
-    @classmethod
-    def failing_wheels(
-        cls, n_cadences=1000, *, cadence=K2Roll.cadence, seed=1, start=_K2.start, **parameters
-    ):
-        """Generate a drift with growing jumps, to test what corrects motions.
-
-        It is no mission's motion.
-
-        Parameters
-        ----------
-        n_cadences : int, optional
-            Number of cadences. A longer series begins like a shorter one.
-        cadence : float or Quantity, optional
-            Time between cadences, days.
-        seed : int or None, optional
-            Seed of all random numbers; None takes a new one, which is ``meta["seed"]``.
-        start : float, Quantity or Time, optional
-            Time of the first cadence, BKJD.
-        **parameters
-            Fields of `~scope_models.scene.motion.FailingWheels` that differ from their defaults.
-
-        Returns
-        -------
-        Motion
-            The motion.
-
-        Raises
-        ------
-        TypeError, ValueError
-            If an argument is of the wrong kind or out of its range.
-
-        Examples
-        --------
-        >>> from scope_models import Motion
-        >>> len(Motion.failing_wheels(100))
-        100
-        """
-        pointing, seed = FailingWheels(**parameters), _checked_seed(seed)
-        n = checked_integer("n_cadences", n_cadences, 1)
-        days = checked_number("cadence", cadence, u.day, positive=True)
-        return cls._generated(pointing, days * np.arange(n), _K2, start, seed)
-
-    @classmethod
-    def _generated(cls, pointing, time, mission, start, seed, **options):
-        """Return the motion of a generator."""
-        name = type(pointing).__name__
-        x, y, flags = pointing.track(time, lambda part: stream(seed, f"{name} {part}"), **options)
-        quality = np.zeros(len(time), dtype=np.int32)
-        for meaning, cadences in flags.items():
-            quality[cadences] |= getattr(mission.quality, meaning)
-        meta = {"mission": mission.name, "generator": {"name": name, **asdict(pointing)}}
-        days = _checked_start(start, mission.time_format) + time
-        meta["seed"] = seed
-        return cls(days, x, y, quality, time_format=mission.time_format, meta=meta)
+    still = classmethod(_generators.still)
+    k2_roll = classmethod(_generators.k2_roll)
+    kepler = classmethod(_generators.kepler)
+    tess = classmethod(_generators.tess)
+    k2_final_campaign = classmethod(_generators.k2_final_campaign)
+    ground = classmethod(_generators.ground)
+    random_walk = classmethod(_generators.random_walk)
+    failing_wheels = classmethod(_generators.failing_wheels)
 
     @classmethod
     def concatenate(cls, motions, *, shift=False):
@@ -924,7 +538,7 @@ class Motion:
         except (KeyError, TypeError, ValueError) as error:
             raise ValueError(f"{path} is not a table of a motion: {error}") from error
 
-    def statistics(self, pixel_scale=_K2.pixel_scale, *, exclude=0):
+    def statistics(self, pixel_scale=MISSIONS["K2"].pixel_scale, *, exclude=0):
         r"""Return how far the star is from its reference position.
 
         Mean, standard deviation and maximum are those of :math:`r = \sqrt{x^2 + y^2}`, as in
@@ -968,11 +582,6 @@ class Motion:
         return MotionStatistics.of_positions(self.x[keep], self.y[keep], pixel_scale)
 
 
-def _checked_seed(seed):
-    """Return a seed, a new one for None."""
-    return fresh_seed() if seed is None else check_seed(seed)
-
-
 def _checked_scale(pixel_scale):
     """Return a pixel scale in arcsec."""
     return checked_number(
@@ -980,21 +589,12 @@ def _checked_scale(pixel_scale):
     )
 
 
-def _checked_start(start, time_format):
-    """Return the time of a first cadence in days."""
-    check_time_format(time_format)
-    days = plain_time(start, time_format, "start")
-    if days.ndim or not np.isfinite(days):
-        raise ValueError(f"`start` must be one finite time, got {start!r}")
-    return float(days)
-
-
 def _shifted(motion, before):
     """Return the motion shifted in time to begin one cadence after another one."""
     steps = np.diff(before.time) if len(before) > 1 else np.diff(motion.time)
     step = np.median(steps) if len(steps) else K2Roll.cadence
     number = motion.cadenceno.astype(np.int64)
-    return motion._replace(
+    return motion.replace(
         time=motion.time - motion.time[0] + (before.time[-1] + step),
         cadenceno=number - number[0] + (before.cadenceno[-1] + 1),
     )

@@ -7,6 +7,7 @@ from types import MappingProxyType
 import numpy as np
 
 from scope_models._checks import checked_number
+from scope_models._values import Value
 from scope_models.effects import DarkCurrent, Extinction, Scintillation, Seeing
 from scope_models.missions import MISSIONS, Cadence, choose_cadence
 from scope_models.models import BivariateGaussianPSF, SensitivityPolynomial, moffat_psf
@@ -14,8 +15,8 @@ from scope_models.models import BivariateGaussianPSF, SensitivityPolynomial, mof
 __all__ = ["BANDS", "PRESETS", "Preset", "ground_fields", "register_preset"]
 
 
-@dataclass(frozen=True)
-class Preset:
+@dataclass(frozen=True, eq=False)
+class Preset(Value):
     """The fields of a detector.
 
     Parameters
@@ -169,7 +170,7 @@ register_preset(
 
 
 @dataclass(frozen=True)
-class Band:
+class Band(Value):
     """A photometric band, as seen from the ground.
 
     Parameters

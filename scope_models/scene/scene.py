@@ -11,6 +11,7 @@ from astropy.utils.exceptions import AstropyDeprecationWarning
 
 from scope_models._arrays import plain_number, plain_tree
 from scope_models._checks import checked_integer, checked_matrix
+from scope_models._values import Value
 from scope_models.effects import Effect, mission_effects
 from scope_models.effects._effect import checked_effects
 from scope_models.effects.noise import check_seed, noise_terms
@@ -28,7 +29,6 @@ from scope_models.models._description import (
     packed,
     sky_place,
     unpacked,
-    value_key,
 )
 from scope_models.scene.catalog import find_target, place_stars, read_catalog, star_frame
 from scope_models.scene.detector import Detector
@@ -44,7 +44,7 @@ _IDENTITY = ("target_id", "object_name", "ra", "dec", "orientation", "matrix", "
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Scene:
+class Scene(Value):
     """All that a simulation starts from.
 
     ``simulate(scene)`` gives its pixels. A scene also unpacks as the arguments of the short form:
@@ -161,22 +161,11 @@ class Scene:
             raise TypeError(f"`metadata` must be a mapping, got {self.metadata!r}")
         put("metadata", MappingProxyType(dict(self.metadata)))
 
-    def __reduce__(self):
-        return _scene_of, ({**vars(self), "metadata": dict(self.metadata)},)
-
     def __iter__(self):
         return iter((self.stars, self.detector, self.motion))
 
     def __getitem__(self, index):
         return tuple(self)[index]
-
-    def __eq__(self, other):
-        if not isinstance(other, Scene):
-            return NotImplemented
-        return value_key(self) == value_key(other)
-
-    def __hash__(self):
-        return hash(value_key(self))
 
     def __repr__(self):
         ny, nx = self.detector.shape
@@ -215,13 +204,6 @@ class Scene:
         for star in self.stars[1:]:
             if star.coord is not None and (star.x_0, star.y_0) != (None, None):
                 raise ValueError("`coord` must not be given together with `x_0` or `y_0`")
-
-    def _year(self):
-        """Return the middle of the motion, Julian years."""
-        days = (
-            TIME_ZEROS[self.motion.time_format] + (self.motion.time[0] + self.motion.time[-1]) / 2
-        )
-        return 2000.0 + float(days - 2451545.0) / 365.25
 
     @property
     def positions(self):
@@ -470,11 +452,6 @@ def _middle_year(motion):
     """Return the middle of a motion, Julian years."""
     days = TIME_ZEROS[motion.time_format] + (motion.time[0] + motion.time[-1]) / 2
     return 2000.0 + float(days - 2451545.0) / 365.25
-
-
-def _scene_of(values):
-    """Return the scene of its fields."""
-    return Scene(**values)
 
 
 def _options(scene):

@@ -1,6 +1,6 @@
 """A star: what shines, where, how bright and how variable."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import astropy.units as u
@@ -9,8 +9,9 @@ from astropy.modeling import Model
 
 from scope_models._arrays import plain_array, plain_time
 from scope_models._checks import checked_model, checked_number
+from scope_models._values import Value
 from scope_models.models import PRF
-from scope_models.models._description import check_coord, value_key
+from scope_models.models._description import check_coord
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -20,8 +21,8 @@ if TYPE_CHECKING:
 __all__ = ["Star"]
 
 
-@dataclass(frozen=True, eq=False)
-class Star:
+@dataclass(frozen=True, eq=False, repr=False)
+class Star(Value):
     """A star on the stamp.
 
     Parameters
@@ -84,14 +85,6 @@ class Star:
         if self.coord is not None:
             check_coord(self.coord)
 
-    def __eq__(self, other):
-        if not isinstance(other, Star):
-            return NotImplemented
-        return value_key(self) == value_key(other)
-
-    def __hash__(self):
-        return hash(value_key(self))
-
     def relative_flux(self, time):
         """Return the relative flux of each cadence.
 
@@ -127,32 +120,6 @@ class Star:
                 f"got the shape {signal.shape}"
             )
         return _check_values(signal)
-
-    def replace(self, **changes):
-        """Return a star with some fields changed.
-
-        Parameters
-        ----------
-        **changes
-            Fields of `Star` and their new values.
-
-        Returns
-        -------
-        Star
-            The new star.
-
-        Raises
-        ------
-        TypeError
-            If a field is misspelt.
-
-        Examples
-        --------
-        >>> from scope_models import Star
-        >>> Star(12.0).replace(x_0=4.5).x_0
-        4.5
-        """
-        return replace(self, **changes)
 
 
 def _checked_signal(signal):

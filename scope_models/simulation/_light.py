@@ -11,7 +11,7 @@ from scope_models.effects import Conditions, Exposures
 from scope_models.effects.noise import stream
 from scope_models.effects.saturation import bleed
 from scope_models.models._axis import ROWS
-from scope_models.models._series import ImageSeries, is_gaussian, unit_images
+from scope_models.models._series import ImageSeries, is_gaussian
 
 __all__ = [
     "Prepared",
@@ -36,26 +36,9 @@ _DARK = 1e-13
 class StarLight:
     """One star of a scene: where its light falls in each cadence, and how much of it.
 
-    Parameters
-    ----------
-    x, y : ndarray of shape (n_cadences, k)
-        Position in each exposure, pixels.
-    weights : ndarray of shape (k,)
-        Part of each exposure in a cadence.
-    widths : ndarray of shape (n_cadences,) or None
-        Factor on the width of the PSF.
-    flux : float
-        Flux at the star's magnitude, e-/s, before the response of the pixels.
-    relative_flux : ndarray of shape (n_cadences,)
-        Flux of each cadence, 1 at the star's magnitude.
-    passed : ndarray of shape (n_cadences,)
-        Factor of the effects on the star's light.
-    series : ImageSeries
-        Renders the star at unit flux.
-    shares : tuple of callable, optional
-        What effects add to the images of unit flux.
-    shape : tuple of int, optional
-        Shape of the stamp, all of which shares light.
+    Its places ``x`` and ``y``, ``(n_cadences, k)``, are those of k exposures in each cadence with
+    ``weights``; ``flux`` is in e-/s at the star's magnitude, and ``relative_flux`` and ``passed``,
+    the factor of the effects, are those of each cadence.
     """
 
     x: np.ndarray
@@ -77,18 +60,7 @@ class StarLight:
         return self.series.window
 
     def images(self, cadences):
-        """Return the star's flux in some cadences, e-/s, without interpixel map.
-
-        Parameters
-        ----------
-        cadences : slice or ndarray of int
-            The cadences.
-
-        Returns
-        -------
-        ndarray of shape (m, ...)
-            Images of the `window`, means over the exposures of a cadence.
-        """
+        """Return the star's flux in some cadences, e-/s, without interpixel map."""
         x, y = self.x[cadences], self.y[cadences]
         k = x.shape[1]
         widths = None if self.widths is None else np.repeat(self.widths[cadences], k)
@@ -102,7 +74,7 @@ class StarLight:
             images = sum(
                 (f(x @ self.weights, y @ self.weights, cadences) for f in self.shares), whole
             )
-        images[images < _DARK] = 0.0
+        np.putmask(images, images < _DARK, 0.0)
         flux = self.flux * (self.relative_flux * self.passed)[cadences]
         images *= flux[:, np.newaxis, np.newaxis]
         return images
@@ -110,21 +82,7 @@ class StarLight:
 
 @dataclass(frozen=True, eq=False)
 class Prepared:
-    """A scene with all that is computed before its first cadence.
-
-    Parameters
-    ----------
-    scene : Scene
-        The scene, with its seed.
-    conditions : Conditions
-        What effects need of it.
-    effects : list of tuple of Effect and Drawn
-        The effects and their truth.
-    lights : list of StarLight
-        The light of each star.
-    interpixel : ndarray of shape (ny, nx)
-        Response of each pixel against the others.
-    """
+    """A scene with its seed, and all that is computed before its first cadence."""
 
     scene: object
     conditions: Conditions
@@ -134,23 +92,7 @@ class Prepared:
 
 
 def prepare(scene):
-    """Return a scene with the truth of its effects and the light of its stars.
-
-    Parameters
-    ----------
-    scene : Scene
-        The scene, with its seed.
-
-    Returns
-    -------
-    Prepared
-        What the cadences are made of.
-
-    Raises
-    ------
-    ValueError
-        If a star has no PSF, or a signal of another length.
-    """
+    """Return a scene with the truth of its effects and the light of its stars."""
     conditions = Conditions.of(scene.detector, scene.motion.time, len(scene.stars))
     effects, counts = [], Counter()
     for effect in (*scene.detector.effects, *scene.effects):
@@ -193,28 +135,16 @@ def _product(factors):
     return reduce(mul, given) if given else None
 
 
-def lost_fractions(scene):
-    """Return the largest part of each star's light that the motion takes off the stamp.
-
-    Parameters
-    ----------
-    scene : Scene
-        The scene.
-
-    Returns
-    -------
-    ndarray of shape (n_stars,)
-        Between 0 and 1.
-    """
-    x, y = scene.motion.x, scene.motion.y
+def lost_fractions(prepared):
+    """Return the largest part of each star's light that the motion takes off the stamp, a list."""
+    motion, positions = prepared.scene.motion, prepared.scene.positions
+    x, y = motion.x, motion.y
     # Farthest along the axes and along the diagonals.
-    extremes = np.unique([f(u) for u in (x, y, x + y, x - y) for f in (np.argmin, np.argmax)])
-    lost = []
-    for star, (x_0, y_0) in zip(scene.stars, scene.positions, strict=True):
-        place = x_0 + x[extremes], y_0 + y[extremes]
-        images = unit_images(_psf(star, scene.detector), scene.detector.shape, *place)
-        lost.append(1.0 - images.sum(axis=(1, 2)).min())
-    return np.clip(lost, 0.0, 1.0)
+    extremes = sorted({i for u in (x, y, x + y, x - y) for i in (u.argmin(), u.argmax())})
+    return [
+        light.series.lost(x_0 + x[extremes], y_0 + y[extremes])
+        for light, (x_0, y_0) in zip(prepared.lights, positions, strict=True)
+    ]
 
 
 def _exposures(scene, added):
@@ -239,14 +169,10 @@ def _psf(star, detector):
 
 @dataclass(eq=False)
 class StarSums:
-    """Sums over each star's light that are taken while it is rendered.
+    """Sums over each star's light that are taken while it is rendered, e-/s.
 
-    Parameters
-    ----------
-    images : ndarray of shape (n_stars, ny, nx)
-        Flux of each star over all cadences, e-/s, with the response of the pixels.
-    in_aperture : ndarray of shape (n_stars, n_cadences)
-        Flux of each star in the aperture, e-/s.
+    ``images`` are over all cadences, with the response of the pixels; ``in_aperture`` is the light
+    in the aperture, ``(n_stars, n_cadences)``.
     """
 
     images: np.ndarray
@@ -256,35 +182,28 @@ class StarSums:
 def gather(prepared, cadences, sums=None, aperture=None):
     """Return the electrons that the light of all stars makes in a slice of cadences.
 
-    Parameters
-    ----------
-    prepared : Prepared
-        The scene.
-    cadences : slice
-        The cadences.
-    sums : StarSums, optional
-        What is summed up on the way.
-    aperture : ndarray of bool, shape (ny, nx), optional
-        The aperture of ``sums``.
-
-    Returns
-    -------
-    ndarray of shape (m, ny, nx)
-        Electrons before the wells fill.
+    The wells have not filled yet. ``sums`` are taken on the way, those in an ``aperture``.
     """
     scene, interpixel = prepared.scene, prepared.interpixel
     n = len(range(*cadences.indices(len(scene.motion))))
-    electrons = np.zeros((n, *scene.detector.shape))
+    shape = n, *scene.detector.shape
+    electrons = None
     for number, light in enumerate(prepared.lights):
         images, window = light.images(cadences), light.window
-        electrons[:, *window] += images
         if sums is not None:
             weights = (interpixel * aperture)[window].ravel()
             flat = images.reshape(n, -1)
             sums.in_aperture[number, cadences] = np.einsum("mp,p->m", flat, weights)
             # One after the other: the sum is the same in pieces of any size.
+            first = images[0].copy()
             images[0] += sums.images[number, *window]
-            sums.images[number, *window] = images.sum(axis=0)
+            images.sum(axis=0, out=sums.images[number, *window])
+            images[0] = first
+        if electrons is None and images.shape == shape:
+            electrons = images
+            continue
+        electrons = np.zeros(shape) if electrons is None else electrons
+        electrons[:, *window] += images
     electrons *= interpixel * scene.detector.exposure_time
     response = _response(prepared, cadences)
     return electrons if response is None else np.multiply(electrons, response, out=electrons)
@@ -301,20 +220,8 @@ def _response(prepared, cadences):
 def pedestal(prepared, cadences, electrons):
     """Return the charge besides the stars' in some cadences, and the part that is subtracted.
 
-    Parameters
-    ----------
-    prepared : Prepared
-        The scene.
-    cadences : slice
-        The cadences.
-    electrons : ndarray of shape (m, ny, nx)
-        Expected charge of the stars.
-
-    Returns
-    -------
-    tuple of two ndarray
-        Expected electrons, of shape (ny, nx) if they are the same in all cadences, or
-        (m, ny, nx).
+    Both are expected electrons, ``(ny, nx)`` if they are the same in all cadences, else
+    ``(m, ny, nx)``; ``electrons`` is the expected charge of the stars.
     """
     conditions, response = prepared.conditions, _response(prepared, cadences)
     sky = conditions.background * prepared.interpixel * conditions.exposure_time
@@ -332,19 +239,8 @@ def pedestal(prepared, cadences, electrons):
 def fill_wells(scene, electrons, background):
     """Let the charge beyond the depth of the wells bleed, in place.
 
-    Parameters
-    ----------
-    scene : Scene
-        The scene.
-    electrons : ndarray of shape (m, ny, nx)
-        Electrons of the stars; changed in place.
-    background : ndarray
-        Electrons of the background, which fill the wells too.
-
-    Returns
-    -------
-    float
-        The largest part of the charge of a cadence that bleeds off the stamp.
+    Electrons of the background fill the wells too. Returns the largest part of the charge of a
+    cadence that bleeds off the stamp.
     """
     if scene.detector.well_depth is None:
         return 0.0
@@ -358,41 +254,18 @@ def fill_wells(scene, electrons, background):
 
 
 def pieces(scene, size=None):
-    """Return slices of cadences that together are all of them.
-
-    Parameters
-    ----------
-    scene : Scene
-        The scene.
-    size : int, optional
-        Cadences per piece; rounded up to a multiple of 16.
-
-    Returns
-    -------
-    list of slice
-        The pieces.
-    """
+    """Return slices of cadences that together are all of them; ``size`` is rounded up to 16."""
     n = len(scene.motion)
     if size is None:
-        # A piece needs about 70 bytes per pixel and the result 12: a fifth of the cadences
-        # at most keeps the memory below three times the result.
-        size = min(_PIECE // int(np.prod(scene.detector.shape)), n // 5) // scene.n_sub - ROWS + 1
+        # A piece needs up to 80 bytes per pixel, 50 without noise, and the result 12: so many
+        # pieces keep the memory below three times the result.
+        pixels = n * int(np.prod(scene.detector.shape))
+        size = -(-n // (scene.n_sub * max(5 if scene.noise else 3, -(-pixels // _PIECE))))
     size = max(-(-size // ROWS), 1) * ROWS
     return [slice(start, min(start + size, n)) for start in range(0, n, size)]
 
 
 def share_of_target(light):
-    """Return the target's share in the flux of all stars, NaN where there is none.
-
-    Parameters
-    ----------
-    light : ndarray of shape (n_stars, n_cadences)
-        Flux of each star.
-
-    Returns
-    -------
-    ndarray of shape (n_cadences,)
-        Between 0 and 1.
-    """
+    """Return the target's share in the flux ``(n_stars, n_cadences)``, NaN without light."""
     total = light.sum(axis=0)
     return np.divide(light[0], total, out=np.full(len(total), np.nan), where=total > 0)

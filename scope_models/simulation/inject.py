@@ -192,7 +192,7 @@ def _scene_of(star, series, tpf=None):
 def _scene_on(star, series):
     """Return a scene of one star on the pixels of a file, with its motion."""
     if series.pos_corr is None or not np.isfinite(series.pos_corr).any():
-        motion = Motion.still(len(series)).replace(time=series.time)
+        motion = Motion.still(len(series)).replace(time=series.time, time_format=series.time_format)
     else:
         motion = Motion.from_arrays(series.time, *series.pos_corr.T, time_format=series.time_format)
     scene = Scene(star, Detector.from_tpf(series), motion, seed=0)

@@ -8,6 +8,7 @@ import numpy as np
 
 from scope_models._arrays import plain_array
 from scope_models._checks import checked_integer, checked_mask
+from scope_models._values import Value
 from scope_models.effects import Effect
 from scope_models.io import TPFMetadata, Truth, make_tpf_hdulist, write_tpf
 from scope_models.missions import MISSIONS, TIME_ZEROS
@@ -25,7 +26,7 @@ __all__ = ["Observation"]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Observation:
+class Observation(Value):
     """The pixels of a simulation, with the truth.
 
     `simulate` makes it.
@@ -74,7 +75,7 @@ class Observation:
     star_images: np.ndarray
 
     def __post_init__(self):
-        names = ("flux", "flux_err", "raw_cnts", "quality", "aperture", "star_images")
+        names = ("flux", "flux_err", "flux_bkg", "raw_cnts", "quality", "aperture", "star_images")
         for cube in (getattr(self, name) for name in names):
             cube.flags.writeable = False
 

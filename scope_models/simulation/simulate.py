@@ -109,7 +109,7 @@ def simulate(stars, detector=None, motion=None, *, keep_model=False, chunk_size=
     if chunk_size is not None:
         chunk_size = checked_integer("chunk_size", chunk_size, 1)
     prepared = prepare(scene)
-    lost = lost_fractions(scene)
+    lost = lost_fractions(prepared)
     _warn_of_lost_light(scene, lost)
     aperture = _choose_aperture(prepared)
     shape = (len(scene.motion), *scene.detector.shape)
@@ -168,17 +168,16 @@ def _choose_aperture(prepared):
     """Return the pixels of the highest signal-to-noise ratio of the target in some cadences."""
     detector, n = prepared.scene.detector, len(prepared.scene.motion)
     some = slice(None, None, -(-n // _APERTURE_CADENCES))
-    images = np.zeros((2, len(range(n)[some]), *detector.shape))
+    images = np.zeros((min(len(prepared.lights), 2), *detector.shape))
     for number, light in enumerate(prepared.lights):
-        images[min(number, 1), :, *light.window] += light.images(some)
+        images[min(number, 1), *light.window] += light.images(some).mean(axis=0)
     images *= prepared.interpixel
-    target, others = images
-    if not target.any():
+    if not images[0].any():
         return np.ones(detector.shape, dtype=bool)
     return signal_to_noise_aperture(
-        target,
+        images[0],
         detector.exposure_time,
-        neighbors=others,
+        neighbors=images[1] if len(images) > 1 else None,
         background=(detector.background * prepared.interpixel).astype(np.float32),
         read_noise=detector.read_noise,
         n_frames=detector.n_reads,
@@ -191,16 +190,17 @@ def _record(prepared, part, charges, pedestals, streams, cubes):
     expected, electrons = charges
     _read_out(prepared, part, electrons, streams)
     cubes["raw_cnts"][...] = _digital_numbers(electrons, detector)
+    per_second = 1.0 / detector.exposure_time
     electrons -= subtracted
-    electrons /= detector.exposure_time
+    electrons *= per_second
     cubes["flux"][...] = electrons
     error = _variance(expected, added, detector, prepared.scene.noise)
     np.sqrt(error, out=error)
-    error /= detector.exposure_time
-    rounding = np.maximum(np.abs(electrons, out=electrons), 1.0, out=electrons)
+    error *= per_second
+    np.maximum(error, _ROUNDING, out=error)
+    rounding = np.abs(electrons, out=electrons)
     rounding *= _ROUNDING
-    np.maximum(error, rounding, out=error)
-    cubes["flux_err"][...] = error
+    np.maximum(error, rounding, out=cubes["flux_err"])
 
 
 def _detect(expected, added, streams):
@@ -238,7 +238,7 @@ def _flag(prepared, cubes):
 
 
 def _variance(expected, background, detector, terms):
-    """Return the variance of the electrons; ``expected`` may be used up."""
+    """Return the variance of the electrons, an image or a cube; ``expected`` is used up."""
     constant = np.zeros(background.shape)
     if "background" in terms:
         constant += background
@@ -246,15 +246,12 @@ def _variance(expected, background, detector, terms):
         constant += detector.cadence_read_noise**2
     if "quantization" in terms:
         constant += detector.n_reads * detector.gain**2 / 12.0
-    if "photon" not in terms:
-        return np.broadcast_to(constant, expected.shape).copy()
-    expected += constant
-    return expected
+    return np.add(expected, constant, out=expected) if "photon" in terms else constant
 
 
 def _digital_numbers(electrons, detector):
     """Return raw counts: digital numbers above the fixed offset."""
-    counts = electrons / detector.gain
+    counts = electrons * (1.0 / detector.gain)
     counts += detector.fixed_offset
     np.rint(counts, out=counts)
     return np.minimum(counts, _LARGEST_COUNT, out=counts)
@@ -279,7 +276,7 @@ def _truth(prepared, lost, share, model):
     described = describe_scene(scene)
     described["found"] = {
         "flux": [light.flux for light in lights],
-        "lost_fraction": lost.tolist(),
+        "lost_fraction": lost,
     }
     if model is not None:
         model.flags.writeable = False

@@ -146,3 +146,35 @@ def test_regressors_of_the_user(star, corrector, kind):
 def test_regressors_need_a_row_per_cadence(corrector):
     with pytest.raises(ValueError, match="`regressors` must have 400 rows, got shape"):
         corrector.correct(regressors=np.ones((5, 2)))
+
+
+def test_defaults_of_lightkurve_are_accepted(corrector):
+    flux = corrector.correct().flux
+    names = ("pld_order", "spline_n_knots", "normalize_background_pixels", "use_gp", "niters")
+    again = corrector.correct(sparse=False, **dict.fromkeys(names)).flux
+    np.testing.assert_array_equal(again, flux)
+
+
+def test_masks_of_integers(star):
+    bits = np.ones((9, 9), dtype=np.int32)
+    bits[3:6, 3:6] |= 2
+    corrector = PLDCorrector(star.tpf, bits)
+    np.testing.assert_array_equal(corrector.aperture_mask, bits == 3)
+    corrector.correct(aperture_mask=bits // 2)
+    np.testing.assert_array_equal(corrector.aperture_mask, bits == 3)
+    threshold = PLDCorrector(star.tpf, "threshold").aperture_mask
+    np.testing.assert_array_equal(PLDCorrector(star.tpf, "default").aperture_mask, threshold)
+
+
+@pytest.mark.parametrize("name", ["dmc", "coefficients", "diagnose_priors", "model_lc", "lc"])
+def test_attributes_of_lightkurve_name_the_successor(corrector, name):
+    with pytest.raises(AttributeError, match=f"`{name}` is not an attribute here: .*`"):
+        getattr(corrector, name)
+    with pytest.raises(AttributeError, match="'PLDCorrector' object has no attribute 'dmx'"):
+        _ = corrector.dmx
+
+
+def test_one_neighbor_without_a_list(star):
+    corrector = PLDCorrector(star.tpf)
+    flux = corrector.correct(order=1, neighbors=star.tpf).flux
+    np.testing.assert_array_equal(corrector.correct(order=1, neighbors=[star.tpf]).flux, flux)

@@ -191,20 +191,6 @@ def test_model_and_its_variance(solution):
     np.testing.assert_allclose(solution.systematics_variance, expected, rtol=1e-7)
 
 
-def test_survival_of_a_dip(solution):
-    width = 9
-    y = solution.data.y
-    k = len(y) // width
-    taken = []
-    for i in range(k):
-        dip = np.zeros(len(solution.y))
-        inside = np.flatnonzero(solution.use)[i * width : (i + 1) * width]
-        dip[inside] = 1.0
-        changed = replace(solution, y=solution.y + dip)
-        taken.append(np.mean((changed.systematics - solution.systematics)[inside]))
-    assert solution.survival(width) == pytest.approx(1 - np.mean(taken), abs=1e-10)
-
-
 def test_parameters_and_variances_of_groups(solution):
     used = solution.effective_parameters()
     x = solution.data.columns[:, :7]

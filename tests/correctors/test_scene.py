@@ -13,7 +13,7 @@ from scope_models.correctors._flux_model import FluxModel
 from scope_models.exceptions import DetrendingWarning
 from scope_models.experiments.skies import make_sky, score
 from scope_models.io import read_pixels
-from scope_models.io._places import target_place
+from scope_models.io.pixels import target_place
 
 
 @pytest.fixture(scope="module")

@@ -79,7 +79,7 @@ def test_world_coordinates_of_a_file(angle, mirrored, tmp_path):
 
 def test_world_coordinates_of_real_files(shared_data):
     from scope_models.io import read_pixels
-    from scope_models.io._places import _wcs
+    from scope_models.io.pixels import _wcs
 
     for name in ("k2_tpf/ktwo211956421-c05_lpd-targ.fits.gz", "tess_tpf/tesssip_tpf1.fits"):
         series = read_pixels(shared_data / name)

@@ -258,3 +258,12 @@ class TestRefused:
     def test_signals_with_units(self, tpf):
         same = inject(tpf, np.full(20, 0.9) * u.dimensionless_unscaled, noise=False)
         assert flux_of(same).sum() == pytest.approx(0.9 * flux_of(tpf).sum(), rel=0.01)
+
+
+def test_star_in_a_file_without_positions():
+    tpf = simulate(Star(12.0), Detector.k2(), Motion.still(30), seed=1).to_tpf()
+    for name in ("POS_CORR1", "POS_CORR2"):
+        tpf.hdu[1].data[name][:] = np.nan
+    dimmed = inject(tpf, np.full(30, 0.9), Star(12.0), noise=False)
+    part = float(np.nansum(dimmed.flux) / np.nansum(tpf.flux))
+    assert part == pytest.approx(0.9, abs=1e-3)

@@ -1,0 +1,131 @@
+"""What the whole chain leaves of a dimming, against pixels that other code has rendered."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from scope_models.correctors import PLDCorrector
+from scope_models.correctors._injection import _star_share, box_signal
+from scope_models.exceptions import DetrendingWarning
+from scope_models.experiments.skies import REGIMES, make_sky, score
+
+NOISY = pytest.mark.filterwarnings("ignore::scope_models.exceptions.DetrendingWarning")
+
+
+def dips(n, depth):
+    signal = np.ones(n)
+    for start in range(40, n - 20, 97):
+        signal[start : start + 8] -= depth
+    return signal
+
+
+def test_survival_is_that_of_a_dip_in_the_pixels(fake_star):
+    """The same noise with and without the dips."""
+    signal = dips(400, 2e-3)
+    alone, dimmed = (fake_star(400, seed=5, signal=s) for s in (np.ones(400), signal))
+    corrector = PLDCorrector(alone.tpf)
+    before = corrector.correct().flux.value
+    after = PLDCorrector(dimmed.tpf, corrector.aperture_mask).correct().flux.value
+    slope = np.polyfit(signal, after / before, 1)[0]
+    assert corrector.result.survival(signal) == pytest.approx(slope, abs=0.01)
+    assert corrector.result.survival() == pytest.approx(slope, abs=0.03)
+    with pytest.warns(DetrendingWarning, match="its event lies in a gap"):
+        assert np.isnan(corrector.result.survival(np.ones_like))
+    for depth in (0.0, 1.0):
+        with pytest.raises(ValueError, match="`depth` must be"):
+            corrector.result.survival(depth=depth)
+
+
+def test_boxes_are_in_the_data_and_have_no_period():
+    used = np.arange(900) % 100 > 20
+    signal = box_signal(used, 13, 0.01)
+    assert np.unique(signal).tolist() == [0.99, 1.0]
+    assert used[signal < 1].all()
+    assert (signal < 1).sum() == 13 * min(8, used.sum() // 104)
+    starts = np.flatnonzero(np.diff(signal) < 0)
+    assert np.ptp(np.diff(starts)) > 20
+    assert (box_signal(np.ones(20, bool), 30, 0.1) < 1).all()
+
+
+def test_the_star_s_share_of_a_typical_image():
+    rows, columns = np.indices((9, 11))
+
+    def star(x, y):  # a core and wings
+        square = (columns - x) ** 2 + (rows - y) ** 2
+        return np.exp(-square / 1.1) + 0.02 / (1 + square / 2) ** 2
+
+    mine, others = star(3.2, 4.1), 0.6 * star(6.3, 4.4) + 0.15 * star(4.0, 7.9)
+    share = _star_share(mine + others, np.hypot(columns - 3, rows - 4) < 2)
+    lit = mine + others > 0.02
+    np.testing.assert_allclose((share * (mine + others))[lit], mine[lit], atol=0.015)
+    for mask in (np.hypot(columns - 3, rows - 4) < 2, np.hypot(columns - 3, rows - 4) < 3.2):
+        whole = (mine + others)[mask].sum()
+        part = (share * (mine + others))[mask].sum() / whole
+        assert part == pytest.approx(mine[mask].sum() / whole, abs=0.015)
+    assert (_star_share(mine, mine > 0.1) == 1).all()
+
+
+@NOISY
+@pytest.mark.slow
+@pytest.mark.parametrize("depth", [1e-3, 1e-2])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "tess-crowded",
+        "k2-1x-transits-neighbor",
+        "k2-10x-constant",
+        "k2-1x-kp14",
+        "k2-1x-kp17",
+        "k2-1x-kp10-saturated",
+        "k2-1x-spots-5d",
+    ],
+)
+def test_survival_in_hard_cases(name, depth):
+    """The messy sky renders the transit into the pixels, with the same noise otherwise."""
+    regime = replace(REGIMES[name], transit_period=3.1)
+    for seed in (6110, 6112):
+        alone, dimmed = (make_sky(replace(regime, depth=d), seed) for d in (0.0, depth))
+        corrector = PLDCorrector(alone.to_tpf())
+        before = corrector.correct()
+        after = PLDCorrector(dimmed.to_tpf(), corrector.aperture_mask).correct()
+        rows = np.searchsorted(alone.cadenceno, before["cadenceno"])
+        # the ratio of both light curves has the transit alone, and next to no noise
+        before.flux = after.flux / before.flux * np.nanmedian(before.flux)
+        kept = score(before, replace(alone, true_flux=dimmed.transit, transit=dimmed.transit))
+        survival = corrector.result.survival(dimmed.transit[rows])
+        assert survival == pytest.approx(kept.depth, abs=0.03)
+
+
+@NOISY
+@pytest.mark.slow
+@pytest.mark.parametrize("how", ["unmasked", "masked", "joint"])
+@pytest.mark.parametrize(
+    ("magnitude", "depth", "neighbors"),
+    [(12.0, 1e-3, ()), (14.0, 1e-2, ()), (12.5, 1e-2, ((1, 3, 0),))],
+)
+def test_depths_of_messy_stars(how, magnitude, depth, neighbors):
+    """Ten stars: less scatter than the errors of a mean and of a variance allow."""
+    regime = replace(
+        REGIMES["k2-1x-transits-1pct"], magnitude=magnitude, depth=depth, neighbors=neighbors
+    )
+    depths, pulls = [], []
+    for seed in range(6120, 6130):
+        sky = make_sky(regime, seed)
+        tpf = sky.to_tpf()
+        rows = np.searchsorted(sky.cadenceno, tpf.cadenceno)
+        transit = sky.transit[rows]
+        options = {"masked": {"transit_mask": transit < 1}, "joint": {"transit_model": transit}}
+        corrector = PLDCorrector(tpf)
+        corrector.correct(**options.get(how, {}))
+        found, error = corrector.fit_transit(transit)
+        if how == "joint":
+            assert corrector.result.transit_scale == pytest.approx(found, abs=0.3 * error)
+        mine, others = (
+            np.median(light[rows][:, corrector.aperture_mask].sum(axis=1))
+            for light in (sky.star_light, sky.neighbor_light)
+        )
+        depths.append(found * (1 + others / mine))
+        pulls.append((depths[-1] - 1) / error / (1 + others / mine))
+    assert np.mean(depths) == pytest.approx(1, abs=0.01)
+    assert 0.5 < np.sqrt(np.mean(np.square(pulls))) < 1.6
