@@ -466,7 +466,7 @@ class _State:
         known = self.known & self.use
         use = known
         columns = np.column_stack([self.z, np.ones(len(self.z)), self.variable])
-        weight = np.diag([4e-4, 4e-4, 0.0, 4e-4])  # towards no change, where POS_CORR has no say
+        weight = np.diag([4e-4, 4e-4, 0.0, 4e-4])  # toward no change, where POS_CORR has no say
         change = np.zeros((4, 2))
         for _ in range(3):
             gram = columns[use].T @ columns[use] + weight
