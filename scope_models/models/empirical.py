@@ -132,7 +132,7 @@ class GaussHermitePSF(StarModel):
         coefficients : sequence of float
             Values of the ``c_k_m``, in their order.
         derivatives : bool, optional
-            Whether the derivatives by position, widths and coefficients are wanted too.
+            Whether the derivatives by position, widths and coefficients are returned too.
 
         Returns
         -------

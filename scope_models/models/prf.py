@@ -62,7 +62,7 @@ class PRF(StarModel):
     several components these end in ``_0``, ``_1``, ..., and each component but the first has
     ``flux_fraction_k``, its part of the flux (the first has the rest), and ``x_offset_k``,
     ``y_offset_k``, its position relative to the first. Nothing is tied: the constraints are in
-    the parametrisation.
+    the parametrization.
 
     Bounds and fixed parameters are taken over from the components. Two kinds are fixed unless
     that is changed by, for example, ``prf.ax2.fixed = False``: the coefficients of the sensitivity
