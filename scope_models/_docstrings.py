@@ -4,13 +4,41 @@ import inspect
 
 __all__ = ["documented"]
 
+_PATH = """path : str or path-like
+    The file.
+overwrite : bool, optional
+    Whether to replace a file."""
+_WRITTEN = """Returns
+-------
+pathlib.Path
+    The file.
+
+Raises
+------
+OSError
+    If the file exists and is not to be replaced, or cannot be written."""
+_AX = """ax : matplotlib.axes.Axes, optional
+    Where to draw; a new figure by default."""
+_AXES = """Returns
+-------
+matplotlib.axes.Axes
+    The Axes."""
+_SHARED = {
+    "path": _PATH,
+    "written": _WRITTEN,
+    "write": f"{_PATH}\n\n{_WRITTEN}",
+    "ax": _AX,
+    "draw": f"{_AX}\n\n{_AXES}",
+    "axes": _AXES,
+}
+
 
 def documented(**parts):
     """Decorate a function or class whose docstring has ``{name}`` in the place of shared parts."""
 
     def complete(decorated):
         text = inspect.cleandoc(decorated.__doc__ or "") + "\n"
-        for name, part in parts.items():
+        for name, part in (_SHARED | parts).items():
             text = text.replace(f"{{{name}}}", part.strip())
         decorated.__doc__ = text
         return decorated

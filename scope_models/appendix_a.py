@@ -4,12 +4,14 @@ A thin layer over `~scope_models.Scene`, `~scope_models.simulate`, the corrector
 """
 
 import warnings
+from operator import attrgetter
 
 import astropy.units as u
 import numpy as np
 
 from scope_models._arrays import PER_PIXEL
 from scope_models._checks import checked_integer, checked_mask, checked_number, checked_pair
+from scope_models._docstrings import documented
 from scope_models._values import value_key
 from scope_models.effects.noise import check_seed, fresh_seed, noise_terms, stream
 from scope_models.exceptions import LostLightWarning
@@ -31,6 +33,11 @@ from scope_models.simulation import simulate
 __all__ = ["Target", "generate_target"]
 
 _NCADENCES = 1000
+# Parts of the docstrings of several methods.
+_SAME = """Returns
+-------
+`Target`
+    The same object."""
 
 
 def generate_target(
@@ -55,8 +62,7 @@ def generate_target(
     noise=True,
     seed=None,
 ):
-    """
-    Simulate a star on a moving detector, as in the paper's Appendix A.
+    """Simulate a star on a moving detector, as in the paper's Appendix A.
 
     Parameters
     ----------
@@ -65,8 +71,7 @@ def generate_target(
     roll : float, optional
         Factor on the motion; 1 is K2's, 0 stands still.
     coords : tuple of float, optional
-        Reference position (column, row) in pixels from 0; by default the
-        center of the stamp.
+        Reference position (column, row) in pixels from 0; by default the center of the stamp.
     background_level : float, optional
         Background in e-/s per pixel; by default that of the detector.
     neighbor_magdiff : float, optional
@@ -78,9 +83,8 @@ def generate_target(
     ID : int, optional
         EPIC number of a K2 target whose motion is downloaded.
     transit, variable, neighbor : bool, optional
-        Add a transit, variability or a neighbor with the defaults of
-        `Target.add_transit`, `Target.add_variability` and
-        `Target.add_neighbor`.
+        Add a transit, variability or a neighbor with the defaults of `Target.add_transit`,
+        `Target.add_variability` and `Target.add_neighbor`.
     tpf_path : str or path-like, optional
         A target pixel or light-curve file whose motion is taken.
     no_sensitivity_variation : bool, optional
@@ -88,8 +92,8 @@ def generate_target(
     signal : optional
         The star's own relative flux, see `Target.add_signal`.
     motion : `~scope_models.Motion`, optional
-        The motion. By default, and without `ID` and `tpf_path`, the
-        generated roll of `scope_models.Motion.k2_roll`.
+        The motion. By default, and without `ID` and `tpf_path`, the generated roll of
+        `scope_models.Motion.k2_roll`.
     psf : `~astropy.modeling.Model`, optional
         PSF of the star; by default that of the detector.
     detector : `~scope_models.Detector`, optional
@@ -97,8 +101,8 @@ def generate_target(
     noise : bool or iterable of str, optional
         The noise terms, see `~scope_models.simulate`.
     seed : int, optional
-        Seed of noise, interpixel map and random positions of neighbors;
-        by default a new one, kept as ``Target.seed``.
+        Seed of noise, interpixel map and random positions of neighbors; by default a new one, kept
+        as ``Target.seed``.
 
     Returns
     -------
@@ -108,11 +112,10 @@ def generate_target(
     Raises
     ------
     ValueError
-        If an argument is outside its domain, `ncadences` exceeds the length
-        of the motion, more than one source of motion is given, or the EPIC
-        number is unknown.
+        If an argument is outside its domain, `ncadences` exceeds the length of the motion, more
+        than one source of motion is given, or the EPIC number is unknown.
     TypeError
-        If an option is misspelt or of the wrong kind.
+        If an option is misspelled or of the wrong kind.
     ConnectionError
         If the motion of an EPIC number cannot be downloaded.
 
@@ -144,7 +147,12 @@ def generate_target(
         detector = detector.replace(background=level)
     if no_sensitivity_variation:
         detector = detector.without_sensitivity()
-    x_0, y_0 = _reference_position(coords, detector.shape)
+    ny, nx = detector.shape
+    x_0, y_0 = (
+        ((nx - 1) / 2, (ny - 1) / 2) if coords is None else checked_pair("coords", coords, u.pix)
+    )
+    if not _on_stamp(x_0, y_0, detector):
+        raise ValueError(f"`coords` must be on the stamp of {ny} x {nx} pixels, got {coords!r}")
     star = Star(mag, x_0, y_0, psf)
     motion = checked_number("roll", roll, any_sign=True) * motion
     target = Target(star, detector, motion, seed=seed, noise=noise)
@@ -161,13 +169,11 @@ def generate_target(
 
 
 class Target:
-    """
-    A simulated star, its neighbors and its pixels.
+    """A simulated star, its neighbors and its pixels.
 
-    `generate_target` makes it. What is added changes the expected flux only:
-    the noise of all else stays as it was, as every effect draws from its own
-    stream of the seed. All attributes below may be changed: the next look at
-    the pixels simulates what they are then.
+    `generate_target` makes it. What is added changes the expected flux only: the noise of all else
+    stays as it was, as every effect draws from its own stream of the seed. All attributes below may
+    be changed: the next look at the pixels simulates what they are then.
 
     Parameters
     ----------
@@ -244,20 +250,18 @@ class Target:
         """The `~scope_models.Observation`, with the truth."""
         return self._kept("observation", lambda: simulate(self.scene))
 
-    @property
-    def time(self):
-        """Times of the cadences in days, as the motion has them (BKJD)."""
-        return self.motion.time
-
-    @property
-    def targetpixelfile(self):
-        """Flux without background in e-/s, shape ``(n_cadences, ny, nx)``."""
-        return self.observation.flux
-
-    @property
-    def error(self):
-        """Standard deviation of the flux in e-/s, shape ``(n_cadences, ny, nx)``."""
-        return self.observation.flux_err
+    time = property(
+        attrgetter("motion.time"),
+        doc="Times of the cadences in days, as the motion has them (BKJD).",
+    )
+    targetpixelfile = property(
+        attrgetter("observation.flux"),
+        doc="Flux without background in e-/s, shape ``(n_cadences, ny, nx)``.",
+    )
+    error = property(
+        attrgetter("observation.flux_err"),
+        doc="Standard deviation of the flux in e-/s, shape ``(n_cadences, ny, nx)``.",
+    )
 
     @property
     def lightcurve(self):
@@ -282,16 +286,15 @@ class Target:
     @property
     def _noise_free(self):
         """Noise-free cubes of the star, and of all neighbors or None."""
+        return self._kept(
+            "noise-free", lambda: (self._alone([self.star]), self._alone(self.neighbors))
+        )
 
-        def make():
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore", LostLightWarning)  # the observation has warned
-                return tuple(
-                    simulate(self.scene.replace(stars=stars, noise=False)).flux if stars else None
-                    for stars in ([self.star], self.neighbors)
-                )
-
-        return self._kept("noise-free", make)
+    def _alone(self, stars):
+        """Return the noise-free cube of some stars, None of none."""
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", LostLightWarning)  # the observation has warned
+            return simulate(self.scene.replace(stars=stars, noise=False)).flux if stars else None
 
     @property
     def _detrended(self):
@@ -301,9 +304,9 @@ class Target:
 
     # -- what is added ---------------------------------------------------------------------------
 
+    @documented(same=_SAME)
     def add_transit(self, depth=0.01, per=15.0, dur=0.5, t0=5.0, *, b=0.0, u1=0.4, u2=0.26):
-        """
-        Let a planet on a circular orbit transit the star.
+        """Let a planet on a circular orbit transit the star.
 
         Parameters
         ----------
@@ -320,10 +323,7 @@ class Target:
         u1, u2 : float, optional
             Coefficients of quadratic limb darkening.
 
-        Returns
-        -------
-        `Target`
-            The same object.
+        {same}
 
         Raises
         ------
@@ -355,22 +355,19 @@ class Target:
         self.transits.append(planet)
         return self
 
+    @documented(same=_SAME)
     def add_variability(self, var_amp=0.005, freq=0.25):
-        """
-        Let the star vary sinusoidally, by ``1 + var_amp * sin(freq * t)``.
+        """Let the star vary sinusoidally, by ``1 + var_amp * sin(freq * t)``.
 
         Parameters
         ----------
         var_amp : float, optional
             Relative semi-amplitude, between 0 and 1.
         freq : float, optional
-            Angular frequency in radians per day, of the time t after the
-            first cadence: the period is ``2 * pi / freq`` days.
+            Angular frequency in radians per day, of the time t after the first cadence: the period
+            is ``2 * pi / freq`` days.
 
-        Returns
-        -------
-        `Target`
-            The same object.
+        {same}
 
         Raises
         ------
@@ -394,20 +391,16 @@ class Target:
         period = 2 * np.pi / freq
         return self.add_signal(sinusoidal_signal(var_amp, period, -self.time[0] / period))
 
+    @documented(same=_SAME)
     def add_signal(self, signal):
-        """
-        Multiply the star's flux with a signal.
+        """Multiply the star's flux with a signal.
 
         Parameters
         ----------
         signal : `~astropy.modeling.Model` or callable or array_like
-            Relative flux: a model or function of the times `time`, or an
-            array ``(n_cadences,)``.
+            Relative flux: a model or function of the times `time`, or an array ``(n_cadences,)``.
 
-        Returns
-        -------
-        `Target`
-            The same object.
+        {same}
 
         Raises
         ------
@@ -427,11 +420,11 @@ class Target:
         self.star = self.star.replace(signal=self.star.relative_flux(self.time) * more)
         return self
 
+    @documented(same=_SAME)
     def add_neighbor(
         self, magdiff=1.0, dist=1.7, *, angle=None, position=None, psf=None, signal=None
     ):
-        """
-        Put another star onto the stamp.
+        """Put another star onto the stamp.
 
         Parameters
         ----------
@@ -440,20 +433,17 @@ class Target:
         dist : float, optional
             Its distance from the star in pixels; not used with `position`.
         angle : float, optional
-            Direction in degrees from growing columns towards growing rows;
-            by default random, drawn from the seed, and on the stamp.
+            Direction in degrees from growing columns toward growing rows; by default random, drawn
+            from the seed, and on the stamp.
         position : tuple of float, optional
             Its column and row, in place of `dist` and `angle`.
         psf : `~astropy.modeling.Model`, optional
             Its PSF; by default that of the detector.
         signal : optional
-            Its own relative flux, as in `add_signal`: an eclipsing
-            background binary is a deep `~scope_models.TransitModel`.
+            Its own relative flux, as in `add_signal`: an eclipsing background binary is a deep
+            `~scope_models.TransitModel`.
 
-        Returns
-        -------
-        `Target`
-            The same object.
+        {same}
 
         Raises
         ------
@@ -468,11 +458,21 @@ class Target:
         0.22
         """
         magdiff = checked_number("magdiff", magdiff, u.mag, any_sign=True)
+        scale = {"pixel_scale": self.detector.pixel_scale}  # converts angles
         if position is None:
-            x_0, y_0 = self._direction(checked_number("dist", dist, u.pix, **self._scale), angle)
+            dist = checked_number("dist", dist, u.pix, **scale)
+            if angle is None:  # the first random one on the stamp
+                generator = stream(self.seed, f"neighbor {len(self.neighbors)}")
+                angles = generator.uniform(0, 2 * np.pi, 1000)
+            else:
+                angles = np.radians([checked_number("angle", angle, u.deg, any_sign=True)])
+            x, y = self.star.x_0 + dist * np.cos(angles), self.star.y_0 + dist * np.sin(angles)
+            places = list(zip(x, y, strict=True))
+            found = (place for place in places if _on_stamp(*place, self.detector))
+            x_0, y_0 = next(found, places[0])
         else:
-            x_0, y_0 = checked_pair("position", position, u.pix, **self._scale)
-        if not self._on_stamp(x_0, y_0):
+            x_0, y_0 = checked_pair("position", position, u.pix, **scale)
+        if not _on_stamp(x_0, y_0, self.detector):
             ny, nx = self.detector.shape
             raise ValueError(
                 f"the neighbor at column {x_0:.2f}, row {y_0:.2f} is off the stamp of "
@@ -483,41 +483,17 @@ class Target:
         self.neighbors.append(neighbor)
         return self
 
-    def _direction(self, dist, angle):
-        """Return the position at a distance; the first random one on the stamp."""
-        if angle is None:
-            generator = stream(self.seed, f"neighbor {len(self.neighbors)}")
-            angles = generator.uniform(0, 2 * np.pi, 1000)
-        else:
-            angles = np.radians([checked_number("angle", angle, u.deg, any_sign=True)])
-        places = [
-            (self.star.x_0 + dist * np.cos(phi), self.star.y_0 + dist * np.sin(phi))
-            for phi in angles
-        ]
-        return next((place for place in places if self._on_stamp(*place)), places[0])
-
-    @property
-    def _scale(self):
-        """What converts angles to pixels."""
-        return {"pixel_scale": self.detector.pixel_scale}
-
-    def _on_stamp(self, x_0, y_0):
-        ny, nx = self.detector.shape
-        return -0.5 <= x_0 <= nx - 0.5 and -0.5 <= y_0 <= ny - 0.5
-
     # -- what is measured -----------------------------------------------------------------
 
     def create_aperture(self, method="threshold", **options):
-        """
-        Choose the aperture.
+        """Choose the aperture.
 
         Parameters
         ----------
         method : {"threshold", "signal-to-noise", "contamination", "circular"}, optional
-            Pixels that the noise-free star brightens at any cadence (the
-            paper's); the highest signal-to-noise ratio; the star's pixels
-            that neighbors do not dominate; a circle about the star's
-            reference position.
+            Pixels that the noise-free star brightens at any cadence (the paper's); the highest
+            signal-to-noise ratio; the star's pixels that neighbors do not dominate; a circle about
+            the star's reference position.
         **options
             Options of `~scope_models.photometry.threshold_aperture`,
             `~scope_models.photometry.contamination_aperture` or
@@ -533,7 +509,7 @@ class Target:
         ValueError
             If the method is unknown or the aperture has no pixels.
         TypeError
-            If an option is misspelt.
+            If an option is misspelled.
 
         Examples
         --------
@@ -565,8 +541,7 @@ class Target:
         return mask
 
     def estimate_cdpp(self, flux=None, duration=6.5, method="lightkurve"):
-        """
-        Estimate the noise on the time scale of a transit.
+        """Estimate the noise on the time scale of a transit.
 
         Parameters
         ----------
@@ -593,8 +568,7 @@ class Target:
         return cdpp(flux, duration, method, cadence=cadence)
 
     def to_tpf(self, *, metadata=None, quality_bitmask="default"):
-        """
-        Return lightkurve's target pixel file, with `aperture` as its own.
+        """Return lightkurve's target pixel file, with `aperture` as its own.
 
         Parameters
         ----------
@@ -619,14 +593,12 @@ class Target:
         )
 
     def to_lightcurve(self, aperture_mask=None, **options):
-        """
-        Return lightkurve's light curve of an aperture.
+        """Return lightkurve's light curve of an aperture.
 
         Parameters
         ----------
         aperture_mask : array_like of bool, or str, optional
-            Mask ``(ny, nx)``, or what lightkurve understands; by default
-            `aperture`.
+            Mask ``(ny, nx)``, or a name of lightkurve's masks; by default `aperture`.
         **options
             Options of `to_tpf`.
 
@@ -652,28 +624,17 @@ class Target:
             mask = checked_mask("aperture_mask", mask, self.detector.shape)
         return self.to_tpf(**options).to_lightcurve(aperture_mask=mask)
 
+    @documented()
     def write(self, path, overwrite=False, *, metadata=None):
-        """
-        Write a target pixel file with the truth and `aperture`.
+        """Write a target pixel file with the truth and `aperture`, .fits or .fits.gz.
 
         Parameters
         ----------
-        path : str or path-like
-            The file, .fits or .fits.gz.
-        overwrite : bool, optional
-            Whether to replace a file.
+        {path}
         metadata : mapping, optional
             Fields of `scope_models.io.TPFMetadata`.
 
-        Returns
-        -------
-        pathlib.Path
-            The file.
-
-        Raises
-        ------
-        OSError
-            If the file exists and is not to be replaced, or cannot be written.
+        {written}
 
         Examples
         --------
@@ -686,27 +647,26 @@ class Target:
         )
 
     def detrend(self, *, mask_transits=True, **options):
-        """
-        De-trend the light curve of `aperture` by pixel-level decorrelation.
+        """De-trend the light curve of `aperture` by pixel-level decorrelation.
 
         Parameters
         ----------
         mask_transits : bool, optional
             Leave the cadences of the transits that were added out of the fit.
         **options
-            Options of `scope_models.correctors.PLDCorrector.correct`, such
-            as order or transit_mask.
+            Options of `scope_models.correctors.PLDCorrector.correct`, such as order or
+            transit_mask.
 
         Returns
         -------
         `~lightkurve.LightCurve`
-            The de-trended light curve, without the cadences that
-            lightkurve's default quality mask drops. `plot` draws it too.
+            The de-trended light curve, without the cadences that lightkurve's default quality mask
+            drops. `plot` draws it too.
 
         Raises
         ------
         TypeError
-            If an option is misspelt.
+            If an option is misspelled.
 
         Examples
         --------
@@ -729,8 +689,7 @@ class Target:
     # -- what is drawn --------------------------------------------------------------------
 
     def display_detector(self, oversample=20, *, axes=None):
-        """
-        Draw sensitivity, PSF and pixels of the first cadence (the paper's figure 3).
+        """Draw sensitivity, PSF and pixels of the first cadence (the paper's figure 3).
 
         Parameters
         ----------
@@ -763,30 +722,21 @@ class Target:
         light = np.zeros_like(x)
         for i, star in enumerate([self.star, *self.neighbors]):
             psf = self.detector.psf if star.psf is None else star.psf
-            flux = truth.flux[i] * truth.relative_flux[i, 0]
-            light += flux * _density(psf, x - truth.x[i, 0], y - truth.y[i, 0])
+            prf, flux = PRF(psf), truth.flux[i] * truth.relative_flux[i, 0]
+            place = x - truth.x[i, 0] + prf.x_0.value, y - truth.y[i, 0] + prf.y_0.value
+            light += flux * psf(*place) / prf.flux.value
+        image = self.targetpixelfile[0]
         return plot_detector(
-            sensitivity,
-            light,
-            self.targetpixelfile[0],
-            oversample,
-            aperture=self.aperture,
-            axes=axes,
+            sensitivity, light, image, oversample, aperture=self.aperture, axes=axes
         )
 
+    @documented()
     def display_aperture(self, *, ax=None):
-        """
-        Draw the pixels of the first cadence with the outline of the aperture.
+        """Draw the pixels of the first cadence with the outline of the aperture.
 
         Parameters
         ----------
-        ax : `~matplotlib.axes.Axes`, optional
-            Where to draw; a new figure by default.
-
-        Returns
-        -------
-        `~matplotlib.axes.Axes`
-            The Axes.
+        {draw}
 
         Examples
         --------
@@ -798,19 +748,13 @@ class Target:
 
         return plot_pixels(self.targetpixelfile[0], self.aperture, title="First cadence", ax=ax)
 
+    @documented()
     def display_motion(self, *, ax=None):
-        """
-        Draw the track of the star over the pixels, colored by time.
+        """Draw the track of the star over the pixels, colored by time.
 
         Parameters
         ----------
-        ax : `~matplotlib.axes.Axes`, optional
-            Where to draw; a new figure by default.
-
-        Returns
-        -------
-        `~matplotlib.axes.Axes`
-            The Axes.
+        {draw}
 
         Examples
         --------
@@ -826,8 +770,7 @@ class Target:
         )
 
     def plot(self):
-        """
-        Draw pixels, motion and light curves in one figure.
+        """Draw pixels, motion and light curves in one figure.
 
         The de-trended light curve is drawn after `Target.detrend` was called.
 
@@ -861,9 +804,9 @@ class Target:
             title=f"Simulated star, magnitude {self.star.mag:g}",
         )
 
+    @documented()
     def plot_transit(self, number=0, *, window=None, ax=None):
-        """
-        Draw the light curve folded on a transit that was added.
+        """Draw the light curve folded on a transit that was added.
 
         The star's other signals are divided out by their truth.
 
@@ -872,16 +815,13 @@ class Target:
         number : int, optional
             Which of `transits`.
         window : float, optional
-            Hours to draw on either side of mid-transit; by default twice
-            the transit's duration.
-        ax : `~matplotlib.axes.Axes`, optional
-            Where to draw; a new figure by default.
+            Hours to draw on either side of mid-transit; by default twice the transit's duration.
+        {ax}
 
         Returns
         -------
         `~matplotlib.axes.Axes`
-            The Axes; the light curve is the de-trended one after
-            `Target.detrend` was called.
+            The Axes; the light curve is the de-trended one after `Target.detrend` was called.
 
         Raises
         ------
@@ -916,9 +856,9 @@ class Target:
             ax=ax,
         )
 
+    @documented()
     def animate(self, *, step=1, interval=50, ax=None):
-        """
-        Animate the pixels.
+        """Animate the pixels.
 
         Parameters
         ----------
@@ -926,8 +866,7 @@ class Target:
             Draw every step-th cadence.
         interval : float, optional
             Milliseconds per frame.
-        ax : `~matplotlib.axes.Axes`, optional
-            Where to draw; a new figure by default.
+        {ax}
 
         Returns
         -------
@@ -940,16 +879,7 @@ class Target:
         >>> animation = scope.generate_target(ncadences=10, seed=1).animate(step=5)
         >>> html = animation.to_jshtml()
         """
-        from scope_models.plotting import animate_pixels
-
-        return animate_pixels(
-            self.targetpixelfile[::step],
-            self.time[::step],
-            self.aperture,
-            interval=interval,
-            time_label=self._time_label,
-            ax=ax,
-        )
+        return self.observation.animate(self.aperture, step=step, interval=interval, ax=ax)
 
     @property
     def _time_label(self):
@@ -967,7 +897,8 @@ class Target:
 
 def _find_motion(motion, tpf_path, epic, ncadences):
     """Return the motion of the one source that is given, with the right number of cadences."""
-    given = [name for name, value in _sources(motion, tpf_path, epic).items() if value is not None]
+    sources = {"motion": motion, "tpf_path": tpf_path, "ID": epic}
+    given = [name for name, value in sources.items() if value is not None]
     if len(given) > 1:
         raise ValueError(f"only one of `motion`, `tpf_path` and `ID` may be given, got {given}")
     if ncadences is not None:
@@ -989,10 +920,6 @@ def _find_motion(motion, tpf_path, epic, ncadences):
     return motion[:ncadences]
 
 
-def _sources(motion, tpf_path, epic):
-    return {"motion": motion, "tpf_path": tpf_path, "ID": epic}
-
-
 def _download_motion(epic):
     """Download the long-cadence target pixel file of a K2 target and return its motion."""
     import lightkurve
@@ -1011,21 +938,9 @@ def _download_motion(epic):
     return Motion.from_tpf(tpf)
 
 
-def _reference_position(coords, shape):
-    """Return column and row of the star, the center of the stamp by default."""
-    ny, nx = shape
-    if coords is None:
-        return (nx - 1) / 2, (ny - 1) / 2
-    x_0, y_0 = checked_pair("coords", coords, u.pix)
-    if not (-0.5 <= x_0 <= nx - 0.5 and -0.5 <= y_0 <= ny - 0.5):
-        raise ValueError(f"`coords` must be on the stamp of {ny} x {nx} pixels, got {coords!r}")
-    return x_0, y_0
-
-
-def _density(psf, x, y):
-    """Return the values of a PSF of total 1 about its position, in the sense of `PRF`."""
-    prf = PRF(psf)
-    return psf(x + prf.x_0.value, y + prf.y_0.value) / prf.flux.value
+def _on_stamp(x_0, y_0, detector):
+    ny, nx = detector.shape
+    return -0.5 <= x_0 <= nx - 0.5 and -0.5 <= y_0 <= ny - 0.5
 
 
 def _plural(number, noun):

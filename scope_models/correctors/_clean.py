@@ -20,6 +20,8 @@ import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
 from scipy.linalg import cholesky, solve_triangular
 
+from scope_models.correctors._constant_light import constant_light, varying_light
+
 __all__ = ["CleanPixels", "clean_pixels", "precise_aperture"]
 
 #: Scale (px) of the response functions of position, and of those of focus and constant light.
@@ -28,6 +30,9 @@ _TOLERANCE, _COARSE_TOLERANCE = 1e-9, 1e-4
 _MAX_RANK, _COARSE_RANK = 120, 25
 #: Number of iterations, and for stars whose constant light is learned.
 _ITERATIONS, _MORE_ITERATIONS = 7, 12
+#: The fit ends after so many iterations if the median steps of brightness, both positions and focus
+#: are less than these parts of their errors, and the star does not vary strongly.
+_FEWEST_ITERATIONS, _SMALL_STEPS = 4, (0.1, 0.1, 0.1, 0.1)
 #: Iterations after which the focus has an image of its own, and constant light counts.
 _FOCUS_FROM, _CONSTANT_FROM = 2, 3
 #: Prior standard deviations: position about POS_CORR (px), relative width.
@@ -95,7 +100,7 @@ class CleanPixels:
     focus : ndarray
         Relative change of the PSF's width without short dips, up to a factor, ``(n,)``.
     constant : float
-        Constant light that was taken off, e-/s.
+        Constant light that was taken off, e-/s, the median.
     repaired : ndarray of bool
         Pixels in cadences whose light was replaced by the model's, ``(n, n_pixels)``.
     """
@@ -186,7 +191,9 @@ def clean_pixels(time, flux, flux_err, position, grid, aperture, *, use=None, ow
         if iteration >= _ITERATIONS and not state.variable.any():
             break
         state.fit_pixels(iteration)
-        state.fit_cadences(iteration)
+        converged = state.fit_cadences(iteration)
+        if converged and iteration >= _FEWEST_ITERATIONS - 1 and not state.varies:
+            break
     return state.result(flux_err, np.ones_like(aperture) if own is None else own)
 
 
@@ -221,6 +228,11 @@ class _State:
         self._place = np.where(self.known, _POSITION_PRIOR**-2, 1e-2)
         self.features = _Features(self.z[use], _SCALE, _TOLERANCE, _MAX_RANK)
         self.coarse = _Features(self.z[use], _COARSE_SCALE, _COARSE_TOLERANCE, _COARSE_RANK)
+
+    @property
+    def varies(self):
+        """Whether the star varied strongly in this iteration or the one before."""
+        return self.variable.any() or self._constant is not None
 
     @property
     def background(self):
@@ -321,7 +333,12 @@ class _State:
         return image if self._focus is None else image + self.focus[:, None] * focus
 
     def fit_cadences(self, iteration):
-        """Improve brightness, background, position and focus of each cadence: one linear step."""
+        """
+        Improve brightness, background, position and focus of each cadence: one linear step.
+
+        Return whether the step was small.
+        """
+        before = np.stack([self.brightness, *self.z.T, self.focus])
         image, slopes, focus, constant = self._images()
         image = self._focused(image, focus)
         rest = self._rest(image, constant)
@@ -351,6 +368,8 @@ class _State:
         self._set_variable(iteration)
         self._anchor()
         self._set_focus(self.focus + np.clip(step[3], -0.02, 0.02), error[3], iteration)
+        moved = np.abs(np.stack([self.brightness, *self.z.T, self.focus]) - before) / error[:4]
+        return bool((_median(moved[:, self.use]) < _SMALL_STEPS).all())
 
     def _rest(self, image, constant):
         """Return what images and background leave of the light."""
@@ -424,8 +443,9 @@ class _State:
             variable = change - columns @ np.linalg.solve(gram + ridge, right)
         strong = self._is_strong(variable[use])
         if strong and iteration >= _DECIDED:
-            image, _, focus, constant = self._images()
-            strong = self._constant_light(self._focused(image, focus), constant) > _FAINT
+            image, slopes, focus, constant = self._images()
+            light = self._constant_light(self._focused(image, focus), slopes, constant)
+            strong = np.median(light[use]) > _FAINT
         self.variable = variable if strong else np.zeros_like(variable)
 
     def _is_strong(self, variable):
@@ -446,7 +466,7 @@ class _State:
         known = self.known & self.use
         use = known
         columns = np.column_stack([self.z, np.ones(len(self.z)), self.variable])
-        weight = np.diag([4e-4, 4e-4, 0.0, 4e-4])  # towards no change, where POS_CORR has no say
+        weight = np.diag([4e-4, 4e-4, 0.0, 4e-4])  # toward no change, where POS_CORR has no say
         change = np.zeros((4, 2))
         for _ in range(3):
             gram = columns[use].T @ columns[use] + weight
@@ -466,12 +486,14 @@ class _State:
     def result(self, flux_err, own):
         """Return the light and the fractions."""
         self._fit_brightness(own)
-        still, _, focus, constant = self._images()
+        still, slopes, focus, constant = self._images()
         image, inside = self._focused(still, focus), self.aperture
         light = self.y - self.background
         light[~self.good] -= self._rest(image, constant)[~self.good]
-        light = light[:, inside]
-        light, error = light.sum(axis=1), np.sqrt((flux_err[:, inside] ** 2).sum(axis=1))
+        pixels, light = light, light[:, inside].sum(axis=1)
+        rest = pixels - light[:, None] * image + self.variable[:, None] * constant
+        light = light - self._varying_light(rest, image, slopes, ~own)
+        error = np.sqrt((flux_err[:, inside] ** 2).sum(axis=1))
         misfit = np.average(self.variance / self.noise, weights=np.maximum(self.scale, 0))
         fits = misfit < _LARGEST_MISFIT
         if fits and np.median(self.error) * self.unit < np.median(error):
@@ -479,7 +501,7 @@ class _State:
             part = self._roughness(fitted) / self._roughness(light)
             if part < _LESS_NOISE:
                 light, error = fitted, np.maximum(self.error * self.unit, part * error)
-        other = self._constant_light(image, constant)
+        other = self._constant_light(image, slopes, constant)
         return CleanPixels(
             light=self.unit * (light - other),
             light_error=error,
@@ -489,7 +511,7 @@ class _State:
             background=self.unit * self.background,
             position=self.z,
             focus=self._slow_focus(),
-            constant=self.unit * other,
+            constant=self.unit * np.median(other[self.use]),
             repaired=~self.good,
         )
 
@@ -509,19 +531,21 @@ class _State:
         change = (self.brightness - light)[self.use]
         return self.brightness - _explained(columns, columns[self.use], change)
 
-    def _constant_light(self, image, constant):
-        """Return the constant light in the aperture, if the star's variability shows it.
+    def _varying_light(self, rest, image, slopes, others):
+        """Return the light in the aperture that varies with other stars."""
+        if others.any():
+            columns = np.column_stack([self.features(self.z), self.focus])
+            rest = rest - _explained(columns, columns[self.use], rest[self.use])
+        where = self.grid, self.aperture, self.use
+        return varying_light(rest, image, slopes, self.noise, others, *where)
 
-        The star's brightest pixels hold none of it.
-        """
+    def _constant_light(self, image, slopes, constant):
+        """Return the constant light in the aperture, if the star's variability shows it."""
         if not self.variable.any():
-            return 0.0
-        mean, own = image[self.use].mean(axis=0), (image - constant)[self.use].mean(axis=0)
-        inside = self.aperture
-        bright = own > 0.3 * own[inside].max()
-        part = float(np.clip(mean[bright].sum() / own[bright].sum(), 0.0, 1.0))
-        both = mean[inside].sum(), own[inside].sum()
-        return both[0] - part * both[1]
+            return np.zeros(len(image))
+        level = (self.brightness - self.variable)[self.use].mean()
+        images = image, image - constant, slopes
+        return level * constant_light(*images, self.z, self.grid, self.aperture, self.use)
 
 
 def precise_aperture(light, variance, position):

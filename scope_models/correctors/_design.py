@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field
 
 import numpy as np
+from scipy.linalg import solve_triangular
 
 from scope_models.correctors._features import (
     Regressors,
@@ -20,6 +21,7 @@ from scope_models.io import read_pixels
 __all__ = [
     "DesignOptions",
     "background_columns",
+    "constant_columns",
     "focus_columns",
     "make_regressors",
     "neighbor_columns",
@@ -36,6 +38,8 @@ _REACH = 2
 _NEIGHBOR_COMPONENTS = 10
 #: Relative change of the PSF's width that is the unit of the focus.
 _FOCUS_UNIT = 2e-3
+#: Powers of column and row of the polynomials by which constant light changes with position.
+_POWERS = [(i, n - i) for n in range(1, 4) for i in range(n + 1)]
 
 
 @dataclass(frozen=True)
@@ -164,6 +168,22 @@ def focus_columns(clean, usable, use):
     focus = clean.focus[:, None] / _FOCUS_UNIT
     columns = np.full((len(usable), 3), np.nan)
     columns[usable] = np.concatenate([focus, focus * clean.position / size], axis=1)
+    return columns
+
+
+def constant_columns(clean, usable, use):
+    """
+    Return what constant light that the aperture gains and loses with position does to the light.
+
+    Beside a star of relative brightness s it counts as 1/s: the columns are polynomials of the
+    position, of unit variance, times 1/s - 1.
+    """
+    columns = np.full((len(usable), len(_POWERS)), np.nan)
+    x, y = (clean.position / np.maximum(clean.position[use[usable]].std(axis=0), 1e-12)).T
+    powers = np.column_stack([np.ones(len(x))] + [x**i * y**j for i, j in _POWERS])
+    root = np.linalg.qr(powers[use[usable]], mode="r") / np.sqrt(use.sum())
+    faint = np.median(clean.light) / clean.light - 1
+    columns[usable] = solve_triangular(root, powers.T, trans=1)[1:].T * faint[:, None]
     return columns
 
 

@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
-from scope_models.correctors._regression import Hyperparameters
+from scope_models.correctors._regression import Hyperparameters, log_likelihood
+from scope_models.correctors._search import fit_columns
 
 __all__ = ["find_frequencies", "harmonic_columns", "is_periodic"]
 
@@ -17,10 +18,20 @@ _PART, _AT_ONCE = 0.03, 6
 #: ... and so far apart in units of one over the length of the observation.
 _APART = 1.5
 _ROUNDS = 20
+#: Once there are so many, no more are sought if the logarithm of the likelihood is less by so much
+#: than with the long-term process alone: the star varies at all frequencies. Beside them the
+#: process may be weaker.
+_ENOUGH_TO_JUDGE, _WORSE = 12, 100.0
+_PARTS = (1.0, 0.01)
 #: Largest step of a frequency, in the same unit.
 _LARGEST_SHIFT = 0.2
 #: At most one frequency for so many cadences, and so many.
 _CADENCES_PER_FREQUENCY, _MOST = 15, 60
+#: Where so much of the frequencies up to this part of the fastest that cadences resolve, and
+#: beyond, are multiples of one, eclipses are sharp: all multiples are taken, ...
+_MULTIPLES, _SHARP = 0.7, 0.5
+#: ... up to this part of the fastest, for so many cadences at most one, and so many.
+_LAST, _CADENCES_PER_MULTIPLE, _MOST_MULTIPLES = 1.5, 12, 100
 #: Period in days of the slow process, which stands for all that is not periodic.
 _SLOW = 5.0
 #: Cadences that differ from the median of five by so many standard deviations stand alone.
@@ -64,8 +75,7 @@ def find_frequencies(solution, allowed):
         Frequencies in cycles per day.
     """
     n_most = min(_MOST, allowed.sum() // _CADENCES_PER_FREQUENCY)
-    found = np.empty(0)
-    rest = solution.y
+    found, rest, judged = np.empty(0), solution.y, False
     for _ in range(_ROUNDS):
         use = allowed.copy()
         use[allowed] = ~_stands_alone(rest[allowed])
@@ -75,10 +85,32 @@ def find_frequencies(solution, allowed):
         if not len(new) or len(found) + len(new) > n_most:
             break
         found = np.append(found, [_refined(f, trial) for f in new])
-        found = _shifted(found, solution, trial.hyper, use)
-        rest = replace(solution, hyper=trial.hyper).with_frequencies(found, use).unexplained
+        if not judged and len(found) >= _ENOUGH_TO_JUDGE:
+            judged = True
+            if _is_continuous(found, solution, use):
+                return np.empty(0)
+        plain = replace(solution, hyper=trial.hyper)
+        found = found + _shifts(found, plain, use)
+        rest = plain.with_frequencies(found, use).unexplained
     plain = replace(solution, hyper=trial.hyper)
-    return _significant(found, plain, use)
+    found = _significant(found, plain, use)
+    first = _fundamental(found, solution)
+    return found if first is None else _multiples(first, plain, use)
+
+
+def _is_continuous(frequencies, solution, use):
+    """Whether a star varies at all frequencies, so that these are no better than a process."""
+    if _divisor(np.sort(frequencies), solution) is not None:
+        return False
+    alone = _likelihood(solution, (), use)
+    return _likelihood(solution, frequencies, use) < alone - _WORSE
+
+
+def _likelihood(solution, frequencies, use):
+    """Return the logarithm of the likelihood with frequencies, and with the process or little."""
+    trial, hyper = solution.with_frequencies(frequencies, use), solution.hyper
+    parts = [replace(hyper, amplitude=part * hyper.amplitude) for part in _PARTS]
+    return max(log_likelihood(trial.data, fit_columns(trial.data, hyper)) for hyper in parts)
 
 
 def _significant(frequencies, trial, use):
@@ -99,17 +131,57 @@ def _significant(frequencies, trial, use):
     return frequencies
 
 
-def _shifted(frequencies, solution, hyper, use):
-    """Return frequencies after one step of Gauss and Newton for all of them together."""
-    trial = replace(solution, hyper=hyper).with_frequencies(frequencies, use)
+def _fastest(solution):
+    """Return the fastest frequency that the cadences resolve."""
+    return 0.5 / float(np.median(np.diff(solution.data.time)))
+
+
+def _fundamental(frequencies, solution):
+    """Return the frequency of which most are multiples up to fast ones, None if there is none."""
+    limit = _SHARP * _fastest(solution)
+    if frequencies.max(initial=0.0) < limit:
+        return None
+    return _divisor(np.sort(frequencies[frequencies < limit]), solution)
+
+
+def _divisor(slow, solution):
+    """Return the frequency of which most of some are multiples, None if there is none."""
+    near = 0.5 * _APART / np.ptp(solution.data.time)
+    for first in np.divide.outer(slow[:_AT_ONCE], (1, 2, 3)).ravel():
+        number = np.maximum(np.round(slow / first), 1)
+        good = np.abs(slow - number * first) < near
+        if good.mean() > _MULTIPLES and len(np.unique(number)) > _MULTIPLES * number.max():
+            number, slow = number[good], slow[good]
+            return float(number @ slow / (number @ number))
+    return None
+
+
+def _multiples(first, solution, use):
+    """Return the multiples of a frequency, which is improved with ever more of them."""
+    limit = min(int(_LAST * _fastest(solution) / first), _MOST_MULTIPLES)
+    for most in (10, 20, 40):
+        number = np.arange(1, min(most, limit) + 1)
+        first += float(_shifts(first * number, solution, use, number)[0])
+    return first * np.arange(1, min(use.sum() // _CADENCES_PER_MULTIPLE, limit) + 1)
+
+
+def _shifts(frequencies, solution, use, numbers=None):
+    """
+    Return one step of Gauss and Newton.
+
+    It is for each frequency, or with ``numbers`` for the one of which they are multiples.
+    """
+    trial = solution.with_frequencies(frequencies, use)
     k, n = trial.n_regressors, solution.n_trend
     cos, sin = trial.posterior.mean[k + n : k + trial.n_trend].reshape(-1, 2).T
     phase = 2 * np.pi * np.outer(trial.time, frequencies)
     slope = 2 * np.pi * trial.time[:, None] * (sin * np.cos(phase) - cos * np.sin(phase))
+    if numbers is not None:
+        slope = slope @ numbers[:, None]
     trial = trial.with_flat(slope, use)
     step = trial.posterior.mean[k + trial.n_trend :] / trial.scale[trial.n_trend :]
     limit = _LARGEST_SHIFT / np.ptp(trial.data.time)
-    return frequencies + np.clip(step, -limit, limit)
+    return np.clip(step, -limit, limit)
 
 
 def _stands_alone(y):

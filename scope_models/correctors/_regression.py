@@ -8,10 +8,10 @@ from scipy.linalg.lapack import dpotrf, dpotri, dtrtri, dtrtrs
 
 from scope_models.correctors._long_term import LongTerm, Noise
 
-__all__ = ["Data", "Hyperparameters", "Posterior", "gram_matrix", "log_likelihood"]
+__all__ = ["FLAT", "Data", "Hyperparameters", "Posterior", "gram_matrix", "log_likelihood"]
 
 #: The prior variance of the columns with flat priors, in units of the data's.
-_FLAT = 1e4
+FLAT = 1e4
 _SQRT_2 = np.sqrt(2)
 #: Standard deviation of the logarithm of a group's prior variance about what is expected.
 _SPREAD = 2.0
@@ -133,7 +133,7 @@ class Hyperparameters:
 
     def prior(self, data):
         """Return the prior variance of each column."""
-        prior = np.full(data.columns.shape[1], _FLAT * data.spread)
+        prior = np.full(data.columns.shape[1], FLAT * data.spread)
         prior[: len(data.groups)] = self.variances[data.groups]
         return prior
 

@@ -6,7 +6,13 @@ from functools import cached_property
 import numpy as np
 
 from scope_models.correctors._periodic import find_frequencies, harmonic_columns, is_periodic
-from scope_models.correctors._regression import Data, Hyperparameters, Posterior, log_likelihood
+from scope_models.correctors._regression import (
+    FLAT,
+    Data,
+    Hyperparameters,
+    Posterior,
+    log_likelihood,
+)
 from scope_models.correctors._search import fit_columns, fit_hyperparameters
 
 __all__ = ["NothingToCorrectError", "Solution", "fit"]
@@ -30,6 +36,7 @@ _EXPECTED = {
     "segments": 1e-4,
     "focus": 5e-5,
     "aperture": 1.0,
+    "constant light": 0.003,
 }
 #: Those of the focus have a limit: a width that changes by 1 % changes the response of pixels by
 #: 1e-3 at most. What seems to be a focus may be a dimming of the star beside constant light.
@@ -349,9 +356,14 @@ def _without_outliers(solution, make_regressors, options):
 
 
 def _evidence(solution, allowed):
-    """Log-likelihood with the outliers, which may be anywhere in the range of the data."""
+    """
+    Log-likelihood with the outliers, which may be anywhere in the range of the data.
+
+    The amplitudes of waves are as large as the data's, not as wide as flat priors are.
+    """
     n_outliers = allowed.sum() - solution.use.sum()
-    return solution.log_likelihood - n_outliers * np.log(np.ptp(solution.y[allowed]))
+    value = solution.log_likelihood - n_outliers * np.log(np.ptp(solution.y[allowed]))
+    return value + len(solution.frequencies) * np.log(FLAT)
 
 
 def _flat_columns(time, extra, n_trend):
@@ -367,5 +379,5 @@ def _fit_hyper(solution, options, *, little):
     if hyper is not None and len(hyper.variances) != data.n_groups:
         hyper = None
     if hyper is not None and little:
-        return fit_columns(data, hyper)[0]
+        return fit_columns(data, hyper)
     return fit_hyperparameters(data, hyper, trend=options.trend == "gp")

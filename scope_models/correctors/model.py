@@ -13,6 +13,7 @@ from scope_models.correctors._clean import CleanPixels
 from scope_models.correctors._design import (
     DesignOptions,
     background_columns,
+    constant_columns,
     focus_columns,
     make_regressors,
     neighbor_columns,
@@ -294,6 +295,8 @@ class PLDModel:
             if predicted.usable.sum() > _CREDIBLE * pixels.usable.sum():
                 extra["focus"] = focus_columns(clean, pixels.usable, use)
                 extra["aperture"] = outside_column(clean, pixels.usable)
+                if clean.constant > 0:
+                    extra["constant light"] = constant_columns(clean, predicted.usable, use)
                 pixels, saturation = predicted, None
             else:  # the model of the pixels has diverged
                 clean = None

@@ -37,7 +37,7 @@ class LastCampaigns(CorrectedStudy):
     """Noise of stars in the last campaigns of K2, part by part, before and after corrections.
 
     The stars move as `Motion.k2_final_campaign <scope_models.Motion.k2_final_campaign>`, or as a
-    real file of campaign 18 says, and have the mission's effects. Stamps have a halo of three
+    real file of campaign 18 shows, and have the mission's effects. Stamps have a halo of three
     pixels, as the mission's. Each part is corrected for itself.
 
     Examples

@@ -11,11 +11,13 @@ from scope_models.exceptions import FitWarning
 from scope_models.io.pixels import read_pixels, star_places, usable_positions
 from scope_models.scene.detector import Detector
 
-__all__ = ["PixelData", "detector_of", "find_stars", "read_data", "star_positions"]
+__all__ = ["APART", "PixelData", "detector_of", "find_stars", "read_data", "star_positions"]
 
 # A local maximum of the median image is a star if it is brighter than this part of the brightest
 # pixel, and than so many errors of the median image.
 _LEAST_PART, _LEAST_SIGNIFICANCE = 0.05, 10.0
+# Maxima so near a star are its own, pixels.
+APART = 1.5
 # Given stars farther outside of the pixels have no light in them, pixels.
 _FARTHEST = 5.0
 

@@ -7,11 +7,11 @@ import numpy as np
 
 from scope_models._arrays import plain_tree
 from scope_models.exceptions import FitWarning
-from scope_models.fitting._data import find_stars
+from scope_models.fitting._data import APART, find_stars
 from scope_models.fitting._problem import numbered
 from scope_models.fitting.result import FittedStar, TPFFit
 
-__all__ = ["doubts_of", "make_results", "warn_of_fit"]
+__all__ = ["LARGEST_FLUX", "LARGEST_SCATTER", "doubts_of", "make_results", "warn_of_fit"]
 
 # Cards that a fit keeps: what the star is, and where the stamp is on detector and sky.
 _FACTS = (
@@ -23,14 +23,12 @@ _FACTS = (
 # whose error there is larger has not been measured.
 _LARGEST_EDGE_ERROR = 0.0125
 # Scatter of the response between pixels, in standard deviations of its prior, that is no response.
-_LARGEST_SCATTER = 3.0
+LARGEST_SCATTER = 3.0
 # Fitted motion over that of POS_CORR that is not in doubt, and the motion, pixels, from which it is
 # checked.
 _SCALES, _LEAST_MOTION = (0.9, 1.1), 0.01
 # Flux over the light in the pixels from which a model has invented it.
-_LARGEST_FLUX = 2.0
-# Maxima so near a star are its own, pixels.
-_APART = 1.5
+LARGEST_FLUX = 2.0
 # Reduced chi-squared from which a model does not describe the pixels.
 _LARGEST_CHI2 = 100.0
 
@@ -116,9 +114,9 @@ def _of_star(problem, state, errors, star):
     variances = np.einsum("ani,nij,anj->an", by_cadence, cadence, by_cadence)
     variances += 2 * np.einsum("ani,nij,anj->an", by_cadence, mixed, by_shared)
     variances += np.einsum("ani,ij,anj->an", by_shared, shared, by_shared, optimize=True)
-    x, y = problem.xy(state, star).T
-    result = {"x": x, "y": y, "flux": problem.fluxes(state, star)}
-    result |= {f"{axis}_err": variances[i] for i, axis in enumerate("xy")}
+    result = problem.path_of(state, star) | {
+        f"{axis}_err": variances[i] for i, axis in enumerate("xy")
+    }
     names = numbered("flux", star), f"flux_star_{star}"
     result["flux_err"] = _variance(problem, shared, cadence, *names)
     return _with_errors(result)
@@ -209,13 +207,13 @@ def _of_sensitivity(fit):
 def _of_pixels(fit):
     """Doubts about the response between pixels, and the residuals."""
     prior, scatter = fit.options["interpixel"], np.std(fit.interpixel - 1)
-    if prior and scatter > _LARGEST_SCATTER * prior:
+    if prior and scatter > LARGEST_SCATTER * prior:
         yield (
             f"the response between pixels scatters by {100 * scatter:.2g} % where the prior is "
             f"{100 * prior:.2g} %: it describes errors of the PSF; interpixel=0 leaves it out"
         )
     light, invented = _light(fit), np.median(fit.flux)
-    if invented > _LARGEST_FLUX * light > 0:
+    if invented > LARGEST_FLUX * light > 0:
         yield (
             f"the flux is {invented:.4g} e-/s where the pixels hold {light:.4g}: the PSF has most "
             "of its light outside of them, or two of its terms cancel"
@@ -229,7 +227,7 @@ def _of_pixels(fit):
         )
         stars = [(np.median(star.x), np.median(star.y)) for star in (fit, *fit.neighbors)]
         away = [np.hypot(*(place - stars).T).min() for place in find_stars(fit.observed)]
-        others = np.sum(np.array(away) > _APART)
+        others = np.sum(np.array(away) > APART)
         if others:
             yield (
                 f"{others} other maxi{'mum' if others == 1 else 'ma'} of the median image may be "

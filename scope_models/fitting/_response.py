@@ -492,13 +492,11 @@ def _result(found, number, fit):
 
 def _of_star(problem, state, variance, star):
     """Position and flux of a star, and their errors, by name."""
-    x, y = problem.xy(state, star).T
-    result = {"x": x, "y": y, "flux": problem.fluxes(state, star)}
-    column = numbered("flux", star)
     known = dict(zip(problem.columns, np.sqrt(variance).T, strict=True))
-    zero = np.zeros(len(x))
-    errors = {"x_err": known["x"], "y_err": known["y"], "flux_err": known.get(column, zero)}
-    return {name: np.array(value) for name, value in (result | errors).items()}
+    error = known.get(numbered("flux", star), np.zeros(len(variance)))
+    errors = {"x_err": known["x"], "y_err": known["y"], "flux_err": error}
+    values = problem.path_of(state, star) | errors
+    return {name: np.array(value) for name, value in values.items()}
 
 
 def _effect(shares, state, star, number):

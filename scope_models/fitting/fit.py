@@ -8,8 +8,13 @@ import numpy as np
 from astropy.modeling import Model
 
 from scope_models._checks import checked_integer, checked_number
-from scope_models.fitting._data import detector_of, read_data, star_positions
-from scope_models.fitting._gather import make_results, warn_of_fit
+from scope_models.fitting._data import APART, detector_of, read_data, star_positions
+from scope_models.fitting._gather import (
+    LARGEST_FLUX,
+    LARGEST_SCATTER,
+    make_results,
+    warn_of_fit,
+)
 from scope_models.fitting._problem import FitOptions, FitStar, Problem
 from scope_models.fitting._response import fit_response
 from scope_models.fitting._solver import covariances, solve
@@ -25,30 +30,27 @@ from scope_models.io.pixels import read_pixels
 
 __all__ = ["fit_tpf"]
 
-_BACKGROUNDS = ("cadence", "constant", "none")
-_POSITIONS = ("free", "start", "prior", "path")
-_LOSSES = ("linear", "soft_l1")
-_RESPONSES = ("auto", "psf", "pixels")
-_NEIGHBOR_FLUXES = ("auto", "cadence", "constant")
-# Prior of the response between pixels where the caller leaves it to the data, and the scatter, in
-# standard deviations of the prior, that is no response.
-_PRIOR, _LARGEST_SCATTER = 0.01, 3.0
+_CHOICES = {
+    "background": ("cadence", "constant", "none"),
+    "positions": ("free", "start", "prior", "path"),
+    "loss": ("linear", "soft_l1"),
+    "response": ("auto", "psf", "pixels"),
+    "neighbor_flux": ("auto", "cadence", "constant"),
+}
+# Prior of the response between pixels where the caller leaves it to the data.
+_PRIOR = 0.01
 # Largest number of steps, per stage, of the simple models where all is left to the data.
 _FEW_STEPS = 20
 # ... and of the others.
 _MANY_STEPS = 60
 # Standard deviations by which chi-squared may exceed that of a model that is true.
 _EXCESS = 5.0
-# Maxima so near the target are the target, pixels.
-_APART = 1.5
 # Standard deviation of the positions about POS_CORR, as a part of the motion's, where the PSF is
 # wrong.
 _POSITION_PART = 0.1
 # ... and of the scale of the motion.
 _HELD = 0.001
-# Flux over the light in the stamp from which a model has invented it.
-_LARGEST_FLUX = 2.0
-# Part of the light in the stamp below which that is so too; every so many cadences give it.
+# Part of the light in the stamp below which a model has invented it; every so many cadences.
 _LEAST_INSIDE, _SOME = 0.8, 10
 # Seconds after which a fit shows its progress.
 _PATIENCE = 5.0
@@ -211,10 +213,10 @@ def fit_tpf(
     options = FitOptions(
         empirical=checked_integer("empirical", empirical, 0),
         interpixel=width if width == np.inf else checked_number("interpixel", width),
-        background=_one_of("background", background, _BACKGROUNDS),
-        positions=_one_of("positions", positions, _POSITIONS),
+        background=_one_of("background", background),
+        positions=_one_of("positions", positions),
         position_error=checked_number("position_error", position_error, "pix", positive=True),
-        loss=_one_of("loss", loss, _LOSSES),
+        loss=_one_of("loss", loss),
         loss_scale=checked_number("loss_scale", loss_scale, positive=True),
         saturation=bool(saturation),
         focus=None if focus is None else checked_number("focus", focus, "d", positive=True),
@@ -226,7 +228,7 @@ def fit_tpf(
     files = list(tpf) if several else [tpf]
     if not files:
         raise ValueError("`tpf` must have at least one file")
-    if _one_of("response", response, _RESPONSES) == "pixels":
+    if _one_of("response", response) == "pixels":
         _check_pixels(options, sensitivity, interpixel)
     series = [read_pixels(file) for file in files]
     places = _places(stars, neighbors, series, several=several)
@@ -329,7 +331,7 @@ def _held(problem):
 def _is_true(problem, solution, *, strictly=False):
     """Whether the model describes the pixels, with a response that agrees with its prior."""
     prior, response = problem.options.interpixel, solution.state.interpixel
-    agrees = not prior or np.std(response) <= _LARGEST_SCATTER * prior
+    agrees = not prior or np.std(response) <= LARGEST_SCATTER * prior
     dof = max(problem.n_data - problem.n_free, 1)
     excess = solution.equations.cost / dof - 1
     enough = not strictly or (solution.converged and excess < _EXCESS * np.sqrt(2 / dof))
@@ -341,7 +343,7 @@ def _rank(problem, solution):
     limits, shared = problem.limits, solution.state.shared
     at_bound = np.any((shared <= limits.lower) | (shared >= limits.upper))
     light = np.median(problem.flux[:, problem.slices[0]].sum(axis=1))
-    strange = not 0 < np.median(problem.fluxes(solution.state)) < _LARGEST_FLUX * abs(light)
+    strange = not 0 < np.median(problem.fluxes(solution.state)) < LARGEST_FLUX * abs(light)
     images = problem.unit_images(solution.state, slice(None, None, _SOME))
     strange |= np.median(images.sum(axis=1)) < _LEAST_INSIDE
     # A free response between pixels describes errors of the PSF where the model is not true.
@@ -413,7 +415,7 @@ def _places(stars, neighbors, series, *, several):
 
 def _make_problem(series, places, prf, flux_err, neighbor_flux, options):
     """What is fitted, and the detectors that recorded it."""
-    _one_of("neighbor_flux", neighbor_flux, _NEIGHBOR_FLUXES)
+    _one_of("neighbor_flux", neighbor_flux)
     detectors = [detector_of(item) for item in series]
     n_free = 1 + 2 * (options.positions != "path") + (options.background == "cadence")
     stamps = [
@@ -426,18 +428,14 @@ def _make_problem(series, places, prf, flux_err, neighbor_flux, options):
     stars, first = [], None
     for number, (stamp, (target, others)) in enumerate(zip(stamps, places, strict=True)):
         center = np.median(centroids(stamp, target), axis=0)
-        if target is None and len(others):
-            apart = others[np.hypot(*(others - center).T) > _APART]
-        else:
-            apart = others
+        given = target is not None
+        apart = others if given else others[np.hypot(*(others - center).T) > APART]
         first = center if first is None else first
         stars.append(FitStar(*(center - first), number))
-        faint = [is_faint(stamp, center, other) for other in apart]
-        stars += [
-            FitStar(*(other - first), number, neighbor_flux == "constant" or (alone and weak))
-            for other, weak in zip(apart, faint, strict=True)
-            for alone in (neighbor_flux == "auto",)
-        ]
+        for other in apart:
+            weak = neighbor_flux == "auto" and is_faint(stamp, center, other)
+            constant = neighbor_flux == "constant" or weak
+            stars.append(FitStar(*(other - first), number, constant))
     if options.focus is not None and "width" not in prf.parameter_kinds.values():
         raise ValueError("`focus` needs a PSF with a width: a Gaussian or an empirical term")
     span = float(stamps[0].time[0]), float(stamps[0].time[-1])
@@ -471,7 +469,8 @@ def _progress_bar(progress):
         yield report
 
 
-def _one_of(name, value, allowed):
-    if value not in allowed:
-        raise ValueError(f"`{name}` must be one of {', '.join(allowed)}, got {value!r}")
+def _one_of(name, value):
+    """Return the choice of an option, if it is one."""
+    if value not in _CHOICES[name]:
+        raise ValueError(f"`{name}` must be one of {', '.join(_CHOICES[name])}, got {value!r}")
     return value

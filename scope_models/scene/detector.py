@@ -2,13 +2,14 @@
 
 from dataclasses import dataclass, replace
 from html import escape
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import astropy.units as u
 import numpy as np
 
 from scope_models._arrays import DIGITAL, PER_PIXEL, plain_array
-from scope_models._checks import checked_integer, checked_model, checked_number, checked_shape
+from scope_models._checks import check_fields, checked_integer, checked_model, checked_shape
+from scope_models._docstrings import documented
 from scope_models._values import Value, frozen
 from scope_models.effects._effect import Effect, checked_effects
 from scope_models.effects.noise import stream
@@ -27,21 +28,25 @@ __all__ = ["ZERO_POINTS", "Detector"]
 ZERO_POINTS = {name: dict(mission.zero_points) for name, mission in MISSIONS.items()}
 _SECONDS_PER_DAY = 86400.0
 _DISTRIBUTIONS = ("uniform", "normal")
-# Units of the numbers, and the names that a quantity may have for them.
 _RATE = u.electron / u.s
-_POSITIVE = {
-    "zero_point": (_RATE, ()),
-    "int_time": (u.s, ()),
-    "pixel_scale": (u.arcsec, PER_PIXEL),
-    "gain": (u.electron / u.adu, DIGITAL),
-    "live_fraction": (u.one, ()),
-}
-_NOT_NEGATIVE = {
-    "read_time": (u.s, ()),
-    "read_noise": (u.electron, ()),
-    "background": (_RATE, PER_PIXEL),
-    "interpixel_scatter": (u.one, ()),
-}
+# Parts of the docstrings of the presets.
+_CHANGES = """**changes
+    Any field of `Detector`, to replace the preset's value.
+
+Returns
+-------
+Detector
+    The detector.
+
+Raises
+------
+ValueError
+    If ``cadence`` is unknown.
+TypeError
+    If a field is misspelled."""
+_KEPLER = f"""cadence : {{"long", "short"}}, float or Quantity, optional
+    270 frames in 29.4 min, or 9 frames in 58.8 s; or the length, in seconds or with a unit.
+{_CHANGES}"""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -104,7 +109,7 @@ class Detector(Value):
     Raises
     ------
     TypeError
-        If a field is misspelt or of the wrong kind.
+        If a field is misspelled or of the wrong kind.
     ValueError
         If a number is not finite or outside its domain.
 
@@ -149,23 +154,42 @@ class Detector(Value):
     psf: "Model | None" = None
     effects: tuple[Effect, ...] = ()
 
+    #: Units of the numbers, with the equivalencies that a quantity may have.
+    units: ClassVar[dict] = {
+        "zero_point": _RATE,
+        "zero_point_mag": u.mag,
+        "int_time": u.s,
+        "pixel_scale": (u.arcsec, PER_PIXEL),
+        "read_time": u.s,
+        "live_fraction": u.one,
+        "gain": (u.electron / u.adu, DIGITAL),
+        "read_noise": u.electron,
+        "background": (_RATE, PER_PIXEL),
+        "well_depth": u.electron,
+        "interpixel_scatter": u.one,
+    }
+    #: Of these, those that must not be 0, that may be negative, and that must not be above 1.
+    positive: ClassVar[frozenset] = frozenset(
+        {"zero_point", "int_time", "pixel_scale", "gain", "live_fraction", "well_depth"}
+    )
+    any_sign: ClassVar[frozenset] = frozenset({"zero_point_mag"})
+    at_most_one: ClassVar[frozenset] = frozenset({"live_fraction", "interpixel_scatter"})
+
     def __post_init__(self):
         """Check every field and bring it to its type."""
         put = object.__setattr__
         put(self, "shape", checked_shape(self.shape))
         if not isinstance(self.mission, str):
             raise TypeError(f"`mission` must be a string, got {self.mission!r}")
-        put(self, "zero_point", _zero_point_value(self.mission, self.zero_point))
-        for positive, units in ((True, _POSITIVE), (False, _NOT_NEGATIVE)):
-            for name, (unit, names) in units.items():
-                value = getattr(self, name)
-                value = checked_number(name, value, unit, positive=positive, equivalencies=names)
-                put(self, name, value)
-        mag = checked_number("zero_point_mag", self.zero_point_mag, u.mag, any_sign=True)
-        put(self, "zero_point_mag", mag)
-        for name in ("live_fraction", "interpixel_scatter"):
-            if getattr(self, name) > 1:
-                raise ValueError(f"`{name}` must not be above 1, got {getattr(self, name)}")
+        if isinstance(self.zero_point, str):
+            known = ZERO_POINTS.get(self.mission, {})
+            if self.zero_point not in known:
+                raise ValueError(
+                    f"`zero_point` must be a number or one of {list(known)} for {self.mission}, "
+                    f"got {self.zero_point!r}"
+                )
+            put(self, "zero_point", known[self.zero_point])
+        check_fields(self)
         for name, smallest in (("n_frames", 1), ("fixed_offset", 0), ("mean_black", 0)):
             put(self, name, checked_integer(name, getattr(self, name), smallest))
         if self.interpixel_distribution not in _DISTRIBUTIONS:
@@ -181,22 +205,14 @@ class Detector(Value):
             PRF(self.psf)
         if self.sensitivity is not None:
             PRF(BivariateGaussianPSF() * self.sensitivity)
-        self._check_well_depth()
+        if self.well_depth is not None and self.background * self.int_time >= self.well_depth:
+            raise ValueError(
+                f"`well_depth` must exceed the background of a frame, "
+                f"{self.background * self.int_time:g} e-, got {self.well_depth:g}"
+            )
         put(self, "effects", checked_effects(self.effects))
         if self.interpixel is not None:
             put(self, "interpixel", _checked_map(self.interpixel, self.shape))
-
-    def _check_well_depth(self):
-        """Check that a pixel holds the background of a frame."""
-        if self.well_depth is None:
-            return
-        depth = checked_number("well_depth", self.well_depth, u.electron, positive=True)
-        object.__setattr__(self, "well_depth", depth)
-        if self.background * self.int_time >= depth:
-            raise ValueError(
-                f"`well_depth` must exceed the background of a frame, "
-                f"{self.background * self.int_time:g} e-, got {depth:g}"
-            )
 
     def __repr__(self):
         depth = "none" if self.well_depth is None else f"{self.well_depth:g} e-"
@@ -257,7 +273,7 @@ class Detector(Value):
         ValueError
             If there is no such preset or cadence.
         TypeError
-            If a field is misspelt.
+            If a field is misspelled.
 
         Examples
         --------
@@ -272,28 +288,13 @@ class Detector(Value):
         return cls(**(found.with_cadence(cadence) | changes))
 
     @classmethod
+    @documented(rest=_KEPLER)
     def kepler(cls, cadence="long", **changes):
         """Return the Kepler photometer.
 
         Parameters
         ----------
-        cadence : {"long", "short"}, float or Quantity, optional
-            270 frames in 29.4 min, or 9 frames in 58.8 s; or the length, in seconds or with a
-            unit.
-        **changes
-            Any field of `Detector`, to replace the preset's value.
-
-        Returns
-        -------
-        Detector
-            The detector.
-
-        Raises
-        ------
-        ValueError
-            If ``cadence`` is unknown.
-        TypeError
-            If a field is misspelt.
+        {rest}
 
         Notes
         -----
@@ -330,28 +331,13 @@ class Detector(Value):
         return cls.preset("kepler", cadence, **changes)
 
     @classmethod
+    @documented(rest=_KEPLER)
     def k2(cls, cadence="long", **changes):
         """Return the Kepler photometer in the K2 mission.
 
         Parameters
         ----------
-        cadence : {"long", "short"}, float or Quantity, optional
-            270 frames in 29.4 min, or 9 frames in 58.8 s; or the length, in seconds or with a
-            unit.
-        **changes
-            Any field of `Detector`, to replace the preset's value.
-
-        Returns
-        -------
-        Detector
-            The detector.
-
-        Raises
-        ------
-        ValueError
-            If ``cadence`` is unknown.
-        TypeError
-            If a field is misspelt.
+        {rest}
 
         Notes
         -----
@@ -368,6 +354,7 @@ class Detector(Value):
         return cls.preset("k2", cadence, **changes)
 
     @classmethod
+    @documented(rest=_KEPLER)
     def k2_calibrated(cls, cadence="long", **changes):
         r"""Return the K2 photometer with a response that gives K2's noise.
 
@@ -377,23 +364,7 @@ class Detector(Value):
 
         Parameters
         ----------
-        cadence : {"long", "short"}, float or Quantity, optional
-            270 frames in 29.4 min, or 9 frames in 58.8 s; or the length, in seconds or with a
-            unit.
-        **changes
-            Any field of `Detector`, to replace the preset's value.
-
-        Returns
-        -------
-        Detector
-            The detector.
-
-        Raises
-        ------
-        ValueError
-            If ``cadence`` is unknown.
-        TypeError
-            If a field is misspelt.
+        {rest}
 
         Notes
         -----
@@ -429,6 +400,7 @@ class Detector(Value):
         return cls.preset("k2_calibrated", cadence, **changes)
 
     @classmethod
+    @documented(rest=_CHANGES)
     def tess(cls, cadence="120 s", **changes):
         """Return a TESS camera.
 
@@ -436,20 +408,7 @@ class Detector(Value):
         ----------
         cadence : {"20 s", "120 s", "200 s", "600 s", "1800 s"}, float or Quantity, optional
             The cadence's name; or its length, in seconds or with a unit.
-        **changes
-            Any field of `Detector`, to replace the preset's value.
-
-        Returns
-        -------
-        Detector
-            The detector.
-
-        Raises
-        ------
-        ValueError
-            If ``cadence`` is unknown.
-        TypeError
-            If a field is misspelt.
+        {rest}
 
         Notes
         -----
@@ -524,7 +483,7 @@ class Detector(Value):
         ValueError
             If the band is unknown or a number outside its domain.
         TypeError
-            If a field is misspelt.
+            If a field is misspelled.
 
         Notes
         -----
@@ -591,7 +550,7 @@ class Detector(Value):
         Raises
         ------
         TypeError
-            If ``tpf`` is no target pixel file, or a field is misspelt.
+            If ``tpf`` is no target pixel file, or a field is misspelled.
         OSError
             If the file cannot be opened.
         ValueError
@@ -713,25 +672,13 @@ class Detector(Value):
             deviates = generator.standard_normal(self.shape)
         return np.maximum(1.0 + self.interpixel_scatter * deviates, 0.0)
 
+    @documented()
     def write(self, path, overwrite=False):
         """Write the detector as TOML.
 
         Parameters
         ----------
-        path : str or path-like
-            The file.
-        overwrite : bool, optional
-            Whether to replace a file.
-
-        Returns
-        -------
-        pathlib.Path
-            The file, for `read`.
-
-        Raises
-        ------
-        OSError
-            If the file exists and is not to be replaced, or cannot be written.
+        {write}
         ValueError
             If the PSF is no sum of models, or the sensitivity no product.
 
@@ -796,16 +743,3 @@ def _checked_map(response, shape):
     if not np.all(np.isfinite(response)) or response.min() < 0:
         raise ValueError("`interpixel` must be finite and not negative")
     return frozen(response)
-
-
-def _zero_point_value(mission, zero_point):
-    """Return a zero point given by its name or as a number."""
-    if not isinstance(zero_point, str):
-        return zero_point
-    known = ZERO_POINTS.get(mission, {})
-    if zero_point not in known:
-        raise ValueError(
-            f"`zero_point` must be a number or one of {list(known)} for {mission}, "
-            f"got {zero_point!r}"
-        )
-    return known[zero_point]

@@ -13,6 +13,7 @@ import numpy as np
 
 from scope_models._arrays import PER_PIXEL, plain_tree
 from scope_models._checks import checked_number
+from scope_models._docstrings import documented
 from scope_models._values import Value
 from scope_models.io._atomic import atomic_path
 from scope_models.io.pixels import positions_of
@@ -437,20 +438,17 @@ class Motion(Value):
         }
         return cls(*columns, first.time_format, common)
 
+    @documented()
     def plot(self, ax=None, **options):
         """Draw the motion as a track, colored by time.
 
         Parameters
         ----------
-        ax : matplotlib.axes.Axes, optional
-            Where to draw; a new figure by default.
+        {ax}
         **options
             Arguments of `~scope_models.plotting.plot_motion`.
 
-        Returns
-        -------
-        matplotlib.axes.Axes
-            The Axes.
+        {axes}
 
         Examples
         --------
@@ -463,25 +461,13 @@ class Motion(Value):
         label = {"time_label": f"Time ({self.time_format.upper()})"}
         return plot_motion(self.time, self.x, self.y, ax=ax, **(label | options))
 
+    @documented()
     def write(self, path, overwrite=False):
         """Write the motion to a table in text, ECSV.
 
         Parameters
         ----------
-        path : str or path-like
-            The file.
-        overwrite : bool, optional
-            Whether to replace a file.
-
-        Returns
-        -------
-        pathlib.Path
-            The file.
-
-        Raises
-        ------
-        OSError
-            If the file exists and is not to be replaced, or cannot be written.
+        {write}
 
         Examples
         --------

@@ -11,6 +11,7 @@ from astropy.utils.exceptions import AstropyDeprecationWarning
 
 from scope_models._arrays import plain_number, plain_tree
 from scope_models._checks import checked_integer, checked_matrix
+from scope_models._docstrings import documented
 from scope_models._values import Value
 from scope_models.effects import Effect, mission_effects
 from scope_models.effects._effect import checked_effects
@@ -341,7 +342,7 @@ class Scene(Value):
         Raises
         ------
         TypeError
-            If a field is misspelt.
+            If a field is misspelled.
 
         Examples
         --------
@@ -352,6 +353,7 @@ class Scene(Value):
         """
         return replace(self, **{"options": None, **changes})
 
+    @documented()
     def plot(self, ax=None):
         """Draw the stamp with the track of the target and the places of the other stars.
 
@@ -359,13 +361,7 @@ class Scene(Value):
 
         Parameters
         ----------
-        ax : matplotlib.axes.Axes, optional
-            Where to draw; a new figure by default.
-
-        Returns
-        -------
-        matplotlib.axes.Axes
-            The Axes.
+        {draw}
 
         Examples
         --------
@@ -387,25 +383,13 @@ class Scene(Value):
             ax.annotate(text, place, (6, 6), textcoords="offset points", clip_on=True)
         return ax
 
+    @documented()
     def write(self, path, overwrite=False):
-        """Write the scene, without simulating it.
+        """Write the scene, without simulating it, as .fits or .fits.gz.
 
         Parameters
         ----------
-        path : str or path-like
-            The file, .fits or .fits.gz.
-        overwrite : bool, optional
-            Whether to replace a file.
-
-        Returns
-        -------
-        pathlib.Path
-            The file, for `read`.
-
-        Raises
-        ------
-        OSError
-            If the file exists and is not to be replaced, or cannot be written.
+        {write}
 
         Examples
         --------

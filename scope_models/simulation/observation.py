@@ -8,6 +8,7 @@ import numpy as np
 
 from scope_models._arrays import plain_array
 from scope_models._checks import checked_integer, checked_mask
+from scope_models._docstrings import documented
 from scope_models._values import Value
 from scope_models.effects import Effect
 from scope_models.io import TPFMetadata, Truth, make_tpf_hdulist, write_tpf
@@ -238,7 +239,7 @@ class Observation(Value):
         Parameters
         ----------
         aperture_mask : array_like of bool, shape (ny, nx), or str, optional
-            The pixels, or what lightkurve understands. The default is `aperture`.
+            The pixels, or a name of lightkurve's masks. The default is `aperture`.
         metadata : mapping, optional
             See `to_tpf`.
         quality_bitmask : str or int, optional
@@ -267,29 +268,19 @@ class Observation(Value):
             mask = self._checked_aperture(mask)
         return tpf.to_lightcurve(aperture_mask=mask)
 
+    @documented()
     def write(self, path, overwrite=False, *, aperture_mask=None, metadata=None):
-        """Write a target pixel file with the truth.
+        """Write a target pixel file with the truth, .fits or .fits.gz.
 
         Parameters
         ----------
-        path : str or path-like
-            The file, .fits or .fits.gz.
-        overwrite : bool, optional
-            Whether to replace a file.
+        {path}
         aperture_mask : array_like of bool, shape (ny, nx), optional
             The pixels of the file's optimal aperture. The default is `aperture`.
         metadata : mapping, optional
             Fields of `scope_models.io.TPFMetadata`, as target_id, object_name, ra or dec.
 
-        Returns
-        -------
-        pathlib.Path
-            The file.
-
-        Raises
-        ------
-        OSError
-            If the file exists and is not to be replaced, or cannot be written.
+        {written}
         ValueError
             If the detector is of a mission without target pixel files, or the aperture has no
             pixels.
@@ -355,6 +346,7 @@ class Observation(Value):
             title=self.scene.object_name if title is None else title,
         )
 
+    @documented()
     def animate(self, aperture_mask=None, *, step=1, interval=50, ax=None):
         """Animate the pixels, with the outline of an aperture.
 
@@ -366,8 +358,7 @@ class Observation(Value):
             Draw every step-th cadence.
         interval : float, optional
             Milliseconds per frame.
-        ax : matplotlib.axes.Axes, optional
-            Where to draw; a new figure by default.
+        {ax}
 
         Returns
         -------

@@ -1,5 +1,7 @@
 """Periodic variability: frequencies against the ones that data were made of."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -59,6 +61,19 @@ def test_single_outliers_do_not_hide_a_pulsation():
     assert find_frequencies(solution, solution.use) == pytest.approx([TRUE[0]], abs=1e-4)
 
 
+def test_variability_at_all_frequencies_has_none():
+    """Twelve sinusoids take much of it, at a higher cost than the process that it is."""
+    rng = np.random.default_rng(3)
+    y = np.empty(len(TIME))
+    y[0] = 0.0
+    for k in range(1, len(y)):
+        y[k] = 0.95 * y[k - 1] + 1e-3 * rng.normal()
+    hyper = Hyperparameters(1.0, np.array([1e-4]), 1e-5, 1.0)
+    solution = replace(make_solution(y, 3e-4), hyper=hyper)
+    assert is_periodic(solution)
+    assert len(find_frequencies(solution, solution.use)) == 0
+
+
 def test_harmonic_columns():
     columns = harmonic_columns(np.array([0.0, 0.25]), [1.0, 2.0])
     np.testing.assert_allclose(columns, [[1, 0, 1, 0], [0, 1, -1, 0]], atol=1e-15)
@@ -85,3 +100,18 @@ def test_periodic_variability_stays_without_trend():
     assert corrector.result.frequencies
     assert score(lc, sky).amplitude == pytest.approx(1, abs=0.01)
     assert np.nanstd(corrector.result.periodic) > 10 * np.nanstd(corrector.result.trend)
+
+
+def test_sharp_eclipses_are_multiples_of_one_frequency():
+    """More of them than cadences resolve; without them most eclipses are outliers."""
+    period = 2.3
+    phase = (TIME / period + 0.3) % 1 - 0.5
+    eclipses = -0.2 * np.clip(1.5 * (1 - np.abs(phase / 0.03) ** 2.5), 0, 1)
+    y = signal(np.zeros(3), 1e-4) + eclipses
+    solution = make_solution(y)
+    found = find_frequencies(solution, solution.use)
+    np.testing.assert_allclose(found, np.arange(1, len(found) + 1) * found[0], rtol=1e-12)
+    assert found[0] == pytest.approx(1 / period, abs=1e-4)
+    assert found[-1] > 0.5 / 0.0204
+    rest = solution.with_frequencies(found, solution.use).unexplained
+    assert np.std(rest - 0.003 * np.sin(TIME / 3)) < 0.05 * np.std(eclipses)

@@ -1,0 +1,151 @@
+"""Light of other stars in an aperture: what does not vary with the star.
+
+The images of a variable star's pixels are those of all light, and of what varies. Their difference
+is the constant light, up to a multiple of the star's image, and up to a shift of it: positions that
+were fitted may follow the star's brightness a little. Both are fixed in the star's bright pixels,
+which hold hardly more than the wing of a neighbor. The light of a variable neighbor is found
+likewise, from what its own pixels show of its variability.
+"""
+
+import numpy as np
+
+__all__ = ["constant_light", "varying_light"]
+
+#: The star's bright pixels have this part of the brightest one's light.
+_BRIGHT = 0.1
+#: Relative error of images, and (px) of what fitted positions follow the relative brightness.
+_IMAGE_ERROR, _SHIFT = 0.003, 0.01
+_PASSES, _REWEIGHTS = 3, 10
+#: Width (px) of the rings of the star's profile.
+_RING = 0.5
+#: A neighbor is variable if its pixels vary by this part, and by so many times their noise.
+_VARIABLE, _SIGNIFICANT = 0.005, 5.0
+#: Degree of the polynomials of position by which constant light changes.
+_DEGREE = 3
+
+
+def constant_light(image, own, slopes, position, grid, inside, use):
+    """
+    Return the constant light in an aperture.
+
+    Parameters
+    ----------
+    image, own : ndarray
+        Images of all light, whose sum over the aperture is 1, and of what varies, ``(n,
+        n_pixels)``.
+    slopes : list of ndarray
+        Derivatives of the image by columns and rows.
+    position : ndarray
+        Positions, px, ``(n, 2)``.
+    grid : ndarray
+        Column and row of each pixel.
+    inside : ndarray of bool
+        Pixels of the aperture.
+    use : ndarray of bool
+        Cadences from which it is learned.
+
+    Returns
+    -------
+    ndarray
+        Part of the light in each cadence, ``(n,)``.
+    """
+    mean, *columns = (values[use].mean(axis=0) for values in (image, own, *slopes))
+    bright = inside & (columns[0] > _BRIGHT * columns[0][inside].max())
+    coefficients, root, wing = _own_part(mean, np.column_stack(columns), bright, grid)
+    a = np.stack([own, *slopes], axis=2)[:, bright] * root[:, None]
+    hessian, right = a.transpose(0, 2, 1) @ a, ((image - wing)[:, None, bright] * root) @ a
+    hessian[:, [1, 2], [1, 2]] += _SHIFT**-2
+    right[:, 0, 1:] += coefficients[1:] / _SHIFT**2
+    part = np.linalg.solve(hessian, right.transpose(0, 2, 1))[:, 0, 0]
+    light = image[:, inside].sum(axis=1) - part * own[:, inside].sum(axis=1)
+    return _smooth(light, position, use)
+
+
+def varying_light(rest, image, slopes, noise, others, grid, inside, use):
+    """
+    Return what a variable neighbor adds to the light in an aperture.
+
+    Parameters
+    ----------
+    rest : ndarray
+        Pixels less the star's image times the light in the aperture, without what positions and
+        focus explain, ``(n, n_pixels)``.
+    image, slopes, grid, inside, use
+        As in `constant_light`.
+    noise : ndarray
+        Variance of the pixels' noise, ``(n_pixels,)``.
+    others : ndarray of bool
+        Pixels of other stars.
+
+    Returns
+    -------
+    ndarray
+        Light about its mean, ``(n,)``; 0 if no neighbor varies.
+    """
+    star = image[use].mean(axis=0)
+    weight = np.where(others, star / noise, 0)
+    if not weight.any():
+        return np.zeros(len(rest))
+    weight /= star @ weight
+    change = rest @ weight
+    size, error = 1.4826 * np.median(np.abs(change[use])), np.sqrt(noise @ weight**2)
+    if size < max(_VARIABLE, _SIGNIFICANT * error):
+        return np.zeros(len(rest))
+    fit = use & (np.abs(change) < 10 * size)
+    response = change[fit] @ rest[fit] / (change[fit] @ change[fit] - error**2 * fit.sum())
+    bright = inside & ~others & (star > _BRIGHT * star[inside].max())
+    columns = np.column_stack([star, *(slope[use].mean(axis=0) for slope in slopes)])
+    part = -_own_part(response, columns, bright, grid)[0][0]
+    return part * change if 0 < part < 1 else np.zeros(len(rest))
+
+
+def _own_part(mean, columns, bright, grid):
+    """
+    Fit an image by the star's and its slopes in bright pixels, beside the wing of a neighbor.
+
+    Returns the coefficients, the square roots of the weights of the bright pixels, and the wing.
+    """
+    star, wing = columns[:, 0], np.zeros_like(mean)
+    for _ in range(_PASSES):
+        error = np.hypot(_IMAGE_ERROR * star, wing)[bright]
+        weight = np.ones(bright.sum())
+        for _ in range(_REWEIGHTS):
+            root = np.sqrt(weight) / error
+            fit = columns[bright] * root[:, None], (mean - wing)[bright] * root
+            coefficients = np.linalg.lstsq(*fit, rcond=None)[0]
+            rest = mean - wing - columns @ coefficients
+            weight = 1 / (1 + (rest[bright] / error) ** 2)
+        wing = _wing(rest + wing, star, grid)
+    return coefficients, root, wing
+
+
+def _wing(other, star, grid):
+    """Return the image of the brightest neighbor: the star's radial profile at its place."""
+    around = np.abs(grid - grid[np.argmax(other)]).max(axis=1) <= 1
+    light = np.where(around, np.maximum(other, 0), 0)
+    if not light.any():
+        return light
+    core = np.where(star > 0.05 * star.max(), star, 0)
+    radius, distance = (
+        np.hypot(*(grid - weight @ grid / weight.sum()).T) for weight in (core, light)
+    )
+    ring = (radius / _RING).astype(int)
+    rings = np.unique(ring)
+    size = np.log(np.maximum(star, 1e-5 * star.max()))
+    profile, place = ([np.median(values[ring == k]) for k in rings] for values in (size, radius))
+    image = np.exp(np.interp(distance, place, profile))
+    return image * (light @ image) / (image[around] @ image[around])
+
+
+def _smooth(values, position, use):
+    """Return a robust fit of polynomials of position."""
+    x, y = (position / np.maximum(np.abs(position[use]).max(axis=0), 1e-9)).T
+    powers = [(i, n - i) for n in range(_DEGREE + 1) for i in range(n + 1)]
+    columns = np.column_stack([x**i * y**j for i, j in powers])
+    weight = use.astype(float)
+    for _ in range(_REWEIGHTS):
+        root = np.sqrt(weight)
+        fitted = columns @ np.linalg.lstsq(columns * root[:, None], values * root, rcond=None)[0]
+        rest = np.abs(values - fitted)
+        weight = use / (1 + (rest / (3 * max(np.median(rest[use]), 1e-12))) ** 2)
+    return fitted

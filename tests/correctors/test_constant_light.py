@@ -1,0 +1,70 @@
+"""Light of other stars in an aperture, on images that are integrals of Gaussians."""
+
+import numpy as np
+import pytest
+
+from scope_models.correctors import PLDCorrector
+from scope_models.correctors._constant_light import constant_light, varying_light
+from scope_models.experiments.skies import make_sky, score
+
+from .test_clean import GRID, TIME, image, motion
+
+NEIGHBOR = 2.6  # px along x
+USE = np.ones(len(TIME), bool)
+
+
+def slopes(x, y, step=1e-3):
+    return [
+        (image(x + a * step, y + b * step) - image(x - a * step, y - b * step)) / (2 * step)
+        for a, b in ((1, 0), (0, 1))
+    ]
+
+
+@pytest.mark.parametrize("shift", [0.0, 0.004])
+def test_constant_light_changes_with_position(shift):
+    """Also if fitted positions follow the star's brightness."""
+    x, y, _ = motion()
+    inside = GRID[:, 0] < 7  # a third of the neighbor is within
+    star, neighbor = image(x, y), 0.4 * image(x + NEIGHBOR, y)
+    total = (star + neighbor)[:, inside].sum(axis=1, keepdims=True)
+    # what varies is known up to a factor and a shift
+    own = 0.9 * star + shift * slopes(x, y)[0]
+    position = np.column_stack([x, y]) - [4.1, 3.9]
+    found = constant_light(
+        (star + neighbor) / total, own / total, slopes(x, y), position, GRID, inside, USE
+    )
+    true = (neighbor[:, inside].sum(axis=1, keepdims=True) / total)[:, 0]
+    assert true.std() > 0.01
+    assert np.abs(found - true).max() < 2e-3
+
+
+@pytest.mark.parametrize("amplitude", [0.0, 0.02])
+def test_light_of_a_variable_neighbor(amplitude):
+    x, y, _ = motion()
+    inside = GRID[:, 0] < 7
+    wave = amplitude * np.sin(2 * np.pi * TIME / 1.1)
+    star, neighbor = image(x, y), 0.2 * image(x + NEIGHBOR, y)
+    both = (star + neighbor) / (star + neighbor)[:, inside].sum(axis=1, keepdims=True)
+    noise = np.full(len(GRID), 1e-5**2)
+    pixels = star + neighbor * (1 + wave)[:, None]
+    pixels += 1e-5 * np.random.default_rng(3).normal(size=pixels.shape)
+    rest = pixels - pixels[:, inside].sum(axis=1, keepdims=True) * both
+    found = varying_light(rest, both, slopes(x, y), noise, ~inside, GRID, inside, USE)
+    true = wave * neighbor[:, inside].sum(axis=1)
+    if not amplitude:
+        assert not found.any()
+    else:
+        assert np.polyfit(true, found, 1)[0] == pytest.approx(1, abs=0.1)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "regime", ["k2-1x-rr-lyrae-neighbor", "k2-1x-eclipsing-neighbor", "k2-1x-neighbor-variable"]
+)
+@pytest.mark.filterwarnings("ignore::scope_models.exceptions.DetrendingWarning")
+def test_other_stars_beside_variable_ones(regime):
+    """Before: 44, 31 and 9 times the noise's floor."""
+    sky = make_sky(regime, seed=6200)
+    found = score(PLDCorrector(sky.to_tpf()).correct(), sky)
+    assert found.full < 5
+    assert 0.8 < found.pull < 1.5
