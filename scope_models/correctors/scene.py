@@ -169,8 +169,8 @@ class SceneCorrector(FixedAperture, Corrector):
         Kepler, K2, TESS or synthetic target pixel file, or the path of one.
     aperture_mask : array_like, optional
         Pixels ``(ny, nx)`` that are summed, boolean or a name of `PLDCorrector`'s, or weights
-        ``(n_cadences, ny, nx)`` of a moving aperture. By default a window that follows the star, the one of the smallest
-        expected error.
+        ``(n_cadences, ny, nx)`` of a moving aperture. By default a window that follows the star,
+        the one of the smallest expected error.
     neighbors : array_like, `~astropy.table.Table` or `~astropy.coordinates.SkyCoord`, optional
         Other stars: columns and rows in the stamp ``(m, 2)`` in pixels, a table with columns ``x``
         and ``y`` or ``ra`` and ``dec``, or places on the sky, which are taken relative to the
