@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-# Where the files are that pages open. Such a page says so in a comment, ".. needs: FILE FILE". Real
+# Where the files are that pages open. A page names them in a comment, ".. needs: FILE FILE". Real
 # archive files are beside the checkout.
 _FOLDERS = [
     Path(__file__).resolve().parent / "docs" / "examples",

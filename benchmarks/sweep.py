@@ -6,7 +6,7 @@ throughput
     The stars of the motion test without lightkurve's correctors and without transits (simulation,
     PLD and CDPP) in one process and in two, one after the other, several times: rates, and the
     gain of the second process. The target is 1.8. The processes have begun and have imported
-    everything before the clock starts; what that takes is told separately.
+    everything before the clock starts; that time is given separately.
 scaling
     10 to 10,000 stars in two processes: rate, memory of all processes and what is on disk. Memory
     must stay flat. So that many stars end soon, each is 100 cadences of 7 x 7 pixels, and nothing

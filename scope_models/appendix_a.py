@@ -116,7 +116,7 @@ def generate_target(
         If an argument is outside its domain, `ncadences` exceeds the length of the motion, more
         than one source of motion is given, or the EPIC number is unknown.
     TypeError
-        If an option is misspelt or of the wrong kind.
+        If an option is misspelled or of the wrong kind.
     ConnectionError
         If the motion of an EPIC number cannot be downloaded.
 
@@ -446,7 +446,7 @@ class Target:
         dist : float, optional
             Its distance from the star in pixels; not used with `position`.
         angle : float, optional
-            Direction in degrees from growing columns towards growing rows; by default random, drawn
+            Direction in degrees from growing columns toward growing rows; by default random, drawn
             from the seed, and on the stamp.
         position : tuple of float, optional
             Its column and row, in place of `dist` and `angle`.
@@ -522,7 +522,7 @@ class Target:
         ValueError
             If the method is unknown or the aperture has no pixels.
         TypeError
-            If an option is misspelt.
+            If an option is misspelled.
 
         Examples
         --------
@@ -588,7 +588,7 @@ class Target:
         Parameters
         ----------
         aperture_mask : array_like of bool, or str, optional
-            Mask ``(ny, nx)``, or what lightkurve understands; by default `aperture`.
+            Mask ``(ny, nx)``, or a name of lightkurve's masks; by default `aperture`.
         **options
             Options of `to_tpf`.
 
@@ -634,7 +634,7 @@ class Target:
         Raises
         ------
         TypeError
-            If an option is misspelt.
+            If an option is misspelled.
 
         Examples
         --------

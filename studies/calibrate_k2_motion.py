@@ -3,12 +3,12 @@
     OMP_NUM_THREADS=1 python studies/calibrate_k2_motion.py [--stars N] [--output FOLDER]
 
 Stars all over the field of view of K2 campaign 3, and anywhere on a pixel, move as
-`Motion.k2_roll` says for a campaign. Their noise is that of photons, background and read noise,
+`Motion.k2_roll` gives for a campaign. Their noise is that of photons, background and read noise,
 which study ``no-motion`` has tested, and of the motion. That depends on a_2 (response 1 + a_2 u^2
 along each axis), on the standard deviation of b, on the wings of the PSF, and on the aperture.
 
 For stars at Kp 10 and 10.5, which are all saturated, EVEREST took large apertures: what they lose
-is negligible, and their noise tells of the response. For the unsaturated stars at Kp 12 to 14.5
+is negligible, and their noise measures the response. For the unsaturated stars at Kp 12 to 14.5
 the aperture is taken as the pixels in which the star has more than T (F / F_14)^g e-/s, F being its
 flux and F_14 that at Kp 14. The percentiles 10, 25, 50, 75 and 90 of both groups are fitted
 together.

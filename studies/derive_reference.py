@@ -4,7 +4,7 @@
 
 The first folder holds kepler_cdpp.fits.gz and k2_c03_cdpp.fits.gz: the 6-hour CDPP of 78,519 Kepler
 targets, and of 14,151 targets of K2 campaign 3, from the repository of the EVEREST project. The
-tables are written to ``scope_models/experiments/data`` unless told otherwise.
+tables are written to ``scope_models/experiments/data`` by default.
 """
 
 import argparse

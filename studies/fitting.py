@@ -343,7 +343,7 @@ def report_terms(folder):
         smear = sum(v**2 / 24 * bend for v, bend in zip(speeds, bends, strict=True))
         squares = [np.nanmedian(np.nanmean((r * weight) ** 2, axis=0)) for r in
                    (fit.residual[some], fit.residual[some] - smear)]  # fmt: skip
-        print(f"  {star} smear, as the track tells it: {squares[0]:.4g} to {squares[1]:.4g}\n")
+        print(f"  {star} smear, from the track: {squares[0]:.4g} to {squares[1]:.4g}\n")
         tpf.hdu.close()
 
 

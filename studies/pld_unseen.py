@@ -1,6 +1,6 @@
 """What can be predicted at all in windows that PLDCorrector has not seen.
 
-The corrector knows nothing but the pixels. Here it stands beside one that knows the PSF, the
+The corrector uses nothing but the pixels. Here it stands beside one that uses the PSF, the
 position in each cadence and the response within the pixels exactly, and what the pixels' own
 responses b are drawn from: only b itself it has to find, by the exact linear regression. Both
 predict the same windows of 13 cadences. Where the star comes once, b has left no trace elsewhere:

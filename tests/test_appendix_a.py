@@ -140,7 +140,7 @@ class _Search(list):
 
 
 def test_epic_number_is_downloaded(monkeypatch, star):
-    """The archive is replaced: what is asked of it, and what is made of the answer."""
+    """The archive is replaced: the request, and what is made of the answer."""
     lightkurve = pytest.importorskip("lightkurve")
     asked = {}
 

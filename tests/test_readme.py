@@ -1,4 +1,4 @@
-"""The README says what is true: its commands are there and its examples run."""
+"""The README is true: its commands exist and its examples run."""
 
 import re
 

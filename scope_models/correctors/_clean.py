@@ -30,6 +30,9 @@ _TOLERANCE, _COARSE_TOLERANCE = 1e-9, 1e-4
 _MAX_RANK, _COARSE_RANK = 120, 25
 #: Number of iterations, and for stars whose constant light is learned.
 _ITERATIONS, _MORE_ITERATIONS = 7, 12
+#: The fit ends after so many iterations if the median steps of brightness, both positions and focus
+#: are less than these parts of their errors, and the star does not vary strongly.
+_FEWEST_ITERATIONS, _SMALL_STEPS = 4, (0.1, 0.1, 0.1, 0.1)
 #: Iterations after which the focus has an image of its own, and constant light counts.
 _FOCUS_FROM, _CONSTANT_FROM = 2, 3
 #: Prior standard deviations: position about POS_CORR (px), relative width.
@@ -188,7 +191,9 @@ def clean_pixels(time, flux, flux_err, position, grid, aperture, *, use=None, ow
         if iteration >= _ITERATIONS and not state.variable.any():
             break
         state.fit_pixels(iteration)
-        state.fit_cadences(iteration)
+        converged = state.fit_cadences(iteration)
+        if converged and iteration >= _FEWEST_ITERATIONS - 1 and not state.varies:
+            break
     return state.result(flux_err, np.ones_like(aperture) if own is None else own)
 
 
@@ -223,6 +228,11 @@ class _State:
         self._place = np.where(self.known, _POSITION_PRIOR**-2, 1e-2)
         self.features = _Features(self.z[use], _SCALE, _TOLERANCE, _MAX_RANK)
         self.coarse = _Features(self.z[use], _COARSE_SCALE, _COARSE_TOLERANCE, _COARSE_RANK)
+
+    @property
+    def varies(self):
+        """Whether the star varied strongly in this iteration or the one before."""
+        return self.variable.any() or self._constant is not None
 
     @property
     def background(self):
@@ -323,7 +333,12 @@ class _State:
         return image if self._focus is None else image + self.focus[:, None] * focus
 
     def fit_cadences(self, iteration):
-        """Improve brightness, background, position and focus of each cadence: one linear step."""
+        """
+        Improve brightness, background, position and focus of each cadence: one linear step.
+
+        Return whether the step was small.
+        """
+        before = np.stack([self.brightness, *self.z.T, self.focus])
         image, slopes, focus, constant = self._images()
         image = self._focused(image, focus)
         rest = self._rest(image, constant)
@@ -353,6 +368,8 @@ class _State:
         self._set_variable(iteration)
         self._anchor()
         self._set_focus(self.focus + np.clip(step[3], -0.02, 0.02), error[3], iteration)
+        moved = np.abs(np.stack([self.brightness, *self.z.T, self.focus]) - before) / error[:4]
+        return bool((_median(moved[:, self.use]) < _SMALL_STEPS).all())
 
     def _rest(self, image, constant):
         """Return what images and background leave of the light."""
@@ -449,7 +466,7 @@ class _State:
         known = self.known & self.use
         use = known
         columns = np.column_stack([self.z, np.ones(len(self.z)), self.variable])
-        weight = np.diag([4e-4, 4e-4, 0.0, 4e-4])  # towards no change, where POS_CORR has no say
+        weight = np.diag([4e-4, 4e-4, 0.0, 4e-4])  # toward no change, where POS_CORR has no say
         change = np.zeros((4, 2))
         for _ in range(3):
             gram = columns[use].T @ columns[use] + weight

@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
-from scope_models.correctors._regression import Hyperparameters
+from scope_models.correctors._regression import Hyperparameters, log_likelihood
+from scope_models.correctors._search import fit_columns
 
 __all__ = ["find_frequencies", "harmonic_columns", "is_periodic"]
 
@@ -17,6 +18,11 @@ _PART, _AT_ONCE = 0.03, 6
 #: ... and so far apart in units of one over the length of the observation.
 _APART = 1.5
 _ROUNDS = 20
+#: Once there are so many, no more are sought if the logarithm of the likelihood is less by so much
+#: than with the long-term process alone: the star varies at all frequencies. Beside them the
+#: process may be weaker.
+_ENOUGH_TO_JUDGE, _WORSE = 12, 100.0
+_PARTS = (1.0, 0.01)
 #: Largest step of a frequency, in the same unit.
 _LARGEST_SHIFT = 0.2
 #: At most one frequency for so many cadences, and so many.
@@ -69,8 +75,7 @@ def find_frequencies(solution, allowed):
         Frequencies in cycles per day.
     """
     n_most = min(_MOST, allowed.sum() // _CADENCES_PER_FREQUENCY)
-    found = np.empty(0)
-    rest = solution.y
+    found, rest, judged = np.empty(0), solution.y, False
     for _ in range(_ROUNDS):
         use = allowed.copy()
         use[allowed] = ~_stands_alone(rest[allowed])
@@ -80,6 +85,10 @@ def find_frequencies(solution, allowed):
         if not len(new) or len(found) + len(new) > n_most:
             break
         found = np.append(found, [_refined(f, trial) for f in new])
+        if not judged and len(found) >= _ENOUGH_TO_JUDGE:
+            judged = True
+            if _is_continuous(found, solution, use):
+                return np.empty(0)
         plain = replace(solution, hyper=trial.hyper)
         found = found + _shifts(found, plain, use)
         rest = plain.with_frequencies(found, use).unexplained
@@ -87,6 +96,21 @@ def find_frequencies(solution, allowed):
     found = _significant(found, plain, use)
     first = _fundamental(found, solution)
     return found if first is None else _multiples(first, plain, use)
+
+
+def _is_continuous(frequencies, solution, use):
+    """Whether a star varies at all frequencies, so that these are no better than a process."""
+    if _divisor(np.sort(frequencies), solution) is not None:
+        return False
+    alone = _likelihood(solution, (), use)
+    return _likelihood(solution, frequencies, use) < alone - _WORSE
+
+
+def _likelihood(solution, frequencies, use):
+    """Return the logarithm of the likelihood with frequencies, and with the process or little."""
+    trial, hyper = solution.with_frequencies(frequencies, use), solution.hyper
+    parts = [replace(hyper, amplitude=part * hyper.amplitude) for part in _PARTS]
+    return max(log_likelihood(trial.data, fit_columns(trial.data, hyper)) for hyper in parts)
 
 
 def _significant(frequencies, trial, use):
@@ -117,8 +141,12 @@ def _fundamental(frequencies, solution):
     limit = _SHARP * _fastest(solution)
     if frequencies.max(initial=0.0) < limit:
         return None
+    return _divisor(np.sort(frequencies[frequencies < limit]), solution)
+
+
+def _divisor(slow, solution):
+    """Return the frequency of which most of some are multiples, None if there is none."""
     near = 0.5 * _APART / np.ptp(solution.data.time)
-    slow = np.sort(frequencies[frequencies < limit])
     for first in np.divide.outer(slow[:_AT_ONCE], (1, 2, 3)).ravel():
         number = np.maximum(np.round(slow / first), 1)
         good = np.abs(slow - number * first) < near

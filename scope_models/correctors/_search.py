@@ -1,11 +1,13 @@
 """The search for the hyper-parameters that make the data most likely."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.optimize import minimize
 
 from scope_models.correctors._regression import (
+    Data,
     Hyperparameters,
     Posterior,
     gram_matrix,
@@ -34,21 +36,57 @@ _STARTS = ((None, 1.0, 5.0), (0.3, 0.1, 2.0), (1.0, 1.0, 5.0))
 _LARGEST = 1e3
 
 
-def _fit_scales(gram, data, hyper, n_steps):
+@dataclass(frozen=True)
+class _Trial:
+    """Hyper-parameters, with what the likelihood takes from noise and process there."""
+
+    data: Data
+    hyper: Hyperparameters
+    gram: np.ndarray
+    log_determinant: float
+
+    @classmethod
+    def at(cls, data, hyper):
+        process = hyper.process(data.time, data.variance)
+        return cls(data, hyper, gram_matrix(process, data.stacked), process.log_determinant)
+
+    def changed(self, variances, factor=1.0):
+        """Return it with other variances, and with noise and process multiplied with a factor."""
+        hyper = replace(
+            self.hyper,
+            noise_scale=self.hyper.noise_scale * factor,
+            variances=variances,
+            amplitude=None if self.hyper.amplitude is None else self.hyper.amplitude * factor,
+        )
+        more = len(self.data.y) * np.log(factor)
+        return _Trial(self.data, hyper, self.gram / factor, self.log_determinant + more)
+
+    @cached_property
+    def value(self):
+        """Logarithm of the likelihood times the hyperprior, but for a constant; -inf: it fails."""
+        try:
+            posterior = Posterior(self.gram, self.hyper.prior(self.data))
+        except np.linalg.LinAlgError:
+            return -np.inf
+        value = posterior.quadratic + posterior.log_determinant + self.log_determinant
+        return -0.5 * value - self.data.improbability(self.hyper.variances)[0]
+
+
+def _fit_scales(trial, n_steps=_STEPS):
     """Maximize over the variances and a factor of noise and long-term process alike."""
-    n, n_groups = len(data.y), data.n_groups
+    data, hyper, n = trial.data, trial.hyper, len(trial.data.y)
 
     def objective(theta):
         scale = np.exp(theta[0])
         prior = replace(hyper, variances=np.exp(theta[1:])).prior(data)
         try:
-            posterior = Posterior(gram / scale, prior)
+            posterior = Posterior(trial.gram / scale, prior)
         except np.linalg.LinAlgError:
             return np.inf, np.zeros_like(theta)
         value = 0.5 * (posterior.quadratic + posterior.log_determinant + n * theta[0])
         used = 1 - posterior.shrinkage
-        by_group = used - posterior.mean**2 / prior
-        slope = 0.5 * np.bincount(data.groups, by_group[: len(data.groups)], minlength=n_groups)
+        by_group = (used - posterior.mean**2 / prior)[: len(data.groups)]
+        slope = 0.5 * np.bincount(data.groups, by_group, minlength=data.n_groups)
         unlikely, rise = data.improbability(np.exp(theta[1:]))
         value, slope = value + unlikely, slope + rise
         return value, np.array([0.5 * (n - used.sum() - posterior.residual), *slope])
@@ -57,20 +95,28 @@ def _fit_scales(gram, data, hyper, n_steps):
     least = np.log(data.least_noise / hyper.noise_scale)
     bounds = [(least, 12.0), *zip(unit - 30, unit + np.log(_LARGEST), strict=True)]
     factor, *variances = _minimize(objective, [1.0, *hyper.variances], bounds, n, n_steps)
-    return replace(
-        hyper,
-        noise_scale=hyper.noise_scale * factor,
-        variances=np.array(variances),
-        amplitude=None if hyper.amplitude is None else hyper.amplitude * factor,
-    ), factor
+    return trial.changed(np.array(variances), factor)
 
 
 def _minimize(objective, start, bounds, n, n_steps=_STEPS):
-    """Minimize over positive parameters, and return these."""
-    start = np.clip(np.log(start), *np.transpose(bounds))
+    """
+    Minimize over positive parameters, and return these.
+
+    The first one is the noise, which ``n`` data determine much better than the others: its unit is
+    smaller.
+    """
+    unit = np.ones(len(start))
+    unit[0] = (n / 2) ** -0.25
+
+    def scaled(theta):
+        value, slope = objective(theta * unit)
+        return value, slope * unit
+
+    bounds = np.array(bounds) / unit[:, None]
+    start = np.clip(np.log(start) / unit, *bounds.T)
     options = {"maxiter": n_steps, "ftol": _PRECISION / n}
-    result = minimize(objective, start, jac=True, method="L-BFGS-B", bounds=bounds, options=options)
-    return [float(value) for value in np.exp(result.x)]
+    result = minimize(scaled, start, jac=True, method="L-BFGS-B", bounds=bounds, options=options)
+    return [float(value) for value in np.exp(result.x * unit)]
 
 
 def _compressed(gram, data, hyper, smallest=1e-2):
@@ -119,9 +165,8 @@ def _fit_process(data, hyper, whole):
     )
 
 
-def fit_columns(data, hyper, n_steps=_STEPS):
-    """
-    Maximize over the columns' variances and a factor of the noise and the process alike.
+def fit_columns(data, hyper):
+    """Maximize over the columns' variances and a factor of the noise and the process alike.
 
     Parameters
     ----------
@@ -129,27 +174,17 @@ def fit_columns(data, hyper, n_steps=_STEPS):
         The problem.
     hyper : Hyperparameters
         Where to begin.
-    n_steps : int, optional
-        Largest number of steps.
-
-    Returns
-    -------
-    hyper : Hyperparameters
-        The best.
-    gram : ndarray
-        The Gram matrix that goes along.
     """
-    gram = gram_matrix(hyper.process(data.time, data.variance), data.stacked)
-    hyper, factor = _fit_scales(gram, data, hyper, n_steps)
-    return hyper, gram / factor
+    return _fit_scales(_Trial.at(data, hyper)).hyper
 
 
-def _improve(data, hyper):
+def _improve(trial):
     """Maximize over the columns' parameters, then over those of the process."""
-    hyper, gram = fit_columns(data, hyper)
-    if hyper.amplitude is None:
-        return hyper
-    return _fit_process(_compressed(gram, data, hyper), hyper, data)
+    trial = _fit_scales(trial)
+    if trial.hyper.amplitude is None:
+        return trial
+    data, hyper = trial.data, trial.hyper
+    return _Trial.at(data, _fit_process(_compressed(trial.gram, data, hyper), hyper, data))
 
 
 def fit_hyperparameters(data, start=None, *, trend=True, tolerance=0.05, n_rounds=5):
@@ -178,64 +213,44 @@ def fit_hyperparameters(data, start=None, *, trend=True, tolerance=0.05, n_round
     if width > 1:
         options = {"trend": trend, "tolerance": tolerance, "n_rounds": n_rounds}
         hyper = fit_hyperparameters(data.averaged(width), start, **options)
-        return fit_columns(data, hyper)[0]
-    hyper = start if start is not None else _best_start(data, trend)
-    value = _plausibility(data, hyper)
+        return fit_columns(data, hyper)
+    best = _best_start(data, trend) if start is None else _Trial.at(data, start)
+    value = best.value
     for k in range(n_rounds):
         scan = start is None or k == 0
-        trial = _improve(data, _scanned(data, hyper) if scan else hyper)
-        improved = _plausibility(data, trial)
-        if improved > value:
-            hyper = trial
-        if improved < value + tolerance:
+        trial = _improve(_scanned(best) if scan else best)
+        if trial.value > best.value:
+            best = trial
+        if trial.value < value + tolerance:
             break
-        value = improved
-    return hyper
+        value = trial.value
+    return best.hyper
 
 
-def _plausibility(data, hyper):
-    """Return the logarithm of the likelihood times the hyperprior."""
-    return log_likelihood(data, hyper) - data.improbability(hyper.variances)[0]
-
-
-def _scanned(data, hyper):
+def _scanned(trial):
     """
     Try other variances of one group after the other, far from the present ones.
 
     Groups explain much the same, so that the likelihood has several maxima, and from a variance
     of nothing there is no slope back.
     """
-    gram = gram_matrix(hyper.process(data.time, data.variance), data.stacked)
-    value = _likelihood_of_columns(gram, data, hyper)
-    for g, unit in enumerate(data.spread / data.sizes):
+    for g, unit in enumerate(trial.data.spread / trial.data.sizes):
+        start = trial.hyper.variances
         for factor in _SCAN:
-            variances = hyper.variances.copy()
+            variances = start.copy()
             variances[g] = factor * unit
-            trial = replace(hyper, variances=variances)
-            tried = _likelihood_of_columns(gram, data, trial)
-            if tried > value:
-                hyper, value = trial, tried
-    return hyper
-
-
-def _likelihood_of_columns(gram, data, hyper):
-    """Return what of the likelihood's logarithm depends on the columns; -inf where it fails."""
-    try:
-        posterior = Posterior(gram, hyper.prior(data))
-    except np.linalg.LinAlgError:
-        return -np.inf
-    value = -0.5 * (posterior.quadratic + posterior.log_determinant)
-    return value - data.improbability(hyper.variances)[0]
+            trial = max(trial, trial.changed(variances), key=lambda tried: tried.value)
+    return trial
 
 
 def _best_start(data, trend):
     """Fit the columns' parameters in several places, and return the most likely one."""
     noise, unit = float(np.median(data.variance)), data.spread / data.sizes
     if not trend:
-        return Hyperparameters(1.0, unit, None, 1.0)
+        return _Trial.at(data, Hyperparameters(1.0, unit, None, 1.0))
     starts = [
         Hyperparameters(1.0, part * unit, 0.1 * noise if a is None else a * data.spread, period)
         for a, part, period in _STARTS
     ]
-    fitted = [fit_columns(data, hyper, _FEW_STEPS)[0] for hyper in starts]
-    return max(fitted, key=lambda hyper: _plausibility(data, hyper))
+    fitted = [_fit_scales(_Trial.at(data, hyper), _FEW_STEPS) for hyper in starts]
+    return max(fitted, key=lambda trial: trial.value)

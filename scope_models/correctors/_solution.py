@@ -379,5 +379,5 @@ def _fit_hyper(solution, options, *, little):
     if hyper is not None and len(hyper.variances) != data.n_groups:
         hyper = None
     if hyper is not None and little:
-        return fit_columns(data, hyper)[0]
+        return fit_columns(data, hyper)
     return fit_hyperparameters(data, hyper, trend=options.trend == "gp")

@@ -102,7 +102,7 @@ class Background(SkyEffect):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ScatteredLight(SkyEffect):
-    r"""Light of Earth and Moon that rises towards the ends of TESS's orbits.
+    r"""Light of Earth and Moon that rises toward the ends of TESS's orbits.
 
     .. math:: B(t) = p \left(e^{-d(t) / \tau} - e^{-P / 2 \tau}\right)
 

@@ -72,9 +72,9 @@ def moon_geometry(time, coord, location):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class NightSky(SkyEffect):
-    r"""How the sky grows brighter towards the horizon and with the Moon.
+    r"""How the sky grows brighter toward the horizon and with the Moon.
 
-    The detector's background is the dark sky at the zenith. Towards the horizon it has the factor
+    The detector's background is the dark sky at the zenith. Toward the horizon it has the factor
     :math:`X 10^{-0.4 k (X - 1)}`, and scattered moonlight adds, in nanolamberts [1]_,
 
     .. math:: B = f(\rho)\, 10^{-0.4 (3.84 + 0.026 \alpha + 4 \times 10^{-9} \alpha^4)}\,

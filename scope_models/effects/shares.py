@@ -53,7 +53,7 @@ class PixelShares(Effect):
 
     Examples
     --------
-    One per cent of the star's light is in the first pixel instead of the middle one:
+    One percent of the star's light is in the first pixel instead of the middle one:
 
     >>> import numpy as np
     >>> from scope_models import Detector, Motion, Star, simulate

@@ -17,7 +17,7 @@ __all__ = ["draw_star", "field_position", "motion_from_name", "stamp_around"]
 # No star of K2 moves farther from its median than this in a good cadence, in pixels.
 _FARTHEST = 4.0
 _CADENCES = 1000
-# Direction of EPIC 205998445 from the boresight, degrees from columns towards rows.
+# Direction of EPIC 205998445 from the boresight, degrees from columns toward rows.
 _ANGLE = 163.6
 _VARIED = re.compile(r"(sigma_x|sigma_y|rho)(_\d+)?")
 
@@ -116,7 +116,7 @@ def field_position(distance, angle=_ANGLE):
     distance : float
         Distance from the boresight in degrees.
     angle : float, optional
-        Direction from the boresight in degrees, from columns towards rows. The default is that of
+        Direction from the boresight in degrees, from columns toward rows. The default is that of
         EPIC 205998445.
 
     Returns

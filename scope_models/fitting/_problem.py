@@ -436,7 +436,7 @@ class Problem:
         mixed, block, block_gradient = np.zeros((n, k, m)), np.zeros((n, k, k)), np.zeros((n, k))
         cost, soft, s = 0.0, self.options.soft, self.n_shared
         for part in self.chunks():
-            residual, by_shared, by_pixel, by_cadence = self._linearise(state, part)
+            residual, by_shared, by_pixel, by_cadence = self._linearize(state, part)
             weight = self.weight[part]
             residual *= weight
             if soft is None:
@@ -465,7 +465,7 @@ class Problem:
         equations = NormalEquations(cost, shared, gradient, mixed, block, block_gradient)
         return self._with_priors(state, equations)
 
-    def _linearise(self, state, part):
+    def _linearize(self, state, part):
         """Residuals and derivatives of the model in a slice of cadences."""
         size = self.flux[part].shape
         by_shared = np.zeros((*size, self.n_shared))

@@ -150,7 +150,7 @@ def _distance(equations, walls, shared):
 
 
 def _step(problem, state, equations, walls, damping):
-    """The state after one damped step and the gain it promises, or None if there is no step."""
+    """The state after one damped step and its expected gain, or None if there is no step."""
     try:
         # The cadences follow the shared parameters; only far from the minimum are they held too.
         reduced = _eliminate(equations, damping * min(damping, 1.0))

@@ -267,7 +267,7 @@ class TPFMetadata(Value):
         Raises
         ------
         TypeError
-            If a field is misspelt or of the wrong kind.
+            If a field is misspelled or of the wrong kind.
         ValueError
             If a field is outside its domain, or belongs to another mission.
 

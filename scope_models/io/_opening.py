@@ -188,7 +188,7 @@ def _read_whole(path):
 
 
 class _Walk:
-    """A walk through the HDUs of a stream that believes nothing."""
+    """A walk through the HDUs of a stream that checks every card."""
 
     def __init__(self, stream, path, limit):
         self._stream, self._path, self._limit = stream, path, limit

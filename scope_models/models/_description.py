@@ -1,4 +1,3 @@
-# Licensed under a 3-clause BSD style license - see LICENSE
 """Models as what JSON can hold, and back."""
 
 import importlib
@@ -134,7 +133,7 @@ def unpacked(value):
     size = 8 * math.prod(shape)
     if not 0 <= size <= _LARGEST_ARRAY:
         raise ValueError(f"an array must have up to {_LARGEST_ARRAY:,} bytes, got {size:,}")
-    # Never unpack more than the shape promises.
+    # Never unpack more than the shape holds.
     content = zlib.decompressobj().decompress(b64decode(value["array"]), size + 1)
     if len(content) != size:
         raise ValueError(f"an array does not have the {size:,} bytes of its shape {shape}")

@@ -122,7 +122,7 @@ def k2_roll(cls, n_cadences=1000, *, seed=10, start=_K2.start, **parameters):
     """Generate the motion of a K2 star while the spacecraft rolls about its boresight.
 
     The parameters' defaults describe EPIC 205998445 in campaign 3, and
-    `~scope_models.scene.motion.K2Roll` gives their sources. No series is rescaled to wanted
+    `~scope_models.scene.motion.K2Roll` gives their sources. No series is rescaled to given
     statistics; the default seed is the first one for which the 1000 cadences of the paper [1]_
     have its row, 0.17 +- 0.12 px and at most 0.59 px, within 5 %. Cadences in which thrusters
     fire have the quality flag 1048576.

@@ -43,7 +43,7 @@ Raises
 ValueError
     If ``cadence`` is unknown.
 TypeError
-    If a field is misspelt."""
+    If a field is misspelled."""
 _KEPLER = f"""cadence : {{"long", "short"}}, float or Quantity, optional
     270 frames in 29.4 min, or 9 frames in 58.8 s; or the length, in seconds or with a unit.
 {_CHANGES}"""
@@ -109,7 +109,7 @@ class Detector(Value):
     Raises
     ------
     TypeError
-        If a field is misspelt or of the wrong kind.
+        If a field is misspelled or of the wrong kind.
     ValueError
         If a number is not finite or outside its domain.
 
@@ -250,7 +250,7 @@ class Detector(Value):
         ValueError
             If there is no such preset or cadence.
         TypeError
-            If a field is misspelt.
+            If a field is misspelled.
 
         Examples
         --------
@@ -460,7 +460,7 @@ class Detector(Value):
         ValueError
             If the band is unknown or a number outside its domain.
         TypeError
-            If a field is misspelt.
+            If a field is misspelled.
 
         Notes
         -----
@@ -527,7 +527,7 @@ class Detector(Value):
         Raises
         ------
         TypeError
-            If ``tpf`` is no target pixel file, or a field is misspelt.
+            If ``tpf`` is no target pixel file, or a field is misspelled.
         OSError
             If the file cannot be opened.
         ValueError

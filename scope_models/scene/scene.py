@@ -342,7 +342,7 @@ class Scene(Value):
         Raises
         ------
         TypeError
-            If a field is misspelt.
+            If a field is misspelled.
 
         Examples
         --------

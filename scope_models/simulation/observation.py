@@ -225,7 +225,7 @@ class Observation(Value):
         Parameters
         ----------
         aperture_mask : array_like of bool, shape (ny, nx), or str, optional
-            The pixels, or what lightkurve understands. The default is `aperture`.
+            The pixels, or a name of lightkurve's masks. The default is `aperture`.
         metadata : mapping, optional
             See `to_tpf`.
         quality_bitmask : str or int, optional

@@ -89,7 +89,7 @@ class TestDemo:
     def test_de_trending_helps(self, demo):
         printed = noise_table(demo[1])
         # What is left is at most the noise of the same star without motion, give or take the few
-        # per cent by which the CDPP of one realization varies.
+        # percent by which the CDPP of one realization varies.
         for de_trended, still in zip(printed["de-trended"], printed["without motion"], strict=True):
             assert de_trended < 1.1 * still
         assert printed["de-trended"][0] < 0.2 * printed["raw"][0]

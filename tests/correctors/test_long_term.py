@@ -9,7 +9,7 @@ AMPLITUDE, PERIOD = 2.3, 1.7
 
 
 def kernel(t_1, t_2, amplitude=AMPLITUDE, period=PERIOD):
-    """Return the oscillator's kernel as its defining equation says."""
+    """Return the oscillator's kernel by its defining equation."""
     w = np.sqrt(2) * np.pi / period
     tau = np.abs(t_1[:, None] - t_2)
     return amplitude * np.exp(-w * tau) * (np.cos(w * tau) + np.sin(w * tau))

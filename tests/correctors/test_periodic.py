@@ -1,5 +1,7 @@
 """Periodic variability: frequencies against the ones that data were made of."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -57,6 +59,19 @@ def test_single_outliers_do_not_hide_a_pulsation():
     y[[100, 333, 620]] += [0.3, -0.1, 0.2]
     solution = make_solution(y)
     assert find_frequencies(solution, solution.use) == pytest.approx([TRUE[0]], abs=1e-4)
+
+
+def test_variability_at_all_frequencies_has_none():
+    """Twelve sinusoids take much of it, at a higher cost than the process that it is."""
+    rng = np.random.default_rng(3)
+    y = np.empty(len(TIME))
+    y[0] = 0.0
+    for k in range(1, len(y)):
+        y[k] = 0.95 * y[k - 1] + 1e-3 * rng.normal()
+    hyper = Hyperparameters(1.0, np.array([1e-4]), 1e-5, 1.0)
+    solution = replace(make_solution(y, 3e-4), hyper=hyper)
+    assert is_periodic(solution)
+    assert len(find_frequencies(solution, solution.use)) == 0
 
 
 def test_harmonic_columns():

@@ -309,7 +309,7 @@ def test_transit_model_may_be_a_function(fake_star):
 
 @pytest.fixture(scope="module")
 def variable(fake_star):
-    """Return a star whose flux changes by a per cent within the observation."""
+    """Return a star whose flux changes by a percent within the observation."""
     signal = 1 + 0.005 * np.sin(2 * np.pi * np.arange(500) / 150)
     return fake_star(500, seed=4, signal=signal)
 
@@ -366,7 +366,7 @@ def test_background_and_neighbors(fake_star, star):
 
 
 def test_background_that_leaks_is_removed(star):
-    """Scattered light in all pixels, which the fractions alone cannot tell from the star."""
+    """Scattered light in all pixels, which the fractions alone cannot separate from the star."""
     rng = np.random.default_rng(0)
     light = np.cumsum(rng.normal(0, 3, 400))
     tpf = replaced(star.tpf, FLUX=star.tpf.flux.value + light[:, None, None])
@@ -394,7 +394,7 @@ def test_saturation_of_the_mission(star):
 
 
 def test_full_pixels_do_not_eat_transits(fake_star):
-    """What a full pixel cannot hold bleeds: its share of the light tells of the transit."""
+    """What a full pixel cannot hold bleeds: its share of the light follows the transit."""
     signal = dips(500, 1e-3)
     target = fake_star(500, seed=8, signal=signal, mag=10.5)
     flux = target.tpf.flux.value.astype(float)

@@ -113,7 +113,7 @@ def test_cadences_that_are_not_used_do_not_count(track):
 
 
 def test_all_columns_full():
-    """Where no column tells the row, the center of all light does."""
+    """Where no column gives the row, the center of all light does."""
     y = 8 + np.linspace(-1, 1, 50)
     images = pixel_light(y, 17)[:, :, None] * np.ones(3)
     found = find_row_centers(images, *everything(images), 0.1, NOISE)

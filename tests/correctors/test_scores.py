@@ -35,7 +35,7 @@ def test_score_of_a_star(star):
     mask = corrector.aperture_mask
     noise = star.noise[:, mask].sum(axis=1) / np.median(star.expected[:, mask].sum(axis=1))
     scores = score(corrector, np.ones(400), noise)
-    # 30 windows: the scatter is known to 13 per cent, and what is left of the noise to 10
+    # 30 windows: the scatter is known to 13 percent, and what is left of the noise to 10
     assert 0.6 < scores.held_out_mad < 1.4
     assert 0.7 < scores.held_out_rms < 1.3
     assert 0.7 < scores.held_out_pull < 1.3

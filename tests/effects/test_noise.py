@@ -1,4 +1,4 @@
-"""Noise against exact probabilities, moments and the promises about the streams."""
+"""Noise against exact probabilities, moments and the independence of the streams."""
 
 import numpy as np
 import pytest

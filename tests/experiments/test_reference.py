@@ -83,7 +83,7 @@ def test_arguments_are_checked(arguments, message):
         reference_noise(*arguments)
 
 
-def test_tables_follow_from_the_catalogues(shared_data, repository, tmp_path):
+def test_tables_follow_from_the_catalogs(shared_data, repository, tmp_path):
     script = repository / "studies" / "derive_reference.py"
     subprocess.run(
         [sys.executable, script, shared_data / "cdpp", "--output", tmp_path],

@@ -51,7 +51,7 @@ def records(directory):
 
 
 class Backwards(Executor):
-    """Runs what it was given in the opposite order, once it is asked for results."""
+    """Runs what it was given in the opposite order, once results are requested."""
 
     def __init__(self):
         self.largest = 0

@@ -95,7 +95,7 @@ class TestTruth:
         # They are correlated: a shift of the star is a gradient of the map.
         assert np.abs(pulls).max() < 4.5
         assert 0.6 < np.sqrt(np.mean(pulls**2)) < 1.5
-        # What crosses the pixel tells its response far better than the prior of 1 %.
+        # What crosses the pixel measures its response far better than the prior of 1 %.
         assert fit.interpixel_err.min() < 0.0005
         weights = np.maximum(np.median(fit.observed, axis=0), 0)
         assert np.sum(weights * fit.interpixel) / weights.sum() == pytest.approx(1, abs=1e-9)
@@ -278,7 +278,7 @@ class TestBadInput:
         fit, messages = messages_of(tpf, 1)
         assert "columns 4, 5, 6 hold saturated pixels" in messages
         assert np.isnan(fit.residual[:, :, 5]).all()
-        # The light beside the full columns still tells where the star is.
+        # The light beside the full columns still gives the star's place.
         assert np.median(fit.y) == pytest.approx(5, abs=0.2)
         assert not np.isnan(fit_tpf(make(n=30), 1, saturation=False).residual).any()
 

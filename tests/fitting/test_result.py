@@ -148,7 +148,7 @@ def test_twin_figure_shows_the_series_and_not_the_outliers():
 
 
 def test_twin_has_the_noise_of_the_file(observation):
-    """Noise that the headers do not tell of is measured in the faint pixels."""
+    """Noise that the headers do not give is measured in the faint pixels."""
     tpf = observation.to_tpf()
     extra = 12.0 * np.random.default_rng(1).standard_normal(tpf.flux.shape)
     fit = fit_tpf(tpf + extra, 2, flux_err=np.hypot(tpf.flux_err.value, 12.0))

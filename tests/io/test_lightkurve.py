@@ -83,7 +83,7 @@ def contents(mission):
 
 @pytest.fixture(scope="module")
 def lightkurve():
-    # lightkurve says at import that its optional PRF fitter is absent.
+    # lightkurve warns at import that its optional PRF fitter is absent.
     mpl.use("agg")
     return pytest.importorskip("lightkurve")
 
@@ -105,7 +105,7 @@ def light_curve(tpf):
     return tpf.to_lightcurve()
 
 
-def test_file_is_recognised(tpf, path, mission, lightkurve):
+def test_file_is_recognized(tpf, path, mission, lightkurve):
     expected = "TessTargetPixelFile" if mission == "TESS" else "KeplerTargetPixelFile"
     with fits.open(path) as hdus:
         assert lightkurve.io.detect_filetype(hdus) == expected

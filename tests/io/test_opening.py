@@ -17,7 +17,7 @@ BLOCK = 2880
 
 
 def write(path, *, checksum):
-    """Write a file of three HDUs that says how many it has."""
+    """Write a file of three HDUs that gives their number."""
     rng = np.random.default_rng(1)
     primary = fits.PrimaryHDU()
     primary.header["NEXTEND"] = 2

@@ -62,7 +62,7 @@ OURS = {
     "SIMDATA",  # only TESS has it; ours are all simulated
     "SEED",  # how to make the file again
     "DATASUM",  # archive files before 2020 have only CHECKSUM
-    "MISSION",  # Kepler files of format 3.0 lack it; lightkurve asks for it
+    "MISSION",  # Kepler files of format 3.0 lack it; lightkurve reads it
     "TTABLEID",  # the same
     *(f"RBTDUR{n}" for n in range(1, 6)),  # campaign 5 has no rolling bands, 18 has
 }
@@ -589,7 +589,7 @@ class TestWriting:
 
     def test_other_readers(self, path):
         with warnings.catch_warnings():
-            # The archive's unit of TIME is not one that astropy knows.
+            # The archive's unit of TIME is not one of astropy's.
             warnings.simplefilter("ignore", UnitsWarning)
             table = Table.read(path, hdu=1)
         assert table["FLUX"].shape == (400, 11, 11)

@@ -1,4 +1,4 @@
-"""What every public model promises, over one table of all of them."""
+"""The contract of every public model, over one table of all of them."""
 
 import copy
 import inspect

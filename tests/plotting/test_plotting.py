@@ -100,7 +100,7 @@ FIGURES = {
 )
 @pytest.mark.parametrize("name", FIGURES)
 def test_images(name, scene, tmp_path):
-    """Compare with tests/plotting/baseline; after a wanted change copy the image that is named."""
+    """Compare with tests/plotting/baseline; after an intended change copy the named image."""
     made = tmp_path / f"{name}.png"
     FIGURES[name](scene).figure.savefig(made, dpi=50, metadata={"Software": None})
     message = compare_images(str(BASELINE / f"{name}.png"), str(made), tol=2)
@@ -108,7 +108,7 @@ def test_images(name, scene, tmp_path):
 
 
 @pytest.mark.parametrize("name", FIGURES)
-def test_every_axes_is_labelled_with_units(name, scene):
+def test_every_axes_is_labeled_with_units(name, scene):
     figure = FIGURES[name](scene).figure
     for ax in figure.axes:
         labels = [ax.get_ylabel()]

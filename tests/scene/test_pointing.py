@@ -31,8 +31,8 @@ def test_seeds_decide(name):
     assert make(50, seed=fresh.meta["seed"]) == fresh
     with pytest.raises(ValueError, match="`n_cadences` must be at least 1"):
         make(0)
-    with pytest.raises(TypeError, match="misspelt"):
-        make(5, misspelt=1.0)
+    with pytest.raises(TypeError, match="misspelled"):
+        make(5, misspelled=1.0)
 
 
 @pytest.mark.parametrize("name", ["tess", "k2_final_campaign", "random_walk", "failing_wheels"])

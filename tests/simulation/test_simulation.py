@@ -1,4 +1,4 @@
-"""The simulator against quadrature, moments, and its promises about seeds, speed and memory."""
+"""The simulator against quadrature, moments, and checks of seeds, speed and memory."""
 
 import tracemalloc
 

@@ -1,7 +1,7 @@
 """Values that the first version gave; ``tests/test_values.py`` compares today's with them.
 
 Run as ``python tests/values/record.py [CASE ...]`` to record cases again, all by default. A record
-is replaced only if the change is intended; the commit says why.
+is replaced only if the change is intended; the commit gives the reason.
 """
 
 import json
