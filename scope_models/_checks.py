@@ -78,12 +78,14 @@ def check_fields(instance):
         object.__setattr__(instance, name, value)
 
 
-def checked_integer(name, value, smallest):
-    """Return an integer that is not too small."""
+def checked_integer(name, value, smallest, largest=None):
+    """Return an integer that is not too small or too large."""
     if isinstance(value, bool) or not isinstance(value, Integral):
         raise TypeError(f"`{name}` must be an integer, got {value!r}")
     if value < smallest:
         raise ValueError(f"`{name}` must be at least {smallest}, got {value}")
+    if largest is not None and value > largest:
+        raise ValueError(f"`{name}` must be at most {largest}, got {value}")
     return int(value)
 
 
