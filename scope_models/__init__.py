@@ -1,4 +1,3 @@
-# Licensed under a 3-clause BSD style license - see LICENSE
 """Forward models of moving stars on telescope pixels, and corrections and fits with them."""
 
 import lazy_loader

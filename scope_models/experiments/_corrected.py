@@ -46,7 +46,7 @@ class CorrectedStudy(Study):
     def measure(self, task, observation):
         """Return the noise of a star without signal before and after corrections.
 
-        For each of `METHODS` the CDPP in lightkurve's convention, and, followed by "_full", the
+        For each of ``METHODS`` the CDPP in lightkurve's convention, and, followed by "_full", the
         standard deviation of means of `hours` without any filter, both in ppm of the target's
         flux, NaN where a corrector refuses the data; the same of the noise of the light alone in
         both apertures, "floor" and "floor_wide"; "pld_survival" and "scene_survival", the part of

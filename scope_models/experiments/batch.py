@@ -17,6 +17,7 @@ import numpy as np
 from astropy.table import Table
 
 from scope_models._arrays import without_unit
+from scope_models._docstrings import documented
 from scope_models.experiments._correctors import CONVENTIONS
 from scope_models.experiments._statistics import percentiles, values_of
 from scope_models.experiments._store import FILE
@@ -45,11 +46,21 @@ __all__ = [
     "simulate_table",
 ]
 
+#: Arguments of all functions that run over many files.
+RUN = """
+client : distributed.Client, str, int or concurrent.futures.Executor, optional
+    What computes, as in `run_sweep`.
+overwrite : bool, optional
+    Whether a new run may replace files in the folder.
+sweep : mapping, optional
+    Options of `run_sweep`: retry_failed, progress, chunk_size and in_flight.
+"""
 _PLANET = ("period", "t0", "depth", "duration")
 _FITS = re.compile(r"\.(fits|fit|fts)(\.gz)?$", re.IGNORECASE)
 _LONGEST = 300  # characters of the warnings of a star
 
 
+@documented(run=RUN)
 def detrend_files(paths, output_dir, client=None, *, overwrite=False, sweep=None, **options):
     """Correct the light curves of many target pixel files.
 
@@ -60,12 +71,7 @@ def detrend_files(paths, output_dir, client=None, *, overwrite=False, sweep=None
     output_dir : str or path-like
         Folder for the light curves, ``NAME-lc.fits``, and the results, as `run_experiment` writes
         them: the same call goes on where an earlier one stopped.
-    client : distributed.Client, str, int or concurrent.futures.Executor, optional
-        What computes, as in `run_sweep`.
-    overwrite : bool, optional
-        Whether a new run may replace files in the folder.
-    sweep : mapping, optional
-        Options of `run_sweep`: retry_failed, progress, chunk_size and in_flight.
+    {run}
     **options
         Arguments of `~scope_models.correctors.PLDCorrector.correct` that are numbers, text, or
         true or false; ``survival=False`` leaves out the survival of transits, which takes half
@@ -107,6 +113,7 @@ def detrend_files(paths, output_dir, client=None, *, overwrite=False, sweep=None
     return _Detrend.run(find_files(paths), output_dir, client, overwrite, sweep, options)
 
 
+@documented(run=RUN)
 def fit_files(paths, output_dir, client=None, *, overwrite=False, sweep=None, **options):
     """Fit PSF, response, positions and fluxes to many target pixel files.
 
@@ -116,12 +123,7 @@ def fit_files(paths, output_dir, client=None, *, overwrite=False, sweep=None, **
         Target pixel files, or names of targets.
     output_dir : str or path-like
         Folder for the results and the files, ``NAME-fit.fits``.
-    client : distributed.Client, str, int or concurrent.futures.Executor, optional
-        What computes, as in `run_sweep`.
-    overwrite : bool, optional
-        Whether a new run may replace files in the folder.
-    sweep : mapping, optional
-        Options of `run_sweep`.
+    {run}
     **options
         Arguments of `~scope_models.fit_tpf` that are numbers, text, or true or false;
         ``sensitivity=True`` fits a quadratic response, ``cadences=N`` uses the first N only.
@@ -150,8 +152,9 @@ def fit_files(paths, output_dir, client=None, *, overwrite=False, sweep=None, **
     return _Fit.run(find_files(paths), output_dir, client, overwrite, sweep, options)
 
 
+@documented(run=RUN)
 def inject_files(
-    paths, planets, output_dir, client=None, *, star=None, seed=1, overwrite=False, sweep=None
+    paths, planets, output_dir, client=None, *, overwrite=False, sweep=None, star=None, seed=1
 ):
     """Inject transits into many target pixel files.
 
@@ -164,18 +167,13 @@ def inject_files(
         one for each in their order. ``t0`` is the time of a mid-transit as in the file.
     output_dir : str or path-like
         Folder for the results and the files, ``NAME-injected.fits``.
-    client : distributed.Client, str, int or concurrent.futures.Executor, optional
-        What computes, as in `run_sweep`.
+    {run}
     star : {"scene", "fit"} or float, optional
         The light that is dimmed: that of the scene of a simulated file; of a fit with the defaults
         of `~scope_models.fit_tpf`; or the share of the star in all pixels. The default is the
         scene if the file has one, else the fit.
     seed : int, optional
         Seed of the photon noise, together with the name of the file.
-    overwrite : bool, optional
-        Whether a new run may replace files in the folder.
-    sweep : mapping, optional
-        Options of `run_sweep`.
 
     Returns
     -------
@@ -281,9 +279,10 @@ def inject_file(path, planet, output, *, star=None, seed=1, overwrite=False):
     }
 
 
+@documented(run=RUN)
 def simulate_table(
-    table, output_dir, client=None, *, detector="k2", motion="", cadences=1000, seed=1,
-    overwrite=False, sweep=None,
+    table, output_dir, client=None, *, overwrite=False, sweep=None,
+    detector="k2", motion="", cadences=1000, seed=1,
 ):  # fmt: skip
     """Simulate the stars of a table, a target pixel file each.
 
@@ -294,8 +293,7 @@ def simulate_table(
         ``t0``, ``depth`` and ``duration`` of a planet (days; ``t0`` after the first cadence).
     output_dir : str or path-like
         Folder for the results and the files, ``NAME.fits``, by default ``star0001.fits`` and so on.
-    client : distributed.Client, str, int or concurrent.futures.Executor, optional
-        What computes, as in `run_sweep`.
+    {run}
     detector : str, optional
         Name of a preset, or a TOML file of `~scope_models.read_detector`.
     motion : str, optional
@@ -305,10 +303,6 @@ def simulate_table(
         Cadences of each star; those of the file, if it has fewer.
     seed : int, optional
         Seed of all noise, together with the name of the star.
-    overwrite : bool, optional
-        Whether a new run may replace files in the folder.
-    sweep : mapping, optional
-        Options of `run_sweep`.
 
     Returns
     -------

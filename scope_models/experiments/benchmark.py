@@ -12,9 +12,10 @@ from astropy.io.registry import IORegistryError
 from astropy.table import Table
 
 from scope_models._checks import checked_integer
+from scope_models._docstrings import documented
 from scope_models.experiments._sky_scores import score_places
 from scope_models.experiments._statistics import percentiles, values_of
-from scope_models.experiments.batch import FileStudy
+from scope_models.experiments.batch import RUN, FileStudy
 from scope_models.experiments.skies import REGIMES, make_sky, score
 from scope_models.io import write_hdulist
 from scope_models.io._opening import open_fits
@@ -64,7 +65,8 @@ def benchmark_star(number):
     return make_sky(names[number % len(names)], _FIRST_SEED + number, n_cadences=_CADENCES)
 
 
-def make_benchmark(output_dir, client=None, *, stars=_STARS, overwrite=False, sweep=None):
+@documented(run=RUN)
+def make_benchmark(output_dir, client=None, *, overwrite=False, sweep=None, stars=_STARS):
     """Write the target pixel files of the benchmark, without their truth.
 
     The files are the same on every machine: fluxes are rounded to 1/64 e-/s.
@@ -73,14 +75,9 @@ def make_benchmark(output_dir, client=None, *, stars=_STARS, overwrite=False, sw
     ----------
     output_dir : str or path-like
         Folder for the files, ``sky000-REGIME.fits`` and so on.
-    client : distributed.Client, str, int or concurrent.futures.Executor, optional
-        What computes, as in `run_sweep`.
+    {run}
     stars : int, optional
         The first so many stars.
-    overwrite : bool, optional
-        Whether a new run may replace files in the folder.
-    sweep : mapping, optional
-        Options of `run_sweep`.
 
     Returns
     -------

@@ -91,7 +91,10 @@ class GroundPLD(CorrectedStudy):
             self.cadences, cadence=_CADENCE, night=_NIGHT, drift=task["drift"],
             aperture=self.aperture, seed=seed,
         )  # fmt: skip
-        airmass = _airmass(motion.time - motion.time[0])
+        # The stars cross the zenith in the middle of each night.
+        days = motion.time - motion.time[0]
+        hours = 24 * (days - np.floor(days + 1e-9))
+        airmass = 1 / np.cos(np.radians(14 * (hours - _NIGHT / 2)))
         effects = (
             Extinction(_EXTINCTION, airmass, scatter=_CLOUDS, correlation_time=0.05),
             Scintillation(self.aperture, _ALTITUDE, airmass),
@@ -179,12 +182,6 @@ class GroundPLD(CorrectedStudy):
             row_label="Response between pixels (%)", column_label="Drift (arcsec/h)",
             label="Noise in 30 min (ppm)", text=".0f",
         )  # fmt: skip
-
-
-def _airmass(days):
-    """Return the airmass of a star that crosses the zenith in the middle of each night."""
-    hours = 24 * (days - np.floor(days + 1e-9))
-    return 1 / np.cos(np.radians(14 * (hours - _NIGHT / 2)))
 
 
 def _photometry(observation):

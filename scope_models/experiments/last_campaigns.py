@@ -112,20 +112,19 @@ class LastCampaigns(CorrectedStudy):
             )
 
     def run_star(self, task):
-        """Return the noise of a star in 6.5 h, simulated or real."""
-        return self._real_noise(task["file"]) if task["file"] else super().run_star(task)
+        """Return the noise of a star in 6.5 h, simulated or real.
 
-    def _real_noise(self, path):
-        """Return the noise of a real star in EVEREST's convention; what needs the truth is NaN.
-
-        Wild cadences hardly change this convention. The aperture is the file's.
+        That of real stars is in EVEREST's convention, which wild cadences hardly change, in the
+        aperture of the file; what needs the truth is NaN.
         """
+        if not task["file"]:
+            return super().run_star(task)
         from scope_models.correctors import PLDCorrector, SceneCorrector  # they import lightkurve
 
         row = dict.fromkeys((*self.units, *SURVIVALS, "seen", "share"), np.nan)
         for name, make in (("pld", PLDCorrector), ("scene", SceneCorrector)):
             with quiet():
-                corrector = make(path)
+                corrector = make(task["file"])
                 light_curve = corrector.correct()
             row["aperture"] = cdpp(corrector.original_lc, duration=self.hours, method="everest")
             row[name] = cdpp(light_curve, duration=self.hours, method="everest")

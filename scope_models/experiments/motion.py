@@ -130,23 +130,11 @@ class MotionTest(Study):
 
     def observation(self, task):
         """Return the pixels of a star without transits."""
-        return simulate(*self._scene(task), seed=self.star_seed(task["key"], "noise"))
-
-    def _scene(self, task):
-        """Return star, detector and motion."""
         motion = task["scale"] * cached_motion(self.motion, self.cadences)
         shape, x_0, y_0 = stamp_around(motion, _MARGINS[self.detector])
         detector = DETECTORS[self.detector](shape=shape)
-        rng = self.star_rng(task["key"])
-        return draw_star(rng, task["mag"], detector, x_0=x_0, y_0=y_0), detector, motion
-
-    def _transit(self, task, motion, detector):
-        """Return the transit of a star; its first one is anywhere within a period."""
-        first = self.star_rng(task["key"], "transit").uniform(0, _PERIOD)
-        return TransitModel.from_depth_duration(
-            1e-6 * self.transit_depth, _DURATION, _PERIOD, motion.time[0] + first,
-            exposure_time=detector.cadence_days,
-        )  # fmt: skip
+        star = draw_star(self.star_rng(task["key"]), task["mag"], detector, x_0=x_0, y_0=y_0)
+        return simulate(star, detector, motion, seed=self.star_seed(task["key"], "noise"))
 
     def measure(self, task, observation):
         """Return the noise of a star before and after de-trending, and depths of transits.
@@ -173,17 +161,20 @@ class MotionTest(Study):
                 if best is not None:
                     settings[name] = best
         if task["scale"] in self.transit_scales:
-            row |= self._depths(task, aperture, settings)
+            row |= self._depths(task, observation, aperture, settings)
         return row
 
-    def _depths(self, task, aperture, settings):
-        """Return the depths of transits that are put in."""
+    def _depths(self, task, observation, aperture, settings):
+        """Return the depths of transits, of which the first one is anywhere within a period."""
         from scope_models.correctors import PLDCorrector
 
-        star, detector, motion = self._scene(task)
-        planet = self._transit(task, motion, detector)
-        seed = self.star_seed(task["key"], "noise")
-        tpf = simulate(star.replace(signal=planet), detector, motion, seed=seed).to_tpf()
+        first = self.star_rng(task["key"], "transit").uniform(0, _PERIOD)
+        planet = TransitModel.from_depth_duration(
+            1e-6 * self.transit_depth, _DURATION, _PERIOD, observation.time[0] + first,
+            exposure_time=observation.detector.cadence_days,
+        )  # fmt: skip
+        star = observation.stars[0].replace(signal=planet)
+        tpf = simulate(observation.scene.replace(stars=[star])).to_tpf()
         transit = planet(tpf.time.value)
         outside = transit == 1
         corrector = PLDCorrector(tpf, aperture_mask=aperture)
@@ -192,17 +183,16 @@ class MotionTest(Study):
         corrector.correct(order=self.order, transit_model=transit)
         result = corrector.result
         found["joint"] = result.transit_scale, result.transit_scale_err
-        row = {}
-        for name, (scale, error) in found.items():
-            row[f"depth_{name}"] = scale * self.transit_depth
-            row[f"depth_{name}_error"] = error * self.transit_depth
+        row = {
+            f"depth_{name}{end}": value * self.transit_depth
+            for name, values in found.items()
+            for end, value in zip(("", "_error"), values, strict=True)
+        }
         flux = corrector.correct(order=self.order).flux.value
         row["survival_pld"] = transit_amplitude(flux, transit)
         for name, setting in settings.items():
-            for column, mask, unit in (
-                ("survival", None, 1),
-                ("depth", outside, self.transit_depth),
-            ):
+            ways = ("survival", None, 1), ("depth", outside, self.transit_depth)
+            for column, mask, unit in ways:
                 flux = correct(name, setting, tpf, aperture, mask)
                 if flux is not None:
                     row[f"{column}_{name}"] = unit * transit_amplitude(flux, transit)
@@ -237,11 +227,10 @@ class MotionTest(Study):
             for values in [values_of(table, f"survival_{name}")]
             if np.isfinite(values).any()
         }
-        summary.meta["kepler_like_to"] = {}
-        for scale in sorted(set(summary["scale"])):
-            part = summary[summary["scale"] == scale]
-            faintest = kepler_like_to(part["mag"], part["pld_everest"], part["kepler_median"])
-            summary.meta["kepler_like_to"][f"{scale:g}x"] = faintest
+        summary.meta["kepler_like_to"] = {
+            name: kepler_like_to(part["mag"], part["pld_everest"], part["kepler_median"])
+            for name, part in _by_scale(summary).items()
+        }
         for name in summary.colnames:
             if name.removesuffix("_low").removesuffix("_high") in (*self.units, *_KEPLER_COLUMNS):
                 summary[name].unit = "ppm"
@@ -267,14 +256,13 @@ class MotionTest(Study):
         """Draw CDPP against magnitude: a panel per corrector, a curve per motion."""
         from scope_models.plotting import plot_cdpp_panels  # imports matplotlib
 
-        scales = sorted(set(summary["scale"]))
+        parts = _by_scale(summary)
         panels = {}
         for name in _present(summary):
-            panels[_TITLES[name]] = series = {}
-            for scale in scales:
-                part = summary[summary["scale"] == scale]
-                ends = [f"{name}_everest{end}" for end in ("", "_low", "_high")]
-                series[f"{scale:g}x"] = [np.array(part[k]) for k in ("mag", *ends)]
+            columns = ["mag", *(f"{name}_everest{end}" for end in ("", "_low", "_high"))]
+            panels[_TITLES[name]] = {
+                scale: [np.array(part[k]) for k in columns] for scale, part in parts.items()
+            }
         mags = np.array(read_reference("kepler")["mag"])  # also beside the stars, if they are few
         mags = mags[(mags >= min(summary["mag"]) - 0.5) & (mags <= max(summary["mag"]) + 0.5)]
         kepler = {"mag": mags, "label": "Kepler, median", "band_label": "Kepler, 10 % to 90 %"}
@@ -283,13 +271,13 @@ class MotionTest(Study):
         limits = [
             (claim.faintest, claim.limit, f"paper, {claim.scale:g}x")
             for claim in CLAIMS
-            if claim.limit and claim.scale in scales and "caption" not in claim.name
+            if claim.limit and f"{claim.scale:g}x" in parts and "caption" not in claim.name
         ]
-        residuals = {}
-        if "residual_everest" in summary.colnames:
-            for scale in scales:
-                part = summary[summary["scale"] == scale]
-                residuals[f"{scale:g}x"] = np.array(part["mag"]), np.array(part["residual_everest"])
+        residuals = {
+            scale: (np.array(part["mag"]), np.array(part["residual_everest"]))
+            for scale, part in parts.items()
+            if "residual_everest" in summary.colnames
+        }
         axes = plot_cdpp_panels(panels, kepler, limits=limits, residuals=residuals)
         if residuals:
             axes["Residual over noise"].set_title(f"{_TITLES['pld']}, residual over noise")
@@ -305,6 +293,12 @@ def _medians(cell, rows):
             if name in _WITH_PERCENTILES:
                 cell[f"{name}_low"], cell[f"{name}_high"] = low, high
     return cell
+
+
+def _by_scale(summary):
+    """Return the rows of each multiple of the motion, as "5x"."""
+    scales = sorted(set(summary["scale"]))
+    return {f"{scale:g}x": summary[summary["scale"] == scale] for scale in scales}
 
 
 def _present(summary):

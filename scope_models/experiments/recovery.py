@@ -157,8 +157,10 @@ class Recovery(Study):
         flat = flattened(time, flux)
         keep = ~isolated(flat)
         found = search(time[keep], flat[keep], *self.durations)
+        # If each pixel has the weight of its light.
+        weighted = np.square(observation.model() / observation.flux_err).sum(axis=(1, 2))
         row = {
-            "white_noise": 1e6 * _white_noise(observation),
+            "white_noise": 1e6 * float(np.median(1 / np.sqrt(weighted))),
             "snr": found.snr,
             "sde": found.sde,
             "found_period": found.period,
@@ -279,13 +281,6 @@ class Recovery(Study):
                 [on_grid(part, *axes, name) for name in ("completeness", "depth_ratio")]
             )
         return plot_recovery(panels, depths, mags)
-
-
-def _white_noise(observation):
-    """Return the relative white noise of a cadence if each pixel has the weight of its light."""
-    model = observation.model()
-    signal_to_noise = np.sum(np.square(model / observation.flux_err), axis=(1, 2))
-    return float(np.median(1 / np.sqrt(signal_to_noise)))
 
 
 def _half_complete(depths, completeness):

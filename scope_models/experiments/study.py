@@ -289,8 +289,9 @@ class Study(ABC):
             directory that was begun with other contents of them is refused.
         """
         values = [getattr(self, item.name) for item in dataclasses.fields(self)]
-        texts = [text for value in values for text in _strings(value)]
-        return [text for text in dict.fromkeys(texts) if Path(text).is_file()]
+        listed = (value if isinstance(value, tuple) else (value,) for value in values)
+        texts = dict.fromkeys(text for values in listed for text in values)
+        return [text for text in texts if isinstance(text, str) and text and Path(text).is_file()]
 
     def has_output(self, task):
         """Return whether the files that `run_star` writes are there; by default it writes none.
@@ -407,12 +408,3 @@ def _checked_value(name, value, hint):
         kind = {int: "an integer", str: "a string", bool: "true or false"}[hint]
         raise TypeError(f"`{name}` must be {kind}, got {value!r}")
     return value
-
-
-def _strings(value):
-    """Yield the strings of a field's value."""
-    if isinstance(value, str) and value:
-        yield value
-    elif isinstance(value, tuple):
-        for item in value:
-            yield from _strings(item)

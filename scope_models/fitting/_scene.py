@@ -43,14 +43,13 @@ def make_scene(fit, positions, signal):
     if flux <= 0:
         raise ValueError(f"the star has no flux to simulate: its median is {flux:g} e-/s")
     detector = fit.detector.replace(read_noise=_read_noise(fit))
-    mag = detector.zero_point_mag - 2.5 * np.log10(flux / detector.zero_point)
-    stars = [Star(float(mag), *middle, psf=fit.psf, signal=_signal(fit, signal))]
-    for other in fit.neighbors:
-        light = float(np.median(other.flux))
+    stars = []
+    for star in (fit, *fit.neighbors):
+        *place, light = (float(np.median(values)) for values in (star.x, star.y, star.flux))
         if light > 0:
             mag = detector.zero_point_mag - 2.5 * np.log10(light / detector.zero_point)
-            place = (float(np.median(values)) for values in (other.x, other.y))
-            stars.append(Star(float(mag), *place, psf=fit.psf))
+            own = {} if stars else {"signal": _signal(fit, signal)}
+            stars.append(Star(float(mag), *(place if stars else middle), psf=fit.psf, **own))
     motion = Motion(
         time=fit.time,
         x=x - middle[0],

@@ -222,12 +222,7 @@ def tan_projection(metadata, shape):
     matrix, words = metadata.matrix, ("",) * 4
     if matrix is None:
         matrix = cosine, 0.0 - sine, sine, cosine
-        words = (
-            ", cos(orientation)",
-            ", -sin(orientation)",
-            ", sin(orientation)",
-            ", cos(orientation)",
-        )
+        words = (f", {name}(orientation)" for name in ("cos", "-sin", "sin", "cos"))
     return {
         "CTYPE1": ("RA---TAN", "right ascension, gnomonic projection"),
         "CTYPE2": ("DEC--TAN", "declination, gnomonic projection"),
@@ -241,9 +236,7 @@ def tan_projection(metadata, shape):
         "CDELT2": (scale, "[deg] pixel scale"),
         **{
             name: (value, f"rotation matrix{word}")
-            for name, value, word in zip(
-                ("PC1_1", "PC1_2", "PC2_1", "PC2_2"), matrix, words, strict=True
-            )
+            for name, value, word in zip(_MATRIX, matrix, words, strict=True)
         },
     }
 

@@ -1,4 +1,3 @@
-# Licensed under a 3-clause BSD style license - see LICENSE
 """Models of light, of the response of pixels, of their integrals, and of stars' variability."""
 
 from scope_models.models.corrected import CorrectedPRF

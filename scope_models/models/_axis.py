@@ -1,4 +1,3 @@
-# Licensed under a 3-clause BSD style license - see LICENSE
 """
 Integrals over pixels along one axis: normal densities, Hermite functions and polynomials.
 

@@ -1,4 +1,3 @@
-# Licensed under a 3-clause BSD style license - see LICENSE
 """Which densities integrate over pixels in closed form."""
 
 from dataclasses import dataclass

@@ -1,4 +1,3 @@
-# Licensed under a 3-clause BSD style license - see LICENSE
 """The components of a PRF: densities or tables with their responses, and their derivatives."""
 
 from dataclasses import dataclass

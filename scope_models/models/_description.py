@@ -1,4 +1,3 @@
-# Licensed under a 3-clause BSD style license - see LICENSE
 """Models as what JSON can hold, and back."""
 
 import importlib

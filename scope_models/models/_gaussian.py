@@ -1,4 +1,3 @@
-# Licensed under a 3-clause BSD style license - see LICENSE
 r"""
 Exact integrals over pixels of a bivariate normal density times a polynomial.
 

@@ -1,4 +1,3 @@
-# Licensed under a 3-clause BSD style license - see LICENSE
 """Parameters of models: made per instance, and checked where they enter."""
 
 from dataclasses import dataclass
@@ -14,7 +13,6 @@ __all__ = [
     "Domain",
     "StarModel",
     "check_model_parameters",
-    "check_psf_units",
     "gaussian_box",
     "make_parameters",
     "numbers_of",
@@ -33,6 +31,24 @@ class StarModel(Fittable2DModel):
     #: Whether values are fluxes of pixels, not a density.
     pixel_integrated = False
 
+    def __init__(self, *args, **kwargs):
+        super().__init__(*args, **kwargs)
+        check_model_parameters(self)
+        self._check_units()
+
+    def _check_units(self):
+        """Raise where a unit cannot be: lengths are pixels or angles, all but the flux has none."""
+        for name in self.param_names[1:]:
+            parameter, is_length = getattr(self, name), name in self._lengths
+            if parameter.unit is not None and not (is_length and is_angle(parameter.unit)):
+                plain_array(parameter.quantity, u.pix if is_length else u.one, name)
+
+    @property
+    def _lengths(self):
+        """Parameters in the unit of x and y."""
+        kinds = getattr(self, "parameter_kinds", {})
+        return ("x_0", "y_0", *(n for n, kind in kinds.items() if kind in {"width", "offset"}))
+
     @property
     def input_units(self):
         """Units of x and y, or None."""
@@ -43,10 +59,8 @@ class StarModel(Fittable2DModel):
         unit, other = (inputs_unit[name] for name in self.inputs)
         if unit != other:
             raise UnitsError("units of x and y must be the same")
-        kinds = getattr(self, "parameter_kinds", {})
-        lengths = ("x_0", "y_0", *(n for n, kind in kinds.items() if kind in {"width", "offset"}))
         flux = outputs_unit[self.outputs[0]] * (1 if self.pixel_integrated else unit**2)
-        return {"flux": flux, **dict.fromkeys(lengths, unit)}
+        return {"flux": flux, **dict.fromkeys(self._lengths, unit)}
 
 
 def make_parameters(model, parameters):
@@ -108,20 +122,6 @@ def check_model_parameters(model):
         parameter = getattr(model, name)
         Domain(name, "finite")(model, parameter.value)
         parameter.validate(parameter.value)
-
-
-def check_psf_units(model):
-    """Raise where a parameter of a PSF has a unit that it cannot have.
-
-    Positions and widths are pixels or angles, the flux has any unit, all else none.
-    """
-    for name in model.param_names:
-        unit = getattr(model, name).unit
-        if unit is None or name == "flux":
-            continue
-        lengths = name in {"x_0", "y_0", "sigma_x", "sigma_y"}
-        if not (lengths and is_angle(unit)):
-            plain_array(getattr(model, name).quantity, u.pix if lengths else u.one, name)
 
 
 def one_number(name, value):

@@ -1,4 +1,3 @@
-# Licensed under a 3-clause BSD style license - see LICENSE
 """Images of one star in all cadences of a series: each depends on its own position alone."""
 
 import math

@@ -1,4 +1,3 @@
-# Licensed under a 3-clause BSD style license - see LICENSE
 """The sum-of-products form of a compound model, which is what gets integrated."""
 
 from dataclasses import dataclass, replace

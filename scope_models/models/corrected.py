@@ -1,4 +1,3 @@
-# Licensed under a 3-clause BSD style license - see LICENSE
 """Tables of PRFs times a smooth correction, which pixels can constrain."""
 
 import numpy as np

@@ -1,4 +1,3 @@
-# Licensed under a 3-clause BSD style license - see LICENSE
 """An empirical PSF: a smooth surface of Gauss-Hermite functions, integrated in closed form."""
 
 import numpy as np
@@ -8,8 +7,6 @@ from scope_models.models._closed_form import ClosedForm, pixels_of
 from scope_models.models._parameters import (
     Domain,
     StarModel,
-    check_model_parameters,
-    check_psf_units,
     gaussian_box,
     make_parameters,
     one_number,
@@ -89,8 +86,6 @@ class GaussHermitePSF(StarModel):
         make_parameters(self, {n: f"Coefficient of h_{k} h_{m}" for n, (k, m) in places.items()})
         values |= {"flux": flux, "x_0": x_0, "y_0": y_0, "sigma_x": sigma_x, "sigma_y": sigma_y}
         super().__init__(**(values | kwargs))
-        check_model_parameters(self)
-        check_psf_units(self)
 
     @property
     def parameter_kinds(self):

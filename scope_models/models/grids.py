@@ -1,4 +1,3 @@
-# Licensed under a 3-clause BSD style license - see LICENSE
 """PRF tables at several places of a detector: photutils' and the official ones."""
 
 from dataclasses import dataclass

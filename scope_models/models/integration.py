@@ -1,4 +1,3 @@
-# Licensed under a 3-clause BSD style license - see LICENSE
 """Integration of models over pixels: the one place where a density becomes a flux."""
 
 import warnings

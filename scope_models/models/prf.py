@@ -1,4 +1,3 @@
-# Licensed under a 3-clause BSD style license - see LICENSE
 """Pixel response functions: what a fit or a renderer sees of a star, flux per pixel."""
 
 import numpy as np
@@ -10,7 +9,6 @@ from scope_models._arrays import plain_array, without_unit
 from scope_models.models._components import Component, Response
 from scope_models.models._parameters import (
     StarModel,
-    check_model_parameters,
     make_parameters,
     numbers_of,
     one_number,
@@ -136,15 +134,9 @@ class PRF(StarModel):
                 values[name] = value_of(getattr(response.model, own))
         make_parameters(self, parameters)
         super().__init__(**(values | kwargs))
-        check_model_parameters(self)
-        for name in ("x_0", "y_0"):
-            plain_array(value_of(getattr(self, name)), u.pixel, name)
         if any(getattr(c.model, "fit_deriv", None) is None for c in self._components):
             self.fit_deriv = None  # fitters then estimate the derivatives
 
-    # -----------------------------------------------------------------------------------------
-    # Parts
-    # -----------------------------------------------------------------------------------------
     @property
     def n_components(self):
         """Number of densities or tables in the compound."""
@@ -272,9 +264,6 @@ class PRF(StarModel):
             raise ValueError(f"`values` has no parameter {', '.join(sorted(unknown))}")
         return own | {name: float(value) for name, value in (values or {}).items()}
 
-    # -----------------------------------------------------------------------------------------
-    # Evaluation
-    # -----------------------------------------------------------------------------------------
     def _fractions(self, values):
         """Part of the flux in each component."""
         others = [values[c.fraction] for c in self._components if c.fraction]
@@ -410,29 +399,21 @@ class PRF(StarModel):
         values = {name: without_unit(value_of(getattr(self, name))) for name in self.param_names}
         given = {"flux": flux, "x_0": x_0, "y_0": y_0}
         given = {k: value_of(getattr(self, k)) if v is None else v for k, v in given.items()}
-        flux = given["flux"] if isinstance(given["flux"], u.Quantity) else np.asarray(given["flux"])
-        values |= {name: plain_array(given[name], u.pixel, name) for name in ("x_0", "y_0")}
-        for name, value in {
-            "flux": without_unit(flux),
-            "x_0": values["x_0"],
-            "y_0": values["y_0"],
-        }.items():
+        unit = getattr(given["flux"], "unit", None)
+        own = {k: plain_array(v, u.pixel if k != "flux" else None, k) for k, v in given.items()}
+        for name, value in own.items():
             if value.ndim > 1 or not np.all(np.isfinite(value)):
                 raise ValueError(f"`{name}` must be finite, a number or of shape (n,)")
+        shapes = [value.shape for value in own.values()]
         try:
-            np.broadcast_shapes(np.shape(flux), values["x_0"].shape, values["y_0"].shape)
+            np.broadcast_shapes(*shapes)
         except ValueError as error:
             raise ValueError(
-                "`flux`, `x_0` and `y_0` must have the same length, got shapes "
-                f"{np.shape(flux)}, {values['x_0'].shape} and {values['y_0'].shape}"
+                f"`flux`, `x_0` and `y_0` must have the same length, got shapes {shapes}"
             ) from error
-        values["flux"] = without_unit(flux)
-        images = self._images(PixelPoints.from_shape(shape), values)
-        return images * flux.unit if isinstance(flux, u.Quantity) else images
+        images = self._images(PixelPoints.from_shape(shape), values | own)
+        return images if unit is None else images * unit
 
-    # -----------------------------------------------------------------------------------------
-    # Extent and units
-    # -----------------------------------------------------------------------------------------
     def bounding_box(self):
         """
         Rectangle that holds all pixels that the components' bounding boxes reach.
@@ -456,6 +437,10 @@ class PRF(StarModel):
             for axis in range(2)
         )
 
+    def _check_units(self):
+        for name in ("x_0", "y_0"):  # the components have checked theirs
+            plain_array(value_of(getattr(self, name)), u.pixel, name)
+
     def _parameter_units_for_data_units(self, inputs_unit, outputs_unit):
         units = super()._parameter_units_for_data_units(inputs_unit, outputs_unit)
         data = {name: 1 * unit for name, unit in {**inputs_unit, **outputs_unit}.items()}
@@ -466,9 +451,6 @@ class PRF(StarModel):
         return units
 
 
-# ---------------------------------------------------------------------------------------------
-# Helpers
-# ---------------------------------------------------------------------------------------------
 def _like(source, name, *, fixed=None):
     """A parameter with the constraints of another."""
     if source.tied:

@@ -1,4 +1,3 @@
-# Licensed under a 3-clause BSD style license - see LICENSE
 """Point spread functions: the light of a star before the pixel, as densities."""
 
 from functools import reduce
@@ -15,8 +14,6 @@ from scope_models.models._gaussian import gaussian_derivatives, gaussian_pixels
 from scope_models.models._parameters import (
     Domain,
     StarModel,
-    check_model_parameters,
-    check_psf_units,
     gaussian_box,
 )
 
@@ -98,21 +95,8 @@ class BivariateGaussianPSF(StarModel):
     #: Kinds of the parameters in a fit.
     parameter_kinds: ClassVar = {"sigma_x": "width", "sigma_y": "width", "rho": "correlation"}
 
-    def __init__(
-        self,
-        flux=1.0,
-        x_0=0.0,
-        y_0=0.0,
-        sigma_x=sigma_x.default,
-        sigma_y=sigma_y.default,
-        rho=rho.default,
-        **kwargs,
-    ):
-        super().__init__(
-            flux=flux, x_0=x_0, y_0=y_0, sigma_x=sigma_x, sigma_y=sigma_y, rho=rho, **kwargs
-        )
-        check_model_parameters(self)
-        check_psf_units(self)
+    def __init__(self, flux=1.0, x_0=0.0, y_0=0.0, sigma_x=0.5, sigma_y=0.5, rho=0.0, **kwargs):
+        super().__init__(flux, x_0, y_0, sigma_x, sigma_y, rho, **kwargs)
 
     @staticmethod
     def evaluate(x, y, flux, x_0, y_0, sigma_x, sigma_y, rho):

@@ -1,4 +1,3 @@
-# Licensed under a 3-clause BSD style license - see LICENSE
 """Sensitivity: the response of pixels, as a function of the position within them."""
 
 from typing import ClassVar

@@ -1,4 +1,3 @@
-# Licensed under a 3-clause BSD style license - see LICENSE
 """Tabulated PSFs and PRFs, which splines interpolate and integrate."""
 
 from functools import cached_property
@@ -12,8 +11,6 @@ from scope_models.models._axis import gauss_legendre
 from scope_models.models._closed_form import ClosedForm, pixels_of
 from scope_models.models._parameters import (
     StarModel,
-    check_model_parameters,
-    check_psf_units,
     numbers_of,
     value_of,
 )
@@ -177,8 +174,6 @@ class _Table(StarModel):
                 )
             self._error = _Surface(error, self._surface.oversampling, self._surface.origin)
         super().__init__(flux=flux, x_0=x_0, y_0=y_0, **kwargs)
-        check_model_parameters(self)
-        check_psf_units(self)
 
     @property
     def array(self):

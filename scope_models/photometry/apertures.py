@@ -331,21 +331,20 @@ def aperture_flux(flux, aperture, flux_err=None):
         raise ValueError(
             f"`aperture` must have shape {flux.shape[-2:]} or {flux.shape}, got {aperture.shape}"
         )
-    if aperture.dtype == bool and aperture.ndim == 2:
-        inside, weights = flux[:, aperture], 1.0
-        errors = None if flux_err is None else plain_array(flux_err, _RATE, "flux_err")[:, aperture]
-    else:
-        weights = np.broadcast_to(aperture.astype(float), flux.shape).reshape(len(flux), -1)
-        inside = np.where(weights == 0, 0.0, flux.reshape(len(flux), -1))
-        errors = None
-        if flux_err is not None:
-            errors = plain_array(flux_err, _RATE, "flux_err").reshape(len(flux), -1)
-            errors = np.where(weights == 0, 0.0, errors)
+    is_mask = aperture.dtype == bool and aperture.ndim == 2
+    weights = 1.0 if is_mask else np.broadcast_to(aperture.astype(float), flux.shape)
+
+    def weighted(cube):
+        """Return the pixels of each cadence times their weights."""
+        inside = cube[:, aperture] if is_mask else np.where(weights == 0, 0.0, weights * cube)
+        return inside.reshape(len(cube), -1)
+
     with np.errstate(invalid="ignore"):
-        total = np.sum(weights * inside, axis=1)
-        if errors is None:
+        total = np.sum(weighted(flux), axis=1)
+        if flux_err is None:
             return total
-        return total, np.sqrt(np.sum((weights * errors) ** 2, axis=1))
+        errors = weighted(plain_array(flux_err, _RATE, "flux_err"))
+        return total, np.sqrt(np.sum(errors**2, axis=1))
 
 
 def crowding(target, neighbors, aperture):
