@@ -142,8 +142,9 @@ class _Features:
         return _kernel(position, self._pivots, self._scale)
 
     def __call__(self, position):
-        """Return the functions at positions, ``(n, rank)``."""
-        return solve_triangular(self._lower, self.kernel(position).T, lower=True).T
+        """Return the kernels and the functions at positions, ``(n, rank)``."""
+        kernel = self.kernel(position)
+        return kernel, solve_triangular(self._lower, kernel.T, lower=True).T
 
     def weights(self, coefficients):
         """Return weights of the kernels that make combinations of the functions."""
@@ -222,7 +223,7 @@ class _State:
         self.good = np.ones((n, n_pixels), dtype=bool)
         self.focus, self.variable = np.zeros(n), np.zeros(n)
         self._start_positions(position, total)
-        self.smoothed = _Smoother(time, use)
+        self.smoothed, self._last = _Smoother(time, use), None
         self._place = np.where(self.known, _POSITION_PRIOR**-2, 1e-2)
         self.features = _Features(self.z[use], _SCALE, _TOLERANCE, _MAX_RANK)
         self.coarse = _Features(self.z[use], _COARSE_SCALE, _COARSE_TOLERANCE, _COARSE_RANK)
@@ -276,7 +277,7 @@ class _State:
 
     def fit_pixels(self, iteration):
         """Fit the functions of position of all pixels at once: ridge regression."""
-        basis, coarse = self.features(self.z), self.coarse(self.z)
+        _, basis, coarse = self._functions()
         a, v, w = self.brightness[:, None], self.variable[:, None], self.focus[:, None]
         parts = [a * basis]
         if iteration >= _FOCUS_FROM:
@@ -297,12 +298,18 @@ class _State:
         if strong:
             self._constant = coefficients[-few:]
 
+    def _functions(self):
+        """Return kernels, functions and coarse functions of the positions, which are kept."""
+        if self._last is None or self._last[0] is not self.z:
+            self._last = self.z, *self.features(self.z), self.coarse(self.z)[1]
+        return self._last[1:]
+
     def _images(self):
         """Return G, its derivatives by x, y and w, and N or nothing, with sums as stated."""
         inside, weights = self.aperture, self.features.weights(self._main)
-        kernel = self.features.kernel(self.z)
+        kernel, _, coarse = self._functions()
         total = (kernel @ weights[:, inside].sum(axis=1))[:, None]
-        kernel /= total
+        kernel = kernel / total
         image = kernel @ weights
 
         def without_sum(columns, coefficients):
@@ -320,7 +327,6 @@ class _State:
             focus = far[:, :, 0] * slopes[0] + far[:, :, 1] * slopes[1] - 2 * image
             focus -= image * (focus @ inside)[:, None]
         else:
-            coarse = self.coarse(self.z)
             focus = without_sum(coarse / total, self._focus)
             if self._constant is not None:
                 constant = without_sum(coarse, self._constant)
@@ -404,12 +410,10 @@ class _State:
         right[1:first] *= self.brightness
         return hessian, right
 
-    def _fit_brightness(self, own):
+    def _fit_brightness(self, own, image, slopes, constant):
         """Fit brightness and positions to some pixels, at the smoothed background and focus."""
-        image, slopes, focus, constant = self._images()
-        image = self._focused(image, focus)
-        rest = self._rest(image, constant)
-        hessian, right = self._normal_equations([image, *slopes], rest, self.good & own, 0)
+        images, rest = [values.copy() for values in (image, *slopes)], self._rest(image, constant)
+        hessian, right = self._normal_equations(images, rest, self.good & own, 0)
         hessian[[1, 2], [1, 2]] += self._place
         step, error = _solved(hessian, right)
         self.brightness = self.brightness + np.clip(step[0], -0.3, 0.3)
@@ -431,7 +435,7 @@ class _State:
         """Find the star's own variability: what is no function of position in its brightness."""
         if iteration < _CONSTANT_FROM:
             return
-        columns, use = self.features(self.z), self.use
+        columns, use = self._last[2], self.use  # of the positions before this step
         change = self.brightness - 1
         gram, right = columns[use].T @ columns[use], columns[use].T @ change[use]
         variable = change
@@ -481,14 +485,15 @@ class _State:
 
     def result(self, flux_err, own):
         """Return the light and the fractions."""
-        self._fit_brightness(own)
         still, slopes, focus, constant = self._images()
         image, inside = self._focused(still, focus), self.aperture
+        self._fit_brightness(own, image, slopes, constant)
         light = self.y - self.background
         light[~self.good] -= self._rest(image, constant)[~self.good]
         pixels, light = light, light[:, inside].sum(axis=1)
-        rest = pixels - light[:, None] * image + self.variable[:, None] * constant
-        light = light - self._varying_light(rest, image, slopes, ~own)
+        if not own.all():
+            rest = pixels - light[:, None] * image + self.variable[:, None] * constant
+            light = light - self._varying_light(rest, image, slopes, ~own)
         error = np.sqrt((flux_err[:, inside] ** 2).sum(axis=1))
         misfit = np.average(self.variance / self.noise, weights=np.maximum(self.scale, 0))
         fits = misfit < _LARGEST_MISFIT
@@ -503,7 +508,7 @@ class _State:
             light_error=error,
             shares=np.where(inside, image, 0.0),
             still=np.where(inside, still, 0.0),
-            outside=still[:, ~inside].sum(axis=1),
+            outside=still @ ~inside,
             background=self.unit * self.background,
             position=self.z,
             focus=self._slow_focus(),
@@ -518,20 +523,19 @@ class _State:
 
     def _roughness(self, light):
         """Return the typical change from cadence to cadence that positions do not explain."""
-        fit, change = self.features(self.z[self.use]), light[self.use] - 1
+        fit, change = self._functions()[1][self.use], light[self.use] - 1
         return quantile(np.abs(np.diff(change - _explained(fit, fit, change))))
 
     def _brightness_like(self, light):
         """Return the brightness with the sum's dependence on position and focus."""
-        columns = np.column_stack([self.features(self.z), self.focus]) * self.brightness[:, None]
+        columns = np.column_stack([self._functions()[1], self.focus]) * self.brightness[:, None]
         change = (self.brightness - light)[self.use]
         return self.brightness - _explained(columns, columns[self.use], change)
 
     def _varying_light(self, rest, image, slopes, others):
         """Return the light in the aperture that varies with other stars."""
-        if others.any():
-            columns = np.column_stack([self.features(self.z), self.focus])
-            rest = rest - _explained(columns, columns[self.use], rest[self.use])
+        columns = np.column_stack([self._functions()[1], self.focus])
+        rest = rest - _explained(columns, columns[self.use], rest[self.use])
         where = self.grid, self.aperture, self.use
         return varying_light(rest, image, slopes, self.noise, others, *where)
 
@@ -619,17 +623,22 @@ class _Smoother:
         start = np.where(use, (typical / np.maximum(error, 0.3 * typical)) ** 2, _NO_WEIGHT)
         values = np.where(use, values, np.interp(self.time, self.time[use], values[use]))
         best = np.inf, values
+        weight = start
         for width in _WIDTHS:
-            smooth, size = self.lines(values, start, width)
+            smooth, size, weight = self.lines(values, start, width, weight)
             if size > _WORSE * best[0]:
                 break
             if size < best[0]:
                 best = size, smooth
         return best[1]
 
-    def lines(self, values, start, width):
-        """Return robust local linear fits, and the median of leave-one-out errors."""
-        weight = start
+    def lines(self, values, start, width, weight=None):
+        """
+        Return robust local linear fits, the median of leave-one-out errors, and the weights.
+
+        The weights are those of the start, but for outliers; the search may begin with others.
+        """
+        weight = start if weight is None else weight
         for _ in range(3):
             s0, s1, s2, m0, m1 = self._moments(weight, weight * values, width)
             determinant = s0 * s2 - s1**2
@@ -640,7 +649,7 @@ class _Smoother:
             before, weight = weight, np.where(rest > _CLIP * 1.4826 * size, _NO_WEIGHT, 1.0) * start
             if (weight == before).all():
                 break
-        return smooth, size
+        return smooth, size, weight
 
     def _moments(self, weight, data, width):
         """Return moments of the weights about each cadence, to order 2, and of the data, to 1."""
