@@ -375,8 +375,9 @@ ROWS = {
     **{
         f"{kind.__name__}.{name}": (field(kind, name), default, unit)
         for kind in Pointing.__subclasses__()
-        for name, unit in kind.units.items()
-        for default in [kind.__dataclass_fields__[name].default]
+        for name, item in kind.__dataclass_fields__.items()
+        if "unit" in item.metadata
+        for unit, default in [(u.Unit(item.metadata["unit"]), item.default)]
     },
     **{
         f"Motion.{name}.start": (
