@@ -311,7 +311,7 @@ def _by_motion(rows, threshold):
     recovered, detected = (np.array(rows[name]) for name in ("recovered", "detected"))
     expected = values_of(rows, "expected_snr")
     clear = expected > 2 * threshold
-    said = {
+    numbers = {
         "planets": len(rows),
         "recovered": int(recovered.sum()),
         "expected": int(np.sum(expected >= threshold)),
@@ -330,10 +330,10 @@ def _by_motion(rows, threshold):
         if not len(value):
             continue
         weights = (truth / error) ** 2
-        said[f"{found}_ratio"] = float(np.round(np.average(value / truth, weights=weights), 4))
-        said[f"{found}_ratio_error"] = float(np.round(weights.sum() ** -0.5, 4))
-        said[f"{found}_pulls"] = float(np.round(np.std((value - truth) / error), 2))
-    return said
+        numbers[f"{found}_ratio"] = float(np.round(np.average(value / truth, weights=weights), 4))
+        numbers[f"{found}_ratio_error"] = float(np.round(weights.sum() ** -0.5, 4))
+        numbers[f"{found}_pulls"] = float(np.round(np.std((value - truth) / error), 2))
+    return numbers
 
 
 def _median(values):
