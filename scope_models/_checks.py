@@ -46,17 +46,18 @@ def checked_number(name, value, unit="", *, positive=False, any_sign=False, **op
 
 
 def number(
-    default=MISSING, unit="", *, positive=False, any_sign=False, at_most=np.inf, equivalencies=()
-):
+    default=MISSING, unit="", *, positive=False, any_sign=False, at_most=np.inf, equivalencies=(),
+    **options,
+):  # fmt: skip
     """Return a field of a dataclass, a number or a pair, that `check_fields` brings to its unit."""
     signs = {"positive": positive, "any_sign": any_sign}
     metadata = {"unit": unit, "signs": signs, "at_most": at_most, "equivalencies": equivalencies}
-    return field(default=default, metadata=metadata)
+    return field(default=default, metadata=metadata, **options)
 
 
-def integer(default, smallest):
+def integer(default, smallest, **options):
     """Return a field of a dataclass, an integer, that `check_fields` checks."""
-    return field(default=default, metadata={"smallest": smallest})
+    return field(default=default, metadata={"smallest": smallest}, **options)
 
 
 def check_fields(instance):
