@@ -22,7 +22,7 @@ _EXCESS = 0.1
 @dataclass(frozen=True)
 class Data:
     """
-    What is regressed on what.
+    Data and regressors.
 
     Parameters
     ----------
