@@ -186,8 +186,8 @@ _ALL = (
 REGIMES = {regime.name: regime for regime in _ALL}
 
 
-@dataclass(frozen=True, eq=False)
-class MessyStar:
+@dataclass(frozen=True, eq=False, repr=False)
+class MessyStar(Value):
     """A star of the messy sky: its pixels as a pipeline would deliver them, and the truth.
 
     All cadences are there, those without data too; fluxes are in e-/s.
