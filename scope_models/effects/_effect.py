@@ -1,4 +1,4 @@
-"""What all effects have in common: parameters, a truth that is drawn once, and places to act."""
+"""Base of all effects: parameters, a truth that is drawn once, and a method for each stage."""
 
 import inspect
 from collections.abc import Iterable, Mapping
@@ -31,7 +31,7 @@ TypeError, ValueError
 
 @dataclass(frozen=True, eq=False)
 class Conditions:
-    """What an effect may need of the scene.
+    """Properties of the scene that effects use.
 
     Parameters
     ----------

@@ -18,7 +18,7 @@ __all__ = ["ExperimentResult", "run_experiment"]
 
 @dataclass(frozen=True, eq=False)
 class ExperimentResult:
-    """What an experiment has found, and the files that it has written.
+    """Result of an experiment, and the files that it has written.
 
     Attributes
     ----------

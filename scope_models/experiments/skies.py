@@ -26,7 +26,7 @@ _ARGABRIGHTENING = 4096  # on the CCD
 
 @dataclass(frozen=True)
 class _Photometer:
-    """What the missions' photometers differ in, see FACTS of the missions' handbooks.
+    """Facts of a mission's photometer, from the missions' handbooks.
 
     Zero point (e-/s of a star of magnitude 12), seconds of exposure, read noise per cadence (e-),
     sky background (e-/s per pixel), full well (e-/s), width of the PSF (px), pixel scale (arcsec).

@@ -70,7 +70,7 @@ class TableColumns:
 
 @dataclass(frozen=True, eq=False)
 class PositionColumns:
-    """Where a star was, as an archive file has it: unchecked values.
+    """Positions of a star from an archive file: unchecked values.
 
     Attributes
     ----------
