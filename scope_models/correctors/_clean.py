@@ -27,7 +27,7 @@ __all__ = ["CleanPixels", "clean_pixels", "precise_aperture", "quantile"]
 #: Scale (px) of the response functions of position, and of those of focus and constant light.
 _SCALE, _COARSE_SCALE = 0.8, 1.0
 _TOLERANCE, _COARSE_TOLERANCE = 1e-9, 1e-4
-_MAX_RANK, _COARSE_RANK = 120, 25
+_MAX_RANK, _COARSE_RANK = 200, 25
 #: Number of iterations, and for stars whose constant light is learned.
 _ITERATIONS, _MORE_ITERATIONS = 7, 12
 #: The fit ends after so many iterations if the median steps of brightness, both positions and focus
@@ -536,7 +536,8 @@ class _State:
 
     def _varying_light(self, rest, image, slopes, others):
         """Return the light in the aperture that varies with other stars."""
-        columns = np.column_stack([self._functions()[1], self.focus])
+        columns = [self._functions()[1], self.focus, self.variable, self.variable[:, None] * self.z]
+        columns = np.column_stack(columns)
         rest = rest - _explained(columns, columns[self.use], rest[self.use])
         where = self.grid, self.aperture, self.use
         return varying_light(rest, image, slopes, self.noise, others, *where)
