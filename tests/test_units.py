@@ -375,8 +375,9 @@ ROWS = {
     **{
         f"{kind.__name__}.{name}": (field(kind, name), default, unit)
         for kind in Pointing.__subclasses__()
-        for name, unit in kind.units.items()
-        for default in [kind.__dataclass_fields__[name].default]
+        for name, item in kind.__dataclass_fields__.items()
+        if "unit" in item.metadata
+        for unit, default in [(u.Unit(item.metadata["unit"]), item.default)]
     },
     **{
         f"Motion.{name}.start": (
@@ -724,7 +725,8 @@ NO_UNIT = {
     "plot_detector.sensitivity", "plot_fit.chi2", "plot_twin.residuals",
     "plot_detrending_masks.scatter", "plot_recovery.depths", "plot_recovery.magnitudes",
     "plot_k2_motion.reference", "plot_no_motion.reference", "plot_no_motion.stars",
-    "plot_no_motion.summary", "PLDCorrector.aperture_mask", "plot_degeneracy.grids",
+    "plot_no_motion.summary", "PLDCorrector.aperture_mask", "SceneCorrector.aperture_mask",
+    "plot_degeneracy.grids",
 }  # fmt: skip
 # Classes whose objects the package makes, methods that astropy calls with numbers after it has
 # converted them (test_contract.py), and configurations, which files give as plain numbers.

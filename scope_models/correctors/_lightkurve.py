@@ -7,7 +7,14 @@ from astropy.utils.exceptions import AstropyDeprecationWarning
 
 from scope_models._arrays import plain_array
 
-__all__ = ["LightkurveNames", "external_columns", "named_mask", "to_collection", "translated"]
+__all__ = [
+    "FixedAperture",
+    "LightkurveNames",
+    "external_columns",
+    "named_mask",
+    "to_collection",
+    "translated",
+]
 
 _RENAMED = {"pld_order": "order", "n_pca_terms": "pca_components", "niters": "max_clips"}
 _SUCCESSORS = {
@@ -36,7 +43,16 @@ _ATTRIBUTES = {
 }
 
 
-class LightkurveNames:
+class FixedAperture:
+    """Mixin of correctors, whose sums belong to an aperture that cannot be edited."""
+
+    @property
+    def aperture_mask(self):
+        """Pixels that are summed, a read-only mask of shape ``(ny, nx)``."""
+        return self._aperture_mask
+
+
+class LightkurveNames(FixedAperture):
     """Mixin whose errors name what replaces an attribute of lightkurve's corrector."""
 
     def __getattr__(self, name):

@@ -6,6 +6,7 @@ import numpy as np
 from lightkurve.correctors.corrector import Corrector
 
 from scope_models._checks import checked_cadences
+from scope_models._values import frozen
 from scope_models.correctors._lightkurve import (
     LightkurveNames,
     named_mask,
@@ -109,7 +110,7 @@ class PLDCorrector(LightkurveNames, Corrector):
         lc.flux = np.where(pixels.usable, pixels.total, np.nan) * unit
         lc.flux_err = np.where(pixels.usable, pixels.total_err, np.nan) * unit
         self._pixels = pixels
-        self.aperture_mask = pixels.aperture.copy()
+        self._aperture_mask = frozen(pixels.aperture)
         self.original_lc = lc
         self.cadence_mask = np.ones(len(lc), dtype=bool)
         self.model = self.result = None

@@ -8,7 +8,9 @@ from astropy.table import QTable
 from lightkurve.correctors.corrector import Corrector
 
 from scope_models._checks import checked_cadences, checked_integer, checked_mask, checked_weights
+from scope_models._values import frozen
 from scope_models.correctors._flux_model import fit_flux
+from scope_models.correctors._lightkurve import FixedAperture, named_mask
 from scope_models.correctors._pixels import credible_flux
 from scope_models.correctors._result import transit_column
 from scope_models.correctors._scene_fit import WIDER, fit_scene, full_columns
@@ -141,7 +143,7 @@ class _Flux:
         return float(np.sqrt(white / 13 + np.mean(systematic)))
 
 
-class SceneCorrector(Corrector):
+class SceneCorrector(FixedAperture, Corrector):
     r"""
     Remove systematics with a model of all pixels.
 
@@ -166,9 +168,9 @@ class SceneCorrector(Corrector):
     tpf : `~lightkurve.targetpixelfile.TargetPixelFile`, str or path-like
         Kepler, K2, TESS or synthetic target pixel file, or the path of one.
     aperture_mask : array_like, optional
-        Pixels ``(ny, nx)`` that are summed, boolean, or weights ``(n_cadences, ny, nx)`` of a
-        moving aperture. By default a window that follows the star, the one of the smallest
-        expected error.
+        Pixels ``(ny, nx)`` that are summed, boolean or a name of `PLDCorrector`'s, or weights
+        ``(n_cadences, ny, nx)`` of a moving aperture. By default a window that follows the star,
+        the one of the smallest expected error.
     neighbors : array_like, `~astropy.table.Table` or `~astropy.coordinates.SkyCoord`, optional
         Other stars: columns and rows in the stamp ``(m, 2)`` in pixels, a table with columns ``x``
         and ``y`` or ``ra`` and ``dec``, or places on the sky, which are taken relative to the
@@ -209,6 +211,7 @@ class SceneCorrector(Corrector):
     def __init__(self, tpf, aperture_mask=None, neighbors=None):
         self.tpf = read_tpf(tpf)
         series = read_pixels(self.tpf)
+        aperture_mask = named_mask(self.tpf, aperture_mask, "aperture_mask")
         if np.ndim(aperture_mask) == 3:
             aperture_mask = checked_weights("aperture_mask", aperture_mask, series.flux.shape)
         elif aperture_mask is not None:
@@ -220,7 +223,7 @@ class SceneCorrector(Corrector):
             self._known = KnownNeighbors.read(neighbors, series, origin, peak)
         shown = series.aperture if aperture_mask is None else aperture_mask
         moving = shown.ndim == 3
-        self.aperture_mask = np.nanmax(shown, axis=0) > 0 if moving else shown.copy()
+        self._aperture_mask = frozen(np.nanmax(shown, axis=0) > 0 if moving else shown)
         self.original_lc = self.tpf.to_lightcurve(aperture_mask=self.aperture_mask)
         if moving:
             lc = self.original_lc

@@ -47,6 +47,14 @@ _UNITS = {
     "magnitude": (u.mag, _ANY_SIGN),
 }
 _RUNS = ("quarter", "campaign", "sector")
+# Smallest and largest values.
+_INTEGERS = {
+    **dict.fromkeys(("target_id", "n_frames", "n_readouts", "module", "sector"), (1, None)),
+    **dict.fromkeys(("quarter", "campaign", "column", "row", "seed"), (0, None)),
+    **dict.fromkeys(("mean_black", "fixed_offset"), (0, None)),
+    **dict.fromkeys(("output", "camera", "ccd"), (1, 4)),
+    "channel": (1, 4 * len(_MODULES)),
+}
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -210,14 +218,8 @@ class TPFMetadata(Value):
         """Check the fields that are numbers."""
         for name, (unit, options) in _UNITS.items():
             self._set(name, checked_number, unit=unit, **options)
-        smallest = {
-            **dict.fromkeys(("target_id", "n_frames", "n_readouts"), 1),
-            **dict.fromkeys(("channel", "module", "output", "camera", "ccd", "sector"), 1),
-            **dict.fromkeys(("quarter", "campaign", "column", "row", "seed"), 0),
-            **dict.fromkeys(("mean_black", "fixed_offset"), 0),
-        }
-        for name, least in smallest.items():
-            self._set(name, checked_integer, smallest=least)
+        for name, (smallest, largest) in _INTEGERS.items():
+            self._set(name, checked_integer, smallest=smallest, largest=largest)
 
     def _set(self, name, check, **limits):
         """Replace a field that may be None by what its check returns."""
@@ -234,15 +236,10 @@ class TPFMetadata(Value):
                 raise ValueError(
                     f"`{name}` must not be given for {self.mission}, got {getattr(self, name)}"
                 )
-        if self.channel is not None and self.channel > 4 * len(_MODULES):
-            raise ValueError(f"`channel` must be at most {4 * len(_MODULES)}, got {self.channel}")
         if self.module is not None and self.module not in _MODULES:
             raise ValueError(f"`module` must be one of {_MODULES}, got {self.module}")
-        for name, largest in (("output", 4), ("camera", 4), ("ccd", 4)):
-            if (getattr(self, name) or 0) > largest:
-                raise ValueError(f"`{name}` must be at most {largest}, got {getattr(self, name)}")
-        for name, given in (("module", self.module), ("output", self.output)):
-            implied = dict(zip(("module", "output"), self.module_and_output, strict=True))[name]
+        for name, implied in zip(("module", "output"), self.module_and_output, strict=True):
+            given = getattr(self, name)
             if given is not None and given != implied:
                 raise ValueError(
                     f"`{name}` must be {implied} for channel {self.channel}, got {given}"

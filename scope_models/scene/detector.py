@@ -2,13 +2,13 @@
 
 from dataclasses import dataclass, replace
 from html import escape
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING
 
 import astropy.units as u
 import numpy as np
 
 from scope_models._arrays import DIGITAL, PER_PIXEL, plain_array
-from scope_models._checks import check_fields, checked_integer, checked_model, checked_shape
+from scope_models._checks import check_fields, checked_model, checked_shape, integer, number
 from scope_models._docstrings import documented
 from scope_models._values import Value, frozen
 from scope_models.effects._effect import Effect, checked_effects
@@ -133,47 +133,26 @@ class Detector(Value):
     """
 
     shape: tuple[int, int]
-    zero_point: float
-    zero_point_mag: float
-    int_time: float
+    zero_point: float = number(unit=_RATE, positive=True)
+    zero_point_mag: float = number(unit=u.mag, any_sign=True)
+    int_time: float = number(unit=u.s, positive=True)
     mission: str = "custom"
-    pixel_scale: float = 1.0
-    read_time: float = 0.0
-    n_frames: int = 1
-    live_fraction: float = 1.0
-    gain: float = 1.0
-    read_noise: float = 0.0
-    background: float = 0.0
-    well_depth: float | None = None
-    fixed_offset: int = 0
-    mean_black: int = 0
+    pixel_scale: float = number(1.0, u.arcsec, positive=True, equivalencies=PER_PIXEL)
+    read_time: float = number(0.0, u.s)
+    n_frames: int = integer(1, 1)
+    live_fraction: float = number(1.0, positive=True, at_most=1)
+    gain: float = number(1.0, u.electron / u.adu, positive=True, equivalencies=DIGITAL)
+    read_noise: float = number(0.0, u.electron)
+    background: float = number(0.0, _RATE, equivalencies=PER_PIXEL)
+    well_depth: float | None = number(None, u.electron, positive=True)
+    fixed_offset: int = integer(0, 0)
+    mean_black: int = integer(0, 0)
     sensitivity: "Model | None" = None
     interpixel: np.ndarray | None = None
-    interpixel_scatter: float = 0.0
+    interpixel_scatter: float = number(0.0, at_most=1)
     interpixel_distribution: str = "uniform"
     psf: "Model | None" = None
     effects: tuple[Effect, ...] = ()
-
-    #: Units of the numbers, with the equivalencies that a quantity may have.
-    units: ClassVar[dict] = {
-        "zero_point": _RATE,
-        "zero_point_mag": u.mag,
-        "int_time": u.s,
-        "pixel_scale": (u.arcsec, PER_PIXEL),
-        "read_time": u.s,
-        "live_fraction": u.one,
-        "gain": (u.electron / u.adu, DIGITAL),
-        "read_noise": u.electron,
-        "background": (_RATE, PER_PIXEL),
-        "well_depth": u.electron,
-        "interpixel_scatter": u.one,
-    }
-    #: Of these, those that must not be 0, that may be negative, and that must not be above 1.
-    positive: ClassVar[frozenset] = frozenset(
-        {"zero_point", "int_time", "pixel_scale", "gain", "live_fraction", "well_depth"}
-    )
-    any_sign: ClassVar[frozenset] = frozenset({"zero_point_mag"})
-    at_most_one: ClassVar[frozenset] = frozenset({"live_fraction", "interpixel_scatter"})
 
     def __post_init__(self):
         """Check every field and bring it to its type."""
@@ -190,8 +169,6 @@ class Detector(Value):
                 )
             put(self, "zero_point", known[self.zero_point])
         check_fields(self)
-        for name, smallest in (("n_frames", 1), ("fixed_offset", 0), ("mean_black", 0)):
-            put(self, name, checked_integer(name, getattr(self, name), smallest))
         if self.interpixel_distribution not in _DISTRIBUTIONS:
             raise ValueError(
                 f"`interpixel_distribution` must be one of {', '.join(_DISTRIBUTIONS)}, "

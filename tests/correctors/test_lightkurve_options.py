@@ -7,7 +7,7 @@ from astropy.utils.exceptions import AstropyDeprecationWarning
 from lightkurve.correctors import DesignMatrix
 from lightkurve.correctors.cbvcorrector import KeplerCotrendingBasisVectors
 
-from scope_models.correctors import PLDCorrector
+from scope_models.correctors import PLDCorrector, SceneCorrector
 from scope_models.exceptions import DetrendingWarning
 from scope_models.experiments.skies import make_sky
 from scope_models.photometry import cdpp
@@ -178,3 +178,13 @@ def test_one_neighbor_without_a_list(star):
     corrector = PLDCorrector(star.tpf)
     flux = corrector.correct(order=1, neighbors=star.tpf).flux
     np.testing.assert_array_equal(corrector.correct(order=1, neighbors=[star.tpf]).flux, flux)
+
+
+@pytest.mark.parametrize("kind", [PLDCorrector, SceneCorrector])
+def test_the_aperture_cannot_be_edited(star, kind):
+    corrector = kind(star.tpf, "threshold")
+    np.testing.assert_array_equal(corrector.aperture_mask, star.tpf.create_threshold_mask())
+    with pytest.raises(ValueError, match="read-only"):
+        corrector.aperture_mask[:] = True
+    with pytest.raises(AttributeError, match="aperture_mask"):
+        corrector.aperture_mask = np.ones((9, 9), dtype=bool)
