@@ -4,10 +4,11 @@ The images come from a rendering of their own (a Fourier series of the PSF again
 map of each pixel's response), which neither the simulator nor the correctors and fits use.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 
 import numpy as np
 
+from scope_models._arrays import plain_number
 from scope_models._checks import checked_integer
 from scope_models._values import Value
 from scope_models.experiments._sky_light import LIGHTS, MOTIONS, make_transit, red_noise
@@ -25,7 +26,7 @@ _ARGABRIGHTENING = 4096  # on the CCD
 
 @dataclass(frozen=True)
 class _Photometer:
-    """What the missions' photometers differ in, see FACTS of the missions' handbooks.
+    """Facts of a mission's photometer, from the missions' handbooks.
 
     Zero point (e-/s of a star of magnitude 12), seconds of exposure, read noise per cadence (e-),
     sky background (e-/s per pixel), full well (e-/s), width of the PSF (px), pixel scale (arcsec).
@@ -111,6 +112,14 @@ class SkyRegime(Value):
     background: float = 3.0
     shape: tuple = (9, 9)
 
+    def __post_init__(self):
+        units = dict.fromkeys(("period", "transit_period", "duration", "focus_period"), "day")
+        units |= {"magnitude": "mag", "background": "electron / s"}
+        for item in fields(self):
+            if isinstance(item.default, float):
+                value = plain_number(getattr(self, item.name), units.get(item.name, ""), item.name)
+                object.__setattr__(self, item.name, value)
+
 
 def _kepler(name, **changes):
     return SkyRegime(name, mission="Kepler", motion="kepler", focus=0.003, **changes)
@@ -177,8 +186,8 @@ _ALL = (
 REGIMES = {regime.name: regime for regime in _ALL}
 
 
-@dataclass(frozen=True, eq=False)
-class MessyStar:
+@dataclass(frozen=True, eq=False, repr=False)
+class MessyStar(Value):
     """A star of the messy sky: its pixels as a pipeline would deliver them, and the truth.
 
     All cadences are there, those without data too; fluxes are in e-/s.
