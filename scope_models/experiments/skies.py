@@ -26,7 +26,7 @@ _ARGABRIGHTENING = 4096  # on the CCD
 
 @dataclass(frozen=True)
 class _Photometer:
-    """What the missions' photometers differ in, see FACTS of the missions' handbooks.
+    """Facts of a mission's photometer, from the missions' handbooks.
 
     Zero point (e-/s of a star of magnitude 12), seconds of exposure, read noise per cadence (e-),
     sky background (e-/s per pixel), full well (e-/s), width of the PSF (px), pixel scale (arcsec).
@@ -186,8 +186,8 @@ _ALL = (
 REGIMES = {regime.name: regime for regime in _ALL}
 
 
-@dataclass(frozen=True, eq=False)
-class MessyStar:
+@dataclass(frozen=True, eq=False, repr=False)
+class MessyStar(Value):
     """A star of the messy sky: its pixels as a pipeline would deliver them, and the truth.
 
     All cadences are there, those without data too; fluxes are in e-/s.
