@@ -55,20 +55,24 @@ def number(
     return field(default=default, metadata=metadata, **options)
 
 
-def integer(default, smallest, **options):
+def integer(default, smallest, largest=None, **options):
     """Return a field of a dataclass, an integer, that `check_fields` checks."""
-    return field(default=default, metadata={"smallest": smallest}, **options)
+    metadata = {"smallest": smallest, "largest": largest}
+    return field(default=default, metadata=metadata, **options)
 
 
 def check_fields(instance):
-    """Bring fields of a frozen dataclass, each a `number` or `integer`, to type; None stays."""
+    """Bring fields of a frozen dataclass, each a `number` or `integer`, to type.
+
+    None stays where it is the default.
+    """
     for item in fields(instance):
         name, value, known = item.name, getattr(instance, item.name), item.metadata
-        if not known or value is None:
+        if not known or (value is None and item.default is None):
             continue
         options = {"equivalencies": known.get("equivalencies", ())}
         if "smallest" in known:
-            value = checked_integer(name, value, known["smallest"])
+            value = checked_integer(name, value, known["smallest"], known["largest"])
         elif isinstance(item.default, tuple):
             value = checked_pair(name, value, known["unit"], **options)
         else:

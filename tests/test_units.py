@@ -56,6 +56,7 @@ from scope_models.experiments.k2_motion import K2MotionNoise
 from scope_models.experiments.motion import MotionTest
 from scope_models.experiments.no_motion import NoMotion
 from scope_models.experiments.recovery import Recovery
+from scope_models.experiments.skies import SkyRegime
 from scope_models.experiments.table1 import Table1
 from scope_models.experiments.tess import tess_noise
 from scope_models.io import TPFMetadata, make_tpf_hdulist, usable_positions
@@ -88,9 +89,9 @@ UNIT = re.compile(
 )
 
 
-def field(kind, name, **others):
+def field(kind, item, **others):
     """Return what makes a frozen object with one field and reads it back."""
-    return lambda value: getattr(kind(**{name: value}, **others), name)
+    return lambda value: getattr(kind(**{item: value}, **others), item)
 
 
 def parameter(make, name):
@@ -277,6 +278,14 @@ ROWS = {
     "animate_pixels.interval": (
         lambda v: animated(TIME, interval=v)._interval, 30.0, u.ms
     ),
+    **{
+        f"SkyRegime.{name}": (field(SkyRegime, name, name="mine"), value, unit)
+        for name, value, unit in (
+            ("magnitude", 13.0, u.mag), ("period", 2.0, u.day), ("transit_period", 2.0, u.day),
+            ("duration", 0.1, u.day), ("focus_period", 5.0, u.day), ("depth", 0.01, u.one),
+            ("background", 5.0, RATE),
+        )
+    },
     "sinusoidal_signal.period": (lambda v: sinusoidal_signal(0.1, v)(TIME), 4.0, u.day),
     "tabulated_signal.time": (lambda v: tabulated_signal(v, [1, 0.9, 1])(TIME / 2), TIME, u.day),
     "stochastic_signal.time": (
@@ -713,7 +722,7 @@ ANY_UNIT = {
 }  # fmt: skip
 NO_UNIT = {
     # a description that names a unit of something else
-    "Star.coord", "generate_target.roll",
+    "Star.coord", "generate_target.roll", "SkyRegime.focus", "SkyRegime.neighbors",
     "fit_tpf.interpixel", "PLDCorrector.correct.transit_model",
     "PLDCorrector.correct.regressors", "CorrectedPRF.array", "CorrectedPRF.oversampling",
     "TabulatedPSF.array", "TabulatedPSF.oversampling",
@@ -735,7 +744,7 @@ MADE_BY_THE_PACKAGE = re.compile(
     r"|\w+\.(evaluate|fit_deriv|closed_form|unit_derivatives|track|times)\."
 )
 CONFIGURATIONS = re.compile(
-    r"(BreathingPSF|GroundPLD|K2MotionNoise|MotionTest|NoMotion|Recovery|SkyRegime|Table1|bin_noise|noise_parts)\."
+    r"(BreathingPSF|GroundPLD|K2MotionNoise|MotionTest|NoMotion|Recovery|Table1|bin_noise|noise_parts)\."
 )
 
 

@@ -5,10 +5,11 @@ map of each pixel's response), which neither the simulator nor the correctors an
 """
 
 from collections import namedtuple
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 
 import numpy as np
 
+from scope_models._arrays import plain_number
 from scope_models._checks import checked_integer
 from scope_models._values import Value
 from scope_models.experiments._sky_light import LIGHTS, MOTIONS, make_transit, red_noise
@@ -100,6 +101,14 @@ class SkyRegime(Value):
     background: float = 3.0
     shape: tuple = (9, 9)
 
+    def __post_init__(self):
+        units = dict.fromkeys(("period", "transit_period", "duration", "focus_period"), "day")
+        units |= {"magnitude": "mag", "background": "electron / s"}
+        for item in fields(self):
+            if isinstance(item.default, float):
+                value = plain_number(getattr(self, item.name), units.get(item.name, ""), item.name)
+                object.__setattr__(self, item.name, value)
+
 
 def _kepler(name, **changes):
     return SkyRegime(name, mission="Kepler", motion="kepler", focus=0.003, **changes)
@@ -166,8 +175,8 @@ _ALL = (
 REGIMES = {regime.name: regime for regime in _ALL}
 
 
-@dataclass(frozen=True, eq=False)
-class MessyStar:
+@dataclass(frozen=True, eq=False, repr=False)
+class MessyStar(Value):
     """A star of the messy sky: its pixels as a pipeline would deliver them, and the truth.
 
     All cadences are there, those without data too; fluxes are in e-/s.

@@ -7,6 +7,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.interpolate import BSpline
 
+from scope_models._checks import check_fields, integer, number
 from scope_models.fitting.parameters import FitParameter, fit_parameters
 from scope_models.models._parameters import numbers_of
 
@@ -35,16 +36,19 @@ _STAR_MOVE = 1.0
 class FitOptions:
     """Options of a fit, as `~scope_models.fit_tpf` describes them."""
 
-    empirical: int = 0
+    empirical: int = integer(0, 0)
     interpixel: float = 0.01  # 0 fixes the response at 1
     background: str = "cadence"
     positions: str = "start"
-    position_error: float = 0.01
+    position_error: float = number(0.01, "pix", positive=True)
     scale_error: float = _SCALE_PRIOR  # of the path about that of POS_CORR
     loss: str = "linear"
-    loss_scale: float = 3.0
+    loss_scale: float = number(3.0, positive=True)
     saturation: bool = True
-    focus: float | None = None  # days
+    focus: float | None = number(None, "d", positive=True)
+
+    def __post_init__(self):
+        check_fields(self)
 
     @property
     def soft(self):
@@ -73,7 +77,7 @@ class State:
 
 @dataclass(frozen=True, eq=False)
 class Limits:
-    """What a step may do, as numbers."""
+    """Limits of a step, as numbers."""
 
     lower: np.ndarray  # (s,): bounds of the shared parameters
     upper: np.ndarray
@@ -103,7 +107,7 @@ class NormalEquations:
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """What is fitted to what."""
+    """Data and model of a fit."""
 
     stamps: tuple  # PixelData of each file, in the same cadences
     prf: object  # its parameters hold starts, bounds and fixed values
@@ -260,7 +264,7 @@ class Problem:
 
     @cached_property
     def limits(self):
-        """What a step may do."""
+        """Limits of a step."""
         low, high, step = (np.full(len(self.columns), v) for v in (-np.inf, np.inf, np.inf))
         if not self.path:
             ny, nx = self.data.shape
