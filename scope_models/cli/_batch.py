@@ -1,4 +1,4 @@
-"""What the commands share that compute many stars or files."""
+"""Parts of the commands that compute many stars or files."""
 
 import sys
 import warnings

@@ -32,7 +32,7 @@ _MAX_RANK, _COARSE_RANK = 120, 25
 _ITERATIONS, _MORE_ITERATIONS = 7, 12
 #: The fit ends after so many iterations if the median steps of brightness, both positions and focus
 #: are less than these parts of their errors, and the star does not vary strongly.
-_FEWEST_ITERATIONS, _SMALL_STEPS = 4, (0.1, 0.1, 0.1, 0.1)
+_FEWEST_ITERATIONS, _SMALL_STEPS = 4, (0.15, 0.15, 0.15, 0.2)
 #: Iterations after which the focus has an image of its own, and constant light counts.
 _FOCUS_FROM, _CONSTANT_FROM = 2, 3
 #: Prior standard deviations: position about POS_CORR (px), relative width.

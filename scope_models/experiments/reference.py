@@ -1,4 +1,4 @@
-"""What Kepler and K2 achieved: the noise of real stars by magnitude, small tables in the package.
+"""Noise of real stars of Kepler and K2 by magnitude: small tables in the package.
 
 ``studies/derive_reference.py`` makes them from the catalogs of the EVEREST project.
 """

@@ -282,7 +282,7 @@ def _check_pixels(options, sensitivity, interpixel):
 
 @dataclass(frozen=True)
 class _Choice:
-    """What is left to the data: the PSF, the response between pixels."""
+    """Choices that follow from the data: the PSF, the response between pixels."""
 
     psf: bool
     interpixel: bool

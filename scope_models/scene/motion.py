@@ -1,4 +1,4 @@
-"""Where a star is at each cadence: read from real files, scaled, or generated."""
+"""Positions of a star at each cadence: read from real files, scaled, or generated."""
 
 import math
 from collections.abc import Mapping

@@ -1,4 +1,4 @@
-"""What a simulation gives: pixels and the truth behind them, and how they become a TPF."""
+"""The result of a simulation: pixels, the truth behind them, and the target pixel file of both."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
