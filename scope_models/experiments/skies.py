@@ -4,6 +4,7 @@ The images come from a rendering of their own (a Fourier series of the PSF again
 map of each pixel's response), which neither the simulator nor the correctors and fits use.
 """
 
+from collections import namedtuple
 from dataclasses import dataclass, field, fields
 
 import numpy as np
@@ -23,24 +24,12 @@ __all__ = ["REGIMES", "MessyStar", "SkyRegime", "SkyScore", "make_sky", "score"]
 _CADENCE = K2Roll.cadence  # days
 _ARGABRIGHTENING = 4096  # on the CCD
 
-
-@dataclass(frozen=True)
-class _Photometer:
-    """Facts of a mission's photometer, from the missions' handbooks.
-
-    Zero point (e-/s of a star of magnitude 12), seconds of exposure, read noise per cadence (e-),
-    sky background (e-/s per pixel), full well (e-/s), width of the PSF (px), pixel scale (arcsec).
-    """
-
-    zero_point: float
-    exposure: float
-    read_noise: float
-    background: float
-    well: float
-    width: float
-    pixel_scale: float
-
-
+# Numbers of the missions' photometers, from their handbooks: zero point (e-/s of a star of
+# magnitude 12), seconds of exposure, read noise per cadence (e-), sky background (e-/s per pixel),
+# full well (e-/s), width of the PSF (px), pixel scale (arcsec).
+_Photometer = namedtuple(
+    "_Photometer", "zero_point exposure read_noise background well width pixel_scale"
+)
 _KEPLER = _Photometer(1.74e5, 1625.3, 1479.0, 166.0, 1.79e5, 0.55, 3.98)
 _PHOTOMETERS = {
     "K2": _KEPLER,
