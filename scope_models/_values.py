@@ -127,6 +127,10 @@ def _made(kind, values):
 
 def _shown(value):
     """Return text of one line."""
+    if hasattr(value, "colnames"):
+        return f"<table of {len(value)} rows>"
     if isinstance(value, np.ndarray) and value.size > 4:
         return f"<array of shape {value.shape}>"
+    if isinstance(value, Mapping):
+        return f"{{{', '.join(f'{key!r}: {_shown(item)}' for key, item in value.items())}}}"
     return " ".join(repr(value).split())
