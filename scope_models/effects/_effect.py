@@ -29,8 +29,8 @@ TypeError, ValueError
 """
 
 
-@dataclass(frozen=True, eq=False)
-class Conditions:
+@dataclass(frozen=True, eq=False, repr=False)
+class Conditions(Value):
     """Properties of the scene that effects use.
 
     Parameters
@@ -118,8 +118,8 @@ class Conditions:
         return 0 if mission is None else getattr(mission.quality, name)
 
 
-@dataclass(frozen=True, eq=False)
-class Exposures:
+@dataclass(frozen=True, eq=False, repr=False)
+class Exposures(Value):
     """Offsets of a star within each cadence.
 
     Parameters
@@ -190,8 +190,8 @@ class Exposures:
         return Exposures(self.x, self.y, self.weights).joined(grid)
 
 
-@dataclass(frozen=True)
-class Drawn:
+@dataclass(frozen=True, eq=False, repr=False)
+class Drawn(Value):
     """The truth of an effect in one observation.
 
     Parameters
