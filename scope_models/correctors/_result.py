@@ -21,6 +21,8 @@ _TRANSIT_HOURS = 6.5
 #: Smaller apertures lose light when the star moves, which the fractions explain.
 _WHOLE = 9
 _MANY, _CONTAMINATED, _FOLLOWING, _NOISY = 0.1, 0.02, 0.05, 9.0
+#: Wings of neighbors may give more light: few TESS stars are without.
+_BLENDED = 0.1
 #: Depth of the boxes of `PLDFit.survival`: so many errors of their mean, within these bounds.
 _OBVIOUS, _SHALLOW, _DEEP = 10.0, 1e-3, 0.3
 #: Largest number of times that a transit is taken out of the pixels, and what may be left, in
@@ -289,7 +291,7 @@ class PLDFit:
                 f"{100 * self.crowding:.0f} % of the light in the aperture is in pixels of other "
                 "stars: depths and amplitudes are too small by as much"
             )
-        elif self.contrast_error > _CONTAMINATED:
+        elif self.contrast_error > _BLENDED:
             found.append(
                 f"about {100 * self.contrast_error:.0f} % of the light in the aperture is in wings "
                 "of other stars: depths and amplitudes are too small by as much"
