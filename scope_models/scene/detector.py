@@ -1,7 +1,6 @@
 """The detector: what the pixels do with the light of stars."""
 
 from dataclasses import dataclass, replace
-from html import escape
 from typing import TYPE_CHECKING
 
 import astropy.units as u
@@ -17,7 +16,7 @@ from scope_models._checks import (
     number,
 )
 from scope_models._docstrings import documented
-from scope_models._values import Value, frozen
+from scope_models._values import Value, frozen, html_table
 from scope_models.effects._effect import Effect, checked_effects
 from scope_models.effects.noise import stream
 from scope_models.io.pixels import read_pixels
@@ -207,8 +206,7 @@ class Detector(Value):
             else "given",
             "PSF": "none" if self.psf is None else f"{PRF(self.psf).n_components} components",
         }
-        cells = "".join(f"<tr><th>{name}</th><td>{text}</td></tr>" for name, text in rows.items())
-        return f"<p>Detector {escape(self.mission)}</p><table>{cells}</table>"
+        return html_table(f"Detector {self.mission}", rows)
 
     @classmethod
     def preset(cls, name, cadence=None, **changes):
