@@ -35,8 +35,7 @@ _ITERATIONS, _MORE_ITERATIONS = 7, 12
 _FEWEST_ITERATIONS, _SMALL_STEPS = 4, (0.15, 0.15, 0.15, 0.2)
 #: Iterations after which the focus has an image of its own, and constant light counts.
 _FOCUS_FROM, _CONSTANT_FROM = 2, 3
-#: Pixels of the star below which cadences are fitted to those of others too: three times a cadence's
-#: parameters.
+#: With fewer pixels of the star, three for a parameter, cadences are fitted to those of others too.
 _FEWEST_OWN = 21
 #: Prior standard deviations: position about POS_CORR (px), relative width.
 _POSITION_PRIOR, _FOCUS_PRIOR = 0.02, 0.02
