@@ -115,9 +115,11 @@ def _star_lights(scene, conditions, effects):
     passed = _product(effect.starlight(drawn, conditions) for effect, drawn in effects)
     passed = np.broadcast_to(1.0 if passed is None else passed, (len(scene.stars), len(time)))
     expanded, lights = exposures.expanded(), []
-    for number, star in enumerate(scene.stars):
-        x_0, y_0 = scene.positions[number]
-        psf, response = _psf(star, detector), detector.sensitivity
+    response = detector.sensitivity
+    for number, (star, (x_0, y_0)) in enumerate(zip(scene.stars, scene.positions, strict=True)):
+        psf = detector.psf if star.psf is None else star.psf
+        if psf is None:
+            raise ValueError("`psf` must be given for the star or for the detector")
         moved = exposures if exposures.blur and is_gaussian(psf, response) else expanded
         place = moved.x + x_0, moved.y + y_0
         series = ImageSeries(psf, response, detector.shape, *place, widths, moved.blur)
@@ -157,14 +159,6 @@ def _exposures(scene, added):
         x, y = (np.interp(times, motion.time, values) for values in (motion.x, motion.y))
     exposures = Exposures(x, y, np.full(scene.n_sub, 1 / scene.n_sub))
     return reduce(Exposures.joined, (more for more in added if more is not None), exposures)
-
-
-def _psf(star, detector):
-    """Return the PSF of a star."""
-    psf = detector.psf if star.psf is None else star.psf
-    if psf is None:
-        raise ValueError("`psf` must be given for the star or for the detector")
-    return psf
 
 
 @dataclass(eq=False)
