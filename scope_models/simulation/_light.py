@@ -181,13 +181,12 @@ def gather(prepared, cadences, sums=None, aperture=None):
     scene, interpixel = prepared.scene, prepared.interpixel
     n = len(range(*cadences.indices(len(scene.motion))))
     shape = n, *scene.detector.shape
-    electrons = None
+    electrons, weights = None, interpixel if aperture is None else interpixel * aperture
     for number, light in enumerate(prepared.lights):
         images, window = light.images(cadences), light.window
         if sums is not None:
-            weights = (interpixel * aperture)[window].ravel()
-            flat = images.reshape(n, -1)
-            sums.in_aperture[number, cadences] = np.einsum("mp,p->m", flat, weights)
+            flat, seen = images.reshape(n, -1), weights[window].ravel()
+            sums.in_aperture[number, cadences] = np.einsum("mp,p->m", flat, seen)
             # One after the other: the sum is the same in pieces of any size.
             first = images[0].copy()
             images[0] += sums.images[number, *window]
