@@ -35,6 +35,8 @@ _ITERATIONS, _MORE_ITERATIONS = 7, 12
 _FEWEST_ITERATIONS, _SMALL_STEPS = 4, (0.15, 0.15, 0.15, 0.2)
 #: Iterations after which the focus has an image of its own, and constant light counts.
 _FOCUS_FROM, _CONSTANT_FROM = 2, 3
+#: With fewer pixels of the star, three for a parameter, cadences are fitted to those of others too.
+_FEWEST_OWN = 21
 #: Prior standard deviations: position about POS_CORR (px), relative width.
 _POSITION_PRIOR, _FOCUS_PRIOR = 0.02, 0.02
 #: POS_CORR that deviates by more is wrong (px).
@@ -205,7 +207,9 @@ class _State:
     def __init__(self, time, flux, flux_err, position, grid, aperture, use, own):
         n, n_pixels = flux.shape
         self.time, self.grid, self.aperture, self.use = time, grid, aperture, use
-        self.own = own  # beside other stars' light a dimming looks like a change of focus
+        self.own = own
+        # beside other stars' light a dimming looks like a change of focus
+        self.fitted = own if own.sum() >= _FEWEST_OWN else np.ones_like(own)
         typical = quantile(flux[use].T)
         self.center = grid[np.argmax(typical)].astype(float)
         offset = (grid - grid.mean(axis=0)) / np.maximum(np.ptp(grid, axis=0), 1)
@@ -354,7 +358,7 @@ class _State:
             hot = rest > _CLIP * np.sqrt(self.variance)
             hot[hot] = (rest - _CLIP * np.sqrt(self.variance) - _MISFIT * np.abs(image))[hot] > 0
             self.good = ~_single(hot, self.use)
-        hessian, right = self._normal_equations([image, *slopes, focus], rest)
+        hessian, right = self._normal_equations([image, *slopes, focus], rest, self.fitted)
         level = np.abs(self.plane[self.use, 0] - self.base[0])
         tilt = max(1.4826 * quantile(level) + abs(self.base[0]), 1e-9)
         priors = [
@@ -385,13 +389,13 @@ class _State:
             rest += self.variable[:, None] * constant
         return rest
 
-    def _normal_equations(self, images, rest, n_planes=3):
+    def _normal_equations(self, images, rest, pixels, n_planes=3):
         """
         Return the Hessian and the right side of each cadence's least squares, ``(k, k, n)``.
 
         The images are those of brightness, position, and focus. They are overwritten.
         """
-        root, damaged = self.own / np.sqrt(self.variance), np.nonzero(~self.good)
+        root, damaged = pixels / np.sqrt(self.variance), np.nonzero(~self.good)
         for values in (*images, rest):
             np.multiply(values, root, out=values)
             values[damaged] = 0
@@ -415,7 +419,7 @@ class _State:
     def _fit_brightness(self, image, slopes, constant):
         """Fit brightness and positions at the smoothed background and focus."""
         images, rest = [values.copy() for values in (image, *slopes)], self._rest(image, constant)
-        hessian, right = self._normal_equations(images, rest, 0)
+        hessian, right = self._normal_equations(images, rest, self.own, 0)
         hessian[[1, 2], [1, 2]] += self._place
         step, error = _solved(hessian, right)
         self.brightness = self.brightness + np.clip(step[0], -0.3, 0.3)
