@@ -1,6 +1,6 @@
 """Checks of arguments that several modules share."""
 
-from dataclasses import fields
+from dataclasses import MISSING, field, fields
 from numbers import Integral
 
 import numpy as np
@@ -19,6 +19,8 @@ __all__ = [
     "checked_pair",
     "checked_shape",
     "checked_weights",
+    "integer",
+    "number",
 ]
 
 
@@ -43,35 +45,51 @@ def checked_number(name, value, unit="", *, positive=False, any_sign=False, **op
     return value
 
 
-def check_fields(instance):
-    """Bring the fields of a frozen dataclass that its ``units`` name, numbers or pairs, to them.
+def number(
+    default=MISSING, unit="", *, positive=False, any_sign=False, at_most=np.inf, equivalencies=(),
+    **options,
+):  # fmt: skip
+    """Return a field of a dataclass, a number or a pair, that `check_fields` brings to its unit."""
+    signs = {"positive": positive, "any_sign": any_sign}
+    metadata = {"unit": unit, "signs": signs, "at_most": at_most, "equivalencies": equivalencies}
+    return field(default=default, metadata=metadata, **options)
 
-    A unit may have equivalencies with it. None stays. Of its fields, ``positive`` must not be 0,
-    ``any_sign`` may be negative, and ``at_most_one`` must not be above 1.
+
+def integer(default, smallest, largest=None, **options):
+    """Return a field of a dataclass, an integer, that `check_fields` checks."""
+    metadata = {"smallest": smallest, "largest": largest}
+    return field(default=default, metadata=metadata, **options)
+
+
+def check_fields(instance):
+    """Bring fields of a frozen dataclass, each a `number` or `integer`, to type.
+
+    None stays where it is the default.
     """
-    kind = type(instance)
     for item in fields(instance):
-        name, value = item.name, getattr(instance, item.name)
-        if name not in kind.units or value is None:
+        name, value, known = item.name, getattr(instance, item.name), item.metadata
+        if not known or (value is None and item.default is None):
             continue
-        unit = kind.units[name]
-        unit, names = unit if isinstance(unit, tuple) else (unit, ())
-        if isinstance(item.default, tuple):
-            value = checked_pair(name, value, unit, equivalencies=names)
+        options = {"equivalencies": known.get("equivalencies", ())}
+        if "smallest" in known:
+            value = checked_integer(name, value, known["smallest"], known["largest"])
+        elif isinstance(item.default, tuple):
+            value = checked_pair(name, value, known["unit"], **options)
         else:
-            signs = {"positive": name in kind.positive, "any_sign": name in kind.any_sign}
-            value = checked_number(name, value, unit, **signs, equivalencies=names)
-            if name in kind.at_most_one and value > 1:
-                raise ValueError(f"`{name}` must not be above 1, got {value}")
+            value = checked_number(name, value, known["unit"], **known["signs"], **options)
+            if value > known["at_most"]:
+                raise ValueError(f"`{name}` must not be above {known['at_most']}, got {value}")
         object.__setattr__(instance, name, value)
 
 
-def checked_integer(name, value, smallest):
-    """Return an integer that is not too small."""
+def checked_integer(name, value, smallest, largest=None):
+    """Return an integer that is not too small or too large."""
     if isinstance(value, bool) or not isinstance(value, Integral):
         raise TypeError(f"`{name}` must be an integer, got {value!r}")
     if value < smallest:
         raise ValueError(f"`{name}` must be at least {smallest}, got {value}")
+    if largest is not None and value > largest:
+        raise ValueError(f"`{name}` must be at most {largest}, got {value}")
     return int(value)
 
 

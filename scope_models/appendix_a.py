@@ -4,6 +4,7 @@ A thin layer over `~scope_models.Scene`, `~scope_models.simulate`, the corrector
 """
 
 import warnings
+from functools import wraps
 from operator import attrgetter
 
 import astropy.units as u
@@ -28,7 +29,7 @@ from scope_models.scene.detector import Detector
 from scope_models.scene.motion import Motion
 from scope_models.scene.scene import Scene
 from scope_models.scene.star import Star
-from scope_models.simulation import simulate
+from scope_models.simulation import Observation, simulate
 
 __all__ = ["Target", "generate_target"]
 
@@ -166,6 +167,18 @@ def generate_target(
         magdiff = checked_number("neighbor_magdiff", neighbor_magdiff, u.mag, any_sign=True)
         target.add_neighbor(magdiff=magdiff)
     return target
+
+
+def _forwarded(name):
+    """Return a method of the observation, by default with the aperture of the target."""
+    method = getattr(Observation, name)
+
+    @wraps(method)
+    def forwarded(self, *arguments, **options):
+        options = {"aperture_mask": self.aperture} | options
+        return getattr(self.observation, name)(*arguments, **options)
+
+    return forwarded
 
 
 class Target:
@@ -567,30 +580,7 @@ class Target:
         cadence = None if hasattr(flux, "time") else self.detector.cadence_days
         return cdpp(flux, duration, method, cadence=cadence)
 
-    def to_tpf(self, *, metadata=None, quality_bitmask="default"):
-        """Return lightkurve's target pixel file, with `aperture` as its own.
-
-        Parameters
-        ----------
-        metadata : mapping, optional
-            Fields of `scope_models.io.TPFMetadata`.
-        quality_bitmask : str or int, optional
-            Which flagged cadences lightkurve leaves out.
-
-        Returns
-        -------
-        `~lightkurve.targetpixelfile.KeplerTargetPixelFile`
-            The target pixel file.
-
-        Examples
-        --------
-        >>> import scope_models as scope
-        >>> scope.generate_target(ncadences=50, seed=1).to_tpf().shape[1:]
-        (7, 7)
-        """
-        return self.observation.to_tpf(
-            aperture_mask=self.aperture, metadata=metadata, quality_bitmask=quality_bitmask
-        )
+    to_tpf, write = _forwarded("to_tpf"), _forwarded("write")
 
     def to_lightcurve(self, aperture_mask=None, **options):
         """Return lightkurve's light curve of an aperture.
@@ -623,28 +613,6 @@ class Target:
         if not isinstance(mask, str):
             mask = checked_mask("aperture_mask", mask, self.detector.shape)
         return self.to_tpf(**options).to_lightcurve(aperture_mask=mask)
-
-    @documented()
-    def write(self, path, overwrite=False, *, metadata=None):
-        """Write a target pixel file with the truth and `aperture`, .fits or .fits.gz.
-
-        Parameters
-        ----------
-        {path}
-        metadata : mapping, optional
-            Fields of `scope_models.io.TPFMetadata`.
-
-        {written}
-
-        Examples
-        --------
-        >>> import scope_models as scope
-        >>> scope.generate_target(ncadences=50, seed=1).write("star.fits").name
-        'star.fits'
-        """
-        return self.observation.write(
-            path, overwrite, aperture_mask=self.aperture, metadata=metadata
-        )
 
     def detrend(self, *, mask_transits=True, **options):
         """De-trend the light curve of `aperture` by pixel-level decorrelation.

@@ -16,7 +16,7 @@ import numpy as np
 from astropy.table import Table, vstack
 
 from scope_models import Detector, PLDCorrector, TransitModel, fit_tpf, inject
-from scope_models.experiments._search import flattened, isolated, search
+from scope_models.experiments._search import search_light_curve
 from scope_models.io import read_pixels, read_tpf
 
 PERIODS = (1.5, 3.0, 6.0, 12.0, 24.0)  # days
@@ -32,11 +32,7 @@ def recovered(tpf, share, period, depth, seed):
         1e-6 * depth, DURATION, period, start, exposure_time=exposure
     )
     lc = PLDCorrector(inject(tpf, planet, share, seed=seed)).correct()
-    good = np.isfinite(lc.flux.value)
-    time, flux = lc.time.value[good], lc.flux.value[good]
-    flat = flattened(time, flux)
-    keep = ~isolated(flat)
-    found = search(time[keep], flat[keep], 0.8 * DURATION, 1.2 * DURATION)
+    time, _, found = search_light_curve(lc, 0.8 * DURATION, 1.2 * DURATION)
     matches = found.matches(period, start, DURATION, np.ptp(time))
     return bool(matches and found.snr >= THRESHOLD), found.snr, found.period
 

@@ -14,17 +14,13 @@ import warnings
 from pathlib import Path
 
 import numpy as np
+from _files import FILES
 from astropy.utils.exceptions import AstropyUserWarning
 from matplotlib import pyplot as plt
 from scipy.interpolate import BSpline
 
 from scope_models import fit_tpf
 
-FILES = {
-    "EPIC 211956421": "k2_tpf/ktwo211956421-c05_lpd-targ.fits.gz",
-    "EPIC 211983544": "k2_tpf/ktwo211983544-c18_lpd-targ.fits.gz",
-    "Kepler-62": "kepler_tpf/kplr009002278-2010174085026_lpd-targ.fits.gz",
-}
 # Peak-to-peak ppm of all light of a Gaussian of 0.45 px that crosses a pixel along one axis.
 ANCHORS = {
     "Saunders et al. (2019), drop 1.25 %": 187,

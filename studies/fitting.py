@@ -20,6 +20,7 @@ from pathlib import Path
 
 import lightkurve as lk
 import numpy as np
+from _files import FILES
 from astropy.modeling.fitting import TRFLSQFitter
 from astropy.modeling.models import Const2D
 from astropy.utils.exceptions import AstropyUserWarning
@@ -38,11 +39,6 @@ from scope_models.correctors import PLDCorrector
 from scope_models.exceptions import FitWarning
 from scope_models.photometry import cdpp
 
-FILES = {
-    "EPIC 211956421": "k2_tpf/ktwo211956421-c05_lpd-targ.fits.gz",
-    "EPIC 211983544": "k2_tpf/ktwo211983544-c18_lpd-targ.fits.gz",
-    "Kepler-62": "kepler_tpf/kplr009002278-2010174085026_lpd-targ.fits.gz",
-}
 TWO = BivariateGaussianPSF(0.75, 0, 0, 0.5, 0.45, 0.15) + BivariateGaussianPSF(
     0.25, 0.1, -0.05, 1.1, 1.2, -0.1
 )

@@ -11,17 +11,14 @@ import argparse
 from pathlib import Path
 
 import numpy as np
+from _files import FILES
 from celerite2 import GaussianProcess, terms
 
 from scope_models.correctors import PLDCorrector
 from scope_models.experiments._correctors import CONVENTIONS, quiet
 from scope_models.photometry import cdpp
 
-STARS = {
-    "EPIC 211956421": "k2_tpf/ktwo211956421-c05_lpd-targ.fits.gz",
-    "EPIC 211983544": "k2_tpf/ktwo211983544-c18_lpd-targ.fits.gz",
-}
-KEPLER_62 = "kepler_tpf/kplr009002278-2010174085026_lpd-targ.fits.gz"
+STARS = ("EPIC 211956421", "EPIC 211983544")
 #: Period (d), mid-transit (BKJD), duration (h); see tests/correctors/test_pld.py.
 PLANETS = {"b": (5.714932, 170.9189, 2.31), "d": (18.16406, 180.8117, 2.97)}
 METHODS = CONVENTIONS[::-1]
@@ -81,8 +78,8 @@ def wave(lc, period):
 
 
 def report_cdpp(folder):
-    for star, file in STARS.items():
-        tpf = read(folder / file)
+    for star in STARS:
+        tpf = read(folder / FILES[star])
         print(f"\n{star}: CDPP in ppm, lightkurve's and EVEREST's convention")
         for order in (2, 3):
             corrector = PLDCorrector(tpf)
@@ -100,7 +97,7 @@ def report_cdpp(folder):
 
 def report_variability(folder):
     """Print what each corrector leaves of the star's own wave and of sinusoids put in."""
-    path = folder / STARS[VARIABLE]
+    path = folder / FILES[VARIABLE]
     corrector = PLDCorrector(read(path))
     lc, result = corrector.correct(), corrector.result
     aperture = corrector.aperture_mask
@@ -132,7 +129,7 @@ def report_variability(folder):
 
 
 def report_transits(folder):
-    tpf = read(folder / KEPLER_62)
+    tpf = read(folder / FILES["Kepler-62"])
     time = tpf.time.value
     signals = {}
     for planet, (period, t0, duration) in PLANETS.items():

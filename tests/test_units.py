@@ -56,6 +56,7 @@ from scope_models.experiments.k2_motion import K2MotionNoise
 from scope_models.experiments.motion import MotionTest
 from scope_models.experiments.no_motion import NoMotion
 from scope_models.experiments.recovery import Recovery
+from scope_models.experiments.skies import SkyRegime
 from scope_models.experiments.table1 import Table1
 from scope_models.experiments.tess import tess_noise
 from scope_models.io import TPFMetadata, make_tpf_hdulist, usable_positions
@@ -88,9 +89,9 @@ UNIT = re.compile(
 )
 
 
-def field(kind, name, **others):
+def field(kind, item, **others):
     """Return what makes a frozen object with one field and reads it back."""
-    return lambda value: getattr(kind(**{name: value}, **others), name)
+    return lambda value: getattr(kind(**{item: value}, **others), item)
 
 
 def parameter(make, name):
@@ -277,6 +278,14 @@ ROWS = {
     "animate_pixels.interval": (
         lambda v: animated(TIME, interval=v)._interval, 30.0, u.ms
     ),
+    **{
+        f"SkyRegime.{name}": (field(SkyRegime, name, name="mine"), value, unit)
+        for name, value, unit in (
+            ("magnitude", 13.0, u.mag), ("period", 2.0, u.day), ("transit_period", 2.0, u.day),
+            ("duration", 0.1, u.day), ("focus_period", 5.0, u.day), ("depth", 0.01, u.one),
+            ("background", 5.0, RATE),
+        )
+    },
     "sinusoidal_signal.period": (lambda v: sinusoidal_signal(0.1, v)(TIME), 4.0, u.day),
     "tabulated_signal.time": (lambda v: tabulated_signal(v, [1, 0.9, 1])(TIME / 2), TIME, u.day),
     "stochastic_signal.time": (
@@ -375,8 +384,9 @@ ROWS = {
     **{
         f"{kind.__name__}.{name}": (field(kind, name), default, unit)
         for kind in Pointing.__subclasses__()
-        for name, unit in kind.units.items()
-        for default in [kind.__dataclass_fields__[name].default]
+        for name, item in kind.__dataclass_fields__.items()
+        if "unit" in item.metadata
+        for unit, default in [(u.Unit(item.metadata["unit"]), item.default)]
     },
     **{
         f"Motion.{name}.start": (
@@ -712,7 +722,7 @@ ANY_UNIT = {
 }  # fmt: skip
 NO_UNIT = {
     # a description that names a unit of something else
-    "Star.coord", "generate_target.roll",
+    "Star.coord", "generate_target.roll", "SkyRegime.focus", "SkyRegime.neighbors",
     "fit_tpf.interpixel", "PLDCorrector.correct.transit_model",
     "PLDCorrector.correct.regressors", "CorrectedPRF.array", "CorrectedPRF.oversampling",
     "TabulatedPSF.array", "TabulatedPSF.oversampling",
@@ -724,7 +734,8 @@ NO_UNIT = {
     "plot_detector.sensitivity", "plot_fit.chi2", "plot_twin.residuals",
     "plot_detrending_masks.scatter", "plot_recovery.depths", "plot_recovery.magnitudes",
     "plot_k2_motion.reference", "plot_no_motion.reference", "plot_no_motion.stars",
-    "plot_no_motion.summary", "PLDCorrector.aperture_mask", "plot_degeneracy.grids",
+    "plot_no_motion.summary", "PLDCorrector.aperture_mask", "SceneCorrector.aperture_mask",
+    "plot_degeneracy.grids",
 }  # fmt: skip
 # Classes whose objects the package makes, methods that astropy calls with numbers after it has
 # converted them (test_contract.py), and configurations, which files give as plain numbers.
@@ -733,7 +744,7 @@ MADE_BY_THE_PACKAGE = re.compile(
     r"|\w+\.(evaluate|fit_deriv|closed_form|unit_derivatives|track|times)\."
 )
 CONFIGURATIONS = re.compile(
-    r"(BreathingPSF|GroundPLD|K2MotionNoise|MotionTest|NoMotion|Recovery|SkyRegime|Table1|bin_noise|noise_parts)\."
+    r"(BreathingPSF|GroundPLD|K2MotionNoise|MotionTest|NoMotion|Recovery|Table1|bin_noise|noise_parts)\."
 )
 
 

@@ -254,7 +254,7 @@ def _make_detector(arguments):
 
 
 def _make_scene(arguments, detector, motion, fields):
-    """Return the scene that the options ask for."""
+    """Return the scene of the options."""
     given = vars(arguments)
     fields |= {"target_id": arguments.target_id, "object_name": arguments.name}
     fields["metadata"] = {name: given[name] for name in _RUNS if given[name] is not None}

@@ -23,7 +23,7 @@ from scipy.linalg import cholesky, solve_triangular
 
 from scope_models.correctors._constant_light import constant_light, varying_light
 
-__all__ = ["CleanPixels", "clean_pixels", "precise_aperture"]
+__all__ = ["CleanPixels", "clean_pixels", "precise_aperture", "quantile"]
 
 #: Scale (px) of the response functions of position, and of those of focus and constant light.
 _SCALE, _COARSE_SCALE = 0.8, 1.0
@@ -157,8 +157,9 @@ class _Features:
         return _kernel(position, self._pivots, self._scale)
 
     def __call__(self, position):
-        """Return the functions at positions, ``(n, rank)``."""
-        return solve_triangular(self._lower, self.kernel(position).T, lower=True).T
+        """Return the kernels and the functions at positions, ``(n, rank)``."""
+        kernel = self.kernel(position)
+        return kernel, solve_triangular(self._lower, kernel.T, lower=True).T
 
     def weights(self, coefficients):
         """Return weights of the kernels that make combinations of the functions."""
@@ -215,19 +216,20 @@ def clean_pixels(
         converged = state.fit_cadences(iteration)
         if converged and iteration >= _FEWEST_ITERATIONS - 1 and not state.varies:
             break
-    state.fit_brightness(own)
-    light, error = state.summed(flux_err, own)
-    less = np.median(state.error) / np.median(error)
+    images = state.images()
+    state.fit_brightness(own, images)
+    light, error = state.summed(flux_err, own, images)
+    less = quantile(state.error) / quantile(error)
     if kind == "weighted" or (kind == "auto" and less < 1):
-        refined = copy(state)
+        fitted, found = copy(state), images
         if state.misfit > _STEADY and (kind == "weighted" or less < _LESS_NOISE):
-            refined.refine(own)
-        fitted = refined.brightness_like(light)
-        part = state.roughness(fitted) / state.roughness(light)
-        if kind == "weighted" or (part < _LESS_NOISE and refined.misfit < _LARGEST_MISFIT):
-            error = np.maximum(refined.error, part * error)
-            return refined.result(fitted, error, weighted=True)
-    return state.result(light, error, weighted=False)
+            found = fitted.refine(own)
+        brightness = fitted.brightness_like(light)
+        part = state.roughness(brightness) / state.roughness(light)
+        if kind == "weighted" or (part < _LESS_NOISE and fitted.misfit < _LARGEST_MISFIT):
+            error = np.maximum(fitted.error, part * error)
+            return fitted.result(brightness, error, found, weighted=True)
+    return state.result(light, error, images, weighted=False)
 
 
 class _State:
@@ -236,33 +238,31 @@ class _State:
     def __init__(self, time, flux, flux_err, position, grid, aperture, use):
         n, n_pixels = flux.shape
         self.time, self.grid, self.aperture, self.use = time, grid, aperture, use
-        typical = _median(flux[use].T)
+        typical = quantile(flux[use].T)
         self.center = grid[np.argmax(typical)].astype(float)
         offset = (grid - grid.mean(axis=0)) / np.maximum(np.ptp(grid, axis=0), 1)
         self.planes = np.column_stack([np.ones(n_pixels), offset])
         dark = np.argsort(typical)[: max(3, n_pixels // 4)]
         self.base = self._dark_plane(typical, dark)
         planes = np.zeros((n, 3)) + self.base
-        planes[:, 0] += _median(flux[:, dark] - typical[dark])
+        planes[:, 0] += quantile(flux[:, dark] - typical[dark])
         total = (flux - planes @ self.planes.T)[:, aperture].sum(axis=1)
-        self.unit = _median(total[use])
+        self.unit = quantile(total[use])
         self.y, self.plane = flux / self.unit, planes / self.unit
         self.base = self.base / self.unit
         self.brightness = total / self.unit
-        self.noise = (_median(flux_err[use].T) / self.unit) ** 2
+        self.noise = (quantile(flux_err[use].T) / self.unit) ** 2
         self.variance = self.noise
-        self.scale = np.maximum(
-            np.quantile(self.y[use].T.copy(), 0.98, axis=1), 3 * np.sqrt(self.noise)
-        )
+        self.scale = np.maximum(quantile(self.y[use].T, 0.98), 3 * np.sqrt(self.noise))
         self.brightest = np.argsort(-typical)[:_BRIGHTEST]
         self.good = np.ones((n, n_pixels), dtype=bool)
         self.focus, self.variable = np.zeros(n), np.zeros(n)
         self._start_positions(position, total)
-        self.smoothed = _Smoother(time, use)
+        self.smoothed, self._last = _Smoother(time, use), None
         self._place = np.where(self.known, _POSITION_PRIOR**-2, 1e-2)
         self.features = _Features(self.z[use], _SCALE, _TOLERANCE, _MAX_RANK)
         self.coarse = _Features(self.z[use], _COARSE_SCALE, _COARSE_TOLERANCE, _COARSE_RANK)
-        coarse, span = self.coarse(self.expected), time[-1] - time[0]
+        coarse, span = self.coarse(self.expected)[1], time[-1] - time[0]
         degree = min(round(span / _DAYS_PER_DEGREE), _MOST_SLOW // coarse.shape[1])
         slow = np.polynomial.legendre.legvander(2 * (time - time[0]) / span - 1, degree)[:, 1:]
         self.slow = _SLOW_CHANGE * (slow[:, :, None] * coarse[:, None]).reshape(n, -1)
@@ -281,13 +281,13 @@ class _State:
         """Return level and slopes of the background, 0 where it may be the star's wings."""
         far = np.hypot(*(self.grid - self.center).T) > _FAR
         if far.sum() < _FEWEST_FAR:
-            plane = np.array([np.median(typical[dark]), 0.0, 0.0])
+            plane = np.array([quantile(typical[dark]), 0.0, 0.0])
         else:
             use = far.copy()
             for _ in range(5):
                 plane = np.linalg.lstsq(self.planes[use], typical[use], rcond=None)[0]
                 rest = typical - self.planes @ plane
-                spread = 1.4826 * np.median(np.abs(rest[use]))
+                spread = 1.4826 * quantile(np.abs(rest[use]))
                 use = far & (rest < 2 * spread) & (rest > -4 * spread)
         level = (self.planes @ plane)[self.aperture].sum()
         return plane if level > _BACKGROUND * typical[self.aperture].sum() else np.zeros(3)
@@ -296,11 +296,11 @@ class _State:
         """Begin at POS_CORR, and where that is unknown or absurd at centroids in its scale."""
         light = (self.y - self.background)[:, self.aperture]
         centroid = light @ self.grid[self.aperture] * (self.unit / total)[:, None]
-        centroid = centroid - np.median(centroid[self.use], axis=0)
+        centroid = centroid - quantile(centroid[self.use].T)
         known = np.isfinite(position).all(axis=1)
         offset = np.where(known[:, None], position, 0.0)
         fit = known & self.use
-        middle = np.median(offset[fit], axis=0) if fit.any() else np.zeros(2)
+        middle = quantile(offset[fit].T) if fit.any() else np.zeros(2)
         known &= np.abs(offset - middle).max(axis=1) < _ABSURD
         fit &= known
         if fit.sum() < 0.2 * self.use.sum() or np.ptp(offset[fit], axis=0).max() == 0:
@@ -308,7 +308,7 @@ class _State:
             self.z = self.expected = centroid
             return
         columns = np.column_stack([centroid, np.ones(len(centroid))])
-        expected = offset - np.median(offset[fit], axis=0)
+        expected = offset - quantile(offset[fit].T)
         slope = np.linalg.lstsq(columns[fit], expected[fit], rcond=None)[0]
         self.known = known
         self.expected = np.where(known[:, None], expected, columns @ slope)
@@ -316,7 +316,7 @@ class _State:
 
     def fit_pixels(self, iteration, *, slow=False):
         """Fit the functions of position of all pixels at once: ridge regression."""
-        basis, coarse = self.features(self.z), self.coarse(self.z)
+        _, basis, coarse = self._functions()
         a, v, w = self.brightness[:, None], self.variable[:, None], self.focus[:, None]
         parts = [a * basis]
         if iteration >= _FOCUS_FROM:
@@ -341,7 +341,13 @@ class _State:
         if strong:
             self._constant = coefficients[-few:]
 
-    def _images(self):
+    def _functions(self):
+        """Return kernels, functions and coarse functions of the positions, which are kept."""
+        if self._last is None or self._last[0] is not self.z:
+            self._last = self.z, *self.features(self.z), self.coarse(self.z)[1]
+        return self._last[1:]
+
+    def images(self):
         """
         Return G, the whole image, its derivatives by x, y and w, and N or nothing.
 
@@ -349,9 +355,9 @@ class _State:
         have images of their own.
         """
         inside, weights = self.aperture, self.features.weights(self._main)
-        kernel = self.features.kernel(self.z)
+        kernel, _, coarse = self._functions()
         total = (kernel @ weights[:, inside].sum(axis=1))[:, None]
-        kernel /= total
+        kernel = kernel / total
         image = kernel @ weights
 
         def without_sum(columns, coefficients):
@@ -369,7 +375,6 @@ class _State:
             focus = far[:, :, 0] * slopes[0] + far[:, :, 1] * slopes[1] - 2 * image
             focus -= image * (focus @ inside)[:, None]
         else:
-            coarse = self.coarse(self.z)
             focus = without_sum(coarse / total, self._focus)
             if self._constant is not None:
                 constant = without_sum(coarse, self._constant)
@@ -385,15 +390,15 @@ class _State:
         Return whether the step was small.
         """
         before = np.stack([self.brightness, *self.z.T, self.focus])
-        _, image, slopes, constant = self._images()
+        _, image, slopes, constant = self.images()
         rest = self._rest(image, constant)
-        spread = 1.4826 * _median(np.abs(rest[self.use].T))
+        spread = 1.4826 * quantile(np.abs(rest[self.use].T))
         self.variance = np.maximum(self.noise, spread**2)
         if iteration > 0:
             self.good = ~_single(self._hot(rest, image), self.use)
         hessian, right = self._normal_equations([image, *slopes], rest, self.good)
         level = np.abs(self.plane[self.use, 0] - self.base[0])
-        tilt = max(1.4826 * _median(level) + abs(self.base[0]), 1e-9)
+        tilt = max(1.4826 * quantile(level) + abs(self.base[0]), 1e-9)
         priors = [
             (1, self._place, (self.expected - self.z)[:, 0]),
             (2, self._place, (self.expected - self.z)[:, 1]),
@@ -412,7 +417,7 @@ class _State:
         self._anchor()
         self._set_focus(self.focus + np.clip(step[3], -0.02, 0.02), error[3], iteration)
         moved = np.abs(np.stack([self.brightness, *self.z.T, self.focus]) - before) / error[:4]
-        return bool((_median(moved[:, self.use]) < _SMALL_STEPS).all())
+        return bool((quantile(moved[:, self.use]) < _SMALL_STEPS).all())
 
     def _hot(self, rest, image):
         """
@@ -423,7 +428,7 @@ class _State:
         sigma = np.sqrt(self.variance)
         bright = min((self.scale / sigma).max() / _BRIGHT, 1.0) if self.alone else 1.0
         if bright < 1:
-            typical = 1.4826 * _median(np.abs((rest / sigma)[:, self.brightest]))
+            typical = 1.4826 * quantile(np.abs((rest / sigma)[:, self.brightest]))
             sigma = sigma * np.maximum(typical, 1)[:, None]
         excess = rest - (_HIT + bright * (_CLIP - _HIT)) * sigma
         hot = excess > 0
@@ -465,11 +470,12 @@ class _State:
         right[1:first] *= self.brightness
         return hessian, right
 
-    def fit_brightness(self, own):
+    def fit_brightness(self, own, images):
         """Fit brightness and positions to some pixels, at the smoothed background and focus."""
-        _, image, slopes, constant = self._images()
+        _, image, slopes, constant = images
         rest = self._rest(image, constant)
-        hessian, right = self._normal_equations([image, *slopes[:2]], rest, self.good & own, 0)
+        columns = [values.copy() for values in (image, *slopes[:2])]
+        hessian, right = self._normal_equations(columns, rest, self.good & own, 0)
         hessian[[1, 2], [1, 2]] += self._place
         step, error = _solved(hessian, right)
         self.brightness = self.brightness + np.clip(step[0], -0.3, 0.3)
@@ -477,12 +483,12 @@ class _State:
 
     def _set_background(self, plane, errors, iteration):
         """Smooth the background as far as the data are for it; jumps of a cadence stay."""
-        plane = plane - np.median(plane[self.use], axis=0) + self.base
+        plane = plane - quantile(plane[self.use].T) + self.base
         if iteration >= _FOCUS_FROM:
             for values, error in zip(plane.T, errors.T, strict=True):
                 smooth = self.smoothed(values, error)
                 rest = np.abs(values - smooth)
-                typical = 1.4826 * _median(rest[self.use])
+                typical = 1.4826 * quantile(rest[self.use])
                 jumps = rest > _CLIP * np.maximum(error, typical)
                 values[:] = np.where(jumps, values, smooth)
         self.plane = plane
@@ -491,19 +497,19 @@ class _State:
         """Find the star's own variability: what is no function of position in its brightness."""
         if iteration < _CONSTANT_FROM:
             return
-        columns, use = self.features(self.z), self.use
+        columns, use = self._last[2], self.use  # of the positions before this step
         change = self.brightness - 1
         gram, right = columns[use].T @ columns[use], columns[use].T @ change[use]
         variable = change
         for _ in range(3):
-            noise = 1.4826 * _median(np.abs(variable[use] - _median(variable[use])))
+            noise = 1.4826 * quantile(np.abs(variable[use] - quantile(variable[use])))
             ridge = (noise / _RESPONSE_PRIOR) ** 2 * np.eye(len(gram))
             variable = change - columns @ np.linalg.solve(gram + ridge, right)
         strong = self._is_strong(variable[use])
         if strong and iteration >= _DECIDED:
-            _, image, slopes, constant = self._images()
+            _, image, slopes, constant = self.images()
             light = self._constant_light(image, slopes[:2], constant)
-            strong = np.median(light[use]) > _FAINT
+            strong = quantile(light[use]) > _FAINT
         self.variable = variable if strong else np.zeros_like(variable)
 
     def _is_strong(self, variable):
@@ -511,13 +517,11 @@ class _State:
 
         Slower changes are no measure of constant light: focus and drifts are as slow.
         """
-        lag = round(_FAST / np.median(np.diff(self.time[self.use])))
+        lag = round(_FAST / quantile(np.diff(self.time[self.use])))
         lag = int(np.clip(lag, 2, len(variable) // 2))  # nights are short
-        far, near = (variable[k:] - variable[:-k] for k in (lag, 1))
-        size = np.mean(np.clip(far, *np.quantile(far, [0.02, 0.98])) ** 2) - np.mean(
-            np.clip(near, *np.quantile(near, [0.02, 0.98])) ** 2
-        )
-        return size > 2 * _STRONG**2
+        changes = [variable[k:] - variable[:-k] for k in (lag, 1)]
+        usual = [np.clip(each, quantile(each, 0.02), quantile(each, 0.98)) for each in changes]
+        return np.mean(usual[0] ** 2) - np.mean(usual[1] ** 2) > 2 * _STRONG**2
 
     def _anchor(self):
         """Bring positions back to the scale of POS_CORR, without what follows the brightness."""
@@ -541,43 +545,46 @@ class _State:
         focus = focus - columns @ np.linalg.lstsq(columns[use], focus[use], rcond=None)[0]
         self.focus = self.smoothed(focus, error) if iteration >= _FOCUS_FROM else focus
 
-    def summed(self, flux_err, own):
+    def summed(self, flux_err, own, images):
         """Return the sum over the aperture, cosmic rays replaced, and its error."""
-        _, image, slopes, constant = self._images()
+        _, image, slopes, constant = images
         light = self.y - self.background
         light[~self.good] -= self._rest(image, constant)[~self.good]
         pixels, light = light, light[:, self.aperture].sum(axis=1)
-        rest = pixels - light[:, None] * image + self.variable[:, None] * constant
-        light = light - self._varying_light(rest, image, slopes[:2], ~own)
+        if not own.all():
+            rest = pixels - light[:, None] * image + self.variable[:, None] * constant
+            light = light - self._varying_light(rest, image, slopes[:2], ~own)
         return light, np.sqrt((flux_err[:, self.aperture] ** 2).sum(axis=1)) / self.unit
 
-    def result(self, light, error, *, weighted):
+    def result(self, light, error, images, *, weighted):
         """Return a light and the fractions."""
-        still, image, slopes, constant = self._images()
+        still, image, slopes, constant = images
         other, inside = self._constant_light(image, slopes[:2], constant), self.aperture
         return CleanPixels(
             light=self.unit * (light - other),
             light_error=self.unit * error,
             shares=np.where(inside, image, 0.0),
             still=np.where(inside, still, 0.0),
-            outside=still[:, ~inside].sum(axis=1),
+            outside=still @ ~inside,
             background=self.unit * self.background,
             position=self.z,
             focus=self._slow_focus(),
-            constant=self.unit * np.median(other[self.use]),
+            constant=self.unit * quantile(other[self.use]),
             repaired=~self.good,
             weighted=weighted,
         )
 
     def refine(self, own):
-        """Let the images change slowly, at the focus that was found."""
+        """Let the images change slowly, at the focus that was found, and return them."""
         focus = self.focus
         for _ in range(_REFINEMENTS):
             self.fit_pixels(_ITERATIONS, slow=True)
             self.fit_cadences(_ITERATIONS)
             self.focus = focus
         self.fit_pixels(_ITERATIONS, slow=True)
-        self.fit_brightness(own)
+        images = self.images()
+        self.fit_brightness(own, images)
+        return images
 
     @property
     def misfit(self):
@@ -591,20 +598,19 @@ class _State:
 
     def roughness(self, light):
         """Return the typical change from cadence to cadence that positions do not explain."""
-        fit, change = self.features(self.z[self.use]), light[self.use] - 1
-        return np.median(np.abs(np.diff(change - _explained(fit, fit, change))))
+        fit, change = self._functions()[1][self.use], light[self.use] - 1
+        return quantile(np.abs(np.diff(change - _explained(fit, fit, change))))
 
     def brightness_like(self, light):
         """Return the brightness with the sum's dependence on position and focus."""
-        columns = np.column_stack([self.features(self.z), self.focus]) * self.brightness[:, None]
+        columns = np.column_stack([self._functions()[1], self.focus]) * self.brightness[:, None]
         change = (self.brightness - light)[self.use]
         return self.brightness - _explained(columns, columns[self.use], change)
 
     def _varying_light(self, rest, image, slopes, others):
         """Return the light in the aperture that varies with other stars."""
-        if others.any():
-            columns = np.column_stack([self.features(self.z), self.focus])
-            rest = rest - _explained(columns, columns[self.use], rest[self.use])
+        columns = np.column_stack([self._functions()[1], self.focus])
+        rest = rest - _explained(columns, columns[self.use], rest[self.use])
         where = self.grid, self.aperture, self.use
         return varying_light(rest, image, slopes, self.noise, others, *where)
 
@@ -636,10 +642,10 @@ def precise_aperture(light, variance, position):
     ndarray of bool
         The pixels, ``(n_pixels,)``.
     """
-    variance = np.median(variance, axis=0)
-    order = np.argsort(-np.quantile(light, 0.98, axis=0) / variance)
+    variance = quantile(variance.T)
+    order = np.argsort(-quantile(light.T, 0.98) / variance)
     inside = np.cumsum(light[:, order], axis=1)
-    level = np.median(inside, axis=0)
+    level = quantile(inside.T)
     noise = np.cumsum(variance[order])
     columns = np.linalg.qr(_polynomials(position, 3))[0][:, 1:]
     part = ((columns.T @ (inside / inside[:, -1:])) ** 2).sum(axis=0) / len(light) * level**2
@@ -677,7 +683,7 @@ class _Smoother:
 
     def __init__(self, time, use):
         self.time, self.use = time, use
-        self.step = _median(np.diff(time))
+        self.step = quantile(np.diff(time))
         self._index = np.rint((time - time[0]) / self.step).astype(int)
         self._kernels = {}
 
@@ -688,32 +694,37 @@ class _Smoother:
         Cadences that are not in use take the values of those around them.
         """
         use = self.use
-        typical = _median(error[use])
+        typical = quantile(error[use])
         start = np.where(use, (typical / np.maximum(error, 0.3 * typical)) ** 2, _NO_WEIGHT)
         values = np.where(use, values, np.interp(self.time, self.time[use], values[use]))
         best = np.inf, values
+        weight = start
         for width in _WIDTHS:
-            smooth, size = self.lines(values, start, width)
+            smooth, size, weight = self.lines(values, start, width, weight)
             if size > _WORSE * best[0]:
                 break
             if size < best[0]:
                 best = size, smooth
         return best[1]
 
-    def lines(self, values, start, width):
-        """Return robust local linear fits, and the median of leave-one-out errors."""
-        weight = start
+    def lines(self, values, start, width, weight=None):
+        """
+        Return robust local linear fits, the median of leave-one-out errors, and the weights.
+
+        The weights are those of the start, but for outliers; the search may begin with others.
+        """
+        weight = start if weight is None else weight
         for _ in range(3):
             s0, s1, s2, m0, m1 = self._moments(weight, weight * values, width)
             determinant = s0 * s2 - s1**2
             determinant = np.where(determinant > 1e-12 * s0 * s2, determinant, np.inf)
             smooth = (s2 * m0 - s1 * m1) / determinant
             rest = np.abs(values - smooth) / np.maximum(1 - weight * s2 / determinant, 1e-3)
-            size = _median(rest[self.use])
+            size = quantile(rest[self.use])
             before, weight = weight, np.where(rest > _CLIP * 1.4826 * size, _NO_WEIGHT, 1.0) * start
             if (weight == before).all():
                 break
-        return smooth, size
+        return smooth, size, weight
 
     def _moments(self, weight, data, width):
         """Return moments of the weights about each cadence, to order 2, and of the data, to 1."""
@@ -735,12 +746,13 @@ class _Smoother:
         return moments[:, self._index]
 
 
-def _median(values):
-    """Return the median along the last axis of finite values; faster than `numpy.median`."""
-    middle = values.shape[-1] // 2
-    if values.shape[-1] % 2:
-        return np.partition(values, middle)[..., middle]
-    return np.partition(values, (middle - 1, middle))[..., middle - 1 : middle + 1].mean(axis=-1)
+def quantile(values, part=0.5):
+    """Return a quantile along the last axis of finite values, faster than NumPy's."""
+    place = part * (values.shape[-1] - 1)
+    k = int(place)
+    ordered = np.partition(np.ascontiguousarray(values), k)
+    low = ordered[..., k]
+    return low if place == k else low + (place - k) * (ordered[..., k + 1 :].min(axis=-1) - low)
 
 
 def _solved(hessian, right):

@@ -7,7 +7,7 @@ import numpy as np
 from scipy import ndimage
 
 from scope_models._checks import checked_weights
-from scope_models.correctors._clean import clean_pixels, precise_aperture
+from scope_models.correctors._clean import clean_pixels, precise_aperture, quantile
 from scope_models.exceptions import DetrendingWarning
 from scope_models.io.pixels import usable_positions
 from scope_models.photometry import aperture_flux
@@ -138,6 +138,8 @@ def choose_aperture(flux, flux_err, pipeline=None, pos_corr=None):
 
 def _typical(flux):
     """Return the median image, NaN where there are no data."""
+    if np.isfinite(flux).all():
+        return quantile(np.moveaxis(flux, 0, -1))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # pixels without data
         return np.nanmedian(flux, axis=0)

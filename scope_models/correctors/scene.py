@@ -167,7 +167,7 @@ class SceneCorrector(FixedAperture, Corrector):
     ----------
     tpf : `~lightkurve.targetpixelfile.TargetPixelFile`, str or path-like
         Kepler, K2, TESS or synthetic target pixel file, or the path of one.
-    aperture_mask : array_like, optional
+    aperture_mask : array_like of bool or float, or str, optional
         Pixels ``(ny, nx)`` that are summed, boolean or a name of `PLDCorrector`'s, or weights
         ``(n_cadences, ny, nx)`` of a moving aperture. By default a window that follows the star,
         the one of the smallest expected error.

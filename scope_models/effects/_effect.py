@@ -3,7 +3,6 @@
 import inspect
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields
-from typing import ClassVar
 
 import numpy as np
 
@@ -253,12 +252,6 @@ class Effect(Value):
 
     #: Whether the pedestal is light, to which the pixels respond, or charge of another kind.
     is_light = True
-    #: Units of the parameters that are numbers or pairs.
-    units: ClassVar[dict] = {}
-    #: Of these, those that must not be 0, that may be negative, and that must not be above 1.
-    positive: ClassVar[frozenset] = frozenset()
-    any_sign: ClassVar[frozenset] = frozenset()
-    at_most_one: ClassVar[frozenset] = frozenset()
 
     def __init_subclass__(cls, **options):
         """Complete the docstring: all effects check their parameters alike."""

@@ -1,14 +1,13 @@
 """The atmosphere above a telescope on the ground: extinction, scintillation and seeing."""
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 from astropy.coordinates import FK5, EarthLocation, SkyCoord
 from astropy.time import Time
 
 from scope_models._arrays import plain_array, plain_time
-from scope_models._checks import checked_number
+from scope_models._checks import checked_number, number
 from scope_models._values import frozen
 from scope_models.effects._effect import Drawn, Effect, series_of
 from scope_models.missions import TIME_ZEROS
@@ -150,13 +149,10 @@ class Extinction(Effect):
     [0.1  0.15 0.2 ]
     """
 
-    coefficient: float = 0.07
+    coefficient: float = number(0.07, "mag")
     airmass: float | np.ndarray = 1.0
-    scatter: float = 0.0
-    correlation_time: float = 0.1
-
-    units: ClassVar[dict] = {"coefficient": "mag", "scatter": "mag", "correlation_time": "day"}
-    positive: ClassVar[frozenset] = frozenset({"correlation_time"})
+    scatter: float = number(0.0, "mag")
+    correlation_time: float = number(0.1, "day", positive=True)
 
     def __post_init__(self):
         super().__post_init__()
@@ -217,19 +213,11 @@ class Scintillation(Effect):
     195 ppm
     """
 
-    aperture: float = 1.0
-    altitude: float = 2400.0
+    aperture: float = number(1.0, "m", positive=True)
+    altitude: float = number(2400.0, "m")
     airmass: float | np.ndarray = 1.0
-    coefficient: float = 1.56
-    scale_height: float = 8000.0
-
-    units: ClassVar[dict] = {
-        "aperture": "m",
-        "altitude": "m",
-        "coefficient": "",
-        "scale_height": "m",
-    }
-    positive: ClassVar[frozenset] = frozenset({"aperture", "scale_height"})
+    coefficient: float = number(1.56)
+    scale_height: float = number(8000.0, "m", positive=True)
 
     def __post_init__(self):
         super().__post_init__()
@@ -303,12 +291,9 @@ class Seeing(Effect):
     [1.516 1.516 1.516]
     """
 
-    scatter: float = 0.15
-    correlation_time: float = 0.02
+    scatter: float = number(0.15)
+    correlation_time: float = number(0.02, "day", positive=True)
     airmass: float | np.ndarray = 1.0
-
-    units: ClassVar[dict] = {"scatter": "", "correlation_time": "day"}
-    positive: ClassVar[frozenset] = frozenset({"correlation_time"})
 
     def __post_init__(self):
         super().__post_init__()

@@ -1,12 +1,11 @@
 """Background: light that is not the stars', and what its subtraction leaves behind."""
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 
 from scope_models._arrays import plain_time
-from scope_models._checks import checked_number
+from scope_models._checks import checked_number, number
 from scope_models.effects._effect import Drawn, Effect, checked_series, series_of
 
 __all__ = ["Argabrightening", "Background", "ScatteredLight"]
@@ -73,19 +72,11 @@ class Background(SkyEffect):
     10.0 374.0
     """
 
-    level: float = 0.0
-    drift: float = 0.0
-    gradient: tuple[float, float] = (0.0, 0.0)
-    residual: float = 0.0
+    level: float = number(0.0, _RATE)
+    drift: float = number(0.0, "electron / (s day)", any_sign=True)
+    gradient: tuple[float, float] = number((0.0, 0.0))
+    residual: float = number(0.0, any_sign=True)
     left: np.ndarray | None = None
-
-    units: ClassVar[dict] = {
-        "level": _RATE,
-        "drift": "electron / (s day)",
-        "gradient": "",
-        "residual": "",
-    }
-    any_sign: ClassVar[frozenset] = frozenset({"drift", "residual"})
 
     def __post_init__(self):
         super().__post_init__()
@@ -152,24 +143,13 @@ class ScatteredLight(SkyEffect):
     [1.3386e+03 4.9150e+02 2.0000e-01 1.0957e+03]
     """
 
-    peak: float = 1340.0
-    time_scale: float = 1.0
-    orbit: float = 13.7
+    peak: float = number(1340.0, _RATE)
+    time_scale: float = number(1.0, "day", positive=True)
+    orbit: float = number(13.7, "day", positive=True)
     perigee: float | None = None
-    gradient: tuple[float, float] = (0.0, 0.0)
-    residual: float = 0.0
-    flag_above: float | None = None
-
-    units: ClassVar[dict] = {
-        "peak": _RATE,
-        "time_scale": "day",
-        "orbit": "day",
-        "gradient": "",
-        "residual": "",
-        "flag_above": _RATE,
-    }
-    positive: ClassVar[frozenset] = frozenset({"time_scale", "orbit"})
-    any_sign: ClassVar[frozenset] = frozenset({"residual"})
+    gradient: tuple[float, float] = number((0.0, 0.0))
+    residual: float = number(0.0, any_sign=True)
+    flag_above: float | None = number(None, _RATE)
 
     def __post_init__(self):
         super().__post_init__()
@@ -227,13 +207,10 @@ class Argabrightening(SkyEffect):
     True
     """
 
-    rate: float = 0.05
-    brightness: float = 100.0
-    gradient: tuple[float, float] = (0.0, 0.0)
-    residual: float = 0.0
-
-    units: ClassVar[dict] = {"rate": "1 / day", "brightness": _RATE, "gradient": "", "residual": ""}
-    any_sign: ClassVar[frozenset] = frozenset({"residual"})
+    rate: float = number(0.05, "1 / day")
+    brightness: float = number(100.0, _RATE)
+    gradient: tuple[float, float] = number((0.0, 0.0))
+    residual: float = number(0.0, any_sign=True)
 
     def draw(self, conditions, generator):
         """Return the light of each cadence and its shape."""

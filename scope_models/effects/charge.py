@@ -1,12 +1,11 @@
 """What a detector does to charge: smear, dark current, brighter-fatter effect, undershoot."""
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 from scipy.signal import lfilter
 
-from scope_models._checks import checked_integer
+from scope_models._checks import integer, number
 from scope_models.effects._effect import Drawn, Effect
 
 __all__ = ["BrighterFatter", "DarkCurrent", "Smear", "Undershoot"]
@@ -45,17 +44,10 @@ class Smear(Effect):
     8.06e-05
     """
 
-    rows: int = 1070
-    residual: float = 0.0
+    rows: int = integer(1070, 1)
+    residual: float = number(0.0, any_sign=True)
 
     is_light = False  # the response of the pixels is in the charge already
-
-    units: ClassVar[dict] = {"residual": ""}
-    any_sign: ClassVar[frozenset] = frozenset({"residual"})
-
-    def __post_init__(self):
-        super().__post_init__()
-        object.__setattr__(self, "rows", checked_integer("rows", self.rows, 1))
 
     def pedestal(self, drawn, conditions, part, electrons):
         """Return the smear, and the part of it that is subtracted."""
@@ -93,14 +85,11 @@ class DarkCurrent(Effect):
     9.9
     """
 
-    level: float = 1.0
-    scatter: float = 0.1
-    residual: float = 1.0
+    level: float = number(1.0, "electron / s")
+    scatter: float = number(0.1)
+    residual: float = number(1.0, any_sign=True)
 
     is_light = False
-
-    units: ClassVar[dict] = {"level": "electron / s", "scatter": "", "residual": ""}
-    any_sign: ClassVar[frozenset] = frozenset({"residual"})
 
     def draw(self, conditions, generator):
         """Return the dark current of each pixel."""
@@ -155,11 +144,8 @@ class BrighterFatter(Effect):
     0.983 1.0
     """
 
-    coefficient: float = 0.02
-    full_well: float = 1.08e6
-
-    units: ClassVar[dict] = {"coefficient": "", "full_well": "electron"}
-    positive: ClassVar[frozenset] = frozenset({"full_well"})
+    coefficient: float = number(0.02)
+    full_well: float = number(1.08e6, "electron", positive=True)
 
     def charge(self, drawn, conditions, part, electrons):
         """Move charge over the borders."""
@@ -204,11 +190,8 @@ class Undershoot(Effect):
     [[[   0.   1000.     -3.9    -3.19]]]
     """
 
-    amplitude: float = 0.0039
-    decay: float = 5.0
-
-    units: ClassVar[dict] = {"amplitude": "", "decay": "pix"}
-    positive: ClassVar[frozenset] = frozenset({"decay"})
+    amplitude: float = number(0.0039)
+    decay: float = number(5.0, "pix", positive=True)
 
     def readout(self, drawn, conditions, part, electrons):
         """Take the undershoot off."""

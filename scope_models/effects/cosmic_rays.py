@@ -2,12 +2,12 @@
 
 from dataclasses import dataclass
 from functools import cache
-from typing import ClassVar
 
 import numpy as np
 from scipy.special import ndtr
 
 from scope_models._arrays import plain_array
+from scope_models._checks import number
 from scope_models.effects._effect import Drawn, Effect
 
 __all__ = ["CosmicRays", "rejected_shift"]
@@ -64,21 +64,12 @@ class CosmicRays(Effect):
     True
     """
 
-    rate: float = 5.0
-    electrons: float = 2500.0
-    pixel_size: float = 27.0
-    depth: float = 15.0
-    longest: float = 15.0
+    rate: float = number(5.0, "1 / (cm2 s)")
+    electrons: float = number(2500.0, "electron", positive=True)
+    pixel_size: float = number(27.0, "um", positive=True)
+    depth: float = number(15.0, "um", positive=True)
+    longest: float = number(15.0, "pix", positive=True)
     rejection: bool = False
-
-    units: ClassVar[dict] = {
-        "rate": "1 / (cm2 s)",
-        "electrons": "electron",
-        "pixel_size": "um",
-        "depth": "um",
-        "longest": "pix",
-    }
-    positive: ClassVar[frozenset] = frozenset({"electrons", "pixel_size", "depth", "longest"})
 
     def __post_init__(self):
         super().__post_init__()

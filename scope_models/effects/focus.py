@@ -5,11 +5,11 @@ All distances from the star's position scale with the relative width w, and the 
 """
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 
 from scope_models._arrays import plain_time
+from scope_models._checks import number
 from scope_models.effects._effect import Drawn, Effect, checked_series, series_of
 
 __all__ = ["Focus"]
@@ -55,23 +55,13 @@ class Focus(Effect):
     1.01
     """
 
-    amplitude: float = 0.0
-    period: float = 1.0
-    phase: float = 0.0
-    thermal: float = 0.0
-    thermal_time: float = 1.0
+    amplitude: float = number(0.0, any_sign=True)
+    period: float = number(1.0, "day", positive=True)
+    phase: float = number(0.0, any_sign=True)
+    thermal: float = number(0.0, any_sign=True)
+    thermal_time: float = number(1.0, "day", positive=True)
     events: np.ndarray = ()
     series: np.ndarray | None = None
-
-    units: ClassVar[dict] = {
-        "amplitude": "",
-        "period": "day",
-        "phase": "",
-        "thermal": "",
-        "thermal_time": "day",
-    }
-    positive: ClassVar[frozenset] = frozenset({"period", "thermal_time"})
-    any_sign: ClassVar[frozenset] = frozenset({"amplitude", "phase", "thermal"})
 
     def __post_init__(self):
         super().__post_init__()

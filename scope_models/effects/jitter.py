@@ -1,12 +1,11 @@
 """Jitter: motion faster than a cadence."""
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 from scipy.signal import lfilter
 
-from scope_models._checks import checked_integer
+from scope_models._checks import integer, number
 from scope_models.effects._effect import Drawn, Effect, Exposures
 
 __all__ = ["Jitter"]
@@ -54,15 +53,9 @@ class Jitter(Effect):
     0.05 0.006
     """
 
-    rms: float
-    correlation_time: float = 0.0
-    nodes: int = 3
-
-    units: ClassVar[dict] = {"rms": "pix", "correlation_time": "s"}
-
-    def __post_init__(self):
-        super().__post_init__()
-        object.__setattr__(self, "nodes", checked_integer("nodes", self.nodes, 1))
+    rms: float = number(unit="pix")
+    correlation_time: float = number(0.0, "s")
+    nodes: int = integer(3, 1)
 
     def draw(self, conditions, generator):
         """Return the mean offset of each cadence, and the blur."""

@@ -1,7 +1,6 @@
 """The sky above a telescope on the ground: airglow, and moonlight that the air scatters."""
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 import astropy.units as u
 import numpy as np
@@ -9,6 +8,7 @@ from astropy.coordinates import SkyCoord, get_body, get_sun
 from astropy.time import Time
 
 from scope_models._arrays import plain_array, plain_time
+from scope_models._checks import number
 from scope_models._values import frozen
 from scope_models.effects._effect import series_of
 from scope_models.effects.atmosphere import checked_airmass, equatorial_place, horizon_altitude
@@ -130,13 +130,10 @@ class NightSky(SkyEffect):
     moon_altitude: float | np.ndarray = -90.0
     moon_separation: float | np.ndarray = 90.0
     moon_phase: float | np.ndarray = 180.0
-    extinction: float = 0.11
-    dark_sky: float = 21.6
-    gradient: tuple[float, float] = (0.0, 0.0)
-    residual: float = 0.0
-
-    units: ClassVar[dict] = {"extinction": "mag", "dark_sky": "mag", "gradient": "", "residual": ""}
-    any_sign: ClassVar[frozenset] = frozenset({"residual"})
+    extinction: float = number(0.11, "mag")
+    dark_sky: float = number(21.6, "mag")
+    gradient: tuple[float, float] = number((0.0, 0.0))
+    residual: float = number(0.0, any_sign=True)
 
     def __post_init__(self):
         super().__post_init__()

@@ -1,12 +1,11 @@
 """What the readout does: charge that transfers leave behind, and bands that roll over the rows."""
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 from scipy.special import xlog1py
 
-from scope_models._checks import checked_integer
+from scope_models._checks import integer, number
 from scope_models.effects._effect import Drawn, Effect
 
 __all__ = ["ChargeTransferInefficiency", "RollingBands"]
@@ -53,20 +52,16 @@ class ChargeTransferInefficiency(Effect):
     [[[  0.     0.   990.05   9.9    0.05]]]
     """
 
-    parallel: float = 1e-5
-    serial: float = 1e-5
-    rows: int = 512
-    columns: int = 550
-
-    units: ClassVar[dict] = {"parallel": "", "serial": ""}
+    parallel: float = number(1e-5)
+    serial: float = number(1e-5)
+    rows: int = integer(512, 1)
+    columns: int = integer(550, 1)
 
     def __post_init__(self):
         super().__post_init__()
         for name in ("parallel", "serial"):
             if getattr(self, name) >= 0.1:
                 raise ValueError(f"`{name}` must be below 0.1, got {getattr(self, name)}")
-        for name in ("rows", "columns"):
-            object.__setattr__(self, name, checked_integer(name, getattr(self, name), 1))
 
     def readout(self, drawn, conditions, part, electrons):
         """Leave charge behind."""
@@ -133,21 +128,11 @@ class RollingBands(Effect):
     True
     """
 
-    rate: float = 0.1
-    amplitude: float = 3.5
-    duration: float = 0.5
-    spacing: float = 20.0
-    speed: float = 40.0
-
-    units: ClassVar[dict] = {
-        "rate": "1 / day",
-        "amplitude": "electron / s",
-        "duration": "day",
-        "spacing": "pix",
-        "speed": "pix / day",
-    }
-    positive: ClassVar[frozenset] = frozenset({"duration", "spacing"})
-    any_sign: ClassVar[frozenset] = frozenset({"speed"})
+    rate: float = number(0.1, "1 / day")
+    amplitude: float = number(3.5, "electron / s")
+    duration: float = number(0.5, "day", positive=True)
+    spacing: float = number(20.0, "pix", positive=True)
+    speed: float = number(40.0, "pix / day", any_sign=True)
 
     def draw(self, conditions, generator):
         """Return the episodes, and the amplitude of each cadence."""

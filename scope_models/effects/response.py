@@ -1,10 +1,10 @@
 """Changes of the response in time: of all pixels together, and of single pixels."""
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 
+from scope_models._checks import number
 from scope_models.effects._effect import Drawn, Effect, checked_series, series_of
 
 __all__ = ["SensitivityDropouts", "Throughput"]
@@ -47,15 +47,11 @@ class Throughput(Effect):
     [1.000409 1.000204 1.       0.999796 0.999591]
     """
 
-    amplitude: float = 0.0
-    period: float = 1.0
-    phase: float = 0.0
-    drift: float = 0.0
+    amplitude: float = number(0.0, any_sign=True)
+    period: float = number(1.0, "day", positive=True)
+    phase: float = number(0.0, any_sign=True)
+    drift: float = number(0.0, "1 / day", any_sign=True)
     series: np.ndarray | None = None
-
-    units: ClassVar[dict] = {"amplitude": "", "period": "day", "phase": "", "drift": "1 / day"}
-    positive: ClassVar[frozenset] = frozenset({"period"})
-    any_sign: ClassVar[frozenset] = frozenset({"amplitude", "phase", "drift"})
 
     def __post_init__(self):
         super().__post_init__()
@@ -112,14 +108,10 @@ class SensitivityDropouts(Effect):
     True
     """
 
-    rate: float = 1e-4
-    depth: float = 0.005
-    recovery: float = 0.5
-    recovery_time: float = 0.1
-
-    units: ClassVar[dict] = {"rate": "1 / day", "depth": "", "recovery": "", "recovery_time": "day"}
-    positive: ClassVar[frozenset] = frozenset({"recovery_time"})
-    at_most_one: ClassVar[frozenset] = frozenset({"depth", "recovery"})
+    rate: float = number(1e-4, "1 / day")
+    depth: float = number(0.005, at_most=1)
+    recovery: float = number(0.5, at_most=1)
+    recovery_time: float = number(0.1, "day", positive=True)
 
     def draw(self, conditions, generator):
         """Return the dropouts."""

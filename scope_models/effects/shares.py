@@ -6,7 +6,7 @@ import numpy as np
 from numpy.polynomial import legendre
 
 from scope_models._arrays import plain_array
-from scope_models._checks import checked_integer, checked_pair
+from scope_models._checks import integer, number
 from scope_models._values import frozen
 from scope_models.effects._effect import Effect
 
@@ -68,29 +68,26 @@ class PixelShares(Effect):
     """
 
     coefficients: np.ndarray
-    x_range: tuple[float, float] = (0.0, 1.0)
-    y_range: tuple[float, float] = (0.0, 1.0)
-    time_range: tuple[float, float] = (0.0, 1.0)
-    degree: int = 0
-    time_degree: int = 0
-    star: int = 0
+    x_range: tuple[float, float] = number((0.0, 1.0), "pix")
+    y_range: tuple[float, float] = number((0.0, 1.0), "pix")
+    time_range: tuple[float, float] = number((0.0, 1.0), "day")
+    degree: int = integer(0, 0)
+    time_degree: int = integer(0, 0)
+    star: int = integer(0, 0)
 
     def __post_init__(self):
-        put = object.__setattr__
-        values = np.array(plain_array(self.coefficients, "", "coefficients"))
-        for name, unit in (("x_range", "pix"), ("y_range", "pix"), ("time_range", "day")):
-            pair = checked_pair(name, getattr(self, name), unit)
-            if not pair[0] < pair[1]:
-                raise ValueError(f"`{name}` must increase, got {pair}")
-            put(self, name, pair)
-        for name in ("degree", "time_degree", "star"):
-            put(self, name, checked_integer(name, getattr(self, name), 0))
+        super().__post_init__()
+        values = plain_array(self.coefficients, "", "coefficients")
+        for name in ("x_range", "y_range", "time_range"):
+            low, high = getattr(self, name)
+            if not low < high:
+                raise ValueError(f"`{name}` must increase, got {(low, high)}")
         if values.ndim != 3 or len(values) != len(self.terms) or not np.isfinite(values).all():
             raise ValueError(
                 f"`coefficients` must be finite, of shape ({len(self.terms)}, ny, nx), "
                 f"got {values.shape}"
             )
-        put(self, "coefficients", frozen(values))
+        object.__setattr__(self, "coefficients", frozen(values))
 
     @property
     def terms(self):
@@ -119,22 +116,7 @@ class PixelShares(Effect):
         return np.tensordot(polynomials(self.terms, *scaled)[0], self.coefficients, axes=1)
 
     def shares(self, drawn, conditions, star):
-        """Return the function that gives the changes of a star.
-
-        Parameters
-        ----------
-        drawn : Drawn
-            The truth of the effect.
-        conditions : Conditions
-            Times and shape.
-        star : int
-            Number of the star.
-
-        Returns
-        -------
-        callable or None
-            Function of columns, rows and a slice of cadences; None for other stars.
-        """
+        """Return the function that gives the changes of a star, None for other stars."""
         if star != self.star:
             return None
         if self.coefficients.shape[1:] != tuple(conditions.shape):

@@ -10,7 +10,7 @@ from scipy.optimize import least_squares
 from scope_models.experiments._correctors import robust_scatter
 from scope_models.models import TransitModel
 
-__all__ = ["Found", "fit_shape", "flattened", "isolated", "search"]
+__all__ = ["Found", "fit_shape", "flattened", "isolated", "search", "search_light_curve"]
 
 # Days of the running median: several times the longest transit, less than K2's slow drifts.
 _FLAT_DAYS = 2.0
@@ -57,6 +57,15 @@ def isolated(flux, sigma=6.0):
     """Return which cadences stand out from both neighbors by `sigma`, as no transit does."""
     noise = robust_scatter(flux)
     return np.abs(flux - median_filter(flux, size=3, mode="mirror")) > sigma * noise
+
+
+def search_light_curve(lc, shortest, longest):
+    """Return finite times and fluxes, and what `search` finds without isolated cadences."""
+    good = np.isfinite(lc.flux.value)
+    time, flux = lc.time.value[good], lc.flux.value[good]
+    flat = flattened(time, flux)
+    keep = ~isolated(flat)
+    return time, flux, search(time[keep], flat[keep], shortest, longest)
 
 
 def search(time, flux, shortest, longest):

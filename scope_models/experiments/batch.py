@@ -30,11 +30,7 @@ from scope_models.io._opening import naming
 from scope_models.missions import MISSIONS
 from scope_models.models import TransitModel
 from scope_models.photometry import cdpp
-from scope_models.scene import read_detector
-from scope_models.scene.detector import Detector
-from scope_models.scene.motion import Motion
-from scope_models.scene.presets import PRESETS
-from scope_models.scene.star import Star
+from scope_models.scene import PRESETS, Detector, Motion, Star, read_detector
 from scope_models.simulation import inject, simulate
 
 __all__ = [

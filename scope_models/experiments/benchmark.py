@@ -191,7 +191,7 @@ def _read(path):
     """Return a light curve with lower-case columns, and the cards of its file."""
     if Path(path).exists() and not Path(path).is_file():
         raise ValueError(f"{path} is no regular file")
-    with open(path, "rb") as file:  # noqa: PTH123 - fails if it is no file
+    with Path(path).open("rb") as file:
         start = file.read(6)
     if start.startswith(_COMPRESSED):
         raise ValueError(f"{path} is compressed in a way whose size is not checked: unpack it")

@@ -10,8 +10,7 @@ from scope_models.experiments._corrected import METHODS, SURVIVALS, CorrectedStu
 from scope_models.experiments._statistics import on_grid
 from scope_models.experiments.populations import motion_from_name
 from scope_models.experiments.study import parameter
-from scope_models.scene.detector import Detector
-from scope_models.scene.star import Star
+from scope_models.scene import Detector, Star
 from scope_models.simulation import simulate
 
 __all__ = ["BreathingPSF"]

@@ -184,16 +184,15 @@ class K2MotionNoise(Study):
         and with that between pixels (``systematics``); ``white``, the nominal noise of photons,
         background and reads; and what the aperture is.
         """
-        detector = observation.detector
-        flat = self._noiseless(observation, detector.without_sensitivity())
+        detector, scene = observation.detector, observation.scene
+        even = detector.replace(interpixel=np.ones(detector.shape))
+        flat, intrapixel, systematics = (
+            simulate(scene.replace(detector=pixels), noise=False).flux
+            for pixels in (detector.without_sensitivity(), even, detector)
+        )
         saturated = bool(np.percentile(flat, 97.5, axis=0).max() > detector.full_flux)
         aperture = self.aperture(observation, flat.mean(axis=0), saturated=saturated)
-        even = detector.replace(interpixel=np.ones(detector.shape))
-        cubes = {
-            "losses": flat,
-            "intrapixel": self._noiseless(observation, even),
-            "systematics": self._noiseless(observation, detector),
-        }
+        cubes = {"losses": flat, "intrapixel": intrapixel, "systematics": systematics}
         flux = observation.flux[:, aperture].sum(axis=1, dtype=float)
         row = {"cdpp": cdpp(flux, method="everest"), "cdpp_lightkurve": cdpp(flux)}
         parts = noise_parts(observation, aperture)
@@ -203,14 +202,6 @@ class K2MotionNoise(Study):
         row |= {"n_pixels": int(aperture.sum()), "saturated": saturated}
         statistics = observation.motion.statistics()
         return row | {"distance": float(statistics.mean.value)}
-
-    @staticmethod
-    def _noiseless(observation, detector):
-        """Return the fluxes of the same star without noise, as another detector sees it."""
-        seed = observation.truth.seed
-        return simulate(
-            observation.stars, detector, observation.motion, seed=seed, noise=False
-        ).flux
 
     def aperture(self, observation, image, *, saturated=False):
         """Return the pixels of the light curve.

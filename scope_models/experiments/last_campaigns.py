@@ -10,9 +10,7 @@ from scope_models.experiments._corrected import SURVIVALS, CorrectedStudy, curve
 from scope_models.experiments._correctors import quiet
 from scope_models.experiments.study import parameter
 from scope_models.photometry import cdpp
-from scope_models.scene.detector import Detector
-from scope_models.scene.motion import Motion
-from scope_models.scene.star import Star
+from scope_models.scene import Detector, Motion, Star
 from scope_models.simulation import simulate
 
 __all__ = ["MISSION_CDPP", "PARTS", "LastCampaigns"]

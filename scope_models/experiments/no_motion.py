@@ -13,8 +13,7 @@ from scope_models.experiments.reference import PERCENTILES, read_reference
 from scope_models.experiments.study import Study, parameter
 from scope_models.models import stochastic_signal
 from scope_models.photometry import cdpp
-from scope_models.scene.detector import Detector
-from scope_models.scene.motion import Motion
+from scope_models.scene import Detector, Motion
 from scope_models.simulation import simulate
 
 __all__ = ["NoMotion", "noise_parts"]
@@ -125,7 +124,7 @@ class NoMotion(Study):
         level, _ = self._variability(task, star.mag)
         red = stochastic_signal(motion.time, level, seed=self.star_rng(task["key"], "red"))
         star = star.replace(signal=star.signal * red(motion.time))
-        return simulate(star, self._detector(), motion, seed=self.star_seed(task["key"], "pixels"))
+        return simulate(star, Detector.kepler(), motion, seed=self.star_seed(task["key"], "pixels"))
 
     def measure(self, task, observation):
         """Return the noise of a star with its variability, and of the same star without it.
@@ -134,12 +133,8 @@ class NoMotion(Study):
         photons, background and read noise; and what was drawn.
         """
         star = observation.stars[0]
-        quiet = simulate(
-            star.replace(signal=self._star(task).signal),
-            observation.detector,
-            observation.motion,
-            seed=observation.truth.seed,
-        )
+        still = star.replace(signal=self._star(task).signal)
+        quiet = simulate(observation.scene.replace(stars=[still]))
         aperture = observation.aperture
         level, giant = self._variability(task, star.mag)
         row = {"kp": star.mag, "giant": giant, "variability": level}
@@ -149,9 +144,6 @@ class NoMotion(Study):
             row[f"{prefix}cdpp"] = cdpp(flux, method="everest")
             row[f"{prefix}cdpp_lightkurve"] = cdpp(flux)
         return row | noise_parts(quiet, aperture)
-
-    def _detector(self):
-        return Detector.kepler()
 
     def _even(self, task):
         """Return two numbers within 0 and 1 that are evenly spread over the stars of a bin."""
@@ -163,7 +155,7 @@ class NoMotion(Study):
         mag = task["mag"] + self.width * (self._even(task)[0] - 0.5)
         white = self.star_rng(task["key"], "floor").standard_normal(self.cadences)
         signal = 1 + 1e-6 * self.floor * _WIDTH**0.5 * white
-        return draw_star(self.star_rng(task["key"]), mag, self._detector(), signal=signal)
+        return draw_star(self.star_rng(task["key"]), mag, Detector.kepler(), signal=signal)
 
     def _variability(self, task, mag):
         """Return the CDPP of a star's variability in ppm, and whether the star is a giant."""

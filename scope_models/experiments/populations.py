@@ -9,8 +9,7 @@ import numpy as np
 
 from scope_models._checks import checked_integer, checked_number
 from scope_models.missions import MISSIONS
-from scope_models.scene.motion import K2Roll, Motion
-from scope_models.scene.star import Star
+from scope_models.scene import K2Roll, Motion, Star
 
 __all__ = ["draw_star", "field_position", "motion_from_name", "stamp_around"]
 

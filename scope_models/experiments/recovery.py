@@ -7,7 +7,12 @@ import numpy as np
 from astropy.table import Table
 
 from scope_models.experiments._correctors import transit_amplitude
-from scope_models.experiments._search import fit_shape, flattened, isolated, search
+from scope_models.experiments._search import (
+    fit_shape,
+    flattened,
+    isolated,
+    search_light_curve,
+)
 from scope_models.experiments._statistics import cells, on_grid, percentiles, values_of
 from scope_models.experiments.populations import cached_motion, draw_star, stamp_around
 from scope_models.experiments.study import Study, parameter
@@ -152,11 +157,7 @@ class Recovery(Study):
 
         corrector = PLDCorrector(observation.to_tpf())
         lc = corrector.correct(order=self.order)
-        good = np.isfinite(lc.flux.value)
-        time, flux = lc.time.value[good], lc.flux.value[good]
-        flat = flattened(time, flux)
-        keep = ~isolated(flat)
-        found = search(time[keep], flat[keep], *self.durations)
+        time, flux, found = search_light_curve(lc, *self.durations)
         # If each pixel has the weight of its light.
         weighted = np.square(observation.model() / observation.flux_err).sum(axis=(1, 2))
         row = {
@@ -311,7 +312,7 @@ def _by_motion(rows, threshold):
     recovered, detected = (np.array(rows[name]) for name in ("recovered", "detected"))
     expected = values_of(rows, "expected_snr")
     clear = expected > 2 * threshold
-    said = {
+    numbers = {
         "planets": len(rows),
         "recovered": int(recovered.sum()),
         "expected": int(np.sum(expected >= threshold)),
@@ -330,10 +331,10 @@ def _by_motion(rows, threshold):
         if not len(value):
             continue
         weights = (truth / error) ** 2
-        said[f"{found}_ratio"] = float(np.round(np.average(value / truth, weights=weights), 4))
-        said[f"{found}_ratio_error"] = float(np.round(weights.sum() ** -0.5, 4))
-        said[f"{found}_pulls"] = float(np.round(np.std((value - truth) / error), 2))
-    return said
+        numbers[f"{found}_ratio"] = float(np.round(np.average(value / truth, weights=weights), 4))
+        numbers[f"{found}_ratio_error"] = float(np.round(weights.sum() ** -0.5, 4))
+        numbers[f"{found}_pulls"] = float(np.round(np.std((value - truth) / error), 2))
+    return numbers
 
 
 def _median(values):

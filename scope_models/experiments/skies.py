@@ -4,10 +4,11 @@ The images come from a rendering of their own (a Fourier series of the PSF again
 map of each pixel's response), which neither the simulator nor the correctors and fits use.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 
 import numpy as np
 
+from scope_models._arrays import plain_number
 from scope_models._checks import checked_integer
 from scope_models._values import Value
 from scope_models.experiments._sky_light import LIGHTS, MOTIONS, make_transit, red_noise
@@ -110,6 +111,14 @@ class SkyRegime(Value):
     focus_period: float = 10.0
     background: float = 3.0
     shape: tuple = (9, 9)
+
+    def __post_init__(self):
+        units = dict.fromkeys(("period", "transit_period", "duration", "focus_period"), "day")
+        units |= {"magnitude": "mag", "background": "electron / s"}
+        for item in fields(self):
+            if isinstance(item.default, float):
+                value = plain_number(getattr(self, item.name), units.get(item.name, ""), item.name)
+                object.__setattr__(self, item.name, value)
 
 
 def _kepler(name, **changes):

@@ -172,6 +172,8 @@ class Study(ABC):
             One small dictionary of numbers and strings per star. "key" is a unique name out of
             letters, digits and ``._+=-``.
         """
+        if not self.grid:
+            raise NotImplementedError(f"the study `{self.name}` has neither a grid nor tasks")
         values = [getattr(self, name) for name in self.grid.values()]
         values = [range(value) if isinstance(value, int) else value for value in values]
         columns = [name for _, name, *_ in string.Formatter().parse(self.key) if name]

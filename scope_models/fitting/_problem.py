@@ -7,6 +7,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.interpolate import BSpline
 
+from scope_models._checks import check_fields, integer, number
 from scope_models.fitting.parameters import FitParameter, fit_parameters
 from scope_models.models._parameters import numbers_of
 
@@ -35,16 +36,19 @@ _STAR_MOVE = 1.0
 class FitOptions:
     """Options of a fit, as `~scope_models.fit_tpf` describes them."""
 
-    empirical: int = 0
+    empirical: int = integer(0, 0)
     interpixel: float = 0.01  # 0 fixes the response at 1
     background: str = "cadence"
     positions: str = "start"
-    position_error: float = 0.01
+    position_error: float = number(0.01, "pix", positive=True)
     scale_error: float = _SCALE_PRIOR  # of the path about that of POS_CORR
     loss: str = "linear"
-    loss_scale: float = 3.0
+    loss_scale: float = number(3.0, positive=True)
     saturation: bool = True
-    focus: float | None = None  # days
+    focus: float | None = number(None, "d", positive=True)
+
+    def __post_init__(self):
+        check_fields(self)
 
     @property
     def soft(self):

@@ -274,8 +274,9 @@ def _costs(squares):
     return np.sum(2 * _SOFT**2 * (np.sqrt(1 + squares / _SOFT**2) - 1), axis=1)
 
 
-def _leave_out(shares, cadences, given):
+def _leave_out(shares, cadences):
     """Leave out single pixels that are hit, and cadences that the model does not describe."""
+    given = shares.problem.weight
     cadences.weight = given.copy()
     squares = _squares(shares, cadences)
     good = given > 0
@@ -294,18 +295,20 @@ def _leave_out(shares, cadences, given):
     cadences.used = mean <= middle + _OUTLIER * spread
 
 
-def _climb(shares, cadences, center, error, held, steps, given, report):
+def _climb(shares, cadences, center, error, held, steps, report):
     """Fit shares and cadences in turn; return whether the cost has settled."""
     before = np.inf
     for number in range(steps):
         shares.update(cadences, cadences.used & ~held, widths=number < _WIDTH_STEPS)
         _improve(shares, cadences, center, error)
         _on_path(cadences, shares.problem, center)
-        _leave_out(shares, cadences, given)
+        _leave_out(shares, cadences)
         cost = float(_costs(_squares(shares, cadences)[cadences.used & ~held]).sum())
         if report is not None:
             report(cost)
-        if number > 2 and abs(before - cost) < max(_SAME * cost, _SMALL * np.sqrt(given.size)):
+        if number > 2 and abs(before - cost) < max(
+            _SAME * cost, _SMALL * np.sqrt(cadences.weight.size)
+        ):
             return True, number + 1
         before = cost
     return False, steps
@@ -331,7 +334,7 @@ def _choose(problem, cadences, center, error, held, report):
             trial = cadences
         else:
             shares, trial = best[0].richer(*degrees), replace(best[1])
-        _, more = _climb(shares, trial, center, error, held, _TRIAL_STEPS, given, report)
+        _, more = _climb(shares, trial, center, error, held, _TRIAL_STEPS, report)
         steps += more
         cost = _costs(_squares(shares, trial, given)[held])
         if best is not None:
@@ -388,25 +391,14 @@ def fit_response(problem, few, state, fits, report=None):
     held = np.zeros(len(center), dtype=bool)
     held[_FIRST::_EVERY] = True
     shares, cadences, steps = _choose(problem, cadences, center, error, held, report)
-    settled, more = _climb(
-        shares, cadences, center, error, held, _MOST_STEPS, problem.weight, report
-    )
+    settled, more = _climb(shares, cadences, center, error, held, _MOST_STEPS, report)
     _improve(shares, cadences, center, error, steps=3)
-    found = _Found(shares, cadences, held, settled, steps + more, *_errors(shares, cadences, error))
-    return [_result(found, number, fit) for number, fit in enumerate(fits)]
-
-
-@dataclass(frozen=True, eq=False)
-class _Found:
-    """What the fit has found."""
-
-    shares: _Shares
-    cadences: _Cadences
-    held: np.ndarray
-    converged: bool
-    n_steps: int
-    variance: np.ndarray
-    n_free: np.ndarray
+    errors = _errors(shares, cadences, error)
+    ended = {"converged": settled, "n_steps": steps + more}
+    return [
+        _result(shares, cadences, held, errors, number, replace(fit, **ended))
+        for number, fit in enumerate(fits)
+    ]
 
 
 def _errors(shares, cadences, error):
@@ -432,10 +424,9 @@ def _errors(shares, cadences, error):
     return variance, n_free
 
 
-def _result(found, number, fit):
+def _result(shares, cadences, held, errors, number, fit):
     """Return the fit of the PSF to a file with the response of its pixels."""
-    shares, cadences, held = found.shares, found.cadences, found.held
-    problem, state = shares.problem, cadences.state
+    problem, state, (variance, n_free) = shares.problem, cadences.state, errors
     data, pixels = problem.stamps[number], problem.slices[number]
     fitted = np.full(data.flux.shape, np.nan)
     fitted[:, data.pixels] = shares.model(state)[:, pixels]
@@ -447,10 +438,10 @@ def _result(found, number, fit):
     squares[~cadences.used] = np.nan
     n_data = np.isfinite(squares).sum(axis=(1, 2))
     part = n_data.sum() / max(np.count_nonzero(cadences.weight[cadences.used]), 1)
-    free = found.n_free * part
+    free = n_free * part
     out = held & cadences.used
     stars = [k for k, star in enumerate(problem.stars) if star.stamp == number]
-    values = [_of_star(problem, state, found.variance, k) for k in stars]
+    values = [_of_star(problem, state, variance, k) for k in stars]
     model = fit.model.copy()
     for name, key in (("x_0", "x"), ("y_0", "y"), ("flux", "flux")):
         setattr(model, name, float(np.median(values[0][key])))
@@ -460,7 +451,7 @@ def _result(found, number, fit):
     column = numbered("background", number)
     error = np.zeros(len(held))
     if column in problem.columns:
-        error = np.sqrt(found.variance[:, problem.columns.index(column)])
+        error = np.sqrt(variance[:, problem.columns.index(column)])
     return replace(
         fit,
         model=model,
@@ -479,8 +470,7 @@ def _result(found, number, fit):
         n_data=int(n_data.sum()),
         n_parameters=n_parameters,
         error_scale=float(np.sqrt(mean)) if mean > _UNTRUE else 1.0,
-        converged=found.converged and not fit.at_bounds,
-        n_steps=found.n_steps,
+        converged=fit.converged and not fit.at_bounds,
         response=tuple(_effect(shares, state, k, place) for place, k in enumerate(stars)),
         held_out=held,
         outliers=~cadences.used,

@@ -211,15 +211,15 @@ def fit_tpf(
     """
     width = _PRIOR if interpixel is None else interpixel  # infinite: without a prior
     options = FitOptions(
-        empirical=checked_integer("empirical", empirical, 0),
+        empirical=empirical,
         interpixel=width if width == np.inf else checked_number("interpixel", width),
         background=_one_of("background", background),
         positions=_one_of("positions", positions),
-        position_error=checked_number("position_error", position_error, "pix", positive=True),
+        position_error=position_error,
         loss=_one_of("loss", loss),
-        loss_scale=checked_number("loss_scale", loss_scale, positive=True),
+        loss_scale=loss_scale,
         saturation=bool(saturation),
-        focus=None if focus is None else checked_number("focus", focus, "d", positive=True),
+        focus=focus,
     )
     max_steps = checked_integer("max_steps", max_steps, 1)
     if psf is not None and not isinstance(psf, int | Model):

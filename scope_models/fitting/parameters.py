@@ -9,10 +9,10 @@ from scope_models.models._parameters import numbers_of
 
 __all__ = ["FitParameter", "fit_parameters"]
 
-# Narrower PSFs are the same to a pixel; tighter correlations only cost time.
-_LEAST_WIDTH, _LARGEST_CORRELATION, _LARGEST_OFFSET = 0.1, 0.95, 2.0
-# Charge that diffuses farther is not collected in pixels.
-_LARGEST_DIFFUSION = 1.0
+# Narrower PSFs are the same to a pixel.
+_LEAST_WIDTH = 0.1
+# Tighter correlations only cost time; charge that diffuses farther is not collected in pixels.
+_LIMITS = {"correlation": (-0.95, 0.95), "diffusion": (0.0, 1.0), "offset": (-2.0, 2.0)}
 # Standard deviations of the coefficients of an empirical term, whose first one is 1, and of the
 # correction of a table.
 _PRIORS = {"coefficient": 10.0, "correction": 0.1}
@@ -102,21 +102,17 @@ def fit_parameters(prf, shape):
         parameter = getattr(prf, name)
         if parameter.fixed:
             continue
-        low, high = parameter.bounds
-        low, high = -np.inf if low is None else low, np.inf if high is None else high
         kind, step, relative = kinds.get(name, "other"), np.inf, False
         prior = _PRIORS.get(kind, np.inf)
+        narrow = _LIMITS.get(kind, (-np.inf, np.inf))
         if kind == "width":
-            low, high = max(low, _LEAST_WIDTH), min(high, max(shape) / 2)
-        elif kind == "diffusion":
-            low, high = max(low, 0.0), min(high, _LARGEST_DIFFUSION)
-        elif kind == "correlation":
-            low, high = max(low, -_LARGEST_CORRELATION), min(high, _LARGEST_CORRELATION)
+            narrow = _LEAST_WIDTH, max(shape) / 2
         elif kind == "response":
-            largest = 2.0 ** powers[name][1]
-            low, high = max(low, -largest), min(high, largest)
-        elif kind == "offset":
-            low, high = max(low, -_LARGEST_OFFSET), min(high, _LARGEST_OFFSET)
+            narrow = -(2.0 ** powers[name][1]), 2.0 ** powers[name][1]
+        low, high = (
+            x if bound is None else bound for x, bound in zip(narrow, parameter.bounds, strict=True)
+        )
+        low, high = max(low, narrow[0]), min(high, narrow[1])
         if kind in {"correlation", "fraction", "offset", "diffusion"}:
             step = _LARGEST_MOVE
         elif kind == "width" or (kind == "other" and low > 0):

@@ -2,13 +2,13 @@
 
 import datetime as dt
 from collections.abc import Mapping
-from dataclasses import InitVar, dataclass, field
+from dataclasses import MISSING, InitVar, dataclass, field
 from typing import TYPE_CHECKING
 
 import astropy.units as u
 
 from scope_models._arrays import DIGITAL, PER_PIXEL
-from scope_models._checks import checked_integer, checked_matrix, checked_number
+from scope_models._checks import check_fields, checked_matrix, integer, number
 from scope_models._values import Value
 from scope_models.missions import MISSIONS
 
@@ -31,21 +31,6 @@ _OF_DETECTOR = (
     "mean_black",
     "fixed_offset",
 )
-_POSITIVE, _ANY_SIGN = {"positive": True}, {"any_sign": True}
-_UNITS = {
-    "pixel_scale": (u.arcsec, {**_POSITIVE, "equivalencies": PER_PIXEL}),
-    "int_time": (u.s, _POSITIVE),
-    "time_delta": (u.day, _POSITIVE),
-    "gain": (u.electron / u.adu, {**_POSITIVE, "equivalencies": DIGITAL}),
-    "read_time": (u.s, {}),
-    "read_noise": (u.electron, {}),
-    "ra": (u.deg, _ANY_SIGN),
-    "dec": (u.deg, _ANY_SIGN),
-    "x_0": (u.pix, _ANY_SIGN),
-    "y_0": (u.pix, _ANY_SIGN),
-    "orientation": (u.deg, _ANY_SIGN),
-    "magnitude": (u.mag, _ANY_SIGN),
-}
 _RUNS = ("quarter", "campaign", "sector")
 
 
@@ -131,36 +116,36 @@ class TPFMetadata(Value):
     """
 
     mission: str
-    target_id: int
-    pixel_scale: float | None = None
-    int_time: float | None = None
-    read_time: float | None = None
-    n_frames: int | None = None
+    target_id: int = integer(MISSING, 1)
+    pixel_scale: float | None = number(None, u.arcsec, positive=True, equivalencies=PER_PIXEL)
+    int_time: float | None = number(None, u.s, positive=True)
+    read_time: float | None = number(None, u.s)
+    n_frames: int | None = integer(None, 1)
     object_name: str | None = None
-    ra: float | None = None
-    dec: float | None = None
-    x_0: float | None = None
-    y_0: float | None = None
-    orientation: float = 0.0
+    ra: float | None = number(None, u.deg, any_sign=True)
+    dec: float | None = number(None, u.deg, any_sign=True)
+    x_0: float | None = number(None, u.pix, any_sign=True)
+    y_0: float | None = number(None, u.pix, any_sign=True)
+    orientation: float = number(0.0, u.deg, any_sign=True)
     matrix: tuple[float, float, float, float] | None = None
-    magnitude: float | None = None
-    quarter: int | None = None
-    campaign: int | None = None
-    sector: int | None = None
-    channel: int | None = None
-    module: int | None = None
-    output: int | None = None
-    camera: int | None = None
-    ccd: int | None = None
-    column: int = 500
-    row: int = 500
-    n_readouts: int | None = None
-    time_delta: float | None = None
-    gain: float | None = None
-    read_noise: float | None = None
-    mean_black: int | None = None
-    fixed_offset: int | None = None
-    seed: int | None = None
+    magnitude: float | None = number(None, u.mag, any_sign=True)
+    quarter: int | None = integer(None, 0)
+    campaign: int | None = integer(None, 0)
+    sector: int | None = integer(None, 1)
+    channel: int | None = integer(None, 1, 4 * len(_MODULES))
+    module: int | None = integer(None, 1)
+    output: int | None = integer(None, 1, 4)
+    camera: int | None = integer(None, 1, 4)
+    ccd: int | None = integer(None, 1, 4)
+    column: int = integer(500, 0)
+    row: int = integer(500, 0)
+    n_readouts: int | None = integer(None, 1)
+    time_delta: float | None = number(None, u.day, positive=True)
+    gain: float | None = number(None, u.electron / u.adu, positive=True, equivalencies=DIGITAL)
+    read_noise: float | None = number(None, u.electron)
+    mean_black: int | None = integer(None, 0)
+    fixed_offset: int | None = integer(None, 0)
+    seed: int | None = integer(None, 0)
     date: dt.date | None = None
     extra_cards: Mapping = field(default_factory=dict)
     coord: InitVar["SkyCoord | None"] = None
@@ -176,7 +161,7 @@ class TPFMetadata(Value):
         for name, value in (usual | {"n_frames": self.layout.cadence().n_frames}).items():
             if getattr(self, name) is None:
                 object.__setattr__(self, name, value)
-        self._check_numbers()
+        check_fields(self)
         if self.dec is not None and abs(self.dec) > 90:
             raise ValueError(f"`dec` must be within -90 to 90, got {self.dec}")
         if self.n_readouts is not None and self.n_readouts > self.n_frames:
@@ -206,26 +191,6 @@ class TPFMetadata(Value):
         object.__setattr__(self, "ra", coord.icrs.ra.deg)
         object.__setattr__(self, "dec", coord.icrs.dec.deg)
 
-    def _check_numbers(self):
-        """Check the fields that are numbers."""
-        for name, (unit, options) in _UNITS.items():
-            self._set(name, checked_number, unit=unit, **options)
-        smallest = {
-            **dict.fromkeys(("target_id", "n_frames", "n_readouts"), 1),
-            **dict.fromkeys(("channel", "module", "output", "camera", "ccd", "sector"), 1),
-            **dict.fromkeys(("quarter", "campaign", "column", "row", "seed"), 0),
-            **dict.fromkeys(("mean_black", "fixed_offset"), 0),
-        }
-        for name, least in smallest.items():
-            self._set(name, checked_integer, smallest=least)
-
-    def _set(self, name, check, **limits):
-        """Replace a field that may be None by what its check returns."""
-        value = getattr(self, name)
-        optional = type(self).__dataclass_fields__[name].default is None
-        if value is not None or not optional:
-            object.__setattr__(self, name, check(name, value, **limits))
-
     def _check_place(self):
         """Check that time and place are those of the mission, and a channel is one."""
         layout = self.layout
@@ -234,15 +199,10 @@ class TPFMetadata(Value):
                 raise ValueError(
                     f"`{name}` must not be given for {self.mission}, got {getattr(self, name)}"
                 )
-        if self.channel is not None and self.channel > 4 * len(_MODULES):
-            raise ValueError(f"`channel` must be at most {4 * len(_MODULES)}, got {self.channel}")
         if self.module is not None and self.module not in _MODULES:
             raise ValueError(f"`module` must be one of {_MODULES}, got {self.module}")
-        for name, largest in (("output", 4), ("camera", 4), ("ccd", 4)):
-            if (getattr(self, name) or 0) > largest:
-                raise ValueError(f"`{name}` must be at most {largest}, got {getattr(self, name)}")
-        for name, given in (("module", self.module), ("output", self.output)):
-            implied = dict(zip(("module", "output"), self.module_and_output, strict=True))[name]
+        for name, implied in zip(("module", "output"), self.module_and_output, strict=True):
+            given = getattr(self, name)
             if given is not None and given != implied:
                 raise ValueError(
                     f"`{name}` must be {implied} for channel {self.channel}, got {given}"

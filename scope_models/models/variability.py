@@ -32,7 +32,7 @@ class TabulatedSignal(_OfTime, Tabular1D):
     @property
     def arguments(self):
         """Arguments that make an equal signal."""
-        return {"points": self.points, "lookup_table": self.lookup_table}
+        return {"points": self.points[0], "lookup_table": self.lookup_table}
 
 
 #: Savitzky-Golay filter of lightkurve's CDPP: span in days (101 Kepler long cadences) and order.

@@ -11,7 +11,7 @@ import astropy.units as u
 import numpy as np
 
 from scope_models._arrays import PER_PIXEL
-from scope_models._checks import check_fields
+from scope_models._checks import check_fields, number
 from scope_models._values import Value
 from scope_models.missions import MISSIONS
 from scope_models.scene._pointing import (
@@ -112,46 +112,23 @@ class K2Roll(Value):
     ValueError: `deadband` must not be negative, got -1.0
     """
 
-    field: tuple = (-4.59, 1.35)
-    solar_rate: float = 3.0
-    reversal: float = 9.4
-    reversal_interval: float = 35.0
-    rate_growth: float = 0.028
-    rate_scatter: float = 0.15
-    reset_interval: float = 5.885
-    reset_jitter: float = 0.12
-    deadband: float = 12.0
-    reset_scatter: float = 8.0
-    roll_jitter: float = 0.33
-    roll_jitter_time: float = 1.5
-    pointing_jitter: float = 0.0036
-    orbital_speed: float = 29.8
-    campaign: float = 80.0
-    pixel_scale: float = 3.98
+    field: tuple = number((-4.59, 1.35), u.deg)
+    solar_rate: float = number(3.0, u.arcsec / u.hour, any_sign=True)
+    reversal: float = number(9.4, u.day, any_sign=True)
+    reversal_interval: float = number(35.0, u.day, positive=True)
+    rate_growth: float = number(0.028, u.hour**-1)
+    rate_scatter: float = number(0.15)
+    reset_interval: float = number(5.885, u.hour, positive=True)
+    reset_jitter: float = number(0.12, u.hour)
+    deadband: float = number(12.0, u.arcsec)
+    reset_scatter: float = number(8.0, u.arcsec)
+    roll_jitter: float = number(0.33, u.arcsec)
+    roll_jitter_time: float = number(1.5, u.hour)
+    pointing_jitter: float = number(0.0036, u.arcsec)
+    orbital_speed: float = number(29.8, u.km / u.s, any_sign=True)
+    campaign: float = number(80.0, u.day, positive=True)
+    pixel_scale: float = number(3.98, u.arcsec, positive=True, equivalencies=PER_PIXEL)
 
-    units: ClassVar[dict] = {
-        "field": u.deg,
-        "solar_rate": u.arcsec / u.hour,
-        "reversal": u.day,
-        "reversal_interval": u.day,
-        "rate_growth": u.hour**-1,
-        "rate_scatter": u.one,
-        "reset_interval": u.hour,
-        "reset_jitter": u.hour,
-        "deadband": u.arcsec,
-        "reset_scatter": u.arcsec,
-        "roll_jitter": u.arcsec,
-        "roll_jitter_time": u.hour,
-        "pointing_jitter": u.arcsec,
-        "orbital_speed": u.km / u.s,
-        "campaign": u.day,
-        "pixel_scale": (u.arcsec, PER_PIXEL),
-    }
-    positive: ClassVar[frozenset] = frozenset(
-        {"reversal_interval", "reset_interval", "campaign", "pixel_scale"}
-    )
-    any_sign: ClassVar[frozenset] = frozenset({"solar_rate", "reversal", "orbital_speed"})
-    at_most_one: ClassVar[frozenset] = frozenset()
     # Length of a long cadence in days, with the digits of TIMEDEL in headers. Not a parameter: the
     # jitters are measured at this cadence.
     cadence: ClassVar[float] = round(MISSIONS["K2"].cadence_days("long"), 14)
@@ -309,14 +286,13 @@ class K2Campaign18(Pointing):
     5.0
     """
 
-    units: ClassVar[dict] = {"excursion": u.pix, "field": u.deg}
     #: Number of the first long cadence, and of all.
     cadences: ClassVar[tuple] = (161969, 2490)
     #: Time of the first cadence, BKJD (EPIC 211983544).
     start: ClassVar[float] = 3418.5463
 
-    excursion: float = 4.5
-    field: tuple = (0.45, 3.16)
+    excursion: float = number(4.5, u.pix)
+    field: tuple = number((0.45, 3.16), u.deg)
 
     def track(self, time, streams):
         """Return where the star goes, and the flagged cadences."""
@@ -368,30 +344,19 @@ class K2FinalCampaign(Pointing):
     5.0
     """
 
-    units: ClassVar[dict] = {
-        "off_target_time": u.day,
-        "nominal_time": u.day,
-        "erratic_length": u.day,
-        "off_target": u.pix,
-        "erratic": u.pix,
-        "erratic_time": u.hour,
-        "erratic_roll": u.arcsec,
-        "field": u.deg,
-    }
-    positive: ClassVar[frozenset] = frozenset({"off_target_time", "nominal_time", "erratic_time"})
     #: Number of the first long cadence, and of all.
     cadences: ClassVar[tuple] = (167333, 1291)
     #: Time of the first cadence, BKJD: 2018-08-30 15:17 UTC (K2 data release notes).
     start: ClassVar[float] = 3528.1377
 
-    off_target_time: float = 8.375
-    nominal_time: float = 7.25
-    erratic_length: float = 7.84
-    off_target: float = 6.0
-    erratic: float = 2.0
-    erratic_time: float = 12.0
-    erratic_roll: float = 30.0
-    field: tuple = (-4.59, 1.35)
+    off_target_time: float = number(8.375, u.day, positive=True)
+    nominal_time: float = number(7.25, u.day, positive=True)
+    erratic_length: float = number(7.84, u.day)
+    off_target: float = number(6.0, u.pix)
+    erratic: float = number(2.0, u.pix)
+    erratic_time: float = number(12.0, u.hour, positive=True)
+    erratic_roll: float = number(30.0, u.arcsec)
+    field: tuple = number((-4.59, 1.35), u.deg)
 
     def track(self, time, streams):
         """Return where the star goes, and the flagged cadences."""

@@ -1,13 +1,12 @@
 """Pointing of telescopes in space and on the ground, and made-up ones for tests of correctors."""
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 import astropy.units as u
 import numpy as np
 from scipy.signal import lfilter
 
-from scope_models._checks import check_fields
+from scope_models._checks import check_fields, number
 from scope_models._values import Value
 from scope_models.missions import MISSIONS
 
@@ -34,15 +33,6 @@ _LOWEST = 1e-300
 @dataclass(frozen=True)
 class Pointing(Value):
     """Base of the generators of motions; every parameter may be a quantity."""
-
-    #: Units of the parameters.
-    units: ClassVar[dict] = {}
-    #: Parameters that must not be 0.
-    positive: ClassVar[frozenset] = frozenset()
-    #: Parameters that may be negative.
-    any_sign: ClassVar[frozenset] = frozenset()
-    #: Parameters that must not be above 1.
-    at_most_one: ClassVar[frozenset] = frozenset()
 
     def __post_init__(self):
         check_fields(self)
@@ -145,31 +135,16 @@ class KeplerPointing(Pointing):
     0.001
     """
 
-    units: ClassVar[dict] = {
-        "field": u.deg,
-        "orbital_speed": u.km / u.s,
-        "latitude": u.deg,
-        "phase": u.deg,
-        "drift": u.pix,
-        "drift_time": u.day,
-        "heater": u.pix,
-        "heater_period": u.hour,
-        "jitter": u.pix,
-        "dump_interval": u.day,
-    }
-    positive: ClassVar[frozenset] = frozenset({"drift_time", "heater_period", "dump_interval"})
-    any_sign: ClassVar[frozenset] = frozenset({"latitude", "phase"})
-
-    field: tuple = (2.2, 1.6)
-    orbital_speed: float = 29.8
-    latitude: float = 65.0
-    phase: float = 45.0
-    drift: float = 0.0013
-    drift_time: float = 6.0
-    heater: float = 2.5e-5
-    heater_period: float = 5.0
-    jitter: float = 0.0002
-    dump_interval: float = 2.98
+    field: tuple = number((2.2, 1.6), u.deg)
+    orbital_speed: float = number(29.8, u.km / u.s)
+    latitude: float = number(65.0, u.deg, any_sign=True)
+    phase: float = number(45.0, u.deg, any_sign=True)
+    drift: float = number(0.0013, u.pix)
+    drift_time: float = number(6.0, u.day, positive=True)
+    heater: float = number(2.5e-5, u.pix)
+    heater_period: float = number(5.0, u.hour, positive=True)
+    jitter: float = number(0.0002, u.pix)
+    dump_interval: float = number(2.98, u.day, positive=True)
 
     def track(self, time, streams):
         """Return where the star goes, and the cadences with a momentum dump."""
@@ -229,32 +204,16 @@ class TESSPointing(Pointing):
     2.5
     """
 
-    units: ClassVar[dict] = {
-        "field": u.deg,
-        "orbital_speed": u.km / u.s,
-        "jitter": u.pix,
-        "blue": u.one,
-        "drift": u.pix,
-        "drift_time": u.day,
-        "dump_interval": u.day,
-        "dump_offset": u.pix,
-        "orbit_time": u.day,
-        "gap_time": u.day,
-    }
-    positive: ClassVar[frozenset] = frozenset(
-        {"drift_time", "dump_interval", "orbit_time", "gap_time"}
-    )
-
-    field: tuple = (6.0, 6.0)
-    orbital_speed: float = 29.8
-    jitter: tuple = (0.0027, 0.0051)
-    blue: float = 0.35
-    drift: float = 0.002
-    drift_time: float = 1.0
-    dump_interval: float = 3.125
-    dump_offset: float = 0.1
-    orbit_time: float = 13.2
-    gap_time: float = 1.13
+    field: tuple = number((6.0, 6.0), u.deg)
+    orbital_speed: float = number(29.8, u.km / u.s)
+    jitter: tuple = number((0.0027, 0.0051), u.pix)
+    blue: float = number(0.35)
+    drift: float = number(0.002, u.pix)
+    drift_time: float = number(1.0, u.day, positive=True)
+    dump_interval: float = number(3.125, u.day, positive=True)
+    dump_offset: float = number(0.1, u.pix)
+    orbit_time: float = number(13.2, u.day, positive=True)
+    gap_time: float = number(1.13, u.day, positive=True)
 
     def times(self, n_cadences, cadence):
         """Return the times of cadences, with the gap after each orbit."""
@@ -320,28 +279,14 @@ class GroundTracking(Pointing):
     0.305
     """
 
-    units: ClassVar[dict] = {
-        "aperture": u.m,
-        "seeing": u.arcsec,
-        "wavelength": u.nm,
-        "pixel_scale": u.arcsec,
-        "night": u.hour,
-        "pointing": u.arcsec,
-        "drift": u.arcsec / u.hour,
-        "wind": u.arcsec,
-    }
-    positive: ClassVar[frozenset] = frozenset(
-        {"aperture", "seeing", "wavelength", "pixel_scale", "night"}
-    )
-
-    aperture: float = 1.0
-    seeing: float = 1.0
-    wavelength: float = 600.0
-    pixel_scale: float = 0.4
-    night: float = 8.0
-    pointing: float = 0.5
-    drift: float = 0.3
-    wind: float = 0.1
+    aperture: float = number(1.0, u.m, positive=True)
+    seeing: float = number(1.0, u.arcsec, positive=True)
+    wavelength: float = number(600.0, u.nm, positive=True)
+    pixel_scale: float = number(0.4, u.arcsec, positive=True)
+    night: float = number(8.0, u.hour, positive=True)
+    pointing: float = number(0.5, u.arcsec)
+    drift: float = number(0.3, u.arcsec / u.hour)
+    wind: float = number(0.1, u.arcsec)
 
     @property
     def image_motion(self):
@@ -366,8 +311,8 @@ class GroundTracking(Pointing):
         for axis in "xy":
             generator = streams(f"ground {axis}")
             offset = np.empty(len(time))
-            for number in np.unique(night):
-                here = night == number
+            for date in np.unique(night):
+                here = night == date
                 start, rate = generator.standard_normal(2)
                 hours = 24 * (time[here] - time[here][0])
                 offset[here] = self.pointing * start + self.drift * rate * hours
@@ -402,9 +347,7 @@ class RandomWalk(Pointing):
     0.2
     """
 
-    units: ClassVar[dict] = {"spread": u.pix}
-
-    spread: float = 0.1
+    spread: float = number(0.1, u.pix)
 
     def track(self, time, streams):
         """Return where the star goes."""
@@ -437,18 +380,10 @@ class FailingWheels(Pointing):
     1.0
     """
 
-    units: ClassVar[dict] = {
-        "drift": u.pix / u.day,
-        "spread": u.pix,
-        "jump": u.pix,
-        "jump_interval": u.day,
-    }
-    positive: ClassVar[frozenset] = frozenset({"jump_interval"})
-
-    drift: float = 0.02
-    spread: float = 0.05
-    jump: float = 0.1
-    jump_interval: float = 2.0
+    drift: float = number(0.02, u.pix / u.day)
+    spread: float = number(0.05, u.pix)
+    jump: float = number(0.1, u.pix)
+    jump_interval: float = number(2.0, u.day, positive=True)
 
     def track(self, time, streams):
         """Return where the star goes, and the cadences with a jump."""

@@ -310,16 +310,7 @@ class Motion(Value):
         """
         columns = read_positions(path)
         try:
-            return cls.from_arrays(
-                columns.time,
-                columns.pos_corr1,
-                columns.pos_corr2,
-                columns.quality,
-                cadenceno=columns.cadenceno,
-                time_format=time_format or columns.time_format or "bkjd",
-                bad=bad,
-                meta=columns.meta,
-            )
+            return cls._of_columns(columns, bad, time_format)
         except (ValueError, TypeError) as error:
             raise ValueError(f"{path}: {error}") from error
 
@@ -358,14 +349,18 @@ class Motion(Value):
         >>> Motion.from_tpf(lc).x
         array([0. , 0.2])
         """
-        columns = positions_of(tpf)
+        return cls._of_columns(positions_of(tpf), bad)
+
+    @classmethod
+    def _of_columns(cls, columns, bad, time_format=None):
+        """Return the motion of the columns of a file."""
         return cls.from_arrays(
             columns.time,
             columns.pos_corr1,
             columns.pos_corr2,
             columns.quality,
             cadenceno=columns.cadenceno,
-            time_format=columns.time_format or "bkjd",
+            time_format=time_format or columns.time_format or "bkjd",
             bad=bad,
             meta=columns.meta,
         )

@@ -9,8 +9,8 @@ from types import MappingProxyType
 import numpy as np
 from astropy.utils.exceptions import AstropyDeprecationWarning
 
-from scope_models._arrays import plain_number, plain_tree
-from scope_models._checks import checked_integer, checked_matrix
+from scope_models._arrays import plain_tree
+from scope_models._checks import check_fields, checked_matrix, integer, number
 from scope_models._docstrings import documented
 from scope_models._values import Value
 from scope_models.effects import Effect, mission_effects
@@ -116,16 +116,16 @@ class Scene(Value):
     options: InitVar[Mapping | None] = None
     seed: int | None = field(default=None, kw_only=True)
     noise: frozenset = field(default=True, kw_only=True)
-    n_sub: int = field(default=1, kw_only=True)
+    n_sub: int = integer(1, 1, kw_only=True)
     effects: tuple[Effect, ...] = field(default=(), kw_only=True)
-    target_id: int | None = field(default=None, kw_only=True)
+    target_id: int | None = integer(None, 1, kw_only=True)
     object_name: str | None = field(default=None, kw_only=True)
-    ra: float | None = field(default=None, kw_only=True)
-    dec: float | None = field(default=None, kw_only=True)
-    orientation: float | None = field(default=None, kw_only=True)
+    ra: float | None = number(None, "deg", any_sign=True, kw_only=True)
+    dec: float | None = number(None, "deg", any_sign=True, kw_only=True)
+    orientation: float | None = number(None, "deg", any_sign=True, kw_only=True)
     matrix: tuple[float, float, float, float] | None = field(default=None, kw_only=True)
-    column: int | None = field(default=None, kw_only=True)
-    row: int | None = field(default=None, kw_only=True)
+    column: int | None = integer(None, 0, kw_only=True)
+    row: int | None = integer(None, 0, kw_only=True)
     metadata: Mapping = field(default_factory=dict, kw_only=True)
 
     def __post_init__(self, options):
@@ -147,15 +147,10 @@ class Scene(Value):
                 raise TypeError(f"`{name}` must be a {kind.__name__}, got {getattr(self, name)!r}")
         put("seed", None if self.seed is None else check_seed(self.seed))
         put("noise", noise_terms(self.noise))
-        put("n_sub", checked_integer("n_sub", self.n_sub, 1))
-        put("effects", _own_effects(self.effects, self.detector))
+        check_fields(self)
+        own = isinstance(self.effects, str) and self.effects == "mission"
+        put("effects", mission_effects(self.detector) if own else checked_effects(self.effects))
         self._put_on_sky()
-        for name in ("ra", "dec", "orientation"):
-            if getattr(self, name) is not None:
-                put(name, plain_number(getattr(self, name), "deg", name))
-        for name, least in (("target_id", 1), ("column", 0), ("row", 0)):
-            if getattr(self, name) is not None:
-                put(name, checked_integer(name, getattr(self, name), least))
         if not isinstance(self.object_name, str | None):
             raise TypeError(f"`object_name` must be text, got {self.object_name!r}")
         if not isinstance(self.metadata, Mapping):
@@ -199,7 +194,7 @@ class Scene(Value):
             for name, value in zip(("ra", "dec"), place, strict=True):
                 given = getattr(self, name)
                 # A scene that is replaced has the place of another time.
-                if given is not None and abs(plain_number(given, "deg", name) - value) > _SAME:
+                if given is not None and abs(given - value) > _SAME:
                     raise ValueError(f"`{name}` must not be given for a target with a `coord`")
                 object.__setattr__(self, name, value)
         for star in self.stars[1:]:
@@ -464,13 +459,6 @@ def _checked_stars(stars):
         if not isinstance(star, Star):
             raise TypeError(f"`stars` must hold Star objects, got {star!r}")
     return stars
-
-
-def _own_effects(effects, detector):
-    """Return one effect, several or the mission's as a tuple."""
-    if isinstance(effects, str) and effects == "mission":
-        return mission_effects(detector)
-    return checked_effects(effects)
 
 
 def read_scene(path):

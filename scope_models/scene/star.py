@@ -8,7 +8,7 @@ import numpy as np
 from astropy.modeling import Model
 
 from scope_models._arrays import plain_array, plain_time
-from scope_models._checks import checked_model, checked_number
+from scope_models._checks import check_fields, checked_model, number
 from scope_models._values import Value
 from scope_models.models import PRF
 from scope_models.models._description import check_coord
@@ -64,9 +64,9 @@ class Star(Value):
     13.0
     """
 
-    mag: float
-    x_0: float | None = None
-    y_0: float | None = None
+    mag: float = number(unit=u.mag, any_sign=True)
+    x_0: float | None = number(None, u.pix, any_sign=True)
+    y_0: float | None = number(None, u.pix, any_sign=True)
     psf: "Model | None" = None
     signal: "Model | Callable | np.ndarray | None" = None
     coord: "SkyCoord | None" = None
@@ -74,10 +74,7 @@ class Star(Value):
     def __post_init__(self):
         """Check every field and bring it to its type."""
         put = object.__setattr__
-        put(self, "mag", checked_number("mag", self.mag, u.mag, any_sign=True))
-        for name in ("x_0", "y_0"):
-            if getattr(self, name) is not None:
-                put(self, name, checked_number(name, getattr(self, name), u.pix, any_sign=True))
+        check_fields(self)
         put(self, "psf", checked_model("psf", self.psf))
         if self.psf is not None:
             PRF(self.psf)  # fails if it cannot be integrated over pixels

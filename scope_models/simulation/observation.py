@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 from html import escape
+from operator import attrgetter
 
 import numpy as np
 
@@ -101,30 +102,15 @@ class Observation(Value):
         cells = "".join(f"<tr><th>{name}</th><td>{value}</td></tr>" for name, value in rows.items())
         return f"<p>{escape(repr(self))}</p><table>{cells}</table>"
 
-    @property
-    def stars(self):
-        """The stars; the first is the target."""
-        return self.scene.stars
-
-    @property
-    def detector(self):
-        """The detector."""
-        return self.scene.detector
-
-    @property
-    def motion(self):
-        """The motion; time and cadence numbers are its own."""
-        return self.scene.motion
-
-    @property
-    def time(self):
-        """Middle of each cadence, days, in the format of the motion."""
-        return self.motion.time
-
-    @property
-    def cadenceno(self):
-        """Cadence numbers."""
-        return self.motion.cadenceno
+    stars = property(attrgetter("scene.stars"), doc="The stars; the first is the target.")
+    detector = property(attrgetter("scene.detector"), doc="The detector.")
+    motion = property(
+        attrgetter("scene.motion"), doc="The motion; time and cadence numbers are its own."
+    )
+    time = property(
+        attrgetter("motion.time"), doc="Middle of each cadence, days, in the format of the motion."
+    )
+    cadenceno = property(attrgetter("motion.cadenceno"), doc="Cadence numbers.")
 
     @property
     def flux_bkg_err(self):

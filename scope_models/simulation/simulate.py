@@ -110,7 +110,10 @@ def simulate(stars, detector=None, motion=None, *, keep_model=False, chunk_size=
         chunk_size = checked_integer("chunk_size", chunk_size, 1)
     prepared = prepare(scene)
     lost = lost_fractions(prepared)
-    _warn_of_lost_light(scene, lost)
+    x_0, y_0 = scene.positions[0]
+    # That of neighbors may fall off the stamp.
+    star = f"the star at x_0 = {x_0:g}, y_0 = {y_0:g}"
+    _warn_of_loss(f"{star} loses {{}} of its light", lost[0], scene.detector.shape)
     aperture = _choose_aperture(prepared)
     shape = (len(scene.motion), *scene.detector.shape)
     sums = StarSums(
@@ -123,11 +126,13 @@ def simulate(stars, detector=None, motion=None, *, keep_model=False, chunk_size=
     }
     model = np.empty(shape) if keep_model else None
     streams = {term: stream(scene.seed, term) for term in scene.noise}
+    photons, of_sky = streams.get("photon"), streams.get("background")
     spilled, flux_bkg = 0.0, None
     for part in pieces(scene, chunk_size):
         expected = gather(prepared, part, sums, aperture)
         added, subtracted = pedestal(prepared, part, expected)
-        charge, sky = _detect(expected, added, streams)
+        charge = poisson_counts(expected, photons) if photons else expected.copy()
+        sky = poisson_counts(added, of_sky, expected.shape) if of_sky else added
         spilled = max(spilled, fill_wells(scene, expected, added))
         fill_wells(scene, charge, sky)
         charge += sky
@@ -141,7 +146,8 @@ def simulate(stars, detector=None, motion=None, *, keep_model=False, chunk_size=
             flux_bkg[part] = background
         piece = {name: cube[part] for name, cube in cubes.items()}
         _record(prepared, part, (expected, charge), (added, subtracted), streams, piece)
-    _warn_of_spilled_charge(spilled, scene.detector.shape)
+    text = "{} of the charge of a cadence bleeds along full columns"
+    _warn_of_loss(text, spilled, scene.detector.shape)
     return Observation(
         **cubes,
         flux_bkg=flux_bkg,
@@ -188,32 +194,6 @@ def _record(prepared, part, charges, pedestals, streams, cubes):
     """Write what a slice of cadences records of expected and detected charge into its cubes."""
     detector, (added, subtracted) = prepared.scene.detector, pedestals
     expected, electrons = charges
-    _read_out(prepared, part, electrons, streams)
-    cubes["raw_cnts"][...] = _digital_numbers(electrons, detector)
-    per_second = 1.0 / detector.exposure_time
-    electrons -= subtracted
-    electrons *= per_second
-    cubes["flux"][...] = electrons
-    error = _variance(expected, added, detector, prepared.scene.noise)
-    np.sqrt(error, out=error)
-    error *= per_second
-    np.maximum(error, _ROUNDING, out=error)
-    rounding = np.abs(electrons, out=electrons)
-    rounding *= _ROUNDING
-    np.maximum(error, rounding, out=cubes["flux_err"])
-
-
-def _detect(expected, added, streams):
-    """Return the charge that the stars' light makes, and that of all that is added to it."""
-    charge = poisson_counts(expected, streams["photon"]) if "photon" in streams else expected.copy()
-    if "background" in streams:
-        return charge, poisson_counts(added, streams["background"], expected.shape)
-    return charge, added
-
-
-def _read_out(prepared, part, electrons, streams):
-    """Change the charge of some cadences as detector and readout do, in place."""
-    detector = prepared.scene.detector
     for stage in ("charge", "readout"):
         for effect, drawn in prepared.effects:
             getattr(effect, stage)(drawn, prepared.conditions, part, electrons)
@@ -221,6 +201,29 @@ def _read_out(prepared, part, electrons, streams):
         add_read_noise(electrons, detector.cadence_read_noise, streams["read"])
     if "quantization" in streams:
         add_quantization(electrons, detector.gain, detector.n_reads, streams["quantization"])
+    counts = electrons * (1.0 / detector.gain)
+    counts += detector.fixed_offset
+    np.rint(counts, out=counts)
+    cubes["raw_cnts"][...] = np.minimum(counts, _LARGEST_COUNT, out=counts)
+    per_second = 1.0 / detector.exposure_time
+    electrons -= subtracted
+    electrons *= per_second
+    cubes["flux"][...] = electrons
+    terms, error = prepared.scene.noise, np.zeros(added.shape)  # of the variance, electrons
+    if "background" in terms:
+        error += added
+    if "read" in terms:
+        error += detector.cadence_read_noise**2
+    if "quantization" in terms:
+        error += detector.n_reads * detector.gain**2 / 12.0
+    if "photon" in terms:
+        error = np.add(expected, error, out=expected)
+    np.sqrt(error, out=error)
+    error *= per_second
+    np.maximum(error, _ROUNDING, out=error)
+    rounding = np.abs(electrons, out=electrons)
+    rounding *= _ROUNDING
+    np.maximum(error, rounding, out=cubes["flux_err"])
 
 
 def _flag(prepared, cubes):
@@ -235,26 +238,6 @@ def _flag(prepared, cubes):
             cubes["flux"][missing] = cubes["flux_err"][missing] = np.nan
             cubes["raw_cnts"][missing] = -1
     return quality
-
-
-def _variance(expected, background, detector, terms):
-    """Return the variance of the electrons, an image or a cube; ``expected`` is used up."""
-    constant = np.zeros(background.shape)
-    if "background" in terms:
-        constant += background
-    if "read" in terms:
-        constant += detector.cadence_read_noise**2
-    if "quantization" in terms:
-        constant += detector.n_reads * detector.gain**2 / 12.0
-    return np.add(expected, constant, out=expected) if "photon" in terms else constant
-
-
-def _digital_numbers(electrons, detector):
-    """Return raw counts: digital numbers above the fixed offset."""
-    counts = electrons * (1.0 / detector.gain)
-    counts += detector.fixed_offset
-    np.rint(counts, out=counts)
-    return np.minimum(counts, _LARGEST_COUNT, out=counts)
 
 
 def _truth(prepared, lost, share, model):
@@ -272,7 +255,9 @@ def _truth(prepared, lost, share, model):
             (drawn.maps, maps),
             ({name: Table(dict(table)) for name, table in drawn.tables.items()}, tables),
         ):
-            into |= {_unused(name, into): value for name, value in found.items()}
+            for name, value in found.items():  # with a number after one of its kind
+                number = 1 + sum(f"{name}{suffix}" in into for suffix in ("", "_2", "_3", "_4"))
+                into[name if number == 1 else f"{name}_{number}"] = value
     described = describe_scene(scene)
     described["found"] = {
         "flux": [light.flux for light in lights],
@@ -283,31 +268,12 @@ def _truth(prepared, lost, share, model):
     return Truth(columns, maps, described, tables, model)
 
 
-def _unused(name, taken):
-    """Return a name, with a number if another effect of its kind has used it."""
-    number = 1 + sum(f"{name}{suffix}" in taken for suffix in ("", "_2", "_3", "_4"))
-    return name if number == 1 else f"{name}_{number}"
-
-
-def _warn_of_lost_light(scene, lost):
-    """Warn of a target whose light falls off the stamp; that of neighbors may."""
-    shape = scene.detector.shape
-    x_0, y_0 = scene.positions[0]
-    if lost[0] > _LARGEST_LOSS:
-        warnings.warn(
-            f"the star at x_0 = {x_0:g}, y_0 = {y_0:g} loses up to {100 * lost[0]:.1f} % of its "
-            f"light off the stamp of {shape[0]} x {shape[1]} pixels",
-            LostLightWarning,
-            stacklevel=3,
-        )
-
-
-def _warn_of_spilled_charge(fraction, shape):
-    """Warn of full columns whose charge bleeds off the stamp."""
+def _warn_of_loss(text, fraction, shape):
+    """Warn of light or charge that is lost."""
     if fraction > _LARGEST_LOSS:
+        lost = text.format(f"up to {100 * fraction:.1f} %")
         warnings.warn(
-            f"up to {100 * fraction:.1f} % of the charge of a cadence bleeds off the stamp of "
-            f"{shape[0]} x {shape[1]} pixels along full columns",
+            f"{lost} off the stamp of {shape[0]} x {shape[1]} pixels",
             LostLightWarning,
             stacklevel=3,
         )

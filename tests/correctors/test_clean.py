@@ -165,7 +165,7 @@ def test_local_lines_are_weighted_least_squares(width):
     use = rng.random(200) < 0.8
     time = np.cumsum(rng.choice([1.0, 2.0], 200))
     values, weight = 0.1 * time + rng.normal(size=200), np.where(use, 1.0, 1e-6)
-    smooth, _ = _Smoother(time, use).lines(values, weight, width)
+    smooth, *_ = _Smoother(time, use).lines(values, weight, width)
     for k in (0, 57, 199):
         kernel = np.exp(-0.5 * ((time - time[k]) / width) ** 2)
         kernel[np.abs(time - time[k]) > 3.5 * width + 1] = 0

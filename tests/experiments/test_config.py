@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from scope_models.experiments import STUDIES, make_study, read_config
-from scope_models.experiments.study import Study
+from scope_models.experiments.study import Study, parameter
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,6 +28,36 @@ class Fields(Study):
 
     def tasks(self):
         return []
+
+    def summarize(self, table):
+        return table
+
+    def draw(self, table, summary):  # noqa: ARG002
+        return None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Grid(Study):
+    """Stars of a grid.
+
+    Each is a cell.
+
+    Notes
+    -----
+    What follows stays where it is.
+    """
+
+    name: ClassVar[str] = "grid"
+    grid: ClassVar[dict] = {"index": "stars", "mag": "mags", "kind": "kinds"}
+    key: ClassVar[str] = "kp{mag:g}-{kind}-{index}"
+
+    stars: int = parameter(2, "Stars per cell.", least=1)
+    mags: tuple[float, ...] = parameter((12.0,), "Magnitudes.", different="numbers")
+    kinds: tuple[str, ...] = parameter(("a", "b"), "Kinds.", among=("a", "b"))
+    kind: str = parameter("a", "A kind.", among=("a", "b"))
+    floor: float = parameter(0.0, "At least 0.", positive=False)
+    scales: tuple[float, ...] = parameter((1.0,), "Above 0.", positive=True)
+    other: float = -1.0
 
     def summarize(self, table):
         return table
@@ -116,6 +146,56 @@ class TestFields:
             path.touch()
         study = Fields(text=str(paths[0]), texts=[str(paths[1]), "k2_roll", str(tmp_path)])
         assert study.input_files() == [str(path) for path in paths]
+
+
+class TestParameters:
+    def test_docstring_lists_them(self):
+        assert Grid.__doc__ == (
+            "Stars of a grid.\n\nEach is a cell.\n\nParameters\n----------\n"
+            "seed : int, optional\n    Seed of all random numbers.\n"
+            "stars : int, optional\n    Stars per cell.\n"
+            "mags : tuple of float, optional\n    Magnitudes.\n"
+            "kinds : tuple of str, optional\n    Kinds.\n"
+            'kind : {"a", "b"}, optional\n    A kind.\n'
+            "floor : float, optional\n    At least 0.\n"
+            "scales : tuple of float, optional\n    Above 0.\n\n"
+            "Raises\n------\nTypeError, ValueError\n"
+            "    If a field is of the wrong type or outside its domain.\n\n"
+            "Notes\n-----\nWhat follows stays where it is.\n"
+        )
+        assert "Parameters" not in Fields.__doc__
+
+    @pytest.mark.parametrize(
+        "field, value, message",
+        [
+            ("stars", 0, "`stars` must be at least 1, got 0"),
+            ("mags", (), "`mags` must be one or more different numbers, got ()"),
+            ("mags", (1, 1), "`mags` must be one or more different numbers, got (1.0, 1.0)"),
+            ("kinds", ("a", "c"), "`kinds` must be among a, b, got 'c'"),
+            ("kind", "c", "`kind` must be a or b, got 'c'"),
+            ("floor", -1, "`floor` must not be negative, got -1.0"),
+            ("scales", (1, 0), "`scales` must be positive, got 0.0"),
+        ],
+    )
+    def test_domains(self, field, value, message):
+        with pytest.raises(ValueError) as caught:  # noqa: PT011
+            Grid(**{field: value})
+        assert str(caught.value) == message
+
+    def test_tasks_are_the_cells_of_the_grid(self):
+        tasks = Grid(mags=(12, 13.5), kinds=("b",)).tasks()
+        assert [task["key"] for task in tasks] == [
+            "kp12-b-0", "kp13.5-b-0", "kp12-b-1", "kp13.5-b-1"
+        ]  # fmt: skip
+        assert list(tasks[1].items()) == [
+            ("key", "kp13.5-b-0"), ("mag", 13.5), ("kind", "b"), ("index", 0)
+        ]  # fmt: skip
+
+    def test_what_a_study_lacks_is_named(self):
+        with pytest.raises(NotImplementedError, match="`fields` has neither a grid nor tasks"):
+            Study.tasks(Fields())
+        with pytest.raises(NotImplementedError, match="`fields` has no pixels"):
+            Fields().run_star({})
 
 
 class TestSeeds:

@@ -16,7 +16,7 @@ from scope_models import (
     TransitModel,
 )
 from scope_models.effects import CosmicRays, Focus
-from scope_models.models import GaussHermitePSF
+from scope_models.models import GaussHermitePSF, sinusoidal_signal, tabulated_signal
 
 asdf = pytest.importorskip("asdf")
 pytest.importorskip("asdf_astropy")
@@ -67,6 +67,14 @@ def test_transit(tmp_path):
     found = back(planet, tmp_path / "planet.asdf")
     time = np.linspace(0, 4, 300)
     assert np.array_equal(found(time), planet(time))
+
+
+@pytest.mark.parametrize(
+    "signal", [sinusoidal_signal(0.1, 2.0), tabulated_signal([0, 1, 2], [1.0, 0.9, 1.0])]
+)
+def test_signals(signal, tmp_path):
+    found = back(Star(12.0, signal=signal), tmp_path / "star.asdf")
+    assert found == Star(12.0, signal=signal)
 
 
 def test_scene(tmp_path):
