@@ -60,12 +60,12 @@ _BACKGROUND = 0.05
 _FAR, _FEWEST_FAR = 2.7, 15
 #: Outliers exceed so many standard deviations, and cosmic rays so many.
 _CLIP, _HIT = 6.0, 4.5
-#: Number of pixels, the brightest, whose typical deviation is that of the model in a cadence.
-_BRIGHTEST = 9
 #: Part of a pixel's light by which the functions of position may miss where the star moves far:
 #: cosmic rays exceed it, too. Largest ratio of light to noise in a pixel from which on this and
 #: `_CLIP` hold; of fainter stars cosmic rays are a larger part of the light than such errors.
 _MISFIT, _BRIGHT = 0.05, 5000.0
+#: ... and in units of it, that below which images may change slowly.
+_FAINT_STAR = 0.4
 #: Images change with time as polynomials of one degree in so many days, up to so many columns, by
 #: about this part of a pixel's light.
 _DAYS_PER_DEGREE, _MOST_SLOW, _SLOW_CHANGE = 10.0, 60, 0.03
@@ -222,7 +222,7 @@ def clean_pixels(
     less = quantile(state.error) / quantile(error)
     if kind == "weighted" or (kind == "auto" and less < 1):
         fitted, found = copy(state), images
-        if state.misfit > _STEADY and (kind == "weighted" or less < _LESS_NOISE):
+        if state.misfit > _STEADY and state.bright < _FAINT_STAR:
             found = fitted.refine(own)
         brightness = fitted.brightness_like(light)
         part = state.roughness(brightness) / state.roughness(light)
@@ -254,7 +254,6 @@ class _State:
         self.noise = (quantile(flux_err[use].T) / self.unit) ** 2
         self.variance = self.noise
         self.scale = np.maximum(quantile(self.y[use].T, 0.98), 3 * np.sqrt(self.noise))
-        self.brightest = np.argsort(-typical)[:_BRIGHTEST]
         self.good = np.ones((n, n_pixels), dtype=bool)
         self.focus, self.variable = np.zeros(n), np.zeros(n)
         self._start_positions(position, total)
@@ -395,7 +394,7 @@ class _State:
         spread = 1.4826 * quantile(np.abs(rest[self.use].T))
         self.variance = np.maximum(self.noise, spread**2)
         if iteration > 0:
-            self.good = ~_single(self._hot(rest, image), self.use)
+            self.good = ~_single(self._hot(rest, image, slopes), self.use)
         hessian, right = self._normal_equations([image, *slopes], rest, self.good)
         level = np.abs(self.plane[self.use, 0] - self.base[0])
         tilt = max(1.4826 * quantile(level) + abs(self.base[0]), 1e-9)
@@ -419,21 +418,26 @@ class _State:
         moved = np.abs(np.stack([self.brightness, *self.z.T, self.focus]) - before) / error[:4]
         return bool((quantile(moved[:, self.use]) < _SMALL_STEPS).all())
 
-    def _hot(self, rest, image):
+    def _hot(self, rest, image, slopes):
         """
         Return pixels far above the model.
 
-        Of faint stars without neighbors, those where it holds in most of the star's pixels.
+        In faint stars' pixels, brightness and position follow a cosmic ray in part: less is left.
         """
-        sigma = np.sqrt(self.variance)
-        bright = min((self.scale / sigma).max() / _BRIGHT, 1.0) if self.alone else 1.0
+        sigma, bright = np.sqrt(self.variance), self.bright
         if bright < 1:
-            typical = 1.4826 * quantile(np.abs((rest / sigma)[:, self.brightest]))
-            sigma = sigma * np.maximum(typical, 1)[:, None]
+            sigma = sigma * np.sqrt(1 - self._leverage(image, slopes))
         excess = rest - (_HIT + bright * (_CLIP - _HIT)) * sigma
         hot = excess > 0
         hot[hot] = excess[hot] > bright * _MISFIT * np.abs(image[hot])
         return hot
+
+    def _leverage(self, image, slopes):
+        """Return how much brightness and position follow each pixel, typically."""
+        columns = np.stack([part.mean(axis=0) for part in (image, *slopes[:2])], axis=1)
+        columns /= np.sqrt(self.variance)[:, None]
+        hessian = columns.T @ columns + np.diag([0, _POSITION_PRIOR**-2, _POSITION_PRIOR**-2])
+        return np.einsum("ij,ji->i", columns, np.linalg.solve(hessian, columns.T))
 
     def _rest(self, image, constant):
         """Return what images and background leave of the light."""
@@ -587,6 +591,13 @@ class _State:
         return images
 
     @property
+    def bright(self):
+        """Largest ratio of light to noise in a pixel, in units of a bright star's; at most 1."""
+        return (
+            min((self.scale / np.sqrt(self.variance)).max() / _BRIGHT, 1.0) if self.alone else 1.0
+        )
+
+    @property
     def misfit(self):
         """Mean variance about the model in units of the noise."""
         return np.average(self.variance / self.noise, weights=np.maximum(self.scale, 0))
@@ -605,7 +616,9 @@ class _State:
         """Return the brightness with the sum's dependence on position and focus."""
         columns = np.column_stack([self._functions()[1], self.focus]) * self.brightness[:, None]
         change = (self.brightness - light)[self.use]
-        return self.brightness - _explained(columns, columns[self.use], change)
+        noise = 1.05 * quantile(np.abs(np.diff(change)))
+        ridge = (noise / _RESPONSE_PRIOR) ** 2
+        return self.brightness - _explained(columns, columns[self.use], change, ridge)
 
     def _varying_light(self, rest, image, slopes, others):
         """Return the light in the aperture that varies with other stars."""
@@ -657,9 +670,9 @@ def precise_aperture(light, variance, position):
     return mask
 
 
-def _explained(columns, fit, values):
+def _explained(columns, fit, values, ridge=0.0):
     """Return what columns explain of values, whose rows are ``fit``."""
-    gram = fit.T @ fit + 1e-9 * len(fit) * np.eye(fit.shape[1])
+    gram = fit.T @ fit + (ridge + 1e-9 * len(fit)) * np.eye(fit.shape[1])
     return columns @ np.linalg.solve(gram, fit.T @ values)
 
 
