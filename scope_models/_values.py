@@ -3,11 +3,12 @@
 import dataclasses
 from collections.abc import Mapping
 from functools import singledispatch
+from html import escape
 
 import numpy as np
 from astropy.modeling import CompoundModel, Model
 
-__all__ = ["Value", "frozen", "value_key"]
+__all__ = ["Value", "frozen", "html_table", "value_key"]
 
 _PROPER_MOTION = ("pm_ra_cosdec", "pm_dec")
 
@@ -69,6 +70,15 @@ def frozen(array):
     return array
 
 
+def html_table(title, rows):
+    """Return a title and a table of names and values as HTML."""
+    cells = "".join(
+        f"<tr><th>{escape(str(name))}</th><td>{escape(str(value))}</td></tr>"
+        for name, value in rows.items()
+    )
+    return f"<p>{escape(title)}</p><table>{cells}</table>"
+
+
 @singledispatch
 def value_key(value):
     """Return what is equal, and hashes alike, for equal values; functions by identity."""
@@ -127,6 +137,10 @@ def _made(kind, values):
 
 def _shown(value):
     """Return text of one line."""
+    if hasattr(value, "colnames"):
+        return f"<table of {len(value)} rows>"
     if isinstance(value, np.ndarray) and value.size > 4:
         return f"<array of shape {value.shape}>"
+    if isinstance(value, Mapping):
+        return f"{{{', '.join(f'{key!r}: {_shown(item)}' for key, item in value.items())}}}"
     return " ".join(repr(value).split())

@@ -117,7 +117,7 @@ class QualityBits(Value):
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Mission(Value):
-    """What a mission fixes for all its stars.
+    """Facts that are the same for all stars of a mission.
 
     `~scope_models.missions.MISSIONS` holds Kepler, K2 and TESS by their names.
 

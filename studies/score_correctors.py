@@ -44,7 +44,6 @@ def truth(tpf, number):
 def lightkurve_pld(tpf, number, order):  # noqa: ARG001
     from lightkurve.correctors import PLDCorrector as Corrector
 
-    np.random.seed(0)  # noqa: NPY002 - lightkurve's PLD draws from numpy's global state
     return Corrector(tpf, aperture_mask="pipeline").correct(pld_order=order)
 
 

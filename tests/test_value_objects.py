@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from astropy.coordinates import SkyCoord
 from astropy.modeling.models import Polynomial1D, Tabular1D
+from astropy.table import Table
 
 from scope_models import (
     BivariateGaussianPSF,
@@ -21,7 +22,7 @@ from scope_models import (
     simulate,
 )
 from scope_models.correctors import PLDOptions
-from scope_models.effects import Background, Extinction, Focus, Gaps
+from scope_models.effects import Background, Drawn, Extinction, Focus, Gaps
 from scope_models.io import TPFMetadata
 from scope_models.missions import MISSIONS
 from scope_models.models import PRFGrid, TabulatedPRF, sinusoidal_signal, tabulated_signal
@@ -61,6 +62,14 @@ def make(kind):
         "grid": lambda: PRFGrid([(1, 1), (9, 1), (1, 9)], [TabulatedPRF(np.eye(7))] * 3),
     }
     return kinds if kind is None else kinds[kind]()
+
+
+def test_text_of_tables_and_mappings_is_short():
+    drawn = Drawn({"FOCUS": TIME}, tables={"HITS": Table({"ROW": [1, 2]})})
+    assert repr(drawn) == (
+        "Drawn(columns={'FOCUS': <array of shape (6,)>}, maps={}, "
+        "tables={'HITS': <table of 2 rows>})"
+    )
 
 
 @pytest.mark.parametrize("kind", make(None))

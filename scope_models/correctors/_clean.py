@@ -28,12 +28,12 @@ __all__ = ["CleanPixels", "clean_pixels", "precise_aperture", "quantile"]
 #: Scale (px) of the response functions of position, and of those of focus and constant light.
 _SCALE, _COARSE_SCALE = 0.8, 1.0
 _TOLERANCE, _COARSE_TOLERANCE = 1e-9, 1e-4
-_MAX_RANK, _COARSE_RANK = 120, 25
+_MAX_RANK, _COARSE_RANK = 200, 25
 #: Number of iterations, and for stars whose constant light is learned.
 _ITERATIONS, _MORE_ITERATIONS = 7, 12
 #: The fit ends after so many iterations if the median steps of brightness, both positions and focus
 #: are less than these parts of their errors, and the star does not vary strongly.
-_FEWEST_ITERATIONS, _SMALL_STEPS = 4, (0.1, 0.1, 0.1, 0.1)
+_FEWEST_ITERATIONS, _SMALL_STEPS = 4, (0.15, 0.15, 0.15, 0.2)
 #: ... and once images may change slowly.
 _REFINEMENTS = 3
 #: Iterations after which the focus has an image of its own, and constant light counts.
@@ -207,8 +207,7 @@ def clean_pixels(
     """
     use = np.ones(len(flux), dtype=bool) if use is None else use
     own = np.ones_like(aperture) if own is None else own
-    state = _State(time, flux, flux_err, position, grid, aperture, use)
-    state.alone = own.all()
+    state = _State(time, flux, flux_err, position, grid, aperture, use, own)
     for iteration in range(_MORE_ITERATIONS):
         if iteration >= _ITERATIONS and not state.variable.any():
             break
@@ -217,13 +216,13 @@ def clean_pixels(
         if converged and iteration >= _FEWEST_ITERATIONS - 1 and not state.varies:
             break
     images = state.images()
-    state.fit_brightness(own, images)
-    light, error = state.summed(flux_err, own, images)
+    state.fit_brightness(images)
+    light, error = state.summed(flux_err, images)
     less = quantile(state.error) / quantile(error)
     if kind == "weighted" or (kind == "auto" and less < 1):
         fitted, found = copy(state), images
         if state.misfit > _STEADY and state.bright < _FAINT_STAR:
-            found = fitted.refine(own)
+            found = fitted.refine()
         brightness = fitted.brightness_like(light)
         part = state.roughness(brightness) / state.roughness(light)
         if kind == "weighted" or (part < _LESS_NOISE and fitted.misfit < _LARGEST_MISFIT):
@@ -235,9 +234,10 @@ def clean_pixels(
 class _State:
     """The model and its parameters while they are fitted; fluxes in units of the star's."""
 
-    def __init__(self, time, flux, flux_err, position, grid, aperture, use):
+    def __init__(self, time, flux, flux_err, position, grid, aperture, use, own):
         n, n_pixels = flux.shape
         self.time, self.grid, self.aperture, self.use = time, grid, aperture, use
+        self.own = own  # beside other stars' light a dimming looks like a change of focus
         typical = quantile(flux[use].T)
         self.center = grid[np.argmax(typical)].astype(float)
         offset = (grid - grid.mean(axis=0)) / np.maximum(np.ptp(grid, axis=0), 1)
@@ -395,7 +395,7 @@ class _State:
         self.variance = np.maximum(self.noise, spread**2)
         if iteration > 0:
             self.good = ~_single(self._hot(rest, image, slopes), self.use)
-        hessian, right = self._normal_equations([image, *slopes], rest, self.good)
+        hessian, right = self._normal_equations([image, *slopes], rest)
         level = np.abs(self.plane[self.use, 0] - self.base[0])
         tilt = max(1.4826 * quantile(level) + abs(self.base[0]), 1e-9)
         priors = [
@@ -447,13 +447,13 @@ class _State:
             rest += self.variable[:, None] * constant
         return rest
 
-    def _normal_equations(self, images, rest, good, n_planes=3):
+    def _normal_equations(self, images, rest, n_planes=3):
         """
         Return the Hessian and the right side of each cadence's least squares, ``(k, k, n)``.
 
         The images are those of brightness, position, and focus. They are overwritten.
         """
-        root, damaged = 1 / np.sqrt(self.variance), np.nonzero(~good)
+        root, damaged = self.own / np.sqrt(self.variance), np.nonzero(~self.good)
         for values in (*images, rest):
             np.multiply(values, root, out=values)
             values[damaged] = 0
@@ -474,12 +474,12 @@ class _State:
         right[1:first] *= self.brightness
         return hessian, right
 
-    def fit_brightness(self, own, images):
-        """Fit brightness and positions to some pixels, at the smoothed background and focus."""
+    def fit_brightness(self, images):
+        """Fit brightness and positions at the smoothed background and focus."""
         _, image, slopes, constant = images
         rest = self._rest(image, constant)
         columns = [values.copy() for values in (image, *slopes[:2])]
-        hessian, right = self._normal_equations(columns, rest, self.good & own, 0)
+        hessian, right = self._normal_equations(columns, rest, 0)
         hessian[[1, 2], [1, 2]] += self._place
         step, error = _solved(hessian, right)
         self.brightness = self.brightness + np.clip(step[0], -0.3, 0.3)
@@ -549,15 +549,15 @@ class _State:
         focus = focus - columns @ np.linalg.lstsq(columns[use], focus[use], rcond=None)[0]
         self.focus = self.smoothed(focus, error) if iteration >= _FOCUS_FROM else focus
 
-    def summed(self, flux_err, own, images):
+    def summed(self, flux_err, images):
         """Return the sum over the aperture, cosmic rays replaced, and its error."""
         _, image, slopes, constant = images
         light = self.y - self.background
         light[~self.good] -= self._rest(image, constant)[~self.good]
         pixels, light = light, light[:, self.aperture].sum(axis=1)
-        if not own.all():
+        if not self.own.all():
             rest = pixels - light[:, None] * image + self.variable[:, None] * constant
-            light = light - self._varying_light(rest, image, slopes[:2], ~own)
+            light = light - self._varying_light(rest, image, slopes[:2], ~self.own)
         return light, np.sqrt((flux_err[:, self.aperture] ** 2).sum(axis=1)) / self.unit
 
     def result(self, light, error, images, *, weighted):
@@ -578,7 +578,7 @@ class _State:
             weighted=weighted,
         )
 
-    def refine(self, own):
+    def refine(self):
         """Let the images change slowly, at the focus that was found, and return them."""
         focus = self.focus
         for _ in range(_REFINEMENTS):
@@ -587,15 +587,14 @@ class _State:
             self.focus = focus
         self.fit_pixels(_ITERATIONS, slow=True)
         images = self.images()
-        self.fit_brightness(own, images)
+        self.fit_brightness(images)
         return images
 
     @property
     def bright(self):
-        """Largest ratio of light to noise in a pixel, in units of a bright star's; at most 1."""
-        return (
-            min((self.scale / np.sqrt(self.variance)).max() / _BRIGHT, 1.0) if self.alone else 1.0
-        )
+        """Light over noise in units of a bright star's, at most 1; with neighbors 1."""
+        signal = (self.scale / np.sqrt(self.variance)).max()
+        return min(signal / _BRIGHT, 1.0) if self.own.all() else 1.0
 
     @property
     def misfit(self):
@@ -622,7 +621,8 @@ class _State:
 
     def _varying_light(self, rest, image, slopes, others):
         """Return the light in the aperture that varies with other stars."""
-        columns = np.column_stack([self._functions()[1], self.focus])
+        columns = [self._functions()[1], self.focus, self.variable, self.variable[:, None] * self.z]
+        columns = np.column_stack(columns)
         rest = rest - _explained(columns, columns[self.use], rest[self.use])
         where = self.grid, self.aperture, self.use
         return varying_light(rest, image, slopes, self.noise, others, *where)

@@ -45,7 +45,7 @@ _POWERS = [(i, n - i) for n in range(1, 4) for i in range(n + 1)]
 @dataclass(frozen=True)
 class DesignOptions:
     """
-    What goes into the design matrix.
+    Options of the design matrix.
 
     Parameters
     ----------

@@ -4,8 +4,9 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from celerite2 import driver, terms
 from scipy.optimize import minimize
+
+from scope_models.correctors._covariance import Covariance
 
 __all__ = [
     "FluxModel",
@@ -56,62 +57,9 @@ class Process:
     amplitudes: tuple
     periods: tuple
 
-    @property
-    def kernel(self):
-        """Sum of the oscillators' kernels."""
-        parts = [
-            terms.SHOTerm(sigma=np.sqrt(a), rho=p, Q=np.sqrt(0.5))
-            for a, p in zip(self.amplitudes, self.periods, strict=True)
-        ]
-        return parts[0] if len(parts) == 1 else terms.TermSum(*parts)
-
     def factor(self, time, variance):
         """Return the factorized covariance at increasing times."""
-        return Factor(self.kernel, time, self.noise_scale * variance)
-
-
-class Factor:
-    """Cholesky factors of a celerite covariance.
-
-    Parameters
-    ----------
-    kernel : celerite2.terms.Term
-        Kernel of the process.
-    time : ndarray
-        Increasing times.
-    variance : ndarray
-        Variance of the white noise.
-    """
-
-    def __init__(self, kernel, time, variance):
-        self.time, self.kernel = time, kernel
-        self._c, a, self._u, self._v = kernel.get_celerite_matrices(time, variance)
-        self._d, self._w = driver.factor(time, self._c, a, self._u, self._v, a, self._v.copy())
-        if not (np.isfinite(self._d).all() and (self._d > 0).all()):
-            raise np.linalg.LinAlgError("the covariance is not positive definite")
-        self.log_determinant = float(np.sum(np.log(self._d)))
-
-    def whiten(self, columns):
-        """Return ``Z`` with ``Z.T @ Z = columns.T @ inv(K) @ columns``."""
-        z = np.array(columns, order="C")
-        z = driver.solve_lower(self.time, self._c, self._u, self._w, z, z)
-        z /= np.sqrt(self._d)[:, None]
-        return z
-
-    def solve(self, columns):
-        """Return ``inv(K) @ columns``."""
-        z = np.array(columns, order="C")
-        z = driver.solve_lower(self.time, self._c, self._u, self._w, z, z)
-        z /= self._d[:, None]
-        return driver.solve_upper(self.time, self._c, self._u, self._w, z, z)
-
-    def predict(self, solved, time):
-        """Return the mean of the process at other times, given ``inv(K) @ data``."""
-        c, _, u, v = self.kernel.get_celerite_matrices(time, np.zeros_like(time))
-        mean = np.zeros((len(time), 1))
-        solved = np.ascontiguousarray(solved[:, None])
-        mean = driver.general_matmul_lower(time, self.time, c, u, self._v, solved, mean)
-        return driver.general_matmul_upper(time, self.time, c, v, self._u, solved, mean)[:, 0]
+        return Covariance(time, self.noise_scale * variance, self.amplitudes, self.periods)
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,7 @@
 """Dimmings of the star's own light, put into the pixels that a corrector has read."""
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -16,6 +17,8 @@ _FAINTEST = 0.02
 #: units of the star's light.
 _MISFIT, _LEVEL = 0.03, 1e-3
 _ROUNDS = 6
+#: Part of constant light that is uncertain when the star's variability shows it.
+_UNCERTAIN = 0.05
 #: The irrational number whose multiples spread boxes evenly, at places without a period.
 _GOLDEN = (np.sqrt(5) - 1) / 2
 #: Boxes are at least so many times their width apart, and there are so many at most.
@@ -30,37 +33,58 @@ class Source:
     series: object  # their file
     cadence_mask: np.ndarray | None  # cadences from which images are learned
 
-    def star_light(self, clean):
-        """
-        Return the star's own light in each pixel, e-/s, and its part of the aperture's light.
-
-        The measured light less background, times the star's share in a typical image: neighbors
-        have the star's profile.
-        """
-        pixels, use = self.pixels, self.pixels.usable
-        typical = np.nanmedian(pixels.flux[use], axis=0)
+    @cached_property
+    def _image(self):
+        """Typical image less background, its background, and the star's share in each pixel."""
+        pixels = self.pixels
+        typical = np.nanmedian(pixels.flux[pixels.usable], axis=0)
         plane = background_plane(typical)
-        light = pixels.flux - plane
+        image = np.nan_to_num(typical - plane)
+        return image, plane, _star_share(image, pixels.aperture)
+
+    @cached_property
+    def other_light(self):
+        """Part of the aperture's light that is other stars', as the typical image shows it."""
+        own = self.pixels.own
+        if own is not None and own.all():
+            return 0.0
+        image, _, share = self._image
+        inside = self.pixels.aperture
+        return float(np.clip(1 - (image * share)[inside].sum() / image[inside].sum(), 0.0, 1.0))
+
+    def light(self, clean):
+        """Return all stars' light in each pixel, e-/s."""
+        light = self.pixels.flux - self._image[1]
         if clean is not None:
-            known = np.isfinite(pixels.flux[use]).all(axis=0)
-            cube = light[use]
-            cube[:, known] = pixels.flux[use][:, known] - clean.background
-            light[use] = cube
-        share = _star_share(np.nan_to_num(typical - plane), pixels.aperture)
-        own = light * share
-        weights = pixels.aperture if pixels.weights is None else pixels.weights[use]
-        whole, mine = (np.nansum(values[use] * weights) for values in (light, own))
-        constant = 0.0 if clean is None else clean.constant
-        left = 1 - constant * use.sum() / whole  # of the light, when constant light is taken off
-        return own, float(np.clip(mine / whole / left, 0.0, 1.0))
+            use = self.pixels.usable
+            flux = self.pixels.flux[use]
+            known = np.isfinite(flux).all(axis=0)
+            flux[:, known] -= clean.background
+            light[use] = flux
+        return light
+
+    def star_part(self, clean):
+        """Return the star's part of the aperture's light less constant light that was found."""
+        return min((1 - self.other_light) / (1 - _constant_part(clean)), 1.0)
+
+    def contrast_error(self, clean):
+        """Return the uncertain part of the light that was not taken off, or may be none."""
+        found, other = _constant_part(clean), self.other_light
+        return _UNCERTAIN * max(found, other) if found > 0 else other
 
     def dimmed(self, signal, clean):
         """Return the same with the star's light multiplied with a signal ``(n_cadences,)``."""
         pixels = self.pixels
-        flux = pixels.flux + self.star_light(clean)[0] * (signal - 1)[:, None, None]
+        own = self.light(clean) * self._image[2]
+        flux = pixels.flux + own * (signal - 1)[:, None, None]
         weights = pixels.aperture if pixels.weights is None else pixels.weights
         total, _ = aperture_flux(flux, weights, pixels.flux_err)
         return replace(self, pixels=replace(pixels, flux=flux, total=total))
+
+
+def _constant_part(clean):
+    """Return the part of the aperture's light that was found to be constant."""
+    return 0.0 if clean is None else clean.constant / (clean.constant + np.median(clean.light))
 
 
 def _star_share(image, aperture):

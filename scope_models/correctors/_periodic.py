@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+from astropy.timeseries import BoxLeastSquares
 from scipy.ndimage import uniform_filter1d
 
 from scope_models.correctors._regression import Hyperparameters, log_likelihood
@@ -32,6 +33,9 @@ _CADENCES_PER_FREQUENCY, _MOST = 15, 60
 _MULTIPLES, _SHARP = 0.7, 0.5
 #: ... up to this part of the fastest, for so many cadences at most one, and so many.
 _LAST, _CADENCES_PER_MULTIPLE, _MOST_MULTIPLES = 1.5, 12, 100
+#: Where equal boxes of so many cadences, and for so much of a period at most, leave less than this
+#: part of the variance, they are eclipses. They leave more than 0.65 of a sinusoid.
+_DURATIONS, _PART_OF_ORBIT, _LEFT = np.array([2, 4, 8, 16]), 0.15, 0.6
 #: Period in days of the slow process, which stands for all that is not periodic.
 _SLOW = 5.0
 #: Cadences that differ from the median of five by so many standard deviations stand alone.
@@ -88,13 +92,14 @@ def find_frequencies(solution, allowed):
         if not judged and len(found) >= _ENOUGH_TO_JUDGE:
             judged = True
             if _is_continuous(found, solution, use):
-                return np.empty(0)
+                first = _eclipses(solution, use)
+                return np.empty(0) if first is None else _multiples(first, trial, use)
         plain = replace(solution, hyper=trial.hyper)
         found = found + _shifts(found, plain, use)
         rest = plain.with_frequencies(found, use).unexplained
     plain = replace(solution, hyper=trial.hyper)
     found = _significant(found, plain, use)
-    first = _fundamental(found, solution)
+    first = _fundamental(found, solution) or _eclipses(solution, use)
     return found if first is None else _multiples(first, plain, use)
 
 
@@ -156,6 +161,21 @@ def _divisor(slow, solution):
     return None
 
 
+def _eclipses(solution, use):
+    """Return the frequency of the orbit if eclipses explain much of the light, else None."""
+    time, y = solution.time[use], solution.y[use]
+    step, span = float(np.median(np.diff(time))), np.ptp(time)
+    search, best = BoxLeastSquares(time, y), (_LEFT * np.var(y), None)
+    for duration in step * _DURATIONS:
+        frequency = np.arange(2 / span, _PART_OF_ORBIT / duration, 0.1 * duration / span)
+        if len(frequency):
+            power = search.power(1 / frequency, duration, objective="likelihood")
+            k = np.argmax(power.power)
+            box = search.model(time, power.period[k], duration, power.transit_time[k])
+            best = min(best, (np.var(y - box), 0.5 * frequency[k]), key=lambda pair: pair[0])
+    return best[1]  # the two eclipses of an orbit may be alike
+
+
 def _multiples(first, solution, use):
     """Return the multiples of a frequency, which is improved with ever more of them."""
     limit = min(int(_LAST * _fastest(solution) / first), _MOST_MULTIPLES)
@@ -200,6 +220,8 @@ def _with_simple_noise(solution, rest):
     width = max(round(1 / float(np.median(np.diff(solution.data.time)))), 1)
     slow = max(float(np.var(uniform_filter1d(rest, width))), 0.1 * variance)
     unit = float(np.var(solution.y[solution.use])) / solution.data.sizes
+    if solution.data.most is not None:
+        unit = np.minimum(unit, solution.data.most)
     hyper = Hyperparameters(max(jitter**2 / variance, 1.0), unit, slow, _SLOW)
     return replace(solution, hyper=hyper)
 

@@ -6,7 +6,7 @@ from functools import cached_property
 import numpy as np
 from scipy.linalg.lapack import dpotrf, dpotri, dtrtri, dtrtrs
 
-from scope_models.correctors._long_term import LongTerm, Noise
+from scope_models.correctors._covariance import Covariance, Noise
 
 __all__ = ["FLAT", "Data", "Hyperparameters", "Posterior", "gram_matrix", "log_likelihood"]
 
@@ -22,7 +22,7 @@ _EXCESS = 0.1
 @dataclass(frozen=True)
 class Data:
     """
-    What is regressed on what.
+    Data and regressors.
 
     Parameters
     ----------
@@ -123,7 +123,7 @@ class Hyperparameters:
         """Return the covariance of everything but the columns."""
         if self.amplitude is None:
             return Noise(self.noise_scale * variance)
-        return LongTerm(time, self.noise_scale * variance, self.amplitude, self.period)
+        return Covariance(time, self.noise_scale * variance, [self.amplitude], [self.period])
 
     def density(self, frequency):
         """Return the power spectral density of the long-term process (per cycle per day)."""
@@ -194,7 +194,7 @@ def gram_matrix(process, stacked):
 
     Parameters
     ----------
-    process : LongTerm or Noise
+    process : Covariance or Noise
         Noise and long-term variability.
     stacked : ndarray
         The columns and the data.

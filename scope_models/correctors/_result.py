@@ -248,8 +248,8 @@ class PLDFit:
         Returns
         -------
         flux, flux_err : ndarray
-            In e-/s, ``(n_cadences,)``; the error holds the white noise and the uncertainty of the
-            model.
+            In e-/s, ``(n_cadences,)``; the error holds the white noise, the uncertainty of the
+            model, and what other stars in the aperture add: see :doc:`/pld`.
         """
         solution = self.solution
         removed, variance = solution.systematics, solution.systematics_variance
@@ -258,6 +258,8 @@ class PLDFit:
             variance = solution.latent_variance()
         with np.errstate(over="ignore"):  # `credible_flux` leaves such cadences out
             flux = self.model.pixels.total[self.model.pixels.usable] / np.exp(removed)
+            change = flux / np.median(flux) - 1
+            variance = variance + (self.contrast_error * change) ** 2
             error = flux * np.sqrt(solution.white_variance + variance)
         return self._whole(flux), self._whole(error)
 
@@ -321,6 +323,12 @@ class PLDFit:
         """Constant light that was taken off, in units of all light in the aperture."""
         clean = self.model.clean
         return 0.0 if clean is None else clean.constant / (clean.constant + np.median(clean.light))
+
+    @cached_property
+    def contrast_error(self):
+        """Relative uncertainty of depths and amplitudes due to other light in the aperture."""
+        source = self.model.source
+        return 0.0 if source is None else source.contrast_error(self.model.clean)
 
     @property
     def crowding(self):
@@ -461,7 +469,7 @@ class PLDFit:
 
     def _without_response(self, column, found, error):
         """Return the amplitude whose removal from the pixels leaves no transit, and its error."""
-        share = self.model.source.star_light(self.model.clean)[1]
+        share = self.model.source.star_part(self.model.clean)
         taken, left, response = [0.0], [found], share
         while len(left) <= _REMOVALS and abs(left[-1]) > _NOTHING * error:
             step = left[-1] / response

@@ -27,7 +27,7 @@ _FALLBACK = 0.5
 @dataclass(frozen=True)
 class RowCenters:
     """
-    Where the star is along the columns.
+    Position of the star along the columns.
 
     Parameters
     ----------

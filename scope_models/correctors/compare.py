@@ -78,6 +78,12 @@ class ComparisonResult:
     reason: str
 
     def __repr__(self):
+        return f"<ComparisonResult of {', '.join(self.light_curves)}: best {self.best}>"
+
+    def _repr_html_(self):
+        return f"{self.table._repr_html_()}<p>best: {self.best}, because {self.reason}</p>"
+
+    def __str__(self):
         text = "\n".join(self.table.pformat(max_width=-1, max_lines=-1))
         return f"{text}\nbest: {self.best}, because {self.reason}"
 

@@ -1,4 +1,4 @@
-"""What sky, telescope and detector do to light and charge, besides noise and saturation."""
+"""Effects of sky, telescope and detector on light and charge, besides noise and saturation."""
 
 from scope_models.effects._effect import Conditions, Drawn, Effect, Exposures
 from scope_models.effects.atmosphere import Extinction, Scintillation, Seeing, airmass

@@ -1,4 +1,4 @@
-"""What all effects have in common: parameters, a truth that is drawn once, and places to act."""
+"""Base of all effects: parameters, a truth that is drawn once, and a method for each stage."""
 
 import inspect
 from collections.abc import Iterable, Mapping
@@ -29,9 +29,9 @@ TypeError, ValueError
 """
 
 
-@dataclass(frozen=True, eq=False)
-class Conditions:
-    """What an effect may need of the scene.
+@dataclass(frozen=True, eq=False, repr=False)
+class Conditions(Value):
+    """Properties of the scene that effects use.
 
     Parameters
     ----------
@@ -118,8 +118,8 @@ class Conditions:
         return 0 if mission is None else getattr(mission.quality, name)
 
 
-@dataclass(frozen=True, eq=False)
-class Exposures:
+@dataclass(frozen=True, eq=False, repr=False)
+class Exposures(Value):
     """Offsets of a star within each cadence.
 
     Parameters
@@ -190,8 +190,8 @@ class Exposures:
         return Exposures(self.x, self.y, self.weights).joined(grid)
 
 
-@dataclass(frozen=True)
-class Drawn:
+@dataclass(frozen=True, eq=False, repr=False)
+class Drawn(Value):
     """The truth of an effect in one observation.
 
     Parameters

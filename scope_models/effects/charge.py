@@ -1,4 +1,4 @@
-"""What a detector does to charge: smear, dark current, brighter-fatter effect, undershoot."""
+"""Effects on charge: smear, dark current, brighter-fatter effect, undershoot."""
 
 from dataclasses import dataclass
 

@@ -72,7 +72,7 @@ def moon_geometry(time, coord, location):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class NightSky(SkyEffect):
-    r"""How the sky grows brighter toward the horizon and with the Moon.
+    r"""Brightness of the sky by airmass and Moon.
 
     The detector's background is the dark sky at the zenith. Toward the horizon it has the factor
     :math:`X 10^{-0.4 k (X - 1)}`, and scattered moonlight adds, in nanolamberts [1]_,

@@ -1,4 +1,4 @@
-"""What the readout does: charge that transfers leave behind, and bands that roll over the rows."""
+"""Effects of the readout: charge that transfers leave behind, and bands that roll over the rows."""
 
 from dataclasses import dataclass
 

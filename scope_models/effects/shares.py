@@ -18,7 +18,7 @@ _SLOW_DEGREE = 3
 
 @dataclass(frozen=True, eq=False, repr=False)
 class PixelShares(Effect):
-    r"""What each pixel holds of a star's light beyond its PSF: smooth in position and slow time.
+    r"""Shares of a star's light in each pixel beyond its PSF: smooth in position and slow time.
 
     .. math:: S_p(x, y, t) = P_p(x, y) + \sum_{ijk} c_{p,ijk}\, L_i(u)\, L_j(v)\, L_k(w)
 

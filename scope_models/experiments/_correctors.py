@@ -130,7 +130,7 @@ def correct(name, setting, tpf, aperture, cadence_mask=None):
     """
     from lightkurve.correctors import PLDCorrector, SFFCorrector
 
-    with quiet(), _fixed_randomness():
+    with quiet():
         try:
             if name == "lightkurve_pld":
                 mask = aperture if setting[0] == "whole" else None
@@ -166,24 +166,15 @@ def best_setting(name, tpf, aperture):
 
 @contextmanager
 def quiet():
-    """Silence lightkurve's logger and its libraries' warnings."""
-    logger = logging.getLogger("lightkurve")
+    """Silence lightkurve and its libraries, and fix numpy's global state, from which it draws."""
+    logger, state = logging.getLogger("lightkurve"), np.random.get_state()  # noqa: NPY002
     level = logger.level
     logger.setLevel(logging.CRITICAL)
+    np.random.seed(0)  # noqa: NPY002
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             yield
     finally:
         logger.setLevel(level)
-
-
-@contextmanager
-def _fixed_randomness():
-    """Make lightkurve's PLDCorrector reproducible: it draws from numpy's global state."""
-    state = np.random.get_state()  # noqa: NPY002
-    np.random.seed(0)  # noqa: NPY002
-    try:
-        yield
-    finally:
         np.random.set_state(state)  # noqa: NPY002

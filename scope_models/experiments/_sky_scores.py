@@ -17,7 +17,7 @@ _SIDE = 8  # cadences on either side of a border, at least
 
 @dataclass(frozen=True)
 class SkyScore:
-    """How well a light curve shows what the star did.
+    """Score of a light curve against the star's true flux.
 
     Attributes
     ----------

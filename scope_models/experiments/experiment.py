@@ -7,6 +7,7 @@ from pathlib import Path
 from astropy.table import Table
 from astropy.utils.decorators import deprecated_renamed_argument
 
+from scope_models._values import Value
 from scope_models.experiments._store import provenance
 from scope_models.experiments.config import make_study
 from scope_models.experiments.study import Study
@@ -16,9 +17,9 @@ from scope_models.io._atomic import atomic_path
 __all__ = ["ExperimentResult", "run_experiment"]
 
 
-@dataclass(frozen=True, eq=False)
-class ExperimentResult:
-    """What an experiment has found, and the files that it has written.
+@dataclass(frozen=True, eq=False, repr=False)
+class ExperimentResult(Value):
+    """Result of an experiment, and the files that it has written.
 
     Attributes
     ----------

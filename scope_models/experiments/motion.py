@@ -1,7 +1,6 @@
 """The paper's motion test: de-trended noise against magnitude at multiples of K2's motion."""
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
@@ -123,10 +122,6 @@ class MotionTest(Study):
             raise ValueError(
                 f"`transit_depth` must be between 0 and 1e6 ppm, got {self.transit_depth}"
             )
-
-    def input_files(self):
-        """Return the file of the motion, if it is one."""
-        return [self.motion] if Path(self.motion).is_file() else []
 
     def observation(self, task):
         """Return the pixels of a star without transits."""

@@ -4,12 +4,13 @@ The images come from a rendering of their own (a Fourier series of the PSF again
 map of each pixel's response), which neither the simulator nor the correctors and fits use.
 """
 
+from collections import namedtuple
 from dataclasses import dataclass, field, fields
 
 import numpy as np
 
 from scope_models._arrays import plain_number
-from scope_models._checks import checked_integer
+from scope_models._checks import checked_choice, checked_integer
 from scope_models._values import Value
 from scope_models.experiments._sky_light import LIGHTS, MOTIONS, make_transit, red_noise
 from scope_models.experiments._sky_pixels import bleed, make_psf, make_response, render
@@ -23,24 +24,12 @@ __all__ = ["REGIMES", "MessyStar", "SkyRegime", "SkyScore", "make_sky", "score"]
 _CADENCE = K2Roll.cadence  # days
 _ARGABRIGHTENING = 4096  # on the CCD
 
-
-@dataclass(frozen=True)
-class _Photometer:
-    """What the missions' photometers differ in, see FACTS of the missions' handbooks.
-
-    Zero point (e-/s of a star of magnitude 12), seconds of exposure, read noise per cadence (e-),
-    sky background (e-/s per pixel), full well (e-/s), width of the PSF (px), pixel scale (arcsec).
-    """
-
-    zero_point: float
-    exposure: float
-    read_noise: float
-    background: float
-    well: float
-    width: float
-    pixel_scale: float
-
-
+# Numbers of the missions' photometers, from their handbooks: zero point (e-/s of a star of
+# magnitude 12), seconds of exposure, read noise per cadence (e-), sky background (e-/s per pixel),
+# full well (e-/s), width of the PSF (px), pixel scale (arcsec).
+_Photometer = namedtuple(
+    "_Photometer", "zero_point exposure read_noise background well width pixel_scale"
+)
 _KEPLER = _Photometer(1.74e5, 1625.3, 1479.0, 166.0, 1.79e5, 0.55, 3.98)
 _PHOTOMETERS = {
     "K2": _KEPLER,
@@ -186,8 +175,8 @@ _ALL = (
 REGIMES = {regime.name: regime for regime in _ALL}
 
 
-@dataclass(frozen=True, eq=False)
-class MessyStar:
+@dataclass(frozen=True, eq=False, repr=False)
+class MessyStar(Value):
     """A star of the messy sky: its pixels as a pipeline would deliver them, and the truth.
 
     All cadences are there, those without data too; fluxes are in e-/s.
@@ -347,9 +336,7 @@ def make_sky(regime, seed=0, *, n_cadences=1100):
     True
     """
     if not isinstance(regime, SkyRegime):
-        if regime not in REGIMES:
-            raise ValueError(f"`regime` must be one of {', '.join(REGIMES)}, got {regime!r}")
-        regime = REGIMES[regime]
+        regime = REGIMES[checked_choice("regime", regime, REGIMES)]
     n = checked_integer("n_cadences", n_cadences, 100)
     root = np.random.SeedSequence([seed, *regime.name.encode()])
     names = ("motion", "star", "optics", "sky", "noise", "events")

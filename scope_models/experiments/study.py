@@ -287,10 +287,15 @@ class Study(ABC):
         Returns
         -------
         list of str
-            Paths: by default all strings of the configuration that are those of files. A results
-            directory that was begun with other contents of them is refused.
+            Paths: by default all strings of the configuration that are those of files, but for
+            fields with a list of allowed texts. A results directory that was begun with other
+            contents of them is refused.
         """
-        values = [getattr(self, item.name) for item in dataclasses.fields(self)]
+        values = [
+            getattr(self, item.name)
+            for item in dataclasses.fields(self)
+            if not item.metadata.get("domain", {}).get("among")
+        ]
         listed = (value if isinstance(value, tuple) else (value,) for value in values)
         texts = dict.fromkeys(text for values in listed for text in values)
         return [text for text in texts if isinstance(text, str) and text and Path(text).is_file()]

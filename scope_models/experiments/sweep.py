@@ -13,6 +13,7 @@ from astropy.utils.exceptions import AstropyDeprecationWarning
 from tqdm import tqdm
 
 from scope_models._checks import checked_integer
+from scope_models._values import Value
 from scope_models.exceptions import FailedStarsWarning
 from scope_models.experiments._store import Store, provenance
 from scope_models.experiments._workers import (
@@ -44,8 +45,8 @@ class SweepError(RuntimeError):
     """
 
 
-@dataclass(frozen=True, eq=False)
-class SweepResult:
+@dataclass(frozen=True, eq=False, repr=False)
+class SweepResult(Value):
     """The results of a sweep.
 
     Attributes

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from astropy import units as u
+from scipy.ndimage import maximum_filter
 
 from scope_models._arrays import plain_array
 from scope_models.exceptions import FitWarning
@@ -165,12 +166,10 @@ def find_stars(flux):
     scatter = np.nanmedian(np.abs(flux[:, seen] - image[seen]), axis=0)
     error[seen] = 1.4826 * scatter / np.sqrt(np.maximum(good[:, seen].sum(axis=0), 1))
     image = image - np.median(image[seen])
-    padded = np.pad(image, 1, constant_values=-np.inf)
-    ny, nx = image.shape
-    around = [
-        padded[j : j + ny, i : i + nx] for j in range(3) for i in range(3) if (i, j) != (1, 1)
-    ]
-    peak = seen & (image > np.max(around, axis=0))
+    ring = np.ones((3, 3), dtype=bool)
+    ring[1, 1] = False
+    around = maximum_filter(image, footprint=ring, mode="constant", cval=-np.inf)
+    peak = seen & (image > around)
     peak &= (image > _LEAST_PART * image[seen].max()) & (image > _LEAST_SIGNIFICANCE * error)
     rows, columns = np.nonzero(peak)
     order = np.argsort(-image[rows, columns])

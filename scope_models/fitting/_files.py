@@ -131,7 +131,7 @@ def _fields_of(hdus):
 
 
 def _description(fit):
-    """What is neither an array by cadence nor an image."""
+    """Values that are neither an array by cadence nor an image."""
     model = fit.model
     detector = {
         item.name: getattr(fit.detector, item.name)

@@ -1,4 +1,4 @@
-"""How the result of a fit is gathered, and what is doubtful about it."""
+"""The result of a fit from its solution, and warnings about it."""
 
 import warnings
 from dataclasses import asdict

@@ -77,7 +77,7 @@ class State:
 
 @dataclass(frozen=True, eq=False)
 class Limits:
-    """What a step may do, as numbers."""
+    """Limits of a step, as numbers."""
 
     lower: np.ndarray  # (s,): bounds of the shared parameters
     upper: np.ndarray
@@ -107,7 +107,7 @@ class NormalEquations:
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """What is fitted to what."""
+    """Data and model of a fit."""
 
     stamps: tuple  # PixelData of each file, in the same cadences
     prf: object  # its parameters hold starts, bounds and fixed values
@@ -264,7 +264,7 @@ class Problem:
 
     @cached_property
     def limits(self):
-        """What a step may do."""
+        """Limits of a step."""
         low, high, step = (np.full(len(self.columns), v) for v in (-np.inf, np.inf, np.inf))
         if not self.path:
             ny, nx = self.data.shape

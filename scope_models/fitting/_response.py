@@ -56,7 +56,7 @@ _SOFT = 3.0
 
 @dataclass(eq=False)
 class _Cadences:
-    """What the fit changes of the cadences: values, weights, and which ones are used."""
+    """Cadences of a fit: values, weights, and a mask of those in use."""
 
     state: State
     weight: np.ndarray

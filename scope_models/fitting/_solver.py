@@ -29,7 +29,7 @@ _KNOWN = 1e-11
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """Where the iterations ended."""
+    """The state after the last iteration."""
 
     state: State  # the best parameters
     equations: object  # the expansion there

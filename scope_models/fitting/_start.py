@@ -1,4 +1,4 @@
-"""Where a fit starts, and what it holds fixed."""
+"""Starting values of a fit, and its fixed parameters."""
 
 import numpy as np
 

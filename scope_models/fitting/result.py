@@ -1,4 +1,4 @@
-"""What a fit finds."""
+"""The result of a fit."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""What lies behind the pixels of a simulation, in memory and in a file."""
+"""The truth behind the pixels of a simulation, in memory and in a file."""
 
 import json
 import re
@@ -27,7 +27,7 @@ _LONGEST_TEXT = 2000  # CFITSIO reads texts of up to 2879 characters
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Truth(Value):
-    """What lies behind the pixels of an observation.
+    """The truth behind the pixels of an observation.
 
     ``observation.truth`` holds it, and `~scope_models.read_truth` reads the same from the file.
 

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from scope_models._arrays import native
+from scope_models._values import Value
 from scope_models.io._opening import RefusedError, naming, open_fits
 from scope_models.missions import TIME_ZEROS, Mission
 
@@ -40,8 +41,8 @@ _FACTS = {
 }
 
 
-@dataclass(frozen=True, eq=False)
-class TableColumns:
+@dataclass(frozen=True, eq=False, repr=False)
+class TableColumns(Value):
     """Some columns of the first binary table of a FITS file.
 
     Attributes
@@ -68,9 +69,9 @@ class TableColumns:
     path: Path
 
 
-@dataclass(frozen=True, eq=False)
-class PositionColumns:
-    """Where a star was, as an archive file has it: unchecked values.
+@dataclass(frozen=True, eq=False, repr=False)
+class PositionColumns(Value):
+    """Positions of a star from an archive file: unchecked values.
 
     Attributes
     ----------

@@ -26,7 +26,7 @@ FWHM = 2 * np.sqrt(2 * np.log(2))
 @dataclass(frozen=True, eq=False)
 class ClosedForm:
     """
-    How a density integrates over pixels without quadrature.
+    Integral of a density over pixels without quadrature.
 
     A model has one by a method ``closed_form(values)`` that returns it; so have the Gaussians of
     astropy and photutils.

@@ -21,6 +21,8 @@ __all__ = ["ImageSeries", "is_gaussian", "unit_images"]
 
 # Positions of one call of what interpolates long series: so few are integrated one by one.
 _BATCH = FEW - 4
+# Standard deviations beyond which a normal density holds less than 1e-13 of its light.
+_DARK = 7.5
 
 
 class ImageSeries:
@@ -59,6 +61,13 @@ class ImageSeries:
         self._components, self._stamp = _components(psf), shape
         parts = _with_response(self._components, sensitivity)
         self.window = _window(parts, shape, x, y, widest, blur)
+        # How far from the star all but the dark part of its light is.
+        self._reach = max(
+            math.inf
+            if gaussian is None
+            else max(map(abs, offset)) + _DARK * math.hypot(max(gaussian[:2]), term.diffusion)
+            for _, offset, term, gaussian in parts
+        )
         rows, columns = (np.arange(s.start, s.stop, dtype=float) for s in self.window)
         self._parts = [
             (fraction, offset, _engine(term, gaussian, columns, rows, blur))
@@ -80,8 +89,14 @@ class ImageSeries:
 
     def lost(self, x, y):
         """Largest part of the star's light that falls off the stamp at a few positions."""
+        ends = [
+            (v.min() + 0.5, n - 0.5 - v.max())
+            for v, n in zip((x, y), self._stamp[::-1], strict=True)
+        ]
+        if min(map(min, ends)) > self._reach:
+            return 0.0
         images = _summed(self._components, self._stamp, x, y)
-        return float(np.clip(1.0 - images.sum(axis=(1, 2)).min(), 0.0, 1.0))
+        return min(max(1.0 - float(images.sum(axis=(1, 2)).min()), 0.0), 1.0)
 
 
 def is_gaussian(psf, sensitivity):

@@ -143,7 +143,9 @@ class Term:
     def polynomials(self):
         """Coefficients along x and along y of the product of all sensitivities."""
         along_x, along_y = np.ones(1), np.ones(1)
-        for factor in self.undiffused().sensitivities:
+        for factor in self.sensitivities:
+            if "sigma_d" in factor.values:
+                continue
             names, numbers = list(factor.values), [float(v) for v in factor.values.values()]
             n_x = names.index("ay0")
             along_x = np.convolve(along_x, numbers[:n_x])

@@ -78,7 +78,7 @@ class CorrectedPRF(TabulatedPRF):
 
     @property
     def arguments(self):
-        """What makes an equal model: arguments without the parameters (dict)."""
+        """Arguments of an equal model, without its parameters (dict)."""
         return super().arguments | {"order": self.order, "radius": self.radius}
 
     @property

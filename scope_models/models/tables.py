@@ -202,7 +202,7 @@ class _Table(StarModel):
 
     @property
     def arguments(self):
-        """What makes an equal model: arguments without the parameters (dict)."""
+        """Arguments of an equal model, without its parameters (dict)."""
         return {
             "array": self.array,
             "oversampling": self.oversampling,

@@ -3,6 +3,7 @@
 import astropy.units as u
 import numpy as np
 from astropy.time import Time
+from scipy.interpolate import interp1d
 from scipy.signal import savgol_filter
 
 from scope_models._arrays import plain_array, plain_number
@@ -164,16 +165,9 @@ def _clipped_trend(time, flux, filter_window, sigma=3.0, iterations=3, longest_g
             else:
                 smooth[part] = savgol_filter(f[part], filter_window, _FILTER_ORDER)
         near = np.abs(f - smooth) < sigma * np.std(f - smooth) + 1e-14
-        trend = _interpolate(time, t[near], smooth[near])
+        line = interp1d(t[near], smooth[near], fill_value="extrapolate", assume_sorted=True)
+        trend = line(time)
         kept = kept[near]
-    return trend
-
-
-def _interpolate(time, t, y):
-    """Linear interpolation that continues the first and the last segment outside."""
-    trend = np.interp(time, t, y)
-    for side, (i, j) in ((time < t[0], (0, 1)), (time > t[-1], (-1, -2))):
-        trend[side] = y[i] + (time[side] - t[i]) * (y[j] - y[i]) / (t[j] - t[i])
     return trend
 
 
@@ -204,8 +198,6 @@ def _everest_cdpp(_time, flux, width, filter_window):
 
 def _smooth(flux, width):
     """Convolve with a Hann window; the series is continued by point reflection."""
-    before = 2 * flux[0] - flux[1 : width + 1][::-1]
-    after = 2 * flux[-1] - flux[-width - 1 : -1][::-1]
     window = np.hanning(width)
-    padded = np.concatenate([before, flux, after])
+    padded = np.pad(flux, width, mode="reflect", reflect_type="odd")
     return np.convolve(padded, window / window.sum(), mode="same")[width:-width]

@@ -1,4 +1,4 @@
-"""What all figures share: the style, panels, labels, and the way into a file."""
+"""Style, panels and labels of all figures, and how they are saved."""
 
 from functools import wraps
 from pathlib import Path

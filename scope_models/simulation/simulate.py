@@ -131,11 +131,14 @@ def simulate(stars, detector=None, motion=None, *, keep_model=False, chunk_size=
     for part in pieces(scene, chunk_size):
         expected = gather(prepared, part, sums, aperture)
         added, subtracted = pedestal(prepared, part, expected)
-        charge = poisson_counts(expected, photons) if photons else expected.copy()
+        random = bool(photons or of_sky)
+        if random:
+            charge = poisson_counts(expected, photons) if photons else expected.copy()
         sky = poisson_counts(added, of_sky, expected.shape) if of_sky else added
         spilled = max(spilled, fill_wells(scene, expected, added))
-        fill_wells(scene, charge, sky)
-        charge += sky
+        if random:
+            fill_wells(scene, charge, sky)
+        charge = np.add(charge, sky, out=charge) if random else expected + sky
         if keep_model:
             np.divide(expected, scene.detector.exposure_time, out=model[part])
         background = (subtracted / scene.detector.exposure_time).astype(np.float32)
@@ -223,7 +226,7 @@ def _record(prepared, part, charges, pedestals, streams, cubes):
     np.maximum(error, _ROUNDING, out=error)
     rounding = np.abs(electrons, out=electrons)
     rounding *= _ROUNDING
-    np.maximum(error, rounding, out=cubes["flux_err"])
+    cubes["flux_err"][...] = np.maximum(error, rounding, out=rounding)
 
 
 def _flag(prepared, cubes):

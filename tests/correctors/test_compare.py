@@ -39,7 +39,8 @@ def test_apertures_and_cadences_are_the_same(compared):
 
 
 def test_text_has_all_columns_and_the_reason(compared):
-    text = repr(compared)
+    assert repr(compared) == f"<ComparisonResult of raw, pld, lightkurve: best {compared.best}>"
+    text = str(compared)
     assert all(name in text for name in compared.table.colnames)
     assert "best: pld, because the other one was not compared" in text
     assert compared.corrector is compared.correctors["pld"]

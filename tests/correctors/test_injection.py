@@ -129,3 +129,24 @@ def test_depths_of_messy_stars(how, magnitude, depth, neighbors):
         pulls.append((depths[-1] - 1) / error / (1 + others / mine))
     assert np.mean(depths) == pytest.approx(1, abs=0.01)
     assert 0.5 < np.sqrt(np.mean(np.square(pulls))) < 1.6
+
+
+@NOISY
+def test_errors_hold_other_light_in_the_aperture():
+    """The neighbor dilutes transits, and the errors in transit are as large."""
+    sky = make_sky(replace(REGIMES["k2-1x-transits-neighbor"], depth=0.05), 6102, n_cadences=400)
+    corrector = PLDCorrector(sky.to_tpf(), "all")
+    lc = corrector.correct()
+    rows = np.searchsorted(sky.cadenceno, lc["cadenceno"])
+    others, mine = (light[rows].sum() for light in (sky.neighbor_light, sky.star_light))
+    dilution = others / (mine + others)
+    assert corrector.result.contrast_error == pytest.approx(dilution, rel=0.1)
+    deep = sky.transit[rows] < 0.96
+    error = np.median((lc.flux_err / lc.flux)[deep]) / np.median((lc.flux_err / lc.flux)[~deep])
+    assert error * sky.floor() > 0.5 * 0.05 * dilution
+
+
+def test_a_star_alone_has_no_contrast_error(star):
+    corrector = PLDCorrector(star.tpf)
+    corrector.correct()
+    assert corrector.result.contrast_error == 0

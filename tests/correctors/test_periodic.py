@@ -1,13 +1,19 @@
 """Periodic variability: frequencies against the ones that data were made of."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from scope_models.correctors import PLDCorrector
 from scope_models.correctors._features import Regressors
-from scope_models.correctors._periodic import find_frequencies, harmonic_columns, is_periodic
+from scope_models.correctors._periodic import (
+    _eclipses,
+    find_frequencies,
+    harmonic_columns,
+    is_periodic,
+)
 from scope_models.correctors._regression import Hyperparameters
 from scope_models.correctors._solution import Solution
 from scope_models.experiments.skies import make_sky, score
@@ -115,3 +121,21 @@ def test_sharp_eclipses_are_multiples_of_one_frequency():
     assert found[-1] > 0.5 / 0.0204
     rest = solution.with_frequencies(found, solution.use).unexplained
     assert np.std(rest - 0.003 * np.sin(TIME / 3)) < 0.05 * np.std(eclipses)
+
+
+def test_eclipses_give_the_frequency_of_the_orbit():
+    time = np.arange(1200) / 48.9
+    phase = time / 2.3 % 1
+    light = (
+        1
+        + 0.01 * np.sin(2 * np.pi * time / 9.0)
+        + 1e-3 * np.random.default_rng(3).standard_normal(time.size)
+    )
+    eclipses = 0.2 * (np.abs(phase - 0.5) < 0.03) + 0.1 * (phase < 0.06)
+    use = np.ones(time.size, dtype=bool)
+    star = SimpleNamespace(time=time, y=np.log(light - eclipses))
+    number = _eclipses(star, use) * 2.3 * np.array([1, 2])
+    assert np.abs(number - np.round(number)).min() < 0.01
+    for period in (0.5, 2.3, 6.0):  # no eclipses
+        wave = SimpleNamespace(time=time, y=0.2 * np.sin(2 * np.pi * time / period))
+        assert _eclipses(wave, use) is None

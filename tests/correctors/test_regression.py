@@ -7,8 +7,8 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from scope_models.correctors import _search
+from scope_models.correctors._covariance import Covariance
 from scope_models.correctors._features import Regressors
-from scope_models.correctors._long_term import LongTerm
 from scope_models.correctors._regression import Data, Hyperparameters, log_likelihood
 from scope_models.correctors._search import fit_hyperparameters
 from scope_models.correctors._solution import Solution, fit
@@ -238,4 +238,4 @@ def test_outliers_are_clipped(data):
 
 def test_process_is_used(data, hyper):
     kind = type(hyper.process(data.time, data.variance))
-    assert (kind is LongTerm) == (hyper.amplitude is not None)
+    assert (kind is Covariance) == (hyper.amplitude is not None)

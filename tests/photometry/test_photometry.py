@@ -99,6 +99,12 @@ def test_cdpp_everest_by_hand():
     )
 
 
+def test_cdpp_everest_of_as_many_cadences_as_its_window():
+    flux = 1 + 1e-4 * np.random.default_rng(5).normal(size=51)
+    whole, shorter = cdpp(flux, method="everest"), cdpp(flux[:50], method="everest")
+    assert shorter == pytest.approx(whole, rel=0.1)
+
+
 def test_cdpp_everest_clips_outliers_and_ignores_slow_trends(white_noise):
     flux = white_noise[0]
     clean = cdpp(flux, method="everest")

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from scope_models.correctors._long_term import LongTerm, Noise
+from scope_models.correctors._covariance import Covariance, Noise
 
 AMPLITUDE, PERIOD = 2.3, 1.7
 
@@ -29,7 +29,7 @@ def both(request, problem):
     time, variance, _ = problem
     if request.param == "noise":
         return Noise(variance), np.diag(variance)
-    return LongTerm(time, variance, AMPLITUDE, PERIOD), kernel(time, time) + np.diag(variance)
+    return Covariance(time, variance, [AMPLITUDE], [PERIOD]), kernel(time, time) + np.diag(variance)
 
 
 def test_solve(both, problem):
@@ -39,6 +39,23 @@ def test_solve(both, problem):
     z = found.whiten(columns)
     np.testing.assert_allclose(z.T @ z, columns.T @ np.linalg.solve(dense, columns), atol=1e-11)
     assert found.log_determinant == pytest.approx(np.linalg.slogdet(dense)[1], abs=1e-11)
+
+
+def test_several_oscillators(problem):
+    time, variance, columns = problem
+    other = np.sort(np.random.default_rng(1).uniform(-1, 6, 20))
+
+    def sum_of_kernels(t_1, t_2):
+        return kernel(t_1, t_2) + kernel(t_1, t_2, 0.4, 0.3)
+
+    dense = sum_of_kernels(time, time) + np.diag(variance)
+    found = Covariance(time, variance, [AMPLITUDE, 0.4], [PERIOD, 0.3])
+    solved = np.linalg.solve(dense, columns)
+    np.testing.assert_allclose(found.solve(columns), solved, atol=1e-12)
+    assert found.log_determinant == pytest.approx(np.linalg.slogdet(dense)[1], abs=1e-11)
+    np.testing.assert_allclose(found.inverse_diagonal(), np.diag(np.linalg.inv(dense)), atol=1e-12)
+    expected = sum_of_kernels(other, time) @ solved[:, 0]
+    np.testing.assert_allclose(found.predict(solved[:, 0], other), expected, atol=1e-11)
 
 
 @pytest.mark.parametrize("starts", [[0, 13, 26, 47], [5], [0]])
@@ -61,7 +78,7 @@ def test_predict(problem):
     time, variance, columns = problem
     other = np.sort(np.random.default_rng(1).uniform(-1, 6, 20))
     alpha = np.linalg.solve(kernel(time, time) + np.diag(variance), columns[:, 0])
-    found = LongTerm(time, variance, AMPLITUDE, PERIOD).predict(alpha, other)
+    found = Covariance(time, variance, [AMPLITUDE], [PERIOD]).predict(alpha, other)
     np.testing.assert_allclose(found, kernel(other, time) @ alpha, atol=1e-11)
 
 
@@ -75,7 +92,7 @@ def test_gradient(problem):
         gram = columns.T @ np.linalg.solve(dense, columns)
         return np.sum(weights * gram) + 0.5 * np.linalg.slogdet(dense)[1]
 
-    process = LongTerm(time, variance, AMPLITUDE, PERIOD)
+    process = Covariance(time, variance, [AMPLITUDE], [PERIOD])
     by_variance, by_amplitude, by_period = process.gradient(
         columns, process.whiten(columns), weights
     )

@@ -1,16 +1,15 @@
-"""Long-term variability and white noise: a covariance that is solved in linear time."""
+"""Covariance of variability on several time scales and white noise, solved in linear time."""
 
-from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from celerite2 import backprop, driver
 
-__all__ = ["LongTerm", "Noise"]
+__all__ = ["Covariance", "Noise"]
 
 
 class Noise:
-    """White noise alone, with the interface of `LongTerm`.
+    """White noise alone, with the interface of `Covariance`.
 
     Parameters
     ----------
@@ -43,33 +42,11 @@ class Noise:
         return blocks
 
 
-@dataclass(frozen=True)
-class _Matrices:
-    """The matrices of a celerite kernel: decay rates, diagonal and the two generators."""
-
-    c: np.ndarray
-    a: np.ndarray
-    u: np.ndarray
-    v: np.ndarray
-
-
-def _make_matrices(time, variance, amplitude, period):
-    rate = np.sqrt(2) * np.pi / period
-    phase = rate * time
-    cos, sin = np.cos(phase), np.sin(phase)
-    return _Matrices(
-        np.array([rate, rate]),
-        variance + amplitude,
-        amplitude * np.stack([cos + sin, sin - cos], axis=1),
-        np.stack([cos, sin], axis=1),
-    )
-
-
-class LongTerm:
+class Covariance:
     r"""
-    White noise plus a critically smooth stochastic oscillator, factorized by celerite2.
+    White noise plus critically smooth stochastic oscillators, factorized by celerite2.
 
-    The kernel is that of a stochastically driven, damped oscillator of
+    The kernel of each is that of a stochastically driven, damped oscillator of
     quality :math:`1/\sqrt{2}`, :math:`k(\tau) = \sigma^2 e^{-w|\tau|}
     (\cos w\tau + \sin w|\tau|)` with :math:`w = \sqrt{2}\,\pi/\rho`.
 
@@ -79,41 +56,55 @@ class LongTerm:
         Increasing times ``(n,)`` in days.
     variance : ndarray
         Variance of the white noise, ``(n,)``.
-    amplitude : float
-        Variance of the process, :math:`\sigma^2`.
-    period : float
-        Undamped period :math:`\rho` in days: the time scale of the process.
+    amplitudes : sequence of float
+        Variance of each oscillator, :math:`\sigma^2`.
+    periods : sequence of float
+        Undamped periods :math:`\rho` in days: their time scales.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        If the covariance is not positive definite to working precision.
     """
 
-    def __init__(self, time, variance, amplitude, period):
+    def __init__(self, time, variance, amplitudes, periods):
         self.time, self.variance = time, variance
-        self.amplitude, self.period = amplitude, period
-        self._matrices = _make_matrices(time, variance, amplitude, period)
-        self._state = np.empty((len(time), 2, 2))
-        m = self._matrices
+        self.amplitudes = np.asarray(amplitudes, dtype=float)
+        self.rates = np.sqrt(2) * np.pi / np.asarray(periods, dtype=float)
+        self._c, self._a = np.repeat(self.rates, 2), variance + self.amplitudes.sum()
+        self._u, self._v = self._generators(time)
+        k = len(self._c)
         self._d, self._w, self._state = backprop.factor_fwd(
-            time, m.c, m.a, m.u, m.v, np.empty_like(m.a), np.empty_like(m.v), self._state
-        )
+            time, self._c, self._a, self._u, self._v,
+            np.empty_like(self._a), np.empty_like(self._v), np.empty((len(time), k, k)),
+        )  # fmt: skip
+        if not (np.isfinite(self._d).all() and (self._d > 0).all()):
+            raise np.linalg.LinAlgError("the covariance is not positive definite")
         self.log_determinant = float(np.sum(np.log(self._d)))
+
+    def _generators(self, time):
+        """Return the generators of the lower and the upper triangle, two for each oscillator."""
+        phase = np.outer(time, self.rates)
+        cos, sin = np.cos(phase), np.sin(phase)
+        lower = self.amplitudes[:, None] * np.stack([cos + sin, sin - cos], axis=2)
+        return lower.reshape(len(time), -1), np.stack([cos, sin], axis=2).reshape(len(time), -1)
 
     def whiten(self, columns):
         """Return ``Z`` with ``Z.T @ Z = columns.T @ inv(K) @ columns``."""
         z = np.array(columns, order="C")
-        m = self._matrices
-        z = driver.solve_lower(self.time, m.c, m.u, self._w, z, z)
+        z = driver.solve_lower(self.time, self._c, self._u, self._w, z, z)
         z /= np.sqrt(self._d)[:, None]
         return z
 
     def solve(self, columns):
         """Return ``inv(K) @ columns``."""
         z = np.array(columns, order="C")
-        m = self._matrices
-        z = driver.solve_lower(self.time, m.c, m.u, self._w, z, z)
+        z = driver.solve_lower(self.time, self._c, self._u, self._w, z, z)
         z /= self._d[:, None]
-        return driver.solve_upper(self.time, m.c, m.u, self._w, z, z)
+        return driver.solve_upper(self.time, self._c, self._u, self._w, z, z)
 
     def predict(self, residual, time):
-        """Return the mean of the process at other times, given what it should explain.
+        """Return the mean of the processes at other times, given what they should explain.
 
         Parameters
         ----------
@@ -122,15 +113,14 @@ class LongTerm:
         time : ndarray
             Increasing times ``(m,)``.
         """
-        m, alpha = self._matrices, np.ascontiguousarray(residual[:, None])
-        o = _make_matrices(time, np.zeros_like(time), self.amplitude, self.period)
+        alpha, (u, v) = np.ascontiguousarray(residual[:, None]), self._generators(time)
         mean = np.zeros((len(time), 1))
-        mean = driver.general_matmul_lower(time, self.time, m.c, o.u, m.v, alpha, mean)
-        return driver.general_matmul_upper(time, self.time, m.c, o.v, m.u, alpha, mean)[:, 0]
+        mean = driver.general_matmul_lower(time, self.time, self._c, u, self._v, alpha, mean)
+        return driver.general_matmul_upper(time, self.time, self._c, v, self._u, alpha, mean)[:, 0]
 
     def gradient(self, columns, whitened, gram_bar):
         """
-        Differentiate ``f(C.T @ inv(K) @ C) + log det(K) / 2``.
+        Differentiate ``f(C.T @ inv(K) @ C) + log det(K) / 2``, with one oscillator.
 
         With B = inv(K) C, a change dK of K changes the argument of f by -B^T dK B: no derivative
         has to be carried through the factorization's recursions for all columns.
@@ -149,9 +139,8 @@ class LongTerm:
         amplitude_bar, period_bar : float
             Derivatives by the logarithms of amplitude and period.
         """
-        m = self._matrices
         z = whitened / np.sqrt(self._d)[:, None]
-        solved = driver.solve_upper(self.time, m.c, m.u, self._w, z, z)
+        solved = driver.solve_upper(self.time, self._c, self._u, self._w, z, z)
         weighted = solved @ gram_bar
         by_noise = np.einsum("ij,ij->i", weighted, solved)
         variance_bar, amplitude_bar, period_bar = self._determinant_gradient
@@ -167,43 +156,46 @@ class LongTerm:
         The derivative is :math:`2 \sigma^2 w\tau e^{-w\tau} \sin w\tau`; the factor
         :math:`\tau` is a difference of times, so that four pairs of generators make it.
         """
-        rate, t = self._matrices.c[0], self.time
-        cos, sin = self._matrices.v.T
-        u = 2 * self.amplitude * rate * np.stack([t * sin, t * cos, sin, cos], axis=1)
+        (amplitude,), (rate,), t = self.amplitudes, self.rates, self.time
+        cos, sin = self._v.T
+        u = 2 * amplitude * rate * np.stack([t * sin, t * cos, sin, cos], axis=1)
         v = np.stack([cos, -sin, -t * cos, t * sin], axis=1)
         return driver.matmul_lower(t, np.full(4, rate), u, v, columns, np.zeros_like(columns))
 
     @cached_property
+    def _determinant_bars(self):
+        """Derivatives of half of log det K by the diagonal, the rates and the generators."""
+        bars = [np.zeros_like(x) for x in (self.time, self._c, self._a, self._u, self._v)]
+        arrays = self.time, self._c, self._a, self._u, self._v, self._d, self._w, self._state
+        return backprop.factor_rev(*arrays, 0.5 / self._d, np.zeros_like(self._w), *bars)[1:]
+
+    @property
     def _determinant_gradient(self):
         """Derivatives of half of log det K, as of `gradient`."""
-        m, d, empty = self._matrices, self._d, np.zeros_like
-        arrays = (empty(self.time), empty(m.c), empty(m.a), empty(m.u), empty(m.v))
-        _, c_bar, a_bar, u_bar, v_bar = backprop.factor_rev(
-            self.time, m.c, m.a, m.u, m.v, d, self._w, self._state, 0.5 / d, empty(self._w), *arrays
-        )
-        amplitude_bar = self.amplitude * a_bar.sum() + np.sum(u_bar * m.u)
-        cos, sin = m.v.T
+        c_bar, a_bar, u_bar, v_bar = self._determinant_bars
+        (amplitude,), (cos, sin) = self.amplitudes, self._v.T
+        amplitude_bar = amplitude * a_bar.sum() + np.sum(u_bar * self._u)
         # d/d(phase) of the generators; a longer period turns the phase back
-        du = self.amplitude * np.stack([cos - sin, cos + sin], axis=1)
+        du = amplitude * np.stack([cos - sin, cos + sin], axis=1)
         dv = np.stack([-sin, cos], axis=1)
-        turned = np.sum((u_bar * du + v_bar * dv) * (m.c[0] * self.time)[:, None])
-        return a_bar, float(amplitude_bar), float(-turned - np.sum(c_bar * m.c))
+        turned = np.sum((u_bar * du + v_bar * dv) * (self.rates * self.time[:, None]))
+        return a_bar, float(amplitude_bar), float(-turned - np.sum(c_bar * self._c))
 
     def inverse_diagonal(self):
         """Return the diagonal of ``inv(K)``: the derivative of log det K by that of K."""
-        return 2 * self._determinant_gradient[0]
+        return 2 * self._determinant_bars[1]
 
     def inverse_blocks(self, starts, width):
         """
-        Return the diagonal blocks of ``inv(K)``, shape ``(n_blocks, width, width)``.
+        Return the diagonal blocks of ``inv(K)`` of one oscillator, ``(n_blocks, width, width)``.
 
         With K = L D L^T, a column of inv(L) is a recursion through a state of two numbers, so
         that all rows below a block enter through one 2 x 2 matrix, which is summed from the
         last row upwards.
         """
-        m, d = self._matrices, self._d
-        decay = np.exp(-m.c[0] * np.diff(self.time))
-        below = np.concatenate([_sum_below(decay, m.u, self._w, d), np.zeros((1, 2, 2))])
+        u, d = self._u, self._d
+        decay = np.exp(-self._c[0] * np.diff(self.time))
+        below = np.concatenate([_sum_below(decay, u, self._w, d), np.zeros((1, 2, 2))])
         decay = np.append(decay, 0.0)
         rows = np.zeros((len(starts), width, width))
         tails = np.empty((len(starts), width, 2))
@@ -212,7 +204,7 @@ class LongTerm:
             for k in range(j, width):
                 here = starts + k
                 if k > j:
-                    column = -np.einsum("ij,ij->i", m.u[here], state)
+                    column = -np.einsum("ij,ij->i", u[here], state)
                 rows[:, j, k] = column / np.sqrt(d[here])
                 state = decay[here, None] * (state + self._w[here] * column[:, None])
             tails[:, j] = state
