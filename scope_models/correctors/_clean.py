@@ -38,6 +38,8 @@ _FEWEST_ITERATIONS, _SMALL_STEPS = 4, (0.15, 0.15, 0.15, 0.2)
 _REFINEMENTS = 3
 #: Iterations after which the focus has an image of its own, and constant light counts.
 _FOCUS_FROM, _CONSTANT_FROM = 2, 3
+#: With fewer pixels of the star, three for a parameter, cadences are fitted to those of others too.
+_FEWEST_OWN = 21
 #: Prior standard deviations: position about POS_CORR (px), relative width.
 _POSITION_PRIOR, _FOCUS_PRIOR = 0.02, 0.02
 #: POS_CORR that deviates by more is wrong (px).
@@ -237,7 +239,9 @@ class _State:
     def __init__(self, time, flux, flux_err, position, grid, aperture, use, own):
         n, n_pixels = flux.shape
         self.time, self.grid, self.aperture, self.use = time, grid, aperture, use
-        self.own = own  # beside other stars' light a dimming looks like a change of focus
+        self.own = own
+        # beside other stars' light a dimming looks like a change of focus
+        self.fitted = own if own.sum() >= _FEWEST_OWN else np.ones_like(own)
         typical = quantile(flux[use].T)
         self.center = grid[np.argmax(typical)].astype(float)
         offset = (grid - grid.mean(axis=0)) / np.maximum(np.ptp(grid, axis=0), 1)
@@ -395,7 +399,7 @@ class _State:
         self.variance = np.maximum(self.noise, spread**2)
         if iteration > 0:
             self.good = ~_single(self._hot(rest, image, slopes), self.use)
-        hessian, right = self._normal_equations([image, *slopes], rest)
+        hessian, right = self._normal_equations([image, *slopes], rest, self.fitted)
         level = np.abs(self.plane[self.use, 0] - self.base[0])
         tilt = max(1.4826 * quantile(level) + abs(self.base[0]), 1e-9)
         priors = [
@@ -447,13 +451,13 @@ class _State:
             rest += self.variable[:, None] * constant
         return rest
 
-    def _normal_equations(self, images, rest, n_planes=3):
+    def _normal_equations(self, images, rest, pixels, n_planes=3):
         """
         Return the Hessian and the right side of each cadence's least squares, ``(k, k, n)``.
 
         The images are those of brightness, position, and focus. They are overwritten.
         """
-        root, damaged = self.own / np.sqrt(self.variance), np.nonzero(~self.good)
+        root, damaged = pixels / np.sqrt(self.variance), np.nonzero(~self.good)
         for values in (*images, rest):
             np.multiply(values, root, out=values)
             values[damaged] = 0
@@ -479,7 +483,7 @@ class _State:
         _, image, slopes, constant = images
         rest = self._rest(image, constant)
         columns = [values.copy() for values in (image, *slopes[:2])]
-        hessian, right = self._normal_equations(columns, rest, 0)
+        hessian, right = self._normal_equations(columns, rest, self.own, 0)
         hessian[[1, 2], [1, 2]] += self._place
         step, error = _solved(hessian, right)
         self.brightness = self.brightness + np.clip(step[0], -0.3, 0.3)
