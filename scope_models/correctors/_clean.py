@@ -493,8 +493,8 @@ class _State:
         """Smooth the background as far as the data are for it; jumps of a cadence stay."""
         plane = plane - quantile(plane[self.use].T) + self.base
         if iteration >= _FOCUS_FROM:
-            for values, error in zip(plane.T, errors.T, strict=True):
-                smooth = self.smoothed(values, error)
+            for k, (values, error) in enumerate(zip(plane.T, errors.T, strict=True)):
+                smooth = self.smoothed(values, error, f"background {k}")
                 rest = np.abs(values - smooth)
                 typical = 1.4826 * quantile(rest[self.use])
                 jumps = rest > _CLIP * np.maximum(error, typical)
@@ -551,7 +551,7 @@ class _State:
         columns = np.column_stack([np.ones(len(focus)), self.z, self.variable])
         use = self.use
         focus = focus - columns @ np.linalg.lstsq(columns[use], focus[use], rcond=None)[0]
-        self.focus = self.smoothed(focus, error) if iteration >= _FOCUS_FROM else focus
+        self.focus = self.smoothed(focus, error, "focus") if iteration >= _FOCUS_FROM else focus
 
     def summed(self, flux_err, images):
         """Return the sum over the aperture, cosmic rays replaced, and its error."""
@@ -702,27 +702,27 @@ class _Smoother:
         self.time, self.use = time, use
         self.step = quantile(np.diff(time))
         self._index = np.rint((time - time[0]) / self.step).astype(int)
-        self._kernels = {}
+        self._kernels, self._best = {}, {}
 
-    def __call__(self, values, error):
+    def __call__(self, values, error, name=""):
         """
         Smooth with the width of the least median leave-one-out error.
 
-        Cadences that are not in use take the values of those around them.
+        Cadences that are not in use take the values of those around them. Widths are tried from
+        the next narrower one on than was best for the series of a name the last time.
         """
         use = self.use
         typical = quantile(error[use])
         start = np.where(use, (typical / np.maximum(error, 0.3 * typical)) ** 2, _NO_WEIGHT)
         values = np.where(use, values, np.interp(self.time, self.time[use], values[use]))
-        best = np.inf, values
-        weight = start
-        for width in _WIDTHS:
-            smooth, size, weight = self.lines(values, start, width, weight)
-            if size > _WORSE * best[0]:
+        least, best, weight = np.inf, values, start
+        for k in range(max(self._best.get(name, 0) - 1, 0), len(_WIDTHS)):
+            smooth, size, weight = self.lines(values, start, _WIDTHS[k], weight)
+            if size > _WORSE * least:
                 break
-            if size < best[0]:
-                best = size, smooth
-        return best[1]
+            if size < least:
+                least, best, self._best[name] = size, smooth, k
+        return best
 
     def lines(self, values, start, width, weight=None):
         """
