@@ -321,6 +321,11 @@ class PLDFit:
         return self.model.clean is None and bool(self._change > _FOLLOWING)
 
     @property
+    def weighted(self):
+        """Whether the flux is the brightness of fitted images, and not the sum of pixels."""
+        return self.model.clean is not None and self.model.clean.weighted
+
+    @property
     def contamination(self):
         """Constant light that was taken off, in units of all light in the aperture."""
         clean = self.model.clean
@@ -546,12 +551,13 @@ class PLDFit:
 
     def _rows(self):
         """Return labels and values for the short table."""
+        fractions = "measured" if self.model.clean is None else "predicted"
         rows = [
             ("cadences in the fit", f"{self.n_used}"),
             ("outliers", f"{self.n_outliers}"),
             ("noise variance / FLUX_ERR^2", f"{self.noise_scale:.3f}"),
             ("transit survival", f"{self.transit_survival:.3f}"),
-            ("fractions", "measured" if self.model.clean is None else "predicted"),
+            ("fractions, flux", f"{fractions}, {'weighted' if self.weighted else 'sum'}"),
             ("constant light taken off", f"{100 * self.contamination:.1f} %"),
         ]
         if self.crowding:
