@@ -15,6 +15,7 @@ from scope_models._values import Value
 from scope_models.experiments._sky_light import LIGHTS, MOTIONS, make_transit, red_noise
 from scope_models.experiments._sky_pixels import bleed, make_psf, make_response, render
 from scope_models.experiments._sky_scores import SkyScore, score_light_curve
+from scope_models.experiments._statistics import values_of
 from scope_models.io.tpf import TPFMetadata, make_tpf_hdulist
 from scope_models.missions import MISSIONS
 from scope_models.scene.motion import K2Roll
@@ -409,16 +410,10 @@ def score(lc, sky, *, aperture=None):
     if "cadenceno" not in getattr(lc, "columns", ()):
         raise ValueError("`lc` must have the column cadenceno")
     rows = np.searchsorted(sky.cadenceno, np.asarray(lc["cadenceno"], dtype=int))
-    flux, error = (_plain_column(lc[name]) for name in ("flux", "flux_err"))
+    flux, error = (values_of(lc, name) for name in ("flux", "flux_err"))
     return score_light_curve(
         _CADENCE * rows, flux, error, sky.true_flux[rows], sky.transit[rows], sky.floor(aperture)
     )
-
-
-def _plain_column(column):
-    """Return a column of a light curve as plain numbers, NaN where masked."""
-    values = getattr(column, "value", column)
-    return np.ma.filled(np.ma.masked_invalid(np.ma.asarray(values, dtype=float)), np.nan)
 
 
 def _width(regime, rng, time):
