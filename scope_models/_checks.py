@@ -11,6 +11,7 @@ from scope_models._arrays import plain_number
 __all__ = [
     "check_fields",
     "checked_cadences",
+    "checked_choice",
     "checked_integer",
     "checked_mask",
     "checked_matrix",
@@ -80,6 +81,13 @@ def check_fields(instance):
             if value > known["at_most"]:
                 raise ValueError(f"`{name}` must not be above {known['at_most']}, got {value}")
         object.__setattr__(instance, name, value)
+
+
+def checked_choice(name, value, choices):
+    """Return a value that is one of the choices."""
+    if value not in tuple(choices):
+        raise ValueError(f"`{name}` must be one of {', '.join(choices)}, got {value!r}")
+    return value
 
 
 def checked_integer(name, value, smallest, largest=None):

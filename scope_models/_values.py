@@ -3,11 +3,12 @@
 import dataclasses
 from collections.abc import Mapping
 from functools import singledispatch
+from html import escape
 
 import numpy as np
 from astropy.modeling import CompoundModel, Model
 
-__all__ = ["Value", "frozen", "value_key"]
+__all__ = ["Value", "frozen", "html_table", "value_key"]
 
 _PROPER_MOTION = ("pm_ra_cosdec", "pm_dec")
 
@@ -67,6 +68,15 @@ def frozen(array):
     array = np.array(array)
     array.flags.writeable = False
     return array
+
+
+def html_table(title, rows):
+    """Return a title and a table of names and values as HTML."""
+    cells = "".join(
+        f"<tr><th>{escape(str(name))}</th><td>{escape(str(value))}</td></tr>"
+        for name, value in rows.items()
+    )
+    return f"<p>{escape(title)}</p><table>{cells}</table>"
 
 
 @singledispatch

@@ -3,7 +3,15 @@
 import sys
 import warnings
 
-__all__ = ["add_inputs", "add_options", "add_workers", "client_of", "run", "single"]
+__all__ = [
+    "add_inputs",
+    "add_options",
+    "add_workers",
+    "client_of",
+    "refuse_options_of_runs",
+    "run",
+    "single",
+]
 
 
 def add_inputs(parser, output):
@@ -25,7 +33,15 @@ def single(arguments):
 
     if arguments.output is None or len(arguments.input) > 1:
         raise ValueError("give --output for one input, or --output-dir for any number")
+    refuse_options_of_runs(arguments)
     return find_files(arguments.input)[0]
+
+
+def refuse_options_of_runs(arguments):
+    """Refuse options of many files where there is one."""
+    given = {"--workers": arguments.workers != 1, "--scheduler": arguments.scheduler}
+    for name in filter(given.get, given):
+        raise ValueError(f"{name} needs an --output-dir")
 
 
 def add_options(parser):
@@ -62,6 +78,9 @@ def run(name, arguments, *inputs, **options):
 
     It is 1 if a file has failed; ``inputs`` and ``options`` are for the function.
     """
+    for option in ("output", "figure"):
+        if getattr(arguments, option, None) is not None:
+            raise ValueError(f"--{option} cannot be combined with --output-dir")
     from scope_models.exceptions import FailedStarsWarning
     from scope_models.experiments import SweepError, batch, benchmark
 

@@ -6,6 +6,11 @@ from scope_models.cli import _batch
 __all__ = ["add_parser", "run"]
 
 _CADENCES = 1000
+# The options that go together with --table.
+_OF_TABLES = (
+    "table", "output_dir", "overwrite", "workers", "scheduler", "detector", "motion", "cadences",
+    "seed",
+)  # fmt: skip
 _RUNS = ("campaign", "quarter", "sector", "channel", "camera", "ccd")
 
 
@@ -34,7 +39,7 @@ def add_parser(commands):
     _add_star(parser.add_argument_group("star"))
     _add_sky(parser.add_argument_group("sky"))
     _add_detector(parser.add_argument_group("detector"))
-    parser.set_defaults(run=run, error=parser.error)
+    parser.set_defaults(run=run, error=parser.error, default_of=parser.get_default)
 
 
 def _add(group, kind, *options):
@@ -167,10 +172,15 @@ def run(arguments):
     """Simulate the star and write the file; return the exit status."""
     from scope_models.io._atomic import check_output
 
+    if arguments.cadences is not None and arguments.cadences < 1:
+        raise ValueError(f"--cadences must be at least 1, got {arguments.cadences}")
     if arguments.table is not None:
         return _run_table(arguments)
     if arguments.output is None or (arguments.mag is None and arguments.catalog is None):
         arguments.error("--output and --mag or --catalog are needed, or --table and --output-dir")
+    if arguments.output_dir is not None:
+        raise ValueError("--output-dir needs --table")
+    _batch.refuse_options_of_runs(arguments)
     inputs = [arguments.motion, arguments.detector, arguments.catalog]
     check_output(
         arguments.output,
@@ -197,17 +207,19 @@ def _run_table(arguments):
 
     if arguments.output_dir is None:
         raise ValueError("--table needs an --output-dir")
+    for name, value in vars(arguments).items():
+        if name not in _OF_TABLES and value != arguments.default_of(name):
+            raise ValueError(f"--{name.replace('_', '-')} cannot be combined with --table")
     table = Table.read(arguments.table)
     options = {"detector": arguments.detector, "motion": arguments.motion or ""}
-    options |= {"cadences": arguments.cadences or _CADENCES, "seed": arguments.seed or 1}
+    options["cadences"] = arguments.cadences or _CADENCES
+    options["seed"] = 1 if arguments.seed is None else arguments.seed
     return _batch.run("simulate_table", arguments, table, **options)
 
 
 def _make_motion(arguments, detector):
     """Return the motion of the options."""
     number = arguments.cadences
-    if number is not None and number < 1:
-        raise ValueError(f"--cadences must be at least 1, got {number}")
     if arguments.motion is None:
         return _default_motion(arguments, detector, number or _CADENCES)
     motion = sm.Motion.from_file(arguments.motion)

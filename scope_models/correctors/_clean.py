@@ -27,7 +27,7 @@ __all__ = ["CleanPixels", "clean_pixels", "precise_aperture", "quantile"]
 #: Scale (px) of the response functions of position, and of those of focus and constant light.
 _SCALE, _COARSE_SCALE = 0.8, 1.0
 _TOLERANCE, _COARSE_TOLERANCE = 1e-9, 1e-4
-_MAX_RANK, _COARSE_RANK = 120, 25
+_MAX_RANK, _COARSE_RANK = 200, 25
 #: Number of iterations, and for stars whose constant light is learned.
 _ITERATIONS, _MORE_ITERATIONS = 7, 12
 #: The fit ends after so many iterations if the median steps of brightness, both positions and focus
@@ -187,7 +187,8 @@ def clean_pixels(time, flux, flux_err, position, grid, aperture, *, use=None, ow
         The result.
     """
     use = np.ones(len(flux), dtype=bool) if use is None else use
-    state = _State(time, flux, flux_err, position, grid, aperture, use)
+    own = np.ones_like(aperture) if own is None else own
+    state = _State(time, flux, flux_err, position, grid, aperture, use, own)
     for iteration in range(_MORE_ITERATIONS):
         if iteration >= _ITERATIONS and not state.variable.any():
             break
@@ -195,15 +196,16 @@ def clean_pixels(time, flux, flux_err, position, grid, aperture, *, use=None, ow
         converged = state.fit_cadences(iteration)
         if converged and iteration >= _FEWEST_ITERATIONS - 1 and not state.varies:
             break
-    return state.result(flux_err, np.ones_like(aperture) if own is None else own)
+    return state.result(flux_err)
 
 
 class _State:
     """The model and its parameters while they are fitted; fluxes in units of the star's."""
 
-    def __init__(self, time, flux, flux_err, position, grid, aperture, use):
+    def __init__(self, time, flux, flux_err, position, grid, aperture, use, own):
         n, n_pixels = flux.shape
         self.time, self.grid, self.aperture, self.use = time, grid, aperture, use
+        self.own = own  # beside other stars' light a dimming looks like a change of focus
         typical = quantile(flux[use].T)
         self.center = grid[np.argmax(typical)].astype(float)
         offset = (grid - grid.mean(axis=0)) / np.maximum(np.ptp(grid, axis=0), 1)
@@ -352,7 +354,7 @@ class _State:
             hot = rest > _CLIP * np.sqrt(self.variance)
             hot[hot] = (rest - _CLIP * np.sqrt(self.variance) - _MISFIT * np.abs(image))[hot] > 0
             self.good = ~_single(hot, self.use)
-        hessian, right = self._normal_equations([image, *slopes, focus], rest, self.good)
+        hessian, right = self._normal_equations([image, *slopes, focus], rest)
         level = np.abs(self.plane[self.use, 0] - self.base[0])
         tilt = max(1.4826 * quantile(level) + abs(self.base[0]), 1e-9)
         priors = [
@@ -383,13 +385,13 @@ class _State:
             rest += self.variable[:, None] * constant
         return rest
 
-    def _normal_equations(self, images, rest, good, n_planes=3):
+    def _normal_equations(self, images, rest, n_planes=3):
         """
         Return the Hessian and the right side of each cadence's least squares, ``(k, k, n)``.
 
         The images are those of brightness, position, and focus. They are overwritten.
         """
-        root, damaged = 1 / np.sqrt(self.variance), np.nonzero(~good)
+        root, damaged = self.own / np.sqrt(self.variance), np.nonzero(~self.good)
         for values in (*images, rest):
             np.multiply(values, root, out=values)
             values[damaged] = 0
@@ -410,10 +412,10 @@ class _State:
         right[1:first] *= self.brightness
         return hessian, right
 
-    def _fit_brightness(self, own, image, slopes, constant):
-        """Fit brightness and positions to some pixels, at the smoothed background and focus."""
+    def _fit_brightness(self, image, slopes, constant):
+        """Fit brightness and positions at the smoothed background and focus."""
         images, rest = [values.copy() for values in (image, *slopes)], self._rest(image, constant)
-        hessian, right = self._normal_equations(images, rest, self.good & own, 0)
+        hessian, right = self._normal_equations(images, rest, 0)
         hessian[[1, 2], [1, 2]] += self._place
         step, error = _solved(hessian, right)
         self.brightness = self.brightness + np.clip(step[0], -0.3, 0.3)
@@ -483,17 +485,17 @@ class _State:
         focus = focus - columns @ np.linalg.lstsq(columns[use], focus[use], rcond=None)[0]
         self.focus = self.smoothed(focus, error) if iteration >= _FOCUS_FROM else focus
 
-    def result(self, flux_err, own):
+    def result(self, flux_err):
         """Return the light and the fractions."""
         still, slopes, focus, constant = self._images()
         image, inside = self._focused(still, focus), self.aperture
-        self._fit_brightness(own, image, slopes, constant)
+        self._fit_brightness(image, slopes, constant)
         light = self.y - self.background
         light[~self.good] -= self._rest(image, constant)[~self.good]
         pixels, light = light, light[:, inside].sum(axis=1)
-        if not own.all():
+        if not self.own.all():
             rest = pixels - light[:, None] * image + self.variable[:, None] * constant
-            light = light - self._varying_light(rest, image, slopes, ~own)
+            light = light - self._varying_light(rest, image, slopes, ~self.own)
         error = np.sqrt((flux_err[:, inside] ** 2).sum(axis=1))
         misfit = np.average(self.variance / self.noise, weights=np.maximum(self.scale, 0))
         fits = misfit < _LARGEST_MISFIT
@@ -534,7 +536,8 @@ class _State:
 
     def _varying_light(self, rest, image, slopes, others):
         """Return the light in the aperture that varies with other stars."""
-        columns = np.column_stack([self._functions()[1], self.focus])
+        columns = [self._functions()[1], self.focus, self.variable, self.variable[:, None] * self.z]
+        columns = np.column_stack(columns)
         rest = rest - _explained(columns, columns[self.use], rest[self.use])
         where = self.grid, self.aperture, self.use
         return varying_light(rest, image, slopes, self.noise, others, *where)

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from operator import attrgetter
 
 import numpy as np
 from scipy.optimize import minimize
@@ -34,6 +35,7 @@ _STARTS = ((None, 1.0, 5.0), (0.3, 0.1, 2.0), (1.0, 1.0, 5.0))
 #: The largest variance of a group's part, in the same unit. More is not needed, and less
 #: well conditioned.
 _LARGEST = 1e3
+_value = attrgetter("value")
 
 
 @dataclass(frozen=True)
@@ -133,18 +135,16 @@ def _compressed(gram, data, hyper, smallest=1e-2):
     )
 
 
-def _fit_process(data, hyper, whole):
-    """
-    Maximize over noise, long-term process and a factor of all prior variances.
-
-    The columns of ``data`` are those of ``whole``, compressed.
-    """
+def _fit_process(trial):
+    """Maximize over noise, long-term process and a factor of all prior variances."""
+    whole, hyper = trial.data, trial.hyper
+    data = _compressed(trial.gram, whole, hyper)
 
     def objective(theta):
         scale, variance, amplitude, period = np.exp(theta)
-        trial = Hyperparameters(scale, np.array([variance]), amplitude, period)
+        tried = Hyperparameters(scale, np.array([variance]), amplitude, period)
         try:
-            value, slope = log_likelihood(data, trial, gradient=True)
+            value, slope = log_likelihood(data, tried, gradient=True)
         except np.linalg.LinAlgError:
             return np.inf, np.zeros_like(theta)
         unlikely, rise = whole.improbability(hyper.variances * variance)
@@ -156,13 +156,8 @@ def _fit_process(data, hyper, whole):
     bounds = [(np.log(data.least_noise), 16.0), (-8.0, 8.0), tuple(amplitude), tuple(period)]
     start = [hyper.noise_scale, 1.0, hyper.amplitude, hyper.period]
     scale, variance, amplitude, period = _minimize(objective, start, bounds, len(data.y))
-    return replace(
-        hyper,
-        noise_scale=scale,
-        variances=hyper.variances * variance,
-        amplitude=amplitude,
-        period=period,
-    )
+    best = Hyperparameters(scale, hyper.variances * variance, amplitude, period)
+    return _Trial.at(whole, best)
 
 
 def fit_columns(data, hyper):
@@ -176,15 +171,6 @@ def fit_columns(data, hyper):
         Where to begin.
     """
     return _fit_scales(_Trial.at(data, hyper)).hyper
-
-
-def _improve(trial):
-    """Maximize over the columns' parameters, then over those of the process."""
-    trial = _fit_scales(trial)
-    if trial.hyper.amplitude is None:
-        return trial
-    data, hyper = trial.data, trial.hyper
-    return _Trial.at(data, _fit_process(_compressed(trial.gram, data, hyper), hyper, data))
 
 
 def fit_hyperparameters(data, start=None, *, trend=True, tolerance=0.05, n_rounds=5):
@@ -214,16 +200,17 @@ def fit_hyperparameters(data, start=None, *, trend=True, tolerance=0.05, n_round
         options = {"trend": trend, "tolerance": tolerance, "n_rounds": n_rounds}
         hyper = fit_hyperparameters(data.averaged(width), start, **options)
         return fit_columns(data, hyper)
-    best = _best_start(data, trend) if start is None else _Trial.at(data, start)
-    value = best.value
+    best, scan = _best_start(data, trend) if start is None else _Trial.at(data, start), True
     for k in range(n_rounds):
-        scan = start is None or k == 0
-        trial = _improve(_scanned(best) if scan else best)
-        if trial.value > best.value:
-            best = trial
-        if trial.value < value + tolerance:
+        value = best.value
+        trial = _scanned(best) if scan else best
+        scan = start is None and trial is not best
+        best = max(best, _fit_scales(trial), key=_value)
+        if best.hyper.amplitude is None or (k > 0 and best.value < value + tolerance):
+            break  # nor would the process change
+        best = max(best, _fit_process(best), key=_value)
+        if best.value < value + tolerance:
             break
-        value = trial.value
     return best.hyper
 
 
@@ -239,7 +226,7 @@ def _scanned(trial):
         for factor in _SCAN:
             variances = start.copy()
             variances[g] = factor * unit
-            trial = max(trial, trial.changed(variances), key=lambda tried: tried.value)
+            trial = max(trial, trial.changed(variances), key=_value)
     return trial
 
 
@@ -253,4 +240,4 @@ def _best_start(data, trend):
         for a, part, period in _STARTS
     ]
     fitted = [_fit_scales(_Trial.at(data, hyper), _FEW_STEPS) for hyper in starts]
-    return max(fitted, key=lambda trial: trial.value)
+    return max(fitted, key=_value)

@@ -11,7 +11,7 @@ import numpy as np
 from astropy.table import Table
 
 from scope_models._arrays import plain_array, plain_number
-from scope_models._checks import checked_number
+from scope_models._checks import checked_choice, checked_number
 
 __all__ = ["PERCENTILES", "REFERENCES", "bin_noise", "read_reference", "reference_noise"]
 
@@ -62,8 +62,7 @@ def bin_noise(mag, cdpp, centers, width=0.5, *, fewest=1):
 @cache
 def _read(name):
     """Return a table of the package, read once."""
-    if name not in REFERENCES:
-        raise ValueError(f"`name` must be one of {', '.join(REFERENCES)}, got {name!r}")
+    checked_choice("name", name, REFERENCES)
     file = resources.files("scope_models.experiments") / "data" / f"{name}.ecsv"
     return Table.read(file.read_text(encoding="utf-8").splitlines(), format="ascii.ecsv")
 
@@ -136,8 +135,7 @@ def reference_noise(name, mag, column="median", stars="unsaturated"):
     >>> print(round(reference_noise("k2_c03_raw", 12.0), 1))
     189.3
     """
-    if column not in PERCENTILES:
-        raise ValueError(f"`column` must be one of {', '.join(PERCENTILES)}, got {column!r}")
+    checked_choice("column", column, PERCENTILES)
     table = read_reference(name, stars)
     values = np.array([checked_number("mag", m, any_sign=True) for m in np.ravel(mag)])
     low, high = table["mag"].min(), table["mag"].max()

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, fields
 import numpy as np
 
 from scope_models._arrays import plain_array, plain_number
-from scope_models._checks import checked_integer
+from scope_models._checks import checked_choice, checked_integer
 from scope_models._values import Value
 from scope_models.experiments._sky_light import LIGHTS, MOTIONS, make_transit, red_noise
 from scope_models.experiments._sky_pixels import bleed, make_psf, make_response, render
@@ -336,9 +336,7 @@ def make_sky(regime, seed=0, *, n_cadences=1100):
     True
     """
     if not isinstance(regime, SkyRegime):
-        if regime not in REGIMES:
-            raise ValueError(f"`regime` must be one of {', '.join(REGIMES)}, got {regime!r}")
-        regime = REGIMES[regime]
+        regime = REGIMES[checked_choice("regime", regime, REGIMES)]
     n = checked_integer("n_cadences", n_cadences, 100)
     root = np.random.SeedSequence([seed, *regime.name.encode()])
     names = ("motion", "star", "optics", "sky", "noise", "events")

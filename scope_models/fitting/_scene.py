@@ -3,6 +3,7 @@
 import numpy as np
 from scipy.ndimage import median_filter, uniform_filter1d
 
+from scope_models._checks import checked_choice
 from scope_models.effects import Background, Focus
 from scope_models.missions import MISSIONS
 from scope_models.models import SensitivityPolynomial
@@ -23,10 +24,8 @@ _BANDS = 40
 
 def make_scene(fit, positions, signal):
     """Return the scene of a fit."""
-    if positions not in {"fitted", "path"}:
-        raise ValueError(f"`positions` must be 'fitted' or 'path', got {positions!r}")
-    if signal not in {"smooth", "fitted", "constant"}:
-        raise ValueError(f"`signal` must be 'smooth', 'fitted' or 'constant', got {signal!r}")
+    checked_choice("positions", positions, ("fitted", "path"))
+    checked_choice("signal", signal, ("smooth", "fitted", "constant"))
     x, y = fit.x, fit.y
     if fit.response and fit.pos_corr is not None:
         x, y = (

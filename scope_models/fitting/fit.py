@@ -7,7 +7,7 @@ from functools import partial
 import numpy as np
 from astropy.modeling import Model
 
-from scope_models._checks import checked_integer, checked_number
+from scope_models._checks import checked_choice, checked_integer, checked_number
 from scope_models.fitting._data import APART, detector_of, read_data, star_positions
 from scope_models.fitting._gather import (
     LARGEST_FLUX,
@@ -30,13 +30,6 @@ from scope_models.io.pixels import read_pixels
 
 __all__ = ["fit_tpf"]
 
-_CHOICES = {
-    "background": ("cadence", "constant", "none"),
-    "positions": ("free", "start", "prior", "path"),
-    "loss": ("linear", "soft_l1"),
-    "response": ("auto", "psf", "pixels"),
-    "neighbor_flux": ("auto", "cadence", "constant"),
-}
 # Prior of the response between pixels where the caller leaves it to the data.
 _PRIOR = 0.01
 # Largest number of steps, per stage, of the simple models where all is left to the data.
@@ -213,10 +206,10 @@ def fit_tpf(
     options = FitOptions(
         empirical=empirical,
         interpixel=width if width == np.inf else checked_number("interpixel", width),
-        background=_one_of("background", background),
-        positions=_one_of("positions", positions),
+        background=checked_choice("background", background, ("cadence", "constant", "none")),
+        positions=checked_choice("positions", positions, ("free", "start", "prior", "path")),
         position_error=position_error,
-        loss=_one_of("loss", loss),
+        loss=checked_choice("loss", loss, ("linear", "soft_l1")),
         loss_scale=loss_scale,
         saturation=bool(saturation),
         focus=focus,
@@ -228,7 +221,7 @@ def fit_tpf(
     files = list(tpf) if several else [tpf]
     if not files:
         raise ValueError("`tpf` must have at least one file")
-    if _one_of("response", response) == "pixels":
+    if checked_choice("response", response, ("auto", "psf", "pixels")) == "pixels":
         _check_pixels(options, sensitivity, interpixel)
     series = [read_pixels(file) for file in files]
     places = _places(stars, neighbors, series, several=several)
@@ -415,7 +408,7 @@ def _places(stars, neighbors, series, *, several):
 
 def _make_problem(series, places, prf, flux_err, neighbor_flux, options):
     """What is fitted, and the detectors that recorded it."""
-    _one_of("neighbor_flux", neighbor_flux)
+    checked_choice("neighbor_flux", neighbor_flux, ("auto", "cadence", "constant"))
     detectors = [detector_of(item) for item in series]
     n_free = 1 + 2 * (options.positions != "path") + (options.background == "cadence")
     stamps = [
@@ -467,10 +460,3 @@ def _progress_bar(progress):
             bar.update()
 
         yield report
-
-
-def _one_of(name, value):
-    """Return the choice of an option, if it is one."""
-    if value not in _CHOICES[name]:
-        raise ValueError(f"`{name}` must be one of {', '.join(_CHOICES[name])}, got {value!r}")
-    return value

@@ -7,6 +7,7 @@ from astropy import units as u
 from astropy.modeling import Model
 
 from scope_models._arrays import plain_array, without_unit
+from scope_models._checks import checked_choice
 from scope_models.exceptions import IntegrationWarning
 from scope_models.models._axis import gauss_legendre
 from scope_models.models._closed_form import collected
@@ -260,8 +261,7 @@ def integrate_pixels(model, shape=None, *, x=None, y=None, method="auto"):
             "`model` must have two inputs, one output and no model set axis, got "
             f"{model.n_inputs} inputs, {model.n_outputs} outputs, {len(model)} models"
         )
-    if method not in _METHODS:
-        raise ValueError(f"`method` must be one of {_METHODS}, got {method!r}")
+    checked_choice("method", method, _METHODS)
     if (shape is None) == (x is None and y is None) or (x is None) != (y is None):
         raise ValueError("give either `shape`, or both `x` and `y`")
     points = PixelPoints(x, y) if shape is None else PixelPoints.from_shape(shape)

@@ -12,6 +12,7 @@ from astropy.modeling import CompoundModel
 
 import scope_models.effects
 import scope_models.models
+from scope_models._checks import checked_choice
 from scope_models.io._atomic import atomic_path
 from scope_models.models._description import describe_model, make_model
 from scope_models.scene.detector import Detector
@@ -145,8 +146,8 @@ def _toml(value):
 def _detector_of_toml(values):
     """Return the detector of a parsed file."""
     preset = values.pop("preset", None)
-    if preset is not None and preset not in PRESETS:
-        raise ValueError(f"`preset` must be one of {', '.join(PRESETS)}, got {preset!r}")
+    if preset is not None:
+        checked_choice("preset", preset, PRESETS)
     known = {item.name for item in fields(Detector)} | ({"cadence"} if preset else set())
     for name in values:
         if name not in known:

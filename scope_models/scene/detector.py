@@ -1,16 +1,22 @@
 """The detector: what the pixels do with the light of stars."""
 
 from dataclasses import dataclass, replace
-from html import escape
 from typing import TYPE_CHECKING
 
 import astropy.units as u
 import numpy as np
 
 from scope_models._arrays import DIGITAL, PER_PIXEL, plain_array
-from scope_models._checks import check_fields, checked_model, checked_shape, integer, number
+from scope_models._checks import (
+    check_fields,
+    checked_choice,
+    checked_model,
+    checked_shape,
+    integer,
+    number,
+)
 from scope_models._docstrings import documented
-from scope_models._values import Value, frozen
+from scope_models._values import Value, frozen, html_table
 from scope_models.effects._effect import Effect, checked_effects
 from scope_models.effects.noise import stream
 from scope_models.io.pixels import read_pixels
@@ -151,11 +157,7 @@ class Detector(Value):
                 )
             put(self, "zero_point", known[self.zero_point])
         check_fields(self)
-        if self.interpixel_distribution not in _DISTRIBUTIONS:
-            raise ValueError(
-                f"`interpixel_distribution` must be one of {', '.join(_DISTRIBUTIONS)}, "
-                f"got {self.interpixel_distribution!r}"
-            )
+        checked_choice("interpixel_distribution", self.interpixel_distribution, _DISTRIBUTIONS)
         for name in ("sensitivity", "psf"):
             model = checked_model(name, getattr(self, name))
             put(self, name, model_in_pixels(model, self.pixel_scale))
@@ -204,8 +206,7 @@ class Detector(Value):
             else "given",
             "PSF": "none" if self.psf is None else f"{PRF(self.psf).n_components} components",
         }
-        cells = "".join(f"<tr><th>{name}</th><td>{text}</td></tr>" for name, text in rows.items())
-        return f"<p>Detector {escape(self.mission)}</p><table>{cells}</table>"
+        return html_table(f"Detector {self.mission}", rows)
 
     @classmethod
     def preset(cls, name, cadence=None, **changes):

@@ -3,7 +3,6 @@
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from html import escape
 from numbers import Integral, Real
 from pathlib import Path
 from types import MappingProxyType
@@ -14,7 +13,7 @@ import numpy as np
 from scope_models._arrays import PER_PIXEL, plain_tree
 from scope_models._checks import checked_number
 from scope_models._docstrings import documented
-from scope_models._values import Value
+from scope_models._values import Value, html_table
 from scope_models.io._atomic import atomic_path
 from scope_models.io.pixels import positions_of
 from scope_models.io.reading import read_positions
@@ -140,12 +139,7 @@ class Motion(Value):
 
     def _repr_html_(self):
         known = {key: value for key, value in self.meta.items() if key != "generator"}
-        rows = {"distance": str(self.statistics()), **known}
-        cells = "".join(
-            f"<tr><th>{escape(str(key))}</th><td>{escape(str(value))}</td></tr>"
-            for key, value in rows.items()
-        )
-        return f"<p>{escape(repr(self))}</p><table>{cells}</table>"
+        return html_table(repr(self), {"distance": self.statistics(), **known})
 
     def __len__(self):
         return len(self.time)

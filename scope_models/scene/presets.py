@@ -6,7 +6,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from scope_models._checks import checked_number
+from scope_models._checks import checked_choice, checked_number
 from scope_models._docstrings import documented
 from scope_models._values import Value
 from scope_models.effects import DarkCurrent, Extinction, Scintillation, Seeing
@@ -236,9 +236,7 @@ def ground_fields(
     >>> print(f"{ground_fields(1.0)['zero_point']:.3g}")
     3.36e+09
     """
-    if band not in BANDS:
-        raise ValueError(f"`band` must be one of {', '.join(BANDS)}, got {band!r}")
-    found = BANDS[band]
+    found = BANDS[checked_choice("band", band, BANDS)]
     aperture = checked_number("aperture", aperture, "m", positive=True)
     seeing = checked_number("seeing", seeing, "arcsec", positive=True)
     pixel_scale = checked_number("pixel_scale", pixel_scale, "arcsec", positive=True)

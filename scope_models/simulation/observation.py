@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from html import escape
 from operator import attrgetter
 
 import numpy as np
@@ -10,7 +9,7 @@ import numpy as np
 from scope_models._arrays import plain_array
 from scope_models._checks import checked_integer, checked_mask
 from scope_models._docstrings import documented
-from scope_models._values import Value
+from scope_models._values import Value, html_table
 from scope_models.effects import Effect
 from scope_models.io import TPFMetadata, Truth, make_tpf_hdulist, write_tpf
 from scope_models.missions import MISSIONS, TIME_ZEROS
@@ -25,6 +24,9 @@ from scope_models.simulation._light import (
 )
 
 __all__ = ["Observation"]
+
+# What files have as it is here.
+_WRITTEN = ("cadenceno", "raw_cnts", "flux", "flux_err", "flux_bkg", "flux_bkg_err", "quality")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -99,8 +101,7 @@ class Observation(Value):
             "flagged cadences": int(np.count_nonzero(self.quality)),
             "noise": ", ".join(sorted(self.scene.noise)) or "none",
         }
-        cells = "".join(f"<tr><th>{name}</th><td>{value}</td></tr>" for name, value in rows.items())
-        return f"<p>{escape(repr(self))}</p><table>{cells}</table>"
+        return html_table(repr(self), rows)
 
     stars = property(attrgetter("scene.stars"), doc="The stars; the first is the target.")
     detector = property(attrgetter("scene.detector"), doc="The detector.")
@@ -397,17 +398,33 @@ class Observation(Value):
         full[places] = flux / np.nanmedian(flux)
         return full
 
-    def _metadata(self, changes, aperture):
-        """Return the facts for the headers of a file with an aperture."""
+    def _tpf_arguments(self, metadata: Mapping | None, aperture_mask):
+        """Return what the writer of target pixel files takes."""
+        aperture = self._checked_aperture(aperture_mask)
         if self.detector.mission not in MISSIONS:
             raise ValueError(
                 "`mission` must be Kepler, K2 or TESS (or Ground) to make a target pixel file, got "
                 f"{self.detector.mission!r}"
             )
-        facts = scene_facts(self.scene) | dict(changes or {})
+        facts = scene_facts(self.scene) | dict(metadata or {})
         extra = facts.get("extra_cards") or {}
         facts["extra_cards"] = self._aperture_cards(aperture) | dict(extra)
-        return TPFMetadata.of(self.detector, **facts)
+        truth = {name: v for name, v in self.truth.columns.items() if name != "CADENCENO"}
+        truth["TARGET_SHARE"] = self.target_share(aperture)
+        metadata = TPFMetadata.of(self.detector, **facts)
+        zero = MISSIONS[metadata.mission].time_zero
+        return {
+            "metadata": metadata,
+            "time": self.time + (TIME_ZEROS[self.motion.time_format] - zero),
+            **{name: getattr(self, name) for name in _WRITTEN},
+            "pos_corr1": self.motion.x,
+            "pos_corr2": self.motion.y,
+            "aperture": aperture,
+            "truth_columns": truth,
+            "truth_maps": self.truth.maps,
+            "truth_tables": self.truth.tables or None,
+            "scene": self.truth.scene,
+        }
 
     def _aperture_cards(self, aperture):
         """Return the cards on the target's light in an aperture."""
@@ -420,29 +437,3 @@ class Observation(Value):
             relative = relative * prepare(self.scene).lights[0].passed
         total = self.truth.flux[0] * relative.mean()
         return {"CROWDSAP": float(light[0] / light.sum()), "FLFRCSAP": float(light[0] / total)}
-
-    def _tpf_arguments(self, metadata: Mapping | None, aperture_mask):
-        """Return what the writer of target pixel files takes."""
-        aperture = self._checked_aperture(aperture_mask)
-        metadata = self._metadata(metadata, aperture)
-        truth = {name: v for name, v in self.truth.columns.items() if name != "CADENCENO"}
-        truth["TARGET_SHARE"] = self.target_share(aperture)
-        zero = MISSIONS[metadata.mission].time_zero
-        return {
-            "metadata": metadata,
-            "time": self.time + (TIME_ZEROS[self.motion.time_format] - zero),
-            "cadenceno": self.cadenceno,
-            "raw_cnts": self.raw_cnts,
-            "flux": self.flux,
-            "flux_err": self.flux_err,
-            "flux_bkg": self.flux_bkg,
-            "flux_bkg_err": self.flux_bkg_err,
-            "quality": self.quality,
-            "pos_corr1": self.motion.x,
-            "pos_corr2": self.motion.y,
-            "aperture": aperture,
-            "truth_columns": truth,
-            "truth_maps": self.truth.maps,
-            "truth_tables": self.truth.tables or None,
-            "scene": self.truth.scene,
-        }

@@ -226,7 +226,7 @@ def _record(prepared, part, charges, pedestals, streams, cubes):
     np.maximum(error, _ROUNDING, out=error)
     rounding = np.abs(electrons, out=electrons)
     rounding *= _ROUNDING
-    np.maximum(error, rounding, out=cubes["flux_err"])
+    cubes["flux_err"][...] = np.maximum(error, rounding, out=rounding)
 
 
 def _flag(prepared, cubes):

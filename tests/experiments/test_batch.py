@@ -336,6 +336,15 @@ class TestCommandLine:
         status, stdout, _ = self.run(capsys, *arguments)
         assert (status, stdout.splitlines()[0]) == (0, "2 stars, 0 failed")
 
+    def test_seed_of_a_table(self, tmp_path, capsys):
+        Table({"mag": [12.0]}).write(tmp_path / "stars.ecsv")
+        fluxes = []
+        for seed in ("0", "1"):
+            arguments = ["--cadences", 5, "--seed", seed, "--output-dir", tmp_path / seed]
+            self.run(capsys, "simulate", "--table", tmp_path / "stars.ecsv", *arguments)
+            fluxes.append(fits.getdata(tmp_path / seed / "star0001.fits")["FLUX"])
+        assert not np.array_equal(*fluxes)
+
     def test_fit(self, files, tmp_path, capsys):
         arguments = ["fit", files[0], "--components", 1, "--cadences", 40, "--output-dir"]
         assert self.run(capsys, *arguments, tmp_path / "out")[0] == 0
@@ -348,6 +357,27 @@ class TestCommandLine:
             (["inject", "a.fits", "--output", "c.fits"], "--period, --t0, --depth and --duration"),
             (["inject", "a", "--planets", "b", "--depth", "1"], "--depth cannot be combined with"),
             (["simulate", "--table", "a.csv"], "--table needs an --output-dir"),
+            (
+                ["detrend", "a", "--workers", "2", "--output", "b"],
+                "--workers needs an --output-dir",
+            ),
+            (["fit", "a", "--scheduler", "c:1", "--output", "b"], "--scheduler needs an --output"),
+            (["detrend", "a", "--output", "b", "--output-dir", "c"], "--output cannot be combined"),
+            (["detrend", "a", "--figure", "b", "--output-dir", "c"], "--figure cannot be combined"),
+            (["simulate", "--mag", "9", "--output", "b", "--output-dir", "c"], "needs --table"),
+            (["simulate", "--mag", "9", "--output", "b", "--workers", "2"], "--workers needs an"),
+            (
+                ["simulate", "--table", "a.csv", "--output-dir", "b", "--scale", "2"],
+                "--scale cannot be combined with --table",
+            ),
+            (
+                ["simulate", "--table", "a.csv", "--output-dir", "b", "--no-noise"],
+                "--no-noise cannot be combined with --table",
+            ),
+            (
+                ["simulate", "--table", "a.csv", "--output-dir", "b", "--cadences", "0"],
+                "--cadences must be at least 1, got 0",
+            ),
         ],
     )
     def test_misuse(self, capsys, arguments, message):

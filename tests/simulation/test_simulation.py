@@ -429,3 +429,11 @@ def test_pixels_depend_on_the_position_alone():
 def test_misspelt_option_is_an_error():
     with pytest.raises(TypeError, match="sead"):
         simulate(Star(12.0), PLAIN, Motion.still(3), sead=1)
+
+
+def test_light_is_lost_only_near_the_edge():
+    """Against the normal distribution beyond the nearest edge."""
+    detector = Detector.k2().without_sensitivity()
+    for x_0, expected in ((5.0, 0.0), (1.5, norm.sf(4.0))):  # sigma is 0.5 px
+        truth = simulate(Star(12.0, x_0, 5.0), detector, Motion.still(2), seed=1).truth
+        assert truth.lost_fraction[0] == pytest.approx(expected, abs=1e-13)
