@@ -9,13 +9,12 @@ from dataclasses import dataclass, field, fields
 
 import numpy as np
 
-from scope_models._arrays import plain_number
+from scope_models._arrays import plain_array, plain_number
 from scope_models._checks import checked_choice, checked_integer
 from scope_models._values import Value
 from scope_models.experiments._sky_light import LIGHTS, MOTIONS, make_transit, red_noise
 from scope_models.experiments._sky_pixels import bleed, make_psf, make_response, render
 from scope_models.experiments._sky_scores import SkyScore, score_light_curve
-from scope_models.experiments._statistics import values_of
 from scope_models.io.tpf import TPFMetadata, make_tpf_hdulist
 from scope_models.missions import MISSIONS
 from scope_models.scene.motion import K2Roll
@@ -410,7 +409,7 @@ def score(lc, sky, *, aperture=None):
     if "cadenceno" not in getattr(lc, "columns", ()):
         raise ValueError("`lc` must have the column cadenceno")
     rows = np.searchsorted(sky.cadenceno, np.asarray(lc["cadenceno"], dtype=int))
-    flux, error = (values_of(lc, name) for name in ("flux", "flux_err"))
+    flux, error = (plain_array(lc[name], None, name) for name in ("flux", "flux_err"))
     return score_light_curve(
         _CADENCE * rows, flux, error, sky.true_flux[rows], sky.transit[rows], sky.floor(aperture)
     )

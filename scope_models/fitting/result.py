@@ -7,6 +7,7 @@ from html import escape
 
 import numpy as np
 
+from scope_models._docstrings import documented
 from scope_models._values import Value
 from scope_models.fitting.parameters import FitParameter
 from scope_models.models import PRF
@@ -498,21 +499,14 @@ class TPFFit(Value):
             flux=self.flux,
         )
 
+    @documented()
     def write(self, path, overwrite=False):
         """
         Write the fit to a FITS file.
 
         Parameters
         ----------
-        path : str or path-like
-            The file.
-        overwrite : bool, optional
-            Whether to replace a file.
-
-        Returns
-        -------
-        pathlib.Path
-            The file.
+        {write}
         """
         from scope_models.fitting._files import write_fit
 

@@ -7,6 +7,7 @@ from astropy import units as u
 from scipy.interpolate import BSpline, RectBivariateSpline
 
 from scope_models._arrays import plain_array
+from scope_models._docstrings import documented
 from scope_models.models._axis import gauss_legendre
 from scope_models.models._closed_form import ClosedForm, pixels_of
 from scope_models.models._parameters import (
@@ -290,6 +291,29 @@ def _checked_origin(origin, shape):
     return tuple(values.tolist())
 
 
+_REST = """
+oversampling : float or tuple of float, optional
+    Samples per pixel, one number or (y, x).
+flux : float or `~astropy.units.Quantity`, optional
+    Flux of the star.
+x_0, y_0 : float or `~astropy.units.Quantity`, optional
+    Position of the star in pixels.
+origin : tuple of float, optional
+    Sample (x, y), counted from 0, where the star is; by default the middle.
+uncertainty : array_like of shape (ny, nx), optional
+    Standard deviations of the samples.
+**kwargs
+    Keywords of `~astropy.modeling.Model`, such as ``fixed`` and ``bounds``.
+
+Raises
+------
+ValueError
+    If the array is not finite, has fewer than 6 samples along an axis, or an argument does
+    not belong to it.
+"""
+
+
+@documented(rest=_REST)
 class TabulatedPSF(_Table):
     r"""
     A density that is given by samples: a spline of degree 5 through them, 0 outside.
@@ -301,24 +325,7 @@ class TabulatedPSF(_Table):
     array : array_like of shape (ny, nx)
         Density of a star of unit flux, per square pixel. Nothing is renormalized: for a total
         flux of 1 the sum of the samples is the product of the oversamplings.
-    oversampling : float or tuple of float, optional
-        Samples per pixel, one number or (y, x).
-    flux : float or `~astropy.units.Quantity`, optional
-        Flux of the star.
-    x_0, y_0 : float or `~astropy.units.Quantity`, optional
-        Position of the star in pixels.
-    origin : tuple of float, optional
-        Sample (x, y), counted from 0, where the star is; by default the middle.
-    uncertainty : array_like of shape (ny, nx), optional
-        Standard deviations of the samples.
-    **kwargs
-        Keywords of `~astropy.modeling.Model`, such as ``fixed`` and ``bounds``.
-
-    Raises
-    ------
-    ValueError
-        If the array is not finite, has fewer than 6 samples along an axis, or an argument does
-        not belong to it.
+    {rest}
 
     Examples
     --------
@@ -358,6 +365,7 @@ class TabulatedPSF(_Table):
         return ClosedForm(values["flux"], place, surface.integrals, derivatives, ("x_0", "y_0"))
 
 
+@documented(rest=_REST)
 class TabulatedPRF(_Table):
     """
     Flux of a pixel as a function of its offset from the star, given by samples.
@@ -369,25 +377,7 @@ class TabulatedPRF(_Table):
     ----------
     array : array_like of shape (ny, nx)
         Flux of a pixel at each offset, for a star of unit flux. Nothing is renormalized.
-    oversampling : float or tuple of float, optional
-        Samples per pixel, one number or (y, x).
-    flux : float or `~astropy.units.Quantity`, optional
-        Flux of the star.
-    x_0, y_0 : float or `~astropy.units.Quantity`, optional
-        Position of the star in pixels.
-    origin : tuple of float, optional
-        Sample (x, y), counted from 0, of a pixel that is centered on the star; by default the
-        middle.
-    uncertainty : array_like of shape (ny, nx), optional
-        Standard deviations of the samples.
-    **kwargs
-        Keywords of `~astropy.modeling.Model`, such as ``fixed`` and ``bounds``.
-
-    Raises
-    ------
-    ValueError
-        If the array is not finite, has fewer than 6 samples along an axis, or an argument does
-        not belong to it.
+    {rest}
 
     Examples
     --------

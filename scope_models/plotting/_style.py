@@ -7,6 +7,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.backend_bases import FigureCanvasBase
 
+from scope_models._docstrings import documented
+
 __all__ = [
     "DARK",
     "FLUX",
@@ -29,8 +31,9 @@ FLUX = "Flux (e$^-$ s$^{-1}$)"
 
 
 def styled(function):
-    """Return a plotting function that draws in the style of the package."""
+    """Return a plotting function that draws in the style of the package, with shared docs."""
 
+    @documented()
     @wraps(function)
     def draw(*args, **kwargs):
         with plt.style.context(STYLE):

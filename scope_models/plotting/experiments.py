@@ -33,18 +33,10 @@ def plot_cdpp(series, reference=None, *, limits=(), title="", legend=True, ax=No
         Title of the Axes.
     legend : bool, optional
         Whether to draw the legend.
-    ax : `~matplotlib.axes.Axes`, optional
-        Where to draw; a new figure by default.
-
-    Returns
-    -------
-    `~matplotlib.axes.Axes`
-        The Axes.
+    {draw}
 
     Examples
     --------
-    >>> import matplotlib
-    >>> matplotlib.use("agg")
     >>> from scope_models.plotting import plot_cdpp
     >>> kepler = {"mag": [12, 13], "median": [25.6, 34.3], "label": "Kepler, median"}
     >>> ax = plot_cdpp({"1x": ([12, 13], [17, 28])}, kepler)
@@ -125,8 +117,6 @@ def plot_cdpp_panels(panels, reference=None, *, limits=(), residuals=None, colum
 
     Examples
     --------
-    >>> import matplotlib
-    >>> matplotlib.use("agg")
     >>> from scope_models.plotting import plot_cdpp_panels
     >>> curve = {"1x": ([12, 13], [17, 28])}
     >>> axes = plot_cdpp_panels({"PLD": curve, "SFF": curve}, residuals={"1x": ([12, 13], [1, 1])})
@@ -181,13 +171,7 @@ def plot_map(
         Ends of the colors; by default those of the values.
     title : str, optional
         Title of the Axes.
-    ax : `~matplotlib.axes.Axes`, optional
-        Where to draw; a new figure by default.
-
-    Returns
-    -------
-    `~matplotlib.axes.Axes`
-        The Axes.
+    {draw}
 
     Raises
     ------
@@ -196,8 +180,6 @@ def plot_map(
 
     Examples
     --------
-    >>> import matplotlib
-    >>> matplotlib.use("agg")
     >>> from scope_models.plotting import plot_map
     >>> ax = plot_map(
     ...     [[1.0, 0.5]], [100], [12, 13], row_label="Depth (ppm)", column_label="Kp",

@@ -51,8 +51,6 @@ def plot_fit(
 
     Examples
     --------
-    >>> import matplotlib
-    >>> matplotlib.use("agg")
     >>> import numpy as np
     >>> from scope_models.plotting import plot_fit
     >>> image, path = np.eye(5), np.linspace(2, 2.5, 9)
@@ -165,8 +163,6 @@ def plot_twin(time, real, twin, residuals, *, time_label="Time (d)", labels=None
 
     Examples
     --------
-    >>> import matplotlib
-    >>> matplotlib.use("agg")
     >>> import numpy as np
     >>> from scope_models.plotting import plot_twin
     >>> curve, image = np.ones(9), np.ones((4, 5))

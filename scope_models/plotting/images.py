@@ -36,18 +36,10 @@ def plot_pixels(image, aperture=None, *, log=False, title="Pixel image", ax=None
         Scale the colors logarithmically, over at most four decades.
     title : str, optional
         Title of the Axes.
-    ax : `~matplotlib.axes.Axes`, optional
-        Where to draw; a new figure by default.
-
-    Returns
-    -------
-    `~matplotlib.axes.Axes`
-        The Axes.
+    {draw}
 
     Examples
     --------
-    >>> import matplotlib
-    >>> matplotlib.use("agg")
     >>> from scope_models.plotting import plot_pixels
     >>> plot_pixels([[1, 2], [3, 4]], [[False, True], [True, True]]).get_xlabel()
     'Column (pixel)'
@@ -76,13 +68,7 @@ def plot_sensitivity(sensitivity, oversample=1, *, title="Sensitivity", ax=None)
         Samples per pixel along each axis.
     title : str, optional
         Title of the Axes.
-    ax : `~matplotlib.axes.Axes`, optional
-        Where to draw; a new figure by default.
-
-    Returns
-    -------
-    `~matplotlib.axes.Axes`
-        The Axes.
+    {draw}
 
     Examples
     --------
@@ -108,13 +94,7 @@ def plot_psf(psf, oversample=1, *, title="PSF on the detector", ax=None):
         Samples per pixel along each axis.
     title : str, optional
         Title of the Axes.
-    ax : `~matplotlib.axes.Axes`, optional
-        Where to draw; a new figure by default.
-
-    Returns
-    -------
-    `~matplotlib.axes.Axes`
-        The Axes.
+    {draw}
 
     Examples
     --------
@@ -184,13 +164,7 @@ def plot_motion(time, x, y, shape=None, *, time_label="Time (d)", title="Motion"
         are limited to the track, with the edges of the pixels that it crosses.
     time_label, title : str, optional
         Label of the color bar and title of the Axes.
-    ax : `~matplotlib.axes.Axes`, optional
-        Where to draw; a new figure by default.
-
-    Returns
-    -------
-    `~matplotlib.axes.Axes`
-        The Axes.
+    {draw}
 
     Examples
     --------
@@ -250,8 +224,7 @@ def animate_pixels(cube, time=None, aperture=None, *, interval=50, time_label="T
         Milliseconds per frame.
     time_label : str, optional
         What the title calls the times.
-    ax : `~matplotlib.axes.Axes`, optional
-        Where to draw; a new figure by default.
+    {ax}
 
     Returns
     -------

@@ -43,13 +43,7 @@ def plot_light_curve(
         Expected relative flux ``(n_cadences,)``, drawn as a line.
     time_label, title : str, optional
         Label of the time axis and title of the Axes.
-    ax : `~matplotlib.axes.Axes`, optional
-        Where to draw; a new figure by default.
-
-    Returns
-    -------
-    `~matplotlib.axes.Axes`
-        The Axes.
+    {draw}
 
     Examples
     --------
@@ -95,13 +89,7 @@ def plot_fold(
         Number of bins over the window.
     title : str, optional
         Title of the Axes.
-    ax : `~matplotlib.axes.Axes`, optional
-        Where to draw; a new figure by default.
-
-    Returns
-    -------
-    `~matplotlib.axes.Axes`
-        The Axes.
+    {draw}
 
     Examples
     --------

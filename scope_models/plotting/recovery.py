@@ -29,8 +29,6 @@ def plot_recovery(panels, depths, magnitudes):
 
     Examples
     --------
-    >>> import matplotlib
-    >>> matplotlib.use("agg")
     >>> from scope_models.plotting.recovery import plot_recovery
     >>> maps = [[0.5, 0.0]], [[1.01, float("nan")]]
     >>> figure = plot_recovery({"1x motion": maps}, [100], [12, 14])

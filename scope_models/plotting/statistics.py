@@ -79,8 +79,6 @@ def plot_maps(maps, rows, columns, **labels):
 
     Examples
     --------
-    >>> import matplotlib
-    >>> matplotlib.use("agg")
     >>> from scope_models.plotting.statistics import plot_maps
     >>> labels = {"row_label": "Depth", "column_label": "Kp", "label": "Noise", "text": ".2g"}
     >>> maps = {"raw": [[3.0, 1.0]], "corrected": [[1.0, 1.0]]}

@@ -108,8 +108,7 @@ def _table(model):
     kind = described["class"]
     if getattr(scope_models.models, kind, None) is not type(model):
         kind = f"{described['module']}.{kind}"
-    values = {"model": kind} | described["parameters"]
-    return [f"{name} = {_toml(value)}" for name, value in values.items() if value is not None]
+    return _lines({"model": kind} | described["parameters"])
 
 
 def _effect(effect):
@@ -117,7 +116,11 @@ def _effect(effect):
     if type(effect).__module__.partition(".")[0] != "scope_models":
         raise ValueError(f"`effects` with {effect.name} cannot be written as TOML")
     values = {item.name: getattr(effect, item.name) for item in fields(effect)}
-    values = {"effect": type(effect).__name__} | values
+    return _lines({"effect": type(effect).__name__} | values)
+
+
+def _lines(values):
+    """Return the lines of a table; TOML has no null, the default of all that may be None."""
     return [f"{name} = {_toml(value)}" for name, value in values.items() if value is not None]
 
 

@@ -115,9 +115,11 @@ def _star_lights(scene, conditions, effects):
     passed = _product(effect.starlight(drawn, conditions) for effect, drawn in effects)
     passed = np.broadcast_to(1.0 if passed is None else passed, (len(scene.stars), len(time)))
     expanded, lights = exposures.expanded(), []
-    for number, star in enumerate(scene.stars):
-        x_0, y_0 = scene.positions[number]
-        psf, response = _psf(star, detector), detector.sensitivity
+    response = detector.sensitivity
+    for number, (star, (x_0, y_0)) in enumerate(zip(scene.stars, scene.positions, strict=True)):
+        psf = detector.psf if star.psf is None else star.psf
+        if psf is None:
+            raise ValueError("`psf` must be given for the star or for the detector")
         moved = exposures if exposures.blur and is_gaussian(psf, response) else expanded
         place = moved.x + x_0, moved.y + y_0
         series = ImageSeries(psf, response, detector.shape, *place, widths, moved.blur)
@@ -159,14 +161,6 @@ def _exposures(scene, added):
     return reduce(Exposures.joined, (more for more in added if more is not None), exposures)
 
 
-def _psf(star, detector):
-    """Return the PSF of a star."""
-    psf = detector.psf if star.psf is None else star.psf
-    if psf is None:
-        raise ValueError("`psf` must be given for the star or for the detector")
-    return psf
-
-
 @dataclass(eq=False)
 class StarSums:
     """Sums over each star's light that are taken while it is rendered, e-/s.
@@ -187,13 +181,12 @@ def gather(prepared, cadences, sums=None, aperture=None):
     scene, interpixel = prepared.scene, prepared.interpixel
     n = len(range(*cadences.indices(len(scene.motion))))
     shape = n, *scene.detector.shape
-    electrons = None
+    electrons, weights = None, interpixel if aperture is None else interpixel * aperture
     for number, light in enumerate(prepared.lights):
         images, window = light.images(cadences), light.window
         if sums is not None:
-            weights = (interpixel * aperture)[window].ravel()
-            flat = images.reshape(n, -1)
-            sums.in_aperture[number, cadences] = np.einsum("mp,p->m", flat, weights)
+            flat, seen = images.reshape(n, -1), weights[window].ravel()
+            sums.in_aperture[number, cadences] = np.einsum("mp,p->m", flat, seen)
             # One after the other: the sum is the same in pieces of any size.
             first = images[0].copy()
             images[0] += sums.images[number, *window]

@@ -83,8 +83,9 @@ def inject(tpf, signal=None, star=None, *, seed=None, noise=True):
     series = whole[rows]
     exposure = Detector.from_tpf(series).exposure_time
     if signal is None:
-        relative = np.ones(len(series))
-        change = _whole_star(star, series)
+        if not isinstance(star, Star):
+            raise TypeError(f"`star` must be a Star if there is no `signal`, got {star!r}")
+        relative, change = np.ones(len(series)), _Change(_expected(_scene_of(star, series)), 1.0)
     else:
         relative = _relative_flux(signal, original, whole)[rows]
         change = _multiplied(star, relative, original, series, exposure)
@@ -133,13 +134,6 @@ def _relative_flux(signal, tpf, series):
         used = np.flatnonzero(tpf.quality_mask)
     relative[used] = Star(0.0, signal=signal).relative_flux(series.time[used])
     return relative
-
-
-def _whole_star(star, series):
-    """Return the light of a star that the file does not hold."""
-    if not isinstance(star, Star):
-        raise TypeError(f"`star` must be a Star if there is no `signal`, got {star!r}")
-    return _Change(_expected(_scene_of(star, series)), 1.0)
 
 
 def _multiplied(star, relative, tpf, series, exposure):
