@@ -41,6 +41,8 @@ _SLOW = 5.0
 _ALONE = 10.0
 #: A star is looked at for periods too if this part of its cadences seem to be outliers.
 _MANY_OUTLIERS = 0.03
+#: Multiples of one frequency that leave so many times the variance of others are none.
+_MUCH_MORE = 3.0
 
 
 def harmonic_columns(time, frequencies):
@@ -99,7 +101,14 @@ def find_frequencies(solution, allowed):
     plain = replace(solution, hyper=trial.hyper)
     found = _significant(found, plain, use)
     first = _fundamental(found, solution) or _eclipses(solution, use)
-    return found if first is None else _multiples(first, plain, use)
+    if first is None:
+        return found
+    multiples = _multiples(first, plain, use)
+
+    def left(frequencies):
+        return np.var(plain.with_frequencies(frequencies, use).unexplained[use])
+
+    return multiples if left(multiples) < _MUCH_MORE * left(found) else found
 
 
 def _is_continuous(frequencies, solution, use):
