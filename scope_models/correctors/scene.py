@@ -40,7 +40,7 @@ _WINDOWS = {
     "weighted": ("optimal",),
 }
 #: Windows with so much more white noise than the best are not tried.
-_NOISIEST = 1.3
+_NOISIEST = 2.0
 _TRANSIT_HOURS = 6.5
 #: Pixels farther from the star than this (px) are left out.
 _REACH = 7
