@@ -166,9 +166,11 @@ def _eclipses(solution, use):
     step, span = float(np.median(np.diff(time))), np.ptp(time)
     search, best = BoxLeastSquares(time, y), (_LEFT * np.var(y), None)
     for duration in step * _DURATIONS:
-        frequency = np.arange(2 / span, _PART_OF_ORBIT / duration, 0.1 * duration / span)
+        # steps by which the last eclipse moves by less than half of its duration
+        last = np.log(_PART_OF_ORBIT / duration)
+        frequency = np.exp(np.arange(np.log(2 / span), last, 0.5 * duration / span))
         if len(frequency):
-            power = search.power(1 / frequency, duration, objective="likelihood")
+            power = search.power(1 / frequency, duration, objective="likelihood", oversample=5)
             k = np.argmax(power.power)
             box = search.model(time, power.period[k], duration, power.transit_time[k])
             best = min(best, (np.var(y - box), 0.5 * frequency[k]), key=lambda pair: pair[0])
