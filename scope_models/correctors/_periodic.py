@@ -6,7 +6,7 @@ import numpy as np
 from astropy.timeseries import BoxLeastSquares
 from scipy.ndimage import uniform_filter1d
 
-from scope_models.correctors._regression import Hyperparameters, log_likelihood
+from scope_models.correctors._regression import FLAT, Hyperparameters, log_likelihood
 from scope_models.correctors._search import fit_columns
 
 __all__ = ["find_frequencies", "harmonic_columns", "is_periodic"]
@@ -33,6 +33,8 @@ _CADENCES_PER_FREQUENCY, _MOST = 15, 60
 _MULTIPLES, _SHARP = 0.7, 0.5
 #: ... up to this part of the fastest, for so many cadences at most one, and so many.
 _LAST, _CADENCES_PER_MULTIPLE, _MOST_MULTIPLES = 1.5, 12, 100
+#: ... or the part of them that is most likely.
+_FRACTIONS = (1.0, 0.6, 0.35)
 #: Where equal boxes of so many cadences, and for so much of a period at most, leave less than this
 #: part of the variance, they are eclipses. They leave more than 0.65 of a sinusoid.
 _DURATIONS, _PART_OF_ORBIT, _LEFT = np.array([2, 4, 8, 16]), 0.15, 0.6
@@ -100,7 +102,11 @@ def find_frequencies(solution, allowed):
     plain = replace(solution, hyper=trial.hyper)
     found = _significant(found, plain, use)
     first = _fundamental(found, solution) or _eclipses(solution, use)
-    return found if first is None else _multiples(first, plain, use)
+    if first is None:
+        return found
+    multiples = _multiples(first, plain, use)
+    trials = [multiples[: round(part * len(multiples))] for part in _FRACTIONS]
+    return max(trials, key=lambda trial: _likelihood(plain, trial, use) + len(trial) * np.log(FLAT))
 
 
 def _is_continuous(frequencies, solution, use):

@@ -34,7 +34,7 @@ _LARGEST_CORRECTION = 30.0
 #: Pixels around the lit ones that may belong to the aperture too.
 _MARGIN = 2
 #: Light between two peaks of one star, in units of the fainter one.
-_SAME_STAR = 0.7
+_SAME_STAR = 0.85
 #: Pixels of other stars count from this part of the star's brightest pixel on.
 _OTHER_STAR = 0.02
 #: The background is first sought in this part of the pixels, in so many at least for a slope.
@@ -179,7 +179,7 @@ def own_pixels(image, peak):
     """
     Return the pixels from which the light rises to a star's peak and not to another star's.
 
-    Peaks between which the light drops by less than 30 % of the fainter one are one star's.
+    Peaks between which the light drops by less than 15 % of the fainter one are one star's.
 
     Parameters
     ----------
