@@ -14,6 +14,7 @@ to nothing. N is the difference between the constant light and the star's in the
 only where the star itself varies strongly (v). Pixels and cadences are fitted in turn.
 """
 
+from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -33,6 +34,8 @@ _ITERATIONS, _MORE_ITERATIONS = 7, 12
 #: The fit ends after so many iterations if the median steps of brightness, both positions and focus
 #: are less than these parts of their errors, and the star does not vary strongly.
 _FEWEST_ITERATIONS, _SMALL_STEPS = 4, (0.15, 0.15, 0.15, 0.2)
+#: ... and once images may change slowly.
+_REFINEMENTS = 3
 #: Iterations after which the focus has an image of its own, and constant light counts.
 _FOCUS_FROM, _CONSTANT_FROM = 2, 3
 #: With fewer pixels of the star, three for a parameter, cadences are fitted to those of others too.
@@ -46,8 +49,9 @@ _ABSURD = 12.0
 _FAST, _STRONG = 0.25, 0.02
 #: Relative change of the light in the aperture with position, for telling it from variability.
 _RESPONSE_PRIOR = 0.05
-#: Mean variance about the model, in units of the noise, above which its brightness is not used.
-_LARGEST_MISFIT = 1.3
+#: Mean variance about the model, in units of the noise, below which images need not change slowly,
+#: and above which the brightness of images is not used.
+_STEADY, _LARGEST_MISFIT = 1.05, 1.3
 #: Noise of that brightness, in units of the sum's, below which it is used.
 _LESS_NOISE = 0.9
 #: Part of the variance of lost light that is expected to remain: a tenth of the amplitude.
@@ -56,9 +60,17 @@ _LOST = 0.01
 _BACKGROUND = 0.05
 #: Distance (px) from the star at which pixels are dark, and the fewest such pixels for a plane.
 _FAR, _FEWEST_FAR = 2.7, 15
-#: Cosmic rays exceed so many standard deviations, and this part of the star's light in the pixel,
-#: by which the functions of position may miss where the star moves far.
-_CLIP, _MISFIT = 6.0, 0.05
+#: Outliers exceed so many standard deviations, and cosmic rays so many.
+_CLIP, _HIT = 6.0, 4.5
+#: Part of a pixel's light by which the functions of position may miss where the star moves far:
+#: cosmic rays exceed it, too. Largest ratio of light to noise in a pixel from which on this and
+#: `_CLIP` hold; of fainter stars cosmic rays are a larger part of the light than such errors.
+_MISFIT, _BRIGHT = 0.05, 5000.0
+#: ... and in units of it, that below which images may change slowly.
+_FAINT_STAR = 0.4
+#: Images change with time as polynomials of one degree in so many days, up to so many columns, by
+#: about this part of a pixel's light.
+_DAYS_PER_DEGREE, _MOST_SLOW, _SLOW_CHANGE = 10.0, 60, 0.03
 #: Constant light in the aperture, relative, below which it does not count; and the iteration at
 #: which that is decided.
 _FAINT, _DECIDED = 0.004, 5
@@ -105,6 +117,8 @@ class CleanPixels:
         Constant light that was taken off, e-/s, the median.
     repaired : ndarray of bool
         Pixels in cadences whose light was replaced by the model's, ``(n, n_pixels)``.
+    weighted : bool
+        Whether the light is the brightness of the fitted images.
     """
 
     light: np.ndarray
@@ -117,6 +131,7 @@ class CleanPixels:
     focus: np.ndarray
     constant: float
     repaired: np.ndarray
+    weighted: bool
 
 
 class _Features:
@@ -162,7 +177,9 @@ def _kernel(a, b, scale):
     return np.exp(-0.5 * square / scale**2)
 
 
-def clean_pixels(time, flux, flux_err, position, grid, aperture, *, use=None, own=None):
+def clean_pixels(
+    time, flux, flux_err, position, grid, aperture, *, use=None, own=None, kind="auto"
+):
     """
     Predict the pixel fractions of a star.
 
@@ -182,6 +199,8 @@ def clean_pixels(time, flux, flux_err, position, grid, aperture, *, use=None, ow
         Cadences from which everything that they share is learned, ``(n,)``; by default all.
     own : ndarray of bool, optional
         Pixels that show the star's brightness, by default all: not those of other stars.
+    kind : {"auto", "sum", "weighted"}, optional
+        The light: sum of the pixels, or brightness of the fitted images.
 
     Returns
     -------
@@ -198,7 +217,20 @@ def clean_pixels(time, flux, flux_err, position, grid, aperture, *, use=None, ow
         converged = state.fit_cadences(iteration)
         if converged and iteration >= _FEWEST_ITERATIONS - 1 and not state.varies:
             break
-    return state.result(flux_err)
+    images = state.images()
+    state.fit_brightness(images)
+    light, error = state.summed(flux_err, images)
+    less = quantile(state.error) / quantile(error)
+    if kind == "weighted" or (kind == "auto" and less < 1):
+        fitted, found = copy(state), images
+        if state.misfit > _STEADY and state.bright < _FAINT_STAR:
+            found = fitted.refine()
+        brightness = fitted.brightness_like(light)
+        part = state.roughness(brightness) / state.roughness(light)
+        if kind == "weighted" or (part < _LESS_NOISE and fitted.misfit < _LARGEST_MISFIT):
+            error = np.maximum(fitted.error, part * error)
+            return fitted.result(brightness, error, found, weighted=True)
+    return state.result(light, error, images, weighted=False)
 
 
 class _State:
@@ -233,6 +265,10 @@ class _State:
         self._place = np.where(self.known, _POSITION_PRIOR**-2, 1e-2)
         self.features = _Features(self.z[use], _SCALE, _TOLERANCE, _MAX_RANK)
         self.coarse = _Features(self.z[use], _COARSE_SCALE, _COARSE_TOLERANCE, _COARSE_RANK)
+        coarse, span = self.coarse(self.expected)[1], time[-1] - time[0]
+        degree = min(round(span / _DAYS_PER_DEGREE), _MOST_SLOW // coarse.shape[1])
+        slow = np.polynomial.legendre.legvander(2 * (time - time[0]) / span - 1, degree)[:, 1:]
+        self.slow = _SLOW_CHANGE * (slow[:, :, None] * coarse[:, None]).reshape(n, -1)
 
     @property
     def varies(self):
@@ -281,13 +317,15 @@ class _State:
         self.expected = np.where(known[:, None], expected, columns @ slope)
         self.z = self.expected.copy()
 
-    def fit_pixels(self, iteration):
+    def fit_pixels(self, iteration, *, slow=False):
         """Fit the functions of position of all pixels at once: ridge regression."""
         _, basis, coarse = self._functions()
         a, v, w = self.brightness[:, None], self.variable[:, None], self.focus[:, None]
         parts = [a * basis]
         if iteration >= _FOCUS_FROM:
             parts.append(2 * a * w * coarse)  # the prior's standard deviation is 2
+        if slow:
+            parts.append(a * self.slow)
         strong = v.any()
         if strong:
             parts.append(-v * coarse)
@@ -298,9 +336,11 @@ class _State:
         ridge = self.variance / self.scale**2
         coefficients = vectors @ (right / (np.maximum(values, 0)[:, None] + ridge))
         rank, few = basis.shape[1], coarse.shape[1]
-        self._main, self._focus, self._constant = coefficients[:rank], None, None
+        self._main, self._focus, self._slow, self._constant = coefficients[:rank], None, None, None
         if iteration >= _FOCUS_FROM:
             self._focus = 2 * coefficients[rank : rank + few]
+        if slow:
+            self._slow = coefficients[rank + few :][: self.slow.shape[1]]
         if strong:
             self._constant = coefficients[-few:]
 
@@ -310,8 +350,13 @@ class _State:
             self._last = self.z, *self.features(self.z), self.coarse(self.z)[1]
         return self._last[1:]
 
-    def _images(self):
-        """Return G, its derivatives by x, y and w, and N or nothing, with sums as stated."""
+    def images(self):
+        """
+        Return G, the whole image, its derivatives by x, y and w, and N or nothing.
+
+        Sums are as stated. The image has the focus and slow changes of each cadence, once these
+        have images of their own.
+        """
         inside, weights = self.aperture, self.features.weights(self._main)
         kernel, _, coarse = self._functions()
         total = (kernel @ weights[:, inside].sum(axis=1))[:, None]
@@ -336,11 +381,10 @@ class _State:
             focus = without_sum(coarse / total, self._focus)
             if self._constant is not None:
                 constant = without_sum(coarse, self._constant)
-        return image, slopes, focus, constant
-
-    def _focused(self, image, focus):
-        """Return the images with the focus of each cadence, once it has an image of its own."""
-        return image if self._focus is None else image + self.focus[:, None] * focus
+        whole = image.copy() if self._focus is None else image + self.focus[:, None] * focus
+        if self._slow is not None:
+            whole += without_sum(self.slow / total, self._slow)
+        return image, whole, [*slopes, focus], constant
 
     def fit_cadences(self, iteration):
         """
@@ -349,16 +393,13 @@ class _State:
         Return whether the step was small.
         """
         before = np.stack([self.brightness, *self.z.T, self.focus])
-        image, slopes, focus, constant = self._images()
-        image = self._focused(image, focus)
+        _, image, slopes, constant = self.images()
         rest = self._rest(image, constant)
         spread = 1.4826 * quantile(np.abs(rest[self.use].T))
         self.variance = np.maximum(self.noise, spread**2)
         if iteration > 0:
-            hot = rest > _CLIP * np.sqrt(self.variance)
-            hot[hot] = (rest - _CLIP * np.sqrt(self.variance) - _MISFIT * np.abs(image))[hot] > 0
-            self.good = ~_single(hot, self.use)
-        hessian, right = self._normal_equations([image, *slopes, focus], rest, self.fitted)
+            self.good = ~_single(self._hot(rest, image, slopes), self.use)
+        hessian, right = self._normal_equations([image, *slopes], rest, self.fitted)
         level = np.abs(self.plane[self.use, 0] - self.base[0])
         tilt = max(1.4826 * quantile(level) + abs(self.base[0]), 1e-9)
         priors = [
@@ -380,6 +421,27 @@ class _State:
         self._set_focus(self.focus + np.clip(step[3], -0.02, 0.02), error[3], iteration)
         moved = np.abs(np.stack([self.brightness, *self.z.T, self.focus]) - before) / error[:4]
         return bool((quantile(moved[:, self.use]) < _SMALL_STEPS).all())
+
+    def _hot(self, rest, image, slopes):
+        """
+        Return pixels far above the model.
+
+        In faint stars' pixels, brightness and position follow a cosmic ray in part: less is left.
+        """
+        sigma, bright = np.sqrt(self.variance), self.bright
+        if bright < 1:
+            sigma = sigma * np.sqrt(1 - self._leverage(image, slopes))
+        excess = rest - (_HIT + bright * (_CLIP - _HIT)) * sigma
+        hot = excess > 0
+        hot[hot] = excess[hot] > bright * _MISFIT * np.abs(image[hot])
+        return hot
+
+    def _leverage(self, image, slopes):
+        """Return how much brightness and position follow each pixel, typically."""
+        columns = np.stack([part.mean(axis=0) for part in (image, *slopes[:2])], axis=1)
+        columns /= np.sqrt(self.variance)[:, None]
+        hessian = columns.T @ columns + np.diag([0, _POSITION_PRIOR**-2, _POSITION_PRIOR**-2])
+        return np.einsum("ij,ji->i", columns, np.linalg.solve(hessian, columns.T))
 
     def _rest(self, image, constant):
         """Return what images and background leave of the light."""
@@ -416,10 +478,12 @@ class _State:
         right[1:first] *= self.brightness
         return hessian, right
 
-    def _fit_brightness(self, image, slopes, constant):
+    def fit_brightness(self, images):
         """Fit brightness and positions at the smoothed background and focus."""
-        images, rest = [values.copy() for values in (image, *slopes)], self._rest(image, constant)
-        hessian, right = self._normal_equations(images, rest, self.own, 0)
+        _, image, slopes, constant = images
+        rest = self._rest(image, constant)
+        columns = [values.copy() for values in (image, *slopes[:2])]
+        hessian, right = self._normal_equations(columns, rest, self.own, 0)
         hessian[[1, 2], [1, 2]] += self._place
         step, error = _solved(hessian, right)
         self.brightness = self.brightness + np.clip(step[0], -0.3, 0.3)
@@ -429,8 +493,8 @@ class _State:
         """Smooth the background as far as the data are for it; jumps of a cadence stay."""
         plane = plane - quantile(plane[self.use].T) + self.base
         if iteration >= _FOCUS_FROM:
-            for values, error in zip(plane.T, errors.T, strict=True):
-                smooth = self.smoothed(values, error)
+            for k, (values, error) in enumerate(zip(plane.T, errors.T, strict=True)):
+                smooth = self.smoothed(values, error, f"background {k}")
                 rest = np.abs(values - smooth)
                 typical = 1.4826 * quantile(rest[self.use])
                 jumps = rest > _CLIP * np.maximum(error, typical)
@@ -451,8 +515,8 @@ class _State:
             variable = change - columns @ np.linalg.solve(gram + ridge, right)
         strong = self._is_strong(variable[use])
         if strong and iteration >= _DECIDED:
-            image, slopes, focus, constant = self._images()
-            light = self._constant_light(self._focused(image, focus), slopes, constant)
+            _, image, slopes, constant = self.images()
+            light = self._constant_light(image, slopes[:2], constant)
             strong = quantile(light[use]) > _FAINT
         self.variable = variable if strong else np.zeros_like(variable)
 
@@ -487,31 +551,26 @@ class _State:
         columns = np.column_stack([np.ones(len(focus)), self.z, self.variable])
         use = self.use
         focus = focus - columns @ np.linalg.lstsq(columns[use], focus[use], rcond=None)[0]
-        self.focus = self.smoothed(focus, error) if iteration >= _FOCUS_FROM else focus
+        self.focus = self.smoothed(focus, error, "focus") if iteration >= _FOCUS_FROM else focus
 
-    def result(self, flux_err):
-        """Return the light and the fractions."""
-        still, slopes, focus, constant = self._images()
-        image, inside = self._focused(still, focus), self.aperture
-        self._fit_brightness(image, slopes, constant)
+    def summed(self, flux_err, images):
+        """Return the sum over the aperture, cosmic rays replaced, and its error."""
+        _, image, slopes, constant = images
         light = self.y - self.background
         light[~self.good] -= self._rest(image, constant)[~self.good]
-        pixels, light = light, light[:, inside].sum(axis=1)
+        pixels, light = light, light[:, self.aperture].sum(axis=1)
         if not self.own.all():
             rest = pixels - light[:, None] * image + self.variable[:, None] * constant
-            light = light - self._varying_light(rest, image, slopes, ~self.own)
-        error = np.sqrt((flux_err[:, inside] ** 2).sum(axis=1))
-        misfit = np.average(self.variance / self.noise, weights=np.maximum(self.scale, 0))
-        fits = misfit < _LARGEST_MISFIT
-        if fits and quantile(self.error) * self.unit < quantile(error):
-            fitted = self._brightness_like(light)
-            part = self._roughness(fitted) / self._roughness(light)
-            if part < _LESS_NOISE:
-                light, error = fitted, np.maximum(self.error * self.unit, part * error)
-        other = self._constant_light(image, slopes, constant)
+            light = light - self._varying_light(rest, image, slopes[:2], ~self.own)
+        return light, np.sqrt((flux_err[:, self.aperture] ** 2).sum(axis=1)) / self.unit
+
+    def result(self, light, error, images, *, weighted):
+        """Return a light and the fractions."""
+        still, image, slopes, constant = images
+        other, inside = self._constant_light(image, slopes[:2], constant), self.aperture
         return CleanPixels(
             light=self.unit * (light - other),
-            light_error=error,
+            light_error=self.unit * error,
             shares=np.where(inside, image, 0.0),
             still=np.where(inside, still, 0.0),
             outside=still @ ~inside,
@@ -520,23 +579,49 @@ class _State:
             focus=self._slow_focus(),
             constant=self.unit * quantile(other[self.use]),
             repaired=~self.good,
+            weighted=weighted,
         )
+
+    def refine(self):
+        """Let the images change slowly, at the focus that was found, and return them."""
+        focus = self.focus
+        for _ in range(_REFINEMENTS):
+            self.fit_pixels(_ITERATIONS, slow=True)
+            self.fit_cadences(_ITERATIONS)
+            self.focus = focus
+        self.fit_pixels(_ITERATIONS, slow=True)
+        images = self.images()
+        self.fit_brightness(images)
+        return images
+
+    @property
+    def bright(self):
+        """Light over noise in units of a bright star's, at most 1; with neighbors 1."""
+        signal = (self.scale / np.sqrt(self.variance)).max()
+        return min(signal / _BRIGHT, 1.0) if self.own.all() else 1.0
+
+    @property
+    def misfit(self):
+        """Mean variance about the model in units of the noise."""
+        return np.average(self.variance / self.noise, weights=np.maximum(self.scale, 0))
 
     def _slow_focus(self):
         """Return the focus without short dips, which may be dimmings beside constant light."""
         weight = np.where(self.use, 1.0, _NO_WEIGHT)
         return self.smoothed.lines(self.focus, weight, _SLOW / self.smoothed.step)[0]
 
-    def _roughness(self, light):
+    def roughness(self, light):
         """Return the typical change from cadence to cadence that positions do not explain."""
         fit, change = self._functions()[1][self.use], light[self.use] - 1
         return quantile(np.abs(np.diff(change - _explained(fit, fit, change))))
 
-    def _brightness_like(self, light):
+    def brightness_like(self, light):
         """Return the brightness with the sum's dependence on position and focus."""
         columns = np.column_stack([self._functions()[1], self.focus]) * self.brightness[:, None]
         change = (self.brightness - light)[self.use]
-        return self.brightness - _explained(columns, columns[self.use], change)
+        noise = 1.05 * quantile(np.abs(np.diff(change)))
+        ridge = (noise / _RESPONSE_PRIOR) ** 2
+        return self.brightness - _explained(columns, columns[self.use], change, ridge)
 
     def _varying_light(self, rest, image, slopes, others):
         """Return the light in the aperture that varies with other stars."""
@@ -589,9 +674,9 @@ def precise_aperture(light, variance, position):
     return mask
 
 
-def _explained(columns, fit, values):
+def _explained(columns, fit, values, ridge=0.0):
     """Return what columns explain of values, whose rows are ``fit``."""
-    gram = fit.T @ fit + 1e-9 * len(fit) * np.eye(fit.shape[1])
+    gram = fit.T @ fit + (ridge + 1e-9 * len(fit)) * np.eye(fit.shape[1])
     return columns @ np.linalg.solve(gram, fit.T @ values)
 
 
@@ -617,27 +702,27 @@ class _Smoother:
         self.time, self.use = time, use
         self.step = quantile(np.diff(time))
         self._index = np.rint((time - time[0]) / self.step).astype(int)
-        self._kernels = {}
+        self._kernels, self._best = {}, {}
 
-    def __call__(self, values, error):
+    def __call__(self, values, error, name=""):
         """
         Smooth with the width of the least median leave-one-out error.
 
-        Cadences that are not in use take the values of those around them.
+        Cadences that are not in use take the values of those around them. Widths are tried from
+        the next narrower one on than was best for the series of a name the last time.
         """
         use = self.use
         typical = quantile(error[use])
         start = np.where(use, (typical / np.maximum(error, 0.3 * typical)) ** 2, _NO_WEIGHT)
         values = np.where(use, values, np.interp(self.time, self.time[use], values[use]))
-        best = np.inf, values
-        weight = start
-        for width in _WIDTHS:
-            smooth, size, weight = self.lines(values, start, width, weight)
-            if size > _WORSE * best[0]:
+        least, best, weight = np.inf, values, start
+        for k in range(max(self._best.get(name, 0) - 1, 0), len(_WIDTHS)):
+            smooth, size, weight = self.lines(values, start, _WIDTHS[k], weight)
+            if size > _WORSE * least:
                 break
-            if size < best[0]:
-                best = size, smooth
-        return best[1]
+            if size < least:
+                least, best, self._best[name] = size, smooth, k
+        return best
 
     def lines(self, values, start, width, weight=None):
         """

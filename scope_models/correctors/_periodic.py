@@ -6,8 +6,12 @@ import numpy as np
 from astropy.timeseries import BoxLeastSquares
 from scipy.ndimage import uniform_filter1d
 
-from scope_models.correctors._regression import FLAT, Hyperparameters, log_likelihood
-from scope_models.correctors._search import fit_columns
+from scope_models.correctors._regression import (
+    FLAT,
+    Hyperparameters,
+    fit_columns,
+    log_likelihood,
+)
 
 __all__ = ["find_frequencies", "harmonic_columns", "is_periodic"]
 

@@ -303,7 +303,7 @@ def can_predict(pixels, saturation, use):
     return not full and np.ptp(flux, axis=0).max() > 0 and bool((error > 0).any())
 
 
-def with_predicted_fractions(pixels, pos_corr, cadence_mask=None):
+def with_predicted_fractions(pixels, pos_corr, cadence_mask=None, kind="auto"):
     """
     Return the star's light with predicted pixel fractions in place of the measured pixels.
 
@@ -315,6 +315,8 @@ def with_predicted_fractions(pixels, pos_corr, cadence_mask=None):
         Offsets ``(n_cadences, 2)``, px.
     cadence_mask : ndarray of bool, optional
         Cadences from which images and constant light are learned, by default all.
+    kind : {"auto", "sum", "weighted"}, optional
+        As ``flux`` of `PLDCorrector.correct`; of moving apertures the sum.
 
     Returns
     -------
@@ -341,6 +343,7 @@ def with_predicted_fractions(pixels, pos_corr, cadence_mask=None):
         pixels.aperture[known],
         use=None if cadence_mask is None else cadence_mask[use],
         own=None if pixels.own is None else pixels.own[known],
+        kind=kind if pixels.weights is None else "sum",
     )
     light, light_error = clean.light, clean.light_error
     if pixels.weights is not None:

@@ -1,14 +1,24 @@
-"""Bayesian linear regression with one prior variance per group of columns."""
+"""Bayesian linear regression with one prior variance per group of columns, the most likely one."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from operator import attrgetter
 
 import numpy as np
 from scipy.linalg.lapack import dpotrf, dpotri, dtrtri, dtrtrs
+from scipy.optimize import minimize
 
 from scope_models.correctors._covariance import Covariance, Noise
 
-__all__ = ["FLAT", "Data", "Hyperparameters", "Posterior", "gram_matrix", "log_likelihood"]
+__all__ = [
+    "FLAT",
+    "Data",
+    "Hyperparameters",
+    "Posterior",
+    "fit_columns",
+    "fit_hyperparameters",
+    "log_likelihood",
+]
 
 #: The prior variance of the columns with flat priors, in units of the data's.
 FLAT = 1e4
@@ -17,6 +27,25 @@ _SQRT_2 = np.sqrt(2)
 _SPREAD = 2.0
 #: ... and about its limit, beyond it.
 _EXCESS = 0.1
+#: Twice as many cadences are averaged before the search: what is slow and how strong each group
+#: is shows in the means.
+_ENOUGH = 4000
+#: A search ends when a step improves the likelihood's logarithm by about so much.
+_PRECISION = 1e-3
+#: Steps of a search at most, and of those that only find the best start.
+_STEPS, _FEW_STEPS = 60, 10
+#: Bounds of the period in days. What is faster than a transit is not a trend. With a longer period
+#: a straight line would cost little, and the star's would undo that of a slow drift.
+_SHORTEST_PERIOD, _LONGEST_PERIOD = 0.5, 5.0
+#: Variances of a group's part that are tried against others, in units of the data's.
+_SCAN = (1e-3, 0.03, 1.0, 30.0, 300.0)
+#: Where the search begins: the process' variance, and that of each group's part of the model,
+#: in units of the data's; and the process' period in days.
+_STARTS = ((None, 1.0, 5.0), (0.3, 0.1, 2.0), (1.0, 1.0, 5.0))
+#: The largest variance of a group's part, in the same unit. More is not needed, and less
+#: well conditioned.
+_LARGEST = 1e3
+_value = attrgetter("value")
 
 
 @dataclass(frozen=True)
@@ -189,20 +218,6 @@ class Posterior:
         return gram[-1, -1] - 2 * gram[:-1, -1] @ mean + mean @ gram[:-1, :-1] @ mean
 
 
-def gram_matrix(process, stacked):
-    """Return ``[X y].T @ inv(K) @ [X y]`` with the covariance ``K`` of a process.
-
-    Parameters
-    ----------
-    process : Covariance or Noise
-        Noise and long-term variability.
-    stacked : ndarray
-        The columns and the data.
-    """
-    z = process.whiten(stacked)
-    return z.T @ z
-
-
 def log_likelihood(data, hyper, *, gradient=False):
     """
     Logarithm of the marginal likelihood.
@@ -241,3 +256,201 @@ def log_likelihood(data, hyper, *, gradient=False):
     variance_bar, *process_bar = process.gradient(stacked, z, bar)
     scale = hyper.noise_scale * np.sum(variance_bar * data.variance)
     return value, -np.array([scale, *groups, *process_bar])
+
+
+@dataclass(frozen=True)
+class _Trial:
+    """Hyper-parameters, with what the likelihood takes from noise and process there."""
+
+    data: Data
+    hyper: Hyperparameters
+    gram: np.ndarray
+    log_determinant: float
+
+    @classmethod
+    def at(cls, data, hyper):
+        process = hyper.process(data.time, data.variance)
+        z = process.whiten(data.stacked)
+        return cls(data, hyper, z.T @ z, process.log_determinant)
+
+    def changed(self, variances, factor=1.0):
+        """Return it with other variances, and with noise and process multiplied with a factor."""
+        hyper = replace(
+            self.hyper,
+            noise_scale=self.hyper.noise_scale * factor,
+            variances=variances,
+            amplitude=None if self.hyper.amplitude is None else self.hyper.amplitude * factor,
+        )
+        more = len(self.data.y) * np.log(factor)
+        return _Trial(self.data, hyper, self.gram / factor, self.log_determinant + more)
+
+    @cached_property
+    def value(self):
+        """Logarithm of the likelihood times the hyperprior, but for a constant; -inf: it fails."""
+        try:
+            posterior = Posterior(self.gram, self.hyper.prior(self.data))
+        except np.linalg.LinAlgError:
+            return -np.inf
+        value = posterior.quadratic + posterior.log_determinant + self.log_determinant
+        return -0.5 * value - self.data.improbability(self.hyper.variances)[0]
+
+
+def _fit_scales(trial, n_steps=_STEPS):
+    """Maximize over the variances and a factor of noise and long-term process alike."""
+    data, hyper, n = trial.data, trial.hyper, len(trial.data.y)
+
+    def objective(theta):
+        scale = np.exp(theta[0])
+        prior = replace(hyper, variances=np.exp(theta[1:])).prior(data)
+        try:
+            posterior = Posterior(trial.gram / scale, prior)
+        except np.linalg.LinAlgError:
+            return np.inf, np.zeros_like(theta)
+        value = 0.5 * (posterior.quadratic + posterior.log_determinant + n * theta[0])
+        used = 1 - posterior.shrinkage
+        by_group = (used - posterior.mean**2 / prior)[: len(data.groups)]
+        slope = 0.5 * np.bincount(data.groups, by_group, minlength=data.n_groups)
+        unlikely, rise = data.improbability(np.exp(theta[1:]))
+        value, slope = value + unlikely, slope + rise
+        return value, np.array([0.5 * (n - used.sum() - posterior.residual), *slope])
+
+    unit = np.log(data.spread / data.sizes)
+    least = np.log(data.least_noise / hyper.noise_scale)
+    bounds = [(least, 12.0), *zip(unit - 30, unit + np.log(_LARGEST), strict=True)]
+    factor, *variances = _minimize(objective, [1.0, *hyper.variances], bounds, n, n_steps)
+    return trial.changed(np.array(variances), factor)
+
+
+def _minimize(objective, start, bounds, n, n_steps=_STEPS):
+    """
+    Minimize over positive parameters, and return these.
+
+    The first one is the noise, which ``n`` data determine much better than the others: its unit is
+    smaller.
+    """
+    unit = np.ones(len(start))
+    unit[0] = (n / 2) ** -0.25
+
+    def scaled(theta):
+        value, slope = objective(theta * unit)
+        return value, slope * unit
+
+    bounds = np.array(bounds) / unit[:, None]
+    start = np.clip(np.log(start) / unit, *bounds.T)
+    options = {"maxiter": n_steps, "ftol": _PRECISION / n}
+    result = minimize(scaled, start, jac=True, method="L-BFGS-B", bounds=bounds, options=options)
+    return [float(value) for value in np.exp(result.x * unit)]
+
+
+def _compressed(gram, data, hyper, smallest=1e-2):
+    """Return the problem with the prior's variance absorbed into few columns of one group."""
+    root = np.sqrt(hyper.prior(data))[: len(data.groups)]
+    k = len(root)
+    values, vectors = np.linalg.eigh(root[:, None] * gram[:k, :k] * root)
+    vectors = vectors[:, values >= min(smallest, values[-1])]  # one column at least
+    columns = data.columns[:, :k] @ (root[:, None] * vectors)
+    return replace(
+        data,
+        columns=np.concatenate([columns, data.columns[:, k:]], axis=1),
+        groups=np.zeros(columns.shape[1], dtype=int),
+    )
+
+
+def _fit_process(trial):
+    """Maximize over noise, long-term process and a factor of all prior variances."""
+    whole, hyper = trial.data, trial.hyper
+    data = _compressed(trial.gram, whole, hyper)
+
+    def objective(theta):
+        scale, variance, amplitude, period = np.exp(theta)
+        tried = Hyperparameters(scale, np.array([variance]), amplitude, period)
+        try:
+            value, slope = log_likelihood(data, tried, gradient=True)
+        except np.linalg.LinAlgError:
+            return np.inf, np.zeros_like(theta)
+        unlikely, rise = whole.improbability(hyper.variances * variance)
+        slope[1] -= rise.sum()
+        return unlikely - value, -slope
+
+    amplitude = np.log([1e-5 * np.median(data.variance), _LARGEST * data.spread])
+    period = np.log([_SHORTEST_PERIOD, _LONGEST_PERIOD])
+    bounds = [(np.log(data.least_noise), 16.0), (-8.0, 8.0), tuple(amplitude), tuple(period)]
+    start = [hyper.noise_scale, 1.0, hyper.amplitude, hyper.period]
+    scale, variance, amplitude, period = _minimize(objective, start, bounds, len(data.y))
+    best = Hyperparameters(scale, hyper.variances * variance, amplitude, period)
+    return _Trial.at(whole, best)
+
+
+def fit_columns(data, hyper):
+    """Maximize over the columns' variances and a factor of the noise and the process alike."""
+    return _fit_scales(_Trial.at(data, hyper)).hyper
+
+
+def fit_hyperparameters(data, start=None, *, trend=True, tolerance=0.05, n_rounds=5):
+    """
+    Maximize the marginal likelihood.
+
+    The columns' parameters are improved at fixed process, where only a small matrix enters,
+    and the process' with the columns compressed, by turns. Whether a slow change
+    is variability or systematics can make two maxima, so that there are several starts. Of very
+    many cadences, means are searched first.
+
+    Parameters
+    ----------
+    data : Data
+        The problem.
+    start : Hyperparameters, optional
+        Where to begin; by default the best of several places.
+    trend : bool, optional
+        Whether there is a long-term process; only without ``start``.
+    tolerance : float, optional
+        The search ends when a round improves the logarithm by less.
+    n_rounds : int, optional
+        Largest number of rounds.
+    """
+    width = len(data.y) // _ENOUGH
+    if width > 1:
+        options = {"trend": trend, "tolerance": tolerance, "n_rounds": n_rounds}
+        hyper = fit_hyperparameters(data.averaged(width), start, **options)
+        return fit_columns(data, hyper)
+    best, scan = _best_start(data, trend) if start is None else _Trial.at(data, start), True
+    for k in range(n_rounds):
+        value = best.value
+        trial = _scanned(best) if scan else best
+        scan = start is None and trial is not best
+        best = max(best, _fit_scales(trial), key=_value)
+        if best.hyper.amplitude is None or (k > 0 and best.value < value + tolerance):
+            break  # nor would the process change
+        best = max(best, _fit_process(best), key=_value)
+        if best.value < value + tolerance:
+            break
+    return best.hyper
+
+
+def _scanned(trial):
+    """
+    Try other variances of one group after the other, far from the present ones.
+
+    Groups explain much the same, so that the likelihood has several maxima, and from a variance
+    of nothing there is no slope back.
+    """
+    for g, unit in enumerate(trial.data.spread / trial.data.sizes):
+        start = trial.hyper.variances
+        for factor in _SCAN:
+            variances = start.copy()
+            variances[g] = factor * unit
+            trial = max(trial, trial.changed(variances), key=_value)
+    return trial
+
+
+def _best_start(data, trend):
+    """Fit the columns' parameters in several places, and return the most likely one."""
+    noise, unit = float(np.median(data.variance)), data.spread / data.sizes
+    if not trend:
+        return _Trial.at(data, Hyperparameters(1.0, unit, None, 1.0))
+    starts = [
+        Hyperparameters(1.0, part * unit, 0.1 * noise if a is None else a * data.spread, period)
+        for a, part, period in _STARTS
+    ]
+    fitted = [_fit_scales(_Trial.at(data, hyper), _FEW_STEPS) for hyper in starts]
+    return max(fitted, key=_value)

@@ -20,14 +20,16 @@ _TRANSIT_HOURS = 6.5
 #: measured fractions explain; and the noise's variance over FLUX_ERR squared.
 #: Smaller apertures lose light when the star moves, which the fractions explain.
 _WHOLE = 9
-_MANY, _CONTAMINATED, _FOLLOWING, _NOISY = 0.1, 0.02, 0.05, 25.0
+_MANY, _CONTAMINATED, _FOLLOWING, _NOISY = 0.1, 0.02, 0.05, 9.0
+#: Wings of neighbors may give more light: few TESS stars are without.
+_BLENDED = 0.1
 #: Depth of the boxes of `PLDFit.survival`: so many errors of their mean, within these bounds.
 _OBVIOUS, _SHALLOW, _DEEP = 10.0, 1e-3, 0.3
 #: Largest number of times that a transit is taken out of the pixels, and what may be left, in
 #: errors.
 _REMOVALS, _NOTHING = 3, 0.2
 #: Uncertain part of the light of other stars in the aperture.
-_SHARE_ERROR = 0.05
+_SHARE_ERROR = 0.03
 #: The first removal in errors, at least; and bounds of the response of the chain.
 _AT_LEAST, _RESPONSES = 3.0, (0.1, 2.0)
 #: Part of a transit outside of the mask above which its depth is not trusted.
@@ -270,8 +272,8 @@ class PLDFit:
         Returns
         -------
         list of str
-            Many outliers, constant light in the aperture, fractions that follow the star, noise
-            far above FLUX_ERR. Empty if there is nothing.
+            Many outliers, other light in the aperture, fractions that follow the star, noise far
+            above FLUX_ERR. Empty if there is nothing.
         """
         found, n = [], len(self.solution.use)
         if self.n_outliers > _MANY * self.cadence_mask.sum():
@@ -288,6 +290,11 @@ class PLDFit:
             found.append(
                 f"{100 * self.crowding:.0f} % of the light in the aperture is in pixels of other "
                 "stars: depths and amplitudes are too small by as much"
+            )
+        elif self.contrast_error > _BLENDED:
+            found.append(
+                f"about {100 * self.contrast_error:.0f} % of the light in the aperture is in wings "
+                "of other stars: depths and amplitudes are too small by as much"
             )
         whole = self.model.pixels.aperture.sum() >= _WHOLE
         if whole and self.may_follow:
@@ -312,6 +319,11 @@ class PLDFit:
     def may_follow(self):
         """Whether measured fractions explain so much that they may be the star's variability."""
         return self.model.clean is None and bool(self._change > _FOLLOWING)
+
+    @property
+    def weighted(self):
+        """Whether the flux is the brightness of fitted images, and not the sum of pixels."""
+        return self.model.clean is not None and self.model.clean.weighted
 
     @property
     def contamination(self):
@@ -539,12 +551,13 @@ class PLDFit:
 
     def _rows(self):
         """Return labels and values for the short table."""
+        fractions = "measured" if self.model.clean is None else "predicted"
         rows = [
             ("cadences in the fit", f"{self.n_used}"),
             ("outliers", f"{self.n_outliers}"),
             ("noise variance / FLUX_ERR^2", f"{self.noise_scale:.3f}"),
             ("transit survival", f"{self.transit_survival:.3f}"),
-            ("fractions", "measured" if self.model.clean is None else "predicted"),
+            ("fractions, flux", f"{fractions}, {'weighted' if self.weighted else 'sum'}"),
             ("constant light taken off", f"{100 * self.contamination:.1f} %"),
         ]
         if self.crowding:

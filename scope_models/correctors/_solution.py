@@ -11,9 +11,10 @@ from scope_models.correctors._regression import (
     Data,
     Hyperparameters,
     Posterior,
+    fit_columns,
+    fit_hyperparameters,
     log_likelihood,
 )
-from scope_models.correctors._search import fit_columns, fit_hyperparameters
 
 __all__ = ["NothingToCorrectError", "Solution", "fit"]
 

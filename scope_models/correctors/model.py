@@ -39,6 +39,8 @@ _FEWEST_CADENCES = 30
 #: Columns of background if pixels are given for them, but no number.
 _BACKGROUND_COLUMNS = 3
 _FRACTIONS = ("auto", "predicted", "measured")
+#: Kinds of the light that is corrected.
+FLUXES = ("auto", "sum", "weighted")
 #: Noise's variance over FLUX_ERR squared from which on measured fractions are tried, ...
 _MISFIT = 1.5
 #: Part of the cadences for which predicted fractions must exist.
@@ -74,6 +76,8 @@ class PLDOptions(Value):
     fractions : {"auto", "predicted", "measured"}, optional
         Pixel fractions as a model of the star, its motion, focus and background predicts them,
         or as they are measured; see `fit_pixels`.
+    flux : {"auto", "sum", "weighted"}, optional
+        The light that is corrected, as in `PLDCorrector.correct`.
     pca_components : int, optional
         Largest number of columns per order.
     pld_aperture_mask : array_like of bool, optional
@@ -110,6 +114,7 @@ class PLDOptions(Value):
     trend: str = "gp"
     segments: object = "auto"
     fractions: str = "auto"
+    flux: str = "auto"
     pca_components: int | None = None
     pld_aperture_mask: object = None
     background: int = 0
@@ -126,6 +131,8 @@ class PLDOptions(Value):
             raise ValueError(f"`trend` must be one of {tuple(_TRENDS)}, got {self.trend!r}")
         if self.fractions not in _FRACTIONS:
             raise ValueError(f"`fractions` must be one of {_FRACTIONS}, got {self.fractions!r}")
+        if self.flux not in FLUXES:
+            raise ValueError(f"`flux` must be one of {FLUXES}, got {self.flux!r}")
         checked_integer("background", self.background, 0)
         if self.pca_components is not None:
             checked_integer("pca_components", self.pca_components, 1)
@@ -291,7 +298,7 @@ class PLDModel:
         clean = None
         plain = options.fractions != "measured" and regressor_mask is None and not background
         if plain and can_predict(pixels, saturation, use):
-            predicted, clean = with_predicted_fractions(pixels, series.pos_corr, use)
+            predicted, clean = with_predicted_fractions(pixels, series.pos_corr, use, options.flux)
             if predicted.usable.sum() > _CREDIBLE * pixels.usable.sum():
                 extra["focus"] = focus_columns(clean, pixels.usable, use)
                 extra["aperture"] = outside_column(clean, pixels.usable)
@@ -300,6 +307,7 @@ class PLDModel:
                 pixels, saturation = predicted, None
             else:  # the model of the pixels has diverged
                 clean = None
+        _check_weighted(options, clean)
         if clean is None:
             pixels = pixels.weighted
         breaks = segment_breaks(options.segments, pixels, use & pixels.usable)
@@ -435,20 +443,26 @@ def fit_pixels(pixels, options, series, cadence_mask=None, **transit):
         return model.fit(cadence_mask, **transit)
 
     fitted = fitted_with(options)
-    if options.fractions != "auto" or fitted.model.clean is None:
+    if options.fractions != "auto" or options.flux == "weighted" or fitted.model.clean is None:
         return fitted
     rough = _roughness(fitted.corrected()[0]) / _ROUGHER
     failed = rough > _roughness(pixels.total)
     if fitted.model.clean.constant > 0 or (fitted.noise_scale < _MISFIT and not failed):
         return fitted
     measured = fitted_with(replace(options, fractions="measured"))
-    weighted = np.median(fitted.model.clean.light_error) < np.median(
-        pixels.total_err[pixels.usable]
-    )
-    better = _unseen(measured) < (1 if weighted else _BETTER) * _unseen(fitted)
+    least = 1 if fitted.model.clean.weighted else _BETTER
+    better = _unseen(measured) < least * _unseen(fitted)
     if failed and not fitted.crowding and not measured.may_follow:
         better = better or rough > _roughness(measured.corrected()[0])
     return measured if better and _keeps_variability(measured, fitted) else fitted
+
+
+def _check_weighted(options, clean):
+    if options.flux == "weighted" and not (clean and clean.weighted):
+        raise ValueError(
+            '`flux="weighted"` needs a model of the pixels: predicted fractions, a fixed '
+            "aperture, at least 200 cadences and 4 pixels, and none that is full"
+        )
 
 
 def _check_enough(use):

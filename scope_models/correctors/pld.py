@@ -130,6 +130,7 @@ class PLDCorrector(LightkurveNames, Corrector):
         segments="auto",
         aperture_mask=None,
         fractions="auto",
+        flux="auto",
         pca_components=None,
         pld_aperture_mask=None,
         background=0,
@@ -179,6 +180,15 @@ class PLDCorrector(LightkurveNames, Corrector):
             variability is the same with both. ``pld_aperture_mask``,
             ``background``, full pixels and fewer than 200 cadences or 4
             pixels allow measured ones only.
+        flux : {"auto", "sum", "weighted"}, optional
+            The light that is corrected: the sum over the aperture, or the star's brightness as
+            a least-squares fit of its image to all pixels gives it, in units of that sum. The
+            image, which follows position, focus and slow changes, is learned from the same
+            pixels. Where background and readout are the noise, as for faint stars, the fit is
+            less noisy. By default it is taken if it is expected to have less than 0.9 times the
+            noise of the sum, has so from cadence to cadence, and the images describe the pixels
+            (mean variance about them below 1.3 times that of FLUX_ERR). Moving apertures, full
+            pixels, measured fractions, and fewer than 200 cadences or 4 pixels allow the sum only.
         pca_components : int, optional
             Largest number of columns per order: the first principal
             components; 0 and None: as many as can change the flux. The prior
@@ -237,6 +247,7 @@ class PLDCorrector(LightkurveNames, Corrector):
             "trend": trend,
             "segments": segments,
             "fractions": fractions,
+            "flux": flux,
             "pca_components": pca_components or None,
             "pld_aperture_mask": self._named(pld_aperture_mask, "pld_aperture_mask"),
             "background": background,

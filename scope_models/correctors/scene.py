@@ -23,6 +23,7 @@ from scope_models.correctors._scene_flux import (
 )
 from scope_models.correctors._scene_neighbors import KnownNeighbors
 from scope_models.correctors._scene_start import centroids
+from scope_models.correctors.model import FLUXES
 from scope_models.exceptions import DetrendingWarning
 from scope_models.io import read_pixels, read_tpf
 from scope_models.io.pixels import usable_positions
@@ -32,7 +33,11 @@ __all__ = ["SceneCorrector", "SceneResult"]
 
 _FEWEST_CADENCES = 30
 #: Windows that are tried: radii in pixels, and weights in proportion to light over variance.
-_WINDOWS = (3.0, 4.0, "optimal")
+_WINDOWS = {
+    "auto": (3.0, 4.0, "optimal"),
+    "sum": (3.0, 4.0),
+    "weighted": ("optimal",),
+}
 #: Windows with so much more white noise than the best are not tried.
 _NOISIEST = 1.3
 _TRANSIT_HOURS = 6.5
@@ -236,7 +241,13 @@ class SceneCorrector(FixedAperture, Corrector):
         return f"SceneCorrector (ID: {self.original_lc.meta.get('LABEL', 'unknown')})"
 
     def correct(
-        self, cadence_mask=None, *, transit_mask=None, transit_model=None, restore_trend=True
+        self,
+        cadence_mask=None,
+        *,
+        transit_mask=None,
+        transit_model=None,
+        restore_trend=True,
+        flux="auto",
     ):
         """
         Correct the light curve.
@@ -253,6 +264,10 @@ class SceneCorrector(FixedAperture, Corrector):
             for times in days. Its amplitude is fitted jointly.
         restore_trend : bool, optional
             Whether the star's slow variability stays in the light curve.
+        flux : {"auto", "sum", "weighted"}, optional
+            Sum of the pixels in a window that follows the star, or of pixels weighted in
+            proportion to the star's light over their variance, as `PLDCorrector.correct`. By
+            default the one of the smallest expected error. A given aperture is summed.
 
         Returns
         -------
@@ -273,6 +288,10 @@ class SceneCorrector(FixedAperture, Corrector):
             cadences become NaN.
         """
         data = self._data
+        if flux not in FLUXES:
+            raise ValueError(f"`flux` must be one of {FLUXES}, got {flux!r}")
+        if flux == "weighted" and data.aperture is not None:
+            raise ValueError('`flux="weighted"` has its own weights: leave out `aperture_mask`')
         n = len(data.usable)
         mask = checked_cadences("cadence_mask", cadence_mask, n, default=True)
         in_transit = checked_cadences("transit_mask", transit_mask, n, default=False)
@@ -290,17 +309,17 @@ class SceneCorrector(FixedAperture, Corrector):
                 data.time, data.flux, data.variance, data.pos_corr, data.peak,
                 known=self._known, well=data.well,
             )  # fmt: skip
-        self._chosen = self._best(allowed, flat)
+        self._chosen = self._best(allowed, flat, flux)
         self.cadence_mask, self.transit_mask = mask & ~in_transit, in_transit
         self._finish(allowed, has_transit=flat is not None, restore_trend=restore_trend)
         return self.corrected_lc
 
-    def _best(self, allowed, flat):
+    def _best(self, allowed, flat, kind):
         """Return the flux in the window of the smallest expected error."""
         data, scene = self._data, self.scene
         background, background_variance = clean_background(scene.track.background, scene.background)
         noise = data.noise
-        windows = _WINDOWS if data.aperture is None else (data.aperture,)
+        windows = _WINDOWS[kind] if data.aperture is None else (data.aperture,)
         found = []
         for window in windows:
             if isinstance(window, str) and scene.full.any():  # weights by light need all pixels
@@ -316,6 +335,8 @@ class SceneCorrector(FixedAperture, Corrector):
             by_width = np.log(np.sum(weights * scene.wider, axis=(1, 2)) / one.model) / WIDER
             share = float(level / (level + other))
             found.append((np.median(one.variance) / level**2, window, one, share, by_width))
+        if not found and kind == "weighted" and scene.full.any():
+            raise ValueError('`flux="weighted"` needs pixels that are not full')
         if not found:
             raise ValueError("the target's flux must be positive in most cadences")
         limit = _NOISIEST**2 * min(variance for variance, *_ in found)

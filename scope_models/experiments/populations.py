@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from scope_models._checks import checked_integer, checked_number
+from scope_models._checks import checked_number
 from scope_models.missions import MISSIONS
 from scope_models.scene import K2Roll, Motion, Star
 
@@ -248,7 +248,7 @@ def stamp_around(motion, margin=5):
     >>> stamp_around(10 * Motion.k2_roll(500))
     ((18, 13), 6, 10)
     """
-    margin = checked_integer("margin", margin, 0)
+    margin = int(checked_number("margin", margin))
     sizes, origins = [], []
     for values in (motion.y, motion.x):
         low, high = int(np.floor(values.min() + 0.5)), int(np.ceil(values.max() - 0.5))

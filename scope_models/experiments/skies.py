@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, fields
 
 import numpy as np
 
-from scope_models._arrays import plain_number
+from scope_models._arrays import plain_array, plain_number
 from scope_models._checks import checked_choice, checked_integer
 from scope_models._values import Value
 from scope_models.experiments._sky_light import LIGHTS, MOTIONS, make_transit, red_noise
@@ -409,16 +409,10 @@ def score(lc, sky, *, aperture=None):
     if "cadenceno" not in getattr(lc, "columns", ()):
         raise ValueError("`lc` must have the column cadenceno")
     rows = np.searchsorted(sky.cadenceno, np.asarray(lc["cadenceno"], dtype=int))
-    flux, error = (_plain_column(lc[name]) for name in ("flux", "flux_err"))
+    flux, error = (plain_array(lc[name], None, name) for name in ("flux", "flux_err"))
     return score_light_curve(
         _CADENCE * rows, flux, error, sky.true_flux[rows], sky.transit[rows], sky.floor(aperture)
     )
-
-
-def _plain_column(column):
-    """Return a column of a light curve as plain numbers, NaN where masked."""
-    values = getattr(column, "value", column)
-    return np.ma.filled(np.ma.masked_invalid(np.ma.asarray(values, dtype=float)), np.nan)
 
 
 def _width(regime, rng, time):

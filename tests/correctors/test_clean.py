@@ -171,3 +171,42 @@ def test_local_lines_are_weighted_least_squares(width):
         kernel[np.abs(time - time[k]) > 3.5 * width + 1] = 0
         line = np.polynomial.Polynomial.fit(time - time[k], values, 1, w=np.sqrt(weight * kernel))
         np.testing.assert_allclose(smooth[k], line(0.0), rtol=1e-8)
+
+
+def faint(seed=5):
+    """Return the pixels of a faint star with many cosmic rays, its errors, and the rays."""
+    x, y, measured = motion()
+    flux, error = observed(1000 * image(x, y), noise=1.5)
+    rng = np.random.default_rng(seed)
+    rays = np.where(rng.random(flux.shape) < 0.005, rng.lognormal(np.log(20), 0.3, flux.shape), 0)
+    return flux + rays, error, measured, rays
+
+
+@pytest.mark.parametrize(("kind", "weighted"), [("auto", True), ("weighted", True), ("sum", False)])
+def test_light_of_a_faint_star_with_cosmic_rays(kind, weighted):
+    flux, error, measured, rays = faint()
+    x, y, _ = motion()
+    every = np.ones(len(GRID), bool)
+    found = clean_pixels(TIME, flux, error, measured, GRID, every, kind=kind)
+    assert found.weighted is weighted
+    # the bound of unbiased weights for a known image without rays
+    shares = image(x, y)
+    bound = np.median(1 / np.sqrt((shares**2 / error**2).sum(axis=1)))
+    summed = np.median(np.sqrt((error**2).sum(axis=1)))
+    spread = 1.05 * np.median(np.abs(np.diff(found.light)))
+    assert spread < 1.2 * (bound if weighted else summed)
+    hit = (shares > 0.01) & (shares < 0.1) & (rays > 8 * error)
+    assert found.repaired[hit].mean() > 0.9
+    assert np.median(found.light_error) < 1.25 * spread
+
+
+def test_images_that_change_slowly_are_followed():
+    x, y, measured = motion()
+    other = image(x + 0.15, y - 0.1)
+    change = 0.6 * (TIME / TIME[-1] - 0.5)
+    true = image(x, y) * (1 - change)[:, None] + change[:, None] * other
+    flux, error = observed(2000 * true, noise=1.0)
+    found = clean_pixels(
+        TIME, flux, error, measured, GRID, np.ones(len(GRID), bool), kind="weighted"
+    )
+    assert deviation(found.shares, true) < 0.3 * deviation(image(x, y), true)

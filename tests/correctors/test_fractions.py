@@ -170,3 +170,19 @@ def test_transits_in_a_crowded_field_are_no_change_of_focus():
     (task,) = study.tasks()
     row = study.measure(task, study.observation(task))
     assert row["pld_survival"] > 0.8
+
+
+def test_flux_is_an_open_choice():
+    tpf = make_sky("k2-1x-kp17", seed=6300, n_cadences=800).to_tpf()
+    corrector, spread = PLDCorrector(tpf), {}
+    for flux in ("sum", "weighted", "auto"):
+        lc = corrector.correct(flux=flux)
+        assert corrector.result.weighted == (flux != "sum")
+        spread[flux] = np.nanmedian(np.abs(np.diff(lc.flux.value))) / np.nanmedian(lc.flux.value)
+    assert spread["weighted"] < 0.9 * spread["sum"]
+    assert spread["auto"] == spread["weighted"]
+    assert "predicted, weighted" in str(corrector.result)
+    with pytest.raises(ValueError, match=r"`flux` must be one of \('auto', 'sum', 'weighted'\)"):
+        corrector.correct(flux="best")
+    with pytest.raises(ValueError, match='`flux="weighted"` needs a model of the pixels'):
+        corrector.correct(flux="weighted", fractions="measured")

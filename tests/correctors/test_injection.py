@@ -150,3 +150,38 @@ def test_a_star_alone_has_no_contrast_error(star):
     corrector = PLDCorrector(star.tpf)
     corrector.correct()
     assert corrector.result.contrast_error == 0
+
+
+@pytest.mark.parametrize(
+    ("made", "match"),
+    [
+        ("bursts", "cadences are left out of the fit as outliers"),
+        ("flicker", r"the noise has \d+ times the variance of FLUX_ERR"),
+    ],
+)
+def test_warnings_of_made_variability(fake_star, made, match):
+    rng = np.random.default_rng(3)
+    signal = {
+        "bursts": 1 + 0.01 * np.isin(np.arange(400), rng.choice(400, 43, replace=False)),
+        "flicker": 1 + 3e-4 * rng.normal(size=400),
+    }[made]
+    corrector = PLDCorrector(fake_star(400, seed=8, signal=signal).tpf)
+    with pytest.warns(DetrendingWarning, match=match):
+        corrector.correct()
+
+
+def test_a_warning_of_a_neighbor_in_the_wings():
+    sky = make_sky("k2-1x-transits-neighbor", 6111, n_cadences=400)
+    near = np.hypot(*(np.indices((9, 9)) - 4)) < 3.2
+    corrector = PLDCorrector(sky.to_tpf(), near)
+    with pytest.warns(DetrendingWarning, match="of the light in the aperture is in"):
+        corrector.correct()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "name", [n for n in REGIMES if n.endswith("constant") or "spots" in n or "kp1" in n]
+)
+def test_clean_stars_have_no_warnings(name):
+    """Warnings are errors here."""
+    PLDCorrector(make_sky(name, 6150).to_tpf()).correct()

@@ -6,11 +6,15 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from scope_models.correctors import _search
+from scope_models.correctors import _regression
 from scope_models.correctors._covariance import Covariance
 from scope_models.correctors._features import Regressors
-from scope_models.correctors._regression import Data, Hyperparameters, log_likelihood
-from scope_models.correctors._search import fit_hyperparameters
+from scope_models.correctors._regression import (
+    Data,
+    Hyperparameters,
+    fit_hyperparameters,
+    log_likelihood,
+)
 from scope_models.correctors._solution import Solution, fit
 from scope_models.correctors.model import PLDOptions
 
@@ -123,7 +127,7 @@ def test_means_of_many_cadences_find_the_same(monkeypatch):
     data = Data(time, y - y.mean(), variance, columns, np.zeros(8, dtype=int), 1)
     values = []
     for enough in (10_000, 1500):
-        monkeypatch.setattr(_search, "_ENOUGH", enough)
+        monkeypatch.setattr(_regression, "_ENOUGH", enough)
         values.append(log_likelihood(data, fit_hyperparameters(data)))
     assert values[1] == pytest.approx(values[0], abs=2)
     assert values[1] > log_likelihood(data, truth) - 0.3
@@ -133,7 +137,7 @@ def test_compression_keeps_the_likelihood(data):
     hyper = Hyperparameters(1.3, np.array([3.0, 0.2]), 0.7, 2.5)
     process = hyper.process(data.time, data.variance)
     z = process.whiten(data.stacked)
-    small = _search._compressed(z.T @ z, data, hyper, smallest=1e-12)
+    small = _regression._compressed(z.T @ z, data, hyper, smallest=1e-12)
     same = replace(hyper, variances=np.ones(1))
     assert log_likelihood(small, same) == pytest.approx(log_likelihood(data, hyper), rel=1e-12)
 
@@ -142,7 +146,7 @@ def test_compression_keeps_a_column_of_tiny_priors(data):
     """Without a column the gradient would be shorter than its parameters."""
     tiny = Hyperparameters(1.3, np.full(2, 1e-12), 0.7, 2.5)
     z = tiny.process(data.time, data.variance).whiten(data.stacked)
-    small = _search._compressed(z.T @ z, data, tiny)
+    small = _regression._compressed(z.T @ z, data, tiny)
     assert small.groups.tolist() == [0]
     same = replace(tiny, variances=np.ones(1))
     _, slope = log_likelihood(small, same, gradient=True)

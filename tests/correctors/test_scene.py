@@ -224,6 +224,16 @@ def test_bad_arguments(constant, arguments, match):
         SceneCorrector(constant[0].to_tpf(), **arguments)
 
 
+def test_flux_is_an_open_choice(constant):
+    corrector = SceneCorrector(constant[0].to_tpf())
+    corrector.correct(flux="sum")
+    assert corrector.result.window in (3.0, 4.0)
+    corrector.correct(flux="weighted")
+    assert corrector.result.window == "optimal"
+    with pytest.raises(ValueError, match="`flux` must be one of"):
+        corrector.correct(flux="best")
+
+
 def test_calls_in_the_wrong_order(constant):
     corrector = SceneCorrector(constant[0].to_tpf())
     for call in (corrector.diagnose, lambda: corrector.fit_transit(np.ones(3))):
