@@ -21,6 +21,7 @@ from astropy.table import Table
 
 from scope_models import Detector, Motion, PLDCorrector, SceneCorrector, Star, simulate
 from scope_models.experiments._correctors import quiet
+from scope_models.experiments._statistics import values_of
 from scope_models.experiments.benchmark import benchmark_star, score_light_curves, summarize_scores
 from scope_models.io import read_tpf
 
@@ -105,8 +106,7 @@ def correct(source, target, method):
     begin = time.perf_counter()
     try:
         lc = METHODS[method](tpf, number)
-        columns = [np.ma.filled(np.ma.asarray(getattr(lc[name], "value", lc[name]), float), np.nan)
-                   for name in ("flux", "flux_err")]  # fmt: skip
+        columns = [values_of(lc, name) for name in ("flux", "flux_err")]
         numbers = np.asarray(lc["cadenceno"], dtype=int)
     except (ValueError, np.linalg.LinAlgError) as error:
         print(f"# {source.name} {method}: {error}", file=sys.stderr)

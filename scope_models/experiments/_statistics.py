@@ -72,10 +72,10 @@ def checked_claims(claims):
 
 
 def values_of(table, name):
-    """Return a column as floats, NaN where there is no value or no column."""
+    """Return a column as floats without unit, NaN where there is no value or no column."""
     if name not in table.colnames:
         return np.full(len(table), np.nan)
-    return np.ma.filled(np.ma.asarray(table[name], dtype=float), np.nan)
+    return np.ma.filled(np.ma.asarray(table[name].value, dtype=float), np.nan)
 
 
 def percentiles(values):

@@ -174,7 +174,7 @@ def score_light_curves(paths):
             raise ValueError(f"{path} has cadences that the star does not have")
         row = {"file": str(path), "regime": sky.regime.name} | asdict(score(lc, sky))
         flux = np.full(len(sky.time), np.nan)
-        flux[numbers - 1] = np.ma.filled(np.ma.asarray(lc["flux"], dtype=float), np.nan)
+        flux[numbers - 1] = values_of(lc, "flux")
         cadences = sky.cadenceno * K2Roll.cadence
         bias, step = score_places(cadences, flux, sky.true_flux, sky.x, sky.y)
         rows.append(row | {"bias": bias, "step": step})
