@@ -110,7 +110,10 @@ def find_frequencies(solution, allowed):
         return found
     multiples = _multiples(first, plain, use)
     trials = [multiples[: round(part * len(multiples))] for part in _FRACTIONS]
-    return max(trials, key=lambda trial: _likelihood(plain, trial, use) + len(trial) * np.log(FLAT))
+    # with all cadences: what few multiples miss are the steepest ones
+    return max(
+        trials, key=lambda trial: _likelihood(plain, trial, allowed) + len(trial) * np.log(FLAT)
+    )
 
 
 def _is_continuous(frequencies, solution, use):
