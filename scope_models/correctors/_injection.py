@@ -18,7 +18,7 @@ _FAINTEST = 0.02
 _MISFIT, _LEVEL = 0.03, 1e-3
 _ROUNDS = 6
 #: Part of constant light that is uncertain when the star's variability shows it.
-_UNCERTAIN = 0.05
+_UNCERTAIN = 0.04
 #: The irrational number whose multiples spread boxes evenly, at places without a period.
 _GOLDEN = (np.sqrt(5) - 1) / 2
 #: Boxes are at least so many times their width apart, and there are so many at most.

@@ -48,6 +48,8 @@ _SLOW = 5.0
 _ALONE = 10.0
 #: A star is looked at for periods too if this part of its cadences seem to be outliers.
 _MANY_OUTLIERS = 0.03
+#: Multiples of one frequency that leave so many times the variance of others are none.
+_MUCH_MORE = 3.0
 
 
 def harmonic_columns(time, frequencies):
@@ -109,6 +111,12 @@ def find_frequencies(solution, allowed):
     if first is None:
         return found
     multiples = _multiples(first, plain, use)
+
+    def left(frequencies):
+        return np.var(plain.with_frequencies(frequencies, use).unexplained[use])
+
+    if left(multiples) >= _MUCH_MORE * left(found):
+        return found
     trials = [multiples[: round(part * len(multiples))] for part in _FRACTIONS]
     # with all cadences: what few multiples miss are the steepest ones
     return max(
