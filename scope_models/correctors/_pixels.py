@@ -180,8 +180,8 @@ def own_pixels(image, peak):
     """
     Return the pixels from which the light rises to a star's peak and not to another star's.
 
-    Peaks between which the light drops by less than 15 % of the fainter one (30 % along columns) are
-    one star's.
+    Peaks between which the light drops by less than 15 % of the fainter one, 30 % along columns,
+    are one star's.
 
     Parameters
     ----------
