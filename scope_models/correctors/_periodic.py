@@ -6,7 +6,12 @@ import numpy as np
 from astropy.timeseries import BoxLeastSquares
 from scipy.ndimage import uniform_filter1d
 
-from scope_models.correctors._regression import Hyperparameters, fit_columns, log_likelihood
+from scope_models.correctors._regression import (
+    FLAT,
+    Hyperparameters,
+    fit_columns,
+    log_likelihood,
+)
 
 __all__ = ["find_frequencies", "harmonic_columns", "is_periodic"]
 
@@ -32,6 +37,8 @@ _CADENCES_PER_FREQUENCY, _MOST = 15, 60
 _MULTIPLES, _SHARP = 0.7, 0.5
 #: ... up to this part of the fastest, for so many cadences at most one, and so many.
 _LAST, _CADENCES_PER_MULTIPLE, _MOST_MULTIPLES = 1.5, 12, 100
+#: ... or the part of them that is most likely.
+_FRACTIONS = (1.0, 0.6, 0.35)
 #: Where equal boxes of so many cadences, and for so much of a period at most, leave less than this
 #: part of the variance, they are eclipses. They leave more than 0.65 of a sinusoid.
 _DURATIONS, _PART_OF_ORBIT, _LEFT = np.array([2, 4, 8, 16]), 0.15, 0.6
@@ -41,6 +48,8 @@ _SLOW = 5.0
 _ALONE = 10.0
 #: A star is looked at for periods too if this part of its cadences seem to be outliers.
 _MANY_OUTLIERS = 0.03
+#: Multiples of one frequency that leave so many times the variance of others are none.
+_MUCH_MORE = 3.0
 
 
 def harmonic_columns(time, frequencies):
@@ -99,7 +108,20 @@ def find_frequencies(solution, allowed):
     plain = replace(solution, hyper=trial.hyper)
     found = _significant(found, plain, use)
     first = _fundamental(found, solution) or _eclipses(solution, use)
-    return found if first is None else _multiples(first, plain, use)
+    if first is None:
+        return found
+    multiples = _multiples(first, plain, use)
+
+    def left(frequencies):
+        return np.var(plain.with_frequencies(frequencies, use).unexplained[use])
+
+    if left(multiples) >= _MUCH_MORE * left(found):
+        return found
+    trials = [multiples[: round(part * len(multiples))] for part in _FRACTIONS]
+    # with all cadences: what few multiples miss are the steepest ones
+    return max(
+        trials, key=lambda trial: _likelihood(plain, trial, allowed) + len(trial) * np.log(FLAT)
+    )
 
 
 def _is_continuous(frequencies, solution, use):

@@ -1,7 +1,7 @@
 """Correction of a light curve by a model of all pixels: star, neighbors and background."""
 
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from astropy.table import QTable
@@ -10,9 +10,9 @@ from lightkurve.correctors.corrector import Corrector
 from scope_models._checks import checked_cadences, checked_integer, checked_mask, checked_weights
 from scope_models._values import frozen
 from scope_models.correctors._flux_model import fit_flux
+from scope_models.correctors._injection import transit_column
 from scope_models.correctors._lightkurve import FixedAperture, named_mask
 from scope_models.correctors._pixels import credible_flux
-from scope_models.correctors._result import transit_column
 from scope_models.correctors._scene_fit import WIDER, fit_scene, full_columns
 from scope_models.correctors._scene_flux import (
     LIMITS,
@@ -24,6 +24,7 @@ from scope_models.correctors._scene_flux import (
 from scope_models.correctors._scene_neighbors import KnownNeighbors
 from scope_models.correctors._scene_start import centroids
 from scope_models.correctors.model import FLUXES
+from scope_models.correctors.pld import PLDCorrector
 from scope_models.exceptions import DetrendingWarning
 from scope_models.io import read_pixels, read_tpf
 from scope_models.io.pixels import usable_positions
@@ -58,7 +59,8 @@ class SceneResult:
     ----------
     window : float or str
         Radius (px) of the window that follows the star, ``"optimal"`` for weights in proportion
-        to light over variance, ``"aperture"`` for the user's aperture.
+        to light over variance, ``"aperture"`` for the user's aperture, ``"PLD"`` if the light
+        curve is that of `SceneCorrector.fallback`.
     neighbors : `~astropy.table.QTable`
         Flux (e-/s), column and row in the stamp (px) of the neighbors, ``flux, x, y``.
     crowding : float
@@ -190,6 +192,9 @@ class SceneCorrector(FixedAperture, Corrector):
         out as outliers.
     result : `SceneResult`
         Numbers of the last call.
+    fallback : `PLDCorrector` or None
+        The corrector that the light curve is taken from where pixels saturate, and where the model
+        of the scene adds noise and `PLDCorrector` adds less.
 
     Raises
     ------
@@ -235,7 +240,8 @@ class SceneCorrector(FixedAperture, Corrector):
             total, error = aperture_flux(series.flux, shown, series.flux_err)
             lc.flux, lc.flux_err = total * lc.flux.unit, error * lc.flux.unit
         self.cadence_mask = np.ones(len(series), dtype=bool)
-        self.scene = self.result = self._chosen = None
+        self.scene = self.result = self._chosen = self.fallback = None
+        self._given = aperture_mask
 
     def __repr__(self):
         return f"SceneCorrector (ID: {self.original_lc.meta.get('LABEL', 'unknown')})"
@@ -312,6 +318,11 @@ class SceneCorrector(FixedAperture, Corrector):
         self._chosen = self._best(allowed, flat, flux)
         self.cadence_mask, self.transit_mask = mask & ~in_transit, in_transit
         self._finish(allowed, has_transit=flat is not None, restore_trend=restore_trend)
+        self.fallback = None
+        if self.saturated or self._is_worse():
+            masks = {"cadence_mask": mask, "transit_mask": in_transit}
+            trend = {"transit_model": transit_model, "restore_trend": restore_trend}
+            self._fall_back(masks | trend)
         return self.corrected_lc
 
     def _best(self, allowed, flat, kind):
@@ -465,6 +476,8 @@ class SceneCorrector(FixedAperture, Corrector):
         width = checked_integer("width", width, 1)
         if width > self.result.n_used // 2:
             raise ValueError(f"`width` must be at most {self.result.n_used // 2}, got {width}")
+        if self.fallback is not None:
+            return self.fallback.held_out(width)[:2]
         return self._chosen.model.held_out(width)
 
     def crowding(self, aperture_mask):
@@ -510,17 +523,37 @@ class SceneCorrector(FixedAperture, Corrector):
 
     def _is_worse(self):
         """Whether the correction adds noise, beyond the light of others that it takes off."""
-        raw, corrected = self.original_lc, self.corrected_lc
-        both = np.isfinite(raw.flux.value) & np.isfinite(corrected.flux.value)
-        raw, corrected = raw[both], corrected[both]
-        level = np.median(raw.flux.value)
+        level = np.nanmedian(self.original_lc.flux.value)
         if not level > 0:
             return False
         inside = self.aperture_mask[self._data.box]
         light = np.median(self.scene.track.flux * self.scene.star[:, inside].sum(axis=1))
         limit = _WORSE * max(level / light, 1.0) if light > 0 else np.inf
-        pairs = [[cdpp(lc, method=m) for lc in (raw, corrected)] for m in ("lightkurve", "everest")]
-        return any(new > limit * old for old, new in pairs)
+        return _noise_ratio(self) > limit
+
+    def _fall_back(self, options):
+        """Take the light curve of PLDCorrector if it has less noise, or where pixels saturate."""
+        try:
+            pld = PLDCorrector(self.tpf, self._given)
+            lc = pld.correct(**options)
+        except ValueError:
+            return
+        found = pld.result
+        if found is None or not (self.saturated or _noise_ratio(pld) < _noise_ratio(self)):
+            return
+        message = "the corrected light curve is that of PLDCorrector: see `fallback`"
+        warnings.warn(message, DetrendingWarning, stacklevel=3)
+        self.fallback, self.corrected_lc, self.outlier_mask = pld, lc, pld.outlier_mask
+        self.result = replace(
+            self.result,
+            window="PLD",
+            noise_scale=found.noise_scale,
+            n_used=found.n_used,
+            n_outliers=found.n_outliers,
+            transit_survival=found.transit_survival,
+            transit_scale=found.transit_scale,
+            transit_scale_err=found.transit_scale_err,
+        )
 
     def fit_transit(self, transit_model):
         """
@@ -545,6 +578,8 @@ class SceneCorrector(FixedAperture, Corrector):
         """
         if self._chosen is None:
             raise ValueError("call `correct` first")
+        if self.fallback is not None:
+            return self.fallback.fit_transit(transit_model)
         data, model = self._data, self._chosen.model
         column = transit_column(transit_model, data.all_times)[data.usable]
         if not column.any():
@@ -570,6 +605,8 @@ class SceneCorrector(FixedAperture, Corrector):
 
         if self._chosen is None:
             raise ValueError("call `correct` first")
+        if self.fallback is not None:
+            return self.fallback.diagnose()
         usable, corrected = self._data.usable, self.corrected_lc.flux.value
         systematics, trend = np.full((2, len(usable)), np.nan)
         level = np.nanmedian(corrected)
@@ -610,6 +647,14 @@ class SceneCorrector(FixedAperture, Corrector):
         image = np.median(data.flux, axis=0)
         scatter = np.std(self.scene.star, axis=0)
         return plot_detrending_masks(image, self.aperture_mask[data.box], scatter)
+
+
+def _noise_ratio(corrector):
+    """Return the 6.5-h noise over that of the sum over the aperture, in the worse convention."""
+    raw, corrected = corrector.original_lc, corrector.corrected_lc
+    both = np.isfinite(raw.flux.value) & np.isfinite(corrected.flux.value)
+    methods = ("lightkurve", "everest")
+    return max(cdpp(corrected[both], method=m) / cdpp(raw[both], method=m) for m in methods)
 
 
 @dataclass(frozen=True)

@@ -67,6 +67,16 @@ def test_single_outliers_do_not_hide_a_pulsation():
     assert find_frequencies(solution, solution.use) == pytest.approx([TRUE[0]], abs=1e-4)
 
 
+def test_fast_modes_are_no_multiples_of_one():
+    """Four modes of a delta Scuti star, of which one alone is below half of the fastest."""
+    modes, rng = np.array([12.183, 13.395, 13.788, 14.207]), np.random.default_rng(4)
+    waves = np.cos(2 * np.pi * np.outer(TIME, modes) + rng.uniform(0, 6, 4))
+    y = waves @ [0.003, 0.002, 0.004, 0.003] + rng.normal(0, 1e-4, len(TIME))
+    solution = make_solution(y)
+    found = np.sort(find_frequencies(solution, solution.use))
+    np.testing.assert_allclose(found, modes, atol=1e-3)
+
+
 def test_variability_at_all_frequencies_has_none():
     """Twelve sinusoids take much of it, at a higher cost than the process that it is."""
     rng = np.random.default_rng(3)
@@ -109,7 +119,7 @@ def test_periodic_variability_stays_without_trend():
 
 
 def test_sharp_eclipses_are_multiples_of_one_frequency():
-    """More of them than cadences resolve; without them most eclipses are outliers."""
+    """As many as the eclipses are sharp; without them most eclipses are outliers."""
     period = 2.3
     phase = (TIME / period + 0.3) % 1 - 0.5
     eclipses = -0.2 * np.clip(1.5 * (1 - np.abs(phase / 0.03) ** 2.5), 0, 1)
@@ -118,7 +128,7 @@ def test_sharp_eclipses_are_multiples_of_one_frequency():
     found = find_frequencies(solution, solution.use)
     np.testing.assert_allclose(found, np.arange(1, len(found) + 1) * found[0], rtol=1e-12)
     assert found[0] == pytest.approx(1 / period, abs=1e-4)
-    assert found[-1] > 0.5 / 0.0204
+    assert len(found) > 30
     rest = solution.with_frequencies(found, solution.use).unexplained
     assert np.std(rest - 0.003 * np.sin(TIME / 3)) < 0.05 * np.std(eclipses)
 

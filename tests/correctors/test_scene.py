@@ -8,7 +8,7 @@ import pytest
 from astropy.coordinates import SkyCoord
 from astropy.table import Table
 
-from scope_models.correctors import SceneCorrector
+from scope_models.correctors import PLDCorrector, SceneCorrector
 from scope_models.correctors._flux_model import FluxModel
 from scope_models.exceptions import DetrendingWarning
 from scope_models.experiments.skies import make_sky, score
@@ -194,8 +194,13 @@ def test_full_pixels_warn():
     corrector = SceneCorrector(sky.to_tpf(), neighbors=[])
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        corrector.correct()
+        lc = corrector.correct()
     assert any("PLDCorrector corrects such stars better" in str(w.message) for w in caught)
+    assert any("is that of PLDCorrector: see `fallback`" in str(w.message) for w in caught)
+    assert corrector.result.window == "PLD"
+    expected = PLDCorrector(sky.to_tpf()).correct()
+    np.testing.assert_array_equal(lc.flux.value, expected.flux.value)
+    assert len(corrector.held_out()) == 2
 
 
 @pytest.mark.slow
