@@ -1,15 +1,26 @@
 """Dimmings of the star's own light, put into the pixels that a corrector has read."""
 
+import warnings
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
+from scope_models._arrays import plain_array
+from scope_models._checks import checked_number
 from scope_models.correctors._pixels import Pixels, background_plane, own_pixels
 from scope_models.correctors._scene_start import fit_gaussians
+from scope_models.exceptions import DetrendingWarning
 from scope_models.photometry import aperture_flux
 
-__all__ = ["Source", "box_signal"]
+__all__ = [
+    "Source",
+    "box_signal",
+    "checked_depth",
+    "depth_ratio",
+    "fitted_depth",
+    "transit_column",
+]
 
 #: Peaks below this part of the star's are no neighbors.
 _FAINTEST = 0.02
@@ -139,3 +150,70 @@ def box_signal(used, width, depth):
         first = int(k * len(rows) / number + max(room, 0) * ((k + 1) * _GOLDEN % 1))
         signal[rows[first : first + width]] -= depth
     return signal
+
+
+def fitted_depth(fitted, column):
+    """Return amplitude and error of a transit at fixed regressors."""
+    usable, solution = fitted.model.pixels.usable, fitted.solution
+    solution = solution.with_flat(column[usable], solution.use | fitted.transit_mask[usable])
+    return solution.without_outliers(fitted.model.options).flat_coefficient(-1)
+
+
+def depth_ratio(signal, flux):
+    """Return the depth of events in a flux over that in a signal, with a line about each event."""
+    edges = np.flatnonzero(np.diff(signal != 0, prepend=False, append=False))
+    upper = lower = 0.0
+    for start, end in edges.reshape(-1, 2):
+        near = slice(max(2 * start - end, 0), 2 * end - start)
+        both = np.column_stack([flux, signal])[near]
+        line = np.vander(np.arange(len(both)), 2)
+        both -= line @ np.linalg.lstsq(line, both)[0]
+        upper += both[:, 0] @ both[:, 1]
+        lower += both[:, 1] @ both[:, 1]
+    return float(upper / lower) if lower > 0 else np.nan
+
+
+def checked_depth(depth):
+    """Return a depth between 0 and 1."""
+    depth = checked_number("depth", depth, positive=True)
+    if depth >= 1:
+        raise ValueError(f"`depth` must be less than 1, got {depth}")
+    return depth
+
+
+def transit_column(model, time):
+    """
+    Return the logarithm of a transit model at all cadences, shape ``(n, 1)``.
+
+    Parameters
+    ----------
+    model : array_like or callable
+        Relative flux, or what returns it for times in days.
+    time : ndarray
+        Times of the cadences.
+
+    Returns
+    -------
+    ndarray
+        Logarithms, 0 where the time is unknown; of shape ``(n, 0)``, with a warning, where a
+        callable is constant at all cadences.
+    """
+    known = np.isfinite(time)
+    if callable(model):
+        values = np.ones(len(time))
+        values[known] = model(time[known])
+    else:
+        values = plain_array(model, "", "transit_model")
+    if values.shape != time.shape:
+        raise ValueError(f"`transit_model` must have shape {time.shape}, got {values.shape}")
+    if not np.isfinite(values[known]).all() or np.any(values[known] <= 0):
+        raise ValueError("`transit_model` must be positive and finite: it is a relative flux")
+    column = np.log(np.where(known, values, 1.0))
+    varies = np.ptp(column[known]) > 0
+    if callable(model) and not varies:
+        message = "`transit_model` is constant at all cadences: its event lies in a gap"
+        warnings.warn(message, DetrendingWarning, stacklevel=4)
+        return np.zeros((len(time), 0))
+    if not varies:
+        raise ValueError("`transit_model` must vary with time, got a constant")
+    return column[:, None]

@@ -6,7 +6,12 @@ import numpy as np
 from astropy.timeseries import BoxLeastSquares
 from scipy.ndimage import uniform_filter1d
 
-from scope_models.correctors._regression import Hyperparameters, fit_columns, log_likelihood
+from scope_models.correctors._regression import (
+    FLAT,
+    Hyperparameters,
+    fit_columns,
+    log_likelihood,
+)
 
 __all__ = ["find_frequencies", "harmonic_columns", "is_periodic"]
 
@@ -32,6 +37,8 @@ _CADENCES_PER_FREQUENCY, _MOST = 15, 60
 _MULTIPLES, _SHARP = 0.7, 0.5
 #: ... up to this part of the fastest, for so many cadences at most one, and so many.
 _LAST, _CADENCES_PER_MULTIPLE, _MOST_MULTIPLES = 1.5, 12, 100
+#: ... or the part of them that is most likely.
+_FRACTIONS = (1.0, 0.6, 0.35)
 #: Where equal boxes of so many cadences, and for so much of a period at most, leave less than this
 #: part of the variance, they are eclipses. They leave more than 0.65 of a sinusoid.
 _DURATIONS, _PART_OF_ORBIT, _LEFT = np.array([2, 4, 8, 16]), 0.15, 0.6
@@ -108,7 +115,13 @@ def find_frequencies(solution, allowed):
     def left(frequencies):
         return np.var(plain.with_frequencies(frequencies, use).unexplained[use])
 
-    return multiples if left(multiples) < _MUCH_MORE * left(found) else found
+    if left(multiples) >= _MUCH_MORE * left(found):
+        return found
+    trials = [multiples[: round(part * len(multiples))] for part in _FRACTIONS]
+    # with all cadences: what few multiples miss are the steepest ones
+    return max(
+        trials, key=lambda trial: _likelihood(plain, trial, allowed) + len(trial) * np.log(FLAT)
+    )
 
 
 def _is_continuous(frequencies, solution, use):
@@ -175,9 +188,11 @@ def _eclipses(solution, use):
     step, span = float(np.median(np.diff(time))), np.ptp(time)
     search, best = BoxLeastSquares(time, y), (_LEFT * np.var(y), None)
     for duration in step * _DURATIONS:
-        frequency = np.arange(2 / span, _PART_OF_ORBIT / duration, 0.1 * duration / span)
+        # steps by which the last eclipse moves by less than half of its duration
+        last = np.log(_PART_OF_ORBIT / duration)
+        frequency = np.exp(np.arange(np.log(2 / span), last, 0.5 * duration / span))
         if len(frequency):
-            power = search.power(1 / frequency, duration, objective="likelihood")
+            power = search.power(1 / frequency, duration, objective="likelihood", oversample=5)
             k = np.argmax(power.power)
             box = search.model(time, power.period[k], duration, power.transit_time[k])
             best = min(best, (np.var(y - box), 0.5 * frequency[k]), key=lambda pair: pair[0])

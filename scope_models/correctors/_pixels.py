@@ -33,8 +33,9 @@ _SIGNIFICANCE = 4.5
 _LARGEST_CORRECTION = 30.0
 #: Pixels around the lit ones that may belong to the aperture too.
 _MARGIN = 2
-#: Light between two peaks of one star, in units of the fainter one.
-_SAME_STAR = 0.7
+#: Light between two peaks of one star, in units of the fainter one, and along columns, where the
+#: charge of full pixels goes.
+_SAME_STAR, _SAME_COLUMN = 0.85, 0.7
 #: Pixels of other stars count from this part of the star's brightest pixel on.
 _OTHER_STAR = 0.02
 #: The background is first sought in this part of the pixels, in so many at least for a slope.
@@ -179,7 +180,8 @@ def own_pixels(image, peak):
     """
     Return the pixels from which the light rises to a star's peak and not to another star's.
 
-    Peaks between which the light drops by less than 30 % of the fainter one are one star's.
+    Peaks between which the light drops by less than 15 % of the fainter one, 30 % along columns,
+    are one star's.
 
     Parameters
     ----------
@@ -201,7 +203,8 @@ def own_pixels(image, peak):
 
 
 def _connected(values, peak, other):
-    level = _SAME_STAR * min(values.flat[peak], values.flat[other])
+    beside = abs(peak % values.shape[1] - other % values.shape[1]) > 1
+    level = (_SAME_STAR if beside else _SAME_COLUMN) * min(values.flat[peak], values.flat[other])
     labels, _ = ndimage.label(values >= level)
     return labels.flat[peak] == labels.flat[other] > 0
 

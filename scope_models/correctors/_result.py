@@ -7,13 +7,18 @@ from functools import cached_property
 import numpy as np
 from astropy.table import QTable
 
-from scope_models._arrays import plain_array
-from scope_models._checks import checked_integer, checked_number
-from scope_models.correctors._injection import box_signal
+from scope_models._checks import checked_integer
+from scope_models.correctors._injection import (
+    box_signal,
+    checked_depth,
+    depth_ratio,
+    fitted_depth,
+    transit_column,
+)
 from scope_models.correctors._solution import Solution
 from scope_models.exceptions import DetrendingWarning
 
-__all__ = ["PLDFit", "transit_column"]
+__all__ = ["PLDFit"]
 
 _TRANSIT_HOURS = 6.5
 #: Parts from which on a warning is given: outliers, constant light, changes of the flux that
@@ -32,6 +37,8 @@ _REMOVALS, _NOTHING = 3, 0.2
 _SHARE_ERROR = 0.03
 #: The first removal in errors, at least; and bounds of the response of the chain.
 _AT_LEAST, _RESPONSES = 3.0, (0.1, 2.0)
+#: Largest change of the flux's logarithm by which a transit is taken out at once.
+_LARGEST = 0.5
 #: Part of a transit outside of the mask above which its depth is not trusted.
 _UNMASKED = 0.1
 #: Numbers of a fit that go into the metadata of its table.
@@ -391,35 +398,32 @@ class PLDFit:
         Returns
         -------
         float
-            Slope of the corrected flux on the model; NaN if the model is constant in the data, or
-            the correction fails with the transit in it.
+            Slope of the corrected flux on the model; NaN if the model is constant in the data, the
+            correction fails with the transit in it, or no file is behind the fit.
         """
         pixels = self.model.pixels
+        if self.model.source is None:
+            return np.nan
         if transit_model is None:
             if depth is None:
-                depth = self._obvious_depth
-            column = np.log(box_signal(self.used, self.window, _checked_depth(depth)))
+                flux, error = self.corrected()
+                noise = np.nanmedian(error / flux) / np.sqrt(self.window)
+                depth = float(np.clip(_OBVIOUS * noise, _SHALLOW, _DEEP))
+            column = np.log(box_signal(self.used, self.window, checked_depth(depth)))
         else:
             column = transit_column(transit_model, pixels.time)
             if not column.shape[1]:
                 return np.nan
             column = column[:, 0]
             if depth is not None:
-                column = column * np.log1p(-_checked_depth(depth)) / column.min()
+                column = column * np.log1p(-checked_depth(depth)) / column.min()
         try:
             again = self._with_signal(column)
         except ValueError:
             return np.nan
         ratio = again.corrected()[0] / self.corrected()[0]
         known = np.isfinite(ratio) & (self.cadence_mask | self.transit_mask)
-        return _depth_ratio(np.exp(column[known]) - 1, ratio[known] / np.median(ratio[known]))
-
-    @property
-    def _obvious_depth(self):
-        """Depth of a transit of `window` cadences that is obvious, but not deep."""
-        flux, error = self.corrected()
-        noise = np.nanmedian(error / flux) / np.sqrt(self.window)
-        return float(np.clip(_OBVIOUS * noise, _SHALLOW, _DEEP))
+        return depth_ratio(np.exp(column[known]) - 1, ratio[known] / np.median(ratio[known]))
 
     def _with_signal(self, column):
         """Return the fit of the same pixels with the star's light times ``exp(column)``."""
@@ -469,10 +473,13 @@ class PLDFit:
         if not column[self.model.pixels.usable].any():
             return np.nan, np.inf
         self._check_masked(column[self.model.pixels.usable, 0])
-        first = _fitted_depth(self, column)
-        if not np.isfinite(first).all():
+        first = fitted_depth(self, column)
+        if not np.isfinite(first).all() or self.model.source is None:
             return first
-        return self._without_response(column, *first)
+        try:
+            return self._without_response(column, *first)
+        except ValueError:  # with the transit removed, the pixels cannot be corrected
+            return first
 
     def _without_response(self, column, found, error):
         """Return the amplitude whose removal from the pixels leaves no transit, and its error."""
@@ -482,8 +489,9 @@ class PLDFit:
             step = left[-1] / response
             if len(left) == 1:  # removing next to nothing would measure no response
                 step = np.copysign(max(abs(step), _AT_LEAST * error), step)
+            step = np.clip(step, *(_LARGEST / np.abs(column).max() * np.array([-1, 1])))
             taken.append(taken[-1] + step)
-            found, error = _fitted_depth(self._with_signal(-taken[-1] * column[:, 0]), column)
+            found, error = fitted_depth(self._with_signal(-taken[-1] * column[:, 0]), column)
             if abs(step) > error:
                 response = np.clip((left[-1] - found) / step, *_RESPONSES)
             left.append(found)
@@ -589,70 +597,3 @@ class PLDFit:
             f"<tr><th>{label}</th><td>{value}</td></tr>" for label, value in self._rows()
         )
         return f"<table>{rows}</table>"
-
-
-def _fitted_depth(fitted, column):
-    """Return amplitude and error of a transit at fixed regressors."""
-    usable, solution = fitted.model.pixels.usable, fitted.solution
-    solution = solution.with_flat(column[usable], solution.use | fitted.transit_mask[usable])
-    return solution.without_outliers(fitted.model.options).flat_coefficient(-1)
-
-
-def _depth_ratio(signal, flux):
-    """Return the depth of events in a flux over that in a signal, with a line about each event."""
-    edges = np.flatnonzero(np.diff(signal != 0, prepend=False, append=False))
-    upper = lower = 0.0
-    for start, end in edges.reshape(-1, 2):
-        near = slice(max(2 * start - end, 0), 2 * end - start)
-        both = np.column_stack([flux, signal])[near]
-        line = np.vander(np.arange(len(both)), 2)
-        both -= line @ np.linalg.lstsq(line, both)[0]
-        upper += both[:, 0] @ both[:, 1]
-        lower += both[:, 1] @ both[:, 1]
-    return float(upper / lower) if lower > 0 else np.nan
-
-
-def _checked_depth(depth):
-    """Return a depth between 0 and 1."""
-    depth = checked_number("depth", depth, positive=True)
-    if depth >= 1:
-        raise ValueError(f"`depth` must be less than 1, got {depth}")
-    return depth
-
-
-def transit_column(model, time):
-    """
-    Return the logarithm of a transit model at all cadences, shape ``(n, 1)``.
-
-    Parameters
-    ----------
-    model : array_like or callable
-        Relative flux, or what returns it for times in days.
-    time : ndarray
-        Times of the cadences.
-
-    Returns
-    -------
-    ndarray
-        Logarithms, 0 where the time is unknown; of shape ``(n, 0)``, with a warning, where a
-        callable is constant at all cadences.
-    """
-    known = np.isfinite(time)
-    if callable(model):
-        values = np.ones(len(time))
-        values[known] = model(time[known])
-    else:
-        values = plain_array(model, "", "transit_model")
-    if values.shape != time.shape:
-        raise ValueError(f"`transit_model` must have shape {time.shape}, got {values.shape}")
-    if not np.isfinite(values[known]).all() or np.any(values[known] <= 0):
-        raise ValueError("`transit_model` must be positive and finite: it is a relative flux")
-    column = np.log(np.where(known, values, 1.0))
-    varies = np.ptp(column[known]) > 0
-    if callable(model) and not varies:
-        message = "`transit_model` is constant at all cadences: its event lies in a gap"
-        warnings.warn(message, DetrendingWarning, stacklevel=4)
-        return np.zeros((len(time), 0))
-    if not varies:
-        raise ValueError("`transit_model` must vary with time, got a constant")
-    return column[:, None]

@@ -21,7 +21,7 @@ from scope_models.correctors._design import (
     segment_breaks,
 )
 from scope_models.correctors._features import Regressors
-from scope_models.correctors._injection import Source
+from scope_models.correctors._injection import Source, transit_column
 from scope_models.correctors._lightkurve import external_columns
 from scope_models.correctors._pixels import (
     Pixels,
@@ -29,7 +29,7 @@ from scope_models.correctors._pixels import (
     can_predict,
     with_predicted_fractions,
 )
-from scope_models.correctors._result import PLDFit, transit_column
+from scope_models.correctors._result import PLDFit
 from scope_models.correctors._solution import fit
 from scope_models.io import read_pixels
 

@@ -10,9 +10,9 @@ from lightkurve.correctors.corrector import Corrector
 from scope_models._checks import checked_cadences, checked_integer, checked_mask, checked_weights
 from scope_models._values import frozen
 from scope_models.correctors._flux_model import fit_flux
+from scope_models.correctors._injection import transit_column
 from scope_models.correctors._lightkurve import FixedAperture, named_mask
 from scope_models.correctors._pixels import credible_flux
-from scope_models.correctors._result import transit_column
 from scope_models.correctors._scene_fit import WIDER, fit_scene, full_columns
 from scope_models.correctors._scene_flux import (
     LIMITS,

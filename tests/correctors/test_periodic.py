@@ -119,7 +119,7 @@ def test_periodic_variability_stays_without_trend():
 
 
 def test_sharp_eclipses_are_multiples_of_one_frequency():
-    """More of them than cadences resolve; without them most eclipses are outliers."""
+    """As many as the eclipses are sharp; without them most eclipses are outliers."""
     period = 2.3
     phase = (TIME / period + 0.3) % 1 - 0.5
     eclipses = -0.2 * np.clip(1.5 * (1 - np.abs(phase / 0.03) ** 2.5), 0, 1)
@@ -128,7 +128,7 @@ def test_sharp_eclipses_are_multiples_of_one_frequency():
     found = find_frequencies(solution, solution.use)
     np.testing.assert_allclose(found, np.arange(1, len(found) + 1) * found[0], rtol=1e-12)
     assert found[0] == pytest.approx(1 / period, abs=1e-4)
-    assert found[-1] > 0.5 / 0.0204
+    assert len(found) > 30
     rest = solution.with_frequencies(found, solution.use).unexplained
     assert np.std(rest - 0.003 * np.sin(TIME / 3)) < 0.05 * np.std(eclipses)
 
