@@ -104,14 +104,9 @@ class Covariance:
         return driver.solve_upper(self.time, self._c, self._u, self._w, z, z)
 
     def predict(self, residual, time):
-        """Return the mean of the processes at other times, given what they should explain.
+        """Return the mean of the processes at other increasing times.
 
-        Parameters
-        ----------
-        residual : ndarray
-            ``inv(K) @ r`` of the data without their other components, ``(n,)``.
-        time : ndarray
-            Increasing times ``(m,)``.
+        The residual is ``inv(K) @ r`` of the data without their other components, ``(n,)``.
         """
         alpha, (u, v) = np.ascontiguousarray(residual[:, None]), self._generators(time)
         mean = np.zeros((len(time), 1))
@@ -125,19 +120,9 @@ class Covariance:
         With B = inv(K) C, a change dK of K changes the argument of f by -B^T dK B: no derivative
         has to be carried through the factorization's recursions for all columns.
 
-        Parameters
-        ----------
-        columns, whitened : ndarray
-            ``C``, shape ``(n, r)``, and what `whiten` makes of it.
-        gram_bar : ndarray
-            Derivative of ``f`` by the elements of its argument, symmetric.
-
-        Returns
-        -------
-        variance_bar : ndarray
-            Derivative by the variance of the white noise, ``(n,)``.
-        amplitude_bar, period_bar : float
-            Derivatives by the logarithms of amplitude and period.
+        The columns are C, ``(n, r)``, whitened is what `whiten` makes of them, and ``gram_bar`` is
+        the derivative of f by the elements of its argument, symmetric. Returned are the derivatives
+        by the variance of the white noise, ``(n,)``, and by the logarithms of amplitude and period.
         """
         z = whitened / np.sqrt(self._d)[:, None]
         solved = driver.solve_upper(self.time, self._c, self._u, self._w, z, z)

@@ -34,6 +34,8 @@ _ENOUGH = 4000
 _PRECISION = 1e-3
 #: Steps of a search at most, and of those that only find the best start.
 _STEPS, _FEW_STEPS = 60, 10
+#: Largest number of rounds; they end when one improves the logarithm by less.
+_ROUNDS, _TOLERANCE = 5, 0.05
 #: Bounds of the period in days. What is faster than a transit is not a trend. With a longer period
 #: a straight line would cost little, and the star's would undo that of a slow drift.
 _SHORTEST_PERIOD, _LONGEST_PERIOD = 0.5, 5.0
@@ -220,18 +222,10 @@ class Posterior:
 
 def log_likelihood(data, hyper, *, gradient=False):
     """
-    Logarithm of the marginal likelihood.
+    Return the logarithm of the marginal likelihood.
 
-    Parameters
-    ----------
-    data : Data
-        The problem.
-    hyper : Hyperparameters
-        Where to evaluate it.
-    gradient : bool, optional
-        Whether to return the derivatives by the logarithms of noise scale,
-        variances, amplitude and period (the last two with a long-term
-        process only).
+    With ``gradient`` its derivatives by the logarithms of noise scale, variances, amplitude and
+    period follow, the last two with a long-term process only.
     """
     process = hyper.process(data.time, data.variance)
     stacked = data.stacked
@@ -386,43 +380,29 @@ def fit_columns(data, hyper):
     return _fit_scales(_Trial.at(data, hyper)).hyper
 
 
-def fit_hyperparameters(data, start=None, *, trend=True, tolerance=0.05, n_rounds=5):
+def fit_hyperparameters(data, start=None, *, trend=True):
     """
     Maximize the marginal likelihood.
 
     The columns' parameters are improved at fixed process, where only a small matrix enters,
     and the process' with the columns compressed, by turns. Whether a slow change
-    is variability or systematics can make two maxima, so that there are several starts. Of very
-    many cadences, means are searched first.
-
-    Parameters
-    ----------
-    data : Data
-        The problem.
-    start : Hyperparameters, optional
-        Where to begin; by default the best of several places.
-    trend : bool, optional
-        Whether there is a long-term process; only without ``start``.
-    tolerance : float, optional
-        The search ends when a round improves the logarithm by less.
-    n_rounds : int, optional
-        Largest number of rounds.
+    is variability or systematics can make two maxima, so that there are several starts unless one
+    is given, with a long-term process or, if ``trend`` is False, without. Of very many cadences,
+    means are searched first.
     """
     width = len(data.y) // _ENOUGH
     if width > 1:
-        options = {"trend": trend, "tolerance": tolerance, "n_rounds": n_rounds}
-        hyper = fit_hyperparameters(data.averaged(width), start, **options)
-        return fit_columns(data, hyper)
+        return fit_columns(data, fit_hyperparameters(data.averaged(width), start, trend=trend))
     best, scan = _best_start(data, trend) if start is None else _Trial.at(data, start), True
-    for k in range(n_rounds):
+    for k in range(_ROUNDS):
         value = best.value
         trial = _scanned(best) if scan else best
         scan = start is None and trial is not best
         best = max(best, _fit_scales(trial), key=_value)
-        if best.hyper.amplitude is None or (k > 0 and best.value < value + tolerance):
+        if best.hyper.amplitude is None or (k > 0 and best.value < value + _TOLERANCE):
             break  # nor would the process change
         best = max(best, _fit_process(best), key=_value)
-        if best.value < value + tolerance:
+        if best.value < value + _TOLERANCE:
             break
     return best.hyper
 
