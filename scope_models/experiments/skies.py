@@ -76,8 +76,8 @@ class SkyRegime(Value):
     shape : tuple of int, optional
         Rows and columns.
     cosmic_rays : float, optional
-        Part of the pixels of a cadence that are hit and not repaired. Two K2 files of faint stars
-        look as simulated ones with 0.025.
+        Share of all values that hold a cosmic ray. Two K2 files of faint stars look as simulated
+        ones with 0.025.
 
     Examples
     --------
