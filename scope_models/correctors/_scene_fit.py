@@ -1,8 +1,9 @@
-"""The fit of a scene to all pixels of a series."""
+"""The pixels of a series, and the fit of a scene to all of them."""
 
 from dataclasses import dataclass, replace
 
 import numpy as np
+from astropy.table import QTable
 
 from scope_models.correctors._flux_model import smooth_series
 from scope_models.correctors._scene_flux import kernel_columns
@@ -18,11 +19,19 @@ from scope_models.correctors._scene_model import (
     solve_track,
     state_variance,
 )
-from scope_models.correctors._scene_neighbors import find_neighbors
-from scope_models.correctors._scene_start import centroids, first_shape, first_track
+from scope_models.correctors._scene_start import (
+    centroids,
+    find_neighbors,
+    first_shape,
+    first_track,
+)
+from scope_models.io.pixels import usable_positions
 
-__all__ = ["WIDER", "SceneFit", "fit_scene", "full_columns"]
+__all__ = ["FEWEST_CADENCES", "WIDER", "SceneData", "SceneFit", "fit_scene", "full_columns"]
 
+FEWEST_CADENCES = 30
+#: Pixels farther from the star than this (px) are left out.
+_REACH = 7
 #: Cadences that constrain the shape, and number of its Gauss-Newton steps.
 _SHAPE_CADENCES, _SHAPE_STEPS = 250, 8
 #: Model errors relative to the light that are allowed in the steps of the shape, one after the
@@ -219,3 +228,111 @@ def fit_scene(time, flux, variance, pos_corr, peak, *, known=None, well=None, se
         track = solve_track(shape, track, flux, clean, priors, floor)
         clean = _without_hits(shape, track, flux, variance, floor)
     return _held(time, flux, clean, shape, track, priors, floor, full)
+
+
+@dataclass(frozen=True)
+class SceneData:
+    """
+    The pixels that the scene is fitted to.
+
+    Parameters
+    ----------
+    all_times : ndarray
+        Times of all cadences, days.
+    usable : ndarray of bool
+        Cadences with time and pixels.
+    time, flux, variance, pos_corr : ndarray
+        Of the usable cadences and the pixels near the star; infinite variance without data.
+    box : tuple of slice
+        These pixels in the stamp, rows and columns.
+    peak : tuple of float
+        Column and row of the target within them.
+    aperture : ndarray or None
+        The user's aperture, of the same pixels (and cadences).
+    well : float or None
+        Flux of a full pixel, e-/s, if it is known.
+    """
+
+    all_times: np.ndarray
+    usable: np.ndarray
+    time: np.ndarray
+    flux: np.ndarray
+    variance: np.ndarray
+    pos_corr: np.ndarray | None
+    box: tuple
+    peak: tuple
+    aperture: np.ndarray | None
+    well: float | None
+
+    @classmethod
+    def from_series(cls, series, aperture):
+        """Choose cadences and pixels of a series."""
+        good = np.isfinite(series.flux) & np.isfinite(series.flux_err) & (series.flux_err > 0)
+        collected = good.any(axis=0)
+        if not collected.any():
+            raise ValueError("`tpf` has no pixels with data")
+        usable = np.isfinite(series.time) & (good[:, collected].mean(axis=1) > 0.5)
+        moving = np.ndim(aperture) == 3
+        if moving:
+            usable &= np.isfinite(aperture).all(axis=(1, 2))
+        if usable.sum() < FEWEST_CADENCES:
+            raise ValueError(
+                f"at least {FEWEST_CADENCES} usable cadences are needed, got {usable.sum()}"
+            )
+        time = series.time[usable]
+        if np.any(np.diff(time) <= 0):
+            raise ValueError("the times of `tpf` must increase")
+        flux = np.where(good, series.flux, 0.0)[usable]
+        variance = np.where(good, np.where(good, series.flux_err, 1.0) ** 2, np.inf)[usable]
+        pos_corr, reach = None, 3.0
+        if series.pos_corr is not None:
+            known = usable_positions(series.pos_corr)
+            pos_corr = np.where(known[:, None], series.pos_corr, np.nan)[usable]
+            if known[usable].any():
+                reach = float(np.nanmax(np.abs(pos_corr - np.nanmedian(pos_corr, axis=0))))
+        mean = np.median(flux, axis=0)
+        inside = aperture
+        if aperture is None:
+            inside = series.aperture
+        elif moving:
+            inside = np.max(aperture[usable], axis=0) > 0
+        row, column = np.unravel_index(np.argmax(np.where(inside, mean, -np.inf)), mean.shape)
+        box = tuple(
+            slice(max(0, int(k - _REACH - reach)), min(size, int(k + _REACH + reach + 2)))
+            for k, size in zip((row, column), mean.shape, strict=True)
+        )
+        cut = (slice(None), *box)
+        peak = (float(column - box[1].start), float(row - box[0].start))
+        return cls(
+            series.time, usable, time, flux[cut], variance[cut], pos_corr, box, peak,
+            aperture[usable][cut] if moving else (None if aperture is None else aperture[box]),
+            series.mission and series.mission.full_flux,
+        )  # fmt: skip
+
+    @property
+    def origin(self):
+        """Column and row of the box' first pixel in the stamp."""
+        return np.array([self.box[1].start, self.box[0].start], dtype=float)
+
+    @property
+    def place(self):
+        """Column and row of the target's light in the stamp, in the median image."""
+        image = np.median(self.flux, axis=0)[None]
+        x, y = centroids(image - np.median(image), *(np.array([k]) for k in self.peak))
+        return self.origin + np.array([x[0], y[0]])
+
+    @property
+    def noise(self):
+        """Typical variance of each pixel; infinite without data."""
+        typical = np.median(self.variance, axis=0)
+        return np.where(np.isfinite(typical), typical, np.inf)
+
+    def table(self, scene):
+        """Return the neighbors of a scene."""
+        flux, dx, dy = scene.shape.neighbors.T
+        x, y = (float(np.median(v)) for v in (scene.track.x, scene.track.y))
+        return QTable(
+            [flux, dx + x + self.box[1].start, dy + y + self.box[0].start],
+            names=("flux", "x", "y"),
+            units=("electron / s", "pix", "pix"),
+        )

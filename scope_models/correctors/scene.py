@@ -13,7 +13,13 @@ from scope_models.correctors._flux_model import fit_flux
 from scope_models.correctors._injection import transit_column
 from scope_models.correctors._lightkurve import FixedAperture, named_mask
 from scope_models.correctors._pixels import credible_flux
-from scope_models.correctors._scene_fit import WIDER, fit_scene, full_columns
+from scope_models.correctors._scene_fit import (
+    FEWEST_CADENCES,
+    WIDER,
+    SceneData,
+    fit_scene,
+    full_columns,
+)
 from scope_models.correctors._scene_flux import (
     LIMITS,
     clean_background,
@@ -21,18 +27,15 @@ from scope_models.correctors._scene_flux import (
     window_flux,
     window_weights,
 )
-from scope_models.correctors._scene_neighbors import KnownNeighbors
-from scope_models.correctors._scene_start import centroids
+from scope_models.correctors._scene_start import KnownNeighbors
 from scope_models.correctors.model import FLUXES
 from scope_models.correctors.pld import PLDCorrector
 from scope_models.exceptions import DetrendingWarning
 from scope_models.io import read_pixels, read_tpf
-from scope_models.io.pixels import usable_positions
 from scope_models.photometry import aperture_flux, cdpp, crowding
 
 __all__ = ["SceneCorrector", "SceneResult"]
 
-_FEWEST_CADENCES = 30
 #: Windows that are tried: radii in pixels, and weights in proportion to light over variance.
 _WINDOWS = {
     "auto": (3.0, 4.0, "optimal"),
@@ -40,10 +43,8 @@ _WINDOWS = {
     "weighted": ("optimal",),
 }
 #: Windows with so much more white noise than the best are not tried.
-_NOISIEST = 1.3
+_NOISIEST = 2.0
 _TRANSIT_HOURS = 6.5
-#: Pixels farther from the star than this (px) are left out.
-_REACH = 7
 #: Warnings: part of the cadences that are outliers, and share of the target in the window.
 _MANY, _CROWDED = 0.1, 0.9
 #: ... and 6.5-h noise over that of the sum over the aperture.
@@ -226,7 +227,7 @@ class SceneCorrector(FixedAperture, Corrector):
             aperture_mask = checked_weights("aperture_mask", aperture_mask, series.flux.shape)
         elif aperture_mask is not None:
             aperture_mask = checked_mask("aperture_mask", aperture_mask, series.flux.shape[1:])
-        self._data = _Data.from_series(series, aperture_mask)
+        self._data = SceneData.from_series(series, aperture_mask)
         self._known = None
         if neighbors is not None:
             origin, peak = self._data.origin, self._data.place
@@ -302,9 +303,9 @@ class SceneCorrector(FixedAperture, Corrector):
         mask = checked_cadences("cadence_mask", cadence_mask, n, default=True)
         in_transit = checked_cadences("transit_mask", transit_mask, n, default=False)
         allowed = (mask & ~in_transit)[data.usable]
-        if allowed.sum() < _FEWEST_CADENCES:
+        if allowed.sum() < FEWEST_CADENCES:
             raise ValueError(
-                f"at least {_FEWEST_CADENCES} usable cadences are needed, got {allowed.sum()}"
+                f"at least {FEWEST_CADENCES} usable cadences are needed, got {allowed.sum()}"
             )
         flat = None
         if transit_model is not None:
@@ -655,111 +656,3 @@ def _noise_ratio(corrector):
     both = np.isfinite(raw.flux.value) & np.isfinite(corrected.flux.value)
     methods = ("lightkurve", "everest")
     return max(cdpp(corrected[both], method=m) / cdpp(raw[both], method=m) for m in methods)
-
-
-@dataclass(frozen=True)
-class _Data:
-    """
-    The pixels that the scene is fitted to.
-
-    Parameters
-    ----------
-    all_times : ndarray
-        Times of all cadences, days.
-    usable : ndarray of bool
-        Cadences with time and pixels.
-    time, flux, variance, pos_corr : ndarray
-        Of the usable cadences and the pixels near the star; infinite variance without data.
-    box : tuple of slice
-        These pixels in the stamp, rows and columns.
-    peak : tuple of float
-        Column and row of the target within them.
-    aperture : ndarray or None
-        The user's aperture, of the same pixels (and cadences).
-    well : float or None
-        Flux of a full pixel, e-/s, if it is known.
-    """
-
-    all_times: np.ndarray
-    usable: np.ndarray
-    time: np.ndarray
-    flux: np.ndarray
-    variance: np.ndarray
-    pos_corr: np.ndarray | None
-    box: tuple
-    peak: tuple
-    aperture: np.ndarray | None
-    well: float | None
-
-    @classmethod
-    def from_series(cls, series, aperture):
-        """Choose cadences and pixels of a series."""
-        good = np.isfinite(series.flux) & np.isfinite(series.flux_err) & (series.flux_err > 0)
-        collected = good.any(axis=0)
-        if not collected.any():
-            raise ValueError("`tpf` has no pixels with data")
-        usable = np.isfinite(series.time) & (good[:, collected].mean(axis=1) > 0.5)
-        moving = np.ndim(aperture) == 3
-        if moving:
-            usable &= np.isfinite(aperture).all(axis=(1, 2))
-        if usable.sum() < _FEWEST_CADENCES:
-            raise ValueError(
-                f"at least {_FEWEST_CADENCES} usable cadences are needed, got {usable.sum()}"
-            )
-        time = series.time[usable]
-        if np.any(np.diff(time) <= 0):
-            raise ValueError("the times of `tpf` must increase")
-        flux = np.where(good, series.flux, 0.0)[usable]
-        variance = np.where(good, np.where(good, series.flux_err, 1.0) ** 2, np.inf)[usable]
-        pos_corr, reach = None, 3.0
-        if series.pos_corr is not None:
-            known = usable_positions(series.pos_corr)
-            pos_corr = np.where(known[:, None], series.pos_corr, np.nan)[usable]
-            if known[usable].any():
-                reach = float(np.nanmax(np.abs(pos_corr - np.nanmedian(pos_corr, axis=0))))
-        mean = np.median(flux, axis=0)
-        inside = aperture
-        if aperture is None:
-            inside = series.aperture
-        elif moving:
-            inside = np.max(aperture[usable], axis=0) > 0
-        row, column = np.unravel_index(np.argmax(np.where(inside, mean, -np.inf)), mean.shape)
-        box = tuple(
-            slice(max(0, int(k - _REACH - reach)), min(size, int(k + _REACH + reach + 2)))
-            for k, size in zip((row, column), mean.shape, strict=True)
-        )
-        cut = (slice(None), *box)
-        peak = (float(column - box[1].start), float(row - box[0].start))
-        return cls(
-            series.time, usable, time, flux[cut], variance[cut], pos_corr, box, peak,
-            aperture[usable][cut] if moving else (None if aperture is None else aperture[box]),
-            series.mission and series.mission.full_flux,
-        )  # fmt: skip
-
-    @property
-    def origin(self):
-        """Column and row of the box' first pixel in the stamp."""
-        return np.array([self.box[1].start, self.box[0].start], dtype=float)
-
-    @property
-    def place(self):
-        """Column and row of the target's light in the stamp, in the median image."""
-        image = np.median(self.flux, axis=0)[None]
-        x, y = centroids(image - np.median(image), *(np.array([k]) for k in self.peak))
-        return self.origin + np.array([x[0], y[0]])
-
-    @property
-    def noise(self):
-        """Typical variance of each pixel; infinite without data."""
-        typical = np.median(self.variance, axis=0)
-        return np.where(np.isfinite(typical), typical, np.inf)
-
-    def table(self, scene):
-        """Return the neighbors of a scene."""
-        flux, dx, dy = scene.shape.neighbors.T
-        x, y = (float(np.median(v)) for v in (scene.track.x, scene.track.y))
-        return QTable(
-            [flux, dx + x + self.box[1].start, dy + y + self.box[0].start],
-            names=("flux", "x", "y"),
-            units=("electron / s", "pix", "pix"),
-        )
