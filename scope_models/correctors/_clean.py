@@ -365,9 +365,9 @@ class _State:
 
         def without_sum(columns, coefficients):
             """Return images whose sum over the aperture is taken off in the shape of the star."""
-            over = columns @ coefficients[:, inside].sum(axis=1)
-            columns = np.concatenate([columns, -over[:, None] * kernel], axis=1)
-            return columns @ np.concatenate([coefficients, weights])
+            values = columns @ coefficients
+            values -= (columns @ coefficients[:, inside].sum(axis=1))[:, None] * image
+            return values
 
         # multiples of the image drop out with the sums
         slopes = [without_sum(kernel, moved) for moved in self.features.slope_weights(weights)]

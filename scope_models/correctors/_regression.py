@@ -41,6 +41,8 @@ _ROUNDS, _TOLERANCE = 5, 0.05
 _SHORTEST_PERIOD, _LONGEST_PERIOD = 0.5, 5.0
 #: Variances of a group's part that are tried against others, in units of the data's.
 _SCAN = (1e-3, 0.03, 1.0, 30.0, 300.0)
+#: Number of means, or up to twice as many, that find the best start.
+_FEW = 1000
 #: Where the search begins: the process' variance, and that of each group's part of the model,
 #: in units of the data's; and the process' period in days.
 _STARTS = ((None, 1.0, 5.0), (0.3, 0.1, 2.0), (1.0, 1.0, 5.0))
@@ -424,7 +426,7 @@ def _scanned(trial):
 
 
 def _best_start(data, trend):
-    """Fit the columns' parameters in several places, and return the most likely one."""
+    """Fit the columns' parameters in several places, to means, and return the most likely one."""
     noise, unit = float(np.median(data.variance)), data.spread / data.sizes
     if not trend:
         return _Trial.at(data, Hyperparameters(1.0, unit, None, 1.0))
@@ -432,5 +434,6 @@ def _best_start(data, trend):
         Hyperparameters(1.0, part * unit, 0.1 * noise if a is None else a * data.spread, period)
         for a, part, period in _STARTS
     ]
-    fitted = [_fit_scales(_Trial.at(data, hyper), _FEW_STEPS) for hyper in starts]
-    return max(fitted, key=_value)
+    few = data.averaged(max(len(data.y) // _FEW, 1))
+    fitted = [_fit_scales(_Trial.at(few, hyper), _FEW_STEPS) for hyper in starts]
+    return _Trial.at(data, max(fitted, key=_value).hyper)

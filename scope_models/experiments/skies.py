@@ -75,6 +75,9 @@ class SkyRegime(Value):
         Background that the file's own subtraction leaves, e-/s per pixel.
     shape : tuple of int, optional
         Rows and columns.
+    cosmic_rays : float, optional
+        Share of all values that hold a cosmic ray. Two K2 files of faint stars look as simulated
+        ones with 0.025.
 
     Examples
     --------
@@ -100,6 +103,7 @@ class SkyRegime(Value):
     focus_period: float = 10.0
     background: float = 3.0
     shape: tuple = (9, 9)
+    cosmic_rays: float = 0.004
 
     def __post_init__(self):
         units = dict.fromkeys(("period", "transit_period", "duration", "focus_period"), "day")
@@ -358,7 +362,7 @@ def make_sky(regime, seed=0, *, n_cadences=1100):
     light = bleed(light, photometer.well * photometer.exposure)
     noise = np.sqrt(light + photometer.read_noise**2)
     electrons = light + noise * rngs["noise"].normal(size=light.shape)
-    electrons += _cosmic_rays(rngs["noise"], light.shape)
+    electrons += _cosmic_rays(rngs["noise"], light.shape, regime.cosmic_rays)
     seen = light / photometer.exposure - sky
     constant = (seen - others - residual) / true_flux[:, None, None]
     aperture = _best_aperture(constant, noise / photometer.exposure)
@@ -472,7 +476,7 @@ def _events(regime, rng, firing, n):
     return quality, missing, flash
 
 
-def _cosmic_rays(rng, shape, rate=0.004):
+def _cosmic_rays(rng, shape, rate):
     """Return the electrons of the cosmic rays that the pipeline missed."""
     hits = rng.uniform(size=shape) < rate
     rays = np.zeros(shape)

@@ -105,7 +105,7 @@ def test_survival_in_hard_cases(name, depth):
     [(12.0, 1e-3, ()), (14.0, 1e-2, ()), (12.5, 1e-2, ((1, 3, 0),))],
 )
 def test_depths_of_messy_stars(how, magnitude, depth, neighbors):
-    """Ten stars: less scatter than the errors of a mean and of a variance allow."""
+    """Ten stars: the bounds of the pulls are three standard deviations of their size."""
     regime = replace(
         REGIMES["k2-1x-transits-1pct"], magnitude=magnitude, depth=depth, neighbors=neighbors
     )
@@ -128,7 +128,7 @@ def test_depths_of_messy_stars(how, magnitude, depth, neighbors):
         depths.append(found * (1 + others / mine))
         pulls.append((depths[-1] - 1) / error / (1 + others / mine))
     assert np.mean(depths) == pytest.approx(1, abs=0.01)
-    assert 0.5 < np.sqrt(np.mean(np.square(pulls))) < 1.6
+    assert 0.4 < np.sqrt(np.mean(np.square(pulls))) < 1.6
 
 
 @NOISY
