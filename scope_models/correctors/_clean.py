@@ -80,6 +80,9 @@ _NO_WEIGHT = 1e-6
 _WORSE = 1.05
 #: Width in days of the kernel beyond which outliers of the focus are dips, and none of the focus.
 _SLOW = 0.05
+#: Days, and the correlation of the focus with the brightness above which what is faster than this
+#: is no focus.
+_FASTER, _FOLLOWS = 2.0, 0.7
 #: Widths in cadences of the kernels that are tried to smooth the focus and the background.
 _WIDTHS = (1.5, 3.0, 6.0, 12.0, 24.0, 48.0)
 #: Kernels of this width and wider ones are convolved by Fourier transforms.
@@ -259,7 +262,7 @@ class _State:
         self.variance = self.noise
         self.scale = np.maximum(quantile(self.y[use].T, 0.98), 3 * np.sqrt(self.noise))
         self.good = np.ones((n, n_pixels), dtype=bool)
-        self.focus, self.variable = np.zeros(n), np.zeros(n)
+        self.focus, self.variable, self.seen = np.zeros((3, n))
         self._start_positions(position, total)
         self.smoothed, self._last = _Smoother(time, use), None
         self._place = np.where(self.known, _POSITION_PRIOR**-2, 1e-2)
@@ -513,6 +516,7 @@ class _State:
             noise = 1.4826 * quantile(np.abs(variable[use] - quantile(variable[use])))
             ridge = (noise / _RESPONSE_PRIOR) ** 2 * np.eye(len(gram))
             variable = change - columns @ np.linalg.solve(gram + ridge, right)
+        self.seen = variable
         strong = self._is_strong(variable[use])
         if strong and iteration >= _DECIDED:
             _, image, slopes, constant = self.images()
@@ -606,9 +610,26 @@ class _State:
         return np.average(self.variance / self.noise, weights=np.maximum(self.scale, 0))
 
     def _slow_focus(self):
-        """Return the focus without short dips, which may be dimmings beside constant light."""
+        """
+        Return the focus without what may be the star's variability beside constant light.
+
+        That is short dips, and what is faster than two days if it follows a brightness that varies
+        mostly so.
+        """
+        focus, use = self._lines(self.focus, _SLOW), self.use
+        fast, seen = (values - self._lines(values, _FASTER) for values in (focus, self.seen))
+        size = _CLIP * 1.4826 * quantile(np.abs(seen[use]))
+        part = np.clip(seen, -size, size)[use]
+        product, squares = fast[use] @ part, part @ part
+        follows = product**2 > _FOLLOWS**2 * squares * (fast[use] @ fast[use])
+        if not follows or squares < 0.5 * len(part) * np.var(self.seen[use]):
+            return focus
+        return focus - seen * (product / squares)
+
+    def _lines(self, values, days):
+        """Return values smoothed by a kernel of so many days."""
         weight = np.where(self.use, 1.0, _NO_WEIGHT)
-        return self.smoothed.lines(self.focus, weight, _SLOW / self.smoothed.step)[0]
+        return self.smoothed.lines(values, weight, days / self.smoothed.step)[0]
 
     def roughness(self, light):
         """Return the typical change from cadence to cadence that positions do not explain."""

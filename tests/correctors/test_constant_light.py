@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from scope_models import Detector, Motion, Star, simulate
 from scope_models.correctors import PLDCorrector
 from scope_models.correctors._constant_light import constant_light, varying_light
 from scope_models.experiments.skies import make_sky, score
@@ -71,3 +72,18 @@ def test_other_stars_beside_variable_ones(regime):
     assert corrector.result.noise_scale < 2
     # FLUX_ERR also holds the uncertainty of amplitudes beside constant light, which is cautious
     assert 0.4 < found.pull < 1.5
+
+
+@pytest.mark.parametrize("period", [0.6, 2.0])
+def test_star_varies_beside_blended_light(period):
+    """What the aperture holds of both stars is diluted; it does not follow a false focus."""
+    motion = 2 * Motion.k2_roll(800)
+    signal = 1 + 0.02 * np.sin(2 * np.pi * motion.time / period)
+    stars = [Star(12.0, signal=signal), Star(13.0, 4.0, 5.0)]
+    tpf = simulate(stars, Detector.k2(), motion, seed=5).to_tpf()
+    corrector = PLDCorrector(tpf)
+    corrected = corrector.correct()
+    there = np.isin(motion.cadenceno, corrected.cadenceno)
+    flux = corrected.flux.value / np.median(corrected.flux.value)
+    slope = np.polyfit(signal[there], flux, 1)[0]
+    assert slope == pytest.approx(1 / (1 + 10**-0.4), rel=0.01)
