@@ -61,7 +61,7 @@ class SceneResult:
     window : float or str
         Radius (px) of the window that follows the star, ``"optimal"`` for weights in proportion
         to light over variance, ``"aperture"`` for the user's aperture, ``"PLD"`` if the light
-        curve is that of `SceneCorrector.fallback`.
+        curve is that of ``SceneCorrector.fallback``.
     neighbors : `~astropy.table.QTable`
         Flux (e-/s), column and row in the stamp (px) of the neighbors, ``flux, x, y``.
     crowding : float
