@@ -91,14 +91,12 @@ def test_failing_corrector_is_left_out(star, monkeypatch):
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::scope_models.exceptions.DetrendingWarning")
 @pytest.mark.parametrize(
-    ("regime", "kind"),
-    [("k2-1x-eclipsing-neighbor", "SceneCorrector"), ("k2-1x-constant", "PLDCorrector"),
-     ("k2-1x-kp10-saturated", "PLDCorrector")],
-)  # fmt: skip
-def test_choice_on_messy_stars(regime, kind):
+    "regime", ["k2-1x-eclipsing-neighbor", "k2-1x-constant", "k2-1x-kp10-saturated"]
+)
+def test_choice_on_messy_stars(regime):
     sky = make_sky(regime, 0)
     tpf = sky.to_tpf()
     corrector = choose_corrector(tpf)
-    assert type(corrector).__name__ == kind
+    assert type(corrector).__name__ == "PLDCorrector"
     raw = tpf.to_lightcurve(aperture_mask="pipeline")
-    assert score(corrector.corrected_lc, sky).full < 0.3 * score(raw, sky).full
+    assert score(corrector.corrected_lc, sky).full < min(0.3 * score(raw, sky).full, 5)
