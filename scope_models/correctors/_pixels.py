@@ -137,6 +137,13 @@ def choose_aperture(flux, flux_err, pipeline=None, pos_corr=None):
     return _most_precise(flux, flux_err, own, around & near, pos_corr)
 
 
+def _at_one_place(values, pos_corr):
+    """Return the median of the images in which the star is nearest to its median place."""
+    distance = np.hypot(*(pos_corr - np.nanmedian(pos_corr, axis=0)).T)
+    near = np.argsort(np.where(np.isfinite(distance), distance, np.inf))
+    return np.median(values[near[: max(_FEWEST, len(values) // 20)]], axis=0)
+
+
 def _typical(flux):
     """Return the median image, NaN where there are no data."""
     if np.isfinite(flux).all():
@@ -269,17 +276,21 @@ def aperture_pixels(series, aperture):
     if positive.sum() < finite.sum():
         _warn(f"{finite.sum() - positive.sum()} cadences without a positive flux are left out")
     total_err = _filled_errors(total, total_err, positive)
-    own, crowding = _own_light(flux[positive], aperture)
+    own, crowding = _own_light(flux[positive], aperture, series.pos_corr[positive])
     totals = total, total_err, positive
     return Pixels(time, flux, flux_err, aperture, *totals, weights, own, crowding)
 
 
-def _own_light(flux, aperture):
+def _own_light(flux, aperture, pos_corr):
     """Return the star's pixels, and the part of the aperture's light that is in those of others."""
     typical = _typical(flux)
     image = np.nan_to_num(typical - background_plane(typical))
     peak = np.argmax(np.where(aperture, image, -np.inf))
     others = ~own_pixels(image, peak) & (image > _OTHER_STAR * image.flat[peak])
+    if others.any() and pos_corr is not None and np.isfinite(pos_corr).any():
+        still = np.nan_to_num(_at_one_place(flux, pos_corr))  # one that moves far has two peaks
+        first = np.argmax(np.where(aperture, still, -np.inf))
+        others &= ~own_pixels(still, first) & (still > _OTHER_STAR * still.flat[first])
     return ~others, float(image[aperture & others].sum() / image[aperture].sum())
 
 
