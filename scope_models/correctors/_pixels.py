@@ -276,7 +276,8 @@ def aperture_pixels(series, aperture):
     if positive.sum() < finite.sum():
         _warn(f"{finite.sum() - positive.sum()} cadences without a positive flux are left out")
     total_err = _filled_errors(total, total_err, positive)
-    own, crowding = _own_light(flux[positive], aperture, series.pos_corr[positive])
+    places = None if series.pos_corr is None else series.pos_corr[positive]
+    own, crowding = _own_light(flux[positive], aperture, places)
     totals = total, total_err, positive
     return Pixels(time, flux, flux_err, aperture, *totals, weights, own, crowding)
 
