@@ -2,6 +2,9 @@ from . import (
     appendix_a as appendix_a,
 )
 from . import (
+    benchmark as benchmark,
+)
+from . import (
     cli as cli,
 )
 from . import (

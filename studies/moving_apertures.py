@@ -12,8 +12,8 @@ import warnings
 
 import numpy as np
 
+from scope_models.benchmark import make_sky, score
 from scope_models.correctors import PLDCorrector
-from scope_models.experiments.skies import make_sky, score
 from scope_models.photometry import moving_aperture
 
 LONGEST = 20.0  # px: POS_CORR beyond is absurd

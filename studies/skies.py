@@ -4,7 +4,7 @@
 
 Regimes are chosen by the beginnings of their names. lightkurve's PLDCorrector gets the best of its
 orders 1 to 3 and of two apertures (the file's and the whole stamp), chosen by the truth for each
-score alone: no user could do better. Scores are in floors; see `scope_models.experiments.skies`.
+score alone: no user could do better. Scores are in floors; see `scope_models.benchmark`.
 """
 
 import argparse
@@ -17,9 +17,9 @@ from itertools import product
 
 import numpy as np
 
+from scope_models.benchmark import REGIMES, make_sky, score
 from scope_models.experiments._correctors import LIGHTKURVE_CORRECTORS
 from scope_models.experiments._correctors import correct as correct_by_lightkurve
-from scope_models.experiments.skies import REGIMES, make_sky, score
 
 COLUMNS = ("full", "high_passed", "amplitude", "depth", "pull", "kept", "seconds")
 

@@ -37,6 +37,7 @@ from scope_models import (
 from scope_models import photometry as ph
 from scope_models import plotting as pl
 from scope_models._arrays import plain_array, plain_number, plain_time
+from scope_models.benchmark import SkyRegime
 from scope_models.correctors import PLDOptions
 from scope_models.effects import (
     Effect,
@@ -56,7 +57,6 @@ from scope_models.experiments.k2_motion import K2MotionNoise
 from scope_models.experiments.motion import MotionTest
 from scope_models.experiments.no_motion import NoMotion
 from scope_models.experiments.recovery import Recovery
-from scope_models.experiments.skies import SkyRegime
 from scope_models.experiments.table1 import Table1
 from scope_models.experiments.tess import tess_noise
 from scope_models.io import TPFMetadata, make_tpf_hdulist, usable_positions

@@ -6,8 +6,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 from lightkurve.correctors import PLDCorrector as LightkurvePLD
 
+from scope_models.benchmark import make_sky
 from scope_models.correctors import PLDCorrector
-from scope_models.experiments.skies import make_sky
 
 DAYS = 4
 

@@ -74,15 +74,16 @@ def client_of(arguments):
 
 
 def run(name, arguments, *inputs, **options):
-    """Call a function of `experiments` for many files, print what it has found, return the status.
+    """Call a function for many files, print what it has found, return the status.
 
     It is 1 if a file has failed; ``inputs`` and ``options`` are for the function.
     """
     for option in ("output", "figure"):
         if getattr(arguments, option, None) is not None:
             raise ValueError(f"--{option} cannot be combined with --output-dir")
+    from scope_models import benchmark
     from scope_models.exceptions import FailedStarsWarning
-    from scope_models.experiments import SweepError, batch, benchmark
+    from scope_models.experiments import SweepError, batch
 
     try:
         with warnings.catch_warnings():

@@ -42,7 +42,7 @@ def _write(arguments):
 
 def _score(arguments):
     """Score light curves; return the exit status."""
-    from scope_models.experiments.benchmark import score_light_curves, summarize_scores
+    from scope_models.benchmark import score_light_curves, summarize_scores
     from scope_models.io._atomic import atomic_path, check_output
 
     if arguments.output is not None:

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from astropy import units as u
 
+from scope_models.benchmark import make_sky, score
 from scope_models.correctors import SceneCorrector, choose_corrector, compare, compare_correctors
 from scope_models.exceptions import DetrendingWarning
-from scope_models.experiments.skies import make_sky, score
 from scope_models.photometry import cdpp
 
 

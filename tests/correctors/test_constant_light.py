@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from scope_models import Detector, Motion, Star, simulate
+from scope_models.benchmark import make_sky, score
 from scope_models.correctors import PLDCorrector
 from scope_models.correctors._constant_light import constant_light, varying_light
-from scope_models.experiments.skies import make_sky, score
 
 from .test_clean import GRID, TIME, image, motion
 

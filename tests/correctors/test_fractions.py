@@ -7,12 +7,12 @@ import pytest
 from lightkurve import KeplerTargetPixelFile
 
 from scope_models import Detector, Motion, Star, TransitModel, simulate
+from scope_models.benchmark import make_sky, score
 from scope_models.correctors import PLDCorrector, PLDModel, model
 from scope_models.correctors._pixels import background_plane, own_pixels
 from scope_models.effects import Seeing
 from scope_models.exceptions import DetrendingWarning
 from scope_models.experiments import make_study
-from scope_models.experiments.skies import make_sky, score
 from scope_models.models import sinusoidal_signal
 
 

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from scope_models.benchmark import REGIMES, make_sky, score
 from scope_models.correctors import PLDCorrector
 from scope_models.correctors._injection import _star_share, box_signal
 from scope_models.exceptions import DetrendingWarning
-from scope_models.experiments.skies import REGIMES, make_sky, score
 
 NOISY = pytest.mark.filterwarnings("ignore::scope_models.exceptions.DetrendingWarning")
 

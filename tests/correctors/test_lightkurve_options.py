@@ -7,9 +7,9 @@ from astropy.utils.exceptions import AstropyDeprecationWarning
 from lightkurve.correctors import DesignMatrix
 from lightkurve.correctors.cbvcorrector import KeplerCotrendingBasisVectors
 
+from scope_models.benchmark import make_sky
 from scope_models.correctors import PLDCorrector, SceneCorrector
 from scope_models.exceptions import DetrendingWarning
-from scope_models.experiments.skies import make_sky
 from scope_models.photometry import cdpp
 
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from scope_models.benchmark import make_sky, score
 from scope_models.correctors import PLDCorrector, SceneCorrector
-from scope_models.experiments.skies import make_sky, score
 from scope_models.photometry import aperture_flux, moving_aperture
 
 

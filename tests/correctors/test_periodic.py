@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from scope_models.benchmark import make_sky, score
 from scope_models.correctors import PLDCorrector
 from scope_models.correctors._features import Regressors
 from scope_models.correctors._periodic import (
@@ -16,7 +17,6 @@ from scope_models.correctors._periodic import (
 )
 from scope_models.correctors._regression import Hyperparameters
 from scope_models.correctors._solution import Solution
-from scope_models.experiments.skies import make_sky, score
 
 TIME = 0.0204 * np.arange(900)
 TRUE = np.array([1.834, 3.668, 8.21])

@@ -8,10 +8,10 @@ import pytest
 from astropy.coordinates import SkyCoord
 from astropy.table import Table
 
+from scope_models.benchmark import make_sky, score
 from scope_models.correctors import PLDCorrector, SceneCorrector
 from scope_models.correctors._flux_model import FluxModel
 from scope_models.exceptions import DetrendingWarning
-from scope_models.experiments.skies import make_sky, score
 from scope_models.io import read_pixels
 from scope_models.io.pixels import target_place
 

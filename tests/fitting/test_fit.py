@@ -20,8 +20,8 @@ from scope_models import (
     fit_tpf,
     simulate,
 )
+from scope_models.benchmark import make_sky
 from scope_models.exceptions import FitWarning
-from scope_models.experiments.skies import make_sky
 from scope_models.fitting import _solver
 from scope_models.io import read_tpf
 from scope_models.models import TabulatedPRF

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from scope_models import Motion, TPFFit, fit_tpf, simulate
+from scope_models.benchmark import SkyRegime, make_sky
 from scope_models.effects import PixelShares
 from scope_models.effects.shares import polynomial_terms, polynomials
 from scope_models.exceptions import FitWarning
-from scope_models.experiments.skies import SkyRegime, make_sky
 from scope_models.photometry import cdpp
 
 # A PSF of many parts, random response within the pixels, focus: another renderer than ours.

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy.integrate import dblquad
 
-from scope_models.experiments._sky_pixels import bleed, make_psf, make_response, render
-from scope_models.experiments._sky_scores import score_light_curve
-from scope_models.experiments.skies import REGIMES, SkyRegime, make_sky, score
+from scope_models.benchmark import REGIMES, SkyRegime, make_sky, score
+from scope_models.benchmark._pixels import bleed, make_psf, make_response, render
+from scope_models.benchmark._scores import score_light_curve
 
 
 @pytest.fixture(scope="module")

@@ -13,10 +13,10 @@ from astropy.table import Table
 
 from scope_models._checks import checked_integer
 from scope_models._docstrings import documented
-from scope_models.experiments._sky_scores import score_places
+from scope_models.benchmark._scores import score_places
+from scope_models.benchmark.sky import REGIMES, make_sky, score
 from scope_models.experiments._statistics import percentiles, values_of
 from scope_models.experiments.batch import RUN, FileStudy
-from scope_models.experiments.skies import REGIMES, make_sky, score
 from scope_models.io import write_hdulist
 from scope_models.io._opening import open_fits
 from scope_models.io.reading import first_table
@@ -40,7 +40,7 @@ def benchmark_star(number):
     Parameters
     ----------
     number : int
-        Number of the star, from 0; all regimes of `~scope_models.experiments.skies.REGIMES` follow
+        Number of the star, from 0; all regimes of `~scope_models.benchmark.REGIMES` follow
         each other.
 
     Returns
@@ -55,7 +55,7 @@ def benchmark_star(number):
 
     Examples
     --------
-    >>> from scope_models.experiments.benchmark import benchmark_star
+    >>> from scope_models.benchmark import benchmark_star
     >>> star = benchmark_star(0)
     >>> star.regime.name, star.to_tpf().targetid
     ('k2-1x-constant', 5001)
@@ -91,7 +91,7 @@ def make_benchmark(output_dir, client=None, *, overwrite=False, sweep=None, star
 
     Examples
     --------
-    >>> from scope_models.experiments.benchmark import make_benchmark
+    >>> from scope_models.benchmark import make_benchmark
     >>> result = make_benchmark("skies", stars=1, sweep={"progress": False})
     >>> result.table["regime"].tolist()
     ['k2-1x-constant']
@@ -142,7 +142,7 @@ def score_light_curves(paths):
     -------
     astropy.table.Table
         A row per file: "file", "regime" and the fields of
-        `~scope_models.experiments.skies.SkyScore`. The truth with the noise of its pixels has 1 in
+        `~scope_models.benchmark.SkyScore`. The truth with the noise of its pixels has 1 in
         ``full``, ``high_passed``, ``amplitude``, ``depth`` and ``pull``. For codes of photometry,
         "bias" is the standard deviation of what depends on the place within the pixel, "step" the
         root mean square of the steps where the star crosses from pixel to pixel, both in ppm and
@@ -158,7 +158,7 @@ def score_light_curves(paths):
     Examples
     --------
     >>> from astropy.table import Table
-    >>> from scope_models.experiments.benchmark import benchmark_star, score_light_curves
+    >>> from scope_models.benchmark import benchmark_star, score_light_curves
     >>> lc = benchmark_star(0).to_tpf().to_lightcurve(aperture_mask="pipeline")
     >>> names = ("cadenceno", "flux", "flux_err")
     >>> Table([lc[name] for name in names], names=names).write("sky000-raw.ecsv")
@@ -242,7 +242,7 @@ def summarize_scores(table):
     Examples
     --------
     >>> from astropy.table import Table
-    >>> from scope_models.experiments.benchmark import summarize_scores
+    >>> from scope_models.benchmark import summarize_scores
     >>> table = Table({"regime": ["a", "a", "b"], "full": [1.0, 3.0, 5.0]})
     >>> summarize_scores(table)["full"].tolist()
     [2.0, 5.0, 3.0]

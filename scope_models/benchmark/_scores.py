@@ -42,7 +42,7 @@ class SkyScore:
 
     Examples
     --------
-    >>> from scope_models.experiments.skies import make_sky, score
+    >>> from scope_models.benchmark import make_sky, score
     >>> sky = make_sky("k2-1x-delta-scuti", seed=2, n_cadences=300)
     >>> lc = sky.to_tpf().to_lightcurve(aperture_mask="pipeline")
     >>> bool(0.9 < score(lc, sky).amplitude < 1.1)

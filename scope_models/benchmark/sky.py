@@ -12,9 +12,9 @@ import numpy as np
 from scope_models._arrays import plain_array, plain_number
 from scope_models._checks import checked_choice, checked_integer
 from scope_models._values import Value
-from scope_models.experiments._sky_light import LIGHTS, MOTIONS, make_transit, red_noise
-from scope_models.experiments._sky_pixels import bleed, make_psf, make_response, render
-from scope_models.experiments._sky_scores import SkyScore, score_light_curve
+from scope_models.benchmark._light import LIGHTS, MOTIONS, make_transit, red_noise
+from scope_models.benchmark._pixels import bleed, make_psf, make_response, render
+from scope_models.benchmark._scores import SkyScore, score_light_curve
 from scope_models.io.tpf import TPFMetadata, make_tpf_hdulist
 from scope_models.missions import MISSIONS
 from scope_models.scene.motion import K2Roll
@@ -81,7 +81,7 @@ class SkyRegime(Value):
 
     Examples
     --------
-    >>> from scope_models.experiments.skies import SkyRegime, make_sky
+    >>> from scope_models.benchmark import SkyRegime, make_sky
     >>> regime = SkyRegime("faint", magnitude=16.5, neighbors=((1.0, 3.0, 0.0),))
     >>> make_sky(regime, seed=1, n_cadences=100).flux.shape
     (100, 9, 9)
@@ -220,7 +220,7 @@ class MessyStar(Value):
 
     Examples
     --------
-    >>> from scope_models.experiments.skies import make_sky
+    >>> from scope_models.benchmark import make_sky
     >>> sky = make_sky("tess-crowded", seed=1, n_cadences=100)
     >>> sky.to_tpf().mission, sky.true_flux.shape
     ('TESS', (100,))
@@ -262,7 +262,7 @@ class MessyStar(Value):
 
         Examples
         --------
-        >>> from scope_models.experiments.skies import make_sky
+        >>> from scope_models.benchmark import make_sky
         >>> sky = make_sky("k2-1x-kp14", seed=1, n_cadences=100)
         >>> sky.floor() < sky.floor(sky.aperture | True)
         True
@@ -286,7 +286,7 @@ class MessyStar(Value):
 
         Examples
         --------
-        >>> from scope_models.experiments.skies import make_sky
+        >>> from scope_models.benchmark import make_sky
         >>> make_sky("k2-1x-kp14", seed=6, n_cadences=100).to_tpf().targetid
         7
         """
@@ -333,7 +333,7 @@ def make_sky(regime, seed=0, *, n_cadences=1100):
 
     Examples
     --------
-    >>> from scope_models.experiments.skies import make_sky, score
+    >>> from scope_models.benchmark import make_sky, score
     >>> sky = make_sky("k2-1x-constant", seed=1, n_cadences=300)
     >>> lc = sky.to_tpf().to_lightcurve(aperture_mask="pipeline")
     >>> bool(score(lc, sky).full > 3)
@@ -404,7 +404,7 @@ def score(lc, sky, *, aperture=None):
 
     Examples
     --------
-    >>> from scope_models.experiments.skies import make_sky, score
+    >>> from scope_models.benchmark import make_sky, score
     >>> sky = make_sky("k2-1x-transits-1pct", seed=1, n_cadences=300)
     >>> lc = sky.to_tpf().to_lightcurve(aperture_mask="pipeline")
     >>> bool(0.7 < score(lc, sky).depth < 1.3)

@@ -7,15 +7,15 @@ import pytest
 from astropy.io import fits
 from astropy.table import Table
 
-from scope_models.cli import main
-from scope_models.experiments._sky_scores import score_places
-from scope_models.experiments.benchmark import (
+from scope_models.benchmark import (
+    REGIMES,
     benchmark_star,
     make_benchmark,
     score_light_curves,
     summarize_scores,
 )
-from scope_models.experiments.skies import REGIMES
+from scope_models.benchmark._scores import score_places
+from scope_models.cli import main
 
 QUIET = {"progress": False}
 

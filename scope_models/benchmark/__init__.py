@@ -1,0 +1,12 @@
+"""The messy sky: stars whose truth is known, and scores of anybody's corrections of them."""
+
+import lazy_loader
+
+# Imported at first use, as in the package itself.
+__getattr__, __dir__, __all__ = lazy_loader.attach(
+    __name__,
+    submod_attrs={
+        "files": ["benchmark_star", "make_benchmark", "score_light_curves", "summarize_scores"],
+        "sky": ["REGIMES", "MessyStar", "SkyRegime", "SkyScore", "make_sky", "score"],
+    },
+)
