@@ -1,22 +1,16 @@
 """Public arguments keep to the glossary of the development page, and to American spelling."""
 
-import dataclasses
 import inspect
 import re
 
 import pytest
-from astropy.utils.exceptions import AstropyDeprecationWarning
 from docutils.core import publish_doctree
 from docutils.nodes import entry, row
-
-from scope_models.experiments import Study
 
 BRITISH = re.compile(
     r"colour|cent(re|red|ring)(_|$)|neighbour|behaviour|catalogue|"
     r"[a-z]{3}(al|ar|im|it|rd)is(e|ed|ing)(_|$)"
 )
-# Old names that keep working with a warning.
-OLD = {"summarise"}
 
 
 @pytest.fixture(scope="module")
@@ -75,24 +69,4 @@ def test_arguments_do_not_use_other_words(glossary, arguments):
 def test_spelling_is_american(arguments, public_callables):
     names = set(arguments)
     names |= {name.rpartition(".")[2] for name, _ in public_callables}
-    assert sorted(name for name in names - OLD if BRITISH.search(name)) == []
-
-
-def test_the_old_spelling_of_a_study_keeps_working():
-    message = "`summarise` of a study has become `summarize`"
-    with pytest.warns(AstropyDeprecationWarning, match=message):
-
-        @dataclasses.dataclass(frozen=True, kw_only=True)
-        class Old(Study):
-            def tasks(self):
-                return []
-
-            def summarise(self, table):
-                return len(table)
-
-            def draw(self, table, summary):
-                return len(table) + len(summary)
-
-    assert Old().summarize([1, 2]) == 2
-    with pytest.warns(AstropyDeprecationWarning, match=message):
-        assert Old().summarise([1, 2]) == 2
+    assert sorted(name for name in names if BRITISH.search(name)) == []

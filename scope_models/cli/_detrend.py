@@ -1,6 +1,5 @@
 """``scope-models detrend``: the light curve of a target pixel file, without its systematics."""
 
-from argparse import SUPPRESS
 from pathlib import Path
 
 import scope_models as sm
@@ -35,10 +34,6 @@ def add_parser(commands):
     parser.add_argument(
         "--remove-trend", action="store_true", help="remove the long-term variability too"
     )
-    parser.add_argument(
-        "--method",
-        help=SUPPRESS,  # of the first version; others than the likelihood are refused
-    )
     parser.set_defaults(run=run)
 
 
@@ -49,8 +44,6 @@ def run(arguments):
         "trend": arguments.trend,
         "restore_trend": not arguments.remove_trend,
     }
-    if arguments.method:
-        options["method"] = arguments.method
     if arguments.output_dir is not None:
         return _batch.run("detrend_files", arguments, arguments.input, **options)
     path = _batch.single(arguments)

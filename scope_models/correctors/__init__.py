@@ -19,7 +19,6 @@ __all__ = [
     "PLDFit",
     "PLDModel",
     "PLDOptions",
-    "PLDResult",
     "Regressors",
     "SceneCorrector",
     "SceneResult",
@@ -27,6 +26,3 @@ __all__ = [
     "compare_correctors",
     "detrend_file",
 ]
-
-#: The fit's name in the first version.
-PLDResult = PLDFit

@@ -1,9 +1,6 @@
 """lightkurve's arguments and objects: names of masks, options, basis vectors, design matrices."""
 
-import warnings
-
 import numpy as np
-from astropy.utils.exceptions import AstropyDeprecationWarning
 
 from scope_models._arrays import plain_array
 
@@ -63,7 +60,7 @@ class LightkurveNames(FixedAperture):
 
 def translated(options):
     """
-    Return arguments of `PLDCorrector.correct` for those of lightkurve and of the first version.
+    Return arguments of `PLDCorrector.correct` for those of lightkurve.
 
     Parameters
     ----------
@@ -86,26 +83,11 @@ def translated(options):
         elif name == "propagate_errors":
             if not value:
                 raise ValueError("`propagate_errors` cannot be False: errors are always propagated")
-        elif name == "method":
-            _check_method(value)
         elif name in _SUCCESSORS:
             raise ValueError(f"`{name}` is not an option here: {_SUCCESSORS[name]}")
         else:
             raise TypeError(f"correct() got an unexpected keyword argument {name!r}")
     return found
-
-
-def _check_method(method):
-    if method != "likelihood":
-        raise ValueError(
-            '`method` must be one of ("likelihood",): leave-one-out was no better and has '
-            f"been removed, `held_out` measures predictions; got {method!r}"
-        )
-    warnings.warn(
-        '`method` has one value left, "likelihood": leave it out',
-        AstropyDeprecationWarning,
-        stacklevel=4,
-    )
 
 
 def named_mask(tpf, mask, name):

@@ -9,7 +9,6 @@ import string
 import textwrap
 import types
 import typing
-import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -17,14 +16,12 @@ from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
-from astropy.utils.exceptions import AstropyDeprecationWarning
 
 from scope_models._arrays import plain_tree
 from scope_models._checks import checked_integer, checked_number
 
 __all__ = ["Study", "parameter"]
 
-_RENAMED = "`summarise` of a study has become `summarize`"
 # Between the sections of a docstring.
 _SECTION = re.compile(r"\n\n(?=\w[^\n]*\n---)")
 _RAISES = """Raises
@@ -141,11 +138,6 @@ class Study(ABC):
 
     def __init_subclass__(cls, **kwargs):
         super().__init_subclass__(**kwargs)
-        old = vars(cls).get("summarise")
-        if old is not None and "summarize" not in vars(cls):
-            warnings.warn(_RENAMED, AstropyDeprecationWarning, stacklevel=2)
-            cls.summarize = old
-            del cls.summarise
         own = {key: item for key, item in vars(cls).items() if isinstance(item, dataclasses.Field)}
         if own and cls.__doc__ and "Parameters\n" not in cls.__doc__:
             summary, *rest = _SECTION.split(inspect.cleandoc(cls.__doc__))
@@ -232,22 +224,6 @@ class Study(ABC):
             Numbers, strings, and true or false, by the name of their column.
         """
         return self.measure(task, self.observation(task))
-
-    def summarise(self, table):
-        """Return `summarize`, by its old name, with a deprecation warning.
-
-        Parameters
-        ----------
-        table : astropy.table.Table
-            As for `summarize`.
-
-        Returns
-        -------
-        astropy.table.Table
-            The summary.
-        """
-        warnings.warn(_RENAMED, AstropyDeprecationWarning, stacklevel=2)
-        return self.summarize(table)
 
     @abstractmethod
     def summarize(self, table):

@@ -1,6 +1,5 @@
 """The door in, from target pixel files to arrays, and the door out, with the truth."""
 
-from scope_models import _moved
 from scope_models.io._opening import Conf, conf
 from scope_models.io._truth import Truth
 from scope_models.io.light_curves import make_light_curve_hdulist
@@ -28,5 +27,3 @@ __all__ = [
     "write_hdulist",
     "write_tpf",
 ]
-
-__getattr__ = _moved.renamed(__name__, TPFTruth="Truth")

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 
-from scope_models import _moved
 from scope_models.io._atomic import atomic_path
 from scope_models.io._blocks import CHECKSUM_COMMENT, Block, write_blocks
 from scope_models.io._columns import checked_columns, pixel_columns, table_rows
@@ -22,8 +21,6 @@ __all__ = [
     "write_hdulist",
     "write_tpf",
 ]
-
-__getattr__ = _moved.renamed("scope_models.io", TPFTruth="Truth")
 
 _COSMIC_RAYS = "TARGET COSMIC RAY"
 _COLLECTED, _OPTIMAL = 1, 2

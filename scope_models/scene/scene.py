@@ -1,13 +1,11 @@
 """Scenes: all that a simulation starts from, as Python objects and as what a file holds."""
 
-import warnings
 from collections.abc import Iterable, Mapping
-from dataclasses import InitVar, dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields
 from functools import partial
 from types import MappingProxyType
 
 import numpy as np
-from astropy.utils.exceptions import AstropyDeprecationWarning
 
 from scope_models._arrays import plain_tree
 from scope_models._checks import check_fields, checked_matrix, integer, number
@@ -59,8 +57,6 @@ class Scene(Value):
         The pixels.
     motion : Motion
         The motion that all stars share.
-    options : mapping, optional
-        Deprecated: give the fields by name.
     seed : int, optional
         The seed of the interpixel map and of all noise. None takes one from the operating system
         when the scene is simulated.
@@ -113,7 +109,6 @@ class Scene(Value):
     stars: tuple[Star, ...]
     detector: Detector
     motion: Motion
-    options: InitVar[Mapping | None] = None
     seed: int | None = field(default=None, kw_only=True)
     noise: frozenset = field(default=True, kw_only=True)
     n_sub: int = integer(1, 1, kw_only=True)
@@ -128,19 +123,9 @@ class Scene(Value):
     row: int | None = integer(None, 0, kw_only=True)
     metadata: Mapping = field(default_factory=dict, kw_only=True)
 
-    def __post_init__(self, options):
+    def __post_init__(self):
         """Check every field and bring it to its type."""
         put = partial(object.__setattr__, self)
-        for name, value in (options or {}).items():
-            if name not in {"seed", "noise", "n_sub"}:
-                raise TypeError(f"`options` must hold seed, noise and n_sub, got {name!r}")
-            put(name, value)
-        if options is not None:
-            warnings.warn(
-                "`options` of a Scene is deprecated: give seed, noise and n_sub by name",
-                AstropyDeprecationWarning,
-                stacklevel=3,
-            )
         put("stars", _checked_stars(self.stars))
         for name, kind in (("detector", Detector), ("motion", Motion)):
             if not isinstance(getattr(self, name), kind):
@@ -200,6 +185,15 @@ class Scene(Value):
         for star in self.stars[1:]:
             if star.coord is not None and (star.x_0, star.y_0) != (None, None):
                 raise ValueError("`coord` must not be given together with `x_0` or `y_0`")
+
+    @property
+    def options(self):
+        """Fields beside stars, detector and motion that are not their defaults, and the seed."""
+        options = {"seed": self.seed, "noise": sorted(self.noise), "n_sub": self.n_sub}
+        options |= {"effects": self.effects} if self.effects else {}
+        identity = {name: getattr(self, name) for name in _IDENTITY}
+        options |= {name: value for name, value in identity.items() if value is not None}
+        return options | ({"metadata": dict(self.metadata)} if self.metadata else {})
 
     @property
     def positions(self):
@@ -321,33 +315,6 @@ class Scene(Value):
         stars = place_stars(base, places, mags, others, magnitude_limit, background_stars, psf)
         return base.replace(stars=stars)
 
-    def replace(self, **changes):
-        """Return a scene with some fields changed.
-
-        Parameters
-        ----------
-        **changes
-            Fields of `Scene` and their new values.
-
-        Returns
-        -------
-        Scene
-            The new scene.
-
-        Raises
-        ------
-        TypeError
-            If a field is misspelled.
-
-        Examples
-        --------
-        >>> from scope_models import Detector, Motion, Scene, Star
-        >>> scene = Scene(Star(12.0), Detector.k2(), Motion.still(10))
-        >>> len(scene.replace(motion=Motion.still(20)).motion)
-        20
-        """
-        return replace(self, **{"options": None, **changes})
-
     @documented()
     def plot(self, ax=None):
         """Draw the stamp with the track of the target and the places of the other stars.
@@ -431,19 +398,6 @@ def _middle_year(motion):
     """Return the middle of a motion, Julian years."""
     days = TIME_ZEROS[motion.time_format] + (motion.time[0] + motion.time[-1]) / 2
     return 2000.0 + float(days - 2451545.0) / 365.25
-
-
-def _options(scene):
-    """Fields beside stars, detector and motion that differ from their defaults, and the seed."""
-    options = {"seed": scene.seed, "noise": sorted(scene.noise), "n_sub": scene.n_sub}
-    options |= {"effects": scene.effects} if scene.effects else {}
-    identity = {name: getattr(scene, name) for name in _IDENTITY}
-    options |= {name: value for name, value in identity.items() if value is not None}
-    return options | ({"metadata": dict(scene.metadata)} if scene.metadata else {})
-
-
-# An argument of the same name is deprecated; dataclasses take the default of the two apart.
-Scene.options = property(_options, doc=_options.__doc__)
 
 
 def _checked_stars(stars):

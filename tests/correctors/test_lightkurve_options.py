@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 from astropy.table import Table
-from astropy.utils.exceptions import AstropyDeprecationWarning
 from lightkurve.correctors import DesignMatrix
 from lightkurve.correctors.cbvcorrector import KeplerCotrendingBasisVectors
 
@@ -91,11 +90,6 @@ def test_options_without_counterpart_name_the_successor(corrector, option, match
 def test_misspelled_option(corrector):
     with pytest.raises(TypeError, match="unexpected keyword argument 'ordr'"):
         corrector.correct(ordr=2)
-
-
-def test_the_one_method_is_deprecated(corrector):
-    with pytest.warns(AstropyDeprecationWarning, match='`method` has one value left, "likelihood"'):
-        corrector.correct(method="likelihood")
 
 
 def test_design_matrix(corrector):

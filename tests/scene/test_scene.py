@@ -6,7 +6,6 @@ import astropy.units as u
 import numpy as np
 import pytest
 from astropy.io import fits
-from astropy.utils.exceptions import AstropyDeprecationWarning
 from astropy.wcs import WCS
 from matplotlib import pyplot as plt
 from photutils.psf import MoffatPSF
@@ -158,15 +157,6 @@ def test_units_of_a_scene():
 def test_bad_scenes(changes, error, message):
     with pytest.raises(error, match=message):
         make_scene(**changes)
-
-
-def test_old_options_of_a_scene():
-    with pytest.warns(AstropyDeprecationWarning, match="`options` of a Scene is deprecated"):
-        scene = Scene((Star(12.0),), Detector.k2(), Motion.still(3), {"seed": 1, "noise": False})
-    assert (scene.seed, scene.noise, scene.n_sub) == (1, frozenset(), 1)
-    assert scene.options == {"seed": 1, "noise": [], "n_sub": 1}
-    with pytest.raises(TypeError, match="`options` must hold seed, noise and n_sub, got 'sead'"):
-        Scene((Star(12.0),), Detector.k2(), Motion.still(3), {"sead": 1})
 
 
 def test_scene_shows_what_it_is():
