@@ -21,9 +21,6 @@ _FOLDERS = [
 collect_ignore = [] if find_spec("asdf") else ["scope_models/scene/_asdf.py"]
 
 os.environ["MPLBACKEND"] = "Agg"
-# Many small matrices: threads of the linear algebra library only get in each other's way.
-os.environ.setdefault("OMP_NUM_THREADS", "1")
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 
 @pytest.fixture(autouse=True)

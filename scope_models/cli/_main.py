@@ -6,6 +6,7 @@ import signal
 import sys
 import warnings
 
+from scope_models._threads import one_thread
 from scope_models._version import __version__
 from scope_models.cli import _benchmark, _demo, _detrend, _experiment, _fit, _inject, _simulate
 
@@ -49,7 +50,7 @@ def main(argv=None):
             signal.signal(signal.SIGTERM, _terminate)
         # Its logger takes over warnings when it is imported: before ours, which print one line.
         importlib.import_module("astropy")
-        with warnings.catch_warnings():
+        with warnings.catch_warnings(), one_thread:
             warnings.showwarning = lambda message, *_: _write("warning", message)
             # lightkurve warns at import that an optional part of it is absent
             warnings.filterwarnings("ignore", ".*tpfmodel submodule is not available", UserWarning)

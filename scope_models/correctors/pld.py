@@ -6,6 +6,7 @@ import numpy as np
 from lightkurve.correctors.corrector import Corrector
 
 from scope_models._checks import checked_cadences
+from scope_models._threads import one_thread
 from scope_models._values import frozen
 from scope_models.correctors._lightkurve import (
     LightkurveNames,
@@ -267,22 +268,23 @@ class PLDCorrector(LightkurveNames, Corrector):
         if aperture_mask is not None:
             self._set_aperture(aperture_mask)
         self._restore_trend = restore_trend
-        try:
-            self.result = fit_pixels(
-                self._pixels,
-                options,
-                self._series,
-                mask,
-                transit_mask=in_transit,
-                transit_model=transit_model,
-            )
-            self.model = self.result.model
-        except NothingToCorrectError:
-            message = "the pixel fractions do not vary: the light curve is left as it is"
-            warnings.warn(message, DetrendingWarning, stacklevel=2)
-            self.model = self.result = None
-        self.cadence_mask, self.transit_mask = mask & ~in_transit, in_transit
-        self._finish()
+        with one_thread:
+            try:
+                self.result = fit_pixels(
+                    self._pixels,
+                    options,
+                    self._series,
+                    mask,
+                    transit_mask=in_transit,
+                    transit_model=transit_model,
+                )
+                self.model = self.result.model
+            except NothingToCorrectError:
+                message = "the pixel fractions do not vary: the light curve is left as it is"
+                warnings.warn(message, DetrendingWarning, stacklevel=2)
+                self.model = self.result = None
+            self.cadence_mask, self.transit_mask = mask & ~in_transit, in_transit
+            self._finish()
         return self.corrected_lc
 
     def _finish(self):
@@ -362,7 +364,8 @@ class PLDCorrector(LightkurveNames, Corrector):
         DetrendingWarning
             If the transits were neither masked nor fitted jointly by `correct`.
         """
-        return self._fitted().fit_transit(transit_model)
+        with one_thread:
+            return self._fitted().fit_transit(transit_model)
 
     def held_out(self, width=13):
         """
@@ -385,7 +388,8 @@ class PLDCorrector(LightkurveNames, Corrector):
         used : `~numpy.ndarray`
             Indices of the cadences in the fit, which are the windows one after the other.
         """
-        return self._fitted().held_out(width)
+        with one_thread:
+            return self._fitted().held_out(width)
 
     def _check_corrected(self):
         if not hasattr(self, "_corrected_lc"):

@@ -8,6 +8,7 @@ from astropy.table import QTable
 from lightkurve.correctors.corrector import Corrector
 
 from scope_models._checks import checked_cadences, checked_integer, checked_mask, checked_weights
+from scope_models._threads import one_thread
 from scope_models._values import frozen
 from scope_models.correctors._flux_model import fit_flux
 from scope_models.correctors._injection import transit_column
@@ -311,19 +312,20 @@ class SceneCorrector(FixedAperture, Corrector):
         if transit_model is not None:
             flat = transit_column(transit_model, data.all_times)[data.usable]
             flat = flat if flat.any() else None
-        if self.scene is None:
-            self.scene = fit_scene(
-                data.time, data.flux, data.variance, data.pos_corr, data.peak,
-                known=self._known, well=data.well,
-            )  # fmt: skip
-        self._chosen = self._best(allowed, flat, flux)
-        self.cadence_mask, self.transit_mask = mask & ~in_transit, in_transit
-        self._finish(allowed, has_transit=flat is not None, restore_trend=restore_trend)
-        self.fallback = None
-        if self.saturated or self._is_worse():
-            masks = {"cadence_mask": mask, "transit_mask": in_transit}
-            trend = {"transit_model": transit_model, "restore_trend": restore_trend}
-            self._fall_back(masks | trend)
+        with one_thread:
+            if self.scene is None:
+                self.scene = fit_scene(
+                    data.time, data.flux, data.variance, data.pos_corr, data.peak,
+                    known=self._known, well=data.well,
+                )  # fmt: skip
+            self._chosen = self._best(allowed, flat, flux)
+            self.cadence_mask, self.transit_mask = mask & ~in_transit, in_transit
+            self._finish(allowed, has_transit=flat is not None, restore_trend=restore_trend)
+            self.fallback = None
+            if self.saturated or self._is_worse():
+                masks = {"cadence_mask": mask, "transit_mask": in_transit}
+                trend = {"transit_model": transit_model, "restore_trend": restore_trend}
+                self._fall_back(masks | trend)
         return self.corrected_lc
 
     def _best(self, allowed, flat, kind):
@@ -479,7 +481,8 @@ class SceneCorrector(FixedAperture, Corrector):
             raise ValueError(f"`width` must be at most {self.result.n_used // 2}, got {width}")
         if self.fallback is not None:
             return self.fallback.held_out(width)[:2]
-        return self._chosen.model.held_out(width)
+        with one_thread:
+            return self._chosen.model.held_out(width)
 
     def crowding(self, aperture_mask):
         """
@@ -586,7 +589,8 @@ class SceneCorrector(FixedAperture, Corrector):
         if not column.any():
             return np.nan, np.inf
         use = model.use | self.transit_mask[data.usable]
-        return model.with_flat(column, use).flat_coefficient()
+        with one_thread:
+            return model.with_flat(column, use).flat_coefficient()
 
     def diagnose(self):
         """

@@ -4,7 +4,6 @@ import itertools
 import logging
 import re
 import signal
-import threading
 import traceback
 import warnings
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, wait
@@ -17,10 +16,9 @@ from numbers import Integral
 from pathlib import Path
 
 import numpy as np
-import scipy.linalg  # noqa: F401 - its threads are limited only once it is loaded
-from threadpoolctl import threadpool_limits
 
 from scope_models._checks import checked_integer
+from scope_models._threads import one_thread
 from scope_models.experiments.study import Study
 
 __all__ = [
@@ -31,7 +29,6 @@ __all__ = [
     "checked_tasks",
     "computed",
     "is_address",
-    "one_thread",
     "tpf_path",
 ]
 
@@ -49,34 +46,6 @@ class PixelsNotWrittenError(Exception):
 
 class LostWorkersError(Exception):
     """The workers, or the scheduler that gives them work, are lost."""
-
-
-class _OneThread:
-    """One thread for BLAS and OpenMP, from the first entry to the last exit of any thread.
-
-    The matrices are small, cores are better used by further stars, and the number of threads
-    changes the rounding of the results.
-    """
-
-    def __init__(self):
-        self._lock = threading.Lock()
-        self._depth = 0
-        self._limits = None
-
-    def __enter__(self):
-        with self._lock:
-            if self._depth == 0:
-                self._limits = threadpool_limits(1)
-            self._depth += 1
-
-    def __exit__(self, *_):
-        with self._lock:
-            self._depth -= 1
-            if self._depth == 0:
-                self._limits.restore_original_limits()
-
-
-one_thread = _OneThread()
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ from astropy.utils.exceptions import AstropyDeprecationWarning
 from tqdm import tqdm
 
 from scope_models._checks import checked_integer
+from scope_models._threads import one_thread
 from scope_models._values import Value
 from scope_models.exceptions import FailedStarsWarning
 from scope_models.experiments._store import Store, provenance
@@ -24,7 +25,6 @@ from scope_models.experiments._workers import (
     checked_tasks,
     computed,
     is_address,
-    one_thread,
     tpf_path,
 )
 from scope_models.experiments.study import Study

@@ -8,6 +8,7 @@ import numpy as np
 from astropy.modeling import Model
 
 from scope_models._checks import checked_choice, checked_integer, checked_number
+from scope_models._threads import one_thread
 from scope_models.fitting._data import APART, detector_of, read_data, star_positions
 from scope_models.fitting._gather import (
     LARGEST_FLUX,
@@ -227,7 +228,7 @@ def fit_tpf(
     places = _places(stars, neighbors, series, several=several)
     prf = make_prf(2 if psf is None else psf, sensitivity, options.empirical)
     problem, detectors = _make_problem(series, places, prf, flux_err, neighbor_flux, options)
-    with _progress_bar(progress) as bar:
+    with one_thread, _progress_bar(progress) as bar:
         steps = partial(solve, max_steps=max_steps, report=bar)
         choice = _Choice(psf is None and not empirical, interpixel is None, sensitivity)
         if response != "pixels":

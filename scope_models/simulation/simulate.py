@@ -6,6 +6,7 @@ import numpy as np
 from astropy.table import Table
 
 from scope_models._checks import checked_integer
+from scope_models._threads import one_thread
 from scope_models.effects.noise import (
     add_quantization,
     add_read_noise,
@@ -128,27 +129,28 @@ def simulate(stars, detector=None, motion=None, *, keep_model=False, chunk_size=
     streams = {term: stream(scene.seed, term) for term in scene.noise}
     photons, of_sky = streams.get("photon"), streams.get("background")
     spilled, flux_bkg = 0.0, None
-    for part in pieces(scene, chunk_size):
-        expected = gather(prepared, part, sums, aperture)
-        added, subtracted = pedestal(prepared, part, expected)
-        random = bool(photons or of_sky)
-        if random:
-            charge = poisson_counts(expected, photons) if photons else expected.copy()
-        sky = poisson_counts(added, of_sky, expected.shape) if of_sky else added
-        spilled = max(spilled, fill_wells(scene, expected, added))
-        if random:
-            fill_wells(scene, charge, sky)
-        charge = np.add(charge, sky, out=charge) if random else expected + sky
-        if keep_model:
-            np.divide(expected, scene.detector.exposure_time, out=model[part])
-        background = (subtracted / scene.detector.exposure_time).astype(np.float32)
-        if background.ndim == 2:
-            flux_bkg = np.broadcast_to(background, shape)
-        else:
-            flux_bkg = np.empty(shape, np.float32) if flux_bkg is None else flux_bkg
-            flux_bkg[part] = background
-        piece = {name: cube[part] for name, cube in cubes.items()}
-        _record(prepared, part, (expected, charge), (added, subtracted), streams, piece)
+    with one_thread:
+        for part in pieces(scene, chunk_size):
+            expected = gather(prepared, part, sums, aperture)
+            added, subtracted = pedestal(prepared, part, expected)
+            random = bool(photons or of_sky)
+            if random:
+                charge = poisson_counts(expected, photons) if photons else expected.copy()
+            sky = poisson_counts(added, of_sky, expected.shape) if of_sky else added
+            spilled = max(spilled, fill_wells(scene, expected, added))
+            if random:
+                fill_wells(scene, charge, sky)
+            charge = np.add(charge, sky, out=charge) if random else expected + sky
+            if keep_model:
+                np.divide(expected, scene.detector.exposure_time, out=model[part])
+            background = (subtracted / scene.detector.exposure_time).astype(np.float32)
+            if background.ndim == 2:
+                flux_bkg = np.broadcast_to(background, shape)
+            else:
+                flux_bkg = np.empty(shape, np.float32) if flux_bkg is None else flux_bkg
+                flux_bkg[part] = background
+            piece = {name: cube[part] for name, cube in cubes.items()}
+            _record(prepared, part, (expected, charge), (added, subtracted), streams, piece)
     text = "{} of the charge of a cadence bleeds along full columns"
     _warn_of_loss(text, spilled, scene.detector.shape)
     return Observation(
