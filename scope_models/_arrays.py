@@ -18,6 +18,7 @@ __all__ = [
     "plain_tree",
     "refuse_unit",
     "unmasked",
+    "values_of",
     "without_unit",
 ]
 
@@ -162,6 +163,13 @@ def plain_tree(value, other=None):
     if other is None or isinstance(value, str | int | float | bool | None):
         return value
     return other(value)
+
+
+def values_of(table, name):
+    """Return a column as floats without unit, NaN where there is no value or no column."""
+    if name not in table.colnames:
+        return np.full(len(table), np.nan)
+    return np.ma.filled(np.ma.asarray(table[name].value, dtype=float), np.nan)
 
 
 def refuse_unit(array, name):

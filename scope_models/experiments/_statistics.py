@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from scope_models._arrays import values_of
 from scope_models.experiments.reference import PERCENTILES
 
 __all__ = [
@@ -69,13 +70,6 @@ def checked_claims(claims):
         verdicts[claim] = "holds" if ratios.max() <= 1 else "does not hold"
         checked[claim] = float(ratios.max())
     return verdicts, checked
-
-
-def values_of(table, name):
-    """Return a column as floats without unit, NaN where there is no value or no column."""
-    if name not in table.colnames:
-        return np.full(len(table), np.nan)
-    return np.ma.filled(np.ma.asarray(table[name].value, dtype=float), np.nan)
 
 
 def percentiles(values):

@@ -1,4 +1,4 @@
-"""Figures of single experiments: statistics of motions, maps of a grid, noise of real stars."""
+"""Figures of single experiments: statistics of motions, and maps of a grid."""
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -7,7 +7,7 @@ from matplotlib.ticker import FuncFormatter, NullLocator
 from scope_models.plotting._style import make_panels, styled
 from scope_models.plotting.experiments import plot_map
 
-__all__ = ["plot_maps", "plot_motion_statistics", "plot_precision"]
+__all__ = ["plot_maps", "plot_motion_statistics"]
 
 _MARKERS = "os^Dvp*X"
 _TITLES = {"mean": "Mean", "std": "Standard deviation", "maximum": "Maximum"}
@@ -95,42 +95,4 @@ def plot_maps(maps, rows, columns, **labels):
             value, rows, columns, **labels, label=label, span=span, title=title, ax=ax,
             text=lambda number: format(10**number, text),
         )  # fmt: skip
-    return figure
-
-
-@styled
-def plot_precision(stars, reference):
-    """
-    Draw the noise of stars before and after a correction over their magnitude.
-
-    Parameters
-    ----------
-    stars : mapping of str to array_like
-        Per star, ``(n,)`` each: "mag", "raw_cdpp" and "cdpp" (ppm). NaN is not drawn.
-    reference : mapping of str to mapping
-        For each label "mag", "p10" and "median" (ppm), ``(k,)`` each.
-
-    Returns
-    -------
-    `~matplotlib.figure.Figure`
-        The figure.
-
-    Examples
-    --------
-    >>> from scope_models.plotting.statistics import plot_precision
-    >>> stars = {"mag": [12.0, 14.0], "raw_cdpp": [200, 300], "cdpp": [25, 60]}
-    >>> kepler = {"mag": [12, 14], "p10": [17, 43], "median": [26, 53]}
-    >>> plot_precision(stars, {"Kepler": kepler}).axes[0].get_xlabel()
-    'Magnitude'
-    """
-    figure, axes = plt.subplots(figsize=(6.4, 4.6), layout="constrained")
-    for (label, values), style in zip(reference.items(), ("k--", "k:", "k-."), strict=False):
-        axes.plot(values["mag"], values["median"], style, lw=1.2, label=f"{label}, median")
-    mag = np.asarray(stars["mag"], dtype=float)
-    axes.plot(mag, stars["raw_cdpp"], ".", color="0.6", label="before")
-    axes.plot(mag, stars["cdpp"], ".", color="#2c5aa0", label="corrected")
-    axes.set(yscale="log", xlabel="Magnitude", ylabel="6.5-h CDPP (ppm)")
-    if np.isfinite(mag).any():
-        axes.set_xlim(np.nanmin(mag) - 0.5, np.nanmax(mag) + 0.5)
-    axes.legend(fontsize="small")
     return figure

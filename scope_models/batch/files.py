@@ -1,29 +1,18 @@
 """One call for many files: correct, fit, inject, and simulate the stars of a table.
 
-Each is a study whose stars are files, so that workers, results in one SQLite file, resuming and
-failures are those of `~scope_models.experiments.run_sweep`.
+Each is a sweep whose stars are files, so that workers, results in one SQLite file, resuming and
+failures are those of `~scope_models.batch.run_sweep`.
 """
 
-import json
 import os
-import re
-import warnings
-from dataclasses import dataclass, fields
-from functools import partial
 from pathlib import Path
-from typing import ClassVar
 
 import numpy as np
 from astropy.table import Table
 
-from scope_models._arrays import without_unit
+from scope_models._arrays import values_of, without_unit
 from scope_models._docstrings import documented
-from scope_models.experiments._correctors import CONVENTIONS
-from scope_models.experiments._statistics import percentiles, values_of
-from scope_models.experiments._store import FILE
-from scope_models.experiments.experiment import run_experiment
-from scope_models.experiments.reference import read_reference
-from scope_models.experiments.study import Study
+from scope_models.batch._many import FITS, RUN, run_files
 from scope_models.io import read_pixels, read_tpf, write_hdulist
 from scope_models.io._atomic import check_output
 from scope_models.io._opening import naming
@@ -42,18 +31,8 @@ __all__ = [
     "simulate_table",
 ]
 
-#: Arguments of all functions that run over many files.
-RUN = """
-client : distributed.Client, str, int or concurrent.futures.Executor, optional
-    What computes, as in `run_sweep`.
-overwrite : bool, optional
-    Whether a new run may replace files in the folder.
-sweep : mapping, optional
-    Options of `run_sweep`: retry_failed, progress, chunk_size and in_flight.
-"""
 _PLANET = ("period", "t0", "depth", "duration")
-_FITS = re.compile(r"\.(fits|fit|fts)(\.gz)?$", re.IGNORECASE)
-_LONGEST = 300  # characters of the warnings of a star
+_PLANET_UNITS = {"mag": "mag"} | dict.fromkeys(("period", "t0", "duration"), "d")
 
 
 @documented(run=RUN)
@@ -65,7 +44,7 @@ def detrend_files(paths, output_dir, client=None, *, overwrite=False, sweep=None
     paths : sequence of str or path-like
         Target pixel files; names of targets are searched and downloaded (`find_files`).
     output_dir : str or path-like
-        Folder for the light curves, ``NAME-lc.fits``, and the results, as `run_experiment` writes
+        Folder for the light curves, ``NAME-lc.fits``, and the results, as `run_sweep` writes
         them: the same call goes on where an earlier one stopped.
     {run}
     **options
@@ -75,7 +54,7 @@ def detrend_files(paths, output_dir, client=None, *, overwrite=False, sweep=None
 
     Returns
     -------
-    ExperimentResult
+    SweepResult
         A row per file with its noise before and after in ppm (6.5-h CDPP in both conventions),
         crowding as the header has it, transit survival and warnings; medians by magnitude;
         failures; and the files.
@@ -85,7 +64,7 @@ def detrend_files(paths, output_dir, client=None, *, overwrite=False, sweep=None
     ValueError
         If a file is given twice, two have the same name, or one would be replaced.
     OSError, SweepError
-        As `run_experiment`; SweepError if all files fail.
+        As `run_sweep`; SweepError if all files fail.
 
     Warns
     -----
@@ -95,7 +74,7 @@ def detrend_files(paths, output_dir, client=None, *, overwrite=False, sweep=None
     Examples
     --------
     >>> from scope_models import Detector, Motion, Star, simulate
-    >>> from scope_models.experiments.batch import detrend_files
+    >>> from scope_models.batch import detrend_files
     >>> motion = Motion.k2_roll(300)
     >>> paths = [
     ...     simulate(Star(mag), Detector.k2(shape=(9, 9)), motion, seed=1).write(f"kp{mag}.fits")
@@ -106,7 +85,13 @@ def detrend_files(paths, output_dir, client=None, *, overwrite=False, sweep=None
     >>> bool((result.table["cdpp"] < result.table["raw_cdpp"]).all())
     True
     """
-    return _Detrend.run(find_files(paths), output_dir, client, overwrite, sweep, options)
+    units = {"mag": "mag"} | dict.fromkeys(
+        ("raw_cdpp", "cdpp", "raw_cdpp_lightkurve", "cdpp_lightkurve"), "ppm"
+    )
+    return run_files(
+        _detrended, find_files(paths), output_dir, client, name="detrend", suffix="-lc.fits",
+        options=options, units=units, draw=_noise_figure, overwrite=overwrite, sweep=sweep,
+    )  # fmt: skip
 
 
 @documented(run=RUN)
@@ -126,7 +111,7 @@ def fit_files(paths, output_dir, client=None, *, overwrite=False, sweep=None, **
 
     Returns
     -------
-    ExperimentResult
+    SweepResult
         A row per file: chi-squared per degree of freedom, cadences, median flux, and the fitted
         parameters.
 
@@ -138,14 +123,18 @@ def fit_files(paths, output_dir, client=None, *, overwrite=False, sweep=None, **
     Examples
     --------
     >>> from scope_models import Detector, Motion, Star, simulate
-    >>> from scope_models.experiments.batch import fit_files
+    >>> from scope_models.batch import fit_files
     >>> detector = Detector.k2(shape=(7, 7))
     >>> path = simulate(Star(11), detector, Motion.k2_roll(100), seed=1).write("star.fits")
     >>> result = fit_files([path], "fits", psf=1, sweep={"progress": False})
     >>> result.table["n_cadences"].tolist()
     [95]
     """
-    return _Fit.run(find_files(paths), output_dir, client, overwrite, sweep, options)
+    units = {"mag": "mag", "flux": "electron / s"}
+    return run_files(
+        _fitted, find_files(paths), output_dir, client, name="fit", suffix="-fit.fits",
+        options=options, units=units, overwrite=overwrite, sweep=sweep,
+    )  # fmt: skip
 
 
 @documented(run=RUN)
@@ -173,7 +162,7 @@ def inject_files(
 
     Returns
     -------
-    ExperimentResult
+    SweepResult
         A row per file with the planet and the expected depth in all pixels.
 
     Raises
@@ -186,7 +175,7 @@ def inject_files(
     Examples
     --------
     >>> from scope_models import Detector, Motion, Star, simulate
-    >>> from scope_models.experiments.batch import inject_files
+    >>> from scope_models.batch import inject_files
     >>> detector = Detector.k2(shape=(9, 9))
     >>> path = simulate(Star(11), detector, Motion.k2_roll(100), seed=1).write("one.fits")
     >>> planet = {"period": [1.0], "t0": [2145.0], "depth": [0.01], "duration": [0.2]}
@@ -206,7 +195,10 @@ def inject_files(
         )
     rows = [{name: float(row[name]) for name in _PLANET} for row in planets]
     rows = rows if len(rows) > 1 else rows * len(files)
-    return _Inject.run(files, output_dir, client, overwrite, sweep, {"star": star}, rows, seed)
+    return run_files(
+        _injected, files, output_dir, client, name="inject", suffix="-injected.fits", rows=rows,
+        options={"star": star}, seed=seed, units=_PLANET_UNITS, overwrite=overwrite, sweep=sweep,
+    )  # fmt: skip
 
 
 def inject_file(path, planet, output, *, star=None, seed=1, overwrite=False):
@@ -241,7 +233,7 @@ def inject_file(path, planet, output, *, star=None, seed=1, overwrite=False):
     Examples
     --------
     >>> from scope_models import Detector, Motion, Star, simulate
-    >>> from scope_models.experiments.batch import inject_file
+    >>> from scope_models.batch import inject_file
     >>> detector = Detector.k2(shape=(9, 9))
     >>> path = simulate(Star(11), detector, Motion.k2_roll(100), seed=1).write("two.fits")
     >>> planet = {"period": 1.0, "t0": 2145.0, "depth": 0.01, "duration": 0.2}
@@ -302,7 +294,7 @@ def simulate_table(
 
     Returns
     -------
-    ExperimentResult
+    SweepResult
         A row per star: what the table has, and the noise of the aperture.
 
     Raises
@@ -314,7 +306,7 @@ def simulate_table(
 
     Examples
     --------
-    >>> from scope_models.experiments.batch import simulate_table
+    >>> from scope_models.batch import simulate_table
     >>> stars = {"name": ["faint", "bright"], "mag": [14.0, 11.0]}
     >>> result = simulate_table(stars, "stars", cadences=100, sweep={"progress": False})
     >>> sorted(path.name for path in result.files[0].parent.glob("*.fits"))
@@ -343,7 +335,11 @@ def simulate_table(
     width = max(4, len(str(len(rows))))
     names = [str(row.get("name", f"star{n:0{width}d}")) for n, row in enumerate(rows, start=1)]
     options = {"detector": str(detector), "motion": str(motion), "cadences": cadences}
-    return _Simulate.run(names, output_dir, client, overwrite, sweep, options, rows, seed)
+    return run_files(
+        _simulated, names, output_dir, client, name="simulate", suffix=".fits", rows=rows,
+        inputs=[str(path) for path in (detector, motion) if path], options=options, seed=seed,
+        units=_PLANET_UNITS | {"cdpp": "ppm"}, overwrite=overwrite, sweep=sweep,
+    )  # fmt: skip
 
 
 def find_files(paths):
@@ -372,7 +368,7 @@ def find_files(paths):
 
     Examples
     --------
-    >>> from scope_models.experiments.batch import find_files
+    >>> from scope_models.batch import find_files
     >>> find_files(["absent.fits", "absent.fits"])
     Traceback (most recent call last):
     ...
@@ -383,7 +379,7 @@ def find_files(paths):
     found = {}
     for path in paths:
         text = os.fspath(path)
-        if not Path(text).exists() and not _FITS.search(text) and not Path(text).parent.name:
+        if not Path(text).exists() and not FITS.search(text) and not Path(text).parent.name:
             text = _downloaded(text)
         key = os.path.realpath(text)
         if key in found:
@@ -408,15 +404,6 @@ def _downloaded(name):
     return tpf.path
 
 
-def _identity(path):
-    """Return what is the same for all links to a file: device and inode, or the path if absent."""
-    try:
-        state = Path(path).stat()
-    except OSError:
-        return os.path.realpath(path)
-    return state.st_dev, state.st_ino
-
-
 def _detector(name):
     """Return the detector of a name or a file."""
     if name.endswith(".toml"):
@@ -427,116 +414,12 @@ def _detector(name):
     return Detector.preset(name)
 
 
-@dataclass(frozen=True, kw_only=True)
-class FileStudy(Study):
-    """Base of studies whose stars are files. Only the options are its configuration."""
+def _noise_figure(table, _):
+    """Return a figure of the noise over the magnitude."""
+    from scope_models.plotting.noise import plot_precision  # imports matplotlib
 
-    suffix: ClassVar[str] = ""
-
-    files: tuple[str, ...] = ()
-    rows: tuple[str, ...] = ()
-    folder: str = ""
-    options: str = "{}"
-
-    @classmethod
-    def run(cls, files, folder, client, overwrite, sweep, options, rows=(), seed=1):
-        """Run the study after a check of its options and of what it would write."""
-        for name, value in options.items():
-            if not isinstance(value, (bool, int, float, str, type(None))):
-                raise TypeError(f"`{name}` must be a number, text, or true or false, got {value!r}")
-        folder = Path(folder).absolute()
-        study = cls(
-            files=files, rows=tuple(map(json.dumps, rows)), folder=str(folder), seed=seed,
-            options=json.dumps(options, sort_keys=True),
-        )  # fmt: skip
-        outputs = [study.output_of(task["key"]) for task in study.tasks()]
-        replaced = {_identity(path) for path in outputs}
-        for name in study.input_paths():
-            if _identity(name) in replaced:
-                raise ValueError(f"{name} would be replaced by an output: choose another folder")
-        for path in () if overwrite or (folder / FILE).exists() else outputs:
-            if path.exists():
-                raise FileExistsError(f"{path} exists already; pass overwrite=True to replace it")
-        return run_experiment(study, folder, client, **(sweep or {}))
-
-    def __reduce__(self):
-        """Leave out the lists, which tasks have star by star, for workers."""
-        names = [item.name for item in fields(self) if item.name not in {"files", "rows"}]
-        return partial(type(self), **{name: getattr(self, name) for name in names}), ()
-
-    def config(self):
-        """Return the name of the study and its options."""
-        return {"study": self.name, "seed": self.seed, **json.loads(self.options)}
-
-    def input_files(self):
-        """Return no files: each task has the size and the age of its own."""
-        return []
-
-    def input_paths(self):
-        """Return the files that must not be replaced."""
-        return self.files
-
-    def tasks(self):
-        """Return one task per file."""
-        tasks, keys = [], {}
-        for file in self.files:
-            key = re.sub(r"[^A-Za-z0-9._+=-]", "_", _FITS.sub("", Path(file).name)).strip("._-")
-            if key in keys:
-                raise ValueError(f"{keys[key]} and {file} would both become {key}{self.suffix}")
-            keys[key] = file
-            tasks.append({"key": key, "file": file} | _state(file))
-        for task, row in zip(tasks, self.rows, strict=False):
-            task.update(json.loads(row))
-        return tasks
-
-    def output_of(self, key):
-        """Return the file that is written for a star."""
-        return Path(self.folder) / f"{key}{self.suffix}"
-
-    def has_output(self, task):
-        """Return whether the file of a star is there."""
-        return self.output_of(task["key"]).is_file()
-
-    def run_star(self, task):
-        """Write the file of a star and return what is measured."""
-        with warnings.catch_warnings(record=True) as caught:
-            warnings.simplefilter("always")
-            row = self.work(task, json.loads(self.options), self.output_of(task["key"]))
-        texts = dict.fromkeys(" ".join(str(item.message).split()) for item in caught)
-        texts = [text for text in texts if "tpfmodel submodule" not in text]
-        return row | {"n_warnings": len(texts), "warnings": "; ".join(texts)[:_LONGEST]}
-
-    def summarize(self, table):
-        """Return the medians of all columns of numbers, by half magnitudes."""
-        names = [
-            name
-            for name in table.colnames
-            if table[name].dtype.kind in "fi" and name not in {"bytes", "changed", "mag"}
-        ]
-        mag = values_of(table, "mag")
-        bins = np.round(2 * mag) / 2
-        rows = []
-        for center in (*np.unique(bins[np.isfinite(bins)]), np.nan):
-            chosen = np.isnan(bins) if np.isnan(center) else bins == center
-            if chosen.any():
-                row = {"mag": center, "stars": int(chosen.sum())}
-                for name in names:
-                    row[name] = percentiles(values_of(table[chosen], name))[1]
-                rows.append(row)
-        return Table(rows)
-
-    def draw(self, table, summary):
-        """Draw nothing."""
-        return
-
-
-def _state(file):
-    """Return size and age of a file, so that one that has changed is computed again."""
-    try:
-        state = Path(file).stat()
-    except OSError:
-        return {"bytes": -1, "changed": 0}
-    return {"bytes": state.st_size, "changed": state.st_mtime_ns}
+    columns = ("mag", "raw_cdpp", "cdpp")
+    return plot_precision({name: values_of(table, name) for name in columns})
 
 
 def _header_row(series):
@@ -553,46 +436,6 @@ def _number(value):
     return float(value) if isinstance(value, (int, float)) else np.nan
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Detrend(FileStudy):
-    """Light curves of files."""
-
-    name: ClassVar[str] = "detrend"
-    suffix: ClassVar[str] = "-lc.fits"
-    units: ClassVar[dict] = {
-        "mag": "mag", "raw_cdpp": "ppm", "cdpp": "ppm", "raw_cdpp_lightkurve": "ppm",
-        "cdpp_lightkurve": "ppm",
-    }  # fmt: skip
-
-    def work(self, task, options, output):
-        """Correct a file."""
-        from scope_models.correctors import detrend_file  # imports lightkurve
-
-        corrector = detrend_file(task["file"], output, overwrite=True, **options)
-        row = _header_row(read_pixels(corrector.tpf))
-        row["n_pixels"] = int(corrector.aperture_mask.sum())
-        for prefix, lc in (("raw_", corrector.original_lc), ("", corrector.corrected_lc)):
-            for method in CONVENTIONS:
-                end = "" if method == "everest" else f"_{method}"
-                row[f"{prefix}cdpp{end}"] = _cdpp(lc, method)
-        row["crowding"] = _number(corrector.tpf.hdu[1].header.get("CROWDSAP"))
-        found = corrector.result if options.get("survival", True) else None
-        row["survival"] = _number(getattr(found, "transit_survival", None))
-        row["n_outliers"] = int(np.sum(corrector.outlier_mask))
-        return row
-
-    def draw(self, table, summary):
-        """Draw the noise over the magnitude, beside Kepler's and K2's."""
-        from scope_models.plotting.statistics import plot_precision  # imports matplotlib
-
-        reference = {
-            "Kepler": read_reference("kepler"),
-            "K2 C3, EVEREST": read_reference("k2_c03_everest"),
-        }
-        columns = ("mag", "raw_cdpp", "cdpp")
-        return plot_precision({name: values_of(table, name) for name in columns}, reference)
-
-
 def _cdpp(lc, method):
     """Return the noise of a light curve, NaN if it is too short."""
     try:
@@ -601,98 +444,71 @@ def _cdpp(lc, method):
         return np.nan
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Fit(FileStudy):
-    """Fits of files."""
+def _detrended(task, output, seed, **options):  # noqa: ARG001 - nothing is drawn
+    """Correct a file."""
+    from scope_models.correctors import detrend_file  # imports lightkurve
 
-    name: ClassVar[str] = "fit"
-    suffix: ClassVar[str] = "-fit.fits"
-    units: ClassVar[dict] = {"mag": "mag", "flux": "electron / s"}
-
-    def work(self, task, options, output):
-        """Fit a file."""
-        from scope_models import fit_tpf
-
-        if options.pop("sensitivity", False):
-            from scope_models.models import SensitivityPolynomial
-
-            options["sensitivity"] = SensitivityPolynomial(fixed={"ax1": True, "ay1": True})
-        tpf = read_tpf(task["file"])
-        tpf = tpf[: options.pop("cadences", 0) or None]
-        fit = fit_tpf(tpf, **options)
-        fit.write(output, overwrite=True)
-        row = _header_row(read_pixels(tpf)) | {
-            "n_cadences": len(fit.time),
-            "reduced_chi2": float(fit.reduced_chi2),
-            "flux": float(np.nanmedian(np.asarray(getattr(fit.flux, "value", fit.flux)))),
-        }
-        for parameter in fit.table():
-            value = parameter["value"]
-            row[f"{parameter['name']}"] = float(getattr(value, "value", value))
-        return row
+    corrector = detrend_file(task["file"], output, overwrite=True, **options)
+    row = _header_row(read_pixels(corrector.tpf))
+    row["n_pixels"] = int(corrector.aperture_mask.sum())
+    for prefix, lc in (("raw_", corrector.original_lc), ("", corrector.corrected_lc)):
+        row[f"{prefix}cdpp"] = _cdpp(lc, "everest")
+        row[f"{prefix}cdpp_lightkurve"] = _cdpp(lc, "lightkurve")
+    row["crowding"] = _number(corrector.tpf.hdu[1].header.get("CROWDSAP"))
+    found = corrector.result if options.get("survival", True) else None
+    row["survival"] = _number(getattr(found, "transit_survival", None))
+    row["n_outliers"] = int(np.sum(corrector.outlier_mask))
+    return row
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Inject(FileStudy):
-    """Files with transits."""
+def _fitted(task, output, seed, *, sensitivity=False, cadences=0, **options):  # noqa: ARG001
+    """Fit a file."""
+    from scope_models import fit_tpf
 
-    name: ClassVar[str] = "inject"
-    suffix: ClassVar[str] = "-injected.fits"
-    units: ClassVar[dict] = dict.fromkeys(("period", "t0", "duration"), "d") | {"mag": "mag"}
+    if sensitivity:
+        from scope_models.models import SensitivityPolynomial
 
-    def work(self, task, options, output):
-        """Inject into a file."""
-        seed = self.star_seed(task["key"])
-        return inject_file(
-            task["file"], task, output, star=options["star"], seed=seed, overwrite=True
-        )
+        options["sensitivity"] = SensitivityPolynomial(fixed={"ax1": True, "ay1": True})
+    tpf = read_tpf(task["file"])[: cadences or None]
+    fit = fit_tpf(tpf, **options)
+    fit.write(output, overwrite=True)
+    row = _header_row(read_pixels(tpf)) | {
+        "n_cadences": len(fit.time),
+        "reduced_chi2": float(fit.reduced_chi2),
+        "flux": float(np.nanmedian(without_unit(fit.flux))),
+    }
+    for parameter in fit.table():
+        row[str(parameter["name"])] = float(without_unit(parameter["value"]))
+    return row
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Simulate(FileStudy):
-    """Stars of a table."""
+def _injected(task, output, seed, *, star):
+    """Inject into a file."""
+    return inject_file(task["file"], task, output, star=star, seed=seed, overwrite=True)
 
-    name: ClassVar[str] = "simulate"
-    suffix: ClassVar[str] = ".fits"
-    units: ClassVar[dict] = dict.fromkeys(("period", "t0", "duration"), "d") | {
-        "mag": "mag", "cdpp": "ppm",
-    }  # fmt: skip
 
-    def input_paths(self):
-        """Return the files of detector and motion."""
-        options = json.loads(self.options)
-        return [options[name] for name in ("detector", "motion") if options[name]]
-
-    def tasks(self):
-        """Return one task per row of the table."""
-        tasks = super().tasks()
-        for task in tasks:
-            for name in ("file", "bytes", "changed"):
-                del task[name]
-        return tasks
-
-    def work(self, task, options, output):
-        """Simulate a star."""
-        detector, cadences = _detector(options["detector"]), options["cadences"]
-        if options["motion"]:
-            motion = Motion.from_file(options["motion"])[:cadences]
-        elif detector.mission == "K2":
-            motion = Motion.k2_roll(cadences)
-        else:
-            zero = MISSIONS.get(detector.mission, MISSIONS["Kepler"]).time_format
-            motion = Motion.still(cadences, cadence=detector.cadence_days, time_format=zero)
-        signal = None
-        if "depth" in task:
-            signal = TransitModel.from_depth_duration(
-                task["depth"], task["duration"], task["period"], motion.time[0] + task["t0"],
-                exposure_time=detector.cadence_days,
-            )  # fmt: skip
-        star = Star(task["mag"], task.get("x_0"), task.get("y_0"), signal=signal)
-        observation = simulate(star, detector, motion, seed=self.star_seed(task["key"]))
-        observation.write(output, overwrite=True, metadata={"object_name": task["key"]})
-        flux = observation.flux[:, observation.aperture].sum(axis=1, dtype=float)
-        return {
-            "n_cadences": len(motion),
-            "n_pixels": int(observation.aperture.sum()),
-            "cdpp": _cdpp(flux, "everest"),
-        }
+def _simulated(task, output, seed, *, detector, motion, cadences):
+    """Simulate a star."""
+    detector = _detector(detector)
+    if motion:
+        motion = Motion.from_file(motion)[:cadences]
+    elif detector.mission == "K2":
+        motion = Motion.k2_roll(cadences)
+    else:
+        zero = MISSIONS.get(detector.mission, MISSIONS["Kepler"]).time_format
+        motion = Motion.still(cadences, cadence=detector.cadence_days, time_format=zero)
+    signal = None
+    if "depth" in task:
+        signal = TransitModel.from_depth_duration(
+            task["depth"], task["duration"], task["period"], motion.time[0] + task["t0"],
+            exposure_time=detector.cadence_days,
+        )  # fmt: skip
+    star = Star(task["mag"], task.get("x_0"), task.get("y_0"), signal=signal)
+    observation = simulate(star, detector, motion, seed=seed)
+    observation.write(output, overwrite=True, metadata={"object_name": task["key"]})
+    flux = observation.flux[:, observation.aperture].sum(axis=1, dtype=float)
+    return {
+        "n_cadences": len(motion),
+        "n_pixels": int(observation.aperture.sum()),
+        "cdpp": _cdpp(flux, "everest"),
+    }

@@ -1,0 +1,33 @@
+"""Many stars and many files: on one machine or many, kept as they are finished, and resumed.
+
+`run_sweep` computes a function of many stars; `detrend_files`, `fit_files`, `inject_files` and
+`simulate_table` are sweeps whose stars are files.
+"""
+
+import lazy_loader
+
+__all__ = [
+    "SweepError",
+    "SweepResult",
+    "detrend_files",
+    "find_files",
+    "fit_files",
+    "inject_file",
+    "inject_files",
+    "run_sweep",
+    "simulate_table",
+    "star_rng",
+    "star_seed",
+]
+
+# Public names are imported at first use, as in the package itself.
+__getattr__, __dir__, _ = lazy_loader.attach(
+    __name__,
+    submod_attrs={
+        "files": [
+            "detrend_files", "find_files", "fit_files", "inject_file", "inject_files",
+            "simulate_table",
+        ],
+        "sweep": ["SweepError", "SweepResult", "run_sweep", "star_rng", "star_seed"],
+    },
+)  # fmt: skip

@@ -1,0 +1,118 @@
+"""A function that writes a file, for many files: checks of what it would write, and resuming."""
+
+import os
+import re
+import warnings
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from astropy.table import Table
+
+from scope_models._arrays import values_of
+from scope_models.batch._store import FILE
+from scope_models.batch.sweep import run_sweep, star_seed
+
+__all__ = ["FITS", "RUN", "run_files"]
+
+#: Arguments of all functions that run over many files.
+RUN = """
+client : distributed.Client, str, int or concurrent.futures.Executor, optional
+    What computes, as in `run_sweep`.
+overwrite : bool, optional
+    Whether a new run may replace files in the folder.
+sweep : mapping, optional
+    Options of `run_sweep`: retry_failed, progress, chunk_size and in_flight.
+"""
+#: How the names of FITS files end.
+FITS = re.compile(r"\.(fits|fit|fts)(\.gz)?$", re.IGNORECASE)
+_LONGEST = 300  # characters of the warnings of a star
+
+
+def run_files(
+    work, names, folder, client, *, name, suffix, options, units=None, rows=None, inputs=None,
+    seed=1, draw=None, overwrite=False, sweep=None,
+):  # fmt: skip
+    """Run a function that writes a file over many files or names.
+
+    Options and outputs are checked first. ``work(task, output, seed, **options)`` writes a file and
+    returns a row. The tasks hold ``rows`` and, without ``inputs``, the names, which are files then;
+    ``inputs`` are files that must not be replaced.
+    """
+    for option, value in options.items():
+        if not isinstance(value, (bool, int, float, str, type(None))):
+            raise TypeError(f"`{option}` must be a number, text, or true or false, got {value!r}")
+    folder, tasks, keys = Path(folder).absolute(), [], {}
+    for file, row in zip(names, rows or [{}] * len(names), strict=True):
+        key = re.sub(r"[^A-Za-z0-9._+=-]", "_", FITS.sub("", Path(file).name)).strip("._-")
+        if key in keys:
+            raise ValueError(f"{keys[key]} and {file} would both become {key}{suffix}")
+        keys[key] = file
+        tasks.append({"key": key} | ({"file": file} | _state(file) if inputs is None else {}) | row)
+    outputs = [_output(folder, suffix, task) for task in tasks]
+    replaced = {_identity(path) for path in outputs}
+    for file in names if inputs is None else inputs:
+        if _identity(file) in replaced:
+            raise ValueError(f"{file} would be replaced by an output: choose another folder")
+    for path in () if overwrite or (folder / FILE).exists() else outputs:
+        if path.exists():
+            raise FileExistsError(f"{path} exists already; pass overwrite=True to replace it")
+    return run_sweep(
+        partial(_worked, work, options, folder, suffix, seed), tasks, folder, client, name=name,
+        config={"seed": seed, **options}, units=units, summarize=_medians, draw=draw,
+        has_output=lambda task: _output(folder, suffix, task).is_file(), **(sweep or {}),
+    )  # fmt: skip
+
+
+def _output(folder, suffix, task):
+    """Return the file that is written for a star."""
+    return folder / f"{task['key']}{suffix}"
+
+
+def _worked(work, options, folder, suffix, seed, task):
+    """Write the file of a star and return what is measured, with the warnings."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        output = _output(folder, suffix, task)
+        row = work(task, output, star_seed(seed, task["key"]), **options)
+    texts = dict.fromkeys(" ".join(str(item.message).split()) for item in caught)
+    texts = [text for text in texts if "tpfmodel submodule" not in text]
+    return row | {"n_warnings": len(texts), "warnings": "; ".join(texts)[:_LONGEST]}
+
+
+def _medians(table):
+    """Return the medians of all columns of numbers, by half magnitudes."""
+    names = [
+        name
+        for name in table.colnames
+        if table[name].dtype.kind in "fi" and name not in {"bytes", "changed", "mag"}
+    ]
+    bins = np.round(2 * values_of(table, "mag")) / 2
+    rows = []
+    for center in (*np.unique(bins[np.isfinite(bins)]), np.nan):
+        chosen = np.isnan(bins) if np.isnan(center) else bins == center
+        if chosen.any():
+            rows.append({"mag": center, "stars": int(chosen.sum())})
+            for name in names:
+                values = values_of(table[chosen], name)
+                finite = values[np.isfinite(values)]
+                rows[-1][name] = float(np.median(finite)) if len(finite) else np.nan
+    return Table(rows)
+
+
+def _state(file):
+    """Return size and age of a file, so that one that has changed is computed again."""
+    try:
+        state = Path(file).stat()
+    except OSError:
+        return {"bytes": -1, "changed": 0}
+    return {"bytes": state.st_size, "changed": state.st_mtime_ns}
+
+
+def _identity(path):
+    """Return what is the same for all links to a file: device and inode, or the path if absent."""
+    try:
+        state = Path(path).stat()
+    except OSError:
+        return os.path.realpath(path)
+    return state.st_dev, state.st_ino

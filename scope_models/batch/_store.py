@@ -1,0 +1,197 @@
+"""The stars of a sweep in one SQLite file, written by one run at a time."""
+
+import errno
+import hashlib
+import json
+import sqlite3
+import time
+import warnings
+import zlib
+from contextlib import contextmanager
+from pathlib import Path
+
+from scope_models.exceptions import DamagedResultWarning
+
+__all__ = ["FILE", "Store"]
+
+#: Name of the file in a results directory.
+FILE = "results.sqlite"
+_OUTPUTS = ("results.ecsv", "summary.ecsv", "failures.ecsv", "figure.png")
+# Seconds of work that a power failure may cost.
+_SYNC_INTERVAL = 5.0
+_SCHEMA = """
+    CREATE TABLE IF NOT EXISTS config (value TEXT NOT NULL);
+    CREATE TABLE IF NOT EXISTS stars (key TEXT PRIMARY KEY, record TEXT NOT NULL, crc INTEGER);
+"""
+
+
+class Store:
+    """The records of a sweep, in a results directory or, without one, in memory.
+
+    A record is a dictionary: "task", and either "row" or "error" and "traceback". Records of other
+    tasks than those given are ignored, damaged ones are left out with a warning. The connection
+    holds an exclusive lock on the file, which ends with the process, however it ends. A directory
+    of another configuration, version or origin, or a damaged file, is a ValueError; one that cannot
+    be written to, or that another run is writing to, an OSError.
+    """
+
+    def __init__(self, directory, config, inputs, tasks):
+        self.directory = directory
+        self._path = Path(":memory:") if directory is None else _file_in(directory)
+        self._failed = {}
+        self._synced = time.monotonic()
+        self._connection = None
+        with self._clear_errors():
+            self._connection = sqlite3.connect(self._path, timeout=0, isolation_level=None)
+            self._connection.text_factory = bytes  # damaged text may not be UTF-8
+        try:
+            with self._clear_errors():
+                self._begin(config, inputs)
+                self._load({task["key"]: task for task in tasks})
+        except BaseException:
+            self.close()
+            raise
+
+    def _begin(self, config, inputs):
+        """Lock the file, and check that it belongs to the same configuration and inputs."""
+        made = dict(config)
+        for path in inputs:
+            with Path(path).open("rb") as file:
+                made[f"contents of {path}"] = hashlib.file_digest(file, "sha256").hexdigest()
+        execute = self._connection.execute
+        # An exclusive lock needs no shared memory, so that network file systems serve too.
+        execute("PRAGMA locking_mode = EXCLUSIVE")
+        execute("PRAGMA journal_mode = WAL")
+        execute("PRAGMA synchronous = NORMAL")
+        self._connection.executescript(f"BEGIN IMMEDIATE; {_SCHEMA} COMMIT;")
+        found = execute("SELECT value FROM config").fetchone()
+        if found is None:
+            execute("INSERT INTO config VALUES (?)", (json.dumps(made),))
+            return
+        try:
+            there = dict(json.loads(found[0]))
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"{self._path} is damaged: choose another directory") from error
+        here = json.loads(json.dumps(made))
+        differ = [
+            f"`{name}` ({_shown(name, there)} there, {_shown(name, here)} here)"
+            for name in {**here, **there}
+            if name not in here or name not in there or here[name] != there[name]
+        ]
+        if differ:
+            raise ValueError(
+                f"{self.directory} was made with another configuration, which differs in "
+                f"{', '.join(differ)}; choose another directory"
+            )
+
+    def _load(self, tasks):
+        """Read which stars earlier runs have finished."""
+        damaged = []
+        for key, text, crc in self._connection.execute("SELECT key, record, crc FROM stars"):
+            if crc != zlib.crc32(text, zlib.crc32(key)):
+                damaged.append(repr(key)[1:])
+                continue
+            record = json.loads(text)
+            task = record["task"]
+            if tasks.get(task["key"]) == task:
+                self._failed[task["key"]] = "error" in record
+        if damaged:
+            shown = ", ".join(damaged[:5]) + (", ..." if len(damaged) > 5 else "")
+            warnings.warn(
+                f"{self._path}: damaged results ({shown}) are left out and computed again",
+                DamagedResultWarning,
+                stacklevel=5,
+            )
+
+    def is_done(self, key):
+        """Return whether the star has a result."""
+        return self._failed.get(key) is False
+
+    def has_failed(self, key):
+        """Return whether the star has been tried and has no result."""
+        return self._failed.get(key, False)
+
+    def __len__(self):
+        """Return how many stars have results."""
+        return sum(not failed for failed in self._failed.values())
+
+    def read(self, key):
+        """Return the record of a star."""
+        rows = self._connection.execute("SELECT record FROM stars WHERE key = ?", (key,))
+        return json.loads(rows.fetchone()[0])
+
+    def add(self, record):
+        """Keep a record in a transaction of its own; a failure does not replace a result.
+
+        Nothing of a record is left if it cannot be written, which is an OSError.
+        """
+        key, failed = record["task"]["key"], "error" in record
+        if failed and self.is_done(key):
+            return
+        text = json.dumps(record)
+        row = key, text, zlib.crc32(text.encode(), zlib.crc32(key.encode()))
+        with self._clear_errors():
+            self._connection.execute("INSERT OR REPLACE INTO stars VALUES (?, ?, ?)", row)
+            if time.monotonic() - self._synced > _SYNC_INTERVAL:
+                self._connection.execute("PRAGMA wal_checkpoint")
+                self._synced = time.monotonic()
+        self._failed[key] = failed
+
+    def close(self):
+        """Release the file."""
+        if self._connection is not None:
+            self._connection.close()
+            self._connection = None
+
+    @contextmanager
+    def _clear_errors(self):
+        """Raise errors of SQLite as errors about the file."""
+        try:
+            yield
+        except sqlite3.DatabaseError as error:
+            code = getattr(error, "sqlite_errorcode", 0) & 0xFF
+            if code in {sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED}:
+                raise OSError(
+                    f"another run is writing to {self.directory}: wait until it has ended, or "
+                    "choose another directory"
+                ) from None
+            if code in {sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB}:
+                raise ValueError(f"{self._path} is damaged: choose another directory") from error
+            number = errno.ENOSPC if code == sqlite3.SQLITE_FULL else errno.EIO
+            raise _numbered(
+                OSError, number,
+                f"cannot write to {self._path}; the {len(self)} stars that are finished are kept, "
+                f"and the same call goes on from there: the reason is: {error}",
+            ) from error  # fmt: skip
+
+
+def _file_in(directory):
+    """Return the file of a results directory, which is made if it is not there."""
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+    except FileExistsError:
+        raise NotADirectoryError(f"cannot write to {directory}: it is a file") from None
+    except OSError as error:
+        message = f"cannot make the folder {directory}: {error.strerror or error}"
+        raise _numbered(type(error), error.errno, message) from error
+    path = directory / FILE
+    for name in () if path.exists() else _OUTPUTS:
+        if (directory / name).exists():
+            raise ValueError(
+                f"{directory} is not empty, and not a results directory either: it has "
+                f"{name}, but no {FILE}; choose another directory"
+            )
+    return path
+
+
+def _numbered(kind, number, message):
+    """Return an OSError with a number that its message does not begin with."""
+    error = kind(message)
+    error.errno = number
+    return error
+
+
+def _shown(name, values):
+    """Return a value for a message, shortened."""
+    text = json.dumps(values[name]) if name in values else "absent"
+    return text if len(text) <= 60 else f"{text[:57]}..."

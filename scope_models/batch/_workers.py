@@ -1,0 +1,289 @@
+"""Computes stars: in this process, or in those of Dask or of another executor."""
+
+import itertools
+import logging
+import re
+import signal
+import threading
+import traceback
+import warnings
+from collections.abc import Callable
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, wait
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from functools import partial
+from multiprocessing import resource_tracker
+from numbers import Integral
+
+import numpy as np
+import scipy.linalg  # noqa: F401 - its threads are limited only once it is loaded
+from threadpoolctl import threadpool_limits
+
+from scope_models._checks import checked_integer
+
+__all__ = [
+    "Job",
+    "LostWorkersError",
+    "check_client",
+    "checked_tasks",
+    "computed",
+    "one_thread",
+]
+
+_DIED = "WorkerDied: the process that computed this star died (killed, out of memory, or a crash)"
+_FREE_NAME = re.compile(r"[A-Za-z0-9]([A-Za-z0-9._+=-]{0,198}[A-Za-z0-9_+=-])?")
+# Seconds between two checks of the connection to a scheduler.
+_POLL = 5.0
+_ADDRESS = re.compile(r"[a-z]+://.+|[^/\\]+:[0-9]+")
+_WINDOWS = re.compile(r"(CON|PRN|AUX|NUL|COM[0-9]|LPT[0-9])(\..*)?", re.IGNORECASE)
+
+
+class LostWorkersError(Exception):
+    """The workers, or the scheduler that gives them work, are lost."""
+
+
+class _OneThread:
+    """One thread for BLAS and OpenMP, from the first entry to the last exit of any thread.
+
+    The matrices are small, cores are better used by further stars, and the number of threads
+    changes the rounding of the results.
+    """
+
+    def __init__(self):
+        self._lock = threading.Lock()
+        self._depth = 0
+        self._limits = None
+
+    def __enter__(self):
+        with self._lock:
+            if self._depth == 0:
+                self._limits = threadpool_limits(1)
+            self._depth += 1
+
+    def __exit__(self, *_):
+        with self._lock:
+            self._depth -= 1
+            if self._depth == 0:
+                self._limits.restore_original_limits()
+
+
+one_thread = _OneThread()
+
+
+@dataclass(frozen=True)
+class Job:
+    """Computes stars by a function of a task."""
+
+    measure: Callable
+
+    def __call__(self, tasks):
+        """Return the record of each task: its row, or its failure."""
+        with one_thread:
+            return [self._record(task) for task in tasks]
+
+    def _record(self, task):
+        try:
+            return {"task": task, "row": _checked_values(self.measure(task), "result", task)}
+        except Exception as error:  # noqa: BLE001 - whatever it is, the other stars go on
+            return _failure(task, error)
+
+
+def _failure(task, error):
+    """Return the record of a star that failed; long texts are cut in the middle."""
+    try:
+        texts = f"{type(error).__name__}: {error}", "".join(traceback.format_exception(error))
+    except Exception:  # noqa: BLE001 - an exception that cannot be printed
+        texts = [type(error).__name__] * 2
+    kept = []
+    for text, size in zip(texts, (1000, 4000), strict=True):
+        cut = f"{text[: size // 2]} [...] {text[-size // 2 :]}" if len(text) > size else text
+        kept.append(cut.encode("utf-8", "backslashreplace").decode())
+    return {"task": task, "error": kept[0], "traceback": kept[1]}
+
+
+def checked_tasks(tasks):
+    """Return tasks with plain values and unique keys that can be names of files."""
+    tasks = [_checked_values(task, "task") for task in tasks]
+    if not tasks:
+        raise ValueError("`tasks` must hold at least one star")
+    keys = set()
+    for task in tasks:
+        key = task.get("key")
+        plain = isinstance(key, str) and _FREE_NAME.fullmatch(key)
+        if not plain or _WINDOWS.fullmatch(key):
+            raise ValueError(
+                f"the key of a task must be a short, plain name that can be a file's, got {key!r}"
+            )
+        if key in keys:
+            raise ValueError(f"the keys of the tasks must differ, got {key!r} twice")
+        keys.add(key)
+    return tasks
+
+
+def _checked_values(values, kind, task=()):
+    """Return a dictionary of numbers and strings with Python's own types."""
+    if taken := [name for name in sorted(values) if name in task]:
+        raise ValueError(f"a result must not be named as a value of its task: {taken}")
+    plain = {
+        name: value.item() if isinstance(value, np.generic) else value
+        for name, value in values.items()
+    }
+    for name, value in plain.items():
+        if not isinstance(value, (bool, int, float, str)):
+            raise TypeError(f"`{name}` of a {kind} must be a number or a string, got {value!r}")
+        if isinstance(value, int) and not -(2**63) <= value < 2**63:
+            raise ValueError(f"`{name}` of a {kind} must be an integer of at most 64 bits")
+        if isinstance(value, str):
+            value.encode()  # raises UnicodeEncodeError, a ValueError, for lone surrogates
+    return plain
+
+
+def check_client(client):
+    """Refuse what cannot compute stars."""
+    if isinstance(client, Integral) and not isinstance(client, bool):
+        checked_integer("client", client, 1)
+    elif isinstance(client, str):
+        if not _ADDRESS.fullmatch(client):
+            raise ValueError(f"`client` must be an address such as tls://host:8786, got {client!r}")
+    elif client is not None and not callable(getattr(client, "submit", None)):
+        raise TypeError(
+            "`client` must be a client of Dask, an address, a number of processes, an executor or "
+            f"None, got {client!r}"
+        )
+
+
+def computed(client, job, tasks, chunk_size, in_flight):
+    """Yield the records of all tasks as they are finished; the client is as for `run_sweep`.
+
+    Stars whose process died are computed again one at a time, so that only the star that kills
+    its process is recorded as failed. A LostWorkersError stands for an executor that is broken or
+    a scheduler that is lost.
+    """
+    if client is None:
+        for task in tasks:
+            yield from job([task])
+        return
+    with ExitStack() as stack:
+        if isinstance(client, Integral):
+            in_flight = 2 * client
+        if isinstance(client, (Integral, str)):
+            client = stack.enter_context(_dask_client(client))
+        suspects = []
+        for chunk, outcome in _completed(client, job, _chunks(tasks, chunk_size), in_flight):
+            if type(outcome).__name__ == "KilledWorker":
+                suspects += chunk
+            else:
+                yield from _records(chunk, outcome)
+        for chunk, outcome in _completed(client, job, _chunks(suspects, 1), 1):
+            yield from _records(chunk, outcome)
+
+
+def _chunks(tasks, size):
+    """Return an iterator of lists of at most ``size`` tasks."""
+    tasks = iter(tasks)
+    return iter(lambda: list(itertools.islice(tasks, size)), [])
+
+
+def _records(chunk, outcome):
+    """Return the records of a chunk from what its worker returned or raised."""
+    if type(outcome).__name__ == "KilledWorker":
+        return [{"task": task, "error": _DIED, "traceback": _DIED} for task in chunk]
+    if isinstance(outcome, Exception):
+        return [_failure(task, outcome) for task in chunk]
+    return outcome
+
+
+def _completed(client, job, chunks, in_flight):
+    """Submit chunks, a bounded number at a time; yield each with its result or exception."""
+    is_dask = hasattr(client, "get_executor")
+    executor = client.get_executor(pure=False) if is_dask else client
+    waiting, lost = {}, []
+    try:
+        while True:
+            while not lost and len(waiting) < in_flight and (chunk := next(chunks, None)):
+                try:
+                    waiting[executor.submit(job, chunk)] = chunk
+                except RuntimeError:  # broken or closed
+                    lost += chunk
+            if not waiting:
+                break
+            done = wait(waiting, timeout=_POLL, return_when=FIRST_COMPLETED).done
+            # a lost scheduler leaves futures that were submitted meanwhile pending for ever
+            if not done and is_dask and client.status != "running":
+                lost += itertools.chain.from_iterable(waiting.values())
+                break
+            for future in done:
+                chunk = waiting.pop(future)
+                if future.cancelled() or isinstance(future.exception(), BrokenExecutor):
+                    lost += chunk
+                else:
+                    yield chunk, future.exception() or future.result()
+    finally:
+        for future in waiting:
+            future.cancel()
+    if lost:
+        keys = sorted(task["key"] for task in lost)
+        shown = ", ".join(keys[:4]) + (", ..." if len(keys) > 4 else "")
+        raise LostWorkersError(f"the workers are lost, with {len(keys)} stars in flight ({shown})")
+
+
+@contextmanager
+def _dask_client(where):
+    """Return a client of Dask, of workers on this machine or of a scheduler that runs already."""
+    try:
+        import cryptography  # noqa: F401 - of temporary keys
+        import dask
+        from distributed import Client, LocalCluster
+        from distributed.security import Security
+    except ImportError as error:
+        raise ModuleNotFoundError(
+            'workers need Dask: python -m pip install "scope_models[distributed]"'
+        ) from error
+    if isinstance(where, str):
+        with Client(where) as client:
+            yield client
+        return
+    with (
+        # A worker that dies gives its stars back at once.
+        dask.config.set({"distributed.scheduler.allowed-failures": 0}),
+        _later_interrupts() as allow_interrupts,
+        ExitStack() as stack,
+    ):
+        try:
+            # No port is open to other machines, nor to other users of this one.
+            cluster = LocalCluster(
+                n_workers=where, threads_per_worker=1, host="127.0.0.1", dashboard_address=None,
+                memory_limit=0, silence_logs=logging.CRITICAL, security=Security.temporary(),
+            )  # fmt: skip
+        except RuntimeError as error:
+            raise LostWorkersError(
+                "worker processes die as they begin, see their message; a script must start its "
+                'work under `if __name__ == "__main__":`'
+            ) from error
+        client = stack.enter_context(Client(stack.enter_context(cluster)))
+        client.register_worker_callbacks(partial(_begin_worker, warnings.filters[:]))
+        allow_interrupts()
+        yield client
+
+
+@contextmanager
+def _later_interrupts():
+    """Block interrupts here until the given function is called, and for good in new processes.
+
+    Otherwise an interrupt of the terminal's process group prints a traceback of each worker.
+    """
+    if not hasattr(signal, "pthread_sigmask"):  # Windows
+        yield lambda: None
+        return
+    resource_tracker.ensure_running()  # its start, with the first process, would allow them again
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield partial(signal.pthread_sigmask, signal.SIG_SETMASK, before)
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def _begin_worker(filters):
+    """Leave interrupts to the parent, and warn of what it warns."""
+    warnings.filters[:] = filters
+    signal.signal(signal.SIGINT, signal.SIG_IGN)

@@ -1,0 +1,341 @@
+"""Computes a function of many stars, on this machine or on a cluster, and keeps what is finished."""
+
+import dataclasses
+import hashlib
+import json
+import warnings
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from astropy.table import Table
+from tqdm import tqdm
+
+from scope_models._arrays import plain_tree
+from scope_models._checks import checked_integer
+from scope_models._values import Value
+from scope_models._version import __version__
+from scope_models.batch._store import Store
+from scope_models.batch._workers import (
+    Job,
+    LostWorkersError,
+    check_client,
+    checked_tasks,
+    computed,
+    one_thread,
+)
+from scope_models.exceptions import FailedStarsWarning
+from scope_models.io._atomic import atomic_path
+
+__all__ = ["SweepError", "SweepResult", "run_sweep", "star_rng", "star_seed"]
+
+
+class SweepError(RuntimeError):
+    """A sweep cannot go on, or all of its stars have failed.
+
+    Examples
+    --------
+    >>> from scope_models.batch import SweepError
+    >>> raise SweepError("all 4 stars failed")
+    Traceback (most recent call last):
+    ...
+    scope_models.batch.sweep.SweepError: all 4 stars failed
+    """
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class SweepResult(Value):
+    """The results of a sweep.
+
+    Attributes
+    ----------
+    table : astropy.table.Table
+        One row per star that did not fail, in the order of the tasks: ``results.ecsv``.
+    failures : astropy.table.Table
+        One row per star that failed (key, error, task and traceback): ``failures.ecsv``, which is
+        there only if one did; its tracebacks are JSON.
+    summary : astropy.table.Table or None
+        What the function `summarize` made of the table: ``summary.ecsv``.
+    files : tuple of pathlib.Path
+        The tables and ``figure.png`` in the results directory; empty without one.
+    n_computed : int
+        Stars that this call has computed; the others were there.
+
+    Examples
+    --------
+    >>> from scope_models.batch import run_sweep
+    >>> tasks = [{"key": f"star{n}", "mag": 12.0 + n} for n in range(2)]
+    >>> result = run_sweep(lambda task: {"flux": 10 ** (-0.4 * task["mag"])}, tasks, progress=False)
+    >>> result.table.colnames, result.n_computed
+    (['key', 'mag', 'flux'], 2)
+    """
+
+    table: Table
+    failures: Table
+    summary: Table | None
+    files: tuple[Path, ...]
+    n_computed: int
+
+
+def star_seed(seed, key, purpose=""):
+    """Return the seed of a star, which depends on nothing but the arguments.
+
+    Parameters
+    ----------
+    seed : int
+        Seed of all stars.
+    key : str
+        The star's key.
+    purpose : str, optional
+        Another purpose gives another, independent seed.
+
+    Returns
+    -------
+    int
+        A seed below 2**53, so that JSON and FITS cards hold it exactly.
+
+    Examples
+    --------
+    >>> from scope_models.batch import star_seed
+    >>> star_seed(1, "star0")
+    3551982543959318
+    """
+    text = f"{seed}\n{key}\n{purpose}"
+    return int.from_bytes(hashlib.sha256(text.encode()).digest()[:8]) >> 11
+
+
+def star_rng(seed, key, purpose="star"):
+    """Return a random generator for what is drawn of a star.
+
+    Parameters
+    ----------
+    seed : int
+        Seed of all stars.
+    key : str
+        The star's key.
+    purpose : str, optional
+        Another purpose gives another, independent generator.
+
+    Returns
+    -------
+    numpy.random.Generator
+        The generator, at the beginning of its stream.
+
+    Examples
+    --------
+    >>> from scope_models.batch import star_rng
+    >>> star_rng(1, "star0").random() == star_rng(1, "star0").random()
+    True
+    """
+    return np.random.default_rng(star_seed(seed, key, purpose))
+
+
+def run_sweep(
+    measure, tasks, directory=None, client=None, *, name="sweep", config=None, units=None,
+    inputs=(), has_output=None, summarize=None, draw=None, retry_failed=True, progress=True,
+    chunk_size=1, in_flight=256,
+):  # fmt: skip
+    """Compute a function of many stars, and keep each star that is finished.
+
+    The result of a star must depend on its task and the configuration alone, with random numbers
+    from `star_seed`; then the tables do not depend on the number of workers, the order, or the cuts
+    between calls.
+
+    Parameters
+    ----------
+    measure : callable
+        Function of a task that returns a dictionary of numbers, strings, and true or false by the
+        name of their column. Worker processes must be able to unpickle it: a function of a module,
+        or `functools.partial` of one.
+    tasks : sequence of dict
+        One small dictionary of numbers and strings per star. "key" is a unique name out of letters,
+        digits and ``._+=-``.
+    directory : str or path-like, optional
+        Results directory. Each star that is finished is kept there, in ``results.sqlite``, so that
+        the same call goes on where an earlier one stopped, however it ended; then the tables are
+        written. Without one, results are in memory only.
+    client : distributed.Client, str, int or concurrent.futures.Executor, optional
+        What computes the stars. None is this process. A number starts that many processes with
+        Dask, which are reached from this machine only. A string is the address of a Dask
+        scheduler, as ``"tls://host:8786"``. Clients and executors are left open.
+    name : str, optional
+        Name of the sweep in tables and on the progress bar.
+    config : mapping or dataclass, optional
+        What the results depend on beside the tasks, as values that JSON holds. A directory that was
+        made with another configuration is refused.
+    units : mapping of str to str, optional
+        Units of columns.
+    inputs : sequence of str or path-like, optional
+        Files that the results depend on. A directory that was begun with other contents of them is
+        refused.
+    has_output : callable, optional
+        Function of a task: whether the files that `measure` writes are there. By default it writes
+        none.
+    summarize : callable, optional
+        Function of the table of results that returns a summary, a table.
+    draw : callable, optional
+        Function of table and summary that returns a figure or None.
+    retry_failed : bool, optional
+        Whether stars that failed in an earlier call are tried again.
+    progress : bool, optional
+        Whether to show a progress bar on the standard error.
+    chunk_size : int, optional
+        Stars that a worker gets at a time; more than one saves time if a star takes less than
+        some milliseconds.
+    in_flight : int, optional
+        Chunks that are submitted and not finished, at most; at least twice the number of workers.
+        Processes of our own have two each.
+
+    Returns
+    -------
+    SweepResult
+        The tables.
+
+    Raises
+    ------
+    TypeError
+        If an argument is of the wrong kind.
+    ValueError
+        If there are no tasks, or if the directory is damaged or was made by another version or with
+        another configuration.
+    OSError
+        If the directory cannot be written to, the disk is full, or another run is writing to the
+        directory. Stars that are finished are kept.
+    ModuleNotFoundError
+        If workers are requested and Dask is not installed.
+    SweepError
+        If an executor breaks, a scheduler is lost, processes cannot be started, or all stars of a
+        sweep with a directory fail.
+
+    Warns
+    -----
+    FailedStarsWarning
+        If stars have failed; the others go on.
+    DamagedResultWarning
+        If results of an earlier call are damaged; they are computed again.
+
+    Examples
+    --------
+    >>> from scope_models.batch import run_sweep
+    >>> def measure(task):
+    ...     return {"square": task["number"] ** 2}
+    >>> tasks = [{"key": f"star{n}", "number": n} for n in range(3)]
+    >>> result = run_sweep(measure, tasks, "squares", progress=False)
+    >>> result.table["square"].tolist(), result.n_computed
+    ([0, 1, 4], 3)
+    >>> run_sweep(measure, tasks, "squares", progress=False).n_computed
+    0
+    """
+    chunk_size = checked_integer("chunk_size", chunk_size, 1)
+    in_flight = checked_integer("in_flight", in_flight, 1)
+    check_client(client)
+    if not callable(measure):
+        raise TypeError(f"`measure` must be a function of a task, got {measure!r}")
+    directory = None if directory is None else Path(directory).absolute()
+    fields = dataclasses.asdict(config) if dataclasses.is_dataclass(config) else dict(config or {})
+    meta = {"creator": f"scope_models {__version__}", "study": name, **plain_tree(fields)}
+    tasks = checked_tasks(tasks)
+    with closing(Store(directory, meta, inputs, tasks)) as store:
+        missing = [
+            task
+            for task in tasks
+            if (retry_failed if store.has_failed(task["key"]) else not store.is_done(task["key"]))
+            or (store.is_done(task["key"]) and has_output is not None and not has_output(task))
+        ]
+        if missing:
+            bar = tqdm(total=len(tasks), initial=len(tasks) - len(missing), desc=name,
+                       unit="star", smoothing=0.05, disable=not progress)  # fmt: skip
+            records = computed(client, Job(measure), missing, chunk_size, in_flight)
+            with one_thread, bar, closing(records):
+                _keep(records, store, bar)
+        keys = [task["key"] for task in tasks]
+        done = [store.read(key) for key in keys if store.is_done(key)]
+        failed = [store.read(key) for key in keys if store.has_failed(key)]
+    if failed:
+        warnings.warn(
+            f"{len(failed)} stars failed, the first one, {failed[0]['task']['key']}, with "
+            f"{failed[0]['error']}",
+            FailedStarsWarning,
+            stacklevel=2,
+        )
+    table, failures = _table(done, units or {}, meta), _failures(failed, meta)
+    if not done and directory is not None:
+        where = _write(failures, directory / "failures.ecsv")
+        raise SweepError(
+            f"all {len(failed)} stars failed, the first one with {failed[0]['error']}; see {where}"
+        )
+    summary = summarize(table) if summarize is not None and done else None
+    if summary is not None:
+        summary.meta = meta | summary.meta
+    files = ()
+    if directory is not None:
+        figure = None if draw is None else draw(table, summary)
+        files = _written(directory, table, summary, figure, failures)
+    return SweepResult(table, failures, summary, files, len(missing))
+
+
+def _keep(records, store, bar):
+    """Keep each record, and show how many there are."""
+    failed = 0
+    try:
+        for record in records:
+            store.add(record)
+            if "error" in record:
+                failed += 1
+                bar.set_postfix(failed=failed, refresh=False)
+            bar.update()
+    except LostWorkersError as error:
+        raise SweepError(
+            f"{error}; the {len(store)} stars that are finished are kept, and the same call goes "
+            "on from there"
+        ) from error
+
+
+def _table(done, units, meta):
+    """Return the table of results."""
+    rows = [record["task"] | record["row"] for record in done]
+    names = list(dict.fromkeys(name for row in rows for name in row))
+    table = Table(rows or None, names=names or None, meta=dict(meta))
+    for name in units.keys() & set(table.colnames):
+        table[name].unit = units[name]
+    return table
+
+
+def _failures(failed, meta):
+    """Return the table of failures."""
+    rows = [
+        (record["task"]["key"], record["error"], json.dumps(record["task"]), record["traceback"])
+        for record in failed
+    ]
+    names = "key", "error", "task", "traceback"
+    return Table(rows=rows or None, names=names, dtype=[str] * 4, meta=dict(meta))
+
+
+def _written(directory, table, summary, figure, failures):
+    """Write tables and figure, and return their paths."""
+    files = [_write(table, directory / "results.ecsv")]
+    if summary is not None:
+        files.append(_write(summary, directory / "summary.ecsv"))
+    if figure is not None:
+        from scope_models.plotting._style import save_figure  # imports matplotlib
+
+        files.append(directory / "figure.png")
+        with atomic_path(files[-1], overwrite=True) as temporary:
+            save_figure(figure, temporary)
+    if len(failures):
+        files.append(_write(failures, directory / "failures.ecsv"))
+    else:
+        (directory / "failures.ecsv").unlink(missing_ok=True)
+    return tuple(files)
+
+
+def _write(table, path):
+    """Write a table in one step and return its path."""
+    if "traceback" in table.colnames:
+        table = table.copy()
+        # ECSV takes the blanks off the beginnings of the lines of a text
+        table["traceback"] = [json.dumps(text) for text in table["traceback"]]
+    with atomic_path(path, overwrite=True) as temporary:
+        table.write(temporary, format="ascii.ecsv")
+    return path

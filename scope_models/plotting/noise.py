@@ -1,0 +1,39 @@
+"""Figure of the noise of many stars."""
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+from scope_models.plotting._style import DARK, GRAY, styled
+
+__all__ = ["plot_precision"]
+
+
+@styled
+def plot_precision(stars):
+    """
+    Draw the noise of stars before and after a correction over their magnitude.
+
+    Parameters
+    ----------
+    stars : mapping of str to array_like
+        Per star, ``(n,)`` each: "mag", "raw_cdpp" and "cdpp" (ppm). NaN is not drawn.
+
+    Returns
+    -------
+    `~matplotlib.figure.Figure`
+        The figure.
+
+    Examples
+    --------
+    >>> from scope_models.plotting.noise import plot_precision
+    >>> stars = {"mag": [12.0, 14.0], "raw_cdpp": [200, 300], "cdpp": [25, 60]}
+    >>> plot_precision(stars).axes[0].get_xlabel()
+    'Magnitude'
+    """
+    figure, ax = plt.subplots(figsize=(6.4, 4.6), layout="constrained")
+    mag = np.asarray(stars["mag"], dtype=float)
+    ax.plot(mag, stars["raw_cdpp"], "s", ms=4, color=GRAY, label="before")
+    ax.plot(mag, stars["cdpp"], "o", ms=4, color=DARK, label="corrected")
+    ax.set(yscale="log", xlabel="Magnitude", ylabel="6.5-h CDPP (ppm)")
+    ax.legend(fontsize="small")
+    return figure
