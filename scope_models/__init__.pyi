@@ -2,6 +2,9 @@ from . import (
     appendix_a as appendix_a,
 )
 from . import (
+    batch as batch,
+)
+from . import (
     benchmark as benchmark,
 )
 from . import (

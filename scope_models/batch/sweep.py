@@ -1,4 +1,4 @@
-"""Computes a function of many stars, on this machine or on a cluster, and keeps what is finished."""
+"""Computes a function of many stars, here or on a cluster, and keeps what is finished."""
 
 import dataclasses
 import hashlib

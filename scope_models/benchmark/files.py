@@ -1,22 +1,21 @@
 """A fixed set of messy stars whose truth is known, and scores of anybody's corrections of them."""
 
 import re
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from functools import lru_cache
 from pathlib import Path
-from typing import ClassVar
 
 import numpy as np
 from astropy.io.ascii import InconsistentTableError
 from astropy.io.registry import IORegistryError
 from astropy.table import Table
 
+from scope_models._arrays import values_of
 from scope_models._checks import checked_integer
 from scope_models._docstrings import documented
+from scope_models.batch._many import RUN, run_files
 from scope_models.benchmark._scores import score_places
 from scope_models.benchmark.sky import REGIMES, make_sky, score
-from scope_models.experiments._statistics import percentiles, values_of
-from scope_models.experiments.batch import RUN, FileStudy
 from scope_models.io import write_hdulist
 from scope_models.io._opening import open_fits
 from scope_models.io.reading import first_table
@@ -81,13 +80,13 @@ def make_benchmark(output_dir, client=None, *, overwrite=False, sweep=None, star
 
     Returns
     -------
-    ExperimentResult
+    SweepResult
         A row per star: its regime, and the scores of the uncorrected light curve.
 
     Raises
     ------
     OSError, ValueError
-        As `~scope_models.experiments.batch.detrend_files`.
+        As `~scope_models.batch.detrend_files`.
 
     Examples
     --------
@@ -99,33 +98,25 @@ def make_benchmark(output_dir, client=None, *, overwrite=False, sweep=None, star
     names = tuple(REGIMES)
     rows = [{"number": number} for number in range(checked_integer("stars", stars, 1))]
     files = [f"sky{n:03d}-{names[n % len(names)]}" for n in range(stars)]
-    return _Benchmark.run(files, output_dir, client, overwrite, sweep, {"version": 1}, rows)
+    return run_files(
+        _written, files, output_dir, client, name="benchmark", suffix=".fits", rows=rows, inputs=(),
+        options={"version": 1}, overwrite=overwrite, sweep=sweep,
+    )  # fmt: skip
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Benchmark(FileStudy):
-    """Stars of the benchmark."""
-
-    name: ClassVar[str] = "benchmark"
-    suffix: ClassVar[str] = ".fits"
-
-    def input_paths(self):
-        """Return no files."""
-        return ()
-
-    def work(self, task, options, output):
-        """Write a star."""
-        sky = benchmark_star(task["number"])
-        tpf = sky.to_tpf(quality_bitmask="none")
-        for hdu in tpf.hdu:
-            if "DATE" in hdu.header:
-                hdu.header["DATE"] = _DATE
-        tpf.hdu[0].header["OBJECT"] = task["key"]
-        flux = tpf.hdu[1].data["FLUX"]
-        flux[...] = np.round(_STEPS * flux.astype(float)) / _STEPS
-        write_hdulist(tpf.hdu, output, overwrite=True)
-        lc = sky.to_tpf().to_lightcurve(aperture_mask="pipeline")
-        return {"regime": sky.regime.name} | asdict(score(lc, sky))
+def _written(task, output, seed, *, version):  # noqa: ARG001 - the same on every machine
+    """Write a star."""
+    sky = benchmark_star(task["number"])
+    tpf = sky.to_tpf(quality_bitmask="none")
+    for hdu in tpf.hdu:
+        if "DATE" in hdu.header:
+            hdu.header["DATE"] = _DATE
+    tpf.hdu[0].header["OBJECT"] = task["key"]
+    flux = tpf.hdu[1].data["FLUX"]
+    flux[...] = np.round(_STEPS * flux.astype(float)) / _STEPS
+    write_hdulist(tpf.hdu, output, overwrite=True)
+    lc = sky.to_tpf().to_lightcurve(aperture_mask="pipeline")
+    return {"regime": sky.regime.name} | asdict(score(lc, sky))
 
 
 def score_light_curves(paths):
@@ -253,6 +244,8 @@ def summarize_scores(table):
         chosen = table if regime == "all" else table[regimes == regime]
         row = {"regime": str(regime), "stars": len(chosen)}
         for name in _SCORES:
-            row[name] = percentiles(values_of(chosen, name))[1]
+            values = values_of(chosen, name)
+            finite = values[np.isfinite(values)]
+            row[name] = float(np.median(finite)) if len(finite) else np.nan
         rows.append(row)
     return Table(rows=rows)

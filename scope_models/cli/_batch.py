@@ -1,7 +1,10 @@
 """Parts of the commands that compute many stars or files."""
 
+import argparse
 import sys
+import tomllib
 import warnings
+from pathlib import Path
 
 __all__ = [
     "add_inputs",
@@ -11,6 +14,7 @@ __all__ = [
     "refuse_options_of_runs",
     "run",
     "single",
+    "with_config",
 ]
 
 
@@ -29,7 +33,7 @@ def add_inputs(parser, output):
 
 def single(arguments):
     """Return the file of a command that has no --output-dir."""
-    from scope_models.experiments.batch import find_files
+    from scope_models.batch import find_files
 
     if arguments.output is None or len(arguments.input) > 1:
         raise ValueError("give --output for one input, or --output-dir for any number")
@@ -52,7 +56,38 @@ def add_options(parser):
         help="folder for the files of many inputs and for the tables of results; the same command "
         "goes on where a run has stopped",
     )
+    parser.add_argument(
+        "--config",
+        metavar="FILE",
+        help="a TOML file with options of the command, as `order = 1`; those given here go first",
+    )
     add_workers(parser)
+
+
+def with_config(argv):
+    """Return arguments with those of the TOML file of ``--config`` put before the others."""
+    finder = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
+    finder.add_argument("--config", nargs="?")
+    path = finder.parse_known_args(argv)[0].config
+    if path is None:
+        return argv
+    try:
+        values = tomllib.loads(Path(path).read_text(encoding="utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ValueError(f"{path} is not valid TOML: {error}") from error
+    added = []
+    for name, value in values.items():
+        listed = value if isinstance(value, list) else [value]
+        if not all(isinstance(item, (bool, int, float, str)) for item in listed):
+            raise ValueError(f"{path}: `{name}` must be a number, text, true, false or a list")
+        option = [] if name == "input" else [f"--{name.replace('_', '-')}"]
+        if isinstance(value, bool):
+            added += option if value else []
+        elif isinstance(value, list):
+            added += [*option, *map(str, value)]
+        else:
+            added.append(f"{option[0]}={value}" if option else str(value))
+    return [*argv[:1], *added, *argv[1:]]
 
 
 def add_workers(parser):
@@ -81,9 +116,8 @@ def run(name, arguments, *inputs, **options):
     for option in ("output", "figure"):
         if getattr(arguments, option, None) is not None:
             raise ValueError(f"--{option} cannot be combined with --output-dir")
-    from scope_models import benchmark
+    from scope_models import batch, benchmark
     from scope_models.exceptions import FailedStarsWarning
-    from scope_models.experiments import SweepError, batch
 
     try:
         with warnings.catch_warnings():
@@ -96,7 +130,7 @@ def run(name, arguments, *inputs, **options):
                 sweep={"progress": sys.stderr.isatty()},
                 **options,
             )
-    except (ModuleNotFoundError, SweepError) as error:
+    except (ModuleNotFoundError, batch.SweepError) as error:
         print(f"scope-models: error: {error}", file=sys.stderr)
         return 1
     for key, error in result.failures.iterrows("key", "error"):

@@ -44,7 +44,7 @@ def add_parser(commands):
 
 def run(arguments):
     """Inject into one file or many; return the exit status."""
-    from scope_models.experiments.batch import inject_file
+    from scope_models.batch import inject_file
 
     planets = _planets(arguments)
     options = {"star": _star(arguments.star), "seed": arguments.seed}

@@ -8,7 +8,16 @@ import warnings
 
 from scope_models._threads import one_thread
 from scope_models._version import __version__
-from scope_models.cli import _benchmark, _demo, _detrend, _experiment, _fit, _inject, _simulate
+from scope_models.cli import (
+    _batch,
+    _benchmark,
+    _demo,
+    _detrend,
+    _experiment,
+    _fit,
+    _inject,
+    _simulate,
+)
 
 __all__ = ["main"]
 
@@ -45,7 +54,9 @@ def main(argv=None):
     2
     """
     try:
-        arguments = _make_parser().parse_args(argv)
+        arguments = _make_parser().parse_args(
+            _batch.with_config(sys.argv[1:] if argv is None else list(argv))
+        )
         if argv is None:  # as a program: what is half written is removed before the end
             signal.signal(signal.SIGTERM, _terminate)
         # Its logger takes over warnings when it is imported: before ours, which print one line.

@@ -11,26 +11,37 @@ import sys
 import threading
 import time
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
+from dataclasses import asdict
 from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
 import pytest
 from astropy.table import Table
-from astropy.utils.exceptions import AstropyDeprecationWarning
-from sweep_studies import Numbers, Pixels, blas_threads
+from sweep_studies import Numbers, blas_threads
 
+from scope_models.batch import SweepError, run_sweep, star_rng, star_seed
+from scope_models.batch import _store as store_module
+from scope_models.batch import sweep as sweep_module
+from scope_models.batch._store import FILE, Store
 from scope_models.exceptions import DamagedResultWarning, FailedStarsWarning
-from scope_models.experiments import SweepError, run_experiment, run_sweep
-from scope_models.experiments import _store as store_module
-from scope_models.experiments._store import FILE, Store
 from scope_models.io._atomic import atomic_path
 
 SELECT = "SELECT key, record FROM stars"
 
 
 def sweep(study, client=None, directory=None, **options):
-    return run_sweep(study, directory, client, progress=False, **options)
+    """Run the sweep of a study: a dataclass with `tasks` and `run_star`."""
+    defaults = {
+        "name": "numbers", "config": study, "units": {"noise": "ppm"}, "progress": False,
+        "inputs": [study.motion] if study.motion else [],
+    }  # fmt: skip
+    return run_sweep(study.run_star, study.tasks(), directory, client, **defaults | options)
+
+
+def experiment(study, directory, client=None):
+    """Run a sweep with a summary and a figure."""
+    return sweep(study, client, directory, summarize=study.summarize, draw=study.draw)
 
 
 def ecsv(table, path):
@@ -193,7 +204,7 @@ class TestExecutors:
             sweep(Numbers(), **options)
 
     def test_progress_bar_is_on_standard_error(self, capsys):
-        run_sweep(Numbers(stars=3))
+        sweep(Numbers(stars=3), progress=True)
         out, err = capsys.readouterr()
         assert out == ""
         assert "numbers: 100%" in err
@@ -222,16 +233,6 @@ class TestExecutors:
         monkeypatch.setitem(sys.modules, "distributed", None)
         with pytest.raises(ModuleNotFoundError, match=r"workers need Dask: python -m pip install"):
             sweep(Numbers(), 2)
-
-    def test_order_of_the_first_version(self, tmp_path, reference, pool):
-        study = Numbers()
-        for arguments in ((None, str(tmp_path)), (pool, tmp_path)):
-            with pytest.warns(AstropyDeprecationWarning, match="directory comes before the clie"):
-                result = run_sweep(study, *arguments, progress=False)
-            assert result.directory == tmp_path
-        with pytest.warns(AstropyDeprecationWarning, match='"executor" was deprecated'):
-            table = run_sweep(study, executor=pool, progress=False).table
-        assert ecsv(table, tmp_path / "a.ecsv") == reference
 
 
 @pytest.mark.slow
@@ -279,20 +280,21 @@ class TestResuming:
         assert again.n_computed == 0
         assert ecsv(again.table, tmp_path / "a.ecsv") == reference
         assert len(records(tmp_path / "run")) == 8
-        assert [path.name for path in (tmp_path / "run").iterdir()] == [FILE]
+        names = sorted(path.name for path in (tmp_path / "run").iterdir())
+        assert names == ["results.ecsv", FILE]
 
     @pytest.mark.slow
     def test_killed_run_goes_on(self, tmp_path):
         log, folder, whole = tmp_path / "log", tmp_path / "run", tmp_path / "whole"
         study = Numbers(stars=12, sleep=0.15, log=str(log))
-        run_experiment(study, whole, progress=False)
+        experiment(study, whole)
         log.unlink()
         for workers, started in ((None, 4), (2, 9)):
             kill_after(started, study, folder, workers)
         done = {record["task"]["index"] for record in records(folder).values()}
         assert 4 <= len(done) < 12
         log.unlink()
-        run_experiment(study, folder, progress=False)
+        experiment(study, folder)
         assert computed(log) == [i for i in range(12) if i not in done]
         for name in ("results.ecsv", "summary.ecsv"):
             assert (folder / name).read_bytes() == (whole / name).read_bytes()
@@ -331,12 +333,12 @@ class TestResuming:
 
     def test_another_study_is_refused(self, tmp_path):
         sweep(Numbers(), None, tmp_path)
-        with pytest.raises(ValueError, match=r'`study` \("numbers" there, "pixels" here\)'):
-            sweep(Pixels(), None, tmp_path)
+        with pytest.raises(ValueError, match=r'`study` \("numbers" there, "others" here\)'):
+            sweep(Numbers(), None, tmp_path, name="others")
 
     def test_another_version_is_refused(self, tmp_path, monkeypatch):
         sweep(Numbers(), None, tmp_path)
-        monkeypatch.setattr(store_module, "__version__", "99.0")
+        monkeypatch.setattr(sweep_module, "__version__", "99.0")
         with pytest.raises(ValueError, match=r'`creator` \(.* there, "scope_models 99.0" here\)'):
             sweep(Numbers(), None, tmp_path)
 
@@ -349,7 +351,7 @@ class TestResuming:
         with pytest.raises(ValueError, match=r"differs in `contents of .*motion\.fits`"):
             sweep(study, None, tmp_path / "run")
 
-    @pytest.mark.parametrize("name", ["results.ecsv", "stars", "figure.png"])
+    @pytest.mark.parametrize("name", ["results.ecsv", "summary.ecsv", "figure.png"])
     def test_folder_of_another_origin_is_refused(self, tmp_path, name):
         (tmp_path / name).write_text("mine")
         with pytest.raises(ValueError, match=f"it has {name}, but no results.sqlite"):
@@ -390,12 +392,12 @@ def test_interrupt_of_the_terminal_is_one_line(tmp_path, delay):
 
 def kill_after(number, study, folder, workers):
     """Start an experiment in a process, and kill it when stars have been started."""
-    fields = {name: value for name, value in study.config().items() if name != "study"}
+    fields = asdict(study)
     code = (
-        "from scope_models.experiments import run_experiment\n"
         "from sweep_studies import Numbers\n"
+        "from test_sweep import experiment\n"
         f"if __name__ == '__main__':\n"
-        f"    run_experiment(Numbers(**{fields!r}), {str(folder)!r}, {workers!r}, progress=False)\n"
+        f"    experiment(Numbers(**{fields!r}), {str(folder)!r}, {workers!r})\n"
     )
     script = folder.with_suffix(".py")
     script.write_text(code)
@@ -479,14 +481,14 @@ class TestFailures:
     def test_are_written(self, tmp_path):
         study = Numbers(failing=(2,), curable=str(tmp_path / "cure"))
         with pytest.warns(FailedStarsWarning):
-            result = run_experiment(study, tmp_path / "run", progress=False)
+            result = experiment(study, tmp_path / "run")
         path = tmp_path / "run" / "failures.ecsv"
         assert result.files[-1] == path
         table = Table.read(path)
         assert table["key"][0] == "star2"
         assert json.loads(table["traceback"][0]) == result.failures["traceback"][0]
         (tmp_path / "cure").touch()
-        result = run_experiment(study, tmp_path / "run", progress=False)
+        result = experiment(study, tmp_path / "run")
         assert len(result.failures) == 0
         assert not path.exists()
 
@@ -496,7 +498,7 @@ class TestFailures:
             pytest.warns(FailedStarsWarning),
             pytest.raises(SweepError, match=r"all 2 stars failed, the first one with ZeroDiv.*see"),
         ):
-            run_experiment(study, tmp_path, progress=False)
+            experiment(study, tmp_path)
         assert len(Table.read(tmp_path / "failures.ecsv")) == 2
 
     @pytest.mark.parametrize("retry", [True, False])
@@ -544,7 +546,7 @@ class TestFailures:
                 return {"noise": 1.0, "spectrum": value if task["index"] else 1}
 
         with pytest.warns(FailedStarsWarning, match=message):
-            result = run_experiment(Odd(stars=2), tmp_path, progress=False)
+            result = experiment(Odd(stars=2), tmp_path)
         assert len(result.failures) == 1
 
     @pytest.mark.parametrize("name", ["key", "index"])
@@ -567,7 +569,7 @@ class TestFailures:
                 return {"noise": 1.0}
 
         with pytest.warns(FailedStarsWarning, match="1 stars failed"):
-            result = run_experiment(Odd(stars=2), tmp_path, progress=False)
+            result = experiment(Odd(stars=2), tmp_path)
         table = Table.read(tmp_path / "failures.ecsv")
         assert table["error"][0].startswith("ValueError")
         assert len(table["error"][0]) < 1020
@@ -613,8 +615,8 @@ class TestFailures:
     def test_script_without_guard(self, tmp_path):
         script = tmp_path / "script.py"
         script.write_text(
-            "from scope_models.experiments import make_study, run_sweep\n"
-            "run_sweep(make_study('table1'), 1, progress=False)\n"
+            "from scope_models.batch import run_sweep\n"
+            "run_sweep(abs, [{'key': 'a'}], None, 1, progress=False)\n"
         )
         environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
         result = subprocess.run(
@@ -721,8 +723,6 @@ class TestDirectory:
         assert ecsv(result.table, tmp_path / "a.ecsv") == reference
 
     def test_full_disk_at_the_tables(self, tmp_path, monkeypatch):
-        from scope_models.experiments import experiment
-
         @contextlib.contextmanager
         def full(path, **_):
             with atomic_path(path, overwrite=True):
@@ -730,16 +730,16 @@ class TestDirectory:
             yield
 
         with monkeypatch.context() as patch:
-            patch.setattr(experiment, "atomic_path", full)
+            patch.setattr(sweep_module, "atomic_path", full)
             with pytest.raises(OSError, match="No space left"):
-                run_experiment(Numbers(), tmp_path, progress=False)
+                experiment(Numbers(), tmp_path)
         assert not list(tmp_path.glob("*.ecsv"))
         assert sweep(Numbers(), None, tmp_path).n_computed == 0
 
 
 class TestTasks:
     def test_no_stars(self):
-        with pytest.raises(ValueError, match="the study `numbers` has no stars"):
+        with pytest.raises(ValueError, match="`tasks` must hold at least one star"):
             sweep(Numbers(stars=0))
 
     @pytest.mark.parametrize(
@@ -772,48 +772,29 @@ class TestTasks:
         with pytest.raises(TypeError, match=r"`mags` of a task must be a number or a string, got"):
             sweep(Listed())
 
-    def test_no_study(self):
-        with pytest.raises(TypeError, match="`study` must be a Study, got 'table1'"):
-            sweep("table1")
+    def test_no_function(self):
+        with pytest.raises(TypeError, match="`measure` must be a function of a task, got 'table1'"):
+            run_sweep("table1", [{"key": "a"}])
 
 
-class TestPixels:
-    def test_are_written(self, tmp_path):
-        import lightkurve
+class TestSeeds:
+    def test_depend_on_seed_key_and_purpose_only(self):
+        seeds = {
+            star_seed(seed, key, purpose)
+            for seed in (1, 2)
+            for key in ("a", "b")
+            for purpose in ("", "motion")
+        }
+        assert len(seeds) == 8
+        assert all(0 <= seed < 2**53 for seed in seeds)
 
-        result = sweep(Pixels(), None, tmp_path, write_tpfs=True)
-        paths = sorted(tmp_path.glob("tpfs/*/*.fits"))
-        path = next(path for path in paths if path.name == "star1.fits")
-        assert len(paths) == 2
-        tpf = lightkurve.read(path)
-        assert tpf.meta["OBJECT"] == "star1"
-        assert tpf.flux.value.sum() == pytest.approx(result.table["flux"][1], rel=1e-6)
-        tpf.hdu.close()
+    def test_generators_follow_the_seeds(self):
+        first, again, other = (star_rng(1, key).random() for key in ("a", "a", "b"))
+        assert first == again != other
 
-    def test_those_that_lack_are_made(self, tmp_path):
-        plain = sweep(Pixels(), None, tmp_path)
-        assert not (tmp_path / "tpfs").exists()
-        result = sweep(Pixels(), None, tmp_path, write_tpfs=True)
-        assert result.n_computed == 2
-        assert list(result.table["flux"]) == list(plain.table["flux"])
-        next(tmp_path.glob("tpfs/*/star0.fits")).unlink()
-        assert sweep(Pixels(), None, tmp_path, write_tpfs=True).n_computed == 1
-
-    @pytest.mark.parametrize("workers", [None, 1])
-    def test_full_disk(self, tmp_path, workers):
-        (tmp_path / "run").mkdir()
-        sweep(Pixels(), None, tmp_path / "run")
-        (tmp_path / "run" / "tpfs").touch()  # in the way of the folder
-        with pytest.raises(OSError, match=r"cannot write pixels; the 2 stars .* are kept.*star0"):
-            sweep(Pixels(), workers, tmp_path / "run", write_tpfs=True)
-
-    def test_need_a_directory(self):
-        with pytest.raises(ValueError, match="`write_tpfs` needs a `directory`"):
-            sweep(Pixels(), write_tpfs=True)
-
-    def test_need_pixels(self, tmp_path):
-        with pytest.raises(ValueError, match="`numbers` has no pixels that could be written"):
-            sweep(Numbers(), None, tmp_path, write_tpfs=True)
+    def test_are_fixed_forever(self):
+        # Results that are on disk would not go with new ones.
+        assert star_seed(1, "star0") == 3551982543959318
 
 
 def test_thread_limits_end_with_the_last_sweep():

@@ -1,16 +1,15 @@
-"""Studies for the tests of sweeps; worker processes import this module."""
+"""Stars for the tests of sweeps; worker processes import this module."""
 
 import os
 import signal
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar
 
 import numpy as np
 from threadpoolctl import threadpool_info
 
-from scope_models.experiments.study import Study
+from scope_models.batch import star_rng
 
 # Other modules are imported where they are used, so that worker processes begin soon.
 
@@ -21,12 +20,10 @@ def blas_threads():
 
 
 @dataclass(frozen=True, kw_only=True)
-class Numbers(Study):
+class Numbers:
     """Stars that are random numbers, with ways to go wrong."""
 
-    name: ClassVar[str] = "numbers"
-    units: ClassVar[dict] = {"noise": "ppm"}
-
+    seed: int = 1
     stars: int = 8
     log: str = ""
     sleep: float = 0.0
@@ -35,9 +32,6 @@ class Numbers(Study):
     curable: str = ""
     unpicklable: bool = False
     motion: str = ""
-
-    def input_files(self):
-        return [self.motion] if self.motion else []
 
     def tasks(self):
         return [{"key": f"star{i}", "mag": 10 + 0.5 * i, "index": i} for i in range(self.stars)]
@@ -54,7 +48,7 @@ class Numbers(Study):
             if self.unpicklable:
                 raise UnpicklableError(lambda: None)
             raise ZeroDivisionError(f"no star {task['index']}")
-        rng = self.star_rng(task["key"])
+        rng = star_rng(self.seed, task["key"])
         matrix = rng.normal(size=(60, 60))
         return {
             "noise": float(np.linalg.slogdet(matrix @ matrix.T)[1]) / 3,
@@ -70,43 +64,13 @@ class Numbers(Study):
 
         return Table({"mean": [np.mean(table["noise"])]})
 
-    def draw(self, table, summary):  # noqa: ARG002
+    def draw(self, table, summary):
         from matplotlib.figure import Figure
 
         figure = Figure()
-        figure.subplots().plot(table["mag"], table["noise"])
+        figure.subplots().plot(table["mag"], table["noise"] / summary["mean"])
         return figure
 
 
 class UnpicklableError(Exception):
     """An exception that cannot be sent to another process."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Pixels(Study):
-    """Stars with pixels."""
-
-    name: ClassVar[str] = "pixels"
-
-    stars: int = 2
-
-    def tasks(self):
-        return [{"key": f"star{i}", "mag": 12.0 + i} for i in range(self.stars)]
-
-    def observation(self, task):
-        from scope_models import Detector, Motion, Star, simulate
-
-        detector = Detector.k2(shape=(5, 5))
-        seed = self.star_seed(task["key"])
-        return simulate(Star(task["mag"]), detector, Motion.still(30), seed=seed)
-
-    def measure(self, task, observation):  # noqa: ARG002
-        return {"flux": observation.flux.sum()}
-
-    def summarize(self, table):
-        return table
-
-    def draw(self, table, summary):  # noqa: ARG002
-        from matplotlib.figure import Figure
-
-        return Figure()

@@ -11,10 +11,8 @@ from astropy.table import Table
 from matplotlib.image import imread
 
 from scope_models import Detector, Motion, Star, read_scene, simulate
-from scope_models.cli import main
-from scope_models.exceptions import FailedStarsWarning
-from scope_models.experiments import SweepError
-from scope_models.experiments.batch import (
+from scope_models.batch import (
+    SweepError,
     detrend_files,
     find_files,
     fit_files,
@@ -22,6 +20,8 @@ from scope_models.experiments.batch import (
     inject_files,
     simulate_table,
 )
+from scope_models.cli import main
+from scope_models.exceptions import FailedStarsWarning
 
 QUIET = {"progress": False}
 PLANET = {"period": [1.5], "t0": [2145.0], "depth": [0.01], "duration": [0.2]}
@@ -385,3 +385,40 @@ class TestCommandLine:
         assert (status, stdout) == (2, "")
         assert message in stderr
         assert stderr.count("\n") == 1
+
+    def test_options_of_a_file(self, files, tmp_path, capsys):
+        config = tmp_path / "options.toml"
+        config.write_text(
+            f"input = {[str(path) for path in files[:2]]}\norder = 1\nremove-trend = true\n"
+            "overwrite = false\n"
+        )
+        arguments = ["detrend", "--config", config, "--output-dir", tmp_path / "out"]
+        status, stdout, stderr = self.run(capsys, *arguments)
+        assert (status, stderr) == (0, "")
+        assert stdout.splitlines()[0] == "2 stars, 0 failed"
+        meta = Table.read(tmp_path / "out" / "results.ecsv").meta
+        assert (meta["order"], meta["restore_trend"]) == (1, False)
+        arguments = [*arguments[:-1], tmp_path / "other", "--order", "2", "--workers", "1"]
+        assert self.run(capsys, *arguments)[0] == 0
+        assert Table.read(tmp_path / "other" / "results.ecsv").meta["order"] == 2
+
+    @pytest.mark.parametrize(
+        "text, message",
+        [
+            ("order = 1\nordre = 2", "unrecognized arguments: --ordre=2"),
+            ("order = 'many'", "argument --order: invalid int value: 'many'"),
+            ("order = two", "is not valid TOML"),
+            ("[order]\na = 1", "`order` must be a number, text, true, false or a list"),
+        ],
+    )
+    def test_bad_files_of_options(self, tmp_path, capsys, text, message):
+        config = tmp_path / "options.toml"
+        config.write_text(text)
+        try:
+            status = main(["detrend", "a.fits", "--config", str(config), "--output", "b.fits"])
+        except SystemExit as end:
+            status = end.code
+        err = capsys.readouterr().err
+        assert status == 2
+        assert message in err
+        assert err.count("\n") == 1
