@@ -182,7 +182,7 @@ def constant_columns(clean, usable, use):
     x, y = (clean.position / np.maximum(clean.position[use[usable]].std(axis=0), 1e-12)).T
     powers = np.column_stack([np.ones(len(x))] + [x**i * y**j for i, j in _POWERS])
     root = np.linalg.qr(powers[use[usable]], mode="r") / np.sqrt(use.sum())
-    faint = np.median(clean.light) / clean.light - 1
+    faint = np.median(clean.light) / np.where(clean.light > 0, clean.light, np.nan) - 1
     columns[usable] = solve_triangular(root, powers.T, trans=1)[1:].T * faint[:, None]
     return columns
 

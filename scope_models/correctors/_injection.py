@@ -8,7 +8,7 @@ import numpy as np
 
 from scope_models._arrays import plain_array
 from scope_models._checks import checked_number
-from scope_models.correctors._pixels import Pixels, background_plane, own_pixels
+from scope_models.correctors._pixels import Pixels, background_plane, own_pixels, typical_image
 from scope_models.correctors._scene_start import fit_gaussians
 from scope_models.exceptions import DetrendingWarning
 from scope_models.photometry import aperture_flux
@@ -48,7 +48,7 @@ class Source:
     def _image(self):
         """Typical image less background, its background, and the star's share in each pixel."""
         pixels = self.pixels
-        typical = np.nanmedian(pixels.flux[pixels.usable], axis=0)
+        typical = typical_image(pixels.flux[pixels.usable])
         plane = background_plane(typical)
         image = np.nan_to_num(typical - plane)
         return image, plane, _star_share(image, pixels.aperture)
@@ -159,18 +159,36 @@ def fitted_depth(fitted, column):
     return solution.without_outliers(fitted.model.options).flat_coefficient(-1)
 
 
-def depth_ratio(signal, flux):
-    """Return the depth of events in a flux over that in a signal, with a line about each event."""
-    edges = np.flatnonzero(np.diff(signal != 0, prepend=False, append=False))
-    upper = lower = 0.0
-    for start, end in edges.reshape(-1, 2):
+def depth_ratio(signal, flux, error):
+    """
+    Return the depth of events in a flux over that in a signal, with a line about each event.
+
+    Parameters
+    ----------
+    signal, flux : ndarray
+        Relative flux, the signal less 1, ``(n,)``.
+    error : ndarray
+        Standard deviations that weight the cadences.
+
+    Returns
+    -------
+    ratio, error : float
+        The ratio, and its standard deviation as the scatter about the signal gives it; NaN
+        without events.
+    """
+    edges = np.flatnonzero(np.diff(signal != 0, prepend=False, append=False)).reshape(-1, 2)
+    parts = [np.empty((0, 2))]
+    for start, end in edges:
         near = slice(max(2 * start - end, 0), 2 * end - start)
-        both = np.column_stack([flux, signal])[near]
-        line = np.vander(np.arange(len(both)), 2)
-        both -= line @ np.linalg.lstsq(line, both)[0]
-        upper += both[:, 0] @ both[:, 1]
-        lower += both[:, 1] @ both[:, 1]
-    return float(upper / lower) if lower > 0 else np.nan
+        both = np.column_stack([flux, signal])[near] / error[near, None]
+        line = np.vander(np.arange(len(both)), 2) / error[near, None]
+        parts.append(both - line @ np.linalg.lstsq(line, both)[0])
+    seen, expected = np.concatenate(parts).T
+    power, free = expected @ expected, len(seen) - 2 * len(edges) - 1
+    if not power > 0 or free < 1:
+        return np.nan, np.nan
+    ratio = seen @ expected / power
+    return float(ratio), float(np.sqrt(np.sum((seen - ratio * expected) ** 2) / free / power))
 
 
 def checked_depth(depth):

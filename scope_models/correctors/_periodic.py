@@ -58,10 +58,9 @@ def harmonic_columns(time, frequencies):
     return np.stack([np.cos(phase), np.sin(phase)], axis=2).reshape(len(time), -1)
 
 
-def is_periodic(solution):
-    """Whether periodic variability is left in a fit, or it has left many cadences out."""
-    n_allowed = len(solution.use)
-    if (~solution.use).sum() > _MANY_OUTLIERS * n_allowed:
+def is_periodic(solution, allowed):
+    """Whether periodic variability is left in a fit, or it has left many allowed cadences out."""
+    if (allowed & ~solution.use).sum() > _MANY_OUTLIERS * allowed.sum():
         return True
     _, gain = _spectrum(solution)
     return bool(gain.max(initial=0.0) > _SIGNIFICANT)

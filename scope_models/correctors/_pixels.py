@@ -18,6 +18,7 @@ __all__ = [
     "can_predict",
     "choose_aperture",
     "credible_flux",
+    "typical_image",
     "with_predicted_fractions",
 ]
 
@@ -144,7 +145,7 @@ def _at_one_place(values, pos_corr):
     return np.median(values[near[: max(_FEWEST, len(values) // 20)]], axis=0)
 
 
-def _typical(flux):
+def typical_image(flux):
     """Return the median image, NaN where there are no data."""
     if np.isfinite(flux).all():
         return quantile(np.moveaxis(flux, 0, -1))
@@ -155,7 +156,7 @@ def _typical(flux):
 
 def _without_background(flux):
     """Subtract a plane from each image: that of the typical one, and what its dark pixels add."""
-    typical = _typical(flux)
+    typical = typical_image(flux)
     known = np.isfinite(typical)
     if not known.any():
         return flux
@@ -284,7 +285,7 @@ def aperture_pixels(series, aperture):
 
 def _own_light(flux, aperture, pos_corr):
     """Return the star's pixels, and the part of the aperture's light that is in those of others."""
-    typical = _typical(flux)
+    typical = typical_image(flux)
     image = np.nan_to_num(typical - background_plane(typical))
     peak = np.argmax(np.where(aperture, image, -np.inf))
     others = ~own_pixels(image, peak) & (image > _OTHER_STAR * image.flat[peak])

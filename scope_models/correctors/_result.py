@@ -1,7 +1,7 @@
 """The fit of pixel level decorrelation: hyper-parameters, systematics, errors and diagnostics."""
 
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -28,6 +28,8 @@ _WHOLE = 9
 _MANY, _CONTAMINATED, _FOLLOWING, _NOISY = 0.1, 0.02, 0.05, 9.0
 #: Wings of neighbors may give more light: few TESS stars are without.
 _BLENDED = 0.1
+#: Standard deviation of a survival above which there is none.
+_PRECISE = 0.1
 #: Depth of the boxes of `PLDFit.survival`: so many errors of their mean, within these bounds.
 _OBVIOUS, _SHALLOW, _DEEP = 10.0, 1e-3, 0.3
 #: Largest number of times that a transit is taken out of the pixels, and what may be left, in
@@ -51,11 +53,8 @@ _NUMBERS = (
     "log_likelihood",
     "n_used",
     "n_outliers",
-    "transit_survival",
     "window",
     "breaks",
-    "transit_scale",
-    "transit_scale_err",
 )
 
 
@@ -190,7 +189,8 @@ class PLDFit:
         """
         Part of a transit's depth that survives if the transit is not masked: `survival`.
 
-        Found when it is first read, by another correction of the pixels.
+        Found when it is first read, by another correction of the pixels; NaN, with a warning
+        that has the reason, if it cannot be found.
         """
         return self.survival()
 
@@ -398,12 +398,23 @@ class PLDFit:
         Returns
         -------
         float
-            Slope of the corrected flux on the model; NaN if the model is constant in the data, the
-            correction fails with the transit in it, or no file is behind the fit.
+            Slope of the corrected flux on the model; NaN if it cannot be found.
+
+        Raises
+        ------
+        TypeError, ValueError
+            If an argument is outside its domain.
+
+        Warns
+        -----
+        DetrendingWarning
+            If the survival is NaN, with the reason: no file is behind the fit, the model is
+            constant in the data, the correction fails with the transit in it, or the standard
+            deviation of the slope is above 0.1, as in series that are short or hold wild cadences.
         """
         pixels = self.model.pixels
         if self.model.source is None:
-            return np.nan
+            return _no_survival("no file is behind the fit")
         if transit_model is None:
             if depth is None:
                 flux, error = self.corrected()
@@ -416,23 +427,37 @@ class PLDFit:
                 return np.nan
             column = column[:, 0]
             if depth is not None:
+                if not column.min() < 0:
+                    raise ValueError("`transit_model` must dim the star where `depth` is given")
                 column = column * np.log1p(-checked_depth(depth)) / column.min()
         try:
             again = self._with_signal(column)
-        except ValueError:
-            return np.nan
-        ratio = again.corrected()[0] / self.corrected()[0]
-        known = np.isfinite(ratio) & (self.cadence_mask | self.transit_mask)
-        return depth_ratio(np.exp(column[known]) - 1, ratio[known] / np.median(ratio[known]))
+        except ValueError as error:
+            return _no_survival(f"the correction with transits in the pixels fails: {error}")
+        flux, flux_err = self.corrected()
+        with np.errstate(invalid="ignore", over="ignore"):
+            ratio = again.corrected()[0] / flux
+            weight = flux_err / flux
+        known = np.isfinite(ratio) & np.isfinite(weight) & (self.cadence_mask | self.transit_mask)
+        ratio, weight = ratio[known] / np.median(ratio[known]), weight[known]
+        found, error = depth_ratio(np.exp(column[known]) - 1, ratio, weight)
+        if not error < _PRECISE:
+            return _no_survival(f"{found:.2f} with a standard deviation of {error:.2f}")
+        return found
 
     def _with_signal(self, column):
         """Return the fit of the same pixels with the star's light times ``exp(column)``."""
         model = self.model
         source = model.source.dimmed(np.exp(column), model.clean)
+        options = replace(
+            model.options,
+            fractions="predicted" if model.clean else "measured",
+            flux="weighted" if self.weighted else "sum",
+        )
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", DetrendingWarning)
             again = type(model).from_pixels(
-                source.pixels, model.options, source.series, source.cadence_mask
+                source.pixels, options, source.series, source.cadence_mask
             )
             return again.fit(
                 self.cadence_mask,
@@ -550,11 +575,18 @@ class PLDFit:
         `~astropy.table.QTable`
             Columns ``group``, ``n_columns``, ``prior_variance``, ``explained_variance`` and
             ``effective_parameters``; ``meta`` has the other numbers, ``trend_period`` and
-            ``breaks`` in days.
+            ``breaks`` in days, and what takes further corrections, `transit_survival` and
+            `transit_scale`, once it has been read, else NaN.
         """
         names = ("n_columns", "prior_variance", "explained_variance", "effective_parameters")
         table = QTable({"group": list(self.groups), **{n: list(getattr(self, n)) for n in names}})
         table.meta.update({name: getattr(self, name) for name in _NUMBERS})
+        scale = vars(self).get("_transit", (np.nan, np.nan))
+        table.meta.update(
+            transit_survival=vars(self).get("transit_survival", np.nan),
+            transit_scale=scale[0],
+            transit_scale_err=scale[1],
+        )
         return table
 
     def _rows(self):
@@ -564,7 +596,6 @@ class PLDFit:
             ("cadences in the fit", f"{self.n_used}"),
             ("outliers", f"{self.n_outliers}"),
             ("noise variance / FLUX_ERR^2", f"{self.noise_scale:.3f}"),
-            ("transit survival", f"{self.transit_survival:.3f}"),
             ("fractions, flux", f"{fractions}, {'weighted' if self.weighted else 'sum'}"),
             ("constant light taken off", f"{100 * self.contamination:.1f} %"),
         ]
@@ -575,10 +606,11 @@ class PLDFit:
             rows.append(("trend", trend))
         if self.frequencies:
             rows.append(("frequencies", f"{len(self.frequencies)}"))
-        if self.joint:
-            rows.append(
-                ("transit scale", f"{self.transit_scale:.4f} +- {self.transit_scale_err:.4f}")
-            )
+        if "transit_survival" in vars(self):  # further corrections are not made to be shown
+            rows.append(("transit survival", f"{self.transit_survival:.3f}"))
+        if self.joint and "_transit" in vars(self):
+            scale = f"{self.transit_scale:.4f} +- {self.transit_scale_err:.4f}"
+            rows.append(("transit scale", scale))
         parts = zip(self.groups, self.n_columns, self.effective_parameters, strict=True)
         rows += [(name, f"{used:.1f} of {n} parameters") for name, n, used in parts]
         return rows
@@ -597,3 +629,9 @@ class PLDFit:
             f"<tr><th>{label}</th><td>{value}</td></tr>" for label, value in self._rows()
         )
         return f"<table>{rows}</table>"
+
+
+def _no_survival(reason):
+    """Return NaN, with a warning that has the reason."""
+    warnings.warn(f"the transit survival is NaN: {reason}", DetrendingWarning, stacklevel=3)
+    return np.nan

@@ -332,7 +332,7 @@ def fit(make_regressors, time, y, variance, use, flat_columns, options, predicte
         time, y, variance, use, regressors, flat, scale, None, options.n_trend, predicted=predicted
     )
     solution = _without_outliers(first, make_regressors, options)
-    if options.trend == "gp" and is_periodic(solution):
+    if options.trend == "gp" and is_periodic(solution, use):
         frequencies = find_frequencies(solution, use)
         if len(frequencies):
             periodic = first.with_frequencies(frequencies, use)

@@ -303,7 +303,7 @@ class PLDModel:
                 extra["focus"] = focus_columns(clean, pixels.usable, use)
                 extra["aperture"] = outside_column(clean, pixels.usable)
                 if clean.constant > 0:
-                    extra["constant light"] = constant_columns(clean, predicted.usable, use)
+                    extra["constant light"] = constant_columns(clean, pixels.usable, use)
                 pixels, saturation = predicted, None
             else:  # the model of the pixels has diverged
                 clean = None

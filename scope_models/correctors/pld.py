@@ -61,9 +61,9 @@ class PLDCorrector(LightkurveNames, Corrector):
         The pixels that are summed.
     original_lc, corrected_lc : `~lightkurve.LightCurve`
         Sum over the aperture before and after the correction.
-    cadence_mask, outlier_mask : `~numpy.ndarray`
-        Cadences that the last call of `correct` was allowed to fit, and those
-        of them that it left out as outliers.
+    cadence_mask, transit_mask, outlier_mask : `~numpy.ndarray`
+        Cadences that the last call of `correct` was allowed to fit, those in transit, and those
+        that it left out as outliers.
     result : `PLDFit`
         Hyper-parameters and diagnostics of the last call.
 
@@ -98,23 +98,27 @@ class PLDCorrector(LightkurveNames, Corrector):
     def __init__(self, tpf, aperture_mask=None):
         self.tpf = read_tpf(tpf)
         self._series = read_pixels(self.tpf)
-        self._set_aperture(aperture_mask)
+        self._pixels, self.original_lc = self._summed(aperture_mask)
+        self.outlier_mask, self.transit_mask = np.zeros((2, len(self._pixels.time)), dtype=bool)
+        self.model = self.result = None
+
+    @property
+    def aperture_mask(self):
+        """Pixels that are summed, a read-only mask of shape ``(ny, nx)``."""
+        return frozen(self._pixels.aperture)
 
     def _named(self, mask, name):
         return named_mask(self.tpf, mask, name)
 
-    def _set_aperture(self, aperture_mask):
+    def _summed(self, aperture_mask):
+        """Return the pixels of an aperture, and the light curve of their sum."""
         mask = self._named(aperture_mask, "aperture_mask")
         pixels = aperture_pixels(self._series, mask)
         lc = self.tpf.to_lightcurve(aperture_mask=pixels.aperture.copy())
         unit = lc.flux.unit
         lc.flux = np.where(pixels.usable, pixels.total, np.nan) * unit
         lc.flux_err = np.where(pixels.usable, pixels.total_err, np.nan) * unit
-        self._pixels = pixels
-        self._aperture_mask = frozen(pixels.aperture)
-        self.original_lc = lc
-        self.cadence_mask = np.ones(len(lc), dtype=bool)
-        self.model = self.result = None
+        return pixels, lc
 
     def __repr__(self):
         return f"PLDCorrector (ID: {self.original_lc.meta.get('LABEL', 'unknown')})"
@@ -265,41 +269,37 @@ class PLDCorrector(LightkurveNames, Corrector):
         n = len(self._pixels.time)
         mask = checked_cadences("cadence_mask", cadence_mask, n, default=True)
         in_transit = checked_cadences("transit_mask", transit_mask, n, default=False)
+        pixels, original = self._pixels, self.original_lc
         if aperture_mask is not None:
-            self._set_aperture(aperture_mask)
-        self._restore_trend = restore_trend
+            pixels, original = self._summed(aperture_mask)
         with one_thread:
             try:
-                self.result = fit_pixels(
-                    self._pixels,
+                result = fit_pixels(
+                    pixels,
                     options,
                     self._series,
                     mask,
                     transit_mask=in_transit,
                     transit_model=transit_model,
                 )
-                self.model = self.result.model
             except NothingToCorrectError:
                 message = "the pixel fractions do not vary: the light curve is left as it is"
                 warnings.warn(message, DetrendingWarning, stacklevel=2)
-                self.model = self.result = None
-            self.cadence_mask, self.transit_mask = mask & ~in_transit, in_transit
-            self._finish()
-        return self.corrected_lc
-
-    def _finish(self):
-        """Make the corrected light curve and the mask of outliers."""
-        lc = self.original_lc.copy()
-        self.outlier_mask = np.zeros(len(lc), dtype=bool)
-        if self.result is not None:
-            self.outlier_mask = self.result.outliers
-            flux, flux_err = self.result.corrected(restore_trend=self._restore_trend)
-            for remark in self.result.remarks():
-                warnings.warn(remark, DetrendingWarning, stacklevel=3)
-            total = self.original_lc.flux.value
-            flux, flux_err = credible_flux(flux, flux_err, total, self.outlier_mask)
-            lc.flux, lc.flux_err = flux * lc.flux.unit, flux_err * lc.flux_err.unit
-        self.corrected_lc = lc
+                result = None
+            lc, outliers = original.copy(), np.zeros(n, dtype=bool)
+            if result is not None:
+                outliers = result.outliers
+                flux, flux_err = result.corrected(restore_trend=restore_trend)
+                for remark in result.remarks():
+                    warnings.warn(remark, DetrendingWarning, stacklevel=2)
+                flux, flux_err = credible_flux(flux, flux_err, original.flux.value, outliers)
+                lc.flux, lc.flux_err = flux * lc.flux.unit, flux_err * lc.flux_err.unit
+        # nothing has failed: only now the corrector changes
+        self._pixels, self.original_lc, self.corrected_lc = pixels, original, lc
+        self.result, self.model = result, result and result.model
+        self.cadence_mask, self.transit_mask = mask & ~in_transit, in_transit
+        self.outlier_mask, self._restore_trend = outliers, restore_trend
+        return lc
 
     def _fitted(self):
         """Return the last fit, or raise an error."""

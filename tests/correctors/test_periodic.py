@@ -46,7 +46,7 @@ def test_frequencies_are_found():
     """To an error of sqrt(6 / n) sigma / (pi T A), Montgomery and O'Donoghue 1999."""
     amplitudes, noise = np.array([0.02, 0.005, 0.001]), 1e-4
     solution = make_solution(signal(amplitudes, noise))
-    assert is_periodic(solution)
+    assert is_periodic(solution, solution.use)
     found = np.sort(find_frequencies(solution, solution.use))
     assert len(found) == 3
     error = np.sqrt(6 / len(TIME)) * noise / (np.pi * np.ptp(TIME) * amplitudes)
@@ -56,7 +56,7 @@ def test_frequencies_are_found():
 def test_noise_roll_and_slow_change_have_no_frequencies():
     for seed in range(5):
         solution = make_solution(signal(np.zeros(3), 1e-4, seed))
-        assert not is_periodic(solution)
+        assert not is_periodic(solution, solution.use)
         assert len(find_frequencies(solution, solution.use)) == 0
 
 
@@ -86,7 +86,7 @@ def test_variability_at_all_frequencies_has_none():
         y[k] = 0.95 * y[k - 1] + 1e-3 * rng.normal()
     hyper = Hyperparameters(1.0, np.array([1e-4]), 1e-5, 1.0)
     solution = replace(make_solution(y, 3e-4), hyper=hyper)
-    assert is_periodic(solution)
+    assert is_periodic(solution, solution.use)
     assert len(find_frequencies(solution, solution.use)) == 0
 
 
