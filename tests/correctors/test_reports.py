@@ -1,0 +1,100 @@
+"""What correctors hold before, after and instead of a correction, and what they report."""
+
+import numpy as np
+import pytest
+
+from scope_models.correctors import PLDCorrector
+from scope_models.correctors import _result as result_module
+from scope_models.exceptions import DetrendingWarning
+
+
+@pytest.fixture(scope="module")
+def star(fake_star):
+    return fake_star(400, seed=5)
+
+
+def test_masks_exist_before_a_correction(star):
+    corrector = PLDCorrector(star.tpf)
+    for name in ("outlier_mask", "transit_mask"):
+        assert getattr(corrector, name).tolist() == [False] * 400
+    assert corrector.cadence_mask.all()
+
+
+@pytest.mark.parametrize("mask", [[True] * 3, np.arange(400) < 20])
+def test_a_failing_call_changes_nothing(star, mask):
+    corrector = PLDCorrector(star.tpf)
+    corrected, raw, result = corrector.correct(), corrector.original_lc, corrector.result
+    aperture, outliers = corrector.aperture_mask, corrector.outlier_mask
+    wide = np.ones(aperture.shape, dtype=bool)
+    with pytest.raises(ValueError, match=r"cadence_mask|30 usable cadences"):
+        corrector.correct(cadence_mask=mask, aperture_mask=wide)
+    assert corrector.corrected_lc is corrected
+    assert corrector.original_lc is raw
+    assert corrector.result is result
+    assert (corrector.aperture_mask == aperture).all()
+    assert corrector.outlier_mask is outliers
+
+
+def test_showing_a_result_corrects_nothing(star, monkeypatch):
+    corrector = PLDCorrector(star.tpf)
+    signal = np.where(np.arange(400) % 97 < 8, 0.999, 1.0)
+    corrector.correct(transit_model=signal)
+    result = corrector.result
+    with monkeypatch.context() as patch:
+        patch.setattr(type(result.model), "from_pixels", None)
+        assert "survival" not in str(result) + result._repr_html_()
+        meta = result.to_table().meta
+    assert np.isnan([meta["transit_survival"], meta["transit_scale"]]).all()
+    survival, scale = result.transit_survival, result.transit_scale
+    assert f"{survival:.3f}" in str(result)
+    assert result.to_table().meta["transit_survival"] == survival
+    assert result.to_table().meta["transit_scale"] == scale
+
+
+def test_a_survival_that_cannot_be_had_is_nan_with_a_reason(star, monkeypatch):
+    corrector = PLDCorrector(star.tpf)
+    corrector.correct()
+    result = corrector.result
+    signal = np.where(np.arange(400) % 97 < 8, 0.999, 1.0)
+    with pytest.raises(ValueError, match="`transit_model` must dim the star"):
+        result.survival(2 - signal, depth=0.01)
+    assert np.isfinite(result.survival(2 - signal))
+
+    def refused(*_):
+        raise ValueError("no light")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(type(result.model), "from_pixels", refused)
+        with pytest.warns(DetrendingWarning, match=r"survival is NaN: the correction .* no light"):
+            assert np.isnan(result.survival())
+    monkeypatch.setattr(result_module, "depth_ratio", lambda *_: (17.2, 5.0))
+    with pytest.warns(DetrendingWarning, match="survival is NaN: 17.20 with a standard deviation"):
+        assert np.isnan(result.survival())
+
+
+def test_a_depth_is_not_taken_from_wild_cadences():
+    """One cadence of next to no light, whose error is as large, and scatter that grows."""
+    from scope_models.correctors._injection import depth_ratio
+
+    rng = np.random.default_rng(1)
+    signal = np.where(np.arange(400) % 100 // 10 == 5, -0.01, 0.0)
+    error = np.full(400, 1e-3)
+    flux = 1 + 0.9 * signal + 1e-3 * rng.standard_normal(400)
+    found, size = depth_ratio(signal, flux, error)
+    assert found == pytest.approx(0.9, abs=4 * size)
+    assert size == pytest.approx(1e-3 / 0.01 / np.sqrt(40 * 0.7), rel=0.5)
+    flux[152], error[152] = 1e5, 1e6
+    assert depth_ratio(signal, flux, error)[0] == pytest.approx(found, abs=0.05)
+    assert np.isnan(depth_ratio(np.zeros(400), flux, error)).all()
+
+
+def test_cadences_that_a_user_masks_are_no_outliers(star):
+    """Frequencies are not searched because 4 % are masked."""
+    from scope_models.correctors._periodic import is_periodic
+
+    corrector = PLDCorrector(star.tpf)
+    corrector.correct(cadence_mask=np.arange(400) % 25 > 0)
+    solution = corrector.result.solution
+    allowed = corrector.cadence_mask
+    assert not is_periodic(solution, allowed)
+    assert is_periodic(solution, np.ones(400, dtype=bool))  # as if they were outliers
