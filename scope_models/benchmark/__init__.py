@@ -7,6 +7,7 @@ __getattr__, __dir__, __all__ = lazy_loader.attach(
     __name__,
     submod_attrs={
         "files": ["benchmark_star", "make_benchmark", "score_light_curves", "summarize_scores"],
-        "sky": ["REGIMES", "MessyStar", "SkyRegime", "SkyScore", "make_sky", "score"],
+        "regimes": ["REGIMES", "SkyRegime"],
+        "sky": ["MessyStar", "SkyScore", "make_sky", "score"],
     },
 )

@@ -87,9 +87,28 @@ def _wheels(rng, time):
     return *offsets, firing
 
 
+def _rest(rng, time):
+    """A star at rest but for 0.1 mpx from cadence to cadence."""
+    return *rng.normal(0, 1e-4, (2, len(time))), np.zeros(len(time), bool)
+
+
+def _jitter(rng, time):
+    """Jitter of 5 mpx, half of it over hours."""
+    white = rng.normal(0, 0.0035, (2, len(time)))
+    return *(one + 0.0035 * red_noise(rng, time, 0.1) for one in white), np.zeros(len(time), bool)
+
+
 #: Offsets in pixels along x and y, and the cadences in which thrusters fire, by the kind of motion.
 #: Times are in days from the beginning.
-MOTIONS = {"k2": _roll, "kepler": _drift, "tess": _orbits, "walk": _walk, "wheels": _wheels}
+MOTIONS = {
+    "k2": _roll,
+    "kepler": _drift,
+    "tess": _orbits,
+    "walk": _walk,
+    "wheels": _wheels,
+    "rest": _rest,
+    "jitter": _jitter,
+}
 
 
 def _sine(rng, time, period, amplitude):
@@ -155,6 +174,22 @@ def _flaring(rng, time, period, amplitude):
     return np.minimum(values, 2.0)
 
 
+def _bump(rng, time, period, amplitude):
+    """One Gaussian rise and fall."""
+    since = (time - rng.uniform(0.3, 0.7) * time[-1]) / period
+    return 1 + amplitude * np.exp(-4 * np.log(2) * since**2)
+
+
+def _rise(rng, time, period, amplitude):
+    """One smooth rise that begins on the first day."""
+    phase = np.clip((time - rng.uniform()) / period, 0, 1)
+    return 1 + amplitude * np.sin(np.pi / 2 * phase) ** 2
+
+
+def _random_walk(rng, time, period, amplitude):
+    return 1 + amplitude * np.clip(red_noise(rng, time, period), -5, 5)
+
+
 #: Relative flux of a star without transits, near 1, by the kind of variability. The period is in
 #: days, the amplitude about half the range; of an eclipsing binary, the depth.
 LIGHTS = {
@@ -165,11 +200,14 @@ LIGHTS = {
     "delta_scuti": _delta_scuti,
     "eclipsing": _eclipsing,
     "flaring": _flaring,
+    "bump": _bump,
+    "rise": _rise,
+    "walk": _random_walk,
 }
 
 
-def make_transit(rng, time, depth, period, duration):
-    """Return relative flux 1 with transits of a relative depth; period and duration are in days.
+def make_transit(rng, time, period, duration):
+    """Return the shape of transits, 0 outside and 1 at most; period and duration are in days.
 
     An infinite period is a single transit near the middle.
     """
@@ -178,4 +216,4 @@ def make_transit(rng, time, depth, period, duration):
         since = time - phase * time[-1]
     else:
         since = (time - phase * period + period / 2) % period - period / 2
-    return 1 - depth * np.clip(1.3 * (1 - np.abs(2 * since / duration) ** 4), 0, 1)
+    return np.clip(1.3 * (1 - np.abs(2 * since / duration) ** 4), 0, 1)

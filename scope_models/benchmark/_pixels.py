@@ -14,7 +14,6 @@ __all__ = ["PixelResponse", "bleed", "make_psf", "make_response", "render"]
 _MARGIN = 4  # pixels around the stamp until the field repeats
 _OVERSAMPLING = 12
 _HIGHEST = 2.5  # cycles per pixel: the narrowest component has exp(-25) of its light there
-_WIDTH_STEP = 0.01
 _CHUNK = 300
 
 
@@ -106,15 +105,18 @@ def render(response, psf, x, y, width):
 
     `x`, `y` and the relative width of the PSF are given for each cadence.
     """
-    series = [_series(response, psf, 1 + step) for step in (-_WIDTH_STEP, 0.0, _WIDTH_STEP)]
-    slope = (series[2] - series[0]) / (2 * _WIDTH_STEP)
-    curvature = (series[2] - 2 * series[1] + series[0]) / _WIDTH_STEP**2
+    # The series is a polynomial of the width through Chebyshev nodes.
+    middle, half = (width.max() + width.min()) / 2, max(np.ptp(width) / 2, 1e-6)
+    nodes = np.polynomial.chebyshev.chebpts1(3 + int(np.ceil(25 * half)))
+    series = np.array([_series(response, psf, middle + half * node) for node in nodes])
+    degree = len(nodes) - 1
+    values = np.polynomial.chebyshev.chebvander((width - middle) / half, degree)
+    shares = values @ np.linalg.inv(np.polynomial.chebyshev.chebvander(nodes, degree))
     rows, columns = response.modes
     images = np.empty((len(x), response.transforms.shape[1]))
     for first in range(0, len(x), _CHUNK):
         part = slice(first, first + _CHUNK)
-        change = (width[part] - 1)[:, None, None]
-        light = series[1] + change * slope + change**2 / 2 * curvature
+        light = np.tensordot(shares[part], series, 1)
         light *= np.exp(-1j * np.outer(y[part], rows))[:, :, None]
         light *= np.exp(-1j * np.outer(x[part], columns))[:, None, :]
         light = light.reshape(len(light), -1)

@@ -1,18 +1,30 @@
 """Scores of a light curve of which the truth is known: pure functions of arrays."""
 
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 
-__all__ = ["SkyScore", "score_light_curve", "score_places"]
+from scope_models.scene.motion import K2Roll
 
-_BIN = 13  # cadences of 6.5 h
+__all__ = [
+    "SkyScore",
+    "binned",
+    "depth_difference",
+    "deviation_of",
+    "leak_slopes",
+    "score_light_curve",
+    "score_places",
+]
+
+_BIN = 13 * K2Roll.cadence  # days, 6.5 h
 _WINDOW = 3.0  # days
 _MOST_CLIPPED = 0.02
 _FEWEST = 100
 _PHASES = 8  # bins of a pixel along an axis
 _NEAR = 0.15  # px from the border of two pixels
 _SIDE = 8  # cadences on either side of a border, at least
+_SHARES, _SCALES = (0.0, 0.2, 0.5, 0.8, 0.95, 0.99), (0.5, 1.0, 2.0, 4.0, 8.0, 16.0)  # days
 
 
 @dataclass(frozen=True)
@@ -24,6 +36,8 @@ class SkyScore:
     full : float
         Standard deviation of 6.5-h bins of corrected over true flux, in units of the floor. Only
         a constant factor is removed.
+    diluted : float
+        The same with the amplitude of the truth fitted: light of neighbors may stay in the curve.
     high_passed : float
         The same after a running mean of 3 d has been subtracted.
     amplitude : float
@@ -50,6 +64,7 @@ class SkyScore:
     """
 
     full: float
+    diluted: float
     high_passed: float
     amplitude: float
     depth: float
@@ -66,19 +81,21 @@ def score_light_curve(time, flux, error, truth, transit, noise):
     """
     good = np.isfinite(flux) & np.isfinite(error)
     kept = float(good.mean())
-    floor = noise / np.sqrt(_BIN)
+    floor = noise / np.sqrt(_per_bin(time))
     time, flux, error, truth, transit = (a[good] for a in (time, flux, error, truth, transit))
     if good.sum() < _FEWEST or not np.median(flux) > 0:
         nan = float("nan")
-        return SkyScore(np.inf, np.inf, nan, nan, nan, kept, 1e6 * floor)
+        return SkyScore(np.inf, np.inf, np.inf, nan, nan, nan, kept, 1e6 * floor)
     ratio = flux / truth
     level = np.median(ratio)
     deviation = ratio / level - 1
     fine = ~_outliers(deviation)
     pull = np.sqrt(np.mean((deviation * truth * level / error)[fine] ** 2))
+    diluted = flux / (1 + (_slope(flux[fine], truth[fine])) * (truth / truth.mean() - 1))
     smooth = deviation[fine] - _running_mean(time[fine], deviation[fine])
     return SkyScore(
         full=_scatter(time[fine], deviation[fine]) / floor,
+        diluted=_scatter(time[fine], (diluted / np.median(diluted))[fine]) / floor,
         high_passed=_scatter(time[fine], smooth) / floor,
         amplitude=_amplitude(flux[fine], truth[fine], transit[fine]),
         depth=_depth(time[fine], flux[fine], truth[fine], transit[fine]),
@@ -145,12 +162,28 @@ def _outliers(values):
 
 def _scatter(time, values):
     """Return the standard deviation of the means of 13 cadences; bins less than half full go."""
-    number = ((time - time[0]) / (time[1:] - time[:-1]).min() + 0.5).astype(int) // _BIN
-    count = np.bincount(number)
-    full = count > _BIN / 2
-    means = np.bincount(number, values)[full] / count[full]
+    _, means, count = binned(time, values)
     # Bins with fewer cadences are noisier: the floor is that of full ones.
-    return float(np.sqrt(np.average((means - means.mean()) ** 2, weights=count[full])))
+    return float(np.sqrt(np.average((means - means.mean()) ** 2, weights=count)))
+
+
+def _per_bin(time):
+    """Return the cadences of a bin."""
+    return max(round(_BIN / np.diff(time).min()), 1) if len(time) > 1 else 1
+
+
+def binned(time, values):
+    """Return times, means and numbers of cadences of 6.5-h bins; those less than half full go.
+
+    `values` is of shape ``(..., n)``.
+    """
+    size = _per_bin(time)
+    number = ((time - time[0]) / np.diff(time).min() + 0.5).astype(int) // size
+    count = np.bincount(number)
+    full = count > size / 2
+    sums = [np.bincount(number, one) for one in (time, *np.atleast_2d(values))]
+    time, *means = np.array(sums)[:, full] / count[full]
+    return time, np.reshape(means, (*np.shape(values)[:-1], -1)), count[full]
 
 
 def _running_mean(time, values):
@@ -167,8 +200,72 @@ def _amplitude(flux, truth, transit):
     flux, truth = flux[outside], truth[outside]
     if not outside.any() or truth.std() < 1e-5:
         return float("nan")
+    return _slope(flux, truth)
+
+
+def _slope(flux, truth):
+    """Return the slope of the relative flux on the relative truth; 1 for a constant truth."""
+    if truth.std() < 1e-9:
+        return 1.0
     slope, level = np.polyfit(truth, flux, 1)
     return float(slope / (slope * truth.mean() + level) * truth.mean())
+
+
+def deviation_of(flux, truth):
+    """Return the flux over the truth and its median, less 1; NaN for outliers."""
+    good = np.flatnonzero(np.isfinite(flux / truth))
+    deviation = np.full(len(flux), np.nan)
+    ratio = flux[good] / truth[good]
+    one = ratio / np.median(ratio) - 1
+    fine = ~_outliers(one)
+    deviation[good[fine]] = one[fine]
+    return deviation
+
+
+def depth_difference(flux, without, truth, transit):
+    """Return the part of a transit's depth that is kept: the difference of two runs.
+
+    `flux` has the transits, `without` is of the same star and noise without them; `truth` has them.
+    """
+    alone = truth / transit
+    columns = [one / np.nanmedian((one / alone)[transit == 1]) for one in (flux, without, truth)]
+    seen, expected = columns[0] - columns[1], columns[2] - alone
+    good = np.isfinite(seen)
+    seen, expected = seen[good] - seen[good].mean(), expected[good] - expected[good].mean()
+    return float(seen @ expected / (expected @ expected)) if expected.any() else float("nan")
+
+
+def leak_slopes(time, deviation, nuisances):
+    """Return slopes of the deviation's 6.5-h means on all nuisances together, and their errors.
+
+    The noise of the means is white and an exponentially correlated process; their shares and the
+    correlation time maximize the restricted likelihood. A nuisance that is constant has NaN.
+    """
+    good = np.isfinite(deviation) & np.isfinite(nuisances).all(axis=0)
+    time, means, count = binned(time[good], np.array([deviation, *nuisances])[:, good])
+    target, columns = means[0], means[1:] - means[1:].mean(axis=1, keepdims=True)
+    sizes = columns.std(axis=1)
+    changing = sizes > 1e-9
+    slopes = np.full((2, len(nuisances)), np.nan)
+    design = np.column_stack(
+        [np.ones(len(time)), *(columns / np.maximum(sizes, 1e-9)[:, None])[changing]]
+    )
+    if len(time) <= design.shape[1] + 2:
+        return slopes
+    white, lag = count.max() / count, np.abs(time[:, None] - time)
+    best = np.inf
+    for share, scale in product(_SHARES, _SCALES):
+        root = np.linalg.cholesky(np.diag((1 - share) * white) + share * np.exp(-lag / scale))
+        left, right = np.linalg.solve(root, design), np.linalg.solve(root, target)
+        inverse = np.linalg.pinv(left.T @ left, hermitian=True)
+        found = inverse @ left.T @ right
+        square = np.sum((right - left @ found) ** 2) / (len(time) - design.shape[1])
+        cost = (len(time) - design.shape[1]) * np.log(square) + 2 * np.log(np.diag(root)).sum()
+        cost += np.linalg.slogdet(left.T @ left)[1]
+        if cost < best:
+            best, chosen = cost, (found, np.sqrt(square * np.diag(inverse)))
+    slopes[:, changing] = np.array(chosen)[:, 1:] / sizes[changing]
+    return slopes
 
 
 def _depth(time, flux, truth, transit):

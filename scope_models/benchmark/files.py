@@ -15,7 +15,8 @@ from scope_models._checks import checked_integer
 from scope_models._docstrings import documented
 from scope_models.batch._many import RUN, run_files
 from scope_models.benchmark._scores import score_places
-from scope_models.benchmark.sky import REGIMES, make_sky, score
+from scope_models.benchmark.regimes import REGIMES
+from scope_models.benchmark.sky import make_sky, score
 from scope_models.io import write_hdulist
 from scope_models.io._opening import open_fits
 from scope_models.io.reading import first_table
@@ -100,7 +101,7 @@ def make_benchmark(output_dir, client=None, *, overwrite=False, sweep=None, star
     files = [f"sky{n:03d}-{names[n % len(names)]}" for n in range(stars)]
     return run_files(
         _written, files, output_dir, client, name="benchmark", suffix=".fits", rows=rows, inputs=(),
-        options={"version": 1}, overwrite=overwrite, sweep=sweep,
+        options={"version": 2}, overwrite=overwrite, sweep=sweep,
     )  # fmt: skip
 
 

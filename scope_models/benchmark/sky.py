@@ -5,23 +5,27 @@ map of each pixel's response), which neither the simulator nor the correctors an
 """
 
 from collections import namedtuple
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from scope_models._arrays import plain_array, plain_number
+from scope_models._arrays import plain_array
 from scope_models._checks import checked_choice, checked_integer
 from scope_models._values import Value
 from scope_models.benchmark._light import LIGHTS, MOTIONS, make_transit, red_noise
 from scope_models.benchmark._pixels import bleed, make_psf, make_response, render
 from scope_models.benchmark._scores import SkyScore, score_light_curve
+from scope_models.benchmark.regimes import REGIMES, SkyRegime
 from scope_models.io.tpf import TPFMetadata, make_tpf_hdulist
 from scope_models.missions import MISSIONS
 from scope_models.scene.motion import K2Roll
 
-__all__ = ["REGIMES", "MessyStar", "SkyRegime", "SkyScore", "make_sky", "score"]
+__all__ = ["MessyStar", "SkyScore", "make_sky", "score"]
 
-_CADENCE = K2Roll.cadence  # days
+_LONG = K2Roll.cadence  # days
+_POSITIONS = ("wrong", "exact", "none")
+# Errors of POS_CORR in real files: of the scale; slow, over days, and of each cadence, pixels.
+_SCALE_ERROR, _SLOW_ERROR, _SLOW_SCALE, _WHITE_ERROR = 0.01, 0.006, 5.0, 0.003
 _ARGABRIGHTENING = 4096  # on the CCD
 
 # Numbers of the missions' photometers, from their handbooks: zero point (e-/s of a star of
@@ -38,147 +42,6 @@ _PHOTOMETERS = {
 }
 
 
-@dataclass(frozen=True)
-class SkyRegime(Value):
-    """A kind of messy star.
-
-    Parameters
-    ----------
-    name : str
-        Name of the regime.
-    mission : {"K2", "Kepler", "TESS"}, optional
-        Photometer and file layout.
-    motion : {"k2", "kepler", "tess", "walk", "wheels"}, optional
-        Kind of motion.
-    scale : float, optional
-        Factor of the motion.
-    magnitude : float, optional
-        Kp, or T for TESS.
-    star : str, optional
-        Kind of variability: "constant", "spots", "sine", "rr_lyrae", "delta_scuti", "eclipsing"
-        or "flaring".
-    period : float, optional
-        Its period, or the mean time between flares, days.
-    amplitude : float, optional
-        About half its relative range; of eclipses the depth.
-    depth, transit_period, duration : float, optional
-        Relative depth, period and duration of transits, days. A period of infinity stands for one
-        transit.
-    neighbors : tuple of (float, float, float), optional
-        Magnitude difference, distance in pixels, and amplitude of a variability with a period of
-        1.1 d, of each neighbor.
-    focus : float, optional
-        Largest relative change of the PSF's width.
-    focus_period : float, optional
-        Its period, days.
-    background : float, optional
-        Background that the file's own subtraction leaves, e-/s per pixel.
-    shape : tuple of int, optional
-        Rows and columns.
-    cosmic_rays : float, optional
-        Share of all values that hold a cosmic ray. Two K2 files of faint stars look as simulated
-        ones with 0.025.
-
-    Examples
-    --------
-    >>> from scope_models.benchmark import SkyRegime, make_sky
-    >>> regime = SkyRegime("faint", magnitude=16.5, neighbors=((1.0, 3.0, 0.0),))
-    >>> make_sky(regime, seed=1, n_cadences=100).flux.shape
-    (100, 9, 9)
-    """
-
-    name: str
-    mission: str = "K2"
-    motion: str = "k2"
-    scale: float = 1.0
-    magnitude: float = 12.0
-    star: str = "constant"
-    period: float = 5.0
-    amplitude: float = 0.0
-    depth: float = 0.0
-    transit_period: float = 3.1
-    duration: float = 0.2
-    neighbors: tuple = ()
-    focus: float = 0.005
-    focus_period: float = 10.0
-    background: float = 3.0
-    shape: tuple = (9, 9)
-    cosmic_rays: float = 0.004
-
-    def __post_init__(self):
-        units = dict.fromkeys(("period", "transit_period", "duration", "focus_period"), "day")
-        units |= {"magnitude": "mag", "background": "electron / s"}
-        for item in fields(self):
-            if isinstance(item.default, float):
-                value = plain_number(getattr(self, item.name), units.get(item.name, ""), item.name)
-                object.__setattr__(self, item.name, value)
-
-
-def _kepler(name, **changes):
-    return SkyRegime(name, mission="Kepler", motion="kepler", focus=0.003, **changes)
-
-
-def _tess(name, **changes):
-    settings = {"motion": "tess", "magnitude": 9.0, "focus": 0.001, "background": 5.0}
-    return SkyRegime(name, mission="TESS", **{**settings, **changes})
-
-
-_SPOTS = {"star": "spots", "amplitude": 0.006}
-_RR_LYRAE = {"star": "rr_lyrae", "period": 0.55, "amplitude": 0.15}
-_ECLIPSES = {"star": "eclipsing", "period": 2.3, "amplitude": 0.25}
-_SCUTI = {"star": "delta_scuti", "period": 0.1, "amplitude": 0.01}
-
-_ALL = (
-    SkyRegime("k2-1x-constant"),
-    SkyRegime("k2-3x-constant", scale=3),
-    SkyRegime("k2-5x-constant", scale=5, shape=(11, 11)),
-    SkyRegime("k2-10x-constant", scale=10, shape=(13, 13)),
-    SkyRegime("k2-1x-kp14", magnitude=14),
-    SkyRegime("k2-1x-kp17", magnitude=17),
-    SkyRegime("k2-5x-kp15", magnitude=15, scale=5, shape=(11, 11)),
-    SkyRegime("k2-1x-kp10-saturated", magnitude=10, shape=(13, 9)),
-    SkyRegime("k2-1x-kp9-saturated", magnitude=9, shape=(29, 9)),
-    SkyRegime("k2-1x-spots-5d", period=5, **_SPOTS),
-    SkyRegime("k2-1x-spots-20d", period=20, **_SPOTS),
-    SkyRegime("k2-5x-spots-1.5d", period=1.5, scale=5, shape=(11, 11), **_SPOTS),
-    SkyRegime("k2-10x-spots-5d", period=5, scale=10, shape=(13, 13), **_SPOTS),
-    SkyRegime("k2-1x-rr-lyrae", **_RR_LYRAE),
-    SkyRegime("k2-1x-rr-lyrae-neighbor", neighbors=((1, 3, 0),), **_RR_LYRAE),
-    SkyRegime("k2-3x-rr-lyrae-kp15", scale=3, magnitude=15, **_RR_LYRAE),
-    SkyRegime("k2-1x-delta-scuti", **_SCUTI),
-    SkyRegime("k2-5x-delta-scuti", scale=5, shape=(11, 11), **_SCUTI),
-    SkyRegime("k2-1x-eclipsing", **_ECLIPSES),
-    SkyRegime("k2-1x-eclipsing-neighbor", neighbors=((2, 3, 0),), **_ECLIPSES),
-    SkyRegime("k2-1x-flares", star="flaring", period=2.0, amplitude=0.01, magnitude=14),
-    SkyRegime("k2-1x-rotation-0.5d", star="spots", period=0.5, amplitude=0.01),
-    SkyRegime("k2-1x-transits-6h", depth=0.001, transit_period=0.4904, duration=0.12),
-    SkyRegime("k2-5x-transit-single", depth=0.003, transit_period=np.inf, scale=5, shape=(11, 11)),
-    SkyRegime("k2-1x-transits-1pct", depth=0.01, magnitude=14),
-    SkyRegime("k2-1x-transits-neighbor", depth=0.01, neighbors=((1, 3, 0),)),
-    SkyRegime("k2-5x-neighbor", scale=5, shape=(11, 11), neighbors=((2, 3.5, 0),)),
-    SkyRegime("k2-1x-neighbor-variable", neighbors=((2, 3.5, 0.02),)),
-    SkyRegime("k2-1x-neighbors-faint", neighbors=((3, 2.5, 0), (5, 4, 0), (4, 3, 0))),
-    SkyRegime(
-        "k2-1x-background", magnitude=17.4, star="sine", period=1.7, amplitude=0.1, background=30
-    ),
-    SkyRegime("k2-1x-kp18", magnitude=18, star="sine", period=2.9, amplitude=0.2),
-    _kepler("kepler-constant-kp14", magnitude=14),
-    _kepler("kepler-spots-10d", period=10, **_SPOTS),
-    _kepler("kepler-transits-50ppm", magnitude=10.9, depth=5e-5, transit_period=2.3),
-    _kepler("kepler-transits-1pct", magnitude=14, depth=0.01),
-    _tess("tess-constant"),
-    _tess("tess-spots-1.5d", period=1.5, **_SPOTS),
-    _tess("tess-crowded", magnitude=11, depth=0.01, neighbors=((0.5, 3.3, 0), (2, 4, 0))),
-    SkyRegime("walk-constant", motion="walk"),
-    SkyRegime("walk-spots-10d", motion="walk", period=10, **_SPOTS),
-    SkyRegime("wheels-constant-kp13", motion="wheels", magnitude=13, shape=(11, 11)),
-    SkyRegime("wheels-spots-20d", motion="wheels", period=20, shape=(11, 11), **_SPOTS),
-)
-
-#: The regimes by name.
-REGIMES = {regime.name: regime for regime in _ALL}
-
-
 @dataclass(frozen=True, eq=False, repr=False)
 class MessyStar(Value):
     """A star of the messy sky: its pixels as a pipeline would deliver them, and the truth.
@@ -189,8 +52,10 @@ class MessyStar(Value):
     ----------
     regime : SkyRegime
         What kind of star it is.
-    seed : int
-        The seed.
+    seed, noise_seed : int
+        The seeds; that of the noise is None where `seed` is the seed of the noise too.
+    positions : str
+        Which POS_CORR the file has, as in `make_sky`.
     time : ndarray, shape (n,)
         Times in days, NaN where there are no data.
     cadenceno, quality : ndarray of int, shape (n,)
@@ -200,7 +65,7 @@ class MessyStar(Value):
     pos_corr1, pos_corr2 : ndarray, shape (n,)
         Offsets with the errors of real files.
     x, y : ndarray, shape (n,)
-        True positions of the star in the stamp, pixels.
+        True positions of the star in the stamp, pixels; NaN where it is off the stamp.
     width : ndarray, shape (n,)
         True relative width of the PSF.
     true_flux : ndarray, shape (n,)
@@ -228,6 +93,8 @@ class MessyStar(Value):
 
     regime: SkyRegime
     seed: int
+    noise_seed: int | None
+    positions: str
     time: np.ndarray
     cadenceno: np.ndarray
     quality: np.ndarray
@@ -268,8 +135,9 @@ class MessyStar(Value):
         True
         """
         mask = self.aperture if aperture is None else np.asarray(aperture, dtype=bool)
-        noise = np.sqrt((self.noise[:, mask] ** 2).sum(axis=1))
-        return float(np.median(noise / self.star_light[:, mask].sum(axis=1)))
+        here = np.isfinite(self.x)
+        noise = np.sqrt((self.noise[here][:, mask] ** 2).sum(axis=1))
+        return float(np.median(noise / self.star_light[here][:, mask].sum(axis=1)))
 
     def to_tpf(self, quality_bitmask="default"):
         """Return lightkurve's target pixel file.
@@ -292,12 +160,12 @@ class MessyStar(Value):
         """
         from lightkurve import KeplerTargetPixelFile, TessTargetPixelFile
 
-        photometer = _PHOTOMETERS[self.regime.mission]
+        photometer, cadence = _PHOTOMETERS[self.regime.mission], self.regime.cadence
         frames = {"TESS": (1.98, 0.02, 900)}.get(self.regime.mission, (6.0198, 0.5189, 270))
         metadata = TPFMetadata(
             mission=self.regime.mission, target_id=self.seed + 1, magnitude=self.regime.magnitude,
             pixel_scale=photometer.pixel_scale, int_time=frames[0], read_time=frames[1],
-            n_frames=frames[2], time_delta=_CADENCE,
+            n_frames=round(frames[2] * cadence / _LONG), time_delta=cadence,
         )  # fmt: skip
         hdulist = make_tpf_hdulist(
             metadata=metadata, time=self.time, cadenceno=self.cadenceno, raw_cnts=None,
@@ -309,7 +177,7 @@ class MessyStar(Value):
         return kind(hdulist, quality_bitmask=quality_bitmask)
 
 
-def make_sky(regime, seed=0, *, n_cadences=1100):
+def make_sky(regime, seed=0, *, n_cadences=1100, positions=None, noise_seed=None):
     """Make a messy star.
 
     Parameters
@@ -319,7 +187,13 @@ def make_sky(regime, seed=0, *, n_cadences=1100):
     seed : int, optional
         Seed of everything that is random.
     n_cadences : int, optional
-        Length in long cadences, at least 100.
+        Length in long cadences, at least 100; shorter where the regime is.
+    positions : {"wrong", "exact", "none"}, optional
+        POS_CORR of the file: with the errors of real files (1 % in scale, 0.006 px over days,
+        0.003 px from cadence to cadence, nonsense where flagged), true, or NaN. The default is
+        that of the regime.
+    noise_seed : int, optional
+        Seed of another draw of the photon, background and read noise alone.
 
     Returns
     -------
@@ -329,7 +203,7 @@ def make_sky(regime, seed=0, *, n_cadences=1100):
     Raises
     ------
     ValueError
-        If there is no such regime, or `n_cadences` is below 100.
+        If there is no such regime or kind of positions, or `n_cadences` is below 100.
 
     Examples
     --------
@@ -341,41 +215,53 @@ def make_sky(regime, seed=0, *, n_cadences=1100):
     """
     if not isinstance(regime, SkyRegime):
         regime = REGIMES[checked_choice("regime", regime, REGIMES)]
-    n = checked_integer("n_cadences", n_cadences, 100)
-    root = np.random.SeedSequence([seed, *regime.name.encode()])
-    names = ("motion", "star", "optics", "sky", "noise", "events")
-    rngs = dict(zip(names, map(np.random.default_rng, root.spawn(len(names))), strict=True))
+    positions = checked_choice("positions", positions or regime.positions, _POSITIONS)
+    part = regime.cadence / _LONG
+    n = min(round(checked_integer("n_cadences", n_cadences, 100) / part), regime.longest)
+    entropy = [seed, *regime.name.encode()]
+    names = ("motion", "star", "optics", "sky", "noise", "events", "rays", "positions")
+    seeds = np.random.SeedSequence(entropy).spawn(len(names))
+    rngs = dict(zip(names, map(np.random.default_rng, seeds), strict=True))
+    if noise_seed is not None:
+        rngs["noise"] = np.random.default_rng([noise_seed, *entropy])
     photometer = _PHOTOMETERS[regime.mission]
-    time = _CADENCE * np.arange(n)
+    exposure, read_noise = photometer.exposure * part, photometer.read_noise * np.sqrt(part)
+    time = regime.cadence * np.arange(n)
     dx, dy, firing = MOTIONS[regime.motion](rngs["motion"], time)
     dx, dy = regime.scale * dx, regime.scale * dy
     light = LIGHTS[regime.star](rngs["star"], time, regime.period, regime.amplitude)
-    transit = make_transit(rngs["star"], time, regime.depth, regime.transit_period, regime.duration)
+    inside = make_transit(rngs["star"], time, regime.transit_period, regime.duration)
+    transit = 1 - regime.depth * inside
     true_flux = light * transit
     width = _width(regime, rngs["optics"], time)
     own, others, (x, y) = _starlight(regime, photometer, rngs["optics"], time, (dx, dy), width)
+    lost = rngs["positions"].permutation(n)[: regime.lost]
+    own[lost], others[lost], x[lost], y[lost] = 0.0, 0.0, np.nan, np.nan
     star_light = own * true_flux[:, None, None]
     quality, missing, flash = _events(regime, rngs["events"], firing, n)
     residual, sky = _background(regime, photometer, rngs["sky"], time)
     sky = sky + flash[:, None, None]
-    light = (star_light + others + residual + sky) * photometer.exposure
-    light = bleed(light, photometer.well * photometer.exposure)
-    noise = np.sqrt(light + photometer.read_noise**2)
+    light = bleed((star_light + others + residual + sky) * exposure, photometer.well * exposure)
+    noise = np.sqrt(light + read_noise**2)
     electrons = light + noise * rngs["noise"].normal(size=light.shape)
-    electrons += _cosmic_rays(rngs["noise"], light.shape, regime.cosmic_rays)
-    seen = light / photometer.exposure - sky
-    constant = (seen - others - residual) / true_flux[:, None, None]
-    aperture = _best_aperture(constant, noise / photometer.exposure)
-    pos_corr = [_measured(offset, rngs["events"], time, quality) for offset in (dx, dy)]
-    flux = (electrons / photometer.exposure - sky).astype(np.float32)
+    electrons += _cosmic_rays(rngs["rays"], light.shape, regime.cosmic_rays * part)
+    # Transits do not change the aperture: a star with and without them has the same.
+    seen = (light / exposure - sky - others - residual) / true_flux[:, None, None]
+    here = np.isfinite(x) & (inside == 0)
+    aperture = _best_aperture(seen[here], noise[here] / exposure, part)
+    pos_corr = [
+        _measured(offset, rngs["positions"], time, quality, lost, positions) for offset in (dx, dy)
+    ]
+    flux = (electrons / exposure - sky).astype(np.float32)
     flux[missing] = np.nan
     return MessyStar(
-        regime=regime, seed=seed, time=np.where(missing, np.nan, 2144.1 + time),
+        regime=regime, seed=seed, noise_seed=noise_seed, positions=positions,
+        time=np.where(missing, np.nan, 2144.1 + time),
         cadenceno=np.arange(1, n + 1), quality=quality, flux=flux,
-        flux_err=(noise / photometer.exposure).astype(np.float32), pos_corr1=pos_corr[0],
+        flux_err=(noise / exposure).astype(np.float32), pos_corr1=pos_corr[0],
         pos_corr2=pos_corr[1], x=x, y=y, width=width, true_flux=true_flux, transit=transit,
         star_light=star_light, neighbor_light=others, background_light=residual, sky=sky,
-        aperture=aperture, noise=noise / photometer.exposure,
+        aperture=aperture, noise=noise / exposure,
     )  # fmt: skip
 
 
@@ -415,8 +301,9 @@ def score(lc, sky, *, aperture=None):
     rows = np.searchsorted(sky.cadenceno, np.asarray(lc["cadenceno"], dtype=int))
     flux, error = (plain_array(lc[name], None, name) for name in ("flux", "flux_err"))
     return score_light_curve(
-        _CADENCE * rows, flux, error, sky.true_flux[rows], sky.transit[rows], sky.floor(aperture)
-    )
+        sky.regime.cadence * rows, flux, error, sky.true_flux[rows], sky.transit[rows],
+        sky.floor(aperture),
+    )  # fmt: skip
 
 
 def _width(regime, rng, time):
@@ -424,7 +311,8 @@ def _width(regime, rng, time):
     swing = np.sin(2 * np.pi * time / regime.focus_period + rng.uniform(0, 2 * np.pi))
     slow = 0.3 * red_noise(rng, time, 20.0)
     fast = 0.02 * red_noise(rng, time, 0.15)
-    return 1 + regime.focus * np.clip(0.8 * swing + slow + fast, -1.3, 1.3)
+    width = 1 + regime.focus * np.clip(0.8 * swing + slow + fast, -1.3, 1.3)
+    return width * np.exp(regime.seeing * red_noise(rng, time, 0.04)) if regime.seeing else width
 
 
 def _starlight(regime, photometer, rng, time, offsets, width):
@@ -484,27 +372,34 @@ def _cosmic_rays(rng, shape, rate):
     return rays
 
 
-def _measured(offset, rng, time, quality):
-    """Return POS_CORR: errors of 0.01 px, half of them slow, and nonsense where flagged."""
-    errors = 0.007 * red_noise(rng, time, 1.0) + 0.007 * rng.normal(size=len(time))
-    measured = offset - np.median(offset) + errors
+def _measured(offset, rng, time, quality, lost, positions):
+    """Return POS_CORR along an axis; far off where the star is off the stamp."""
+    scale = 1 + _SCALE_ERROR * rng.choice([-1, 1])
+    errors = _SLOW_ERROR * red_noise(rng, time, _SLOW_SCALE) + rng.normal(
+        0, _WHITE_ERROR, len(time)
+    )
     absurd = (quality > 0) & (rng.uniform(size=len(time)) < 0.2)
-    measured[absurd] = rng.choice([np.nan, 900.0, -50.0], absurd.sum())
-    return measured
+    nonsense = rng.choice([np.nan, 900.0, -50.0], len(time))
+    measured = offset - np.median(offset)
+    if positions == "wrong":
+        measured = np.where(absurd, nonsense, scale * measured + errors)
+    measured[lost] = rng.uniform(200, 900, len(lost))
+    return np.full(len(time), np.nan) if positions == "none" else measured
 
 
-def _best_aperture(light, noise):
+def _best_aperture(light, noise, part):
     """Return the pixels whose sum is the best light curve without a correction.
 
     Pixels are added by their largest ratio of light to noise, as long as the sum of the noise in
-    6.5 h and of the variance of the light that the aperture loses gets smaller.
+    6.5 h and of the variance of the light that the aperture loses gets smaller. A cadence is a
+    `part` of a long one.
     """
     n = len(light)
     light, variance = light.reshape(n, -1), (noise**2).mean(axis=0).ravel()
     order = np.argsort(-np.quantile(light, 0.98, axis=0) / variance)
     inside = np.cumsum(light[:, order], axis=1)
     level = inside.mean(axis=0)
-    scatter = inside.var(axis=0) + np.cumsum(variance[order]) / 13
+    scatter = inside.var(axis=0) + np.cumsum(variance[order]) * part / 13
     mask = np.zeros(len(order), dtype=bool)
     mask[order[: np.argmin(scatter / np.where(level > 0, level, np.inf) ** 2) + 1]] = True
     return mask.reshape(noise.shape[1:])

@@ -5,8 +5,10 @@ import pytest
 from scipy.integrate import dblquad
 
 from scope_models.benchmark import REGIMES, SkyRegime, make_sky, score
+from scope_models.benchmark._light import red_noise
 from scope_models.benchmark._pixels import bleed, make_psf, make_response, render
-from scope_models.benchmark._scores import score_light_curve
+from scope_models.benchmark._scores import depth_difference, leak_slopes, score_light_curve
+from scope_models.scene.motion import K2Roll
 
 
 @pytest.fixture(scope="module")
@@ -87,7 +89,92 @@ def test_file_is_what_lightkurve_reads(sky):
     np.testing.assert_array_equal(tpf.flux.value, sky.flux[rows])
     assert len(rows) < 400  # gaps and flagged cadences
     moved = tpf.pos_corr1 - (sky.x - np.median(sky.x))[rows]
-    assert 0.003 < np.median(np.abs(moved - np.median(moved))) < 0.02
+    assert 0.002 < np.median(np.abs(moved - np.median(moved))) < 0.01
+
+
+def test_errors_of_positions():
+    exact, wrong, none = (
+        make_sky("k2-10x-lost", 2, n_cadences=1500, positions=kind)
+        for kind in ("exact", "wrong", "none")
+    )
+    np.testing.assert_array_equal(exact.flux, wrong.flux)
+    here = np.isfinite(exact.x)
+    fine = here & (wrong.quality == 0)
+    assert np.abs(exact.pos_corr1[~here]).min() > 100
+    offset = exact.x - np.nanmedian(exact.x)
+    assert np.ptp((exact.pos_corr1 - offset)[here]) < 1e-12
+    error = (wrong.pos_corr1 - exact.pos_corr1)[fine]
+    design = np.column_stack([np.ones(fine.sum()), offset[fine]])
+    slope = np.linalg.lstsq(design, error, rcond=None)[0][1]
+    assert abs(slope) == pytest.approx(0.01, abs=0.001)
+    rest = error - slope * offset[fine]
+    assert np.diff(rest).std() / np.sqrt(2) == pytest.approx(0.003, rel=0.1)
+    assert 0.002 < rest.std() < 0.015
+    assert np.isnan(none.pos_corr1).all()
+    assert make_sky("jitter-spots-3d", n_cadences=100).positions == "none"
+    with pytest.raises(ValueError, match="`positions` must be one of wrong, exact, none"):
+        make_sky("k2-1x-lost", positions="true")
+
+
+def test_another_draw_of_noise_changes_nothing_else(sky):
+    other = make_sky(sky.regime, sky.seed, n_cadences=400, noise_seed=1)
+    for name in (
+        "time",
+        "quality",
+        "pos_corr1",
+        "x",
+        "width",
+        "true_flux",
+        "aperture",
+        "star_light",
+    ):
+        np.testing.assert_array_equal(getattr(other, name), getattr(sky, name))
+    difference = (other.flux - sky.flux) / sky.noise
+    assert np.nanstd(difference) == pytest.approx(np.sqrt(2), rel=0.02)
+
+
+def test_a_star_without_its_transits_shares_everything_else(sky):
+    without = make_sky(sky.regime.replace(depth=0.0), sky.seed, n_cadences=400)
+    np.testing.assert_array_equal(without.true_flux, sky.true_flux / sky.transit)
+    for name in ("pos_corr1", "x", "width", "aperture", "neighbor_light", "sky"):
+        np.testing.assert_array_equal(getattr(without, name), getattr(sky, name))
+    outside = (sky.transit == 1) & np.isfinite(sky.time)
+    np.testing.assert_array_equal(without.flux[outside], sky.flux[outside])
+    rows = np.isfinite(sky.time)
+    raw, alone = (one.flux[:, sky.aperture].sum(axis=1) for one in (sky, without))
+    kept = depth_difference(raw, alone, sky.true_flux, sky.transit)
+    share = (sky.star_light / (sky.star_light + sky.background_light))[rows][:, sky.aperture]
+    assert kept == pytest.approx(np.average(share), abs=0.02)
+
+
+def test_leaks_are_found_with_their_errors():
+    # A known slope in slow noise: the pulls of many draws are those of a Gaussian.
+    rng = np.random.default_rng(7)
+    time = K2Roll.cadence * np.arange(1300)
+    nuisances = [np.sin(2 * np.pi * time / 10), red_noise(rng, time, 3.0), time]
+    pulls = []
+    for _ in range(60):
+        slow = 3e-4 * red_noise(rng, time, 2.0) + 1e-3 * rng.normal(size=len(time))
+        slopes, errors = leak_slopes(time, slow + 2e-4 * nuisances[1], nuisances)
+        pulls.append((slopes - [0, 2e-4, 0]) / errors)
+    pulls = np.array(pulls)
+    assert 0.8 < np.sqrt(np.mean(pulls**2)) < 1.3
+    assert np.mean(np.abs(pulls) < 2) > 0.88
+    strong = leak_slopes(time, 1e-3 * nuisances[0] + 1e-5 * rng.normal(size=1300), nuisances)
+    np.testing.assert_allclose(strong[0][0], 1e-3, rtol=0.01)
+    assert strong[0][0] > 50 * strong[1][0]
+    still = leak_slopes(time, nuisances[0], [nuisances[0], np.ones(1300)])
+    assert np.isnan(still[:, 1]).all()
+
+
+def test_image_is_wider_by_its_width():
+    rng = np.random.default_rng(4)
+    flat = make_response(rng, (15, 15), drop=0.0, scatter=0.0)
+    widths = np.array([0.7, 0.999, 1.001, 1.4])
+    psf = make_psf(rng, 0.9)
+    together = render(flat, psf, *np.full((2, 4), 7.0), widths)
+    alone = [render(flat, psf, *np.full((2, 1), 7.0), widths[i : i + 1])[0] for i in range(4)]
+    np.testing.assert_allclose(together, alone, atol=1e-6)
 
 
 def test_true_light_curve_scores_nothing_and_floor_scores_one(sky):
@@ -134,8 +221,10 @@ def test_all_nan_light_curve_has_the_worst_score():
 @pytest.mark.parametrize("name", sorted(REGIMES))
 def test_every_regime_makes_a_star(name):
     sky = make_sky(name, seed=1, n_cadences=100)
-    assert sky.flux.shape == (100, *REGIMES[name].shape)
+    assert sky.flux.shape[1:] == REGIMES[name].shape
+    assert np.ptp(sky.cadenceno) * REGIMES[name].cadence == pytest.approx(2.0, abs=0.1)
     assert np.isfinite(sky.star_light).all()
+    assert np.isnan(sky.x).sum() == REGIMES[name].lost
     assert sky.true_flux.min() > 0
     assert 0 < sky.floor() < 0.02
 
