@@ -282,7 +282,8 @@ ROWS = {
         f"SkyRegime.{name}": (field(SkyRegime, name, name="mine"), value, unit)
         for name, value, unit in (
             ("magnitude", 13.0, u.mag), ("period", 2.0, u.day), ("transit_period", 2.0, u.day),
-            ("duration", 0.1, u.day), ("focus_period", 5.0, u.day), ("depth", 0.01, u.one),
+            ("duration", 0.1, u.day), ("focus_period", 5.0, u.day), ("cadence", 0.1, u.day),
+            ("depth", 0.01, u.one),
             ("background", 5.0, RATE),
         )
     },
