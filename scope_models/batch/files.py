@@ -262,7 +262,7 @@ def inject_file(path, planet, output, *, star=None, seed=1, overwrite=False):
     write_hdulist(injected.hdu, output, overwrite=overwrite)
     table = injected.hdu[-1].data
     return _header_row(series) | {
-        "injected_depth": float(-np.min(table["FLUX_ADDED"]) / total),
+        "injected_depth": float(-np.min(table["FLUX_ADDED"].sum(axis=(1, 2))) / total) + 0.0,
         "in_transit": int(np.sum(table["SIGNAL"] < 1)),
     }
 

@@ -230,7 +230,8 @@ class Effect(Value):
     2. light that is not the stars': `pedestal`;
     3. charge, after photon noise: `charge`;
     4. readout, before read noise and digitization: `readout`;
-    5. `quality` and `missing` of the cadences.
+    5. calibration, of which RAW_CNTS have nothing, in reverse order: `calibrate`;
+    6. `quality` and `missing` of the cadences.
 
     ``drawn`` is what `draw` has returned, ``part`` a slice of the cadences.
 
@@ -252,6 +253,8 @@ class Effect(Value):
 
     #: Whether the pedestal is light, to which the pixels respond, or charge of another kind.
     is_light = True
+    #: Names of the parameters that may have one value for each cadence.
+    by_cadence = ()
 
     def __init_subclass__(cls, **options):
         """Complete the docstring: all effects check their parameters alike."""
@@ -269,6 +272,24 @@ class Effect(Value):
     def name(self):
         """Name of the effect's stream of random numbers, and of its truth."""
         return type(self).__name__
+
+    def at(self, time, new):
+        """Return the effect at other times, with what it has for each cadence interpolated.
+
+        Parameters
+        ----------
+        time : ndarray of shape (n_cadences,)
+            Times of the cadences, days, that increase.
+        new : ndarray of shape (m,)
+            Other times. Beyond the first and the last one, the nearest value holds.
+
+        Returns
+        -------
+        Effect
+            The effect.
+        """
+        values = {name: getattr(self, name) for name in self.by_cadence}
+        return self.replace(**{n: np.interp(new, time, v) for n, v in values.items() if np.ndim(v)})
 
     def draw(self, conditions, generator):
         """Return what is drawn of the generator, or follows from the parameters, as `Drawn`."""
@@ -316,6 +337,9 @@ class Effect(Value):
 
     def readout(self, drawn, conditions, part, electrons):
         """Change the charge while it is read, (m, ny, nx), before read noise, in place."""
+
+    def calibrate(self, drawn, conditions, part, electrons):
+        """Take from the charge, (m, ny, nx), what a mission's calibration does, in place."""
 
     def quality(self, drawn, conditions):
         """Return quality flags to set, shape (n_cadences,), or None."""

@@ -154,6 +154,8 @@ class Extinction(Effect):
     scatter: float = number(0.0, "mag")
     correlation_time: float = number(0.1, "day", positive=True)
 
+    by_cadence = ("airmass",)
+
     def __post_init__(self):
         super().__post_init__()
         checked_airmass(self)
@@ -218,6 +220,8 @@ class Scintillation(Effect):
     airmass: float | np.ndarray = 1.0
     coefficient: float = number(1.56)
     scale_height: float = number(8000.0, "m", positive=True)
+
+    by_cadence = ("airmass",)
 
     def __post_init__(self):
         super().__post_init__()
@@ -294,6 +298,8 @@ class Seeing(Effect):
     scatter: float = number(0.15)
     correlation_time: float = number(0.02, "day", positive=True)
     airmass: float | np.ndarray = 1.0
+
+    by_cadence = ("airmass",)
 
     def __post_init__(self):
         super().__post_init__()

@@ -78,6 +78,8 @@ class Background(SkyEffect):
     residual: float = number(0.0, any_sign=True)
     left: np.ndarray | None = None
 
+    by_cadence = ("left",)
+
     def __post_init__(self):
         super().__post_init__()
         checked_series(self, "left", _RATE)

@@ -175,10 +175,13 @@ class Undershoot(Effect):
         Part a that the next pixel loses; 0.0039 for Kepler.
     decay : float or Quantity, optional
         Length d in which it decays by e, pixels.
+    residual : float, optional
+        Part that the calibration leaves in the flux. RAW_CNTS have all of it.
 
     Notes
     -----
-    Nothing is random, and ``observation.model()`` is before it.
+    Nothing is random, and ``observation.model()`` is before it. The calibration inverts the
+    equation, as those of the missions do.
 
     Examples
     --------
@@ -192,9 +195,20 @@ class Undershoot(Effect):
 
     amplitude: float = number(0.0039)
     decay: float = number(5.0, "pix", positive=True)
+    residual: float = number(0.0, any_sign=True)
 
     def readout(self, drawn, conditions, part, electrons):
         """Take the undershoot off."""
+        self._feed(electrons, -self.amplitude, np.exp(-1 / self.decay))
+
+    def calibrate(self, drawn, conditions, part, electrons):
+        """Add what was taken off, but for the residual."""
+        before = electrons.copy()
+        self._feed(before, self.amplitude, np.exp(-1 / self.decay) + self.amplitude)
+        electrons += (1 - self.residual) * (before - electrons)
+
+    @staticmethod
+    def _feed(electrons, part, left):
+        """Add a part of each pixel to those after it, times ``left`` for each further one."""
         above = electrons - electrons[..., :1]
-        weights = [0.0, self.amplitude], [1.0, -np.exp(-1 / self.decay)]
-        electrons -= lfilter(*weights, above, axis=-1)
+        electrons += lfilter([0.0, part], [1.0, -left], above, axis=-1)

@@ -63,6 +63,8 @@ class Focus(Effect):
     events: np.ndarray = ()
     series: np.ndarray | None = None
 
+    by_cadence = ("series",)
+
     def __post_init__(self):
         super().__post_init__()
         if self.events is not None:

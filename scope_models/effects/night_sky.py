@@ -135,6 +135,8 @@ class NightSky(SkyEffect):
     gradient: tuple[float, float] = number((0.0, 0.0))
     residual: float = number(0.0, any_sign=True)
 
+    by_cadence = ("airmass", *_DOMAINS)
+
     def __post_init__(self):
         super().__post_init__()
         checked_airmass(self)

@@ -53,6 +53,8 @@ class Throughput(Effect):
     drift: float = number(0.0, "1 / day", any_sign=True)
     series: np.ndarray | None = None
 
+    by_cadence = ("series",)
+
     def __post_init__(self):
         super().__post_init__()
         checked_series(self, "series")

@@ -24,7 +24,8 @@ def inject(tpf, signal=None, star=None, *, seed=None, noise=True):
 
     The change of the expected light is ``(signal - 1)`` times the star's own light; neighbors and
     background stay as they are. Photon noise changes with it: lost photons take their noise with
-    them, further photons bring their own. RAW_CNTS stay as they are.
+    them, further photons bring their own. Where FLUX_ERR has no positive number, only the photon
+    noise of added light is known, and changes. RAW_CNTS stay as they are.
 
     Parameters
     ----------
@@ -46,13 +47,16 @@ def inject(tpf, signal=None, star=None, *, seed=None, noise=True):
     Returns
     -------
     lightkurve.TargetPixelFile
-        A new object of the same class. Its table INJECTED has the signal and the expected change
-        of the flux of all pixels, cadence by cadence.
+        A new object of the same class. Its table INJECTED has the signal and FLUX_ADDED, the
+        expected change of the flux of each pixel, cadence by cadence. The scene and the truth of a
+        simulated file have the signal or the star if it is the scene's light that changes or a
+        star that is added; for other light they stay as they were.
 
     Raises
     ------
     TypeError
-        If an argument is of the wrong kind, or both ``signal`` and ``star`` are missing.
+        If an argument is of the wrong kind, such as a light curve for the file, or both ``signal``
+        and ``star`` are missing.
     OSError, ValueError
         If the file cannot be read; if the signal is negative, not finite or of another length; if
         the star is outside the stamp, or the scene has another shape.
@@ -75,30 +79,37 @@ def inject(tpf, signal=None, star=None, *, seed=None, noise=True):
     -0.01
     """
     from astropy.io import fits
+    from lightkurve.targetpixelfile import TargetPixelFile
 
     original = read_tpf(tpf)
+    if not isinstance(original, TargetPixelFile):
+        raise TypeError(f"`tpf` must be a target pixel file or a path, got {original!r}")
     hdus = fits.HDUList([hdu.copy() for hdu in original.hdu])
     whole = read_pixels(hdus, quality_bitmask="none")
     rows = np.flatnonzero(np.isfinite(whole.time))
     series = whole[rows]
+    known = series.flux_err > 0
+    error = np.where(known, series.flux_err, 0.0)
     exposure = Detector.from_tpf(series).exposure_time
     if signal is None:
         if not isinstance(star, Star):
             raise TypeError(f"`star` must be a Star if there is no `signal`, got {star!r}")
-        relative, change = np.ones(len(series)), _Change(_expected(_scene_of(star, series)), 1.0)
+        relative, change = np.ones(len(series)), _added(star, original, series)
     else:
         relative = _relative_flux(signal, original, whole)[rows]
-        change = _multiplied(star, relative, original, series, exposure)
-    flux, error = series.flux + change.expected, series.flux_err
-    if noise:
-        drawn, error = change.noise(series, exposure, np.random.default_rng(seed))
-        flux = flux + drawn
+        change = _multiplied(star, relative, original, series, error**2 * exposure)
     table = hdus[1].data
+    flux = series.flux + change.expected
+    if noise:
+        drawn, error = change.noise(error**2, exposure, np.random.default_rng(seed))
+        flux = flux + drawn
+        table["FLUX_ERR"][rows] = np.where(known, error, series.flux_err)
     table["FLUX"][rows] = flux
-    table["FLUX_ERR"][rows] = error
     hdus[1].header.remove("CHECKSUM", ignore_missing=True)
     hdus[1].header.remove("DATASUM", ignore_missing=True)
-    added = np.where(np.isfinite(series.flux), change.expected, 0.0).sum(axis=(1, 2))
+    if change.scene is not None:
+        _renew(hdus, change.scene, series)
+    added = np.where(np.isfinite(series.flux), change.expected, 0.0)
     _record(hdus, series, relative, added, star if signal is None else None)
     return type(original)(hdus, quality_bitmask=original.quality_bitmask)
 
@@ -108,16 +119,16 @@ class _Change:
     """A change of the expected flux, e-/s, and what becomes of the noise that is there.
 
     ``kept`` is the factor on the residuals that the changed flux has if ``residual`` is None, and
-    that it is to get if the residuals are given.
+    that it is to get if the residuals are given. ``scene`` is that of the file after the change.
     """
 
     expected: np.ndarray
     kept: np.ndarray
     residual: np.ndarray | None = None
+    scene: Scene | None = None
 
-    def noise(self, series, exposure, rng):
+    def noise(self, variance, exposure, rng):
         """Return the change of the noise, and the standard deviation of all of it."""
-        variance = np.square(series.flux_err)
         left = variance + self.expected / exposure
         missing = np.maximum(left - self.kept**2 * variance, 0.0)
         drawn = np.sqrt(missing) * rng.standard_normal(missing.shape)
@@ -136,8 +147,17 @@ def _relative_flux(signal, tpf, series):
     return relative
 
 
-def _multiplied(star, relative, tpf, series, exposure):
-    """Return the change of the light of a star in the file."""
+def _added(star, tpf, series):
+    """Return the light of a star that the file does not have."""
+    if "SCENE" not in tpf.hdu:
+        return _Change(_expected(_scene_of(star, series)), 1.0)
+    scene = _scene_of(None, series, tpf)
+    after = _on_stamp(scene.replace(stars=[*scene.stars, star]))
+    return _Change(_expected(after) - _expected(scene), 1.0, scene=after)
+
+
+def _multiplied(star, relative, tpf, series, electrons):
+    """Return the change of the light of a star, where ``electrons`` are the variance."""
     shape = (-1, 1, 1)
     if isinstance(star, Real) and not isinstance(star, bool):
         if not 0 <= star <= 1:
@@ -149,13 +169,14 @@ def _multiplied(star, relative, tpf, series, exposure):
     now = target.relative_flux(scene.motion.time)
     before = _expected(scene)
     changed = target.replace(signal=now * relative)
-    expected = _expected(scene.replace(stars=(changed, *scene.stars[1:]))) - before
-    with np.errstate(divide="ignore", invalid="ignore"):
-        part = np.maximum(-expected / exposure / np.square(series.flux_err), 0.0)
-    kept = 1 - np.clip(np.nan_to_num(part), 0.0, 1.0)
-    # the residuals hold the light of stars that the model of one star alone does not have
-    residual = None if isinstance(star, Star) else series.flux - before
-    return _Change(expected, 1.0 if residual is None else kept, residual)
+    after = scene.replace(stars=(changed, *scene.stars[1:]))
+    expected = _expected(after) - before
+    if isinstance(star, Star):
+        # the residuals would hold the light of stars that the model of one star does not have
+        return _Change(expected, 1.0)
+    lost = np.minimum(np.maximum(-expected, 0.0), electrons)
+    kept = 1 - np.divide(lost, electrons, out=np.zeros_like(lost), where=electrons > 0)
+    return _Change(expected, kept, series.flux - before, after if star is None else None)
 
 
 def _scene_of(star, series, tpf=None):
@@ -163,12 +184,11 @@ def _scene_of(star, series, tpf=None):
     if isinstance(star, Star):
         scene = _scene_on(star, series)
     elif star is None:
-        try:
-            scene = read_scene(tpf)
-        except ValueError:
+        if "SCENE" not in tpf.hdu:
             raise ValueError(
                 "`star` must be given: the file holds no scene to take the star's light from"
-            ) from None
+            )
+        scene = read_scene(tpf)
     else:
         scene = star.scene() if callable(getattr(star, "scene", None)) else star
         if isinstance(scene, tuple) and len(scene) == 3:  # stars, detector, motion
@@ -189,8 +209,12 @@ def _scene_on(star, series):
         motion = Motion.still(len(series)).replace(time=series.time, time_format=series.time_format)
     else:
         motion = Motion.from_arrays(series.time, *series.pos_corr.T, time_format=series.time_format)
-    scene = Scene(star, Detector.from_tpf(series), motion, seed=0)
-    (x_0, y_0), (ny, nx) = scene.positions[0], scene.detector.shape
+    return _on_stamp(Scene(star, Detector.from_tpf(series), motion, seed=0))
+
+
+def _on_stamp(scene):
+    """Return a scene whose last star is on the stamp."""
+    (x_0, y_0), (ny, nx) = scene.positions[-1], scene.detector.shape
     if not (-0.5 <= x_0 <= nx - 0.5 and -0.5 <= y_0 <= ny - 0.5):
         raise ValueError(
             f"`star` is outside the stamp: column {x_0:g} and row {y_0:g} of {nx} and {ny}"
@@ -200,7 +224,7 @@ def _scene_on(star, series):
 
 def _at(scene, series):
     """Return a scene on the cadences of the series, interpolated if they are others."""
-    scene = scene.replace(seed=scene.seed or 0, noise=False)
+    scene = scene.replace(seed=scene.seed or 0)
     motion, time = scene.motion, series.time
     if len(motion) == len(time) and np.array_equal(motion.time, time):
         return scene
@@ -210,7 +234,10 @@ def _at(scene, series):
 
     stars = [star.replace(signal=at(star.relative_flux(motion.time))) for star in scene.stars]
     moved = Motion.from_arrays(time, at(motion.x), at(motion.y), time_format=motion.time_format)
-    return scene.replace(stars=stars, motion=moved)
+    detector = scene.detector
+    detector = detector.replace(effects=[e.at(motion.time, time) for e in detector.effects])
+    effects = [effect.at(motion.time, time) for effect in scene.effects]
+    return scene.replace(stars=stars, detector=detector, motion=moved, effects=effects)
 
 
 def _expected(scene):
@@ -220,17 +247,27 @@ def _expected(scene):
         return simulate(scene, noise=False, keep_model=True).truth.model
 
 
+def _renew(hdus, scene, series):
+    """Put the truth and the scene of a simulated file in the place of those that it has."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", LostLightWarning)
+        new = simulate(scene).to_tpf(aperture_mask=series.aperture, quality_bitmask="none").hdu
+    for hdu in new[new.index_of("TRUTH") :]:
+        hdus[hdu.name] = hdu
+
+
 def _record(hdus, series, relative, added, star):
-    """Add the table of what was injected, and take away the scene, which holds no more."""
+    """Add the table of what was injected."""
     from astropy.io import fits
 
+    ny, nx = series.flux.shape[1:]
     number = 1 + sum(hdu.name == _NAME for hdu in hdus)
     table = fits.BinTableHDU.from_columns(
         [
             fits.Column("CADENCENO", "J", array=series.cadenceno),
             fits.Column("TIME", "D", "d", array=series.time),
             fits.Column("SIGNAL", "D", array=relative),
-            fits.Column("FLUX_ADDED", "D", "e-/s", array=added),
+            fits.Column("FLUX_ADDED", f"{ny * nx}E", "e-/s", dim=f"({nx},{ny})", array=added),
         ],
         name=_NAME,
         ver=number,
@@ -239,7 +276,5 @@ def _record(hdus, series, relative, added, star):
     if star is not None:
         table.header["MAG"] = (star.mag, "magnitude of the star")
     hdus.append(table)
-    if "SCENE" in hdus:
-        del hdus["SCENE"]
     hdus[0].header[_NAME] = (number, "times that light was injected")
     hdus[0].header.set("NEXTEND", len(hdus) - 1)

@@ -210,6 +210,8 @@ def _record(prepared, part, charges, pedestals, streams, cubes):
     counts += detector.fixed_offset
     np.rint(counts, out=counts)
     cubes["raw_cnts"][...] = np.minimum(counts, _LARGEST_COUNT, out=counts)
+    for effect, drawn in reversed(prepared.effects):
+        effect.calibrate(drawn, prepared.conditions, part, electrons)
     per_second = 1.0 / detector.exposure_time
     electrons -= subtracted
     electrons *= per_second

@@ -582,6 +582,22 @@ def test_undershoot_of_one_pixel_and_of_a_flat_field():
     assert not charge[0, 0, :3].any()
 
 
+def test_calibration_takes_the_undershoot_off_the_flux_but_not_off_the_counts():
+    scene = Star(10.5), Detector.k2(shape=(9, 9)), Motion.still(2)
+    options = {"noise": False, "seed": 1}
+    plain = simulate(*scene, **options)
+    for residual in (0.0, 0.25, 1.0):
+        seen = simulate(*scene, effects=Undershoot(residual=residual), **options)
+        change = seen.flux.astype(float) - plain.flux
+        lost = (seen.raw_cnts - plain.raw_cnts) * scene[1].gain / scene[1].exposure_time
+        assert lost.min() < -500
+        np.testing.assert_allclose(change, residual * lost, atol=0.5)
+    two = [Undershoot(0.1, 2.0), Undershoot(0.02, 9.0)]
+    np.testing.assert_allclose(
+        simulate(*scene, effects=two, **options).flux, plain.flux, rtol=1e-5, atol=1e-6
+    )
+
+
 def test_charge_that_transfers_leave_behind():
     epsilon, rows = 0.02, 30
     charge = np.zeros((1, 9, 1))

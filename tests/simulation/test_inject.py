@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from astropy import units as u
 
-from scope_models import Detector, Motion, Star, TransitModel, read_scene, simulate
+from scope_models import Detector, Motion, Star, TransitModel, read_scene, read_truth, simulate
+from scope_models.effects import Background, Extinction, Focus, Throughput
 from scope_models.io import read_tpf, write_hdulist
 from scope_models.simulation import inject
 
@@ -91,17 +92,34 @@ class TestLight:
         np.testing.assert_allclose((one - flux_of(tpf)).sum(axis=(1, 2)), change, atol=0.01)
         np.testing.assert_allclose((other - flux_of(tpf)).sum(axis=(1, 2)), change, atol=2)
 
+    def test_effects_of_a_scene_of_other_cadences_are_moved(self, planet):
+        wide, dim = 1 + 0.02 * np.sin(np.arange(N) / 15), np.linspace(1.0, 0.9, N)
+        effects = Focus(series=wide), Throughput(series=dim), Background(left=dim)
+        tpf = observe(Star(12.0), noise=False, effects=effects).to_tpf(quality_bitmask="none")
+        own = Extinction(airmass=np.linspace(1, 2, N))
+        scene = read_scene(tpf)
+        scene = scene.replace(detector=scene.detector.replace(effects=own))
+        keep = np.delete(np.arange(N), [1, 40, 41, 100])
+        some = scene.replace(
+            motion=scene.motion[keep],
+            effects=[e.at(scene.motion.time, scene.motion.time[keep]) for e in effects],
+            detector=scene.detector.replace(effects=Extinction(airmass=own.airmass[keep])),
+        )
+        one, other = (flux_of(inject(tpf, planet, s, noise=False)) for s in (scene, some))
+        np.testing.assert_allclose(other[keep], one[keep], rtol=1e-6)
+        np.testing.assert_allclose(other, one, rtol=1e-4, atol=0.1)
+
     def test_whole_star(self, planet):
         detector = Detector.k2(shape=(11, 11)).without_sensitivity()
         new = Star(14.0, 6.2, 5.0, signal=planet)
         alone = observe(Star(12.0, 3.5, 3.5), noise=False, detector=detector)
         tpf = alone.to_tpf(quality_bitmask="none")
         both = observe([Star(12.0, 3.5, 3.5), new], noise=False, detector=detector)
-        injected = inject(tpf, star=new.replace(psf=detector.psf), noise=False)
-        total = observe(new, noise=False).truth.flux[0]
-        added = flux_of(injected) - flux_of(tpf)
-        assert added.sum(axis=(1, 2))[0] == pytest.approx(total, rel=0.02)
-        # the file's detector is the preset, with the response within the pixels
+        injected = inject(tpf, star=new, noise=False)
+        np.testing.assert_allclose(flux_of(injected), both.flux, rtol=1e-6, atol=1e-3)
+        np.testing.assert_array_equal(simulate(read_scene(injected)).flux, both.flux)
+        del tpf.hdu["SCENE"]  # then the detector is the preset, with the response within the pixels
+        added = flux_of(inject(tpf, star=new, noise=False)) - flux_of(tpf)
         np.testing.assert_allclose(added, both.flux - flux_of(tpf), atol=0.03 * added.max())
 
 
@@ -141,6 +159,22 @@ class TestNoise:
         inject(tpf, planet, seed=1)
         assert np.array_equal(before, flux_of(tpf))
 
+    def test_errors_that_are_unknown(self, crowded, planet):
+        tpf = crowded.to_tpf(quality_bitmask="none")
+        expected = flux_of(inject(tpf, planet, noise=False))
+        brighter = 2 - planet(crowded.time)
+        tpf.hdu[1].data["FLUX_ERR"][:] = np.nan
+        dimmed = inject(tpf, planet, seed=1)
+        np.testing.assert_array_equal(flux_of(dimmed), expected)
+        assert np.isnan(dimmed.flux_err.value).all()
+        added = inject(tpf, brighter, seed=1)
+        light = added.hdu["INJECTED"].data["FLUX_ADDED"]
+        drawn = flux_of(added) - flux_of(tpf) - light
+        seconds = crowded.detector.exposure_time
+        lit = light > 1
+        assert np.std(drawn[lit] / np.sqrt(light[lit] / seconds)) == pytest.approx(1, abs=0.1)
+        assert not drawn[light == 0].any()
+
 
 class TestFile:
     def test_table_of_the_truth(self, crowded, planet, tmp_path):
@@ -150,11 +184,25 @@ class TestFile:
         np.testing.assert_array_equal(table["SIGNAL"], planet(crowded.time))
         assert table["CADENCENO"].tolist() == crowded.cadenceno.tolist()
         own = observe([crowded.stars[0]], noise=False, keep_model=True).truth.model
-        np.testing.assert_allclose(
-            table["FLUX_ADDED"], own.sum(axis=(1, 2)) * (table["SIGNAL"] - 1), rtol=1e-6, atol=1e-6
-        )
-        with pytest.raises(ValueError, match="no scene"):
-            read_scene(injected)
+        expected = own * (table["SIGNAL"] - 1)[:, np.newaxis, np.newaxis]
+        np.testing.assert_allclose(table["FLUX_ADDED"], expected, rtol=1e-6, atol=1e-3)
+
+    def test_scene_and_truth_have_the_signal(self, crowded, planet):
+        target, *others = crowded.stars
+        once = inject(crowded.to_tpf(quality_bitmask="none"), planet, seed=1)
+        wave = 1 + 0.01 * np.sin(np.arange(N))
+        twice = inject(once, wave, seed=1)
+        signal = planet(crowded.time)
+        for tpf, relative in ((once, signal), (twice, signal * wave)):
+            expected = observe([target.replace(signal=relative), *others])
+            assert read_scene(tpf) == read_scene(expected.to_tpf(quality_bitmask="none"))
+            truth = read_truth(tpf)
+            np.testing.assert_allclose(truth.relative_flux[0], relative, rtol=1e-12)
+            np.testing.assert_allclose(truth.target_share, expected.truth.target_share)
+
+    def test_scene_stays_with_light_of_other_kinds(self, crowded, planet):
+        tpf = crowded.to_tpf(quality_bitmask="none")
+        assert read_scene(inject(tpf, planet, 0.5, seed=1)) == read_scene(tpf)
 
     def test_is_written_and_read(self, crowded, planet, tmp_path):
         import lightkurve
@@ -246,9 +294,13 @@ class TestRefused:
             inject(tpf, star=Star(12.0, -1.0, 3.0))
 
     def test_no_scene(self, tpf):
-        plain = inject(tpf, np.ones(20))
+        del tpf.hdu["SCENE"]
         with pytest.raises(ValueError, match="`star` must be given: the file holds no scene"):
-            inject(plain, np.ones(20))
+            inject(tpf, np.ones(20))
+
+    def test_light_curve(self, tpf):
+        with pytest.raises(TypeError, match="`tpf` must be a target pixel file or a path, got"):
+            inject(tpf.to_lightcurve(), np.ones(20))
 
     def test_another_shape(self, tpf):
         scene = observe(Star(12.0), n=20, detector=Detector.k2(shape=(5, 5))).scene
