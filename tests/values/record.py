@@ -164,49 +164,6 @@ def motions():
     return values
 
 
-def decorrelated():
-    """Correct light curves by PLD of both orders, with measured fractions as in 0.1."""
-    from scope_models import Detector, Motion, Star, simulate
-    from scope_models.correctors import PLDCorrector
-
-    values = {}
-    for seed in (1, 2):
-        observation = simulate(
-            Star(12.0), Detector.k2(shape=(7, 7)), 2 * Motion.k2_roll(240), seed=seed
-        )
-        corrector = PLDCorrector(observation.to_tpf(), aperture_mask=observation.aperture)
-        for order in (1, 2):
-            curve = corrector.correct(order=order, fractions="measured")
-            values[f"{seed} order {order} flux"] = digest(curve.flux.value)
-            values[f"{seed} order {order} error"] = digest(curve.flux_err.value)
-    return values
-
-
-def fitted():
-    """Fit PSF and sensitivity to simulated pixels."""
-    from scope_models import (
-        BivariateGaussianPSF,
-        Detector,
-        Motion,
-        SensitivityPolynomial,
-        Star,
-        fit_tpf,
-        simulate,
-    )
-
-    values = {}
-    for seed in (1, 2):
-        star = Star(12.0, 3.2, 2.9, psf=BivariateGaussianPSF(1, 0, 0, 0.55, 0.5, 0.1))
-        detector = Detector.k2(shape=(7, 7), interpixel_distribution="normal")
-        observation = simulate(star, detector, 5 * Motion.k2_roll(60), seed=seed)
-        response = SensitivityPolynomial(fixed={"ax1": True, "ay1": True})
-        fit = fit_tpf(observation.to_tpf(), psf=1, sensitivity=response)
-        for name in ("x", "y", "flux", "background", "interpixel"):
-            values[f"{seed} {name}"] = digest(getattr(fit, name))
-        values[f"{seed} shape"] = digest([fit.psf.sigma_x.value, fit.psf.rho.value])
-    return values
-
-
 CASES = {
     function.__name__: function
     for function in (
@@ -219,8 +176,6 @@ CASES = {
         detectors,
         headers,
         motions,
-        decorrelated,
-        fitted,
     )
 }
 
