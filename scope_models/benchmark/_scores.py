@@ -12,6 +12,7 @@ __all__ = [
     "binned",
     "depth_difference",
     "deviation_of",
+    "diluted",
     "leak_slopes",
     "score_light_curve",
     "score_places",
@@ -36,8 +37,6 @@ class SkyScore:
     full : float
         Standard deviation of 6.5-h bins of corrected over true flux, in units of the floor. Only
         a constant factor is removed.
-    diluted : float
-        The same with the amplitude of the truth fitted: light of neighbors may stay in the curve.
     high_passed : float
         The same after a running mean of 3 d has been subtracted.
     amplitude : float
@@ -64,7 +63,6 @@ class SkyScore:
     """
 
     full: float
-    diluted: float
     high_passed: float
     amplitude: float
     depth: float
@@ -85,17 +83,15 @@ def score_light_curve(time, flux, error, truth, transit, noise):
     time, flux, error, truth, transit = (a[good] for a in (time, flux, error, truth, transit))
     if good.sum() < _FEWEST or not np.median(flux) > 0:
         nan = float("nan")
-        return SkyScore(np.inf, np.inf, np.inf, nan, nan, nan, kept, 1e6 * floor)
+        return SkyScore(np.inf, np.inf, nan, nan, nan, kept, 1e6 * floor)
     ratio = flux / truth
     level = np.median(ratio)
     deviation = ratio / level - 1
     fine = ~_outliers(deviation)
     pull = np.sqrt(np.mean((deviation * truth * level / error)[fine] ** 2))
-    diluted = flux / (1 + (_slope(flux[fine], truth[fine])) * (truth / truth.mean() - 1))
     smooth = deviation[fine] - _running_mean(time[fine], deviation[fine])
     return SkyScore(
         full=_scatter(time[fine], deviation[fine]) / floor,
-        diluted=_scatter(time[fine], (diluted / np.median(diluted))[fine]) / floor,
         high_passed=_scatter(time[fine], smooth) / floor,
         amplitude=_amplitude(flux[fine], truth[fine], transit[fine]),
         depth=_depth(time[fine], flux[fine], truth[fine], transit[fine]),
@@ -204,11 +200,16 @@ def _amplitude(flux, truth, transit):
 
 
 def _slope(flux, truth):
-    """Return the slope of the relative flux on the relative truth; 1 for a constant truth."""
-    if truth.std() < 1e-9:
-        return 1.0
     slope, level = np.polyfit(truth, flux, 1)
     return float(slope / (slope * truth.mean() + level) * truth.mean())
+
+
+def diluted(flux, truth):
+    """Return the truth with the amplitude that the flux has: light of neighbors may stay in it."""
+    good = np.isfinite(deviation_of(flux, truth))
+    if truth[good].std() < 1e-9:
+        return truth
+    return 1 + _slope(flux[good], truth[good]) * (truth / truth[good].mean() - 1)
 
 
 def deviation_of(flux, truth):

@@ -1,0 +1,424 @@
+"""Record a corrector's scores on the messy sky, and compare two records.
+
+    python studies/record.py new.ecsv --seeds 2001-2002 --positions wrong,exact
+    python studies/record.py old.ecsv --tree ../other-checkout
+    python studies/record.py new.ecsv --against docs/data/record_19e5c3d.ecsv
+
+Each star is corrected three times: as it is, with another draw of its noise, and without its
+transits (with transits of 6 h and ten floors where it has none). The corrector runs in a process of
+its own whose scope_models is that of ``--tree``; this checkout makes and scores the stars. Rows are
+added to ``new.jsonl`` as they are found, and a second call continues. ``--method`` is "pld",
+"raw", "measured", or MODULE:FUNCTION of a function that takes a target pixel file and returns a
+light curve.
+
+Stars with neighbors are compared with the truth of the amplitude that the curve has, for it may
+hold the neighbors' light; ``amplitude`` and ``undiluted`` compare with the star's own truth.
+Leaks are slopes of the corrected over the true flux on the true width (ppm per 0.1 %), x and y
+(ppm per 0.01 px), background (ppm per e-/s per pixel) and time (ppm per 10 d).
+"""
+
+import argparse
+import importlib
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+import warnings
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict
+from itertools import product
+from pathlib import Path
+
+import numpy as np
+
+NUISANCES = {"width": 1e-3, "x": 0.01, "y": 0.01, "background": 1.0, "drift": 10.0}
+KEY = ("regime", "seed", "positions")
+CADENCES = 1500
+
+
+# In the process of the corrector, which has only the names of its own checkout.
+
+
+def correct(tpf, method):
+    """Return the light curve by a method."""
+    if ":" in method:
+        module, _, name = method.partition(":")
+        return getattr(importlib.import_module(module), name)(tpf)
+    if method == "raw":
+        return tpf.to_lightcurve(aperture_mask="pipeline")
+    from scope_models.correctors import PLDCorrector
+
+    options = {"pld": {}, "measured": {"fractions": "measured"}}[method]
+    return PLDCorrector(tpf).correct(**options)
+
+
+def serve(method):
+    """Correct the files that the lines of standard input name, a line of results for each."""
+    import lightkurve  # noqa: F401
+
+    for line in sys.stdin:
+        paths, source = json.loads(line)
+        found = [corrected(path, source, method) for path in paths]
+        sys.__stdout__.write(json.dumps(found) + "\n")
+        sys.__stdout__.flush()
+
+
+def corrected(path, source, method):
+    """Return the light curve of a file, its processor time, and warnings or the error."""
+    import lightkurve
+
+    kind = lightkurve.TessTargetPixelFile if source == "TESS" else lightkurve.KeplerTargetPixelFile
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        tpf = kind(path)
+        del caught[:]
+        begin = time.process_time()
+        try:
+            lc = correct(tpf, method)
+        except Exception as error:  # noqa: BLE001 - each exception is a result
+            return {"error": f"{type(error).__name__}: {error}"}
+        seconds = time.process_time() - begin
+    ours = [str(w.message) for w in caught if w.category.__module__.startswith("scope_models")]
+    columns = {
+        name: np.ma.filled(np.ma.asarray(getattr(lc[name], "value", lc[name]), float), np.nan)
+        for name in ("cadenceno", "flux", "flux_err")
+    }
+    return {"seconds": seconds, "warnings": ours} | {k: v.tolist() for k, v in columns.items()}
+
+
+# In the process that makes and scores the stars.
+
+_WORKER = []
+
+
+def start(tree, method):
+    """Start the process of the corrector."""
+    paths = [str(tree), os.environ.get("PYTHONPATH", "")]
+    threads = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
+    _WORKER[:] = [
+        subprocess.Popen(
+            [sys.executable, "-u", Path(__file__), "--serve", "--method", method],
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
+            env={**os.environ, **threads, "PYTHONPATH": os.pathsep.join(paths)},
+        )
+    ]  # fmt: skip
+
+
+def ask(paths, mission):
+    """Return what the corrector finds in files."""
+    _WORKER[0].stdin.write(json.dumps([paths, mission]) + "\n")
+    _WORKER[0].stdin.flush()
+    line = _WORKER[0].stdout.readline()
+    if not line:
+        raise RuntimeError("the process of the corrector has ended")
+    return json.loads(line)
+
+
+def run(task):
+    """Return the row of a star."""
+    from scope_models.benchmark import REGIMES, make_sky
+
+    name, seed, positions = task
+    regime = REGIMES[name]
+    kind = None if positions == "wrong" else positions
+    options = {"n_cadences": CADENCES, "positions": kind}
+    sky = make_sky(regime, seed, **options)
+    if regime.depth:
+        other = regime.replace(depth=0.0)
+    else:
+        depth = float(np.clip(10 * sky.floor() / np.sqrt(per_bin(regime)), 1e-4, 0.1))
+        other = regime.replace(depth=depth, duration=0.25)
+    stars = [
+        sky,
+        make_sky(regime, seed, noise_seed=1, **options),
+        make_sky(other, seed, **options),
+    ]
+    with tempfile.TemporaryDirectory() as folder:
+        paths = [str(Path(folder) / f"{i}.fits") for i in range(3)]
+        for star, path in zip(stars, paths, strict=True):
+            star.to_tpf(quality_bitmask="none").hdu.writeto(path)
+        found = ask(paths, regime.mission)
+    row = dict(zip(KEY, task, strict=True)) | {
+        "apart": regime.apart,
+        "magnitude": regime.magnitude,
+        "scale": regime.scale,
+        "neighbors": len(regime.neighbors),
+        "share": share(sky),
+    }
+    return row | rows_of(stars, found)
+
+
+def per_bin(regime):
+    """Return the cadences of 6.5 h."""
+    return max(round(13 * 0.0204 / regime.cadence), 1)
+
+
+def share(sky):
+    """Return the star's part of the light of all stars in the file's aperture."""
+    own, others = (
+        float(light[:, sky.aperture].sum()) for light in (sky.star_light, sky.neighbor_light)
+    )
+    return own / (own + others)
+
+
+def rows_of(stars, found):
+    """Return the scores of a star by its three corrections."""
+    from scope_models.benchmark import score
+    from scope_models.benchmark._scores import (
+        binned,
+        depth_difference,
+        deviation_of,
+        diluted,
+        leak_slopes,
+        score_light_curve,
+    )
+
+    sky, _, other = stars
+    row = {"error": next((one["error"] for one in found if "error" in one), "")}
+    raw = score(sky.to_tpf().to_lightcurve(aperture_mask="pipeline"), sky)
+    row |= {"raw_full": raw.full, "raw_high_passed": raw.high_passed, "floor": raw.floor}
+    if row["error"]:
+        return row
+    fluxes, errors = np.full((2, 3, len(sky.time)), np.nan)
+    for i, one in enumerate(found):
+        rows = np.asarray(one["cadenceno"], int) - 1
+        fluxes[i, rows], errors[i, rows] = one["flux"], one["flux_err"]
+    row["seconds"] = float(np.median([one["seconds"] for one in found]))
+    row["warnings"] = len(found[0]["warnings"])
+    row["warning"] = " | ".join(text[:90] for text in found[0]["warnings"])
+    cadences = sky.regime.cadence * np.arange(len(sky.time))
+    read = np.isin(sky.cadenceno - 1, rows)
+    truth = diluted(fluxes[0], sky.true_flux) if sky.regime.neighbors else sky.true_flux
+    own, seen = (
+        asdict(
+            score_light_curve(
+                cadences[read], fluxes[0][read], errors[0][read], true[read], sky.transit[read],
+                sky.floor(),
+            )
+        )
+        for true in (sky.true_flux, truth)
+    )  # fmt: skip
+    row |= seen | {"amplitude": own["amplitude"], "depth": own["depth"], "undiluted": own["full"]}
+    with_transits, without = (0, 2) if sky.regime.depth else (2, 0)
+    star = stars[with_transits]
+    row["injected"] = max(sky.regime.depth, other.regime.depth)
+    row["depth_kept"] = depth_difference(
+        fluxes[with_transits], fluxes[without], star.true_flux, star.transit
+    )
+    first, second = (deviation_of(flux, truth) for flux in fluxes[:2])
+    both = np.isfinite(first - second)
+    if both.sum() < 100:
+        return row
+    _, means, count = binned(cadences[both], (first - second)[both])
+    rms = np.sqrt(np.average((means - np.average(means, weights=count)) ** 2, weights=count))
+    row["noise_rms"] = float(1e6 * rms / np.sqrt(2) / raw.floor)
+    nuisances = [
+        sky.width, sky.x, sky.y, sky.background_light.mean(axis=(1, 2)), cadences
+    ]  # fmt: skip
+    units = np.array(list(NUISANCES.values()))[:, None]
+    slopes, slope_errors = leak_slopes(cadences, 1e6 * first, np.array(nuisances) / units)
+    for name, slope, error in zip(NUISANCES, slopes, slope_errors, strict=True):
+        row |= {f"leak_{name}": float(slope), f"leak_{name}_error": float(error)}
+    return row
+
+
+# Tables.
+
+
+def table_of(rows):
+    """Return a table of rows that need not have all columns."""
+    from astropy.table import Table
+
+    names = list(dict.fromkeys(name for row in rows for name in row))
+    texts = {"regime", "positions", "error", "warning"}
+    columns = {n: [row.get(n, "" if n in texts else np.nan) for row in rows] for n in names}
+    return Table(columns)
+
+
+def whole(table):
+    """Return the numbers of a whole sky, as pairs of a text and a value."""
+    alone = table[~np.asarray(table["apart"], bool)]
+    failed = np.array([bool(error) for error in alone["error"]])
+    stars = alone[~failed]
+    col = {name: np.asarray(stars[name]) for name in stars.colnames}
+    wrong_error = (col["pull"] < 0.7) | (col["pull"] > 1.5)
+    bad = (col["full"] > 1.1 * col["raw_full"]) | (col["full"] > 5) | wrong_error
+    warned = col["warnings"] > 0
+    pulls = np.concatenate([col[f"leak_{n}"] / col[f"leak_{n}_error"] for n in NUISANCES])
+    pulls = pulls[np.isfinite(pulls)]
+    single = np.isfinite(col["amplitude"]) & (col["neighbors"] == 0)
+    beside = np.isfinite(col["amplitude"]) & (col["neighbors"] > 0)
+    kept = (col["amplitude"] > 0.99 * col["share"]) & (col["amplitude"] < 1.01)
+    fast = col["scale"] >= 10
+    deep = np.where(col["neighbors"] > 0, col["depth_kept"] / col["share"], col["depth_kept"])
+    fine = col["full"] < 3
+    return {
+        "stars": len(alone),
+        "exceptions": int(failed.sum()),
+        "full score, median": np.median(col["full"]),
+        "high-passed score, median": np.median(col["high_passed"]),
+        "above 1.1 raw (goal 0.02)": np.mean(col["full"] > 1.1 * col["raw_full"]),
+        "above 5 floors (0.10)": np.mean(col["full"] > 5),
+        "pull outside 0.7-1.5 (0.10)": np.mean(wrong_error),
+        "of these three with a warning (1)": mean(warned[bad]),
+        "of the others with a warning (0.10)": mean(warned[~bad]),
+        "leaks within 2 errors (0.95)": mean(np.abs(pulls) < 2),
+        "leak of width, ppm per 0.1 %, median": np.nanmedian(np.abs(col["leak_width"])),
+        "amplitude within 1 %, single stars (1)": mean(np.abs(col["amplitude"] - 1)[single] < 0.01),
+        "amplitude between diluted and true, neighbors (1)": mean(kept[beside]),
+        "depth kept above 0.97, up to 5x (0.95)": mean(deep[~fast] > 0.97),
+        "depth kept above 0.90, 10x (0.95)": mean(deep[fast] > 0.9),
+        "another draw of noise, median where full < 3 (1.4)": np.median(col["noise_rms"][fine]),
+        "another draw of noise, worst where full < 3 (2.5)": np.max(col["noise_rms"][fine]),
+        "processor seconds, median": np.median(col["seconds"]),
+        "processor seconds, worst": np.max(col["seconds"]),
+    }
+
+
+def mean(values):
+    """Return the mean, NaN of nothing."""
+    return float(np.mean(values)) if len(values) else float("nan")
+
+
+def medians(table):
+    """Print medians per regime."""
+    names = ("full", "high_passed", "pull", "amplitude", "depth_kept", "noise_rms", "leak_width")
+    names = (*names, "raw_full", "seconds")
+    print(f"{'regime':32}{'positions':10}" + "".join(f"{name[:10]:>11}" for name in names))
+    for positions, regime in product(
+        sorted(set(table["positions"])), dict.fromkeys(table["regime"])
+    ):
+        rows = table[(table["positions"] == positions) & (table["regime"] == regime)]
+        if not len(rows):
+            continue
+        failed = sum(bool(error) for error in rows["error"])
+        mark = "*" if rows["apart"][0] else " "
+        values = [np.median(rows[name]) for name in names]
+        text = "".join(f"{value:11.3f}" for value in values)
+        print(f"{regime + mark:32}{positions:10}{text}" + f"  {failed} failed" * bool(failed))
+
+
+def against(table, base):
+    """Print the ratios of a table to a base, per regime and as a whole; only stars of both."""
+    from astropy.table import join
+
+    both = join(table, base, KEY, table_names=["new", "base"])
+    print(f"{'ratios of medians':32}{'positions':10}{'full':>8}{'high':>8}{'new':>10}{'base':>10}")
+    for positions in sorted(set(both["positions"])):
+        mine = both[both["positions"] == positions]
+        for regime in dict.fromkeys(base["regime"]):
+            rows = mine[mine["regime"] == regime]
+            if not len(rows):
+                continue
+            full, high = (ratio(rows, name) for name in ("full", "high_passed"))
+            new, old = (np.median(rows[f"full_{kind}"]) for kind in ("new", "base"))
+            mark = "*" if rows["apart_new"][0] else " "
+            worse = "  worse" if full > 1.2 or high > 1.2 else ""
+            line = f"{regime + mark:32}{positions:10}{full:8.2f}{high:8.2f}{new:10.2f}{old:10.2f}"
+            print(line + worse)
+        alone = mine[~np.asarray(mine["apart_new"], bool)]
+        for name in ("full", "high_passed", "seconds"):
+            each = np.asarray(alone[f"{name}_new"]) / np.asarray(alone[f"{name}_base"])
+            print(
+                f"{positions}: {name}: ratio of medians {ratio(alone, name):.3f}, median of ratios "
+                f"{np.nanmedian(each):.3f}, better than 0.9 {np.mean(each < 0.9):.2f}, worse than "
+                f"1.1 {np.mean(each > 1.1):.2f}"
+            )
+        keys = {tuple(row) for row in mine[list(KEY)].iterrows()}
+        chosen = [
+            [tuple(row) in keys for row in one[list(KEY)].iterrows()] for one in (table, base)
+        ]
+        numbers = [whole(one[mask]) for one, mask in zip((table, base), chosen, strict=True)]
+        for text in numbers[0]:
+            print(f"    {text:52}{numbers[0][text]:10.3f}{numbers[1][text]:10.3f}")
+    print("* scored apart: slow variability under slow motion")
+
+
+def ratio(rows, name):
+    """Return the ratio of medians."""
+    return float(np.median(rows[f"{name}_new"]) / np.median(rows[f"{name}_base"]))
+
+
+def seeds(text):
+    """Return the seeds of a text as 0-3 or 1,5."""
+    first, _, last = text.partition("-")
+    return list(range(int(first), int(last) + 1)) if last else [int(s) for s in text.split(",")]
+
+
+def record(options):
+    """Compute the missing rows and write the table."""
+    from scope_models.benchmark import REGIMES
+
+    lines = options.output.with_suffix(".jsonl")
+    rows = [json.loads(line) for line in lines.read_text().splitlines()] if lines.exists() else []
+    done = {tuple(row[name] for name in KEY) for row in rows}
+    names = [name for name in REGIMES if name.startswith(tuple(options.regimes.split(",")))]
+    tasks = [
+        (name, seed, positions)
+        for positions, seed, name in product(options.positions.split(","), options.seeds, names)
+        if positions == "wrong" or REGIMES[name].positions != "none"
+    ]
+    tasks = [task for task in tasks if task not in done]
+    arguments = (options.tree.resolve(), options.method)
+    with ProcessPoolExecutor(options.workers, initializer=start, initargs=arguments) as pool:
+        for task, row in zip(tasks, pool.map(run, tasks), strict=True):
+            rows.append(row)
+            with lines.open("a") as file:
+                file.write(json.dumps(row) + "\n")
+            print(
+                *task, *(f"{row.get(k, np.nan):.2f}" for k in ("full", "high_passed")), flush=True
+            )
+    table = table_of(rows)
+    git = ["git", "-C", str(arguments[0]), "rev-parse", "--short", "HEAD"]
+    version = subprocess.run(git, capture_output=True, text=True, check=False).stdout.strip()
+    table.meta |= {
+        "version": version,
+        "date": time.strftime("%Y-%m-%d"),
+        "method": options.method,
+        "command": "python studies/record.py " + options.command,
+        "cadences": CADENCES,
+    }
+    for name in table.colnames:
+        if table[name].dtype.kind == "f":
+            table[name] = [float(f"{value:.5g}") for value in table[name]]
+    table.write(options.output, overwrite=True)
+    return table
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("output", nargs="?", type=Path, help="table (ECSV); continued if it exists")
+    parser.add_argument("--against", type=Path, help="table to compare with")
+    parser.add_argument("--regimes", default="", help="beginnings of names, comma-separated")
+    parser.add_argument("--seeds", default="2001-2002", type=seeds, help="as 0-3 or 1,5")
+    parser.add_argument("--positions", default="wrong", help="wrong, exact, none, comma-separated")
+    parser.add_argument("--method", default="pld", help="pld, raw, measured or MODULE:FUNCTION")
+    parser.add_argument("--tree", default=Path(__file__).parents[1], type=Path, help="checkout")
+    parser.add_argument("--workers", default=1, type=int)
+    parser.add_argument("--show", action="store_true", help="compute nothing more")
+    parser.add_argument("--serve", action="store_true", help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    if options.serve:
+        return serve(options.method)
+    if options.output is None:
+        parser.error("the following arguments are required: output")
+    from astropy.table import Table
+
+    tree = str(options.tree)
+    options.command = " ".join(a for a in sys.argv[1:] if a != tree).replace("--tree ", "")
+    table = Table.read(options.output) if options.show else record(options)
+    if options.against:
+        against(table, Table.read(options.against))
+    else:
+        medians(table)
+        for positions in sorted(set(table["positions"])):
+            print(positions)
+            for text, value in whole(table[table["positions"] == positions]).items():
+                print(f"    {text:52}{value:10.3f}")
+    return None
+
+
+if __name__ == "__main__":
+    main()
