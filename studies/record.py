@@ -326,6 +326,9 @@ def against(table, base):
                 f"{np.nanmedian(each):.3f}, better than 0.9 {np.mean(each < 0.9):.2f}, worse than "
                 f"1.1 {np.mean(each > 1.1):.2f}"
             )
+        hard = alone[np.asarray(alone["full_base"]) > 1.5]
+        each = np.asarray(hard["full_new"]) / np.asarray(hard["full_base"])
+        print(f"{positions}: {len(hard)} stars above 1.5 in the base: full {np.median(each):.3f}")
         keys = {tuple(row) for row in mine[list(KEY)].iterrows()}
         chosen = [
             [tuple(row) in keys for row in one[list(KEY)].iterrows()] for one in (table, base)
