@@ -1,6 +1,7 @@
 """The door for values with units: the one place where quantities, times and masks become arrays."""
 
 from collections.abc import Mapping
+from types import MappingProxyType
 
 import numpy as np
 from astropy import units as u
@@ -10,6 +11,7 @@ __all__ = [
     "DIGITAL",
     "LARGEST_DAY",
     "PER_PIXEL",
+    "TIME_ZEROS",
     "is_angle",
     "native",
     "plain_array",
@@ -22,6 +24,8 @@ __all__ = [
     "without_unit",
 ]
 
+#: Barycentric Julian date (TDB) of the zero of each time format.
+TIME_ZEROS = MappingProxyType({"bkjd": 2454833.0, "btjd": 2457000.0})
 #: Times beyond this are Julian dates, modified or not, which no mission's times reach.
 LARGEST_DAY = 2e4
 _CASTING = {"O": "unsafe", "f": "same_kind", "i": "same_kind", "u": "same_kind"}
@@ -120,8 +124,6 @@ def plain_time(value, time_format, name):
     ``time_format`` is "bkjd" or "btjd", the zeros BJD - 2454833 and BJD - 2457000 (TDB); None
     refuses a Time. Plain numbers that are Julian dates are refused.
     """
-    from scope_models.missions import TIME_ZEROS  # that module converts units with this one
-
     if isinstance(value, (list, tuple)) and any(isinstance(item, Time) for item in value):
         value = Time(value)
     if isinstance(value, Time):

@@ -6,7 +6,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from scope_models._arrays import plain_number
+from scope_models._arrays import TIME_ZEROS, plain_number
 from scope_models._values import Value
 
 __all__ = [
@@ -15,12 +15,8 @@ __all__ = [
     "Cadence",
     "Mission",
     "QualityBits",
-    "choose_cadence",
-    "full_flux",
 ]
 
-#: Barycentric Julian date (TDB) of the zero of each time format.
-TIME_ZEROS = MappingProxyType({"bkjd": 2454833.0, "btjd": 2457000.0})
 # A length names the cadence that differs by less: a Kepler long cadence is called 30 minutes.
 _CADENCE_TOLERANCE = 0.03
 _SECONDS_PER_DAY = 86400.0
@@ -265,7 +261,7 @@ class Mission(Value):
 
     @property
     def full_flux(self):
-        """Flux from which a pixel may be full, e-/s, its background included: see `full_flux`."""
+        """Flux from which a pixel may be full, e-/s, its background included."""
         return full_flux(self.well_depth, self.int_time)
 
     def cadence(self, choice=None):
@@ -389,69 +385,17 @@ def _is_positive(value):
 
 
 def full_flux(well_depth, int_time, background=0.0):
-    """Return the flux from which a pixel of an archive file may be full.
+    """Return the flux, e-/s, from which a pixel of an archive file may be full.
 
     The channels differ, and a file does not give the depth of the wells: the shallowest of Kepler's
     84 channels are full at 0.877 of the median (0.947e6 of 1.08e6 electrons, KSCI-19033, table
     13). For other missions that is an assumption.
-
-    Parameters
-    ----------
-    well_depth : float or Quantity
-        Electrons that a pixel holds in one frame, the median over the detectors.
-    int_time : float or Quantity
-        Exposure of a frame, s.
-    background : float or Quantity, optional
-        Background that is not part of the flux, e-/s.
-
-    Returns
-    -------
-    float
-        The flux, e-/s.
-
-    Examples
-    --------
-    >>> from scope_models.missions import full_flux
-    >>> round(full_flux(1.08e6, 6.02, 284.0))
-    157052
     """
-    well_depth = plain_number(well_depth, "electron", "well_depth")
-    int_time = plain_number(int_time, "s", "int_time")
-    background = plain_number(background, "electron / s", "background")
     return _FULL_FRACTION * well_depth / int_time - background
 
 
 def choose_cadence(cadences, frame_time, choice=None):
-    """Return one of several cadences.
-
-    Parameters
-    ----------
-    cadences : sequence of Cadence
-        The cadences.
-    frame_time : float or Quantity
-        Length of a frame, s.
-    choice : str, float or Quantity, optional
-        The cadence's name or its length, in seconds or with a unit; a length within 3 % names
-        it. None is the first cadence.
-
-    Returns
-    -------
-    Cadence
-        The cadence.
-
-    Raises
-    ------
-    ValueError
-        If there is no such cadence.
-    TypeError
-        If the choice is neither a name nor one number.
-
-    Examples
-    --------
-    >>> from scope_models.missions import Cadence, choose_cadence
-    >>> choose_cadence([Cadence("fast", 10), Cadence("slow", 300)], 2.0, 600).name
-    'slow'
-    """
+    """Return the cadence of a name or of a length, s, within 3 %; None is the first one."""
     if choice is None and cadences:
         return cadences[0]
     wanted = choice if isinstance(choice, str) else plain_number(choice, "s", "cadence")

@@ -18,7 +18,8 @@ import numpy as np
 from astropy.io import fits
 
 from scope_models import Detector, Motion, Star, TransitModel, simulate
-from scope_models.io import TPFMetadata, make_tpf_hdulist, write_hdulist
+from scope_models.io import TPFMetadata
+from scope_models.io.tpf import make_tpf_hdulist, write_hdulist
 from scope_models.models import BivariateGaussianPSF, sinusoidal_signal
 
 CADENCES, MAGNITUDE, SEED = 1000, 11.0, 1

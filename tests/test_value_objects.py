@@ -21,8 +21,9 @@ from scope_models import (
     read_pixels,
     simulate,
 )
-from scope_models.correctors import PLDOptions
-from scope_models.effects import Background, Drawn, Extinction, Focus, Gaps
+from scope_models.correctors.model import PLDOptions
+from scope_models.effects import Background, Extinction, Focus, Gaps
+from scope_models.effects.base import Drawn
 from scope_models.io import TPFMetadata
 from scope_models.missions import MISSIONS
 from scope_models.models import PRFGrid, TabulatedPRF, sinusoidal_signal, tabulated_signal

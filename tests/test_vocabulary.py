@@ -1,11 +1,15 @@
 """Public arguments keep to the glossary of the development page, and to American spelling."""
 
+import importlib
 import inspect
+import operator
 import re
 
 import pytest
 from docutils.core import publish_doctree
 from docutils.nodes import entry, row
+
+import scope_models
 
 BRITISH = re.compile(
     r"colour|cent(re|red|ring)(_|$)|neighbour|behaviour|catalogue|"
@@ -70,3 +74,49 @@ def test_spelling_is_american(arguments, public_callables):
     names = set(arguments)
     names |= {name.rpartition(".")[2] for name, _ in public_callables}
     assert sorted(name for name in names if BRITISH.search(name)) == []
+
+
+@pytest.fixture(scope="module")
+def moved(repository):
+    """Return old place, names and present place, of each row of the tables of names."""
+    text = (repository / "docs" / "development.rst").read_text(encoding="utf-8")
+    part = re.search(
+        r"^Names of the third plan\n-+\n(.*?)^Benchmarks", text, re.MULTILINE | re.DOTALL
+    )[1]
+    document = publish_doctree(part[part.index(".. list-table::") :])
+    cells = [[e.astext() for e in r.findall(entry)] for r in document.findall(row)]
+    return [(place, names.split(), now) for place, names, now in cells if now != "Now"]
+
+
+def public_names(place):
+    """Return the public names of a module, or the arguments of a call; nothing if it is absent."""
+    try:
+        if place.startswith("scope_models"):
+            module = importlib.import_module(place)
+            return set(module.__all__)
+        return set(inspect.signature(operator.attrgetter(place)(scope_models)).parameters)
+    except (AttributeError, ModuleNotFoundError):
+        return set()
+
+
+def test_names_are_where_the_table_has_them(moved):
+    assert len(moved) >= 30
+    for place, names, now in moved:
+        if now == "here":
+            assert set(names) - public_names(place) == set(), place
+            continue
+        assert set(names) & public_names(place) == set(), place
+        if not now.startswith("gone: "):
+            assert set(names) - public_names(now) == set(), now
+
+
+def test_names_of_the_table_import(moved):
+    for place, names, now in moved:
+        if place.startswith("scope_models") and not now.startswith("gone: "):
+            module = importlib.import_module(place if now == "here" else now)
+            assert all(getattr(module, name) is not None for name in names)
+
+
+def test_table_has_each_name_once(moved):
+    names = [(place, name) for place, several, _ in moved for name in several]
+    assert len(names) == len(set(names)) > 220

@@ -17,8 +17,8 @@ from scope_models.effects import (
     Seeing,
     SensitivityDropouts,
     Throughput,
-    rejected_shift,
 )
+from scope_models.effects.cosmic_rays import rejected_shift
 
 
 def make_focus_figure():

@@ -13,9 +13,10 @@ from astropy.table import Table
 from scope_models._arrays import values_of, without_unit
 from scope_models._docstrings import documented
 from scope_models.batch._many import FITS, RUN, run_files
-from scope_models.io import read_pixels, read_tpf, write_hdulist
+from scope_models.io import read_pixels, read_tpf
 from scope_models.io._atomic import check_output
 from scope_models.io._opening import naming
+from scope_models.io.tpf import write_hdulist
 from scope_models.missions import MISSIONS
 from scope_models.models import TransitModel
 from scope_models.photometry import cdpp

@@ -58,7 +58,7 @@ def run(arguments):
         bar.set_description("writing")
         observation.write(paths[0], overwrite=arguments.overwrite)
         hdus = make_lightcurve_hdulist(corrector)
-        sm.io.write_hdulist(hdus, paths[1], overwrite=arguments.overwrite)
+        sm.io.tpf.write_hdulist(hdus, paths[1], overwrite=arguments.overwrite)
         bar.update()
         bar.set_description("drawing")
         curves = {"raw": raw, "de-trended": corrected}

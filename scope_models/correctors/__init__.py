@@ -1,7 +1,6 @@
 # Licensed under a 3-clause BSD style license - see LICENSE
 """Correctors of light curves."""
 
-from scope_models.correctors._features import Regressors
 from scope_models.correctors._files import detrend_file
 from scope_models.correctors._result import PLDFit
 from scope_models.correctors.compare import (
@@ -9,7 +8,6 @@ from scope_models.correctors.compare import (
     choose_corrector,
     compare_correctors,
 )
-from scope_models.correctors.model import PLDModel, PLDOptions
 from scope_models.correctors.pld import PLDCorrector
 from scope_models.correctors.scene import SceneCorrector, SceneResult
 
@@ -17,9 +15,6 @@ __all__ = [
     "ComparisonResult",
     "PLDCorrector",
     "PLDFit",
-    "PLDModel",
-    "PLDOptions",
-    "Regressors",
     "SceneCorrector",
     "SceneResult",
     "choose_corrector",

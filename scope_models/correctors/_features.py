@@ -36,7 +36,7 @@ class Regressors:
     Examples
     --------
     >>> import numpy as np
-    >>> from scope_models.correctors import Regressors
+    >>> from scope_models.correctors._features import Regressors
     >>> matrix = Regressors.join({"position": np.ones((5, 2)), "focus": np.ones((5, 1))})
     >>> matrix.columns.shape, matrix.names
     ((5, 3), ('position', 'focus'))

@@ -1,10 +1,10 @@
 """Effects of sky, telescope and detector on light and charge, besides noise and saturation."""
 
-from scope_models.effects._effect import Conditions, Drawn, Effect, Exposures
 from scope_models.effects.atmosphere import Extinction, Scintillation, Seeing, airmass
 from scope_models.effects.background import Argabrightening, Background, ScatteredLight
+from scope_models.effects.base import Effect
 from scope_models.effects.charge import BrighterFatter, DarkCurrent, Smear, Undershoot
-from scope_models.effects.cosmic_rays import CosmicRays, rejected_shift
+from scope_models.effects.cosmic_rays import CosmicRays
 from scope_models.effects.focus import Focus
 from scope_models.effects.gaps import Gaps
 from scope_models.effects.jitter import Jitter
@@ -19,12 +19,9 @@ __all__ = [
     "Background",
     "BrighterFatter",
     "ChargeTransferInefficiency",
-    "Conditions",
     "CosmicRays",
     "DarkCurrent",
-    "Drawn",
     "Effect",
-    "Exposures",
     "Extinction",
     "Focus",
     "Gaps",
@@ -42,5 +39,4 @@ __all__ = [
     "airmass",
     "mission_effects",
     "moon_geometry",
-    "rejected_shift",
 ]

@@ -9,7 +9,7 @@ from astropy.time import Time
 from scope_models._arrays import plain_array, plain_time
 from scope_models._checks import checked_number, number
 from scope_models._values import frozen
-from scope_models.effects._effect import Drawn, Effect, series_of
+from scope_models.effects.base import Drawn, Effect, series_of
 from scope_models.missions import TIME_ZEROS
 
 __all__ = ["Extinction", "Scintillation", "Seeing", "airmass"]

@@ -6,7 +6,7 @@ import numpy as np
 
 from scope_models._arrays import plain_time
 from scope_models._checks import checked_number, number
-from scope_models.effects._effect import Drawn, Effect, checked_series, series_of
+from scope_models.effects.base import Drawn, Effect, checked_series, series_of
 
 __all__ = ["Argabrightening", "Background", "ScatteredLight"]
 

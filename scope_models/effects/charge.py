@@ -6,7 +6,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from scope_models._checks import integer, number
-from scope_models.effects._effect import Drawn, Effect
+from scope_models.effects.base import Drawn, Effect
 
 __all__ = ["BrighterFatter", "DarkCurrent", "Smear", "Undershoot"]
 

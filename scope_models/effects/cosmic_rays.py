@@ -8,7 +8,7 @@ from scipy.special import ndtr
 
 from scope_models._arrays import plain_array
 from scope_models._checks import number
-from scope_models.effects._effect import Drawn, Effect
+from scope_models.effects.base import Drawn, Effect
 
 __all__ = ["CosmicRays", "rejected_shift"]
 
@@ -156,7 +156,7 @@ def rejected_shift(charge):
 
     Examples
     --------
-    >>> from scope_models.effects import rejected_shift
+    >>> from scope_models.effects.cosmic_rays import rejected_shift
     >>> print(rejected_shift([0.0, 2.0, 50.0]).round(3))
     [0.    1.232 1.485]
     """

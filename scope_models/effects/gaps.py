@@ -6,7 +6,7 @@ import numpy as np
 
 from scope_models._arrays import plain_array, plain_time
 from scope_models._values import frozen
-from scope_models.effects._effect import Drawn, Effect
+from scope_models.effects.base import Drawn, Effect
 
 __all__ = ["Gaps"]
 

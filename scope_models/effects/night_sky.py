@@ -10,9 +10,9 @@ from astropy.time import Time
 from scope_models._arrays import plain_array, plain_time
 from scope_models._checks import number
 from scope_models._values import frozen
-from scope_models.effects._effect import series_of
 from scope_models.effects.atmosphere import checked_airmass, equatorial_place, horizon_altitude
 from scope_models.effects.background import SkyEffect
+from scope_models.effects.base import series_of
 from scope_models.missions import TIME_ZEROS
 
 __all__ = ["NightSky", "moon_geometry"]

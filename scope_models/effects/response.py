@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from scope_models._checks import number
-from scope_models.effects._effect import Drawn, Effect, checked_series, series_of
+from scope_models.effects.base import Drawn, Effect, checked_series, series_of
 
 __all__ = ["SensitivityDropouts", "Throughput"]
 

@@ -8,7 +8,7 @@ from numpy.polynomial import legendre
 from scope_models._arrays import plain_array
 from scope_models._checks import integer, number
 from scope_models._values import frozen
-from scope_models.effects._effect import Effect
+from scope_models.effects.base import Effect
 
 __all__ = ["PixelShares"]
 

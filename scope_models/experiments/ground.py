@@ -10,7 +10,7 @@ from scope_models.experiments._corrected import CorrectedStudy, amplitude
 from scope_models.experiments._correctors import quiet
 from scope_models.experiments._statistics import cells, on_grid
 from scope_models.experiments.study import parameter
-from scope_models.io import make_tpf_hdulist
+from scope_models.io.tpf import make_tpf_hdulist
 from scope_models.models import TransitModel, moffat_psf
 from scope_models.scene import Detector, Motion, Star
 from scope_models.simulation import simulate

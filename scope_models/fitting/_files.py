@@ -8,8 +8,8 @@ import numpy as np
 from scope_models._arrays import native
 from scope_models.effects import PixelShares
 from scope_models.fitting.result import FittedStar
-from scope_models.io import write_hdulist
 from scope_models.io._opening import RefusedError, open_fits
+from scope_models.io.tpf import write_hdulist
 from scope_models.models import PRF
 from scope_models.models._description import describe_model, make_model, packed, unpacked
 from scope_models.models._parameters import numbers_of

@@ -2,13 +2,10 @@
 
 from scope_models.io._opening import Conf, conf
 from scope_models.io._truth import Truth
-from scope_models.io.light_curves import make_light_curve_hdulist
 from scope_models.io.pixels import PixelSeries, read_pixels, read_tpf, usable_positions
 from scope_models.io.tpf import (
     TPFMetadata,
-    make_tpf_hdulist,
     read_truth,
-    write_hdulist,
     write_tpf,
 )
 
@@ -18,12 +15,9 @@ __all__ = [
     "TPFMetadata",
     "Truth",
     "conf",
-    "make_light_curve_hdulist",
-    "make_tpf_hdulist",
     "read_pixels",
     "read_tpf",
     "read_truth",
     "usable_positions",
-    "write_hdulist",
     "write_tpf",
 ]

@@ -105,7 +105,8 @@ def make_tpf_hdulist(
     Examples
     --------
     >>> import numpy as np
-    >>> from scope_models.io import TPFMetadata, make_tpf_hdulist
+    >>> from scope_models.io import TPFMetadata
+    >>> from scope_models.io.tpf import make_tpf_hdulist
     >>> metadata = TPFMetadata(mission="K2", target_id=7)
     >>> flux = np.ones((3, 5, 4))
     >>> hdus = make_tpf_hdulist(
@@ -185,7 +186,7 @@ def write_hdulist(hdulist, path, *, overwrite=False):
     Examples
     --------
     >>> from astropy.io import fits
-    >>> from scope_models.io import write_hdulist
+    >>> from scope_models.io.tpf import write_hdulist
     >>> write_hdulist(fits.HDUList([fits.PrimaryHDU()]), "absent/star.fits")
     Traceback (most recent call last):
     FileNotFoundError: cannot write absent/star.fits: there is no folder ...absent

@@ -10,10 +10,9 @@ from scope_models.photometry.apertures import (
     signal_to_noise_aperture,
     threshold_aperture,
 )
-from scope_models.photometry.precision import LONG_CADENCE, cdpp
+from scope_models.photometry.precision import cdpp
 
 __all__ = [
-    "LONG_CADENCE",
     "aperture_flux",
     "cdpp",
     "circular_aperture",

@@ -17,7 +17,7 @@ from scope_models._checks import (
 )
 from scope_models._docstrings import documented
 from scope_models._values import Value, frozen, html_table
-from scope_models.effects._effect import Effect, checked_effects
+from scope_models.effects.base import Effect, checked_effects
 from scope_models.effects.noise import stream
 from scope_models.io.pixels import read_pixels
 from scope_models.missions import MISSIONS, full_flux
@@ -323,7 +323,7 @@ class Detector(Value):
 
     @property
     def full_flux(self):
-        """Flux from which a pixel may be full, e-/s: see `~scope_models.missions.full_flux`."""
+        """Flux from which a pixel may be full, e-/s: see `~scope_models.Mission.full_flux`."""
         if self.well_depth is None:
             return np.inf
         return full_flux(self.well_depth, self.int_time, self.background)

@@ -12,11 +12,12 @@ from scope_models._checks import check_fields, checked_matrix, integer, number
 from scope_models._docstrings import documented
 from scope_models._values import Value
 from scope_models.effects import Effect, mission_effects
-from scope_models.effects._effect import checked_effects
+from scope_models.effects.base import checked_effects
 from scope_models.effects.noise import check_seed, noise_terms
-from scope_models.io import TPFMetadata, read_truth, write_hdulist
+from scope_models.io import TPFMetadata, read_truth
 from scope_models.io._headers import tan_projection
 from scope_models.io._truth import truth_blocks
+from scope_models.io.tpf import write_hdulist
 from scope_models.missions import TIME_ZEROS
 from scope_models.models._description import (
     check_coord,

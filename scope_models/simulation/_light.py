@@ -7,7 +7,7 @@ from operator import mul
 
 import numpy as np
 
-from scope_models.effects import Conditions, Exposures
+from scope_models.effects.base import Conditions, Exposures
 from scope_models.effects.noise import stream
 from scope_models.effects.saturation import bleed
 from scope_models.models._axis import ROWS

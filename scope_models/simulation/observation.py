@@ -11,7 +11,8 @@ from scope_models._checks import checked_integer, checked_mask
 from scope_models._docstrings import documented
 from scope_models._values import Value, html_table
 from scope_models.effects import Effect
-from scope_models.io import TPFMetadata, Truth, make_tpf_hdulist, write_tpf
+from scope_models.io import TPFMetadata, Truth, write_tpf
+from scope_models.io.tpf import make_tpf_hdulist
 from scope_models.missions import MISSIONS, TIME_ZEROS
 from scope_models.scene.scene import Scene, scene_facts
 from scope_models.simulation._light import (

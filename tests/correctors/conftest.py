@@ -7,7 +7,8 @@ import pytest
 from lightkurve import KeplerTargetPixelFile
 from scipy.special import erf
 
-from scope_models.io import TPFMetadata, make_tpf_hdulist
+from scope_models.io import TPFMetadata
+from scope_models.io.tpf import make_tpf_hdulist
 
 EXPOSURE = 1625.347  # s, Kepler long cadence
 BACKGROUND = 166.0  # e-/s per pixel

@@ -8,8 +8,9 @@ from lightkurve import KeplerTargetPixelFile
 
 from scope_models import Detector, Motion, Star, TransitModel, simulate
 from scope_models.benchmark import make_sky, score
-from scope_models.correctors import PLDCorrector, PLDModel, model
+from scope_models.correctors import PLDCorrector, model
 from scope_models.correctors._pixels import background_plane, own_pixels
+from scope_models.correctors.model import PLDModel
 from scope_models.effects import Seeing
 from scope_models.exceptions import DetrendingWarning
 from scope_models.experiments import make_study

@@ -10,13 +10,8 @@ from astropy.table import QTable
 from lightkurve import KeplerLightCurve, KeplerTargetPixelFile, TessTargetPixelFile
 from lightkurve.correctors.corrector import Corrector
 
-from scope_models.correctors import (
-    PLDCorrector,
-    PLDFit,
-    PLDModel,
-    SceneCorrector,
-    compare_correctors,
-)
+from scope_models.correctors import PLDCorrector, PLDFit, SceneCorrector, compare_correctors
+from scope_models.correctors.model import PLDModel
 from scope_models.effects.saturation import bleed
 from scope_models.exceptions import DetrendingWarning
 from scope_models.io import read_pixels

@@ -28,8 +28,8 @@ from scope_models.effects import (
     Throughput,
     Undershoot,
     mission_effects,
-    rejected_shift,
 )
+from scope_models.effects.cosmic_rays import rejected_shift
 from scope_models.io import read_truth
 from scope_models.models import SensitivityPolynomial, TabulatedPRF
 

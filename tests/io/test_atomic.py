@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from astropy.io import fits
 
-from scope_models.io import write_hdulist
 from scope_models.io._atomic import atomic_path
+from scope_models.io.tpf import write_hdulist
 
 
 def save(path, text="new", **options):

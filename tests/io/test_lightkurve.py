@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from astropy.io import fits
 
-from scope_models.io import TPFMetadata, make_tpf_hdulist, read_truth, write_tpf
+from scope_models.io import TPFMetadata, read_truth, write_tpf
+from scope_models.io.tpf import make_tpf_hdulist
 
 FRAMES = {"int_time": 6.019802903270, "read_time": 0.518948526144, "n_frames": 270}
 FIELDS = {

@@ -16,13 +16,8 @@ from astropy.time import Time
 from astropy.units import UnitsWarning
 from astropy.wcs import WCS
 
-from scope_models.io import (
-    TPFMetadata,
-    make_tpf_hdulist,
-    read_truth,
-    write_hdulist,
-    write_tpf,
-)
+from scope_models.io import TPFMetadata, read_truth, write_tpf
+from scope_models.io.tpf import make_tpf_hdulist, write_hdulist
 
 MISSIONS = ["Kepler", "K2", "TESS"]
 KEPLER_FRAMES = {

@@ -9,7 +9,6 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.signal import savgol_coeffs
 
 from scope_models.photometry import (
-    LONG_CADENCE,
     aperture_flux,
     cdpp,
     circular_aperture,
@@ -20,6 +19,7 @@ from scope_models.photometry import (
     signal_to_noise_aperture,
     threshold_aperture,
 )
+from scope_models.photometry.precision import LONG_CADENCE
 
 
 @pytest.fixture(scope="module")

@@ -27,7 +27,8 @@ from astropy.utils.exceptions import AstropyWarning
 from scope_models import Detector, Motion, Scene, Star, read_scene, read_truth, simulate
 from scope_models.exceptions import DamagedFileWarning, LostLightWarning
 from scope_models.fitting import TPFFit
-from scope_models.io import make_light_curve_hdulist, read_pixels, read_tpf
+from scope_models.io import read_pixels, read_tpf
+from scope_models.io.light_curves import make_light_curve_hdulist
 from scope_models.io.reading import read_columns, read_positions
 
 LARGEST_MEMORY = 200e6  # bytes that a call may add to the process; the files have up to 0.3 MB

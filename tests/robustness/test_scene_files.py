@@ -9,7 +9,7 @@ import pytest
 from astropy.io import fits
 
 from scope_models import Detector, Motion, Scene, Star, read_scene, read_truth
-from scope_models.io import make_tpf_hdulist
+from scope_models.io.tpf import make_tpf_hdulist
 from scope_models.models._description import make_model
 
 

@@ -6,7 +6,8 @@ from astropy import units as u
 
 from scope_models import Detector, Motion, Star, TransitModel, read_scene, read_truth, simulate
 from scope_models.effects import Background, Extinction, Focus, Throughput
-from scope_models.io import read_tpf, write_hdulist
+from scope_models.io import read_tpf
+from scope_models.io.tpf import write_hdulist
 from scope_models.simulation import inject
 
 N = 120

@@ -16,9 +16,6 @@ __all__ = [
     "Drawn",
     "Effect",
     "Exposures",
-    "checked_effects",
-    "checked_series",
-    "series_of",
 ]
 
 _RAISES = """
@@ -60,7 +57,7 @@ class Conditions(Value):
     --------
     >>> import numpy as np
     >>> from scope_models import Detector
-    >>> from scope_models.effects import Conditions
+    >>> from scope_models.effects.base import Conditions
     >>> conditions = Conditions.of(Detector.k2(), np.arange(3.0))
     >>> conditions.n_reads, conditions.bit("argabrightening")
     (270, 64)
@@ -136,7 +133,7 @@ class Exposures(Value):
     Examples
     --------
     >>> import numpy as np
-    >>> from scope_models.effects import Exposures
+    >>> from scope_models.effects.base import Exposures
     >>> Exposures(np.zeros((5, 2)), np.full((5, 2), [-0.1, 0.1]), np.array([0.5, 0.5])).x.shape
     (5, 2)
     """
@@ -206,7 +203,7 @@ class Drawn(Value):
     Examples
     --------
     >>> import numpy as np
-    >>> from scope_models.effects import Drawn
+    >>> from scope_models.effects.base import Drawn
     >>> Drawn({"FOCUS": np.ones(3)}).columns["FOCUS"]
     array([1., 1., 1.])
     """
