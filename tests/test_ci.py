@@ -2,6 +2,7 @@
 
 import configparser
 import re
+import shutil
 import subprocess
 import sys
 import tomllib
@@ -71,6 +72,48 @@ def test_python_versions_are_those_of_the_metadata(repository, workflows):
     rows = workflows["tests"]["jobs"]["test"]["strategy"]["matrix"]["include"]
     assert sorted({row["python"] for row in rows}) == versions
     assert project["requires-python"] == f">={versions[0]}"
+
+
+@pytest.fixture
+def install(tmp_path):
+    """Return a function that makes an interpreter; one without a version is a broken shim."""
+
+    def make(path, version=None):
+        path = tmp_path / path
+        path.parent.mkdir(parents=True, exist_ok=True)
+        answer = f"echo {version} {path}" if version else "echo not selected >&2; exit 127"
+        path.write_text(f"#!/bin/sh\n{answer}\n")
+        path.chmod(0o755)
+        return str(path)
+
+    return make
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="needs bash")
+@pytest.mark.parametrize("versions", [(), ("3.11",), ("3.11", "3.12", "3.13")])
+def test_oldest_and_newest_interpreter_are_checked(repository, tmp_path, install, versions):
+    install("bin/python3.13")
+    paths = [install(f"pyenv/versions/{v}.4/bin/python", v) for v in versions[1:]]
+    paths = [install(f"bin/python{v}", v) for v in versions[:1]] + paths
+    environment = {
+        "PATH": f"{tmp_path / 'bin'}:{tmp_path / 'tools'}", "PYENV_ROOT": str(tmp_path / "pyenv")
+    }  # fmt: skip
+    (tmp_path / "tools").mkdir()
+    for tool in ("ls", "sort", "uniq"):
+        (tmp_path / "tools" / tool).symlink_to(shutil.which(tool))
+    result = subprocess.run(
+        [shutil.which("bash"), str(repository / ".ci" / "interpreters")],
+        env=environment, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    expected = sorted({(versions[i], paths[i]) for i in (0, -1)}) if versions else []
+    assert result.stdout.splitlines() == [" ".join(pair) for pair in expected]
+    assert result.returncode == (0 if versions else 1)
+
+
+def test_no_check_sets_the_number_of_threads(repository):
+    # the library limits them itself, and the tests are to see it if it does not
+    for name in (".ci/run", "tox.ini", "conftest.py", "pyproject.toml"):
+        assert "NUM_THREADS" not in (repository / name).read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize(

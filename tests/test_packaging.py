@@ -2,6 +2,7 @@
 
 import importlib
 import importlib.metadata
+import importlib.resources
 import importlib.util
 import inspect
 import pkgutil
@@ -11,6 +12,7 @@ import sys
 import tomllib
 
 import pytest
+import yaml
 
 import scope_models
 
@@ -90,12 +92,36 @@ def test_import_is_light():
     assert result.stdout.strip() == "[]"
 
 
-def test_version_is_the_same_everywhere(repository):
-    citation = (repository / "CITATION.cff").read_text(encoding="utf-8")
-    assert re.search(r"^version: (.*)$", citation, re.MULTILINE)[1] == scope_models.__version__
+def test_version_description_and_dependencies_are_the_same_everywhere(repository, pyproject):
+    project = pyproject["project"]
+    recipe = (repository / "recipe" / "meta.yaml").read_text(encoding="utf-8")
+    version = re.search(r'version = "(.*)"', recipe)[1]
+    recipe = yaml.safe_load(re.sub(r"{%.*?%}|{{.*?}}", "", recipe))
+    others = {
+        name: yaml.safe_load((repository / name).read_text(encoding="utf-8"))
+        for name in ("CITATION.cff", "codemeta.json", ".zenodo.json")
+    }
+    assert {version, others["CITATION.cff"]["version"], others["codemeta.json"]["version"]} == {
+        scope_models.__version__
+    }
+    assert {recipe["about"]["summary"], others["CITATION.cff"]["abstract"]} == {
+        project["description"]
+    }
+    assert {others[name]["description"] for name in ("codemeta.json", ".zenodo.json")} == {
+        project["description"]
+    }
+    conda = {"lazy_loader": "lazy-loader", "matplotlib": "matplotlib-base"}
+    needed = [requirement.split(">=") for requirement in project["dependencies"]]
+    assert recipe["requirements"]["run"] == [
+        f"python {project['requires-python']}",
+        *(f"{conda.get(name, name)} >={least}" for name, least in needed),
+    ]
     changes = (repository / "CHANGES.rst").read_text(encoding="utf-8")
-    release = re.sub(r"\.?dev\d+$", "", scope_models.__version__)
-    assert changes.startswith(release)
+    assert changes.startswith(re.sub(r"\.?dev\d+$", "", scope_models.__version__))
+
+
+def test_types_are_marked():
+    assert (importlib.resources.files(scope_models) / "py.typed").is_file()
 
 
 def test_installed_metadata():
