@@ -1,38 +1,50 @@
-"""Pointing of telescopes in space and on the ground, and made-up ones for tests of correctors."""
+"""Pointing of telescopes in space and on the ground, and made-up ones for tests of correctors.
 
-from dataclasses import dataclass
+Each class gives times, offsets and flagged cadences; `generate` makes series of them.
+"""
+
+import math
+from dataclasses import asdict, dataclass
+from typing import ClassVar
 
 import astropy.units as u
 import numpy as np
 from scipy.signal import lfilter
 
-from scope_models._checks import check_fields, number
+from scope_models._arrays import PER_PIXEL, plain_time
+from scope_models._checks import check_fields, checked_integer, number
 from scope_models._values import Value
+from scope_models.effects.noise import check_seed, fresh_seed, stream
 from scope_models.missions import MISSIONS
+from scope_models.scene._motion_arrays import check_time_format
 
 __all__ = [
-    "ARCSEC_PER_RADIAN",
-    "DAYS_PER_YEAR",
-    "SPEED_OF_LIGHT",
     "FailingWheels",
     "GroundTracking",
+    "K2Campaign18",
+    "K2FinalCampaign",
+    "K2Roll",
     "KeplerPointing",
     "Pointing",
     "RandomWalk",
     "TESSPointing",
-    "correlated",
-    "due",
+    "cadence_means",
+    "first_time",
+    "generate",
 ]
 
-ARCSEC_PER_RADIAN = 180 * 3600 / np.pi
-SPEED_OF_LIGHT = 299792.458  # km/s
-DAYS_PER_YEAR = 365.25
+_ARCSEC_PER_RADIAN = 180 * 3600 / np.pi
+_SPEED_OF_LIGHT = 299792.458  # km/s
+_DAYS_PER_YEAR = 365.25
 _LOWEST = 1e-300
 
 
 @dataclass(frozen=True)
 class Pointing(Value):
     """Base of the generators of motions; every parameter may be a quantity."""
+
+    #: Beginning of the names of its streams of random numbers; by default that of the class.
+    stream_name: ClassVar[str] = ""
 
     def __post_init__(self):
         check_fields(self)
@@ -83,14 +95,39 @@ class Pointing(Value):
         raise NotImplementedError
 
 
-def due(time, interval, generator):
+def first_time(start, time_format):
+    """Return the time of a first cadence in days."""
+    check_time_format(time_format)
+    days = plain_time(start, time_format, "start")
+    if days.ndim or not np.isfinite(days):
+        raise ValueError(f"`start` must be one finite time, got {start!r}")
+    return float(days)
+
+
+def generate(pointing, n_cadences, days, start, seed, mission, **options):
+    """Return the fields of the motion of a pointing, with this time between cadences."""
+    name = type(pointing).__name__
+    seed = fresh_seed() if seed is None else check_seed(seed)
+    streams = f"{pointing.stream_name or name} "
+    time = pointing.times(checked_integer("n_cadences", n_cadences, 1), days)
+    x, y, flags = pointing.track(time, lambda part: stream(seed, streams + part), **options)
+    quality = np.zeros(len(time), dtype=np.int32)
+    for meaning, cadences in flags.items():
+        quality[cadences] |= getattr(mission.quality, meaning)
+    meta = {"mission": mission.name, "generator": {"name": name, **asdict(pointing)}, "seed": seed}
+    time = first_time(start, mission.time_format) + time
+    fields = {"time": time, "x": x, "y": y, "quality": quality, "meta": meta}
+    return fields | {"time_format": mission.time_format}
+
+
+def _due(time, interval, generator):
     """Return the first cadence at or after each occasion of what recurs at an interval, in days."""
     phase = generator.random() * interval
     number = np.floor((time - time[0] + phase) / interval)
     return np.diff(number, prepend=number[0]) > 0
 
 
-def correlated(generator, n, correlation):
+def _correlated(generator, n, correlation):
     """Return normal noise of unit variance whose correlation decays by e in a number of samples."""
     kept = np.exp(-1 / correlation) if correlation > 0 else 0.0
     white = generator.standard_normal(n)
@@ -149,17 +186,17 @@ class KeplerPointing(Pointing):
     def track(self, time, streams):
         """Return where the star goes, and the cadences with a momentum dump."""
         step = time[1] - time[0] if len(time) > 1 else 1.0
-        angle = 2 * np.pi * time / DAYS_PER_YEAR + np.radians(self.phase)
+        angle = 2 * np.pi * time / _DAYS_PER_YEAR + np.radians(self.phase)
         speed = self.orbital_speed * np.cos(np.radians(self.latitude))
-        stretch = speed / SPEED_OF_LIGHT * (np.cos(angle) - np.cos(angle).mean())
+        stretch = speed / _SPEED_OF_LIGHT * (np.cos(angle) - np.cos(angle).mean())
         moved = []
         for axis, degrees in zip("xy", self.field, strict=True):
-            slow = correlated(streams(f"drift {axis}"), len(time), self.drift_time / step)
+            slow = _correlated(streams(f"drift {axis}"), len(time), self.drift_time / step)
             white = streams(f"jitter {axis}").standard_normal(len(time))
             arm = 3600 * degrees / MISSIONS["Kepler"].pixel_scale
             moved.append(stretch * arm + self.drift * slow + self.jitter * white)
         moved[0] += self.heater * np.sin(2 * np.pi * 24 * time / self.heater_period)
-        return (*moved, {"desaturation": due(time, self.dump_interval, streams("dumps"))})
+        return (*moved, {"desaturation": _due(time, self.dump_interval, streams("dumps"))})
 
 
 _REFERENCE = 120 / 86400  # cadence at which the jitter is measured, days
@@ -224,16 +261,16 @@ class TESSPointing(Pointing):
     def track(self, time, streams, cadence=_REFERENCE):
         """Return where the star goes, and the cadences with a momentum dump."""
         n, middle = len(time), self.orbit_time + self.gap_time / 2
-        turn = 2 * np.pi * (time - middle) / DAYS_PER_YEAR
-        stretch = self.orbital_speed / SPEED_OF_LIGHT * np.sin(turn)
-        dumps = due(time, self.dump_interval, streams("dumps"))
+        turn = 2 * np.pi * (time - middle) / _DAYS_PER_YEAR
+        stretch = self.orbital_speed / _SPEED_OF_LIGHT * np.sin(turn)
+        dumps = _due(time, self.dump_interval, streams("dumps"))
         kicks = self.dump_offset * streams("kicks").standard_normal((n, 2))
         moved = []
         for axis, degrees in enumerate(self.field):
             white = streams(f"jitter {'xy'[axis]}").standard_normal(n + 1)
             shaken = (white[1:] - self.blue * white[:-1]) / np.hypot(1, self.blue)
             shaken *= self.jitter[axis] * np.sqrt(_REFERENCE / cadence)
-            slow = correlated(streams(f"drift {'xy'[axis]}"), n, self.drift_time / cadence)
+            slow = _correlated(streams(f"drift {'xy'[axis]}"), n, self.drift_time / cadence)
             arm = 3600 * degrees / MISSIONS["TESS"].pixel_scale
             moved.append(stretch * arm + self.drift * slow + shaken + dumps * kicks[:, axis])
         return (*moved, {"desaturation": dumps})
@@ -397,3 +434,344 @@ class FailingWheels(Pointing):
         x = x + self.drift * np.cos(direction) * time + jumped[:, 0]
         y = y + self.drift * np.sin(direction) * time + jumped[:, 1]
         return x, y, {"coarse_point": jumps}
+
+
+# Length of a firing in hours: about 7 % of all extend over two long cadences.
+_FIRING = 2 / 60
+# Noise that is older than this many correlation times is forgotten (exp(-20) = 2e-9).
+_MEMORY = 20
+
+
+@dataclass(frozen=True)
+class K2Roll(Pointing):
+    r"""The roll of K2 about its boresight, and a star at some distance from that.
+
+    Sunlight rolls the field; about every six hours thrusters put the roll angle :math:`\theta`
+    back to about zero if it has left a deadband [1]_. After a reset at :math:`t_k` the rate is
+
+    .. math::
+
+        \dot\theta = R \sin\left(\pi \frac{t_r - t}{T_r}\right)
+        (1 + g_k) \left(1 + \kappa (t - t_k)\right),
+
+    and within each six hours the angle is the quadratic in time with this rate and its
+    derivative. The sense of roll reverses at :math:`t_r`, and every :math:`T_r` from then on,
+    when the Sun crosses the direction of balance. A star at :math:`(X, Y)` from the boresight is
+    displaced by :math:`(s X - \theta Y, s Y + \theta X)`, where the stretch by velocity
+    aberration, :math:`s = (v / c) \cos(2 \pi (t - T / 2) / \mathrm{yr})` less its mean over a
+    campaign of length :math:`T`, is a slow drift. Positions are means over each cadence, so
+    that a star is somewhere between the two sides while thrusters fire.
+
+    All parameters but ``rate_scatter`` may be quantities.
+    The defaults describe EPIC 205998445 (campaign 3). They are measured on the POS_CORR columns of
+    stars in campaigns 3, 4, 5 and 18, where the distance from the boresight times one roll angle
+    reproduces every star of a campaign. Momentum dumps every two days are not modeled.
+
+    Parameters
+    ----------
+    field : tuple of float
+        Distance :math:`(X, Y)` of the star from the boresight along columns and rows in degrees.
+    solar_rate : float
+        Amplitude :math:`R` of the roll rate in arcsec/h, from columns to rows before the first
+        reversal (measured: 2.1 to 6.1, in the first weeks of campaign 3: 3.3).
+    reversal, reversal_interval : float
+        Time :math:`t_r` of the first reversal from the beginning, and the time :math:`T_r` from one
+        reversal to the next, in days (measured in campaign 3: 9.3 and 36).
+    rate_growth : float
+        Relative growth :math:`\kappa` of the rate since the last reset per hour (measured:
+        0.027 to 0.046).
+    rate_scatter : float
+        Standard deviation of :math:`g_k` (measured: 0.13 to 0.19).
+    reset_interval, reset_jitter : float
+        Time between occasions to fire, 12 long cadences, and its standard deviation in hours.
+    deadband : float
+        Largest roll angle without a firing in arcsec (measured: 3 to 14).
+    reset_scatter : float
+        Standard deviation of the roll angle after a firing in arcsec (measured: 7.9 to 8.4).
+    roll_jitter, roll_jitter_time : float
+        Standard deviation of the residual roll in arcsec, and its correlation time in hours
+        (measured: 0.25 to 0.31 arcsec about the quadratics).
+    pointing_jitter : float
+        Standard deviation of the residual pointing per axis in arcsec (measured: 0.0030 to 0.0044).
+    orbital_speed : float
+        Speed :math:`v` in km/s; negative where the field lies ahead, 0 for no aberration.
+    campaign : float
+        Length :math:`T` of a campaign in days.
+    pixel_scale : float
+        Size of a pixel in arcsec.
+
+    Raises
+    ------
+    ValueError
+        If a number is not finite, or negative where that means nothing, or zero for the pixel
+        scale or a time other than the first reversal's and the jitters'.
+    TypeError
+        If ``field`` is not a pair of numbers, or another parameter is not a number.
+
+    References
+    ----------
+    .. [1] Howell, S. B. et al. 2014, PASP, 126, 398; Van Cleve, J. E. et al. 2016, PASP, 128,
+       075002 (arXiv:1512.06162).
+
+    Examples
+    --------
+    >>> from scope_models.scene.motion import K2Roll
+    >>> K2Roll(solar_rate=3.0).solar_rate
+    3.0
+    >>> K2Roll(deadband=-1.0)
+    Traceback (most recent call last):
+    ValueError: `deadband` must not be negative, got -1.0
+    """
+
+    field: tuple = number((-4.59, 1.35), u.deg)
+    solar_rate: float = number(3.0, u.arcsec / u.hour, any_sign=True)
+    reversal: float = number(9.4, u.day, any_sign=True)
+    reversal_interval: float = number(35.0, u.day, positive=True)
+    rate_growth: float = number(0.028, u.hour**-1)
+    rate_scatter: float = number(0.15)
+    reset_interval: float = number(5.885, u.hour, positive=True)
+    reset_jitter: float = number(0.12, u.hour)
+    deadband: float = number(12.0, u.arcsec)
+    reset_scatter: float = number(8.0, u.arcsec)
+    roll_jitter: float = number(0.33, u.arcsec)
+    roll_jitter_time: float = number(1.5, u.hour)
+    pointing_jitter: float = number(0.0036, u.arcsec)
+    orbital_speed: float = number(29.8, u.km / u.s, any_sign=True)
+    campaign: float = number(80.0, u.day, positive=True)
+    pixel_scale: float = number(3.98, u.arcsec, positive=True, equivalencies=PER_PIXEL)
+
+    # Length of a long cadence in days, with the digits of TIMEDEL in headers. Not a parameter: the
+    # jitters are measured at this cadence.
+    stream_name: ClassVar[str] = "k2_roll"
+    cadence: ClassVar[float] = round(MISSIONS["K2"].cadence_days("long"), 14)
+
+    def __post_init__(self):
+        pair = self.field
+        if not isinstance(pair, tuple | list | np.ndarray) or len(pair) != 2:
+            raise TypeError(f"`field` must be a pair of numbers in degrees, got {pair!r}")
+        super().__post_init__()
+
+    def track(self, time, streams):
+        """Return where the star goes, each position the mean over a cadence, and the firings."""
+        n_cadences = len(time)
+        hours = 24 * self.cadence
+        edges = hours * np.arange(n_cadences + 1)
+        roll, fired = self._sawtooth(edges, streams("thrusters"))
+        noise = _red_noise(streams("roll"), n_cadences, self.roll_jitter_time / hours)
+        angle = (roll + self.roll_jitter * noise) / _ARCSEC_PER_RADIAN
+        arm_x, arm_y = (3600 * degrees / self.pixel_scale for degrees in self.field)
+        middle = (edges[:-1] + hours / 2) / 24
+        # The field is larger by (v/c) cos(angle from the direction opposite to the velocity), which
+        # goes through zero in the middle of a campaign; less its mean over the campaign.
+        angle_to_motion = 2 * math.pi / _DAYS_PER_YEAR * (middle - self.campaign / 2)
+        stretch = np.cos(angle_to_motion) - np.sinc(self.campaign / _DAYS_PER_YEAR)
+        stretch *= self.orbital_speed / _SPEED_OF_LIGHT
+        residual = streams("pointing").standard_normal((n_cadences, 2))
+        residual *= self.pointing_jitter / self.pixel_scale
+        x = stretch * arm_x - angle * arm_y + residual[:, 0]
+        y = stretch * arm_y + angle * arm_x + residual[:, 1]
+        firing = np.zeros(n_cadences, dtype=bool)
+        for moment in (fired, fired + _FIRING):
+            index = np.floor(moment / hours).astype(int)
+            firing[index[(index >= 0) & (index < n_cadences)]] = True
+        return x, y, {"thruster_firing": firing}
+
+    def _sawtooth(self, edges, generator):
+        """Return the mean roll angle per cadence in arcsec, and the times of firings in hours."""
+        interval = self.reset_interval
+        first = generator.random() * interval
+        # Row after row, so that a longer series begins like a shorter one.
+        deviates = generator.standard_normal((3 + int(edges[-1] / interval), 3))
+        moved = np.clip(self.reset_jitter * deviates[:, 0], -0.45 * interval, 0.45 * interval)
+        times = first + interval * (np.arange(len(deviates)) - 1) + moved
+        times[0] = min(times[0], 0.0)
+        frequency = math.pi / (24 * self.reversal_interval)
+        phase = frequency * (24 * self.reversal - times)
+        state, fired = self._fire_thrusters(
+            times,
+            self.solar_rate * np.sin(phase),
+            -self.solar_rate * frequency * np.cos(phase),
+            self.reset_scatter * deviates[:, 1],
+            1 + self.rate_scatter * deviates[:, 2],
+        )
+        return cadence_means(times, state, edges), times[fired]
+
+    def _fire_thrusters(self, times, rate, acceleration, offsets, factors):
+        """Let the roll drift from a reset on, and reset it where it has left the deadband.
+
+        Angle, rate and acceleration from each occasion on, ``(n, 3)``, and where thrusters fired.
+        """
+        state = np.empty((len(times), 3))
+        fired = np.zeros(len(times), dtype=bool)
+        angle, last = offsets[0], 0
+        for i, time in enumerate(times):
+            if abs(angle) > self.deadband and i > 0:
+                fired[i], angle, last = True, offsets[i], i
+            grown = 1 + self.rate_growth * (time - times[last])
+            omega = factors[last] * rate[i] * grown
+            alpha = factors[last] * (acceleration[i] * grown + self.rate_growth * rate[i])
+            state[i] = angle, omega, alpha
+            if i + 1 < len(times):
+                step = times[i + 1] - time
+                angle += omega * step + alpha * step**2 / 2
+        return state, fired
+
+
+def cadence_means(times, state, edges):
+    """Return the exact mean over each cadence of an angle that is quadratic in pieces."""
+
+    def integral(piece, tau):
+        angle, omega, alpha = state[piece].T
+        return tau * (angle + tau * (omega / 2 + tau * alpha / 6))
+
+    complete = integral(np.arange(len(times) - 1), np.diff(times))
+    before = np.concatenate([[0.0], np.cumsum(complete)])
+    piece = np.searchsorted(times, edges, side="right") - 1
+    return np.diff(before[piece] + integral(piece, edges - times[piece])) / np.diff(edges)
+
+
+def _red_noise(generator, n, correlation):
+    """Return normal noise of unit variance that forgets itself in ``correlation`` samples.
+
+    A longer series begins like a shorter one.
+    """
+    length = math.ceil(_MEMORY * correlation)
+    white = generator.standard_normal(n + length)
+    if length == 0:
+        return white
+    kernel = np.exp(-np.arange(length + 1) / correlation)
+    return np.convolve(white, kernel / np.sqrt(np.sum(kernel**2)), mode="valid")
+
+
+# Distance of the edge of the field from the boresight, px (arXiv:1512.06162).
+_EDGE = 6278.0
+# Displacement that the halos of apertures allow for, px (K2 data release notes).
+_HALO = 3.0
+# Time between momentum dumps, days: 96 long cadences on the file of EPIC 211983544 (campaign 18).
+_DUMPS = 1.9616
+
+
+@dataclass(frozen=True)
+class K2Campaign18(Pointing):
+    """The pointing of K2 campaign 18: nominal but for one excursion.
+
+    The K2 data release notes describe a pointing "well within the limits of that seen in other
+    K2 campaigns" with less than 1.9 px for 2490 long cadences, but for the cadences 162613 to
+    162627 with more than 4 px, and the very last one. Both are flagged as of coarse pointing. The
+    roll is that of `~scope_models.scene.motion.K2Roll` with the reversals that the star EPIC
+    211983544 has.
+
+    Parameters
+    ----------
+    excursion : float or Quantity
+        Displacement of the boresight along a random direction in the flagged cadences, px.
+    field : tuple of float or Quantity
+        Distance of the star from the boresight along columns and rows, deg; the default is that
+        of EPIC 211983544.
+
+    Examples
+    --------
+    >>> from scope_models.scene.motion import K2Campaign18
+    >>> K2Campaign18(excursion=5.0).excursion
+    5.0
+    """
+
+    #: Number of the first long cadence, and of all.
+    cadences: ClassVar[tuple] = (161969, 2490)
+    #: Time of the first cadence, BKJD (EPIC 211983544).
+    start: ClassVar[float] = 3418.5463
+
+    excursion: float = number(4.5, u.pix)
+    field: tuple = number((0.45, 3.16), u.deg)
+
+    def track(self, time, streams):
+        """Return where the star goes, and the flagged cadences."""
+        roll = K2Roll(field=self.field, reversal=5.8, reversal_interval=37.3, rate_growth=0.027)
+        x, y, flags = roll.track(time, streams)
+        number = self.cadences[0] + np.arange(len(time))
+        away = ((number >= 162613) & (number <= 162627)) | (number == 164458)
+        direction = 2 * np.pi * streams("direction").random()
+        x += self.excursion * np.cos(direction) * away
+        y += self.excursion * np.sin(direction) * away
+        dumps = _due(time, _DUMPS, streams("dumps"))
+        return x, y, flags | {"coarse_point": away, "desaturation": dumps}
+
+
+@dataclass(frozen=True)
+class K2FinalCampaign(Pointing):
+    """The pointing of K2 campaign 19, in which the fuel ran out.
+
+    The K2 data release notes describe 26.4 days (long cadences 167333 to 168623): 8.5 days in
+    which the boresight was off target, so that nearly all stars were outside of their pixels; 7
+    days of nominal pointing with less than 1.5 px; and 11 days in which "the boresight and roll
+    fluctuated erratically", with usable parts up to cadence 168481. The roll of
+    `~scope_models.scene.motion.K2Roll` goes on in all of them. How far boresight and roll went is
+    not in the notes, and assumed here.
+
+    Cadences are flagged as without fine pointing in the first part and after the last usable one,
+    and as of coarse pointing in the first part and where boresight and erratic roll take a star
+    at the edge of the field farther than 3 px, for which the apertures of K2 allow.
+
+    Parameters
+    ----------
+    off_target_time, nominal_time, erratic_length : float or Quantity
+        Length of the first and of the second part, and time from then on with fine pointing,
+        days; those of the notes' cadence numbers.
+    off_target : float or Quantity
+        Displacement of the boresight in the first part, px; assumed.
+    erratic, erratic_time : float or Quantity
+        Standard deviation of the boresight per axis in the last part, px, and its correlation
+        time, hours; assumed.
+    erratic_roll : float or Quantity
+        Standard deviation of the additional roll in the last part, arcsec; assumed.
+    field : tuple of float or Quantity
+        Distance of the star from the boresight along columns and rows, deg.
+
+    Examples
+    --------
+    >>> from scope_models.scene.motion import K2FinalCampaign
+    >>> K2FinalCampaign(erratic=5.0).erratic
+    5.0
+    """
+
+    #: Number of the first long cadence, and of all.
+    cadences: ClassVar[tuple] = (167333, 1291)
+    #: Time of the first cadence, BKJD: 2018-08-30 15:17 UTC (K2 data release notes).
+    start: ClassVar[float] = 3528.1377
+
+    off_target_time: float = number(8.375, u.day, positive=True)
+    nominal_time: float = number(7.25, u.day, positive=True)
+    erratic_length: float = number(7.84, u.day)
+    off_target: float = number(6.0, u.pix)
+    erratic: float = number(2.0, u.pix)
+    erratic_time: float = number(12.0, u.hour, positive=True)
+    erratic_roll: float = number(30.0, u.arcsec)
+    field: tuple = number((-4.59, 1.35), u.deg)
+
+    def track(self, time, streams):
+        """Return where the star goes, and the flagged cadences."""
+        roll = K2Roll(field=self.field)
+        x, y, flags = roll.track(time, streams)
+        first = time < self.off_target_time
+        nominal_end = self.off_target_time + self.nominal_time
+        last = time >= nominal_end
+        correlation = self.erratic_time / (24 * K2Roll.cadence)
+        angle, dx, dy = (
+            size * last * _correlated(streams(name), len(time), correlation)
+            for name, size in (
+                ("erratic roll", self.erratic_roll / _ARCSEC_PER_RADIAN),
+                ("erratic x", self.erratic),
+                ("erratic y", self.erratic),
+            )
+        )
+        direction = 2 * np.pi * streams("direction").random()
+        dx += self.off_target * np.cos(direction) * first
+        dy += self.off_target * np.sin(direction) * first
+        arm_x, arm_y = (3600 * degrees / roll.pixel_scale for degrees in self.field)
+        lost = first | (time >= nominal_end + self.erratic_length)
+        flags |= {
+            "coarse_point": first | (np.hypot(dx, dy) + _EDGE * np.abs(angle) > _HALO),
+            "no_fine_point": lost,
+            "desaturation": _due(time, _DUMPS, streams("dumps")),
+        }
+        return x + dx - angle * arm_y, y + dy + angle * arm_x, flags

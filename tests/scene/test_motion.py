@@ -8,7 +8,7 @@ from astropy.io import fits
 from astropy.table import Table
 from scipy.spatial.distance import pdist
 
-from scope_models.scene import _k2_roll as _roll
+from scope_models.scene import _pointing as _roll
 from scope_models.scene.motion import K2Roll, Motion, MotionStatistics
 
 THRUSTER_FIRING = 1048576
@@ -669,5 +669,7 @@ def test_refused_parameters(parameters, error, match):
 
 def test_generator_is_told_in_meta():
     motion = Motion.k2_roll(20, deadband=20.0)
-    assert K2Roll(**motion.meta["generator"]) == K2Roll(deadband=20.0)
+    generator = dict(motion.meta["generator"])
+    assert generator.pop("name") == "K2Roll"
+    assert K2Roll(**generator) == K2Roll(deadband=20.0)
     assert pickle.loads(pickle.dumps(motion)).meta["seed"] == motion.meta["seed"]  # noqa: S301
