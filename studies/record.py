@@ -35,7 +35,8 @@ import numpy as np
 
 NUISANCES = {"width": 1e-3, "x": 0.01, "y": 0.01, "background": 1.0, "drift": 10.0}
 KEY = ("regime", "seed", "positions")
-CADENCES = 1500
+COLUMNS = ("cadenceno", "flux", "flux_err")
+CADENCES, FEWEST = 1500, 100
 
 
 # In the process of the corrector, which has only the names of its own checkout.
@@ -83,7 +84,7 @@ def corrected(path, source, method):
     ours = [str(w.message) for w in caught if w.category.__module__.startswith("scope_models")]
     columns = {
         name: np.ma.filled(np.ma.asarray(getattr(lc[name], "value", lc[name]), float), np.nan)
-        for name in ("cadenceno", "flux", "flux_err")
+        for name in COLUMNS
     }
     return {"seconds": seconds, "warnings": ours} | {k: v.tolist() for k, v in columns.items()}
 
@@ -165,51 +166,42 @@ def share(sky):
 
 def rows_of(stars, found):
     """Return the scores of a star by its three corrections."""
-    from scope_models.benchmark import score
-    from scope_models.benchmark._scores import (
-        binned,
-        depth_difference,
-        deviation_of,
-        diluted,
-        leak_slopes,
-        score_light_curve,
-    )
+    from scope_models.benchmark._scores import binned, depth_difference, deviation_of, leak_slopes
 
     sky, _, other = stars
     row = {"error": next((one["error"] for one in found if "error" in one), "")}
-    raw = score(sky.to_tpf().to_lightcurve(aperture_mask="pipeline"), sky)
+    lc = sky.to_tpf().to_lightcurve(aperture_mask="pipeline")
+    uncorrected = curve(sky, *(lc[name].value for name in COLUMNS))
+    raw = compared(sky, *uncorrected)[0]
     row |= {"raw_full": raw.full, "raw_high_passed": raw.high_passed, "floor": raw.floor}
     if row["error"]:
         return row
-    fluxes, errors = np.full((2, 3, len(sky.time)), np.nan)
-    for i, one in enumerate(found):
-        rows = np.asarray(one["cadenceno"], int) - 1
-        fluxes[i, rows], errors[i, rows] = one["flux"], one["flux_err"]
+    curves = [curve(sky, *(one[name] for name in COLUMNS)) for one in found]
+    fluxes = [flux for flux, _ in curves]
+    if min(np.isfinite(flux).sum() for flux in fluxes) < FEWEST:
+        return row | {"error": f"fewer than {FEWEST} cadences have a flux"}
     row["seconds"] = float(np.median([one["seconds"] for one in found]))
     row["warnings"] = len(found[0]["warnings"])
     row["warning"] = " | ".join(text[:90] for text in found[0]["warnings"])
     cadences = sky.regime.cadence * np.arange(len(sky.time))
-    read = np.isin(sky.cadenceno - 1, rows)
-    truth = diluted(fluxes[0], sky.true_flux) if sky.regime.neighbors else sky.true_flux
-    own, seen = (
-        asdict(
-            score_light_curve(
-                cadences[read], fluxes[0][read], errors[0][read], true[read], sky.transit[read],
-                sky.floor(),
-            )
-        )
-        for true in (sky.true_flux, truth)
-    )  # fmt: skip
-    row |= seen | {"amplitude": own["amplitude"], "depth": own["depth"], "undiluted": own["full"]}
+    seen, truth = compared(sky, *curves[0])
+    kept = np.isfinite(fluxes[0]).sum() / np.isfinite(uncorrected[0]).sum()
+    row |= asdict(seen) | {"kept": float(kept)}
+    if sky.regime.neighbors:
+        own = compared(sky, *curves[0], dilute=False)[0]
+        row |= {"amplitude": own.amplitude, "depth": own.depth, "undiluted": own.full}
     with_transits, without = (0, 2) if sky.regime.depth else (2, 0)
     star = stars[with_transits]
+    relative = curves[0][1] / np.nanmedian(fluxes[0])
+    ratio = deviation_of(fluxes[with_transits], fluxes[without] * star.transit)
+    row["rest_change"] = float(np.sqrt(np.nanmean((ratio / relative)[star.transit == 1] ** 2)))
     row["injected"] = max(sky.regime.depth, other.regime.depth)
     row["depth_kept"] = depth_difference(
         fluxes[with_transits], fluxes[without], star.true_flux, star.transit
     )
     first, second = (deviation_of(flux, truth) for flux in fluxes[:2])
     both = np.isfinite(first - second)
-    if both.sum() < 100:
+    if both.sum() < FEWEST:
         return row
     _, means, count = binned(cadences[both], (first - second)[both])
     rms = np.sqrt(np.average((means - np.average(means, weights=count)) ** 2, weights=count))
@@ -222,6 +214,26 @@ def rows_of(stars, found):
     for name, slope, error in zip(NUISANCES, slopes, slope_errors, strict=True):
         row |= {f"leak_{name}": float(slope), f"leak_{name}_error": float(error)}
     return row
+
+
+def curve(sky, cadenceno, flux, flux_err):
+    """Return flux and errors in all cadences of a star, NaN where there is none."""
+    values = np.full((2, len(sky.time)), np.nan)
+    values[:, np.asarray(cadenceno, int) - 1] = flux, flux_err
+    return values
+
+
+def compared(sky, flux, error, *, dilute=True):
+    """Return the score of a curve, and the truth that it is compared with."""
+    from scope_models.benchmark._scores import diluted, score_light_curve
+
+    truth = sky.true_flux
+    if sky.regime.neighbors and dilute:
+        truth = diluted(flux, truth)
+    read = np.isfinite(flux)
+    cadences = sky.regime.cadence * np.arange(len(flux))
+    columns = (cadences, flux, error, truth, sky.transit)
+    return score_light_curve(*(column[read] for column in columns), sky.floor()), truth
 
 
 # Tables.
@@ -270,8 +282,11 @@ def whole(table):
         "amplitude between diluted and true, neighbors (1)": mean(kept[beside]),
         "depth kept above 0.97, up to 5x (0.95)": mean(deep[~fast] > 0.97),
         "depth kept above 0.90, 10x (0.95)": mean(deep[fast] > 0.9),
+        "curve outside of transits with and without them, errors, 90 % (0.3)": np.nanquantile(
+            col["rest_change"], 0.9
+        ),
         "another draw of noise, median where full < 3 (1.4)": np.median(col["noise_rms"][fine]),
-        "another draw of noise, worst where full < 3 (2.5)": np.max(col["noise_rms"][fine]),
+        "another draw of noise, worst where full < 3 (2.5)": max(col["noise_rms"][fine], default=0),
         "processor seconds, median": np.median(col["seconds"]),
         "processor seconds, worst": np.max(col["seconds"]),
     }
