@@ -213,7 +213,7 @@ def neighbor_columns(cadenceno, neighbors):
     for other in neighbors:
         series = read_pixels(other)
         pixels = aperture_pixels(series, None)
-        usable = pixels.usable
+        usable = pixels.usable & pixels.lit
         rotated = _components(pixels.flux[usable][:, pixels.aperture], pixels.total[usable])
         rotated = rotated[:, :_NEIGHBOR_COMPONENTS]
         _, here, there = np.intersect1d(cadenceno, series.cadenceno[usable], return_indices=True)

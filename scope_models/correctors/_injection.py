@@ -9,7 +9,7 @@ import numpy as np
 from scope_models._arrays import plain_array
 from scope_models._checks import checked_number
 from scope_models.correctors._pixels import Pixels, background_plane, own_pixels, typical_image
-from scope_models.correctors._scene_start import fit_gaussians
+from scope_models.correctors._scene_start import NoLightError, fit_gaussians
 from scope_models.exceptions import DetrendingWarning
 from scope_models.photometry import aperture_flux
 
@@ -121,7 +121,10 @@ def _star_share(image, aperture):
     for _ in range(_ROUNDS):
         values = own[near] / total
         u, v = (d[near] for d in distances[0])
-        profile = fit_gaussians(u, v, values, 1 / (_MISFIT * np.abs(values) + _LEVEL))
+        try:
+            profile = fit_gaussians(u, v, values, 1 / (_MISFIT * np.abs(values) + _LEVEL))
+        except NoLightError:
+            return stars[0].astype(float)
         light = np.stack([profile(*d).ravel() for d in distances], axis=1)
         found = np.linalg.lstsq(light * error[:, None], image.ravel() * error, rcond=None)[0]
         light *= np.maximum(found, 0.0)

@@ -42,6 +42,8 @@ _FRACTIONS = (1.0, 0.6, 0.35)
 #: Where equal boxes of so many cadences, and for so much of a period at most, leave less than this
 #: part of the variance, they are eclipses. They leave more than 0.65 of a sinusoid.
 _DURATIONS, _PART_OF_ORBIT, _LEFT = np.array([2, 4, 8, 16]), 0.15, 0.6
+#: Periods that are tried for one duration at most: with gaps of months there would be millions.
+_MOST_PERIODS = 50_000
 #: Period in days of the slow process, which stands for all that is not periodic.
 _SLOW = 5.0
 #: Cadences that differ from the median of five by so many standard deviations stand alone.
@@ -189,8 +191,9 @@ def _eclipses(solution, use):
     for duration in step * _DURATIONS:
         # steps by which the last eclipse moves by less than half of its duration
         last = np.log(_PART_OF_ORBIT / duration)
-        frequency = np.exp(np.arange(np.log(2 / span), last, 0.5 * duration / span))
-        if len(frequency):
+        count = (last - np.log(2 / span)) / (0.5 * duration / span)
+        if 0 < count < _MOST_PERIODS:
+            frequency = 2 / span * np.exp(0.5 * duration / span * np.arange(np.ceil(count)))
             power = search.power(1 / frequency, duration, objective="likelihood", oversample=5)
             k = np.argmax(power.power)
             box = search.model(time, power.period[k], duration, power.transit_time[k])

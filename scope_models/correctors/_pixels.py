@@ -68,6 +68,8 @@ class Pixels:
         Pixels that are not those of other stars, ``(ny, nx)``.
     crowding : float, optional
         Part of the aperture's light that is in pixels of other stars.
+    lit : ndarray of bool, optional
+        Cadences that show the star, ``(n_cadences,)``; from the others nothing is learned.
     """
 
     time: np.ndarray
@@ -80,6 +82,7 @@ class Pixels:
     weights: np.ndarray | None = None
     own: np.ndarray | None = None
     crowding: float = 0.0
+    lit: np.ndarray | bool = True
 
     @property
     def weighted(self):
@@ -277,10 +280,25 @@ def aperture_pixels(series, aperture):
     if positive.sum() < finite.sum():
         _warn(f"{finite.sum() - positive.sum()} cadences without a positive flux are left out")
     total_err = _filled_errors(total, total_err, positive)
+    typical = np.median(total[positive])
+    away = positive & _is_off_stamp(series.pos_corr, flux.shape) & (2 * total < typical)
+    if away.any():
+        _warn(f"{away.sum()} cadences are left out: by POS_CORR and light the star is off the stamp")
+        positive &= ~away
+    noise = _SIGNIFICANCE * total_err
+    lit = positive & ((total > noise) | (total > typical - noise))
     places = None if series.pos_corr is None else series.pos_corr[positive]
     own, crowding = _own_light(flux[positive], aperture, places)
     totals = total, total_err, positive
-    return Pixels(time, flux, flux_err, aperture, *totals, weights, own, crowding)
+    return Pixels(time, flux, flux_err, aperture, *totals, weights, own, crowding, lit)
+
+
+def _is_off_stamp(pos_corr, shape):
+    """Return cadences whose positions are farther from the typical one than the stamp is wide."""
+    if pos_corr is None or not np.isfinite(pos_corr).all(axis=1).any():
+        return np.zeros(shape[0], dtype=bool)
+    distance = np.abs(pos_corr - np.nanmedian(pos_corr, axis=0)).max(axis=1)
+    return np.nan_to_num(distance) > max(shape[1:])
 
 
 def _own_light(flux, aperture, pos_corr):
@@ -339,8 +357,8 @@ def with_predicted_fractions(pixels, pos_corr, cadence_mask=None, kind="auto"):
     pixels : Pixels
         ``total`` is the light without background and without the constant light that is known,
         ``flux`` the predicted fractions at constant focus times this.
-    clean : CleanPixels
-        What was found.
+    clean : CleanPixels or None
+        What was found; None if the equations are singular, with the pixels as they were.
     """
     use = pixels.usable.copy()
     known = np.isfinite(pixels.flux[use]).all(axis=0)
@@ -350,17 +368,22 @@ def with_predicted_fractions(pixels, pos_corr, cadence_mask=None, kind="auto"):
     error = pixels.flux_err[use]
     valid = error > 0  # not NaN either
     typical = np.median(error[valid])
-    clean = clean_pixels(
-        pixels.time[use],
-        pixels.flux[use][:, known],
-        np.where(valid, error, typical)[:, known],
-        pos_corr[use],
-        np.stack([columns, rows], axis=1),
-        pixels.aperture[known],
-        use=None if cadence_mask is None else cadence_mask[use],
-        own=None if pixels.own is None else pixels.own[known],
-        kind=kind if pixels.weights is None else "sum",
-    )
+    try:
+        with np.errstate(all="ignore"):  # of a model that fails
+            clean = clean_pixels(
+                pixels.time[use],
+                pixels.flux[use][:, known],
+                np.where(valid, error, typical)[:, known],
+                pos_corr[use],
+                np.stack([columns, rows], axis=1),
+                pixels.aperture[known],
+                use=None if cadence_mask is None else cadence_mask[use],
+                own=None if pixels.own is None else pixels.own[known],
+                kind=kind if pixels.weights is None else "sum",
+            )
+    except np.linalg.LinAlgError:
+        _warn("the model of the pixels is singular: measured fractions are taken")
+        return pixels, None
     light, light_error = clean.light, clean.light_error
     if pixels.weights is not None:
         clean = replace(clean, constant=0.0)

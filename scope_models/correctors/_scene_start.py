@@ -30,6 +30,7 @@ _WIDTHS = (0.7, 0.85, 1.0, 1.2, 1.5, 2.0, 3.0, 5.0)
 #: Standard deviation of the window of the centroids (px).
 _WINDOW = 1.5
 _MOST_PIXELS = 20000
+_NO_LIGHT = "the pixels of `tpf` hold no light of the target; use PLDCorrector"
 
 
 class NoLightError(ValueError):
@@ -120,10 +121,18 @@ def fit_gaussians(u, v, values, weight):
     -------
     callable
         The sum at given distances.
+
+    Raises
+    ------
+    NoLightError
+        If no value near the star is positive.
     """
     window = np.exp(-0.5 * (u**2 + v**2) / _WINDOW**2) * np.clip(values, 0, None)
+    if not window.sum() > 0:
+        raise NoLightError(_NO_LIGHT)
     moments = np.array([[np.sum(window * a * b) for a in (u, v)] for b in (u, v)]) / window.sum()
-    inverse = np.linalg.inv(moments) - np.eye(2) / _WINDOW**2
+    # strips of one row or column have no extent across
+    inverse = np.linalg.inv(moments + 1e-6 * np.eye(2)) - np.eye(2) / _WINDOW**2
     eigen, vectors = np.linalg.eigh(inverse)
     eigen = np.clip(eigen, 1 / 2.0**2, 1 / 0.3**2)
     covariance = (vectors / eigen) @ vectors.T
@@ -192,7 +201,7 @@ def first_shape(flux, variance, x, y, rng):
     image = profile(*(a.astype(float) for a in np.meshgrid(c, c)))
     sum_of = np.sum(profile(*np.meshgrid(np.arange(-12.0, 13), np.arange(-12.0, 13))))
     if not sum_of > 0:
-        raise NoLightError("the pixels hold no light of the target; use PLDCorrector")
+        raise NoLightError(_NO_LIGHT)
     coefficients = grid.interpolate(image / sum_of)
     none = np.empty((0, 3))
     shape = Shape(grid, coefficients, coefficients, np.ones((ny, nx)), none, none)

@@ -274,7 +274,8 @@ class PLDModel:
         PLDModel
             The model.
         """
-        extra, use, source = {}, pixels.usable, Source(pixels, series, cadence_mask)
+        extra, source = {}, Source(pixels, series, cadence_mask)
+        use = pixels.usable & pixels.lit
         if cadence_mask is not None:
             use = use & cadence_mask
         _check_enough(use)
@@ -299,7 +300,7 @@ class PLDModel:
         plain = options.fractions != "measured" and regressor_mask is None and not background
         if plain and can_predict(pixels, saturation, use):
             predicted, clean = with_predicted_fractions(pixels, series.pos_corr, use, options.flux)
-            if predicted.usable.sum() > _CREDIBLE * pixels.usable.sum():
+            if clean and predicted.usable.sum() > _CREDIBLE * pixels.usable.sum():
                 extra["focus"] = focus_columns(clean, pixels.usable, use)
                 extra["aperture"] = outside_column(clean, pixels.usable)
                 if clean.constant > 0:
@@ -372,6 +373,7 @@ class PLDModel:
         pixels, n = self.pixels, len(self.pixels.time)
         usable = pixels.usable
         mask = np.ones(n, dtype=bool) if cadence_mask is None else cadence_mask
+        mask = mask & pixels.lit
         in_transit = np.zeros(n, dtype=bool) if transit_mask is None else transit_mask
         column = np.empty((n, 0))
         if transit_model is not None:
@@ -467,7 +469,9 @@ def _check_weighted(options, clean):
 
 def _check_enough(use):
     if use.sum() < _FEWEST_CADENCES:
-        raise ValueError(f"at least {_FEWEST_CADENCES} usable cadences are needed, got {use.sum()}")
+        raise ValueError(
+            f"at least {_FEWEST_CADENCES} usable cadences of `tpf` are needed, got {use.sum()}"
+        )
 
 
 def _unseen(fitted):
