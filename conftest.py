@@ -5,7 +5,6 @@ import os
 import re
 import sys
 import warnings
-from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -16,9 +15,6 @@ _FOLDERS = [
     Path(__file__).resolve().parent / "docs" / "examples",
     Path(__file__).resolve().parents[1] / "shared" / "data",
 ]
-
-# A module for an optional package, whose doctests need it.
-collect_ignore = [] if find_spec("asdf") else ["scope_models/scene/_asdf.py"]
 
 os.environ["MPLBACKEND"] = "Agg"
 

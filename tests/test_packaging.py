@@ -3,7 +3,6 @@
 import importlib
 import importlib.metadata
 import importlib.resources
-import importlib.util
 import inspect
 import pkgutil
 import re
@@ -16,12 +15,8 @@ import yaml
 
 import scope_models
 
-# Modules that only the packages of an extra import.
-OF_EXTRAS = {"scope_models.scene._asdf": "asdf_astropy"}
 MODULES = sorted(
-    module.name
-    for module in pkgutil.walk_packages(scope_models.__path__, "scope_models.")
-    if module.name not in OF_EXTRAS or importlib.util.find_spec(OF_EXTRAS[module.name])
+    module.name for module in pkgutil.walk_packages(scope_models.__path__, "scope_models.")
 )
 PUBLIC_MODULES = [
     "scope_models",

@@ -14,7 +14,7 @@ from scope_models._arrays import native
 from scope_models._values import Value
 from scope_models.io._blocks import Block, column_cards
 
-__all__ = ["Truth", "truth_blocks", "truth_of"]
+__all__ = ["Truth", "maps_of", "scene_blocks", "scene_of", "truth_blocks", "truth_of"]
 
 _TPF_NAMES = {
     *("PRIMARY", "TARGETTABLES", "PIXELS", "APERTURE", "TARGET COSMIC RAY"),
@@ -207,8 +207,13 @@ def _read_only(values):
 def truth_blocks(cadenceno, columns, maps, scene, tables):
     """Return the extensions that hold a truth; the arguments are those of `make_tpf_hdulist`."""
     maps = maps or {}
-    blocks = [_truth_block(cadenceno, columns or {}), *_map_blocks(maps)]
-    blocks += _table_hdus(tables or {}, {name.upper() for name in maps})
+    tables = _table_hdus(tables or {}, {name.upper() for name in maps})
+    return [_truth_block(cadenceno, columns or {}), *scene_blocks(maps, scene, tables)]
+
+
+def scene_blocks(maps, scene, tables=()):
+    """Return the extensions that hold images, further extensions, and what JSON can hold."""
+    blocks = [*_map_blocks(maps), *tables]
     return blocks if scene is None else [*blocks, _scene_block(scene)]
 
 
@@ -344,18 +349,23 @@ def truth_of(hdus):
     """Return the truth in an HDU list; None if it has no TRUTH table."""
     if "TRUTH" not in hdus or hdus["TRUTH"].columns.names[:1] != ["CADENCENO"]:
         return None
-    columns = _columns_of(hdus["TRUTH"])
-    maps = {hdu.header["MAPNAME"]: native(hdu.data) for hdu in hdus if "MAPNAME" in hdu.header}
-    scene = {}
-    if "SCENE" in hdus:
-        entries = hdus["SCENE"].data
-        for row in entries:
-            key = str(row["KEY"])
-            scene[key] = scene.get(key, "") + str(row["VALUE"])
-        scene = {key: json.loads(text) for key, text in scene.items()}
     tables = {
         hdu.header["TABNAME"]: Table({name: native(hdu.data[name]) for name in hdu.columns.names})
         for hdu in hdus
         if "TABNAME" in hdu.header
     }
-    return Truth(columns, maps, scene, tables)
+    return Truth(_columns_of(hdus["TRUTH"]), maps_of(hdus), scene_of(hdus), tables)
+
+
+def maps_of(hdus):
+    """Return the images of truth by name."""
+    return {hdu.header["MAPNAME"]: native(hdu.data) for hdu in hdus if "MAPNAME" in hdu.header}
+
+
+def scene_of(hdus):
+    """Return what the SCENE table holds, empty without one."""
+    texts = {}
+    for row in hdus["SCENE"].data if "SCENE" in hdus else ():
+        key = str(row["KEY"])
+        texts[key] = texts.get(key, "") + str(row["VALUE"])
+    return {key: json.loads(text) for key, text in texts.items()}

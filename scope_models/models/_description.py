@@ -3,9 +3,9 @@
 import importlib
 import math
 import operator
-import sys
 import zlib
 from base64 import b64decode, b64encode
+from itertools import chain
 
 import numpy as np
 from astropy import units as u
@@ -17,9 +17,9 @@ from scope_models.models.sensitivity import SensitivityPolynomial
 
 __all__ = [
     "check_coord",
+    "class_named",
     "describe_coord",
     "describe_model",
-    "find_class",
     "make_coord",
     "make_model",
     "model_in_pixels",
@@ -29,8 +29,13 @@ __all__ = [
 ]
 
 _OPERATORS = {"+": operator.add, "-": operator.sub, "*": operator.mul}
-# Modules that reading a file may import; others must have been imported before.
-_TRUSTED = {"scope_models", "astropy", "photutils"}
+# Where the names of models in files are looked up, in this order.
+_MODULES = (
+    "scope_models.models",
+    "scope_models.models.variability",
+    "astropy.modeling.models",
+    "photutils.psf",
+)
 _LARGEST_ARRAY = 1 << 26  # bytes of an array in a file, unpacked
 
 
@@ -41,21 +46,19 @@ def describe_model(model):
     if isinstance(model, CompoundModel):
         left, right = describe_model(model.left), describe_model(model.right)
         return {"operator": model.op, "left": left, "right": right}
-    described = {
-        "module": type(model).__module__,
-        "class": type(model).__qualname__,
-        "parameters": {
-            name: np.asarray(getattr(model, name).value).tolist() for name in model.param_names
-        },
-    }
-    if hasattr(model, "arguments"):
-        described["parameters"] |= {k: packed(v) for k, v in model.arguments.items()}
     if isinstance(model, SensitivityPolynomial):
-        described["parameters"] = {
-            "x_coefficients": list(model.x_coefficients),
-            "y_coefficients": list(model.y_coefficients),
-        }
-    return described
+        names = ("x_coefficients", "y_coefficients")
+        values = {name: list(getattr(model, name)) for name in names}
+    else:
+        values = {name: _value(getattr(model, name)) for name in model.param_names}
+        values |= {k: packed(v) for k, v in getattr(model, "arguments", {}).items()}
+    return {"class": type(model).__name__, "parameters": values}
+
+
+def _value(parameter):
+    """Return the value of a parameter, with its unit if it has one."""
+    value = np.asarray(parameter.value).tolist()
+    return value if parameter.unit is None else {"value": value, "unit": str(parameter.unit)}
 
 
 def make_model(described):
@@ -65,7 +68,7 @@ def make_model(described):
     if "operator" in described:
         combine = _OPERATORS[described["operator"]]
         return combine(make_model(described["left"]), make_model(described["right"]))
-    kind = find_class(described, Model, "a model")
+    kind = class_named(described["class"], Model, _MODULES, "a model")
     return kind(**{name: unpacked(value) for name, value in described["parameters"].items()})
 
 
@@ -126,9 +129,11 @@ def packed(value):
 
 
 def unpacked(value):
-    """Return the array of a text, and anything else as it is."""
+    """Return the array of a text, the quantity of a unit, and anything else as it is."""
     if not isinstance(value, dict):
         return value
+    if "unit" in value:
+        return value["value"] * u.Unit(value["unit"])
     shape = tuple(map(int, value["shape"]))
     size = 8 * math.prod(shape)
     if not 0 <= size <= _LARGEST_ARRAY:
@@ -160,14 +165,21 @@ def model_in_pixels(model, pixel_scale):
     return type(model)(**values, name=model.name, fixed=model.fixed, bounds=model.bounds)
 
 
-def find_class(described, base, what):
-    """Return the class of a description; ``what`` is what messages call its base."""
-    module = described["module"]
-    if module not in sys.modules and module.partition(".")[0] not in _TRUSTED:
-        raise ValueError(f"import {module} before reading a scene with its {described['class']}")
-    kind = importlib.import_module(module)
-    for part in described["class"].split("."):
-        kind = getattr(kind, part, None)
-    if not (isinstance(kind, type) and issubclass(kind, base)):
-        raise TypeError(f"{module}.{described['class']} is not {what}")
-    return kind
+def class_named(name, base, modules, what):
+    """Return the class of a public name; of a full name, the last part counts.
+
+    Classes of ``modules`` go first, then any subclass of ``base`` that the user has defined.
+    ``what`` is what messages call the base. Nothing is imported by a file's word.
+    """
+    short = str(name).rpartition(".")[2]
+    public = (getattr(importlib.import_module(module), short, None) for module in modules)
+    for kind in chain(public, reversed(_subclasses(base))):
+        if isinstance(kind, type) and issubclass(kind, base) and kind.__name__ == short:
+            return kind
+    raise ValueError(f"{name!r} is not the name of {what} of {', '.join(modules)}, or of your own")
+
+
+def _subclasses(kind):
+    """Return all classes that derive from a class."""
+    own = kind.__subclasses__()
+    return own + [further for derived in own for further in _subclasses(derived)]

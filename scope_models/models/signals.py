@@ -119,6 +119,11 @@ class TransitModel(Fittable1DModel):
         _require(np.isfinite(days) and days >= 0, "exposure_time", "at least 0", exposure_time)
         self.exposure_time = days
 
+    @property
+    def arguments(self):
+        """Arguments of an equal model, without its parameters (dict)."""
+        return {"exposure_time": self.exposure_time}
+
     def _in_units(self):
         """Return the value of each parameter in its documented unit."""
         return {name: _number(name, value_of(getattr(self, name))) for name in self.param_names}

@@ -1,10 +1,10 @@
 """Stars, detectors, motions and the scenes that hold them."""
 
-from scope_models.scene._detector_file import read_detector
+from scope_models.scene._files import read_detector, read_scene
 from scope_models.scene.detector import ZERO_POINTS, Detector
 from scope_models.scene.motion import K2Roll, Motion, MotionStatistics
 from scope_models.scene.presets import PRESETS, register_preset
-from scope_models.scene.scene import Scene, read_scene
+from scope_models.scene.scene import Scene
 from scope_models.scene.star import Star
 
 __all__ = [

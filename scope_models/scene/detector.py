@@ -653,33 +653,31 @@ class Detector(Value):
 
     @documented()
     def write(self, path, overwrite=False):
-        """Write the detector as TOML.
+        """Write the detector, with its PSF, as .fits or .fits.gz.
 
         Parameters
         ----------
         {write}
-        ValueError
-            If the PSF is no sum of models, or the sensitivity no product.
 
         Examples
         --------
         >>> from scope_models import Detector
         >>> detector = Detector.k2(shape=(9, 9), background=200.0)
-        >>> Detector.read(detector.write("k2.toml")) == detector
+        >>> Detector.read(detector.write("k2.fits")) == detector
         True
         """
-        from scope_models.scene._detector_file import write_detector
+        from scope_models.scene._files import write_detector
 
-        return write_detector(self, path, overwrite)
+        return write_detector(self, path, overwrite=overwrite)
 
     @staticmethod
     def read(path):
-        """Read a detector from TOML: `~scope_models.read_detector`.
+        """Read a detector from a file: `~scope_models.read_detector`.
 
         Parameters
         ----------
         path : str or path-like
-            A file of `write`, or of your own.
+            A file of `write`, or a TOML file of your own.
 
         Returns
         -------
@@ -693,7 +691,7 @@ class Detector(Value):
         Traceback (most recent call last):
         FileNotFoundError: [Errno 2] No such file or directory: 'absent.toml'
         """
-        from scope_models.scene._detector_file import read_detector
+        from scope_models.scene._files import read_detector
 
         return read_detector(path)
 

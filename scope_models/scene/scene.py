@@ -1,43 +1,29 @@
-"""Scenes: all that a simulation starts from, as Python objects and as what a file holds."""
+"""Scenes: all that a simulation starts from."""
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from functools import partial
 from types import MappingProxyType
 
 import numpy as np
 
-from scope_models._arrays import plain_tree
 from scope_models._checks import check_fields, checked_matrix, integer, number
 from scope_models._docstrings import documented
 from scope_models._values import Value
 from scope_models.effects import Effect, mission_effects
 from scope_models.effects.base import checked_effects
 from scope_models.effects.noise import check_seed, noise_terms
-from scope_models.io import TPFMetadata, read_truth
+from scope_models.io import TPFMetadata
 from scope_models.io._headers import tan_projection
-from scope_models.io._truth import truth_blocks
-from scope_models.io.tpf import write_hdulist
 from scope_models.missions import TIME_ZEROS
-from scope_models.models._description import (
-    check_coord,
-    describe_coord,
-    describe_model,
-    find_class,
-    make_coord,
-    make_model,
-    packed,
-    sky_place,
-    unpacked,
-)
+from scope_models.models._description import check_coord, sky_place
 from scope_models.scene.catalog import find_target, place_stars, read_catalog, star_frame
 from scope_models.scene.detector import Detector
 from scope_models.scene.motion import Motion
 from scope_models.scene.star import Star
 
-__all__ = ["Scene", "read_scene"]
+__all__ = ["Scene"]
 
-_VERSION = 2
 _SAME = 0.1  # deg
 # Header cards on the star and on the place of the stamp.
 _IDENTITY = ("target_id", "object_name", "ra", "dec", "orientation", "matrix", "column", "row")
@@ -361,15 +347,9 @@ class Scene(Value):
         >>> Scene.read(scene.write("scene.fits")) == scene
         True
         """
-        from astropy.io import fits
+        from scope_models.scene._files import write_scene
 
-        relative_flux = [star.relative_flux(self.motion.time) for star in self.stars]
-        columns = scene_columns(self, relative_flux)
-        given = self.detector.interpixel
-        maps = {} if given is None else {"INTERPIXEL": given}
-        blocks = truth_blocks(self.motion.cadenceno, columns, maps, describe_scene(self), None)
-        hdus = [fits.PrimaryHDU(), *(block.hdu() for block in blocks)]
-        return write_hdulist(fits.HDUList(hdus), path, overwrite=overwrite)
+        return write_scene(self, path, overwrite=overwrite)
 
     @classmethod
     def read(cls, path):
@@ -392,6 +372,8 @@ class Scene(Value):
         Traceback (most recent call last):
         FileNotFoundError: no such file: absent.fits
         """
+        from scope_models.scene._files import read_scene
+
         return read_scene(path)
 
 
@@ -416,96 +398,6 @@ def _checked_stars(stars):
     return stars
 
 
-def read_scene(path):
-    """Read a scene from a file of `Scene.write` or of `~scope_models.Observation.write`.
-
-    Parameters
-    ----------
-    path : str or path-like
-        The file.
-
-    Returns
-    -------
-    Scene
-        The scene. Signals are given as arrays, cadence by cadence.
-
-    Raises
-    ------
-    ValueError
-        If the file holds no scene, or one whose models cannot be made here.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from scope_models import Detector, Motion, Star, simulate
-    >>> from scope_models.scene import read_scene
-    >>> observation = simulate(Star(12.0), Detector.k2(), Motion.still(10), seed=1)
-    >>> path = observation.write("star.fits")
-    >>> again = simulate(read_scene(path))
-    >>> np.array_equal(again.flux, observation.flux)
-    True
-    """
-    truth = read_truth(path)
-    if not truth.scene:
-        raise ValueError(f"{path} holds no scene to simulate again")
-    version = truth.scene.get("version")
-    if not isinstance(version, int):
-        raise ValueError(f"{path} holds a scene without a version")  # noqa: TRY004
-    if version > _VERSION:
-        raise ValueError(f"{path} holds a scene of a later version of this package")
-    try:
-        return _scene_of_truth(truth)
-    except Exception as error:  # a file can hold anything under the names of a scene
-        reason = " ".join(str(error).split())
-        kind = type(error).__name__
-        raise ValueError(f"{path} holds no scene that can be made: {kind}: {reason}") from error
-
-
-def _scene_of_truth(truth):
-    """Return the scene of a truth."""
-    detector = _detector(truth.scene["detector"], truth.maps.get("INTERPIXEL"))
-    stars = [_star(star, i, truth.columns) for i, star in enumerate(truth.scene["stars"], start=1)]
-    table, described = truth.columns, truth.scene["motion"]
-    motion = Motion(
-        time=table["TIME"],
-        x=table["MOTION_X"],
-        y=table["MOTION_Y"],
-        quality=np.asarray(table["QUALITY"], dtype=np.int32),
-        cadenceno=table["CADENCENO"],
-        time_format=described["time_format"],
-        meta=described["meta"],
-    )
-    effects = [_effect(described) for described in truth.scene.get("effects", ())]
-    return Scene(stars, detector, motion, effects=effects, **truth.scene["options"])
-
-
-def describe_scene(scene):
-    """Return a scene without its arrays as values that JSON can hold."""
-    return {
-        "version": _VERSION,
-        "stars": [
-            {
-                "mag": star.mag,
-                "x_0": star.x_0,
-                "y_0": star.y_0,
-                "psf": describe_model(star.psf),
-                "signal": star.signal is not None,
-                **({} if star.coord is None else {"coord": describe_coord(star.coord)}),
-            }
-            for star in scene.stars
-        ],
-        "detector": _describe_detector(scene.detector),
-        "motion": {
-            "time_format": scene.motion.time_format,
-            "meta": plain_tree(scene.motion.meta, str),
-        },
-        "options": plain_tree(
-            {name: value for name, value in scene.options.items() if name != "effects"}, str
-        ),
-        "effects": [_describe_effect(effect) for effect in scene.effects],
-    }
-
-
 def scene_facts(scene):
     """Return the scene's target and stamp as fields of `TPFMetadata`."""
     ny, nx = scene.detector.shape
@@ -516,62 +408,3 @@ def scene_facts(scene):
     facts |= {"seed": scene.seed} | dict(scene.metadata)
     identity = {name: getattr(scene, name) for name in _IDENTITY}
     return facts | {name: value for name, value in identity.items() if value is not None}
-
-
-def scene_columns(scene, relative_flux):
-    """Return the arrays of a scene, cadence by cadence, as columns of a table."""
-    columns = {
-        "TIME": scene.motion.time,
-        "QUALITY": scene.motion.quality,
-        "MOTION_X": scene.motion.x,
-        "MOTION_Y": scene.motion.y,
-    }
-    for i, signal in enumerate(relative_flux, start=1):
-        columns[f"SIGNAL{i}"] = signal
-    return columns
-
-
-def _describe_effect(effect):
-    """Return an effect as the name of its class and its fields."""
-    values = {item.name: getattr(effect, item.name) for item in fields(effect)}
-    return {
-        "module": type(effect).__module__,
-        "class": type(effect).__qualname__,
-        "parameters": {name: plain_tree(packed(value), str) for name, value in values.items()},
-    }
-
-
-def _effect(described):
-    """Return the effect of a description."""
-    values = {name: unpacked(value) for name, value in described["parameters"].items()}
-    return find_class(described, Effect, "an effect")(**values)
-
-
-def _describe_detector(detector):
-    """Return the fields of a detector; the interpixel map is stored elsewhere."""
-    described = {item.name: getattr(detector, item.name) for item in fields(detector)}
-    for name in ("sensitivity", "psf"):
-        described[name] = describe_model(described[name])
-    described["shape"] = list(detector.shape)
-    described["interpixel"] = detector.interpixel is not None
-    described["effects"] = [_describe_effect(effect) for effect in detector.effects]
-    return described
-
-
-def _detector(described, interpixel):
-    """Return the detector of a description."""
-    values = dict(described)
-    for name in ("sensitivity", "psf"):
-        values[name] = make_model(values[name])
-    values["shape"] = tuple(values["shape"])
-    values["interpixel"] = interpixel if values["interpixel"] else None
-    values["effects"] = [_effect(described) for described in values.get("effects", ())]
-    return Detector(**values)
-
-
-def _star(described, number, table):
-    """Return the star of a description."""
-    signal = np.asarray(table[f"SIGNAL{number}"]) if described["signal"] else None
-    psf = make_model(described["psf"])
-    coord = make_coord(described.get("coord"))
-    return Star(described["mag"], described["x_0"], described["y_0"], psf, signal, coord)

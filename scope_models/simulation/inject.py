@@ -8,9 +8,10 @@ import numpy as np
 
 from scope_models.exceptions import LostLightWarning
 from scope_models.io import read_pixels, read_tpf
+from scope_models.scene._files import read_scene
 from scope_models.scene.detector import Detector
 from scope_models.scene.motion import Motion
-from scope_models.scene.scene import Scene, read_scene
+from scope_models.scene.scene import Scene
 from scope_models.scene.star import Star
 from scope_models.simulation.simulate import simulate
 

@@ -17,7 +17,8 @@ from scope_models.effects.noise import (
 from scope_models.exceptions import LostLightWarning
 from scope_models.io import Truth
 from scope_models.photometry import signal_to_noise_aperture
-from scope_models.scene.scene import Scene, describe_scene, scene_columns
+from scope_models.scene._files import describe_scene, scene_columns
+from scope_models.scene.scene import Scene
 from scope_models.simulation._light import (
     StarSums,
     fill_wells,

@@ -1,0 +1,339 @@
+"""Scenes and detectors as FITS files, arrays and JSON, and detectors as TOML files by hand."""
+
+import tomllib
+from dataclasses import fields
+from functools import reduce
+from operator import add, mul
+from pathlib import Path
+
+import numpy as np
+from astropy.modeling import Model
+
+from scope_models._arrays import plain_tree
+from scope_models._checks import checked_choice
+from scope_models._values import value_key
+from scope_models.effects import Effect
+from scope_models.io import read_truth
+from scope_models.io._opening import open_fits
+from scope_models.io._truth import maps_of, scene_blocks, scene_of, truth_blocks
+from scope_models.io.tpf import write_hdulist
+from scope_models.models._description import (
+    class_named,
+    describe_coord,
+    describe_model,
+    make_coord,
+    make_model,
+    packed,
+    unpacked,
+)
+from scope_models.scene.detector import Detector
+from scope_models.scene.motion import Motion
+from scope_models.scene.presets import PRESETS
+from scope_models.scene.scene import Scene
+from scope_models.scene.star import Star
+
+__all__ = [
+    "describe_scene",
+    "read_detector",
+    "read_scene",
+    "scene_columns",
+    "write_detector",
+    "write_scene",
+]
+
+_VERSION = 3
+# Fields that files of version 2 lack, and whose effect was another then.
+_OLD_FIELDS = {"Undershoot": {"residual": 1.0}}
+_EFFECTS = ("scope_models.effects",)
+
+
+def read_scene(path):
+    """Read a scene from a file of `Scene.write` or of `~scope_models.Observation.write`.
+
+    Parameters
+    ----------
+    path : str or path-like
+        The file.
+
+    Returns
+    -------
+    Scene
+        The scene, equal to the written one. Signals that were functions are arrays, cadence by
+        cadence.
+
+    Raises
+    ------
+    ValueError
+        If the file holds no scene, or one whose models cannot be made here.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from scope_models import Detector, Motion, Star, simulate
+    >>> from scope_models.scene import read_scene
+    >>> observation = simulate(Star(12.0), Detector.k2(), Motion.still(10), seed=1)
+    >>> path = observation.write("star.fits")
+    >>> again = simulate(read_scene(path))
+    >>> np.array_equal(again.flux, observation.flux)
+    True
+    """
+    truth = read_truth(path)
+    return _made(path, truth.scene, "scene", lambda: _scene(truth))
+
+
+def read_detector(path):
+    r"""Read a detector from a FITS file of `Detector.write <scope_models.Detector.write>` or TOML.
+
+    In TOML, each key is a field of `~scope_models.Detector`. Four are written in their own way:
+
+    - ``preset``, a name for `Detector.preset <scope_models.Detector.preset>` as "k2", takes all
+      fields that are not given from that preset, with the preset's ``cadence``;
+    - ``psf`` is a table, or several (``[[psf]]``) whose models are added: ``model`` is the name
+      of a PSF of `scope_models.models`, of photutils (as "MoffatPSF") or of
+      `astropy.modeling.models`; the other keys are its parameters;
+    - ``sensitivity`` is a table, or several that are multiplied, with the arguments of
+      `~scope_models.SensitivityPolynomial`, or of another ``model``; ``false`` is none;
+    - ``effects`` are tables (``[[effects]]``) with the name of an ``effect`` of
+      `scope_models.effects` and its fields.
+
+    Parameters
+    ----------
+    path : str or path-like
+        The file.
+
+    Returns
+    -------
+    Detector
+        The detector.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be read.
+    ValueError
+        If it is neither, or a field is unknown, is missing or outside its domain. The message
+        begins with the name of the file.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> from scope_models import read_detector
+    >>> text = 'preset = "k2"\nshape = [9, 9]\n'
+    >>> psf = '[psf]\nmodel = "BivariateGaussianPSF"\nsigma_x = 0.6\n'
+    >>> _ = Path("detector.toml").write_text(text + psf, encoding="utf-8")
+    >>> detector = read_detector("detector.toml")
+    >>> detector.shape, float(detector.psf.sigma_x.value)
+    ((9, 9), 0.6)
+    """
+    content = Path(path).read_bytes()
+    if content.startswith((b"SIMPLE", b"\x1f\x8b")):
+        with open_fits(path) as hdus:
+            described, maps = scene_of(hdus), maps_of(hdus)
+        return _made(path, described, "detector", lambda: _detector(described["detector"], maps))
+    try:
+        return _detector_of_toml(tomllib.loads(content.decode("utf-8")))
+    except (TypeError, ValueError, RecursionError) as error:
+        raise ValueError(f"{path}: {error}") from error
+
+
+def write_scene(scene, path, *, overwrite):
+    """Write a scene; return its path."""
+    columns = scene_columns(scene, [star.relative_flux(scene.motion.time) for star in scene.stars])
+    described, maps = describe_scene(scene), _maps(scene.detector)
+    blocks = truth_blocks(scene.motion.cadenceno, columns, maps, described, None)
+    return _write(path, blocks, overwrite=overwrite)
+
+
+def write_detector(detector, path, *, overwrite):
+    """Write a detector; return its path."""
+    described = {"version": _VERSION, "detector": _describe_detector(detector)}
+    return _write(path, scene_blocks(_maps(detector), described), overwrite=overwrite)
+
+
+def _write(path, blocks, *, overwrite):
+    from astropy.io import fits
+
+    hdus = [fits.PrimaryHDU(), *(block.hdu() for block in blocks)]
+    return write_hdulist(fits.HDUList(hdus), path, overwrite=overwrite)
+
+
+def _maps(detector):
+    return {} if detector.interpixel is None else {"INTERPIXEL": detector.interpixel}
+
+
+def _made(path, described, what, make):
+    """Return what a file describes, with one kind of error for whatever is wrong with it."""
+    if not described:
+        raise ValueError(f"{path} holds no {what} to make again")
+    version = described.get("version")
+    if not isinstance(version, int):
+        raise ValueError(f"{path} holds a {what} without a version")  # noqa: TRY004
+    if version > _VERSION:
+        raise ValueError(f"{path} holds a {what} of a later version of this package")
+    try:
+        return make()
+    except Exception as error:  # a file can hold anything under the names of a scene
+        reason = " ".join(str(error).split())
+        kind = type(error).__name__
+        raise ValueError(f"{path} holds no {what} that can be made: {kind}: {reason}") from error
+
+
+def _scene(truth):
+    """Return the scene of a truth."""
+    detector = _detector(truth.scene["detector"], truth.maps)
+    stars = [_star(star, i, truth.columns) for i, star in enumerate(truth.scene["stars"], start=1)]
+    table, described = truth.columns, truth.scene["motion"]
+    motion = Motion(
+        time=table["TIME"],
+        x=table["MOTION_X"],
+        y=table["MOTION_Y"],
+        quality=np.asarray(table["QUALITY"], dtype=np.int32),
+        cadenceno=table["CADENCENO"],
+        time_format=described["time_format"],
+        meta=described["meta"],
+    )
+    effects = [_effect(described) for described in truth.scene.get("effects", ())]
+    return Scene(stars, detector, motion, effects=effects, **truth.scene["options"])
+
+
+def describe_scene(scene):
+    """Return a scene without its arrays as values that JSON can hold."""
+    return {
+        "version": _VERSION,
+        "stars": [
+            {
+                "mag": star.mag,
+                "x_0": star.x_0,
+                "y_0": star.y_0,
+                "psf": describe_model(star.psf),
+                "signal": _describe_signal(star.signal),
+                **({} if star.coord is None else {"coord": describe_coord(star.coord)}),
+            }
+            for star in scene.stars
+        ],
+        "detector": _describe_detector(scene.detector),
+        "motion": {
+            "time_format": scene.motion.time_format,
+            "meta": plain_tree(scene.motion.meta, str),
+        },
+        "options": plain_tree(
+            {name: value for name, value in scene.options.items() if name != "effects"}, str
+        ),
+        "effects": [_describe_effect(effect) for effect in scene.effects],
+    }
+
+
+def _describe_signal(signal):
+    """Return a model as its description, and otherwise whether there is a signal: an array."""
+    if isinstance(signal, Model):
+        described = describe_model(signal)
+        try:
+            if value_key(make_model(described)) == value_key(signal):
+                return described
+        except (KeyError, TypeError, ValueError):
+            pass  # a model of a kind that files cannot hold
+    return signal is not None
+
+
+def scene_columns(scene, relative_flux):
+    """Return the arrays of a scene, cadence by cadence, as columns of a table."""
+    columns = {
+        "TIME": scene.motion.time,
+        "QUALITY": scene.motion.quality,
+        "MOTION_X": scene.motion.x,
+        "MOTION_Y": scene.motion.y,
+    }
+    for i, signal in enumerate(relative_flux, start=1):
+        columns[f"SIGNAL{i}"] = signal
+    return columns
+
+
+def _describe_effect(effect):
+    """Return an effect as the name of its class and its fields."""
+    values = {item.name: getattr(effect, item.name) for item in fields(effect)}
+    parameters = {name: plain_tree(packed(value), str) for name, value in values.items()}
+    return {"class": type(effect).__name__, "parameters": parameters}
+
+
+def _effect(described):
+    """Return the effect of a description."""
+    values = {name: unpacked(value) for name, value in described["parameters"].items()}
+    kind = class_named(described["class"], Effect, _EFFECTS, "an effect")
+    return kind(**(_OLD_FIELDS.get(kind.__name__, {}) | values))
+
+
+def _describe_detector(detector):
+    """Return the fields of a detector; the interpixel map is stored elsewhere."""
+    described = {item.name: getattr(detector, item.name) for item in fields(detector)}
+    for name in ("sensitivity", "psf"):
+        described[name] = describe_model(described[name])
+    described["shape"] = list(detector.shape)
+    described["interpixel"] = detector.interpixel is not None
+    described["effects"] = [_describe_effect(effect) for effect in detector.effects]
+    return described
+
+
+def _detector(described, maps):
+    """Return the detector of a description."""
+    values = dict(described)
+    for name in ("sensitivity", "psf"):
+        values[name] = make_model(values[name])
+    values["shape"] = tuple(values["shape"])
+    values["interpixel"] = maps["INTERPIXEL"] if values["interpixel"] else None
+    values["effects"] = [_effect(described) for described in values.get("effects", ())]
+    return Detector(**values)
+
+
+def _star(described, number, table):
+    """Return the star of a description."""
+    signal = described["signal"] or None
+    if signal is not None:
+        is_model = isinstance(signal, dict)
+        signal = make_model(signal) if is_model else np.asarray(table[f"SIGNAL{number}"])
+    psf = make_model(described["psf"])
+    coord = make_coord(described.get("coord"))
+    return Star(described["mag"], described["x_0"], described["y_0"], psf, signal, coord)
+
+
+def _made_effect(table):
+    """Return the effect of a table."""
+    values = dict(table) if isinstance(table, dict) else {}
+    name = values.pop("effect", None)
+    if not isinstance(name, str):
+        raise ValueError(f"`effects` must be tables with the name of an `effect`, got {name!r}")  # noqa: TRY004
+    return class_named(name, Effect, _EFFECTS, "an effect")(**values)
+
+
+def _detector_of_toml(values):
+    """Return the detector of a parsed file."""
+    preset = values.pop("preset", None)
+    if preset is not None:
+        checked_choice("preset", preset, PRESETS)
+    known = {item.name for item in fields(Detector)} | ({"cadence"} if preset else set())
+    for name in values:
+        if name not in known:
+            raise ValueError(f"`{name}` is not a field of a detector")
+    if "effects" in values:
+        given = values["effects"]
+        given = given if isinstance(given, list) else [given]
+        values["effects"] = [_made_effect(table) for table in given]
+    if "psf" in values:
+        values["psf"] = _combined(values["psf"], "psf", None, add)
+    given = values.get("sensitivity")
+    if given is False:
+        values["sensitivity"] = None
+    elif given is not None:
+        values["sensitivity"] = _combined(given, "sensitivity", "SensitivityPolynomial", mul)
+    return Detector.preset(preset, **values) if preset else Detector(**values)
+
+
+def _combined(tables, name, default, combine):
+    """Return the sum or the product of the models that tables describe."""
+    models = []
+    for table in tables if isinstance(tables, list) else [tables]:
+        if not isinstance(table, dict) or not isinstance(table.get("model", default), str):
+            raise ValueError(f"`{name}` must be a table with the name of its `model`")  # noqa: TRY004
+        parameters = {key: value for key, value in table.items() if key != "model"}
+        kind = table.get("model", default)
+        models.append(make_model({"class": kind, "parameters": parameters}))
+    return reduce(combine, models)
