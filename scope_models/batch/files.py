@@ -5,6 +5,7 @@ failures are those of `~scope_models.batch.run_sweep`.
 """
 
 import os
+import re
 from pathlib import Path
 
 import numpy as np
@@ -32,6 +33,7 @@ __all__ = [
     "simulate_table",
 ]
 
+_NAME = re.compile(r"(EPIC|KIC|TIC)[ -]?\d+", re.IGNORECASE)
 _PLANET = ("period", "t0", "depth", "duration")
 _PLANET_UNITS = {"mag": "mag"} | dict.fromkeys(("period", "t0", "duration"), "d")
 
@@ -50,14 +52,14 @@ def detrend_files(paths, output_dir, client=None, *, overwrite=False, sweep=None
     {run}
     **options
         Arguments of `~scope_models.correctors.PLDCorrector.correct` that are numbers, text, or
-        true or false; ``survival=False`` leaves out the survival of transits, which takes half
-        of the time.
+        true or false; ``survival=True`` adds the survival of transits, which doubles the time.
 
     Returns
     -------
     SweepResult
-        A row per file with its noise before and after in ppm (6.5-h CDPP in both conventions),
-        crowding as the header has it, transit survival and warnings; medians by magnitude;
+        A row per file with its noise before and after in ppm (6.5-h CDPP, lightkurve's as
+        ``cdpp`` and EVEREST's as ``cdpp_everest``), crowding as the header has it, transit
+        survival if it is wanted, and warnings; medians by magnitude;
         failures; and the files.
 
     Raises
@@ -87,7 +89,7 @@ def detrend_files(paths, output_dir, client=None, *, overwrite=False, sweep=None
     True
     """
     units = {"mag": "mag"} | dict.fromkeys(
-        ("raw_cdpp", "cdpp", "raw_cdpp_lightkurve", "cdpp_lightkurve"), "ppm"
+        ("raw_cdpp", "cdpp", "raw_cdpp_everest", "cdpp_everest"), "ppm"
     )
     return run_files(
         _detrended, find_files(paths), output_dir, client, name="detrend", suffix="-lc.fits",
@@ -149,8 +151,10 @@ def inject_files(
     paths : sequence of str or path-like
         Target pixel files, or names of targets.
     planets : astropy.table.Table or mapping
-        Columns period, t0, depth and duration (days; depth relative): one row for all files, or
-        one for each in their order. ``t0`` is the time of a mid-transit as in the file.
+        Columns period and depth, and if wanted t0 and duration (days; depth relative): one row
+        for all files, or one for each in their order. ``t0`` is the time of a mid-transit as in
+        the file, by default half a period after its first cadence; the default duration is that
+        of a central transit of a star like the Sun.
     output_dir : str or path-like
         Folder for the results and the files, ``NAME-injected.fits``.
     {run}
@@ -184,17 +188,12 @@ def inject_files(
     >>> result.table["injected_depth"].round(4).tolist()
     [0.01]
     """
-    files = find_files(paths)
-    planets = Table(planets)
-    missing = [name for name in _PLANET if name not in planets.colnames]
-    if missing:
-        raise ValueError(f"`planets` lacks the column {missing[0]}")
-    if len(planets) not in {1, len(files)}:
+    files, rows = find_files(paths), planet_rows(planets)
+    if len(rows) not in {1, len(files)}:
         raise ValueError(
             f"`planets` must have one row, or one for each of the {len(files)} files, "
-            f"got {len(planets)}"
+            f"got {len(rows)}"
         )
-    rows = [{name: float(row[name]) for name in _PLANET} for row in planets]
     rows = rows if len(rows) > 1 else rows * len(files)
     return run_files(
         _injected, files, output_dir, client, name="inject", suffix="-injected.fits", rows=rows,
@@ -210,7 +209,7 @@ def inject_file(path, planet, output, *, star=None, seed=1, overwrite=False):
     path : str or path-like
         The file.
     planet : mapping
-        The period, t0, depth and duration, as in `inject_files`.
+        The period and depth, and if wanted t0 and duration, as in `inject_files`.
     output : str or path-like
         The file to write.
     star : {"scene", "fit"} or float, optional
@@ -223,13 +222,14 @@ def inject_file(path, planet, output, *, star=None, seed=1, overwrite=False):
     Returns
     -------
     dict
-        Name, mission, magnitude; "injected_depth", the expected depth in all pixels; and
-        "in_transit", the number of cadences.
+        Name, mission, magnitude; "t0" and "duration"; "injected_depth", the expected depth in all
+        pixels; and "in_transit", the number of cadences.
 
     Raises
     ------
     OSError, ValueError
-        As `~scope_models.simulation.inject`, or if the output exists or is the input.
+        As `~scope_models.simulation.inject`, or if the output exists or is the input, or no
+        cadence is in transit.
 
     Examples
     --------
@@ -246,10 +246,6 @@ def inject_file(path, planet, output, *, star=None, seed=1, overwrite=False):
     check_output(output, overwrite=overwrite, inputs=[path])
     tpf = read_tpf(path)
     series = read_pixels(tpf)
-    model = TransitModel.from_depth_duration(
-        *(float(planet[name]) for name in ("depth", "duration", "period", "t0")),
-        exposure_time=Detector.from_tpf(series).cadence_days,
-    )
     total = np.median(np.where(np.isfinite(series.flux), series.flux, 0).sum(axis=(1, 2)))
     if not total > 0:
         raise ValueError(f"{path} has no light in its pixels")
@@ -258,14 +254,48 @@ def inject_file(path, planet, output, *, star=None, seed=1, overwrite=False):
     if isinstance(star, str) and star not in {"scene", "fit"}:
         raise ValueError(f'`star` must be "scene", "fit" or a share, got {star!r}')
     with naming(path):
+        time = series.time[np.isfinite(series.time)]
+        model = planet_model(planet, time, Detector.from_tpf(series).cadence_days)
         light = None if star == "scene" else fit_tpf(tpf) if star == "fit" else star
         injected = inject(tpf, model, light, seed=seed)
     write_hdulist(injected.hdu, output, overwrite=overwrite)
     table = injected.hdu[-1].data
     return _header_row(series) | {
+        "t0": float(model.t0.value),
+        "duration": float(model.duration),
         "injected_depth": float(-np.min(table["FLUX_ADDED"].sum(axis=(1, 2))) / total) + 0.0,
         "in_transit": int(np.sum(table["SIGNAL"] < 1)),
     }
+
+
+def planet_rows(planets):
+    """Return what is given of the planet of each row of a table."""
+    planets = Table(planets)
+    for name in ("period", "depth"):
+        if name not in planets.colnames:
+            raise ValueError(f"`planets` lacks the column {name}")
+    names = [name for name in _PLANET if name in planets.colnames]
+    return [{n: float(row[n]) for n in names if not np.ma.is_masked(row[n])} for row in planets]
+
+
+def planet_model(planet, time, exposure_time):
+    """Return the transits of a planet, of which one at least is among times in days.
+
+    ``planet`` has the period and depth, and if known t0 and duration.
+    """
+    period = float(planet["period"])
+    # 13 h (P / yr)^(1/3) (R / R_sun) (rho / rho_sun)^(-1/3): arXiv:1001.2010, eq. 19.
+    duration = float(planet.get("duration", 13 / 24 * (period / 365.25) ** (1 / 3)))
+    t0 = float(planet.get("t0", time.min() + period / 2))
+    model = TransitModel.from_depth_duration(
+        float(planet["depth"]), duration, period, t0, exposure_time=exposure_time
+    )
+    if np.all(model(time) == 1):
+        raise ValueError(
+            f"`t0` = {t0:g} d with `period` = {period:g} d: no cadence is in transit between "
+            f"{time.min():.2f} and {time.max():.2f} d, the times of the file"
+        )
+    return model
 
 
 @documented(run=RUN)
@@ -279,7 +309,7 @@ def simulate_table(
     ----------
     table : astropy.table.Table or mapping
         A row per star: ``mag``, and if wanted ``name``, ``x_0`` and ``y_0`` (pixels), ``period``,
-        ``t0``, ``depth`` and ``duration`` of a planet (days; ``t0`` after the first cadence).
+        ``depth``, and if known ``t0`` and ``duration`` of a planet, as in `inject_files`.
     output_dir : str or path-like
         Folder for the results and the files, ``NAME.fits``, by default ``star0001.fits`` and so on.
     {run}
@@ -322,9 +352,9 @@ def simulate_table(
         raise ValueError(
             f"`table` has an unknown column {unknown[0]}; known are {', '.join(known)}"
         )
-    planet = [name for name in _PLANET if name in table.colnames]
-    if planet and len(planet) < len(_PLANET):
-        raise ValueError(f"`table` must have all or none of {', '.join(_PLANET)}, got {planet}")
+    planet = set(_PLANET) & set(table.colnames)
+    if planet and not {"period", "depth"} <= planet:
+        raise ValueError(f"`table` must have period and depth of a planet, got {sorted(planet)}")
     rows = [
         {
             name: np.asarray(without_unit(row[name])).item()
@@ -346,9 +376,8 @@ def simulate_table(
 def find_files(paths):
     """Return files for paths and names of targets.
 
-    What is no file, and does not end as FITS files do, is a name such as "EPIC 211956421" or
-    "TIC 273589987": lightkurve searches and downloads its first target pixel file, or takes it from
-    its cache.
+    EPIC, KIC or TIC with a number, such as "EPIC 211956421", is a name if there is no such file:
+    lightkurve searches and downloads its first target pixel file, or takes it from its cache.
 
     Parameters
     ----------
@@ -363,7 +392,8 @@ def find_files(paths):
     Raises
     ------
     OSError
-        If the search or the download fails.
+        If the search or the download fails, or what is neither a name nor ends as FITS files do is
+        no file.
     ValueError
         If a file is given twice, or nothing is found for a name.
 
@@ -380,7 +410,11 @@ def find_files(paths):
     found = {}
     for path in paths:
         text = os.fspath(path)
-        if not Path(text).exists() and not FITS.search(text) and not Path(text).parent.name:
+        if not Path(text).exists() and not FITS.search(text):
+            if not _NAME.fullmatch(text):
+                raise FileNotFoundError(
+                    f"{text}: no such file, and no EPIC, KIC or TIC and a number"
+                )
             text = _downloaded(text)
         key = os.path.realpath(text)
         if key in found:
@@ -453,27 +487,33 @@ def _detrended(task, output, seed, **options):  # noqa: ARG001 - nothing is draw
     row = _header_row(read_pixels(corrector.tpf))
     row["n_pixels"] = int(corrector.aperture_mask.sum())
     for prefix, lc in (("raw_", corrector.original_lc), ("", corrector.corrected_lc)):
-        row[f"{prefix}cdpp"] = _cdpp(lc, "everest")
-        row[f"{prefix}cdpp_lightkurve"] = _cdpp(lc, "lightkurve")
+        row[f"{prefix}cdpp"] = _cdpp(lc, "lightkurve")
+        row[f"{prefix}cdpp_everest"] = _cdpp(lc, "everest")
     row["crowding"] = _number(corrector.tpf.hdu[1].header.get("CROWDSAP"))
-    found = corrector.result if options.get("survival", True) else None
-    row["survival"] = _number(getattr(found, "transit_survival", None))
+    if options.get("survival"):
+        row["survival"] = _number(getattr(corrector.result, "transit_survival", None))
     row["n_outliers"] = int(np.sum(corrector.outlier_mask))
     return row
 
 
-def _fitted(task, output, seed, *, sensitivity=False, cadences=0, **options):  # noqa: ARG001
-    """Fit a file."""
+def fit_file(path, output, *, sensitivity=False, cadences=None, overwrite=False, **options):
+    """Fit a file, write the fit and return it; the options are those of `fit_files`."""
     from scope_models import fit_tpf
+    from scope_models.models import SensitivityPolynomial
 
+    check_output(output, overwrite=overwrite, inputs=[path])
     if sensitivity:
-        from scope_models.models import SensitivityPolynomial
-
         options["sensitivity"] = SensitivityPolynomial(fixed={"ax1": True, "ay1": True})
-    tpf = read_tpf(task["file"])[: cadences or None]
-    fit = fit_tpf(tpf, **options)
-    fit.write(output, overwrite=True)
-    row = _header_row(read_pixels(tpf)) | {
+    with naming(path):
+        fit = fit_tpf(read_pixels(path)[: cadences or None], **options)
+    fit.write(output, overwrite=overwrite)
+    return fit
+
+
+def _fitted(task, output, seed, **options):  # noqa: ARG001 - nothing is drawn
+    """Fit a file."""
+    fit = fit_file(task["file"], output, overwrite=True, **options)
+    row = _header_row(read_pixels(task["file"])) | {
         "n_cadences": len(fit.time),
         "reduced_chi2": float(fit.reduced_chi2),
         "flux": float(np.nanmedian(without_unit(fit.flux))),
@@ -485,7 +525,8 @@ def _fitted(task, output, seed, *, sensitivity=False, cadences=0, **options):  #
 
 def _injected(task, output, seed, *, star):
     """Inject into a file."""
-    return inject_file(task["file"], task, output, star=star, seed=seed, overwrite=True)
+    row = inject_file(task["file"], task, output, star=star, seed=seed, overwrite=True)
+    return {name: value for name, value in row.items() if name not in task}
 
 
 def _simulated(task, output, seed, *, detector, motion, cadences):
@@ -500,10 +541,7 @@ def _simulated(task, output, seed, *, detector, motion, cadences):
         motion = Motion.still(cadences, cadence=detector.cadence_days, time_format=zero)
     signal = None
     if "depth" in task:
-        signal = TransitModel.from_depth_duration(
-            task["depth"], task["duration"], task["period"], motion.time[0] + task["t0"],
-            exposure_time=detector.cadence_days,
-        )  # fmt: skip
+        signal = planet_model(task, motion.time, detector.cadence_days)
     star = Star(task["mag"], task.get("x_0"), task.get("y_0"), signal=signal)
     observation = simulate(star, detector, motion, seed=seed)
     observation.write(output, overwrite=True, metadata={"object_name": task["key"]})
@@ -511,5 +549,5 @@ def _simulated(task, output, seed, *, detector, motion, cadences):
     return {
         "n_cadences": len(motion),
         "n_pixels": int(observation.aperture.sum()),
-        "cdpp": _cdpp(flux, "everest"),
+        "cdpp": _cdpp(flux, "lightkurve"),
     }

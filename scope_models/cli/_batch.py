@@ -7,10 +7,14 @@ import warnings
 from pathlib import Path
 
 __all__ = [
-    "add_inputs",
+    "add_command",
     "add_options",
+    "add_planet",
     "add_workers",
+    "check_number",
     "client_of",
+    "planet_of",
+    "planets_of",
     "refuse_options_of_runs",
     "run",
     "single",
@@ -18,17 +22,52 @@ __all__ = [
 ]
 
 
-def add_inputs(parser, output):
-    """Add the inputs and the output of a command for one file or many."""
-    parser.add_argument(
-        "input",
-        nargs="+",
-        metavar="IN",
-        help="target pixel files, or names of targets such as 'EPIC 211956421', which are "
-        "downloaded",
-    )
-    parser.add_argument("--output", metavar="OUT", help=f"{output} of a single input")
-    add_options(parser)
+def add_command(commands, name, *, example, **texts):
+    """Return the parser of a command, whose help ends with an example."""
+    parser = commands.add_parser(name, epilog=f"example: scope-models {example}", **texts)
+    parser.set_defaults(error=parser.error)
+    return parser
+
+
+def add_planet(group):
+    """Add the options of a planet."""
+    for name, text in (
+        ("period", "period of a planet, days; needs --depth"),
+        ("depth", "relative drop of its transits"),
+        ("t0", "a mid-transit, days as in the file (default: half a period after the first one)"),
+        ("duration", "of its transits, days (default: central ones of a star like the Sun)"),
+    ):
+        group.add_argument(f"--{name}", type=float, metavar=name[0].upper(), help=text)
+
+
+def planet_of(arguments):
+    """Return the planet of the options, as far as it is given; empty without one."""
+    values = {name: getattr(arguments, name) for name in ("period", "depth", "t0", "duration")}
+    given = {name: value for name, value in values.items() if value is not None}
+    if given and not {"period", "depth"} <= given.keys():
+        raise ValueError("a planet needs --period and --depth")
+    return given
+
+
+def planets_of(arguments):
+    """Return the table of planets."""
+    from astropy.table import Table
+
+    planet = planet_of(arguments)
+    if arguments.planets is None:
+        if not planet:
+            raise ValueError("--period and --depth are needed, or --planets")
+        return Table(rows=[planet])
+    if planet:
+        raise ValueError("--period and --depth cannot be combined with --planets")
+    return Table.read(arguments.planets)
+
+
+def check_number(arguments, name):
+    """Refuse a number below 1."""
+    value = getattr(arguments, name, None)
+    if value is not None and value < 1:
+        raise ValueError(f"--{name} must be at least 1, got {value}")
 
 
 def single(arguments):
@@ -52,7 +91,7 @@ def add_options(parser):
     """Add the options of a run over many files."""
     parser.add_argument(
         "--output-dir",
-        metavar="DIR",
+        metavar="FOLDER",
         help="folder for the files of many inputs and for the tables of results; the same command "
         "goes on where a run has stopped",
     )
@@ -61,6 +100,7 @@ def add_options(parser):
         metavar="FILE",
         help="a TOML file with options of the command, as `order = 1`; those given here go first",
     )
+    parser.add_argument("--overwrite", action="store_true", help="replace files that exist")
     add_workers(parser)
 
 
@@ -103,8 +143,7 @@ def add_workers(parser):
 
 def client_of(arguments):
     """Return what computes the stars, as `run_sweep` takes it."""
-    if arguments.workers < 1:
-        raise ValueError(f"--workers must be at least 1, got {arguments.workers}")
+    check_number(arguments, "workers")
     return arguments.scheduler or (None if arguments.workers == 1 else arguments.workers)
 
 
@@ -124,8 +163,8 @@ def run(name, arguments, *inputs, **options):
             warnings.simplefilter("ignore", FailedStarsWarning)  # the failures are listed below
             result = getattr(batch, name, getattr(benchmark, name, None))(
                 *inputs,
-                arguments.output_dir,
-                client_of(arguments),
+                output_dir=arguments.output_dir,
+                client=client_of(arguments),
                 overwrite=arguments.overwrite,
                 sweep={"progress": sys.stderr.isatty()},
                 **options,

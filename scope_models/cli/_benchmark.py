@@ -7,18 +7,20 @@ __all__ = ["add_parser"]
 
 def add_parser(commands):
     """Add both commands to the parser of the command line."""
-    parser = commands.add_parser(
+    parser = _batch.add_command(
+        commands,
         "benchmark",
         help="write target pixel files whose truth is known",
         description="Write 200 target pixel files of messy stars (motion, focus, neighbors, "
         "background, variability, transits), the same on every machine. Correct them with any "
         "pipeline, then let `scope-models score` compare the light curves with the truth.",
+        example="benchmark --stars 5 --output-dir skies",
     )
     _batch.add_options(parser)
     parser.add_argument("--stars", type=int, default=200, metavar="N", help="only the first N")
-    parser.add_argument("--overwrite", action="store_true", help="replace files that exist")
-    parser.set_defaults(run=_write, error=parser.error)
-    parser = commands.add_parser(
+    parser.set_defaults(run=_write)
+    parser = _batch.add_command(
+        commands,
         "score",
         help="compare corrected light curves of the benchmark with the truth",
         description="Print the medians of the scores by regime. full and high_passed: scatter in "
@@ -26,6 +28,7 @@ def add_parser(commands):
         "and transits that is kept; pull: deviations over quoted errors; kept: part of the "
         "cadences. The truth with its noise has 1 everywhere. bias and step, in ppm and 0 for the "
         "truth: dependence on the place within the pixel, and steps from pixel to pixel.",
+        example="score corrected/sky0001-lc.fits --output scores.ecsv",
     )
     parser.add_argument("input", nargs="+", metavar="LC", help="light-curve files")
     parser.add_argument("--output", metavar="TABLE", help="write the scores of each file, as ECSV")

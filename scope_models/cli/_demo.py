@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import scope_models as sm
+from scope_models.cli import _batch
 
 __all__ = ["add_parser", "run"]
 
@@ -13,11 +14,13 @@ _MAGNITUDE = 12.0
 
 def add_parser(commands):
     """Add the command to the parser of the command line."""
-    parser = commands.add_parser(
+    parser = _batch.add_command(
+        commands,
         "demo",
         help="simulate and de-trend a star, without any input",
         description="Simulate a star of magnitude 12 on the roll of K2, write its target pixel "
         "file, its light curve and a figure, and print its noise. Needs no file and no network.",
+        example="demo --output-dir demo",
     )
     parser.add_argument(
         "--output-dir",

@@ -12,10 +12,8 @@ from scope_models.cli import (
     _batch,
     _benchmark,
     _demo,
-    _detrend,
     _experiment,
-    _fit,
-    _inject,
+    _files,
     _simulate,
 )
 
@@ -23,7 +21,7 @@ __all__ = ["main"]
 
 # A command is a module with `add_parser(commands)`, which sets `run(arguments)` as the default
 # of `run`. The next one is added here.
-_COMMANDS = (_demo, _simulate, _inject, _detrend, _fit, _experiment, _benchmark)
+_COMMANDS = (_demo, _simulate, _files, _experiment, _benchmark)
 
 
 class _Parser(argparse.ArgumentParser):
@@ -90,7 +88,7 @@ def _make_parser():
     parser = _Parser(
         prog="scope-models",
         description="Simulate what a space telescope records of a moving star.",
-        epilog="`scope-models COMMAND --help` describes a command.",
+        epilog="`scope-models COMMAND --help` describes a command. example: scope-models demo",
     )
     parser.add_argument("--version", action="version", version=f"%(prog)s {__version__}")
     commands = parser.add_subparsers(metavar="COMMAND", required=True)

@@ -16,11 +16,13 @@ _RUNS = ("campaign", "quarter", "sector", "channel", "camera", "ccd")
 
 def add_parser(commands):
     """Add the command to the parser of the command line."""
-    parser = commands.add_parser(
+    parser = _batch.add_command(
+        commands,
         "simulate",
         help="write a target pixel file of a star",
         description="Simulate the pixels of a star along a spacecraft's motion, and write them "
         "with the truth to a target pixel file that lightkurve opens.",
+        example="simulate --mag 12 --period 4.2 --depth 0.001 --output star.fits",
     )
     parser.add_argument("--output", metavar="FILE", help="the file to write")
     parser.add_argument(
@@ -31,7 +33,6 @@ def add_parser(commands):
         "--cadences and --seed for all",
     )
     _batch.add_options(parser)
-    parser.add_argument("--overwrite", action="store_true", help="replace the file if it exists")
     parser.add_argument("--seed", type=int, help="makes the result reproducible")
     parser.add_argument("--target-id", type=int, default=1, metavar="N", help="KEPLERID or TICID")
     parser.add_argument("--name", help="name of the target in the file")
@@ -39,7 +40,7 @@ def add_parser(commands):
     _add_star(parser.add_argument_group("star"))
     _add_sky(parser.add_argument_group("sky"))
     _add_detector(parser.add_argument_group("detector"))
-    parser.set_defaults(run=run, error=parser.error, default_of=parser.get_default)
+    parser.set_defaults(run=run, default_of=parser.get_default)
 
 
 def _add(group, kind, *options):
@@ -81,23 +82,8 @@ def _add_star(group):
             ("SIGMA_X", "SIGMA_Y", "RHO"),
             "widths, in pixels, and correlation of a Gaussian PSF (default: the detector's)",
         ),
-        (
-            "transit",
-            ("PERIOD", "T0", "DEPTH", "DURATION"),
-            (
-                "a planet: period and first mid-transit after the first cadence, relative drop, "
-                "and duration; times in days"
-            ),
-        ),
-        ("period", "DAYS", "period of a planet; needs --depth"),
-        ("depth", None, "relative drop of its transits"),
-        ("t0", "DAYS", "its first mid-transit after the first cadence (default: half a period)"),
-        (
-            "duration",
-            "DAYS",
-            "duration of its transits (default: a central transit of a star like the Sun)",
-        ),
     )
+    _batch.add_planet(group)
     group.add_argument(
         "--neighbor",
         type=float,
@@ -172,8 +158,7 @@ def run(arguments):
     """Simulate the star and write the file; return the exit status."""
     from scope_models.io._atomic import check_output
 
-    if arguments.cadences is not None and arguments.cadences < 1:
-        raise ValueError(f"--cadences must be at least 1, got {arguments.cadences}")
+    _batch.check_number(arguments, "cadences")
     if arguments.table is not None:
         return _run_table(arguments)
     if arguments.output is None or (arguments.mag is None and arguments.catalog is None):
@@ -272,7 +257,7 @@ def _make_scene(arguments, detector, motion, fields):
     fields["metadata"] = {name: given[name] for name in _RUNS if given[name] is not None}
     if (arguments.ra is None) != (arguments.dec is None):
         raise ValueError("--ra and --dec go together")
-    stars = _make_stars(arguments, detector, motion.time[0])
+    stars = _make_stars(arguments, detector, motion.time)
     drawn = {"background_stars": arguments.background_stars}
     if arguments.catalog is None and arguments.background_stars is None:
         fields |= {name: given[name] for name in ("ra", "dec", "orientation")}
@@ -298,36 +283,17 @@ def _make_field(arguments, target, detector, motion, options):
     return sm.Scene.from_catalog(table, coord, detector, motion, target=target, **options)
 
 
-def _make_stars(arguments, detector, start):
+def _make_stars(arguments, detector, time):
     """Return the star and its neighbors of the options."""
+    from scope_models.batch.files import planet_model
+
     x_0, y_0 = arguments.position or (None, None)
     psf = signal = None
     if arguments.psf is not None:
         sigma_x, sigma_y, rho = arguments.psf
         psf = sm.BivariateGaussianPSF(sigma_x=sigma_x, sigma_y=sigma_y, rho=rho)
-    planet = _planet(arguments)
-    if planet is not None:
-        period, t0, depth, duration = planet
-        signal = sm.TransitModel.from_depth_duration(
-            depth, duration, period, start + t0, exposure_time=detector.cadence_days
-        )
+    if planet := _batch.planet_of(arguments):
+        signal = planet_model(planet, time, detector.cadence_days)
     # The magnitude of a catalog's star is set later.
     star = sm.Star(arguments.mag or 0.0, x_0, y_0, psf, signal)
     return [star, *(sm.Star(mag, x, y, psf) for mag, x, y in arguments.neighbor)]
-
-
-def _planet(arguments):
-    """Return period, mid-transit, depth and duration of a planet, or None."""
-    if arguments.transit is not None and arguments.period is not None:
-        raise ValueError("--transit and --period exclude each other")
-    if (arguments.period is None) != (arguments.depth is None):
-        raise ValueError("--period and --depth go together")
-    if arguments.period is None:
-        if arguments.t0 is not None or arguments.duration is not None:
-            raise ValueError("--t0 and --duration need --period")
-        return arguments.transit
-    period = arguments.period
-    # 13 h (P / yr)^(1/3) (R / R_sun) (rho / rho_sun)^(-1/3): arXiv:1001.2010, eq. 19.
-    usual = 13 / 24 * (period / 365.25) ** (1 / 3)
-    duration = usual if arguments.duration is None else arguments.duration
-    return period, period / 2 if arguments.t0 is None else arguments.t0, arguments.depth, duration

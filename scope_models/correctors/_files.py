@@ -14,7 +14,7 @@ from scope_models.photometry import cdpp
 __all__ = ["detrend_file", "make_lightcurve_hdulist"]
 
 
-def detrend_file(path, output, *, figure=None, overwrite=False, survival=True, **options):
+def detrend_file(path, output, *, figure=None, overwrite=False, survival=False, **options):
     """
     Correct a target pixel file, and write the light curve to a FITS file.
 
@@ -79,7 +79,7 @@ def detrend_file(path, output, *, figure=None, overwrite=False, survival=True, *
     return corrector
 
 
-def make_lightcurve_hdulist(corrector, *, survival=True):
+def make_lightcurve_hdulist(corrector, *, survival=False):
     """
     Make the FITS file of a corrected light curve.
 
@@ -147,8 +147,8 @@ def _cards(corrector, survival):
             cards.append(("PLDSURV", result.transit_survival, comment))
     for name, lc in (("RAWCDPP", corrector.original_lc), ("CDPP", corrector.corrected_lc)):
         try:
-            value = cdpp(lc, method="everest")
+            value = cdpp(lc)
         except ValueError:  # too few cadences
             continue
-        cards.append((name, value, "[ppm] 6.5-h CDPP, convention of EVEREST"))
+        cards.append((name, value, "[ppm] 6.5-h CDPP, convention of lightkurve"))
     return cards

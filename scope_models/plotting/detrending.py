@@ -1,5 +1,7 @@
 """Figures of a corrector: what it removed, what it left, and from which pixels."""
 
+from types import SimpleNamespace
+
 import astropy.units as u
 import matplotlib.pyplot as plt
 import numpy as np
@@ -48,7 +50,7 @@ def plot_comparison(time, fluxes, *, best=None):
         values = plain_array(flux, None, "fluxes")
         relative = values / np.nanmedian(values)
         color = DARK if name == best else GRAY
-        ax.plot(time, relative, ".", ms=2, color=color, label=_label(name, values))
+        ax.plot(time, relative, ".", ms=2, color=color, label=_label(name, time, values))
         ax.legend(loc="upper right", fontsize="small")
         ax.set_ylabel("Relative flux")
         shown.append(relative)
@@ -89,11 +91,11 @@ def plot_detrending(
     time, flux = plain_array(time, u.day, "time"), plain_array(flux, None, "flux")
     corrected = plain_array(corrected, None, "corrected")
     _, axes = plt.subplots(3, 1, figsize=(9, 7), sharex=True, layout="constrained")
-    axes[0].plot(time, flux, ".", ms=2, color=GRAY, label=_label("measured", flux))
+    axes[0].plot(time, flux, ".", ms=2, color=GRAY, label=_label("measured", time, flux))
     for values, color, name in ((systematics, DARK, "systematics"), (trend, LIGHT, "trend")):
         if values is not None:
             axes[1].plot(time, values, ".", ms=2, color=color, label=name)
-    axes[2].plot(time, corrected, ".", ms=2, color=DARK, label=_label("corrected", corrected))
+    axes[2].plot(time, corrected, ".", ms=2, color=DARK, label=_label("corrected", time, corrected))
     for mask, marker, name in ((outliers, "x", "outliers"), (masked, "+", "not in the fit")):
         if mask is not None and np.any(mask):
             axes[2].plot(time[mask], corrected[mask], marker, ms=5, color=LIGHT, label=name)
@@ -108,12 +110,13 @@ def plot_detrending(
     return axes
 
 
-def _label(name, flux):
-    """Add the noise, where there are enough cadences."""
+def _label(name, time, flux):
+    """Add the noise in lightkurve's convention, where there are enough cadences."""
     try:
-        return f"{name}, CDPP {cdpp(flux, method='everest'):.0f} ppm"
+        noise = cdpp(SimpleNamespace(time=time, flux=flux))
     except ValueError:
         return name
+    return f"{name}, CDPP {noise:.0f} ppm (lightkurve)"
 
 
 @styled

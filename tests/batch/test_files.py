@@ -59,11 +59,12 @@ class TestDetrend:
         assert result.table["mag"].tolist() == [11, 12, 13]
         assert (result.table["cdpp"] < result.table["raw_cdpp"]).all()
         assert result.table["cdpp"].unit == "ppm"
-        assert ((result.table["survival"] > 0.5) & (result.table["survival"] <= 1.1)).all()
+        assert "survival" not in result.table.colnames
         assert result.summary["stars"].tolist() == [1, 1, 1]
         assert imread(tmp_path / "out" / "figure.png").std() > 0
         lc = lightkurve.read(tmp_path / "out" / "kp12-lc.fits")
         assert lc.meta["CDPP"] == pytest.approx(result.table["cdpp"][1], rel=1e-5)
+        assert lc.estimate_cdpp().value == pytest.approx(lc.meta["CDPP"], rel=1e-4)
 
     def test_is_that_of_one_file(self, files, tmp_path):
         from astropy.io import fits
@@ -142,7 +143,7 @@ class TestOthers:
 
     def test_simulate_planets_and_names(self, tmp_path):
         table = {"name": ["a", "b"], "mag": [11, 11]} | {k: v * 2 for k, v in PLANET.items()}
-        table["t0"] = [0.5, 0.7]
+        table["t0"] = Motion.still(1).time[0] + np.array([0.5, 0.7])
         simulate_table(table, tmp_path, cadences=60, detector="kepler", sweep=QUIET)
         signal = read_scene(tmp_path / "b.fits").stars[0].signal
         assert signal.min() == pytest.approx(0.99, abs=0.002)
@@ -219,7 +220,7 @@ class TestBadInput:
     @pytest.mark.parametrize(
         "planets, message",
         [
-            ({"period": [1.0]}, "`planets` lacks the column t0"),
+            ({"period": [1.0]}, "`planets` lacks the column depth"),
             ({k: v * 2 for k, v in PLANET.items()}, "one row, or one for each of the 3 files"),
         ],
     )
@@ -233,7 +234,10 @@ class TestBadInput:
             ({"name": ["a"]}, "`table` must have a column `mag`"),
             ({"mag": []}, "`table` must have a column `mag` and a row"),
             ({"mag": [12], "magnitude": [12]}, "`table` has an unknown column magnitude"),
-            ({"mag": [12], "depth": [0.1]}, r"`table` must have all or none of period"),
+            (
+                {"mag": [12], "depth": [0.1]},
+                r"`table` must have period and depth of a planet, got \['depth'\]",
+            ),
         ],
     )
     def test_tables(self, tmp_path, table, message):
@@ -289,10 +293,16 @@ class TestNames:
         assert "211956421" in path
         assert find_files(["EPIC 211956421"]) == (path,)  # from the cache
 
+    @pytest.mark.parametrize("name", ["star", "star.fit s", "kplr009002278", "EPIC211956421.fts.g"])
+    def test_mistyped_files_are_not_searched(self, monkeypatch, name):
+        monkeypatch.setitem(sys.modules, "lightkurve", None)
+        with pytest.raises(FileNotFoundError, match=f"{name}: no such file, and no EPIC, KIC or"):
+            find_files([name])
+
     def test_files_that_are_absent_are_not_searched(self, tmp_path, monkeypatch):
         monkeypatch.setitem(sys.modules, "lightkurve", None)
         monkeypatch.chdir(tmp_path)
-        names = ["a.fits", "b.fits.gz", "c/d"]
+        names = ["a.fits", "b.fits.gz", "c/d.fit"]
         assert find_files(names) == tuple(str(tmp_path / name) for name in names)
 
 
@@ -323,6 +333,23 @@ class TestCommandLine:
         )
         assert (status, stderr) == (0, "")
         assert "cadences in transit" in stdout
+        usual = tmp_path / "usual.fits"
+        status, stdout, _ = self.run(
+            capsys, "inject", files[0], "--period", 1.5, "--depth", 0.01, "--output", usual
+        )
+        with fits.open(usual) as hdus:
+            time, signal = (hdus["INJECTED"].data[name] for name in ("TIME", "SIGNAL"))
+        assert f"mid-transit at {time[0] + 0.75:.4f} d" in stdout
+        low = time[(signal < 1) & (time < time[0] + 1.5)]
+        assert low.mean() == pytest.approx(time[0] + 0.75, abs=0.0105)
+        # A central transit in front of the Sun lasts 13 h in a year.
+        assert np.ptp(low) == pytest.approx(13 / 24 * (1.5 / 365.25) ** (1 / 3), abs=0.03)
+        planet[3] = 2148
+        status, _, stderr = self.run(
+            capsys, "inject", files[0], *planet, "--period", 99, "--output", tmp_path / "no.fits"
+        )
+        assert status == 2
+        assert f"no cadence is in transit between {time[0]:.2f} and {time[-1]:.2f} d" in stderr
         table = tmp_path / "planets.csv"
         Table(PLANET).write(table)
         many = ["inject", *files, "--planets", table, "--output-dir", tmp_path / "out"]
@@ -354,8 +381,12 @@ class TestCommandLine:
         [
             (["detrend", "a.fits"], "give --output for one input, or --output-dir"),
             (["fit", "a.fits", "b.fits", "--output", "c.fits"], "give --output for one input"),
-            (["inject", "a.fits", "--output", "c.fits"], "--period, --t0, --depth and --duration"),
-            (["inject", "a", "--planets", "b", "--depth", "1"], "--depth cannot be combined with"),
+            (["inject", "a.fits", "--output", "c.fits"], "--period and --depth are needed, or"),
+            (["inject", "a", "--depth", "1"], "a planet needs --period and --depth"),
+            (
+                ["inject", "a", "--planets", "b", "--depth", "1", "--period", "1"],
+                "--period and --depth cannot be combined with --planets",
+            ),
             (["simulate", "--table", "a.csv"], "--table needs an --output-dir"),
             (
                 ["detrend", "a", "--workers", "2", "--output", "b"],

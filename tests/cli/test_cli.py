@@ -1,5 +1,6 @@
 """The command line: what it writes and prints, and how it fails."""
 
+import shlex
 import subprocess
 import sys
 from contextlib import contextmanager
@@ -12,10 +13,13 @@ from astropy.table import Table
 from astropy.wcs import WCS
 from matplotlib.image import imread
 
-from scope_models import __version__, read_scene, simulate
+from scope_models import Motion, __version__, read_scene, simulate
 from scope_models.cli import main
+from scope_models.cli._main import _make_parser
 from scope_models.io import read_truth
 from scope_models.photometry import cdpp, threshold_aperture
+
+COMMANDS = ("demo", "simulate", "inject", "detrend", "fit", "benchmark", "score")
 
 
 @pytest.fixture
@@ -147,7 +151,9 @@ class TestSimulate:
             np.testing.assert_allclose(truth[f"Y{i}"] - motion_y, y, atol=1e-12)
 
     def test_transit(self, command):
-        status, path = command("--transit", "5", "0.5", "0.02", "0.2", "--no-noise", "--scale", "0")
+        start = Motion.k2_roll(1).time[0]
+        planet = ["--period", "5", "--t0", str(start + 0.5), "--depth", "0.02", "--duration", "0.2"]
+        status, path = command(*planet, "--no-noise", "--scale", "0")
         assert status == 0
         table = fits.getdata(path)
         flux = np.nansum(table["FLUX"], axis=(1, 2))
@@ -186,9 +192,12 @@ class TestSimulate:
         [
             (["--ra", "10"], "--ra and --dec go together"),
             (["--background-stars", "18"], "need --ra and --dec"),
-            (["--period", "2"], "--period and --depth go together"),
-            (["--t0", "2"], "--t0 and --duration need --period"),
-            (["--period", "2", "--depth", "0.1", "--transit", "1", "1", "0.1", "0.1"], "exclude"),
+            (["--period", "2"], "a planet needs --period and --depth"),
+            (["--t0", "2"], "a planet needs --period and --depth"),
+            (
+                ["--period", "2", "--depth", "0.1", "--t0", "0"],
+                "`t0` = 0 d with `period` = 2 d: no cadence is in transit between 2144.10 and",
+            ),
         ],
     )
     def test_options_that_need_others(self, command, capsys, options, message):
@@ -246,7 +255,7 @@ ERRORS = {
     "toml": (["--detector", "no-such-file.toml"], "no-such-file.toml"),
     "missing": (["--motion", "no-such-file.fits"], "no-such-file.fits"),
     "folder": (["--output", "no-such-folder/star.fits"], "no-such-folder"),
-    "depth": (["--transit", "3", "1", "2", "0.1"], "`depth` must be between 0 and 1"),
+    "depth": (["--period", "1", "--depth", "2"], "`depth` must be between 0 and 1"),
     "seed": (["--seed", "-1"], "`seed` must not be negative"),
     "scale": (["--detector", "tess", "--scale", "2"], "--scale needs --motion FILE"),
 }
@@ -304,12 +313,17 @@ class TestErrors:
         assert error.count("\n") == 1
         assert "--help" in error
 
-    @pytest.mark.parametrize("argv", [[], ["demo"], ["simulate"], ["detrend"]])
-    def test_help(self, capsys, argv):
+    @pytest.mark.parametrize("name", ["", *COMMANDS])
+    def test_help_ends_with_an_example(self, capsys, name):
         with pytest.raises(SystemExit) as stop:
-            main([*argv, "--help"])
+            main([*name.split(), "--help"])
         assert stop.value.code == 0
-        assert "usage: scope-models" in capsys.readouterr().out
+        text = capsys.readouterr().out
+        assert "usage: scope-models" in text
+        assert "DIR\n" not in text
+        example = shlex.split(text.split("example: ")[-1])
+        assert example[:2] == ["scope-models", name or "demo"]
+        assert _make_parser().parse_args(example[1:]).run
 
     def test_version(self, capsys):
         with pytest.raises(SystemExit) as stop:

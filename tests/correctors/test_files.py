@@ -156,12 +156,18 @@ def test_command(tpf_file, tmp_path, capsys):
     output = tmp_path / "lc.fits"
     arguments = ["detrend", str(tpf_file), "--order", "2", "--output", str(output)]
     assert main(arguments) == 0
-    assert "CDPP" in capsys.readouterr().out
-    assert output.exists()
+    printed = capsys.readouterr().out
+    lc = lightkurve.read(output)
+    assert f"-> {lc.estimate_cdpp().value:.1f} ppm (6.5 h, as lightkurve's" in printed
+    assert "survives" not in printed
+    assert "PLDSURV" not in lc.meta
     assert (tmp_path / "lc.png").exists()
     assert main(arguments) == 2
     assert "exists already" in capsys.readouterr().err
-    assert main([*arguments, "--overwrite", "--trend", "quadratic", "--remove-trend"]) == 0
+    arguments += ["--overwrite", "--trend", "quadratic", "--remove-trend", "--survival"]
+    assert main(arguments) == 0
+    survival = lightkurve.read(output).meta["PLDSURV"]
+    assert f"; {survival:.3f} of a transit survives" in capsys.readouterr().out
 
 
 def test_command_with_bad_input(tpf_file, tmp_path, capsys):

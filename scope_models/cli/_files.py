@@ -1,0 +1,227 @@
+"""``scope-models detrend``, ``fit`` and ``inject``: target pixel files in, FITS files out."""
+
+from pathlib import Path
+
+import scope_models as sm
+from scope_models.cli import _batch
+
+__all__ = ["add_parser"]
+
+
+def add_parser(commands):
+    """Add the three commands to the parser of the command line."""
+    _add_detrend(commands)
+    _add_fit(commands)
+    _add_inject(commands)
+
+
+def _add_command(commands, name, one, output, **texts):
+    """Return the parser of a command and a function that adds one of its options.
+
+    ``one`` treats a single file; ``NAME_files`` of `scope_models.batch` treats many. Both take the
+    options by their ``dest``.
+    """
+    parser = _batch.add_command(commands, name, **texts)
+    parser.add_argument(
+        "input",
+        nargs="+",
+        metavar="IN",
+        help="target pixel files, or EPIC, KIC or TIC numbers such as 'EPIC 211956421', whose "
+        "files are downloaded",
+    )
+    parser.add_argument("--output", metavar="OUT", help=f"{output} of a single input")
+    _batch.add_options(parser)
+    names = []
+    parser.set_defaults(run=_run, command=name, one=one, names=names)
+
+    def add(*flags, **settings):
+        names.append(parser.add_argument(*flags, **settings).dest)
+
+    return parser, add
+
+
+def _run(arguments):
+    """Treat one file or many; return the exit status."""
+    _batch.check_number(arguments, "cadences")
+    options = {name: getattr(arguments, name) for name in arguments.names}
+    if arguments.command == "inject":
+        options["planets"] = _batch.planets_of(arguments)
+    if arguments.output_dir is not None:
+        return _batch.run(f"{arguments.command}_files", arguments, arguments.input, **options)
+    path = _batch.single(arguments)
+    print(arguments.one(arguments, path, overwrite=arguments.overwrite, **options))
+    return 0
+
+
+def _add_detrend(commands):
+    parser, add = _add_command(
+        commands,
+        "detrend",
+        _detrend,
+        "the light-curve file",
+        help="correct the light curve of a target pixel file",
+        description="Remove pointing systematics from a target pixel file of Kepler, K2 or TESS, "
+        "or of a simulation, by pixel level decorrelation. Writes a light-curve file that "
+        "lightkurve opens, and a figure.",
+        example="detrend star.fits --output lc.fits",
+    )
+    parser.add_argument(
+        "--figure", metavar="FILE", help="the figure (default: the output's name with .png)"
+    )
+    add("--order", type=int, default=2, help="pixel fractions that are multiplied (default: 2)")
+    add(
+        "--trend",
+        choices=("gp", "quadratic"),
+        default="gp",
+        help="model of the long-term variability (default: gp)",
+    )
+    add(
+        "--remove-trend",
+        dest="restore_trend",
+        action="store_false",
+        help="remove the long-term variability too",
+    )
+    add(
+        "--survival",
+        action="store_true",
+        help="find the part of a transit that survives, by a second correction",
+    )
+
+
+def _detrend(arguments, path, **options):
+    """Correct a file and return what became of the noise."""
+    output = arguments.output
+    figure = Path(arguments.figure or Path(output).with_suffix(".png"))
+    corrector = sm.correctors.detrend_file(path, output, figure=figure, **options)
+    lcs = corrector.original_lc, corrector.corrected_lc
+    try:
+        raw, corrected = map(sm.photometry.cdpp, lcs)
+    except ValueError:
+        return f"{output}: too few cadences for a CDPP"
+    text = f"{output}: CDPP {raw:.1f} -> {corrected:.1f} ppm (6.5 h, as lightkurve's estimate_cdpp)"
+    if options["survival"]:
+        text += f"; {corrector.result.transit_survival:.3f} of a transit survives"
+    return text
+
+
+def _add_fit(commands):
+    _, add = _add_command(
+        commands,
+        "fit",
+        _fit,
+        "the file to write",
+        help="fit PSF, sensitivity, positions and fluxes to a target pixel file",
+        description="Fit one model to all pixels and cadences of a target pixel file, and write "
+        "the parameters with their errors, the light curve and the model's pixels to a FITS file.",
+        example="fit star.fits --components 2 --robust --output fit.fits",
+    )
+    add(
+        "--components",
+        dest="psf",
+        type=int,
+        choices=(1, 2, 3),
+        help="Gaussian components of the PSF (default: what describes the pixels)",
+    )
+    add(
+        "--empirical",
+        type=int,
+        default=0,
+        metavar="N",
+        help="order of an empirical term in the PSF (default: none)",
+    )
+    add("--sensitivity", action="store_true", help="fit a quadratic response within the pixels")
+    add(
+        "--interpixel",
+        type=float,
+        metavar="S",
+        help="standard deviation of the response between pixels; 0: all alike (default: 0.01 if "
+        "the PSF describes the pixels, else 0)",
+    )
+    add(
+        "--positions",
+        choices=("start", "free", "prior", "path"),
+        default="start",
+        help="what POS_CORR is used for (default: start)",
+    )
+    add(
+        "--response",
+        choices=("auto", "psf", "pixels"),
+        default="auto",
+        help="pixels: the share of each pixel is a smooth function of position and time; auto: "
+        "where no PSF describes the pixels (default: auto)",
+    )
+    add(
+        "--robust",
+        dest="loss",
+        action="store_const",
+        const="soft_l1",
+        default="linear",
+        help="a loss that suits data with cosmic rays",
+    )
+    add("--cadences", type=int, metavar="N", help="only the first N cadences")
+
+
+def _fit(arguments, path, **options):
+    """Fit a file and return the free parameters."""
+    from scope_models.batch.files import fit_file
+
+    fit = fit_file(path, arguments.output, **options)
+    table = fit.table()
+    rows = [
+        f"{row['name']:18s} {row['value']:12.6g} +- {row['error']:<10.2g} {row['unit']}"
+        for row in table[~table["fixed"]]
+    ]
+    rows.append(f"chi-squared per degree of freedom {fit.reduced_chi2:.4g}")
+    return "\n".join([*rows, f"{arguments.output}: {len(fit.time)} cadences"])
+
+
+def _add_inject(commands):
+    parser, add = _add_command(
+        commands,
+        "inject",
+        _inject,
+        "the file to write",
+        help="add transits to the pixels of a target pixel file",
+        description="Multiply the light of the star in a target pixel file, real or simulated, by "
+        "the transits of a planet, with the photon noise that belongs to it. Neighbors and "
+        "background stay.",
+        example="inject star.fits --period 4.2 --depth 0.001 --output planet.fits",
+    )
+    _batch.add_planet(parser)
+    parser.add_argument(
+        "--planets",
+        metavar="TABLE",
+        help="a table that astropy reads with the columns period and depth, and if wanted t0 and "
+        "duration: one row for each file",
+    )
+    add(
+        "--star",
+        type=_light,
+        metavar="LIGHT",
+        help="the light that is dimmed: scene, that of a simulated file; fit, that of a fit of the "
+        "PSF; or the share of the star in all pixels (default: the scene if there is one, else "
+        "the fit)",
+    )
+    add("--seed", type=int, default=1, help="seed of the photon noise (default: 1)")
+
+
+def _light(text):
+    """Return the light as `inject_files` takes it."""
+    try:
+        return float(text)
+    except ValueError:
+        return text
+
+
+def _inject(arguments, path, planets, **options):
+    """Inject into a file and return where and how deep the transits are."""
+    from scope_models.batch.files import inject_file, planet_rows
+
+    rows = planet_rows(planets)
+    if len(rows) != 1:
+        raise ValueError(f"--planets must have one row for one file, got {len(rows)}")
+    row = inject_file(path, rows[0], arguments.output, **options)
+    return (
+        f"{arguments.output}: mid-transit at {row['t0']:.4f} d, {row['in_transit']} cadences in "
+        f"transit, {1e6 * row['injected_depth']:.0f} ppm of the light of all pixels"
+    )
