@@ -108,7 +108,7 @@ def score_places(time, flux, truth, x, y):
     fractions of x and y; "step" the root mean square of the steps where the star crosses from pixel
     to pixel, NaN if it crosses none. The expected noise is taken off both.
     """
-    good = np.isfinite(flux) & np.isfinite(truth)
+    good = np.isfinite(flux * truth * x * y)
     time, flux, truth, x, y = (a[good] for a in (time, flux, truth, x, y))
     if good.sum() < _FEWEST or not np.median(flux) > 0:
         return float("nan"), float("nan")

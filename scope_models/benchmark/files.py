@@ -20,7 +20,6 @@ from scope_models.benchmark.sky import make_sky, score
 from scope_models.io._opening import open_fits
 from scope_models.io.reading import first_table
 from scope_models.io.tpf import write_hdulist
-from scope_models.scene import K2Roll
 
 __all__ = ["benchmark_star", "make_benchmark", "score_light_curves", "summarize_scores"]
 
@@ -167,7 +166,7 @@ def score_light_curves(paths):
         row = {"file": str(path), "regime": sky.regime.name} | asdict(score(lc, sky))
         flux = np.full(len(sky.time), np.nan)
         flux[numbers - 1] = values_of(lc, "flux")
-        cadences = sky.cadenceno * K2Roll.cadence
+        cadences = sky.cadenceno * sky.regime.cadence
         bias, step = score_places(cadences, flux, sky.true_flux, sky.x, sky.y)
         rows.append(row | {"bias": bias, "step": step})
     return Table(rows=rows)

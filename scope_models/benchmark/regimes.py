@@ -126,14 +126,18 @@ _ECLIPSES = {"star": "eclipsing", "period": 2.3, "amplitude": 0.25}
 _SCUTI = {"star": "delta_scuti", "period": 0.1, "amplitude": 0.01}
 _BUMP = {"star": "bump", "period": 5.0, "magnitude": 13}
 _FAR = {"scale": 5, "shape": (11, 11)}
-_NEIGHBOR = {"neighbors": ((1.5, 2.5, 0),)}
+_PAIR = {"star": "eclipsing", "period": 2.3, "neighbors": ((1.5, 2.5, 0),)}
+_JITTER = {"motion": "jitter", "positions": "none"}
+_FAST = {"cadence": _TWO_MINUTES, "longest": 6000, "seeing": 0.002}
+_HUGE = {"scale": 10, "shape": (13, 13)}
+_SINGLE = {"transit_period": np.inf}
 _SHORT = {"longest": 400}
 
 _ALL = (
     SkyRegime("k2-1x-constant"),
     SkyRegime("k2-3x-constant", scale=3),
     SkyRegime("k2-5x-constant", **_FAR),
-    SkyRegime("k2-10x-constant", scale=10, shape=(13, 13)),
+    SkyRegime("k2-10x-constant", **_HUGE),
     SkyRegime("k2-1x-kp14", magnitude=14),
     SkyRegime("k2-1x-kp17", magnitude=17),
     SkyRegime("k2-5x-kp15", magnitude=15, **_FAR),
@@ -142,7 +146,7 @@ _ALL = (
     SkyRegime("k2-1x-spots-5d", period=5, **_SPOTS),
     SkyRegime("k2-1x-spots-20d", period=20, **_SPOTS),
     SkyRegime("k2-5x-spots-1.5d", period=1.5, **_FAR, **_SPOTS),
-    SkyRegime("k2-10x-spots-5d", period=5, scale=10, shape=(13, 13), **_SPOTS),
+    SkyRegime("k2-10x-spots-5d", period=5, **_HUGE, **_SPOTS),
     SkyRegime("k2-1x-rr-lyrae", **_RR_LYRAE),
     SkyRegime("k2-1x-rr-lyrae-neighbor", neighbors=((1, 3, 0),), **_RR_LYRAE),
     SkyRegime("k2-3x-rr-lyrae-kp15", scale=3, magnitude=15, **_RR_LYRAE),
@@ -153,7 +157,7 @@ _ALL = (
     SkyRegime("k2-1x-flares", star="flaring", period=2.0, amplitude=0.01, magnitude=14),
     SkyRegime("k2-1x-rotation-0.5d", star="spots", period=0.5, amplitude=0.01),
     SkyRegime("k2-1x-transits-6h", depth=0.001, transit_period=0.4904, duration=0.12),
-    SkyRegime("k2-5x-transit-single", depth=0.003, transit_period=np.inf, **_FAR),
+    SkyRegime("k2-5x-transit-single", depth=0.003, **_SINGLE, **_FAR),
     SkyRegime("k2-1x-transits-1pct", depth=0.01, magnitude=14),
     SkyRegime("k2-1x-transits-neighbor", depth=0.01, neighbors=((1, 3, 0),)),
     SkyRegime("k2-5x-neighbor", neighbors=((2, 3.5, 0),), **_FAR),
@@ -174,42 +178,26 @@ _ALL = (
     SkyRegime("walk-spots-10d", motion="walk", period=10, apart=True, **_SPOTS),
     SkyRegime("wheels-constant-kp13", motion="wheels", magnitude=13, shape=(11, 11)),
     SkyRegime("wheels-spots-20d", motion="wheels", period=20, shape=(11, 11), apart=True, **_SPOTS),
-    _tess(
-        "rest-eclipses-2pct-neighbor", motion="rest", **_ECLIPSES | _NEIGHBOR | {"amplitude": 0.02}
-    ),
-    _tess(
-        "rest-eclipses-30pct-neighbor", motion="rest", **_ECLIPSES | _NEIGHBOR | {"amplitude": 0.3}
-    ),
-    _tess(
-        "jitter-eclipses-10pct-neighbor",
-        motion="jitter",
-        positions="none",
-        **_ECLIPSES | _NEIGHBOR | {"amplitude": 0.1},
-    ),
-    _tess(
-        "jitter-eclipses-30pct-neighbor",
-        motion="jitter",
-        positions="none",
-        **_ECLIPSES | _NEIGHBOR | {"amplitude": 0.3},
-    ),
-    _tess("jitter-spots-3d", motion="jitter", positions="none", period=3, **_SPOTS),
+    _tess("rest-eclipses-2pct-neighbor", motion="rest", amplitude=0.02, **_PAIR),
+    _tess("rest-eclipses-30pct-neighbor", motion="rest", amplitude=0.3, **_PAIR),
+    _tess("jitter-eclipses-10pct-neighbor", amplitude=0.1, **_JITTER, **_PAIR),
+    _tess("jitter-eclipses-30pct-neighbor", amplitude=0.3, **_JITTER, **_PAIR),
+    _tess("jitter-spots-3d", period=3, **_JITTER, **_SPOTS),
     _tess("rest-focus", motion="rest", focus=0.003),
     _kepler("kepler-constant-kp12"),
     SkyRegime("k2-1x-focus", focus=0.015),
     SkyRegime("k2-3x-focus-spots-5d", focus=0.015, scale=3, **_SPOTS),
     _tess("tess-focus", focus=0.01),
     SkyRegime("k2-1x-lost", lost=3),
-    SkyRegime("k2-10x-lost", scale=10, shape=(13, 13), lost=2),
+    SkyRegime("k2-10x-lost", lost=2, **_HUGE),
     SkyRegime("k2-1x-kp9.5-saturated-lost", magnitude=9.5, shape=(21, 9), lost=2),
     SkyRegime("k2-1x-neighbor-close", neighbors=((0.5, 2.2, 0),)),
     SkyRegime("k2-1x-spots-5d-neighbor-close", neighbors=((1, 2.8, 0),), period=5, **_SPOTS),
     _tess("tess-spots-3d-neighbor-close", neighbors=((1, 2, 0),), period=3, **_SPOTS),
     SkyRegime("k2-1x-transits-12h", magnitude=13, depth=0.01, transit_period=4.1, duration=0.5),
-    SkyRegime(
-        "k2-1x-transit-12h-single", magnitude=13, depth=0.01, transit_period=np.inf, duration=0.5
-    ),
+    SkyRegime("k2-1x-transit-12h-single", magnitude=13, depth=0.01, duration=0.5, **_SINGLE),
     SkyRegime("k2-1x-transits-10pct", magnitude=14, depth=0.1, duration=0.13),
-    SkyRegime("k2-10x-transits", scale=10, shape=(13, 13), depth=0.002, duration=0.25),
+    SkyRegime("k2-10x-transits", depth=0.002, duration=0.25, **_HUGE),
     SkyRegime("k2-5x-kp9.5-saturated-spots", magnitude=9.5, scale=5, shape=(25, 13), **_SPOTS),
     SkyRegime("k2-1x-bump-1pct", amplitude=0.01, **_BUMP),
     SkyRegime("k2-1x-bump-5pct", amplitude=0.05, **_BUMP),
@@ -219,16 +207,8 @@ _ALL = (
     SkyRegime("k2-1x-short-kp16", magnitude=16, **_SHORT),
     SkyRegime("k2-1x-short-delta-scuti", **_SCUTI, **_SHORT),
     _tess("tess-short", **_SHORT),
-    _tess("tess-120s", magnitude=8, cadence=_TWO_MINUTES, longest=6000, seeing=0.002),
-    _tess(
-        "tess-120s-spots",
-        cadence=_TWO_MINUTES,
-        longest=6000,
-        seeing=0.002,
-        positions="none",
-        period=1.5,
-        **_SPOTS,
-    ),
+    _tess("tess-120s", magnitude=8, **_FAST),
+    _tess("tess-120s-spots", positions="none", period=1.5, **_FAST, **_SPOTS),
     _tess("ground-seeing", magnitude=10, scale=5, seeing=0.1, shape=(13, 13)),
 )
 

@@ -150,3 +150,13 @@ def test_command_line(tmp_path, capsys):
     raw = Table.read(tmp_path / "sky" / "results.ecsv")[0]
     assert row["full"] < 0.5 * raw["full"]
     assert main(["score", str(curve), "--output", str(curve), "--overwrite"]) == 2
+
+
+def test_a_star_off_its_stamp_has_scores(tmp_path):
+    number = next(i for i, regime in enumerate(REGIMES.values()) if regime.lost)
+    sky = benchmark_star(number)
+    error = np.full(len(sky.time), sky.floor())
+    path = write_curve(tmp_path / f"sky{number:03d}.fits", sky, sky.true_flux, error)
+    row = score_light_curves([path])[0]
+    assert row["full"] < 0.1
+    assert row["bias"] == pytest.approx(0, abs=1e-6)
