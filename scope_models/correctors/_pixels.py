@@ -283,7 +283,7 @@ def aperture_pixels(series, aperture):
     typical = np.median(total[positive])
     away = positive & _is_off_stamp(series.pos_corr, flux.shape) & (2 * total < typical)
     if away.any():
-        _warn(f"{away.sum()} cadences are left out: by POS_CORR and light the star is off the stamp")
+        _warn(f"{away.sum()} cadences are left out: POS_CORR and light are of a star off the stamp")
         positive &= ~away
     noise = _SIGNIFICANCE * total_err
     lit = positive & ((total > noise) | (total > typical - noise))
