@@ -64,14 +64,6 @@ def hermite_functions(z, n):
     return table
 
 
-def _derivatives_of(coefficients):
-    """Coefficients of a polynomial and of all its derivatives, the constant last."""
-    rows = [coefficients.tolist()]
-    while len(rows[-1]) > 1:
-        rows.append([n * c for n, c in enumerate(rows[-1])][1:])
-    return rows
-
-
 def _horner(coefficients, x):
     """Value of a polynomial; for a few numbers this is faster than array code."""
     value = 0.0
@@ -106,7 +98,9 @@ def _axis_closed_form(pixels, center, sigma, coefficients, n_orders):
     z = np.stack([offset - 0.5, offset + 0.5]) / sigma
     table = hermite_functions(z, max(n_orders - 1, 1))
     cumulative = erf(z * np.sqrt(0.5))
-    rows = _derivatives_of(coefficients)
+    rows = [coefficients.tolist()]  # of the polynomial and of all its derivatives
+    while len(rows[-1]) > 1:
+        rows.append([n * c for n, c in enumerate(rows[-1])][1:])
     moments = _monomial_integrals(
         (cumulative[1] - cumulative[0]) / 2, *table[0], -offset, sigma, len(rows) - 1
     )

@@ -120,7 +120,9 @@ class GaussHermitePSF(StarModel):
         for u, u_0, sigma in ((x, x_0, sigma_x), (y, y_0, sigma_y)):
             table = hermite_functions(np.asarray((u - u_0) / sigma, dtype=float), self.order + 3)
             tables.append(np.moveaxis(table, 0, -1) / sigma)
-        unit, *parts = _derivatives(*tables, sigma_x, sigma_y, matrix, places, _outer_pointwise)
+        unit, *parts = _derivatives(
+            *tables, sigma_x, sigma_y, matrix, places, lambda x, y: np.sum(x * y, axis=-1)
+        )
         return [unit, *(flux * part for part in parts)]
 
     def pixel_engine(self, coefficients, *, derivatives=False):
@@ -228,11 +230,6 @@ def _checked_order(order, given):
     if isinstance(order, bool) or not isinstance(order, int | np.integer) or not 1 <= order <= 20:
         raise ValueError(f"`order` must be an integer from 1 to 20, got {order!r}")
     return int(order)
-
-
-def _outer_pointwise(along_x, along_y):
-    """Sum over the orders at single positions."""
-    return np.sum(along_x * along_y, axis=-1)
 
 
 def _outer_pixels(along_x, along_y):

@@ -2,6 +2,7 @@
 
 import astropy.units as u
 import numpy as np
+from astropy.stats import mad_std
 from astropy.time import Time
 from scipy.interpolate import interp1d
 from scipy.signal import savgol_filter
@@ -188,8 +189,7 @@ def _everest_cdpp(_time, flux, width, filter_window):
         flux = flux - savgol_filter(flux, filter_window, _FILTER_ORDER)
         flux = flux + 1 - np.median(flux)
     residual = flux - _smooth(flux, 50) if len(flux) >= 50 else flux
-    residual = residual - np.median(residual)
-    flux = flux[np.abs(residual) <= 5 * 1.4826 * np.median(np.abs(residual))]
+    flux = flux[np.abs(residual - np.median(residual)) <= 5 * mad_std(residual)]
     if len(flux) < width:
         raise ValueError("`lc_or_flux` has too few cadences left after clipping")
     windows = np.lib.stride_tricks.sliding_window_view(flux, width)
