@@ -1,5 +1,7 @@
 """Motions of messy stars, and how their light varies: pure functions of time and a generator."""
 
+from functools import partial
+
 import numpy as np
 
 __all__ = ["LIGHTS", "MOTIONS", "make_transit", "red_noise"]
@@ -87,15 +89,10 @@ def _wheels(rng, time):
     return *offsets, firing
 
 
-def _rest(rng, time):
-    """A star at rest but for 0.1 mpx from cadence to cadence."""
-    return *rng.normal(0, 1e-4, (2, len(time))), np.zeros(len(time), bool)
-
-
-def _jitter(rng, time):
-    """Jitter of 5 mpx, half of it over hours."""
-    white = rng.normal(0, 0.0035, (2, len(time)))
-    return *(one + 0.0035 * red_noise(rng, time, 0.1) for one in white), np.zeros(len(time), bool)
+def _jitter(rng, time, size=0.0035, slow=0.0035):
+    """White noise and noise over hours, pixels."""
+    white = rng.normal(0, size, (2, len(time)))
+    return *(one + slow * red_noise(rng, time, 0.1) for one in white), np.zeros(len(time), bool)
 
 
 #: Offsets in pixels along x and y, and the cadences in which thrusters fire, by the kind of motion.
@@ -106,7 +103,7 @@ MOTIONS = {
     "tess": _orbits,
     "walk": _walk,
     "wheels": _wheels,
-    "rest": _rest,
+    "rest": partial(_jitter, size=1e-4, slow=0.0),
     "jitter": _jitter,
 }
 
