@@ -6,6 +6,7 @@ map of each pixel's response), which neither the simulator nor the correctors an
 
 from collections import namedtuple
 from dataclasses import dataclass, field
+from functools import lru_cache
 
 import numpy as np
 
@@ -212,26 +213,22 @@ def make_sky(regime, seed=0, *, n_cadences=1100, positions=None, noise_seed=None
     positions = checked_choice("positions", positions or regime.positions, _POSITIONS)
     part = regime.cadence / _LONG
     n = min(round(checked_integer("n_cadences", n_cadences, 100) / part), regime.longest)
-    entropy = [seed, *regime.name.encode()]
-    names = ("motion", "star", "optics", "sky", "noise", "events", "rays", "positions")
-    seeds = np.random.SeedSequence(entropy).spawn(len(names))
-    rngs = dict(zip(names, map(np.random.default_rng, seeds), strict=True))
+    rngs = _generators(regime, seed)
     if noise_seed is not None:
-        rngs["noise"] = np.random.default_rng([noise_seed, *entropy])
+        rngs["noise"] = np.random.default_rng([noise_seed, seed, *regime.name.encode()])
     photometer = _PHOTOMETERS[regime.mission]
     exposure, read_noise = photometer.exposure * part, photometer.read_noise * np.sqrt(part)
     time = regime.cadence * np.arange(n)
-    dx, dy, firing = MOTIONS[regime.motion](rngs["motion"], time)
-    dx, dy = regime.scale * dx, regime.scale * dy
     light = LIGHTS[regime.star](rngs["star"], time, regime.period, regime.amplitude)
     inside = make_transit(rngs["star"], time, regime.transit_period, regime.duration)
     transit = 1 - regime.depth * inside
     true_flux = light * transit
-    width = _width(regime, rngs["optics"], time)
-    own, others, (x, y) = _starlight(regime, photometer, rngs["optics"], time, (dx, dy), width)
+    shared = _field(regime.replace(depth=0.0, transit_period=1.0, duration=1.0), seed, n)
+    own, others, (x, y), width, offsets, firing = shared
     lost = rngs["positions"].permutation(n)[: regime.lost]
-    own[lost], others[lost], x[lost], y[lost] = 0.0, 0.0, np.nan, np.nan
-    star_light = own * true_flux[:, None, None]
+    on = ~np.isin(np.arange(n), lost)
+    x, y, others = np.where(on, x, np.nan), np.where(on, y, np.nan), others * on[:, None, None]
+    star_light = own * (true_flux * on)[:, None, None]
     quality, missing, flash = _events(regime, rngs["events"], firing, n)
     residual, sky = _background(regime, photometer, rngs["sky"], time)
     sky = sky + flash[:, None, None]
@@ -241,10 +238,10 @@ def make_sky(regime, seed=0, *, n_cadences=1100, positions=None, noise_seed=None
     electrons += _cosmic_rays(rngs["rays"], light.shape, regime.cosmic_rays * part)
     # Transits do not change the aperture: a star with and without them has the same.
     seen = (light / exposure - sky - others - residual) / true_flux[:, None, None]
-    here = np.isfinite(x) & (inside == 0)
-    aperture = _best_aperture(seen[here], noise[here] / exposure, part)
+    outside = on & (inside == 0)
+    aperture = _best_aperture(seen[outside], noise[outside] / exposure, part)
     pos_corr = [
-        _measured(offset, rngs["positions"], time, quality, lost, positions) for offset in (dx, dy)
+        _measured(offset, rngs["positions"], time, quality, lost, positions) for offset in offsets
     ]
     flux = (electrons / exposure - sky).astype(np.float32)
     flux[missing] = np.nan
@@ -295,6 +292,24 @@ def score(lc, sky):
         sky.regime.cadence * rows, flux, error, sky.true_flux[rows], sky.transit[rows],
         sky.floor(),
     )  # fmt: skip
+
+
+def _generators(regime, seed):
+    """Return the random generators of a star by name."""
+    names = ("motion", "star", "optics", "sky", "noise", "events", "rays", "positions")
+    seeds = np.random.SeedSequence([seed, *regime.name.encode()]).spawn(len(names))
+    return dict(zip(names, map(np.random.default_rng, seeds), strict=True))
+
+
+@lru_cache(maxsize=1)
+def _field(regime, seed, n):
+    """Return all that does not depend on transits and noise: the last star is kept."""
+    rngs, time = _generators(regime, seed), regime.cadence * np.arange(n)
+    dx, dy, firing = MOTIONS[regime.motion](rngs["motion"], time)
+    offsets = regime.scale * dx, regime.scale * dy
+    width = _width(regime, rngs["optics"], time)
+    light = _starlight(regime, _PHOTOMETERS[regime.mission], rngs["optics"], time, offsets, width)
+    return *light, width, offsets, firing
 
 
 def _width(regime, rng, time):
