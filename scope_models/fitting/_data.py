@@ -17,6 +17,8 @@ __all__ = ["APART", "PixelData", "detector_of", "find_stars", "read_data", "star
 # A local maximum of the median image is a star if it is brighter than this part of the brightest
 # pixel, and than so many errors of the median image.
 _LEAST_PART, _LEAST_SIGNIFICANCE = 0.05, 10.0
+# Most stars that are found: time goes with their square.
+_MOST_FOUND = 11
 # Maxima so near a star are its own, pixels.
 APART = 1.5
 # Given stars farther outside of the pixels have no light in them, pixels.
@@ -144,7 +146,14 @@ def star_positions(name, places, series):
     if isinstance(places, str):
         if places != "find":
             raise ValueError(f'`{name}` must be positions or "find", got {places!r}')
-        return find_stars(series.flux)
+        found = find_stars(series.flux)
+        if len(found) > _MOST_FOUND:
+            message = (
+                f"the {_MOST_FOUND} brightest of {len(found)} maxima of the median image are "
+                f"fitted; `{name}` takes the positions of more"
+            )
+            warnings.warn(message, FitWarning, stacklevel=4)
+        return found[:_MOST_FOUND]
     found = star_places(name, places, series)
     size = np.array(series.flux.shape[:0:-1])  # columns, rows
     far = (np.abs(found - (size - 1) / 2) - size / 2).max(axis=1, initial=-np.inf) > _FARTHEST

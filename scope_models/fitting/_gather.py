@@ -4,11 +4,13 @@ import warnings
 from dataclasses import asdict
 
 import numpy as np
+from scipy.stats import f as f_distribution
 
 from scope_models._arrays import plain_tree
 from scope_models.exceptions import FitWarning
 from scope_models.fitting._data import APART, find_stars
 from scope_models.fitting._problem import numbered
+from scope_models.fitting._scene import SMOOTHING_DAYS, smoothed
 from scope_models.fitting.result import FittedStar, TPFFit
 
 __all__ = ["LARGEST_FLUX", "LARGEST_SCATTER", "doubts_of", "make_results", "warn_of_fit"]
@@ -22,7 +24,8 @@ _FACTS = (
 # The paper's sensitivity is lower by this at the edge of a pixel than at its center: a coefficient
 # whose error there is larger has not been measured.
 _LARGEST_EDGE_ERROR = 0.0125
-# Scatter of the response between pixels, in standard deviations of its prior, that is no response.
+# Scatter of the response between pixels in standard deviations of its prior, and of fluxes in their
+# errors, that is not what it is named.
 LARGEST_SCATTER = 3.0
 # Fitted motion over that of POS_CORR that is not in doubt, and the motion, pixels, from which it is
 # checked.
@@ -31,6 +34,10 @@ _SCALES, _LEAST_MOTION = (0.9, 1.1), 0.01
 LARGEST_FLUX = 2.0
 # Reduced chi-squared from which a model does not describe the pixels.
 _LARGEST_CHI2 = 100.0
+# Errors beyond which a flux is negative, and probability of what is not by chance.
+_CERTAIN, _CHANCE = 5.0, 0.01
+# Cadences from which the flux is compared with the position.
+_FEWEST = 20
 
 
 def make_results(problem, solution, errors, detectors, series):
@@ -160,7 +167,8 @@ def warn_of_fit(fit, stacklevel):
 
 def doubts_of(fit):
     """Return what is doubtful about a fit, a message for each doubt."""
-    return [*_of_convergence(fit), *_of_sensitivity(fit), *_of_pixels(fit), *_of_positions(fit)]
+    parts = _of_convergence, _of_sensitivity, _of_pixels, _of_positions, _of_flux
+    return [doubt for part in parts for doubt in part(fit)]
 
 
 def _of_convergence(fit):
@@ -260,3 +268,58 @@ def _of_positions(fit):
     lost = (fit.x <= -1) | (fit.x >= nx) | (fit.y <= -1) | (fit.y >= ny)
     if lost.any():
         yield f"in {lost.sum()} cadences the fitted position ends at its bounds, off the pixels"
+
+
+def _of_flux(fit):
+    """Doubts about the fluxes."""
+    for number, star in enumerate((fit, *fit.neighbors)):
+        negative = np.sum(star.flux < -_CERTAIN * star.flux_err)
+        if negative:
+            name = f"neighbor {number}" if number else "the star"
+            yield f"the flux of {name} is negative in {negative} cadences"
+    if fit.response and fit.neighbors:
+        yield (
+            'response="pixels" divides the light of several stars between them by the PSF: the '
+            "fluxes of the fainter ones have larger errors than those given"
+        )
+    good = np.ones(len(fit.time), dtype=bool) if fit.outliers is None else ~fit.outliers
+    light = np.nansum(fit.observed - fit.background[:, None, None], axis=(1, 2))
+    whole = (
+        np.isfinite(fit.observed).sum(axis=(1, 2)) == np.isfinite(fit.observed).any(axis=0).sum()
+    )
+    steps = np.diff(np.column_stack([fit.flux, light])[good & whole], axis=0)
+    error = float(np.sqrt(np.mean(fit.flux_scatter**2)))
+    if len(steps):
+        ours, pixels = np.sqrt(np.mean(steps**2, axis=0))
+        if ours > LARGEST_FLUX * np.hypot(pixels, error):
+            yield (
+                f"the flux changes by {ours:.3g} e-/s from cadence to cadence, and the light in "
+                f"the pixels by {pixels:.3g}: it has branches, between which nothing decides"
+            )
+    explained, chance = _by_position(fit, good)
+    if explained > LARGEST_SCATTER * error and chance < _CHANCE:
+        yield (
+            f"the flux follows the position of the star by {explained:.3g} e-/s rms, where its "
+            f"error is {error:.3g}: the model does not separate them"
+        )
+
+
+def _by_position(fit, good):
+    """The rms of the flux that a quadratic form of the position explains, and how likely by chance.
+
+    Slow changes do not count, and there are as many independent fluxes as are left by that.
+    """
+    n = int(good.sum())
+    time, x, y, flux = (values[good] for values in (fit.time, fit.x, fit.y, fit.flux))
+    if n < _FEWEST:
+        return 0.0, 1.0
+    x, y = x - x.mean(), y - y.mean()
+    terms = np.column_stack([flux, x, y, x * x, x * y, y * y])
+    terms = terms - np.column_stack([smoothed(time, column) for column in terms.T])
+    fast, terms = terms[:, 0] - terms[:, 0].mean(), terms[:, 1:] - terms[:, 1:].mean(axis=0)
+    part = terms @ np.linalg.lstsq(terms, fast, rcond=None)[0]
+    spans = np.ptp(time) / SMOOTHING_DAYS
+    free = max(min(spans, n) - terms.shape[1] - 1, 1)
+    rest = np.sum((fast - part) ** 2)
+    ratio = np.sum(part**2) / terms.shape[1] / max(rest / free, 1e-300)
+    return float(part.std()), float(f_distribution.sf(ratio, terms.shape[1], free))

@@ -19,6 +19,8 @@ __all__ = ["fit_response"]
 
 # Degrees in position and time that are tried, one after the other.
 _LADDER = ((1, 1), (2, 2), (3, 3), (4, 4), (5, 6), (6, 8), (8, 8), (10, 8))
+# Coefficients in a pixel of many stars: time goes with their square.
+_MOST_TERMS = 450
 # Steps on each rung, and by how much the next one must lower the cost of held-out cadences.
 _TRIAL_STEPS, _LEAST_GAIN = 4, 1e-2
 # Cost per pixel of the held-out cadences from which a model is far off.
@@ -98,7 +100,12 @@ class _Shares:
         #: Share of each star that is typically in a pixel, what is faint, and by what it changes.
         self.size = size
         self.faint = faint
+        #: ... 0 where another star than the first of its file has too little light to learn from.
         self.unit = [np.maximum(part, 0.0) + _EVERYWHERE for part in size]
+        firsts = {star.stamp: k for k, star in reversed([*enumerate(self.problem.stars)])}
+        for k, star in enumerate(self.problem.stars):
+            if k != firsts[star.stamp]:
+                self.unit[k][size[k] < _EVERYWHERE] = 0.0
         self.width = np.full(self.order.max() + 1, _FIRST_PRIOR)
         self.values = [np.zeros((len(self.terms), part.size)) for part in size]
         self.covariance = [None] * self.problem.slices[-1].stop
@@ -149,25 +156,28 @@ class _Shares:
         phi = self.basis(state)[0][learned]
         fluxes = [problem.fluxes(state, k) for k in range(len(problem.stars))]
         rest = problem.flux - self.model(state)
-        precision = [self.width[self.order] ** -2.0 / unit[:, None] ** 2 for unit in self.unit]
         squares, counts, self.n_free = np.zeros_like(self.width), np.zeros_like(self.width), 0.0
         for stamp, pixels in enumerate(problem.slices):
-            stars = [k for k, star in enumerate(problem.stars) if star.stamp == stamp]
-            design = np.hstack([fluxes[k][learned, None] * phi for k in stars])
+            designs = [fluxes[k][learned, None] * phi for k in range(len(fluxes))]
             for number, pixel in enumerate(range(pixels.start, pixels.stop)):
+                stars = self.stars_in(stamp, number)
                 weight = cadences.weight[learned, pixel]
                 values = np.concatenate([self.values[k][:, number] for k in stars])
-                prior = np.concatenate([precision[k][number] for k in stars])
-                weighted = design * weight[:, None]
+                # No share changes by more than all of the light.
+                widths = [np.minimum(self.width[self.order] * self.unit[k][number], 1.0)
+                          for k in stars]  # fmt: skip
+                scale = np.concatenate(widths)
+                # In units of the priors, all eigenvalues are 1 and more.
+                weighted = np.hstack([designs[k] for k in stars]) * weight[:, None] * scale
                 normal = weighted.T @ weighted
-                right = weighted.T @ (weight * rest[learned, pixel]) + normal @ values
-                normal[np.diag_indices_from(normal)] += prior
+                right = weighted.T @ (weight * rest[learned, pixel]) + normal @ (values / scale)
+                normal[np.diag_indices_from(normal)] += 1.0
                 factor = cho_factor(normal)
-                values = cho_solve(factor, right)
+                values = scale * cho_solve(factor, right)
                 covariance = cho_solve(factor, np.eye(len(values)))
-                self.covariance[pixel] = covariance
+                self.n_free += float(np.sum(1 - np.diag(covariance)))
+                self.covariance[pixel] = covariance = covariance * scale * scale[:, None]
                 variance = np.diag(covariance)
-                self.n_free += float(np.sum(1 - prior * variance))
                 parts = zip(np.split(values, len(stars)), np.split(variance, len(stars)),
                             strict=True)  # fmt: skip
                 for k, (value, spread) in zip(stars, parts, strict=True):
@@ -179,18 +189,36 @@ class _Shares:
         if widths:
             self.width = np.maximum(np.sqrt(squares / counts), _LEAST_PRIOR)
 
+    def stars_in(self, stamp, pixel):
+        """Return the stars of a file whose shares in one of its pixels are fitted."""
+        stars = enumerate(self.problem.stars)
+        return [k for k, star in stars if star.stamp == stamp and self.unit[k][pixel]]
+
     def gauge(self, star):
         """What a common factor changes, and the weights of the sum that stays that of the PSF."""
-        parts = np.maximum(self.size[star], 0.0)
+        parts = np.where(self.unit[star] > 0, np.maximum(self.size[star], 0.0), 0.0)
         weight = parts / (parts + self.faint[star])
         return parts / (parts @ weight), weight
+
+    def common(self, basis, star):
+        """
+        Return the relative error of a star's flux from changes common to its pixels, ``(n,)``.
+
+        The gauge fixes them, and no data constrain them: their error is that of the prior.
+        """
+        parts, weight = np.maximum(self.size[star], 0.0), self.gauge(star)[1]
+        size = np.linalg.norm(weight * self.unit[star]) / (parts @ weight)
+        return size * np.linalg.norm(basis * self.width[self.order], axis=1)
 
     def _fix_gauge(self):
         """Let a sum of the shares be that of the PSF, and no change be common to all pixels."""
         free_background = self.problem.options.background == "cadence"
         for k, (star, unit) in enumerate(zip(self.values, self.unit, strict=True)):
             if free_background:
-                star[:] -= (star @ unit**-2 / np.sum(unit**-2))[:, None]
+                seen = unit > 0
+                star[:, seen] -= (star[:, seen] @ unit[seen] ** -2 / np.sum(unit[seen] ** -2))[
+                    :, None
+                ]
             parts, weight = self.gauge(k)
             star[:] -= (star @ weight)[:, None] * parts
 
@@ -328,7 +356,10 @@ def _choose(problem, cadences, center, error, held, report):
         / abs(np.median(problem.fluxes(cadences.state, k)))
         for k, star in enumerate(problem.stars)
     ]
+    crowd = max(np.bincount([star.stamp for star in problem.stars]))
     for degrees in _LADDER:
+        if best is not None and crowd * len(polynomial_terms(*degrees)) > _MOST_TERMS:
+            break
         if best is None:
             shares = _Shares(_Psf(problem), _ranges(problem, center), *degrees, sizes, faint)
             trial = cadences
@@ -391,7 +422,8 @@ def fit_response(problem, few, state, fits, report=None):
     held = np.zeros(len(center), dtype=bool)
     held[_FIRST::_EVERY] = True
     shares, cadences, steps = _choose(problem, cadences, center, error, held, report)
-    settled, more = _climb(shares, cadences, center, error, held, _MOST_STEPS, report)
+    most = max(_MOST_STEPS // len(problem.stars), _WIDTH_STEPS)  # time goes with both
+    settled, more = _climb(shares, cadences, center, error, held, most, report)
     _improve(shares, cadences, center, error, steps=3)
     errors = _errors(shares, cadences, error)
     ended = {"converged": settled, "n_steps": steps + more}
@@ -413,12 +445,13 @@ def _errors(shares, cadences, error):
     gain = covariance @ (design * weight[..., None] ** 2).transpose(0, 2, 1)
     phi = shares.basis(state)[0]
     for stamp, pixels in enumerate(problem.slices):
-        stars = [k for k, star in enumerate(problem.stars) if star.stamp == stamp]
-        columns = np.hstack([problem.fluxes(state, k)[:, None] * phi for k in stars])
-        parts, share_weight = shares.gauge(stars[0])
+        first = next(k for k, star in enumerate(problem.stars) if star.stamp == stamp)
+        parts, share_weight = shares.gauge(first)
         own = gain[..., pixels]
         own = own - (own @ parts)[..., None] * share_weight
         for number, pixel in enumerate(range(pixels.start, pixels.stop)):
+            stars = shares.stars_in(stamp, number)
+            columns = np.hstack([problem.fluxes(state, k)[:, None] * phi for k in stars])
             spread = np.sum((columns @ shares.covariance[pixel]) * columns, axis=1)
             variance += own[..., number] ** 2 * spread[:, None]
     return variance, n_free
@@ -442,6 +475,10 @@ def _result(shares, cadences, held, errors, number, fit):
     out = held & cadences.used
     stars = [k for k, star in enumerate(problem.stars) if star.stamp == number]
     values = [_of_star(problem, state, variance, k) for k in stars]
+    scatter, basis = values[0]["flux_err"], shares.basis(state)[0]
+    for k, value in zip(stars, values, strict=True):
+        common = value["flux"] * shares.common(basis, k)
+        value["flux_err"] = np.hypot(value["flux_err"], common)
     model = fit.model.copy()
     for name, key in (("x_0", "x"), ("y_0", "y"), ("flux", "flux")):
         setattr(model, name, float(np.median(values[0][key])))
@@ -475,7 +512,7 @@ def _result(shares, cadences, held, errors, number, fit):
         held_out=held,
         outliers=~cadences.used,
         chi2_held_out=float(np.nansum(squares[out]) / max(n_data[out].sum() - free[out].sum(), 1)),
-        flux_scatter=values[0]["flux_err"],
+        flux_scatter=scatter,
         **values[0],
     )
 

@@ -11,10 +11,10 @@ from scope_models.scene.motion import Motion
 from scope_models.scene.scene import Scene
 from scope_models.scene.star import Star
 
-__all__ = ["make_scene", "sensitivity_profiles"]
+__all__ = ["SMOOTHING_DAYS", "make_scene", "sensitivity_profiles", "smoothed"]
 
 # Two periods of the roll of K2: what is faster is the pixels', not the star's.
-_SMOOTHING_DAYS = 0.5
+SMOOTHING_DAYS = 0.5
 # Pixels fainter than this part of the brightest one give the noise without light.
 _FAINT = 0.05
 _FEWEST_CADENCES = 20
@@ -96,22 +96,22 @@ def _signal(fit, kind):
         light = np.nansum(fit.observed - background, axis=(1, 2))
         expected = np.nansum(fit.fitted - background, axis=(1, 2))
         ratio = np.divide(light, expected, out=np.ones_like(light), where=expected > 0)
-        relative = _smooth(fit.time, relative * ratio)
+        relative = smoothed(fit.time, relative * ratio)
         relative /= np.median(relative)
     return np.maximum(relative, 0.0)
 
 
-def _smooth(time, values):
+def smoothed(time, values):
     """Running mean of a running median."""
     step = np.median(np.diff(time)) if len(time) > 1 else 1.0
-    size = min(2 * round(_SMOOTHING_DAYS / step / 2) + 1, 2 * (len(values) // 2) + 1)
+    size = min(2 * round(SMOOTHING_DAYS / step / 2) + 1, 2 * (len(values) // 2) + 1)
     values = median_filter(values, size, mode="nearest")
     return uniform_filter1d(values, size, mode="nearest")
 
 
 def denoised(fit, values, error):
     """Values ``(n,)`` with their variations scaled down to the power that errors do not explain."""
-    slow = _smooth(fit.time, values)
+    slow = smoothed(fit.time, values)
     fast = np.where(fit.outliers, 0.0, values - slow)
     spectrum = np.fft.rfft(fast)
     power = uniform_filter1d(np.abs(spectrum) ** 2, max(len(spectrum) // _BANDS, 3))

@@ -1,5 +1,6 @@
 """`fit_tpf`: one model for all pixels and cadences of a target pixel file."""
 
+import warnings
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
@@ -9,6 +10,7 @@ from astropy.modeling import Model
 
 from scope_models._checks import checked_choice, checked_integer, checked_number
 from scope_models._threads import one_thread
+from scope_models.exceptions import FitWarning
 from scope_models.fitting._data import APART, detector_of, read_data, star_positions
 from scope_models.fitting._gather import (
     LARGEST_FLUX,
@@ -50,8 +52,8 @@ _LEAST_INSIDE, _SOME = 0.8, 10
 _PATIENCE = 5.0
 # How often errors are scaled, at most, where the model is not true.
 _RESCALINGS = 8
-# So many cadences give the first guess for those of a long series.
-_FEW = 300
+# So many images of stars, and cadences, give the first guess for those of a long series.
+_FEW, _FEWEST = 300, 50
 # Cadences from which the response of each pixel is fitted where no PSF describes the pixels.
 _ENOUGH = 100
 
@@ -231,20 +233,31 @@ def fit_tpf(
     with one_thread, _progress_bar(progress) as bar:
         steps = partial(solve, max_steps=max_steps, report=bar)
         choice = _Choice(psf is None and not empirical, interpixel is None, sensitivity)
-        if response != "pixels":
-            fitted = _tried(_candidates(problem, choice), choice, steps, max_steps, few=choice.psf)
+        if response == "auto":
             open_to_all = choice.psf and choice.interpixel and sensitivity is None
             enough = len(problem.flux) >= _ENOUGH and options.focus is None
-            if response == "auto" and open_to_all and enough:
-                response = "psf" if _is_true(*fitted, strictly=True) else "pixels"
+            response = "either" if open_to_all and enough else "psf"
+        if response != "pixels":
+            candidates = _candidates(problem, choice, simple=response == "either")
+            tried = _tried(candidates, choice, steps, max_steps, few=choice.psf)
+            fitted = _best(tried)
+            if response == "either" and not _is_true(*fitted, strictly=True):
+                response = "pixels"
         if response == "pixels":
-            fitted = _tried(_rough(problem, choice), choice, steps, max_steps, few=True)
+            tried = _tried(_rough(problem, choice), choice, steps, max_steps, few=True)
+            fitted = _best(tried)
         else:
             most = min(max_steps, _MANY_STEPS) if choice.psf else max_steps
             fitted = _finished(problem, *fitted, partial(steps, max_steps=most))
         fits = make_results(*fitted, covariances(*fitted), detectors, series)
         if response == "pixels":
             fits = fit_response(problem, fitted[0], fitted[1].state, fits, bar)
+    for flux in _rivals(tried, fits[0]):
+        message = (
+            f"another model describes the pixels as well, with a flux of {flux:.4g} e-/s in place "
+            f"of {np.median(fits[0].flux):.4g}: give the `psf`"
+        )
+        warnings.warn(message, FitWarning, stacklevel=2)
     for fit in fits:
         warn_of_fit(fit, stacklevel=3)
     return tuple(fits) if several else fits[0]
@@ -255,12 +268,36 @@ def _tried(candidates, choice, steps, max_steps, *, few):
     tried = []
     for candidate, limit in candidates:
         # No more than enough for a choice or a rough model; a guess may have up to twice as many.
-        every = (len(candidate.flux) + few * (_FEW - 1)) // _FEW
+        enough = max(_FEW // len(candidate.stars), _FEWEST)
+        every = (len(candidate.flux) + few * (enough - 1)) // enough
         limited = partial(steps, max_steps=min(max_steps, limit))
-        tried.append(_guess(candidate, limited, every))
+        tried.append(_guess(candidate, limited, every, limit, doubtful=choice.interpixel))
         if _is_true(*tried[-1], strictly=choice.psf):
             break
+    return tried
+
+
+def _best(tried):
+    """Return the best of the models that were tried."""
     return min(tried, key=lambda item: _rank(*item))
+
+
+def _rivals(tried, fit):
+    """Fluxes, other than that of a fit, of models whose cost is as low as that of the best."""
+    costs = [solution.equations.cost * problem.error_scale**2 for problem, solution in tried]
+    problem, solution = _best(tried)
+    best = costs[[item[1] for item in tried].index(solution)]
+    chance = best * np.sqrt(2 / max(problem.n_data - problem.n_free, 1))
+    error = np.hypot(np.median(fit.flux_err), np.median(fit.flux_scatter))
+    for (other, rival), cost in zip(tried, costs, strict=True):
+        flux = np.median(other.fluxes(rival.state))
+        strange = _rank(other, rival)[1]
+        if (
+            abs(cost - best) < chance
+            and not strange
+            and abs(flux - np.median(fit.flux)) > 3 * error
+        ):
+            yield flux
 
 
 def _check_pixels(options, sensitivity, interpixel):
@@ -283,8 +320,8 @@ class _Choice:
     sensitivity: object
 
 
-def _candidates(problem, choice):
-    """Models to try, the simplest first, and how many steps each is worth."""
+def _candidates(problem, choice, *, simple):
+    """Models to try, the simplest first or only, and how many steps each is worth."""
     if not choice.psf:
         yield problem, np.inf
         if choice.interpixel:
@@ -294,6 +331,8 @@ def _candidates(problem, choice):
     # A model that is true converges fast.
     for prf in gaussians:
         yield replace(problem, prf=prf), _FEW_STEPS
+    if simple:
+        return
     options = {"interpixel": 0.0} if choice.interpixel else {}
     plain = _with(problem, **options, **_held(problem))
     for prf in (gaussians[-1], make_rich_prf(choice.sensitivity)):
@@ -347,8 +386,8 @@ def _rank(problem, solution):
     return absorbs, strange, ends, problem.misfit, information
 
 
-def _guess(problem, steps, every):
-    """Fit a part of a long series, or the whole of a short one."""
+def _guess(problem, steps, every, most, *, doubtful):
+    """Fit a part of a long series, or the whole of a short one; for the rest see `_rescaled`."""
     problem = problem.thinned(max(every, 1))
     # What the shape of the PSF can imitate is freed when the shape is about right.
     early = np.array([p.kind != "response" for p in problem.parameters], dtype=bool)
@@ -356,7 +395,8 @@ def _guess(problem, steps, every):
     # Scaled from the start: else all residuals are outliers to a robust loss.
     problem = problem.rescaled(state)
     solution = steps(problem, state, only=early, loosely=True)
-    return _rescaled(problem, solution, steps)
+    doubtful = doubtful and problem.n_pixels > 0
+    return _rescaled(problem, solution, steps, most, doubtful=doubtful)
 
 
 def _finished(problem, few, guess, steps):
@@ -373,11 +413,17 @@ def _finished(problem, few, guess, steps):
     return _rescaled(problem, solution, steps)
 
 
-def _rescaled(problem, solution, steps):
-    """Fit everything, with errors that are scaled to the residuals."""
+def _rescaled(problem, solution, steps, most=np.inf, *, doubtful=False):
+    """Fit everything, with errors that are scaled to the residuals.
+
+    After ``most`` steps the errors stay. ``doubtful``: a model that is not true with a response
+    between pixels is not finished, since the same model without that response is better.
+    """
     for remaining in reversed(range(_RESCALINGS)):
         scaled = problem.rescaled(solution.state)
-        changed = scaled is not problem and remaining > 0
+        if doubtful and remaining < _RESCALINGS - 1 and solution.converged and scaled.misfit > 1:
+            return scaled, solution
+        changed = scaled is not problem and remaining > 0 and solution.n_steps < most
         problem = scaled
         solution = steps(problem, solution.state, n_steps=solution.n_steps, loosely=changed)
         if not changed:

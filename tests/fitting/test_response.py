@@ -66,12 +66,21 @@ def test_flux_and_positions(sky, fit):
     gauge = np.column_stack([x**i * y**j * t**k for i, j, k in powers])
     gauge /= np.linalg.norm(gauge, axis=0)
     flux = fit.flux / sky.true_flux[index]
-    for found, error in ((flux, fit.flux_err), (fit.x, fit.x_err), (fit.y, fit.y_err)):
+    for found, error in ((flux, fit.flux_scatter), (fit.x, fit.x_err), (fit.y, fit.y_err)):
         rest = found - gauge @ np.linalg.lstsq(gauge, found, rcond=None)[0]
         rest /= error * np.sqrt(1 - len(powers) / len(index))
         assert 0.85 < 1.4826 * np.median(np.abs(rest)) < 1.2
     assert min(fit.path_scale()) > 0.9
     assert max(fit.path_scale()) < 1.1
+
+
+def test_errors_of_the_flux_hold_what_the_gauge_fixes(sky, fit):
+    """A change that all pixels share is no part of the model: its prior is part of the errors."""
+    index = np.searchsorted(sky.cadenceno, fit.cadenceno)
+    relative = fit.flux / sky.true_flux[index]
+    deviation = np.abs(relative / np.median(relative) - 1)
+    assert np.all(fit.flux_err > fit.flux_scatter)
+    assert np.quantile(deviation / (fit.flux_err / fit.flux), 0.95) < 2
 
 
 def test_sum_of_shares_and_background(fit):

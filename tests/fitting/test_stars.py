@@ -198,3 +198,56 @@ def test_neighbors_far_outside_of_the_pixels_are_left_out():
     with pytest.warns(FitWarning, match="1 of `neighbors` are far outside"):
         fit = fit_tpf(tpf, psf=1, neighbors=[(500.0, 4.0)])
     assert not fit.neighbors
+
+
+def messages_of(*arguments, **options):
+    """Fit, and return the fit and the warnings."""
+    with warnings.catch_warnings(record=True) as record:
+        warnings.simplefilter("always")
+        fit = fit_tpf(*arguments, **options)
+    assert all(issubclass(item.category, FitWarning) for item in record)
+    return fit, " | ".join(str(item.message) for item in record)
+
+
+def test_shares_of_many_stars_are_warned_of():
+    """Stars that nothing but the PSF separates, about one with deep eclipses."""
+    generator = np.random.default_rng(1)
+    eclipses = 1 - 0.9 * (np.abs(np.arange(200) / 48 % 1.7 - 0.85) < 0.1)
+    places = generator.uniform(0, 8, (10, 2))
+    others = [Star(generator.uniform(12, 17), *place) for place in places]
+    stars = [Star(12.0, 4, 4, signal=eclipses), *others]
+    crowd = simulate(stars, Detector.k2(shape=(9, 9)), Motion.k2_roll(200), seed=1)
+    fit, messages = messages_of(
+        crowd.to_tpf(), 1, neighbors=places, response="pixels", max_steps=10
+    )
+    assert "divides the light of several stars between them by the PSF" in messages
+    assert np.isfinite(fit.flux).all()
+    assert np.isfinite(fit.flux_err).all()
+
+
+def test_the_brightest_are_found():
+    places = [(x, y) for x in range(2, 20, 4) for y in range(2, 20, 4)]
+    stars = [Star(12 + 0.1 * k, *place) for k, place in enumerate(places)]
+    detector = Detector.k2(shape=(20, 20))
+    tpf = simulate(stars, detector, Motion.k2_roll(12), seed=1).to_tpf()
+    fit, messages = messages_of(tpf, 1, stars="find", interpixel=0, max_steps=2)
+    assert "the 11 brightest of 25 maxima of the median image are fitted" in messages
+    assert len(fit.neighbors) == 10
+
+
+def test_negative_flux_is_warned_of(pair):
+    """A neighbor where there is less than no light."""
+    tpf = pair.to_tpf()
+    rows, columns = np.indices((9, 11))
+    tpf = tpf - 300.0 * (np.hypot(columns - 9, rows - 1) < 1)
+    _, messages = messages_of(tpf, 1, stars=[*PLACES, (9, 1)], interpixel=0)
+    assert "the flux of neighbor 2 is negative in" in messages
+
+
+def test_branches_of_flux_are_warned_of(pair):
+    """Fluxes that jump where the light in the pixels does not."""
+    fit, messages = messages_of(pair.to_tpf(), 1, stars=PLACES, interpixel=0)
+    assert "branches" not in messages
+    jumps = np.where(np.arange(len(fit.time)) % 7 < 3, 0.5, 1.0)
+    doubtful = fit.replace(flux=fit.flux * jumps)
+    assert "it has branches, between which nothing decides" in doubtful.summary()
