@@ -271,7 +271,8 @@ def _tried(candidates, choice, steps, max_steps, *, few):
         enough = max(_FEW // len(candidate.stars), _FEWEST)
         every = (len(candidate.flux) + few * (enough - 1)) // enough
         limited = partial(steps, max_steps=min(max_steps, limit))
-        tried.append(_guess(candidate, limited, every, limit, doubtful=choice.interpixel))
+        doubtful = choice.psf and choice.interpixel
+        tried.append(_guess(candidate, limited, every, limit, doubtful=doubtful))
         if _is_true(*tried[-1], strictly=choice.psf):
             break
     return tried
@@ -421,7 +422,7 @@ def _rescaled(problem, solution, steps, most=np.inf, *, doubtful=False):
     """
     for remaining in reversed(range(_RESCALINGS)):
         scaled = problem.rescaled(solution.state)
-        if doubtful and remaining < _RESCALINGS - 1 and solution.converged and scaled.misfit > 1:
+        if doubtful and remaining < _RESCALINGS - 2 and solution.converged and scaled.misfit > 1:
             return scaled, solution
         changed = scaled is not problem and remaining > 0 and solution.n_steps < most
         problem = scaled
