@@ -51,8 +51,8 @@ def arguments(public_callables):
     return found
 
 
-def test_glossary_has_about_twenty_words(glossary):
-    assert 18 <= len(glossary) <= 26
+def test_glossary_is_sorted_and_has_each_argument_once(glossary):
+    assert len(glossary) >= 25
     words = [item["word"] for item in glossary]
     assert words == sorted(words, key=str.lower)
     names = [name for item in glossary for name in item["arguments"]]
@@ -106,7 +106,7 @@ def test_names_are_where_the_table_has_them(moved):
             assert set(names) - public_names(place) == set(), place
             continue
         assert set(names) & public_names(place) == set(), place
-        if not now.startswith("gone: "):
+        if not now.startswith("gone: ") and now not in public_names(place):  # an argument
             assert set(names) - public_names(now) == set(), now
 
 

@@ -24,7 +24,7 @@ __all__ = [
     "constant_columns",
     "focus_columns",
     "make_regressors",
-    "neighbor_columns",
+    "other_columns",
     "outside_column",
     "segment_breaks",
 ]
@@ -35,7 +35,7 @@ _TOLERANCE, _HIGHER_TOLERANCE = 1e-2, 1e-3
 _SHARED_TOLERANCE = 1e-6
 _MAX_RANK = 300
 _REACH = 2
-_NEIGHBOR_COMPONENTS = 10
+_OTHER_COMPONENTS = 10
 #: Relative change of the PSF's width that is the unit of the focus.
 _FOCUS_UNIT = 2e-3
 #: Powers of column and row of the polynomials by which constant light changes with position.
@@ -207,18 +207,18 @@ def background_columns(pixels, n_components, mask, use):
     return columns
 
 
-def neighbor_columns(cadenceno, neighbors):
+def other_columns(cadenceno, other_targets):
     """Return the first principal components of the pixel fractions of other target pixel files."""
     parts = []
-    for other in neighbors:
+    for other in other_targets:
         series = read_pixels(other)
         pixels = aperture_pixels(series, None)
         usable = pixels.usable & pixels.lit
         rotated = _components(pixels.flux[usable][:, pixels.aperture], pixels.total[usable])
-        rotated = rotated[:, :_NEIGHBOR_COMPONENTS]
+        rotated = rotated[:, :_OTHER_COMPONENTS]
         _, here, there = np.intersect1d(cadenceno, series.cadenceno[usable], return_indices=True)
         if not len(here):
-            raise ValueError("`neighbors` must share cadences with the target, got none")
+            raise ValueError("`other_targets` must share cadences with the target, got none")
         columns = np.full((len(cadenceno), rotated.shape[1]), np.nan)
         columns[here] = rotated[there]
         parts.append(columns)

@@ -219,6 +219,8 @@ class FluxModel:
         -------
         residual, error : ndarray
             Mean of measured minus predicted, and its expected standard deviation, per window.
+        used : ndarray
+            Indices of their cadences, one window after the other.
         """
         n = self.use.sum()
         starts = np.unique(np.linspace(0, n // width - 1, most).astype(int)) * width
@@ -232,7 +234,8 @@ class FluxModel:
         covariance = np.linalg.inv(inverse - (x @ self.covariance) @ x.transpose(0, 2, 1))
         alpha = self.alpha[rows].reshape(len(starts), width, 1)
         residual = (covariance @ alpha)[:, :, 0].mean(axis=1)
-        return residual, np.sqrt(covariance.sum(axis=(1, 2))) / width
+        error = np.sqrt(covariance.sum(axis=(1, 2))) / width
+        return residual, error, np.flatnonzero(self.use)[rows]
 
     def deviations(self):
         """Return rests from the whole model in standard deviations of the white noise, ``(n,)``."""

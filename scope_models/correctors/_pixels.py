@@ -67,7 +67,7 @@ class Pixels:
     own : ndarray of bool, optional
         Pixels that are not those of other stars, ``(ny, nx)``.
     crowding : float, optional
-        Part of the aperture's light that is in pixels of other stars.
+        The target's share of the aperture's light: all but that in pixels of other stars.
     lit : ndarray of bool, optional
         Cadences that show the star, ``(n_cadences,)``; from the others nothing is learned.
     """
@@ -81,7 +81,7 @@ class Pixels:
     usable: np.ndarray
     weights: np.ndarray | None = None
     own: np.ndarray | None = None
-    crowding: float = 0.0
+    crowding: float = 1.0
     lit: np.ndarray | bool = True
 
     @property
@@ -302,7 +302,7 @@ def _is_off_stamp(pos_corr, shape):
 
 
 def _own_light(flux, aperture, pos_corr):
-    """Return the star's pixels, and the part of the aperture's light that is in those of others."""
+    """Return the star's pixels, and the part of the aperture's light that is not in others'."""
     typical = typical_image(flux)
     image = np.nan_to_num(typical - background_plane(typical))
     peak = np.argmax(np.where(aperture, image, -np.inf))
@@ -311,7 +311,7 @@ def _own_light(flux, aperture, pos_corr):
         still = np.nan_to_num(_at_one_place(flux, pos_corr))  # one that moves far has two peaks
         first = np.argmax(np.where(aperture, still, -np.inf))
         others &= ~own_pixels(still, first) & (still > _OTHER_STAR * still.flat[first])
-    return ~others, float(image[aperture & others].sum() / image[aperture].sum())
+    return ~others, 1 - float(image[aperture & others].sum() / image[aperture].sum())
 
 
 def can_predict(pixels, saturation, use):

@@ -293,10 +293,10 @@ class PLDFit:
                 f"{100 * self.contamination:.1f} % of the light in the aperture is constant and "
                 "was taken off: another star or background"
             )
-        elif self.crowding > _CONTAMINATED:
+        elif 1 - self.crowding > _CONTAMINATED:
             found.append(
-                f"{100 * self.crowding:.0f} % of the light in the aperture is in pixels of other "
-                "stars: depths and amplitudes are too small by as much"
+                f"{100 * (1 - self.crowding):.0f} % of the light in the aperture is in pixels of "
+                "other stars: depths and amplitudes are too small by as much"
             )
         elif self.contrast_error > _BLENDED:
             found.append(
@@ -346,7 +346,7 @@ class PLDFit:
 
     @property
     def crowding(self):
-        """Part of the light in the aperture that is in pixels of other stars, at least."""
+        """Target's share of the aperture's light, at most: all but that in other stars' pixels."""
         return self.model.pixels.crowding
 
     def covariance(self, cadences):
@@ -599,8 +599,8 @@ class PLDFit:
             ("fractions, flux", f"{fractions}, {'weighted' if self.weighted else 'sum'}"),
             ("constant light taken off", f"{100 * self.contamination:.1f} %"),
         ]
-        if self.crowding:
-            rows.append(("in pixels of other stars", f"{100 * self.crowding:.1f} %"))
+        if self.crowding < 1:
+            rows.append(("in pixels of other stars", f"{100 * (1 - self.crowding):.1f} %"))
         if np.isfinite(self.trend_sigma):
             trend = f"{1e6 * self.trend_sigma:.0f} ppm, {self.trend_period:.2f} d"
             rows.append(("trend", trend))

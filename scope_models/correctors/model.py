@@ -16,7 +16,7 @@ from scope_models.correctors._design import (
     constant_columns,
     focus_columns,
     make_regressors,
-    neighbor_columns,
+    other_columns,
     outside_column,
     segment_breaks,
 )
@@ -87,7 +87,7 @@ class PLDOptions(Value):
         that are regressors too.
     background_aperture_mask : array_like of bool, optional
         Pixels that these are taken from.
-    neighbors : sequence of `~lightkurve.targetpixelfile.TargetPixelFile`, optional
+    other_targets : sequence of `~lightkurve.targetpixelfile.TargetPixelFile`, optional
         Other stars whose pixel fractions are regressors too.
     regressors : array_like, DesignMatrix, CotrendingBasisVectors or list of these, optional
         Further columns, as in `PLDCorrector.correct`.
@@ -119,7 +119,7 @@ class PLDOptions(Value):
     pld_aperture_mask: object = None
     background: int = 0
     background_aperture_mask: object = None
-    neighbors: tuple = ()
+    other_targets: tuple = ()
     regressors: object = ()
     saturation: object = "auto"
     sigma: float = 5.0
@@ -139,8 +139,8 @@ class PLDOptions(Value):
         if not isinstance(self.sigma, Real) or not self.sigma > 0:
             raise ValueError(f"`sigma` must be positive, got {self.sigma!r}")
         checked_integer("max_clips", self.max_clips, 0)
-        if hasattr(self.neighbors, "flux"):
-            object.__setattr__(self, "neighbors", (self.neighbors,))
+        if hasattr(self.other_targets, "flux"):
+            object.__setattr__(self, "other_targets", (self.other_targets,))
         for name in ("pld_aperture_mask", "background_aperture_mask", "regressors"):
             if isinstance(getattr(self, name), np.ndarray):
                 object.__setattr__(self, name, frozen(getattr(self, name)))
@@ -198,7 +198,7 @@ class PLDModel:
         Order, trend, further regressors, clipping.
     design : DesignOptions
         The same for the design matrix, with what has been found in the file: segments,
-        saturation, columns of background and neighbors.
+        saturation, columns of background and other targets.
     clean : CleanPixels or None
         What was found about the pixels if the fractions are predicted ones.
     source : Source or None
@@ -289,8 +289,8 @@ class PLDModel:
         if regressor_mask is not None:
             shape = pixels.aperture.shape
             regressor_mask = checked_mask("pld_aperture_mask", regressor_mask, shape)
-        if len(options.neighbors):
-            extra["neighbors"] = neighbor_columns(series.cadenceno, options.neighbors)
+        if len(options.other_targets):
+            extra["other_targets"] = other_columns(series.cadenceno, options.other_targets)
         if not (isinstance(options.regressors, (list, tuple)) and not options.regressors):
             extra["regressors"] = external_columns(options.regressors, series.cadenceno)
         saturation = options.saturation
@@ -454,7 +454,7 @@ def fit_pixels(pixels, options, series, cadence_mask=None, **transit):
     measured = fitted_with(replace(options, fractions="measured"))
     least = 1 if fitted.model.clean.weighted else _BETTER
     better = _unseen(measured) < least * _unseen(fitted)
-    if failed and not fitted.crowding and not measured.may_follow:
+    if failed and fitted.crowding == 1 and not measured.may_follow:
         better = better or rough > _roughness(measured.corrected()[0])
     return measured if better and _keeps_variability(measured, fitted) else fitted
 

@@ -140,7 +140,7 @@ class PLDCorrector(LightkurveNames, Corrector):
         pld_aperture_mask=None,
         background=0,
         background_aperture_mask=None,
-        neighbors=(),
+        other_targets=(),
         regressors=(),
         saturation="auto",
         sigma=5.0,
@@ -207,8 +207,8 @@ class PLDCorrector(LightkurveNames, Corrector):
         background_aperture_mask : array_like of bool or str, optional
             Pixels that these are taken from, by default all outside of the
             aperture. With a mask, ``background`` is 3 unless it is given.
-        neighbors : sequence of `~lightkurve.targetpixelfile.TargetPixelFile`, optional
-            Other stars whose pixel fractions are regressors too, matched by
+        other_targets : sequence of `~lightkurve.targetpixelfile.TargetPixelFile`, optional
+            Files of other stars whose pixel fractions are regressors too, matched by
             their cadence numbers; paths are taken as well.
         regressors : array_like, DesignMatrix, CotrendingBasisVectors or list of these, optional
             Further columns, one row per cadence. lightkurve's cotrending
@@ -259,7 +259,7 @@ class PLDCorrector(LightkurveNames, Corrector):
             "background_aperture_mask": self._named(
                 background_aperture_mask, "background_aperture_mask"
             ),
-            "neighbors": neighbors,
+            "other_targets": other_targets,
             "regressors": regressors,
             "saturation": saturation,
             "sigma": sigma,

@@ -468,6 +468,8 @@ class SceneCorrector(FixedAperture, Corrector):
             Mean of measured minus predicted relative flux, per window; at most 120 windows.
         error : `~numpy.ndarray`
             Its expected standard deviation: noise and model.
+        used : `~numpy.ndarray`
+            Indices of the cadences in the windows, one window after the other.
 
         Raises
         ------
@@ -480,9 +482,10 @@ class SceneCorrector(FixedAperture, Corrector):
         if width > self.result.n_used // 2:
             raise ValueError(f"`width` must be at most {self.result.n_used // 2}, got {width}")
         if self.fallback is not None:
-            return self.fallback.held_out(width)[:2]
+            return self.fallback.held_out(width)
         with one_thread:
-            return self._chosen.model.held_out(width)
+            residual, error, used = self._chosen.model.held_out(width)
+        return residual, error, np.flatnonzero(self._data.usable)[used]
 
     def crowding(self, aperture_mask):
         """

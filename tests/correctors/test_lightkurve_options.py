@@ -170,8 +170,8 @@ def test_attributes_of_lightkurve_name_the_successor(corrector, name):
 
 def test_one_neighbor_without_a_list(star):
     corrector = PLDCorrector(star.tpf)
-    flux = corrector.correct(order=1, neighbors=star.tpf).flux
-    np.testing.assert_array_equal(corrector.correct(order=1, neighbors=[star.tpf]).flux, flux)
+    flux = corrector.correct(order=1, other_targets=star.tpf).flux
+    np.testing.assert_array_equal(corrector.correct(order=1, other_targets=[star.tpf]).flux, flux)
 
 
 @pytest.mark.parametrize("kind", [PLDCorrector, SceneCorrector])

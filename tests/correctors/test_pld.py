@@ -349,13 +349,13 @@ def test_segments(fake_star):
     assert corrector.result.breaks == ()
 
 
-def test_background_and_neighbors(fake_star, star):
+def test_background_and_other_targets(fake_star, star):
     other = fake_star(400, seed=0, mag=11, scatter=0.02)
     mask = np.zeros((9, 9), dtype=bool)
     mask[2:7, 2:7] = True
     corrector = PLDCorrector(star.tpf, mask)
-    lc = corrector.correct(background=3, neighbors=[other.tpf])
-    assert corrector.result.groups[-2:] == ("background", "neighbors")
+    lc = corrector.correct(background=3, other_targets=[other.tpf])
+    assert corrector.result.groups[-2:] == ("background", "other_targets")
     assert corrector.result.n_columns[-2] == 3
     assert cdpp(lc) < 0.7 * cdpp(corrector.original_lc)
 
@@ -372,11 +372,11 @@ def test_background_that_leaks_is_removed(star):
     assert cdpp(lc) < 1.15 * cdpp(clean)
 
 
-def test_neighbors_need_common_cadences(star, fake_star):
+def test_other_targets_need_common_cadences(star, fake_star):
     other = fake_star(60)
     tpf = replaced(other.tpf, CADENCENO=np.arange(60) + 5000)
     with pytest.raises(ValueError, match="share cadences"):
-        PLDCorrector(star.tpf).correct(neighbors=[tpf])
+        PLDCorrector(star.tpf).correct(other_targets=[tpf])
 
 
 def test_saturation_of_the_mission(star):

@@ -101,6 +101,15 @@ def test_same_call_gives_the_same(constant):
 
 
 @pytest.mark.slow
+def test_windows_that_the_model_has_not_seen(constant):
+    sky, corrector = constant
+    residual, error, used = corrector.held_out(7)
+    assert used.shape == (7 * len(residual),)
+    assert np.isfinite(sky.time[used]).all()
+    assert not corrector.outlier_mask[used].any()
+    assert 0.5 < np.sqrt(np.mean((residual / error) ** 2)) < 2
+
+
 def test_trend_can_be_removed(neighbor):
     sky, corrector = neighbor
     place = corrector.result.neighbors
@@ -200,7 +209,7 @@ def test_full_pixels_warn():
     assert corrector.result.window == "PLD"
     expected = PLDCorrector(sky.to_tpf()).correct()
     np.testing.assert_array_equal(lc.flux.value, expected.flux.value)
-    assert len(corrector.held_out()) == 2
+    assert len(corrector.held_out()) == 3
 
 
 @pytest.mark.slow
