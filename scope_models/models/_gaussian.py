@@ -106,7 +106,7 @@ def _alike(x, y, parameters, coefficients):
 
 def series_step(n_terms, x, y):
     """Number of densities whose tables fit into the cache together."""
-    return min(max(_SERIES_CHUNK // (n_terms * max(x.size, y.size)), _FEWEST), _MOST)
+    return min(max(_SERIES_CHUNK // (n_terms * max(x.size, y.size, 1)), _FEWEST), _MOST)
 
 
 def _series_image(x, y, parameters, coefficients, out):

@@ -205,8 +205,8 @@ class Observation(Value):
         Raises
         ------
         ValueError
-            If the detector is of a mission without target pixel files, or the aperture has no
-            pixels.
+            If the detector is of a mission without target pixel files, the aperture has no pixels,
+            or the times are before the mission's zero or closer than the detector's cadence.
 
         Examples
         --------
@@ -413,10 +413,9 @@ class Observation(Value):
         truth = {name: v for name, v in self.truth.columns.items() if name != "CADENCENO"}
         truth["TARGET_SHARE"] = self.target_share(aperture)
         metadata = TPFMetadata.of(self.detector, **facts)
-        zero = MISSIONS[metadata.mission].time_zero
         return {
             "metadata": metadata,
-            "time": self.time + (TIME_ZEROS[self.motion.time_format] - zero),
+            "time": self._time_of(MISSIONS[metadata.mission]),
             **{name: getattr(self, name) for name in _WRITTEN},
             "pos_corr1": self.motion.x,
             "pos_corr2": self.motion.y,
@@ -426,6 +425,21 @@ class Observation(Value):
             "truth_tables": self.truth.tables or None,
             "scene": self.truth.scene,
         }
+
+    def _time_of(self, mission):
+        """Return the times with a mission's zero, if its detector can have them."""
+        time = self.time + (TIME_ZEROS[self.motion.time_format] - mission.time_zero)
+        days = self.detector.cadence_days
+        step = np.median(np.diff(time)) if len(time) > 1 else days
+        if time[0] < 0 or step < days / 2:
+            raise ValueError(
+                f"`motion` begins at {time[0]:.4g} d ({mission.time_format.upper()}) with a "
+                f"cadence every {1440 * step:.4g} min; files of {mission.name} begin after 0, and "
+                f"this detector has one every {1440 * days:.4g} min. Give times such as those of "
+                f"Motion.still(n, start={mission.start}, cadence={days:.6g}, "
+                f"time_format={mission.time_format!r})"
+            )
+        return time
 
     def _aperture_cards(self, aperture):
         """Return the cards on the target's light in an aperture."""

@@ -204,7 +204,7 @@ def test_lightkurve_opens_a_file_from_the_ground(tmp_path, request):
 
 def test_extinction_is_not_light_outside_the_aperture():
     detector = Detector.ground(effects=(), interpixel_scatter=0.0)
-    scene = Star(15.0), detector, Motion.still(20)
+    scene = Star(15.0), detector, Motion.still(20, time_format="btjd")
     plain, dim = (
         simulate(*scene, seed=1, effects=effects) for effects in ((), Extinction(0.5, airmass=2.0))
     )

@@ -483,7 +483,7 @@ def test_dropouts_recover_in_part():
 
 
 def test_gaps_have_no_data():
-    motion = Motion.still(20)
+    motion = Motion.still(20, start=2500.0)
     gaps = Gaps([(motion.time[3], motion.time[5]), (motion.time[19], 9e4)])
     missing = np.isin(np.arange(20), [3, 4, 5, 19])
     for detector, bit in ((Detector.k2(), 65536), (Detector.tess(), 128)):
@@ -710,7 +710,8 @@ def test_a_mission_has_its_own_effects(tmp_path):
     }
     for name, expected in names.items():
         detector = Detector.preset(name)
-        mission = Scene(Star(12.0), detector, Motion.still(3), seed=1, effects="mission")
+        motion = Motion.still(3, start=2500.0)
+        mission = Scene(Star(12.0), detector, motion, seed=1, effects="mission")
         assert mission.effects == mission_effects(detector)
         assert {effect.name for effect in mission.effects} == expected
         assert read_scene(simulate(mission).write(tmp_path / f"{name}.fits")) == mission

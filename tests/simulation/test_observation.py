@@ -63,6 +63,24 @@ def test_times_are_those_of_the_mission():
     assert np.array_equal(observation.time, motion.time)
 
 
+@pytest.mark.parametrize(
+    "detector, motion, message",
+    [
+        (Detector.tess(), Motion.still(50), r"begins at -22\.9 d \(BTJD\) with a cadence every 29"),
+        (Detector.k2(), Motion.still(9, cadence=2 / 1440), "has one every 29.42 min"),
+    ],
+)
+def test_times_that_the_detector_cannot_have(detector, motion, message, tmp_path):
+    observation = simulate(Star(12.0), detector, motion, seed=1)
+    with pytest.raises(ValueError, match=message) as error:
+        observation.write(tmp_path / "star.fits")
+    advice = str(error.value).split("those of ")[1].replace("(n,", "(5,")
+    right = eval(advice, {"Motion": Motion})  # noqa: S307 - our own text
+    tpf = simulate(Star(12.0), detector, right, seed=1).to_tpf(quality_bitmask="none")
+    np.testing.assert_allclose(np.diff(tpf.time.value), detector.cadence_days, rtol=1e-5)
+    assert tpf.time.value[0] > 100
+
+
 def test_quality_and_cadence_numbers_are_those_of_the_motion():
     motion = Motion(
         time=np.arange(4.0),

@@ -437,3 +437,12 @@ def test_light_is_lost_only_near_the_edge():
     for x_0, expected in ((5.0, 0.0), (1.5, norm.sf(4.0))):  # sigma is 0.5 px
         truth = simulate(Star(12.0, x_0, 5.0), detector, Motion.still(2), seed=1).truth
         assert truth.lost_fraction[0] == pytest.approx(expected, abs=1e-13)
+
+
+@pytest.mark.parametrize("place", [(500.0, 5.0), (-1e4, 1e4), (1e7, 3.0)])
+@pytest.mark.parametrize("rho", [0.0, 0.3])
+def test_a_star_far_off_the_stamp_adds_no_light(place, rho):
+    far = Star(5.0, *place, psf=BivariateGaussianPSF(sigma_x=0.6, sigma_y=0.5, rho=rho))
+    scene = Detector.k2(), Motion.k2_roll(50)
+    alone = simulate(Star(12.0), *scene, seed=1)
+    np.testing.assert_array_equal(simulate([Star(12.0), far], *scene, seed=1).flux, alone.flux)
