@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
+from astropy.stats import mad_std
 from scipy.linalg import solve_triangular
 
 __all__ = [
@@ -245,6 +246,5 @@ def roll_reversals(time, track, window=2.0):
 def _sense(steps):
     """Return the sign of the median step, 0 if it is within three standard errors of none."""
     median = np.median(steps)
-    scatter = 1.4826 * np.median(np.abs(steps - median))
-    error = 1.2533 * scatter / np.sqrt(len(steps))
+    error = 1.2533 * mad_std(steps) / np.sqrt(len(steps))
     return int(np.sign(median)) if np.abs(median) > 3 * error else 0

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+from astropy.stats import mad_std
 from astropy.timeseries import BoxLeastSquares
 from scipy.ndimage import uniform_filter1d
 
@@ -233,14 +234,13 @@ def _stands_alone(y):
     """Cadences far from the ones around them: cosmic rays and other accidents."""
     windows = np.lib.stride_tricks.sliding_window_view(np.pad(y, 2, mode="edge"), 5)
     difference = y - np.median(windows, axis=1)
-    spread = 1.4826 * np.median(np.abs(difference))
-    return np.abs(difference) > _ALONE * max(spread, np.finfo(float).tiny)
+    return np.abs(difference) > _ALONE * max(mad_std(difference), np.finfo(float).tiny)
 
 
 def _with_simple_noise(solution, rest):
     """Return a fit whose noise and slow process are those of a rest, with weak priors."""
     rest = rest[solution.use]
-    jitter = 1.4826 * np.median(np.abs(np.diff(rest, 2))) / np.sqrt(6)
+    jitter = mad_std(np.diff(rest, 2)) / np.sqrt(6)
     variance = np.median(solution.data.variance)
     width = max(round(1 / float(np.median(np.diff(solution.data.time)))), 1)
     slow = max(float(np.var(uniform_filter1d(rest, width))), 0.1 * variance)

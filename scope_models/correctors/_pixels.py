@@ -4,6 +4,7 @@ import warnings
 from dataclasses import dataclass, replace
 
 import numpy as np
+from astropy.stats import mad_std
 from scipy import ndimage
 
 from scope_models._checks import checked_weights
@@ -436,8 +437,7 @@ def _filled_errors(total, total_err, usable):
         value = np.median(total_err[good])
         _warn(f"{bad.sum()} cadences without a valid FLUX_ERR get the median error of the others")
     else:
-        second = np.diff(total[usable], 2)
-        value = 1.4826 * np.median(np.abs(second)) / np.sqrt(6)
+        value = mad_std(np.diff(total[usable], 2)) / np.sqrt(6)
         value = max(value, 1e-6 * np.median(total[usable]))
         _warn("FLUX_ERR has no valid values: the noise is taken from the scatter of the flux")
     return np.where(good, total_err, value)

@@ -3,6 +3,7 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
+from astropy.stats import mad_std
 from astropy.table import QTable
 
 from scope_models.correctors._flux_model import smooth_series
@@ -92,10 +93,6 @@ class SceneFit:
     full: np.ndarray
     floor: float
     chi_squared: float
-
-
-def _robust(values):
-    return 1.4826 * float(np.median(np.abs(values - np.median(values))))
 
 
 def _residual(shape, track, flux):
@@ -215,7 +212,7 @@ def fit_scene(time, flux, variance, pos_corr, peak, *, known=None, well=None, se
             noise = _without_hits(shape, part, flux[sub], variance[sub], floor)
         if step == 1 and measured.mean() > 0.5:
             errors = part.stacked[:, 1:3] - mean[sub, 1:3]
-            tight = np.clip(1.5 * max(_robust(e) for e in errors.T), 0.003, _POSITION)
+            tight = np.clip(1.5 * max(mad_std(errors, axis=0)), 0.003, _POSITION)
             sigma[:, 1:3] = np.where(measured, tight, _FREE_POSITION)[:, None]
             priors = Priors(mean, sigma)
         if step in _ANCHORS:

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from astropy.stats import mad_std
 from scipy.ndimage import gaussian_filter1d
 
 from scope_models.photometry import moving_aperture
@@ -180,7 +181,7 @@ def clean_background(background, smooth, spike=6.0):
         Cadences that deviate by more standard deviations keep their own.
     """
     rest = background - smooth
-    scatter = 1.4826 * float(np.median(np.abs(rest - np.median(rest))))
+    scatter = float(mad_std(rest))
     own = np.abs(rest - np.median(rest)) > spike * scatter
     return np.where(own, background, smooth), np.where(own, 1.0, _SMOOTHED) * scatter**2
 

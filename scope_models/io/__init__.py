@@ -1,6 +1,6 @@
 """The door in, from target pixel files to arrays, and the door out, with the truth."""
 
-from scope_models.io._opening import Conf, conf
+from scope_models.io._opening import conf
 from scope_models.io._truth import Truth
 from scope_models.io.pixels import PixelSeries, read_pixels, read_tpf, usable_positions
 from scope_models.io.tpf import (
@@ -10,7 +10,6 @@ from scope_models.io.tpf import (
 )
 
 __all__ = [
-    "Conf",
     "PixelSeries",
     "TPFMetadata",
     "Truth",
