@@ -8,7 +8,13 @@ import numpy as np
 
 from scope_models._arrays import plain_array
 from scope_models._checks import checked_number
-from scope_models.correctors._pixels import Pixels, background_plane, own_pixels, typical_image
+from scope_models.correctors._pixels import (
+    Pixels,
+    at_one_place,
+    background_plane,
+    own_pixels,
+    typical_image,
+)
 from scope_models.correctors._scene_start import NoLightError, fit_gaussians
 from scope_models.exceptions import DetrendingWarning
 from scope_models.photometry import aperture_flux
@@ -28,6 +34,8 @@ _FAINTEST = 0.02
 #: units of the star's light.
 _MISFIT, _LEVEL = 0.03, 1e-3
 _ROUNDS = 6
+#: Distance (px) from the star within which no other one is sought, and number of places tried.
+_NEAREST, _MOST_PLACES = 1.4, 12
 #: Part of constant light that is uncertain when the star's variability shows it.
 _UNCERTAIN = 0.04
 #: The irrational number whose multiples spread boxes evenly, at places without a period.
@@ -51,14 +59,21 @@ class Source:
         typical = typical_image(pixels.flux[pixels.usable])
         plane = background_plane(typical)
         image = np.nan_to_num(typical - plane)
-        return image, plane, _star_share(image, pixels.aperture)
+        if pixels.own is None or not pixels.own.all():
+            return image, plane, _star_share(image, pixels.aperture)
+        share = np.ones(image.shape)
+        full = self.series.mission and self.series.mission.full_flux
+        if full is None or image.max() < full:
+            still, places = image, self.series.pos_corr
+            if places is not None and np.isfinite(places[pixels.usable]).any():
+                still = at_one_place(pixels.flux[pixels.usable], places[pixels.usable])
+                still = np.nan_to_num(still - plane)
+            share = _blended_share(still, pixels.aperture)
+        return image, plane, share
 
     @cached_property
     def other_light(self):
         """Part of the aperture's light that is other stars', as the typical image shows it."""
-        own = self.pixels.own
-        if own is not None and own.all():
-            return 0.0
         image, _, share = self._image
         inside = self.pixels.aperture
         return float(np.clip(1 - (image * share)[inside].sum() / image[inside].sum(), 0.0, 1.0))
@@ -111,26 +126,80 @@ def _star_share(image, aperture):
         left &= ~stars[-1]
     if len(stars) == 1:
         return np.ones(image.shape)
-    rows, columns = np.indices(image.shape)
     places = [_center(np.where(star, image, 0.0)) for star in stars]
+    try:
+        return _shared_out(image, places, stars[0])[0]
+    except NoLightError:
+        return stars[0].astype(float)
+
+
+def _shared_out(image, places, near):
+    """
+    Share the light out between stars of one profile.
+
+    Parameters
+    ----------
+    image : ndarray
+        Image without background, ``(ny, nx)``.
+    places : list of tuple of float
+        Column and row of each star.
+    near : ndarray of bool
+        The first star's pixels, from which the profile is first learned.
+
+    Returns
+    -------
+    share : ndarray
+        The first star's share in each pixel.
+    misfit : ndarray
+        What the stars leave of the image, in standard deviations.
+    """
+    rows, columns = np.indices(image.shape)
     distances = [(columns - x, rows - y) for x, y in places]
-    near = stars[0]
     total = image[near].sum()
     own = np.where(near, image, 0.0)
     error = 1 / (_MISFIT * np.abs(image) + _LEVEL * total).ravel()
-    for _ in range(_ROUNDS):
+    for _ in range(_ROUNDS if len(places) > 1 else 1):
         values = own[near] / total
         u, v = (d[near] for d in distances[0])
-        try:
-            profile = fit_gaussians(u, v, values, 1 / (_MISFIT * np.abs(values) + _LEVEL))
-        except NoLightError:
-            return stars[0].astype(float)
+        profile = fit_gaussians(u, v, values, 1 / (_MISFIT * np.abs(values) + _LEVEL))
         light = np.stack([profile(*d).ravel() for d in distances], axis=1)
         found = np.linalg.lstsq(light * error[:, None], image.ravel() * error, rcond=None)[0]
         light *= np.maximum(found, 0.0)
         share = (light[:, 0] / np.maximum(light.sum(axis=1), 1e-12 * total)).reshape(image.shape)
         own = image * share
         near = np.ones_like(near)
+    return share, (image - light.sum(axis=1).reshape(image.shape)) * error.reshape(image.shape)
+
+
+def _blended_share(image, aperture):
+    """
+    Return the star's share in each pixel where another one has no peak of its own.
+
+    A second star is there if one profile, which may be elliptical but is the same on both sides,
+    does not describe the image within its error, and two of them leave less than half.
+    """
+    alone, whole = np.ones(image.shape), np.ones(image.shape, dtype=bool)
+    star = _center(np.where(aperture, image, 0.0))
+    try:
+        misfit = _shared_out(image, [star], whole)[1]
+    except NoLightError:
+        return alone
+    least = np.mean(misfit**2)
+    if least < 1:
+        return alone
+    share, least = alone, least / 2
+    rows, columns = np.indices(image.shape)
+    far = np.hypot(columns - star[0], rows - star[1]) > _NEAREST
+    bright = far & (image > _FAINTEST * image.max())
+    order = np.argsort(np.where(bright, -misfit, np.inf), axis=None)
+    for other in order[: min(bright.sum(), _MOST_PLACES)]:
+        place = other % image.shape[1], other // image.shape[1]
+        try:
+            trial, misfit = _shared_out(image, [star, place], whole)
+        except NoLightError:
+            continue
+        if np.mean(misfit**2) < least:
+            share, least = trial, np.mean(misfit**2)
     return share
 
 

@@ -16,6 +16,7 @@ from scope_models.photometry import aperture_flux
 __all__ = [
     "Pixels",
     "aperture_pixels",
+    "at_one_place",
     "can_predict",
     "choose_aperture",
     "credible_flux",
@@ -142,7 +143,7 @@ def choose_aperture(flux, flux_err, pipeline=None, pos_corr=None):
     return _most_precise(flux, flux_err, own, around & near, pos_corr)
 
 
-def _at_one_place(values, pos_corr):
+def at_one_place(values, pos_corr):
     """Return the median of the images in which the star is nearest to its median place."""
     distance = np.hypot(*(pos_corr - np.nanmedian(pos_corr, axis=0)).T)
     near = np.argsort(np.where(np.isfinite(distance), distance, np.inf))
@@ -309,7 +310,7 @@ def _own_light(flux, aperture, pos_corr):
     peak = np.argmax(np.where(aperture, image, -np.inf))
     others = ~own_pixels(image, peak) & (image > _OTHER_STAR * image.flat[peak])
     if others.any() and pos_corr is not None and np.isfinite(pos_corr).any():
-        still = np.nan_to_num(_at_one_place(flux, pos_corr))  # one that moves far has two peaks
+        still = np.nan_to_num(at_one_place(flux, pos_corr))  # one that moves far has two peaks
         first = np.argmax(np.where(aperture, still, -np.inf))
         others &= ~own_pixels(still, first) & (still > _OTHER_STAR * still.flat[first])
     return ~others, 1 - float(image[aperture & others].sum() / image[aperture].sum())

@@ -295,8 +295,8 @@ class PLDFit:
             )
         elif 1 - self.crowding > _CONTAMINATED:
             found.append(
-                f"{100 * (1 - self.crowding):.0f} % of the light in the aperture is in pixels of "
-                "other stars: depths and amplitudes are too small by as much"
+                f"{100 * (1 - self.crowding):.0f} % of the light in the aperture is of other "
+                "stars: depths and amplitudes are too small by as much"
             )
         elif self.contrast_error > _BLENDED:
             found.append(
@@ -346,8 +346,14 @@ class PLDFit:
 
     @property
     def crowding(self):
-        """Target's share of the aperture's light, at most: all but that in other stars' pixels."""
-        return self.model.pixels.crowding
+        """Target's share of the aperture's light, at most.
+
+        The rest is in pixels in which other stars are brightest, or of a star whose light is
+        blended with the target's and has no peak of its own.
+        """
+        pixels, source = self.model.pixels, self.model.source
+        blended = source is not None and pixels.own is not None and pixels.own.all()
+        return min(pixels.crowding, 1 - source.other_light if blended else 1.0)
 
     def covariance(self, cadences):
         """
@@ -600,7 +606,7 @@ class PLDFit:
             ("constant light taken off", f"{100 * self.contamination:.1f} %"),
         ]
         if self.crowding < 1:
-            rows.append(("in pixels of other stars", f"{100 * (1 - self.crowding):.1f} %"))
+            rows.append(("of other stars", f"{100 * (1 - self.crowding):.1f} %"))
         if np.isfinite(self.trend_sigma):
             trend = f"{1e6 * self.trend_sigma:.0f} ppm, {self.trend_period:.2f} d"
             rows.append(("trend", trend))

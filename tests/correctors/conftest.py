@@ -51,19 +51,22 @@ def pixel_integrals(x_0, sigma, n, a_2):
 
 
 def make_fake_star(
-    n=400, mag=12.0, seed=0, signal=None, scatter=0.01, shape=(9, 9), motion=1.0, noisy=True
-):
+    n=400, mag=12.0, seed=0, signal=None, scatter=0.01, shape=(9, 9), motion=1.0, noisy=True,
+    width=0.5, neighbor=0.0,
+):  # fmt: skip
+    """A neighbor has this part of the star's light, 2.9 px to the right."""
     rng = np.random.default_rng(seed)
     x, y = roll(n, seed)
     ny, nx = shape
     rate = 1.74e5 * 10 ** (-0.4 * (mag - 12))
-    image = (
-        pixel_integrals(motion * y + ny // 2 + 0.1, 0.5, ny, -0.05)[:, :, None]
-        * pixel_integrals(motion * x + nx // 2 - 0.1, 0.5, nx, -0.05)[:, None, :]
-    )
     signal = np.ones(n) if signal is None else signal
-    image *= 1 + scatter * rng.standard_normal(shape)
-    expected = image * rate * signal[:, None, None]
+    along = pixel_integrals(motion * y + ny // 2 + 0.1, width, ny, -0.05)[:, :, None]
+    across, beside = (
+        pixel_integrals(motion * x + nx // 2 - 0.1 + shift, width, nx, -0.05)[:, None, :]
+        for shift in (0, 2.9)
+    )
+    expected = rate * along * (across * signal[:, None, None] + neighbor * beside)
+    expected *= 1 + scatter * rng.standard_normal(shape)
     sigma = np.sqrt(expected * EXPOSURE + BACKGROUND * EXPOSURE + READ_NOISE**2) / EXPOSURE
     noise = sigma * rng.standard_normal(expected.shape) * noisy
     metadata = TPFMetadata(

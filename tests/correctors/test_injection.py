@@ -174,7 +174,7 @@ def test_a_warning_of_a_neighbor_in_the_wings():
     sky = make_sky("k2-1x-transits-neighbor", 6111, n_cadences=400)
     near = np.hypot(*(np.indices((9, 9)) - 4)) < 3.2
     corrector = PLDCorrector(sky.to_tpf(), near)
-    with pytest.warns(DetrendingWarning, match="of the light in the aperture is in"):
+    with pytest.warns(DetrendingWarning, match="of the light in the aperture is of"):
         corrector.correct()
 
 

@@ -8,6 +8,13 @@ from scope_models.correctors import _result as result_module
 from scope_models.exceptions import DetrendingWarning
 
 
+def dips(n, depth=0.01):
+    signal = np.ones(n)
+    for start in range(30, n - 20, 97):
+        signal[start : start + 6] -= depth
+    return signal
+
+
 @pytest.fixture(scope="module")
 def star(fake_star):
     return fake_star(400, seed=5)
@@ -98,3 +105,24 @@ def test_cadences_that_a_user_masks_are_no_outliers(star):
     allowed = corrector.cadence_mask
     assert not is_periodic(solution, allowed)
     assert is_periodic(solution, np.ones(400, dtype=bool))  # as if they were outliers
+
+
+@pytest.mark.parametrize(("ratio", "width"), [(0.0, 1.0), (0.4, 1.0), (0.4, 0.5)])
+def test_a_neighbor_that_dilutes_is_reported(fake_star, ratio, width):
+    """One magnitude fainter at 2.9 px: the images have one peak, or move by 3 px."""
+    signal = dips(400)
+    facts = {"shape": (9, 11), "width": width, "motion": 1.0 if width == 1 else 10.0}
+    alone, pair = (fake_star(400, seed=5, signal=signal, neighbor=k, **facts) for k in (0, ratio))
+    corrector = PLDCorrector(pair.tpf)
+    if ratio:
+        with pytest.warns(DetrendingWarning, match=r"\d+ % of the light .* is of other stars"):
+            lc = corrector.correct(transit_mask=signal < 1)
+    else:
+        lc = corrector.correct(transit_mask=signal < 1)
+    inside = corrector.aperture_mask
+    own, whole = (np.median(star.expected[:, inside].sum(axis=1)) for star in (alone, pair))
+    assert corrector.result.crowding == pytest.approx(own / whole, abs=0.05)
+    flux = lc.flux.value / np.median(lc.flux.value)
+    depth = (np.median(flux[signal == 1]) - np.median(flux[signal < 1])) / 0.01
+    assert depth == pytest.approx(own / whole, abs=0.03)
+    assert corrector.result.survival(signal) == pytest.approx(depth, abs=0.05)
