@@ -9,7 +9,6 @@ from scipy.stats import f as f_distribution
 from scope_models._arrays import plain_tree
 from scope_models.exceptions import FitWarning
 from scope_models.fitting._data import APART, find_stars
-from scope_models.fitting._problem import numbered
 from scope_models.fitting._scene import SMOOTHING_DAYS, smoothed
 from scope_models.fitting.result import FittedStar, TPFFit
 
@@ -124,18 +123,16 @@ def _of_star(problem, state, errors, star):
     result = problem.path_of(state, star) | {
         f"{axis}_err": variances[i] for i, axis in enumerate("xy")
     }
-    names = numbered("flux", star), f"flux_star_{star}"
-    result["flux_err"] = _variance(problem, shared, cadence, *names)
+    column, constant = problem.index.fluxes[star], problem.stars[star].constant
+    result["flux_err"] = _variance(shared, cadence, column, shared_by_all=constant)
     return _with_errors(result)
 
 
-def _variance(problem, shared, cadence, column, name):
-    """Variance of what is a column of the cadences, a shared parameter, or none of them."""
-    if column in problem.columns:
-        i = problem.columns.index(column)
-        return cadence[:, i, i]
-    i = problem.names.index(name) if name in problem.names else None
-    return np.full(len(cadence), 0.0 if i is None else shared[i, i])
+def _variance(shared, cadence, column, *, shared_by_all):
+    """Variance of a column of the cadences, or of a shared parameter, in each cadence."""
+    if shared_by_all:
+        return np.full(len(cadence), shared[column, column])
+    return cadence[:, column, column]
 
 
 def _with_errors(values):
@@ -150,12 +147,17 @@ def _by_cadence(problem, state, errors, star):
     """Values and errors of each cadence by name."""
     shared, cadence, relative, _ = errors
     result = _of_star(problem, state, errors, star)
-    i = problem.columns.index(numbered("flux", star))
+    i = problem.index.fluxes[star]
     result["flux_scatter"] = np.sqrt(np.maximum(relative[:, i, i], 0))
     stamp = problem.stars[star].stamp
-    name = numbered("background", stamp)
     background = {"background": problem.backgrounds(state, stamp)}
-    background["background_err"] = _variance(problem, shared, cadence, name, name)
+    background["background_err"] = np.zeros(len(cadence))
+    if problem.index.backgrounds:
+        column, constant = (
+            problem.index.backgrounds[stamp],
+            problem.options.background == "constant",
+        )
+        background["background_err"] = _variance(shared, cadence, column, shared_by_all=constant)
     return result | _with_errors(background)
 
 

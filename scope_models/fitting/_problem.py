@@ -93,6 +93,17 @@ class Limits:
         return self.largest_step * np.where(self.relative, np.abs(shared), 1.0)
 
 
+@dataclass(frozen=True)
+class _Columns:
+    """Where the parameters of stars and files are, as numbers."""
+
+    maps: tuple  # of each file: first of the four shared parameters of its motion
+    places: tuple  # of each star: first of the two shared parameters of its position
+    fluxes: tuple  # of each star: among the shared parameters if it is constant, else a column
+    backgrounds: tuple  # of each file: a column, or among the shared parameters; none if it is 0
+    focus: int  # first of the shared parameters of the focus
+
+
 @dataclass(frozen=True, eq=False)
 class NormalEquations:
     """Second-order expansion of half the cost: ``cost/2 - g d + d H d / 2``."""
@@ -180,8 +191,7 @@ class Problem:
 
     def focus(self, state):
         """Relative width of the PSF less 1, shape ``(n,)``."""
-        start = self.n_shared - self.focus_basis.shape[1]
-        return self.focus_basis @ state.shared[start:]
+        return self.focus_basis @ state.shared[self.index.focus :]
 
     def thinned(self, every):
         """Return the problem with a part of the cadences."""
@@ -263,6 +273,30 @@ class Problem:
         return (*position, *fluxes, *(numbered("background", i) for i in range(number)))
 
     @cached_property
+    def index(self):
+        """Numbers of the parameters, `_Columns`."""
+        shared = {name: i for i, name in enumerate(self.names)}
+        of_cadence = {name: i for i, name in enumerate(self.columns)}
+        number, stars = range(len(self.stamps)), range(len(self.stars))
+        fluxes = [
+            shared[f"flux_star_{k}"] if self.stars[k].constant else of_cadence[numbered("flux", k)]
+            for k in stars
+        ]
+        where = {"cadence": of_cadence, "constant": shared}.get(self.options.background)
+        return _Columns(
+            maps=tuple(shared[_map_names(i)[0]] if i else None for i in number),
+            places=tuple(shared[f"x_star_{k}"] if k else None for k in stars),
+            fluxes=tuple(fluxes),
+            backgrounds=tuple(where[numbered("background", i)] for i in number) if where else (),
+            focus=self.n_shared - self.focus_basis.shape[1],
+        )
+
+    @cached_property
+    def _priors(self):
+        """Precision before the fit and mean of the shared parameters, ``(2, s)``."""
+        return np.array([(p.prior**-2, p.center) for p in self.parameters]).reshape(-1, 2).T
+
+    @cached_property
     def limits(self):
         """Limits of a step."""
         low, high, step = (np.full(len(self.columns), v) for v in (-np.inf, np.inf, np.inf))
@@ -317,9 +351,6 @@ class Problem:
         return replace(self, error_scale=self.misfit, options=options)
 
     # --- parts of a state -----------------------------------------------------------------
-    def _shared_value(self, state, name):
-        return float(state.shared[self.names.index(name)])
-
     def values(self, state):
         """Values of the free parameters of the PRF."""
         free = state.shared[: self.n_shape]
@@ -333,7 +364,7 @@ class Problem:
         """How a file moves with the first one, shape ``(2, 2)``."""
         if not stamp:
             return np.eye(2)
-        start = self.names.index(_map_names(stamp)[0])
+        start = self.index.maps[stamp]
         return state.shared[start : start + 4].reshape(2, 2)
 
     def xy(self, state, star=0):
@@ -342,7 +373,8 @@ class Problem:
         if star == 0:
             return first
         moved = (first - self.center) @ self._map(state, self.stars[star].stamp).T + self.center
-        return moved + [self._shared_value(state, f"{axis}_star_{star}") for axis in "xy"]
+        start = self.index.places[star]
+        return moved + state.shared[start : start + 2]
 
     def position_terms(self, state, star):
         """Yield the parameters that move a star, and how.
@@ -360,18 +392,19 @@ class Problem:
                 elif slope:
                     yield axis, True, of, slope * one
             if stamp:
-                first = self.names.index(_map_names(stamp)[0]) + 2 * axis
+                first = self.index.maps[stamp] + 2 * axis
                 moved = self.xy(state) - self.center
                 yield axis, False, first, moved[:, 0]
                 yield axis, False, first + 1, moved[:, 1]
             if star:
-                yield axis, False, self.names.index(f"{'xy'[axis]}_star_{star}"), one
+                yield axis, False, self.index.places[star] + axis, one
 
     def fluxes(self, state, star=0):
         """Fluxes of a star, shape ``(n,)``."""
+        column = self.index.fluxes[star]
         if self.stars[star].constant:
-            return np.full(len(state.cadence), self._shared_value(state, f"flux_star_{star}"))
-        return state.cadence[:, self.columns.index(numbered("flux", star))]
+            return np.full(len(state.cadence), state.shared[column])
+        return state.cadence[:, column]
 
     def path_of(self, state, star):
         """Positions and fluxes of a star by name, ``(n,)``."""
@@ -380,11 +413,10 @@ class Problem:
 
     def backgrounds(self, state, stamp=0):
         """Backgrounds of a file, shape ``(n,)``."""
-        name = numbered("background", stamp)
         if self.options.background == "cadence":
-            return state.cadence[:, self.columns.index(name)]
+            return state.cadence[:, self.index.backgrounds[stamp]]
         constant = self.options.background == "constant"
-        value = self._shared_value(state, name) if constant else 0.0
+        value = state.shared[self.index.backgrounds[stamp]] if constant else 0.0
         return np.full(len(state.cadence), value)
 
     # --- model ----------------------------------------------------------------------------
@@ -394,7 +426,10 @@ class Problem:
         return [slice(start, min(start + _CHUNK, n)) for start in range(0, n, _CHUNK)]
 
     def unit_images(self, state, part, star=0, *, derivatives=False):
-        """Images of unit flux at the fitted pixels of the star's stamp, ``(m, p)``."""
+        """Images of unit flux at the fitted pixels of the star's stamp, ``(m, p)``.
+
+        With their derivatives: those by column and row, by the shape of the PSF, and by the focus.
+        """
         stamp = self.stamps[self.stars[star].stamp]
         x, y = self.xy(state, star)[part].T
         widens = self.options.focus is not None
@@ -410,8 +445,8 @@ class Problem:
             image = image + self.focus(state)[part, None, None] * by["focus"]
         if not derivatives:
             return image[:, stamp.pixels]
-        needed = (*self.names[: self.n_shape], "x_0", "y_0", *(("focus",) if widens else ()))
-        return image[:, stamp.pixels], {name: by[name][:, stamp.pixels] for name in needed}
+        needed = ("x_0", "y_0", *self.names[: self.n_shape], *(("focus",) if widens else ()))
+        return image[:, stamp.pixels], [by[name][:, stamp.pixels] for name in needed]
 
     def _widened(self, derivatives, values):
         """Derivative of images by the relative width: all distances from the star scale."""
@@ -466,8 +501,10 @@ class Problem:
                 gradient[s:] += np.sum(by_pixel * residual, axis=0)
                 mixed[part, :, s:] = (by_cadence * by_pixel[..., None]).transpose(0, 2, 1)
         shared[s:, :s] = shared[:s, s:].T
-        equations = NormalEquations(cost, shared, gradient, mixed, block, block_gradient)
-        return self._with_priors(state, equations)
+        cost += self._add_priors(state, shared, gradient)
+        if self.options.positions == "prior":
+            cost += self._add_path(state, shared, gradient, mixed, block, block_gradient)
+        return NormalEquations(cost, shared, gradient, mixed, block, block_gradient)
 
     def _linearize(self, state, part):
         """Residuals and derivatives of the model in a slice of cadences."""
@@ -483,12 +520,10 @@ class Problem:
             )
         residual = self.flux[part] - response * light
         for i, pixels in enumerate(self.slices):
-            name = numbered("background", i)
             residual[:, pixels] -= self.backgrounds(state, i)[part, None]
-            if self.options.background == "constant":
-                by_shared[:, pixels, self.names.index(name)] = 1.0
-            elif self.options.background == "cadence":
-                by_cadence[:, pixels, self.columns.index(name)] = 1.0
+            if self.index.backgrounds:
+                by = by_cadence if self.options.background == "cadence" else by_shared
+                by[:, pixels, self.index.backgrounds[i]] = 1.0
         return residual, by_shared, light, by_cadence
 
     def _add_star(self, state, part, k, response, by_shared, by_cadence):
@@ -496,54 +531,47 @@ class Problem:
         image, derivatives = self.unit_images(state, part, k, derivatives=True)
         flux = self.fluxes(state, k)[part, None]
         scale = response * flux
-        for i, name in enumerate(self.names[: self.n_shape]):
-            by_shared[..., i] += scale * derivatives[name]
-        moved = [scale * derivatives[name] for name in ("x_0", "y_0")]
+        for i in range(self.n_shape):
+            by_shared[..., i] += scale * derivatives[2 + i]
+        moved = scale * derivatives[0], scale * derivatives[1]
         for axis, of_cadence, i, derivative in self.position_terms(state, k):
             by_parameter = by_cadence if of_cadence else by_shared
             by_parameter[..., i] += derivative[part, None] * moved[axis]
         if self.options.focus is not None:
-            number = self.focus_basis.shape[1]
             basis = self.focus_basis[part, np.newaxis]
-            by_shared[..., -number:] += (scale * derivatives["focus"])[..., np.newaxis] * basis
-        if self.stars[k].constant:
-            by_shared[..., self.names.index(f"flux_star_{k}")] = response * image
-        else:
-            by_cadence[..., self.columns.index(numbered("flux", k))] = response * image
+            by_shared[..., self.index.focus :] += (scale * derivatives[-1])[..., np.newaxis] * basis
+        by_flux = by_shared if self.stars[k].constant else by_cadence
+        by_flux[..., self.index.fluxes[k]] = response * image
         return flux * image
 
-    def _with_priors(self, state, equations):
-        """Add the priors to an expansion."""
-        cost, shared, gradient = equations.cost, equations.shared, equations.shared_gradient
-        for i, parameter in enumerate(self.parameters):
-            if np.isfinite(parameter.prior):
-                deviation = state.shared[i] - parameter.center
-                cost += (deviation / parameter.prior) ** 2
-                shared[i, i] += parameter.prior**-2
-                gradient[i] -= deviation / parameter.prior**2
-        if self.n_pixels and np.isfinite(self.options.interpixel):
+    def _add_priors(self, state, shared, gradient):
+        """Add the priors of the shared parameters to an expansion; return their cost."""
+        s, p = self.n_shared, self.n_pixels
+        precision, center = self._priors
+        deviation = state.shared - center
+        shared[range(s), range(s)] += precision
+        gradient[:s] -= precision * deviation
+        cost = precision @ deviation**2
+        if p and np.isfinite(self.options.interpixel):
             # The prior does not constrain a common factor of all pixels: that is the flux.
             deviation = state.interpixel - state.interpixel.mean()
             precision = self.options.interpixel**-2
             cost += precision * np.sum(deviation**2)
-            s, p = self.n_shared, self.n_pixels
             shared[s:, s:] += precision * (np.eye(p) - 1 / p)
             gradient[s:] -= precision * deviation
-        if self.options.positions == "prior":
-            cost += self._position_prior(state, equations)
-        return replace(equations, cost=cost)
+        return cost
 
-    def _position_prior(self, state, equations):
-        """Add the prior of the positions about the path; return its cost."""
+    def _add_path(self, state, shared, gradient, mixed, block, block_gradient):
+        """Add the prior of the positions about the path to an expansion; return its cost."""
         precision, start = self.options.position_error**-2, self.n_shape
         deviation = state.cadence[:, :2] - self.basis @ self.affine(state).T
         for axis in (0, 1):
             i = slice(start + 3 * axis, start + 3 * axis + 3)
-            equations.cadence[:, axis, axis] += precision
-            equations.cadence_gradient[:, axis] -= precision * deviation[:, axis]
-            equations.mixed[:, axis, i] -= precision * self.basis
-            equations.shared[i, i] += precision * self.basis.T @ self.basis
-            equations.shared_gradient[i] += precision * deviation[:, axis] @ self.basis
+            block[:, axis, axis] += precision
+            block_gradient[:, axis] -= precision * deviation[:, axis]
+            mixed[:, axis, i] -= precision * self.basis
+            shared[i, i] += precision * self.basis.T @ self.basis
+            gradient[i] += precision * deviation[:, axis] @ self.basis
         return precision * np.sum(deviation**2)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from scope_models.effects.shares import PixelShares, polynomial_terms, polynomials, scaled_to
-from scope_models.fitting._problem import _UNTRUE, State, numbered
+from scope_models.fitting._problem import _UNTRUE, State
 from scope_models.fitting._start import centroids, linear_start
 from scope_models.fitting.result import FittedStar
 
@@ -83,7 +83,7 @@ class _Psf:
         for some in np.array_split(index, -(-len(index) // _CHUNK)) if len(index) else ():
             for k, part in enumerate(self.parts):
                 image, by = self.problem.unit_images(state, some, k, derivatives=True)
-                part[:, some] = image, by["x_0"], by["y_0"]
+                part[:, some] = image, *by[:2]
         self.places[index] = self.problem.xy(state)[index]
         away = (self.problem.xy(state) - self.places).T[..., np.newaxis]
         return [(p[0] + away[0] * p[1] + away[1] * p[2], p[1], p[2]) for p in self.parts]
@@ -237,9 +237,9 @@ def _improve(shares, cadences, center, error, steps=2):
 
 def _linearized(shares, state):
     """Residuals, and derivatives of the model by the parameters of the cadences."""
-    problem, columns = shares.problem, shares.problem.columns
+    problem = shares.problem
     residual = problem.flux.copy()
-    design = np.zeros((*residual.shape, len(columns)))
+    design = np.zeros((*residual.shape, len(problem.columns)))
     for k, (image, by_x, by_y) in enumerate(shares.images(state, slopes=True)):
         star = problem.stars[k]
         pixels, flux = problem.slices[star.stamp], problem.fluxes(state, k)[:, None]
@@ -247,12 +247,11 @@ def _linearized(shares, state):
         design[:, pixels, 0] += flux * by_x
         design[:, pixels, 1] += flux * by_y
         if not star.constant:
-            design[:, pixels, columns.index(numbered("flux", k))] = image
+            design[:, pixels, problem.index.fluxes[k]] = image
     for i, pixels in enumerate(problem.slices):
         residual[:, pixels] -= problem.backgrounds(state, i)[:, None]
-        name = numbered("background", i)
-        if name in columns:
-            design[:, pixels, columns.index(name)] = 1.0
+        if problem.options.background == "cadence":
+            design[:, pixels, problem.index.backgrounds[i]] = 1.0
     return residual, design
 
 
@@ -485,10 +484,9 @@ def _result(shares, cadences, held, errors, number, fit):
     n_parameters = round(part * shares.n_free + free[cadences.used].sum())
     chi2 = float(np.nansum(squares))
     mean = chi2 / max(n_data.sum() - n_parameters, 1)
-    column = numbered("background", number)
     error = np.zeros(len(held))
-    if column in problem.columns:
-        error = np.sqrt(variance[:, problem.columns.index(column)])
+    if problem.options.background == "cadence":
+        error = np.sqrt(variance[:, problem.index.backgrounds[number]])
     return replace(
         fit,
         model=model,
@@ -519,9 +517,10 @@ def _result(shares, cadences, held, errors, number, fit):
 
 def _of_star(problem, state, variance, star):
     """Position and flux of a star, and their errors, by name."""
-    known = dict(zip(problem.columns, np.sqrt(variance).T, strict=True))
-    error = known.get(numbered("flux", star), np.zeros(len(variance)))
-    errors = {"x_err": known["x"], "y_err": known["y"], "flux_err": error}
+    known = np.sqrt(variance).T
+    constant = problem.stars[star].constant
+    error = np.zeros(len(variance)) if constant else known[problem.index.fluxes[star]]
+    errors = {"x_err": known[0], "y_err": known[1], "flux_err": error}
     values = problem.path_of(state, star) | errors
     return {name: np.array(value) for name, value in values.items()}
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from scope_models.fitting._problem import State, numbered
+from scope_models.fitting._problem import State
 from scope_models.models import (
     PRF,
     BivariateGaussianPSF,
@@ -208,9 +208,9 @@ def linear_start(problem, state):
         values[part] = np.linalg.solve(normal, right[..., None])[..., 0]
     for k, star in enumerate(problem.stars):
         if star.constant:
-            shared[problem.names.index(f"flux_star_{k}")] = np.median(values[:, k])
+            shared[problem.index.fluxes[k]] = np.median(values[:, k])
         else:
-            cadence[:, problem.columns.index(numbered("flux", k))] = values[:, k]
+            cadence[:, problem.index.fluxes[k]] = values[:, k]
     if both:
         cadence[:, -len(problem.stamps) :] = values[:, len(problem.stars) :]
     return State(shared, state.interpixel, cadence)
