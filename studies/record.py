@@ -425,7 +425,8 @@ def main():
     from astropy.table import Table
 
     tree = str(options.tree)
-    options.command = " ".join(a for a in sys.argv[1:] if a != tree).replace("--tree ", "")
+    words = (a for a in sys.argv[1:] if a not in {tree, "--tree"})
+    options.command = " ".join(Path(word).name if "/" in word else word for word in words)
     table = Table.read(options.output) if options.show else record(options)
     if options.against:
         against(table, Table.read(options.against))
