@@ -1,5 +1,6 @@
 """Checks of arguments that several modules share."""
 
+from contextlib import contextmanager
 from dataclasses import MISSING, field, fields
 from numbers import Integral
 
@@ -22,7 +23,20 @@ __all__ = [
     "checked_weights",
     "integer",
     "number",
+    "solvable",
 ]
+
+
+@contextmanager
+def solvable():
+    """Raise failures of linear algebra as an error of the file, whose pixels do not suffice."""
+    try:
+        yield
+    except np.linalg.LinAlgError as error:
+        raise ValueError(
+            f"the pixels of `tpf` do not determine all that is fitted to them ({error}): check "
+            "FLUX_ERR and the aperture, or give less to fit"
+        ) from error
 
 
 def checked_model(name, model):

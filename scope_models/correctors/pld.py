@@ -5,7 +5,7 @@ import warnings
 import numpy as np
 from lightkurve.correctors.corrector import Corrector
 
-from scope_models._checks import checked_cadences
+from scope_models._checks import checked_cadences, solvable
 from scope_models._threads import one_thread
 from scope_models._values import frozen
 from scope_models.correctors._lightkurve import (
@@ -272,7 +272,7 @@ class PLDCorrector(LightkurveNames, Corrector):
         pixels, original = self._pixels, self.original_lc
         if aperture_mask is not None:
             pixels, original = self._summed(aperture_mask)
-        with one_thread:
+        with one_thread, solvable():
             try:
                 result = fit_pixels(
                     pixels,
@@ -364,7 +364,7 @@ class PLDCorrector(LightkurveNames, Corrector):
         DetrendingWarning
             If the transits were neither masked nor fitted jointly by `correct`.
         """
-        with one_thread:
+        with one_thread, solvable():
             return self._fitted().fit_transit(transit_model)
 
     def held_out(self, width=13):
@@ -388,7 +388,7 @@ class PLDCorrector(LightkurveNames, Corrector):
         used : `~numpy.ndarray`
             Indices of the cadences in the fit, which are the windows one after the other.
         """
-        with one_thread:
+        with one_thread, solvable():
             return self._fitted().held_out(width)
 
     def _check_corrected(self):

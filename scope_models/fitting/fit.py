@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 from astropy.modeling import Model
 
-from scope_models._checks import checked_choice, checked_integer, checked_number
+from scope_models._checks import checked_choice, checked_integer, checked_number, solvable
 from scope_models._threads import one_thread
 from scope_models.exceptions import FitWarning
 from scope_models.fitting._data import APART, detector_of, read_data, star_positions
@@ -229,8 +229,8 @@ def fit_tpf(
     series = [read_pixels(file) for file in files]
     places = _places(stars, neighbors, series, several=several)
     prf = make_prf(2 if psf is None else psf, sensitivity, options.empirical)
-    problem, detectors = _make_problem(series, places, prf, flux_err, neighbor_flux, options)
-    with one_thread, _progress_bar(progress) as bar:
+    with one_thread, solvable(), _progress_bar(progress) as bar:
+        problem, detectors = _make_problem(series, places, prf, flux_err, neighbor_flux, options)
         steps = partial(solve, max_steps=max_steps, report=bar)
         choice = _Choice(psf is None and not empirical, interpixel is None, sensitivity)
         if response == "auto":

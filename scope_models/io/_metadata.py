@@ -154,6 +154,8 @@ class TPFMetadata(Value):
         """Check every field and bring it to its type."""
         if coord is not None:
             self._set_position(coord)
+        names = {name.lower(): name for name in MISSIONS}
+        object.__setattr__(self, "mission", names.get(str(self.mission).lower(), self.mission))
         if self.mission not in MISSIONS:
             known = ", ".join(map(repr, MISSIONS))
             raise ValueError(f"`mission` must be one of {known}, got {self.mission!r}")

@@ -612,6 +612,16 @@ def test_a_singular_fit_is_a_clear_error(star, monkeypatch):
         PLDCorrector(star.tpf).correct()
 
 
+def test_a_singular_start_is_a_clear_error(star, monkeypatch):
+    def fail(*_, **__):
+        raise np.linalg.LinAlgError("145-th leading minor not positive definite")
+
+    monkeypatch.setattr("scope_models.correctors.pld.fit_pixels", fail)
+    with pytest.raises(ValueError, match=r"^the pixels of `tpf` do not determine .* \(145-th") as e:
+        PLDCorrector(star.tpf).correct()
+    assert not isinstance(e.value, np.linalg.LinAlgError)
+
+
 @pytest.mark.parametrize("bad", [0.0, np.nan])
 def test_some_errors_are_invalid(star, bad):
     errors = star.tpf.flux_err.value.copy()

@@ -527,3 +527,15 @@ def test_sensitivity_of_messy_stars_is_not_quoted(regime, curvature):
     assert fit.reduced_chi2 > 1.1
     assert all(np.isnan(fit.errors[name]) for name in ("ax2", "ay2"))
     np.testing.assert_allclose(fit.path_scale(), 1, atol=0.15)
+
+
+@pytest.mark.parametrize("name", ["_make_problem", "make_results"])
+def test_singular_pixels_are_a_clear_error(monkeypatch, name):
+    def fail(*_, **__):
+        raise np.linalg.LinAlgError("singular")
+
+    monkeypatch.setattr(f"scope_models.fitting.fit.{name}", fail)
+    tpf = simulate(Star(12.0), Detector.k2(shape=(5, 5)), Motion.k2_roll(30), seed=1).to_tpf()
+    with pytest.raises(ValueError, match=r"pixels of `tpf` do not determine .*singular") as error:
+        fit_tpf(tpf, 1)
+    assert not isinstance(error.value, np.linalg.LinAlgError)

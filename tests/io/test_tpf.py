@@ -16,7 +16,7 @@ from astropy.time import Time
 from astropy.units import UnitsWarning
 from astropy.wcs import WCS
 
-from scope_models.io import TPFMetadata, read_truth, write_tpf
+from scope_models.io import TPFMetadata, read_pixels, read_truth, write_tpf
 from scope_models.io.tpf import make_tpf_hdulist, write_hdulist
 
 MISSIONS = ["Kepler", "K2", "TESS"]
@@ -653,3 +653,13 @@ class TestOwnArrays:
         for simulated in (True, False):
             hdus = make_tpf_hdulist(metadata="TESS", simulated=simulated, **contents)
             assert [hdu.header["SIMDATA"] for hdu in hdus] == [simulated] * len(hdus)
+
+
+@pytest.mark.parametrize("name", ["Kepler", "K2", "TESS"])
+def test_names_of_missions_in_any_case(name):
+    time = 2500.0 + 0.02 * np.arange(3)
+    for text in (name.lower(), name.upper()):
+        hdus = make_tpf_hdulist(metadata=text, time=time, flux=np.ones((3, 5, 5)), flux_err=0.1)
+        assert read_pixels(hdus).mission.name == name
+    with pytest.raises(ValueError, match=r"`mission` must be one of .* got 'k3'"):
+        make_tpf_hdulist(metadata="k3", time=time, flux=np.ones((3, 5, 5)), flux_err=0.1)

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 from random_files import checked, random_file
 
-from scope_models import PLDCorrector
+from scope_models import PLDCorrector, Star
 from scope_models.cli import main
+from scope_models.simulation import inject
 
 SMALL = [pytest.param(seed, True, id=f"small-{seed}") for seed in range(12)]
 LARGE = [pytest.param(seed, False, id=f"{seed}", marks=pytest.mark.slow) for seed in range(300)]
@@ -55,6 +56,28 @@ def test_pld(file):
         # a background that is taken off twice makes depths larger than the star's
         if np.isfinite(survival) and file.facts["background"] == "right":
             assert -0.05 < survival < 1.15, file
+
+
+@pytest.mark.parametrize("star", [0.7, Star(13.0, 0.4, 0.2)], ids=["share", "star"])
+def test_inject(file, star):
+    tpf = file.tpf()
+    before = tpf.flux.value.astype(float)
+    dip = np.where(np.arange(len(before)) % 10 < 3, 0.5, 1.2)
+    changed = checked(lambda: inject(tpf, dip, star, seed=1), file)
+    if changed is None:
+        return
+    after = changed.flux.value.astype(float)
+    np.testing.assert_array_equal(np.isfinite(after), np.isfinite(before))
+    known = tpf.flux_err.value > 0
+    np.testing.assert_array_equal(changed.flux_err.value > 0, known)
+    table = changed.hdu["INJECTED"].data
+    timed = np.isin(changed.cadenceno, table["CADENCENO"])
+    before, after, known = before[timed], after[timed], known[timed]
+    added = table["FLUX_ADDED"][np.isin(table["CADENCENO"], changed.cadenceno)]
+    quiet = np.isfinite(before) & ~known & (added <= 0)
+    np.testing.assert_allclose((after - before)[quiet], added[quiet], rtol=1e-3, atol=0.1)
+    if known.any() and np.isfinite(before[known]).any():
+        assert np.ptp(np.nansum(added, axis=(1, 2))) > 0, file
 
 
 def test_detrend(file, tmp_path):
