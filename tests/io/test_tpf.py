@@ -516,7 +516,7 @@ class TestChecks:
         [
             (
                 "K2",
-                {"mission": "k2"},
+                {"mission": "k3"},
                 ValueError,
                 "`mission` must be one of 'Kepler', 'K2'",
             ),
