@@ -108,8 +108,8 @@ MOTIONS = {
 }
 
 
-def _sine(rng, time, period, amplitude):
-    return 1 + amplitude * np.sin(2 * np.pi * time / period + rng.uniform(0, 2 * np.pi))
+def _wave(rng, time, period):
+    return np.sin(2 * np.pi * time / period + rng.uniform(0, 2 * np.pi))
 
 
 def _spots(rng, time, period, amplitude):
@@ -140,9 +140,7 @@ def _rr_lyrae(rng, time, period, amplitude):
 def _delta_scuti(rng, time, period, amplitude):
     values = np.zeros(len(time))
     for part in (1.0, 0.6, 0.4, 0.2):
-        values += part * np.sin(
-            2 * np.pi * time / (period * rng.uniform(0.7, 1.4)) + rng.uniform(0, 2 * np.pi)
-        )
+        values += part * _wave(rng, time, period * rng.uniform(0.7, 1.4))
     return 1 + amplitude * values / 2.2
 
 
@@ -183,23 +181,19 @@ def _rise(rng, time, period, amplitude):
     return 1 + amplitude * np.sin(np.pi / 2 * phase) ** 2
 
 
-def _random_walk(rng, time, period, amplitude):
-    return 1 + amplitude * np.clip(red_noise(rng, time, period), -5, 5)
-
-
 #: Relative flux of a star without transits, near 1, by the kind of variability. The period is in
 #: days, the amplitude about half the range; of an eclipsing binary, the depth.
 LIGHTS = {
-    "constant": lambda *arguments: np.ones(len(arguments[1])),  # of the time
+    "constant": lambda rng, time, period, amplitude: np.ones(len(time)),  # noqa: ARG005
     "spots": _spots,
-    "sine": _sine,
+    "sine": lambda rng, time, period, amplitude: 1 + amplitude * _wave(rng, time, period),
     "rr_lyrae": _rr_lyrae,
     "delta_scuti": _delta_scuti,
     "eclipsing": _eclipsing,
     "flaring": _flaring,
     "bump": _bump,
     "rise": _rise,
-    "walk": _random_walk,
+    "walk": lambda rng, time, period, amplitude: 1 + amplitude * red_noise(rng, time, period),
 }
 
 

@@ -2,7 +2,6 @@
 
 import re
 from dataclasses import asdict
-from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -159,7 +158,7 @@ def score_light_curves(paths):
     rows = []
     for path in paths:
         lc, cards = _read(path)
-        sky = _star(_number_of(path, cards))
+        sky = benchmark_star(_number_of(path, cards))
         numbers = np.asarray(lc["cadenceno"], dtype=int)
         if not len(lc) or numbers.min() < 1 or numbers.max() > len(sky.time):
             raise ValueError(f"{path} has cadences that the star does not have")
@@ -170,12 +169,6 @@ def score_light_curves(paths):
         bias, step = score_places(cadences, flux, sky.true_flux, sky.x, sky.y)
         rows.append(row | {"bias": bias, "step": step})
     return Table(rows=rows)
-
-
-@lru_cache(maxsize=1)
-def _star(number):
-    """Return a star; light curves of one star that follow each other need it once."""
-    return benchmark_star(number)
 
 
 def _read(path):

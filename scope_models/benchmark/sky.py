@@ -313,7 +313,7 @@ def _field(regime, seed, n):
 
 
 def _width(regime, rng, time):
-    """Return a focus that swings, drifts and follows the temperature a little."""
+    """Return a focus that swings, drifts and follows the temperature a little, and the seeing."""
     swing = np.sin(2 * np.pi * time / regime.focus_period + rng.uniform(0, 2 * np.pi))
     slow = 0.3 * red_noise(rng, time, 20.0)
     fast = 0.02 * red_noise(rng, time, 0.15)
@@ -335,9 +335,8 @@ def _starlight(regime, photometer, rng, time, offsets, width):
     for difference, distance, amplitude in regime.neighbors:
         angle, phase = rng.uniform(0, 2 * np.pi, 2)
         varied = 1 + amplitude * np.sin(2 * np.pi * time / 1.1 + phase)
-        image = render(
-            response, psf, x + distance * np.cos(angle), y + distance * np.sin(angle), width
-        )
+        u, v = distance * np.cos(angle), distance * np.sin(angle)
+        image = render(response, psf, x + u, y + v, width)
         others += (flux * 10 ** (-0.4 * difference) * varied)[:, None, None] * image
     return own, others, (x, y)
 
@@ -381,9 +380,8 @@ def _cosmic_rays(rng, shape, rate):
 def _measured(offset, rng, time, quality, lost, positions):
     """Return POS_CORR along an axis; far off where the star is off the stamp."""
     scale = 1 + _SCALE_ERROR * rng.choice([-1, 1])
-    errors = _SLOW_ERROR * red_noise(rng, time, _SLOW_SCALE) + rng.normal(
-        0, _WHITE_ERROR, len(time)
-    )
+    errors = _SLOW_ERROR * red_noise(rng, time, _SLOW_SCALE)
+    errors += _WHITE_ERROR * rng.normal(size=len(time))
     absurd = (quality > 0) & (rng.uniform(size=len(time)) < 0.2)
     nonsense = rng.choice([np.nan, 900.0, -50.0], len(time))
     measured = offset - np.median(offset)
