@@ -64,9 +64,14 @@ class Value:
 
 
 def frozen(array):
-    """Return a read-only copy of an array."""
-    array = np.array(array)
-    array.flags.writeable = False
+    """Return a read-only array: a copy if this one, or what it is a view of, can be written to."""
+    array = owner = np.asarray(array)
+    while isinstance(owner, np.ndarray):
+        if owner.flags.writeable:
+            array = array.copy()
+            array.flags.writeable = False
+            return array
+        owner = owner.base
     return array
 
 

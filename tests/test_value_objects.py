@@ -99,6 +99,24 @@ def test_value_objects(kind):
         one.replace(hue=1)
 
 
+@pytest.mark.parametrize("kind, name", [("pixels", "time"), ("observation", "flux")])
+def test_arrays_of_replace_cannot_be_written_to(kind, name):
+    one = make(kind)
+    given = np.array(getattr(one, name)) + 1
+    view = given[:]
+    other = one.replace(**{name: view})
+    before = hash(other)
+    given[0] = -5
+    assert hash(other) == before
+    assert not np.any(getattr(other, name) == -5)
+
+
+def test_text_of_pixels_without_a_time():
+    series = make("pixels")
+    assert "no times" in repr(series.replace(time=np.full(6, np.nan)))
+    assert "no times" in repr(series[:0])
+
+
 def test_arrays_of_the_caller_stay_his_own():
     left = np.ones(3)
     background = Background(1.0, left=left)

@@ -7,13 +7,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from scope_models.io._opening import checksum_of
+
 if TYPE_CHECKING:
     from astropy.io import fits
 
 __all__ = [
     "CHECKSUM_COMMENT",
     "Block",
-    "checksum_of",
     "column_cards",
     "make_header",
     "write_blocks",
@@ -171,16 +172,6 @@ def column_cards(rows, titles):
         if field.shape:
             cards.append((f"TDIM{i}", f"({','.join(map(str, field.shape[::-1]))})", ""))
     return cards
-
-
-def checksum_of(data, start=0):
-    """Return the ones' complement sum of bytes in 32-bit numbers."""
-    rest = len(data) % 4
-    total = start + int(data[: len(data) - rest].view(">u4").sum(dtype=np.uint64))
-    total += int.from_bytes(data[len(data) - rest :].tobytes().ljust(4, b"\0"), "big")
-    while total >> 32:
-        total = (total & 0xFFFFFFFF) + (total >> 32)
-    return total
 
 
 def _encoded(value):

@@ -2,73 +2,27 @@
 
 import gzip
 import io
-import re
 import warnings
 from contextlib import contextmanager
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
-from astropy import config
 
 from scope_models.exceptions import DamagedFileWarning
-from scope_models.io._blocks import checksum_of
 
-__all__ = ["Conf", "RefusedError", "conf", "naming", "open_fits"]
+__all__ = ["RefusedError", "checksum_of", "conf", "naming", "open_fits"]
 
-_BLOCK = 2880
-_END = b"END".ljust(80)
-_ONES = 2**32 - 1
-_CHUNK = 1 << 22
+#: Limits of files that are read: ``max_bytes``, bytes after decompression, and ``max_ratio``, the
+#: factor by which a compressed file may grow beyond 64 MiB.
+conf = SimpleNamespace(max_bytes=1 << 30, max_ratio=200)
+
 _GZIP = b"\x1f\x8b"
-_MOST_HEADER_BLOCKS = 1000  # 36,000 cards
-_MOST_COLUMNS = 999  # of the FITS standard
+_CHUNK = 1 << 20
 # Compressed files may always become so large: noise-free simulations compress very well.
 _SMALL = 64 << 20
-_BITPIX = {8, 16, 32, 64, -32, -64}
-# Bytes of an element of a column.
-_WIDTHS = dict(zip("LXBIJKAEDCMPQ", (1, 0.125, 1, 2, 4, 8, 1, 4, 8, 8, 16, 8, 16), strict=True))
-
-
-class _Item(config.ConfigItem):
-    rootname = "scope_models"
-
-
-class Conf(config.ConfigNamespace):
-    """Limits of `scope_models.io`, in the manner of `astropy.config`.
-
-    They are set by assignment, by ``with conf.set_temp(name, value):``, or in the section ``[io]``
-    of the file ``scope_models.cfg`` in astropy's configuration folder.
-
-    Attributes
-    ----------
-    max_bytes : int
-        Largest size of a FITS file that is read, in bytes after decompression.
-    max_ratio : int
-        Largest factor by which a compressed file may grow beyond 64 MiB.
-
-    Examples
-    --------
-    >>> from scope_models.io import conf
-    >>> with conf.set_temp("max_bytes", 4 * 2**30):
-    ...     conf.max_bytes
-    4294967296
-    """
-
-    rootname = "scope_models"
-
-    max_bytes = _Item(
-        1 << 30,
-        "Largest size of a FITS file that is read, in bytes after decompression.",
-        module="scope_models.io",
-    )
-    max_ratio = _Item(
-        200,
-        "Largest factor by which a compressed file may grow beyond 64 MiB.",
-        module="scope_models.io",
-    )
-
-
-conf = Conf()
+_MOST_COLUMNS = 999  # of the FITS standard
+_ONES = 2**32 - 1
 
 
 class RefusedError(ValueError):
@@ -79,9 +33,8 @@ class RefusedError(ValueError):
 def open_fits(path):
     """Open a FITS file to read, with one kind of error for whatever is wrong with it.
 
-    The file is read into memory, HDU by HDU, and each header's claims are checked before what it
-    claims is read: no file makes more memory needed than the limits in `scope_models.io.conf`
-    allow. The HDUs stay usable after the context.
+    The file is read into memory, up to the limits in `scope_models.io.conf`, and each header's
+    claims are checked before its data are read. The HDUs stay usable after the context.
 
     Parameters
     ----------
@@ -120,10 +73,10 @@ def open_fits(path):
     # Not imported with the package: it takes a quarter of the time that the package has for that.
     from astropy.io import fits
 
-    content, n_hdus = _read_whole(Path(path))
+    content = _content(Path(path))
     try:
         with fits.open(io.BytesIO(content), memmap=False) as hdus:
-            _check_number(hdus, n_hdus, path)
+            _check(hdus, content, path)
             yield hdus
     except RefusedError as error:
         raise ValueError(str(error)) from None
@@ -142,177 +95,119 @@ def naming(path):
         raise ValueError(f"{path}: {error}") from error
 
 
-def _check_number(hdus, n_hdus, path):
-    """Refuse a file of which astropy does not read every HDU."""
-    if len(hdus) != n_hdus:
-        raise RefusedError(f"{path} has {n_hdus} HDUs, of which {len(hdus)} are readable")
-
-
 def _unreadable(path, error):
-    reason = " ".join(str(error).split()) or type(error).__name__
+    # Bytes of a damaged header can be in the message.
+    reason = " ".join(str(error).split()).encode("unicode_escape").decode()
+    reason = reason or type(error).__name__
     return ValueError(f"{path} is no readable FITS file, or truncated: {reason}")
 
 
-def _read_whole(path):
-    """Return the checked bytes of a FITS file, and the number of its HDUs."""
+def _content(path):
+    """Return the bytes of a file, decompressed."""
     if path.is_dir():
         raise IsADirectoryError(f"{path} is a folder, not a FITS file")
     if not path.exists():
         raise FileNotFoundError(f"no such file: {path}")
     if not path.is_file():
         raise OSError(f"{path} is no regular file")
-    size = path.stat().st_size
+    size, limit = path.stat().st_size, conf.max_bytes
     if size == 0:
         raise ValueError(f"{path} is empty")
-    with path.open("rb") as file:
-        stream, limit = file, conf.max_bytes
-        if file.read(len(_GZIP)) == _GZIP:
-            stream, limit = gzip.GzipFile(fileobj=file), max(_SMALL, conf.max_ratio * size)
-        file.seek(0)
-        walk = _Walk(stream, path, min(limit, conf.max_bytes))
+    with path.open("rb") as stream:
+        packed = stream.read(len(_GZIP)) == _GZIP
+        stream.seek(0)
+        if not packed:
+            if size > limit:
+                raise _too_large(path, limit)
+            return stream.read()
+        limit = min(limit, max(_SMALL, conf.max_ratio * size))
         try:
-            content = walk.content()
-        except RefusedError as error:
-            raise ValueError(str(error)) from None
-        except Exception as error:  # of gzip, or of astropy at a card that is none
+            content = _unpacked(stream, limit)
+        except Exception as error:  # of gzip
             raise _unreadable(path, error) from error
-    if walk.mismatches:
-        warnings.warn(
-            f"{path}: {' and '.join(walk.mismatches)} "
-            f"do{'es' * (len(walk.mismatches) == 1)} not match: the file was damaged, "
-            "or changed after it was written",
-            DamagedFileWarning,
-            stacklevel=5,
-        )
+    if content is None:
+        raise _too_large(path, limit)
     return content
 
 
-class _Walk:
-    """A walk through the HDUs of a stream that checks every card."""
+def _unpacked(stream, limit):
+    """Return what a compressed stream holds; None if it is more than the limit."""
+    pieces, left = [], limit
+    with gzip.GzipFile(fileobj=stream) as unpacked:
+        while piece := unpacked.read(_CHUNK):
+            pieces.append(piece)
+            left -= len(piece)
+            if left < 0:
+                return None
+    return b"".join(pieces)
 
-    def __init__(self, stream, path, limit):
-        self._stream, self._path, self._limit = stream, path, limit
-        self._bytes = bytearray()
-        self.mismatches = []
 
-    def content(self):
-        """Return the bytes of all HDUs, and their number."""
-        n_hdus, extensions = 0, None
-        while (block := self._read(_BLOCK)) and not (n_hdus and self._is_padding(block)):
-            start = len(self._bytes) - len(block)
-            header = self._header(block, first=n_hdus == 0)
-            size = self._data_size(header, n_hdus)
-            data = len(self._bytes)
-            padded = -(-size // _BLOCK) * _BLOCK
-            if data + padded > self._limit:
-                self._refuse_size(f"HDU {n_hdus} claims {size:,} bytes")
-            while (left := data + padded - len(self._bytes)) and self._read(min(left, _CHUNK)):
-                pass  # in pieces: a claim needs no memory
-            if left:
-                found = len(self._bytes) - data
-                self._refuse(f"HDU {n_hdus} ends after {found:,} of {padded:,} bytes")
-            self._verify(header, start, data, n_hdus)
-            if n_hdus == 0:
-                extensions = header.get("NEXTEND")
-            n_hdus += 1
-        if isinstance(extensions, int) and n_hdus - 1 < extensions:
-            self._refuse(f"it has {n_hdus - 1} of {extensions} extensions")
-        return self._bytes, n_hdus
+def _too_large(path, limit):
+    settings = "scope_models.io.conf.max_bytes, max_ratio"
+    return ValueError(f"{path} is too large: the limit is {limit:,} bytes ({settings})")
 
-    def _read(self, size):
-        piece = self._stream.read(size)
-        self._bytes += piece
-        return piece
 
-    def _is_padding(self, block):
-        """Return whether the file ends with zeros or blanks; refuse other things after it."""
-        if block.startswith(b"XTENSION"):
-            return False
-        del self._bytes[-len(block) :]
-        if block.strip(b"\0 ") or self._stream.read(_CHUNK).strip(b"\0 "):
-            self._refuse("what follows its last HDU is no extension")
-        if self._stream.read(1):
-            self._refuse_size("what follows its last HDU is large")
-        return True
+def _check(hdus, content, path):
+    """Refuse HDUs that claim more than the file holds, and warn of sums that do not match."""
+    from astropy.io import fits
 
-    def _header(self, block, *, first):
-        """Return the header that begins with a block, and read all of it."""
-        from astropy.io import fits
-
-        start = b"SIMPLE  =" if first else b"XTENSION="
-        if not block.startswith(start):
-            self._refuse(f"it does not begin with {start.decode()!r}")
-        begin = len(self._bytes) - len(block)
-        for _ in range(_MOST_HEADER_BLOCKS):
-            if len(block) < _BLOCK:
-                self._refuse("a header has no END card")
-            if any(block[i : i + 80] == _END for i in range(0, _BLOCK, 80)):
-                break
-            block = self._read(_BLOCK)
-        else:
-            self._refuse(f"a header has more than {36 * _MOST_HEADER_BLOCKS:,} cards")
-        return fits.Header.fromstring(bytes(self._bytes[begin:]))
-
-    def _data_size(self, header, number):
-        """Return the size of an HDU's data in bytes, after checks of what makes it."""
-        axes = range(1, self._integer(header, "NAXIS", 0, 999) + 1)
-        bits = self._integer(header, "BITPIX", -64, 64)
-        if bits not in _BITPIX:
-            self._refuse(f"BITPIX of HDU {number} is {bits}")
-        lengths = [self._integer(header, f"NAXIS{axis}", 0) for axis in axes]
-        if header.get("GROUPS") is True and lengths[:1] == [0]:
-            self._refuse("random groups are not supported")
-        count = self._integer(header, "PCOUNT", 0, default=0)
-        groups = self._integer(header, "GCOUNT", 0, default=1)
-        if str(header.get("XTENSION")).strip() in {"BINTABLE", "TABLE"}:
-            self._check_columns(header, lengths)
-        elements = int(np.prod(lengths, dtype=object)) if lengths else 0
-        return abs(bits) // 8 * groups * (count + elements)
-
-    def _check_columns(self, header, lengths):
-        """Check that the columns of a table fit its rows."""
-        if len(lengths) != 2:
-            self._refuse(f"a table has {len(lengths)} axes")
-        n_columns = self._integer(header, "TFIELDS", 0, _MOST_COLUMNS)
-        if str(header["XTENSION"]).strip() == "TABLE":
-            return
-        width = 0
-        for number in range(1, n_columns + 1):
-            form = header.get(f"TFORM{number}")
-            found = re.match(r"\s*(\d*)([LXBIJKAEDCMPQ])", str(form))
-            if not found:
-                self._refuse(f"TFORM{number} is {form!r}")
-            if not isinstance(header.get(f"TTYPE{number}"), str):
-                self._refuse(f"TTYPE{number} is absent or no text")
-            width += int(found[1] or 1) * _WIDTHS[found[2]]
-        if width > lengths[0]:
-            self._refuse(f"the columns of a table have {width:,.0f} bytes, its rows {lengths[0]:,}")
-
-    def _integer(self, header, keyword, least, most=None, default=None):
-        value = header.get(keyword, default)
-        if isinstance(value, bool) or not isinstance(value, int):
-            self._refuse(f"{keyword} is {value!r}" if keyword in header else f"{keyword} is absent")
-        if value < least or (most is not None and value > most):
-            self._refuse(f"{keyword} is {value}")
-        return value
-
-    def _verify(self, header, start, data, number):
-        """Note which checksums of an HDU do not match."""
-        for keyword, begin in (("DATASUM", data), ("CHECKSUM", start)):
-            text = str(header.get(keyword, "")).strip()
-            if not text:
-                continue
+    mismatches, end = [], 0
+    for number, hdu in enumerate(hdus):
+        place = hdu.fileinfo()
+        start, end = place["hdrLoc"], place["datLoc"] + place["datSpan"]
+        kinds = (fits.PrimaryHDU, fits.ImageHDU, fits.BinTableHDU, fits.TableHDU)
+        if not isinstance(hdu, kinds):
+            raise _refused(path, f"HDU {number} is no image or table")
+        if end > len(content) or place["datSpan"] < 0:
+            raise _refused(path, f"HDU {number} claims more bytes than the file has")
+        if isinstance(hdu, fits.BinTableHDU | fits.TableHDU):
+            _check_columns(hdu, path)
+        for keyword, begin in (("DATASUM", place["datLoc"]), ("CHECKSUM", start)):
+            text = str(hdu.header.get(keyword, "")).strip()
             wanted = 0 if keyword == "CHECKSUM" else int(text) if text.isdigit() else -1
-            found = checksum_of(np.frombuffer(memoryview(self._bytes)[begin:], np.uint8))
-            if found % _ONES != wanted % _ONES:
-                self.mismatches.append(f"{keyword} of HDU {number}")
-                return
-
-    def _refuse(self, reason):
-        raise RefusedError(f"{self._path} is no readable FITS file, or truncated: {reason}")
-
-    def _refuse_size(self, reason):
-        raise RefusedError(
-            f"{self._path} is too large: {reason}, the limit is {self._limit:,} "
-            "(scope_models.io.conf.max_bytes, max_ratio)"
+            found = checksum_of(np.frombuffer(content, np.uint8, end - begin, begin))
+            if text and found % _ONES != wanted % _ONES:
+                mismatches.append(f"{keyword} of HDU {number}")
+                break
+    if content[end:].strip(b"\0 "):
+        raise _refused(path, "what follows its last HDU is no extension")
+    claimed = hdus[0].header.get("NEXTEND")
+    if isinstance(claimed, int) and len(hdus) - 1 < claimed:
+        raise _refused(path, f"it has {len(hdus) - 1} of {claimed} extensions")
+    if mismatches:
+        warnings.warn(
+            f"{path}: {' and '.join(mismatches)} do{'es' * (len(mismatches) == 1)} not match: the "
+            "file was damaged, or changed after it was written",
+            DamagedFileWarning,
+            stacklevel=5,
         )
+
+
+def _check_columns(hdu, path):
+    """Refuse a table whose columns do not fit its rows."""
+    n_columns = hdu.header["TFIELDS"]
+    if isinstance(n_columns, bool) or not 0 <= n_columns <= _MOST_COLUMNS:
+        raise _refused(path, f"TFIELDS is {n_columns}")
+    width = hdu.columns.dtype.itemsize
+    if width > hdu.header["NAXIS1"]:
+        raise _refused(
+            path,
+            f"the columns of a table have {width:,} bytes, its rows {hdu.header['NAXIS1']:,}",
+        )
+    for number in range(1, n_columns + 1):
+        if not isinstance(hdu.header.get(f"TTYPE{number}"), str):
+            raise _refused(path, f"TTYPE{number} is absent or no text")
+
+
+def _refused(path, reason):
+    return RefusedError(f"{path} is no readable FITS file, or truncated: {reason}")
+
+
+def checksum_of(data, start=0):
+    """Return the ones' complement sum of bytes in 32-bit numbers."""
+    rest = len(data) % 4
+    total = start + int(data[: len(data) - rest].view(">u4").sum(dtype=np.uint64))
+    total += int.from_bytes(data[len(data) - rest :].tobytes().ljust(4, b"\0"), "big")
+    while total >> 32:
+        total = (total & 0xFFFFFFFF) + (total >> 32)
+    return total

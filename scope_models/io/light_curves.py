@@ -135,7 +135,7 @@ def _aperture_hdu(tpf, sources, aperture):
     if len(sources) > 2:
         given = np.asarray(tpf.hdu[2].data)
         if given.dtype.kind in "iu" and given.shape == bits.shape:
-            bits = (given & ~_OPTIMAL).astype(np.int32)
+            bits = given.astype(np.int32) & ~_OPTIMAL
     hdu = fits.ImageHDU(bits | np.where(aperture, _OPTIMAL, 0).astype(np.int32), name="APERTURE")
     if len(sources) > 2:
         hdu.header.extend(_kept(sources[2], _OF_SIZES), end=True)  # with its coordinates

@@ -11,7 +11,7 @@ from astropy import units as u
 from astropy.time import Time
 
 from scope_models._arrays import plain_array, plain_time, unmasked
-from scope_models._values import Value
+from scope_models._values import Value, frozen
 from scope_models.io._opening import RefusedError, naming, open_fits
 from scope_models.io.reading import (
     PositionColumns,
@@ -27,6 +27,7 @@ __all__ = ["PixelSeries", "read_pixels", "read_tpf", "usable_positions"]
 
 _OPTIMAL = 2  # the bit of the optimal aperture in the APERTURE extension
 _FLUX = "electron / s"
+_OF_LIGHTKURVE = ("TIME", "CADENCENO", "FLUX", "FLUX_ERR", "QUALITY")
 #: Keywords of the WCS of the column FLUX, and their names in an image.
 _WCS = {
     "1CTYP5": "CTYPE1", "2CTYP5": "CTYPE2", "1CRPX5": "CRPIX1", "2CRPX5": "CRPIX2",
@@ -96,16 +97,16 @@ class PixelSeries(Value):
         for item in fields(self):
             value = getattr(self, item.name)
             if isinstance(value, np.ndarray):
-                value = value.view()
-                value.flags.writeable = False
-                object.__setattr__(self, item.name, value)
+                object.__setattr__(self, item.name, frozen(value))
         object.__setattr__(self, "header", MappingProxyType(dict(self.header)))
 
     def __repr__(self):
         n, ny, nx = self.flux.shape
         name = self.mission.name if self.mission else "of no known mission"
         known = self.time[np.isfinite(self.time)]
-        span = f"{self.time_format.upper()} {known[0]:.4f} to {known[-1]:.4f}" if n else "no times"
+        span = "no times"
+        if known.size:
+            span = f"{self.time_format.upper()} {known[0]:.4f} to {known[-1]:.4f}"
         return f"<PixelSeries {name}: {n} cadences of {ny} x {nx} pixels, {span}>"
 
     def __len__(self):
@@ -264,10 +265,18 @@ def read_tpf(source, *, quality_bitmask="default"):
 
     with open_fits(source) as hdus:
         series = _of_hdus(hdus, source)
+        columns = {name.upper() for name in first_table(hdus, source).columns.names}
         whole = fits.HDUList([hdu for hdu in hdus if hdu.data is None or len(hdu.data) >= 0])
     _check_times(series, source)
     if series.mission is None:
         raise ValueError(f"{source} names no known mission in MISSION or TELESCOP")
+    for name in _OF_LIGHTKURVE:
+        if name not in columns:
+            raise ValueError(f"lightkurve cannot read {source}: it has no column {name}")
+    for name in ("1CRV5P", "2CRV5P"):
+        value = series.header.get(name)
+        if not (value is None or (isinstance(value, int | float) and abs(value) < 1 << 31)):
+            raise ValueError(f"{source}: {name} must be a detector column or row, got {value!r}")
     with naming(source):
         series.without_flagged(quality_bitmask)
     kind = getattr(lightkurve, series.mission.tpf_class)
@@ -391,6 +400,9 @@ def _series(name, **values):
     if not values["cadenceno"].any():
         values["cadenceno"] = np.arange(1, n + 1)
     values["aperture"] = values["aperture"].astype(bool)
+    for array in values.values():
+        if isinstance(array, np.ndarray) and array.base is None:
+            array.flags.writeable = False  # made here: needs no copy
     return PixelSeries(**values)
 
 

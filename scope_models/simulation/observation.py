@@ -9,7 +9,7 @@ import numpy as np
 from scope_models._arrays import plain_array
 from scope_models._checks import checked_integer, checked_mask
 from scope_models._docstrings import documented
-from scope_models._values import Value, html_table
+from scope_models._values import Value, frozen, html_table
 from scope_models.effects import Effect
 from scope_models.io import TPFMetadata, Truth, write_tpf
 from scope_models.io.tpf import make_tpf_hdulist
@@ -81,8 +81,11 @@ class Observation(Value):
 
     def __post_init__(self):
         names = ("flux", "flux_err", "flux_bkg", "raw_cnts", "quality", "aperture", "star_images")
-        for cube in (getattr(self, name) for name in names):
-            cube.flags.writeable = False
+        for name in names:
+            cube = getattr(self, name)
+            if cube.base is None:
+                cube.flags.writeable = False
+            object.__setattr__(self, name, frozen(cube))
 
     def __repr__(self):
         n, ny, nx = self.flux.shape

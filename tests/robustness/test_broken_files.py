@@ -4,9 +4,12 @@ import os
 import subprocess
 import sys
 
+import numpy as np
 import pytest
+from astropy.io import fits
 from broken_files import LAYOUTS, Variant, no_fits, survey, template, variants
 
+from scope_models import Detector, Motion, Star, simulate
 from scope_models.cli import main
 
 
@@ -83,6 +86,46 @@ def test_commands_end_with_one_line(name, kind, refused, tmp_path, monkeypatch, 
     assert error.startswith("scope-models: error: ")
     assert "IN" in error
     assert sorted(path.name for path in tmp_path.iterdir()) == ["IN", "IN.toml"]
+
+
+def _dropped(name):
+    def change(hdus):
+        header = hdus[1].header
+        kept = ("TELESCOP", "MISSION", "BJDREFI", "BJDREFF", "OBJECT")
+        columns = [column for column in hdus[1].columns if column.name != name]
+        hdus[1] = fits.BinTableHDU.from_columns(columns)
+        hdus[1].header.update({key: header[key] for key in kept if key in header})
+
+    return change
+
+
+def _column_of_first_pixel(hdus):
+    hdus[1].header["1CRV5P"] = 10**30
+
+
+def _aperture_of_bytes(hdus):
+    hdus[2] = fits.ImageHDU(hdus[2].data.astype(np.uint8), name="APERTURE")
+
+
+@pytest.mark.parametrize(
+    "change, message",
+    [
+        (_dropped("FLUX_ERR"), "has no column FLUX_ERR"),
+        (_dropped("CADENCENO"), "has no column CADENCENO"),
+        (_column_of_first_pixel, "1CRV5P must be a detector column or row"),
+        (_aperture_of_bytes, None),
+    ],
+    ids=["error", "number", "column", "aperture"],
+)
+def test_detrend_of_files_that_lack_something(change, message, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    observation = simulate(Star(12.0), Detector.k2(shape=(7, 7)), Motion.k2_roll(60), seed=1)
+    with fits.open(observation.write("star.fits")) as hdus:
+        change(hdus)
+        hdus.writeto("changed.fits", checksum=True)
+    status = main(["detrend", "changed.fits", "--output", "out.fits", "--order", "1"])
+    assert status == (0 if message is None else 2)
+    assert (message or "") in capsys.readouterr().err
 
 
 def run(command, folder, content, limit=2 << 30):
