@@ -156,7 +156,8 @@ def _check(hdus, content, path):
         place = hdu.fileinfo()
         start, end = place["hdrLoc"], place["datLoc"] + place["datSpan"]
         kinds = (fits.PrimaryHDU, fits.ImageHDU, fits.BinTableHDU, fits.TableHDU)
-        if not isinstance(hdu, kinds):
+        named = content[start : start + 9] in {b"SIMPLE  =", b"XTENSION="}
+        if not (isinstance(hdu, kinds) and named):
             raise _refused(path, f"HDU {number} is no image or table")
         if end > len(content) or place["datSpan"] < 0:
             raise _refused(path, f"HDU {number} claims more bytes than the file has")

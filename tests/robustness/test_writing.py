@@ -110,7 +110,7 @@ def test_kills_of_commands(name, tmp_path):
 @POSIX
 @pytest.mark.slow
 def test_kills_of_a_run_with_two_workers(tmp_path):
-    """12 kills at random moments: no process is left, and the resumed run gives the bytes of a whole one."""
+    """12 kills at random moments: no process is left, and the resumed run gives the whole."""
     rng = np.random.default_rng(3)
     paths = [str(tmp_path / f"star{i}.fits") for i in range(12)]
     for i, path in enumerate(paths):
