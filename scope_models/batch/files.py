@@ -518,7 +518,7 @@ def _fitted(task, output, seed, **options):  # noqa: ARG001 - nothing is drawn
         "reduced_chi2": float(fit.reduced_chi2),
         "flux": float(np.nanmedian(without_unit(fit.flux))),
     }
-    for parameter in fit.table():
+    for parameter in fit.parameters:
         row[str(parameter["name"])] = float(without_unit(parameter["value"]))
     return row
 

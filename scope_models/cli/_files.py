@@ -166,7 +166,7 @@ def _fit(arguments, path, **options):
     from scope_models.batch.files import fit_file
 
     fit = fit_file(path, arguments.output, **options)
-    table = fit.table()
+    table = fit.parameters
     rows = [
         f"{row['name']:18s} {row['value']:12.6g} +- {row['error']:<10.2g} {row['unit']}"
         for row in table[~table["fixed"]]

@@ -1,6 +1,7 @@
 """Fits of the models to target pixel files."""
 
+from scope_models.fitting._tables import FittedStar
 from scope_models.fitting.fit import fit_tpf
-from scope_models.fitting.result import FittedStar, TPFFit
+from scope_models.fitting.result import TPFFit
 
 __all__ = ["FittedStar", "TPFFit", "fit_tpf"]

@@ -1,18 +1,14 @@
-"""The result of a fit from its solution, and warnings about it."""
+"""The result of a fit from its solution."""
 
-import warnings
 from dataclasses import asdict
 
 import numpy as np
-from scipy.stats import f as f_distribution
 
 from scope_models._arrays import plain_tree
-from scope_models.exceptions import FitWarning
-from scope_models.fitting._data import APART, find_stars
-from scope_models.fitting._scene import SMOOTHING_DAYS, smoothed
-from scope_models.fitting.result import FittedStar, TPFFit
+from scope_models.fitting._tables import FittedStar, cadence_table, parameter_table
+from scope_models.fitting.result import TPFFit
 
-__all__ = ["LARGEST_FLUX", "LARGEST_SCATTER", "doubts_of", "make_results", "warn_of_fit"]
+__all__ = ["make_results"]
 
 # Cards that a fit keeps: what the star is, and where the stamp is on detector and sky.
 _FACTS = (
@@ -20,23 +16,6 @@ _FACTS = (
     *("MISSION", "TELESCOP", "CAMPAIGN", "QUARTER", "SECTOR", "CHANNEL", "CAMERA", "CCD"),
     *("1CRV5P", "2CRV5P", "1CDLT5", "2CDLT5", "12PC5", "22PC5"),
 )
-# The paper's sensitivity is lower by this at the edge of a pixel than at its center: a coefficient
-# whose error there is larger has not been measured.
-_LARGEST_EDGE_ERROR = 0.0125
-# Scatter of the response between pixels in standard deviations of its prior, and of fluxes in their
-# errors, that is not what it is named.
-LARGEST_SCATTER = 3.0
-# Fitted motion over that of POS_CORR that is not in doubt, and the motion, pixels, from which it is
-# checked.
-_SCALES, _LEAST_MOTION = (0.9, 1.1), 0.01
-# Flux over the light in the pixels from which a model has invented it.
-LARGEST_FLUX = 2.0
-# Reduced chi-squared from which a model does not describe the pixels.
-_LARGEST_CHI2 = 100.0
-# Errors beyond which a flux is negative, and probability of what is not by chance.
-_CERTAIN, _CHANCE = 5.0, 0.01
-# Cadences from which the flux is compared with the position.
-_FEWEST = 20
 
 
 def make_results(problem, solution, errors, detectors, series):
@@ -77,37 +56,39 @@ def _make_result(problem, solution, errors, model_pixels, number, detector, seri
     n_parameters = (state.cadence.size + s + extra) * n_data / problem.n_data
     covariance = shared[:s, :s].copy()
     limits = problem.limits
-    at_bounds = (state.shared <= limits.lower) | (state.shared >= limits.upper)
+    at_bounds = np.array(problem.names)[
+        (state.shared <= limits.lower) | (state.shared >= limits.upper)
+    ].tolist()
+    statistics = {
+        "chi2": float(np.nansum(squares)),
+        "n_data": n_data,
+        "n_parameters": round(n_parameters),
+        "error_scale": problem.misfit,
+        "converged": solution.converged and not at_bounds,
+        "n_steps": solution.n_steps,
+        "chi2_held_out": np.nan,
+    }
+    columns = {name: getattr(data, name) for name in ("time", "cadenceno", "quality", "pos_corr")}
     return TPFFit(
         model=model,
-        names=problem.names,
-        kinds=tuple(p.kind for p in problem.parameters),
-        parameters=state.shared.copy(),
+        parameters=parameter_table(
+            model, problem.parameters, state.shared, covariance, at_bounds, statistics,
+            response=False,
+        ),
         covariance=covariance,
-        at_bounds=tuple(n for n, at in zip(problem.names, at_bounds, strict=True) if at),
+        cadences=cadence_table(columns | by_cadence | {"focus": 1 + problem.focus(state)}),
         neighbors=neighbors,
-        focus=1 + problem.focus(state),
         interpixel=interpixel,
         interpixel_err=interpixel_err,
-        time=data.time,
-        cadenceno=data.cadenceno,
-        quality=data.quality,
         observed=data.flux,
         observed_err=data.flux_err,
         fitted=fitted,
-        pos_corr=data.pos_corr,
-        chi2=float(np.nansum(squares)),
-        n_data=n_data,
-        n_parameters=round(n_parameters),
-        error_scale=problem.misfit,
-        converged=solution.converged and not at_bounds.any(),
-        n_steps=solution.n_steps,
+        statistics=statistics,
         time_format=data.time_format,
         detector=detector,
         options=asdict(problem.options),
         meta=plain_tree({k: v for k in _FACTS if (v := series.header.get(k)) is not None}, str),
-        **by_cadence,
-    )
+    )  # fmt: skip
 
 
 def _of_star(problem, state, errors, star):
@@ -159,169 +140,3 @@ def _by_cadence(problem, state, errors, star):
         )
         background["background_err"] = _variance(shared, cadence, column, shared_by_all=constant)
     return result | _with_errors(background)
-
-
-def warn_of_fit(fit, stacklevel):
-    """Warn of what is doubtful about a fit."""
-    for message in doubts_of(fit):
-        warnings.warn(message, FitWarning, stacklevel=stacklevel)
-
-
-def doubts_of(fit):
-    """Return what is doubtful about a fit, a message for each doubt."""
-    parts = _of_convergence, _of_sensitivity, _of_pixels, _of_positions, _of_flux
-    return [doubt for part in parts for doubt in part(fit)]
-
-
-def _of_convergence(fit):
-    """Doubts about where the iterations ended."""
-    if not fit.converged and not fit.at_bounds:
-        yield (
-            f"the fit has not converged after {fit.n_steps} steps: chi-squared {fit.chi2:.6g}, "
-            f"{fit.reduced_chi2:.4g} per degree of freedom; the best parameters are kept"
-        )
-    powers = fit.model.response_powers
-    others = [f"{name} = {fit.values[name]:.3g}" for name in fit.at_bounds if name not in powers]
-    if others:
-        yield (
-            f"the fit ends at bounds, {', '.join(others)}: the model does not suit the pixels; try "
-            "another psf"
-        )
-
-
-def _of_sensitivity(fit):
-    """Doubts about the response within a pixel."""
-    spread = {"x": np.std(fit.x), "y": np.std(fit.y)}
-    for name, (axis, power) in fit.model.response_powers.items():
-        if name not in fit.names:
-            continue
-        value, error = fit.values[name], fit.errors[name]
-        if name in fit.at_bounds:
-            yield (
-                f"the sensitivity is at its bound, {name} = {value:.3g}: it describes "
-                "errors of the PSF, and is not measured"
-            )
-        elif np.isnan(error):
-            yield (
-                f"the sensitivity is not measured: the PSF is wrong by {fit.error_scale:.2g} times "
-                f"the noise (chi-squared {fit.reduced_chi2:.3g}), and {name} = {value:.3g} "
-                "describes that"
-            )
-        elif not error * 0.5**power < _LARGEST_EDGE_ERROR:
-            yield (
-                f"the motion ({spread[axis]:.2g} px rms along {axis}) does not constrain the "
-                f"sensitivity: {name} = {value:.3g} +- {error:.2g}"
-            )
-
-
-def _of_pixels(fit):
-    """Doubts about the response between pixels, and the residuals."""
-    prior, scatter = fit.options["interpixel"], np.std(fit.interpixel - 1)
-    if prior and scatter > LARGEST_SCATTER * prior:
-        yield (
-            f"the response between pixels scatters by {100 * scatter:.2g} % where the prior is "
-            f"{100 * prior:.2g} %: it describes errors of the PSF; interpixel=0 leaves it out"
-        )
-    light, invented = _light(fit), np.median(fit.flux)
-    if invented > LARGEST_FLUX * light > 0:
-        yield (
-            f"the flux is {invented:.4g} e-/s where the pixels hold {light:.4g}: the PSF has most "
-            "of its light outside of them, or two of its terms cancel"
-        )
-    if fit.reduced_chi2 > _LARGEST_CHI2:
-        row, column = np.unravel_index(np.nanargmax(fit.chi2_pixels), fit.chi2_pixels.shape)
-        yield (
-            f"the model does not describe the pixels: chi-squared per degree of freedom is "
-            f"{fit.reduced_chi2:.4g}, and largest in column {column}, row {row}"
-            + ("" if fit.response else '; response="pixels" fits the share of each pixel')
-        )
-        stars = [(np.median(star.x), np.median(star.y)) for star in (fit, *fit.neighbors)]
-        away = [np.hypot(*(place - stars).T).min() for place in find_stars(fit.observed)]
-        others = np.sum(np.array(away) > APART)
-        if others:
-            yield (
-                f"{others} other maxi{'mum' if others == 1 else 'ma'} of the median image may be "
-                'other stars: neighbors="find" fits them'
-            )
-
-
-def _light(fit):
-    """Light in the pixels, e-/s."""
-    return float(np.nanmedian(np.nansum(fit.observed - fit.background[:, None, None], axis=(1, 2))))
-
-
-def _of_positions(fit):
-    """Doubts about where the star is, and how it moves."""
-    if fit.pos_corr is not None:
-        errors = np.array([np.median(fit.x_err), np.median(fit.y_err)]) / len(fit.x) ** 0.5
-        for axis, path, error, slope in zip(
-            "xy", fit.pos_corr.std(axis=0), errors, fit.path_scale(), strict=True
-        ):
-            differs = not _SCALES[0] < slope < _SCALES[1] and abs(slope - 1) * path > 3 * error
-            if differs and path * max(1.0, abs(slope)) > _LEAST_MOTION:
-                yield (
-                    f"the fitted motion along {axis} is {slope:.2g} times that of POS_CORR: the "
-                    'PSF may have absorbed it; positions="path" or a richer PSF prevents it'
-                )
-    ny, nx = fit.shape
-    x, y = np.median(fit.x), np.median(fit.y)
-    if not (0 <= x <= nx - 1 and 0 <= y <= ny - 1):
-        yield f"the star is at the edge of the pixels: x = {x:.2f}, y = {y:.2f}"
-    lost = (fit.x <= -1) | (fit.x >= nx) | (fit.y <= -1) | (fit.y >= ny)
-    if lost.any():
-        yield f"in {lost.sum()} cadences the fitted position ends at its bounds, off the pixels"
-
-
-def _of_flux(fit):
-    """Doubts about the fluxes."""
-    for number, star in enumerate((fit, *fit.neighbors)):
-        negative = np.sum(star.flux < -_CERTAIN * star.flux_err)
-        if negative:
-            name = f"neighbor {number}" if number else "the star"
-            yield f"the flux of {name} is negative in {negative} cadences"
-    if fit.response and fit.neighbors:
-        yield (
-            'response="pixels" divides the light of several stars between them by the PSF: the '
-            "fluxes of the fainter ones have larger errors than those given"
-        )
-    good = np.ones(len(fit.time), dtype=bool) if fit.outliers is None else ~fit.outliers
-    light = np.nansum(fit.observed - fit.background[:, None, None], axis=(1, 2))
-    whole = (
-        np.isfinite(fit.observed).sum(axis=(1, 2)) == np.isfinite(fit.observed).any(axis=0).sum()
-    )
-    steps = np.diff(np.column_stack([fit.flux, light])[good & whole], axis=0)
-    error = float(np.sqrt(np.mean(fit.flux_scatter**2)))
-    if len(steps):
-        ours, pixels = np.sqrt(np.mean(steps**2, axis=0))
-        if ours > LARGEST_FLUX * np.hypot(pixels, error):
-            yield (
-                f"the flux changes by {ours:.3g} e-/s from cadence to cadence, and the light in "
-                f"the pixels by {pixels:.3g}: it has branches, between which nothing decides"
-            )
-    explained, chance = _by_position(fit, good)
-    if explained > LARGEST_SCATTER * error and chance < _CHANCE:
-        yield (
-            f"the flux follows the position of the star by {explained:.3g} e-/s rms, where its "
-            f"error is {error:.3g}: the model does not separate them"
-        )
-
-
-def _by_position(fit, good):
-    """The rms of the flux that a quadratic form of the position explains, and how likely by chance.
-
-    Slow changes do not count, and there are as many independent fluxes as are left by that.
-    """
-    n = int(good.sum())
-    time, x, y, flux = (values[good] for values in (fit.time, fit.x, fit.y, fit.flux))
-    if n < _FEWEST:
-        return 0.0, 1.0
-    x, y = x - x.mean(), y - y.mean()
-    terms = np.column_stack([flux, x, y, x * x, x * y, y * y])
-    terms = terms - np.column_stack([smoothed(time, column) for column in terms.T])
-    fast, terms = terms[:, 0] - terms[:, 0].mean(), terms[:, 1:] - terms[:, 1:].mean(axis=0)
-    part = terms @ np.linalg.lstsq(terms, fast, rcond=None)[0]
-    spans = np.ptp(time) / SMOOTHING_DAYS
-    free = max(min(spans, n) - terms.shape[1] - 1, 1)
-    rest = np.sum((fast - part) ** 2)
-    ratio = np.sum(part**2) / terms.shape[1] / max(rest / free, 1e-300)
-    return float(part.std()), float(f_distribution.sf(ratio, terms.shape[1], free))

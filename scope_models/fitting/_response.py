@@ -13,7 +13,7 @@ from scipy.linalg import cho_factor, cho_solve
 from scope_models.effects.shares import PixelShares, polynomial_terms, polynomials, scaled_to
 from scope_models.fitting._problem import _UNTRUE, State
 from scope_models.fitting._start import centroids, linear_start
-from scope_models.fitting.result import FittedStar
+from scope_models.fitting._tables import FittedStar, cadence_table
 
 __all__ = ["fit_response"]
 
@@ -425,9 +425,9 @@ def fit_response(problem, few, state, fits, report=None):
     settled, more = _climb(shares, cadences, center, error, held, most, report)
     _improve(shares, cadences, center, error, steps=3)
     errors = _errors(shares, cadences, error)
-    ended = {"converged": settled, "n_steps": steps + more}
+    ended = {"settled": settled, "n_steps": steps + more}
     return [
-        _result(shares, cadences, held, errors, number, replace(fit, **ended))
+        _result(shares, cadences, held, errors, number, fit, **ended)
         for number, fit in enumerate(fits)
     ]
 
@@ -456,7 +456,7 @@ def _errors(shares, cadences, error):
     return variance, n_free
 
 
-def _result(shares, cadences, held, errors, number, fit):
+def _result(shares, cadences, held, errors, number, fit, *, settled, n_steps):
     """Return the fit of the PSF to a file with the response of its pixels."""
     problem, state, (variance, n_free) = shares.problem, cadences.state, errors
     data, pixels = problem.stamps[number], problem.slices[number]
@@ -487,31 +487,38 @@ def _result(shares, cadences, held, errors, number, fit):
     error = np.zeros(len(held))
     if problem.options.background == "cadence":
         error = np.sqrt(variance[:, problem.index.backgrounds[number]])
+    columns = {name: getattr(data, name) for name in ("time", "cadenceno", "quality", "pos_corr")}
+    columns |= values[0] | {
+        "flux_scatter": scatter,
+        "background": problem.backgrounds(state, number),
+        "background_err": error,
+        "focus": np.ones(len(held)),
+        "held_out": held,
+        "outliers": ~cadences.used,
+    }
+    left = max(n_data[out].sum() - free[out].sum(), 1)
+    statistics = {
+        "chi2": chi2,
+        "n_data": int(n_data.sum()),
+        "n_parameters": n_parameters,
+        "error_scale": float(np.sqrt(mean)) if mean > _UNTRUE else 1.0,
+        "converged": settled and fit.converged and not fit.at_bounds,
+        "n_steps": n_steps,
+        "chi2_held_out": float(np.nansum(squares[out]) / left),
+    }
+    parameters = fit.parameters.copy()
+    parameters["error"][np.isin(parameters["name"], list(model.response_powers))] = np.nan
     return replace(
         fit,
         model=model,
+        parameters=parameters,
+        cadences=cadence_table(columns),
         neighbors=tuple(FittedStar(**value) for value in values[1:]),
-        focus=np.ones(len(held)),
-        time=data.time,
-        cadenceno=data.cadenceno,
-        quality=data.quality,
         observed=observed,
         observed_err=data.flux_err,
         fitted=np.where(np.isfinite(observed), fitted, np.nan),
-        pos_corr=data.pos_corr,
-        background=np.array(problem.backgrounds(state, number)),
-        background_err=error,
-        chi2=chi2,
-        n_data=int(n_data.sum()),
-        n_parameters=n_parameters,
-        error_scale=float(np.sqrt(mean)) if mean > _UNTRUE else 1.0,
-        converged=fit.converged and not fit.at_bounds,
+        statistics=statistics,
         response=tuple(_effect(shares, state, k, place) for place, k in enumerate(stars)),
-        held_out=held,
-        outliers=~cadences.used,
-        chi2_held_out=float(np.nansum(squares[out]) / max(n_data[out].sum() - free[out].sum(), 1)),
-        flux_scatter=scatter,
-        **values[0],
     )
 
 

@@ -11,22 +11,21 @@ from astropy.modeling import Model
 from scope_models._checks import checked_choice, checked_integer, checked_number, solvable
 from scope_models._threads import one_thread
 from scope_models.exceptions import FitWarning
-from scope_models.fitting._data import APART, detector_of, read_data, star_positions
-from scope_models.fitting._gather import (
-    LARGEST_FLUX,
-    LARGEST_SCATTER,
-    make_results,
-    warn_of_fit,
-)
+from scope_models.fitting._doubts import LARGEST_FLUX, LARGEST_SCATTER, warn_of_fit
+from scope_models.fitting._gather import make_results
 from scope_models.fitting._problem import FitOptions, FitStar, Problem
 from scope_models.fitting._response import fit_response
 from scope_models.fitting._solver import covariances, solve
 from scope_models.fitting._start import (
+    APART,
     centroids,
+    detector_of,
     is_faint,
     linear_start,
     make_prf,
     make_rich_prf,
+    read_data,
+    star_positions,
     starting_state,
 )
 from scope_models.io.pixels import read_pixels

@@ -6,48 +6,15 @@ from functools import cached_property
 from html import escape
 
 import numpy as np
+from astropy.table import Table
 
 from scope_models._docstrings import documented
 from scope_models._values import Value
-from scope_models.fitting.parameters import FitParameter
+from scope_models.fitting._tables import CADENCE_UNITS, STATISTICS, degrees_of_freedom
 from scope_models.models import PRF
-from scope_models.models._parameters import numbers_of
 from scope_models.scene.detector import Detector
 
-__all__ = ["FittedStar", "TPFFit"]
-
-# Chi-squared per degree of freedom above which coefficients of a sensitivity are not measured: they
-# describe errors of the PSF long before these are seen in chi-squared.
-_TRUE_CHI2 = 1.1
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class FittedStar(Value):
-    """
-    Another star in a fit.
-
-    Parameters
-    ----------
-    x, y, flux : ndarray of shape (n,)
-        Position in pixels and flux in e-/s, by cadence.
-    x_err, y_err, flux_err : ndarray of shape (n,)
-        Their errors.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from scope_models.fitting import FittedStar
-    >>> star = FittedStar(*np.ones((6, 5)))
-    >>> star.flux.shape
-    (5,)
-    """
-
-    x: np.ndarray
-    y: np.ndarray
-    flux: np.ndarray
-    x_err: np.ndarray
-    y_err: np.ndarray
-    flux_err: np.ndarray
+__all__ = ["TPFFit"]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -58,49 +25,39 @@ class TPFFit(Value):
     `fit_tpf` makes it, `read` reads one that `write` has written. Arrays by cadence have the
     shape ``(n,)``, images ``(ny, nx)`` and cubes ``(n, ny, nx)``.
 
+    The columns of ``cadences`` and the entries of ``statistics`` are attributes too: ``fit.flux``
+    is a read-only array, None if there is no such column, and ``fit.chi2`` a number.
+
     Parameters
     ----------
     model : PRF
         The fitted model at the median position and flux.
-    names : tuple of str
-        Parameters that all cadences share: those of the model, then those of the path.
-    kinds : tuple of str
-        Their kinds, as in `~scope_models.PRF.parameter_kinds`.
-    parameters : ndarray of shape (s,)
-        Their values.
+    parameters : astropy.table.Table
+        Parameters that all cadences share, the free ones first: name, value, error, unit, whether
+        they are fixed, kind as in `~scope_models.PRF.parameter_kinds`, and whether they ended at a
+        bound. There, and for coefficients of a sensitivity where the PSF is wrong, the error is
+        NaN.
     covariance : ndarray of shape (s, s)
-        Their covariance, with the uncertainty of all other parameters.
-    at_bounds : tuple of str
-        Parameters that ended at a bound: they have no error.
+        Covariance of the free ones, with the uncertainty of all other parameters.
+    cadences : astropy.table.Table
+        A row per cadence: time in days, cadenceno and quality; x and y in pixels, flux and
+        background in e-/s, with x_err, y_err, flux_err and background_err, which hold the
+        uncertainty of the shared parameters; flux_scatter, the error of the flux less the mean
+        flux, that of a light curve; focus, the relative width of the PSF, 1 where it was not
+        fitted; pos_corr, of shape (n, 2), if the file has it. With a response of each pixel, also
+        held_out, cadences from which it has not learned, and outliers, which it does not describe:
+        they are no part of it, nor of chi-squared.
     neighbors : tuple of FittedStar
         The other stars.
-    focus : ndarray of shape (n,)
-        Relative width of the PSF; 1 where it was not fitted.
     interpixel, interpixel_err : ndarray of shape (ny, nx)
         Response of each pixel against the others; 1 and NaN where there are no data.
-    time : ndarray
-        Days.
-    cadenceno, quality : ndarray of int
-        Numbers and flags of the cadences.
-    x, y, flux, background : ndarray
-        Position in pixels, and e-/s.
-    x_err, y_err, flux_err, background_err : ndarray
-        Their errors, with the uncertainty of the shared parameters.
-    flux_scatter : ndarray
-        Error of the flux less the mean flux: that of a light curve, without what the shared
-        parameters change in all fluxes alike.
-    observed, observed_err, fitted : ndarray
-        Cubes of the data, their errors and the model, e-/s; NaN where not used.
-    pos_corr : ndarray of shape (n, 2) or None
-        POS_CORR of the cadences.
-    chi2, n_data, n_parameters : float, int
-        Chi-squared of the pixels without priors, number of pixel values, and number of parameters.
-    error_scale : float
-        By what the errors of the pixels were scaled up, because the model is not true.
-    converged : bool
-        Whether the iterations have converged.
-    n_steps : int
-        Number of steps.
+    observed, observed_err, fitted : ndarray of shape (n, ny, nx)
+        The data, their errors and the model, e-/s; NaN where not used.
+    statistics : mapping
+        chi2, of the pixels without priors; n_data, the number of pixel values, and n_parameters;
+        error_scale, by which the errors of the pixels were scaled up, because the model is not
+        true; whether the iterations have converged, and n_steps; chi2_held_out, chi-squared per
+        degree of freedom of the held-out cadences, NaN without a response.
     time_format : str
         "bkjd" or "btjd".
     detector : Detector
@@ -111,12 +68,6 @@ class TPFFit(Value):
         The file's description of the star.
     response : tuple of PixelShares, optional
         Changes of each pixel's share in the light of each star, if they were fitted.
-    held_out : ndarray of bool or None, optional
-        Cadences from which the response has not learned.
-    chi2_held_out : float, optional
-        Their chi-squared per degree of freedom; NaN without a response.
-    outliers : ndarray of bool or None, optional
-        Cadences that the response does not describe: no part of it, nor of chi-squared.
 
     Examples
     --------
@@ -124,58 +75,45 @@ class TPFFit(Value):
     >>> detector = Detector.k2(shape=(7, 7))
     >>> observation = simulate(Star(12.0), detector, Motion.k2_roll(100), seed=1)
     >>> fit = fit_tpf(observation.to_tpf(), psf=1)
-    >>> fit.table()["name"][:3].tolist()
+    >>> fit.parameters["name"][:3].tolist()
     ['sigma_x', 'sigma_y', 'rho']
     >>> stars, detector, motion = fit.scene()
     >>> twin = simulate(stars, detector, motion, seed=2)
     """
 
     model: PRF
-    names: tuple
-    kinds: tuple
-    parameters: np.ndarray
+    parameters: Table
     covariance: np.ndarray
-    at_bounds: tuple
+    cadences: Table
     neighbors: tuple
-    focus: np.ndarray
     interpixel: np.ndarray
     interpixel_err: np.ndarray
-    time: np.ndarray
-    cadenceno: np.ndarray
-    quality: np.ndarray
-    x: np.ndarray
-    y: np.ndarray
-    flux: np.ndarray
-    background: np.ndarray
-    x_err: np.ndarray
-    y_err: np.ndarray
-    flux_err: np.ndarray
-    background_err: np.ndarray
-    flux_scatter: np.ndarray
     observed: np.ndarray
     observed_err: np.ndarray
     fitted: np.ndarray
-    pos_corr: np.ndarray | None
-    chi2: float
-    n_data: int
-    n_parameters: int
-    error_scale: float
-    converged: bool
-    n_steps: int
+    statistics: Mapping
     time_format: str
     detector: Detector
     options: Mapping
     meta: Mapping
     response: tuple = ()
-    held_out: np.ndarray | None = None
-    chi2_held_out: float = np.nan
-    outliers: np.ndarray | None = None
 
     def __post_init__(self):
-        stars = [value for star in self.neighbors for value in vars(star).values()]
-        for value in [*vars(self).values(), *stars]:
+        columns = [*self.parameters.itercols(), *self.cadences.itercols()]
+        for value in [*vars(self).values(), *columns]:
             if isinstance(value, np.ndarray):
                 value.flags.writeable = False
+
+    def __getattr__(self, name):
+        if name in CADENCE_UNITS:
+            table = self.cadences
+            return np.asarray(table[name]) if name in table.colnames else None
+        if name in STATISTICS:
+            return self.statistics[name]
+        raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
+
+    def __dir__(self):
+        return [*super().__dir__(), *CADENCE_UNITS, *STATISTICS]
 
     def __repr__(self):
         n, ny, nx = self.observed.shape
@@ -188,7 +126,7 @@ class TPFFit(Value):
     def _repr_html_(self):
         lines = [line for line in self.summary().splitlines() if not line.startswith("  ")]
         text = "<br>".join(escape(line) for line in lines)
-        return f"<p>{text}</p>{self.table()._repr_html_()}"
+        return f"<p>{text}</p>{self.parameters._repr_html_()}"
 
     # --- numbers --------------------------------------------------------------------------
     @property
@@ -196,23 +134,30 @@ class TPFFit(Value):
         """Shape (ny, nx) of an image."""
         return self.interpixel.shape
 
+    @cached_property
+    def _free(self):
+        """The free parameters (Table)."""
+        return self.parameters[~self.parameters["fixed"]]
+
+    @property
+    def names(self):
+        """Names of the free shared parameters (tuple of str)."""
+        return tuple(self._free["name"].tolist())
+
     @property
     def values(self):
-        """Values of the shared parameters by name."""
-        return dict(zip(self.names, self.parameters.tolist(), strict=True))
+        """Values of the free shared parameters by name."""
+        return dict(zip(self.names, self._free["value"].tolist(), strict=True))
 
     @property
     def errors(self):
-        """
-        Standard deviations of the shared parameters by name.
+        """Standard deviations of the free shared parameters by name; NaN where not measured."""
+        return dict(zip(self.names, self._free["error"].tolist(), strict=True))
 
-        NaN at bounds, and for the coefficients of a sensitivity where the PSF is wrong.
-        """
-        errors = dict(zip(self.names, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
-        unknown = set(self.at_bounds)
-        if self.response or self.error_scale > 1 or self.reduced_chi2 > _TRUE_CHI2:
-            unknown |= set(self.model.response_powers)
-        return {name: np.nan if name in unknown else error for name, error in errors.items()}
+    @property
+    def at_bounds(self):
+        """Names of the parameters that ended at a bound (tuple of str)."""
+        return tuple(self._free["name"][self._free["at_bound"]].tolist())
 
     @property
     def psf(self):
@@ -234,7 +179,7 @@ class TPFFit(Value):
     @property
     def dof(self):
         """Degrees of freedom: pixel values less parameters."""
-        return max(self.n_data - self.n_parameters, 1)
+        return degrees_of_freedom(self.statistics)
 
     @cached_property
     def residual(self):
@@ -264,33 +209,6 @@ class TPFFit(Value):
         total = np.nansum(self._squares, axis=axis) * (self.n_data / self.dof)
         return np.divide(total, count, out=np.full(total.shape, np.nan), where=count > 0)
 
-    def table(self):
-        """
-        Return the shared parameters.
-
-        Returns
-        -------
-        astropy.table.QTable
-            Columns name, value, error, unit and fixed. Units differ from row to row: `quantity`
-            gives a value with its unit.
-        """
-        from astropy.table import QTable
-
-        errors, kinds, values = self.errors, self.all_kinds, numbers_of(self.model) | self.values
-        rows = []
-        for name in dict.fromkeys((*self.names, *self.model.param_names[3:])):
-            unit = FitParameter(name, kinds.get(name, "other")).unit
-            rows.append((name, values[name], errors.get(name, 0.0), unit, name not in errors))
-        names = ("name", "value", "error", "unit", "fixed")
-        table = QTable(rows=rows, names=names, dtype=("U32", float, float, "U8", bool))
-        table["value"].info.format, table["error"].info.format = ".6g", ".2g"
-        return table
-
-    @property
-    def all_kinds(self):
-        """Kinds of the parameters, fixed or free, by name (dict of str)."""
-        return self.model.parameter_kinds | dict(zip(self.names, self.kinds, strict=True))
-
     def quantity(self, name):
         """
         Return a shared parameter with its unit.
@@ -307,8 +225,9 @@ class TPFFit(Value):
         """
         from astropy import units as u
 
-        unit = FitParameter(name, self.all_kinds[name]).unit
-        return u.Quantity(self.values[name], u.electron / u.s if unit == "e-/s" else unit)
+        rows = dict(zip(self.parameters["name"], self.parameters, strict=True))
+        unit = rows[name]["unit"]
+        return u.Quantity(rows[name]["value"], u.electron / u.s if unit == "e-/s" else unit)
 
     def correlation(self):
         """
@@ -319,8 +238,6 @@ class TPFFit(Value):
         astropy.table.Table
             A column of names, and one column per parameter.
         """
-        from astropy.table import Table
-
         deviation = np.sqrt(np.maximum(np.diag(self.covariance), 1e-300))
         matrix = self.covariance / np.outer(deviation, deviation)
         table = Table({"name": list(self.names)})
@@ -420,7 +337,7 @@ class TPFFit(Value):
         The fitted background is not in the scene: it is what the file left in the pixels. With a
         response of each pixel, it is, and so are the shares of the pixels.
         """
-        from scope_models.fitting._scene import make_scene
+        from scope_models.fitting._products import make_scene
 
         return make_scene(self, positions, signal)
 
@@ -433,7 +350,7 @@ class TPFFit(Value):
         str
             Model, residuals, motion, parameters with errors, and doubts.
         """
-        from scope_models.fitting._gather import doubts_of
+        from scope_models.fitting._doubts import doubts_of
 
         n, ny, nx = self.observed.shape
         state = f"{'' if self.converged else 'not '}converged after {self.n_steps} steps"
@@ -453,15 +370,12 @@ class TPFFit(Value):
         for star in self.neighbors:
             x, y, flux = (np.median(values) for values in (star.x, star.y, star.flux))
             lines.append(f"other star: {flux:.6g} e-/s at column {x:.3f}, row {y:.3f}")
-        table, kinds = self.table(), self.all_kinds
-        terms = [
-            kinds.get(name) in {"coefficient", "correction", "focus"} for name in table["name"]
-        ]
-        for row in table[~np.array(terms, dtype=bool)]:
+        terms = np.isin(self.parameters["kind"], ("coefficient", "correction", "focus"))
+        for row in self.parameters[~terms]:
             error = "fixed" if row["fixed"] else f"+- {row['error']:.2g}"
             lines.append(f"  {row['name']:18s} {row['value']:12.6g} {error} {row['unit']}".rstrip())
-        if any(terms):
-            lines.append(f"  and {sum(terms)} coefficients of smooth terms")
+        if terms.any():
+            lines.append(f"  and {terms.sum()} coefficients of smooth terms")
         return "\n".join([*lines, *(f"! {doubt}" for doubt in doubts_of(self))])
 
     def _of_response(self):
@@ -483,7 +397,7 @@ class TPFFit(Value):
         dict of str to matplotlib.axes.Axes
             The Axes by what they show.
         """
-        from scope_models.fitting._scene import sensitivity_profiles
+        from scope_models.fitting._products import sensitivity_profiles
         from scope_models.plotting import plot_fit
 
         return plot_fit(
@@ -508,7 +422,7 @@ class TPFFit(Value):
         ----------
         {write}
         """
-        from scope_models.fitting._files import write_fit
+        from scope_models.fitting._products import write_fit
 
         return write_fit(self, path, overwrite=overwrite)
 
@@ -532,6 +446,6 @@ class TPFFit(Value):
         ValueError
             If the file does not hold a fit.
         """
-        from scope_models.fitting._files import read_fit
+        from scope_models.fitting._products import read_fit
 
         return cls(**read_fit(path))

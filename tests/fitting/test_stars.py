@@ -249,5 +249,7 @@ def test_branches_of_flux_are_warned_of(pair):
     fit, messages = messages_of(pair.to_tpf(), 1, stars=PLACES, interpixel=0)
     assert "branches" not in messages
     jumps = np.where(np.arange(len(fit.time)) % 7 < 3, 0.5, 1.0)
-    doubtful = fit.replace(flux=fit.flux * jumps)
+    cadences = fit.cadences.copy()
+    cadences["flux"] *= jumps
+    doubtful = fit.replace(cadences=cadences)
     assert "it has branches, between which nothing decides" in doubtful.summary()

@@ -1,0 +1,96 @@
+"""What all cadences of a fit share, and what each has, as tables."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from astropy.table import Table
+
+from scope_models._values import Value
+from scope_models.fitting.parameters import FitParameter
+from scope_models.models._parameters import numbers_of
+
+__all__ = ["CADENCE_UNITS", "STATISTICS", "FittedStar", "cadence_table", "parameter_table"]
+
+# Columns of `TPFFit.cadences`, and their units.
+CADENCE_UNITS = {
+    "time": "d",
+    **dict.fromkeys(("cadenceno", "quality", "focus", "held_out", "outliers"), ""),
+    **dict.fromkeys(("x", "x_err", "y", "y_err", "pos_corr"), "pixel"),
+    **dict.fromkeys(("flux", "flux_err", "flux_scatter", "background", "background_err"), "e-/s"),
+}
+# Entries of `TPFFit.statistics`.
+STATISTICS = tuple(
+    "chi2 n_data n_parameters error_scale converged n_steps chi2_held_out".split()  # noqa: SIM905
+)
+# Chi-squared per degree of freedom above which coefficients of a sensitivity are not measured: they
+# describe errors of the PSF long before these are seen in chi-squared.
+_TRUE_CHI2 = 1.1
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class FittedStar(Value):
+    """
+    Another star in a fit.
+
+    Parameters
+    ----------
+    x, y, flux : ndarray of shape (n,)
+        Position in pixels and flux in e-/s, by cadence.
+    x_err, y_err, flux_err : ndarray of shape (n,)
+        Their errors.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from scope_models.fitting import FittedStar
+    >>> star = FittedStar(*np.ones((6, 5)))
+    >>> star.flux.shape
+    (5,)
+    """
+
+    x: np.ndarray
+    y: np.ndarray
+    flux: np.ndarray
+    x_err: np.ndarray
+    y_err: np.ndarray
+    flux_err: np.ndarray
+
+    def __post_init__(self):
+        for value in vars(self).values():
+            value.flags.writeable = False
+
+
+def parameter_table(model, parameters, values, covariance, at_bounds, statistics, *, response):
+    """The shared parameters, the free ones first, as `TPFFit.parameters` describes them."""
+    unknown, reduced = set(at_bounds), statistics["chi2"] / degrees_of_freedom(statistics)
+    if response or statistics["error_scale"] > 1 or reduced > _TRUE_CHI2:
+        unknown |= set(model.response_powers)
+    free, kinds, numbers = [p.name for p in parameters], model.parameter_kinds, numbers_of(model)
+    rows = [
+        (p.name, value, np.nan if p.name in unknown else error, p.unit, False, p.kind,
+         p.name in at_bounds)
+        for p, value, error in zip(parameters, values, np.sqrt(np.diag(covariance)), strict=True)
+    ]  # fmt: skip
+    for name in model.param_names[3:]:
+        if name not in free:
+            p = FitParameter(name, kinds.get(name, "other"))
+            rows.append((name, numbers[name], 0.0, p.unit, True, p.kind, False))
+    names = ("name", "value", "error", "unit", "fixed", "kind", "at_bound")
+    kinds = ("U32", float, float, "U8", bool, "U16", bool)
+    table = Table(rows=rows or None, names=names, dtype=kinds)
+    table["value"].info.format, table["error"].info.format = ".6g", ".2g"
+    return table
+
+
+def degrees_of_freedom(statistics):
+    """Pixel values less parameters."""
+    return max(statistics["n_data"] - statistics["n_parameters"], 1)
+
+
+def cadence_table(columns):
+    """Values by cadence, those that are not None, with the units of `TPFFit.cadences`."""
+    names = [name for name in CADENCE_UNITS if columns.get(name) is not None]
+    table = Table({name: columns[name] for name in names})
+    for name in names:
+        table[name].unit = CADENCE_UNITS[name] or None
+    return table
