@@ -39,7 +39,7 @@ default_role = "py:obj"
 # no network; nor are names of arguments.
 nitpicky = True
 nitpick_ignore_regex = [
-    (r"py:.*", r"(astropy|collections|dataclasses|datetime|lightkurve|matplotlib)\..*"),
+    (r"py:.*", r"(astropy|collections|dataclasses|datetime|functools|lightkurve|matplotlib)\..*"),
     (r"py:.*", r"(np|numpy|pathlib|photutils)\..*"),
     (r"py:obj", r"[a-z_]+|ID"),
     # type hints; base classes that are not public

@@ -61,7 +61,7 @@ _NUMBERS = (
 @dataclass(frozen=True, eq=False, repr=False)
 class PLDFit:
     """
-    The fit of a `PLDModel`: hyper-parameters, systematics, errors and diagnostics.
+    The fit of `PLDCorrector`: hyper-parameters, systematics, errors and diagnostics.
 
     All variances are of relative flux. Arrays have one element per cadence of the file, NaN where
     a cadence cannot be used.

@@ -289,14 +289,20 @@ class Effect(Value):
         return self.replace(**{n: np.interp(new, time, v) for n, v in values.items() if np.ndim(v)})
 
     def draw(self, conditions, generator):
-        """Return what is drawn of the generator, or follows from the parameters, as `Drawn`."""
+        """Return what is drawn of the generator, or follows from the parameters.
+
+        A `~scope_models.effects.base.Drawn`.
+        """
         return Drawn()
 
     def width(self, drawn, conditions):
         """Return a factor on the width of the PSF, shape (n_cadences,), or None."""
 
     def exposures(self, drawn, conditions):
-        """Return offsets of the stars within each cadence, `Exposures`, or None."""
+        """Return offsets of the stars within each cadence, or None.
+
+        They are `~scope_models.effects.base.Exposures`.
+        """
 
     def shares(self, drawn, conditions, star):
         """Return a function of columns, rows (m,) and a slice, or None.
