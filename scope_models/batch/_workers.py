@@ -4,7 +4,6 @@ import itertools
 import logging
 import re
 import signal
-import threading
 import traceback
 import warnings
 from collections.abc import Callable
@@ -16,10 +15,9 @@ from multiprocessing import resource_tracker
 from numbers import Integral
 
 import numpy as np
-import scipy.linalg  # noqa: F401 - its threads are limited only once it is loaded
-from threadpoolctl import threadpool_limits
 
 from scope_models._checks import checked_integer
+from scope_models._threads import one_thread
 
 __all__ = [
     "Job",
@@ -27,7 +25,6 @@ __all__ = [
     "check_client",
     "checked_tasks",
     "computed",
-    "one_thread",
 ]
 
 _DIED = "WorkerDied: the process that computed this star died (killed, out of memory, or a crash)"
@@ -40,34 +37,6 @@ _WINDOWS = re.compile(r"(CON|PRN|AUX|NUL|COM[0-9]|LPT[0-9])(\..*)?", re.IGNORECA
 
 class LostWorkersError(Exception):
     """The workers, or the scheduler that gives them work, are lost."""
-
-
-class _OneThread:
-    """One thread for BLAS and OpenMP, from the first entry to the last exit of any thread.
-
-    The matrices are small, cores are better used by further stars, and the number of threads
-    changes the rounding of the results.
-    """
-
-    def __init__(self):
-        self._lock = threading.Lock()
-        self._depth = 0
-        self._limits = None
-
-    def __enter__(self):
-        with self._lock:
-            if self._depth == 0:
-                self._limits = threadpool_limits(1)
-            self._depth += 1
-
-    def __exit__(self, *_):
-        with self._lock:
-            self._depth -= 1
-            if self._depth == 0:
-                self._limits.restore_original_limits()
-
-
-one_thread = _OneThread()
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ from tqdm import tqdm
 
 from scope_models._arrays import plain_tree
 from scope_models._checks import checked_integer
+from scope_models._threads import one_thread
 from scope_models._values import Value
 from scope_models._version import __version__
 from scope_models.batch._store import Store
@@ -23,7 +24,6 @@ from scope_models.batch._workers import (
     check_client,
     checked_tasks,
     computed,
-    one_thread,
 )
 from scope_models.exceptions import FailedStarsWarning
 from scope_models.io._atomic import atomic_path

@@ -8,6 +8,7 @@ import numpy as np
 
 from scope_models._arrays import plain_array
 from scope_models._checks import checked_number
+from scope_models._threads import one_thread
 from scope_models.correctors._pixels import (
     Pixels,
     at_one_place,
@@ -224,6 +225,7 @@ def box_signal(used, width, depth):
     return signal
 
 
+@one_thread
 def fitted_depth(fitted, column):
     """Return amplitude and error of a transit at fixed regressors."""
     usable, solution = fitted.model.pixels.usable, fitted.solution

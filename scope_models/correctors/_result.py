@@ -8,6 +8,7 @@ import numpy as np
 from astropy.table import QTable
 
 from scope_models._checks import checked_integer
+from scope_models._threads import one_thread
 from scope_models.correctors._injection import (
     box_signal,
     checked_depth,
@@ -355,6 +356,7 @@ class PLDFit:
         blended = source is not None and pixels.own is not None and pixels.own.all()
         return min(pixels.crowding, 1 - source.other_light if blended else 1.0)
 
+    @one_thread
     def covariance(self, cadences):
         """
         Return the covariance of the corrected relative flux.
@@ -451,6 +453,7 @@ class PLDFit:
             return _no_survival(f"{found:.2f} with a standard deviation of {error:.2f}")
         return found
 
+    @one_thread
     def _with_signal(self, column):
         """Return the fit of the same pixels with the star's light times ``exp(column)``."""
         model = self.model
@@ -542,6 +545,7 @@ class PLDFit:
             )
             warnings.warn(message, DetrendingWarning, stacklevel=4)
 
+    @one_thread
     def held_out(self, width=13):
         """
         Predict windows of cadences by a model that has not seen them.

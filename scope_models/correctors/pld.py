@@ -113,7 +113,8 @@ class PLDCorrector(LightkurveNames, Corrector):
     def _summed(self, aperture_mask):
         """Return the pixels of an aperture, and the light curve of their sum."""
         mask = self._named(aperture_mask, "aperture_mask")
-        pixels = aperture_pixels(self._series, mask)
+        with one_thread:
+            pixels = aperture_pixels(self._series, mask)
         lc = self.tpf.to_lightcurve(aperture_mask=pixels.aperture.copy())
         unit = lc.flux.unit
         lc.flux = np.where(pixels.usable, pixels.total, np.nan) * unit

@@ -257,8 +257,9 @@ def fit_tpf(
             f"of {np.median(fits[0].flux):.4g}: give the `psf`"
         )
         warnings.warn(message, FitWarning, stacklevel=2)
-    for fit in fits:
-        warn_of_fit(fit, stacklevel=3)
+    with one_thread:
+        for fit in fits:
+            warn_of_fit(fit, stacklevel=3)
     return tuple(fits) if several else fits[0]
 
 
