@@ -17,6 +17,9 @@ _FOLDERS = [
 ]
 
 os.environ["MPLBACKEND"] = "Agg"
+# Pages and tests use the studies, which are scripts.
+_STUDIES = Path(__file__).resolve().parent / "studies"
+sys.path += [str(_STUDIES), str(_STUDIES / "paper")]
 
 
 @pytest.fixture(autouse=True)

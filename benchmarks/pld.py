@@ -8,7 +8,9 @@ Run as ``OMP_NUM_THREADS=1 python benchmarks/pld.py``.
 """
 
 import itertools
+import logging
 import resource
+import warnings
 from functools import partial
 
 import numpy as np
@@ -16,7 +18,6 @@ from _common import report_environment, seconds
 
 from scope_models import Detector, Motion, Star, simulate
 from scope_models.correctors import PLDCorrector
-from scope_models.experiments._correctors import quiet
 
 REPEATS = 5
 
@@ -75,7 +76,9 @@ def report_growth():
 
 def main():
     report_environment("celerite2", "lightkurve")
-    with quiet():
+    logging.getLogger("lightkurve").setLevel(logging.CRITICAL)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
         report_against_lightkurve()
         report_growth()
 

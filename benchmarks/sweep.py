@@ -32,10 +32,10 @@ from typing import ClassVar
 import numpy as np
 from _common import report_environment
 from distributed import Client, LocalCluster
+from scope_models.experiments.study import Study
 
 from scope_models import Detector, Motion, Star, simulate
 from scope_models.experiments import make_study, run_sweep
-from scope_models.experiments.study import Study
 
 REPEATS = 5
 SIZES = (10, 100, 1000, 10000)

@@ -11,9 +11,10 @@ from scope_models.cli import main
 
 os.environ["MPLBACKEND"] = "Agg"
 sys.path.insert(0, str(Path(__file__).parent / "_ext"))
+sys.path.append(str(Path(__file__).parents[1] / "studies" / "paper"))
 
 # Each has a section on the page on the command line.
-COMMANDS = ("demo", "simulate", "inject", "detrend", "fit", "experiment", "benchmark", "score")
+COMMANDS = ("demo", "simulate", "inject", "detrend", "fit", "benchmark", "score")
 
 project = "scope_models"
 author = "scope_models developers"

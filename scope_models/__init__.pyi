@@ -20,9 +20,6 @@ from . import (
     exceptions as exceptions,
 )
 from . import (
-    experiments as experiments,
-)
-from . import (
     fitting as fitting,
 )
 from . import (

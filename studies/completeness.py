@@ -14,9 +14,9 @@ from pathlib import Path
 
 import numpy as np
 from astropy.table import Table, vstack
+from paper._search import search_light_curve
 
 from scope_models import Detector, PLDCorrector, TransitModel, fit_tpf, inject
-from scope_models.experiments._search import search_light_curve
 from scope_models.io import read_pixels, read_tpf
 
 PERIODS = (1.5, 3.0, 6.0, 12.0, 24.0)  # days

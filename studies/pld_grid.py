@@ -18,6 +18,7 @@ import warnings
 from pathlib import Path
 
 import numpy as np
+from paper._correctors import CONVENTIONS, LIGHTKURVE_CORRECTORS, correct, score
 from tqdm import tqdm
 
 from scope_models import (
@@ -29,12 +30,6 @@ from scope_models import (
     simulate,
 )
 from scope_models.correctors import PLDCorrector
-from scope_models.experiments._correctors import (
-    CONVENTIONS,
-    LIGHTKURVE_CORRECTORS,
-    correct,
-    score,
-)
 from scope_models.photometry import cdpp
 
 MAGNITUDES = tuple(np.arange(10, 15.6, 0.5))

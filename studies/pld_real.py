@@ -13,9 +13,9 @@ from pathlib import Path
 import numpy as np
 from _files import FILES
 from celerite2 import GaussianProcess, terms
+from paper._correctors import CONVENTIONS, quiet
 
 from scope_models.correctors import PLDCorrector
-from scope_models.experiments._correctors import CONVENTIONS, quiet
 from scope_models.photometry import cdpp
 
 STARS = ("EPIC 211956421", "EPIC 211983544")

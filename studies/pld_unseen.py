@@ -18,13 +18,13 @@ from pathlib import Path
 
 import numpy as np
 import pld_grid
+from astropy.stats import mad_std
 from tqdm import tqdm
 
 from scope_models import simulate
 from scope_models.correctors import PLDCorrector
 from scope_models.correctors._features import Regressors, center
 from scope_models.correctors._regression import Hyperparameters
-from scope_models.experiments._correctors import robust_scatter
 
 MAGNITUDES = (11.5, 12.5, 13.5)
 SCALES = (5, 10)
@@ -63,7 +63,7 @@ def run_star(detector, mag, scale, series, options):
     known = held_out_when_known(corrector, observation, alike.model(), SCATTER[detector])
     scores = pld_grid.noise_scores(corrector, observation, np.ones(len(motion)))
     floor = 1e-6 * scores["floor"]
-    return [f(values) / floor for values in (means, known) for f in (robust_scatter, np.std)]
+    return [f(values) / floor for values in (means, known) for f in (mad_std, np.std)]
 
 
 def report(rows):

@@ -18,11 +18,11 @@ from pathlib import Path
 
 import numpy as np
 from astropy.table import Table
+from paper._correctors import quiet
 
 from scope_models import Detector, Motion, PLDCorrector, SceneCorrector, Star, simulate
+from scope_models._arrays import values_of
 from scope_models.benchmark import benchmark_star, score_light_curves, summarize_scores
-from scope_models.experiments._correctors import quiet
-from scope_models.experiments._statistics import values_of
 from scope_models.io import read_tpf
 
 ENSEMBLE, COMPONENTS = 30, 8

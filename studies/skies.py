@@ -16,10 +16,10 @@ from dataclasses import asdict
 from itertools import product
 
 import numpy as np
+from paper._correctors import LIGHTKURVE_CORRECTORS
+from paper._correctors import correct as correct_by_lightkurve
 
 from scope_models.benchmark import REGIMES, make_sky, score
-from scope_models.experiments._correctors import LIGHTKURVE_CORRECTORS
-from scope_models.experiments._correctors import correct as correct_by_lightkurve
 
 COLUMNS = ("full", "high_passed", "amplitude", "depth", "pull", "kept", "seconds")
 

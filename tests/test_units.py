@@ -44,14 +44,6 @@ from scope_models.effects import noise as effects_noise
 from scope_models.effects.cosmic_rays import rejected_shift
 from scope_models.effects.saturation import bleed
 from scope_models.exceptions import FitWarning
-from scope_models.experiments import populations
-from scope_models.experiments.breathing import BreathingPSF
-from scope_models.experiments.k2_motion import K2MotionNoise
-from scope_models.experiments.motion import MotionTest
-from scope_models.experiments.no_motion import NoMotion
-from scope_models.experiments.recovery import Recovery
-from scope_models.experiments.table1 import Table1
-from scope_models.experiments.tess import tess_noise
 from scope_models.io import TPFMetadata, usable_positions
 from scope_models.io.tpf import make_tpf_hdulist
 from scope_models.missions import MISSIONS
@@ -485,14 +477,6 @@ ROWS = {
         )
         for name, value in {"x": 2 * TIME, "y": 2 * TIME, "radius": 2.0, "edge": 0.2}.items()
     },
-    **{
-        f"tess_noise.{name}": (
-            lambda v, name=name: tess_noise(**({"mag": 10.0, "pixels": 9} | {name: v})), value, unit
-        )
-        for name, value, unit in (
-            ("mag", 12.0, u.mag), ("hours", 2.0, u.hour), ("floor", 50.0, PPM)
-        )
-    },
     "aperture_flux.flux": (
         lambda v: ph.aperture_flux(v, IMAGE > 50), np.stack([IMAGE, IMAGE]), RATE
     ),
@@ -524,21 +508,6 @@ ROWS = {
     "bleed.background": (lambda v: bleed(100 * np.eye(3), 50.0, v), 20.0, u.electron),
     "PLDOptions.segments": (lambda v: PLDOptions(segments=v).segments, [3.0, 5.0], u.day),
     "PLDOptions.saturation": (lambda v: PLDOptions(saturation=v).saturation, 1e4, RATE),
-    "draw_star.mag": (
-        lambda v: populations.draw_star(np.random.default_rng(1), v, Detector.k2()).mag, 12.0, u.mag
-    ),
-    **{
-        f"draw_star.{name}": (
-            lambda v, name=name: populations.draw_star(
-                np.random.default_rng(1), 12.0, Detector.k2(), **{name: v}
-            ).x_0,
-            value,
-            u.pix,
-        )
-        for name, value in {"x_0": 4.0, "y_0": 4.0, "shift": 0.3}.items()
-    },
-    "field_position.distance": (populations.field_position, 4.0, u.deg),
-    "field_position.angle": (lambda v: populations.field_position(4.0, v), 40.0, u.deg),
     "generate_target.mag": (
         lambda v: generate_target(v, ncadences=5, apsize=5, seed=1).star.mag, 12.0, u.mag
     ),
@@ -674,9 +643,6 @@ ROWS = {
         IMAGE,
         RATE,
     ),
-    "plot_cdpp.series": (
-        drawn(lambda v: pl.plot_cdpp({"stars": ([12, 13], v)}), VALUE), [20.0, 30.0], PPM
-    ),
     "animate_pixels.time": (lambda v: animated(v)._func(1)[1].get_text(), TIME, u.day),
     "plot_detrending.time": (drawn(plot_detrending, VALUE, TIME, TIME), TIME, u.day),
 }  # fmt: skip
@@ -690,7 +656,6 @@ PASSED_ON = {
     "PRF.from_tess.row": "PRFGrid.at.row",
     "Target.estimate_cdpp.duration": "cdpp.duration",
     "Target.plot_transit.window": "plot_fold.window",
-    "plot_cdpp_panels.residuals": "plot_cdpp.series",
 }
 # Arguments in any unit, which cancels, and arrays that are changed in place.
 ANY_UNIT = {
@@ -705,25 +670,19 @@ NO_UNIT = {
     "fit_tpf.interpixel", "PLDCorrector.correct.transit_model",
     "PLDCorrector.correct.regressors", "CorrectedPRF.array", "CorrectedPRF.oversampling",
     "TabulatedPSF.array", "TabulatedPSF.oversampling",
-    "TabulatedPRF.array", "TabulatedPRF.oversampling", "K2MotionNoise.exponent",
+    "TabulatedPRF.array", "TabulatedPRF.oversampling",
     "SceneCorrector.correct.transit_model", "SceneCorrector.neighbors",
     "inject_files.star", "plot_precision.stars",
     "fit_tpf.stars",
     "inject.signal", "inject.star", "TabulatedPRF.origin", "plot_detector.psf", "plot_psf.psf",
     "plot_detector.sensitivity", "plot_fit.chi2", "plot_twin.residuals",
-    "plot_detrending_masks.scatter", "plot_recovery.depths", "plot_recovery.magnitudes",
-    "plot_k2_motion.reference", "plot_no_motion.reference", "plot_no_motion.stars",
-    "plot_no_motion.summary", "PLDCorrector.aperture_mask", "SceneCorrector.aperture_mask",
-    "plot_degeneracy.grids",
+    "plot_detrending_masks.scatter", "PLDCorrector.aperture_mask", "SceneCorrector.aperture_mask",
 }  # fmt: skip
-# Classes whose objects the package makes, methods that astropy calls with numbers after it has
-# converted them (test_contract.py), and configurations, which files give as plain numbers.
+# Classes whose objects the package makes, and methods that astropy calls with numbers after it has
+# converted them (test_contract.py).
 MADE_BY_THE_PACKAGE = re.compile(
     r"(\w*(Fit|FittedStar|Result|Truth)|Observation|PixelSeries|Mission|MessyStar|PRFGrid|Conditions|Exposures)\."
     r"|\w+\.(evaluate|fit_deriv|closed_form|unit_derivatives|track|times)\."
-)
-CONFIGURATIONS = re.compile(
-    r"(BreathingPSF|GroundPLD|K2MotionNoise|MotionTest|NoMotion|Recovery|Table1|bin_noise|noise_parts)\."
 )
 
 
@@ -748,7 +707,7 @@ def test_every_argument_with_a_unit_has_a_row(public_callables):
     missing = {
         name
         for name in arguments_with_units(public_callables) - set(ROWS) - excused
-        if not (MADE_BY_THE_PACKAGE.match(name) or CONFIGURATIONS.match(name))
+        if not MADE_BY_THE_PACKAGE.match(name)
     }
     effects = {"Effect"} | {name for name, value in public_callables if is_effect(value)}
     assert sorted(name for name in missing if name.partition(".")[0] not in effects) == []
@@ -796,16 +755,6 @@ def test_arrays_that_are_changed_in_place_refuse_units():
     ):
         with pytest.raises(TypeError, match="is changed in place and must be a plain array"):
             call(np.eye(3) * u.electron)
-
-
-@pytest.mark.parametrize(
-    "study", [BreathingPSF, K2MotionNoise, NoMotion, Recovery, Table1, MotionTest]
-)
-def test_configurations_refuse_units_by_name(study):
-    for item in dataclasses.fields(study):
-        if isinstance(item.default, float):
-            with pytest.raises((TypeError, ValueError), match=item.name):
-                study(**{item.name: item.default * u.kg})
 
 
 def test_angles_need_a_pixel_scale():

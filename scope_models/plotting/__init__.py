@@ -7,7 +7,6 @@ in lightness, series differ in lightness, marker and size. All functions draw in
 as ``ax``, or into a new figure.
 """
 
-from scope_models.plotting.experiments import plot_cdpp, plot_cdpp_panels, plot_map
 from scope_models.plotting.fitting import plot_fit, plot_twin
 from scope_models.plotting.images import (
     animate_pixels,
@@ -21,13 +20,10 @@ from scope_models.plotting.light_curves import plot_fold, plot_light_curve, plot
 
 __all__ = [
     "animate_pixels",
-    "plot_cdpp",
-    "plot_cdpp_panels",
     "plot_detector",
     "plot_fit",
     "plot_fold",
     "plot_light_curve",
-    "plot_map",
     "plot_motion",
     "plot_pixels",
     "plot_psf",

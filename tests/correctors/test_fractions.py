@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import tess
 from lightkurve import KeplerTargetPixelFile
 
 from scope_models import Detector, Motion, Star, TransitModel, simulate
@@ -13,7 +14,6 @@ from scope_models.correctors._pixels import background_plane, own_pixels
 from scope_models.correctors.model import PLDModel
 from scope_models.effects import Seeing
 from scope_models.exceptions import DetrendingWarning
-from scope_models.experiments import make_study
 from scope_models.models import sinusoidal_signal
 
 
@@ -167,10 +167,9 @@ def test_light_in_pixels_of_other_stars_is_reported(crowded, star):
 @pytest.mark.slow
 def test_transits_in_a_crowded_field_are_no_change_of_focus():
     """The light of neighbors does not dim with the star: its images seem to widen."""
-    study = make_study("tess", {"magnitudes": [12.0], "neighbors": [10]})
-    (task,) = study.tasks()
-    row = study.measure(task, study.observation(task))
-    assert row["pld_survival"] > 0.8
+    study = tess.TESSNoise(magnitudes=(12.0,), neighbors=(10,))
+    (task,) = tess.tasks(study)
+    assert tess.measure(study, task)["pld_survival"] > 0.8
 
 
 def test_flux_is_an_open_choice():

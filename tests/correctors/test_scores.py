@@ -6,17 +6,10 @@ import sys
 
 import numpy as np
 import pytest
+from paper._correctors import residual_cdpp, score
 
 from scope_models.correctors import PLDCorrector
-from scope_models.experiments._correctors import residual_cdpp, robust_scatter, score
 from scope_models.photometry import cdpp
-
-
-def test_robust_scatter():
-    values = np.random.default_rng(0).normal(3, 2, 20000)
-    assert robust_scatter(values) == pytest.approx(2, rel=0.03)
-    values[:2000] = 1e6
-    assert robust_scatter(values) == pytest.approx(2, rel=0.2)
 
 
 @pytest.mark.parametrize("method", ["lightkurve", "everest"])

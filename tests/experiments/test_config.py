@@ -7,9 +7,9 @@ from typing import ClassVar
 
 import numpy as np
 import pytest
+from scope_models.experiments.study import Study, parameter
 
 from scope_models.experiments import STUDIES, make_study, read_config
-from scope_models.experiments.study import Study, parameter
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -8,14 +8,14 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 from _response import RollingStars, everest_noise, winged_psf
-
-from scope_models import Detector, Motion, SensitivityPolynomial, integrate_pixels, simulate
-from scope_models.correctors import PLDCorrector
-from scope_models.experiments import STUDIES, run_sweep
 from scope_models.experiments.k2_motion import K2MotionNoise, field_motion
 from scope_models.experiments.no_motion import NoMotion
 from scope_models.experiments.populations import draw_star, motion_from_name, stamp_around
 from scope_models.experiments.reference import reference_noise
+
+from scope_models import Detector, Motion, SensitivityPolynomial, integrate_pixels, simulate
+from scope_models.correctors import PLDCorrector
+from scope_models.experiments import STUDIES, run_sweep
 from scope_models.photometry import cdpp
 
 mpl.use("agg")

@@ -10,9 +10,6 @@ import pytest
 from astropy.table import Table
 from matplotlib import pyplot as plt
 from numpy.testing import assert_allclose
-
-from scope_models.cli import main
-from scope_models.experiments import _correctors
 from scope_models.experiments._claims import (
     CLAIMS,
     TRANSIT_CLAIM,
@@ -24,6 +21,9 @@ from scope_models.experiments._claims import (
 from scope_models.experiments._correctors import transit_amplitude
 from scope_models.experiments.motion import MotionTest
 from scope_models.experiments.reference import reference_noise
+
+from scope_models.cli import main
+from scope_models.experiments import _correctors
 
 OURS = {"lightkurve_pld": False, "lightkurve_sff": False}
 METHODS = ("everest", "lightkurve")

@@ -3,10 +3,10 @@
 import matplotlib as mpl
 import numpy as np
 import pytest
-
-from scope_models.experiments import STUDIES, run_sweep
 from scope_models.experiments.no_motion import NoMotion, noise_parts
 from scope_models.experiments.reference import reference_noise
+
+from scope_models.experiments import STUDIES, run_sweep
 from scope_models.photometry import cdpp
 
 mpl.use("agg")

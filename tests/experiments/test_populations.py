@@ -2,14 +2,14 @@
 
 import numpy as np
 import pytest
-
-from scope_models import BivariateGaussianPSF, Detector, Motion
 from scope_models.experiments.populations import (
     draw_star,
     field_position,
     motion_from_name,
     stamp_around,
 )
+
+from scope_models import BivariateGaussianPSF, Detector, Motion
 
 
 def draws(detector, n=2000, **options):

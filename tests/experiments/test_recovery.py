@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 from astropy.table import Table
+from scope_models.experiments._search import Found, fit_shape, flattened, isolated, search
+from scope_models.experiments.recovery import Recovery, _half_complete
 
 from scope_models import TransitModel
 from scope_models.experiments import make_study, run_experiment
-from scope_models.experiments._search import Found, fit_shape, flattened, isolated, search
-from scope_models.experiments.recovery import Recovery, _half_complete
 
 CADENCE = 0.0204336
 

@@ -6,7 +6,6 @@ import sys
 import numpy as np
 import pytest
 from astropy.table import Table
-
 from scope_models.experiments.reference import (
     PERCENTILES,
     REFERENCES,

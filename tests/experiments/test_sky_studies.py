@@ -8,9 +8,6 @@ import numpy as np
 import pytest
 from astropy.table import Table
 from matplotlib import pyplot as plt
-
-from scope_models import Detector, Motion, Star, simulate
-from scope_models.experiments import make_study, run_experiment
 from scope_models.experiments._corrected import (
     METHODS,
     SURVIVALS,
@@ -20,6 +17,9 @@ from scope_models.experiments._corrected import (
 from scope_models.experiments.breathing import BreathingPSF
 from scope_models.experiments.last_campaigns import PARTS, LastCampaigns
 from scope_models.experiments.tess import TESSNoise, tess_noise
+
+from scope_models import Detector, Motion, Star, simulate
+from scope_models.experiments import make_study, run_experiment
 
 SMALL = {
     "tess": {"magnitudes": (9, 13), "neighbors": (0, 2), "cadences": 300, "stars": 1},

@@ -3,10 +3,10 @@
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
+from scope_models.experiments.table1 import PAPER_PIXELS, Table1
 
 from scope_models import Motion
 from scope_models.experiments import run_experiment, run_sweep
-from scope_models.experiments.table1 import PAPER_PIXELS, Table1
 
 
 def summary_of(study):

@@ -1,6 +1,6 @@
 """Medians of the noise of many moving stars over those of K2 campaign 3, from Kp 11 to 14.5.
 
-    OMP_NUM_THREADS=1 python studies/check_k2_noise.py [--stars N]
+    OMP_NUM_THREADS=1 python studies/paper/check_k2_noise.py [--stars N]
 
 First for the paper's PSF and response in an aperture that holds all light, then for the calibrated
 ones in the apertures of the study ``k2-motion``. Stars are as in calibrate_k2_motion.py. At Kp 11
@@ -11,12 +11,12 @@ aperture.
 import argparse
 
 import numpy as np
+from _reference import read_reference
 from _response import RollingStars
 from calibrate_k2_motion import PARTS, field_stars
+from k2_motion import K2MotionNoise
 
 from scope_models import Detector
-from scope_models.experiments.k2_motion import K2MotionNoise
-from scope_models.experiments.reference import read_reference
 
 MAGNITUDES = (11.0, 11.5, 12.0, 12.5, 13.0, 13.5, 14.0, 14.5)
 SATURATED = {11.0: 0.77, 11.5: 0.20}

@@ -1,19 +1,18 @@
-"""Derive the package's tables of the noise of Kepler and K2 stars from the full catalogs.
+"""Derive the tables of the noise of Kepler and K2 stars from the full catalogs.
 
-    python studies/derive_reference.py FOLDER [--output FOLDER]
+    python studies/paper/derive_reference.py FOLDER [--output FOLDER]
 
 The first folder holds kepler_cdpp.fits.gz and k2_c03_cdpp.fits.gz: the 6-hour CDPP of 78,519 Kepler
 targets, and of 14,151 targets of K2 campaign 3, from the repository of the EVEREST project. The
-tables are written to ``scope_models/experiments/data`` by default.
+tables are written to ``data`` beside this file by default.
 """
 
 import argparse
 from pathlib import Path
 
 import numpy as np
+from _reference import PERCENTILES, REFERENCES, bin_noise
 from astropy.table import Table, vstack
-
-from scope_models.experiments.reference import PERCENTILES, REFERENCES, bin_noise
 
 CENTERS = np.arange(9.0, 16.1, 0.5)
 FEWEST = 25
@@ -47,7 +46,7 @@ def derive(folder):
             "noise": f"6-h CDPP, convention of EVEREST: {WHAT[name]}",
             "source": SOURCE.format(CATALOGS[name]),
             "bins": f"0.5 mag wide, lower edge included; those with {FEWEST} stars or more",
-            "made by": "studies/derive_reference.py",
+            "made by": "studies/paper/derive_reference.py",
         }
     return tables
 
@@ -69,10 +68,9 @@ def binned(catalog, column, groups):
 
 
 def main():
-    here = Path(__file__).resolve().parents[1]
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("folder", type=Path)
-    parser.add_argument("--output", type=Path, default=here / "scope_models/experiments/data")
+    parser.add_argument("--output", type=Path, default=Path(__file__).parent / "data")
     options = parser.parse_args()
     for name, table in derive(options.folder).items():
         path = options.output / f"{name}.ecsv"

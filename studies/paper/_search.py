@@ -3,11 +3,11 @@
 from dataclasses import dataclass
 
 import numpy as np
+from astropy.stats import mad_std
 from astropy.timeseries import BoxLeastSquares
 from scipy.ndimage import median_filter
 from scipy.optimize import least_squares
 
-from scope_models.experiments._correctors import robust_scatter
 from scope_models.models import TransitModel
 
 __all__ = ["Found", "fit_shape", "flattened", "isolated", "search", "search_light_curve"]
@@ -55,7 +55,7 @@ def flattened(time, flux, masked=None):
 
 def isolated(flux, sigma=6.0):
     """Return which cadences stand out from both neighbors by `sigma`, as no transit does."""
-    noise = robust_scatter(flux)
+    noise = mad_std(flux)
     return np.abs(flux - median_filter(flux, size=3, mode="mirror")) > sigma * noise
 
 
@@ -74,7 +74,7 @@ def search(time, flux, shortest, longest):
     Transits last `shortest` to `longest` days, periods are from 1 d to half the time span. See
     Kovacs, G., Zucker, S. & Mazeh, T. 2002, A&A, 391, 369.
     """
-    noise = robust_scatter(flux)
+    noise = mad_std(flux)
     model = BoxLeastSquares(time, flux, dy=noise)
     durations = np.geomspace(0.7 * shortest, 1.2 * longest, _N_DURATIONS)
     periods = model.autoperiod(

@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
+from astropy.stats import mad_std
 
 from scope_models.photometry import cdpp
 
@@ -19,7 +20,6 @@ __all__ = [
     "noise_of",
     "quiet",
     "residual_cdpp",
-    "robust_scatter",
     "score",
     "transit_amplitude",
 ]
@@ -53,12 +53,6 @@ class Scores:
     floor: float
 
 
-def robust_scatter(values):
-    """Return 1.4826 times the median absolute deviation."""
-    values = np.asarray(values)
-    return float(1.4826 * np.median(np.abs(values - np.median(values))))
-
-
 def residual_cdpp(corrected, truth, noise, method):
     """Return the CDPP of corrected over true flux, over the CDPP of the noise alone."""
     return cdpp(corrected / truth, method=method) / cdpp(1 + noise, method=method)
@@ -79,7 +73,7 @@ def score(corrector, truth, noise, width=13):
         for method in ("lightkurve", "everest")
     }
     return Scores(
-        held_out_mad=robust_scatter(means) / floor,
+        held_out_mad=float(mad_std(means)) / floor,
         held_out_rms=float(np.std(means) / floor),
         held_out_pull=float(np.sqrt(np.mean((means / errors) ** 2))),
         residual_lightkurve=residual["lightkurve"],

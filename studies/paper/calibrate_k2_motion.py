@@ -1,6 +1,6 @@
 """Fit the response of K2's pixels to the noise of moving stars before de-trending.
 
-    OMP_NUM_THREADS=1 python studies/calibrate_k2_motion.py [--stars N] [--output FOLDER]
+    OMP_NUM_THREADS=1 python studies/paper/calibrate_k2_motion.py [--stars N] [--output FOLDER]
 
 Stars all over the field of view of K2 campaign 3, and anywhere on a pixel, move as
 `Motion.k2_roll` gives for a campaign. Their noise is that of photons, background and read noise,
@@ -25,14 +25,14 @@ from itertools import product
 from pathlib import Path
 
 import numpy as np
+from _reference import PERCENTILES, read_reference
 from _response import RollingStars, winged_psf
+from _stars import draw_star
 from astropy.table import Table
+from k2_motion import field_motion
 from scipy.interpolate import RectBivariateSpline
 
 from scope_models import Detector
-from scope_models.experiments.k2_motion import field_motion
-from scope_models.experiments.populations import draw_star
-from scope_models.experiments.reference import PERCENTILES, read_reference
 
 # Magnitude and kind of the stars, and whether their aperture holds all light.
 BINS = (
@@ -188,7 +188,7 @@ def main():
         table = Table(rows=rows, names=names)
         for name, form in zip(names, digits, strict=True):
             table[name] = [float(format(value, form)) for value in table[name]]
-        table.meta = {"made by": "studies/calibrate_k2_motion.py", "stars": options.stars,
+        table.meta = {"made by": "studies/paper/calibrate_k2_motion.py", "stars": options.stars,
                       "cadences": options.cadences, "seed": options.seed}  # fmt: skip
         table.write(options.output / "k2_calibration.ecsv", format="ascii.ecsv", overwrite=True)
 

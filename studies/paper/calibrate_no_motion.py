@@ -1,21 +1,23 @@
 """Fit what the instrument numbers leave of Kepler's noise: a floor, and the stars' variability.
 
-    OMP_NUM_THREADS=1 python studies/calibrate_no_motion.py [--stars N]
+    OMP_NUM_THREADS=1 python studies/paper/calibrate_no_motion.py [--stars N]
 
 The noise of each star of the study ``no-motion`` is a function of two numbers, white and red noise,
 which is tabulated once. The fit compares logarithms: of the 10th percentiles with detector noise
 alone, and of all percentiles with variability. Prints the values that
-`scope_models.experiments.no_motion.NoMotion` has as defaults, and the ratios to Kepler's table.
+the study has as defaults, and the ratios to Kepler's table.
 """
 
 import argparse
 
 import numpy as np
+from _reference import PERCENTILES, read_reference
+from no_motion import FITTED, NoMotion, quiet_star, tasks
 from scipy.optimize import minimize
 from scipy.special import ndtri
 
-from scope_models.experiments.no_motion import NoMotion
-from scope_models.experiments.reference import PERCENTILES, read_reference
+from scope_models import Detector, Motion, simulate
+from scope_models.batch import star_seed
 from scope_models.models import stochastic_signal
 from scope_models.photometry import cdpp
 
@@ -26,15 +28,14 @@ RATIOS = np.concatenate([[0], np.geomspace(0.02, 20, 25)])
 WEIGHTS = np.array([1.0, 1.0, 2.0, 1.0, 0.5])
 # Of the 10th percentile with detector noise alone.
 DETECTOR_WEIGHT = 2.0
-NAMES = ("floor", "dwarf_cdpp", "dwarf_scatter", "giant_cdpp", "giant_scatter", "giant_fraction",
-         "giant_decline")  # fmt: skip
 
 
 def white_noise(study):
     """Return magnitude and relative white noise per cadence (ppm) of each star, without floor."""
     rows = []
-    for task in study.tasks():
-        observation = study.observation(task)
+    for task in tasks(study):
+        motion, seed = Motion.still(study.cadences), star_seed(study.seed, task["key"], "pixels")
+        observation = simulate(quiet_star(study, task), Detector.kepler(), motion, seed=seed)
         aperture = observation.aperture
         error = np.sqrt((observation.flux_err[0, aperture].astype(float) ** 2).sum())
         flux = observation.flux[0, aperture].sum(dtype=float)
@@ -122,7 +123,7 @@ def main():
     fits = [minimize(cost, start, method="Nelder-Mead", options={"maxiter": 4000, "maxfev": 4000})
             for start in starts]  # fmt: skip
     for fit in fits:
-        values = ", ".join(f"{n} {v:.3g}" for n, v in zip(NAMES, fit.x, strict=True))
+        values = ", ".join(f"{n} {v:.3g}" for n, v in zip(FITTED, fit.x, strict=True))
         print(f"cost {fit.fun:.4f}: {values}")
     best = min(fits, key=lambda fit: fit.fun).x
     print(f"ratios to Kepler's at Kp {study.magnitudes}")

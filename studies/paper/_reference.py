@@ -1,0 +1,100 @@
+"""Noise of real stars of Kepler and K2 by magnitude, and comparisons with it.
+
+``derive_reference.py`` makes the tables from the catalogs of the EVEREST project: the 6-hour CDPP
+in ppm, in EVEREST's convention, with the source in ``meta``.
+"""
+
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+from astropy.table import Table
+
+__all__ = [
+    "PERCENTILES",
+    "REFERENCES",
+    "bin_noise",
+    "compared",
+    "holds",
+    "read_reference",
+    "reference_noise",
+]
+
+#: Percentiles in the tables, by the name of their column.
+PERCENTILES = {"p10": 10, "p25": 25, "median": 50, "p75": 75, "p90": 90}
+# : The tables: light curves of Kepler's pipeline; of K2 campaign 3, raw, and de-trended by EVEREST
+# 2.
+REFERENCES = ("kepler", "k2_c03_raw", "k2_c03_everest")
+_RESAMPLES = 400
+
+
+def bin_noise(mag, cdpp, centers, width=0.5, *, fewest=1):
+    """Return percentiles of the noise of stars in bins of magnitude.
+
+    A bin holds its lower edge and not its upper one; bins with fewer stars than `fewest` are left
+    out. The columns are mag, n and those of `PERCENTILES`.
+    """
+    mag, cdpp = np.asarray(mag, dtype=float), np.asarray(cdpp, dtype=float)
+    rows = []
+    for center in centers:
+        inside = (mag >= center - width / 2) & (mag < center + width / 2)
+        if inside.sum() >= fewest:
+            values = np.percentile(cdpp[inside], list(PERCENTILES.values()))
+            rows.append((float(center), int(inside.sum()), *values))
+    names = ("mag", "n", *PERCENTILES)
+    return Table(rows=rows, names=names, dtype=(float, int, *[float] * len(PERCENTILES)))
+
+
+@cache
+def _read(name):
+    """Return a table, read once."""
+    return Table.read(Path(__file__).parent / "data" / f"{name}.ecsv")
+
+
+def read_reference(name, stars="unsaturated"):
+    """Return the columns mag, n and those of `PERCENTILES` of one of `REFERENCES`.
+
+    `stars` is "unsaturated", "saturated" or "all"; the Kepler table has "all" in every case.
+    """
+    table = _read(name)
+    chosen = table[table["stars"] == (stars if stars in table["stars"] else "all")]
+    chosen.remove_column("stars")
+    return chosen
+
+
+def reference_noise(name, mag, column="median"):
+    """Return the noise of real stars at any magnitude: its logarithm is linear between the bins."""
+    table = read_reference(name)
+    low, high = table["mag"].min(), table["mag"].max()
+    if np.min(mag) < low or np.max(mag) > high:
+        raise ValueError(f"`mag` must be within {low:g} and {high:g}, got {mag}")
+    return np.exp(np.interp(mag, table["mag"], np.log(table[column])))
+
+
+def compared(prefix, noise, reference, mag, names, *, known="kepler"):
+    """Return percentiles of noise at a magnitude with errors, and their ratios to the reference.
+
+    The errors are the standard deviation under resampling of the stars; ``names`` are those of
+    `PERCENTILES`, ``prefix`` and ``known`` what our columns and the reference's are named after.
+    """
+    noise = np.asarray(noise, dtype=float)
+    picks = np.random.default_rng(0).integers(len(noise), size=(_RESAMPLES, len(noise)))
+    row = {}
+    for name in names:
+        ours = np.percentile(noise, PERCENTILES[name])
+        error = np.std(np.percentile(noise[picks], PERCENTILES[name], axis=1))
+        found = reference[name][np.asarray(reference["mag"]) == mag]
+        theirs = float(found[0]) if len(found) else np.nan
+        row |= {
+            f"{prefix}_{name}": float(ours),
+            f"{prefix}_{name}_error": float(error),
+            f"{known}_{name}": theirs,
+            f"{prefix}_{name}_ratio": float(ours / theirs),
+        }
+    return row
+
+
+def holds(ratios, tolerance):
+    """Return "holds" or "does not hold": whether all ratios deviate from 1 by that at most."""
+    near = np.all(np.abs(np.asarray(ratios, dtype=float) - 1) <= tolerance)
+    return "holds" if near else "does not hold"

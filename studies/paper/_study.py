@@ -1,0 +1,132 @@
+"""What the studies share: their command line, cells and medians of tables, and verdicts."""
+
+import argparse
+import dataclasses
+import itertools
+import string
+import sys
+import warnings
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from astropy.table import Table
+
+from scope_models._arrays import values_of
+from scope_models.batch import SweepError, run_sweep
+from scope_models.cli._batch import add_workers, client_of, with_config
+
+__all__ = [
+    "cells",
+    "checked_claims",
+    "grid",
+    "medians",
+    "on_grid",
+    "percentiles",
+    "run",
+]
+
+
+def run(name, parameters, tasks, measure, *, units, summarize, draw, argv=None):
+    """Run a study with the parameters of the command line, and print where its results are.
+
+    `parameters` is a dataclass; all functions get it first; `tasks` returns the stars, `measure` a
+    row of one, `summarize` the summary of the table, and `draw` the figure of table and summary.
+    """
+    warnings.filterwarnings("ignore", ".*tpfmodel submodule is not available", UserWarning)
+    parser = argparse.ArgumentParser(prog=f"{Path(sys.argv[0]).name}", description=f"Study {name}.")
+    parser.add_argument("--directory", default=name, metavar="DIR", help=f"results ({name})")
+    parser.add_argument("--config", metavar="FILE", help="a TOML file with options")
+    add_workers(parser)
+    items = dataclasses.fields(parameters)
+    for item in items:
+        many = isinstance(item.default, tuple)
+        one = item.default[:1] if many else (item.default,)
+        options = {"type": type(*one) if one else str, "default": item.default}
+        if many:
+            options["nargs"] = "*"
+        elif isinstance(item.default, bool):
+            options = {"action": argparse.BooleanOptionalAction, "default": item.default}
+        parser.add_argument(f"--{item.name.replace('_', '-')}", **options, help="%(default)s")
+    try:
+        given = parser.parse_args(with_config(["", *(sys.argv[1:] if argv is None else argv)])[1:])
+        values = {item.name: getattr(given, item.name) for item in items}
+        values = {key: tuple(v) if isinstance(v, list) else v for key, v in values.items()}
+        study = parameters(**values)
+        texts = itertools.chain(*(v if isinstance(v, tuple) else [v] for v in values.values()))
+        result = run_sweep(
+            partial(measure, study), tasks(study), given.directory, client_of(given), name=name,
+            config=study, units=units, summarize=partial(summarize, study),
+            draw=partial(draw, study), progress=sys.stderr.isatty(),
+            inputs=[text for text in texts if isinstance(text, str) and Path(text).is_file()],
+        )  # fmt: skip
+    except (OSError, SweepError, TypeError, ValueError) as error:
+        parser.error(str(error))
+    print(f"{name}: {len(result.table)} stars, {len(result.failures)} failed")
+    for claim, verdict in result.summary.meta.get("claims", {}).items():
+        print(f"{verdict}: {claim}")
+    for file in result.files:
+        print(file)
+    return result
+
+
+def grid(key, **columns):
+    """Return a task for each cell, from the outermost column to the innermost.
+
+    The key is a format string, whose columns the tasks have in its order; an integer stands for as
+    many numbers from 0.
+    """
+    columns = {k: range(v) if isinstance(v, int) else v for k, v in columns.items()}
+    names = [name for _, name, *_ in string.Formatter().parse(key) if name]
+    rows = (dict(zip(columns, row, strict=True)) for row in itertools.product(*columns.values()))
+    return [{"key": key.format(**row)} | {name: row[name] for name in names} for row in rows]
+
+
+def cells(table, names):
+    """Yield each combination of values of columns that there is, sorted, with its rows."""
+    found = {}
+    for number, cell in enumerate(zip(*(table[name] for name in names), strict=True)):
+        found.setdefault(cell, []).append(number)
+    for cell in sorted(found):
+        yield dict(zip(names, cell, strict=True)), table[found[cell]]
+
+
+def medians(table, cell, columns, more=()):
+    """Return a table of the medians of columns in each cell; rows may be added."""
+    rows = []
+    for values, part in cells(table, cell):
+        middle = {name: percentiles(values_of(part, name))[1] for name in columns}
+        rows.append(values | {"stars": len(part)} | middle)
+    return Table([*rows, *more])
+
+
+def percentiles(values):
+    """Return the 16th, 50th and 84th percentile of the values that are finite, or NaN."""
+    values = values[np.isfinite(values)]
+    if not len(values):
+        return [np.nan] * 3
+    return [float(value) for value in np.percentile(values, [16, 50, 84])]
+
+
+def checked_claims(claims):
+    """Return the verdicts on claims that are ratios to a limit, and the largest ratio of each.
+
+    A claim holds if its ratios are at most 1; it is not checked if there is none, or one is NaN.
+    """
+    verdicts, checked = {}, {}
+    for claim, values in claims.items():
+        ratios = np.atleast_1d(np.asarray(values, dtype=float))
+        if not ratios.size or np.isnan(ratios).any():
+            verdicts[claim] = "not checked"
+            continue
+        verdicts[claim] = "holds" if ratios.max() <= 1 else "does not hold"
+        checked[claim] = float(ratios.max())
+    return {"claims": verdicts, "claims_checked": checked}
+
+
+def on_grid(summary, rows, columns, name):
+    """Return a column as a map over two others, each given by its name and its values."""
+    values = np.full((len(rows[1]), len(columns[1])), np.nan)
+    for row in summary:
+        values[rows[1].index(row[rows[0]]), columns[1].index(row[columns[0]])] = row[name]
+    return values

@@ -1,0 +1,108 @@
+"""Noise that correctors and apertures leave where the width of the PSF breathes.
+
+    python studies/paper/breathing.py --workers 2
+
+The relative width of the PSF is a sinusoid in time, beside a motion as K2's. What is left is
+compared with the noise of the light alone, without any filter in time.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from _corrected import METHODS, SURVIVALS, UNITS, corrected_noise
+from _figures import plot_maps
+from _stars import motion_from_name
+from _study import checked_claims, grid, medians, on_grid, run
+
+from scope_models import Detector, Star, simulate
+from scope_models.batch import star_rng, star_seed
+from scope_models.effects import Focus
+
+NAME = "breathing"
+
+
+@dataclass(frozen=True, kw_only=True)
+class BreathingPSF:
+    """The parameters."""
+
+    seed: int = 1
+    amplitudes: tuple[float, ...] = (0.001, 0.003, 0.01, 0.03)  # relative, of the width
+    periods: tuple[float, ...] = (0.25, 1.0, 4.0, 16.0)  # days
+    mag: float = 12.0  # Kp
+    motion: str = "k2_roll"  # see `motion_from_name`
+    stars: int = 1  # per cell
+    cadences: int = 1000
+
+
+def tasks(study):
+    """Return one task per star."""
+    return grid(
+        "a{amplitude:g}-p{period:g}-{index}", index=study.stars, amplitude=study.amplitudes,
+        period=study.periods,
+    )  # fmt: skip
+
+
+def measure(study, task):
+    """Return the noise of a star: the same star, motion and noise in all cells."""
+    star = f"star{task['index']}"
+    rng, detector = star_rng(study.seed, star), Detector.k2_calibrated()
+    place = 5 + rng.uniform(-0.5, 0.5, 2)
+    focus = Focus(task["amplitude"], period=task["period"], phase=rng.random())
+    motion = motion_from_name(study.motion, study.cadences)
+    seed = star_seed(study.seed, star, "noise")
+    observation = simulate(Star(study.mag, *place), detector, motion, seed=seed, effects=focus)
+    return corrected_noise(observation, hours=6.5)
+
+
+def summarize(_, table):
+    """Return medians, the unfiltered noise over that of the light ("_ratio"), and the claims."""
+    summary = medians(table, ("amplitude", "period"), ("kept", *SURVIVALS, *UNITS))
+    for name in METHODS:
+        floor = "floor_wide_full" if name == "wide" else "floor_full"
+        summary[f"{name}_ratio"] = np.round(summary[f"{name}_full"] / summary[floor], 3)
+    for name in UNITS:
+        summary[name].unit = "ppm"
+    real = summary[summary["amplitude"] <= 0.01]
+    slow, strong = real[real["period"] >= 1], summary[summary["amplitude"] >= 0.01]
+    summary.meta |= checked_claims(
+        {
+            "to 1 % PLD is within 1.5 times the noise of the light at all periods": (
+                real["pld_ratio"] / 1.5
+            ),
+            "to 1 % the scene model is within 1.5 times the noise of the light at all periods": (
+                real["scene_ratio"] / 1.5
+            ),
+            "to 1 % and from a day on the better corrector is within 2 times the noise": (
+                np.fmin(np.array(slow["pld_ratio"]), np.array(slow["scene_ratio"])) / 2
+            ),
+            "from 1 % on a wider aperture alone halves the noise": (
+                2 * np.array(strong["wide_full"] / strong["aperture_full"])
+            ),
+            "no aperture alone is within 2 times the noise": (
+                2 / np.fmin(np.array(summary["aperture_ratio"]), np.array(summary["wide_ratio"]))
+            ),
+        }
+    )
+    return summary
+
+
+def draw(study, _, summary):
+    """Draw maps of the noise that is left, over amplitude and period."""
+    rows, columns = sorted(study.amplitudes), sorted(study.periods)
+    axes = ("amplitude", rows), ("period", columns)
+    maps = {label: on_grid(summary, *axes, f"{name}_ratio") for name, label in METHODS.items()}
+    return plot_maps(
+        maps, [100 * value for value in rows], columns, row_label="Amplitude of the width (%)",
+        column_label="Period (d)", label="Noise over that of the light", text=".3g",
+    )  # fmt: skip
+
+
+def main(argv=None):
+    """Run the study."""
+    return run(
+        NAME, BreathingPSF, tasks, measure, units=UNITS, summarize=summarize, draw=draw, argv=argv
+    )
+
+
+if __name__ == "__main__":
+    main()

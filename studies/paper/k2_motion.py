@@ -1,0 +1,229 @@
+r"""Benchmark 2 of the paper: noise before de-trending of stars that move as in K2.
+
+    python studies/paper/k2_motion.py --workers 4
+
+The paper's sensitivity and the calibrated one, `Detector.k2_calibrated`, beside the noise of K2
+campaign 3. EVEREST's apertures follow the PRF; here the aperture holds the pixels in which the star
+alone has more than a threshold on average, :math:`T (F / F_{14})^g` for a flux F and :math:`F_{14}`
+at Kp 14. Stars with a pixel above 90 % of its well have a larger aperture, as EVEREST's. See
+Saunders, N. et al. 2019, section 3; Luger, R. et al. 2018, AJ, 156, 99 (EVEREST 2).
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+from _reference import PERCENTILES, compared, holds, read_reference
+from _stars import draw_star, motion_from_name, stamp_around
+from _study import run
+from astropy.table import Table
+from no_motion import noise_parts
+
+from scope_models import Detector, simulate
+from scope_models.batch import star_rng, star_seed
+from scope_models.photometry import cdpp
+from scope_models.plotting._style import styled
+
+NAME = "k2-motion"
+CONTRIBUTIONS = ("white", "losses", "intrapixel", "systematics")
+UNITS = dict.fromkeys(("cdpp", "cdpp_lightkurve", *CONTRIBUTIONS), "ppm")
+DETECTORS = {"paper": Detector.k2, "calibrated": Detector.k2_calibrated}
+EDGE = 6.94  # largest distance from the boresight in degrees, 6278 px (arXiv:1512.06162)
+CAMPAIGN = 3380  # cadences of campaign 3, and what is generated at most
+MARGIN = 7
+TOLERANCE = 0.15
+CLAIMED = (11.0, 14.5)
+GOLDEN = 0.6180339887498949
+LAW_MAGNITUDE = 14.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class K2MotionNoise:
+    """The parameters."""
+
+    seed: int = 1
+    magnitudes: tuple[float, ...] = tuple(11 + 0.5 * k for k in range(9))  # Kp
+    detectors: tuple[str, ...] = ("paper", "calibrated")
+    # "field" is a generated motion of each star's own, evenly spread over the field of view and
+    # over the time of a campaign; others as `motion_from_name` takes them
+    motions: tuple[str, ...] = ("field",)
+    stars: int = 60  # per magnitude, motion and detector; the same stars are in all bins
+    cadences: int = 1000  # at a random time of the campaign, which has 3380
+    shift: float = 0.5  # px from the middle of a pixel; the paper has 0.2
+    threshold: float = 140.0  # T in e-/s, fitted; 0 takes the aperture of highest signal-to-noise
+    exponent: float = 0.5  # g, fitted
+    saturated_part: float = 1e-4  # part of a saturated star's flux that a pixel of its aperture has
+
+
+def field_motion(number, cadences, *, place=None, rng=None):
+    """Return the motion of a star somewhere in the field of view, at some time of a campaign.
+
+    `number` is the seed of the motion, `place` the part of the field, between 0 and 1, that is
+    nearer to the boresight than the star, and `rng` the source of the direction and of the time.
+    """
+    rng = np.random.default_rng(number) if rng is None else rng
+    place = rng.uniform() if place is None else place
+    distance, angle = EDGE * np.sqrt(place), rng.uniform(0, 360)
+    start = int(rng.integers(max(CAMPAIGN - cadences, 0) + 1))
+    name = f"k2_roll:seed={number},distance={distance:.4f},angle={angle:.2f}"
+    return about_median(motion_from_name(name, CAMPAIGN)[start : start + cadences])
+
+
+def about_median(motion):
+    """Return a motion about its median."""
+    x, y = motion.x - np.median(motion.x), motion.y - np.median(motion.y)
+    return type(motion).from_arrays(motion.time, x, y, time_format=motion.time_format)
+
+
+def tasks(study):
+    """Return one task per star."""
+    return [
+        {
+            "key": f"{detector}-motion{number}-kp{mag:g}-{index}",
+            "detector": detector, "motion": motion, "mag": mag, "index": index,
+            "star": f"motion{number}-{index}",
+        }
+        for detector in study.detectors
+        for number, motion in enumerate(study.motions)
+        for mag in study.magnitudes
+        for index in range(study.stars)
+    ]  # fmt: skip
+
+
+def observe(study, task):
+    """Return the pixels of a star; both detectors see the same star and motion."""
+    rng = star_rng(study.seed, task["star"])
+    if task["motion"] == "field":
+        shift = star_rng(study.seed, "field", "shift").uniform()
+        place = (shift + task["index"] * GOLDEN) % 1.0
+        number = star_seed(study.seed, task["star"], "motion") % 2**31
+        motion = field_motion(number, study.cadences, place=place, rng=rng)
+    else:
+        motion = about_median(motion_from_name(task["motion"]))[: study.cadences]
+    shape, x_0, y_0 = stamp_around(motion, MARGIN)
+    detector = DETECTORS[task["detector"]](shape=shape)
+    star = draw_star(rng, task["mag"], detector, x_0=x_0, y_0=y_0, shift=study.shift)
+    seed = star_seed(study.seed, task["star"], "pixels")
+    return simulate(star, detector, motion, seed=seed)
+
+
+def measure(study, task):
+    """Return the noise of a star, and what contributes to it.
+
+    CDPP in both conventions; in EVEREST's convention and without noise, that by light moving out of
+    the aperture alone ("losses"), with the response within pixels ("intrapixel"), and with that
+    between pixels ("systematics"); "white", the nominal noise of photons, background and reads.
+    """
+    observation = observe(study, task)
+    detector, scene = observation.detector, observation.scene
+    alike = detector.replace(interpixel=np.ones(detector.shape))
+    flat, intrapixel, systematics = (
+        simulate(scene.replace(detector=pixels), noise=False).flux
+        for pixels in (detector.without_sensitivity(), alike, detector)
+    )
+    saturated = bool(np.percentile(flat, 97.5, axis=0).max() > detector.full_flux)
+    aperture = choose_aperture(study, observation, flat.mean(axis=0), saturated=saturated)
+    flux = observation.flux[:, aperture].sum(axis=1, dtype=float)
+    row = {"cdpp": cdpp(flux, method="everest"), "cdpp_lightkurve": cdpp(flux)}
+    parts = noise_parts(observation, aperture)
+    row["white"] = float(np.sqrt(sum(value**2 for value in parts.values())))
+    for name, cube in zip(CONTRIBUTIONS[1:], (flat, intrapixel, systematics), strict=True):
+        row[name] = cdpp(cube[:, aperture].sum(axis=1, dtype=float), method="everest")
+    row |= {"n_pixels": int(aperture.sum()), "saturated": saturated}
+    return row | {"distance": float(observation.motion.statistics().mean.value)}
+
+
+def choose_aperture(study, observation, image, *, saturated=False):
+    """Return the pixels of the light curve, by the mean image on pixels that respond alike."""
+    if study.threshold == 0:
+        return observation.aperture
+    flux = observation.truth.flux[0]
+    threshold = study.saturated_part * flux
+    if not saturated:
+        relative = flux / observation.detector.flux_from_mag(LAW_MAGNITUDE)
+        threshold = study.threshold * relative**study.exponent
+    return image > min(threshold, 0.5 * image.max())
+
+
+def summarize(study, table):
+    """Return our noise beside that of campaign 3, saturated stars included, as they are in ours.
+
+    Per detector, motion and magnitude: percentiles with errors by resampling, the ratios, and
+    medians of the contributions. ``meta`` has what was fitted and what holds.
+    """
+    reference = read_reference("k2_c03_raw", "all")
+    rows = []
+    for detector in study.detectors:
+        for motion in study.motions:
+            for mag in study.magnitudes:
+                chosen = (table["detector"] == detector) & (table["motion"] == motion)
+                stars = table[chosen & (np.asarray(table["mag"]) == mag)]
+                if not len(stars):
+                    continue
+                row = {"detector": detector, "motion": Path(motion).name, "mag": mag}
+                row["stars"] = len(stars)
+                row |= compared("noise", stars["cdpp"], reference, mag, PERCENTILES, known="k2")
+                for name in ("cdpp_lightkurve", *CONTRIBUTIONS, "n_pixels"):
+                    row[name] = float(np.median(stars[name]))
+                row["saturated"] = float(np.mean(stars["saturated"]))
+                rows.append(row)
+    summary = Table(rows=rows)
+    summary.meta["fitted"] = {
+        "calibrated": "Detector.k2_calibrated", "threshold": study.threshold,
+        "exponent": study.exponent,
+    }  # fmt: skip
+    mags = np.asarray(summary["mag"], dtype=float)
+    bins = (summary["motion"] == "field") & (mags >= CLAIMED[0]) & (mags <= CLAIMED[1])
+    summary.meta["claims"] = {
+        f"{name} sensitivity: median within {100 * TOLERANCE:.0f} % of K2 campaign 3 in every "
+        f"bin, Kp {CLAIMED[0]:g} to {CLAIMED[1]:g}": holds(ratios, TOLERANCE)
+        for name in study.detectors
+        if len(ratios := summary["noise_median_ratio"][bins & (summary["detector"] == name)])
+    }
+    return summary
+
+
+@styled
+def draw(study, _, summary):
+    """Draw our noise over that of campaign 3, and what contributes to it."""
+    reference, motion = read_reference("k2_c03_raw", "all"), summary["motion"][0]
+    figure, (left, right) = plt.subplots(
+        1, 2, figsize=(10, 4.6), sharex=True, sharey=True, layout="constrained"
+    )
+    known = {name: np.array(reference[name]) for name in ("mag", "p10", "median", "p90")}
+    for ax in (left, right):
+        ax.fill_between(known["mag"], known["p10"], known["p90"], color="0.88", lw=0,
+                        label="K2 campaign 3, 10 % to 90 %")  # fmt: skip
+        ax.plot(known["mag"], known["median"], "k--", lw=1.2, label="K2 campaign 3, median")
+        ax.set(yscale="log", xlabel="Magnitude (Kp)")
+    for number, label in enumerate(study.detectors):
+        values = summary[(summary["detector"] == label) & (summary["motion"] == motion)]
+        low, half, high = (np.array(values[f"noise_{name}"]) for name in ("p10", "median", "p90"))
+        mag = np.array(values["mag"])
+        left.errorbar(
+            mag + 0.06 * (number - (len(study.detectors) - 1) / 2), half, [half - low, high - half],
+            fmt="os"[number], ms=5, color=("#2c5aa0", "#d95f02")[number], mec="k", mew=0.4, lw=1,
+            capsize=2, label=f"{label}: median, 10 % to 90 %",
+        )  # fmt: skip
+    texts = ("photons, background, reads", "light leaving the aperture",
+             "and response within pixels", "and response between pixels")  # fmt: skip
+    for name, text, style in zip(CONTRIBUTIONS, texts, (":", "-.", "--", "-"), strict=True):
+        right.plot(mag, np.array(values[name]), style, color="#d95f02", lw=1.6, label=text)
+    left.set(xlim=(min(mag) - 0.3, max(mag) + 0.3), ylim=(8, 4000), ylabel="6.5-h CDPP (ppm)")
+    left.set_title("Noise before de-trending")
+    right.set_title(f"What contributes: {label}")
+    for ax in (left, right):
+        ax.legend(fontsize="small", loc="upper left")
+    return figure
+
+
+def main(argv=None):
+    """Run the study."""
+    return run(
+        NAME, K2MotionNoise, tasks, measure, units=UNITS, summarize=summarize, draw=draw, argv=argv
+    )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,212 @@
+r"""Benchmark 1 of the paper: noise of stars that do not move, beside that of Kepler.
+
+    python studies/paper/no_motion.py --workers 4
+
+Photons, background and read noise are those of `Detector.kepler`. To these comes a *floor*, white
+noise in proportion to the flux that all stars have, and in a second light curve of each star its
+own variability, red noise of a CDPP that is log-normal for dwarfs and, in another way, for giants.
+The part of giants is :math:`f_g e^{-\gamma (Kp - 11.5)}`. The seven fitted numbers follow from the
+five percentiles of Kepler's table in the nine bins from Kp 11.5 to 15.5, with variability, and from
+its 10th percentiles with detector noise alone, by ``calibrate_no_motion.py``; compare Gilliland, R.
+L. et al. 2011, ApJS 197, 6.
+"""
+
+from dataclasses import dataclass
+
+import matplotlib.pyplot as plt
+import numpy as np
+from _reference import PERCENTILES, compared, holds, read_reference
+from _stars import draw_star
+from _study import grid, run
+from astropy.table import Table
+from scipy.special import ndtri
+
+from scope_models import Detector, Motion, simulate
+from scope_models.batch import star_rng, star_seed
+from scope_models.models import stochastic_signal
+from scope_models.photometry import cdpp
+from scope_models.plotting._style import styled
+
+NAME = "no-motion"
+UNITS = {"kp": "mag"} | dict.fromkeys(
+    ("detector_cdpp", "detector_cdpp_lightkurve", "cdpp", "cdpp_lightkurve", "photon",
+     "background", "read", "variability"), "ppm",
+)  # fmt: skip
+WIDTH = 13  # cadences in the 6.5 hours of a CDPP
+BRIGHT = 11.5  # magnitude at which `giant_fraction` holds
+# Steps of an evenly spaced sequence in two dimensions: inverse powers of the plastic number.
+STEPS = np.array([0.7548776662466927, 0.5698402909980532])
+TOLERANCE = 0.1
+FITTED = (
+    "floor", "dwarf_cdpp", "dwarf_scatter", "giant_cdpp", "giant_scatter", "giant_fraction",
+    "giant_decline",
+)  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
+class NoMotion:
+    """The parameters."""
+
+    seed: int = 1
+    magnitudes: tuple[float, ...] = tuple(float(mag) for mag in np.arange(11.5, 15.6, 0.5))
+    stars: int = 100  # per bin; magnitudes and variability are spread evenly over them
+    width: float = 0.5  # of the bins, as those of the reference
+    cadences: int = 1000
+    floor: float = 8.7  # CDPP, ppm: the standard deviation per cadence over the root of 13
+    dwarf_cdpp: float = 23.5  # median of the CDPP (lightkurve's convention) of dwarfs, ppm
+    dwarf_scatter: float = 0.79  # standard deviation of its natural logarithm
+    giant_cdpp: float = 209.0
+    giant_scatter: float = 0.38
+    giant_fraction: float = 0.43  # at Kp 11.5
+    giant_decline: float = 0.28  # per magnitude
+
+
+def tasks(study):
+    """Return one task per star."""
+    return grid("kp{mag:g}-{index}", mag=study.magnitudes, index=study.stars)
+
+
+def even(study, task):
+    """Return two numbers within 0 and 1 that are evenly spread over the stars of a bin."""
+    shift = star_rng(study.seed, f"kp{task['mag']:g}", "shift").uniform(size=2)
+    return np.clip((shift + task["index"] * STEPS) % 1.0, 1e-4, 1 - 1e-4)
+
+
+def quiet_star(study, task):
+    """Return a star with the floor and without variability."""
+    mag = task["mag"] + study.width * (even(study, task)[0] - 0.5)
+    white = star_rng(study.seed, task["key"], "floor").standard_normal(study.cadences)
+    signal = 1 + 1e-6 * study.floor * WIDTH**0.5 * white
+    return draw_star(star_rng(study.seed, task["key"]), mag, Detector.kepler(), signal=signal)
+
+
+def variability(study, task, mag):
+    """Return the CDPP of a star's variability in ppm, and whether the star is a giant."""
+    fraction = min(study.giant_fraction * np.exp(-study.giant_decline * (mag - BRIGHT)), 1.0)
+    place = even(study, task)[1]
+    if place < fraction:
+        deviate = ndtri(place / fraction)
+        return float(study.giant_cdpp * np.exp(study.giant_scatter * deviate)), True
+    deviate = ndtri((place - fraction) / (1.0 - fraction))
+    return float(study.dwarf_cdpp * np.exp(study.dwarf_scatter * deviate)), False
+
+
+def measure(study, task):
+    """Return the noise of a star with its variability, and of the same star without it.
+
+    CDPP with variability and with detector noise alone, in both conventions; the parts of photons,
+    background and read noise; and what was drawn.
+    """
+    motion, still = Motion.still(study.cadences), quiet_star(study, task)
+    level, giant = variability(study, task, still.mag)
+    red = stochastic_signal(motion.time, level, seed=star_rng(study.seed, task["key"], "red"))
+    star = still.replace(signal=still.signal * red(motion.time))
+    seed = star_seed(study.seed, task["key"], "pixels")
+    observation = simulate(star, Detector.kepler(), motion, seed=seed)
+    quiet = simulate(observation.scene.replace(stars=[still]))
+    aperture = observation.aperture
+    row = {"kp": star.mag, "giant": giant, "variability": level, "n_pixels": int(aperture.sum())}
+    for prefix, source in (("", observation), ("detector_", quiet)):
+        flux = source.flux[:, aperture].sum(axis=1, dtype=float)
+        row[f"{prefix}cdpp"] = cdpp(flux, method="everest")
+        row[f"{prefix}cdpp_lightkurve"] = cdpp(flux)
+    return row | noise_parts(quiet, aperture)
+
+
+def noise_parts(observation, aperture):
+    """Return the nominal 6.5-h noise of photons, background and reads in an aperture, ppm.
+
+    It is the standard deviation per cadence over the root of 13.
+    """
+    detector = observation.detector
+    exposure = detector.exposure_time
+    electrons = float(np.median(observation.flux[:, aperture].sum(axis=1, dtype=float))) * exposure
+    pixels = aperture.sum()
+    variances = {
+        "photon": electrons,
+        "background": pixels * detector.background * exposure,
+        "read": pixels * detector.cadence_read_noise**2,
+    }
+    scale = 1e6 / electrons / WIDTH**0.5
+    return {name: float(scale * np.sqrt(value)) for name, value in variances.items()}
+
+
+def summarize(study, table):
+    """Return our percentiles per bin beside Kepler's, with errors by resampling of the stars.
+
+    Percentiles of detector noise alone ("detector_") and with variability ("star_"), and the
+    ratios; ``meta`` has what was fitted and what holds.
+    """
+    reference = read_reference("kepler")
+    rows = []
+    for mag in study.magnitudes:
+        stars = table[np.asarray(table["mag"]) == mag]
+        if not len(stars):
+            continue
+        row = {"mag": mag, "stars": len(stars)}
+        row |= compared("detector", stars["detector_cdpp"], reference, mag, ("p10", "median"))
+        row |= compared("star", stars["cdpp"], reference, mag, PERCENTILES)
+        for name in ("photon", "background", "read", "n_pixels"):
+            row[name] = float(np.median(stars[name]))
+        rows.append(row)
+    summary = Table(rows=rows)
+    summary.meta["fitted"] = {name: getattr(study, name) for name in FITTED}
+    summary.meta["claims"] = {
+        f"{text} within {100 * TOLERANCE:.0f} % of Kepler's in every bin": holds(ratios, TOLERANCE)
+        for text, ratios in (
+            ("10th percentile with detector noise alone", summary["detector_p10_ratio"]),
+            ("median with variability", summary["star_median_ratio"]),
+        )
+    }
+    return summary
+
+
+@styled
+def draw(_, stars, summary):
+    """Draw our noise over Kepler's, and the ratios."""
+    orange, blue, band = "#d95f02", "#2c5aa0", "0.88"
+    reference = read_reference("kepler")
+    figure, (top, bottom) = plt.subplots(
+        2, 1, figsize=(6.4, 6.8), sharex=True, height_ratios=(2.4, 1), layout="constrained"
+    )
+    mag = np.array(reference["mag"])
+    low, tenth, half = (np.array(reference[name]) for name in ("p90", "p10", "median"))
+    top.fill_between(mag, tenth, low, color=band, lw=0, label="Kepler, 10 % to 90 %")
+    top.plot(mag, tenth, "-", color="0.45", lw=1, label="Kepler, 10 %")
+    top.plot(mag, half, "k--", lw=1.2, label="Kepler, median")
+    columns = (
+        ("cdpp", orange, "with variability"),
+        ("detector_cdpp", blue, "detector noise alone"),
+    )
+    for name, color, label in columns:
+        top.plot(np.array(stars["kp"]), np.array(stars[name]), ".", color=color, ms=3, alpha=0.6,
+                 label=f"ours, {label}")  # fmt: skip
+    top.set(yscale="log", ylabel="6.5-h CDPP (ppm)")
+    top.set(xlim=(min(stars["kp"]) - 0.2, max(stars["kp"]) + 0.2),
+            ylim=(0.6 * min(stars["detector_cdpp"]), 3 * max(stars["cdpp"])))  # fmt: skip
+    top.legend(fontsize="small", loc="upper left", ncols=2)
+    for name, marker, color, label in (
+        ("detector_p10", "o", blue, "10th percentile, detector noise alone"),
+        ("star_median", "s", orange, "median, with variability"),
+    ):
+        error = summary[f"{name}_error"] / summary[f"kepler_{name.split('_')[1]}"]
+        bottom.errorbar(
+            np.array(summary["mag"]), np.array(summary[f"{name}_ratio"]), np.array(error),
+            fmt=marker, color=color, ms=5, mec="k", mew=0.4, capsize=2, lw=1, label=label,
+        )  # fmt: skip
+    bottom.axhspan(0.9, 1.1, color=band, lw=0, zorder=0)
+    bottom.axhline(1, color="0.5", lw=0.8, zorder=0)
+    bottom.set(xlabel="Magnitude (Kp)", ylabel="Ours / Kepler", ylim=(0.7, 1.3))
+    bottom.legend(fontsize="small", loc="upper right")
+    return figure
+
+
+def main(argv=None):
+    """Run the study."""
+    return run(
+        NAME, NoMotion, tasks, measure, units=UNITS, summarize=summarize, draw=draw, argv=argv
+    )
+
+
+if __name__ == "__main__":
+    main()
