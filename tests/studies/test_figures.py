@@ -3,10 +3,9 @@
 import matplotlib as mpl
 import numpy as np
 import pytest
+from _figures import plot_cdpp, plot_cdpp_panels, plot_map
 from matplotlib import pyplot as plt
 from numpy.testing import assert_allclose
-
-from scope_models.plotting import plot_cdpp, plot_cdpp_panels, plot_map
 
 MAG = np.array([12.0, 13.0, 14.0])
 KEPLER = {

@@ -1,0 +1,265 @@
+"""Each study of the paper runs with two stars; arithmetic and stored tables of those of effects."""
+
+import csv
+import importlib
+import os
+import runpy
+import subprocess
+import sys
+from dataclasses import asdict
+from functools import partial
+
+import numpy as np
+import pytest
+from _corrected import METHODS, SURVIVALS, corrected_noise
+from _study import checked_claims, grid
+from astropy.table import Table
+from matplotlib import pyplot as plt
+from matplotlib.image import imread
+
+from scope_models import Detector, Motion, Star, simulate
+from scope_models._arrays import plain_tree
+
+#: Arguments of two stars, and a column that must be positive.
+SMALL = {
+    "table1": ("--scales 1 5 --cadences 100", "maximum"),
+    "no_motion": ("--magnitudes 12 14 --stars 1 --cadences 100", "cdpp"),
+    "k2_motion": ("--magnitudes 12 --stars 1 --cadences 100", "cdpp"),
+    "motion": (
+        "--magnitudes 12 --scales 1 5 --stars 1 --cadences 150 --no-lightkurve-sff", "pld_everest",
+    ),
+    "recovery": (
+        "--magnitudes 12 --depths 0 1000 --scales 1 --stars 1 --cadences 400 --periods 2 3",
+        "white_noise",
+    ),
+    "tess": ("--magnitudes 9 13 --neighbors 0 --cadences 200", "pld"),
+    "breathing": ("--amplitudes 0.01 --periods 1 4 --cadences 200", "pld"),
+    "ground": ("--flats 0.002 0.01 --drifts 0.03 --stars 1 --cadences 120", "floor"),
+    "last_campaigns": ("--magnitudes 12 14 --parts", "kept"),
+}  # fmt: skip
+STORED = ("tess", "breathing", "last_campaigns")
+
+
+@pytest.fixture(autouse=True)
+def _close():
+    yield
+    plt.close("all")
+
+
+@pytest.mark.parametrize("name", SMALL)
+def test_two_stars(name, tmp_path, capsys):
+    arguments, column = SMALL[name]
+    arguments = arguments.split()
+    if name == "last_campaigns":
+        arguments.append("C19 nominal")
+    study = importlib.import_module(name)
+    result = study.main([*arguments, "--directory", str(tmp_path / "run")])
+    assert len(result.table) == 2
+    assert np.all(np.asarray(result.table[column]) > 0)
+    assert 1 <= len(result.summary) <= 2
+    assert [path.name for path in result.files] == ["results.ecsv", "summary.ecsv", "figure.png"]
+    assert imread(result.files[2]).std() > 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0] == f"{study.NAME}: 2 stars, 0 failed"
+    assert set(result.summary.meta.get("claims", {}).values()) <= {
+        "holds", "does not hold", "not checked",
+    }  # fmt: skip
+    # the same call goes on from what is there
+    assert study.main([*arguments, "--directory", str(tmp_path / "run")]).n_computed == 0
+
+
+@pytest.mark.slow
+def test_workers(repository, tmp_path):
+    """Functions of the script reach the workers, and the tables are the same."""
+    paths = [str(tmp_path / name) for name in ("one", "two")]
+    for path, workers in zip(paths, "12", strict=True):
+        subprocess.run(
+            [sys.executable, repository / "studies" / "paper" / "no_motion.py", "--workers",
+             workers, "--directory", path, "--magnitudes", "12", "--stars", "2"],
+            check=True, env=os.environ | {"PYTHONPATH": str(repository)},
+        )  # fmt: skip
+    one, two = ((tmp_path / name / "results.ecsv").read_bytes() for name in ("one", "two"))
+    assert one == two
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--scales", "many"], "argument --scales: invalid float value: 'many'"),
+        (["--scale"], "argument --scales"),
+        (["--workers", "0"], "--workers must be at least 1, got 0"),
+        (["--config", "absent.toml"], "No such file or directory: 'absent.toml'"),
+        (["--scales"], "`tasks` must hold at least one star"),
+        (["--motions", "absent.fits"], "all 4 stars failed, the first one with FileNotFoundError"),
+    ],
+)
+@pytest.mark.filterwarnings("ignore::scope_models.exceptions.FailedStarsWarning")
+def test_errors_name_the_argument(arguments, message, tmp_path, capsys):
+    table1 = importlib.import_module("table1")
+    if arguments == ["--scale"]:
+        arguments = ["--scale", "x"]
+    with pytest.raises(SystemExit):
+        table1.main([*arguments, "--directory", str(tmp_path)])
+    assert message in capsys.readouterr().err
+
+
+def test_another_configuration_is_refused(tmp_path, capsys):
+    table1 = importlib.import_module("table1")
+    table1.main(["--scales", "1", "--directory", str(tmp_path)])
+    with pytest.raises(SystemExit):
+        table1.main(["--scales", "1", "--cadences", "50", "--directory", str(tmp_path)])
+    assert "differs in `cadences` (1000 there, 50 here)" in capsys.readouterr().err
+
+
+def test_tasks_are_the_cells_of_the_grid():
+    tasks = grid("kp{mag:g}-{kind}-{index}", index=2, mag=(12, 13.5), kind=("b",))
+    assert [task["key"] for task in tasks] == [
+        "kp12-b-0", "kp13.5-b-0", "kp12-b-1", "kp13.5-b-1",
+    ]  # fmt: skip
+    assert list(tasks[1]) == ["key", "mag", "kind", "index"]
+
+
+def test_claims_are_ratios_to_a_limit():
+    found = checked_claims({"a": [0.5, 1.0], "b": 1.1, "c": [0.2, np.nan], "d": []})
+    assert list(found["claims"].values()) == ["holds", "does not hold", *["not checked"] * 2]
+    assert found["claims_checked"] == {"a": 1.0, "b": 1.1}
+
+
+def test_generator_agrees_with_the_papers_table():
+    table1 = importlib.import_module("table1")
+    study = table1.Table1(scales=(1.0,))
+    (task,) = table1.tasks(study)
+    row = table1.measure(study, task)
+    for name, paper in table1.PAPER_PIXELS.items():
+        assert row[name] == pytest.approx(paper, rel=0.05)
+
+
+def test_the_papers_star(shared_data):
+    table1 = importlib.import_module("table1")
+    path = str(shared_data / "poscorr" / "epic205998445_c03_poscorr.fits")
+    study = table1.Table1(motions=(path,), scales=(1.0,))
+    row = table1.measure(study, table1.tasks(study)[0])
+    for name, paper in table1.PAPER_PIXELS.items():
+        assert row[name] == pytest.approx(paper, rel=0.05)
+
+
+def test_noise_model_of_tess():
+    # The parts one by one, for T = 10 and 20 pixels in 4 h.
+    tess_noise = importlib.import_module("tess").tess_noise
+    flux, seconds = 10 ** (0.4 * (20.44 - 10)), 4 * 3600 * 0.8 * 0.99
+    star, sky, read = flux * seconds, 20 * 134 * seconds, 20 * 100 * seconds / 1.98
+    noise = 1e6 * np.sqrt(star + sky + read) / (flux * seconds)
+    assert tess_noise(10.0, 20, 4.0) == pytest.approx(np.hypot(noise, 60 / 2), rel=1e-12)
+    assert tess_noise(2.0, 500, floor=0.0) < 5
+
+
+@pytest.mark.slow
+def test_noise_of_a_star_at_rest_is_its_floor():
+    detector = Detector.k2(shape=(7, 7)).without_sensitivity()
+    observation = simulate(Star(12.0), detector, Motion.still(300), seed=1)
+    row = corrected_noise(observation, 6.5)
+    for end in ("", "_full"):
+        assert row[f"aperture{end}"] == pytest.approx(row[f"floor{end}"], rel=1e-3)
+        assert row[f"wide{end}"] == pytest.approx(row[f"floor_wide{end}"], rel=1e-3)
+        assert row[f"pld{end}"] == pytest.approx(row[f"floor{end}"], rel=0.3)
+        assert row[f"scene{end}"] == pytest.approx(row[f"floor{end}"], rel=0.3)
+    expected = observation.flux_err[:, observation.aperture].astype(float) ** 2
+    expected = 1e6 * np.sqrt(expected.sum(axis=1).mean() / 13)
+    target = observation.model()[0, observation.aperture].sum()
+    assert row["floor_full"] == pytest.approx(expected / target, rel=4 / np.sqrt(2 * 23))
+    assert (row["share"], row["kept"]) == (1.0, 1.0)
+    for name in SURVIVALS:
+        assert row[name] == pytest.approx(1, abs=0.1)
+
+
+def made_up(name, **columns):
+    """Return a study with results in which every noise is 1 ppm but for those that are given."""
+    study = importlib.import_module(name)
+    parameters = {
+        "tess": {"magnitudes": (9.0, 13.0), "stars": 2},
+        "ground": {"stars": 2},
+        "last_campaigns": {"magnitudes": (12.0, 14.0)},
+    }.get(name, {})
+    kind = {
+        "tess": "TESSNoise", "breathing": "BreathingPSF", "last_campaigns": "LastCampaigns",
+        "ground": "GroundPLD",
+    }[name]  # fmt: skip
+    own = getattr(study, kind)(**parameters)
+    rows = []
+    for task in study.tasks(own):
+        values = dict.fromkeys(study.UNITS, 1.0) | {"pixels": 9, "share": 1.0, "kept": 0.5}
+        values |= dict.fromkeys((*SURVIVALS, *getattr(study, "SURVIVALS", ())), 1.0)
+        values["seen"] = 0.0 if task.get("part") == "C19 off target" else 1.0
+        rows.append(task | values | columns)
+    table = Table(rows)
+    return table, study.summarize(own, table), partial(study.draw, own)
+
+
+def test_tess_beside_the_noise_model():
+    table, summary, draw = made_up("tess")
+    assert summary["stars"].tolist() == [2] * 4
+    assert summary["neighbors"].tolist() == [0, 0, 10, 10]
+    tess_noise = importlib.import_module("tess").tess_noise
+    np.testing.assert_allclose(summary["model"][:2], tess_noise([9, 13], [9, 9]))
+    assert set(summary.meta["claims"].values()) == {"holds"}
+    noisy = made_up("tess", pld=2.0, scene=3.0)[1]
+    assert list(noisy.meta["claims"].values()).count("does not hold") == 2
+    assert [ax.get_title() for ax in draw(table, summary).axes] == ["0 neighbors", "10 neighbors"]
+
+
+def test_maps_of_breathing():
+    table, summary, draw = made_up("breathing", aperture_full=6.0, wide_full=2.5)
+    assert len(summary) == 16
+    assert np.all(summary["aperture_ratio"] == 6)
+    assert set(summary.meta["claims"].values()) == {"holds"}
+    assert [ax.get_title() for ax in draw(table, summary).axes[:4]] == list(METHODS.values())
+
+
+def test_parts_of_the_last_campaigns():
+    table, summary, draw = made_up("last_campaigns")
+    assert len(summary) == 8
+    assert set(summary.meta["claims"].values()) == {"holds"}
+    part = summary["mission"][(summary["part"] == "C18") & (summary["mag"] == 12)]
+    assert part.tolist() == [83.8]
+    parts = importlib.import_module("last_campaigns").PARTS
+    assert [ax.get_title() for ax in draw(table, summary).axes] == list(parts)
+
+
+def test_claims_of_ground():
+    noise = {"raw": 2e4, "raw_pld": 2e4, "differential": 600.0, "differential_pld": 300.0}
+    _, summary, draw = made_up("ground", **noise)
+    np.testing.assert_allclose(summary["ratio"], 0.5)
+    expected = ["holds", "holds", "does not hold", "holds"]
+    assert list(summary.meta["claims"].values()) == expected
+    lossy = made_up("ground", **noise, differential_pld_survival=0.5)[1].meta["claims"]
+    assert list(lossy.values())[3] == "does not hold"
+    methods = importlib.import_module("ground").METHODS
+    titles = [ax.get_title() for ax in draw(None, summary).axes[: len(methods)]]
+    assert titles == list(methods.values())
+
+
+@pytest.mark.slow
+def test_a_real_star_of_campaign_18(shared_data, tmp_path):
+    path = str(shared_data / "k2_tpf/ktwo211983544-c18_lpd-targ.fits.gz")
+    summary = importlib.import_module("last_campaigns").main(
+        ["--magnitudes", "16", "--parts", "C18", "--motion", path, "--files", path,
+         "--directory", str(tmp_path)]
+    ).summary  # fmt: skip
+    real = summary[summary["part"] == "ktwo211983544-c18_lpd-targ.fits.gz"]
+    assert real["pld"][0] < real["aperture"][0]
+
+
+@pytest.mark.parametrize("name", STORED)
+def test_tables_of_the_page(name, repository):
+    folder = repository / "docs" / "data"
+    stored = runpy.run_path(str(folder / "store_skies.py"))
+    study = importlib.import_module(name)
+    summary = Table.read(folder / f"{study.NAME}.ecsv")
+    kind = {"tess": "TESSNoise", "breathing": "BreathingPSF", "last_campaigns": "LastCampaigns"}
+    own = getattr(study, kind[name])()
+    config = plain_tree(asdict(own))
+    assert {key: summary.meta[key] for key in config} == config
+    study.draw(own, None, summary)
+    for part, rows in stored["tables"](study.NAME, summary).items():
+        with (folder / f"{study.NAME}_{part}.csv").open(encoding="utf-8") as file:
+            assert list(csv.reader(file)) == rows
