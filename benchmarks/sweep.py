@@ -13,82 +13,66 @@ scaling
     is de-trended.
 overhead
     100,000 stars that cost nothing, so that what is left is the sweep itself: keeping the stars,
-    resuming, and making the table.
+    resuming, and writing the table.
 
 Run as ``OMP_NUM_THREADS=1 python benchmarks/sweep.py [PART ...]`` on a quiet machine.
 """
 
 import argparse
+import importlib
 import os
 import resource
 import subprocess
 import sys
 import tempfile
 import time
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
-from typing import ClassVar
 
 import numpy as np
 from _common import report_environment
 from distributed import Client, LocalCluster
-from scope_models.experiments.study import Study
 
 from scope_models import Detector, Motion, Star, simulate
-from scope_models.experiments import make_study, run_sweep
+from scope_models.batch import run_sweep, star_rng, star_seed
+
+sys.path.append(str(Path(__file__).parents[1] / "studies" / "paper"))
+motion = importlib.import_module("motion")
 
 REPEATS = 5
 SIZES = (10, 100, 1000, 10000)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Draws(Study):
-    """Stars that cost nothing: a row of 15 random numbers."""
-
-    name: ClassVar[str] = "draws"
-    grid: ClassVar[dict] = {"index": "stars"}
-    key: ClassVar[str] = "star{index}"
-    stars: int = 10
-
-    def run_star(self, task):
-        values = self.star_rng(task["key"]).random(15)
-        return {f"value{i}": value for i, value in enumerate(values)}
-
-    def summarize(self, table):
-        return table
-
-    def draw(self, table, summary):
-        raise NotImplementedError
+def stars(number):
+    return [{"key": f"star{index}"} for index in range(number)]
 
 
-@dataclass(frozen=True, kw_only=True)
-class Small(Draws):
-    """Stars that cost little: 100 cadences of 7 x 7 pixels, and their scatter."""
-
-    name: ClassVar[str] = "small"
-
-    def run_star(self, task):
-        seed = self.star_seed(task["key"])
-        detector, motion = Detector.k2(shape=(7, 7)), Motion.still(100)
-        flux = simulate(Star(12.0), detector, motion, seed=seed).flux.sum(axis=(1, 2))
-        values = np.percentile(flux, np.linspace(0, 100, 14))
-        return {"scatter": flux.std()} | {f"value{i}": value for i, value in enumerate(values)}
+def draw(task):
+    """Return a star that costs nothing: a row of 15 random numbers."""
+    return {f"value{i}": v for i, v in enumerate(star_rng(1, task["key"]).random(15))}
 
 
-def light_study(stars, cadences, magnitudes, scales):
+def small(task):
+    """Return a star that costs little: 100 cadences of 7 x 7 pixels, and their scatter."""
+    detector, still = Detector.k2(shape=(7, 7)), Motion.still(100)
+    observation = simulate(Star(12.0), detector, still, seed=star_seed(1, task["key"]))
+    flux = observation.flux.sum(axis=(1, 2))
+    values = np.percentile(flux, np.linspace(0, 100, 14))
+    return {"scatter": flux.std()} | {f"value{i}": value for i, value in enumerate(values)}
+
+
+def light_study(number, cadences, magnitudes, scales):
     """Return stars of the motion test, for which lightkurve does nothing."""
-    return make_study(
-        "motion",
-        {
-            "magnitudes": magnitudes,
-            "scales": scales,
-            "stars": stars,
-            "cadences": cadences,
-            "lightkurve_pld": False,
-            "lightkurve_sff": False,
-            "transit_scales": (),
-        },
-    )
+    return motion.MotionTest(
+        magnitudes=magnitudes, scales=scales, stars=number, cadences=cadences,
+        lightkurve_pld=False, lightkurve_sff=False, transit_scales=(),
+    )  # fmt: skip
+
+
+def sweep_study(study, folder, client):
+    tasks = motion.tasks(study)
+    return run_sweep(partial(motion.measure, study), tasks, folder, client, progress=False)
 
 
 def processes(number):
@@ -97,17 +81,17 @@ def processes(number):
     return Client(LocalCluster(n_workers=number, threads_per_worker=1, **local))
 
 
-def report_throughput(stars, cadences):
+def report_throughput(number, cadences):
     magnitudes, scales = (10.0, 12.0, 14.0, 15.5), (1.0, 5.0)
-    study = light_study(stars, cadences, magnitudes, scales)
-    n_stars = len(study.tasks())
+    study = light_study(number, cadences, magnitudes, scales)
+    n_stars = len(motion.tasks(study))
     print(f"Throughput: {n_stars} stars of {cadences} cadences, simulated, de-trended, measured")
     print("  one process: s, stars/s;   two processes: s, stars/s;   gain;   load at the beginning")
     with processes(1) as one, processes(2) as two:
-        for client, number in ((one, 1), (two, 2)):
+        for client, workers in ((one, 1), (two, 2)):
             began = time.perf_counter()
-            run_sweep(replace(study, seed=2, stars=1), None, client, progress=False)
-            print(f"  the first 8 stars of {number} processes, with all imports: "
+            sweep_study(replace(study, seed=2, stars=1), None, client)
+            print(f"  the first 8 stars of {workers} processes, with all imports: "
                   f"{time.perf_counter() - began:.1f} s")  # fmt: skip
         gains = []
         for _ in range(REPEATS):
@@ -125,7 +109,7 @@ def clock(study, client):
     """Return the seconds that a sweep takes."""
     began = time.perf_counter()
     with tempfile.TemporaryDirectory() as folder:
-        result = run_sweep(study, folder, client, progress=False)
+        result = sweep_study(study, folder, client)
     assert len(result.failures) == 0  # noqa: S101
     return time.perf_counter() - began
 
@@ -144,7 +128,7 @@ def report_size(size):
     """Print one line of the scaling."""
     with tempfile.TemporaryDirectory() as folder:
         began = time.perf_counter()
-        result = run_sweep(Small(stars=size), folder, 2, progress=False)
+        result = run_sweep(small, stars(size), folder, 2, progress=False)
         taken = time.perf_counter() - began
         disk = sum(path.stat().st_size for path in Path(folder).rglob("*") if path.is_file())
     assert len(result.table) == size  # noqa: S101
@@ -158,20 +142,15 @@ def report_size(size):
 
 def report_overhead(size):
     print(f"Overhead: {size} stars that cost nothing, in this process")
-    study = Draws(stars=size)
     with tempfile.TemporaryDirectory() as folder:
-        for title in ("computed, kept, table made", "resumed: read, table made"):
+        for title in ("computed, kept, table written", "resumed: read, table written"):
             began, processor = time.perf_counter(), time.process_time()
-            result = run_sweep(study, folder, progress=False)
+            run_sweep(draw, stars(size), folder, progress=False)
             taken, used = time.perf_counter() - began, time.process_time() - processor
-            print(f"  {title:28s} {taken:6.1f} s, {used:6.1f} s of a core: "
+            print(f"  {title:30s} {taken:6.1f} s, {used:6.1f} s of a core: "
                   f"{1e3 * used / size:.3f} ms per star")  # fmt: skip
         print(f"  on disk: {(Path(folder) / 'results.sqlite').stat().st_size / 1e6:.1f} MB")
-        began = time.perf_counter()
-        path = Path(folder) / "results.ecsv"
-        result.table.write(path)
-        print(f"  results.ecsv: {time.perf_counter() - began:.1f} s, "
-              f"{path.stat().st_size / 1e6:.1f} MB")  # fmt: skip
+        print(f"  results.ecsv: {(Path(folder) / 'results.ecsv').stat().st_size / 1e6:.1f} MB")
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     print(f"  largest memory of the process: {memory:.0f} MiB")
 

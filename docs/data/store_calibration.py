@@ -1,8 +1,8 @@
 """Store what the page on calibration shows of the studies "no-motion" and "k2-motion".
 
 ``python docs/data/store_calibration.py NO_MOTION K2_MOTION GRID``: the results directories of
-``scope-models experiment no-motion`` and ``k2-motion``, and the k2_calibration.ecsv of
-``studies/calibrate_k2_motion.py``. Written are, beside this file, the summaries, the noise of
+``studies/paper/no_motion.py`` and ``k2_motion.py``, and the k2_calibration.ecsv of
+``studies/paper/calibrate_k2_motion.py``. Written are, beside this file, the summaries, the noise of
 the stars at rest, and every other point of the grid.
 """
 

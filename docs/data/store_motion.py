@@ -1,6 +1,6 @@
 """Store what the pages show of the study "motion": ``python docs/data/store_motion.py RESULTS``.
 
-RESULTS is the directory of ``scope-models experiment motion --directory RESULTS``. Written are,
+RESULTS is the directory of ``python studies/paper/motion.py --directory RESULTS``. Written are,
 beside this file, the summary and the tables of the page on the paper.
 """
 

@@ -1,7 +1,7 @@
 """Store what a page shows of a study of skies: ``python docs/data/store_skies.py NAME RESULTS``.
 
-NAME is "tess", "breathing" or "last-campaigns", RESULTS the directory of ``scope-models experiment
-NAME --directory RESULTS``. Written are, beside this file, the summary and the tables of the page.
+NAME is "tess", "breathing" or "last-campaigns", RESULTS the directory of its script in
+``studies/paper``. Written are, beside this file, the summary and the tables of the page.
 """
 
 import csv
