@@ -338,7 +338,7 @@ HEAVY = ["numpy", "scipy", "astropy", "lightkurve", "matplotlib", "tqdm", "dask"
 @pytest.mark.parametrize(
     "argv",
     [["--version"], ["--help"]]
-    + [[name, "--help"] for name in ("demo", "simulate", "detrend", "fit", "experiment")],
+    + [[name, "--help"] for name in ("demo", "simulate", "detrend", "fit", "benchmark")],
     ids=" ".join,
 )
 def test_answers_without_heavy_imports(argv):
