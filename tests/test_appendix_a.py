@@ -10,6 +10,7 @@ from matplotlib import pyplot as plt
 from numpy.testing import assert_allclose, assert_array_equal
 
 import scope_models as scope
+from scope_models.exceptions import DetrendingWarning
 from scope_models.models import BivariateGaussianPSF, TransitModel, stochastic_signal
 from scope_models.photometry import cdpp, threshold_aperture
 
@@ -43,7 +44,8 @@ def test_appendix_a_as_printed(monkeypatch):
     star.add_neighbor(magdiff=1.0, dist=1.7)
     star = scope.generate_target(transit=True, variable=True, neighbor=True)
     star.display_detector()
-    corrected = star.detrend()
+    with pytest.warns(DetrendingWarning, match="of other stars: depths and amplitudes are too"):
+        corrected = star.detrend()
     assert np.isfinite(corrected.flux.value).any()
 
 
@@ -407,7 +409,11 @@ def test_figures_after_detrending():
     target = _target(transit=True)
     corrected = target.detrend()
     flux = corrected.flux.value / np.nanmedian(corrected.flux.value)
-    drawn = target.plot()["de-trended"].lines[0].get_ydata()
+    axes = target.plot()
+    labels = " ".join(axes["light curve"].get_legend_handles_labels()[1])
+    assert f"raw, CDPP {target.estimate_cdpp():.1f} ppm" in labels
+    assert f"de-trended, CDPP {target.estimate_cdpp(corrected):.1f} ppm" in labels
+    drawn = axes["de-trended"].lines[0].get_ydata()
     used = np.isin(target.time, corrected.time.value)
     assert_allclose(drawn[used], flux, rtol=1e-6)
     assert np.isnan(drawn[~used]).all()

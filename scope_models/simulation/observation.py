@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 from operator import attrgetter
+from types import SimpleNamespace
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from scope_models.effects import Effect
 from scope_models.io import TPFMetadata, Truth, write_tpf
 from scope_models.io.tpf import make_tpf_hdulist
 from scope_models.missions import MISSIONS, TIME_ZEROS
+from scope_models.photometry import cdpp
 from scope_models.scene.scene import Scene, scene_facts
 from scope_models.simulation._light import (
     fill_wells,
@@ -287,7 +289,7 @@ class Observation(Value):
         return write_tpf(path, overwrite=overwrite, **arguments)
 
     def plot(self, corrected=None, aperture_mask=None, *, title=None):
-        """Draw pixels, motion and light curves in one figure.
+        """Draw pixels, motion and light curves in one figure, with lightkurve's CDPP.
 
         Parameters
         ----------
@@ -323,14 +325,17 @@ class Observation(Value):
         aperture = self._checked_aperture(aperture_mask)
         raw = self.flux[:, aperture].sum(axis=1, dtype=float)
         signal = 1 + self.target_share(aperture) * (self.truth.relative_flux[0] - 1)
+        corrected = None if corrected is None else self._at_all_cadences(corrected)
         return plot_summary(
             self.time,
             self.flux[0],
             raw,
             self.truth.x[0],
             self.truth.y[0],
-            corrected=None if corrected is None else self._at_all_cadences(corrected),
+            corrected=corrected,
             aperture=aperture,
+            cdpp=self._cdpp(raw),
+            corrected_cdpp=self._cdpp(corrected),
             model=signal / np.nanmedian(signal) if np.ptp(signal) > 0 else None,
             noise=np.sqrt((self.flux_err[:, aperture].astype(float) ** 2).sum(axis=1)) / raw,
             time_label=self._time_label,
@@ -383,6 +388,13 @@ class Observation(Value):
     @property
     def _time_label(self):
         return f"Time ({self.motion.time_format.upper()})"
+
+    def _cdpp(self, flux):
+        """Return lightkurve's CDPP, None without enough cadences."""
+        try:
+            return None if flux is None else cdpp(SimpleNamespace(time=self.time, flux=flux))
+        except ValueError:
+            return None
 
     def _at_all_cadences(self, corrected):
         """Return a corrected light curve at all cadences, NaN where it has none."""
