@@ -23,6 +23,7 @@ __all__ = [
     "checked_weights",
     "integer",
     "number",
+    "one_line",
     "solvable",
 ]
 
@@ -183,3 +184,9 @@ def checked_cadences(name, mask, n, *, default):
     if mask.shape != (n,):
         raise ValueError(f"`{name}` must have shape ({n},), got {mask.shape}")
     return mask.copy()
+
+
+def one_line(text):
+    """Return a text in one line, with escapes in the place of characters that do not print."""
+    shown = " ".join(str(text).split())
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in shown)

@@ -156,6 +156,7 @@ def run(name, arguments, *inputs, **options):
         if getattr(arguments, option, None) is not None:
             raise ValueError(f"--{option} cannot be combined with --output-dir")
     from scope_models import batch, benchmark
+    from scope_models._checks import one_line
     from scope_models.exceptions import FailedStarsWarning
 
     try:
@@ -170,10 +171,10 @@ def run(name, arguments, *inputs, **options):
                 **options,
             )
     except (ModuleNotFoundError, batch.SweepError) as error:
-        print(f"scope-models: error: {error}", file=sys.stderr)
+        print(f"scope-models: error: {one_line(error)}", file=sys.stderr)
         return 1
     for key, error in result.failures.iterrows("key", "error"):
-        print(f"scope-models: failed: {key}: {' '.join(error.split())}", file=sys.stderr)
+        print(f"scope-models: failed: {key}: {one_line(error)}", file=sys.stderr)
     total = len(result.table) + len(result.failures)
     print(f"{total} stars, {len(result.failures)} failed")
     for file in result.files:

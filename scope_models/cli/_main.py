@@ -92,8 +92,10 @@ def _make_parser():
 
 def _write(kind, message):
     """Write a message as one line to the standard error."""
+    from scope_models._checks import one_line  # with astropy, which a --help does not need
+
     if isinstance(message, OSError) and message.strerror and message.filename is not None:
         message = f"{message.filename}: {message.strerror}"
-    text = " ".join(str(message).split()) or type(message).__name__
+    text = one_line(message) or type(message).__name__
     text = text.replace("pass overwrite=True to replace it", "--overwrite replaces it")
     print(f"scope-models: {kind}: {text}", file=sys.stderr)

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.ndimage import median_filter, uniform_filter1d
 
 from scope_models._arrays import native
-from scope_models._checks import checked_choice
+from scope_models._checks import checked_choice, one_line
 from scope_models.effects import Background, Focus, PixelShares
 from scope_models.fitting._tables import (
     CADENCE_UNITS,
@@ -90,7 +90,7 @@ def read_fit(path):
         try:
             return _fields_of(hdus)
         except Exception as error:  # a file can hold anything under the names of a fit
-            reason = " ".join(str(error).split())
+            reason = one_line(error)
             raise RefusedError(
                 f"{path} holds no fit that can be made: {type(error).__name__}: {reason}"
             ) from error

@@ -9,6 +9,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
+from scope_models._checks import one_line
 from scope_models.exceptions import DamagedFileWarning
 
 __all__ = ["RefusedError", "checksum_of", "conf", "naming", "open_fits"]
@@ -96,9 +97,7 @@ def naming(path):
 
 
 def _unreadable(path, error):
-    # Bytes of a damaged header can be in the message.
-    reason = " ".join(str(error).split()).encode("unicode_escape").decode()
-    reason = reason or type(error).__name__
+    reason = one_line(error) or type(error).__name__  # bytes of a damaged header can be in it
     return ValueError(f"{path} is no readable FITS file, or truncated: {reason}")
 
 

@@ -11,6 +11,7 @@ from astropy import units as u
 from astropy.time import Time
 
 from scope_models._arrays import plain_array, plain_time, unmasked
+from scope_models._checks import one_line
 from scope_models._values import Value, frozen
 from scope_models.io._opening import RefusedError, naming, open_fits
 from scope_models.io.reading import (
@@ -283,8 +284,7 @@ def read_tpf(source, *, quality_bitmask="default"):
     try:
         return kind(whole, quality_bitmask=quality_bitmask)
     except Exception as error:  # lightkurve expects more columns than `read_pixels` needs
-        reason = " ".join(str(error).split())
-        raise ValueError(f"lightkurve cannot read {source}: {reason}") from error
+        raise ValueError(f"lightkurve cannot read {source}: {one_line(error)}") from error
 
 
 def usable_positions(pos_corr):

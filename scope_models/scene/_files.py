@@ -10,7 +10,7 @@ import numpy as np
 from astropy.modeling import Model
 
 from scope_models._arrays import plain_tree
-from scope_models._checks import checked_choice
+from scope_models._checks import checked_choice, one_line
 from scope_models._values import value_key
 from scope_models.effects import Effect
 from scope_models.io import read_truth
@@ -173,7 +173,7 @@ def _made(path, described, what, make):
     try:
         return make()
     except Exception as error:  # a file can hold anything under the names of a scene
-        reason = " ".join(str(error).split())
+        reason = one_line(error)
         kind = type(error).__name__
         raise ValueError(f"{path} holds no {what} that can be made: {kind}: {reason}") from error
 

@@ -10,6 +10,7 @@ from astropy.io import fits
 from broken_files import LAYOUTS, Variant, no_fits, survey, template, variants
 
 from scope_models import Detector, Motion, Star, simulate
+from scope_models._checks import one_line
 from scope_models.cli import main
 
 
@@ -101,6 +102,26 @@ def _dropped(name):
 
 def _column_of_first_pixel(hdus):
     hdus[1].header["1CRV5P"] = 10**30
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("command", ["detrend", "fit"])
+def test_header_text_is_escaped(command, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    observation = simulate(Star(12.0), Detector.k2(shape=(7, 7)), Motion.k2_roll(60), seed=1)
+    path = observation.write("star.fits")
+    card = b"BJDREFI =              2454833"
+    assert card in path.read_bytes()
+    hostile = b"BJDREFI = '\x00\x1b[2J\n\x07'".ljust(len(card))
+    path.write_bytes(path.read_bytes().replace(card, hostile))
+    assert main([command, "star.fits", "--output", "out.fits"]) == 2
+    lines = capsys.readouterr().err.splitlines()
+    assert lines
+    assert all(line.isprintable() for line in lines)
+
+
+def test_one_line():
+    assert one_line("a\x00b\n c\x1b[2J \xe4") == "a\\x00b c\\x1b[2J \xe4"
 
 
 def _aperture_of_bytes(hdus):
