@@ -6,8 +6,9 @@ from functools import cached_property
 
 import numpy as np
 from astropy.table import QTable
+from scipy import ndimage
 
-from scope_models._checks import checked_integer
+from scope_models._checks import checked_cadences, checked_integer
 from scope_models._threads import one_thread
 from scope_models.correctors._injection import (
     box_signal,
@@ -165,9 +166,32 @@ class PLDFit:
 
     @property
     def outliers(self):
-        """Cadences that were left out as outliers, ``(n_cadences,)``."""
-        usable = self.model.pixels.usable
-        return self._whole(self.cadence_mask[usable] & ~self.solution.use, fill=False)
+        """Cadences that were left out of the fit as outliers, ``(n_cadences,)``.
+
+        Not those of `dips`, which are left out of the fit too.
+        """
+        return self._whole(self._left_out & ~self._in_dips, fill=False)
+
+    @property
+    def dips(self):
+        """Cadences that were left out of the fit because the star is fainter, ``(n_cadences,)``.
+
+        Two or more in a row, as in transits and eclipses, each fainter than the model by more than
+        the errors of noise and systematics allow.
+        """
+        return self._whole(self._in_dips, fill=False)
+
+    @property
+    def _left_out(self):
+        return self.cadence_mask[self.model.pixels.usable] & ~self.solution.use
+
+    @cached_property
+    def _in_dips(self):
+        left_out, sigma = self._left_out, self.model.options.sigma
+        faint = left_out & (self.solution.pulls < -sigma)
+        labels, _ = ndimage.label(left_out)
+        size = np.bincount(labels)
+        return left_out & (size > 1)[labels] & (np.bincount(labels, faint) == size)[labels]
 
     @property
     def n_used(self):
@@ -284,9 +308,10 @@ class PLDFit:
             above FLUX_ERR. Empty if there is nothing.
         """
         found, n = [], len(self.solution.use)
-        if self.n_outliers > _MANY * self.cadence_mask.sum():
+        left_out = self._left_out.sum()
+        if left_out > _MANY * self.cadence_mask.sum():
             found.append(
-                f"{self.n_outliers} of {n} cadences are left out of the fit as outliers: the star "
+                f"{left_out} of {n} cadences are left out of the fit as outliers: the star "
                 "varies in a way that the model cannot follow, or pixels are damaged"
             )
         if self.contamination > _CONTAMINATED:
@@ -546,7 +571,7 @@ class PLDFit:
             warnings.warn(message, DetrendingWarning, stacklevel=4)
 
     @one_thread
-    def held_out(self, width=13):
+    def held_out(self, width=13, cadences=None):
         """
         Predict windows of cadences by a model that has not seen them.
 
@@ -556,7 +581,10 @@ class PLDFit:
         Parameters
         ----------
         width : int, optional
-            Cadences in a window, counted among those in the fit; 13 long cadences are 6.4 hours.
+            Cadences in a window, counted among ``cadences``; 13 long cadences are 6.4 hours.
+        cadences : array_like of bool, optional
+            Cadences in the windows, ``(n_cadences,)``, by default those in the fit. Fits are
+            compared on the same ones, with what each of them left out as an outlier.
 
         Returns
         -------
@@ -565,13 +593,23 @@ class PLDFit:
         error : `~numpy.ndarray`
             Its expected standard deviation: noise and model.
         used : `~numpy.ndarray`
-            Indices of the cadences in the fit, which are the windows one after the other.
+            Indices of the cadences, which are the windows one after the other.
+
+        Raises
+        ------
+        ValueError
+            If there are fewer cadences than two windows, or ``cadences`` cannot be used.
         """
-        used = np.flatnonzero(self.used)
+        chosen, usable = self.used, self.model.pixels.usable
+        if cadences is not None:
+            chosen = checked_cadences("cadences", cadences, len(usable), default=True)
+            if (chosen & ~usable).any():
+                raise ValueError("`cadences` must have usable pixels")
+        used = np.flatnonzero(chosen)
         width = checked_integer("width", width, 1)
         if len(used) < 2 * width:
             raise ValueError(f"`width` must be at most {len(used) // 2}, got {width}")
-        residual, covariance = self.solution.held_out(width)
+        residual, covariance = self.solution.held_out(width, chosen[usable])
         return residual.mean(axis=1), np.sqrt(covariance.sum(axis=(1, 2))) / width, used
 
     # How it looks

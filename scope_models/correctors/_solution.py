@@ -18,6 +18,8 @@ from scope_models.correctors._regression import (
 
 __all__ = ["NothingToCorrectError", "Solution", "fit"]
 
+#: Factor of the variance of cadences that have next to no weight.
+_NO_WEIGHT = 1e6
 #: Largest number of fits of the hyper-parameters after outliers were found.
 _REFITS = 2
 #: Part of the cadences without which the columns and the time scales stay: only the variances are
@@ -200,14 +202,16 @@ class Solution:
         x = self.solved[starts[:, None] + np.arange(width), :-1]
         return inverse - (x @ self.posterior.covariance) @ x.transpose(0, 2, 1)
 
-    def held_out(self, width):
+    def held_out(self, width, cadences=None):
         """
-        Predict each window of cadences from all others.
+        Predict each window of cadences from all others that are in use.
 
         Parameters
         ----------
         width : int
             Cadences in a window; what remains at the end is left out.
+        cadences : ndarray of bool, optional
+            Cadences in the windows, by default those in use; at least these.
 
         Returns
         -------
@@ -216,10 +220,15 @@ class Solution:
         covariance : ndarray
             Expected covariance of these, ``(n_windows, width, width)``.
         """
-        starts = np.arange(len(self.alpha) // width) * width
-        covariance = np.linalg.inv(self.blocks(starts, width))
-        alpha = self.alpha[: len(starts) * width].reshape(-1, width, 1)
-        return (covariance @ alpha)[:, :, 0], covariance
+        cadences = self.use if cadences is None else cadences
+        whole = self._with_weights(cadences)
+        starts = np.arange(len(whole.alpha) // width) * width
+        covariance = np.linalg.inv(whole.blocks(starts, width))
+        alpha = whole.alpha[: len(starts) * width].reshape(-1, width, 1)
+        rest = (covariance @ alpha)[:, :, 0]
+        more = (whole.white_variance - self.white_variance)[cadences][: len(starts) * width]
+        np.einsum("ijj->ij", covariance)[:] -= more.reshape(-1, width)
+        return rest, covariance
 
     @property
     def precision(self):
@@ -229,30 +238,69 @@ class Solution:
             "ij,ij->i", x @ self.posterior.covariance, x
         )
 
-    @cached_property
-    def deviations(self):
-        """Leave-one-out residuals of the cadences in use in units of their standard deviation."""
-        return self.alpha / np.sqrt(np.maximum(self.precision, 1e-300))
+    @property
+    def pulls(self):
+        """What the model leaves at all usable cadences, in errors of noise and systematics."""
+        rest = self.unexplained
+        if self.hyper.amplitude is not None:
+            rest = rest - self.process.predict(self.alpha, self.time)
+        return rest / np.sqrt(self.white_variance + self.systematics_variance)
 
-    def without_outliers(self, options):
-        """Leave out outliers at fixed hyper-parameters, as long as half of the cadences remain."""
-        solution = self
+    def deviations(self, cadences):
+        """
+        Return what cadences differ by from predictions of all others that are in use.
+
+        Parameters
+        ----------
+        cadences : ndarray of bool
+            Cadences, at least those in use.
+
+        Returns
+        -------
+        ndarray
+            One number for each of the cadences, in standard deviations.
+        """
+        whole = self._with_weights(cadences)
+        expected = 1 / np.maximum(whole.precision, 1e-300)
+        white = self.white_variance[cadences]
+        variance = np.maximum(expected - (whole.white_variance[cadences] - white), white)
+        return whole.alpha * expected / np.sqrt(variance)
+
+    def _with_weights(self, cadences):
+        """Return the same model of more cadences, of which those not in use have no weight."""
+        if (cadences == self.use).all():
+            return self
+        variance = np.where(self.use, self.variance, _NO_WEIGHT * self.variance)
+        return replace(self, variance=variance, use=cadences)
+
+    def without_outliers(self, options, allowed=None):
+        """
+        Leave out outliers at fixed hyper-parameters, as long as half of the cadences remain.
+
+        Cadences that seemed to be outliers beside others come back.
+
+        Parameters
+        ----------
+        options : PLDOptions
+            Limit, and number of rounds.
+        allowed : ndarray of bool, optional
+            Cadences that may be in use, by default those that are.
+        """
+        allowed, solution = self.use if allowed is None else allowed, self
         for _ in range(options.max_clips):
-            deviations = np.abs(solution.deviations)
-            spread = 1.4826 * np.median(deviations)  # outliers have raised the fitted noise
-            kept = deviations < options.sigma * spread
-            if kept.all() or kept.sum() < 0.5 * self.use.sum():
+            deviations = np.abs(solution.deviations(allowed))
+            # outliers have raised the fitted noise
+            spread = 1.4826 * np.median(deviations[solution.use[allowed]])
+            use = allowed.copy()
+            use[allowed] = deviations < options.sigma * spread
+            if (use == solution.use).all() or use.sum() < 0.5 * allowed.sum():
                 break
-            use = solution.use.copy()
-            use[np.flatnonzero(use)[~kept]] = False
             solution = replace(solution, use=use)
         return solution
 
     def latent_variance(self):
         """Variance of the model, systematics and trend together, at all usable cadences."""
-        # cadences that are not in use become data of next to no weight
-        variance = np.where(self.use, self.variance, 1e6 * self.variance)
-        whole = replace(self, variance=variance, use=np.ones_like(self.use))
+        whole = self._with_weights(np.ones_like(self.use))
         white = whole.white_variance
         return np.clip(white - white**2 * whole.precision, 0.0, None)
 
@@ -343,9 +391,12 @@ def fit(make_regressors, time, y, variance, use, flat_columns, options, predicte
 
 def _without_outliers(solution, make_regressors, options):
     """Fit the hyper-parameters and leave out outliers by turns."""
+    allowed = solution.use
     solution = replace(solution, hyper=_fit_hyper(solution, options, little=False))
     for k in range(_REFITS + 1):
-        use = solution.without_outliers(options).use if k < _REFITS else solution.use
+        use = solution.use
+        if k < _REFITS:
+            use = solution.without_outliers(options, allowed).use
         if (use == solution.use).all():
             break
         little = (use != solution.use).sum() < _LITTLE * solution.use.sum()

@@ -453,7 +453,8 @@ def fit_pixels(pixels, options, series, cadence_mask=None, **transit):
         return fitted
     measured = fitted_with(replace(options, fractions="measured"))
     least = 1 if fitted.model.clean.weighted else _BETTER
-    better = _unseen(measured) < least * _unseen(fitted)
+    both = fitted.cadence_mask & fitted.model.pixels.usable & measured.model.pixels.usable
+    better = _unseen(measured, both) < least * _unseen(fitted, both)
     if failed and fitted.crowding == 1 and not measured.may_follow:
         better = better or rough > _roughness(measured.corrected()[0])
     return measured if better and _keeps_variability(measured, fitted) else fitted
@@ -474,9 +475,9 @@ def _check_enough(use):
         )
 
 
-def _unseen(fitted):
+def _unseen(fitted, cadences):
     """Mean size of the residuals of windows that the model has not seen, without the largest."""
-    size = np.sort(np.abs(fitted.held_out(fitted.window)[0]))
+    size = np.sort(np.abs(fitted.held_out(fitted.window, cadences)[0]))
     return size[: max(int(0.9 * len(size)), 1)].mean()
 
 

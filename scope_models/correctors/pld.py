@@ -368,7 +368,7 @@ class PLDCorrector(LightkurveNames, Corrector):
         with one_thread, solvable():
             return self._fitted().fit_transit(transit_model)
 
-    def held_out(self, width=13):
+    def held_out(self, width=13, cadences=None):
         """
         Predict windows of cadences by a model that has not seen them.
 
@@ -378,7 +378,9 @@ class PLDCorrector(LightkurveNames, Corrector):
         Parameters
         ----------
         width : int, optional
-            Cadences in a window, counted among those in the fit; 13 long cadences are 6.4 hours.
+            Cadences in a window, counted among ``cadences``; 13 long cadences are 6.4 hours.
+        cadences : array_like of bool, optional
+            Cadences in the windows, ``(n_cadences,)``, by default those in the fit.
 
         Returns
         -------
@@ -387,10 +389,10 @@ class PLDCorrector(LightkurveNames, Corrector):
         error : `~numpy.ndarray`
             Its expected standard deviation: noise and model.
         used : `~numpy.ndarray`
-            Indices of the cadences in the fit, which are the windows one after the other.
+            Indices of the cadences, which are the windows one after the other.
         """
         with one_thread, solvable():
-            return self._fitted().held_out(width)
+            return self._fitted().held_out(width, cadences)
 
     def _check_corrected(self):
         if not hasattr(self, "_corrected_lc"):

@@ -1,5 +1,8 @@
 """What correctors hold before, after and instead of a correction, and what they report."""
 
+import contextlib
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -126,3 +129,68 @@ def test_a_neighbor_that_dilutes_is_reported(fake_star, ratio, width):
     depth = (np.median(flux[signal == 1]) - np.median(flux[signal < 1])) / 0.01
     assert depth == pytest.approx(own / whole, abs=0.03)
     assert corrector.result.survival(signal) == pytest.approx(depth, abs=0.05)
+
+
+@pytest.mark.parametrize("depth", [0.003, 0.01])
+def test_transits_are_no_outliers(fake_star, depth):
+    """Of 3 h; two pairs of cadences that do not last, or brighten, are outliers as before."""
+    signal = dips(600, depth)
+    signal[[200, 400]] *= 0.97
+    signal[[500, 501]] *= 1.03
+    corrector = PLDCorrector(fake_star(600, seed=7, signal=signal).tpf)
+    lc = corrector.correct()
+    assert np.flatnonzero(corrector.outlier_mask).tolist() == [200, 400, 500, 501]
+    result = corrector.result
+    transit = dips(600) < 1
+    assert not result.dips[~transit].any()
+    assert not (result.dips & result.used).any()
+    flux = lc[~corrector.outlier_mask].flux.value
+    seen = np.median(flux[transit[~corrector.outlier_mask]]) / np.median(flux)
+    assert 1 - seen == pytest.approx(depth, rel=0.1)
+
+
+@pytest.mark.parametrize("wild", ["lost", "lost without POS_CORR", "POS_CORR alone"])
+@pytest.mark.parametrize("fractions", ["auto", "measured"])
+def test_a_cadence_with_the_star_off_the_stamp_spoils_no_other(fake_star, wild, fractions):
+    star = fake_star(400, seed=9)
+    before = PLDCorrector(star.tpf).correct(fractions=fractions).flux.value
+    table = star.tpf.hdu[1].data
+    light = table["FLUX"][250].copy()
+    table["POS_CORR1"][250] = np.nan if "without" in wild else 400.0
+    if "lost" in wild:
+        table["FLUX"][250] = np.abs(np.random.default_rng(1).normal(0, 1, light.shape))
+    message = "1 cadences are left out: POS_CORR and light"
+    expected_warning = pytest.warns(DetrendingWarning, match=message)
+    with expected_warning if wild == "lost" else contextlib.nullcontext():
+        corrector = PLDCorrector(star.tpf)
+    lc = corrector.correct(fractions=fractions)
+    after, error = lc.flux.value, lc.flux_err.value
+    others = np.arange(400) != 250
+    expected = star.expected.sum(axis=(1, 2))[others]
+    scatter = [np.std(np.diff(flux[others])) / np.median(flux[others]) for flux in (before, after)]
+    assert scatter[1] == pytest.approx(scatter[0], rel=0.02)
+    truth = np.median(expected) if "alone" in wild else 0.0
+    assert np.isnan(after[250]) or abs(after[250] - truth) < 5 * error[250]
+
+
+def test_held_out_windows_may_hold_outliers(fake_star):
+    """A window with outliers is predicted as by a fit at the same variances without it."""
+    signal = np.ones(400)
+    signal[[40, 45, 222]] *= [0.97, 1.02, 1.03]
+    corrector = PLDCorrector(fake_star(400, seed=11, signal=signal).tpf)
+    corrector.correct()
+    everything, solution = np.ones(400, dtype=bool), corrector.result.solution
+    residual, error, used = corrector.held_out(13, everything)
+    assert used.tolist() == list(range(400))
+    assert len(residual) == len(error) == 400 // 13
+    window = slice(39, 52)
+    use = solution.use.copy()
+    use[window] = False
+    without = replace(solution, use=use)
+    rest = without.unexplained - without.process.predict(without.alpha, without.time)
+    assert residual[3] == pytest.approx(rest[window].mean(), rel=1e-4)
+    few = corrector.held_out(13)
+    assert few[2].tolist() == np.flatnonzero(corrector.result.used).tolist()
+    assert error[10] == pytest.approx(few[1][10], rel=0.2)
+    with pytest.raises(ValueError, match="`cadences` must have shape"):
+        corrector.held_out(13, everything[1:])
