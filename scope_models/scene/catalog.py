@@ -29,7 +29,6 @@ _MAGNITUDES = {
     "R": ("rmag", "r"),
 }
 _ANY_MAGNITUDE = ("mag", "magnitude", "phot_g_mean_mag", "gmag")
-_TARGET_RADIUS = 1.0  # px
 _FARTHEST = 200.0  # px beyond the stamp
 # A star outside matters if it adds this part of a dark pixel's noise to any pixel.
 _LEAST_NOISE = 0.01
