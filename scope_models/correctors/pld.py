@@ -14,9 +14,9 @@ from scope_models.correctors._lightkurve import (
     to_collection,
     translated,
 )
+from scope_models.correctors._model import PLDOptions, fit_pixels
 from scope_models.correctors._pixels import aperture_pixels, credible_flux
 from scope_models.correctors._solution import NothingToCorrectError
-from scope_models.correctors.model import PLDOptions, fit_pixels
 from scope_models.exceptions import DetrendingWarning
 from scope_models.io import read_pixels, read_tpf
 

@@ -13,6 +13,7 @@ from scope_models._values import frozen
 from scope_models.correctors._flux_model import fit_flux
 from scope_models.correctors._injection import transit_column
 from scope_models.correctors._lightkurve import FixedAperture, named_mask
+from scope_models.correctors._model import FLUXES
 from scope_models.correctors._pixels import credible_flux
 from scope_models.correctors._scene_fit import (
     FEWEST_CADENCES,
@@ -29,7 +30,6 @@ from scope_models.correctors._scene_flux import (
     window_weights,
 )
 from scope_models.correctors._scene_start import KnownNeighbors
-from scope_models.correctors.model import FLUXES
 from scope_models.correctors.pld import PLDCorrector
 from scope_models.exceptions import DetrendingWarning
 from scope_models.io import read_pixels, read_tpf

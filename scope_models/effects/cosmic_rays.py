@@ -10,7 +10,7 @@ from scope_models._arrays import plain_array
 from scope_models._checks import number
 from scope_models.effects.base import Drawn, Effect
 
-__all__ = ["CosmicRays", "rejected_shift"]
+__all__ = ["CosmicRays"]
 
 # Points per pixel at which the charge of a track is put down.
 _POINTS = 16

@@ -11,7 +11,7 @@ from scope_models._arrays import plain_array, plain_number
 from scope_models._checks import checked_number
 from scope_models.missions import MISSIONS
 
-__all__ = ["LONG_CADENCE", "cdpp"]
+__all__ = ["cdpp"]
 
 #: Kepler and K2 long cadence (header keyword TIMEDEL), the default cadence of a bare array.
 LONG_CADENCE = MISSIONS["Kepler"].cadence_days("long") * u.day

@@ -9,9 +9,9 @@ from lightkurve import KeplerTargetPixelFile
 
 from scope_models import Detector, Motion, Star, TransitModel, simulate
 from scope_models.benchmark import make_sky, score
-from scope_models.correctors import PLDCorrector, model
+from scope_models.correctors import PLDCorrector
+from scope_models.correctors._model import PLDModel
 from scope_models.correctors._pixels import background_plane, own_pixels
-from scope_models.correctors.model import PLDModel
 from scope_models.effects import Seeing
 from scope_models.exceptions import DetrendingWarning
 from scope_models.models import sinusoidal_signal
@@ -106,13 +106,13 @@ def test_cadences_without_a_factor_are_nan(star):
 
 
 def test_a_fit_without_half_of_the_cadences_is_an_error(star, monkeypatch):
-    original = model.fit
+    original = _model.fit
 
     def few(*arguments):
         solution = original(*arguments)
         return replace(solution, use=solution.use & (np.arange(400) % 5 < 2))
 
-    monkeypatch.setattr(model, "fit", few)
+    monkeypatch.setattr(_model, "fit", few)
     with pytest.raises(ValueError, match=r"240 of 400 cadences deviate from any model.*`sigma`"):
         PLDCorrector(star.tpf).correct()
 

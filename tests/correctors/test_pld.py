@@ -11,7 +11,7 @@ from lightkurve import KeplerLightCurve, KeplerTargetPixelFile, TessTargetPixelF
 from lightkurve.correctors.corrector import Corrector
 
 from scope_models.correctors import PLDCorrector, PLDFit, SceneCorrector, compare_correctors
-from scope_models.correctors.model import PLDModel
+from scope_models.correctors._model import PLDModel
 from scope_models.effects.saturation import bleed
 from scope_models.exceptions import DetrendingWarning
 from scope_models.io import read_pixels
@@ -607,7 +607,7 @@ def test_a_singular_fit_is_a_clear_error(star, monkeypatch):
     def fail(*_):
         raise np.linalg.LinAlgError("not positive definite")
 
-    monkeypatch.setattr("scope_models.correctors.model.fit", fail)
+    monkeypatch.setattr("scope_models.correctors._model.fit", fail)
     with pytest.raises(ValueError, match="singular to working precision"):
         PLDCorrector(star.tpf).correct()
 

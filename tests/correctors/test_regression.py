@@ -9,6 +9,7 @@ from scipy.stats import multivariate_normal
 from scope_models.correctors import _regression
 from scope_models.correctors._covariance import Covariance
 from scope_models.correctors._features import Regressors
+from scope_models.correctors._model import PLDOptions
 from scope_models.correctors._regression import (
     Data,
     Hyperparameters,
@@ -16,7 +17,6 @@ from scope_models.correctors._regression import (
     log_likelihood,
 )
 from scope_models.correctors._solution import Solution, fit
-from scope_models.correctors.model import PLDOptions
 
 N = 90
 

@@ -105,7 +105,7 @@ class PLDOptions(Value):
 
     Examples
     --------
-    >>> from scope_models.correctors.model import PLDOptions
+    >>> from scope_models.correctors._model import PLDOptions
     >>> PLDOptions(order=3).order
     3
     """
@@ -211,7 +211,7 @@ class PLDModel:
     Examples
     --------
     >>> from scope_models import Detector, Motion, Star, simulate
-    >>> from scope_models.correctors.model import PLDModel
+    >>> from scope_models.correctors._model import PLDModel
     >>> observation = simulate(Star(12.0), Detector.k2(), Motion.k2_roll(300), seed=1)
     >>> model = PLDModel.from_tpf(observation.to_tpf(), order=1)
     >>> matrix = model.design_matrix()

@@ -58,7 +58,7 @@ def make_light_curve_hdulist(tpf, columns, *, aperture, cards=()):
     --------
     >>> from astropy.io import fits
     >>> from scope_models import Detector, Motion, Star, simulate
-    >>> from scope_models.io.light_curves import make_light_curve_hdulist
+    >>> from scope_models.io._light_curves import make_light_curve_hdulist
     >>> tpf = simulate(Star(12.0), Detector.k2(), Motion.still(50), seed=1).to_tpf()
     >>> lc = tpf.to_lightcurve(aperture_mask="all")
     >>> time = fits.Column("TIME", "D", array=lc.time.value)
