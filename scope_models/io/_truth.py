@@ -135,14 +135,6 @@ class Truth(Value):
         """Exposures within a cadence over which the motion is averaged."""
         return self.scene["options"]["n_sub"]
 
-    @property
-    def detector(self):
-        """The detector is a part of the scene, no longer of the truth."""
-        raise AttributeError(
-            "a Truth has no detector any more: use `observation.detector` or "
-            "`read_scene(path).detector`"
-        )
-
     def at_cadences(self, cadenceno):
         """Return the rows of some cadences, such as those that a quality mask leaves.
 
@@ -193,7 +185,7 @@ class Truth(Value):
     def _found(self, name):
         """Return what the simulation found for each star."""
         if "found" not in self.scene:
-            raise ValueError(f"the truth has no {name}: files of version 0.1 do not hold it")
+            raise ValueError(f"the truth has no {name}: nothing was simulated")
         return _read_only(np.array(self.scene["found"][name]))
 
 

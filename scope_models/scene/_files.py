@@ -192,7 +192,7 @@ def _scene(truth):
         time_format=described["time_format"],
         meta=described["meta"],
     )
-    effects = [_effect(described) for described in truth.scene.get("effects", ())]
+    effects = [_effect(described) for described in truth.scene["effects"]]
     return Scene(stars, detector, motion, effects=effects, **truth.scene["options"])
 
 
@@ -280,7 +280,7 @@ def _detector(described, maps):
         values[name] = make_model(values[name])
     values["shape"] = tuple(values["shape"])
     values["interpixel"] = maps["INTERPIXEL"] if values["interpixel"] else None
-    values["effects"] = [_effect(described) for described in values.get("effects", ())]
+    values["effects"] = [_effect(described) for described in values["effects"]]
     return Detector(**values)
 
 

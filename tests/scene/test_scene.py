@@ -176,23 +176,9 @@ def test_scene_shows_what_it_is():
     assert "&lt;Scene a star" in html
 
 
-def test_files_of_the_first_version(tmp_path):
-    observation = simulate(
-        [Star(12.0), Star(13.0, 3.0, 3.0)], Detector.k2(), Motion.still(5), seed=1
-    )
-    path = observation.write(tmp_path / "star.fits")
-    with fits.open(path, memmap=False) as hdus:
-        keys = [key.strip() for key in hdus["SCENE"].data["KEY"]]
-        hdus["SCENE"].data["VALUE"][keys.index("version")] = "1"
-        hdus["SCENE"].data = hdus["SCENE"].data[np.array(keys) != "found"]
-        hdus.writeto(tmp_path / "old.fits", checksum=True)
-    truth = read_truth(tmp_path / "old.fits")
-    assert truth.scene["version"] == 1
-    assert np.array_equal(truth.x, observation.truth.x)
-    with pytest.raises(ValueError, match=r"no flux: files of version 0\.1 do not hold it"):
-        _ = truth.flux
-    again = simulate(read_scene(tmp_path / "old.fits"))
-    assert np.array_equal(again.flux, observation.flux)
+def test_a_scene_alone_has_no_flux(tmp_path):
+    with pytest.raises(ValueError, match="the truth has no flux: nothing was simulated"):
+        _ = read_truth(make_scene().write(tmp_path / "scene.fits")).flux
 
 
 def test_files_without_a_scene(shared_data, tmp_path):

@@ -314,8 +314,6 @@ def test_truth():
     np.testing.assert_allclose(truth.x, [5 + motion.x, 3 + motion.x], rtol=1e-15)
     np.testing.assert_allclose(truth.y, [5 + motion.y, 7 + motion.y], rtol=1e-15)
     np.testing.assert_allclose(truth.flux, [1.74e5, 1.74e4])
-    with pytest.raises(AttributeError, match=r"use `observation\.detector`"):
-        _ = truth.detector
     assert np.array_equal(truth.relative_flux, np.ones((2, 30)))
     assert (truth.seed, truth.noise, truth.n_sub) == (6, {"read"}, 1)
     assert repr(truth) == "<Truth of 2 stars, seed 6, noise: read>"
