@@ -157,8 +157,13 @@ def _outliers(values):
 
 
 def _scatter(time, values):
-    """Return the standard deviation of the means of 13 cadences; bins less than half full go."""
+    """Return the standard deviation of the means of 13 cadences; bins less than half full go.
+
+    It is infinite, as without any light curve, if all go.
+    """
     _, means, count = binned(time, values)
+    if not len(count):
+        return np.inf
     # Bins with fewer cadences are noisier: the floor is that of full ones.
     return float(np.sqrt(np.average((means - means.mean()) ** 2, weights=count)))
 
@@ -244,15 +249,15 @@ def leak_slopes(time, deviation, nuisances):
     """
     good = np.isfinite(deviation) & np.isfinite(nuisances).all(axis=0)
     time, means, count = binned(time[good], np.array([deviation, *nuisances])[:, good])
+    slopes = np.full((2, len(nuisances)), np.nan)
+    if len(time) <= len(means) + 2:
+        return slopes
     target, columns = means[0], means[1:] - means[1:].mean(axis=1, keepdims=True)
     sizes = columns.std(axis=1)
     changing = sizes > 1e-9
-    slopes = np.full((2, len(nuisances)), np.nan)
     design = np.column_stack(
         [np.ones(len(time)), *(columns / np.maximum(sizes, 1e-9)[:, None])[changing]]
     )
-    if len(time) <= design.shape[1] + 2:
-        return slopes
     white, lag = count.max() / count, np.abs(time[:, None] - time)
     best = np.inf
     for share, scale in product(_SHARES, _SCALES):

@@ -218,6 +218,21 @@ def test_all_nan_light_curve_has_the_worst_score():
     assert found.kept == 0
 
 
+@pytest.mark.parametrize("part", [0.12, 0.3])
+def test_a_light_curve_of_few_cadences(part):
+    rng = np.random.default_rng(4)
+    time, noise = 0.02 * np.arange(3000.0), 1e-4
+    flux = 1 + noise * rng.standard_normal(3000)
+    flux[rng.random(3000) > part] = np.nan
+    one = np.ones(3000)
+    found = score_light_curve(time, flux, noise * one, one, one, noise)
+    assert found.kept == pytest.approx(part, abs=0.02)
+    assert found.pull == pytest.approx(1, abs=0.1)
+    if part == 0.12:  # no bin of 6.5 h is half full
+        assert found.full == found.high_passed == np.inf
+    assert np.isnan(leak_slopes(time, flux, [time])).all() == (part == 0.12)
+
+
 @pytest.mark.parametrize("name", sorted(REGIMES))
 def test_every_regime_makes_a_star(name):
     sky = make_sky(name, seed=1, n_cadences=100)
