@@ -37,6 +37,7 @@ from scope_models import (
 )
 from scope_models.correctors import PLDCorrector
 from scope_models.exceptions import FitWarning
+from scope_models.fitting import FitOptions
 from scope_models.photometry import cdpp
 
 TWO = BivariateGaussianPSF(0.75, 0, 0, 0.5, 0.45, 0.15) + BivariateGaussianPSF(
@@ -84,7 +85,8 @@ def one_star(seed, motion):
     detector = Detector.k2(shape=(side, side), interpixel_distribution="normal", well_depth=None)
     star = Star(generator.uniform(10, 13), x, y, psf=psf)
     observation = simulate(star, detector, motion, seed=seed)
-    fit = fit_tpf(observation.to_tpf(quality_bitmask="none"), 1, curvature(), saturation=False)
+    tpf = observation.to_tpf(quality_bitmask="none")
+    fit = fit_tpf(tpf, 1, curvature(), options=FitOptions(saturation=False))
     used, response = truth_of(observation, fit)
     truth = {"sigma_x": sigma_x, "sigma_y": sigma_y, "rho": rho, "ax2": -0.05, "ay2": -0.05}
     pulls = {name: (fit.values[name] - value) / fit.errors[name] for name, value in truth.items()}
@@ -149,7 +151,7 @@ def scene_pulls(n_stars, seed):
     places = [(star.x_0, star.y_0) for star in observation.stars]
     fit = fit_tpf(
         observation.to_tpf(quality_bitmask="none"), 1, curvature(), stars=np.round(places, 1),
-        interpixel=0, neighbor_flux="cadence",
+        interpixel=0, options=FitOptions(neighbor_flux="cadence"),
     )  # fmt: skip
     used = np.isin(observation.cadenceno, fit.cadenceno)
     values = {name: float(getattr(psf, name).value) for name in ("sigma_x", "sigma_y", "rho")}
@@ -264,7 +266,8 @@ def photutils_chi2(tpf):
 
 
 def fit_model(tpf, model, **changes):
-    return fit_tpf(tpf, loss="soft_l1", **({"interpixel": 0} | MODELS[model] | changes))
+    options = FitOptions(loss="soft_l1")
+    return fit_tpf(tpf, options=options, **({"interpixel": 0} | MODELS[model] | changes))
 
 
 def report_real(folder, only=tuple(FILES)):

@@ -44,6 +44,7 @@ from scope_models.effects import noise as effects_noise
 from scope_models.effects.cosmic_rays import rejected_shift
 from scope_models.effects.saturation import bleed
 from scope_models.exceptions import FitWarning
+from scope_models.fitting import FitOptions
 from scope_models.io import TPFMetadata, usable_positions
 from scope_models.io.tpf import make_tpf_hdulist
 from scope_models.missions import MISSIONS
@@ -179,7 +180,10 @@ def fitted(name):
         observation = simulate(Star(12.0), Detector.k2(shape=(5, 5)), Motion.k2_roll(8), seed=1)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", FitWarning)
-            return fit_tpf(observation.to_tpf(), max_steps=1, **{name: value}).flux
+            given = {name: value}
+            of_call = {"flux_err"} & given.keys()
+            few = FitOptions(max_steps=1, **({} if of_call else given))
+            return fit_tpf(observation.to_tpf(), options=few, **(given if of_call else {})).flux
 
     return read
 
@@ -622,8 +626,8 @@ ROWS = {
     ),
     "PRFGrid.at.column": (lambda v: GRID.at(v, 20)(1, 0), 51.0, u.pix),
     "PRFGrid.at.row": (lambda v: GRID.at(51, v)(1, 0), 20.0, u.pix),
-    "fit_tpf.position_error": (fitted("position_error"), 0.2, u.pix),
-    "fit_tpf.focus": (fitted("focus"), 0.1, u.day),
+    "FitOptions.position_error": (fitted("position_error"), 0.2, u.pix),
+    "FitOptions.focus": (fitted("focus"), 0.1, u.day),
     "fit_tpf.flux_err": (fitted("flux_err"), np.full((8, 5, 5), 50.0), RATE),
     **{
         f"plot_fit.{name}": (

@@ -6,6 +6,7 @@ failures are those of `~scope_models.batch.run_sweep`.
 
 import os
 import re
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
@@ -109,7 +110,8 @@ def fit_files(paths, output_dir, client=None, *, overwrite=False, sweep=None, **
         Folder for the results and the files, ``NAME-fit.fits``.
     {run}
     **options
-        Arguments of `~scope_models.fit_tpf` that are numbers, text, or true or false;
+        Arguments of `~scope_models.fit_tpf` and `~scope_models.fitting.FitOptions` that are
+        numbers, text, or true or false;
         ``sensitivity=True`` fits a quadratic response, ``cadences=N`` uses the first N only.
 
     Returns
@@ -499,13 +501,17 @@ def _detrended(task, output, seed, **options):  # noqa: ARG001 - nothing is draw
 def fit_file(path, output, *, sensitivity=False, cadences=None, overwrite=False, **options):
     """Fit a file, write the fit and return it; the options are those of `fit_files`."""
     from scope_models import fit_tpf
+    from scope_models.fitting import FitOptions
     from scope_models.models import SensitivityPolynomial
 
     check_output(output, overwrite=overwrite, inputs=[path])
     if sensitivity:
         options["sensitivity"] = SensitivityPolynomial(fixed={"ax1": True, "ay1": True})
     with naming(path):
-        fit = fit_tpf(read_pixels(path)[: cadences or None], **options)
+        names = {item.name for item in fields(FitOptions)}
+        few = {name: options.pop(name) for name in names & options.keys()}
+        pixels = read_pixels(path)[: cadences or None]
+        fit = fit_tpf(pixels, options=FitOptions(**few), **options)
     fit.write(output, overwrite=overwrite)
     return fit
 

@@ -7,11 +7,21 @@ from itertools import pairwise
 import numpy as np
 from scipy.interpolate import BSpline
 
-from scope_models._checks import check_fields, integer, number
+from scope_models._checks import check_fields, checked_choice, checked_number, integer, number
+from scope_models._values import Value
 from scope_models.fitting.parameters import FitParameter, fit_parameters
 from scope_models.models._parameters import numbers_of
 
-__all__ = ["FitOptions", "FitStar", "Limits", "NormalEquations", "Problem", "State", "numbered"]
+__all__ = [
+    "FitOptions",
+    "FitStar",
+    "Limits",
+    "NormalEquations",
+    "Problem",
+    "Settings",
+    "State",
+    "numbered",
+]
 
 # Cadences whose derivatives are held at once.
 _CHUNK = 256
@@ -32,28 +42,83 @@ _MAP_PRIOR = 0.3
 _STAR_MOVE = 1.0
 
 
-@dataclass(frozen=True)
-class FitOptions:
-    """Options of a fit, as `~scope_models.fit_tpf` describes them."""
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
+class FitOptions(Value):
+    """
+    Options of `~scope_models.fit_tpf` that few fits need.
 
-    empirical: int = integer(0, 0)
-    interpixel: float = 0.01  # 0 fixes the response at 1
+    Parameters
+    ----------
+    background : {"cadence", "constant", "none"}, optional
+        Background left in the pixels.
+    focus : float or `~astropy.units.Quantity`, optional
+        Shortest time, days, in which the width of the PSF changes: all distances from the star
+        scale with a cubic spline of time, with a prior of 5 %, to first order in the change.
+        None: the width is constant.
+    loss : {"linear", "soft_l1"}, optional
+        Least squares, or a loss that grows only linearly with residuals above ``loss_scale``,
+        for data with cosmic rays.
+    loss_scale : float, optional
+        In standard deviations.
+    max_steps : int, optional
+        Largest number of steps of each stage.
+    neighbor_flux : {"auto", "cadence", "constant"}, optional
+        Whether the other stars have a flux in each cadence, or one for all of them; "auto": one
+        for stars fainter than a tenth of the target.
+    position_error : float or `~astropy.units.Quantity`, optional
+        Standard deviation of the positions about the path, pixels, for ``positions="prior"``.
+    saturation : bool, optional
+        Whether columns with pixels near the depth of their wells are left out.
+
+    Raises
+    ------
+    TypeError
+        If a value is of the wrong kind.
+    ValueError
+        If a value is outside its domain.
+
+    Examples
+    --------
+    >>> from scope_models.fitting import FitOptions
+    >>> FitOptions(loss="soft_l1").loss_scale
+    3.0
+    """
+
     background: str = "cadence"
-    positions: str = "start"
-    position_error: float = number(0.01, "pix", positive=True)
-    scale_error: float = _SCALE_PRIOR  # of the path about that of POS_CORR
+    focus: float | None = number(None, "d", positive=True)
     loss: str = "linear"
     loss_scale: float = number(3.0, positive=True)
+    max_steps: int = integer(200, 1)
+    neighbor_flux: str = "auto"
+    position_error: float = number(0.01, "pix", positive=True)
     saturation: bool = True
-    focus: float | None = number(None, "d", positive=True)
 
     def __post_init__(self):
         check_fields(self)
+        checked_choice("background", self.background, ("cadence", "constant", "none"))
+        checked_choice("loss", self.loss, ("linear", "soft_l1"))
+        checked_choice("neighbor_flux", self.neighbor_flux, ("auto", "cadence", "constant"))
 
     @property
     def soft(self):
         """Scale of the robust loss, or None."""
         return self.loss_scale if self.loss == "soft_l1" else None
+
+
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
+class Settings(FitOptions):
+    """All options of a fit, as `~scope_models.fit_tpf` describes them."""
+
+    empirical: int = integer(0, 0)
+    interpixel: float = 0.01  # 0 fixes the response at 1, infinity is no prior
+    positions: str = "start"
+    scale_error: float = _SCALE_PRIOR  # of the path about that of POS_CORR
+
+    def __post_init__(self):
+        super().__post_init__()
+        checked_choice("positions", self.positions, ("free", "start", "prior", "path"))
+        if self.interpixel != np.inf:
+            object.__setattr__(self, "interpixel", checked_number("interpixel", self.interpixel))
 
 
 @dataclass(frozen=True)
@@ -122,7 +187,7 @@ class Problem:
 
     stamps: tuple  # PixelData of each file, in the same cadences
     prf: object  # its parameters hold starts, bounds and fixed values
-    options: FitOptions
+    options: Settings
     stars: tuple = (FitStar(),)  # the first one without offsets
     error_scale: float = 1.0  # factor of all errors in the fit
     misfit: float = 1.0  # ... of the errors that are quoted, from the pixels with light
@@ -317,6 +382,7 @@ class Problem:
         seen = np.isfinite(flux).any(axis=0)
         light = np.zeros(len(seen))
         light[seen] = np.maximum(np.nanmedian(flux[:, seen], axis=0), 0.0)
+        light = light if light.any() else seen.astype(float)
         return light / light.sum()
 
     def rescaled(self, state):

@@ -110,6 +110,9 @@ def read_data(series, flux_err, detector, n_free, *, saturation):
     if not cadences.any() or pixels.sum() <= n_free:
         raise ValueError("`tpf` has no cadence with enough pixels to fit")
     flux, error = np.where(good, flux, np.nan)[cadences], np.where(good, error, np.nan)[cadences]
+    seen = np.isfinite(flux).any(axis=0)
+    if not (np.nanmedian(flux[:, seen], axis=0) > 0).any():
+        raise ValueError("no usable pixel of `tpf` has a positive median: there is no star to fit")
     series = series[cadences]
     return PixelData(
         time=series.time,
@@ -117,7 +120,7 @@ def read_data(series, flux_err, detector, n_free, *, saturation):
         quality=series.quality,
         flux=flux,
         flux_err=error,
-        pixels=np.isfinite(flux).any(axis=0),
+        pixels=seen,
         pos_corr=_pos_corr(series.pos_corr),
         time_format=series.time_format,
         light=light[cadences],

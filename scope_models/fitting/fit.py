@@ -8,12 +8,12 @@ from functools import partial
 import numpy as np
 from astropy.modeling import Model
 
-from scope_models._checks import checked_choice, checked_integer, checked_number, solvable
+from scope_models._checks import checked_choice, solvable
 from scope_models._threads import one_thread
 from scope_models.exceptions import FitWarning
 from scope_models.fitting._doubts import LARGEST_FLUX, LARGEST_SCATTER, warn_of_fit
 from scope_models.fitting._gather import make_results
-from scope_models.fitting._problem import FitOptions, FitStar, Problem
+from scope_models.fitting._problem import FitOptions, FitStar, Problem, Settings
 from scope_models.fitting._response import fit_response
 from scope_models.fitting._solver import covariances, solve
 from scope_models.fitting._start import (
@@ -64,19 +64,12 @@ def fit_tpf(
     *,
     stars=None,
     neighbors=None,
-    neighbor_flux="auto",
     empirical=0,
     interpixel=None,
-    background="cadence",
     positions="start",
-    position_error=0.01,
-    focus=None,
     response="auto",
-    loss="linear",
-    loss_scale=3.0,
     flux_err=None,
-    saturation=True,
-    max_steps=200,
+    options=None,
     progress=None,
 ):
     r"""
@@ -112,9 +105,6 @@ def fit_tpf(
         light is. For several files, a sequence of them.
     neighbors : as ``stars``, optional
         Positions of the other stars only; "find": the maxima more than 1.5 px from the target.
-    neighbor_flux : {"auto", "cadence", "constant"}, optional
-        Whether the other stars have a flux in each cadence, or one for all of them; "auto": one
-        for stars fainter than a tenth of the target.
     empirical : int, optional
         Order of a `~scope_models.models.GaussHermitePSF` that is added to the PSF; 0 for none.
         Its width and its part of the flux are fixed, its coefficients have a prior of standard
@@ -125,34 +115,19 @@ def fit_tpf(
         Standard deviation, before the fit, of the response b between pixels; 0 fixes it at 1.
         None: 0.01 if the model then describes the pixels with a response that agrees with it, as
         in simulations; else 0, because b would describe errors of the PSF.
-    background : {"cadence", "constant", "none"}, optional
-        Background left in the pixels.
     positions : {"start", "free", "prior", "path"}, optional
         What POS_CORR is used for, through an affine map: the first guess of free positions,
         nothing, a prior, or the positions themselves. The map is fitted too for the last two,
         with a prior of 0.02 about the scale 1.
-    position_error : float, optional
-        Standard deviation of the positions about the path, pixels, for "prior".
-    focus : float or `~astropy.units.Quantity`, optional
-        Shortest time, days, in which the width of the PSF changes: all distances from the star
-        scale with a cubic spline of time, with a prior of 5 %, to first order in the change.
-        None: the width is constant.
     response : {"auto", "psf", "pixels"}, optional
         "psf": the pixels are those of PSF, sensitivity and b alone. "pixels": each pixel's share
         of a star's light is that plus a polynomial of fitted position and slow time: see the
         Notes. "auto": "pixels" for 100 cadences and more that no PSF describes, as in real
         files, if PSF, sensitivity, b and focus are left to the data; else "psf".
-    loss : {"linear", "soft_l1"}, optional
-        Least squares, or a loss that grows only linearly with residuals above ``loss_scale``,
-        for data with cosmic rays.
-    loss_scale : float, optional
-        In standard deviations.
     flux_err : array_like or `~astropy.units.Quantity`, optional
         Errors of the pixels, e-/s, in place of those of the file.
-    saturation : bool, optional
-        Whether columns with pixels near the depth of their wells are left out.
-    max_steps : int, optional
-        Largest number of steps of each stage.
+    options : FitOptions, optional
+        Background, focus, loss for cosmic rays, and other options that few fits need.
     progress : bool, optional
         Whether to show a progress bar. None: on a terminal, from the fifth second.
 
@@ -185,8 +160,8 @@ def fit_tpf(
     Where the model is not true, and the typical squared residual of all pixels, or of those with
     light, from medians, is above 1.5 squared errors, all errors are scaled up by the root of the
     larger one, the attribute ``error_scale``, so that priors keep their weight and the errors of
-    the parameters grow. With ``loss="soft_l1"`` the errors of the fit itself follow all pixels
-    alike, and only the errors of the result follow ``error_scale``.
+    the parameters grow. With ``FitOptions(loss="soft_l1")`` the errors of the fit itself follow all
+    pixels alike, and only the errors of the result follow ``error_scale``.
     Chi-squared is always that of the given errors. The coefficients of a sensitivity then
     describe errors of the PSF: they have no error (NaN), and neither have parameters at bounds.
 
@@ -204,19 +179,15 @@ def fit_tpf(
     >>> print(f"{fit.values['sigma_x']:.2f} {fit.reduced_chi2:.1f}")
     0.50 1.0
     """
-    width = _PRIOR if interpixel is None else interpixel  # infinite: without a prior
-    options = FitOptions(
+    if not isinstance(options, FitOptions | None):
+        raise TypeError(f"`options` must be FitOptions or None, got {options!r}")
+    options = Settings(
+        **vars(options or FitOptions()),
         empirical=empirical,
-        interpixel=width if width == np.inf else checked_number("interpixel", width),
-        background=checked_choice("background", background, ("cadence", "constant", "none")),
-        positions=checked_choice("positions", positions, ("free", "start", "prior", "path")),
-        position_error=position_error,
-        loss=checked_choice("loss", loss, ("linear", "soft_l1")),
-        loss_scale=loss_scale,
-        saturation=bool(saturation),
-        focus=focus,
+        interpixel=_PRIOR if interpixel is None else interpixel,
+        positions=positions,
     )
-    max_steps = checked_integer("max_steps", max_steps, 1)
+    max_steps = options.max_steps
     if psf is not None and not isinstance(psf, int | Model):
         raise TypeError(f"`psf` must be a number of components or a model, got {psf!r}")
     several = isinstance(tpf, list | tuple)
@@ -229,7 +200,7 @@ def fit_tpf(
     places = _places(stars, neighbors, series, several=several)
     prf = make_prf(2 if psf is None else psf, sensitivity, options.empirical)
     with one_thread, solvable(), _progress_bar(progress) as bar:
-        problem, detectors = _make_problem(series, places, prf, flux_err, neighbor_flux, options)
+        problem, detectors = _make_problem(series, places, prf, flux_err, options)
         steps = partial(solve, max_steps=max_steps, report=bar)
         choice = _Choice(psf is None and not empirical, interpixel is None, sensitivity)
         if response == "auto":
@@ -454,9 +425,8 @@ def _places(stars, neighbors, series, *, several):
     return result
 
 
-def _make_problem(series, places, prf, flux_err, neighbor_flux, options):
+def _make_problem(series, places, prf, flux_err, options):
     """What is fitted, and the detectors that recorded it."""
-    checked_choice("neighbor_flux", neighbor_flux, ("auto", "cadence", "constant"))
     detectors = [detector_of(item) for item in series]
     n_free = 1 + 2 * (options.positions != "path") + (options.background == "cadence")
     stamps = [
@@ -474,8 +444,8 @@ def _make_problem(series, places, prf, flux_err, neighbor_flux, options):
         first = center if first is None else first
         stars.append(FitStar(*(center - first), number))
         for other in apart:
-            weak = neighbor_flux == "auto" and is_faint(stamp, center, other)
-            constant = neighbor_flux == "constant" or weak
+            weak = options.neighbor_flux == "auto" and is_faint(stamp, center, other)
+            constant = options.neighbor_flux == "constant" or weak
             stars.append(FitStar(*(other - first), number, constant))
     if options.focus is not None and "width" not in prf.parameter_kinds.values():
         raise ValueError("`focus` needs a PSF with a width: a Gaussian or an empirical term")

@@ -22,7 +22,7 @@ from scope_models import (
 )
 from scope_models.benchmark import make_sky
 from scope_models.exceptions import FitWarning
-from scope_models.fitting import _solver
+from scope_models.fitting import FitOptions, _solver
 from scope_models.io import read_tpf
 from scope_models.models import TabulatedPRF
 
@@ -119,7 +119,8 @@ class TestTruth:
             observation = simulate(star, detector, motion, seed=seed)
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", FitWarning)  # 1x motion does not measure ax2
-                fit = fit_tpf(observation.to_tpf(), 1, curvature, saturation=False)
+                all_columns = FitOptions(saturation=False)
+                fit = fit_tpf(observation.to_tpf(), 1, curvature, options=all_columns)
             used, response = truth_of(observation, fit)
             truth = {"sigma_x": 0.5, "sigma_y": 0.5, "rho": 0.2, "ax2": -0.05, "ay2": -0.05}
             row = [(fit.values[k] - v) / fit.errors[k] for k, v in truth.items()]
@@ -154,7 +155,7 @@ class TestOptions:
 
     def test_one_cadence_as_astropy_fits_it(self):
         tpf = make(Motion.still(1), mag=16.0, shape=(9, 9))
-        fit = fit_tpf(tpf, 1, interpixel=0, background="none")
+        fit = fit_tpf(tpf, 1, interpixel=0, options=FitOptions(background="none"))
         prf = PRF(BivariateGaussianPSF(), flux=4e3, x_0=4, y_0=4)
         y, x = np.mgrid[:9, :9]
         weights = 1 / tpf.flux_err[0]
@@ -192,7 +193,7 @@ class TestOptions:
         assert fit.values["y_by_corr1"] == pytest.approx(0, abs=0.02)
         assert fit.x.std() > 0
         assert np.all(fit.x_err > 0)
-        loose = fit_tpf(tpf, 1, positions="prior", position_error=1.0)
+        loose = fit_tpf(tpf, 1, positions="prior", options=FitOptions(position_error=1.0))
         free = fit_tpf(tpf, 1, positions="free")
         np.testing.assert_allclose(loose.x, free.x, atol=1e-3)
         assert fit.path_r2() == (pytest.approx(1), pytest.approx(1))
@@ -200,7 +201,7 @@ class TestOptions:
     def test_constant_background(self):
         tpf = make()
         tpf.flux += 7.0
-        fit = fit_tpf(tpf, 1, background="constant")
+        fit = fit_tpf(tpf, 1, options=FitOptions(background="constant"))
         assert abs(fit.values["background"] - 7) < 5 * fit.errors["background"]
         assert np.ptp(fit.background) == 0
 
@@ -212,7 +213,7 @@ class TestOptions:
             tpf.flux[cadence, row, column] += 4000
         hard, messages = messages_of(tpf, 1)
         assert "does not describe" in messages
-        soft, _ = messages_of(tpf, 1, loss="soft_l1")
+        soft, _ = messages_of(tpf, 1, options=FitOptions(loss="soft_l1"))
         moved = [np.abs(fit.x - clean.x).max() for fit in (soft, hard)]
         assert moved[0] < 0.3 * moved[1]
 
@@ -280,7 +281,8 @@ class TestBadInput:
         assert np.isnan(fit.residual[:, :, 5]).all()
         # The light beside the full columns still gives the star's place.
         assert np.median(fit.y) == pytest.approx(5, abs=0.2)
-        assert not np.isnan(fit_tpf(make(n=30), 1, saturation=False).residual).any()
+        whole = fit_tpf(make(n=30), 1, options=FitOptions(saturation=False))
+        assert not np.isnan(whole.residual).any()
 
     def test_two_stars_with_one_model(self):
         detector, motion = Detector.k2(shape=(9, 9)), Motion.k2_roll(60)
@@ -302,7 +304,7 @@ class TestBadInput:
         assert far.values["sigma_x"] == pytest.approx(near.values["sigma_x"], abs=1e-4)
 
     def test_too_few_steps(self):
-        fit, messages = messages_of(make(), 1, max_steps=1)
+        fit, messages = messages_of(make(), 1, options=FitOptions(max_steps=1))
         assert "has not converged after" in messages
         assert not fit.converged
         assert np.isfinite(fit.parameters["value"]).all()
@@ -332,17 +334,28 @@ class TestBadInput:
             ({"psf": 4}, ValueError, "`psf` must be 1, 2 or 3"),
             ({"psf": "gauss"}, TypeError, "`psf` must be"),
             ({"sensitivity": 1}, TypeError, "`sensitivity` must be"),
-            ({"background": "spline"}, ValueError, "`background` must be one of"),
             ({"positions": "here"}, ValueError, "`positions` must be one of"),
-            ({"loss": "l2"}, ValueError, "`loss` must be one of"),
             ({"interpixel": -1.0}, ValueError, "`interpixel` must not be negative"),
             ({"empirical": 1.5}, TypeError, "`empirical` must be an integer"),
-            ({"max_steps": 0}, ValueError, "`max_steps` must be at least 1"),
+            ({"options": {"loss": "l2"}}, TypeError, "`options` must be FitOptions or None"),
         ],
     )
     def test_options(self, options, error, message):
         with pytest.raises(error, match=message):
             fit_tpf(make(n=5), **options)
+
+    @pytest.mark.parametrize(
+        ("options", "message"),
+        [
+            ({"background": "spline"}, "`background` must be one of"),
+            ({"loss": "l2"}, "`loss` must be one of"),
+            ({"neighbor_flux": "none"}, "`neighbor_flux` must be one of"),
+            ({"max_steps": 0}, "`max_steps` must be at least 1"),
+        ],
+    )
+    def test_rare_options(self, options, message):
+        with pytest.raises(ValueError, match=message):
+            FitOptions(**options)
 
     def test_not_a_file(self):
         with pytest.raises(TypeError, match="`tpf` must be a target pixel file"):
@@ -354,6 +367,15 @@ class TestBadInput:
         tpf.flux[:] = -1.0
         with pytest.raises(ValueError, match="no star to fit"):
             fit_tpf(tpf)
+
+    def test_no_light_beside_the_full_columns(self):
+        tpf = make(n=20, mag=9.0, shape=(11, 11))
+        tpf.flux[:, :, [*range(4), *range(7, 11)]] -= 1e4
+        with (
+            pytest.warns(FitWarning, match="saturated"),
+            pytest.raises(ValueError, match="no star"),
+        ):
+            fit_tpf(tpf, 1)
 
     def test_path_without_pos_corr(self):
         tpf = make(n=5)
@@ -369,7 +391,7 @@ def test_real_star_follows_pos_corr(shared_data):
     tpf.hdu.close()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", FitWarning)
-        fit = fit_tpf(part, 2, interpixel=0, loss="soft_l1")
+        fit = fit_tpf(part, 2, interpixel=0, options=FitOptions(loss="soft_l1"))
     column, row = fit.path_r2()
     assert column > 0.98
     assert row > 0.9
@@ -391,7 +413,7 @@ def test_rich_models_converge(psf):
     fit = fit_tpf(observation.to_tpf(), psf=2, empirical=6)
     assert fit.converged
     assert fit.n_steps < 100
-    longer = fit_tpf(observation.to_tpf(), psf=2, empirical=6, max_steps=1000)
+    longer = fit_tpf(observation.to_tpf(), psf=2, empirical=6, options=FitOptions(max_steps=1000))
     assert longer.chi2 == pytest.approx(fit.chi2, abs=0.1)
     assert abs(fit.reduced_chi2 - 1) < 5 * np.sqrt(2 / fit.dof)
 
@@ -460,7 +482,7 @@ class TestDefault:
         motion = Motion.k2_roll(40)
         psf = BivariateGaussianPSF(0.7, 0, 0, 0.45, 0.45) + BivariateGaussianPSF(0.3, 0.2, 0.1)
         tpf = make(motion, shape=(15, 15), psf=psf)
-        fit, _ = messages_of(tpf, 1, interpixel=0, loss="soft_l1")
+        fit, _ = messages_of(tpf, 1, interpixel=0, options=FitOptions(loss="soft_l1"))
         assert fit.error_scale > 2
         # At the minimum the derivative of the loss by the background of each cadence is zero.
         residual = fit.residual / fit.observed_err

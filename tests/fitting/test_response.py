@@ -10,6 +10,7 @@ from scope_models.benchmark import SkyRegime, make_sky
 from scope_models.effects import PixelShares
 from scope_models.effects.shares import polynomial_terms, polynomials
 from scope_models.exceptions import FitWarning
+from scope_models.fitting import FitOptions
 from scope_models.photometry import cdpp
 
 # A PSF of many parts, random response within the pixels, focus: another renderer than ours.
@@ -49,8 +50,8 @@ def test_default_follows_from_the_pixels(sky, fit, observation):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", FitWarning)
         default = fit_tpf(sky.to_tpf())
-        few = fit_tpf(sky.to_tpf()[:99], max_steps=1)
-        given = fit_tpf(sky.to_tpf()[:120], interpixel=0.0, max_steps=1)
+        few = fit_tpf(sky.to_tpf()[:99], options=FitOptions(max_steps=1))
+        given = fit_tpf(sky.to_tpf()[:120], interpixel=0.0, options=FitOptions(max_steps=1))
     np.testing.assert_array_equal(default.flux, fit.flux)
     assert default.response
     assert not few.response
@@ -127,7 +128,7 @@ def test_files(fit, tmp_path):
     [
         ({"response": "pixel"}, "`response` must be one of auto, psf, pixels"),
         ({"interpixel": 0.01}, "`interpixel` must be left out with response"),
-        ({"focus": 2.0}, "`focus` must be left out with response"),
+        ({"options": FitOptions(focus=2.0)}, "`focus` must be left out with response"),
     ],
 )
 def test_bad_options(sky, options, message):

@@ -15,6 +15,7 @@ from scope_models import Detector, Motion, Scene, Star, TPFFit, fit_tpf, simulat
 from scope_models.cli import main
 from scope_models.effects import Focus
 from scope_models.exceptions import FitWarning
+from scope_models.fitting import FitOptions
 from scope_models.fitting._start import detector_of
 from scope_models.plotting import plot_twin
 
@@ -206,14 +207,14 @@ def test_focus():
     motion = Motion.k2_roll(240)
     observation = simulate(Star(12.5, 4.1, 3.9), detector, motion, seed=2, effects=[focus])
     tpf = observation.to_tpf()
-    fit = fit_tpf(tpf, 1, interpixel=0, focus=0.5, saturation=False)
+    fit = fit_tpf(tpf, 1, interpixel=0, options=FitOptions(focus=0.5, saturation=False))
     used = np.isin(observation.cadenceno, fit.cadenceno)
     truth = observation.truth.columns["FOCUS"][used]
     relative = fit.focus / fit.focus.mean() - truth / truth.mean()
     assert relative.std() < 0.05 * truth.std()
     assert abs(fit.reduced_chi2 - 1) < 5 * np.sqrt(2 / fit.dof)
     with pytest.warns(FitWarning, match="does not describe the pixels"):
-        constant = fit_tpf(tpf, 1, interpixel=0, saturation=False)
+        constant = fit_tpf(tpf, 1, interpixel=0, options=FitOptions(saturation=False))
     assert fit.reduced_chi2 < 0.1 * constant.reduced_chi2
     scene = fit.scene()
     np.testing.assert_allclose(scene.effects[0].series, fit.focus)
@@ -222,4 +223,4 @@ def test_focus():
 
 def test_focus_needs_a_width(observation):
     with pytest.raises(ValueError, match="`focus` needs a PSF with a width"):
-        fit_tpf(observation.to_tpf(), MoffatPSF(), focus=1.0)
+        fit_tpf(observation.to_tpf(), MoffatPSF(), options=FitOptions(focus=1.0))

@@ -18,9 +18,11 @@ from scope_models import (
     simulate,
 )
 from scope_models.exceptions import FitWarning
+from scope_models.fitting import FitOptions
 from scope_models.io import read_pixels
 
 DETECTOR = Detector.k2(shape=(9, 11), interpixel_scatter=0, sensitivity=None, well_depth=None)
+EACH, FEW = FitOptions(neighbor_flux="cadence"), FitOptions(max_steps=5)
 PLACES = [(3.2, 4.1), (6.6, 4.4)]
 
 
@@ -79,7 +81,7 @@ def test_constant_neighbor():
     assert np.ptp(fit.neighbors[0].flux) == 0
     error = fit.errors["flux_star_1"]
     assert abs(fit.values["flux_star_1"] - observation.truth.flux[1]) < 5 * error
-    free = fit_tpf(tpf, 1, neighbors=[PLACES[1]], interpixel=0, neighbor_flux="cadence")
+    free = fit_tpf(tpf, 1, neighbors=[PLACES[1]], interpixel=0, options=EACH)
     assert np.ptp(free.neighbors[0].flux) > 0
     assert free.chi2 < fit.chi2
 
@@ -167,7 +169,6 @@ def test_seven_real_stars_share_a_psf(shared_data):
         ({"stars": [[1, 2]], "neighbors": [[3, 4]]}, "give either `stars` or `neighbors`"),
         ({"neighbors": [[1, 2]] * u.s}, "`neighbors` must be in pix"),
         ({"neighbors": Table({"a": [1]})}, "must have the columns x and y"),
-        ({"neighbors": [[1, 2]], "neighbor_flux": "none"}, "`neighbor_flux` must be one of"),
         ({"stars": [[40, 2]]}, "no pixel is within 2 px of the star"),
     ],
 )
@@ -188,7 +189,7 @@ def test_tess_star_with_its_neighbor(shared_data):
     prf = PRF.from_tess(shared_data / "tess_prf", 2, 3, 1078, 889)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", FitWarning)
-        fit = fit_tpf(series, prf, stars="find", interpixel=0, neighbor_flux="cadence")
+        fit = fit_tpf(series, prf, stars="find", interpixel=0, options=EACH)
     assert np.median(fit.flux) == pytest.approx(12200, rel=0.05)
     assert len(fit.neighbors) >= 1
 
@@ -217,9 +218,7 @@ def test_shares_of_many_stars_are_warned_of():
     others = [Star(generator.uniform(12, 17), *place) for place in places]
     stars = [Star(12.0, 4, 4, signal=eclipses), *others]
     crowd = simulate(stars, Detector.k2(shape=(9, 9)), Motion.k2_roll(200), seed=1)
-    fit, messages = messages_of(
-        crowd.to_tpf(), 1, neighbors=places, response="pixels", max_steps=10
-    )
+    fit, messages = messages_of(crowd.to_tpf(), 1, neighbors=places, response="pixels", options=FEW)
     assert "divides the light of several stars between them by the PSF" in messages
     assert np.isfinite(fit.flux).all()
     assert np.isfinite(fit.flux_err).all()
@@ -230,7 +229,7 @@ def test_the_brightest_are_found():
     stars = [Star(12 + 0.1 * k, *place) for k, place in enumerate(places)]
     detector = Detector.k2(shape=(20, 20))
     tpf = simulate(stars, detector, Motion.k2_roll(12), seed=1).to_tpf()
-    fit, messages = messages_of(tpf, 1, stars="find", interpixel=0, max_steps=2)
+    fit, messages = messages_of(tpf, 1, stars="find", interpixel=0, options=FEW)
     assert "the 11 brightest of 25 maxima of the median image are fitted" in messages
     assert len(fit.neighbors) == 10
 

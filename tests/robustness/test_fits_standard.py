@@ -10,6 +10,7 @@ from astropy.io import fits
 from scope_models import Detector, Motion, Scene, Star, fit_tpf, simulate
 from scope_models.correctors import detrend_file
 from scope_models.exceptions import LostLightWarning
+from scope_models.fitting import FitOptions
 from scope_models.io.reading import open_fits
 
 LAYOUTS = ("k2", "kepler", "tess", "many stars", "scene", "light curve", "fit")
@@ -33,7 +34,7 @@ def files(tmp_path_factory):
         simulate(scene).write(paths["many stars"])
         scene.write(paths["scene"])
     detrend_file(paths["k2"], paths["light curve"], order=1)
-    fit_tpf(paths["k2"], psf=1, max_steps=20).write(paths["fit"])
+    fit_tpf(paths["k2"], psf=1, options=FitOptions(max_steps=20)).write(paths["fit"])
     return paths
 
 
