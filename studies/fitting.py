@@ -5,10 +5,9 @@ sensitivity at the Cramer-Rao bound; the response of the pixels that a star cros
 the motion of K2 to 0.1 %; on real pixels a chi-squared per pixel below that of photutils'
 GaussianPRF for each cadence.
 
-Run as ``OMP_NUM_THREADS=1 python studies/fitting.py``, with any of ``pulls``, ``scenes FILE``,
-``defaults FOLDER RESPONSE``, ``real FOLDER``, ``terms FOLDER``, ``drop FOLDER``, ``response
-FOLDER`` and ``twin FOLDER``, where FOLDER has the archive files and RESPONSE is "auto" or "psf".
-``scenes`` continues where its FILE ends.
+Run as ``python studies/fitting.py``, with one of ``pulls``, ``scenes FILE``, ``defaults FOLDER
+RESPONSE``, ``real FOLDER``, ``response FOLDER`` and ``twin FOLDER``, where FOLDER has the archive
+files and RESPONSE is "auto" or "psf". ``scenes`` continues where its FILE ends.
 """
 
 import json
@@ -40,9 +39,6 @@ from scope_models.exceptions import FitWarning
 from scope_models.fitting import FitOptions
 from scope_models.photometry import cdpp
 
-TWO = BivariateGaussianPSF(0.75, 0, 0, 0.5, 0.45, 0.15) + BivariateGaussianPSF(
-    0.25, 0.1, -0.05, 1.1, 1.2, -0.1
-)
 N_STARS = 250
 N_CADENCES = 1000
 N_SCENES, SCENE_CADENCES = 100, 60
@@ -57,9 +53,6 @@ MODELS = {
     "1, empirical 6, b": {"psf": 1, "empirical": 6, "interpixel": 0.01},
     "1, empirical 8, b": {"psf": 1, "empirical": 8, "interpixel": 0.01},
 }
-# Drops of the response from the center of a pixel to the middle of an edge: the paper has 0.0125.
-DROPS = (0.0125, 0.05, 0.125, 0.25, 0.5, 0.75)
-EVERY = 12  # of the cadences of real files for the drops, for time's sake
 
 
 def curvature():
@@ -295,100 +288,6 @@ def report_real(folder, only=tuple(FILES)):
         print()
 
 
-def images_of(fit, some, *, x=0.0, y=0.0, width=1.0):
-    """Model images of some cadences, moved or with a wider PSF."""
-    prf = fit.model.copy()
-    for name in prf.param_names:
-        if name.startswith("sigma"):
-            setattr(prf, name, width * getattr(prf, name).value)
-    return prf.render(fit.shape, flux=fit.flux[some], x_0=fit.x[some] + x, y_0=fit.y[some] + y)
-
-
-def report_terms(folder):
-    """What more freedom in each cadence would remove, to first order."""
-    print("Chi-squared per degree of freedom with more freedom: typical cadence, median pixel")
-    h = 0.01
-    for star, name in FILES.items():
-        tpf = lk.read(Path(folder) / name)
-        fit = fit_model(tpf, "1, empirical 6")
-        some = slice(None, None, EVERY)
-        image = images_of(fit, some)
-        moved = {
-            (axis, sign): images_of(fit, some, **{axis: sign * h})
-            for axis in "xy"
-            for sign in (1, -1)
-        }
-        slopes = [(moved[axis, 1] - moved[axis, -1]) / (2 * h) for axis in "xy"]
-        bends = [(moved[axis, 1] - 2 * image + moved[axis, -1]) / h**2 for axis in "xy"]
-        wider = (images_of(fit, some, width=1 + h) - images_of(fit, some, width=1 - h)) / (2 * h)
-        one = np.ones_like(image)
-        rows, columns = np.indices(fit.shape)
-        weight = 1 / fit.observed_err[some]
-        base = [*slopes, image, one]
-        terms = {
-            "as fitted": [],
-            "width": [wider],
-            "width along each axis": bends,
-            "gradient of background": [one * columns, one * rows],
-        }
-        for label, more in terms.items():
-            squares, spread = projected(fit.residual[some], weight, [*base, *more])
-            print(
-                f"  {star} {label:24s} {spread * np.median(squares.mean(1)):8.3g} "
-                f"{spread * np.median(squares.mean(0)):8.3g}"
-            )
-        # A star that moves by v in a cadence is wider by v^2/12 in variance.
-        speeds = [np.gradient(position)[some, None, None] for position in (fit.x, fit.y)]
-        smear = sum(v**2 / 24 * bend for v, bend in zip(speeds, bends, strict=True))
-        squares = [np.nanmedian(np.nanmean((r * weight) ** 2, axis=0)) for r in
-                   (fit.residual[some], fit.residual[some] - smear)]  # fmt: skip
-        print(f"  {star} smear, from the track: {squares[0]:.4g} to {squares[1]:.4g}\n")
-        tpf.hdu.close()
-
-
-def projected(residual, weight, columns):
-    """Squared residuals without what the columns explain in each cadence, and the lost freedom."""
-    good = np.isfinite(residual)
-    right = np.where(good, residual * weight, 0.0).reshape(len(residual), -1)
-    design = np.stack([np.where(good, c * weight, 0.0) for c in columns], axis=-1)
-    design = design.reshape(*right.shape, len(columns))
-    design /= np.sqrt(np.sum(design**2, axis=1, keepdims=True))
-    rest = [
-        b - a @ np.linalg.lstsq(a, b, rcond=None)[0] for a, b in zip(design, right, strict=True)
-    ]
-    n = right.shape[1]
-    return np.array(rest) ** 2, n / (n - len(columns))
-
-
-def cost_of_drop(tpf, model, drop, scale=None):
-    """Cost of a fit with a given drop of the response at the edges, and the scale of its errors."""
-    coefficients = (1, 0, -4 * drop)
-    sensitivity = SensitivityPolynomial(coefficients, coefficients)
-    for name in sensitivity.param_names:
-        getattr(sensitivity, name).fixed = True
-    fit = fit_model(tpf, model, sensitivity=sensitivity)
-    scale = scale or fit.error_scale
-    squares = (fit.residual / fit.observed_err / scale / 3) ** 2
-    return 18 * np.nansum(np.sqrt(1 + squares) - 1), scale
-
-
-def report_drop(folder):
-    """The response of real pixels at their edges, over PSFs and the halves of the series."""
-    print(f"Scaled cost less that without a drop; drops along both axes; every {EVERY}th cadence")
-    print(f"  {'':38s}" + "".join(f"{100 * drop:7.1f} %" for drop in DROPS))
-    for star in ("EPIC 211956421", "EPIC 211983544"):
-        tpf = lk.read(Path(folder) / FILES[star])[::EVERY]
-        half = len(tpf.flux) // 2
-        parts = {"all": slice(None), "1st half": slice(half), "2nd half": slice(half, None)}
-        for model in ("2 components", "1, empirical 6"):
-            for part, cadences in parts.items():
-                start, scale = cost_of_drop(tpf[cadences], model, 0.0)
-                costs = [cost_of_drop(tpf[cadences], model, d, scale)[0] - start for d in DROPS]
-                text = "".join(f"{cost:9.1f}" for cost in costs)
-                print(f"  {star} {model:14s} {part:8s}{text}", flush=True)
-    print()
-
-
 def report_response(folder):
     """The response of each pixel: misfit, positions and time of every shared file."""
     print("Chi-squared per degree of freedom: all, median pixel, six brightest, held-out cadences")
@@ -477,24 +376,12 @@ def report_twin(folder):
 
 def main():
     warnings.simplefilter("ignore", AstropyUserWarning)
-    arguments = sys.argv[1:] or ["pulls"]
-    for i, argument in enumerate(arguments):
-        if argument == "pulls":
-            report_pulls()
-        elif argument == "scenes":
-            report_scenes(arguments[i + 1])
-        elif argument == "defaults":
-            report_defaults(*arguments[i + 1 : i + 3])
-        elif argument == "real":
-            report_real(arguments[i + 1])
-        elif argument == "terms":
-            report_terms(arguments[i + 1])
-        elif argument == "drop":
-            report_drop(arguments[i + 1])
-        elif argument == "response":
-            report_response(arguments[i + 1])
-        elif argument == "twin":
-            report_twin(arguments[i + 1])
+    name, *arguments = sys.argv[1:] or ["pulls"]
+    reports = {
+        "pulls": report_pulls, "scenes": report_scenes, "defaults": report_defaults,
+        "real": report_real, "response": report_response, "twin": report_twin,
+    }  # fmt: skip
+    reports[name](*arguments)
 
 
 if __name__ == "__main__":

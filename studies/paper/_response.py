@@ -31,24 +31,9 @@ _WHITE = 0.257
 def winged_psf(fraction, brightest=_BRIGHTEST, diameter=_DIAMETER):
     """Return the sum of two round Gaussians, core and wings, that has Kepler's concentration.
 
-    Parameters
-    ----------
-    fraction : float
-        Part of the light in the wings: at least 0.06 and at most 0.6.
-    brightest : float, optional
-        Part of the light in the pixel on whose center the star is.
-    diameter : float, optional
-        Diameter in pixels of the circle that holds 95 % of the light.
-
-    Returns
-    -------
-    astropy.modeling.Model
-        Sum of two `~scope_models.BivariateGaussianPSF` with a flux of 1.
-
-    Raises
-    ------
-    ValueError
-        If there is no such sum.
+    `fraction` is the part of the light in the wings, from 0.06 to 0.6, `brightest` that in the
+    pixel on whose center the star is, and `diameter` (px) that of the circle that holds 95 % of the
+    light.
     """
     if not 0.06 <= fraction <= 0.6:
         raise ValueError(f"`fraction` must be within 0.06 and 0.6, got {fraction}")
@@ -71,18 +56,7 @@ def _central(sigma):
 
 
 def everest_noise(flux):
-    """Return the CDPP of many light curves in EVEREST's convention, without its clipping.
-
-    Parameters
-    ----------
-    flux : ndarray, shape (..., n_cadences)
-        Fluxes.
-
-    Returns
-    -------
-    ndarray, shape (...)
-        CDPP in ppm.
-    """
+    """Return the CDPP (ppm) of light curves, (..., n_cadences), as EVEREST's without clipping."""
     flux = flux / np.median(flux, axis=-1, keepdims=True)
     residual = flux - savgol_filter(flux, _WINDOW, 2, axis=-1)
     pad = [(0, 0)] * (flux.ndim - 1) + [(1, 0)]
@@ -96,22 +70,10 @@ def everest_noise(flux):
 class RollingStars:
     """Moving stars, and the six series of each in apertures of several sizes.
 
-    An aperture holds the pixels in which the star has more than a part of its flux on average.
-
-    Parameters
-    ----------
-    detector : Detector
-        Its shape is used.
-    stars : sequence of tuple
-        For each star a `~scope_models.Star` (its position and PSF), a `~scope_models.Motion` and a
-        generator for the map of b.
-    thresholds : array_like
-        Parts of a star's flux.
-
-    Attributes
-    ----------
-    fraction, n_pixels : ndarray, shape (n_thresholds, n_stars)
-        Part of a star's light in the aperture, and its pixels.
+    An aperture holds the pixels in which the star has more than a part of its flux, one of
+    `thresholds`, on average. `stars` are a Star, a Motion and a generator for the map of b each.
+    `fraction` and `n_pixels`, (n_thresholds, n_stars), are the part of a star's light in the
+    aperture, and its pixels.
     """
 
     def __init__(self, detector, stars, thresholds):
@@ -150,39 +112,13 @@ class RollingStars:
         self.n_pixels[place] = len(deviations)
 
     def systematics(self, a_2, scatter):
-        """Return the noise by motion alone.
-
-        Parameters
-        ----------
-        a_2 : float
-            Coefficient of the square of the response along both axes.
-        scatter : float
-            Standard deviation of b.
-
-        Returns
-        -------
-        ndarray, shape (n_thresholds, n_stars)
-            CDPP in ppm, in EVEREST's convention.
-        """
+        """Return the noise by motion alone for a_2 and the standard deviation of b, CDPP in ppm."""
         factors = np.array([1, a_2, a_2**2])
         factors = np.concatenate([factors, scatter * factors])
         return everest_noise(np.einsum("c,mnct->mnt", factors, self._series))
 
     def white(self, detector, mag):
-        """Return the noise of photons, background and reads.
-
-        Parameters
-        ----------
-        detector : Detector
-            Zero point, background and read noise.
-        mag : float
-            Magnitude.
-
-        Returns
-        -------
-        ndarray, shape (n_thresholds, n_stars)
-            CDPP in ppm, in EVEREST's convention.
-        """
+        """Return the noise of photons, background and reads of stars of a magnitude, ppm."""
         exposure = detector.exposure_time
         electrons = self.fraction * detector.flux_from_mag(mag) * exposure
         per_pixel = detector.background * exposure + detector.cadence_read_noise**2
