@@ -125,13 +125,14 @@ def read_detector(path):
     >>> detector.shape, float(detector.psf.sigma_x.value)
     ((9, 9), 0.6)
     """
-    content = Path(path).read_bytes()
-    if content.startswith((b"SIMPLE", b"\x1f\x8b")):
+    with Path(path).open("rb") as stream:
+        is_fits = stream.read(6).startswith((b"SIMPLE", b"\x1f\x8b"))
+    if is_fits:
         with open_fits(path) as hdus:
             described, maps = scene_of(hdus), maps_of(hdus)
         return _made(path, described, "detector", lambda: _detector(described["detector"], maps))
     try:
-        return _detector_of_toml(tomllib.loads(content.decode("utf-8")))
+        return _detector_of_toml(tomllib.loads(Path(path).read_text(encoding="utf-8")))
     except (TypeError, ValueError, RecursionError) as error:
         raise ValueError(f"{path}: {error}") from error
 

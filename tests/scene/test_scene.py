@@ -214,9 +214,15 @@ class OwnPSF(BivariateGaussianPSF):
     """A PSF of the user's own."""
 
 
-def test_models_of_a_user(tmp_path):
-    scene = Scene(Star(12.0, psf=OwnPSF(sigma_x=0.7)), Detector.k2(), Motion.still(3), seed=1)
+class OwnEffect(Undershoot):
+    """An effect of the user's own."""
+
+
+def test_classes_of_a_user(tmp_path):
+    stars, effects = [Star(12.0, psf=OwnPSF(sigma_x=0.7))], [OwnEffect()]
+    scene = Scene(stars, Detector.k2(), Motion.still(3), seed=1, effects=effects)
     path = scene.write(tmp_path / "scene.fits")
+    assert read_scene(path) == scene
     assert type(read_scene(path).stars[0].psf) is OwnPSF
     assert "module" not in read_truth(path).scene["stars"][0]["psf"]
 
