@@ -1,4 +1,4 @@
-"""Scenes and detectors as FITS files, arrays and JSON, and detectors as TOML files by hand."""
+"""Scenes, detectors and motions as FITS files of arrays and JSON; detectors as TOML by hand."""
 
 import tomllib
 from dataclasses import fields
@@ -35,9 +35,11 @@ from scope_models.scene.star import Star
 __all__ = [
     "describe_scene",
     "read_detector",
+    "read_motion",
     "read_scene",
     "scene_columns",
     "write_detector",
+    "write_motion",
     "write_scene",
 ]
 
@@ -125,9 +127,7 @@ def read_detector(path):
     >>> detector.shape, float(detector.psf.sigma_x.value)
     ((9, 9), 0.6)
     """
-    with Path(path).open("rb") as stream:
-        is_fits = stream.read(6).startswith((b"SIMPLE", b"\x1f\x8b"))
-    if is_fits:
+    if _is_fits(path):
         with open_fits(path) as hdus:
             described, maps = scene_of(hdus), maps_of(hdus)
         return _made(path, described, "detector", lambda: _detector(described["detector"], maps))
@@ -135,6 +135,28 @@ def read_detector(path):
         return _detector_of_toml(tomllib.loads(Path(path).read_text(encoding="utf-8")))
     except (TypeError, ValueError, RecursionError) as error:
         raise ValueError(f"{path}: {error}") from error
+
+
+def read_motion(path):
+    """Read a motion; see `scope_models.Motion.read`."""
+    if _is_fits(path):
+        truth = read_truth(path)
+        return _made(path, truth.scene, "motion", lambda: _motion(truth))
+    from astropy.table import QTable
+
+    try:
+        text = Path(path).read_text(encoding="utf-8")
+        table = QTable.read(text.splitlines(), format="ascii.ecsv")
+        columns = [table[name] for name in ("time", "x", "y")]
+        flags = [np.asarray(table[name]) for name in ("quality", "cadenceno")]
+        return Motion(*columns, *flags, table.meta["time_format"], table.meta.get("motion") or {})
+    except (KeyError, TypeError, ValueError) as error:
+        raise ValueError(f"{path} is not a table of a motion: {error}") from error
+
+
+def _is_fits(path):
+    with Path(path).open("rb") as stream:
+        return stream.read(6).startswith((b"SIMPLE", b"\x1f\x8b"))
 
 
 def write_scene(scene, path, *, overwrite):
@@ -151,9 +173,18 @@ def write_detector(detector, path, *, overwrite):
     return _write(path, scene_blocks(_maps(detector), described), overwrite=overwrite)
 
 
+def write_motion(motion, path, *, overwrite):
+    """Write a motion; return its path."""
+    described = {"version": _VERSION, "motion": _describe_motion(motion)}
+    blocks = truth_blocks(motion.cadenceno, _motion_columns(motion), {}, described, None)
+    return _write(path, blocks, overwrite=overwrite)
+
+
 def _write(path, blocks, *, overwrite):
     from astropy.io import fits
 
+    if not str(path).lower().endswith((".fits", ".fits.gz")):
+        raise ValueError(f"`path` must end in .fits or .fits.gz, got {path}")
     hdus = [fits.PrimaryHDU(), *(block.hdu() for block in blocks)]
     return write_hdulist(fits.HDUList(hdus), path, overwrite=overwrite)
 
@@ -183,8 +214,14 @@ def _scene(truth):
     """Return the scene of a truth."""
     detector = _detector(truth.scene["detector"], truth.maps)
     stars = [_star(star, i, truth.columns) for i, star in enumerate(truth.scene["stars"], start=1)]
+    effects = [_effect(described) for described in truth.scene["effects"]]
+    return Scene(stars, detector, _motion(truth), effects=effects, **truth.scene["options"])
+
+
+def _motion(truth):
+    """Return the motion of a truth."""
     table, described = truth.columns, truth.scene["motion"]
-    motion = Motion(
+    return Motion(
         time=table["TIME"],
         x=table["MOTION_X"],
         y=table["MOTION_Y"],
@@ -193,8 +230,6 @@ def _scene(truth):
         time_format=described["time_format"],
         meta=described["meta"],
     )
-    effects = [_effect(described) for described in truth.scene["effects"]]
-    return Scene(stars, detector, motion, effects=effects, **truth.scene["options"])
 
 
 def describe_scene(scene):
@@ -213,10 +248,7 @@ def describe_scene(scene):
             for star in scene.stars
         ],
         "detector": _describe_detector(scene.detector),
-        "motion": {
-            "time_format": scene.motion.time_format,
-            "meta": plain_tree(scene.motion.meta, str),
-        },
+        "motion": _describe_motion(scene.motion),
         "options": plain_tree(
             {name: value for name, value in scene.options.items() if name != "effects"}, str
         ),
@@ -238,15 +270,19 @@ def _describe_signal(signal):
 
 def scene_columns(scene, relative_flux):
     """Return the arrays of a scene, cadence by cadence, as columns of a table."""
-    columns = {
-        "TIME": scene.motion.time,
-        "QUALITY": scene.motion.quality,
-        "MOTION_X": scene.motion.x,
-        "MOTION_Y": scene.motion.y,
-    }
+    columns = _motion_columns(scene.motion)
     for i, signal in enumerate(relative_flux, start=1):
         columns[f"SIGNAL{i}"] = signal
     return columns
+
+
+def _motion_columns(motion):
+    columns = {"TIME": motion.time, "QUALITY": motion.quality}
+    return columns | {"MOTION_X": motion.x, "MOTION_Y": motion.y}
+
+
+def _describe_motion(motion):
+    return {"time_format": motion.time_format, "meta": plain_tree(motion.meta, str)}
 
 
 def _describe_effect(effect):

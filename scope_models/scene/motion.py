@@ -4,17 +4,15 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from numbers import Integral, Real
-from pathlib import Path
 from types import MappingProxyType
 
 import astropy.units as u
 import numpy as np
 
-from scope_models._arrays import PER_PIXEL, plain_tree
+from scope_models._arrays import PER_PIXEL
 from scope_models._checks import checked_integer, checked_number
 from scope_models._docstrings import documented
 from scope_models._values import Value, html_table
-from scope_models.io._atomic import atomic_path
 from scope_models.io.pixels import positions_of
 from scope_models.io.reading import read_positions
 from scope_models.missions import MISSIONS
@@ -712,7 +710,7 @@ class Motion(Value):
 
     @documented()
     def write(self, path, overwrite=False):
-        """Write the motion to a table in text, ECSV.
+        """Write the motion as .fits or .fits.gz.
 
         Parameters
         ----------
@@ -722,27 +720,22 @@ class Motion(Value):
         --------
         >>> from scope_models import Motion
         >>> motion = Motion.k2_roll(10)
-        >>> Motion.read(motion.write("motion.ecsv")) == motion
+        >>> Motion.read(motion.write("motion.fits")) == motion
         True
         """
-        from astropy.table import QTable
+        from scope_models.scene._files import write_motion
 
-        names = ("quality", "cadenceno")
-        columns = {"time": self.time * u.day, "x": self.x * u.pix, "y": self.y * u.pix}
-        table = QTable(columns | {name: getattr(self, name) for name in names})
-        table.meta = {"time_format": self.time_format, "motion": plain_tree(self.meta)}
-        with atomic_path(path, overwrite=overwrite) as temporary:
-            table.write(temporary, format="ascii.ecsv", overwrite=True)
-        return Path(path)
+        return write_motion(self, path, overwrite=overwrite)
 
     @classmethod
     def read(cls, path):
-        """Read a motion that `write` wrote.
+        """Read a motion.
 
         Parameters
         ----------
         path : str or path-like
-            The file. Columns of other units convert.
+            A FITS file of `write`, or of a scene or an observation; or a table in ECSV with time,
+            x, y, quality and cadenceno, whose units convert, and with time_format in its header.
 
         Returns
         -------
@@ -754,24 +747,17 @@ class Motion(Value):
         OSError
             If the file cannot be opened.
         ValueError
-            If it is no such table.
+            If it holds no motion.
 
         Examples
         --------
         >>> from scope_models import Motion
-        >>> Motion.read(Motion.still(3).write("still.ecsv")).x
+        >>> Motion.read(Motion.still(3).write("still.fits")).x
         array([0., 0., 0.])
         """
-        from astropy.table import QTable
+        from scope_models.scene._files import read_motion
 
-        text = Path(path).read_text(encoding="utf-8")
-        try:
-            table = QTable.read(text.splitlines(), format="ascii.ecsv")
-            columns = [table[name] for name in ("time", "x", "y")]
-            flags = [np.asarray(table[name]) for name in ("quality", "cadenceno")]
-            return cls(*columns, *flags, table.meta["time_format"], table.meta.get("motion") or {})
-        except (KeyError, TypeError, ValueError) as error:
-            raise ValueError(f"{path} is not a table of a motion: {error}") from error
+        return read_motion(path)
 
     def statistics(self, pixel_scale=MISSIONS["K2"].pixel_scale, *, exclude=0):
         r"""Return how far the star is from its reference position.

@@ -232,13 +232,9 @@ def test_generated_motions_can_be_simulated():
 @pytest.mark.parametrize("name", [*GENERATORS, "k2_roll"])
 def test_write_and_read(name, tmp_path):
     motion = getattr(Motion, name)(30, seed=2)
-    path = motion.write(tmp_path / "motion.ecsv")
-    again = Motion.read(path)
-    assert np.array_equal(again.x, motion.x)
-    assert np.array_equal(again.time, motion.time)
-    assert np.array_equal(again.quality, motion.quality)
-    assert again.time_format == motion.time_format
-    assert again.meta["seed"] == 2
+    path = motion.write(tmp_path / "motion.fits")
+    assert Motion.read(path) == motion
+    assert Motion.read(path).meta["seed"] == 2
     with pytest.raises(FileExistsError, match="exists"):
         motion.write(path)
     motion[:5].write(path, overwrite=True)
@@ -248,10 +244,12 @@ def test_write_and_read(name, tmp_path):
 def test_tables_of_others_are_refused_or_converted(tmp_path):
     path = tmp_path / "motion.ecsv"
     motion = Motion.still(3)
-    motion.write(path)
-    table = QTable.read(path, format="ascii.ecsv")
-    table["time"] = table["time"].to(u.hour)
-    table.write(path, format="ascii.ecsv", overwrite=True)
+    with pytest.raises(ValueError, match=r"`path` must end in .fits or .fits.gz, got .*\.ecsv"):
+        motion.write(path)
+    columns = {"time": (motion.time * u.day).to(u.hour), "x": motion.x * u.pix, "y": motion.y}
+    flags = {"quality": motion.quality, "cadenceno": motion.cadenceno}
+    table = QTable(columns | flags, meta={"time_format": "bkjd"})
+    table.write(path, format="ascii.ecsv")
     np.testing.assert_allclose(Motion.read(path).time, motion.time)
     table.remove_column("x")
     table.write(path, format="ascii.ecsv", overwrite=True)
@@ -262,6 +260,17 @@ def test_tables_of_others_are_refused_or_converted(tmp_path):
         Motion.read(path)
     with pytest.raises(FileNotFoundError):
         Motion.read(tmp_path / "absent.ecsv")
+
+
+def test_motion_of_an_observation(tmp_path):
+    motion = Motion.k2_roll(10, seed=1)
+    observation = simulate(Star(12.0), Detector.k2(), motion, seed=1)
+    assert Motion.read(observation.write(tmp_path / "star.fits")) == motion
+    path = Detector.k2().write(tmp_path / "detector.fits")
+    with pytest.raises(ValueError, match=r"detector\.fits"):
+        Motion.read(path)
+    with pytest.raises(ValueError, match=r"motion\.fits holds no detector that can be made"):
+        Detector.read(motion.write(tmp_path / "motion.fits"))
 
 
 @pytest.mark.parametrize("name", [*GENERATORS, "k2_roll"])
