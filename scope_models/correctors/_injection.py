@@ -157,6 +157,8 @@ def _shared_out(image, places, near):
     rows, columns = np.indices(image.shape)
     distances = [(columns - x, rows - y) for x, y in places]
     total = image[near].sum()
+    if not total > 0:
+        raise NoLightError("the pixels of `tpf` hold no light near the target")
     own = np.where(near, image, 0.0)
     error = 1 / (_MISFIT * np.abs(image) + _LEVEL * total).ravel()
     for _ in range(_ROUNDS if len(places) > 1 else 1):

@@ -266,7 +266,7 @@ def aperture_pixels(series, aperture):
         If the aperture is no mask of pixels with data, or the sums are not positive.
     """
     time, flux, flux_err = series.time, series.flux, series.flux_err
-    weights = None
+    weights, chosen = None, aperture is None
     if aperture is None:
         aperture = choose_aperture(flux, flux_err, series.aperture, series.pos_corr)
     elif np.ndim(aperture) == 3:
@@ -291,8 +291,37 @@ def aperture_pixels(series, aperture):
     lit = positive & ((total > noise) | (total > typical - noise))
     places = None if series.pos_corr is None else series.pos_corr[positive]
     own, crowding = _own_light(flux[positive], aperture, places)
+    if chosen:
+        _compare_pipeline(series, aperture, total, positive)
     totals = total, total_err, positive
     return Pixels(time, flux, flux_err, aperture, *totals, weights, own, crowding, lit)
+
+
+def _compare_pipeline(series, aperture, total, usable):
+    """Warn if the pipeline's aperture has less noise, or the chosen one little of its light."""
+    other = series.aperture
+    if not other.any() or other.all() or (other == aperture).all():
+        return
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # pixels without data
+        image = np.nan_to_num(np.nanmedian(series.flux[usable], axis=0))
+    its = np.nansum(series.flux[usable][:, other], axis=1)
+    remedy = 'compare `aperture_mask="pipeline"`'
+    inside, whole = np.sum(image[other & aperture]), np.sum(image[other])
+    if inside < whole / 2:
+        part = 100 * max(inside / whole, 0)
+        _warn(f"the aperture holds {part:.0f} % of the light in the pipeline's: {remedy}")
+    sizes = [_jumps(values) for values in (total[usable], its)]
+    # 0.76: standard deviation of the absolute value of a normal variable over its mean
+    if sizes[1] > 0 and sizes[0] / sizes[1] > 1 + _SIGNIFICANCE * 0.76 * np.sqrt(2 / len(its)):
+        part = sizes[0] / sizes[1]
+        _warn(f"the aperture has {part:.1f} times the noise of the pipeline's: {remedy}")
+
+
+def _jumps(flux):
+    """Return the mean change of a flux from cadence to cadence, relative; 0 without light."""
+    level = np.median(flux)
+    return np.mean(np.abs(np.diff(flux, 2))) / level if level > 0 and len(flux) > 2 else 0.0
 
 
 def _is_off_stamp(pos_corr, shape):

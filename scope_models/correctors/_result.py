@@ -290,7 +290,7 @@ class PLDFit:
         if not restore_trend:
             removed = removed + solution.trend
             variance = solution.latent_variance()
-        with np.errstate(over="ignore"):  # `credible_flux` leaves such cadences out
+        with np.errstate(all="ignore"):  # `credible_flux` leaves such cadences out
             flux = self.model.pixels.total[self.model.pixels.usable] / np.exp(removed)
             change = flux / np.median(flux) - 1
             variance = variance + (self.contrast_error * change) ** 2
@@ -449,6 +449,8 @@ class PLDFit:
         if self.model.source is None:
             return _no_survival("no file is behind the fit")
         if transit_model is None:
+            if 3 * self.window > self.n_used:
+                return _no_survival(f"{self.n_used} cadences are less than three of the boxes")
             if depth is None:
                 flux, error = self.corrected()
                 noise = np.nanmedian(error / flux) / np.sqrt(self.window)

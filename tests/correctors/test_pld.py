@@ -689,7 +689,8 @@ def test_k2_stars(shared_data, name, largest):
 def kepler_62(shared_data):
     """Return the corrector of Kepler-62, and the light curve of a call without arguments."""
     tpf = real(shared_data, "kepler_tpf/kplr009002278-2010174085026_lpd-targ.fits.gz")
-    corrector = PLDCorrector(tpf)
+    with pytest.warns(DetrendingWarning, match=r"1\.2 times the noise of the pipeline's"):
+        corrector = PLDCorrector(tpf)
     return corrector, corrector.correct().copy()
 
 

@@ -1,12 +1,15 @@
 """What correctors hold before, after and instead of a correction, and what they report."""
 
 import contextlib
+import re
+import warnings
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from scope_models.correctors import PLDCorrector
+from scope_models.correctors import _pixels as pixels_module
 from scope_models.correctors import _result as result_module
 from scope_models.exceptions import DetrendingWarning
 
@@ -194,3 +197,32 @@ def test_held_out_windows_may_hold_outliers(fake_star):
     assert error[10] == pytest.approx(few[1][10], rel=0.2)
     with pytest.raises(ValueError, match="`cadences` must have shape"):
         corrector.held_out(13, everything[1:])
+
+
+@pytest.mark.parametrize(
+    ("seen", "match"),
+    [
+        ((4, 4), None),
+        ((2, 2), r"holds \d+ % of the light in the pipeline's: compare `aperture_mask=\"pip"),
+        ((4, 4, 40), r"has \d+\.\d times the noise of the pipeline's: compare"),
+    ],
+)
+def test_a_worse_aperture_than_the_pipeline_s_is_reported(fake_star, monkeypatch, seen, match):
+    """The pipeline sums the star; the aperture sums it, dark pixels, or noisy ones too."""
+    star = fake_star(400, seed=3)
+    y, x, *noise = seen
+    rows, columns = np.indices((9, 9))
+    star.tpf.hdu[2].data[:] = 1 + 2 * (np.hypot(rows - 4, columns - 4) < 2.2)
+    table = star.tpf.hdu[1].data
+    beside = np.hypot(rows - y, columns - x) > 2.2
+    if noise:
+        rng = np.random.default_rng(5)
+        table["FLUX"][:, beside] += rng.normal(0, noise[0], (400, beside.sum()))
+    chosen = ~beside if not noise else np.ones((9, 9), dtype=bool)
+    monkeypatch.setattr(pixels_module, "choose_aperture", lambda *_: chosen)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", DetrendingWarning)
+        PLDCorrector(star.tpf)
+    assert bool(caught) == bool(match)
+    assert not match or re.search(match, str(caught[0].message))
+    PLDCorrector(star.tpf, chosen)  # the user's own
