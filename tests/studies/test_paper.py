@@ -3,12 +3,15 @@
 import csv
 import importlib
 import os
+import re
 import runpy
+import shlex
 import subprocess
 import sys
 from dataclasses import asdict
 from functools import partial
 
+import _study
 import numpy as np
 import pytest
 from _corrected import METHODS, SURVIVALS, corrected_noise
@@ -82,6 +85,25 @@ def test_workers(repository, tmp_path):
         )  # fmt: skip
     one, two = ((tmp_path / name / "results.ecsv").read_bytes() for name in ("one", "two"))
     assert one == two
+
+
+def test_commands_of_the_pages(repository, monkeypatch, tmp_path):
+    """Each study is on a page, with arguments that it takes."""
+
+    def accepted(*_, **__):
+        raise StopIteration("the arguments are accepted")
+
+    monkeypatch.setattr(_study, "run_sweep", accepted)
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "FILE").touch()
+    text = "\n".join(page.read_text(encoding="utf-8") for page in repository.glob("docs/**/*.rst"))
+    commands = re.findall(r"python studies/paper/(\w+)\.py((?: [^\n`]*\\\n|[^\n`])*)", text)
+    assert {*SMALL, "pld_grid"} <= {name for name, _ in commands}
+    for name, arguments in commands:
+        study = importlib.import_module(name)
+        if hasattr(study, "summarize"):
+            with pytest.raises(StopIteration, match="the arguments are accepted"):
+                study.main(shlex.split(arguments.replace("\\\n", " ")))
 
 
 @pytest.mark.parametrize(
