@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 from _files import FILES
+from astropy.stats import mad_std
 from astropy.utils.exceptions import AstropyUserWarning
 from matplotlib import pyplot as plt
 from scipy.interpolate import BSpline
@@ -70,7 +71,7 @@ def amplitude(fit, keep):
         normal = design.T @ design + np.diag(prior) + 1e-9 * np.eye(len(prior))
         solution = np.linalg.solve(normal, design.T @ right)
         residual = flux - columns @ solution
-        noise = 1.4826 * np.median(np.abs(residual))
+        noise = mad_std(residual)
         good = np.abs(residual) < 4 * noise
     error = np.sqrt(np.linalg.inv(normal)[0, 0])
     return solution[0], error, residual + solution[0] * columns[:, 0], good

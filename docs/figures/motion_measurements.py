@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 from astropy.coordinates import SkyCoord
 from astropy.io import fits
+from astropy.stats import mad_std
 from motion_series import principal_axes
 
 from scope_models.scene.motion import Motion
@@ -38,7 +39,7 @@ def running_median(values, width):
 
 def white_noise(values):
     """Return the standard deviation of white noise, from second differences."""
-    return 1.4826 * np.median(np.abs(np.diff(values, 2))) / np.sqrt(6)
+    return mad_std(np.diff(values, 2)) / np.sqrt(6)
 
 
 def drifts(roll):
