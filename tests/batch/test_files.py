@@ -66,6 +66,16 @@ class TestDetrend:
         assert lc.meta["CDPP"] == pytest.approx(result.table["cdpp"][1], rel=1e-5)
         assert lc.estimate_cdpp().value == pytest.approx(lc.meta["CDPP"], rel=1e-4)
 
+    def test_pixels_that_were_not_collected_are_no_warnings(self, files, tmp_path):
+        with fits.open(files[0]) as hdus:
+            for name in ("FLUX", "FLUX_ERR"):
+                hdus[1].data[name][:, :2] = hdus[1].data[name][:, :, 8] = np.nan
+            hdus["APERTURE"].data[:2] = hdus["APERTURE"].data[:, 8] = 0
+            hdus.writeto(files[0], overwrite=True, checksum=True)
+        result = detrend(files[:1], tmp_path / "out", survival=True)
+        assert result.table["warnings"].tolist() == [""]
+        assert result.table["survival"][0] == pytest.approx(1, abs=0.2)
+
     def test_is_that_of_one_file(self, files, tmp_path):
         from astropy.io import fits
 

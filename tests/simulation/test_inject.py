@@ -5,8 +5,9 @@ import pytest
 from astropy import units as u
 
 from scope_models import Detector, Motion, Star, TransitModel, read_scene, read_truth, simulate
+from scope_models.batch import inject_file
 from scope_models.effects import Background, Extinction, Focus, Throughput
-from scope_models.io import read_tpf
+from scope_models.io import read_pixels, read_tpf
 from scope_models.io.tpf import write_hdulist
 from scope_models.simulation import inject
 
@@ -320,3 +321,33 @@ def test_star_in_a_file_without_positions():
     dimmed = inject(tpf, np.full(30, 0.9), Star(12.0), noise=False)
     part = float(np.nansum(dimmed.flux) / np.nansum(tpf.flux))
     assert part == pytest.approx(0.9, abs=1e-3)
+
+
+REAL = [
+    *("k2_tpf/ktwo211956421-c05_lpd-targ", "k2_tpf/ktwo211983544-c18_lpd-targ"),
+    "kepler_tpf/kplr009002278-2010174085026_lpd-targ",
+    *(f"kepler_q12_ch4/tpf_0{n}" for n in (1, 2, 4, 5, 6, 7, 8)),
+]
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::scope_models.exceptions.ScopeModelsWarning")
+@pytest.mark.parametrize(
+    "name", [*(f"{name}.fits.gz" for name in REAL), "tess_tpf/tesssip_tpf1.fits"]
+)
+def test_default_injection_into_a_real_file(shared_data, tmp_path, name):
+    path, output = shared_data / name, tmp_path / "planet.fits"
+    before = read_tpf(path, quality_bitmask="none")
+    series = read_pixels(path)
+    period = np.ptp(series.time)
+    row = inject_file(path, {"period": period, "depth": 0.02, "duration": period / 20}, output)
+    after = read_tpf(output, quality_bitmask="none")
+    added = after.hdu["INJECTED"].data["FLUX_ADDED"]
+    signal = after.hdu["INJECTED"].data["SIGNAL"]
+    assert signal.min() == pytest.approx(0.98, abs=0.002)
+    assert not added[signal == 1].any()
+    seen = (signal < 0.985) & np.isin(after.hdu["INJECTED"].data["CADENCENO"], series.cadenceno)
+    assert seen.sum() >= 3
+    assert (added[seen].sum(axis=(1, 2)) < 0).all()
+    assert 0.005 < row["injected_depth"] < 0.04
+    np.testing.assert_array_equal(np.isfinite(after.flux.value), np.isfinite(before.flux.value))
