@@ -74,7 +74,7 @@ def test_correctors_use_one_thread(corrector, tpf, during):
 @pytest.mark.parametrize(
     "call",
     [
-        lambda tpf, _: fit_tpf(tpf, psf=1, max_steps=2),
+        lambda tpf, _: fit_tpf(tpf, psf=1),
         lambda _, scene: simulate(*scene, seed=1),
         lambda tpf, _: inject(tpf, star=Star(14.0, 2.0, 2.0)),
     ],
