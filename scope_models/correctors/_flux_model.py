@@ -26,6 +26,8 @@ _LONGEST = 8
 #: A period counts if the logarithm of the evidence grows by so much.
 _LEAST_GAIN = 12.0
 _MOST_PERIODS = 8
+#: Frequencies that are tried at most, from the lowest on: with gaps of months there are millions.
+_MOST_FREQUENCIES = 200_000
 #: Windows at most that are predicted from all other cadences.
 _MOST_WINDOWS = 120
 #: Number of times at most that hyper-parameters are fitted again without outliers.
@@ -433,7 +435,7 @@ def _strongest(model):
     score = 0.5 * np.abs(np.fft.rfft(grid)) ** 2 / np.interp(frequency, few, strength)
     last = 0.95 * 0.5 / step
     score[frequency > last] = 0.0
-    tried = np.arange(_FEWEST_CYCLES / span, last, 1 / (16 * span))
+    tried = np.arange(_FEWEST_CYCLES / span, last, 1 / (16 * span))[:_MOST_FREQUENCIES]
     multiples = np.round(tried[:, None] * np.arange(1, _MOST_HARMONICS + 1) / frequency[1])
     inside = multiples < len(score)
     found = np.where(inside, score[np.where(inside, multiples, 0).astype(int)], 0.0)

@@ -226,3 +226,17 @@ def test_a_worse_aperture_than_the_pipeline_s_is_reported(fake_star, monkeypatch
     assert bool(caught) == bool(match)
     assert not match or re.search(match, str(caught[0].message))
     PLDCorrector(star.tpf, chosen)  # the user's own
+
+
+@pytest.mark.filterwarnings("ignore::scope_models.exceptions.DetrendingWarning")
+def test_a_star_that_vanishes_beside_constant_light(fake_star):
+    """Total eclipses: the light of the neighbor is constant, and nothing of the star is left."""
+    n = 400
+    eclipsed = (0.0204336 * np.arange(n)) % 1.3 < 0.2
+    star = fake_star(n, 14, 0, signal=1 - 0.999 * eclipsed, neighbor=0.3, shape=(9, 11))
+    corrector = PLDCorrector(star.tpf, np.ones((9, 11), dtype=bool))
+    lc = corrector.correct()
+    assert corrector.result.contamination > 0.1
+    flux = lc.flux.value
+    assert np.isfinite(flux[~eclipsed]).all()
+    assert np.std(flux[~eclipsed]) < 0.002 * np.median(flux[~eclipsed])
