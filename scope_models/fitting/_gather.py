@@ -5,7 +5,7 @@ from dataclasses import asdict
 import numpy as np
 
 from scope_models._arrays import plain_tree
-from scope_models.fitting._tables import FittedStar, cadence_table, parameter_table
+from scope_models.fitting._parameters import FittedStar, cadence_table, parameter_table
 from scope_models.fitting.result import TPFFit
 
 __all__ = ["make_results"]

@@ -9,7 +9,7 @@ from scipy.interpolate import BSpline
 
 from scope_models._checks import check_fields, checked_choice, checked_number, integer, number
 from scope_models._values import Value
-from scope_models.fitting.parameters import FitParameter, fit_parameters
+from scope_models.fitting._parameters import FitParameter, fit_parameters
 from scope_models.models._parameters import numbers_of
 
 __all__ = [

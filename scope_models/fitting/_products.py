@@ -9,14 +9,14 @@ from scipy.ndimage import median_filter, uniform_filter1d
 from scope_models._arrays import native
 from scope_models._checks import checked_choice, one_line
 from scope_models.effects import Background, Focus, PixelShares
-from scope_models.fitting._tables import (
+from scope_models.fitting._parameters import (
     CADENCE_UNITS,
     STATISTICS,
+    FitParameter,
     FittedStar,
     cadence_table,
     parameter_table,
 )
-from scope_models.fitting.parameters import FitParameter
 from scope_models.io._opening import RefusedError, open_fits
 from scope_models.io.tpf import write_hdulist
 from scope_models.missions import MISSIONS

@@ -11,9 +11,9 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from scope_models.effects.shares import PixelShares, polynomial_terms, polynomials, scaled_to
+from scope_models.fitting._parameters import FittedStar, cadence_table
 from scope_models.fitting._problem import _UNTRUE, State
 from scope_models.fitting._start import centroids, linear_start
-from scope_models.fitting._tables import FittedStar, cadence_table
 
 __all__ = ["fit_response"]
 

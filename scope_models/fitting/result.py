@@ -10,7 +10,7 @@ from astropy.table import Table
 
 from scope_models._docstrings import documented
 from scope_models._values import Value
-from scope_models.fitting._tables import CADENCE_UNITS, STATISTICS, degrees_of_freedom
+from scope_models.fitting._parameters import CADENCE_UNITS, STATISTICS, degrees_of_freedom
 from scope_models.models import PRF
 from scope_models.scene.detector import Detector
 

@@ -1,4 +1,4 @@
-"""What all cadences of a fit share, and what each has, as tables."""
+"""The parameters of a fit: bounds, steps, priors; tables of the shared ones and of the cadences."""
 
 from dataclasses import dataclass
 
@@ -6,11 +6,28 @@ import numpy as np
 from astropy.table import Table
 
 from scope_models._values import Value
-from scope_models.fitting.parameters import FitParameter
 from scope_models.models._parameters import numbers_of
 
-__all__ = ["CADENCE_UNITS", "STATISTICS", "FittedStar", "cadence_table", "parameter_table"]
+__all__ = [
+    "CADENCE_UNITS",
+    "STATISTICS",
+    "FitParameter",
+    "FittedStar",
+    "cadence_table",
+    "degrees_of_freedom",
+    "fit_parameters",
+    "parameter_table",
+]
 
+# Narrower PSFs are the same to a pixel.
+_LEAST_WIDTH = 0.1
+# Tighter correlations only cost time; charge that diffuses farther is not collected in pixels.
+_LIMITS = {"correlation": (-0.95, 0.95), "diffusion": (0.0, 1.0), "offset": (-2.0, 2.0)}
+# Standard deviations of the coefficients of an empirical term, whose first one is 1, and of the
+# correction of a table.
+_PRIORS = {"coefficient": 10.0, "correction": 0.1}
+_LARGEST_MOVE = 0.3
+_UNITS = {"width": "pix", "diffusion": "pix", "offset": "pix", "position": "pix", "flux": "e-/s"}
 # Columns of `TPFFit.cadences`, and their units.
 CADENCE_UNITS = {
     "time": "d",
@@ -25,6 +42,58 @@ STATISTICS = tuple(
 # Chi-squared per degree of freedom above which coefficients of a sensitivity are not measured: they
 # describe errors of the PSF long before these are seen in chi-squared.
 _TRUE_CHI2 = 1.1
+
+
+@dataclass(frozen=True)
+class FitParameter(Value):
+    """A parameter that all cadences share."""
+
+    name: str
+    kind: str = "other"  # as in `PRF.parameter_kinds`, or position, slope, flux, focus
+    lower: float = -np.inf
+    upper: float = np.inf
+    largest_step: float = np.inf
+    relative: bool = False  # whether that is a part of its value
+    prior: float = np.inf  # standard deviation before the fit
+    center: float = 0.0  # ... and mean
+    start: float = 0.0
+
+    @property
+    def unit(self):
+        """Unit (str)."""
+        return _UNITS.get(self.kind, "")
+
+
+def fit_parameters(prf, shape):
+    """Return the free shared parameters of a PRF on an image, without flux and position.
+
+    Kinds come from the models (`~scope_models.PRF.parameter_kinds`), never from names. Bounds are
+    the model's, narrowed by what a kind allows: a component that is wider than half the stamp is
+    background, and at a pixel's edge no term of a response takes away all of it or doubles it.
+    """
+    kinds, powers = prf.parameter_kinds, prf.response_powers
+    result, start = [], numbers_of(prf)
+    for name in prf.param_names[3:]:
+        parameter = getattr(prf, name)
+        if parameter.fixed:
+            continue
+        kind, step, relative = kinds.get(name, "other"), np.inf, False
+        prior = _PRIORS.get(kind, np.inf)
+        narrow = _LIMITS.get(kind, (-np.inf, np.inf))
+        if kind == "width":
+            narrow = _LEAST_WIDTH, max(shape) / 2
+        elif kind == "response":
+            narrow = -(2.0 ** powers[name][1]), 2.0 ** powers[name][1]
+        low, high = (
+            x if bound is None else bound for x, bound in zip(narrow, parameter.bounds, strict=True)
+        )
+        low, high = max(low, narrow[0]), min(high, narrow[1])
+        if kind in {"correlation", "fraction", "offset", "diffusion"}:
+            step = _LARGEST_MOVE
+        elif kind == "width" or (kind == "other" and low > 0):
+            step, relative = _LARGEST_MOVE, True
+        result.append(FitParameter(name, kind, low, high, step, relative, prior, start=start[name]))
+    return tuple(result)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
