@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 import scope_models
+from scope_models import _threads
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 
@@ -25,6 +26,13 @@ def shared_data():
     if not folder.is_dir():
         pytest.skip("the folder ../shared/data with real archive files is absent")
     return folder
+
+
+@pytest.fixture
+def one_thread():
+    """Limit linear algebra, for tests of private functions, below the limit of the library."""
+    with _threads.one_thread:
+        yield
 
 
 def _public_callables():

@@ -6,6 +6,8 @@ from scipy.special import erf
 
 from scope_models.correctors._clean import _Smoother, clean_pixels, precise_aperture
 
+pytestmark = pytest.mark.usefixtures("one_thread")
+
 SIZE, SIGMA, FLUX = 9, 0.6, 1e5
 TIME = 0.02 * np.arange(500)
 GRID = np.stack(np.meshgrid(np.arange(SIZE), np.arange(SIZE)), axis=-1).reshape(-1, 2)

@@ -10,6 +10,8 @@ from scope_models.correctors._constant_light import constant_light, varying_ligh
 
 from .test_clean import GRID, TIME, image, motion
 
+pytestmark = pytest.mark.usefixtures("one_thread")
+
 NEIGHBOR = 2.6  # px along x
 USE = np.ones(len(TIME), bool)
 

@@ -17,6 +17,8 @@ from scope_models.correctors._features import (
 )
 from scope_models.correctors._pixels import Pixels
 
+pytestmark = pytest.mark.usefixtures("one_thread")
+
 
 @pytest.fixture
 def fractions():

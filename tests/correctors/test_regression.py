@@ -18,6 +18,8 @@ from scope_models.correctors._regression import (
 )
 from scope_models.correctors._solution import Solution, fit
 
+pytestmark = pytest.mark.usefixtures("one_thread")
+
 N = 90
 
 
