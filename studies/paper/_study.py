@@ -27,7 +27,7 @@ __all__ = [
 ]
 
 
-def run(name, parameters, tasks, measure, *, units, summarize, draw, argv=None):
+def run(name, parameters, tasks, measure, summarize, draw, units, argv=None):
     """Run a study with the parameters of the command line, and print where its results are.
 
     `parameters` is a dataclass; all functions get it first; `tasks` returns the stars, `measure` a

@@ -7,6 +7,7 @@ compared with the noise of the light alone, without any filter in time.
 """
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from _corrected import METHODS, SURVIVALS, UNITS, corrected_noise
@@ -97,12 +98,7 @@ def draw(study, _, summary):
     )  # fmt: skip
 
 
-def main(argv=None):
-    """Run the study."""
-    return run(
-        NAME, BreathingPSF, tasks, measure, units=UNITS, summarize=summarize, draw=draw, argv=argv
-    )
-
+main = partial(run, NAME, BreathingPSF, tasks, measure, summarize, draw, UNITS)
 
 if __name__ == "__main__":
     main()

@@ -10,6 +10,7 @@ whose width is smooth in time.
 """
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from _corrected import amplitude
@@ -232,12 +233,7 @@ def draw(study, _, summary):
     )  # fmt: skip
 
 
-def main(argv=None):
-    """Run the study."""
-    return run(
-        NAME, GroundPLD, tasks, measure, units=UNITS, summarize=summarize, draw=draw, argv=argv
-    )
-
+main = partial(run, NAME, GroundPLD, tasks, measure, summarize, draw, UNITS)
 
 if __name__ == "__main__":
     main()

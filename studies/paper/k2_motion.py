@@ -10,6 +10,7 @@ Saunders, N. et al. 2019, section 3; Luger, R. et al. 2018, AJ, 156, 99 (EVEREST
 """
 
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import matplotlib.pyplot as plt
@@ -218,12 +219,7 @@ def draw(study, _, summary):
     return figure
 
 
-def main(argv=None):
-    """Run the study."""
-    return run(
-        NAME, K2MotionNoise, tasks, measure, units=UNITS, summarize=summarize, draw=draw, argv=argv
-    )
-
+main = partial(run, NAME, K2MotionNoise, tasks, measure, summarize, draw, UNITS)
 
 if __name__ == "__main__":
     main()

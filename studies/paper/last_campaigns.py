@@ -8,6 +8,7 @@ itself.
 """
 
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -172,12 +173,7 @@ def draw(study, _, summary):
     return next(iter(plot_cdpp_panels(panels).values())).figure
 
 
-def main(argv=None):
-    """Run the study."""
-    return run(
-        NAME, LastCampaigns, tasks, measure, units=UNITS, summarize=summarize, draw=draw, argv=argv
-    )
-
+main = partial(run, NAME, LastCampaigns, tasks, measure, summarize, draw, UNITS)
 
 if __name__ == "__main__":
     main()

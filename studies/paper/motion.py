@@ -8,6 +8,7 @@ noise, has transits. Saunders et al. (2019) claim limits on the noise, which are
 """
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from _correctors import CONVENTIONS, best_setting, correct, noise_of, transit_amplitude
@@ -318,12 +319,7 @@ def draw(_, __, summary):
     return axes[TITLES["pld"]].figure
 
 
-def main(argv=None):
-    """Run the study."""
-    return run(
-        NAME, MotionTest, tasks, measure, units=UNITS, summarize=summarize, draw=draw, argv=argv
-    )
-
+main = partial(run, NAME, MotionTest, tasks, measure, summarize, draw, UNITS)
 
 if __name__ == "__main__":
     main()

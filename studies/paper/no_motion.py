@@ -12,6 +12,7 @@ L. et al. 2011, ApJS 197, 6.
 """
 
 from dataclasses import dataclass
+from functools import partial
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -201,12 +202,7 @@ def draw(_, stars, summary):
     return figure
 
 
-def main(argv=None):
-    """Run the study."""
-    return run(
-        NAME, NoMotion, tasks, measure, units=UNITS, summarize=summarize, draw=draw, argv=argv
-    )
-
+main = partial(run, NAME, NoMotion, tasks, measure, summarize, draw, UNITS)
 
 if __name__ == "__main__":
     main()

@@ -11,6 +11,7 @@ was found is masked, the star is de-trended again, and a transit is fitted.
 """
 
 from dataclasses import dataclass
+from functools import partial
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -297,12 +298,7 @@ def draw(study, _, summary):
     return figure
 
 
-def main(argv=None):
-    """Run the study."""
-    return run(
-        NAME, Recovery, tasks, measure, units=UNITS, summarize=summarize, draw=draw, argv=argv
-    )
-
+main = partial(run, NAME, Recovery, tasks, measure, summarize, draw, UNITS)
 
 if __name__ == "__main__":
     main()

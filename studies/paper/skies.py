@@ -122,10 +122,7 @@ def summarize(study, table):
 
 def main(argv=None):
     """Run the study and print its summary."""
-    result = run(
-        NAME, Skies, tasks, measure, units={}, summarize=summarize,
-        draw=lambda *_: None, argv=argv,
-    )  # fmt: skip
+    result = run(NAME, Skies, tasks, measure, summarize, lambda *_: None, {}, argv)
     for name in (*SCORES, "worst"):
         result.summary[name].info.format = ".3f"
     print("\n".join(result.summary.pformat(max_lines=-1, max_width=-1)))

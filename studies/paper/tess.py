@@ -8,6 +8,7 @@ counts and placed anywhere on the stamp.
 """
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from _corrected import SURVIVALS, UNITS, corrected_noise, curves
@@ -128,12 +129,7 @@ def draw(study, _, summary):
     return next(iter(axes.values())).figure
 
 
-def main(argv=None):
-    """Run the study."""
-    return run(
-        NAME, TESSNoise, tasks, measure, units=UNITS, summarize=summarize, draw=draw, argv=argv
-    )
-
+main = partial(run, NAME, TESSNoise, tasks, measure, summarize, draw, UNITS)
 
 if __name__ == "__main__":
     main()
