@@ -45,6 +45,8 @@ _WINDOWS = {
 }
 #: Windows with so much more white noise than the best are not tried.
 _NOISIEST = 2.0
+#: Factor of the variance of pixels in cadences that are masked.
+_NO_WEIGHT = 1e6
 _TRANSIT_HOURS = 6.5
 #: Warnings: part of the cadences that are outliers, and share of the target in the window.
 _MANY, _CROWDED = 0.1, 0.9
@@ -234,6 +236,7 @@ class SceneCorrector(FixedAperture, Corrector):
             origin, peak = self._data.origin, self._data.place
             self._known = KnownNeighbors.read(neighbors, series, origin, peak)
         shown = series.aperture if aperture_mask is None else aperture_mask
+        shown = shown if np.any(shown) else np.ones(series.flux.shape[1:], dtype=bool)
         moving = shown.ndim == 3
         self._aperture_mask = frozen(np.nanmax(shown, axis=0) > 0 if moving else shown)
         self.original_lc = self.tpf.to_lightcurve(aperture_mask=self.aperture_mask)
@@ -242,7 +245,8 @@ class SceneCorrector(FixedAperture, Corrector):
             total, error = aperture_flux(series.flux, shown, series.flux_err)
             lc.flux, lc.flux_err = total * lc.flux.unit, error * lc.flux.unit
         self.cadence_mask = np.ones(len(series), dtype=bool)
-        self.scene = self.result = self._chosen = self.fallback = None
+        self.outlier_mask, self.transit_mask = np.zeros((2, len(series)), dtype=bool)
+        self.scene = self.result = self._chosen = self.fallback = self._bad = None
         self._given = aperture_mask
 
     def __repr__(self):
@@ -313,11 +317,14 @@ class SceneCorrector(FixedAperture, Corrector):
             flat = transit_column(transit_model, data.all_times)[data.usable]
             flat = flat if flat.any() else None
         with one_thread:
-            if self.scene is None:
+            bad = ~mask[data.usable]
+            if self.scene is None or (bad != self._bad).any():
+                variance = np.where(bad[:, None, None], _NO_WEIGHT, 1.0) * data.variance
                 self.scene = fit_scene(
-                    data.time, data.flux, data.variance, data.pos_corr, data.peak,
+                    data.time, data.flux, variance, data.pos_corr, data.peak,
                     known=self._known, well=data.well,
                 )  # fmt: skip
+                self._bad = bad
             self._chosen = self._best(allowed, flat, flux)
             self.cadence_mask, self.transit_mask = mask & ~in_transit, in_transit
             self._finish(allowed, has_transit=flat is not None, restore_trend=restore_trend)

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from scope_models.correctors import PLDCorrector
+from scope_models.correctors import PLDCorrector, SceneCorrector
 from scope_models.correctors import _pixels as pixels_module
 from scope_models.correctors import _result as result_module
 from scope_models.exceptions import DetrendingWarning
@@ -240,3 +240,20 @@ def test_a_star_that_vanishes_beside_constant_light(fake_star):
     flux = lc.flux.value
     assert np.isfinite(flux[~eclipsed]).all()
     assert np.std(flux[~eclipsed]) < 0.002 * np.median(flux[~eclipsed])
+
+
+def test_a_ghost_in_masked_cadences_changes_nothing_else(fake_star):
+    star, mask = fake_star(400, seed=2), np.ones(400, dtype=bool)
+    mask[150:220] = False
+    before = PLDCorrector(star.tpf)
+    plain = before.correct(cadence_mask=mask).flux.value[mask]
+    rows, columns = np.indices((9, 9))
+    ghost = 3e4 * np.exp(-((rows - 2) ** 2) - (columns - 6) ** 2)
+    star.tpf.hdu[1].data["FLUX"][150:220] += ghost.astype(np.float32)
+    again = PLDCorrector(star.tpf, before.aperture_mask)
+    found = again.correct(cadence_mask=mask).flux.value[mask]
+    assert np.std(found / np.median(found) - plain / np.median(plain)) < 2e-5
+    scene = SceneCorrector(star.tpf)
+    scene.correct(cadence_mask=mask)
+    assert scene.result.chi_squared < 10
+    assert scene.fallback is None
