@@ -22,7 +22,7 @@ _GZIP = b"\x1f\x8b"
 _CHUNK = 1 << 20
 # Compressed files may always become so large: noise-free simulations compress very well.
 _SMALL = 64 << 20
-_MOST_COLUMNS = 999  # of the FITS standard
+_MOST = 999  # axes and columns of the FITS standard
 _ONES = 2**32 - 1
 
 
@@ -76,6 +76,7 @@ def open_fits(path):
 
     content = _content(Path(path))
     try:
+        _check_axes(content, 0, path)
         with fits.open(io.BytesIO(content), memmap=False) as hdus:
             _check(hdus, content, path)
             yield hdus
@@ -150,13 +151,14 @@ def _check(hdus, content, path):
     """Refuse HDUs that claim more than the file holds, and warn of sums that do not match."""
     from astropy.io import fits
 
-    mismatches, end = [], 0
-    for number, hdu in enumerate(hdus):
+    mismatches, end, number = [], 0, 0
+    while content[end : end + 9] in {b"SIMPLE  =", b"XTENSION="}:
+        _check_axes(content, end, path)
+        hdu = hdus[number]  # read now
         place = hdu.fileinfo()
         start, end = place["hdrLoc"], place["datLoc"] + place["datSpan"]
         kinds = (fits.PrimaryHDU, fits.ImageHDU, fits.BinTableHDU, fits.TableHDU)
-        named = content[start : start + 9] in {b"SIMPLE  =", b"XTENSION="}
-        if not (isinstance(hdu, kinds) and named):
+        if not isinstance(hdu, kinds):
             raise _refused(path, f"HDU {number} is no image or table")
         if end > len(content) or place["datSpan"] < 0:
             raise _refused(path, f"HDU {number} claims more bytes than the file has")
@@ -169,6 +171,7 @@ def _check(hdus, content, path):
             if text and found % _ONES != wanted % _ONES:
                 mismatches.append(f"{keyword} of HDU {number}")
                 break
+        number += 1
     if content[end:].strip(b"\0 "):
         raise _refused(path, "what follows its last HDU is no extension")
     claimed = hdus[0].header.get("NEXTEND")
@@ -183,10 +186,21 @@ def _check(hdus, content, path):
         )
 
 
+def _check_axes(content, start, path):
+    """Refuse a header of more axes than FITS has, of which astropy would make a list."""
+    from astropy.io import fits
+
+    stream = io.BytesIO(content)
+    stream.seek(start)
+    axes = fits.Header.fromfile(stream).get("NAXIS")
+    if isinstance(axes, int) and axes > _MOST:
+        raise _refused(path, f"NAXIS is {axes}")
+
+
 def _check_columns(hdu, path):
     """Refuse a table whose columns do not fit its rows."""
     n_columns = hdu.header["TFIELDS"]
-    if isinstance(n_columns, bool) or not 0 <= n_columns <= _MOST_COLUMNS:
+    if isinstance(n_columns, bool) or not 0 <= n_columns <= _MOST:
         raise _refused(path, f"TFIELDS is {n_columns}")
     width = hdu.columns.dtype.itemsize
     if width > hdu.header["NAXIS1"]:
