@@ -97,17 +97,18 @@ class CleanPixels:
     Parameters
     ----------
     light : ndarray
-        Light in the aperture less background, and less constant light where that is known, e-/s,
-        ``(n,)``: the sum of the pixels, cosmic rays replaced, or of faint stars the brightness of
-        the fitted images, where its expected error is smaller.
+        Light less background, and less constant light where that is known, e-/s, ``(n,)``: the
+        sum of the pixels, cosmic rays replaced, or of faint stars the brightness of the fitted
+        images, where its expected error is smaller. What the focus moves over the border of the
+        aperture is put back.
     light_error : ndarray
         Standard deviation of its noise, e-/s, ``(n,)``.
     shares : ndarray
-        Predicted fractions ``(n, n_pixels)``; they add up to 1 over the aperture and are 0 outside.
+        Predicted fractions of this light ``(n, n_pixels)``, 0 outside of the aperture.
     still : ndarray
-        The same without the changes of focus.
+        Those of the light in the aperture without the changes of focus; they add up to 1.
     outside : ndarray
-        The star's light in pixels outside of the aperture at constant focus, in units of that
+        The star's light in its pixels outside of the aperture at constant focus, in units of that
         inside, ``(n,)``.
     background : ndarray
         Background, e-/s, ``(n, n_pixels)``; relative to its median where the dark pixels may hold
@@ -558,15 +559,26 @@ class _State:
         self.focus = self.smoothed(focus, error, "focus") if iteration >= _FOCUS_FROM else focus
 
     def summed(self, flux_err, images):
-        """Return the sum over the aperture, cosmic rays replaced, and its error."""
-        _, image, slopes, constant = images
+        """
+        Return the sum over the aperture, cosmic rays replaced, and its error.
+
+        What the focus moves over the border of the aperture is put back.
+        """
+        still, image, slopes, constant = images
         light = self.y - self.background
         light[~self.good] -= self._rest(image, constant)[~self.good]
         pixels, light = light, light[:, self.aperture].sum(axis=1)
         if not self.own.all():
             rest = pixels - light[:, None] * image + self.variable[:, None] * constant
             light = light - self._varying_light(rest, image, slopes[:2], ~self.own)
-        return light, np.sqrt((flux_err[:, self.aperture] ** 2).sum(axis=1)) / self.unit
+        error = np.sqrt((flux_err[:, self.aperture] ** 2).sum(axis=1)) / self.unit
+        kept = self.kept(still, image)
+        return light * kept, error * kept
+
+    def kept(self, still, image):
+        """Return the light that the aperture would hold at constant focus, over what it holds."""
+        outside = [values @ (self.own & ~self.aperture) for values in (image, still)]
+        return np.maximum(1 + outside[0], 0.1) / np.maximum(1 + outside[1], 0.1)
 
     def result(self, light, error, images, *, weighted):
         """Return a light and the fractions."""
@@ -575,9 +587,9 @@ class _State:
         return CleanPixels(
             light=self.unit * (light - other),
             light_error=self.unit * error,
-            shares=np.where(inside, image, 0.0),
+            shares=np.where(inside, image, 0.0) / self.kept(still, image)[:, None],
             still=np.where(inside, still, 0.0),
-            outside=still @ ~inside,
+            outside=still @ (self.own & ~inside),
             background=self.unit * self.background,
             position=self.z,
             focus=self._slow_focus(),

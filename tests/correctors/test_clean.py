@@ -66,6 +66,20 @@ def test_fractions_of_a_star_with_focus_and_background():
     assert deviation(found.still, image(x, y)) < deviation(image(x, y, width), image(x, y))
 
 
+def test_light_that_the_focus_moves_over_the_border_is_put_back():
+    x, y, measured = motion()
+    width = SIGMA * (1 + 0.004 * np.sin(2 * np.pi * TIME / 7))
+    flux, error = observed(FLUX * image(x, y, width))
+    aperture = np.hypot(*(GRID - 4).T) < 1.2  # it holds 86 % of the light
+    found = clean_pixels(TIME, flux, error, measured, GRID, aperture)
+
+    def slope(light):
+        columns = np.column_stack([x, y, x * x, x * y, y * y, width / SIGMA, np.ones(len(x))])
+        return np.linalg.lstsq(columns, light / np.median(light), rcond=None)[0][5]
+
+    assert abs(slope(found.light)) < 0.1 * abs(slope(flux[:, aperture].sum(axis=1)))
+
+
 def test_fractions_do_not_follow_a_transit():
     x, y, measured = motion()
     dip = np.where(TIME % 2 < 0.2, 0.99, 1.0)
