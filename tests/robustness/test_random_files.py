@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from random_files import checked, random_file
 
-from scope_models import PLDCorrector, Star
+from scope_models import PLDCorrector, Star, fit_tpf
 from scope_models.cli import main
 from scope_models.simulation import inject
 
@@ -79,6 +79,18 @@ def test_inject(file, star):
     np.testing.assert_allclose((after - before)[quiet], added[quiet], rtol=1e-3, atol=0.1)
     if known.any() and np.isfinite(before[known]).any():
         assert np.ptp(np.nansum(added, axis=(1, 2))) > 0, file
+
+
+def test_fit(file):
+    fit = checked(lambda: fit_tpf(file.tpf()), file)
+    if fit is None:
+        return
+    for star in (fit, *fit.neighbors):
+        for name in ("x", "y", "flux", "x_err", "y_err", "flux_err"):
+            assert np.isfinite(getattr(star, name)).all(), (name, file)
+    assert np.isfinite(list(fit.values.values())).all(), file
+    assert fit.error_scale >= 1
+    assert fit.reduced_chi2 > 0
 
 
 def test_detrend(file, tmp_path):
