@@ -16,7 +16,7 @@ from _common import report_environment
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 FILE = DATA / "k2_tpf" / "ktwo211983544-c18_lpd-targ.fits.gz"
-REPEATS = 2
+REPEATS = 3
 CALLS = {
     "PLDCorrector(tpf).correct()": "PLDCorrector(tpf).correct()",
     "fit_tpf(tpf[:500], psf=1)": "fit_tpf(tpf[:500], psf=1)",

@@ -54,7 +54,7 @@ class TPFFit(Value):
     observed, observed_err, fitted : ndarray of shape (n, ny, nx)
         The data, their errors and the model, e-/s; NaN where not used.
     statistics : mapping
-        chi2, of the pixels without priors; n_data, the number of pixel values, and n_parameters;
+        ``chi2``, of the pixels without priors; n_data, their number, and n_parameters;
         error_scale, by which the errors of the pixels were scaled up, because the model is not
         true; whether the iterations have converged, and n_steps; chi2_held_out, chi-squared per
         degree of freedom of the held-out cadences, NaN without a response.
