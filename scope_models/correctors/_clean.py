@@ -483,12 +483,18 @@ class _State:
         return hessian, right
 
     def fit_brightness(self, images):
-        """Fit brightness and positions at the smoothed background and focus."""
+        """
+        Fit brightness, positions and focus at the smoothed background.
+
+        The smoothed focus is as uncertain as it varies: the brightness of images is much more
+        sensitive to the width than a sum is.
+        """
         _, image, slopes, constant = images
         rest = self._rest(image, constant)
-        columns = [values.copy() for values in (image, *slopes[:2])]
+        columns = [values.copy() for values in (image, *slopes)]
         hessian, right = self._normal_equations(columns, rest, self.own, 0)
         hessian[[1, 2], [1, 2]] += self._place
+        hessian[3, 3] += 1 / max(np.var(self.focus[self.use]), 1e-12)
         step, error = _solved(hessian, right)
         self.brightness = self.brightness + np.clip(step[0], -0.3, 0.3)
         self.error = error[0]

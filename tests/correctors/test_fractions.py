@@ -172,6 +172,13 @@ def test_transits_in_a_crowded_field_are_no_change_of_focus():
     assert tess.measure(study, task)["pld_survival"] > 0.8
 
 
+def test_light_of_a_faint_star_that_moves_far_does_not_follow_its_width():
+    sky = make_sky("k2-5x-kp15", seed=2001, n_cadences=1500)
+    found = score(PLDCorrector(sky.to_tpf()).correct(), sky)
+    assert found.full < 1.5  # 4.1 with the brightness at the smoothed focus
+    assert 0.8 < found.pull < 1.2
+
+
 def test_flux_is_an_open_choice():
     tpf = make_sky("k2-1x-kp17", seed=6300, n_cadences=800).to_tpf()
     corrector, spread = PLDCorrector(tpf), {}
