@@ -322,7 +322,8 @@ def _fit_process(model, shortest):
         return 0.5 * (value + factor.log_determinant)
 
     low, high = np.log(1e-4 * np.median(variance)), np.log(100 * model.spread)
-    periods = [(np.log(s), np.log(e)) for s, e in zip(shortest, (10 * span, 1.5)[:m], strict=True)]
+    longest = np.maximum(shortest, (10 * span, 1.5)[:m])
+    periods = list(zip(np.log(shortest), np.log(longest), strict=True))
     bounds = [(np.log(0.8), 12.0), *[(low, high)] * m, *periods]
     start = np.log([model.process.noise_scale, *model.process.amplitudes, *model.process.periods])
     start = np.clip(start, *np.transpose(bounds))

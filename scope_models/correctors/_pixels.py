@@ -11,15 +11,20 @@ from scope_models._checks import checked_weights
 from scope_models.correctors._clean import clean_pixels, precise_aperture, quantile
 from scope_models.exceptions import DetrendingWarning
 from scope_models.io.pixels import usable_positions
-from scope_models.photometry import aperture_flux
+from scope_models.photometry import aperture_flux, cdpp
 
 __all__ = [
+    "NOISIER",
+    "UNKNOWN_NOISE",
+    "WORSE",
     "Pixels",
     "aperture_pixels",
     "at_one_place",
     "can_predict",
     "choose_aperture",
     "credible_flux",
+    "noise_ratios",
+    "scatter",
     "typical_image",
     "with_predicted_fractions",
 ]
@@ -34,6 +39,13 @@ _BRIGHT_PART, _FEWEST = 0.002, 3
 _SIGNIFICANCE = 4.5
 #: A correction that changes the flux by a larger factor than this, against the others, is none.
 _LARGEST_CORRECTION = 30.0
+#: A correction adds noise if the 6.5-h noise is over that of the raw flux by this factor.
+WORSE = 1.1
+UNKNOWN_NOISE = "FLUX_ERR has no valid values: the noise is taken from the scatter of the flux"
+NOISIER = (
+    "the corrected light curve scatters more than the sum over the aperture, or there is no light "
+    "above the noise: do not use it"
+)
 #: Pixels around the lit ones that may belong to the aperture too.
 _MARGIN = 2
 #: Light between two peaks of one star, in units of the fainter one, and along columns, where the
@@ -467,9 +479,8 @@ def _filled_errors(total, total_err, usable):
         value = np.median(total_err[good])
         _warn(f"{bad.sum()} cadences without a valid FLUX_ERR get the median error of the others")
     else:
-        value = mad_std(np.diff(total[usable], 2)) / np.sqrt(6)
-        value = max(value, 1e-6 * np.median(total[usable]))
-        _warn("FLUX_ERR has no valid values: the noise is taken from the scatter of the flux")
+        value = scatter(total[usable])
+        _warn(UNKNOWN_NOISE)
     return np.where(good, total_err, value)
 
 
@@ -500,6 +511,35 @@ def credible_flux(flux, flux_err, total, outliers):
     if outliers.sum() > usable.sum() / 2:
         _warn(f"{outliers.sum()} of {usable.sum()} cadences were left out of the fit as outliers")
     return np.where(good, flux, np.nan), np.where(good, flux_err, np.nan)
+
+
+def noise_ratios(raw, corrected):
+    """
+    Return the relative noise of 6.5 h over that of the raw flux, in both conventions.
+
+    In shorter series it is that of a quarter of them; without light above the noise it is infinite.
+
+    Parameters
+    ----------
+    raw, corrected : `~lightkurve.LightCurve`
+        Light curves of the same cadences.
+    """
+    both = np.isfinite(raw.flux.value) & np.isfinite(corrected.flux.value)
+    curves = raw[both], corrected[both]
+    if both.sum() < 4 or any(np.median(v) <= scatter(v) for v in (lc.flux.value for lc in curves)):
+        return np.full(2, np.inf)
+    quarter = both.sum() // 4 * 24 * np.median(np.diff(curves[0].time.value))
+    noise = [
+        [cdpp(lc, min(6.5, quarter), method) for method in ("lightkurve", "everest")]
+        for lc in curves
+    ]
+    return np.divide(noise[1], noise[0])
+
+
+def scatter(flux):
+    """Return the standard deviation of fast noise, per pixel or of a series ``(n_cadences,)``."""
+    value = mad_std(np.diff(flux, 2, axis=0), axis=0, ignore_nan=True) / np.sqrt(6)
+    return np.maximum(value, 1e-6 * np.nanmedian(flux, axis=0))
 
 
 def _warn(message):

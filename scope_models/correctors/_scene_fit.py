@@ -1,5 +1,6 @@
 """The pixels of a series, and the fit of a scene to all of them."""
 
+import warnings
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -7,6 +8,7 @@ from astropy.stats import mad_std
 from astropy.table import QTable
 
 from scope_models.correctors._flux_model import smooth_series
+from scope_models.correctors._pixels import UNKNOWN_NOISE, scatter
 from scope_models.correctors._scene_flux import kernel_columns
 from scope_models.correctors._scene_model import (
     Priors,
@@ -26,6 +28,7 @@ from scope_models.correctors._scene_start import (
     first_shape,
     first_track,
 )
+from scope_models.exceptions import DetrendingWarning
 from scope_models.io.pixels import usable_positions
 
 __all__ = ["FEWEST_CADENCES", "WIDER", "SceneData", "SceneFit", "fit_scene", "full_columns"]
@@ -264,7 +267,15 @@ class SceneData:
     @classmethod
     def from_series(cls, series, aperture):
         """Choose cadences and pixels of a series."""
-        good = np.isfinite(series.flux) & np.isfinite(series.flux_err) & (series.flux_err > 0)
+        finite, flux_err = np.isfinite(series.flux), series.flux_err
+        good = finite & np.isfinite(flux_err) & (flux_err > 0)
+        if finite.any() and not good.any():
+            flux_err = np.broadcast_to(scatter(series.flux), finite.shape)
+            good = finite & (flux_err > 0)
+            message = (
+                "FLUX_ERR has no valid values: the noise is taken from the scatter of the flux"
+            )
+            warnings.warn(message, DetrendingWarning, stacklevel=3)
         collected = good.any(axis=0)
         if not collected.any():
             raise ValueError("`tpf` has no pixels with data")
@@ -280,7 +291,7 @@ class SceneData:
         if np.any(np.diff(time) <= 0):
             raise ValueError("the times of `tpf` must increase")
         flux = np.where(good, series.flux, 0.0)[usable]
-        variance = np.where(good, np.where(good, series.flux_err, 1.0) ** 2, np.inf)[usable]
+        variance = np.where(good, np.where(good, flux_err, 1.0) ** 2, np.inf)[usable]
         pos_corr, reach = None, 3.0
         if series.pos_corr is not None:
             known = usable_positions(series.pos_corr)

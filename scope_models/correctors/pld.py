@@ -15,7 +15,13 @@ from scope_models.correctors._lightkurve import (
     translated,
 )
 from scope_models.correctors._model import PLDOptions, fit_pixels
-from scope_models.correctors._pixels import aperture_pixels, credible_flux
+from scope_models.correctors._pixels import (
+    NOISIER,
+    WORSE,
+    aperture_pixels,
+    credible_flux,
+    noise_ratios,
+)
 from scope_models.correctors._solution import NothingToCorrectError
 from scope_models.exceptions import DetrendingWarning
 from scope_models.io import read_pixels, read_tpf
@@ -245,8 +251,8 @@ class PLDCorrector(LightkurveNames, Corrector):
         Warns
         -----
         DetrendingWarning
-            If there is nothing to correct, data had to be replaced, or the
-            fit is less reliable; see `PLDFit.remarks`.
+            If there is nothing to correct, data had to be replaced, the correction adds noise,
+            or the fit is less reliable; see `PLDFit.remarks`.
         """
         settings = {
             "order": order,
@@ -295,6 +301,9 @@ class PLDCorrector(LightkurveNames, Corrector):
                     warnings.warn(remark, DetrendingWarning, stacklevel=2)
                 flux, flux_err = credible_flux(flux, flux_err, original.flux.value, outliers)
                 lc.flux, lc.flux_err = flux * lc.flux.unit, flux_err * lc.flux_err.unit
+                # transits that a correction uncovers are noise to one of the conventions
+                if (1 - result.contamination) * min(noise_ratios(original, lc)) > WORSE:
+                    warnings.warn(NOISIER, DetrendingWarning, stacklevel=2)
         # nothing has failed: only now the corrector changes
         self._pixels, self.original_lc, self.corrected_lc = pixels, original, lc
         self.result, self.model = result, result and result.model

@@ -14,7 +14,7 @@ from scope_models.correctors._flux_model import fit_flux
 from scope_models.correctors._injection import transit_column
 from scope_models.correctors._lightkurve import FixedAperture, named_mask
 from scope_models.correctors._model import FLUXES
-from scope_models.correctors._pixels import credible_flux
+from scope_models.correctors._pixels import NOISIER, WORSE, credible_flux, noise_ratios
 from scope_models.correctors._scene_fit import (
     FEWEST_CADENCES,
     WIDER,
@@ -33,7 +33,7 @@ from scope_models.correctors._scene_start import KnownNeighbors
 from scope_models.correctors.pld import PLDCorrector
 from scope_models.exceptions import DetrendingWarning
 from scope_models.io import read_pixels, read_tpf
-from scope_models.photometry import aperture_flux, cdpp, crowding
+from scope_models.photometry import aperture_flux, crowding
 
 __all__ = ["SceneCorrector", "SceneResult"]
 
@@ -50,8 +50,6 @@ _NO_WEIGHT = 1e6
 _TRANSIT_HOURS = 6.5
 #: Warnings: part of the cadences that are outliers, and share of the target in the window.
 _MANY, _CROWDED = 0.1, 0.9
-#: ... and 6.5-h noise over that of the sum over the aperture.
-_WORSE = 1.1
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -295,7 +293,7 @@ class SceneCorrector(FixedAperture, Corrector):
         Warns
         -----
         DetrendingWarning
-            If pixels saturate, the noise of 6.5 h grows, many cadences are outliers, the window
+            If pixels saturate, the noise of 6.5 h grows or no light is above it, many cadences are outliers, the window
             holds much light of other stars, or corrections are over a factor of 30: such
             cadences become NaN.
         """
@@ -442,9 +440,12 @@ class SceneCorrector(FixedAperture, Corrector):
             )
             warnings.warn(message, DetrendingWarning, stacklevel=4)
         if self._is_worse():
+            message = f"{NOISIER}, and compare PLDCorrector"
+            warnings.warn(message, DetrendingWarning, stacklevel=4)
+        elif self._noise_ratio > WORSE:
             message = (
-                "the corrected light curve scatters more than the sum over the aperture: do not "
-                "use it, and compare PLDCorrector"
+                f"the corrected light curve has {self._noise_ratio:.3g} times the relative noise "
+                "of the sum over the aperture, of which the target is a part only"
             )
             warnings.warn(message, DetrendingWarning, stacklevel=4)
         if result.n_outliers > _MANY * (result.n_outliers + result.n_used):
@@ -537,13 +538,14 @@ class SceneCorrector(FixedAperture, Corrector):
 
     def _is_worse(self):
         """Whether the correction adds noise, beyond the light of others that it takes off."""
-        level = np.nanmedian(self.original_lc.flux.value)
-        if not level > 0:
-            return False
         inside = self.aperture_mask[self._data.box]
         light = np.median(self.scene.track.flux * self.scene.star[:, inside].sum(axis=1))
-        limit = _WORSE * max(level / light, 1.0) if light > 0 else np.inf
-        return _noise_ratio(self) > limit
+        share = light / np.nanmedian(self.original_lc.flux.value)
+        return not 0 < min(share, 1.0) * self._noise_ratio < WORSE
+
+    @property
+    def _noise_ratio(self):
+        return max(noise_ratios(self.original_lc, self.corrected_lc))
 
     def _fall_back(self, options):
         """Take the light curve of PLDCorrector if it has less noise, or where pixels saturate."""
@@ -553,7 +555,9 @@ class SceneCorrector(FixedAperture, Corrector):
         except ValueError:
             return
         found = pld.result
-        if found is None or not (self.saturated or _noise_ratio(pld) < _noise_ratio(self)):
+        if found is None:
+            return
+        if not (self.saturated or max(noise_ratios(pld.original_lc, lc)) < self._noise_ratio):
             return
         message = "the corrected light curve is that of PLDCorrector: see `fallback`"
         warnings.warn(message, DetrendingWarning, stacklevel=3)
@@ -662,11 +666,3 @@ class SceneCorrector(FixedAperture, Corrector):
         image = np.median(data.flux, axis=0)
         scatter = np.std(self.scene.star, axis=0)
         return plot_detrending_masks(image, self.aperture_mask[data.box], scatter)
-
-
-def _noise_ratio(corrector):
-    """Return the 6.5-h noise over that of the sum over the aperture, in the worse convention."""
-    raw, corrected = corrector.original_lc, corrector.corrected_lc
-    both = np.isfinite(raw.flux.value) & np.isfinite(corrected.flux.value)
-    methods = ("lightkurve", "everest")
-    return max(cdpp(corrected[both], method=m) / cdpp(raw[both], method=m) for m in methods)

@@ -751,3 +751,10 @@ def test_tess_star(shared_data):
 def test_a_pixel_series_is_no_target_pixel_file(star, front):
     with pytest.raises(TypeError, match=r"`tpf` must be .* got a PixelSeries: .* `read_tpf`"):
         front(read_pixels(star.tpf))
+
+
+def test_a_correction_that_adds_noise_warns(star, monkeypatch):
+    walk = np.exp(np.cumsum(np.random.default_rng(3).normal(0, 0.05, len(star.tpf.time))))
+    monkeypatch.setattr(PLDFit, "corrected", lambda *_, **__: (1e5 * walk, 10 * walk))
+    with pytest.warns(DetrendingWarning, match="scatters more than the sum over the aperture"):
+        PLDCorrector(star.tpf).correct()

@@ -1,6 +1,7 @@
 """Tests of the corrector that models all pixels, on stars of known truth."""
 
 import copy
+import tracemalloc
 import warnings
 
 import numpy as np
@@ -8,10 +9,11 @@ import pytest
 from astropy.coordinates import SkyCoord
 from astropy.table import Table
 
+from scope_models import Detector, Motion, Star, simulate
 from scope_models.benchmark import make_sky, score
 from scope_models.correctors import PLDCorrector, SceneCorrector
 from scope_models.correctors._flux_model import FluxModel
-from scope_models.exceptions import DetrendingWarning
+from scope_models.exceptions import DetrendingWarning, LostLightWarning
 from scope_models.io import read_pixels
 from scope_models.io.pixels import target_place
 
@@ -272,3 +274,68 @@ def test_neighbors_of_a_saturated_star_that_diverge_are_left_out():
     ):
         curve = SceneCorrector(tpf).correct()
     assert np.isfinite(curve.flux.value).mean() > 0.9
+
+
+@pytest.mark.parametrize("n", [40, 300])
+def test_hours_of_fast_cadences(n):
+    """They are shorter than two transits of 6.5 h."""
+    motion = Motion.still(n, start=1400, cadence=120 / 86400, time_format="btjd")
+    tpf = simulate(Star(9, 4, 4), Detector.tess(shape=(9, 9)), motion, seed=1).to_tpf()
+    lc = SceneCorrector(tpf).correct()
+    white = np.median(lc.flux_err.value / lc.flux.value)
+    assert np.std(lc.flux.value) / np.median(lc.flux.value) < 1.2 * white
+
+
+def test_short_series_name_the_cadences_needed(fake_star):
+    with pytest.raises(ValueError, match="at least 30 usable cadences are needed, got 29"):
+        SceneCorrector(fake_star(29).tpf)
+
+
+@pytest.mark.filterwarnings("ignore::scope_models.exceptions.DetrendingWarning")
+@pytest.mark.parametrize("value", [0.0, np.nan])
+def test_without_flux_err(fake_star, value):
+    tpf = fake_star(100).tpf
+    tpf.hdu[1].data["FLUX_ERR"][:] = value
+    with pytest.warns(DetrendingWarning, match="FLUX_ERR has no valid values: .* the scatter"):
+        corrector = SceneCorrector(tpf)
+    lc = corrector.correct()
+    assert np.isfinite(lc.flux.value).all()
+    assert lc.estimate_cdpp() < 0.1 * corrector.original_lc.estimate_cdpp()
+
+
+@pytest.mark.filterwarnings("ignore::scope_models.exceptions.DetrendingWarning")
+@pytest.mark.parametrize(
+    ("shape", "x", "y"), [((1, 9), 12, 0), ((3, 3), 1, 5), ((9, 9), 12, 4), ((5, 5), -3, 2)]
+)
+def test_stars_off_the_stamp_warn(shape, x, y):
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", LostLightWarning)
+        observation = simulate(
+            Star(12, x, y), Detector.k2(shape=shape), Motion.k2_roll(200, seed=1), seed=1
+        )
+    with pytest.warns(DetrendingWarning, match="or there is no light above the noise: do not use"):
+        SceneCorrector(observation.to_tpf()).correct()
+
+
+def test_part_of_the_light_that_is_noisy_warns(constant):
+    """In an aperture with little light of the target its own light is noisier than the sum."""
+    corrector = copy.copy(constant[1])
+    allowed = np.ones(corrector._data.usable.sum(), dtype=bool)
+    others = corrector.original_lc.copy()
+    others.flux = others.flux + 100 * np.nanmedian(others.flux)
+    corrector.original_lc = others
+    with pytest.warns(DetrendingWarning, match="times the relative noise of the sum over the ap"):
+        corrector._finish(allowed, has_transit=False, restore_trend=True)
+
+
+@pytest.mark.filterwarnings("ignore::scope_models.exceptions.DetrendingWarning")
+def test_memory_of_fast_cadences_with_a_gap_of_300_days(fake_star):
+    tpf = fake_star(150, 12, 1).tpf
+    time = 2144.0 + np.arange(150) / 1440
+    time[75:] += 300
+    tpf.hdu[1].data["TIME"][:] = time
+    tracemalloc.start()
+    SceneCorrector(tpf).correct()
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 5e8
