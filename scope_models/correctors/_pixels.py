@@ -489,7 +489,8 @@ def credible_flux(flux, flux_err, total, outliers):
     Return a corrected flux that is finite or NaN, and its errors.
 
     Where the light in the aperture is nearly nothing, pixel fractions are large, and a model of
-    them can be anything.
+    them can be anything. Such cadences get the typical correction, and an error as large as their
+    flux.
 
     Parameters
     ----------
@@ -504,13 +505,17 @@ def credible_flux(flux, flux_err, total, outliers):
     with np.errstate(all="ignore"):
         ratio = np.asarray(flux) / total
         good = usable & np.isfinite(ratio) & (ratio > 0) & np.isfinite(flux_err)
-        if good.any():
-            good &= np.abs(np.log(ratio / np.median(ratio[good]))) < np.log(_LARGEST_CORRECTION)
+        typical = np.median(ratio[good]) if good.any() else 1.0
+        good &= np.abs(np.log(ratio / typical)) < np.log(_LARGEST_CORRECTION)
     if lost := int(usable.sum() - good.sum()):
-        _warn(f"{lost} of {usable.sum()} cadences are NaN: their correction is no number, or large")
+        _warn(
+            f"{lost} of {usable.sum()} cadences have the typical correction, and errors as large "
+            "as their flux: their own correction is no number, or large"
+        )
     if outliers.sum() > usable.sum() / 2:
         _warn(f"{outliers.sum()} of {usable.sum()} cadences were left out of the fit as outliers")
-    return np.where(good, flux, np.nan), np.where(good, flux_err, np.nan)
+    typical = typical * total
+    return np.where(good, flux, typical), np.where(good, flux_err, np.abs(typical))
 
 
 def noise_ratios(raw, corrected):

@@ -290,7 +290,7 @@ class PLDFit:
         if not restore_trend:
             removed = removed + solution.trend
             variance = solution.latent_variance()
-        with np.errstate(all="ignore"):  # `credible_flux` leaves such cadences out
+        with np.errstate(all="ignore"):  # see `credible_flux`
             flux = self.model.pixels.total[self.model.pixels.usable] / np.exp(removed)
             change = flux / np.median(flux) - 1
             variance = variance + (self.contrast_error * change) ** 2

@@ -178,15 +178,16 @@ def test_coordinates_of_a_real_file(shared_data):
     np.testing.assert_allclose(target_place(series), center, atol=0.5)
 
 
-def test_absurd_corrections_become_nan(constant, monkeypatch):
+def test_absurd_corrections_become_the_typical_one(constant, monkeypatch):
     corrector = copy.copy(constant[1])
     allowed = np.ones(corrector._data.usable.sum(), dtype=bool)
     removed, variance = corrector._chosen.model.systematics()
     removed[7] = 10.0
     monkeypatch.setattr(FluxModel, "systematics", lambda _: (removed, variance))
-    with pytest.warns(DetrendingWarning, match="1 of .* cadences are NaN"):
+    with pytest.warns(DetrendingWarning, match="1 of .* cadences have the typical correction"):
         corrector._finish(allowed, has_transit=False, restore_trend=True)
-    lost = np.isnan(corrector.corrected_lc.flux.value) & corrector._data.usable
+    lc = corrector.corrected_lc
+    lost = (lc.flux_err.value >= lc.flux.value) & corrector._data.usable
     np.testing.assert_array_equal(np.flatnonzero(lost[corrector._data.usable]), [7])
 
 
