@@ -31,7 +31,7 @@ _MANY, _CONTAMINATED, _FOLLOWING, _NOISY = 0.1, 0.02, 0.05, 9.0
 #: Wings of neighbors may give more light: few TESS stars are without.
 _BLENDED = 0.1
 #: Standard deviation of a survival above which there is none.
-_PRECISE = 0.1
+_PRECISE = 0.05
 #: Depth of the boxes of `PLDFit.survival`: so many errors of their mean, within these bounds.
 _OBVIOUS, _SHALLOW, _DEEP = 10.0, 1e-3, 0.3
 #: Largest number of times that a transit is taken out of the pixels, and what may be left, in
@@ -443,7 +443,7 @@ class PLDFit:
         DetrendingWarning
             If the survival is NaN, with the reason: no file is behind the fit, the model is
             constant in the data, the correction fails with the transit in it, or the standard
-            deviation of the slope is above 0.1, as in series that are short or hold wild cadences.
+            deviation of the slope is above 0.05, as in series that are short or hold wild cadences.
         """
         pixels = self.model.pixels
         if self.model.source is None:

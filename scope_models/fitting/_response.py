@@ -21,6 +21,8 @@ __all__ = ["fit_response"]
 _LADDER = ((1, 1), (2, 2), (3, 3), (4, 4), (5, 6), (6, 8), (8, 8), (10, 8))
 # Coefficients in a pixel of many stars: time goes with their square.
 _MOST_TERMS = 450
+# Multiplications at most in all steps of the shares, about 20 s; half of them for the choice.
+_MOST_WORK = 2e11
 # Steps on each rung, and by how much the next one must lower the cost of held-out cadences.
 _TRIAL_STEPS, _LEAST_GAIN = 4, 1e-2
 # Cost per pixel of the held-out cadences from which a model is far off.
@@ -347,7 +349,7 @@ def _choose(problem, cadences, center, error, held, report):
         np.median(problem.unit_images(cadences.state, slice(None, None, 10), k), axis=0)
         for k in range(len(problem.stars))
     ]
-    given, steps, best = problem.weight, 0, None
+    given, steps, work, best = problem.weight, 0, 0.0, None
     errors = np.array([1 / np.median(w[w > 0]) if w.any() else np.inf for w in given.T])
     faint = [
         _FAINT
@@ -357,8 +359,11 @@ def _choose(problem, cadences, center, error, held, report):
     ]
     crowd = max(np.bincount([star.stamp for star in problem.stars]))
     for degrees in _LADDER:
-        if best is not None and crowd * len(polynomial_terms(*degrees)) > _MOST_TERMS:
+        n_terms = crowd * len(polynomial_terms(*degrees))
+        more = _TRIAL_STEPS * given.size * n_terms**2
+        if best is not None and (n_terms > _MOST_TERMS or work + more > _MOST_WORK / 2):
             break
+        work += more
         if best is None:
             shares = _Shares(_Psf(problem), _ranges(problem, center), *degrees, sizes, faint)
             trial = cadences
@@ -375,7 +380,8 @@ def _choose(problem, cadences, center, error, held, report):
                     break
                 continue
         best = shares, trial, cost
-    return best[0], best[1], steps
+    left = (_MOST_WORK - work) / (given.size * (crowd * len(best[0].terms)) ** 2)
+    return best[0], best[1], steps, max(int(left), _TRIAL_STEPS)
 
 
 def _ranges(problem, center):
@@ -420,8 +426,8 @@ def fit_response(problem, few, state, fits, report=None):
     center, cadences = _start(problem, state, few)
     held = np.zeros(len(center), dtype=bool)
     held[_FIRST::_EVERY] = True
-    shares, cadences, steps = _choose(problem, cadences, center, error, held, report)
-    most = max(_MOST_STEPS // len(problem.stars), _WIDTH_STEPS)  # time goes with both
+    shares, cadences, steps, left = _choose(problem, cadences, center, error, held, report)
+    most = min(max(_MOST_STEPS // len(problem.stars), _WIDTH_STEPS), left)
     settled, more = _climb(shares, cadences, center, error, held, most, report)
     _improve(shares, cadences, center, error, steps=3)
     errors = _errors(shares, cadences, error)

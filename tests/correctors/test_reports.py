@@ -80,9 +80,11 @@ def test_a_survival_that_cannot_be_had_is_nan_with_a_reason(star, monkeypatch):
         patch.setattr(type(result.model), "from_pixels", refused)
         with pytest.warns(DetrendingWarning, match=r"survival is NaN: the correction .* no light"):
             assert np.isnan(result.survival())
-    monkeypatch.setattr(result_module, "depth_ratio", lambda *_: (17.2, 5.0))
-    with pytest.warns(DetrendingWarning, match="survival is NaN: 17.20 with a standard deviation"):
-        assert np.isnan(result.survival())
+    for found in ((17.2, 5.0), (1.17, 0.08)):
+        monkeypatch.setattr(result_module, "depth_ratio", lambda *_, found=found: found)
+        match = f"survival is NaN: {found[0]:.2f} with a standard deviation"
+        with pytest.warns(DetrendingWarning, match=match):
+            assert np.isnan(result.survival())
 
 
 def test_a_depth_is_not_taken_from_wild_cadences():

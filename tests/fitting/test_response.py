@@ -10,7 +10,7 @@ from scope_models.benchmark import SkyRegime, make_sky
 from scope_models.effects import PixelShares
 from scope_models.effects.shares import polynomial_terms, polynomials
 from scope_models.exceptions import FitWarning
-from scope_models.fitting import FitOptions
+from scope_models.fitting import FitOptions, _response
 from scope_models.photometry import cdpp
 
 # A PSF of many parts, random response within the pixels, focus: another renderer than ours.
@@ -57,6 +57,16 @@ def test_default_follows_from_the_pixels(sky, fit, observation):
     assert not few.response
     assert not given.response
     assert not fit_tpf(observation.to_tpf()).response
+
+
+def test_the_steps_are_bounded_by_their_work(sky, fit, monkeypatch):
+    """Of large stamps and long series: fewer terms and steps, and a warning."""
+    monkeypatch.setattr(_response, "_MOST_WORK", 1e6)
+    with pytest.warns(FitWarning, match="has not converged after"):
+        bounded = fit_tpf(sky.to_tpf(), response="pixels")
+    assert bounded.n_steps < fit.n_steps
+    assert len(bounded.response[0].coefficients) == len(polynomial_terms(1, 1))
+    assert np.isfinite(bounded.flux).all()
 
 
 def test_flux_and_positions(sky, fit):
