@@ -295,7 +295,7 @@ class SceneCorrector(FixedAperture, Corrector):
         DetrendingWarning
             If pixels saturate, the noise of 6.5 h grows or no light is above it, many cadences are outliers, the window
             holds much light of other stars, or corrections are over a factor of 30: such
-            cadences become NaN.
+            cadences get the typical one, and errors as large as their flux.
         """
         data = self._data
         if flux not in FLUXES:
