@@ -28,6 +28,8 @@ _LEAST_GAIN = 12.0
 _MOST_PERIODS = 8
 #: Frequencies that are tried at most, from the lowest on: with gaps of months there are millions.
 _MOST_FREQUENCIES = 200_000
+#: Factor of the variance of cadences that have no weight.
+_NO_WEIGHT = 1e6
 #: Windows at most that are predicted from all other cadences.
 _MOST_WINDOWS = 120
 #: Number of times at most that hyper-parameters are fitted again without outliers.
@@ -206,14 +208,16 @@ class FluxModel:
         moved = solved.sum(axis=1) @ self.covariance[:, chosen]
         return float(1 - np.mean(np.sum(moved * x.mean(axis=1)[:, chosen], axis=1)))
 
-    def held_out(self, width, most=_MOST_WINDOWS):
+    def held_out(self, width, cadences, most=_MOST_WINDOWS):
         """
-        Predict windows of cadences in use, each from all other cadences.
+        Predict windows of cadences, each from all other cadences in use.
 
         Parameters
         ----------
         width : int
             Cadences in a window.
+        cadences : ndarray of bool
+            Cadences in the windows; those not in use are predicted, and have no weight.
         most : int, optional
             Number of windows at most, spread over the series.
 
@@ -224,20 +228,22 @@ class FluxModel:
         used : ndarray
             Indices of their cadences, one window after the other.
         """
-        n = self.use.sum()
+        variance = np.where(self.use, self.variance, _NO_WEIGHT * self.variance)
+        whole, n = replace(self, variance=variance, use=cadences), cadences.sum()
         starts = np.unique(np.linspace(0, n // width - 1, most).astype(int)) * width
         rows = (starts[:, None] + np.arange(width)).ravel()
         single = np.zeros((n, len(rows)))
         single[rows, np.arange(len(rows))] = 1
         shape = (len(starts), width, len(starts), width)
-        inverse = self.factor.solve(single)[rows].reshape(shape)
+        inverse = whole.factor.solve(single)[rows].reshape(shape)
         inverse = np.einsum("iaib->iab", inverse)
-        x = self.factor.solve(self.columns[self.use])[rows].reshape(len(starts), width, -1)
-        covariance = np.linalg.inv(inverse - (x @ self.covariance) @ x.transpose(0, 2, 1))
-        alpha = self.alpha[rows].reshape(len(starts), width, 1)
+        x = whole.factor.solve(whole.columns[cadences])[rows].reshape(len(starts), width, -1)
+        covariance = np.linalg.inv(inverse - (x @ whole.covariance) @ x.transpose(0, 2, 1))
+        alpha = whole.alpha[rows].reshape(len(starts), width, 1)
         residual = (covariance @ alpha)[:, :, 0].mean(axis=1)
-        error = np.sqrt(covariance.sum(axis=(1, 2))) / width
-        return residual, error, np.flatnonzero(self.use)[rows]
+        more = self.process.noise_scale * (variance - self.variance)[cadences][rows]
+        total = covariance.sum(axis=(1, 2)) - more.reshape(-1, width).sum(axis=1)
+        return residual, np.sqrt(total) / width, np.flatnonzero(cadences)[rows]
 
     def deviations(self):
         """Return rests from the whole model in standard deviations of the white noise, ``(n,)``."""

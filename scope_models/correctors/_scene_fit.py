@@ -272,10 +272,7 @@ class SceneData:
         if finite.any() and not good.any():
             flux_err = np.broadcast_to(scatter(series.flux), finite.shape)
             good = finite & (flux_err > 0)
-            message = (
-                "FLUX_ERR has no valid values: the noise is taken from the scatter of the flux"
-            )
-            warnings.warn(message, DetrendingWarning, stacklevel=3)
+            warnings.warn(UNKNOWN_NOISE, DetrendingWarning, stacklevel=3)
         collected = good.any(axis=0)
         if not collected.any():
             raise ValueError("`tpf` has no pixels with data")

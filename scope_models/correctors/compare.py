@@ -3,6 +3,7 @@
 import time as clock
 import warnings
 from dataclasses import dataclass
+from functools import reduce
 
 import astropy.units as u
 import numpy as np
@@ -47,8 +48,8 @@ class ComparisonResult:
     table : `~astropy.table.QTable`
         One row per corrector: ``corrector``, the ``aperture``, the CDPP of 6.5 h in both
         conventions, ``held_out`` (mean size of the residuals of windows of 6.5 h that the model
-        has not seen, without the largest tenth), ``held_out_pull`` (their rms in units of the
-        expected errors), ``transit_survival`` (part of an unmasked transit of 6.5 h that is left)
+        has not seen, the same for all, without the largest tenth), ``held_out_pull`` (their rms in
+        units of the expected errors), ``transit_survival`` (part of an unmasked transit of 6.5 h that is left)
         and the time that it took. NaN where a corrector does not provide a number.
     light_curves : dict
         `~lightkurve.LightCurve` by corrector, on the same cadences.
@@ -185,15 +186,21 @@ def compare_correctors(
         curves[name] = lc
         if found is not None:
             objects[name] = found
-            rows[name].update(_self_assessment(found))
     if not curves:
         raise ValueError("none of `correctors` could correct the file")
     common = np.all([np.isfinite(lc.flux.value) for lc in curves.values()], axis=0)
     common &= ~checked_cadences("transit_mask", transit_mask, len(common), default=False)
+    windows = common & checked_cadences("cadence_mask", cadence_mask, len(common), default=True)
+    own = (PLDCorrector, SceneCorrector)
+    models = {n: found for n, found in objects.items() if isinstance(found, own) and found.result}
+    held_out = _held_out(models, windows)
     for name, lc in curves.items():
+        if name in models:
+            rows[name]["transit_survival"] = models[name].result.transit_survival
+            rows[name].update(held_out.get(name, {}))
         for method in ("lightkurve", "everest"):
             rows[name][f"cdpp_{method}"] = cdpp(lc[common], method=method)
-    best, reason = _choice(objects)
+    best, reason = _choice(objects, held_out)
     return ComparisonResult(_table(rows), curves, objects, best, reason)
 
 
@@ -281,20 +288,25 @@ def _aperture(found, pld):
     return f"{pld.aperture_mask.sum()} pixels"
 
 
-def _self_assessment(found):
-    """Return what a corrector of this package reports about itself."""
-    if not isinstance(found, (PLDCorrector, SceneCorrector)) or found.result is None:
-        return {}
-    width = _width(found)
-    if found.result.n_used < 2 * width:
-        return {"transit_survival": found.result.transit_survival}
-    residual, error = found.held_out(width)[:2]
-    size = np.sort(np.abs(residual))[: max(int(_KEPT_WINDOWS * len(residual)), 1)]
-    return {
-        "held_out": 1e6 * size.mean(),
-        "held_out_pull": np.sqrt(np.mean((residual / error) ** 2)),
-        "transit_survival": found.result.transit_survival,
-    }
+def _held_out(models, cadences):
+    """Return how each corrector predicts windows of cadences, the same for all."""
+    found = {}
+    for name, model in models.items():
+        width = _width(model)
+        if cadences.sum() < 2 * width:
+            return {}
+        residual, error, used = model.held_out(width, cadences)
+        found[name] = used[::width][: len(residual)], residual, error
+    common = reduce(
+        np.intersect1d, (first for first, *_ in found.values()), np.arange(len(cadences))
+    )
+    numbers = {}
+    for name, (first, *values) in found.items():
+        residual, error = (v[np.isin(first, common)] for v in values)
+        size = np.sort(np.abs(residual))[: max(int(_KEPT_WINDOWS * len(residual)), 1)]
+        pull = np.sqrt(np.mean((residual / error) ** 2))
+        numbers[name] = {"held_out": 1e6 * size.mean(), "held_out_pull": pull}
+    return numbers
 
 
 def _width(found):
@@ -303,12 +315,12 @@ def _width(found):
     return max(round(_WINDOW_HOURS / 24 / step), 1)
 
 
-def _choice(objects):
+def _choice(objects, held_out):
     """Return the name of the better one of PLD and scene, and why."""
     if "scene" not in objects or "pld" not in objects:
         found = [name for name in ("pld", "scene") if name in objects]
         return (found[0], "the other one was not compared or fails") if found else (None, "")
-    pld, scene = (_self_assessment(objects[name]).get("held_out") for name in ("pld", "scene"))
+    pld, scene = (held_out.get(name, {}).get("held_out") for name in ("pld", "scene"))
     if pld is None or scene is None:
         return "pld", "windows cannot be predicted"
     share = objects["scene"].crowding(objects["pld"].aperture_mask)

@@ -293,9 +293,9 @@ class SceneCorrector(FixedAperture, Corrector):
         Warns
         -----
         DetrendingWarning
-            If pixels saturate, the noise of 6.5 h grows or no light is above it, many cadences are outliers, the window
-            holds much light of other stars, or corrections are over a factor of 30: such
-            cadences get the typical one, and errors as large as their flux.
+            If pixels saturate, the noise of 6.5 h grows or no light is above it, many cadences
+            are outliers, the window holds much light of other stars, or corrections are over a
+            factor of 30: such cadences get the typical one, and errors as large as their flux.
         """
         data = self._data
         if flux not in FLUXES:
@@ -458,7 +458,7 @@ class SceneCorrector(FixedAperture, Corrector):
             )
             warnings.warn(message, DetrendingWarning, stacklevel=4)
 
-    def held_out(self, width=13):
+    def held_out(self, width=13, cadences=None):
         """
         Predict windows of cadences by a model that has not seen them.
 
@@ -468,7 +468,10 @@ class SceneCorrector(FixedAperture, Corrector):
         Parameters
         ----------
         width : int, optional
-            Cadences in a window, counted among those in the fit; 13 long cadences are 6.4 hours.
+            Cadences in a window, counted among ``cadences``; 13 long cadences are 6.4 hours.
+        cadences : array_like of bool, optional
+            Cadences in the windows, ``(n_cadences,)``, by default those in the fit. Fits are
+            compared on the same ones, with what each of them left out as an outlier.
 
         Returns
         -------
@@ -482,18 +485,25 @@ class SceneCorrector(FixedAperture, Corrector):
         Raises
         ------
         ValueError
-            If `correct` has not been called, or there are fewer cadences than two windows.
+            If `correct` has not been called, there are fewer cadences than two windows, or
+            ``cadences`` cannot be used.
         """
         if self._chosen is None:
             raise ValueError("call `correct` first")
-        width = checked_integer("width", width, 1)
-        if width > self.result.n_used // 2:
-            raise ValueError(f"`width` must be at most {self.result.n_used // 2}, got {width}")
         if self.fallback is not None:
-            return self.fallback.held_out(width)
+            return self.fallback.held_out(width, cadences)
+        usable, chosen = self._data.usable, self._chosen.model.use
+        if cadences is not None:
+            chosen = checked_cadences("cadences", cadences, len(usable), default=True)
+            if not np.isfinite(self.corrected_lc.flux.value[chosen]).all():
+                raise ValueError("`cadences` must have usable pixels")
+            chosen = chosen[usable]
+        width, most = checked_integer("width", width, 1), chosen.sum() // 2
+        if width > most:
+            raise ValueError(f"`width` must be at most {most}, got {width}")
         with one_thread:
-            residual, error, used = self._chosen.model.held_out(width)
-        return residual, error, np.flatnonzero(self._data.usable)[used]
+            residual, error, used = self._chosen.model.held_out(width, chosen)
+        return residual, error, np.flatnonzero(usable)[used]
 
     def crowding(self, aperture_mask):
         """

@@ -7,7 +7,13 @@ import pytest
 from astropy import units as u
 
 from scope_models.benchmark import make_sky, score
-from scope_models.correctors import SceneCorrector, choose_corrector, compare, compare_correctors
+from scope_models.correctors import (
+    PLDCorrector,
+    SceneCorrector,
+    choose_corrector,
+    compare,
+    compare_correctors,
+)
 from scope_models.exceptions import DetrendingWarning
 from scope_models.photometry import cdpp
 
@@ -26,7 +32,8 @@ def test_numbers_are_those_of_the_light_curves(compared):
         assert column[1] == pytest.approx(1e-6 * cdpp(pld, method=method))
         assert column[1] < column[0]
     corrector = compared.correctors["pld"]
-    residual, error, _ = corrector.held_out(13)
+    cadences = np.isfinite(raw.flux.value) & np.isfinite(pld.flux.value)
+    residual, error, _ = corrector.held_out(13, cadences)
     pull = np.sqrt(np.mean((residual / error) ** 2))
     assert compared.table["held_out_pull"][1] == pytest.approx(pull)
     assert compared.table["transit_survival"][1] == corrector.result.transit_survival
@@ -67,14 +74,40 @@ def test_bad_names(star, correctors, match):
     [(94.0, 1.0, "scene"), (96.0, 1.0, "pld"), (None, 0.5, "pld"), (96.0, 0.97, "scene"),
      (109.0, 0.97, "scene"), (111.0, 0.97, "pld")],
 )  # fmt: skip
-def test_rule(monkeypatch, scene, share, best):
-    pld = SimpleNamespace(aperture_mask=None, numbers={"held_out": 100.0})
-    numbers = {} if scene is None else {"held_out": scene}
-    other = SimpleNamespace(crowding=lambda _: share, numbers=numbers)
-    monkeypatch.setattr(compare, "_self_assessment", lambda one: one.numbers)
-    chosen, reason = compare._choice({"pld": pld, "scene": other})
+def test_rule(scene, share, best):
+    objects = {
+        "pld": SimpleNamespace(aperture_mask=None),
+        "scene": SimpleNamespace(crowding=lambda _: share),
+    }
+    held_out = {"pld": {"held_out": 100.0}, "scene": {"held_out": scene}}
+    chosen, reason = compare._choice(objects, held_out)
     assert chosen == best
     assert reason
+
+
+@pytest.mark.filterwarnings("ignore::scope_models.exceptions.DetrendingWarning")
+def test_windows_are_the_same_for_all(fake_star, monkeypatch):
+    """Dropping cadences as outliers does not win: they are predicted, too."""
+    tpf = fake_star(200, 12, 5).tpf
+    flux = tpf.hdu[1].data["FLUX"].copy()
+    flux[50:56] *= 1.05
+    tpf.hdu[1].data["FLUX"][:] = flux
+    asked = {}
+    for corrector in (PLDCorrector, SceneCorrector):
+
+        def held_out(self, *arguments, original=corrector.held_out):
+            asked[type(self).__name__] = original(self, *arguments)
+            return asked[type(self).__name__]
+
+        monkeypatch.setattr(corrector, "held_out", held_out)
+    compared = compare_correctors(tpf, ("pld", "scene"))
+    assert any(found.outlier_mask[50:56].any() for found in compared.correctors.values())
+    pld, scene = asked["PLDCorrector"], asked["SceneCorrector"]
+    np.testing.assert_array_equal(pld[2][: len(scene[2])], scene[2])
+    assert np.isin(np.arange(50, 56), pld[2]).all()
+    for residual, error, _ in (pld, scene):  # the window of 52 to 64
+        assert residual[4] == pytest.approx(np.log(1.05) * 4 / 13, rel=0.1)
+        assert error[4] < 0.005
 
 
 def test_failing_corrector_is_left_out(star, monkeypatch):
