@@ -570,7 +570,7 @@ class _State:
 
         What the focus moves over the border of the aperture is put back.
         """
-        still, image, slopes, constant = images
+        _, image, slopes, constant = images
         light = self.y - self.background
         light[~self.good] -= self._rest(image, constant)[~self.good]
         pixels, light = light, light[:, self.aperture].sum(axis=1)
@@ -578,13 +578,16 @@ class _State:
             rest = pixels - light[:, None] * image + self.variable[:, None] * constant
             light = light - self._varying_light(rest, image, slopes[:2], ~self.own)
         error = np.sqrt((flux_err[:, self.aperture] ** 2).sum(axis=1)) / self.unit
-        kept = self.kept(still, image)
+        kept = self._kept(images)
         return light * kept, error * kept
 
-    def kept(self, still, image):
+    def _kept(self, images):
         """Return the light that the aperture would hold at constant focus, over what it holds."""
-        outside = [values @ (self.own & ~self.aperture) for values in (image, still)]
-        return np.maximum(1 + outside[0], 0.1) / np.maximum(1 + outside[1], 0.1)
+        still, _, slopes, _ = images
+        outside = self.own & ~self.aperture
+        moved = self._lines(self.focus, _SLOW) * (slopes[2] @ outside)  # without short dips
+        before = np.maximum(1 + still @ outside, 0.1)
+        return np.maximum(before + moved, 0.1) / before
 
     def result(self, light, error, images, *, weighted):
         """Return a light and the fractions."""
@@ -593,7 +596,7 @@ class _State:
         return CleanPixels(
             light=self.unit * (light - other),
             light_error=self.unit * error,
-            shares=np.where(inside, image, 0.0) / self.kept(still, image)[:, None],
+            shares=np.where(inside, image, 0.0) / self._kept(images)[:, None],
             still=np.where(inside, still, 0.0),
             outside=still @ (self.own & ~inside),
             background=self.unit * self.background,

@@ -273,30 +273,27 @@ class Solution:
         variance = np.where(self.use, self.variance, _NO_WEIGHT * self.variance)
         return replace(self, variance=variance, use=cadences)
 
-    def without_outliers(self, options, allowed=None):
-        """
-        Leave out outliers at fixed hyper-parameters, as long as half of the cadences remain.
-
-        Cadences that seemed to be outliers beside others come back.
-
-        Parameters
-        ----------
-        options : PLDOptions
-            Limit, and number of rounds.
-        allowed : ndarray of bool, optional
-            Cadences that may be in use, by default those that are.
-        """
-        allowed, solution = self.use if allowed is None else allowed, self
+    def without_outliers(self, options):
+        """Leave out outliers at fixed hyper-parameters, as long as half of the cadences remain."""
+        solution = self
         for _ in range(options.max_clips):
-            deviations = np.abs(solution.deviations(allowed))
-            # outliers have raised the fitted noise
-            spread = 1.4826 * np.median(deviations[solution.use[allowed]])
-            use = allowed.copy()
-            use[allowed] = deviations < options.sigma * spread
-            if (use == solution.use).all() or use.sum() < 0.5 * allowed.sum():
+            deviations = np.abs(solution.deviations(solution.use))
+            spread = 1.4826 * np.median(deviations)  # outliers have raised the fitted noise
+            kept = deviations < options.sigma * spread
+            if kept.all() or kept.sum() < 0.5 * self.use.sum():
                 break
+            use = solution.use.copy()
+            use[np.flatnonzero(use)[~kept]] = False
             solution = replace(solution, use=use)
         return solution
+
+    def with_returned(self, allowed, options):
+        """Take back allowed cadences that only seemed to be outliers beside others."""
+        deviations = np.abs(self.deviations(allowed))
+        spread = 1.4826 * np.median(deviations[self.use[allowed]])
+        use = self.use.copy()
+        use[allowed] |= deviations < options.sigma * spread
+        return replace(self, use=use)
 
     def latent_variance(self):
         """Variance of the model, systematics and trend together, at all usable cadences."""
@@ -386,17 +383,14 @@ def fit(make_regressors, time, y, variance, use, flat_columns, options, predicte
             periodic = first.with_frequencies(frequencies, use)
             periodic = _without_outliers(periodic, make_regressors, options)
             solution = max(solution, periodic, key=lambda s: _evidence(s, use))
-    return solution
+    return solution.with_returned(use, options)
 
 
 def _without_outliers(solution, make_regressors, options):
     """Fit the hyper-parameters and leave out outliers by turns."""
-    allowed = solution.use
     solution = replace(solution, hyper=_fit_hyper(solution, options, little=False))
     for k in range(_REFITS + 1):
-        use = solution.use
-        if k < _REFITS:
-            use = solution.without_outliers(options, allowed).use
+        use = solution.without_outliers(options).use if k < _REFITS else solution.use
         if (use == solution.use).all():
             break
         little = (use != solution.use).sum() < _LITTLE * solution.use.sum()
