@@ -49,8 +49,8 @@ class ComparisonResult:
         One row per corrector: ``corrector``, the ``aperture``, the CDPP of 6.5 h in both
         conventions, ``held_out`` (mean size of the residuals of windows of 6.5 h that the model
         has not seen, the same for all, without the largest tenth), ``held_out_pull`` (their rms in
-        units of the expected errors), ``transit_survival`` (part of an unmasked transit of 6.5 h that is left)
-        and the time that it took. NaN where a corrector does not provide a number.
+        units of the expected errors), ``transit_survival`` (part of an unmasked transit of 6.5 h
+        that is left) and the time that it took. NaN where a corrector does not provide a number.
     light_curves : dict
         `~lightkurve.LightCurve` by corrector, on the same cadences.
     correctors : dict
