@@ -379,7 +379,8 @@ def find_files(paths):
     """Return files for paths and names of targets.
 
     EPIC, KIC or TIC with a number, such as "EPIC 211956421", is a name if there is no such file:
-    lightkurve searches and downloads its first target pixel file, or takes it from its cache.
+    lightkurve searches and downloads its first target pixel file, or takes it from its cache. Of
+    several cadences of one pipeline it is the longest.
 
     Parameters
     ----------
@@ -426,12 +427,15 @@ def find_files(paths):
 
 
 def _downloaded(name):
-    """Return the path of the first target pixel file that lightkurve finds."""
+    """Return the path of the first target pixel file of the longest cadence of its pipeline."""
     import lightkurve
 
     try:
         search = lightkurve.search_targetpixelfile(name)
-        tpf = search[0].download() if len(search) else None
+        tpf = None
+        if len(search):
+            seconds = search.exptime.value * (search.author == search.author[0])
+            tpf = search[int(np.argmax(seconds))].download()
     except Exception as error:  # of the network, from many libraries
         reason = " ".join(str(error).split())
         raise OSError(f"{name} is no file, and the search for it failed: {reason}") from error

@@ -211,9 +211,10 @@ def scene_blocks(maps, scene, tables=()):
 
 def _truth_block(cadenceno, columns):
     """Return the TRUTH table."""
-    arrays = {"CADENCENO": cadenceno}
+    arrays, taken = {"CADENCENO": cadenceno}, {"CADENCENO"}
     for name, values in columns.items():
-        _check_name("truth_columns", name, {key.upper() for key in arrays})
+        _check_name("truth_columns", name, taken)
+        taken.add(name.upper())
         array = np.asarray(values, dtype=float)
         if array.shape[:1] != cadenceno.shape or 0 in array.shape:
             raise ValueError(

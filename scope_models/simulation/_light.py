@@ -6,6 +6,7 @@ from functools import reduce
 from operator import mul
 
 import numpy as np
+from tqdm import tqdm
 
 from scope_models.effects.base import Conditions, Exposures
 from scope_models.effects.noise import stream
@@ -24,7 +25,11 @@ __all__ = [
     "pieces",
     "prepare",
     "share_of_target",
+    "shown",
 ]
+
+# Seconds after which a bar shows the progress.
+_PATIENCE = 5.0
 
 # Pixels and exposures per piece of work: few enough for arrays to stay in the processor's cache.
 _PIECE = 1 << 16
@@ -116,7 +121,7 @@ def _star_lights(scene, conditions, effects):
     passed = np.broadcast_to(1.0 if passed is None else passed, (len(scene.stars), len(time)))
     expanded, lights = exposures.expanded(), []
     response = detector.sensitivity
-    for number, (star, (x_0, y_0)) in enumerate(zip(scene.stars, scene.positions, strict=True)):
+    for number, (star, (x_0, y_0)) in enumerate(shown(scene.stars, scene.positions)):
         psf = detector.psf if star.psf is None else star.psf
         if psf is None:
             raise ValueError("`psf` must be given for the star or for the detector")
@@ -129,6 +134,14 @@ def _star_lights(scene, conditions, effects):
         light = flux, relative, passed[number], series, shares, detector.shape
         lights.append(StarLight(*place, moved.weights, widths, *light))
     return lights
+
+
+def shown(*values):
+    """Return what `zip` does, and show on a terminal how far it is where it takes long."""
+    rows = zip(*values, strict=True)
+    return tqdm(
+        rows, "simulate", len(values[0]), leave=False, disable=None, delay=_PATIENCE, unit=" stars"
+    )
 
 
 def _product(factors):
@@ -145,7 +158,7 @@ def lost_fractions(prepared):
     extremes = sorted({i for u in (x, y, x + y, x - y) for i in (u.argmin(), u.argmax())})
     return [
         light.series.lost(x_0 + x[extremes], y_0 + y[extremes])
-        for light, (x_0, y_0) in zip(prepared.lights, positions, strict=True)
+        for light, (x_0, y_0) in shown(prepared.lights, positions)
     ]
 
 
@@ -182,7 +195,7 @@ def gather(prepared, cadences, sums=None, aperture=None):
     n = len(range(*cadences.indices(len(scene.motion))))
     shape = n, *scene.detector.shape
     electrons, weights = None, interpixel if aperture is None else interpixel * aperture
-    for number, light in enumerate(prepared.lights):
+    for number, (light,) in enumerate(shown(prepared.lights)):
         images, window = light.images(cadences), light.window
         if sums is not None:
             flat, seen = images.reshape(n, -1), weights[window].ravel()

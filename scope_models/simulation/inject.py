@@ -13,6 +13,7 @@ from scope_models.scene.detector import Detector
 from scope_models.scene.motion import Motion
 from scope_models.scene.scene import Scene
 from scope_models.scene.star import Star
+from scope_models.simulation.observation import Observation
 from scope_models.simulation.simulate import simulate
 
 __all__ = ["inject"]
@@ -108,8 +109,8 @@ def inject(tpf, signal=None, star=None, *, seed=None, noise=True):
     table["FLUX"][rows] = flux
     hdus[1].header.remove("CHECKSUM", ignore_missing=True)
     hdus[1].header.remove("DATASUM", ignore_missing=True)
-    if change.scene is not None:
-        _renew(hdus, change.scene, series)
+    if change.after is not None:
+        _renew(hdus, change.after, series)
     added = np.where(np.isfinite(series.flux), change.expected, 0.0)
     _record(hdus, series, relative, added, star if signal is None else None)
     return type(original)(hdus, quality_bitmask=original.quality_bitmask)
@@ -120,13 +121,14 @@ class _Change:
     """A change of the expected flux, e-/s, and what becomes of the noise that is there.
 
     ``kept`` is the factor on the residuals that the changed flux has if ``residual`` is None, and
-    that it is to get if the residuals are given. ``scene`` is that of the file after the change.
+    that it is to get if the residuals are given. ``after`` simulates the scene of the file after
+    the change.
     """
 
     expected: np.ndarray
     kept: np.ndarray
     residual: np.ndarray | None = None
-    scene: Scene | None = None
+    after: Observation | None = None
 
     def noise(self, variance, exposure, rng):
         """Return the change of the noise, and the standard deviation of all of it."""
@@ -151,10 +153,10 @@ def _relative_flux(signal, tpf, series):
 def _added(star, tpf, series):
     """Return the light of a star that the file does not have."""
     if "SCENE" not in tpf.hdu:
-        return _Change(_expected(_scene_of(star, series)), 1.0)
+        return _Change(_simulated(_scene_of(star, series)).truth.model, 1.0)
     scene = _scene_of(None, series, tpf)
-    after = _on_stamp(scene.replace(stars=[*scene.stars, star]))
-    return _Change(_expected(after) - _expected(scene), 1.0, scene=after)
+    after = _simulated(_on_stamp(scene.replace(stars=[*scene.stars, star])))
+    return _Change(after.truth.model - _simulated(scene).truth.model, 1.0, after=after)
 
 
 def _multiplied(star, relative, tpf, series, electrons):
@@ -168,10 +170,10 @@ def _multiplied(star, relative, tpf, series, electrons):
     scene = _scene_of(star, series, tpf)
     target = scene.stars[0]
     now = target.relative_flux(scene.motion.time)
-    before = _expected(scene)
+    before = _simulated(scene).truth.model
     changed = target.replace(signal=now * relative)
-    after = scene.replace(stars=(changed, *scene.stars[1:]))
-    expected = _expected(after) - before
+    after = _simulated(scene.replace(stars=(changed, *scene.stars[1:])))
+    expected = after.truth.model - before
     if isinstance(star, Star):
         # the residuals would hold the light of stars that the model of one star does not have
         return _Change(expected, 1.0)
@@ -241,18 +243,16 @@ def _at(scene, series):
     return scene.replace(stars=stars, detector=detector, motion=moved, effects=effects)
 
 
-def _expected(scene):
-    """Return the expected flux of a scene, e-/s."""
+def _simulated(scene):
+    """Return the observation of a scene with its expected flux."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", LostLightWarning)
-        return simulate(scene, noise=False, keep_model=True).truth.model
+        return simulate(scene, keep_model=True)
 
 
-def _renew(hdus, scene, series):
-    """Put the truth and the scene of a simulated file in the place of those that it has."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", LostLightWarning)
-        new = simulate(scene).to_tpf(aperture_mask=series.aperture, quality_bitmask="none").hdu
+def _renew(hdus, observation, series):
+    """Put the truth and the scene of an observation in the place of those of its file."""
+    new = observation.to_tpf(aperture_mask=series.aperture, quality_bitmask="none").hdu
     for hdu in new[new.index_of("TRUTH") :]:
         hdus[hdu.name] = hdu
 

@@ -28,6 +28,7 @@ from scope_models.simulation._light import (
     pieces,
     prepare,
     share_of_target,
+    shown,
 )
 from scope_models.simulation.observation import Observation
 
@@ -96,6 +97,8 @@ def simulate(stars, detector=None, motion=None, *, keep_model=False, chunk_size=
     Wells fill with the charge that is detected: a full pixel has no photon noise, which is at the
     ends of the bleeding column, as in real files. The errors of the flux are those of the light
     that a pixel holds, as in real files, too.
+
+    With very many stars a bar shows the progress on a terminal, from the fifth second on.
 
     Examples
     --------
@@ -181,7 +184,7 @@ def _choose_aperture(prepared):
     detector, n = prepared.scene.detector, len(prepared.scene.motion)
     some = slice(None, None, -(-n // _APERTURE_CADENCES))
     images = np.zeros((min(len(prepared.lights), 2), *detector.shape))
-    for number, light in enumerate(prepared.lights):
+    for number, (light,) in enumerate(shown(prepared.lights)):
         images[min(number, 1), *light.window] += light.images(some).mean(axis=0)
     images *= prepared.interpixel
     if not images[0].any():

@@ -6,6 +6,7 @@ import sys
 
 import numpy as np
 import pytest
+from astropy import units as u
 from astropy.io import fits
 from astropy.table import Table
 from matplotlib.image import imread
@@ -271,6 +272,8 @@ class TestNames:
                 return lightkurve.read(files[0])
 
         class Search(list):
+            author, exptime = np.array(["K2"]), [1800] * u.s
+
             def __getitem__(self, item):
                 return Found()
 
@@ -285,6 +288,36 @@ class TestNames:
         with pytest.raises(ValueError, match="no target pixel file is found for this name"):
             find_files(["TIC 1"])
         assert asked == ["EPIC 211956421", "TIC 1"]
+
+    @pytest.mark.parametrize(
+        ("authors", "seconds", "chosen"),
+        [
+            (["Kepler", "Kepler", "Kepler"], [60, 1800, 1800], 1),
+            (["SPOC", "SPOC", "TESS-SPOC"], [20, 120, 1800], 1),
+            (["K2"], [60], 0),
+        ],
+    )
+    def test_long_cadence_is_preferred(self, files, monkeypatch, authors, seconds, chosen):
+        """Results are in lightkurve's order: by pipeline and year, fast cadences first."""
+        import lightkurve
+
+        n = len(authors)
+        table = Table(
+            {"author": authors, "exptime": np.array(seconds, dtype=float), "distance": np.zeros(n),
+             "t_min": 55000.0 + np.arange(n), "mission": ["of the search"] * n,
+             "productFilename": [f"kplr1-200916600000{k}_lpd-targ.fits.gz" for k in range(n)]}
+        )  # fmt: skip
+        name, got = table["productFilename"][chosen], []
+
+        def download(found):
+            got.extend(found.table["productFilename"])
+            return lightkurve.read(files[0])
+
+        found = lightkurve.SearchResult(table)
+        monkeypatch.setattr(lightkurve, "search_targetpixelfile", lambda _: found)
+        monkeypatch.setattr(lightkurve.SearchResult, "download", download)
+        find_files(["KIC 1"])
+        assert got == [name]
 
     def test_no_network_is_one_error(self, monkeypatch):
         import lightkurve

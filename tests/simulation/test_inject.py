@@ -1,5 +1,10 @@
 """Injection: the change of the light is exact, the noise is that of the photons, files open."""
 
+import importlib
+import io
+import sys
+from unittest.mock import Mock
+
 import numpy as np
 import pytest
 from astropy import units as u
@@ -9,8 +14,9 @@ from scope_models.batch import inject_file
 from scope_models.effects import Background, Extinction, Focus, Throughput
 from scope_models.io import read_pixels, read_tpf
 from scope_models.io.tpf import write_hdulist
-from scope_models.simulation import inject
+from scope_models.simulation import _light, inject
 
+module = importlib.import_module("scope_models.simulation.inject")
 N = 120
 
 
@@ -351,3 +357,24 @@ def test_default_injection_into_a_real_file(shared_data, tmp_path, name):
     assert (added[seen].sum(axis=(1, 2)) < 0).all()
     assert 0.005 < row["injected_depth"] < 0.04
     np.testing.assert_array_equal(np.isfinite(after.flux.value), np.isfinite(before.flux.value))
+
+
+def test_scene_of_many_stars_is_simulated_twice_with_a_bar(monkeypatch):
+    """Before and after the change; the truth of the file is that of the second simulation."""
+    rng = np.random.default_rng(2)
+    stars = [Star(12.0, 5, 5), *(Star(19.0, *rng.uniform(0, 10, 2)) for _ in range(99))]
+    tpf = observe(stars, n=20).to_tpf(quality_bitmask="none")
+
+    class Terminal(io.StringIO):
+        def isatty(self):
+            return True
+
+    monkeypatch.setattr(sys, "stderr", Terminal())
+    monkeypatch.setattr(_light, "_PATIENCE", 0.0)
+    monkeypatch.setattr(module, "simulate", Mock(side_effect=simulate))
+    signal = np.linspace(1, 0.9, 20)
+    injected = inject(tpf, signal, seed=1)
+    assert module.simulate.call_count == 2
+    assert "simulate: " in sys.stderr.getvalue()
+    assert "/100 [" in sys.stderr.getvalue()
+    np.testing.assert_allclose(read_truth(injected).relative_flux[0], signal)
