@@ -106,7 +106,8 @@ class Source:
         flux = pixels.flux + own * (signal - 1)[:, None, None]
         weights = pixels.aperture if pixels.weights is None else pixels.weights
         total, _ = aperture_flux(flux, weights, pixels.flux_err)
-        return replace(self, pixels=replace(pixels, flux=flux, total=total))
+        usable = pixels.usable & (np.nan_to_num(total) > 0)
+        return replace(self, pixels=replace(pixels, flux=flux, total=total, usable=usable))
 
 
 def _constant_part(clean):

@@ -14,6 +14,7 @@ from scope_models.io.pixels import usable_positions
 from scope_models.photometry import aperture_flux, cdpp
 
 __all__ = [
+    "LARGEST_CORRECTION",
     "NOISIER",
     "UNKNOWN_NOISE",
     "WORSE",
@@ -38,7 +39,7 @@ _BRIGHT_PART, _FEWEST = 0.002, 3
 #: less than one of 10^5 cadences.
 _SIGNIFICANCE = 4.5
 #: A correction that changes the flux by a larger factor than this, against the others, is none.
-_LARGEST_CORRECTION = 30.0
+LARGEST_CORRECTION = 30.0
 #: A correction adds noise if the 6.5-h noise is over that of the raw flux by this factor.
 WORSE = 1.1
 UNKNOWN_NOISE = "FLUX_ERR has no valid values: the noise is taken from the scatter of the flux"
@@ -506,7 +507,7 @@ def credible_flux(flux, flux_err, total, outliers):
         ratio = np.asarray(flux) / total
         good = usable & np.isfinite(ratio) & (ratio > 0) & np.isfinite(flux_err)
         typical = np.median(ratio[good]) if good.any() else 1.0
-        good &= np.abs(np.log(ratio / typical)) < np.log(_LARGEST_CORRECTION)
+        good &= np.abs(np.log(ratio / typical)) < np.log(LARGEST_CORRECTION)
     if lost := int(usable.sum() - good.sum()):
         _warn(
             f"{lost} of {usable.sum()} cadences have the typical correction, and errors as large "

@@ -17,6 +17,7 @@ from scope_models.correctors._injection import (
     fitted_depth,
     transit_column,
 )
+from scope_models.correctors._pixels import LARGEST_CORRECTION
 from scope_models.correctors._solution import Solution
 from scope_models.exceptions import DetrendingWarning
 
@@ -252,8 +253,15 @@ class PLDFit:
 
     @cached_property
     def systematics(self):
-        """Logarithm of the factor by which pointing changes the flux, ``(n_cadences,)``."""
-        return self._whole(self.solution.systematics)
+        """
+        Logarithm of the factor by which pointing changes the flux, ``(n_cadences,)``.
+
+        Its median where the factor is over 30 or no number, as in the light curve.
+        """
+        found = self.solution.systematics
+        typical = np.median(found)
+        credible = np.abs(found - typical) < np.log(LARGEST_CORRECTION)
+        return self._whole(np.where(credible, found, typical))
 
     @cached_property
     def trend(self):
@@ -453,7 +461,8 @@ class PLDFit:
                 return _no_survival(f"{self.n_used} cadences are less than three of the boxes")
             if depth is None:
                 flux, error = self.corrected()
-                noise = np.nanmedian(error / flux) / np.sqrt(self.window)
+                with np.errstate(all="ignore"):  # as in `corrected`
+                    noise = np.nanmedian(error / flux) / np.sqrt(self.window)
                 depth = float(np.clip(_OBVIOUS * noise, _SHALLOW, _DEEP))
             column = np.log(box_signal(self.used, self.window, checked_depth(depth)))
         else:
@@ -470,7 +479,7 @@ class PLDFit:
         except ValueError as error:
             return _no_survival(f"the correction with transits in the pixels fails: {error}")
         flux, flux_err = self.corrected()
-        with np.errstate(invalid="ignore", over="ignore"):
+        with np.errstate(all="ignore"):
             ratio = again.corrected()[0] / flux
             weight = flux_err / flux
         known = np.isfinite(ratio) & np.isfinite(weight) & (self.cadence_mask | self.transit_mask)

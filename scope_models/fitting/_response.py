@@ -21,8 +21,9 @@ __all__ = ["fit_response"]
 _LADDER = ((1, 1), (2, 2), (3, 3), (4, 4), (5, 6), (6, 8), (8, 8), (10, 8))
 # Coefficients in a pixel of many stars: time goes with their square.
 _MOST_TERMS = 450
-# Multiplications at most in all steps of the shares, about 20 s; half of them for the choice.
-_MOST_WORK = 2e11
+# Multiplications at most in all steps, about 30 s, half of them for the choice; the cadences of a
+# step take as many as the shares of so many terms.
+_MOST_WORK, _CADENCE_TERMS = 3e11, 80
 # Steps on each rung, and by how much the next one must lower the cost of held-out cadences.
 _TRIAL_STEPS, _LEAST_GAIN = 4, 1e-2
 # Cost per pixel of the held-out cadences from which a model is far off.
@@ -360,7 +361,7 @@ def _choose(problem, cadences, center, error, held, report):
     crowd = max(np.bincount([star.stamp for star in problem.stars]))
     for degrees in _LADDER:
         n_terms = crowd * len(polynomial_terms(*degrees))
-        more = _TRIAL_STEPS * given.size * n_terms**2
+        more = _TRIAL_STEPS * _work_of_step(given.size, n_terms)
         if best is not None and (n_terms > _MOST_TERMS or work + more > _MOST_WORK / 2):
             break
         work += more
@@ -380,8 +381,13 @@ def _choose(problem, cadences, center, error, held, report):
                     break
                 continue
         best = shares, trial, cost
-    left = (_MOST_WORK - work) / (given.size * (crowd * len(best[0].terms)) ** 2)
+    left = (_MOST_WORK - work) // _work_of_step(given.size, crowd * len(best[0].terms))
     return best[0], best[1], steps, max(int(left), _TRIAL_STEPS)
+
+
+def _work_of_step(n_values, n_terms):
+    """Return about how many multiplications a step takes."""
+    return n_values * (n_terms**2 + _CADENCE_TERMS**2)
 
 
 def _ranges(problem, center):

@@ -51,8 +51,9 @@ _LEAST_INSIDE, _SOME = 0.8, 10
 _PATIENCE = 5.0
 # How often errors are scaled, at most, where the model is not true.
 _RESCALINGS = 8
-# So many images of stars, and cadences, give the first guess for those of a long series.
-_FEW, _FEWEST = 300, 50
+# So many images of stars and values of pixels at most, and cadences at least, give the first guess
+# for those of a long series.
+_FEW, _FEW_VALUES, _FEWEST = 300, 30_000, 50
 # Cadences from which the response of each pixel is fitted where no PSF describes the pixels.
 _ENOUGH = 100
 
@@ -239,7 +240,8 @@ def _tried(candidates, choice, steps, max_steps, *, few):
     tried = []
     for candidate, limit in candidates:
         # No more than enough for a choice or a rough model; a guess may have up to twice as many.
-        enough = max(_FEW // len(candidate.stars), _FEWEST)
+        values = _FEW_VALUES // candidate.flux.shape[1]
+        enough = max(min(_FEW // len(candidate.stars), values), _FEWEST)
         every = (len(candidate.flux) + few * (enough - 1)) // enough
         limited = partial(steps, max_steps=min(max_steps, limit))
         doubtful = choice.psf and choice.interpixel

@@ -37,6 +37,16 @@ def test_survival_is_that_of_a_dip_in_the_pixels(fake_star):
             corrector.result.survival(depth=depth)
 
 
+def test_cadences_that_a_dip_leaves_without_light_are_not_used(fake_star):
+    """Over-subtracted background: the star's light is more than the sum over the aperture."""
+    corrector = PLDCorrector(fake_star(400, seed=5).tpf)
+    corrector.correct()
+    signal = np.ones(400)
+    signal[50] = -0.1
+    pixels = corrector.model.source.dimmed(signal, corrector.model.clean).pixels
+    assert np.flatnonzero(~pixels.usable).tolist() == [50]
+
+
 def test_boxes_are_in_the_data_and_have_no_period():
     used = np.arange(900) % 100 > 20
     signal = box_signal(used, 13, 0.01)
