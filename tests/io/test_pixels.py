@@ -12,8 +12,12 @@ from astropy.time import Time
 from astropy.utils.masked import Masked
 
 from scope_models import Detector, Motion, Star, simulate
+from scope_models.correctors import detrend_file
 from scope_models.io import PixelSeries, read_pixels, read_tpf
 from scope_models.io.pixels import usable_positions
+from scope_models.io.tpf import write_hdulist
+from scope_models.photometry import aperture_flux
+from scope_models.simulation import inject
 
 FILES = {
     "K2": "k2_tpf/ktwo211956421-c05_lpd-targ.fits.gz",
@@ -238,3 +242,27 @@ def test_no_target_pixel_file(tmp_path, shared_data):
 def test_usable_positions():
     offsets = [[0.0, 49.9], [np.nan, 0.0], [0.0, -50.0], [-1000.0, 0.0], [np.inf, 0.0]]
     assert usable_positions(offsets).tolist() == [True, False, False, False, False]
+
+
+@pytest.mark.filterwarnings("error")
+def test_uncollected_pixels_make_no_warning(tmp_path):
+    """Kepler files have rows and columns of NaN, cadences without data, and times that are NaN."""
+    tpf = simulate(Star(12), Detector.kepler(shape=(7, 8)), Motion.still(60), seed=1).to_tpf()
+    data = tpf.hdu[1].data
+    for name in ("FLUX", "FLUX_ERR", "FLUX_BKG", "FLUX_BKG_ERR"):
+        data[name][:, 0, :] = data[name][:, :, -1] = data[name][5] = np.nan
+    data["TIME"][7] = np.nan
+    path = tmp_path / "uncollected.fits"
+    write_hdulist(tpf.hdu, path)
+    series = read_pixels(path)
+    assert np.isnan(series.flux[:, 0]).all()
+    assert str(len(series)) in repr(series)
+    again = inject(read_tpf(path), np.ones(len(read_tpf(path).time)), 1.0, noise=False)
+    write_hdulist(again.hdu, tmp_path / "again.fits")
+    np.testing.assert_array_equal(read_pixels(tmp_path / "again.fits").flux, series.flux)
+    flux, error = aperture_flux(series.flux, series.aperture, series.flux_err)
+    inside = series.aperture[1:, :-1]
+    np.testing.assert_allclose(flux[0], series.flux[0, 1:, :-1][inside].sum())
+    assert error[0] > 0
+    assert len(Motion.from_file(path)) == len(series)
+    detrend_file(path, tmp_path / "lc.fits", figure=tmp_path / "lc.png")
