@@ -710,9 +710,9 @@ def precise_aperture(light, variance, position):
     part = ((columns.T @ (inside / inside[:, -1:])) ** 2).sum(axis=0) / len(light) * level**2
     lost = np.maximum(part - columns.shape[1] * noise / len(light), 0)
     scatter = (_LOST * lost + noise / 13) / np.where(level > 0, level, np.inf) ** 2
-    scatter[:3] = np.inf
+    fewest = min(3, len(order) - 1)  # but one
     mask = np.zeros(len(order), dtype=bool)
-    mask[order[: np.argmin(scatter) + 1]] = True
+    mask[order[: fewest + np.argmin(scatter[fewest:]) + 1]] = True
     return mask
 
 

@@ -148,6 +148,16 @@ def test_precise_aperture_leaves_out_dark_pixels_and_keeps_what_the_star_crosses
     assert more.sum() > mask.sum()
 
 
+@pytest.mark.parametrize("n", [1, 2, 3, 4])
+def test_precise_aperture_of_few_pixels_holds_all(n):
+    """At least four are meant, also where the image has fewer."""
+    x, y, _ = motion()
+    light, error = observed(1e5 * image(x, y))
+    brightest = np.argsort(-light.mean(axis=0))[:n]
+    mask = precise_aperture(light[:, brightest], error[:, brightest] ** 2, np.column_stack([x, y]))
+    assert mask.all()
+
+
 @pytest.mark.parametrize("scale", [0.3, 5.0])
 def test_smoothing_takes_the_width_that_the_data_ask_for(scale):
     rng = np.random.default_rng(3)

@@ -11,6 +11,7 @@ import pytest
 from scope_models.correctors import PLDCorrector, SceneCorrector
 from scope_models.correctors import _pixels as pixels_module
 from scope_models.correctors import _result as result_module
+from scope_models.correctors._model import PLDModel
 from scope_models.exceptions import DetrendingWarning
 
 
@@ -259,3 +260,43 @@ def test_a_ghost_in_masked_cadences_changes_nothing_else(fake_star):
     scene.correct(cadence_mask=mask)
     assert scene.result.chi_squared < 10
     assert scene.fallback is None
+
+
+def test_survival_of_a_brightening_with_a_depth(star):
+    corrector = PLDCorrector(star.tpf)
+    corrector.correct()
+    flare = 1 + 0.01 * (np.abs(np.arange(400) - 200) < 10)
+    with pytest.raises(
+        ValueError, match="`transit_model` must dim the star where `depth` is given"
+    ):
+        corrector.result.survival(flare, depth=0.01)
+
+
+@pytest.mark.filterwarnings("ignore::scope_models.exceptions.DetrendingWarning")
+def test_a_second_mask_fits_the_scene_again(fake_star):
+    star, mask = fake_star(200, seed=4), np.ones(200, dtype=bool)
+    mask[50:80] = False
+    corrector = SceneCorrector(star.tpf)
+    corrector.correct()
+    first = corrector.scene
+    corrector.correct(cadence_mask=mask)
+    assert corrector.scene is not first
+    alone = SceneCorrector(star.tpf)
+    alone.correct(cadence_mask=mask)
+    np.testing.assert_array_equal(corrector.corrected_lc.flux.value, alone.corrected_lc.flux.value)
+
+
+@pytest.mark.parametrize("fractions", ["predicted", "measured"])
+def test_transits_are_put_into_the_light_that_was_chosen(fake_star, monkeypatch, fractions):
+    corrector = PLDCorrector(fake_star(300, seed=5, mag=14).tpf)
+    corrector.correct(fractions=fractions)
+    fit, made = corrector.result, []
+    original = PLDModel.from_pixels.__func__
+
+    def from_pixels(cls, pixels, options, *arguments):
+        made.append((options.fractions, options.flux))
+        return original(cls, pixels, options, *arguments)
+
+    monkeypatch.setattr(PLDModel, "from_pixels", classmethod(from_pixels))
+    assert 0.5 < fit.survival() < 1.5
+    assert made == [(fractions, "weighted" if fit.weighted else "sum")]

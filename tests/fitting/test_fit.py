@@ -24,6 +24,7 @@ from scope_models.benchmark import make_sky
 from scope_models.exceptions import FitWarning
 from scope_models.fitting import FitOptions, _solver
 from scope_models.io import read_tpf
+from scope_models.io.tpf import write_hdulist
 from scope_models.models import TabulatedPRF
 
 TRUE_SHAPE = {
@@ -561,3 +562,30 @@ def test_singular_pixels_are_a_clear_error(monkeypatch, name):
     with pytest.raises(ValueError, match=r"pixels of `tpf` do not determine .*singular") as error:
         fit_tpf(tpf, 1)
     assert not isinstance(error.value, np.linalg.LinAlgError)
+
+
+@pytest.mark.parametrize(
+    ("column", "values", "error"),
+    [
+        ("FLUX", lambda flux: np.broadcast_to(flux[:, :, 3:4], flux.shape), None),  # all alike
+        ("FLUX_ERR", lambda error: 0 * error, "`flux_err` must be positive"),
+        ("FLUX_ERR", lambda error: 0 * error + 1e-30, "pixels of `tpf` do not determine .*minor"),
+    ],
+)
+def test_files_whose_pixels_are_singular(tmp_path, column, values, error):
+    """The linear algebra of the pixels' shares fails in a warning or an error of the file."""
+    motion = Motion.k2_roll(60, seed=1)
+    tpf = simulate(Star(12, 3, 3), Detector.k2(shape=(7, 7)), motion, seed=1).to_tpf()
+    data = tpf.hdu[1].data
+    data[column][:] = values(data[column].copy())
+    path = tmp_path / "singular.fits"
+    write_hdulist(tpf.hdu, path)
+    if error:
+        with pytest.raises(ValueError, match=error):
+            fit_tpf(path, response="pixels")
+        return
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        fit = fit_tpf(path, response="pixels")
+    assert any(issubclass(warning.category, FitWarning) for warning in caught)
+    assert np.isfinite(fit.flux).all()

@@ -133,6 +133,20 @@ def test_values_cannot_be_changed(observation):
         series[3]
 
 
+def test_replaced_arrays_are_copies(observation):
+    """A change of what was given, or of its base, changes no value."""
+    series, flux = read_pixels(observation.to_tpf()), np.ones((40, 6, 5))
+    series = series[:1].replace(flux=flux[:1])
+    flux[:] = 2
+    assert (series.flux == 1).all()
+
+
+def test_text_without_a_finite_time(observation):
+    series = read_pixels(observation.to_tpf())
+    series = series.replace(time=np.full(len(series), np.nan))
+    assert "no times" in repr(series)
+
+
 def test_quality_bits(observation):
     series = read_pixels(observation.to_tpf())
     n = len(series)
