@@ -331,6 +331,8 @@ class SceneCorrector(FixedAperture, Corrector):
                 masks = {"cadence_mask": mask, "transit_mask": in_transit}
                 trend = {"transit_model": transit_model, "restore_trend": restore_trend}
                 self._fall_back(masks | trend)
+            if self.fallback is None:
+                self._warn_of_noise()
         return self.corrected_lc
 
     def _best(self, allowed, flat, kind):
@@ -439,15 +441,6 @@ class SceneCorrector(FixedAperture, Corrector):
                 "PLDCorrector corrects such stars better"
             )
             warnings.warn(message, DetrendingWarning, stacklevel=4)
-        if self._is_worse():
-            message = f"{NOISIER}, and compare PLDCorrector"
-            warnings.warn(message, DetrendingWarning, stacklevel=4)
-        elif self._noise_ratio > WORSE:
-            message = (
-                f"the corrected light curve has {self._noise_ratio:.3g} times the relative noise "
-                "of the sum over the aperture, of which the target is a part only"
-            )
-            warnings.warn(message, DetrendingWarning, stacklevel=4)
         if result.n_outliers > _MANY * (result.n_outliers + result.n_used):
             message = f"{result.n_outliers} cadences are left out of the fit as outliers"
             warnings.warn(message, DetrendingWarning, stacklevel=4)
@@ -457,6 +450,17 @@ class SceneCorrector(FixedAperture, Corrector):
                 "their light is taken off as constant, their variability is not"
             )
             warnings.warn(message, DetrendingWarning, stacklevel=4)
+
+    def _warn_of_noise(self):
+        if self._is_worse():
+            message = f"{NOISIER}, and compare PLDCorrector"
+            warnings.warn(message, DetrendingWarning, stacklevel=3)
+        elif self._noise_ratio > WORSE:
+            message = (
+                f"the corrected light curve has {self._noise_ratio:.3g} times the relative noise "
+                "of the sum over the aperture, of which the target is a part only"
+            )
+            warnings.warn(message, DetrendingWarning, stacklevel=3)
 
     def held_out(self, width=13, cadences=None):
         """

@@ -197,8 +197,9 @@ def test_correction_that_adds_noise_warns(constant, monkeypatch):
     _, variance = corrector._chosen.model.systematics()
     walk = np.cumsum(np.random.default_rng(3).normal(0, 0.02, len(variance)))
     monkeypatch.setattr(FluxModel, "systematics", lambda _: (walk, variance))
+    corrector._finish(allowed, has_transit=False, restore_trend=True)
     with pytest.warns(DetrendingWarning, match="scatters more than the sum over the aperture"):
-        corrector._finish(allowed, has_transit=False, restore_trend=True)
+        corrector._warn_of_noise()
 
 
 def test_full_pixels_warn():
@@ -325,8 +326,9 @@ def test_part_of_the_light_that_is_noisy_warns(constant):
     others = corrector.original_lc.copy()
     others.flux = others.flux + 100 * np.nanmedian(others.flux)
     corrector.original_lc = others
+    corrector._finish(allowed, has_transit=False, restore_trend=True)
     with pytest.warns(DetrendingWarning, match="times the relative noise of the sum over the ap"):
-        corrector._finish(allowed, has_transit=False, restore_trend=True)
+        corrector._warn_of_noise()
 
 
 @pytest.mark.filterwarnings("ignore::scope_models.exceptions.DetrendingWarning")
@@ -340,3 +342,17 @@ def test_memory_of_fast_cadences_with_a_gap_of_300_days(fake_star):
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak < 5e8
+
+
+def test_a_light_curve_of_the_fallback_is_not_warned_of(constant, monkeypatch):
+    """The noise is that of the model of the scene, whose light curve is not returned."""
+    corrector = copy.copy(constant[1])
+    walk = np.cumsum(np.random.default_rng(3).normal(0, 0.02, corrector._data.usable.sum()))
+    monkeypatch.setattr(FluxModel, "systematics", lambda _: (walk, np.zeros(len(walk))))
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        corrector.correct()
+    assert corrector.fallback is not None
+    messages = [str(w.message) for w in caught]
+    assert any("see `fallback`" in message for message in messages)
+    assert not any("do not use it" in message for message in messages)
