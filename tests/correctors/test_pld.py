@@ -122,6 +122,7 @@ def test_result_is_frozen_and_short(corrected):
     assert "<th>outliers</th><td>" in result._repr_html_()
 
 
+@pytest.mark.usefixtures("one_thread")
 def test_model_without_the_front(star, corrected):
     """The model gives what the corrector gives, and shows its design matrix."""
     model = PLDModel.from_tpf(star.tpf)

@@ -353,6 +353,6 @@ def test_a_file_of_a_telescope_on_the_ground(tmp_path):
     detector = Detector.ground(2.0, altitude=2635.0, airmass=1.3)
     assert read_detector(detector.write(tmp_path / "ground.fits")) == detector
     path = tmp_path / "own.toml"
-    path.write_text('preset = "k2"\n[[effects]]\neffect = "Nothing"\n', encoding="utf-8")
-    with pytest.raises(ValueError, match="'Nothing' is not the name of an effect"):
+    path.write_text('preset = "k2"\n[[effects]]\neffect = "Unheard"\n', encoding="utf-8")
+    with pytest.raises(ValueError, match="'Unheard' is not the name of an effect"):
         read_detector(path)
