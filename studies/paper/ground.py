@@ -159,7 +159,10 @@ def moving_sums(observation, cube):
     x, y = observation.truth.x, observation.truth.y
     return np.array(
         [
-            CircularAperture(np.column_stack([x[:, i], y[:, i]]), RADIUS).do_photometry(image)[0]
+            [
+                mask.multiply(image).sum()
+                for mask in CircularAperture(np.column_stack([x[:, i], y[:, i]]), RADIUS).to_mask()
+            ]
             for i, image in enumerate(cube.astype(float))
         ]
     ).T
