@@ -569,7 +569,7 @@ def test_singular_pixels_are_a_clear_error(monkeypatch, name):
     [
         ("FLUX", lambda flux: np.broadcast_to(flux[:, :, 3:4], flux.shape), None),  # all alike
         ("FLUX_ERR", lambda error: 0 * error, "`flux_err` must be positive"),
-        ("FLUX_ERR", lambda error: 0 * error + 1e-30, "pixels of `tpf` do not determine .*minor"),
+        ("FLUX_ERR", lambda error: 0 * error + 1e-30, "`tpf` do not determine .*: check FLUX_ERR"),
     ],
 )
 def test_files_whose_pixels_are_singular(tmp_path, column, values, error):
