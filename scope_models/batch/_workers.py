@@ -221,8 +221,9 @@ def _dask_client(where):
         try:
             # No port is open to other machines, nor to other users of this one.
             cluster = LocalCluster(
-                n_workers=where, threads_per_worker=1, host="127.0.0.1", dashboard_address=None,
-                memory_limit=0, silence_logs=logging.CRITICAL, security=Security.temporary(),
+                n_workers=where, threads_per_worker=1, host="127.0.0.1",
+                dashboard_address="127.0.0.1:0", memory_limit=0, silence_logs=logging.CRITICAL,
+                security=Security.temporary(),
             )  # fmt: skip
         except RuntimeError as error:
             raise LostWorkersError(

@@ -5,12 +5,14 @@ import errno
 import json
 import os
 import signal
+import socket
 import sqlite3
 import subprocess
 import sys
 import threading
 import time
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import asdict
 from multiprocessing import get_context
 from pathlib import Path
@@ -144,6 +146,13 @@ class TestExecutors:
         result = sweep(Numbers(), 2)
         assert ecsv(result.table, tmp_path / "a.ecsv") == reference
         assert result.n_computed == 8
+
+    def test_processes_beside_another_cluster(self):
+        with socket.socket() as dashboard:
+            with suppress(OSError):  # taken already
+                dashboard.bind(("", 8787))
+                dashboard.listen()
+            assert sweep(Numbers(stars=2), 2).n_computed > 0
 
     def test_linear_algebra_has_one_thread(self, pool):
         with pytest.MonkeyPatch.context() as patch:
