@@ -11,12 +11,7 @@ from scope_models._checks import check_fields
 from scope_models._values import Value, frozen
 from scope_models.missions import MISSIONS
 
-__all__ = [
-    "Conditions",
-    "Drawn",
-    "Effect",
-    "Exposures",
-]
+__all__ = ["Conditions", "Drawn", "Effect", "Exposures"]
 
 _RAISES = """
 Raises

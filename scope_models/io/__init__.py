@@ -3,11 +3,7 @@
 from scope_models.io._opening import conf
 from scope_models.io._truth import Truth
 from scope_models.io.pixels import PixelSeries, read_pixels, read_tpf, usable_positions
-from scope_models.io.tpf import (
-    TPFMetadata,
-    read_truth,
-    write_tpf,
-)
+from scope_models.io.tpf import TPFMetadata, read_truth, write_tpf
 
 __all__ = [
     "PixelSeries",

@@ -12,13 +12,7 @@ from scope_models.io._opening import checksum_of
 if TYPE_CHECKING:
     from astropy.io import fits
 
-__all__ = [
-    "CHECKSUM_COMMENT",
-    "Block",
-    "column_cards",
-    "make_header",
-    "write_blocks",
-]
+__all__ = ["CHECKSUM_COMMENT", "Block", "column_cards", "make_header", "write_blocks"]
 
 CHECKSUM_COMMENT = "checksum of the FITS standard"
 _BLOCK = 2880

@@ -205,8 +205,7 @@ def _check_columns(hdu, path):
     width = hdu.columns.dtype.itemsize
     if width > hdu.header["NAXIS1"]:
         raise _refused(
-            path,
-            f"the columns of a table have {width:,} bytes, its rows {hdu.header['NAXIS1']:,}",
+            path, f"the columns of a table have {width:,} bytes, its rows {hdu.header['NAXIS1']:,}"
         )
     for number in range(1, n_columns + 1):
         if not isinstance(hdu.header.get(f"TTYPE{number}"), str):

@@ -14,13 +14,7 @@ from scope_models.io._metadata import TPFMetadata
 from scope_models.io._truth import truth_blocks, truth_of
 from scope_models.io.reading import open_fits
 
-__all__ = [
-    "TPFMetadata",
-    "make_tpf_hdulist",
-    "read_truth",
-    "write_hdulist",
-    "write_tpf",
-]
+__all__ = ["TPFMetadata", "make_tpf_hdulist", "read_truth", "write_hdulist", "write_tpf"]
 
 _COSMIC_RAYS = "TARGET COSMIC RAY"
 _COLLECTED, _OPTIMAL = 1, 2

@@ -9,11 +9,7 @@ from scope_models.models.psf import BivariateGaussianPSF, moffat_psf
 from scope_models.models.sensitivity import DiffusionSensitivity, SensitivityPolynomial
 from scope_models.models.signals import TransitModel
 from scope_models.models.tables import TabulatedPRF, TabulatedPSF
-from scope_models.models.variability import (
-    sinusoidal_signal,
-    stochastic_signal,
-    tabulated_signal,
-)
+from scope_models.models.variability import sinusoidal_signal, stochastic_signal, tabulated_signal
 
 __all__ = [
     "PRF",

@@ -8,13 +8,7 @@ from astropy.modeling import CompoundModel
 from astropy.modeling.models import Const2D
 
 from scope_models._arrays import is_angle, plain_array
-from scope_models.models._closed_form import (
-    FWHM,
-    closed_form,
-    diffused,
-    is_photutils,
-    pixels_of,
-)
+from scope_models.models._closed_form import FWHM, closed_form, diffused, is_photutils, pixels_of
 from scope_models.models._parameters import value_of
 from scope_models.models.sensitivity import DiffusionSensitivity, SensitivityPolynomial
 

@@ -11,11 +11,7 @@ from scipy.special import roots_genlaguerre
 from scope_models._checks import checked_integer, checked_number
 from scope_models.models._closed_form import ClosedForm, pixels_of
 from scope_models.models._gaussian import gaussian_derivatives, gaussian_pixels
-from scope_models.models._parameters import (
-    Domain,
-    StarModel,
-    gaussian_box,
-)
+from scope_models.models._parameters import Domain, StarModel, gaussian_box
 
 __all__ = ["BivariateGaussianPSF", "moffat_psf"]
 
@@ -84,9 +80,7 @@ class BivariateGaussianPSF(StarModel):
         default=0.5, bounds=(_TINY, None), description="Standard deviation along y (pixel)"
     )
     rho = Parameter(
-        default=0.0,
-        bounds=(-_LARGEST_RHO, _LARGEST_RHO),
-        description="Correlation coefficient",
+        default=0.0, bounds=(-_LARGEST_RHO, _LARGEST_RHO), description="Correlation coefficient"
     )
     sigma_x.validator(Domain("sigma_x", "positive"))
     sigma_y.validator(Domain("sigma_y", "positive"))

@@ -8,11 +8,7 @@ from astropy.modeling import Fittable2DModel, Parameter
 
 from scope_models._arrays import plain_array
 from scope_models.models._closed_form import collected
-from scope_models.models._parameters import (
-    Domain,
-    check_model_parameters,
-    make_parameters,
-)
+from scope_models.models._parameters import Domain, check_model_parameters, make_parameters
 
 __all__ = ["DiffusionSensitivity", "SensitivityPolynomial"]
 

@@ -10,11 +10,7 @@ from scope_models._arrays import plain_array
 from scope_models._docstrings import documented
 from scope_models.models._axis import gauss_legendre
 from scope_models.models._closed_form import ClosedForm, pixels_of
-from scope_models.models._parameters import (
-    StarModel,
-    numbers_of,
-    value_of,
-)
+from scope_models.models._parameters import StarModel, numbers_of, value_of
 
 __all__ = ["TabulatedPRF", "TabulatedPSF"]
 

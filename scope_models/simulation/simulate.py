@@ -270,10 +270,7 @@ def _truth(prepared, lost, share, model):
                 number = 1 + sum(f"{name}{suffix}" in into for suffix in ("", "_2", "_3", "_4"))
                 into[name if number == 1 else f"{name}_{number}"] = value
     described = describe_scene(scene)
-    described["found"] = {
-        "flux": [light.flux for light in lights],
-        "lost_fraction": lost,
-    }
+    described["found"] = {"flux": [light.flux for light in lights], "lost_fraction": lost}
     if model is not None:
         model.flags.writeable = False
     return Truth(columns, maps, described, tables, model)
