@@ -16,8 +16,7 @@ from scope_models.batch._many import RUN, run_files
 from scope_models.benchmark._scores import score_places
 from scope_models.benchmark.regimes import REGIMES
 from scope_models.benchmark.sky import make_sky, score
-from scope_models.io._opening import open_fits
-from scope_models.io.reading import first_table
+from scope_models.io._opening import first_table, open_fits
 from scope_models.io.tpf import write_hdulist
 
 __all__ = ["benchmark_star", "make_benchmark", "score_light_curves", "summarize_scores"]

@@ -1,4 +1,4 @@
-"""Opening FITS files that may be damaged, cut off or made to harm."""
+"""Reading FITS files that may be damaged, cut off or made to harm: columns and header cards."""
 
 import gzip
 import io
@@ -9,10 +9,15 @@ from types import SimpleNamespace
 
 import numpy as np
 
+from scope_models._arrays import native
 from scope_models._checks import one_line
 from scope_models.exceptions import DamagedFileWarning
+from scope_models.missions import TIME_ZEROS, Mission
 
-__all__ = ["RefusedError", "checksum_of", "conf", "naming", "open_fits"]
+__all__ = [
+    "RefusedError", "cards_of", "checksum_of", "column_of", "conf", "facts_of", "first_table",
+    "naming", "open_fits", "read_columns", "read_positions", "time_format_of",
+]  # fmt: skip
 
 #: Limits of files that are read: ``max_bytes``, bytes after decompression, and ``max_ratio``, the
 #: factor by which a compressed file may grow beyond 64 MiB.
@@ -24,6 +29,12 @@ _CHUNK = 1 << 20
 _SMALL = 64 << 20
 _MOST = 999  # axes and columns of the FITS standard
 _ONES = 2**32 - 1
+_POSITIONS = ("TIME", "POS_CORR1", "POS_CORR2")
+_TIME_FORMATS = {zero: name for name, zero in TIME_ZEROS.items()}
+_NO_FACTS = {"", "COMMENT", "HISTORY", "CHECKSUM", "DATASUM", "SIMPLE", "XTENSION", "BITPIX"}
+_NO_FACTS |= {"EXTEND", "PCOUNT", "GCOUNT", "TFIELDS"}
+_FACTS = {name: name.upper() for name in ("object", "campaign", "quarter", "sector", "channel")}
+_FACTS |= {"camera": "CAMERA", "ccd": "CCD", "ra": "RA_OBJ", "dec": "DEC_OBJ"}
 
 
 class RefusedError(ValueError):
@@ -35,41 +46,9 @@ def open_fits(path):
     """Open a FITS file to read, with one kind of error for whatever is wrong with it.
 
     The file is read into memory, up to the limits in `scope_models.io.conf`, and each header's
-    claims are checked before its data are read. The HDUs stay usable after the context.
-
-    Parameters
-    ----------
-    path : str or path-like
-        The file, which may be compressed by gzip.
-
-    Yields
-    ------
-    astropy.io.fits.HDUList
-        The file. Do no more than read from it within the context, which has the same errors.
-
-    Raises
-    ------
-    FileNotFoundError
-        If there is no such file.
-    IsADirectoryError
-        If it is a folder.
-    OSError
-        If it cannot be opened.
-    ValueError
-        If it is empty, truncated, larger than the limits, or no FITS file.
-
-    Warns
-    -----
-    DamagedFileWarning
-        If a checksum in the file does not match.
-
-    Examples
-    --------
-    >>> from scope_models.io.reading import open_fits
-    >>> with open_fits("absent.fits") as hdus:
-    ...     pass
-    Traceback (most recent call last):
-    FileNotFoundError: no such file: absent.fits
+    claims are checked before its data are read. The HDUs stay usable after the context. Whatever
+    else than a file that is not there is wrong with it ends in one ValueError that names it; a
+    checksum that does not match warns.
     """
     # Not imported with the package: it takes a quarter of the time that the package has for that.
     from astropy.io import fits
@@ -224,3 +203,101 @@ def checksum_of(data, start=0):
     while total >> 32:
         total = (total & 0xFFFFFFFF) + (total >> 32)
     return total
+
+
+def read_columns(path, required, optional=()):
+    """Return one-dimensional columns of numbers, by upper-case name, of a file's first table.
+
+    ``required`` are names that must be there, ``optional`` others. Floats are float64, and integers
+    keep their type. The cards of the headers come second.
+    """
+    with open_fits(path) as hdus:
+        table = first_table(hdus, path)
+        present = [name.upper() for name in table.columns.names]
+        missing = [name for name in required if name.upper() not in present]
+        if missing:
+            raise RefusedError(
+                f"{path} has no column {' or '.join(missing)} in its first table; "
+                f"it has {', '.join(present) or 'none'}"
+            )
+        names = [name.upper() for name in (*required, *optional) if name.upper() in present]
+        columns = {name: column_of(table, name, path) for name in names}
+        if len(table.data) == 0:
+            raise RefusedError(f"{path} has no rows in its first table")
+        return columns, cards_of(hdus[0].header, table.header)
+
+
+def read_positions(path):
+    """Return arguments of `Motion.from_arrays`, unchecked, of a target pixel or light-curve file.
+
+    Quality flags, cadence numbers and the format of the times are None where the file has none.
+    """
+    columns, header = read_columns(path, _POSITIONS, ("QUALITY", "SAP_QUALITY", "CADENCENO"))
+    time, x, y = (columns[name].astype(float) for name in _POSITIONS)
+    number = columns.get("CADENCENO")
+    if number is not None and not number.any():  # TESScut's files have only zeros
+        number = np.arange(1, len(number) + 1)
+    with naming(path):
+        time_format = time_format_of(header)
+    return {
+        "time": time, "x": x, "y": y,
+        "quality": columns.get("QUALITY", columns.get("SAP_QUALITY")),
+        "cadenceno": number,
+        "time_format": time_format,
+        "meta": {**facts_of(header), "filename": Path(path).name},
+    }
+
+
+def facts_of(header):
+    """Return the facts on mission, star and detector in the header of an archive file."""
+    mission = header.get("MISSION") or header.get("TELESCOP")
+    facts = {"mission": mission} | {name: header.get(card) for name, card in _FACTS.items()}
+    # A blank card has a value of its own class, which is neither text nor a number.
+    return {k: v for k, v in facts.items() if isinstance(v, str | int | float) and v != ""}
+
+
+def time_format_of(header):
+    """Return the format of the times by BJDREFI, else by the mission; None if there is neither."""
+    reference = header.get("BJDREFI")
+    if isinstance(reference, int | float):
+        day = reference + (header.get("BJDREFF") or 0)
+        if day not in _TIME_FORMATS:
+            raise ValueError(f"`BJDREFI` must be 2454833 or 2457000, got {day}")
+        return _TIME_FORMATS[day]
+    mission = Mission.from_header(header)
+    return mission and mission.time_format
+
+
+def first_table(hdus, path):
+    """Return the first binary table of a file."""
+    from astropy.io import fits
+
+    table = next((hdu for hdu in hdus if isinstance(hdu, fits.BinTableHDU)), None)
+    if table is None:
+        raise RefusedError(f"{path} has no binary table")
+    return table
+
+
+def column_of(table, name, path, ndim=1):
+    """Return a column of numbers, or of images, in native byte order, floats as float64."""
+    values = np.asarray(table.data[name])
+    if values.ndim != ndim or values.dtype.kind not in "iuf":
+        what = {1: "one number", 3: "an image of numbers"}[ndim]
+        raise RefusedError(f"column {name} of {path} must hold {what} per row")
+    if values.dtype.kind == "f" or ndim == 3:
+        return values.astype(np.float64)
+    return native(values)
+
+
+def cards_of(*headers):
+    """Return the cards of headers as a dict; later headers go before earlier ones.
+
+    None stands for a blank card. Comments, checksums and sizes of the file's parts are left out.
+    """
+    simple = (str, bool, int, float, complex)
+    return {
+        key: value if isinstance(value, simple) else None
+        for header in headers
+        for key, value in header.items()
+        if key not in _NO_FACTS and not key.startswith("NAXIS")
+    }

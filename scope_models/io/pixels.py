@@ -10,16 +10,17 @@ import numpy as np
 from astropy import units as u
 from astropy.time import Time
 
-from scope_models._arrays import plain_array, plain_time, unmasked
+from scope_models._arrays import plain_array, plain_time, unmasked, without_unit
 from scope_models._checks import one_line
 from scope_models._values import Value, frozen
-from scope_models.io._opening import RefusedError, naming, open_fits
-from scope_models.io.reading import (
-    PositionColumns,
+from scope_models.io._opening import (
+    RefusedError,
     cards_of,
     column_of,
     facts_of,
     first_table,
+    naming,
+    open_fits,
     time_format_of,
 )
 from scope_models.missions import TIME_ZEROS, Mission
@@ -371,7 +372,7 @@ def _of_tpf(tpf):
         "`tpf`",
         time=_times_of(tpf, header),
         cadenceno=_cadence_numbers_of(tpf, n),
-        quality=_integers(_attribute(tpf, "quality"), n),
+        quality=_integers(tpf, "quality", n),
         flux=np.array(flux),
         flux_err=np.array(error),
         flux_bkg=None if background is None else plain_array(background, _FLUX, "flux_bkg"),
@@ -465,16 +466,16 @@ def _cadence_numbers_of(source, n):
     """Return cadence numbers: lightkurve counts the cadences where its file has only zeros."""
     column = _raw_column(source, "CADENCENO")
     if column is None:
-        return _integers(_attribute(source, "cadenceno"), n)
+        return _integers(source, "cadenceno", n)
     if column.any():
         return np.array(column)
     return np.flatnonzero(source.quality_mask) + 1
 
 
-def _integers(values, n):
-    if values is None:
-        return np.zeros(n, dtype=np.int64)
-    return np.asarray(getattr(values, "value", values))
+def _integers(tpf, name, n):
+    """Return an attribute of integers, zeros where there is none."""
+    values = _attribute(tpf, name)
+    return np.zeros(n, dtype=np.int64) if values is None else np.asarray(without_unit(values))
 
 
 def pos_corr_of(source):
@@ -486,23 +487,22 @@ def pos_corr_of(source):
 
 
 def positions_of(source):
-    """Return the `PositionColumns` of lightkurve's object: where a star was."""
+    """Return what `read_positions` does, of lightkurve's object."""
     pos_corr = pos_corr_of(source)
     if _attribute(source, "time") is None or pos_corr is None:
         raise TypeError(
             f"`tpf` must have time, POS_CORR1 and POS_CORR2, but {type(source).__name__} has not"
         )
     header = _header_of(source)
-    n = len(pos_corr)
     quality, number = _attribute(source, "quality"), _attribute(source, "cadenceno")
-    return PositionColumns(
-        _times_of(source, header),
-        *pos_corr.T,
-        None if quality is None else _integers(quality, n),
-        None if number is None else _cadence_numbers_of(source, n),
-        time_format_of(header),
-        facts_of(header),
-    )
+    return {
+        "time": _times_of(source, header),
+        **dict(zip("xy", pos_corr.T, strict=True)),
+        "quality": None if quality is None else np.asarray(without_unit(quality)),
+        "cadenceno": None if number is None else _cadence_numbers_of(source, len(pos_corr)),
+        "time_format": time_format_of(header),
+        "meta": facts_of(header),
+    }
 
 
 def _header_of(tpf):

@@ -11,8 +11,8 @@ from scope_models.io._blocks import CHECKSUM_COMMENT, Block, write_blocks
 from scope_models.io._columns import checked_columns, pixel_columns, table_rows
 from scope_models.io._headers import make_headers, pixel_column_cards
 from scope_models.io._metadata import TPFMetadata
+from scope_models.io._opening import open_fits
 from scope_models.io._truth import truth_blocks, truth_of
-from scope_models.io.reading import open_fits
 
 __all__ = ["TPFMetadata", "make_tpf_hdulist", "read_truth", "write_hdulist", "write_tpf"]
 

@@ -13,8 +13,8 @@ from scope_models._arrays import PER_PIXEL
 from scope_models._checks import checked_integer, checked_number
 from scope_models._docstrings import documented
 from scope_models._values import Value, html_table
+from scope_models.io._opening import read_positions
 from scope_models.io.pixels import positions_of
-from scope_models.io.reading import read_positions
 from scope_models.missions import MISSIONS
 from scope_models.scene._motion_arrays import (
     MotionStatistics,
@@ -332,8 +332,9 @@ class Motion(Value):
         <Motion of 2 cadences, BKJD 0.0000 to 0.0200, x 0 to 0.1, y -0.2 to 0 px>
         """
         columns = read_positions(path)
+        columns["time_format"] = time_format or columns["time_format"] or "bkjd"
         try:
-            return cls._of_columns(columns, bad, time_format)
+            return cls.from_arrays(**columns, bad=bad)
         except (ValueError, TypeError) as error:
             raise ValueError(f"{path}: {error}") from error
 
@@ -372,21 +373,9 @@ class Motion(Value):
         >>> Motion.from_tpf(lc).x
         array([0. , 0.2])
         """
-        return cls._of_columns(positions_of(tpf), bad)
-
-    @classmethod
-    def _of_columns(cls, columns, bad, time_format=None):
-        """Return the motion of the columns of a file."""
-        return cls.from_arrays(
-            columns.time,
-            columns.pos_corr1,
-            columns.pos_corr2,
-            columns.quality,
-            cadenceno=columns.cadenceno,
-            time_format=time_format or columns.time_format or "bkjd",
-            bad=bad,
-            meta=columns.meta,
-        )
+        columns = positions_of(tpf)
+        columns["time_format"] = columns["time_format"] or "bkjd"
+        return cls.from_arrays(**columns, bad=bad)
 
     @classmethod
     def still(cls, n_cadences, *, start=_K2.start, cadence=K2Roll.cadence, time_format="bkjd"):

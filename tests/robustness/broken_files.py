@@ -29,7 +29,7 @@ from scope_models.exceptions import DamagedFileWarning, LostLightWarning
 from scope_models.fitting import TPFFit
 from scope_models.io import read_pixels, read_tpf
 from scope_models.io._light_curves import make_light_curve_hdulist
-from scope_models.io.reading import read_columns, read_positions
+from scope_models.io._opening import read_columns, read_positions
 
 LARGEST_MEMORY = 200e6  # bytes that a call may add to the process; the files have up to 0.3 MB
 LONGEST_TIME = 20  # seconds per call

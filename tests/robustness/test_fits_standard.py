@@ -11,7 +11,7 @@ from scope_models import Detector, Motion, Scene, Star, fit_tpf, simulate
 from scope_models.correctors import detrend_file
 from scope_models.exceptions import LostLightWarning
 from scope_models.fitting import FitOptions
-from scope_models.io.reading import open_fits
+from scope_models.io._opening import open_fits
 
 LAYOUTS = ("k2", "kepler", "tess", "many stars", "scene", "light curve", "fit")
 
