@@ -115,9 +115,7 @@ def checked_columns(metadata, values):
     flux = np.asarray(values["flux"])
     if flux.ndim != 3 or 0 in flux.shape:
         raise ValueError(f"`flux` must have the shape (n_cadences, ny, nx), got {flux.shape}")
-    checked = {"TIME": _checked_time(metadata, values["time"], len(flux))}
-    checked["CADENCENO"] = _checked_cadenceno(values["cadenceno"], len(flux))
-    checked["QUALITY"] = _checked_quality(metadata, values["quality"], checked["TIME"])
+    checked = _checked_times(metadata, values, flux.shape[:1])
     checked["FLUX"] = _floats("flux", flux, flux.shape)
     for name in ("flux_err", "flux_bkg", "flux_bkg_err", "cosmic_rays"):
         if values[name] is not None:
@@ -133,32 +131,23 @@ def checked_columns(metadata, values):
     return checked
 
 
-def _checked_time(metadata, time, n_cadences):
-    """Return times that grow, with NaN where there are none."""
-    time = plain_time(time, metadata.layout.time_format, "time")
-    time = _floats("time", time, (n_cadences,))
+def _checked_times(metadata, values, shape):
+    """Return times, cadence numbers and quality flags: no data where Kepler and K2 have no time."""
+    time = plain_time(values["time"], metadata.layout.time_format, "time")
+    time = _floats("time", time, shape)
     known = time[np.isfinite(time)]
     if known.size == 0:
         raise ValueError("`time` must have a finite value")
     if np.any(np.diff(known) <= 0):
         raise ValueError("`time` must increase from cadence to cadence")
-    return time
-
-
-def _checked_cadenceno(cadenceno, n_cadences):
-    """Return cadence numbers that are positive and grow."""
-    cadenceno = _integers("cadenceno", cadenceno, (n_cadences,))
-    if cadenceno[0] < 1 or np.any(np.diff(cadenceno) <= 0):
-        raise ValueError(f"`cadenceno` must increase from at least 1, got {cadenceno[0]} first")
-    return cadenceno
-
-
-def _checked_quality(metadata, quality, time):
-    """Return quality flags, with that for no data where Kepler and K2 have no time."""
-    quality = _integers("quality", quality, time.shape)
+    number = _integers("cadenceno", values["cadenceno"], shape)
+    if number[0] < 1 or np.any(np.diff(number) <= 0):
+        raise ValueError(f"`cadenceno` must increase from at least 1, got {number[0]} first")
+    quality = _integers("quality", values["quality"], shape)
     if quality.min() < 0:
         raise ValueError(f"`quality` must not be negative, got {quality.min()}")
-    return quality | np.where(np.isnan(time), metadata.layout.quality.no_data, 0).astype(np.int32)
+    no_data = np.where(np.isnan(time), metadata.layout.quality.no_data, 0).astype(np.int32)
+    return {"TIME": time, "CADENCENO": number, "QUALITY": quality | no_data}
 
 
 def _check_errors(checked):

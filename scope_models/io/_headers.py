@@ -1,5 +1,6 @@
 """The headers of a target pixel file: a template for each mission, and the computed cards."""
 
+import datetime as dt
 import warnings
 from functools import cache
 from pathlib import Path
@@ -26,8 +27,7 @@ def make_headers(metadata, time, timecorr, used, aperture):
     optimal, collected = aperture & 2 > 0, aperture & 1 > 0
     sky = {key: value for key, (value, _) in tan_projection(metadata, aperture.shape).items()}
     values = {
-        **_target(metadata),
-        **_detector(metadata),
+        **_facts(metadata),
         **_span(metadata, time, timecorr, used),
         **sky,
         "CRVAL1P": metadata.column,
@@ -44,7 +44,13 @@ def make_headers(metadata, time, timecorr, used, aperture):
         headers.append(make_header(filled))
     if metadata.layout.template != metadata.mission.lower():
         headers[0]["MISSION"] = (metadata.mission, "kind of telescope; the layout is another's")
-    _rename(headers[1], metadata)
+    table = headers[1]
+    if "LC_START" in table and not metadata.is_long_cadence:
+        table.rename_keyword("LC_START", "SC_START")
+        table.rename_keyword("LC_END", "SC_END")
+    if "TMOFST" in table and None not in (metadata.camera, metadata.ccd):
+        table.rename_keyword("TMOFST", f"TMOFST{metadata.camera}{metadata.ccd}")
+    table.remove("TMOFST", ignore_missing=True)
     _fill(headers, metadata.extra_cards)
     return headers
 
@@ -66,25 +72,15 @@ def _template(name):
     return headers
 
 
-def _rename(table, metadata):
-    """Give the keywords their names that depend on the cadence and on the place."""
-    if "LC_START" in table and not metadata.is_long_cadence:
-        table.rename_keyword("LC_START", "SC_START")
-        table.rename_keyword("LC_END", "SC_END")
-    if "TMOFST" in table:
-        if None in (metadata.camera, metadata.ccd):
-            del table["TMOFST"]
-        else:
-            table.rename_keyword("TMOFST", f"TMOFST{metadata.camera}{metadata.ccd}")
-
-
-def _target(metadata):
-    """Return the values of the cards on file, target, place and observing run."""
+def _facts(metadata):
+    """Return the values of the cards on file, target, place, observing run and electronics."""
     mission, (ra, dec) = metadata.layout, metadata.position
     module, output = metadata.module_and_output
     quarter, seed = metadata.quarter, metadata.seed
+    offsets = ("FXDOFF", "LCFXDOFF" if metadata.is_long_cadence else "SCFXDOFF")
+    outputs = ("", *"ABCD")
     return {
-        "DATE": metadata.creation_date,
+        "DATE": (metadata.date or dt.datetime.now(dt.UTC).date()).isoformat()[:10],
         "CREATOR": f"scope_models {__version__} TargetPixelFile",
         "PROCVER": f"scope_models {__version__}",
         "SEED": str(seed) if seed is not None and seed > _MAX_CARD_INTEGER else seed,
@@ -107,22 +103,12 @@ def _target(metadata):
         "SECTOR": metadata.sector,
         "OBSMODE": f"{'long' if metadata.is_long_cadence else 'short'} cadence",
         "CRMITEN": metadata.reads < metadata.n_frames,
-    }
-
-
-def _detector(metadata):
-    """Return the values of the cards on exposure and electronics."""
-    offset = {"FXDOFF": metadata.fixed_offset}
-    offset["LCFXDOFF" if metadata.is_long_cadence else "SCFXDOFF"] = metadata.fixed_offset
-    outputs = ("", *"ABCD")
-    return {
         "INT_TIME": metadata.int_time,
         "READTIME": metadata.read_time,
         "FRAMETIM": metadata.frame_time,
         "NUM_FRM": metadata.n_frames,
         "NREADOUT": metadata.reads,
-        "MEANBLCK": metadata.mean_black,
-        **offset,
+        **dict.fromkeys(offsets, metadata.fixed_offset),
         **{f"GAIN{x}": metadata.gain for x in outputs},
         **{f"READNOI{x or 'S'}": metadata.read_noise for x in outputs},
         **{f"MEANBLC{x or 'K'}": metadata.mean_black for x in outputs},

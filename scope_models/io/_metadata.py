@@ -22,15 +22,8 @@ _LONG_CADENCE = 0.01  # days: between the 58.8 s and the 29.4 min of the Kepler 
 _MODULES = (2, 3, 4, *range(6, 21), 22, 23, 24)  # those at the corners are fine-guidance sensors
 # Fields that a mission, and a detector, have by the same name.
 _OF_MISSION = ("pixel_scale", "int_time", "read_time")
-_OF_DETECTOR = (
-    *_OF_MISSION,
-    "mission",
-    "n_frames",
-    "gain",
-    "read_noise",
-    "mean_black",
-    "fixed_offset",
-)
+_OF_DETECTOR = (*_OF_MISSION, "mission", "n_frames", "gain", "read_noise", "mean_black")
+_OF_DETECTOR += ("fixed_offset",)
 _RUNS = ("quarter", "campaign", "sector")
 
 
@@ -297,16 +290,6 @@ class TPFMetadata(Value):
         return self.cadence_days > _LONG_CADENCE
 
     @property
-    def live_fraction(self):
-        """Part of the frames that is summed."""
-        return self.reads / self.n_frames
-
-    @property
     def duty_cycle(self):
         """Part of a cadence in which light is gathered (DEADC)."""
         return self.int_time / self.frame_time * self.reads / self.n_frames
-
-    @property
-    def creation_date(self):
-        """The day on which the file is made, as text."""
-        return (self.date or dt.datetime.now(dt.UTC).date()).isoformat()[:10]

@@ -240,7 +240,9 @@ def read_positions(path):
     with naming(path):
         time_format = time_format_of(header)
     return {
-        "time": time, "x": x, "y": y,
+        "time": time,
+        "x": x,
+        "y": y,
         "quality": columns.get("QUALITY", columns.get("SAP_QUALITY")),
         "cadenceno": number,
         "time_format": time_format,

@@ -258,15 +258,10 @@ def _vectors(arrays):
 
 def _columns_of(hdu):
     """Return the columns of the TRUTH table by name, vectors as numbered columns."""
-    numbered = str(hdu.header.get(_NUMBERED, "")).split()
-    columns = {}
-    for name in hdu.columns.names:
-        values = native(hdu.data[name])
-        if name not in numbered:
-            columns[name] = values
-            continue
-        for i in range(values.shape[1]):
-            columns[f"{name}{i + 1}"] = values[:, i]
+    columns = {name: native(hdu.data[name]) for name in hdu.columns.names}
+    for name in str(hdu.header.get(_NUMBERED, "")).split():
+        vectors = columns.pop(name)
+        columns |= {f"{name}{i + 1}": values for i, values in enumerate(vectors.T)}
     return columns
 
 

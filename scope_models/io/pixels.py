@@ -321,33 +321,29 @@ def _of_hdus(hdus, name):
         raise RefusedError(f"{name} is not a target pixel file: {error}") from None
     columns = {key.upper(): key for key in table.columns.names}
 
-    def pixels(key, required=False):
-        if key not in columns:
-            if required:
-                raise RefusedError(f"{name} is not a target pixel file: it has no column {key}")
-            return None
-        return column_of(table, columns[key], name, ndim=3)
+    def column(key, default=None, ndim=1):
+        return column_of(table, columns[key], name, ndim) if key in columns else default
 
-    def numbers(key, default):
-        return column_of(table, columns[key], name) if key in columns else default
-
-    flux = pixels("FLUX", required=True)
-    n = len(flux)
+    flux = column("FLUX", ndim=3)
+    if flux is None:
+        raise RefusedError(f"{name} is not a target pixel file: it has no column FLUX")
+    n, *stamp = flux.shape
     if flux.size == 0:
         raise RefusedError(f"{name} has no pixels: FLUX has the shape {flux.shape}")
-    pos_corr = [numbers(f"POS_CORR{axis}", None) for axis in (1, 2)]
-    error = pixels("FLUX_ERR")
+    pos_corr = [column(f"POS_CORR{axis}") for axis in (1, 2)]
     header = cards_of(hdus[0].header, table.header)
+    bits = hdus[2].data if len(hdus) > 2 else None  # where lightkurve finds the aperture
+    has_aperture = bits is not None and np.asarray(bits).dtype.kind in "iu"
     return _series(
         name,
-        time=np.asarray(numbers("TIME", np.full(n, np.nan)), dtype=float),
-        cadenceno=numbers("CADENCENO", np.zeros(n, dtype=int)),
-        quality=numbers("QUALITY", np.zeros(n, dtype=int)),
+        time=np.asarray(column("TIME", np.full(n, np.nan)), dtype=float),
+        cadenceno=column("CADENCENO", np.zeros(n, dtype=int)),
+        quality=column("QUALITY", np.zeros(n, dtype=int)),
         flux=flux,
-        flux_err=np.full(flux.shape, np.nan) if error is None else error,
-        flux_bkg=pixels("FLUX_BKG"),
+        flux_err=column("FLUX_ERR", np.full(flux.shape, np.nan), ndim=3),
+        flux_bkg=column("FLUX_BKG", ndim=3),
         pos_corr=None if any(c is None for c in pos_corr) else np.column_stack(pos_corr),
-        aperture=_aperture_of(hdus, flux.shape[1:]),
+        aperture=(np.asarray(bits) & _OPTIMAL) > 0 if has_aperture else np.ones(stamp, dtype=bool),
         header=header,
         mission=Mission.from_header(header),
     )
@@ -418,14 +414,6 @@ def _check_times(series, name):
         raise ValueError(f"the times of {name} must increase, got {after} after {before}")
     with naming(name):
         _ = series.time_format
-
-
-def _aperture_of(hdus, stamp):
-    """Return the optimal aperture, as lightkurve finds it."""
-    bits = hdus[2].data if len(hdus) > 2 else None
-    if bits is None or np.asarray(bits).dtype.kind not in "iu":
-        return np.ones(stamp, dtype=bool)
-    return (np.asarray(bits) & _OPTIMAL) > 0
 
 
 def _attribute(tpf, name):
@@ -524,6 +512,7 @@ def star_places(name, places, series):
     ``name`` is the argument in messages.
     """
     from astropy.coordinates import SkyCoord
+    from astropy.wcs import WCS
 
     columns = {key.lower(): key for key in getattr(places, "colnames", ())}
     if {"x", "y"} <= set(columns):
@@ -536,7 +525,11 @@ def star_places(name, places, series):
     elif columns:
         raise ValueError(f"`{name}` must have the columns x and y, or ra and dec")
     if isinstance(places, SkyCoord):
-        places = np.column_stack(_wcs(series).world_to_pixel(places.reshape(-1)))
+        cards = {own: series.header.get(key) for key, own in _WCS.items()}
+        if cards["CRVAL1"] is None or cards["CRPIX1"] is None:
+            raise ValueError("the file has no WCS: give positions in pixels")
+        wcs = WCS({key: value for key, value in cards.items() if value is not None})
+        places = np.column_stack(wcs.world_to_pixel(places.reshape(-1)))
     positions = np.atleast_2d(plain_array(places, u.pixel, name))
     if positions.size == 0:
         return np.zeros((0, 2))
@@ -555,13 +548,3 @@ def target_place(series):
     from astropy.coordinates import SkyCoord
 
     return star_places("tpf", SkyCoord(*place, unit=u.deg), series)[0]
-
-
-def _wcs(series):
-    """The WCS of the stamp, from the cards of the table."""
-    from astropy.wcs import WCS
-
-    cards = {own: series.header.get(key) for key, own in _WCS.items()}
-    if cards["CRVAL1"] is None or cards["CRPIX1"] is None:
-        raise ValueError("the file has no WCS: give positions in pixels")
-    return WCS({key: value for key, value in cards.items() if value is not None})

@@ -2,6 +2,7 @@
 
 import gzip
 import inspect
+from os import PathLike
 from pathlib import Path
 
 import numpy as np
@@ -22,27 +23,11 @@ _COMPRESSION = 6
 
 
 def make_tpf_hdulist(
-    *,
-    metadata,
-    time,
-    flux,
-    flux_err,
-    cadenceno=None,
-    raw_cnts=None,
-    flux_bkg=0.0,
-    flux_bkg_err=0.0,
-    quality=None,
-    pos_corr1=None,
-    pos_corr2=None,
-    timecorr=None,
-    cosmic_rays=None,
-    aperture=None,
-    truth_columns=None,
-    truth_maps=None,
-    scene=None,
-    truth_tables=None,
-    simulated=True,
-):
+    *, metadata, time, flux, flux_err, cadenceno=None, raw_cnts=None, flux_bkg=0.0,
+    flux_bkg_err=0.0, quality=None, pos_corr1=None, pos_corr2=None, timecorr=None,
+    cosmic_rays=None, aperture=None, truth_columns=None, truth_maps=None, scene=None,
+    truth_tables=None, simulated=True,
+):  # fmt: skip
     """Make a target pixel file in memory.
 
     Parameters
@@ -219,16 +204,13 @@ def read_truth(source):
     Traceback (most recent call last):
     FileNotFoundError: no such file: absent.fits
     """
-    from astropy.io import fits
-
-    hdus = getattr(source, "hdu", source)
-    if isinstance(hdus, fits.HDUList):
-        truth = truth_of(hdus)
-        name = "the target pixel file"
-    else:
+    hdus, name = getattr(source, "hdu", source), "the target pixel file"
+    if isinstance(hdus, str | PathLike):
+        name = source
         with open_fits(source) as opened:
             truth = truth_of(opened)
-        name = source
+    else:
+        truth = truth_of(hdus)
     if truth is None:
         raise ValueError(f"{name} holds no truth: it has no TRUTH table with CADENCENO")
     return truth
@@ -251,7 +233,17 @@ def _tpf_blocks(
         columns["quality"] = np.zeros(n_cadences, dtype=np.int32)
     values = checked_columns(metadata, columns)
     aperture = _aperture_bits(aperture, values["FLUX"].shape[1:])
-    blocks = _standard_blocks(metadata, values, aperture)
+    used = np.isfinite(values["TIME"]) & np.isfinite(values["FLUX"]).any(axis=(1, 2))
+    timecorr = values.get("TIMECORR", np.full(n_cadences, np.nan))
+    headers = make_headers(metadata, values["TIME"], timecorr, int(used.sum()), aperture)
+    primary, table, image = (map(str, header.cards) for header in headers)
+    layout, shape = pixel_columns(metadata), values["FLUX"].shape
+    definitions = pixel_column_cards(layout, metadata, shape[1:])
+    blocks = [
+        Block.primary(primary),
+        Block.table(table_rows(layout, values, shape), [*definitions, *table]),
+        Block.image(aperture, image),
+    ]
     if "COSMIC_RAYS" in metadata.layout.absent_columns:
         blocks.append(_cosmic_ray_hdu(metadata, values))
     truth = truth_columns, truth_maps, scene, truth_tables
@@ -263,23 +255,6 @@ def _tpf_blocks(
             if "SIMDATA" in block.header:
                 block.header["SIMDATA"] = (False, "the data are not simulated")
     return blocks
-
-
-def _standard_blocks(metadata, values, aperture):
-    """Return the three blocks that every target pixel file has."""
-    shape = values["FLUX"].shape
-    columns = pixel_columns(metadata)
-    used = np.isfinite(values["TIME"]) & np.isfinite(values["FLUX"]).any(axis=(1, 2))
-    timecorr = values.get("TIMECORR", np.full(shape[0], np.nan))
-    used = int(used.sum())
-    headers = make_headers(metadata, values["TIME"], timecorr, used, aperture)
-    primary, table, image = (map(str, header.cards) for header in headers)
-    definitions = pixel_column_cards(columns, metadata, shape[1:])
-    return [
-        Block.primary(primary),
-        Block.table(table_rows(columns, values, shape), [*definitions, *table]),
-        Block.image(aperture, image),
-    ]
 
 
 def _cosmic_ray_hdu(metadata, values):
