@@ -61,9 +61,8 @@ from scope_models.models import (
     tabulated_signal,
 )
 from scope_models.plotting.detrending import plot_detrending, plot_detrending_masks
-from scope_models.scene import K2Roll, MotionStatistics
+from scope_models.scene import K2Roll
 from scope_models.scene._pointing import Pointing
-from scope_models.scene.presets import PRESETS
 
 RATE = u.electron / u.s
 PPM = u.Unit(1e-6)
@@ -310,7 +309,6 @@ ROWS = {
         }.items()
     },
     "Detector.flux_from_mag.mag": (Detector.k2().flux_from_mag, [12.0, 13.0], u.mag),
-    "Preset.with_cadence.choice": (lambda v: PRESETS["tess"].with_cadence(v)["n_frames"], 600, u.s),
     "Mission.cadence.choice": (lambda v: MISSIONS["TESS"].cadence(v).n_frames, 600.0, u.s),
     "Motion.time": (lambda v: Motion(v, TIME, TIME).time, TIME, u.day),
     "Motion.x": (lambda v: Motion(TIME, v, TIME).x, TIME, u.pix),
@@ -327,22 +325,6 @@ ROWS = {
     "Motion.statistics.pixel_scale": (
         lambda v: Motion.still(3).statistics(v).pixel_scale.value, 3.98, u.arcsec
     ),
-    **{
-        f"MotionStatistics.of_positions.{name}": (
-            lambda v, name=name: (
-                MotionStatistics.of_positions(
-                    **({"x": TIME, "y": TIME, "pixel_scale": 4.0} | {name: v})
-                )
-                .in_arcsec()
-                .maximum.value
-            ),
-            value,
-            unit,
-        )
-        for name, value, unit in (
-            ("x", 2 * TIME, u.pix), ("y", 2 * TIME, u.pix), ("pixel_scale", 3.0, u.arcsec)
-        )
-    },
     **{
         f"K2Roll.{name}": (field(K2Roll, name), value, unit)
         for name, value, unit in (

@@ -512,7 +512,6 @@ def star_places(name, places, series):
     ``name`` is the argument in messages.
     """
     from astropy.coordinates import SkyCoord
-    from astropy.wcs import WCS
 
     columns = {key.lower(): key for key in getattr(places, "colnames", ())}
     if {"x", "y"} <= set(columns):
@@ -525,11 +524,7 @@ def star_places(name, places, series):
     elif columns:
         raise ValueError(f"`{name}` must have the columns x and y, or ra and dec")
     if isinstance(places, SkyCoord):
-        cards = {own: series.header.get(key) for key, own in _WCS.items()}
-        if cards["CRVAL1"] is None or cards["CRPIX1"] is None:
-            raise ValueError("the file has no WCS: give positions in pixels")
-        wcs = WCS({key: value for key, value in cards.items() if value is not None})
-        places = np.column_stack(wcs.world_to_pixel(places.reshape(-1)))
+        places = np.column_stack(_wcs(series).world_to_pixel(places.reshape(-1)))
     positions = np.atleast_2d(plain_array(places, u.pixel, name))
     if positions.size == 0:
         return np.zeros((0, 2))
@@ -548,3 +543,13 @@ def target_place(series):
     from astropy.coordinates import SkyCoord
 
     return star_places("tpf", SkyCoord(*place, unit=u.deg), series)[0]
+
+
+def _wcs(series):
+    """The WCS of the stamp, from the cards of the table."""
+    from astropy.wcs import WCS
+
+    cards = {own: series.header.get(key) for key, own in _WCS.items()}
+    if cards["CRVAL1"] is None or cards["CRPIX1"] is None:
+        raise ValueError("the file has no WCS: give positions in pixels")
+    return WCS({key: value for key, value in cards.items() if value is not None})

@@ -1,6 +1,7 @@
 """Scenes, detectors and motions as FITS files of arrays and JSON; detectors as TOML by hand."""
 
 import tomllib
+from contextlib import suppress
 from dataclasses import fields
 from functools import reduce
 from operator import add, mul
@@ -46,7 +47,6 @@ __all__ = [
 _VERSION = 3
 # Fields that files of version 2 lack, and whose effect was another then.
 _OLD_FIELDS = {"Undershoot": {"residual": 1.0}}
-_EFFECTS = ("scope_models.effects",)
 
 
 def read_scene(path):
@@ -80,7 +80,15 @@ def read_scene(path):
     True
     """
     truth = read_truth(path)
-    return _made(path, truth.scene, "scene", lambda: _scene(truth))
+
+    def scene():
+        described = truth.scene
+        detector = _detector(described["detector"], truth.maps)
+        stars = [_star(star, i, truth.columns) for i, star in enumerate(described["stars"], 1)]
+        effects = [_effect(effect) for effect in described["effects"]]
+        return Scene(stars, detector, _motion(truth), effects=effects, **described["options"])
+
+    return _made(path, truth.scene, "scene", scene)
 
 
 def read_detector(path):
@@ -210,14 +218,6 @@ def _made(path, described, what, make):
         raise ValueError(f"{path} holds no {what} that can be made: {kind}: {reason}") from error
 
 
-def _scene(truth):
-    """Return the scene of a truth."""
-    detector = _detector(truth.scene["detector"], truth.maps)
-    stars = [_star(star, i, truth.columns) for i, star in enumerate(truth.scene["stars"], start=1)]
-    effects = [_effect(described) for described in truth.scene["effects"]]
-    return Scene(stars, detector, _motion(truth), effects=effects, **truth.scene["options"])
-
-
 def _motion(truth):
     """Return the motion of a truth."""
     table, described = truth.columns, truth.scene["motion"]
@@ -234,38 +234,28 @@ def _motion(truth):
 
 def describe_scene(scene):
     """Return a scene without its arrays as values that JSON can hold."""
+    options = {name: value for name, value in scene.options.items() if name != "effects"}
     return {
         "version": _VERSION,
-        "stars": [
-            {
-                "mag": star.mag,
-                "x_0": star.x_0,
-                "y_0": star.y_0,
-                "psf": describe_model(star.psf),
-                "signal": _describe_signal(star.signal),
-                **({} if star.coord is None else {"coord": describe_coord(star.coord)}),
-            }
-            for star in scene.stars
-        ],
+        "stars": [_describe_star(star) for star in scene.stars],
         "detector": _describe_detector(scene.detector),
         "motion": _describe_motion(scene.motion),
-        "options": plain_tree(
-            {name: value for name, value in scene.options.items() if name != "effects"}, str
-        ),
+        "options": plain_tree(options, str),
         "effects": [_describe_effect(effect) for effect in scene.effects],
     }
 
 
-def _describe_signal(signal):
-    """Return a model as its description, and otherwise whether there is a signal: an array."""
-    if isinstance(signal, Model):
-        described = describe_model(signal)
-        try:
-            if value_key(make_model(described)) == value_key(signal):
-                return described
-        except (KeyError, TypeError, ValueError):
-            pass  # a model of a kind that files cannot hold
-    return signal is not None
+def _describe_star(star):
+    """Return the fields of a star; the signal is a model, or whether there is one: an array."""
+    described = {name: getattr(star, name) for name in ("mag", "x_0", "y_0")}
+    described |= {"psf": describe_model(star.psf), "signal": star.signal is not None}
+    if isinstance(star.signal, Model):
+        signal = describe_model(star.signal)
+        # unless it is of a kind that files cannot hold
+        with suppress(KeyError, TypeError, ValueError):
+            if value_key(make_model(signal)) == value_key(star.signal):
+                described["signal"] = signal
+    return described | ({} if star.coord is None else {"coord": describe_coord(star.coord)})
 
 
 def scene_columns(scene, relative_flux):
@@ -295,8 +285,12 @@ def _describe_effect(effect):
 def _effect(described):
     """Return the effect of a description."""
     values = {name: unpacked(value) for name, value in described["parameters"].items()}
-    kind = class_named(described["class"], Effect, _EFFECTS, "an effect")
+    kind = _named_effect(described["class"])
     return kind(**(_OLD_FIELDS.get(kind.__name__, {}) | values))
+
+
+def _named_effect(name):
+    return class_named(name, Effect, ("scope_models.effects",), "an effect")
 
 
 def _describe_detector(detector):
@@ -332,15 +326,6 @@ def _star(described, number, table):
     return Star(described["mag"], described["x_0"], described["y_0"], psf, signal, coord)
 
 
-def _made_effect(table):
-    """Return the effect of a table."""
-    values = dict(table) if isinstance(table, dict) else {}
-    name = values.pop("effect", None)
-    if not isinstance(name, str):
-        raise ValueError(f"`effects` must be tables with the name of an `effect`, got {name!r}")  # noqa: TRY004
-    return class_named(name, Effect, _EFFECTS, "an effect")(**values)
-
-
 def _detector_of_toml(values):
     """Return the detector of a parsed file."""
     preset = values.pop("preset", None)
@@ -353,7 +338,15 @@ def _detector_of_toml(values):
     if "effects" in values:
         given = values["effects"]
         given = given if isinstance(given, list) else [given]
-        values["effects"] = [_made_effect(table) for table in given]
+        values["effects"] = []
+        for table in given:
+            parameters = dict(table) if isinstance(table, dict) else {}
+            name = parameters.pop("effect", None)
+            if not isinstance(name, str):
+                raise ValueError(  # noqa: TRY004
+                    f"`effects` must be tables with the name of an `effect`, got {name!r}"
+                )
+            values["effects"].append(_named_effect(name)(**parameters))
     if "psf" in values:
         values["psf"] = _combined(values["psf"], "psf", None, add)
     given = values.get("sensitivity")

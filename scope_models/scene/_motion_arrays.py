@@ -5,7 +5,7 @@ from dataclasses import dataclass, fields, replace
 import astropy.units as u
 import numpy as np
 
-from scope_models._arrays import PER_PIXEL, plain_array, plain_number, plain_time
+from scope_models._arrays import plain_array, plain_time
 from scope_models._values import Value
 from scope_models.io.pixels import LARGEST_OFFSET, usable_positions
 from scope_models.missions import MISSIONS, TIME_ZEROS
@@ -170,36 +170,6 @@ class MotionStatistics(Value):
     extent: u.Quantity
     pixel_scale: u.Quantity
     n_cadences: int
-
-    @classmethod
-    def of_positions(cls, x, y, pixel_scale):
-        """Measure positions.
-
-        Parameters
-        ----------
-        x, y : array_like or Quantity, shape (n,)
-            Offsets from the reference position in pixels.
-        pixel_scale : float or Quantity
-            Size of a pixel in arcsec.
-
-        Returns
-        -------
-        MotionStatistics
-            The statistics.
-
-        Examples
-        --------
-        >>> import numpy as np
-        >>> from scope_models.scene.motion import MotionStatistics
-        >>> MotionStatistics.of_positions(np.array([0.3]), np.array([0.4]), 3.98).mean
-        <Quantity 0.5 pix>
-        """
-        scale = plain_number(pixel_scale, u.arcsec, "pixel_scale", equivalencies=PER_PIXEL)
-        x, y = (plain_array(v, u.pix, n, pixel_scale=scale) for v, n in ((x, "x"), (y, "y")))
-        r = np.hypot(x, y)
-        values = (r.mean(), r.std(), r.max(), largest_distance(x, y))
-        pixel = scale * u.arcsec / u.pix
-        return cls(*(float(value) * u.pix for value in values), pixel, len(r))
 
     def __str__(self):
         unit = "px" if self.mean.unit == u.pix else str(self.mean.unit)

@@ -50,47 +50,14 @@ class Pointing(Value):
         check_fields(self)
 
     def times(self, n_cadences, cadence):
-        """Return the times of cadences.
-
-        Parameters
-        ----------
-        n_cadences : int
-            Number of cadences.
-        cadence : float
-            Time between cadences, days.
-
-        Returns
-        -------
-        ndarray, shape (n_cadences,)
-            Times since the beginning, days.
-        """
+        """Return the times, days since the beginning, of cadences of a length in days."""
         return cadence * np.arange(n_cadences)
 
     def track(self, time, streams):
-        """Return where the star goes, and the flagged cadences.
+        """Return offsets x and y, px, at times in days, and masks of cadences to flag, a dict.
 
-        Parameters
-        ----------
-        time : ndarray, shape (n,)
-            Times since the beginning, days.
-        streams : callable
-            A function of a name that returns a random generator at its beginning.
-
-        Returns
-        -------
-        x, y : ndarray, shape (n,)
-            Offsets, px.
-        flags : dict of str to ndarray of bool
-            Cadences by the meaning of their quality bit.
-
-        Examples
-        --------
-        >>> import numpy as np
-        >>> from scope_models.effects.noise import stream
-        >>> from scope_models.scene.motion import KeplerPointing
-        >>> x, y, flags = KeplerPointing().track(np.arange(9) / 48, lambda name: stream(1, name))
-        >>> list(flags)
-        ['desaturation']
+        The masks have the meanings of quality bits as names; ``streams`` is a function of a name
+        that returns a random generator at its beginning.
         """
         raise NotImplementedError
 

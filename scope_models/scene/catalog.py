@@ -129,11 +129,9 @@ def place_stars(base, places, mags, others, magnitude_limit, background_stars, p
         used &= mags <= plain_number(magnitude_limit, u.mag, "magnitude_limit")
     drawn = _draw(base, background_stars, mags[used])
     x, y, mags = (np.append(a[used], b) for a, b in zip((x, y, mags), drawn, strict=True))
-    stars = (
-        [base.stars[0].replace(psf=_psf_at(psf, base, *base.positions[0]))]
-        if psf
-        else [base.stars[0]]
-    )
+    stars = [base.stars[0]]
+    if psf:
+        stars = [stars[0].replace(psf=_psf_at(psf, base, *base.positions[0]))]
     kept = _lighting(base, x, y, mags, stars[0].psf or base.detector.psf)
     made = {}
     for star in zip(mags[kept], x[kept], y[kept], strict=True):
@@ -185,21 +183,16 @@ def read_catalog(table, mission, magnitude, ref_epoch, year):
         )
     places = SkyCoord(ra[good], dec[good], unit=u.deg)
     motions = [_column(table, names, u.mas / u.yr) for names in _PROPER_MOTIONS]
-    if None in [None if m is None else 0 for m in motions] or not good.any():
+    if any(m is None for m in motions) or not good.any():
         return places, mags[good]
-    since = year - (_epoch(table) if ref_epoch is None else ref_epoch)
-    offsets = [np.nan_to_num(m[good]) * (since[good] if np.ndim(since) else since) for m in motions]
-    return places.spherical_offsets_by(*(offset * u.mas for offset in offsets)), mags[good]
-
-
-def _epoch(table):
-    """Return the epoch of the places, Julian years."""
-    found = _column(table, _EPOCH, u.yr)
-    if found is None or not np.all(np.isfinite(found)):
+    epoch = _column(table, _EPOCH, u.yr) if ref_epoch is None else ref_epoch
+    if epoch is None or not np.all(np.isfinite(epoch)):
         raise ValueError(
             "`ref_epoch` must be given for a `table` with proper motions and without its column"
         )
-    return found
+    since = year - epoch
+    offsets = [np.nan_to_num(m[good]) * (since[good] if np.ndim(since) else since) for m in motions]
+    return places.spherical_offsets_by(*(offset * u.mas for offset in offsets)), mags[good]
 
 
 def _draw(base, faintest, mags):

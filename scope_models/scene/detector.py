@@ -20,7 +20,7 @@ from scope_models._values import Value, frozen, html_table
 from scope_models.effects.base import Effect, checked_effects
 from scope_models.effects.noise import stream
 from scope_models.io.pixels import read_pixels
-from scope_models.missions import MISSIONS, full_flux
+from scope_models.missions import MISSIONS, choose_cadence, full_flux
 from scope_models.models import PRF, BivariateGaussianPSF
 from scope_models.models._description import model_in_pixels
 from scope_models.scene import presets
@@ -35,6 +35,7 @@ ZERO_POINTS = {name: dict(mission.zero_points) for name, mission in MISSIONS.ite
 _SECONDS_PER_DAY = 86400.0
 _DISTRIBUTIONS = ("uniform", "normal")
 _RATE = u.electron / u.s
+_OF_CADENCE = ("n_frames", "live_fraction", "fixed_offset")
 
 # Parts of the docstrings of the presets.
 _CHANGES = """**changes
@@ -192,40 +193,38 @@ class Detector(Value):
             )
         put(self, "effects", checked_effects(self.effects))
         if self.interpixel is not None:
-            put(self, "interpixel", _checked_map(self.interpixel, self.shape))
+            response = plain_array(self.interpixel, u.one, "interpixel")
+            if response.shape != self.shape or not np.all((response >= 0) & (response < np.inf)):
+                raise ValueError(
+                    f"`interpixel` must be finite and not negative, of the shape {self.shape}, "
+                    f"got {response.shape}"
+                )
+            put(self, "interpixel", frozen(response))
 
     def __repr__(self):
-        depth = "none" if self.well_depth is None else f"{self.well_depth:g} e-"
-        spread = f"{self.interpixel_distribution} {self.interpixel_scatter:g}"
-        return (
-            f"<Detector {self.mission}: {self.shape[0]} x {self.shape[1]} px of "
-            f"{self.pixel_scale:g} arcsec, {self.n_frames} frames of {self.int_time:g} s, "
-            f"{self.zero_point:g} e-/s at magnitude {self.zero_point_mag:g}, "
-            f"gain {self.gain:g} e-/DN, read noise {self.read_noise:g} e-, "
-            f"background {self.background:g} e-/s, well depth {depth}, "
-            f"sensitivity {'1' if self.sensitivity is None else type(self.sensitivity).__name__}, "
-            f"interpixel {spread if self.interpixel is None else 'given'}>"
-        )
+        rows = self._rows()
+        texts = [rows.pop(name) for name in ("stamp", "frames", "zero point")]
+        texts += [f"{name} {text}" for name, text in rows.items()]
+        return f"<Detector {self.mission}: {', '.join(texts)}>"
 
     def _repr_html_(self):
-        mission = MISSIONS.get(self.mission)
-        band = "magnitude" if mission is None else mission.band
-        rows = {
+        psf = "none" if self.psf is None else f"{PRF(self.psf).n_components} components"
+        return html_table(f"Detector {self.mission}", self._rows() | {"PSF": psf})
+
+    def _rows(self):
+        """Return texts on the fields by their names."""
+        spread = f"{self.interpixel_distribution} {self.interpixel_scatter:g}"
+        return {
             "stamp": f"{self.shape[0]} x {self.shape[1]} px of {self.pixel_scale:g} arcsec",
-            "cadence": f"{self.n_frames} frames of {self.frame_time:.6g} s, "
-            f"{self.exposure_time:.6g} s exposed",
-            "zero point": f"{self.zero_point:g} e-/s at {band} = {self.zero_point_mag:g}",
+            "frames": f"{self.n_frames} frames of {self.int_time:g} s",
+            "zero point": f"{self.zero_point:g} e-/s at magnitude {self.zero_point_mag:g}",
             "gain": f"{self.gain:g} e-/DN",
             "read noise": f"{self.read_noise:g} e-",
-            "background": f"{self.background:g} e-/s per pixel",
+            "background": f"{self.background:g} e-/s",
             "well depth": "none" if self.well_depth is None else f"{self.well_depth:g} e-",
             "sensitivity": "1" if self.sensitivity is None else type(self.sensitivity).__name__,
-            "interpixel": f"{self.interpixel_distribution}, {self.interpixel_scatter:g}"
-            if self.interpixel is None
-            else "given",
-            "PSF": "none" if self.psf is None else f"{PRF(self.psf).n_components} components",
+            "interpixel": spread if self.interpixel is None else "given",
         }
-        return html_table(f"Detector {self.mission}", rows)
 
     @classmethod
     def preset(cls, name, cadence=None, **changes):
@@ -264,7 +263,12 @@ class Detector(Value):
         found = presets.PRESETS.get(name.lower()) if isinstance(name, str) else None
         if found is None:
             raise ValueError(f"`name` must be one of {', '.join(presets.PRESETS)}, got {name!r}")
-        return cls(**(found.with_cadence(cadence) | changes))
+        fields = dict(found.fields)
+        if cadence is not None or found.cadences:
+            frame_time = fields["int_time"] + fields.get("read_time", 0.0)
+            item = choose_cadence(found.cadences, frame_time, cadence)
+            fields |= {name: getattr(item, name) for name in _OF_CADENCE}
+        return cls(**(fields | changes))
 
     @classmethod
     @documented(rest=_CADENCE)
@@ -710,13 +714,3 @@ class Detector(Value):
         True
         """
         return replace(self, sensitivity=None, interpixel=None, interpixel_scatter=0.0)
-
-
-def _checked_map(response, shape):
-    """Return a read-only copy of an interpixel map."""
-    response = plain_array(response, u.one, "interpixel")
-    if response.shape != shape:
-        raise ValueError(f"`interpixel` must have the shape {shape}, got {response.shape}")
-    if not np.all(np.isfinite(response)) or response.min() < 0:
-        raise ValueError("`interpixel` must be finite and not negative")
-    return frozen(response)

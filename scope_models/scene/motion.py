@@ -22,6 +22,7 @@ from scope_models.scene._motion_arrays import (
     as_pixels,
     as_times,
     check_increasing,
+    largest_distance,
     repair,
 )
 from scope_models.scene._pointing import (
@@ -789,7 +790,11 @@ class Motion(Value):
         keep = (self.quality & exclude) == 0
         if not keep.any():
             raise ValueError(f"all cadences have quality flags of `exclude`, {exclude}")
-        return MotionStatistics.of_positions(self.x[keep], self.y[keep], pixel_scale)
+        x, y = self.x[keep], self.y[keep]
+        r = np.hypot(x, y)
+        values = (r.mean(), r.std(), r.max(), largest_distance(x, y))
+        pixel = pixel_scale * u.arcsec / u.pix
+        return MotionStatistics(*(float(value) * u.pix for value in values), pixel, len(r))
 
 
 def _checked_scale(pixel_scale):

@@ -9,10 +9,10 @@ import numpy as np
 from scope_models._checks import checked_choice, checked_number
 from scope_models._values import Value
 from scope_models.effects import DarkCurrent, Extinction, Scintillation, Seeing
-from scope_models.missions import MISSIONS, Cadence, choose_cadence
+from scope_models.missions import MISSIONS, Cadence
 from scope_models.models import BivariateGaussianPSF, SensitivityPolynomial, moffat_psf
 
-__all__ = ["BANDS", "PRESETS", "Preset", "ground_fields", "register_preset"]
+__all__ = ["BANDS", "PRESETS", "Preset", "register_preset"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,40 +36,6 @@ class Preset(Value):
 
     fields: Mapping
     cadences: tuple[Cadence, ...] = ()
-
-    def with_cadence(self, choice=None):
-        """Return the fields for one of the cadences.
-
-        Parameters
-        ----------
-        choice : str, float or Quantity, optional
-            The cadence's name or its length, in seconds or with a unit; by default the usual one.
-
-        Returns
-        -------
-        dict
-            The fields.
-
-        Raises
-        ------
-        ValueError
-            If there is no such cadence.
-
-        Examples
-        --------
-        >>> from scope_models.scene.presets import PRESETS
-        >>> PRESETS["k2"].with_cadence("short")["n_frames"]
-        9
-        """
-        if choice is None and not self.cadences:
-            return dict(self.fields)
-        frame_time = self.fields["int_time"] + self.fields.get("read_time", 0.0)
-        cadence = choose_cadence(self.cadences, frame_time, choice)
-        return dict(self.fields) | {
-            "n_frames": cadence.n_frames,
-            "live_fraction": cadence.live_fraction,
-            "fixed_offset": cadence.fixed_offset,
-        }
 
 
 _REGISTERED, _OWN = {}, []
@@ -212,29 +178,7 @@ def ground_fields(
     aperture=1.0, altitude=2400.0, band="R", *, seeing=1.0, pixel_scale=0.4, airmass=1.0,
     throughput=0.4,
 ):  # fmt: skip
-    """Return the fields of a detector on a ground-based telescope.
-
-    Parameters
-    ----------
-    aperture, altitude, band, seeing, pixel_scale, airmass, throughput : optional
-        As for `Detector.ground <scope_models.Detector.ground>`.
-
-    Returns
-    -------
-    dict
-        The fields.
-
-    Raises
-    ------
-    ValueError
-        If the band is unknown or a number outside its domain.
-
-    Examples
-    --------
-    >>> from scope_models.scene.presets import ground_fields
-    >>> print(f"{ground_fields(1.0)['zero_point']:.3g}")
-    3.36e+09
-    """
+    """Return the fields of a detector on a ground-based telescope; see `Detector.ground`."""
     found = BANDS[checked_choice("band", band, BANDS)]
     aperture = checked_number("aperture", aperture, "m", positive=True)
     seeing = checked_number("seeing", seeing, "arcsec", positive=True)

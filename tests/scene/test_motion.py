@@ -9,7 +9,7 @@ from astropy.table import Table
 from scipy.spatial.distance import pdist
 
 from scope_models.scene import _pointing as _roll
-from scope_models.scene.motion import K2Roll, Motion, MotionStatistics
+from scope_models.scene.motion import K2Roll, Motion
 
 THRUSTER_FIRING = 1048576
 FILES = [
@@ -430,7 +430,7 @@ def _point_sets():
 
 @pytest.mark.parametrize("points", list(_point_sets()))
 def test_extent_is_the_largest_of_all_pairs(points):
-    row = MotionStatistics.of_positions(*points, 3.98)
+    row = Motion(np.arange(points.shape[1]), *points).statistics()
     expected = pdist(points.T).max() if points.shape[1] > 1 else 0.0
     assert row.extent.to_value(u.pix) == pytest.approx(expected, rel=1e-12, abs=1e-15)
 

@@ -292,6 +292,6 @@ def test_tables_for_notebooks():
     assert "<th>mission</th><td>K2</td>" in html
     assert "&lt;Motion of 100 cadences" in html
     html = Detector.tess()._repr_html_()
-    assert "<td>1 e-/s at T = 20.44</td>" in html
+    assert "<td>1 e-/s at magnitude 20.44</td>" in html
     assert "<td>2 components</td>" in html
     assert "none" in Detector.k2(well_depth=None, psf=None, mission="a<b")._repr_html_()
