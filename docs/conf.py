@@ -11,7 +11,7 @@ from scope_models.cli import main
 
 os.environ["MPLBACKEND"] = "Agg"
 sys.path.insert(0, str(Path(__file__).parent / "_ext"))
-sys.path.append(str(Path(__file__).parents[1] / "studies" / "paper"))
+sys.path += [str(Path(__file__).parents[1] / folder) for folder in ("studies/paper", "studies")]
 
 # Each has a section on the page on the command line.
 COMMANDS = ("demo", "simulate", "inject", "detrend", "fit", "benchmark", "score")
@@ -26,6 +26,7 @@ extensions = [
     "animation",
     "mathml",
     "notebooks",
+    "tables",
     "matplotlib.sphinxext.plot_directive",
     "numpydoc",
     "sphinx.ext.autodoc",
@@ -79,14 +80,15 @@ copybutton_prompt_is_regexp = True
 
 html_theme = "pydata_sphinx_theme"
 html_title = f"{project} {release}"
+html_favicon = "_static/logo.svg"
 html_static_path = ["_static"]
 html_css_files = ["site.css"]
 html_show_sourcelink = False
 html_math_renderer = "mathml"
-html_sidebars = {"index": [], "changelog": []}
+html_sidebars = {"index": [], "getting_started": [], "changelog": []}
 html_theme_options = {
-    "header_links_before_dropdown": 7,
-    "logo": {"text": project},
+    "header_links_before_dropdown": 6,
+    "logo": {"text": project, "image_light": "_static/logo.svg", "image_dark": "_static/logo.svg"},
     "navbar_persistent": ["search-button"],
     "navigation_with_keys": False,
     "secondary_sidebar_items": ["page-toc"],

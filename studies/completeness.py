@@ -9,6 +9,7 @@ ratio of 7.1 or more and lies on the transits. Cells that the output has are not
 """
 
 import argparse
+import time
 import warnings
 from pathlib import Path
 
@@ -16,7 +17,7 @@ import numpy as np
 from astropy.table import Table, vstack
 from paper._search import search_light_curve
 
-from scope_models import Detector, PLDCorrector, TransitModel, fit_tpf, inject
+from scope_models import Detector, PLDCorrector, TransitModel, __version__, fit_tpf, inject
 from scope_models.io import read_pixels, read_tpf
 
 PERIODS = (1.5, 3.0, 6.0, 12.0, 24.0)  # days
@@ -32,8 +33,8 @@ def recovered(tpf, share, period, depth, seed):
         1e-6 * depth, DURATION, period, start, exposure_time=exposure
     )
     lc = PLDCorrector(inject(tpf, planet, share, seed=seed)).correct()
-    time, _, found = search_light_curve(lc, 0.8 * DURATION, 1.2 * DURATION)
-    matches = found.matches(period, start, DURATION, np.ptp(time))
+    times, _, found = search_light_curve(lc, 0.8 * DURATION, 1.2 * DURATION)
+    matches = found.matches(period, start, DURATION, np.ptp(times))
     return bool(matches and found.snr >= THRESHOLD), found.snr, found.period
 
 
@@ -63,7 +64,12 @@ def main():
                     names=("period", "depth", "trial", "recovered", "snr", "found_period"),
                 )
                 table = row if table is None else vstack([table, row])
-                table.meta = {"file": Path(options.file).name, "share": share}
+                table.meta = {
+                    "date": time.strftime("%Y-%m-%d"),
+                    "version": __version__,
+                    "command": f"python studies/completeness.py {Path(options.file).name}",
+                    "share": share,
+                }
                 table.write(options.output, overwrite=True)
 
 

@@ -14,7 +14,7 @@ from scope_models.cli._main import _make_parser
 IMAGE = re.compile(r"^( *)\.\. (?:image|figure|plot)::(.*)\n((?:\1 +\S.*\n|\s*\n)*)", re.MULTILINE)
 
 # Pages with scripts for the queue of a cluster, which no test can run.
-NEEDS_A_CLUSTER = {"cluster.rst"}
+NEEDS_A_CLUSTER = {"many_files.rst"}
 
 
 def pages(repository):

@@ -11,6 +11,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+from _stamp import stamp
 from astropy.table import Table
 
 FOLDER = Path(__file__).parent
@@ -25,7 +26,8 @@ def rounded(table):
     return table
 
 
-def store(table, name):
+def store(table, name, command):
+    stamp(table, f"python studies/paper/{command}")
     rounded(table).write(FOLDER / f"{name}.ecsv", format="ascii.ecsv", overwrite=True)
 
 
@@ -46,17 +48,18 @@ def noise_table(summary):
 
 def main():
     no_motion, k2_motion, grid = (Path(argument) for argument in sys.argv[1:4])
-    store(Table.read(no_motion / "summary.ecsv"), "no_motion")
+    store(Table.read(no_motion / "summary.ecsv"), "no_motion", "no_motion.py")
     stars = Table.read(no_motion / "results.ecsv")[list(STARS)]
     stars.meta.clear()
-    store(stars, "no_motion_stars")
+    store(stars, "no_motion_stars", "no_motion.py")
     summary = Table.read(k2_motion / "summary.ecsv")
-    store(summary, "k2_motion")
+    store(summary, "k2_motion", "k2_motion.py --stars 120 --cadences 3380")
     with (FOLDER / "k2_motion.csv").open("w", newline="", encoding="utf-8") as file:
         csv.writer(file).writerows(noise_table(summary))
     table = Table.read(grid)
     a_2, scatter = (np.unique(table[name])[::2] for name in ("a_2", "scatter"))
-    store(table[np.isin(table["a_2"], a_2) & np.isin(table["scatter"], scatter)], "k2_calibration")
+    every_other = np.isin(table["a_2"], a_2) & np.isin(table["scatter"], scatter)
+    store(table[every_other], "k2_calibration", "calibrate_k2_motion.py")
 
 
 if __name__ == "__main__":

@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+from _stamp import stamp
 from astropy.table import Table
 
 FOLDER = Path(__file__).parent
@@ -84,6 +85,7 @@ def main(results):
     for name in summary.colnames:
         if summary[name].dtype.kind == "f":
             summary[name][:] = [float(f"{value:.5g}") for value in np.array(summary[name])]
+    stamp(summary, "python studies/paper/motion.py")
     summary.write(FOLDER / "motion.ecsv", overwrite=True)
     for name, rows in tables(summary).items():
         with (FOLDER / f"motion_{name}.csv").open("w", newline="", encoding="utf-8") as file:

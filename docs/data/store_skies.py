@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+from _stamp import stamp
 from astropy.table import Table
 
 FOLDER = Path(__file__).parent
@@ -61,6 +62,7 @@ def main(name, results):
     for column in summary.colnames:
         if summary[column].dtype.kind == "f":
             summary[column][:] = [float(f"{value:.5g}") for value in np.array(summary[column])]
+    stamp(summary, f"python studies/paper/{name.replace('-', '_')}.py")
     summary.write(FOLDER / f"{name}.ecsv", overwrite=True)
     for part, rows in tables(name, summary).items():
         with (FOLDER / f"{name}_{part}.csv").open("w", newline="", encoding="utf-8") as file:

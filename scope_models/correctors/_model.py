@@ -188,7 +188,7 @@ class PLDModel:
     The linear model of the logarithm of a star's flux.
 
     `PLDCorrector` makes one for each call of ``correct``. The equation is on the page
-    :doc:`/pld`.
+    :doc:`/explanation/pld`.
 
     Parameters
     ----------

@@ -291,7 +291,7 @@ class PLDFit:
         -------
         flux, flux_err : ndarray
             In e-/s, ``(n_cadences,)``; the error holds the white noise, the uncertainty of the
-            model, and what other stars in the aperture add: see :doc:`/pld`.
+            model, and what other stars in the aperture add: see :doc:`/explanation/pld`.
         """
         solution = self.solution
         removed, variance = solution.systematics, solution.systematics_variance

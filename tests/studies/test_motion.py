@@ -355,8 +355,9 @@ def test_the_command_says_which_claims_hold(capsys, tmp_path):
     assert Table.read(tmp_path / "out" / "summary.ecsv").meta["transit_scales"] == []
 
 
-def test_the_pages_show_the_stored_study(repository):
+def test_the_pages_show_the_stored_study(repository, monkeypatch):
     folder = repository / "docs" / "data"
+    monkeypatch.syspath_prepend(folder)
     store = runpy.run_path(str(folder / "store_motion.py"))
     summary = Table.read(folder / "motion.ecsv")
     config = plain_tree(asdict(MotionTest()))

@@ -274,8 +274,9 @@ def test_a_real_star_of_campaign_18(shared_data, tmp_path):
 
 
 @pytest.mark.parametrize("name", STORED)
-def test_tables_of_the_page(name, repository):
+def test_tables_of_the_page(name, repository, monkeypatch):
     folder = repository / "docs" / "data"
+    monkeypatch.syspath_prepend(folder)
     stored = runpy.run_path(str(folder / "store_skies.py"))
     study = importlib.import_module(name)
     summary = Table.read(folder / f"{study.NAME}.ecsv")
