@@ -1,0 +1,184 @@
+"""Integrals over pixels with fifty digits, and the errors of the package's against them.
+
+    python studies/fifty_digits.py truth tests/data/fifty_digits.ecsv
+    python studies/fifty_digits.py errors docs/data/fifty_digits.ecsv
+
+"truth" writes integrals of correlated Gaussians times polynomials, and their derivatives, at
+places that are hard: narrow and wide densities, |rho| near 1, stars at centers, edges and corners
+of pixels, the brightest pixel, its diagonal neighbor, and one in the wings. "errors" writes the
+error against the number of terms, nodes, Chebyshev coefficients and samples, which
+``docs/figures/fifty_digits.py`` draws. Both need mpmath.
+"""
+
+import argparse
+from functools import cache
+from itertools import pairwise
+
+import mpmath as mp
+import numpy as np
+from astropy.table import Table
+
+DIGITS = 50
+X_ROW, Y_ROW = (1.0, 0.1, -0.05, 0.2), (1.0, -0.2, -0.75)
+NAMES = ("x_0", "y_0", "sigma_x", "sigma_y", "rho")
+PLACES = ((3.0, 3.0), (3.5, 3.125), (3.5, 3.5), (3.4990234375, 2.5))
+# Half the width of a panel in standard deviations, nodes in it (1e-50), and where densities end.
+HALF, NODES, REACH = 0.75, 24, 15
+
+
+@cache
+def legendre():
+    """Return nodes and weights of the Gauss-Legendre rule, by Newton's method."""
+    found = []
+    for k in range(NODES):
+        x = mp.cos(mp.pi * (k + mp.mpf(3) / 4) / (NODES + mp.mpf(1) / 2))
+        for _ in range(8):
+            p, before = mp.mpf(1), mp.mpf(0)
+            for n in range(NODES):
+                p, before = ((2 * n + 1) * x * p - n * before) / (n + 1), p
+            slope = NODES * (x * p - before) / (x * x - 1)
+            x -= p / slope
+        found.append((x, 2 / ((1 - x * x) * slope**2)))
+    return found
+
+
+def along_y(mean, sigma, row):
+    """Return the integral over (-1/2, 1/2) of a polynomial times a normal density."""
+    edges = [-mp.mpf(1) / 2, mp.mpf(1) / 2]
+    low, high = ((edge - mean) / sigma for edge in edges)
+    if low > 0:  # where the complement has the digits
+        low, high = -high, -low
+    density = [mp.npdf((edge - mean) / sigma) for edge in edges]
+    moments = [mp.ncdf(high) - mp.ncdf(low)]
+    for n in range(1, len(row)):
+        boundary = edges[1] ** (n - 1) * density[1] - edges[0] ** (n - 1) * density[0]
+        before = (n - 1) * sigma**2 * moments[n - 2] if n > 1 else 0
+        moments.append(mean * moments[-1] + before - sigma * boundary)
+    return mp.fdot(row, moments)
+
+
+def exact(column, line, x_0, y_0, sigma_x, sigma_y, rho, x_row=X_ROW, y_row=Y_ROW):
+    """Return the integral of a unit Gaussian times the polynomials over a pixel."""
+    x, y = x_0 - column, y_0 - line
+    width, slope = sigma_y * mp.sqrt(1 - rho**2), rho * sigma_y / sigma_x
+    low = max(-mp.mpf(1) / 2, x - REACH * sigma_x)
+    high = min(mp.mpf(1) / 2, x + REACH * sigma_x)
+    cuts = [x + 2 * HALF * k * sigma_x for k in range(-REACH, REACH)]
+    if rho:  # along y the density crosses the edges of the pixel there
+        step = 2 * HALF * width / abs(slope)
+        for edge in (-mp.mpf(1) / 2, mp.mpf(1) / 2):
+            cuts += [x + (edge - y) / slope + k * step for k in range(-REACH, REACH)]
+    cuts = [low, *sorted(cut for cut in cuts if low < cut < high), high]
+    total = mp.mpf(0)
+    for left, right in pairwise(cuts):
+        half, middle = (right - left) / 2, (right + left) / 2
+        for node, weight in legendre() if right > left else ():
+            u = middle + half * node
+            powers = [u**n for n in range(len(x_row))]
+            part = along_y(y + slope * (u - x), width, y_row) * mp.npdf((u - x) / sigma_x)
+            total += weight * half * mp.fdot(x_row, powers) * part / sigma_x
+    return total
+
+
+def slopes(pixel, values):
+    """Return the derivatives by the parameters: central differences of 1e-16, exact to 1e-30."""
+    found = []
+    for k, value in enumerate(values):
+        ends = [exact(*pixel, *values[:k], value + s, *values[k + 1 :]) for s in (-STEP, STEP)]
+        found.append((ends[1] - ends[0]) / (2 * STEP))
+    return found
+
+
+def write_truth(path):
+    rows = []
+    for number, sigma in enumerate((0.02, 0.1, 0.3, 0.5, 1.0, 3.0)):
+        for k, rho in enumerate((0.0, 0.01, 0.5, 0.9, 0.99, -0.9999)):
+            x_0, y_0 = PLACES[(number + k) % len(PLACES)]
+            values = [mp.mpf(v) for v in (x_0, y_0, sigma, (1, 2.5)[k % 2] * sigma, rho)]
+            for pixel in ((3, 3), (4, 4), (2, 3 + round(2 * sigma))):
+                numbers = [exact(*pixel, *values)]
+                hard = pixel == (3, 3) and sigma in {0.1, 0.5, 3.0}
+                numbers += slopes(pixel, values) if hard else []
+                text = " ".join(mp.nstr(n, 25) for n in numbers)
+                rows.append((*pixel, *map(float, values), text))
+    Table(rows=rows, names=("column", "row", *NAMES, "integral_and_slopes")).write(
+        path, overwrite=True
+    )
+
+
+def gaussian_errors():
+    """Yield errors of the series and of the tensor rule, as their orders grow."""
+    from scope_models.models import _axis, _gaussian
+
+    pixels, place = np.arange(7.0), (3.3, 3.4)
+    rows = tuple(np.array(row) for row in (X_ROW, Y_ROW))
+    kept = _gaussian.n_terms, _gaussian.gaussian_nodes
+    cases = [("terms", 0.5, rho) for rho in (0.2, 0.5, 0.8)]
+    cases += [("nodes", sigma, 0.9) for sigma in (0.3, 0.7, 1.5)]
+    for kind, sigma, rho in cases:
+        values = [np.array([v]) for v in (1.0, *place, sigma, sigma, rho)]
+        arguments = [mp.mpf(float(v[0])) for v in values[1:]]
+        truth = {pixel: exact(*pixel, *arguments) for pixel in ((3, 3), (4, 4), (3, 4))}
+        scale = sigma * np.sqrt(1 - rho**2)
+        chosen = kept[0](rho) if kind == "terms" else kept[1](scale, 3)
+        for order in sorted({*range(2, 2 * chosen, max(1, chosen // 12)), chosen}):
+            _gaussian.n_terms = _gaussian.gaussian_nodes = lambda *_, order=order: order
+            image = np.zeros((1, 1, 7, 7))
+            engine = _gaussian._series_image if kind == "terms" else _gaussian._tensor_image  # noqa: SLF001
+            engine(pixels, pixels, values, rows, image)
+            error = max(abs(float(image[0, 0, j, i] - v)) for (i, j), v in truth.items())
+            yield kind, (rho if kind == "terms" else sigma), order, error, chosen
+        _gaussian.n_terms, _gaussian.gaussian_nodes = kept
+    for sigma in (0.15, 0.5, 1.5):
+        yield from panel_errors(_axis, sigma)
+
+
+def panel_errors(axis, sigma):
+    """Yield errors of the integrals along an axis as a Chebyshev series of the position grows."""
+    pixels, row = np.arange(7.0), np.array(X_ROW)
+    panels = axis.AxisPanels(pixels, sigma, row, 1)
+    at = np.array([2.5000001, 2.61, 2.9, 3.27, 3.4999999])
+    truth = [[float(along_y(mp.mpf(x) - p, mp.mpf(sigma), X_ROW)) for p in range(7)] for x in at]
+    panels(at)
+    ((key, (expansion, sizes)),) = panels.panels.items()
+    for order in sorted({*range(2, sizes[0], 2), sizes[0]}):
+        panels.panels[key] = expansion[:order], [order, 1]
+        yield "panels", sigma, order, np.abs(panels(at)[:, 0] - truth).max(), sizes[0]
+    panels.panels[key] = expansion, sizes
+
+
+def table_errors():
+    """Yield errors of tabulated Gaussians against the samples per pixel."""
+    from scope_models import BivariateGaussianPSF, TabulatedPSF, integrate_pixels
+
+    for sigma in (0.3, 0.5, 1.0):
+        values = [mp.mpf(v) for v in (3.3, 3.4, sigma, sigma, 0.3)]
+        truth = {p: exact(*p, *values, (1,), (1,)) for p in ((3, 3), (4, 4), (3, 4))}
+        for samples in (3, 5, 7, 9, 13, 19, 27):
+            half = np.ceil(8 * sigma) * samples
+            y, x = np.mgrid[-half : half + 1, -half : half + 1] / samples
+            density = BivariateGaussianPSF(1, 0, 0, sigma, sigma, 0.3)(x, y)
+            model = TabulatedPSF(density, samples, 1, 3.3, 3.4)
+            image = integrate_pixels(model, (7, 7))
+            error = max(abs(float(image[j, i] - v)) for (i, j), v in truth.items())
+            yield "samples", sigma, samples, error, 9
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("kind", choices=("truth", "errors"))
+    parser.add_argument("path")
+    options = parser.parse_args()
+    if options.kind == "truth":
+        write_truth(options.path)
+        return
+    rows = [*gaussian_errors(), *table_errors()]
+    names = ("kind", "case", "order", "error", "chosen")
+    Table(rows=rows, names=names).write(options.path, overwrite=True)
+
+
+mp.mp.dps = DIGITS
+STEP = mp.mpf(10) ** -16
+
+if __name__ == "__main__":
+    main()
