@@ -38,7 +38,7 @@ from scope_models import photometry as ph
 from scope_models import plotting as pl
 from scope_models._arrays import plain_array, plain_number, plain_time
 from scope_models.benchmark import SkyRegime
-from scope_models.correctors._model import PLDOptions
+from scope_models.correctors import PLDOptions
 from scope_models.effects import Effect, Focus, Gaps, ScatteredLight, airmass, moon_geometry
 from scope_models.effects import noise as effects_noise
 from scope_models.effects.cosmic_rays import rejected_shift
@@ -634,8 +634,6 @@ ROWS = {
 }  # fmt: skip
 # Arguments that are passed on.
 PASSED_ON = {
-    "PLDCorrector.correct.saturation": "PLDOptions.saturation",
-    "PLDCorrector.correct.segments": "PLDOptions.segments",
     "PRF.from_kepler.column": "PRFGrid.at.column",
     "PRF.from_kepler.row": "PRFGrid.at.row",
     "PRF.from_tess.column": "PRFGrid.at.column",

@@ -21,7 +21,7 @@ from scope_models import (
     read_pixels,
     simulate,
 )
-from scope_models.correctors._model import PLDOptions
+from scope_models.correctors import PLDOptions
 from scope_models.effects import Background, Extinction, Focus, Gaps
 from scope_models.effects.base import Drawn
 from scope_models.io import TPFMetadata

@@ -52,7 +52,8 @@ def detrend_files(paths, output_dir, client=None, *, overwrite=False, sweep=None
         them: the same call goes on where an earlier one stopped.
     {run}
     **options
-        Arguments of `~scope_models.correctors.PLDCorrector.correct` that are numbers, text, or
+        Arguments of `~scope_models.correctors.PLDCorrector.correct` and fields of
+        `~scope_models.correctors.PLDOptions` that are numbers, text, or
         true or false; ``survival=True`` adds the survival of transits, which doubles the time.
 
     Returns

@@ -2,6 +2,7 @@
 """Correctors of light curves."""
 
 from scope_models.correctors._files import detrend_file
+from scope_models.correctors._model import PLDOptions
 from scope_models.correctors._result import PLDFit
 from scope_models.correctors.compare import (
     ComparisonResult,
@@ -15,6 +16,7 @@ __all__ = [
     "ComparisonResult",
     "PLDCorrector",
     "PLDFit",
+    "PLDOptions",
     "SceneCorrector",
     "SceneResult",
     "choose_corrector",

@@ -200,17 +200,17 @@ def background_columns(pixels, n_components, mask, use):
     outside = ~pixels.aperture if mask is None else mask
     outside = outside & np.isfinite(pixels.flux[usable]).all(axis=0)
     if not outside.any():
-        raise ValueError("`background` needs pixels with data outside of `aperture_mask`")
+        raise ValueError("the background needs pixels with data outside of `aperture_mask`")
     rotated = _components(pixels.flux[usable][:, outside], pixels.total[usable], use[usable])
     columns = np.full((len(usable), min(n_components, rotated.shape[1])), np.nan)
     columns[usable] = rotated[:, :n_components]
     return columns
 
 
-def other_columns(cadenceno, other_targets):
+def other_columns(cadenceno, others):
     """Return the first principal components of the pixel fractions of other target pixel files."""
     parts = []
-    for other in other_targets:
+    for other in others:
         series = read_pixels(other)
         pixels = aperture_pixels(series, None)
         usable = pixels.usable & pixels.lit
@@ -218,7 +218,7 @@ def other_columns(cadenceno, other_targets):
         rotated = rotated[:, :_OTHER_COMPONENTS]
         _, here, there = np.intersect1d(cadenceno, series.cadenceno[usable], return_indices=True)
         if not len(here):
-            raise ValueError("`other_targets` must share cadences with the target, got none")
+            raise ValueError("files in `regressors` must share cadences with the target, got none")
         columns = np.full((len(cadenceno), rotated.shape[1]), np.nan)
         columns[here] = rotated[there]
         parts.append(columns)

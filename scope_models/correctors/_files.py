@@ -1,8 +1,11 @@
 """From a target pixel file to the file of a corrected light curve."""
 
+from dataclasses import fields
+
 import numpy as np
 from astropy.io import fits
 
+from scope_models.correctors._model import PLDOptions
 from scope_models.correctors.pld import PLDCorrector
 from scope_models.io import read_pixels
 from scope_models.io._atomic import atomic_path, check_output
@@ -31,7 +34,7 @@ def detrend_file(path, output, *, figure=None, overwrite=False, survival=False, 
     survival : bool, optional
         Whether the file has the card PLDSURV, `PLDFit.survival`: it takes a second correction.
     **options
-        Arguments of `PLDCorrector.correct`.
+        Arguments of `PLDCorrector.correct`, and fields of `PLDOptions`.
 
     Returns
     -------
@@ -68,7 +71,9 @@ def detrend_file(path, output, *, figure=None, overwrite=False, survival=False, 
         check_figure_format(figure)
     with naming(path):
         corrector = PLDCorrector(path)
-        corrector.correct(**options)
+        names = {item.name for item in fields(PLDOptions)}
+        few = {name: options.pop(name) for name in names & options.keys()}
+        corrector.correct(options=PLDOptions(**few), **options)
         hdus = make_lightcurve_hdulist(corrector, survival=survival)
     write_hdulist(hdus, output, overwrite=overwrite)
     if figure is not None:

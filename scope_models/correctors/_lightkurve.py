@@ -1,5 +1,8 @@
 """lightkurve's arguments and objects: names of masks, options, basis vectors, design matrices."""
 
+from numbers import Real
+from os import PathLike
+
 import numpy as np
 
 from scope_models._arrays import plain_array
@@ -9,11 +12,13 @@ __all__ = [
     "LightkurveNames",
     "external_columns",
     "named_mask",
+    "sorted_regressors",
     "to_collection",
     "translated",
 ]
 
 _RENAMED = {"pld_order": "order", "n_pca_terms": "pca_components", "niters": "max_clips"}
+_SAME = ("pca_components", "pld_aperture_mask", "background_aperture_mask", "sigma")
 _SUCCESSORS = {
     "spline_n_knots": 'the trend has no knots: `trend="gp"` fits its time scale to the data, '
     '`trend="quadratic"` is a polynomial',
@@ -60,7 +65,7 @@ class LightkurveNames(FixedAperture):
 
 def translated(options):
     """
-    Return arguments of `PLDCorrector.correct` for those of lightkurve.
+    Return fields of `Settings` for arguments of lightkurve.
 
     Parameters
     ----------
@@ -76,10 +81,10 @@ def translated(options):
     """
     found = {}
     for name, value in options.items():
-        if name in (*_RENAMED, *_SUCCESSORS) and (value is None or value is False):
+        if name in (*_RENAMED, *_SAME, *_SUCCESSORS) and (value is None or value is False):
             continue  # lightkurve's defaults
-        if name in _RENAMED:
-            found[_RENAMED[name]] = value
+        if name in (*_RENAMED, *_SAME):
+            found[_RENAMED.get(name, name)] = value
         elif name == "propagate_errors":
             if not value:
                 raise ValueError("`propagate_errors` cannot be False: errors are always propagated")
@@ -127,15 +132,44 @@ def named_mask(tpf, mask, name):
     )
 
 
+def sorted_regressors(regressors):
+    """
+    Sort what `PLDCorrector.correct` takes as regressors.
+
+    Parameters
+    ----------
+    regressors : object or list
+        One or a list of them; numbers are one column.
+
+    Returns
+    -------
+    background : bool
+        Whether the pixels outside of the aperture are among them.
+    others, columns : list
+        Target pixel files, and all that has a row per cadence.
+    """
+    several = isinstance(regressors, (list, tuple)) and not any(
+        isinstance(one, Real) for one in regressors
+    )
+    background, others, columns = False, [], []
+    for one in regressors if several else [regressors]:
+        if isinstance(one, str) and one == "background":
+            background = True
+        elif hasattr(one, "flux") or isinstance(one, (str, PathLike)):
+            others.append(one)
+        else:
+            columns.append(one)
+    return background, others, columns
+
+
 def external_columns(regressors, cadenceno):
     """
     Return columns of the user's own, each with unit variance.
 
     Parameters
     ----------
-    regressors : array_like, DesignMatrix, DesignMatrixCollection, CotrendingBasisVectors or list
-        One or a list of them. Basis vectors are matched by their cadence numbers, the others must
-        have a row per cadence.
+    regressors : list of array_like, DesignMatrix, DesignMatrixCollection or CotrendingBasisVectors
+        Basis vectors are matched by their cadence numbers, the others must have a row per cadence.
     cadenceno : ndarray of int
         The star's cadence numbers.
 
@@ -144,9 +178,7 @@ def external_columns(regressors, cadenceno):
     ndarray
         ``(n_cadences, n_columns)``, NaN where a column is unknown.
     """
-    several = isinstance(regressors, (list, tuple)) and not all(map(np.isscalar, regressors))
-    columns = [_columns_of(one, cadenceno) for one in (regressors if several else [regressors])]
-    columns = np.concatenate(columns, axis=1)
+    columns = np.concatenate([_columns_of(one, cadenceno) for one in regressors], axis=1)
     spread = np.nanstd(columns, axis=0)
     varies = spread > 0
     return columns[:, varies] / spread[varies]

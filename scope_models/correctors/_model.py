@@ -1,13 +1,12 @@
 """The model behind pixel level decorrelation: its options and its design matrix."""
 
 from dataclasses import dataclass, replace
-from numbers import Real
 
 import numpy as np
 from astropy import units as u
 
 from scope_models._arrays import plain_number, plain_time
-from scope_models._checks import checked_integer, checked_mask
+from scope_models._checks import check_fields, checked_choice, checked_mask, integer, number
 from scope_models._values import Value, frozen
 from scope_models.correctors._clean import CleanPixels
 from scope_models.correctors._design import (
@@ -22,7 +21,7 @@ from scope_models.correctors._design import (
 )
 from scope_models.correctors._features import Regressors
 from scope_models.correctors._injection import Source, transit_column
-from scope_models.correctors._lightkurve import external_columns
+from scope_models.correctors._lightkurve import external_columns, sorted_regressors
 from scope_models.correctors._pixels import (
     Pixels,
     aperture_pixels,
@@ -33,11 +32,9 @@ from scope_models.correctors._result import PLDFit
 from scope_models.correctors._solution import fit
 from scope_models.io import read_pixels
 
-__all__ = ["PLDModel", "PLDOptions"]
+__all__ = ["PLDModel", "PLDOptions", "Settings"]
 
 _FEWEST_CADENCES = 30
-#: Columns of background if pixels are given for them, but no number.
-_BACKGROUND_COLUMNS = 3
 _FRACTIONS = ("auto", "predicted", "measured")
 #: Kinds of the light that is corrected.
 FLUXES = ("auto", "sum", "weighted")
@@ -59,42 +56,46 @@ _USUAL = 0.9
 _TRENDS = {"gp": 1, "quadratic": 3}
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class PLDOptions(Value):
     """
-    Options of pixel level decorrelation.
+    Options of `PLDCorrector.correct` that are rarely set.
 
     Parameters
     ----------
-    order : int, optional
-        Highest number of pixel fractions that are multiplied.
     trend : {"gp", "quadratic"}, optional
         Long-term variability: a Gaussian process or a polynomial.
     segments : "auto", None or sequence of float, optional
-        Times (days) at which the coefficients of order 1 may change. By
-        default where the sense of the roll reverses.
-    fractions : {"auto", "predicted", "measured"}, optional
-        Pixel fractions as a model of the star, its motion, focus and background predicts them,
-        or as they are measured; see `fit_pixels`.
+        Times (days) at which the coefficients of order 1 may change. By default where the sense of
+        the roll reverses. The change has a prior variance of its own, which vanishes if nothing
+        changes.
     flux : {"auto", "sum", "weighted"}, optional
-        The light that is corrected, as in `PLDCorrector.correct`.
-    pca_components : int, optional
-        Largest number of columns per order.
-    pld_aperture_mask : array_like of bool, optional
-        Pixels whose fractions are regressors, by default the aperture.
-    background : int, optional
-        Number of principal components of the pixels outside of the aperture
-        that are regressors too.
-    background_aperture_mask : array_like of bool, optional
-        Pixels that these are taken from.
-    other_targets : sequence of `~lightkurve.targetpixelfile.TargetPixelFile`, optional
-        Other stars whose pixel fractions are regressors too.
-    regressors : array_like, DesignMatrix, CotrendingBasisVectors or list of these, optional
-        Further columns, as in `PLDCorrector.correct`.
+        The light that is corrected: the sum over the aperture, or the star's brightness as a
+        least-squares fit of its image to all pixels gives it, in units of that sum. The image,
+        which follows position, focus and slow changes, is learned from the same pixels. Where
+        background and readout are the noise, as for faint stars, the fit is less noisy. By default
+        it is taken if it is expected to have less than 0.9 times the noise of the sum, has so from
+        cadence to cadence, and the images describe the pixels (mean variance about them below 1.3
+        times that of FLUX_ERR). Moving apertures, full pixels, measured fractions, and fewer than
+        200 cadences or 4 pixels allow the sum only.
     saturation : "auto", None or float, optional
-        Flux in e-/s above which a pixel is saturated.
+        Flux in e-/s above which a pixel is saturated, by default that of the mission if it is
+        known. A full pixel stays full when the star dims, so that its share of the light would
+        reveal to the model a transit: columns with such pixels are replaced by images of their sum
+        at the row of the other columns. None: all pixels count.
+    background : int, optional
+        Number of principal components of the pixels outside of the aperture, if these are
+        regressors.
+    background_aperture_mask : array_like of bool or str, optional
+        Pixels that these are taken from, by default all outside of the aperture; with a mask they
+        are regressors.
+    pca_components : int, optional
+        Largest number of columns per order: the first principal components; 0 and None: as many as
+        can change the flux. The prior variance keeps the unneeded ones small.
+    pld_aperture_mask : array_like of bool or str, optional
+        Pixels whose fractions are regressors, by default those of the aperture.
     sigma : float, optional
-        Cadences that deviate by more standard deviations are outliers.
+        Cadences that deviate by more standard deviations from what all others predict are outliers.
     max_clips : int, optional
         Largest number of times that outliers are searched.
 
@@ -105,43 +106,27 @@ class PLDOptions(Value):
 
     Examples
     --------
-    >>> from scope_models.correctors._model import PLDOptions
-    >>> PLDOptions(order=3).order
-    3
+    >>> from scope_models.correctors import PLDOptions
+    >>> PLDOptions(trend="quadratic").sigma
+    5.0
     """
 
-    order: int = 2
     trend: str = "gp"
     segments: object = "auto"
-    fractions: str = "auto"
     flux: str = "auto"
-    pca_components: int | None = None
-    pld_aperture_mask: object = None
-    background: int = 0
-    background_aperture_mask: object = None
-    other_targets: tuple = ()
-    regressors: object = ()
     saturation: object = "auto"
-    sigma: float = 5.0
-    max_clips: int = 5
+    background: int = integer(3, 1)
+    background_aperture_mask: object = None
+    pca_components: int | None = integer(None, 0)
+    pld_aperture_mask: object = None
+    sigma: float = number(5.0, positive=True)
+    max_clips: int = integer(5, 0)
 
     def __post_init__(self):
-        checked_integer("order", self.order, 1)
-        if self.trend not in _TRENDS:
-            raise ValueError(f"`trend` must be one of {tuple(_TRENDS)}, got {self.trend!r}")
-        if self.fractions not in _FRACTIONS:
-            raise ValueError(f"`fractions` must be one of {_FRACTIONS}, got {self.fractions!r}")
-        if self.flux not in FLUXES:
-            raise ValueError(f"`flux` must be one of {FLUXES}, got {self.flux!r}")
-        checked_integer("background", self.background, 0)
-        if self.pca_components is not None:
-            checked_integer("pca_components", self.pca_components, 1)
-        if not isinstance(self.sigma, Real) or not self.sigma > 0:
-            raise ValueError(f"`sigma` must be positive, got {self.sigma!r}")
-        checked_integer("max_clips", self.max_clips, 0)
-        if hasattr(self.other_targets, "flux"):
-            object.__setattr__(self, "other_targets", (self.other_targets,))
-        for name in ("pld_aperture_mask", "background_aperture_mask", "regressors"):
+        check_fields(self)
+        checked_choice("trend", self.trend, tuple(_TRENDS))
+        checked_choice("flux", self.flux, FLUXES)
+        for name in ("pld_aperture_mask", "background_aperture_mask"):
             if isinstance(getattr(self, name), np.ndarray):
                 object.__setattr__(self, name, frozen(getattr(self, name)))
         object.__setattr__(self, "segments", _checked_segments(self.segments))
@@ -151,6 +136,19 @@ class PLDOptions(Value):
     def n_trend(self):
         """Number of columns of the constant and the polynomial trend."""
         return _TRENDS[self.trend]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Settings(PLDOptions):
+    """All options of a correction, as `PLDCorrector.correct` describes them."""
+
+    order: int = integer(2, 1)
+    fractions: str = "auto"
+    regressors: object = ()
+
+    def __post_init__(self):
+        super().__post_init__()
+        checked_choice("fractions", self.fractions, _FRACTIONS)
 
 
 def _checked_segments(segments):
@@ -194,7 +192,7 @@ class PLDModel:
     ----------
     pixels : Pixels
         Light and fractions of the pixels, aperture, and cadences that can be used.
-    options : PLDOptions
+    options : Settings
         Order, trend, further regressors, clipping.
     design : DesignOptions
         The same for the design matrix, with what has been found in the file: segments,
@@ -241,7 +239,7 @@ class PLDModel:
         cadence_mask : ndarray of bool, optional
             As in `from_pixels`.
         **options
-            Arguments of `PLDOptions`.
+            Fields of `Settings`.
 
         Returns
         -------
@@ -250,7 +248,7 @@ class PLDModel:
         """
         series = read_pixels(tpf)
         pixels = aperture_pixels(series, aperture_mask)
-        return cls.from_pixels(pixels, PLDOptions(**options), series, cadence_mask)
+        return cls.from_pixels(pixels, Settings(**options), series, cadence_mask)
 
     @classmethod
     def from_pixels(cls, pixels, options, series, cadence_mask=None):
@@ -261,7 +259,7 @@ class PLDModel:
         ----------
         pixels : Pixels
             Pixels and aperture.
-        options : PLDOptions
+        options : Settings
             The options.
         series : PixelSeries
             Their file, for its mission and cadence numbers.
@@ -279,20 +277,21 @@ class PLDModel:
         if cadence_mask is not None:
             use = use & cadence_mask
         _check_enough(use)
-        background, outside = options.background, options.background_aperture_mask
+        background, others, columns = sorted_regressors(options.regressors)
+        outside = options.background_aperture_mask
         if outside is not None:
             outside = checked_mask("background_aperture_mask", outside, pixels.aperture.shape)
-            background = background or _BACKGROUND_COLUMNS
+            background = True
         if background:
-            extra["background"] = background_columns(pixels, background, outside, use)
+            extra["background"] = background_columns(pixels, options.background, outside, use)
         regressor_mask = options.pld_aperture_mask
         if regressor_mask is not None:
             shape = pixels.aperture.shape
             regressor_mask = checked_mask("pld_aperture_mask", regressor_mask, shape)
-        if len(options.other_targets):
-            extra["other_targets"] = other_columns(series.cadenceno, options.other_targets)
-        if not (isinstance(options.regressors, (list, tuple)) and not options.regressors):
-            extra["regressors"] = external_columns(options.regressors, series.cadenceno)
+        if others:
+            extra["other_targets"] = other_columns(series.cadenceno, others)
+        if columns:
+            extra["regressors"] = external_columns(columns, series.cadenceno)
         saturation = options.saturation
         if saturation == "auto":
             saturation = series.mission and series.mission.full_flux
@@ -313,7 +312,7 @@ class PLDModel:
             pixels = pixels.weighted
         breaks = segment_breaks(options.segments, pixels, use & pixels.usable)
         design = DesignOptions(
-            options.order, saturation, breaks, extra, options.pca_components, regressor_mask
+            options.order, saturation, breaks, extra, options.pca_components or None, regressor_mask
         )
         return cls(pixels, options, design, clean, source)
 
@@ -425,7 +424,7 @@ def fit_pixels(pixels, options, series, cadence_mask=None, **transit):
     ----------
     pixels : Pixels
         Pixels and aperture.
-    options : PLDOptions
+    options : Settings
         The options.
     series : PixelSeries
         Their file.

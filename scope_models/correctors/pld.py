@@ -14,7 +14,7 @@ from scope_models.correctors._lightkurve import (
     to_collection,
     translated,
 )
-from scope_models.correctors._model import PLDOptions, fit_pixels
+from scope_models.correctors._model import PLDOptions, Settings, fit_pixels
 from scope_models.correctors._pixels import (
     NOISIER,
     WORSE,
@@ -104,28 +104,20 @@ class PLDCorrector(LightkurveNames, Corrector):
     def __init__(self, tpf, aperture_mask=None):
         self.tpf = read_tpf(tpf)
         self._series = read_pixels(self.tpf)
-        self._pixels, self.original_lc = self._summed(aperture_mask)
-        self.outlier_mask, self.transit_mask = np.zeros((2, len(self._pixels.time)), dtype=bool)
+        mask = named_mask(self.tpf, aperture_mask, "aperture_mask")
+        with one_thread:
+            self._pixels = pixels = aperture_pixels(self._series, mask)
+        self.original_lc = lc = self.tpf.to_lightcurve(aperture_mask=pixels.aperture.copy())
+        unit = lc.flux.unit
+        lc.flux = np.where(pixels.usable, pixels.total, np.nan) * unit
+        lc.flux_err = np.where(pixels.usable, pixels.total_err, np.nan) * unit
+        self.outlier_mask, self.transit_mask = np.zeros((2, len(pixels.time)), dtype=bool)
         self.model = self.result = None
 
     @property
     def aperture_mask(self):
         """Pixels that are summed, a read-only mask of shape ``(ny, nx)``."""
         return frozen(self._pixels.aperture)
-
-    def _named(self, mask, name):
-        return named_mask(self.tpf, mask, name)
-
-    def _summed(self, aperture_mask):
-        """Return the pixels of an aperture, and the light curve of their sum."""
-        mask = self._named(aperture_mask, "aperture_mask")
-        with one_thread:
-            pixels = aperture_pixels(self._series, mask)
-        lc = self.tpf.to_lightcurve(aperture_mask=pixels.aperture.copy())
-        unit = lc.flux.unit
-        lc.flux = np.where(pixels.usable, pixels.total, np.nan) * unit
-        lc.flux_err = np.where(pixels.usable, pixels.total_err, np.nan) * unit
-        return pixels, lc
 
     def __repr__(self):
         return f"PLDCorrector (ID: {self.original_lc.meta.get('LABEL', 'unknown')})"
@@ -137,21 +129,10 @@ class PLDCorrector(LightkurveNames, Corrector):
         *,
         transit_mask=None,
         transit_model=None,
-        restore_trend=True,
-        trend="gp",
-        segments="auto",
-        aperture_mask=None,
         fractions="auto",
-        flux="auto",
-        pca_components=None,
-        pld_aperture_mask=None,
-        background=0,
-        background_aperture_mask=None,
-        other_targets=(),
         regressors=(),
-        saturation="auto",
-        sigma=5.0,
-        max_clips=5,
+        restore_trend=True,
+        options=None,
         **lightkurve_options,
     ):
         """
@@ -171,17 +152,6 @@ class PLDCorrector(LightkurveNames, Corrector):
             returns it for times in days, as an astropy model does. Its
             amplitude is fitted jointly, so that the correction leaves
             unmasked transits alone; see `PLDFit.transit_scale`.
-        restore_trend : bool, optional
-            Whether the long-term variability stays in the light curve.
-            Periodic variability with parts faster than a day always stays.
-        trend : {"gp", "quadratic"}, optional
-            Long-term variability: a Gaussian process or a polynomial.
-        segments : "auto", None or sequence of float, optional
-            Times (days) at which the coefficients of order 1 may change. By
-            default where the sense of the roll reverses. The change has a
-            prior variance of its own, which vanishes if nothing changes.
-        aperture_mask : array_like of bool or str, optional
-            Another aperture, from this call on.
         fractions : {"auto", "predicted", "measured"}, optional
             Pixel fractions as a model of the star, its motion, focus and
             background predicts them, or as they are measured. Measured
@@ -190,50 +160,23 @@ class PLDCorrector(LightkurveNames, Corrector):
             of FLUX_ERR, measured ones predict unseen windows 30 % better, or predicted ones
             make the light curve rougher than it was (seeing), and the star's
             variability is the same with both. ``pld_aperture_mask``,
-            ``background``, full pixels and fewer than 200 cadences or 4
+            background as a regressor, full pixels and fewer than 200 cadences or 4
             pixels allow measured ones only.
-        flux : {"auto", "sum", "weighted"}, optional
-            The light that is corrected: the sum over the aperture, or the star's brightness as
-            a least-squares fit of its image to all pixels gives it, in units of that sum. The
-            image, which follows position, focus and slow changes, is learned from the same
-            pixels. Where background and readout are the noise, as for faint stars, the fit is
-            less noisy. By default it is taken if it is expected to have less than 0.9 times the
-            noise of the sum, has so from cadence to cadence, and the images describe the pixels
-            (mean variance about them below 1.3 times that of FLUX_ERR). Moving apertures, full
-            pixels, measured fractions, and fewer than 200 cadences or 4 pixels allow the sum only.
-        pca_components : int, optional
-            Largest number of columns per order: the first principal
-            components; 0 and None: as many as can change the flux. The prior
-            variance keeps the unneeded ones small.
-        pld_aperture_mask : array_like of bool or str, optional
-            Pixels whose fractions are regressors, by default those of the
+        regressors : object or list, optional
+            Further columns: arrays ``(n_cadences,)`` or ``(n_cadences, n)``, lightkurve's design
+            matrices, its cotrending basis vectors, which are matched by their cadence numbers as
+            target pixel files of other stars (or their paths) are, of which the pixel fractions
+            are taken, and "background", principal components of the pixels outside of the
             aperture.
-        background : int, optional
-            Number of principal components of the pixels outside of the
-            aperture that are regressors too.
-        background_aperture_mask : array_like of bool or str, optional
-            Pixels that these are taken from, by default all outside of the
-            aperture. With a mask, ``background`` is 3 unless it is given.
-        other_targets : sequence of `~lightkurve.targetpixelfile.TargetPixelFile`, optional
-            Files of other stars whose pixel fractions are regressors too, matched by
-            their cadence numbers; paths are taken as well.
-        regressors : array_like, DesignMatrix, CotrendingBasisVectors or list of these, optional
-            Further columns, one row per cadence. lightkurve's cotrending
-            basis vectors are matched by their cadence numbers.
-        saturation : "auto", None or float, optional
-            Flux in e-/s above which a pixel is saturated, by default that of
-            the mission if it is known. A full pixel stays full when the star
-            dims, so that its share of the light would reveal to the model a
-            transit: columns with such pixels are replaced by images of their
-            sum at the row of the other columns. None: all pixels count.
-        sigma : float, optional
-            Cadences that deviate by more standard deviations from what
-            all others predict are outliers.
-        max_clips : int, optional
-            Largest number of times that outliers are searched.
+        restore_trend : bool, optional
+            Whether the long-term variability stays in the light curve.
+            Periodic variability with parts faster than a day always stays.
+        options : PLDOptions, optional
+            Long-term variability, segments, kind of light, saturation and clipping.
         **lightkurve_options
-            Other options of lightkurve: ``pld_order``, ``niters`` and
-            ``propagate_errors=True`` are translated, the others raise an
+            Options of lightkurve's corrector: ``pca_components``, ``pld_aperture_mask``,
+            ``background_aperture_mask`` and ``sigma`` are fields of `PLDOptions`; ``pld_order`` is
+            ``order``, ``niters`` its ``max_clips``; errors are always propagated. Others raise an
             error that names what replaces them.
 
         Returns
@@ -254,36 +197,21 @@ class PLDCorrector(LightkurveNames, Corrector):
             If there is nothing to correct, data had to be replaced, the correction adds noise,
             or the fit is less reliable; see `PLDFit.remarks`.
         """
-        settings = {
-            "order": order,
-            "trend": trend,
-            "segments": segments,
-            "fractions": fractions,
-            "flux": flux,
-            "pca_components": pca_components or None,
-            "pld_aperture_mask": self._named(pld_aperture_mask, "pld_aperture_mask"),
-            "background": background,
-            "background_aperture_mask": self._named(
-                background_aperture_mask, "background_aperture_mask"
-            ),
-            "other_targets": other_targets,
-            "regressors": regressors,
-            "saturation": saturation,
-            "sigma": sigma,
-            "max_clips": max_clips,
-        }
-        options = PLDOptions(**settings | translated(lightkurve_options))
+        if not isinstance(options, PLDOptions | None):
+            raise TypeError(f"`options` must be PLDOptions or None, got {options!r}")
+        settings = vars(options or PLDOptions()) | {"order": order} | translated(lightkurve_options)
+        for name in ("pld_aperture_mask", "background_aperture_mask"):
+            settings[name] = named_mask(self.tpf, settings[name], name)
+        settings = Settings(**settings, fractions=fractions, regressors=regressors)
         n = len(self._pixels.time)
         mask = checked_cadences("cadence_mask", cadence_mask, n, default=True)
         in_transit = checked_cadences("transit_mask", transit_mask, n, default=False)
         pixels, original = self._pixels, self.original_lc
-        if aperture_mask is not None:
-            pixels, original = self._summed(aperture_mask)
         with one_thread, solvable():
             try:
                 result = fit_pixels(
                     pixels,
-                    options,
+                    settings,
                     self._series,
                     mask,
                     transit_mask=in_transit,
@@ -305,7 +233,7 @@ class PLDCorrector(LightkurveNames, Corrector):
                 if (1 - result.contamination) * min(noise_ratios(original, lc)) > WORSE:
                     warnings.warn(NOISIER, DetrendingWarning, stacklevel=2)
         # nothing has failed: only now the corrector changes
-        self._pixels, self.original_lc, self.corrected_lc = pixels, original, lc
+        self.corrected_lc = lc
         self.result, self.model = result, result and result.model
         self.cadence_mask, self.transit_mask = mask & ~in_transit, in_transit
         self.outlier_mask, self._restore_trend = outliers, restore_trend

@@ -10,7 +10,13 @@ from astropy.table import QTable
 from lightkurve import KeplerLightCurve, KeplerTargetPixelFile, TessTargetPixelFile
 from lightkurve.correctors.corrector import Corrector
 
-from scope_models.correctors import PLDCorrector, PLDFit, SceneCorrector, compare_correctors
+from scope_models.correctors import (
+    PLDCorrector,
+    PLDFit,
+    PLDOptions,
+    SceneCorrector,
+    compare_correctors,
+)
 from scope_models.correctors._model import PLDModel
 from scope_models.effects.saturation import bleed
 from scope_models.exceptions import DetrendingWarning
@@ -326,11 +332,11 @@ def test_quadratic_trend(fake_star):
     t = np.linspace(-1, 1, 500)
     target = fake_star(500, seed=5, signal=1 + 0.004 * t - 0.003 * t**2)
     corrector = PLDCorrector(target.tpf)
-    lc = corrector.correct(trend="quadratic", restore_trend=False)
+    lc = corrector.correct(restore_trend=False, options=PLDOptions(trend="quadratic"))
     assert np.isnan(corrector.result.trend_sigma)
     flux = (lc.flux / np.median(lc.flux)).value
     assert np.std(flux) < 1.2 * np.median(lc.flux_err / lc.flux).value
-    restored = corrector.correct(trend="quadratic")
+    restored = corrector.correct(options=PLDOptions(trend="quadratic"))
     ratio = (restored.flux / lc.flux).value
     np.testing.assert_allclose(
         ratio / ratio.mean(), target.signal / target.signal.mean(), atol=1e-4
@@ -341,12 +347,12 @@ def test_segments(fake_star):
     target = fake_star(600, seed=6)
     corrector = PLDCorrector(target.tpf)
     middle = float(target.tpf.time.value[300])
-    corrector.correct(segments=[middle])
+    corrector.correct(options=PLDOptions(segments=[middle]))
     assert corrector.result.breaks == (middle,)
     assert "segments" in corrector.result.groups
     # the same pixels all the time: nothing changes at the break
     assert corrector.result.effective_parameters[-1] < 3
-    corrector.correct(segments=None)
+    corrector.correct(options=PLDOptions(segments=None))
     assert corrector.result.breaks == ()
 
 
@@ -355,7 +361,7 @@ def test_background_and_other_targets(fake_star, star):
     mask = np.zeros((9, 9), dtype=bool)
     mask[2:7, 2:7] = True
     corrector = PLDCorrector(star.tpf, mask)
-    lc = corrector.correct(background=3, other_targets=[other.tpf])
+    lc = corrector.correct(regressors=["background", other.tpf])
     assert corrector.result.groups[-2:] == ("background", "other_targets")
     assert corrector.result.n_columns[-2] == 3
     assert cdpp(lc) < 0.7 * cdpp(corrector.original_lc)
@@ -368,7 +374,9 @@ def test_background_that_leaks_is_removed(star):
     tpf = replaced(star.tpf, FLUX=star.tpf.flux.value + light[:, None, None])
     mask = np.zeros((9, 9), dtype=bool)
     mask[2:7, 2:7] = True
-    lc = PLDCorrector(tpf, mask).correct(background=2, order=1)
+    lc = PLDCorrector(tpf, mask).correct(
+        order=1, regressors="background", options=PLDOptions(background=2)
+    )
     clean = PLDCorrector(star.tpf, mask).correct(order=1, fractions="measured")
     assert cdpp(lc) < 1.15 * cdpp(clean)
 
@@ -377,12 +385,15 @@ def test_other_targets_need_common_cadences(star, fake_star):
     other = fake_star(60)
     tpf = replaced(other.tpf, CADENCENO=np.arange(60) + 5000)
     with pytest.raises(ValueError, match="share cadences"):
-        PLDCorrector(star.tpf).correct(other_targets=[tpf])
+        PLDCorrector(star.tpf).correct(regressors=tpf)
 
 
 def test_saturation_of_the_mission(star):
     corrector = PLDCorrector(star.tpf)
-    flux = {s: corrector.correct(saturation=s).flux.value for s in ("auto", None, 1e4)}
+    flux = {
+        s: corrector.correct(options=PLDOptions(saturation=s)).flux.value
+        for s in ("auto", None, 1e4)
+    }
     # no pixel of this star is full; some are above 1e4 e-/s
     np.testing.assert_array_equal(flux["auto"], flux[None])
     assert np.any(flux[1e4] != flux[None])
@@ -402,7 +413,7 @@ def test_full_pixels_do_not_eat_transits(fake_star):
     corrector = PLDCorrector(replaced(target.tpf, FLUX=flux))
     depths = {}
     for saturation in ("auto", None):
-        corrector.correct(saturation=saturation, fractions="measured")
+        corrector.correct(fractions="measured", options=PLDOptions(saturation=saturation))
         lc = corrector.corrected_lc.flux.value
         depths[saturation] = 1 - np.median(lc[signal < 1]) / np.median(lc[signal == 1])
     assert depths["auto"] > 0.85e-3
@@ -437,10 +448,10 @@ def test_a_full_star_that_moves_reaches_the_noise(fake_star):
 
 
 def test_aperture(star):
-    corrector = PLDCorrector(star.tpf)
     mask = np.zeros((9, 9), dtype=bool)
     mask[3:6, 3:6] = True
-    lc = corrector.correct(aperture_mask=mask)
+    corrector = PLDCorrector(star.tpf, mask)
+    lc = corrector.correct()
     np.testing.assert_array_equal(corrector.aperture_mask, mask)
     total = star.tpf.flux.value[:, mask].sum(axis=1)
     assert np.median(lc.flux.value) == pytest.approx(np.median(total), rel=1e-3)
@@ -500,6 +511,11 @@ def test_a_single_event_in_a_gap_is_no_error(star):
     assert error == np.inf
 
 
+def correct(tpf, *, options=None, **arguments):
+    """Correct with fields of `PLDOptions` by name."""
+    return PLDCorrector(tpf).correct(options=options and PLDOptions(**options), **arguments)
+
+
 @pytest.mark.parametrize(
     ("options", "error", "match"),
     [
@@ -514,19 +530,19 @@ def test_a_single_event_in_a_gap_is_no_error(star):
         ({"transit_model": np.ones(7)}, ValueError, "`transit_model` must have shape"),
         ({"transit_model": np.ones(400)}, ValueError, "`transit_model` must vary"),
         ({"transit_model": np.arange(400) - 3.0}, ValueError, "`transit_model` must be positive"),
-        ({"trend": "spline"}, ValueError, "`trend` must be one of"),
-        ({"segments": "all"}, ValueError, "`segments` must be"),
-        ({"segments": [np.nan]}, ValueError, "`segments` must be"),
-        ({"background": -1}, ValueError, "`background` must be at least 0"),
-        ({"saturation": "low"}, ValueError, "`saturation` must be"),
-        ({"saturation": -5}, ValueError, "`saturation` must be positive"),
+        ({"options": {"trend": "spline"}}, ValueError, "`trend` must be one of"),
+        ({"options": {"segments": "all"}}, ValueError, "`segments` must be"),
+        ({"options": {"segments": [np.nan]}}, ValueError, "`segments` must be"),
+        ({"options": {"background": 0}}, ValueError, "`background` must be at least 1"),
+        ({"options": {"saturation": "low"}}, ValueError, "`saturation` must be"),
+        ({"options": {"saturation": -5}}, ValueError, "`saturation` must be positive"),
         ({"sigma": 0}, ValueError, "`sigma` must be positive"),
-        ({"max_clips": -1}, ValueError, "`max_clips` must be at least 0"),
+        ({"niters": -1}, ValueError, "`max_clips` must be at least 0"),
     ],
 )
 def test_bad_options(star, options, error, match):
     with pytest.raises(error, match=match):
-        PLDCorrector(star.tpf).correct(**options)
+        correct(star.tpf, **options)
 
 
 @pytest.mark.parametrize(
@@ -545,7 +561,7 @@ def test_bad_aperture(star, mask, error, match):
 def test_background_needs_pixels_outside(star):
     corrector = PLDCorrector(star.tpf, np.ones((9, 9), dtype=bool))
     with pytest.raises(ValueError, match="outside of `aperture_mask`"):
-        corrector.correct(background=2)
+        corrector.correct(regressors="background")
 
 
 def test_pixels_without_data(star):

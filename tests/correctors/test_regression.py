@@ -9,7 +9,7 @@ from scipy.stats import multivariate_normal
 from scope_models.correctors import _regression
 from scope_models.correctors._covariance import Covariance
 from scope_models.correctors._features import Regressors
-from scope_models.correctors._model import PLDOptions
+from scope_models.correctors._model import Settings
 from scope_models.correctors._regression import (
     Data,
     Hyperparameters,
@@ -231,7 +231,7 @@ def test_outliers_are_clipped(data):
     def make(use):
         return Regressors(columns - columns[use].mean(axis=0), data.groups, ("a", "b"))
 
-    options = PLDOptions()
+    options = Settings()
     use = np.ones(N, dtype=bool)
     use[60] = False
     solution = fit(make, data.time, y, data.variance, use, np.empty((N, 0)), options)

@@ -39,9 +39,8 @@ def test_a_failing_call_changes_nothing(star, mask):
     corrector = PLDCorrector(star.tpf)
     corrected, raw, result = corrector.correct(), corrector.original_lc, corrector.result
     aperture, outliers = corrector.aperture_mask, corrector.outlier_mask
-    wide = np.ones(aperture.shape, dtype=bool)
     with pytest.raises(ValueError, match=r"cadence_mask|30 usable cadences"):
-        corrector.correct(cadence_mask=mask, aperture_mask=wide)
+        corrector.correct(cadence_mask=mask)
     assert corrector.corrected_lc is corrected
     assert corrector.original_lc is raw
     assert corrector.result is result
