@@ -17,23 +17,25 @@ __all__ = ["Extinction", "Scintillation", "Seeing", "airmass"]
 _TDB_MINUS_UTC = 69.184  # s, since 2017; 1 s is 15 arcsec of hour angle
 
 
-def equatorial_place(coord, time):
-    """Return right ascension and declination of the equinox of a time, deg."""
+def of_date(coord, day):
+    """Return a coordinate at the equinox of a time, BTJD."""
     if not isinstance(coord, SkyCoord):
         raise TypeError(f"`coord` must be a SkyCoord, got {coord!r}")
-    place = coord.transform_to(FK5(equinox=Time(time, format="jd", scale="tdb")))
-    return place.ra.deg, place.dec.deg
+    return coord.transform_to(FK5(equinox=Time(TIME_ZEROS["btjd"], day, format="jd", scale="tdb")))
 
 
-def horizon_altitude(days, ra, dec, location):
-    """Return the altitude above the horizon, deg, at times in days of BTJD."""
+def sidereal_time(days, location):
+    """Return the mean sidereal time of Greenwich, deg, at times in days of BTJD."""
     if not isinstance(location, EarthLocation):
         raise TypeError(f"`location` must be an EarthLocation, got {location!r}")
     utc = days - _TDB_MINUS_UTC / 86400 + (TIME_ZEROS["btjd"] - 2451545.0)
-    # Greenwich mean sidereal time (Astronomical Almanac); UT1 - UTC is below 0.9 s.
-    sidereal = 280.46061837 + 360.98564736629 * utc
-    hour_angle = np.radians(sidereal + location.lon.deg - ra)
-    latitude, dec = location.lat.rad, np.radians(dec)
+    return 280.46061837 + 360.98564736629 * utc  # Astronomical Almanac; UT1 - UTC is below 0.9 s
+
+
+def horizon_altitude(days, place, location):
+    """Return the altitude above the horizon, deg, of a place of date at times in days of BTJD."""
+    hour_angle = np.radians(sidereal_time(days, location) + location.lon.deg - place.ra.deg)
+    latitude, dec = location.lat.rad, place.dec.rad
     sine = np.sin(latitude) * np.sin(dec) + np.cos(latitude) * np.cos(dec) * np.cos(hour_angle)
     return np.degrees(np.arcsin(np.clip(sine, -1, 1)))
 
@@ -79,8 +81,7 @@ def airmass(time, coord, location):
     [1.15 1.  ]
     """
     days = np.atleast_1d(plain_time(time, "btjd", "time"))
-    ra, dec = equatorial_place(coord, TIME_ZEROS["btjd"] + days[0])
-    altitude = horizon_altitude(days, ra, dec, location)
+    altitude = horizon_altitude(days, of_date(coord, days[0]), location)
     if np.any(altitude <= 0):
         raise ValueError(
             f"`coord` must be above the horizon, got {np.sum(altitude <= 0)} of {days.size} times "

@@ -225,6 +225,9 @@ class Effect(Value):
     5. calibration, of which RAW_CNTS have nothing, in reverse order: `calibrate`;
     6. `quality` and `missing` of the cadences.
 
+    Within a stage they act in the order of their `place`, however they are given; only effects of
+    one class act in the order given.
+
     ``drawn`` is what `draw` has returned, ``part`` a slice of the cadences.
 
     Examples
@@ -245,6 +248,8 @@ class Effect(Value):
 
     #: Whether the pedestal is light, to which the pixels respond, or charge of another kind.
     is_light = True
+    #: Place among the effects of a stage; effects of one place act in the order of their names.
+    place = 0
     #: Names of the parameters that may have one value for each cadence.
     by_cadence = ()
 

@@ -197,6 +197,8 @@ class Undershoot(Effect):
     decay: float = number(5.0, "pix", positive=True)
     residual: float = number(0.0, any_sign=True)
 
+    place = 1  # the amplifier is behind the transfers
+
     def readout(self, drawn, conditions, part, electrons):
         """Take the undershoot off."""
         self._feed(electrons, -self.amplitude, np.exp(-1 / self.decay))

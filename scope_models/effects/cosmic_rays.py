@@ -71,6 +71,8 @@ class CosmicRays(Effect):
     longest: float = number(15.0, "pix", positive=True)
     rejection: bool = False
 
+    place = 1  # a hit is in one read, and does not repel the light of the others
+
     def __post_init__(self):
         super().__post_init__()
         if not isinstance(self.rejection, bool):

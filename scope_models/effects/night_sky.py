@@ -4,13 +4,18 @@ from dataclasses import dataclass
 
 import astropy.units as u
 import numpy as np
-from astropy.coordinates import SkyCoord, get_body, get_sun
+from astropy.coordinates import CartesianRepresentation, SkyCoord, get_body, get_sun
 from astropy.time import Time
 
 from scope_models._arrays import plain_array, plain_time
 from scope_models._checks import number
 from scope_models._values import frozen
-from scope_models.effects.atmosphere import checked_airmass, equatorial_place, horizon_altitude
+from scope_models.effects.atmosphere import (
+    checked_airmass,
+    horizon_altitude,
+    of_date,
+    sidereal_time,
+)
 from scope_models.effects.background import SkyEffect
 from scope_models.effects.base import series_of
 from scope_models.missions import TIME_ZEROS
@@ -36,8 +41,8 @@ def moon_geometry(time, coord, location):
     -------
     dict of str to ndarray
         Fields of `NightSky`: ``moon_altitude``, ``moon_separation`` from the star and
-        ``moon_phase``, the angle between Sun and Earth at the Moon; deg. The Moon is seen from
-        the center of the Earth, which errs by up to a degree.
+        ``moon_phase``, the angle between Sun and Earth at the Moon; deg. Altitude and separation
+        are those at the observatory, without refraction.
 
     Raises
     ------
@@ -54,18 +59,25 @@ def moon_geometry(time, coord, location):
     True
     """
     days = np.atleast_1d(plain_time(time, "btjd", "time"))
-    if not isinstance(coord, SkyCoord):
-        raise TypeError(f"`coord` must be a SkyCoord, got {coord!r}")
+    star = of_date(coord, days[0])
     times = Time(TIME_ZEROS["btjd"], days, format="jd", scale="tdb")
     moon, sun = get_body("moon", times, ephemeris="builtin"), get_sun(times)
-    ra, dec = equatorial_place(SkyCoord(moon.ra, moon.dec), times[0].jd)
     elongation = moon.separation(sun, origin_mismatch="ignore").rad
     sun_side = (sun.distance / moon.distance).to_value(u.one)
     phase = np.arctan2(sun_side * np.sin(elongation), 1 - sun_side * np.cos(elongation))
-    separation = moon.separation(coord.icrs, origin_mismatch="ignore").deg
+    # The observatory is up to an Earth's radius from the center: a degree of parallax.
+    sidereal = np.radians(sidereal_time(days, location))
+    radius, east = np.hypot(location.x, location.y), location.lon.rad + sidereal
+    observatory = CartesianRepresentation(
+        radius * np.cos(east),
+        radius * np.sin(east),
+        np.full(days.shape, location.z.to_value(u.m)) * u.m,
+    )
+    center = of_date(SkyCoord(moon.ra, moon.dec, moon.distance), days[0])
+    seen = SkyCoord(center.cartesian - observatory, frame=star)
     return {
-        "moon_altitude": horizon_altitude(days, ra, dec, location),
-        "moon_separation": separation,
+        "moon_altitude": horizon_altitude(days, seen, location),
+        "moon_separation": seen.separation(star).deg,
         "moon_phase": np.degrees(np.abs(phase)),
     }
 

@@ -134,6 +134,8 @@ class RollingBands(Effect):
     spacing: float = number(20.0, "pix", positive=True)
     speed: float = number(40.0, "pix / day", any_sign=True)
 
+    place = 2  # the electronics that oscillate are behind the amplifier
+
     def draw(self, conditions, generator):
         """Return the episodes, and the amplitude of each cadence."""
         time, days = conditions.time, conditions.cadence_days

@@ -55,8 +55,8 @@ class Scene(Value):
         between the middles of the cadences by straight lines, and stay before the first and after
         the last. The relative flux is a mean over the cadence in any case.
     effects : Effect or sequence of Effect or "mission", optional
-        What sky, telescope and detector do besides noise and saturation, after the detector's
-        own effects: see `scope_models.effects`. "mission" are those of
+        What sky, telescope and detector do besides noise and saturation, with the detector's
+        own effects; their order does not matter: see `scope_models.effects`. "mission" are those of
         `~scope_models.effects.mission_effects`.
     target_id : int, optional
         KEPLERID or TICID of the target in a file; the default is 1.

@@ -100,7 +100,8 @@ def prepare(scene):
     """Return a scene with the truth of its effects and the light of its stars."""
     conditions = Conditions.of(scene.detector, scene.motion.time, len(scene.stars))
     effects, counts = [], Counter()
-    for effect in (*scene.detector.effects, *scene.effects):
+    given = (*scene.detector.effects, *scene.effects)
+    for effect in sorted(given, key=lambda effect: (effect.place, effect.name)):
         counts[effect.name] += 1
         generator = stream(scene.seed, f"effect {effect.name} {counts[effect.name]}")
         effects.append((effect, effect.draw(conditions, generator)))

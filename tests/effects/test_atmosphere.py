@@ -138,8 +138,8 @@ def test_airmass_against_astropy():
     zenith = np.radians(90 - altitude)
     np.testing.assert_allclose(airmass(times, STAR, PARANAL), 1 / np.cos(zenith), rtol=4e-3)
     found = moon_geometry(time, STAR, PARANAL)
-    np.testing.assert_allclose(found["moon_altitude"], moon_altitude, atol=1.2)
-    np.testing.assert_allclose(found["moon_separation"], separation, atol=1.2)
+    np.testing.assert_allclose(found["moon_altitude"], moon_altitude, atol=0.03)
+    np.testing.assert_allclose(found["moon_separation"], separation, atol=0.03)
 
 
 def test_phase_of_the_moon():

@@ -98,6 +98,18 @@ def test_switching_one_off_leaves_the_truth_of_the_others(name):
     assert len(added) == len(every.columns) - len(fewer.columns)
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_the_order_given_does_not_matter(seed):
+    each = list({type(effect): effect for effect in EFFECTS.values()}.values())
+    shuffled = [each[i] for i in np.random.default_rng(seed).permutation(len(each))]
+    some, rest = tuple(shuffled[:4]), shuffled[4:]
+    one = simulate(scene(*each))
+    other = simulate(scene(*rest).replace(detector=Detector.k2(effects=some)))
+    assert one.truth.columns.keys() == other.truth.columns.keys()
+    for cube in ("flux", "flux_err", "flux_bkg", "raw_cnts", "quality"):
+        assert np.array_equal(getattr(one, cube), getattr(other, cube), equal_nan=True)
+
+
 def test_focus_widens_the_image_and_keeps_the_flux():
     w = np.array([0.95, 1.0, 1.05, 1.3])
     psf = BivariateGaussianPSF(0.7, sigma_x=0.9, sigma_y=0.8, rho=0.3)

@@ -4,6 +4,7 @@ import astropy.units as u
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
+from astropy.coordinates import SkyCoord
 from astropy.stats import mad_std
 from astropy.table import QTable
 from scipy.ndimage import median_filter
@@ -295,3 +296,41 @@ def test_tables_for_notebooks():
     assert "<td>1 e-/s at magnitude 20.44</td>" in html
     assert "<td>2 components</td>" in html
     assert "none" in Detector.k2(well_depth=None, psf=None, mission="a<b")._repr_html_()
+
+
+# Boresights of the campaigns (K2 mission pages), deg
+BORESIGHTS = {3: (336.6653, -11.0967), 4: (59.0759, 18.6606), 5: (130.1576, 16.8296)}
+BORESIGHTS[18] = (130.1610, 16.8279)
+ROLLING = [
+    "poscorr/ktwo206103150-c03_llc.fits",
+    "poscorr/ktwo211117077-c04_llc.fits",
+    "poscorr/ktwo211436265-c05_llc.fits",
+    "poscorr/ktwo211495446-c05_llc.fits",
+    "k2_tpf/ktwo211956421-c05_lpd-targ.fits.gz",
+    "k2_tpf/ktwo211983544-c18_lpd-targ.fits.gz",
+]
+
+
+def _along_roll(motion, degrees):
+    """Return the standard deviation along the roll, and of what is faster than a day, px/deg."""
+    bits = MISSIONS["K2"].quality
+    motion = motion[motion.quality & (bits.rejected | bits.thruster_firing) == 0]
+    offsets = np.column_stack([motion.x, motion.y])
+    offsets -= np.median(offsets, axis=0)
+    along = offsets @ np.linalg.svd(offsets, full_matrices=False)[2][0]
+    slow = [np.median(along[np.abs(motion.time - t) < 0.5]) for t in motion.time]
+    return along.std() / degrees, (along - slow).std() / degrees
+
+
+def test_amplitude_of_the_roll_over_campaigns(shared_data):
+    real = []
+    for name in ROLLING:
+        motion = Motion.from_file(shared_data / name)
+        star = SkyCoord(motion.meta["ra"], motion.meta["dec"], unit="deg")
+        boresight = SkyCoord(*BORESIGHTS[motion.meta["campaign"]], unit="deg")
+        real.append(_along_roll(motion, star.separation(boresight).deg))
+    np.testing.assert_allclose(np.min(real, axis=0), [0.054, 0.033], atol=6e-4)
+    np.testing.assert_allclose(np.max(real, axis=0), [0.070, 0.041], atol=6e-4)
+    for rate, amplitude in ((3.0, (0.052, 0.033)), (4.5, (0.063, 0.039))):
+        made = [_along_roll(Motion.k2_roll(3600, seed=s, solar_rate=rate), 4.784) for s in (1, 2)]
+        np.testing.assert_allclose(np.mean(made, axis=0), amplitude, atol=2e-3)
