@@ -1,77 +1,89 @@
 """Completeness of transits put into a real target pixel file, by period and depth.
 
-    python studies/completeness.py FILE.fits.gz --output docs/data/completeness.ecsv [--trials 4]
+    python studies/completeness.py --file FILE.fits.gz --directory completeness [--workers 2]
 
 The star's light is that of a fit (`fit_tpf` on every tenth cadence gives its share). Each trial
 injects a planet at a random phase into the pixels, corrects them with PLDCorrector, which gets
 no mask, and searches with box least squares; it is recovered if the box has a signal-to-noise
-ratio of 7.1 or more and lies on the transits. Cells that the output has are not computed again.
+ratio of 7.1 or more and lies on the transits. ``docs/data/completeness.ecsv`` is its results.ecsv with a stamp.
 """
 
-import argparse
-import time
-import warnings
-from pathlib import Path
+from dataclasses import dataclass
+from functools import cache, partial
 
 import numpy as np
-from astropy.table import Table, vstack
+from paper._figures import plot_map
 from paper._search import search_light_curve
+from paper._study import grid, medians, on_grid, run
 
-from scope_models import Detector, PLDCorrector, TransitModel, __version__, fit_tpf, inject
+from scope_models import Detector, PLDCorrector, TransitModel, fit_tpf, inject
+from scope_models.batch import star_rng
 from scope_models.io import read_pixels, read_tpf
 
-PERIODS = (1.5, 3.0, 6.0, 12.0, 24.0)  # days
-DEPTHS = (500, 1000, 2000, 4000, 8000, 16000)  # ppm
 DURATION, THRESHOLD = 0.2, 7.1
 
 
-def recovered(tpf, share, period, depth, seed):
-    """Return whether a planet is found, its signal-to-noise ratio, and the period that is found."""
-    start = tpf.time.value[0] + np.random.default_rng(seed).uniform(0, period)
-    exposure = Detector.from_tpf(read_pixels(tpf)).cadence_days
-    planet = TransitModel.from_depth_duration(
-        1e-6 * depth, DURATION, period, start, exposure_time=exposure
-    )
-    lc = PLDCorrector(inject(tpf, planet, share, seed=seed)).correct()
-    times, _, found = search_light_curve(lc, 0.8 * DURATION, 1.2 * DURATION)
-    matches = found.matches(period, start, DURATION, np.ptp(times))
-    return bool(matches and found.snr >= THRESHOLD), found.snr, found.period
+@dataclass(frozen=True, kw_only=True)
+class Completeness:
+    """The parameters."""
+
+    file: str = ""
+    seed: int = 1
+    periods: tuple[float, ...] = (1.5, 3.0, 6.0, 12.0, 24.0)  # days
+    depths: tuple[float, ...] = (500.0, 1000.0, 2000.0, 4000.0, 8000.0, 16000.0)  # ppm
+    trials: int = 2
 
 
-def main():
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("file")
-    parser.add_argument("--output", type=Path, required=True)
-    parser.add_argument("--trials", type=int, default=4)
-    options = parser.parse_args()
-    warnings.simplefilter("ignore")
-    tpf = read_tpf(options.file)
-    fit = fit_tpf(tpf[::10])
+def tasks(study):
+    return grid(
+        "p{period:g}-d{depth:g}-{trial}", trial=study.trials, depth=study.depths,
+        period=study.periods,
+    )  # fmt: skip
+
+
+@cache
+def star(file):
+    """Return the target pixel file, and the share of the star in all pixels."""
+    tpf = read_tpf(file)
     total = np.nansum(read_pixels(tpf[::10]).flux, axis=(1, 2))
-    share = float(np.clip(np.median(fit.flux) / np.median(total), 0, 1))
-    print(f"share of the star in all pixels: {share:.3f}")
-    table = Table.read(options.output) if options.output.exists() else None
-    done = set() if table is None else {tuple(row) for row in table["period", "depth", "trial"]}
-    for trial in range(options.trials):
-        for depth in DEPTHS:
-            for period in PERIODS:
-                if (period, depth, trial) in done:
-                    continue
-                seed = 1000 * trial + len(PERIODS) * DEPTHS.index(depth) + PERIODS.index(period)
-                found = recovered(tpf, share, period, depth, seed)
-                row = Table(
-                    rows=[(period, depth, trial, *found)],
-                    names=("period", "depth", "trial", "recovered", "snr", "found_period"),
-                )
-                table = row if table is None else vstack([table, row])
-                table.meta = {
-                    "date": time.strftime("%Y-%m-%d"),
-                    "version": __version__,
-                    "command": f"python studies/completeness.py {Path(options.file).name}",
-                    "share": share,
-                }
-                table.write(options.output, overwrite=True)
+    return tpf, float(np.clip(np.median(fit_tpf(tpf[::10]).flux) / np.median(total), 0, 1))
 
+
+def measure(study, task):
+    """Return whether a planet is found, its signal-to-noise ratio, and the period that is found."""
+    (tpf, share), rng = star(study.file), star_rng(study.seed, task["key"])
+    start = tpf.time.value[0] + rng.uniform(0, task["period"])
+    planet = TransitModel.from_depth_duration(
+        1e-6 * task["depth"], DURATION, task["period"], start,
+        exposure_time=Detector.from_tpf(read_pixels(tpf)).cadence_days,
+    )  # fmt: skip
+    lc = PLDCorrector(inject(tpf, planet, share, seed=int(rng.integers(2**31)))).correct()
+    time, _, found = search_light_curve(lc, 0.8 * DURATION, 1.2 * DURATION)
+    matches = found.matches(task["period"], start, DURATION, np.ptp(time))
+    return {
+        "recovered": bool(matches and found.snr >= THRESHOLD),
+        "snr": found.snr, "found_period": found.period, "share": share,
+    }  # fmt: skip
+
+
+def summarize(_, table):
+    """Return medians, and the part of the planets that are recovered."""
+    summary = medians(table, ("depth", "period"), ("snr", "share"))
+    summary["recovered"] = [
+        np.mean(table["recovered"][(table["depth"] == depth) & (table["period"] == period)])
+        for depth, period in summary.iterrows("depth", "period")
+    ]
+    return summary
+
+
+def draw(study, _, summary):
+    depths, periods = sorted(study.depths), sorted(study.periods)
+    values = on_grid(summary, ("depth", depths), ("period", periods), "recovered")
+    labels = {"row_label": "Depth (ppm)", "column_label": "Period (d)", "label": "Recovered"}
+    return plot_map(values, depths, periods, span=(0, 1), **labels).figure
+
+
+main = partial(run, "completeness", Completeness, tasks, measure, summarize, draw, {})
 
 if __name__ == "__main__":
     main()

@@ -36,6 +36,7 @@ import numpy as np
 NUISANCES = {"width": 1e-3, "x": 0.01, "y": 0.01, "background": 1.0, "drift": 10.0}
 KEY = ("regime", "seed", "positions")
 COLUMNS = ("cadenceno", "flux", "flux_err")
+SCORES = ("full", "high_passed")
 CADENCES, FEWEST = 1500, 100
 
 
@@ -293,70 +294,61 @@ def whole(table):
 
 
 def mean(values):
-    """Return the mean, NaN of nothing."""
     return float(np.mean(values)) if len(values) else float("nan")
 
 
+def regimes(table):
+    """Yield positions, regime, marked if it is scored apart, and rows of each."""
+    for positions in sorted(set(table["positions"])):
+        for regime in dict.fromkeys(table["regime"]):
+            rows = table[(table["positions"] == positions) & (table["regime"] == regime)]
+            if len(rows):
+                yield positions, regime + "*" * bool(rows["apart"][0]), rows
+
+
 def medians(table):
-    """Print medians per regime."""
+    """Print medians per regime, and the numbers of the whole sky."""
     names = ("full", "high_passed", "pull", "amplitude", "depth_kept", "noise_rms", "leak_width")
     names = (*names, "raw_full", "seconds")
     print(f"{'regime':32}{'positions':10}" + "".join(f"{name[:10]:>11}" for name in names))
-    for positions, regime in product(
-        sorted(set(table["positions"])), dict.fromkeys(table["regime"])
-    ):
-        rows = table[(table["positions"] == positions) & (table["regime"] == regime)]
-        if not len(rows):
-            continue
+    for positions, regime, rows in regimes(table):
         failed = sum(bool(error) for error in rows["error"])
-        mark = "*" if rows["apart"][0] else " "
-        values = [np.median(rows[name]) for name in names]
-        text = "".join(f"{value:11.3f}" for value in values)
-        print(f"{regime + mark:32}{positions:10}{text}" + f"  {failed} failed" * bool(failed))
+        text = "".join(f"{np.median(rows[name]):11.3f}" for name in names)
+        print(f"{regime:32}{positions:10}{text}" + f"  {failed} failed" * bool(failed))
+    for positions in sorted(set(table["positions"])):
+        print(positions)
+        for text, value in whole(table[table["positions"] == positions]).items():
+            print(f"    {text:52}{value:10.3f}")
 
 
 def against(table, base):
-    """Print the ratios of a table to a base, per regime and as a whole; only stars of both."""
+    """Print a table beside a base, per regime and as a whole; only stars of both."""
     from astropy.table import join
 
-    both = join(table, base, KEY, table_names=["new", "base"])
+    keys = join(table[list(KEY)], base[list(KEY)], KEY)
+    table, base = (join(keys, each, KEY) for each in (table, base))  # sorted alike
     print(f"{'ratios of medians':32}{'positions':10}{'full':>8}{'high':>8}{'new':>10}{'base':>10}")
-    for positions in sorted(set(both["positions"])):
-        mine = both[both["positions"] == positions]
-        for regime in dict.fromkeys(base["regime"]):
-            rows = mine[mine["regime"] == regime]
-            if not len(rows):
-                continue
-            full, high = (ratio(rows, name) for name in ("full", "high_passed"))
-            new, old = (np.median(rows[f"full_{kind}"]) for kind in ("new", "base"))
-            mark = "*" if rows["apart_new"][0] else " "
-            worse = "  worse" if full > 1.2 or high > 1.2 else ""
-            line = f"{regime + mark:32}{positions:10}{full:8.2f}{high:8.2f}{new:10.2f}{old:10.2f}"
-            print(line + worse)
-        alone = mine[~np.asarray(mine["apart_new"], bool)]
-        for name in ("full", "high_passed", "seconds"):
-            each = np.asarray(alone[f"{name}_new"]) / np.asarray(alone[f"{name}_base"])
+    for (positions, regime, new), (*_, old) in zip(regimes(table), regimes(base), strict=True):
+        medians = [[np.median(rows[name]) for rows in (new, old)] for name in SCORES]
+        full, high = (new / old for new, old in medians)
+        line = f"{regime:32}{positions:10}{full:8.2f}{high:8.2f}{medians[0][0]:10.2f}"
+        print(f"{line}{medians[0][1]:10.2f}" + "  worse" * bool(full > 1.2 or high > 1.2))
+    for positions in sorted(set(table["positions"])):
+        pair = [each[each["positions"] == positions] for each in (table, base)]
+        new, old = (each[~np.asarray(each["apart"], bool)] for each in pair)
+        for name in (*SCORES, "seconds"):
+            each = np.asarray(new[name]) / np.asarray(old[name])
             print(
-                f"{positions}: {name}: ratio of medians {ratio(alone, name):.3f}, median of ratios "
+                f"{positions}: {name}: ratio of medians "
+                f"{np.median(new[name]) / np.median(old[name]):.3f}, median of ratios "
                 f"{np.nanmedian(each):.3f}, better than 0.9 {np.mean(each < 0.9):.2f}, worse than "
                 f"1.1 {np.mean(each > 1.1):.2f}"
             )
-        hard = alone[np.asarray(alone["full_base"]) > 1.5]
-        each = np.asarray(hard["full_new"]) / np.asarray(hard["full_base"])
-        print(f"{positions}: {len(hard)} stars above 1.5 in the base: full {np.median(each):.3f}")
-        keys = {tuple(row) for row in mine[list(KEY)].iterrows()}
-        chosen = [
-            [tuple(row) in keys for row in one[list(KEY)].iterrows()] for one in (table, base)
-        ]
-        numbers = [whole(one[mask]) for one, mask in zip((table, base), chosen, strict=True)]
-        for text in numbers[0]:
-            print(f"    {text:52}{numbers[0][text]:10.3f}{numbers[1][text]:10.3f}")
+        for (text, value), other in zip(
+            whole(pair[0]).items(), whole(pair[1]).values(), strict=True
+        ):
+            print(f"    {text:52}{value:10.3f}{other:10.3f}")
     print("* scored apart: slow variability under slow motion")
-
-
-def ratio(rows, name):
-    """Return the ratio of medians."""
-    return float(np.median(rows[f"{name}_new"]) / np.median(rows[f"{name}_base"]))
 
 
 def seeds(text):
@@ -432,10 +424,6 @@ def main():
         against(table, Table.read(options.against))
     else:
         medians(table)
-        for positions in sorted(set(table["positions"])):
-            print(positions)
-            for text, value in whole(table[table["positions"] == positions]).items():
-                print(f"    {text:52}{value:10.3f}")
     return None
 
 

@@ -46,9 +46,9 @@ def tables(name, summary):
     """Return the rows of all tables by their names."""
     columns = COLUMNS[name]
     noise = [[_cell(row[key]) for key in columns] for row in summary]
-    verdicts, checked = summary.meta["claims"], summary.meta["claims_checked"]
     claims = [
-        [claim, verdict, _cell(checked.get(claim, np.nan))] for claim, verdict in verdicts.items()
+        [claim, "holds" if value <= 1 else "does not hold", _cell(value)]
+        for claim, value in summary.meta["claims"].items()
     ]
     return {
         "noise": [list(columns.values()), *noise],

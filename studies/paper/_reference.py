@@ -15,15 +15,13 @@ __all__ = [
     "REFERENCES",
     "bin_noise",
     "compared",
-    "holds",
     "read_reference",
     "reference_noise",
 ]
 
 #: Percentiles in the tables, by the name of their column.
 PERCENTILES = {"p10": 10, "p25": 25, "median": 50, "p75": 75, "p90": 90}
-# : The tables: light curves of Kepler's pipeline; of K2 campaign 3, raw, and de-trended by EVEREST
-# 2.
+#: Light curves of Kepler's pipeline; of K2 campaign 3, raw, and de-trended by EVEREST 2.
 REFERENCES = ("kepler", "k2_c03_raw", "k2_c03_everest")
 _RESAMPLES = 400
 
@@ -92,9 +90,3 @@ def compared(prefix, noise, reference, mag, names, *, known="kepler"):
             f"{prefix}_{name}_ratio": float(ours / theirs),
         }
     return row
-
-
-def holds(ratios, tolerance):
-    """Return "holds" or "does not hold": whether all ratios deviate from 1 by that at most."""
-    near = np.all(np.abs(np.asarray(ratios, dtype=float) - 1) <= tolerance)
-    return "holds" if near else "does not hold"

@@ -1,4 +1,4 @@
-"""What the studies share: their command line, cells and medians of tables, and verdicts."""
+"""What the studies share: their command line, cells and medians of tables."""
 
 import argparse
 import dataclasses
@@ -18,8 +18,8 @@ from scope_models.cli._batch import add_workers, client_of, with_config
 
 __all__ = [
     "cells",
-    "checked_claims",
     "grid",
+    "largest",
     "medians",
     "on_grid",
     "percentiles",
@@ -63,8 +63,6 @@ def run(name, parameters, tasks, measure, summarize, draw, units, argv=None):
     except (OSError, SweepError, TypeError, ValueError) as error:
         parser.error(str(error))
     print(f"{name}: {len(result.table)} stars, {len(result.failures)} failed")
-    for claim, verdict in result.summary.meta.get("claims", {}).items():
-        print(f"{verdict}: {claim}")
     for file in result.files:
         print(file)
     return result
@@ -108,20 +106,9 @@ def percentiles(values):
     return [float(value) for value in np.percentile(values, [16, 50, 84])]
 
 
-def checked_claims(claims):
-    """Return the verdicts on claims that are ratios to a limit, and the largest ratio of each.
-
-    A claim holds if its ratios are at most 1; it is not checked if there is none, or one is NaN.
-    """
-    verdicts, checked = {}, {}
-    for claim, values in claims.items():
-        ratios = np.atleast_1d(np.asarray(values, dtype=float))
-        if not ratios.size or np.isnan(ratios).any():
-            verdicts[claim] = "not checked"
-            continue
-        verdicts[claim] = "holds" if ratios.max() <= 1 else "does not hold"
-        checked[claim] = float(ratios.max())
-    return {"claims": verdicts, "claims_checked": checked}
+def largest(claims):
+    """Return the largest of the values over their limit of each claim, at most 1 where it holds."""
+    return {"claims": {name: float(np.max(values, initial=0)) for name, values in claims.items()}}
 
 
 def on_grid(summary, rows, columns, name):

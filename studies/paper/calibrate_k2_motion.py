@@ -98,23 +98,25 @@ def noise_by_part(wings, options):
     return np.log(systematics), np.log(white)
 
 
+def at_part(values, law, mag):
+    """Return values (parts, ...) in the aperture of a law for a magnitude; the first for None."""
+    if law is None:
+        return values[0]
+    flux, (threshold, exponent) = Detector.k2().flux_from_mag, law
+    part = threshold * (flux(mag) / flux(14.0)) ** exponent / flux(mag)
+    place = np.interp(np.log(part), np.log(PARTS), np.arange(len(PARTS)))
+    low = min(int(place), len(PARTS) - 2)
+    return (low + 1 - place) * values[low] + (place - low) * values[low + 1]
+
+
 def noise_of_bins(systematics, white, law):
     """Return the noise of all stars for an aperture law: (bins, a_2, scatter, stars)."""
-    flux = Detector.k2().flux_from_mag
-    threshold, exponent = law
-    noise = np.empty((len(BINS), *systematics.shape[:2], systematics.shape[3]))
-    for number, (mag, kind) in enumerate(BINS):
-        part = threshold * (flux(mag) / flux(14.0)) ** exponent / flux(mag)
-        part = PARTS[0] if kind == "saturated" else part
-        place = np.interp(np.log(part), np.log(PARTS), np.arange(len(PARTS)))
-        low = min(int(place), len(PARTS) - 2)
-        share = place - low
-        motion, rest = (
-            np.exp((1 - share) * values[..., low, :] + share * values[..., low + 1, :])
-            for values in (systematics, white[number])
-        )
-        noise[number] = np.hypot(motion, rest)
-    return noise
+    parts = np.moveaxis(systematics, 2, 0)
+    laws = [None if kind == "saturated" else law for _, kind in BINS]
+    return np.array([
+        np.hypot(*(np.exp(at_part(v, law, mag)) for v in (parts, own)))
+        for own, law, (mag, _) in zip(white, laws, BINS, strict=True)
+    ])  # fmt: skip
 
 
 def percentiles(systematics, white):

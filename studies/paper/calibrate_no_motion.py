@@ -12,7 +12,7 @@ import argparse
 
 import numpy as np
 from _reference import PERCENTILES, read_reference
-from no_motion import FITTED, NoMotion, quiet_star, tasks
+from no_motion import NoMotion, quiet_star, tasks
 from scipy.optimize import minimize
 from scipy.special import ndtri
 
@@ -28,6 +28,10 @@ RATIOS = np.concatenate([[0], np.geomspace(0.02, 20, 25)])
 WEIGHTS = np.array([1.0, 1.0, 2.0, 1.0, 0.5])
 # Of the 10th percentile with detector noise alone.
 DETECTOR_WEIGHT = 2.0
+FITTED = (
+    "floor", "dwarf_cdpp", "dwarf_scatter", "giant_cdpp", "giant_scatter", "giant_fraction",
+    "giant_decline",
+)  # fmt: skip
 
 
 def white_noise(study):

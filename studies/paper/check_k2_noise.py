@@ -13,14 +13,13 @@ import argparse
 import numpy as np
 from _reference import read_reference
 from _response import RollingStars
-from calibrate_k2_motion import PARTS, field_stars
+from calibrate_k2_motion import CHUNK, PARTS, at_part, field_stars
 from k2_motion import K2MotionNoise
 
 from scope_models import Detector
 
 MAGNITUDES = (11.0, 11.5, 12.0, 12.5, 13.0, 13.5, 14.0, 14.5)
 SATURATED = {11.0: 0.77, 11.5: 0.20}
-CHUNK = 30
 
 
 def population(detector, responses, options):
@@ -37,14 +36,8 @@ def population(detector, responses, options):
 
 def in_aperture(motion, white, mag):
     """Return the noise of all stars in the apertures of the study."""
-    study, flux = K2MotionNoise(), Detector.k2().flux_from_mag
-    part = study.threshold * (flux(mag) / flux(14.0)) ** study.exponent / flux(mag)
-    place = np.interp(np.log(part), np.log(PARTS), np.arange(len(PARTS)))
-    low = min(int(place), len(PARTS) - 2)
-    share = place - low
-    noise = np.hypot(*(
-        np.exp((1 - share) * np.log(v[low]) + share * np.log(v[low + 1])) for v in (motion, white)
-    ))  # fmt: skip
+    law = K2MotionNoise().threshold, K2MotionNoise().exponent
+    noise = np.hypot(*(np.exp(at_part(np.log(v), law, mag)) for v in (motion, white)))
     order = np.random.default_rng(1).permutation(noise.size)
     saturated = order < SATURATED.get(mag, 0.0) * noise.size
     return np.where(saturated, np.hypot(motion[0], white[0]), noise)

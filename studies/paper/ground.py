@@ -16,7 +16,7 @@ import numpy as np
 from _corrected import amplitude
 from _correctors import quiet
 from _figures import plot_maps
-from _study import cells, checked_claims, grid, medians, on_grid, run
+from _study import cells, grid, medians, on_grid, run
 
 from scope_models import Detector, Motion, Star, TransitModel, simulate
 from scope_models.batch import star_rng, star_seed
@@ -187,7 +187,7 @@ def noise(change):
 
 
 def summarize(_, table):
-    """Return medians, "ratio" of PLD on differential pixels to that without, and the claims.
+    """Return medians, and "ratio", that of PLD on differential pixels to that without.
 
     The ratio is the median over the fields, "ratio_error" its standard error.
     """
@@ -204,24 +204,6 @@ def summarize(_, table):
         1.2533 * np.std(ratio, ddof=1) / np.sqrt(len(ratio)) if len(ratio) > 1 else np.nan
         for ratio in ratios
     ]
-    good, poor = (summary["flat"] <= 0.002), (summary["flat"] >= 0.01)
-    ratio = np.array(summary["ratio"])
-    summary.meta |= checked_claims(
-        {
-            "PLD alone is 3 times noisier than differential photometry": (
-                3 * np.array(summary["differential"] / summary["raw_pld"])
-            ),
-            "with flats of 1 % PLD lowers the noise of differential photometry by 10 %": (
-                ratio[poor] / 0.9
-            ),
-            "with flats of 0.2 % PLD changes it by less than 10 %": (
-                1 + np.abs(ratio[good] - 1) - 0.1
-            ),
-            "PLD on differential pixels keeps 90 % of the depth of transits": (
-                0.9 / np.array(summary["differential_pld_survival"])
-            ),
-        }
-    )
     return summary
 
 

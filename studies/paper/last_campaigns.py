@@ -15,7 +15,7 @@ import numpy as np
 from _corrected import SURVIVALS, UNITS, corrected_noise, curves
 from _correctors import quiet
 from _figures import plot_cdpp_panels
-from _study import checked_claims, grid, medians, run
+from _study import grid, largest, medians, run
 
 from scope_models import Detector, Motion, Star, simulate
 from scope_models.batch import star_rng, star_seed
@@ -140,7 +140,7 @@ def summarize(_, table):
         ratio = np.fmin(np.array(rows["pld"]), np.array(rows["scene"])) / np.array(rows[column])
         return ratio[rows["mission"] > 0] if column == "mission" else ratio
 
-    summary.meta |= checked_claims(
+    summary.meta |= largest(
         {
             "in campaign 18 the better corrector is below the mission's own noise": (
                 over("C18", "mission")

@@ -14,7 +14,7 @@ import numpy as np
 from _corrected import SURVIVALS, UNITS, corrected_noise, curves
 from _correctors import quiet
 from _figures import plot_cdpp_panels
-from _study import checked_claims, grid, medians, run
+from _study import grid, largest, medians, run
 
 from scope_models import Detector, Motion, Star, simulate
 from scope_models.batch import star_rng, star_seed
@@ -97,7 +97,7 @@ def summarize(_, table):
     crowded = summary[summary["neighbors"] > 0]
     bright, faint = alone[alone["mag"] <= 9], alone[alone["mag"] >= 13]
     best = np.fmin(np.array(alone["pld"]), np.array(alone["scene"]))
-    summary.meta |= checked_claims(
+    summary.meta |= largest(
         {
             "apertures of stars without neighbors are below the noise model with its 60 ppm": (
                 alone["aperture"] / alone["model"]

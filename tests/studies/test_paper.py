@@ -15,7 +15,7 @@ import _study
 import numpy as np
 import pytest
 from _corrected import METHODS, SURVIVALS, corrected_noise
-from _study import checked_claims, grid
+from _study import grid, largest
 from astropy.table import Table
 from matplotlib import pyplot as plt
 from matplotlib.image import imread
@@ -66,9 +66,6 @@ def test_two_stars(name, tmp_path, capsys):
     assert name == "skies" or imread(result.files[2]).std() > 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[0] == f"{study.NAME}: 2 stars, 0 failed"
-    assert set(result.summary.meta.get("claims", {}).values()) <= {
-        "holds", "does not hold", "not checked",
-    }  # fmt: skip
     # the same call goes on from what is there
     assert study.main([*arguments, "--directory", str(tmp_path / "run")]).n_computed == 0
 
@@ -143,10 +140,9 @@ def test_tasks_are_the_cells_of_the_grid():
     assert list(tasks[1]) == ["key", "mag", "kind", "index"]
 
 
-def test_claims_are_ratios_to_a_limit():
-    found = checked_claims({"a": [0.5, 1.0], "b": 1.1, "c": [0.2, np.nan], "d": []})
-    assert list(found["claims"].values()) == ["holds", "does not hold", *["not checked"] * 2]
-    assert found["claims_checked"] == {"a": 1.0, "b": 1.1}
+def test_claims_are_the_largest_ratio_to_a_limit():
+    assert largest({"a": [0.5, 1.0], "b": 1.1, "c": []})["claims"] == {"a": 1.0, "b": 1.1, "c": 0}
+    assert np.isnan(largest({"a": [0.2, np.nan]})["claims"]["a"])
 
 
 def test_generator_agrees_with_the_papers_table():
@@ -225,9 +221,9 @@ def test_tess_beside_the_noise_model():
     assert summary["neighbors"].tolist() == [0, 0, 10, 10]
     tess_noise = importlib.import_module("tess").tess_noise
     np.testing.assert_allclose(summary["model"][:2], tess_noise([9, 13], [9, 9]))
-    assert set(summary.meta["claims"].values()) == {"holds"}
+    assert max(summary.meta["claims"].values()) <= 1
     noisy = made_up("tess", pld=2.0, scene=3.0)[1]
-    assert list(noisy.meta["claims"].values()).count("does not hold") == 2
+    assert sum(value > 1 for value in noisy.meta["claims"].values()) == 2
     assert [ax.get_title() for ax in draw(table, summary).axes] == ["0 neighbors", "10 neighbors"]
 
 
@@ -235,28 +231,24 @@ def test_maps_of_breathing():
     table, summary, draw = made_up("breathing", aperture_full=6.0, wide_full=2.5)
     assert len(summary) == 16
     assert np.all(summary["aperture_ratio"] == 6)
-    assert set(summary.meta["claims"].values()) == {"holds"}
+    assert max(summary.meta["claims"].values()) <= 1
     assert [ax.get_title() for ax in draw(table, summary).axes[:4]] == list(METHODS.values())
 
 
 def test_parts_of_the_last_campaigns():
     table, summary, draw = made_up("last_campaigns")
     assert len(summary) == 8
-    assert set(summary.meta["claims"].values()) == {"holds"}
+    assert max(summary.meta["claims"].values()) <= 1
     part = summary["mission"][(summary["part"] == "C18") & (summary["mag"] == 12)]
     assert part.tolist() == [83.8]
     parts = importlib.import_module("last_campaigns").PARTS
     assert [ax.get_title() for ax in draw(table, summary).axes] == list(parts)
 
 
-def test_claims_of_ground():
+def test_ratios_of_ground():
     noise = {"raw": 2e4, "raw_pld": 2e4, "differential": 600.0, "differential_pld": 300.0}
     _, summary, draw = made_up("ground", **noise)
     np.testing.assert_allclose(summary["ratio"], 0.5)
-    expected = ["holds", "holds", "does not hold", "holds"]
-    assert list(summary.meta["claims"].values()) == expected
-    lossy = made_up("ground", **noise, differential_pld_survival=0.5)[1].meta["claims"]
-    assert list(lossy.values())[3] == "does not hold"
     methods = importlib.import_module("ground").METHODS
     titles = [ax.get_title() for ax in draw(None, summary).axes[: len(methods)]]
     assert titles == list(methods.values())
