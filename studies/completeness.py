@@ -5,7 +5,7 @@
 The star's light is that of a fit (`fit_tpf` on every tenth cadence gives its share). Each trial
 injects a planet at a random phase into the pixels, corrects them with PLDCorrector, which gets
 no mask, and searches with box least squares; it is recovered if the box has a signal-to-noise
-ratio of 7.1 or more and lies on the transits. ``docs/data/completeness.ecsv`` is its results.ecsv with a stamp.
+ratio of 7.1 or more and lies on the transits. The page shows its results.ecsv with a stamp.
 """
 
 from dataclasses import dataclass

@@ -4,7 +4,6 @@ import itertools
 import logging
 import warnings
 from contextlib import contextmanager
-from dataclasses import dataclass
 
 import numpy as np
 from astropy.stats import mad_std
@@ -14,12 +13,10 @@ from scope_models.photometry import cdpp
 __all__ = [
     "CONVENTIONS",
     "LIGHTKURVE_CORRECTORS",
-    "Scores",
     "best_setting",
     "correct",
     "noise_of",
     "quiet",
-    "residual_cdpp",
     "score",
     "transit_amplitude",
 ]
@@ -33,73 +30,40 @@ LIGHTKURVE_CORRECTORS = {
 }
 
 
-@dataclass(frozen=True)
-class Scores:
-    """Scores of a corrected light curve; 1 is what the noise alone gives.
+def score(corrector, noise, width=13):
+    """Score the last correction of a star without signal by a PLDCorrector.
 
-    `held_out_mad` and `held_out_rms`: scatter of the mean residuals of windows that the model has
-    not seen, over the floor; from the median absolute deviation, and rms. `held_out_pull`: rms of
-    these residuals in units of their predicted errors. `residual_*`: CDPP of corrected over true
-    flux, over the CDPP of the noise. `floor`: standard deviation of the noise's window means, ppm.
-    The noise is white, so that it is the noise's own over the square root of the window: better
-    known than from a few windows.
-    """
-
-    held_out_mad: float
-    held_out_rms: float
-    held_out_pull: float
-    residual_lightkurve: float
-    residual_everest: float
-    floor: float
-
-
-def residual_cdpp(corrected, truth, noise, method):
-    """Return the CDPP of corrected over true flux, over the CDPP of the noise alone."""
-    return cdpp(corrected / truth, method=method) / cdpp(1 + noise, method=method)
-
-
-def score(corrector, truth, noise, width=13):
-    """Score the last correction of a PLDCorrector with windows of `width` cadences.
-
-    `truth` is the true relative flux, `noise` that of the sum over the aperture over its expected
-    value.
+    `noise` is that of the sum over the aperture over its expected value. CDPP in ppm, "raw", "pld"
+    and "floor", that of the noise alone, and "residual", the ratio of the last two, each followed
+    by the convention. "held_out_mad" and "held_out_rms" are the scatter of the mean residuals of
+    windows of `width` cadences that the model has not seen, over that of the noise, which is white:
+    better known from all cadences than from a few windows; "held_out_pull" is the rms of these
+    residuals in units of their predicted errors.
     """
     means, errors, used = corrector.held_out(width)
-    floor = float(np.std(noise[used]) / np.sqrt(width))
-    good = np.isfinite(corrector.corrected_lc.flux.value)
-    flux = corrector.corrected_lc.flux.value[good]
-    residual = {
-        method: residual_cdpp(flux, truth[good], noise[good], method)
-        for method in ("lightkurve", "everest")
+    floor = np.std(noise[used]) / np.sqrt(width)
+    row = {
+        "held_out_mad": float(mad_std(means) / floor),
+        "held_out_rms": float(np.std(means) / floor),
+        "held_out_pull": float(np.sqrt(np.mean((means / errors) ** 2))),
     }
-    return Scores(
-        held_out_mad=float(mad_std(means)) / floor,
-        held_out_rms=float(np.std(means) / floor),
-        held_out_pull=float(np.sqrt(np.mean((means / errors) ** 2))),
-        residual_lightkurve=residual["lightkurve"],
-        residual_everest=residual["everest"],
-        floor=1e6 * floor,
-    )
-
-
-def noise_of(corrector, observation):
-    """Return the noise of a star without signal before and after the last correction.
-
-    CDPP in ppm, "raw", "pld" and "floor", that of the noise alone in the aperture's sum, and
-    "residual", the ratio of the last two, each followed by the convention; and the scores
-    "held_out_mad" and "held_out_rms". No cadence of the observation is flagged.
-    """
-    mask = corrector.aperture_mask
-    expected = observation.model()[:, mask].sum(axis=1)
-    noise = (observation.flux[:, mask].sum(axis=1) - expected) / np.median(expected)
-    scores = score(corrector, np.ones(len(noise)), noise)
-    row = {"held_out_mad": scores.held_out_mad, "held_out_rms": scores.held_out_rms}
+    good = np.isfinite(corrector.corrected_lc.flux.value)
     for method in CONVENTIONS:
         row[f"raw_{method}"] = cdpp(corrector.original_lc, method=method)
         row[f"pld_{method}"] = cdpp(corrector.corrected_lc, method=method)
         row[f"floor_{method}"] = cdpp(1 + noise, method=method)
-        row[f"residual_{method}"] = getattr(scores, f"residual_{method}")
+        same = cdpp(1 + noise[good], method=method)
+        row[f"residual_{method}"] = row[f"pld_{method}"] / same
     return row
+
+
+def noise_of(corrector, observation):
+    """Return the scores of the last correction of an observation without flagged cadences."""
+    mask = corrector.aperture_mask
+    expected = observation.model()[:, mask].sum(axis=1)
+    return score(
+        corrector, (observation.flux[:, mask].sum(axis=1) - expected) / np.median(expected)
+    )
 
 
 def transit_amplitude(flux, transit):
