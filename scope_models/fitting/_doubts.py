@@ -1,15 +1,12 @@
 """What is doubtful about a fit."""
 
-import warnings
-
 import numpy as np
 from scipy.stats import f as f_distribution
 
-from scope_models.exceptions import FitWarning
 from scope_models.fitting._products import SMOOTHING_DAYS, smoothed
 from scope_models.fitting._start import APART, find_stars
 
-__all__ = ["LARGEST_FLUX", "LARGEST_SCATTER", "doubts_of", "warn_of_fit"]
+__all__ = ["LARGEST_FLUX", "LARGEST_SCATTER", "doubts_of"]
 
 # The paper's sensitivity is lower by this at the edge of a pixel than at its center: a coefficient
 # whose error there is larger has not been measured.
@@ -28,12 +25,6 @@ _LARGEST_CHI2 = 100.0
 _CERTAIN, _CHANCE = 5.0, 0.01
 # Cadences from which the flux is compared with the position.
 _FEWEST = 20
-
-
-def warn_of_fit(fit, stacklevel):
-    """Warn of what is doubtful about a fit."""
-    for message in doubts_of(fit):
-        warnings.warn(message, FitWarning, stacklevel=stacklevel)
 
 
 def doubts_of(fit):

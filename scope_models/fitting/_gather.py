@@ -8,7 +8,7 @@ from scope_models._arrays import plain_tree
 from scope_models.fitting._parameters import FittedStar, cadence_table, parameter_table
 from scope_models.fitting.result import TPFFit
 
-__all__ = ["make_results"]
+__all__ = ["fitted_fields", "make_results"]
 
 # Cards that a fit keeps: what the star is, and where the stamp is on detector and sky.
 _FACTS = (
@@ -20,123 +20,103 @@ _FACTS = (
 
 def make_results(problem, solution, errors, detectors, series):
     """Gather the fit of each file from what the solver gives."""
-    fitted = problem.model(solution.state)
-    return [
-        _make_result(problem, solution, errors, fitted, number, detectors[number], series[number])
-        for number in range(len(problem.stamps))
-    ]
-
-
-def _make_result(problem, solution, errors, model_pixels, number, detector, series):
-    """Gather the fit of one file."""
-    state, data, pixels = solution.state, problem.stamps[number], problem.slices[number]
-    shared = errors[0]
-    inside, s = data.pixels, problem.n_shared
-    fitted = np.full(data.flux.shape, np.nan)
-    fitted[:, inside] = model_pixels[:, pixels]
-    fitted[~np.isfinite(data.flux)] = np.nan
-    interpixel, interpixel_err = np.ones(data.shape), np.full(data.shape, np.nan)
-    if problem.n_pixels:
-        interpixel[inside] = 1 + state.interpixel[pixels]
-        interpixel_err[inside] = np.sqrt(np.maximum(np.diag(shared)[s:][pixels], 0))
-    stars = [k for k, star in enumerate(problem.stars) if star.stamp == number]
-    by_cadence = _by_cadence(problem, state, errors, stars[0])
-    neighbors = tuple(FittedStar(**_of_star(problem, state, errors, k)) for k in stars[1:])
-    model = problem.prf.copy()
-    middle = {name: float(np.median(by_cadence[name])) for name in ("x", "y", "flux")}
-    places = {"x_0": middle["x"], "y_0": middle["y"], "flux": middle["flux"]}
-    for name, value in (problem.values(state) | places).items():
-        setattr(model, name, value)
-    squares = ((data.flux - fitted) / data.flux_err) ** 2
-    extra = problem.n_pixels - bool(problem.n_pixels)
-    detector = detector.replace(
-        sensitivity=model.sensitivity, interpixel=np.maximum(interpixel, 0.0)
-    )
-    n_data = int(np.isfinite(data.flux).sum())
-    n_parameters = (state.cadence.size + s + extra) * n_data / problem.n_data
-    covariance = shared[:s, :s].copy()
-    limits = problem.limits
-    at_bounds = np.array(problem.names)[
-        (state.shared <= limits.lower) | (state.shared >= limits.upper)
-    ].tolist()
-    statistics = {
-        "chi2": float(np.nansum(squares)),
-        "n_data": n_data,
-        "n_parameters": round(n_parameters),
-        "error_scale": problem.misfit,
-        "converged": solution.converged and not at_bounds,
-        "n_steps": solution.n_steps,
-        "chi2_held_out": np.nan,
-    }
-    columns = {name: getattr(data, name) for name in ("time", "cadenceno", "quality", "pos_corr")}
-    return TPFFit(
-        model=model,
-        parameters=parameter_table(
+    state, s, results = solution.state, problem.n_shared, []
+    fitted, covariance = problem.model(state), errors.shared[:s, :s].copy()
+    at_bounds = np.array(problem.names)[problem.at_bounds(state)].tolist()
+    n_all = state.cadence.size + s + problem.free_response.shape[1]
+    for number, (data, pixels) in enumerate(zip(problem.stamps, problem.slices, strict=True)):
+        fields = fitted_fields(problem, state, errors, number, fitted, problem.weight)
+        interpixel, interpixel_err = np.ones(data.shape), np.full(data.shape, np.nan)
+        if problem.n_pixels:
+            interpixel[data.pixels] = 1 + state.interpixel[pixels]
+            variance = np.diag(errors.shared)[s:][pixels]
+            interpixel_err[data.pixels] = np.sqrt(np.maximum(variance, 0))
+        model, n_data = fields["model"], int(np.isfinite(fields["observed"]).sum())
+        statistics = {
+            "chi2": float(np.nansum(fields.pop("squares"))),
+            "n_data": n_data,
+            "n_parameters": round(n_all * n_data / problem.n_data),
+            "error_scale": problem.misfit,
+            "converged": solution.converged and not at_bounds,
+            "n_steps": solution.n_steps,
+            "chi2_held_out": np.nan,
+        }
+        table = parameter_table(
             model, problem.parameters, state.shared, covariance, at_bounds, statistics,
             response=False,
-        ),
-        covariance=covariance,
-        cadences=cadence_table(columns | by_cadence | {"focus": 1 + problem.focus(state)}),
-        neighbors=neighbors,
-        interpixel=interpixel,
-        interpixel_err=interpixel_err,
-        observed=data.flux,
-        observed_err=data.flux_err,
-        fitted=fitted,
-        statistics=statistics,
-        time_format=data.time_format,
-        detector=detector,
-        options=asdict(problem.options),
-        meta=plain_tree({k: v for k in _FACTS if (v := series.header.get(k)) is not None}, str),
-    )  # fmt: skip
+        )  # fmt: skip
+        kept = {key: series[number].header.get(key) for key in _FACTS}
+        result = TPFFit(
+            **fields | {"cadences": cadence_table(fields["cadences"])},
+            parameters=table,
+            covariance=covariance,
+            interpixel=interpixel,
+            interpixel_err=interpixel_err,
+            statistics=statistics,
+            time_format=data.time_format,
+            detector=detectors[number].replace(
+                sensitivity=model.sensitivity, interpixel=np.maximum(interpixel, 0.0)
+            ),
+            options=asdict(problem.options),
+            meta=plain_tree({key: v for key, v in kept.items() if v is not None}, str),
+        )
+        results.append(result)
+    return results
+
+
+def fitted_fields(problem, state, errors, number, fitted, weight):
+    """Fields of the fit of a file: model, cadences as a dict, stars, pixels with their squares.
+
+    ``fitted`` is the model and ``weight``, 0 where they are not used, that of all pixels, (n, p).
+    """
+    data, pixels = problem.stamps[number], problem.slices[number]
+    observed, modeled = np.full((2, *data.flux.shape), np.nan)
+    for cube, values in ((observed, problem.flux), (modeled, fitted)):
+        cube[:, data.pixels] = np.where(weight[:, pixels] > 0, values[:, pixels], np.nan)
+    stars = [k for k, star in enumerate(problem.stars) if star.stamp == number]
+    own, *others = (_of_star(problem, state, errors, k) for k in stars)
+    model = problem.prf.copy()
+    middle = {n: float(np.median(own[n.removesuffix("_0")])) for n in ("x_0", "y_0", "flux")}
+    for name, value in (problem.values(state) | middle).items():
+        setattr(model, name, value)
+    column, background = problem.index.fluxes[stars[0]], problem.index.backgrounds
+    columns = {name: getattr(data, name) for name in ("time", "cadenceno", "quality", "pos_corr")}
+    columns |= own | {
+        "flux_scatter": np.sqrt(np.maximum(errors.relative[:, column, column], 0.0)),
+        "background": problem.backgrounds(state, number),
+        "background_err": _deviation(errors, background[number]) if background else 0 * data.time,
+        "focus": 1 + problem.focus(state),
+    }
+    return {
+        "model": model,
+        "cadences": columns,
+        "neighbors": tuple(FittedStar(**values) for values in others),
+        "observed": observed,
+        "observed_err": data.flux_err,
+        "fitted": modeled,
+        "squares": ((observed - modeled) / data.flux_err) ** 2,
+    }
 
 
 def _of_star(problem, state, errors, star):
     """Position and flux of a star, and their errors, by name."""
-    shared, cadence, _, mixed = errors
-    n, k, m = mixed.shape
-    by_cadence, by_shared = np.zeros((2, n, k)), np.zeros((2, n, m))
-    for axis, of_cadence, i, derivative in problem.position_terms(state, star):
-        (by_cadence if of_cadence else by_shared)[axis, :, i] = derivative
-    variances = np.einsum("ani,nij,anj->an", by_cadence, cadence, by_cadence)
-    variances += 2 * np.einsum("ani,nij,anj->an", by_cadence, mixed, by_shared)
-    variances += np.einsum("ani,ij,anj->an", by_shared, shared, by_shared, optimize=True)
-    result = problem.path_of(state, star) | {
-        f"{axis}_err": variances[i] for i, axis in enumerate("xy")
-    }
-    column, constant = problem.index.fluxes[star], problem.stars[star].constant
-    result["flux_err"] = _variance(shared, cadence, column, shared_by_all=constant)
-    return _with_errors(result)
+    n, k, m = errors.mixed.shape
+    by = np.zeros((2, n, k + m))
+    for axis, column, derivative in problem.position_terms(state, star):
+        by[axis, :, column] = derivative
+    own, common = by[..., :k], by[..., k:]
+    variances = np.einsum("ani,nij,anj->an", own, errors.cadence, own)
+    variances += 2 * np.einsum("ani,nij,anj->an", own, errors.mixed, common)
+    variances += np.einsum("ani,ij,anj->an", common, errors.shared, common, optimize=True)
+    (x, y), flux = problem.xy(state, star).T.copy(), np.array(problem.fluxes(state, star))
+    x_err, y_err = np.sqrt(np.maximum(variances, 0.0))
+    flux_err = np.hypot(_deviation(errors, problem.index.fluxes[star]), flux * errors.common[star])
+    return {"x": x, "y": y, "flux": flux, "x_err": x_err, "y_err": y_err, "flux_err": flux_err}
 
 
-def _variance(shared, cadence, column, *, shared_by_all):
-    """Variance of a column of the cadences, or of a shared parameter, in each cadence."""
-    if shared_by_all:
-        return np.full(len(cadence), shared[column, column])
-    return cadence[:, column, column]
-
-
-def _with_errors(values):
-    """Arrays by name, with standard deviations for variances."""
-    return {
-        name: np.sqrt(np.maximum(value, 0.0)) if name.endswith("_err") else np.array(value)
-        for name, value in values.items()
-    }
-
-
-def _by_cadence(problem, state, errors, star):
-    """Values and errors of each cadence by name."""
-    shared, cadence, relative, _ = errors
-    result = _of_star(problem, state, errors, star)
-    i = problem.index.fluxes[star]
-    result["flux_scatter"] = np.sqrt(np.maximum(relative[:, i, i], 0))
-    stamp = problem.stars[star].stamp
-    background = {"background": problem.backgrounds(state, stamp)}
-    background["background_err"] = np.zeros(len(cadence))
-    if problem.index.backgrounds:
-        column, constant = (
-            problem.index.backgrounds[stamp],
-            problem.options.background == "constant",
-        )
-        background["background_err"] = _variance(shared, cadence, column, shared_by_all=constant)
-    return result | _with_errors(background)
+def _deviation(errors, column):
+    """Standard deviations of a column, ``(n,)``."""
+    k = errors.cadence.shape[1]
+    if column < k:
+        return np.sqrt(np.maximum(errors.cadence[:, column, column], 0.0))
+    return np.full(len(errors.cadence), max(errors.shared[column - k, column - k], 0.0) ** 0.5)

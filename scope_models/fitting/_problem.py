@@ -6,6 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 from scipy.interpolate import BSpline
+from scipy.linalg import null_space
 
 from scope_models._checks import check_fields, checked_choice, checked_number, integer, number
 from scope_models._values import Value
@@ -13,20 +14,21 @@ from scope_models.fitting._parameters import FitParameter, fit_parameters
 from scope_models.models._parameters import numbers_of
 
 __all__ = [
+    "LARGEST_MOVE",
+    "UNTRUE",
     "FitOptions",
     "FitStar",
-    "Limits",
     "NormalEquations",
     "Problem",
     "Settings",
     "State",
-    "numbered",
+    "median_image",
 ]
 
 # Cadences whose derivatives are held at once.
 _CHUNK = 256
 # Mean squared residual from which the errors are scaled, and change of scale that is none.
-_UNTRUE, _SAME = 1.5, 0.02
+UNTRUE, _SAME = 1.5, 0.02
 # ... and standard deviations of the light-weighted mean that are chance.
 _CHANCE = 3.0
 # Median of the square of a standard normal deviate.
@@ -35,7 +37,8 @@ _MEDIAN_SQUARE = 0.4549364
 _FOCUS_PRIOR = 0.05
 # Standard deviation of the scale of the motion about that of POS_CORR.
 _SCALE_PRIOR = 0.02
-_LARGEST_MOVE = 0.3
+# Largest step of a position, pixels.
+LARGEST_MOVE = 0.3
 # Standard deviation of the motion in a file about that in the first one, relative.
 _MAP_PRIOR = 0.3
 # How far another star may be from its first guess, pixels.
@@ -139,34 +142,20 @@ class State:
     interpixel: np.ndarray  # (p,): response of each fitted pixel less 1
     cadence: np.ndarray  # (n, k): what `Problem.columns` names
 
-
-@dataclass(frozen=True, eq=False)
-class Limits:
-    """Limits of a step, as numbers."""
-
-    lower: np.ndarray  # (s,): bounds of the shared parameters
-    upper: np.ndarray
-    largest_step: np.ndarray  # (s,)
-    relative: np.ndarray  # (s,), bool: whether that is a part of their values
-    gauge: np.ndarray | None  # (p,): weights of the pixels whose mean response is held at 1
-    cadence_lower: np.ndarray  # (k,): bounds and largest steps of the parameters of a cadence
-    cadence_upper: np.ndarray
-    cadence_step: np.ndarray
-
-    def reach(self, shared):
-        """How far the shared parameters may move from where they are, ``(s,)``."""
-        return self.largest_step * np.where(self.relative, np.abs(shared), 1.0)
+    def column(self, number):
+        """Values of a column, ``(n,)``: those of the cadences come first, then the shared ones."""
+        n, k = self.cadence.shape
+        return self.cadence[:, number] if number < k else np.full(n, self.shared[number - k])
 
 
 @dataclass(frozen=True)
 class _Columns:
-    """Where the parameters of stars and files are, as numbers."""
+    """Where the parameters of stars and files are: numbers of columns, places in ``shared``."""
 
-    maps: tuple  # of each file: first of the four shared parameters of its motion
-    places: tuple  # of each star: first of the two shared parameters of its position
-    fluxes: tuple  # of each star: among the shared parameters if it is constant, else a column
-    backgrounds: tuple  # of each file: a column, or among the shared parameters; none if it is 0
-    focus: int  # first of the shared parameters of the focus
+    fluxes: tuple  # column of each star
+    backgrounds: tuple  # column of each file; none if it is 0
+    places: tuple  # of each star but the first, its position: a slice of the shared parameters
+    maps: tuple  # of each file but the first, its motion: a slice of the shared parameters
 
 
 @dataclass(frozen=True, eq=False)
@@ -188,12 +177,12 @@ class Problem:
     stamps: tuple  # PixelData of each file, in the same cadences
     prf: object  # its parameters hold starts, bounds and fixed values
     options: Settings
-    stars: tuple = (FitStar(),)  # the first one without offsets
+    stars: tuple  # the first one without offsets
+    span: tuple  # first and last time that the focus covers, days
+    center: tuple  # where the first star is in the linear map to other files
+    target: np.ndarray | None = None  # position of the first star, if given
     error_scale: float = 1.0  # factor of all errors in the fit
     misfit: float = 1.0  # ... of the errors that are quoted, from the pixels with light
-    target: np.ndarray | None = None  # position of the first star, if given
-    span: tuple | None = None  # first and last time that the focus covers, days
-    center: tuple = (0.0, 0.0)  # where the first star is in the linear map to other files
 
     # --- data -----------------------------------------------------------------------------
     @property
@@ -208,8 +197,7 @@ class Problem:
     @cached_property
     def flux(self):
         """Fluxes of the fitted pixels, shape ``(n, p)``, 0 where there are none."""
-        flux = self._joined("flux")
-        return np.where(np.isfinite(flux), flux, 0.0)
+        return np.nan_to_num(self._joined("flux"))
 
     @cached_property
     def _given_weight(self):
@@ -233,9 +221,10 @@ class Problem:
         return int(np.count_nonzero(self._given_weight))
 
     @property
-    def n_free(self):
-        """Number of free parameters."""
-        return self.n_shared + self.n_pixels + len(self.flux) * len(self.columns)
+    def dof(self):
+        """Pixel values less free parameters, at least 1."""
+        n_free = self.n_shared + self.n_pixels + len(self.flux) * len(self.columns)
+        return max(self.n_data - n_free, 1)
 
     @cached_property
     def basis(self):
@@ -249,18 +238,13 @@ class Problem:
         if self.options.focus is None:
             return np.zeros((len(self.flux), 0))
         first, last = self.span
-        n_parts = max(1, int((last - first) / self.options.focus))
-        inner = np.linspace(first, last, n_parts + 1)
+        inner = np.linspace(first, last, max(1, int((last - first) / self.options.focus)) + 1)
         knots = np.concatenate([[first] * 3, inner, [last] * 3])
         return BSpline.design_matrix(self.data.time, knots, 3).toarray()
 
     def focus(self, state):
         """Relative width of the PSF less 1, shape ``(n,)``."""
-        return self.focus_basis @ state.shared[self.index.focus :]
-
-    def thinned(self, every):
-        """Return the problem with a part of the cadences."""
-        return replace(self, stamps=tuple(s[::every] for s in self.stamps))
+        return self.focus_basis @ state.shared[self.n_shared - self.focus_basis.shape[1] :]
 
     # --- parameters -----------------------------------------------------------------------
     @property
@@ -269,49 +253,44 @@ class Problem:
         return self.options.positions == "path"
 
     @property
-    def n_affine(self):
-        """Number of parameters of the path."""
-        return 6 if self.options.positions in {"path", "prior"} else 0
-
-    @property
     def n_pixels(self):
         """Number of pixels with a response of their own."""
         return self.slices[-1].stop if self.options.interpixel else 0
 
     @cached_property
+    def _of_shape(self):
+        """The free parameters of the PRF, which come first."""
+        return fit_parameters(self.prf, np.max([s.shape for s in self.stamps], axis=0))
+
+    @property
+    def affine(self):
+        """Which of the shared parameters are the path, if it has any: a slice."""
+        return slice(len(self._of_shape), len(self._of_shape) + 6)
+
+    @cached_property
     def parameters(self):
         """The shared parameters, in their order."""
-        shape = np.max([s.shape for s in self.stamps], axis=0) if self.stamps else (1, 1)
-        result = list(fit_parameters(self.prf, shape))
-        for i, axis in enumerate("xy" if self.n_affine else ()):
+        result = [*self._of_shape]
+        for i, axis in enumerate("xy" if self.options.positions in {"path", "prior"} else ()):
             scale = {"kind": "slope", "prior": self.options.scale_error}
             result += [
                 FitParameter(f"{axis}_const", "position"),
                 *(FitParameter(f"{axis}_by_corr{j + 1}", **scale, center=i == j) for j in (0, 1)),
             ]
         for i in range(1, len(self.stamps)):
-            result += [
-                FitParameter(name, "slope", prior=_MAP_PRIOR, center=one, start=one)
-                for name, one in zip(_map_names(i), (1.0, 0.0, 0.0, 1.0), strict=True)
-            ]
+            for axis, of in ("xx", "xy", "yx", "yy"):
+                prior = {"prior": _MAP_PRIOR, "center": axis == of, "start": float(axis == of)}
+                result.append(FitParameter(f"{axis}_by_{of}_{i}", "slope", **prior))
         for k, star in enumerate(self.stars[1:], start=1):
             for axis, start in (("x", star.x), ("y", star.y)):
-                reach = start - _STAR_MOVE, start + _STAR_MOVE, _LARGEST_MOVE
+                reach = start - _STAR_MOVE, start + _STAR_MOVE, LARGEST_MOVE
                 result.append(FitParameter(f"{axis}_star_{k}", "position", *reach, start=start))
-        result += [
-            FitParameter(f"flux_star_{k}", "flux")
-            for k, star in enumerate(self.stars)
-            if star.constant
-        ]
+        names = [f"flux_star_{k}" for k, star in enumerate(self.stars) if star.constant]
         if self.options.background == "constant":
-            result += [
-                FitParameter(numbered("background", i), "flux") for i in range(len(self.stamps))
-            ]
-        if self.options.focus is not None:
-            number = self.focus_basis.shape[1]
-            result += [
-                FitParameter(f"focus_{i}", "focus", prior=_FOCUS_PRIOR) for i in range(number)
-            ]
+            names += [_numbered("background", i) for i in range(len(self.stamps))]
+        result += [FitParameter(name, "flux") for name in names]
+        n_focus = self.focus_basis.shape[1]
+        result += [FitParameter(f"focus_{i}", "focus", prior=_FOCUS_PRIOR) for i in range(n_focus)]
         return tuple(result)
 
     @cached_property
@@ -325,64 +304,48 @@ class Problem:
         return len(self.parameters)
 
     @cached_property
-    def n_shape(self):
-        """Number of free parameters of the PRF, which come first."""
-        return len(fit_parameters(self.prf, (1, 1)))
-
-    @cached_property
     def columns(self):
         """Names of the parameters of a cadence."""
         position = () if self.path else ("x", "y")
-        fluxes = (numbered("flux", k) for k, s in enumerate(self.stars) if not s.constant)
-        number = max(len(self.stamps), 1) if self.options.background == "cadence" else 0
-        return (*position, *fluxes, *(numbered("background", i) for i in range(number)))
+        fluxes = (_numbered("flux", k) for k, s in enumerate(self.stars) if not s.constant)
+        number = len(self.stamps) if self.options.background == "cadence" else 0
+        return (*position, *fluxes, *(_numbered("background", i) for i in range(number)))
 
     @cached_property
     def index(self):
-        """Numbers of the parameters, `_Columns`."""
-        shared = {name: i for i, name in enumerate(self.names)}
-        of_cadence = {name: i for i, name in enumerate(self.columns)}
-        number, stars = range(len(self.stamps)), range(len(self.stars))
-        fluxes = [
-            shared[f"flux_star_{k}"] if self.stars[k].constant else of_cadence[numbered("flux", k)]
-            for k in stars
-        ]
-        where = {"cadence": of_cadence, "constant": shared}.get(self.options.background)
+        """Where the parameters of stars and files are, `_Columns`."""
+        number = {name: i for i, name in enumerate((*self.columns, *self.names))}
+        stars, files, k = range(len(self.stars)), range(len(self.stamps)), len(self.columns)
+        fluxes = (number.get(f"flux_star_{i}", number.get(_numbered("flux", i))) for i in stars)
+        backgrounds = (_numbered("background", i) for i in files)
+        places = (number.get(f"x_star_{i}", 0) - k for i in stars)
+        maps = (number.get(f"x_by_x_{i}", 0) - k for i in files)
         return _Columns(
-            maps=tuple(shared[_map_names(i)[0]] if i else None for i in number),
-            places=tuple(shared[f"x_star_{k}"] if k else None for k in stars),
             fluxes=tuple(fluxes),
-            backgrounds=tuple(where[numbered("background", i)] for i in number) if where else (),
-            focus=self.n_shared - self.focus_basis.shape[1],
+            backgrounds=tuple(number[name] for name in backgrounds if name in number),
+            places=tuple(slice(first, first + 2) for first in places),
+            maps=tuple(slice(first, first + 4) for first in maps),
         )
 
     @cached_property
-    def _priors(self):
-        """Precision before the fit and mean of the shared parameters, ``(2, s)``."""
-        return np.array([(p.prior**-2, p.center) for p in self.parameters]).reshape(-1, 2).T
+    def bounds(self):
+        """Bounds of the shared parameters, ``(2, s)``."""
+        return np.array([(p.lower, p.upper) for p in self.parameters]).reshape(-1, 2).T
+
+    def at_bounds(self, state):
+        """Which of the shared parameters are at a bound, ``(s,)``."""
+        return (state.shared <= self.bounds[0]) | (state.shared >= self.bounds[1])
 
     @cached_property
-    def limits(self):
-        """Limits of a step."""
-        low, high, step = (np.full(len(self.columns), v) for v in (-np.inf, np.inf, np.inf))
-        if not self.path:
-            ny, nx = self.data.shape
-            low[:2], high[:2], step[:2] = -1.0, (nx, ny), _LARGEST_MOVE
-        shared = [
-            np.array([getattr(p, name) for p in self.parameters], dtype=kind)
-            for name, kind in (("lower", float), ("upper", float), ("largest_step", float),
-                               ("relative", bool))
-        ]  # fmt: skip
-        return Limits(*shared, self._light_parts if self.n_pixels else None, low, high, step)
+    def free_response(self):
+        """Directions of the response between pixels that keep its mean, ``(p, p - 1)``."""
+        return null_space(self._light_parts[None]) if self.n_pixels else np.zeros((0, 0))
 
     @cached_property
     def _light_parts(self):
         """Parts of the light in the fitted pixels, of sum 1, shape ``(p,)``."""
-        flux = self._joined("flux")
-        seen = np.isfinite(flux).any(axis=0)
-        light = np.zeros(len(seen))
-        light[seen] = np.maximum(np.nanmedian(flux[:, seen], axis=0), 0.0)
-        light = light if light.any() else seen.astype(float)
+        light = np.maximum(median_image(self._joined("flux")), 0.0)
+        light = light if light.any() else np.ones(len(light))
         return light / light.sum()
 
     def rescaled(self, state):
@@ -399,91 +362,63 @@ class Problem:
         weighted = np.nansum(squares * light, axis=1)[lit > 0] / lit[lit > 0]
         bright = np.median(weighted) / (1 - 2 / (9 * n_light)) ** 3
         by_chance = _CHANCE * np.sqrt(2 / (n_light * len(squares)))
-        lost = self.n_data / max(self.n_data - self.n_free, 1)
+        lost = self.n_data / self.dof
         typical, bright = lost * typical, lost * bright
-        untrue = typical > _UNTRUE or bright > _UNTRUE + by_chance
+        untrue = typical > UNTRUE or bright > UNTRUE + by_chance
         misfit = scale = float(np.sqrt(max(typical, bright))) if untrue else 1.0
         if self.options.soft:
             # In units of larger errors, cosmic rays in the pixels without light are no outliers.
-            scale = float(np.sqrt(typical)) if typical > _UNTRUE else 1.0
+            scale = float(np.sqrt(typical)) if typical > UNTRUE else 1.0
         if max(abs(scale / self.error_scale - 1), abs(misfit / self.misfit - 1)) > _SAME:
             return replace(self, error_scale=scale, misfit=misfit)
         return self
 
-    def quoted(self):
-        """Return the problem with the errors that are quoted, and the same weights of outliers."""
-        soft = self.options.loss_scale * self.error_scale / self.misfit
-        options = replace(self.options, loss_scale=soft)
-        return replace(self, error_scale=self.misfit, options=options)
-
     # --- parts of a state -----------------------------------------------------------------
     def values(self, state):
         """Values of the free parameters of the PRF."""
-        free = state.shared[: self.n_shape]
-        return dict(zip(self.names[: self.n_shape], map(float, free), strict=True))
+        return {p.name: float(v) for p, v in zip(self._of_shape, state.shared, strict=False)}
 
-    def affine(self, state):
-        """The affine map of the path, shape ``(2, 3)``."""
-        return state.shared[self.n_shape : self.n_shape + 6].reshape(2, 3)
+    def _path_of(self, state):
+        """Positions of the first star by the affine map, shape ``(n, 2)``."""
+        return self.basis @ state.shared[self.affine].reshape(2, 3).T
 
     def _map(self, state, stamp):
         """How a file moves with the first one, shape ``(2, 2)``."""
-        if not stamp:
-            return np.eye(2)
-        start = self.index.maps[stamp]
-        return state.shared[start : start + 4].reshape(2, 2)
+        return state.shared[self.index.maps[stamp]].reshape(2, 2) if stamp else np.eye(2)
 
     def xy(self, state, star=0):
         """Positions of a star in its stamp, shape ``(n, 2)``."""
-        first = self.basis @ self.affine(state).T if self.path else state.cadence[:, :2]
+        first = self._path_of(state) if self.path else state.cadence[:, :2]
         if star == 0:
             return first
         moved = (first - self.center) @ self._map(state, self.stars[star].stamp).T + self.center
-        start = self.index.places[star]
-        return moved + state.shared[start : start + 2]
+        return moved + state.shared[self.index.places[star]]
 
     def position_terms(self, state, star):
-        """Yield the parameters that move a star, and how.
-
-        Each is ``(axis, of_cadence, index, derivative)``: 0 for x or 1 for y; whether the parameter
-        belongs to each cadence, or is shared; its number; the derivative of the position, ``(n,)``.
-        """
-        stamp, one = self.stars[star].stamp, np.ones(len(self.flux))
-        matrix = self._map(state, stamp)
-        for axis in (0, 1):
-            for of, slope in enumerate(matrix[axis]):
-                if slope and self.path:
-                    for i in range(3):
-                        yield axis, False, self.n_shape + 3 * of + i, slope * self.basis[:, i]
-                elif slope:
-                    yield axis, True, of, slope * one
+        """Yield what moves a star: ``(axis, column, derivative)``, the last of shape ``(n,)``."""
+        stamp, one, k = self.stars[star].stamp, np.ones(len(self.flux)), len(self.columns)
+        moved = self.xy(state) - self.center
+        for axis, slopes in enumerate(self._map(state, stamp)):
+            for of in np.flatnonzero(slopes):
+                if self.path:
+                    for i, term in enumerate(self.basis.T, start=k + self.affine.start + 3 * of):
+                        yield axis, i, slopes[of] * term
+                else:
+                    yield axis, of, slopes[of] * one
             if stamp:
-                first = self.index.maps[stamp] + 2 * axis
-                moved = self.xy(state) - self.center
-                yield axis, False, first, moved[:, 0]
-                yield axis, False, first + 1, moved[:, 1]
+                for of in (0, 1):
+                    yield axis, k + self.index.maps[stamp].start + 2 * axis + of, moved[:, of]
             if star:
-                yield axis, False, self.index.places[star] + axis, one
+                yield axis, k + self.index.places[star].start + axis, one
 
     def fluxes(self, state, star=0):
         """Fluxes of a star, shape ``(n,)``."""
-        column = self.index.fluxes[star]
-        if self.stars[star].constant:
-            return np.full(len(state.cadence), state.shared[column])
-        return state.cadence[:, column]
-
-    def path_of(self, state, star):
-        """Positions and fluxes of a star by name, ``(n,)``."""
-        x, y = self.xy(state, star).T
-        return {"x": x, "y": y, "flux": self.fluxes(state, star)}
+        return state.column(self.index.fluxes[star])
 
     def backgrounds(self, state, stamp=0):
         """Backgrounds of a file, shape ``(n,)``."""
-        if self.options.background == "cadence":
-            return state.cadence[:, self.index.backgrounds[stamp]]
-        constant = self.options.background == "constant"
-        value = state.shared[self.index.backgrounds[stamp]] if constant else 0.0
-        return np.full(len(state.cadence), value)
+        columns = self.index.backgrounds
+        return state.column(columns[stamp]) if columns else np.zeros(len(state.cadence))
 
     # --- model ----------------------------------------------------------------------------
     def chunks(self):
@@ -503,23 +438,15 @@ class Problem:
         result = self.prf.unit_images(
             stamp.shape, x, y, values=values, derivatives=derivatives or widens
         )
-        if not (derivatives or widens):
-            return result[:, stamp.pixels]
-        image, by = result
-        if widens:
-            by["focus"] = self._widened(by, values)
+        image, by = result if derivatives or widens else (result, {})
+        if widens:  # all distances from the star scale
+            numbers, kinds = numbers_of(self.prf) | values, self.prf.parameter_kinds
+            scaled = [name for name, kind in kinds.items() if kind in {"width", "offset"}]
+            by["focus"] = sum(numbers[name] * by[name] for name in scaled)
             image = image + self.focus(state)[part, None, None] * by["focus"]
-        if not derivatives:
-            return image[:, stamp.pixels]
-        needed = ("x_0", "y_0", *self.names[: self.n_shape], *(("focus",) if widens else ()))
-        return image[:, stamp.pixels], [by[name][:, stamp.pixels] for name in needed]
-
-    def _widened(self, derivatives, values):
-        """Derivative of images by the relative width: all distances from the star scale."""
-        kinds = self.prf.parameter_kinds
-        scaled = [name for name, kind in kinds.items() if kind in {"width", "offset"}]
-        numbers = numbers_of(self.prf) | values
-        return sum(numbers[name] * derivatives[name] for name in scaled)
+        image = image[:, stamp.pixels]
+        needed = ("x_0", "y_0", *values, *(("focus",) if widens else ()))
+        return (image, [by[name][:, stamp.pixels] for name in needed]) if derivatives else image
 
     def model(self, state):
         """Model of the fitted pixels, shape ``(n, p)``."""
@@ -536,12 +463,22 @@ class Problem:
 
     def expand(self, state):
         """Cost and its normal equations at a state."""
-        n, k, m = len(self.flux), len(self.columns), self.n_shared + self.n_pixels
+        n, k, s, m = *state.cadence.shape, self.n_shared, self.n_shared + self.n_pixels
         shared, gradient = np.zeros((m, m)), np.zeros(m)
         mixed, block, block_gradient = np.zeros((n, k, m)), np.zeros((n, k, k)), np.zeros((n, k))
-        cost, soft, s = 0.0, self.options.soft, self.n_shared
+        cost, soft = self._add_priors(state, shared, gradient), self.options.soft
+
+        def add(part, residual, design):
+            own, of_all = design[:k].transpose(1, 0, 2), design[k:].reshape(s, residual.size)
+            product = own @ design.transpose(1, 2, 0)
+            block[part] += product[..., :k]
+            mixed[part, :, :s] += product[..., k:]
+            block_gradient[part] += (own @ residual[..., None])[..., 0]
+            shared[:s, :s] += of_all @ of_all.T
+            gradient[:s] += of_all @ residual.ravel()
+
         for part in self.chunks():
-            residual, by_shared, by_pixel, by_cadence = self._linearize(state, part)
+            residual, design, light = self._linearize(state, part)
             weight = self.weight[part]
             residual *= weight
             if soft is None:
@@ -552,69 +489,56 @@ class Problem:
                 factor = (1 + scaled) ** -0.25
                 residual *= factor
                 weight = weight * factor
-            by_shared *= weight[..., None]
-            by_cadence *= weight[..., None]
-            flat = by_shared.reshape(residual.size, s)
-            shared[:s, :s] += flat.T @ flat
-            gradient[:s] += residual.ravel() @ flat
-            block[part] = by_cadence.transpose(0, 2, 1) @ by_cadence
-            block_gradient[part] = np.einsum("npk,np->nk", by_cadence, residual)
-            mixed[part, :, :s] = by_cadence.transpose(0, 2, 1) @ by_shared
+            design *= weight
+            add(part, residual, design)
             if self.n_pixels:
-                by_pixel *= weight
-                shared[:s, s:] += np.einsum("nps,np->sp", by_shared, by_pixel)
-                shared[range(s, m), range(s, m)] += np.sum(by_pixel**2, axis=0)
-                gradient[s:] += np.sum(by_pixel * residual, axis=0)
-                mixed[part, :, s:] = (by_cadence * by_pixel[..., None]).transpose(0, 2, 1)
-        shared[s:, :s] = shared[:s, s:].T
-        cost += self._add_priors(state, shared, gradient)
+                light *= weight
+                shared[:s, s:] += np.einsum("snp,np->sp", design[k:], light)
+                shared[range(s, m), range(s, m)] += np.sum(light**2, axis=0)
+                gradient[s:] += np.sum(light * residual, axis=0)
+                mixed[part, :, s:] = (design[:k] * light).transpose(1, 0, 2)
         if self.options.positions == "prior":
-            cost += self._add_path(state, shared, gradient, mixed, block, block_gradient)
+            residual = (self._path_of(state) - state.cadence[:, :2]) / self.options.position_error
+            design = np.zeros((k + s, n, 2))
+            for axis in (0, 1):
+                first = k + self.affine.start + 3 * axis
+                design[axis, :, axis] = 1 / self.options.position_error
+                design[first : first + 3, :, axis] = -self.basis.T / self.options.position_error
+            cost += np.sum(residual**2)
+            add(slice(None), residual, design)
+        shared[s:, :s] = shared[:s, s:].T
         return NormalEquations(cost, shared, gradient, mixed, block, block_gradient)
 
     def _linearize(self, state, part):
-        """Residuals and derivatives of the model in a slice of cadences."""
-        size = self.flux[part].shape
-        by_shared = np.zeros((*size, self.n_shared))
-        by_cadence = np.zeros((*size, len(self.columns)))
-        light = np.zeros(size)
-        response = 1 + (state.interpixel if self.n_pixels else np.zeros(size[1]))
-        for k, star in enumerate(self.stars):
+        """Residuals ``(m, p)``, their derivatives by all columns, and the light of the stars."""
+        residual, k = self.flux[part].copy(), len(self.columns)
+        design = np.zeros((k + self.n_shared, *residual.shape))
+        light = np.zeros_like(residual)
+        response = 1 + (state.interpixel if self.n_pixels else np.zeros(residual.shape[1]))
+        for j, star in enumerate(self.stars):
             pixels = self.slices[star.stamp]
-            light[:, pixels] += self._add_star(
-                state, part, k, response[pixels], by_shared[:, pixels], by_cadence[:, pixels]
-            )
-        residual = self.flux[part] - response * light
-        for i, pixels in enumerate(self.slices):
-            residual[:, pixels] -= self.backgrounds(state, i)[part, None]
-            if self.index.backgrounds:
-                by = by_cadence if self.options.background == "cadence" else by_shared
-                by[:, pixels, self.index.backgrounds[i]] = 1.0
-        return residual, by_shared, light, by_cadence
-
-    def _add_star(self, state, part, k, response, by_shared, by_cadence):
-        """Add the derivatives of a star to those of its pixels; return its light."""
-        image, derivatives = self.unit_images(state, part, k, derivatives=True)
-        flux = self.fluxes(state, k)[part, None]
-        scale = response * flux
-        for i in range(self.n_shape):
-            by_shared[..., i] += scale * derivatives[2 + i]
-        moved = scale * derivatives[0], scale * derivatives[1]
-        for axis, of_cadence, i, derivative in self.position_terms(state, k):
-            by_parameter = by_cadence if of_cadence else by_shared
-            by_parameter[..., i] += derivative[part, None] * moved[axis]
-        if self.options.focus is not None:
-            basis = self.focus_basis[part, np.newaxis]
-            by_shared[..., self.index.focus :] += (scale * derivatives[-1])[..., np.newaxis] * basis
-        by_flux = by_shared if self.stars[k].constant else by_cadence
-        by_flux[..., self.index.fluxes[k]] = response * image
-        return flux * image
+            image, slopes = self.unit_images(state, part, j, derivatives=True)
+            by, flux = design[:, :, pixels], self.fluxes(state, j)[part, None]
+            light[:, pixels] += flux * image
+            slopes = [response[pixels] * flux * slope for slope in slopes]
+            for i, slope in enumerate(slopes[2 : 2 + self.affine.start], start=k):
+                by[i] += slope
+            for axis, i, derivative in self.position_terms(state, j):
+                by[i] += derivative[part, None] * slopes[axis]
+            for i, spline in enumerate(self.focus_basis[part].T[::-1], start=1):
+                by[-i] += slopes[-1] * spline[:, None]
+            by[self.index.fluxes[j]] = response[pixels] * image
+        residual -= response * light
+        for pixels, column in zip(self.slices, self.index.backgrounds, strict=False):
+            residual[:, pixels] -= state.column(column)[part, None]
+            design[column, :, pixels] = 1.0
+        return residual, design, light
 
     def _add_priors(self, state, shared, gradient):
         """Add the priors of the shared parameters to an expansion; return their cost."""
         s, p = self.n_shared, self.n_pixels
-        precision, center = self._priors
-        deviation = state.shared - center
+        precision = np.array([q.prior**-2 for q in self.parameters])
+        deviation = state.shared - np.array([q.center for q in self.parameters])
         shared[range(s), range(s)] += precision
         gradient[:s] -= precision * deviation
         cost = precision @ deviation**2
@@ -627,25 +551,15 @@ class Problem:
             gradient[s:] -= precision * deviation
         return cost
 
-    def _add_path(self, state, shared, gradient, mixed, block, block_gradient):
-        """Add the prior of the positions about the path to an expansion; return its cost."""
-        precision, start = self.options.position_error**-2, self.n_shape
-        deviation = state.cadence[:, :2] - self.basis @ self.affine(state).T
-        for axis in (0, 1):
-            i = slice(start + 3 * axis, start + 3 * axis + 3)
-            block[:, axis, axis] += precision
-            block_gradient[:, axis] -= precision * deviation[:, axis]
-            mixed[:, axis, i] -= precision * self.basis
-            shared[i, i] += precision * self.basis.T @ self.basis
-            gradient[i] += precision * deviation[:, axis] @ self.basis
-        return precision * np.sum(deviation**2)
+
+def median_image(cube):
+    """Return the median of finite values over the first axis; 0 where there are none."""
+    seen = np.isfinite(cube).any(axis=0)
+    image = np.zeros(cube.shape[1:])
+    image[seen] = np.nanmedian(np.where(np.isfinite(cube), cube, np.nan)[:, seen], axis=0)
+    return image
 
 
-def numbered(name, k):
+def _numbered(name, k):
     """Name of what belongs to star or file k; that of the first one has no number."""
     return f"{name}_{k}" if k else name
-
-
-def _map_names(stamp):
-    """Names of the parameters that map the motion of the first file to that of another."""
-    return [f"{axis}_by_{of}_{stamp}" for axis in "xy" for of in "xy"]

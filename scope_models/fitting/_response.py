@@ -5,15 +5,19 @@ from them is a polynomial of the star's fitted position and slow time, with prio
 data give. Shares and cadences are fitted in turn, each by linear least squares.
 """
 
+from copy import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
+from astropy.stats import mad_std
 from scipy.linalg import cho_factor, cho_solve
 
 from scope_models.effects.shares import PixelShares, polynomial_terms, polynomials, scaled_to
-from scope_models.fitting._parameters import FittedStar, cadence_table
-from scope_models.fitting._problem import _UNTRUE, State
-from scope_models.fitting._start import centroids, linear_start
+from scope_models.fitting._gather import fitted_fields
+from scope_models.fitting._parameters import cadence_table
+from scope_models.fitting._problem import UNTRUE, State, median_image
+from scope_models.fitting._solver import Errors
+from scope_models.fitting._start import centroids, linear_start, solved
 
 __all__ = ["fit_response"]
 
@@ -46,8 +50,8 @@ _OUTLIER = 6.0
 # Motion that agrees with POS_CORR so well is put on its scale.
 _LEAST_R2, _SCALES = 0.5, (0.5, 2.0)
 # Largest steps of a position, pixels; change of the cost that is none, relative and in parts of its
-# own scatter; steps of the last rung at most, and those after which the priors stay.
-_MOVE, _SAME, _SMALL, _MOST_STEPS, _WIDTH_STEPS = 0.1, 3e-4, 0.01, 80, 10
+# own scatter; steps of the last rung at most, for one star and for each of many.
+_MOVE, _SAME, _SMALL, _MOST_STEPS, _FEW_STEPS = 0.1, 3e-4, 0.01, 80, 10
 # Part of the range of positions and pixels by which the polynomials reach farther; percentiles.
 _PAD, _INSIDE = (0.05, 0.01), (0.2, 99.8)
 # Pixels whose light is less than so many errors hardly count in the sum that is the flux: wide sums
@@ -68,61 +72,59 @@ class _Cadences:
     used: np.ndarray
 
 
-class _Psf:
-    """Images of the PSF of all stars, computed again where a cadence has moved."""
-
-    def __init__(self, problem):
-        self.problem = problem
-        self.places = np.full((len(problem.flux), 2), np.inf)
-        self.parts = [
-            np.zeros((3, len(problem.flux), problem.stamps[star.stamp].pixels.sum()))
-            for star in problem.stars
-        ]
-
-    def images(self, state):
-        """Images of unit flux, and their derivatives by column and row, ``(3, n, p)`` per star."""
-        moved = np.abs(self.problem.xy(state) - self.places).max(axis=1) > _TAYLOR
-        index = np.flatnonzero(moved)
-        for some in np.array_split(index, -(-len(index) // _CHUNK)) if len(index) else ():
-            for k, part in enumerate(self.parts):
-                image, by = self.problem.unit_images(state, some, k, derivatives=True)
-                part[:, some] = image, *by[:2]
-        self.places[index] = self.problem.xy(state)[index]
-        away = (self.problem.xy(state) - self.places).T[..., np.newaxis]
-        return [(p[0] + away[0] * p[1] + away[1] * p[2], p[1], p[2]) for p in self.parts]
-
-
 class _Shares:
-    """Polynomials of all pixels and stars, and their priors."""
+    """Images of all stars: the PSF's, and polynomials in all pixels, with their priors."""
 
-    def __init__(self, psf, ranges, degree, time_degree, size, faint):
-        self.psf, self.problem = psf, psf.problem
-        self.ranges, self.degrees = ranges, (degree, time_degree)
-        self.terms = polynomial_terms(degree, time_degree)
-        self.order = self.terms.sum(axis=1)
-        #: Share of each star that is typically in a pixel, what is faint, and by what it changes.
-        self.size = size
-        self.faint = faint
-        #: ... 0 where another star than the first of its file has too little light to learn from.
-        self.unit = [np.maximum(part, 0.0) + _EVERYWHERE for part in size]
-        firsts = {star.stamp: k for k, star in reversed([*enumerate(self.problem.stars)])}
-        for k, star in enumerate(self.problem.stars):
-            if k != firsts[star.stamp]:
-                self.unit[k][size[k] < _EVERYWHERE] = 0.0
-        self.width = np.full(self.order.max() + 1, _FIRST_PRIOR)
-        self.values = [np.zeros((len(self.terms), part.size)) for part in size]
-        self.covariance = [None] * self.problem.slices[-1].stop
-        self.n_free = 0.0
+    def __init__(self, problem, state, center):
+        self.problem = problem
+        low, high = np.percentile(center, _INSIDE, axis=0)
+        pad, time = _PAD[0] * (high - low) + _PAD[1], problem.data.time
+        last = max(time.max(), time.min() + 1)
+        self.ranges = (*zip(low - pad, high + pad, strict=True), (time.min(), last))
+        weight = problem.weight
+        errors = np.array([1 / np.median(w[w > 0]) if w.any() else np.inf for w in weight.T])
+        # Images of the PSF, with their derivatives, and where each cadence was then.
+        self.images, self.places = [], np.full((len(weight), 2), np.inf)
+        #: Share of each star that is typically in a pixel, and by what it changes: 0 where another
+        #: star than the first of its file has too little light to learn from.
+        self.size, self.unit = [], []
+        #: What a common factor changes, and the weights of the sum that stays that of the PSF.
+        self.gauges = []
+        stamps = [star.stamp for star in problem.stars]
+        self.firsts = [stamps.index(stamp) for stamp in range(len(problem.stamps))]
+        for k, star in enumerate(problem.stars):
+            typical = problem.unit_images(state, slice(None, None, _EVERY), k)
+            size = np.maximum(np.median(typical, axis=0), 0.0)
+            learns = (size >= _EVERYWHERE) | (k in self.firsts)
+            faint = errors[problem.slices[star.stamp]] / abs(np.median(problem.fluxes(state, k)))
+            parts = size * learns
+            share = parts / (parts + _FAINT * faint)
+            self.images.append(np.zeros((3, len(weight), size.size)))
+            self.size.append(size)
+            self.unit.append((size + _EVERYWHERE) * learns)
+            self.gauges.append((parts / (parts @ share), share))
+        self.degrees, self.terms = (0, 0), polynomial_terms(0, 0)
+        self.width = np.array([_FIRST_PRIOR])
+        self.values = [np.zeros((1, size.size)) for size in self.size]
+        self.covariance, self.n_free = [None] * weight.shape[1], 0.0
 
-    def richer(self, degree, time_degree):
+    @property
+    def order(self):
+        """Order of each term."""
+        return self.terms.sum(axis=1)
+
+    def richer(self, *degrees):
         """Return the same shares with more terms."""
-        other = _Shares(self.psf, self.ranges, degree, time_degree, self.size, self.faint)
+        other = copy(self)
+        other.degrees, other.terms = degrees, polynomial_terms(*degrees)
         place = {tuple(term): k for k, term in enumerate(other.terms.tolist())}
         index = [place[tuple(term)] for term in self.terms.tolist()]
+        other.values = [np.zeros((len(other.terms), part.size)) for part in self.size]
         for mine, theirs in zip(self.values, other.values, strict=True):
             theirs[index] = mine
-        other.width = np.resize(self.width, len(other.width))
-        other.width[len(self.width) :] = self.width[-1]
+        more = other.order.max() + 1 - len(self.width)
+        other.width = np.append(self.width, [self.width[-1]] * more)
+        other.covariance = list(self.covariance)
         return other
 
     def basis(self, state):
@@ -135,154 +137,111 @@ class _Shares:
             slopes[axis] *= np.where(np.abs(scaled[axis]) < 1, 2 / (high - low), 0.0)[:, np.newaxis]
         return value, *slopes
 
-    def images(self, state, *, slopes=False):
-        """Images of each star of unit flux, and their derivatives by column and row."""
-        number = 3 if slopes else 1
-        basis = self.basis(state)[:number]
-        for k, parts in enumerate(self.psf.images(state)):
-            yield [p + b @ self.values[k] for p, b in zip(parts[:number], basis, strict=True)]
+    def _psf(self, state):
+        """Images of the PSF of unit flux, and derivatives by place, ``(3, n, p)`` per star."""
+        xy = self.problem.xy(state)
+        moved = np.flatnonzero(np.abs(xy - self.places).max(axis=1) > _TAYLOR)
+        for start in range(0, len(moved), _CHUNK):
+            some = moved[start : start + _CHUNK]
+            for k, part in enumerate(self.images):
+                image, by = self.problem.unit_images(state, some, k, derivatives=True)
+                part[:, some] = image, *by[:2]
+        self.places[moved] = xy[moved]
+        away = (xy - self.places).T[..., np.newaxis]
+        return [(p[0] + away[0] * p[1] + away[1] * p[2], p[1], p[2]) for p in self.images]
 
-    def model(self, state):
-        """Model of all pixels, shape ``(n, p)``."""
-        problem = self.problem
-        model = np.zeros(problem.flux.shape)
-        for k, (image,) in enumerate(self.images(state)):
-            pixels = problem.slices[problem.stars[k].stamp]
-            model[:, pixels] += problem.fluxes(state, k)[:, None] * image
-        for i, pixels in enumerate(problem.slices):
-            model[:, pixels] += problem.backgrounds(state, i)[:, None]
-        return model
+    def residual(self, state, *, slopes=False):
+        """Data less model ``(n, p)``, and derivatives of the model by the columns of cadences."""
+        problem, k = self.problem, len(self.problem.columns)
+        residual = problem.flux.copy()
+        design = np.zeros((*residual.shape, k if slopes else 0))
+        basis = self.basis(state)[: 3 if slopes else 1]
+        for number, psf in enumerate(self._psf(state)):
+            pixels = problem.slices[problem.stars[number].stamp]
+            column, flux = problem.index.fluxes[number], problem.fluxes(state, number)[:, None]
+            image, *by = (p + b @ self.values[number] for p, b in zip(psf, basis, strict=False))
+            residual[:, pixels] -= flux * image
+            for axis, slope in enumerate(by):
+                design[:, pixels, axis] += flux * slope
+            if slopes and column < k:
+                design[:, pixels, column] = image
+        for number, pixels in enumerate(problem.slices):
+            residual[:, pixels] -= problem.backgrounds(state, number)[:, None]
+            if slopes and problem.options.background == "cadence":
+                design[:, pixels, problem.index.backgrounds[number]] = 1.0
+        return (residual, design) if slopes else residual
 
-    def update(self, cadences, learned, *, widths=True):
+    def pixels(self):
+        """Yield number of each pixel, that in its file, and the stars whose shares are fitted."""
+        for stamp, pixels in enumerate(self.problem.slices):
+            own = [k for k, star in enumerate(self.problem.stars) if star.stamp == stamp]
+            for number in range(pixels.stop - pixels.start):
+                yield pixels.start + number, number, [k for k in own if self.unit[k][number]]
+
+    def update(self, cadences, learned):
         """Fit the polynomials of all pixels to the light of some cadences."""
-        problem, state = self.problem, cadences.state
-        phi = self.basis(state)[0][learned]
-        fluxes = [problem.fluxes(state, k) for k in range(len(problem.stars))]
-        rest = problem.flux - self.model(state)
+        state, order = cadences.state, self.order
+        phi, rest = self.basis(state)[0][learned], self.residual(state)[learned]
+        fluxes = [self.problem.fluxes(state, k)[learned] for k in range(len(self.values))]
         squares, counts, self.n_free = np.zeros_like(self.width), np.zeros_like(self.width), 0.0
-        for stamp, pixels in enumerate(problem.slices):
-            designs = [fluxes[k][learned, None] * phi for k in range(len(fluxes))]
-            for number, pixel in enumerate(range(pixels.start, pixels.stop)):
-                stars = self.stars_in(stamp, number)
-                weight = cadences.weight[learned, pixel]
-                values = np.concatenate([self.values[k][:, number] for k in stars])
-                # No share changes by more than all of the light.
-                widths = [np.minimum(self.width[self.order] * self.unit[k][number], 1.0)
-                          for k in stars]  # fmt: skip
-                scale = np.concatenate(widths)
-                # In units of the priors, all eigenvalues are 1 and more.
-                weighted = np.hstack([designs[k] for k in stars]) * weight[:, None] * scale
-                normal = weighted.T @ weighted
-                right = weighted.T @ (weight * rest[learned, pixel]) + normal @ (values / scale)
-                normal[np.diag_indices_from(normal)] += 1.0
-                factor = cho_factor(normal)
-                values = scale * cho_solve(factor, right)
-                covariance = cho_solve(factor, np.eye(len(values)))
-                self.n_free += float(np.sum(1 - np.diag(covariance)))
-                self.covariance[pixel] = covariance = covariance * scale * scale[:, None]
-                variance = np.diag(covariance)
-                parts = zip(np.split(values, len(stars)), np.split(variance, len(stars)),
-                            strict=True)  # fmt: skip
-                for k, (value, spread) in zip(stars, parts, strict=True):
-                    self.values[k][:, number] = value
-                    scaled = (value**2 + spread) / self.unit[k][number] ** 2
-                    squares += np.bincount(self.order, scaled, len(squares))
-                    counts += np.bincount(self.order, minlength=len(squares))
-        self._fix_gauge()
-        if widths:
-            self.width = np.maximum(np.sqrt(squares / counts), _LEAST_PRIOR)
-
-    def stars_in(self, stamp, pixel):
-        """Return the stars of a file whose shares in one of its pixels are fitted."""
-        stars = enumerate(self.problem.stars)
-        return [k for k, star in stars if star.stamp == stamp and self.unit[k][pixel]]
-
-    def gauge(self, star):
-        """What a common factor changes, and the weights of the sum that stays that of the PSF."""
-        parts = np.where(self.unit[star] > 0, np.maximum(self.size[star], 0.0), 0.0)
-        weight = parts / (parts + self.faint[star])
-        return parts / (parts @ weight), weight
-
-    def common(self, basis, star):
-        """
-        Return the relative error of a star's flux from changes common to its pixels, ``(n,)``.
-
-        The gauge fixes them, and no data constrain them: their error is that of the prior.
-        """
-        parts, weight = np.maximum(self.size[star], 0.0), self.gauge(star)[1]
-        size = np.linalg.norm(weight * self.unit[star]) / (parts @ weight)
-        return size * np.linalg.norm(basis * self.width[self.order], axis=1)
-
-    def _fix_gauge(self):
-        """Let a sum of the shares be that of the PSF, and no change be common to all pixels."""
-        free_background = self.problem.options.background == "cadence"
-        for k, (star, unit) in enumerate(zip(self.values, self.unit, strict=True)):
-            if free_background:
+        for pixel, number, stars in self.pixels():
+            weight = cadences.weight[learned, pixel]
+            values = np.concatenate([self.values[k][:, number] for k in stars])
+            # No share changes by more than all of the light.
+            scale = np.concatenate(
+                [np.minimum(self.width[order] * self.unit[k][number], 1.0) for k in stars]
+            )
+            # In units of the priors, all eigenvalues are 1 and more.
+            weighted = np.hstack([phi * (fluxes[k] * weight)[:, None] for k in stars]) * scale
+            normal = weighted.T @ weighted
+            right = weighted.T @ (weight * rest[:, pixel]) + normal @ (values / scale)
+            normal[np.diag_indices_from(normal)] += 1.0
+            factor = cho_factor(normal)
+            values = scale * cho_solve(factor, right)
+            covariance = cho_solve(factor, np.eye(len(values)))
+            self.n_free += float(np.sum(1 - np.diag(covariance)))
+            self.covariance[pixel] = covariance = covariance * scale * scale[:, None]
+            parts = np.reshape((values, np.diag(covariance)), (2, len(stars), -1))
+            for k, value, spread in zip(stars, *parts, strict=True):
+                self.values[k][:, number] = value
+                scaled = (value**2 + spread) / self.unit[k][number] ** 2
+                squares += np.bincount(order, scaled, len(squares))
+                counts += np.bincount(order, minlength=len(squares))
+        # A sum of the shares is that of the PSF, and no change is common to all pixels.
+        for values, unit, (parts, share) in zip(self.values, self.unit, self.gauges, strict=True):
+            if self.problem.options.background == "cadence":
                 seen = unit > 0
-                star[:, seen] -= (star[:, seen] @ unit[seen] ** -2 / np.sum(unit[seen] ** -2))[
-                    :, None
-                ]
-            parts, weight = self.gauge(k)
-            star[:] -= (star @ weight)[:, None] * parts
+                common = values[:, seen] @ unit[seen] ** -2 / np.sum(unit[seen] ** -2)
+                values[:, seen] -= common[:, None]
+            values[:] -= (values @ share)[:, None] * parts
+        self.width = np.maximum(np.sqrt(squares / counts), _LEAST_PRIOR)
+
+
+def _equations(shares, cadences, center, error):
+    """Normal equations of the cadences, with the prior of the positions, and derivatives."""
+    residual, design = shares.residual(cadences.state, slopes=True)
+    weighted = design * cadences.weight[..., None]
+    normal = weighted.transpose(0, 2, 1) @ weighted
+    right = np.einsum("npk,np->nk", weighted, cadences.weight * residual)
+    normal[:, [0, 1], [0, 1]] += error**-2
+    right[:, :2] += (center - cadences.state.cadence[:, :2]) / error**2
+    return normal, right[..., None], design
 
 
 def _improve(shares, cadences, center, error, steps=2):
     """Fit flux, position and background of each cadence."""
     for _ in range(steps):
-        cadence = cadences.state.cadence
-        residual, design = _linearized(shares, cadences.state)
-        deviation = center - cadence[:, :2]
-        normal, right = _normal(design, residual, cadences.weight, deviation, error)
-        step = _solved(normal, right[..., None])[..., 0]
+        normal, right, _ = _equations(shares, cadences, center, error)
+        step = solved(normal, right)[..., 0]
         step[:, :2] = np.clip(step[:, :2], -_MOVE, _MOVE)
-        cadences.state = replace(cadences.state, cadence=cadence + step)
-
-
-def _linearized(shares, state):
-    """Residuals, and derivatives of the model by the parameters of the cadences."""
-    problem = shares.problem
-    residual = problem.flux.copy()
-    design = np.zeros((*residual.shape, len(problem.columns)))
-    for k, (image, by_x, by_y) in enumerate(shares.images(state, slopes=True)):
-        star = problem.stars[k]
-        pixels, flux = problem.slices[star.stamp], problem.fluxes(state, k)[:, None]
-        residual[:, pixels] -= flux * image
-        design[:, pixels, 0] += flux * by_x
-        design[:, pixels, 1] += flux * by_y
-        if not star.constant:
-            design[:, pixels, problem.index.fluxes[k]] = image
-    for i, pixels in enumerate(problem.slices):
-        residual[:, pixels] -= problem.backgrounds(state, i)[:, None]
-        if problem.options.background == "cadence":
-            design[:, pixels, problem.index.backgrounds[i]] = 1.0
-    return residual, design
-
-
-def _normal(design, residual, weight, deviation, error):
-    """Normal equations of the cadences, with the prior of the positions."""
-    weighted = design * weight[..., None]
-    normal = weighted.transpose(0, 2, 1) @ weighted
-    right = np.einsum("npk,np->nk", weighted, weight * residual)
-    normal[:, [0, 1], [0, 1]] += error**-2
-    right[:, :2] += deviation / error**2
-    return normal, right
-
-
-def _solved(normal, right):
-    """Solve small systems whose diagonals are scaled to 1."""
-    scale = 1 / np.sqrt(np.maximum(np.einsum("nkk->nk", normal), 1e-300))
-    matrix = normal * scale[:, :, None] * scale[:, None, :]
-    index = np.arange(normal.shape[1])
-    matrix[:, index, index] = 1 + 1e-10
-    return scale[:, :, None] * np.linalg.solve(matrix, scale[:, :, None] * right)
+        cadences.state = replace(cadences.state, cadence=cadences.state.cadence + step)
 
 
 def _on_path(cadences, problem, center):
     """Put the positions on the scale of POS_CORR, where the motion agrees with it."""
     if problem.data.pos_corr is None or not problem.data.pos_corr.std(axis=0).all():
         return
-    used, cadence = cadences.used, cadences.state.cadence.copy()
-    basis = problem.basis
+    used, cadence, basis = cadences.used, cadences.state.cadence.copy(), problem.basis
     for axis in (0, 1):
         away = cadence[:, axis] - center[:, axis]
         slopes = np.linalg.lstsq(basis[used], away[used], rcond=None)[0]
@@ -293,122 +252,71 @@ def _on_path(cadences, problem, center):
     cadences.state = replace(cadences.state, cadence=cadence)
 
 
-def _squares(shares, cadences, weight=None):
-    """Squared residuals in errors of all pixels, 0 where they are not used."""
-    weight = cadences.weight if weight is None else weight
-    return (weight * (shares.problem.flux - shares.model(cadences.state))) ** 2
-
-
-def _costs(squares):
+def _costs(shares, cadences, weight):
     """Cost of each cadence, which grows only linearly with large residuals."""
+    squares = (weight * shares.residual(cadences.state)) ** 2
     return np.sum(2 * _SOFT**2 * (np.sqrt(1 + squares / _SOFT**2) - 1), axis=1)
 
 
 def _leave_out(shares, cadences):
     """Leave out single pixels that are hit, and cadences that the model does not describe."""
-    given = shares.problem.weight
-    cadences.weight = given.copy()
-    squares = _squares(shares, cadences)
-    good = given > 0
-    typical = np.array(
-        [np.median(s[g]) if g.any() else 0.0 for s, g in zip(squares.T, good.T, strict=True)]
-    )
+    good = shares.problem.weight > 0
+    squares = (shares.problem.weight * shares.residual(cadences.state)) ** 2
+    typical = median_image(np.where(good, squares, np.nan))
     hit = squares > _HIT**2 * np.maximum(typical / 0.455, 1.0)
     hit &= hit[cadences.used].mean(axis=0) <= _MOST_HITS
     # Where many pixels are hit, the cadence is wrong and not the pixel.
-    hit &= (hit.sum(axis=1) <= max(0.1 * given.shape[1], 2))[:, np.newaxis]
-    cadences.weight[hit] = 0.0
-    squares[hit] = 0.0
-    mean = squares.sum(axis=1) / np.maximum((cadences.weight > 0).sum(axis=1), 1)
-    middle = np.median(mean)
-    spread = 1.4826 * np.median(np.abs(mean - middle))
-    cadences.used = mean <= middle + _OUTLIER * spread
+    hit &= (hit.sum(axis=1) <= max(0.1 * good.shape[1], 2))[:, np.newaxis]
+    cadences.weight = np.where(hit, 0.0, shares.problem.weight)
+    mean = np.sum(squares * ~hit, axis=1) / np.maximum((cadences.weight > 0).sum(axis=1), 1)
+    cadences.used = mean <= np.median(mean) + _OUTLIER * mad_std(mean)
 
 
 def _climb(shares, cadences, center, error, held, steps, report):
-    """Fit shares and cadences in turn; return whether the cost has settled."""
+    """Fit shares and cadences in turn; return whether the cost has settled, and the steps."""
     before = np.inf
     for number in range(steps):
-        shares.update(cadences, cadences.used & ~held, widths=number < _WIDTH_STEPS)
+        shares.update(cadences, cadences.used & ~held)
         _improve(shares, cadences, center, error)
         _on_path(cadences, shares.problem, center)
         _leave_out(shares, cadences)
-        cost = float(_costs(_squares(shares, cadences)[cadences.used & ~held]).sum())
+        costs = _costs(shares, cadences, cadences.weight)
+        cost = float(costs[cadences.used & ~held].sum())
         if report is not None:
             report(cost)
-        if number > 2 and abs(before - cost) < max(
-            _SAME * cost, _SMALL * np.sqrt(cadences.weight.size)
-        ):
+        small = max(_SAME * cost, _SMALL * np.sqrt(cadences.weight.size))
+        if number > 2 and abs(before - cost) < small:
             return True, number + 1
         before = cost
     return False, steps
 
 
-def _choose(problem, cadences, center, error, held, report):
+def _choose(shares, cadences, center, error, held, report):
     """Add terms as long as the cadences that are held out are described better."""
-    sizes = [
-        np.median(problem.unit_images(cadences.state, slice(None, None, 10), k), axis=0)
-        for k in range(len(problem.stars))
-    ]
-    given, steps, work, best = problem.weight, 0, 0.0, None
-    errors = np.array([1 / np.median(w[w > 0]) if w.any() else np.inf for w in given.T])
-    faint = [
-        _FAINT
-        * errors[problem.slices[star.stamp]]
-        / abs(np.median(problem.fluxes(cadences.state, k)))
-        for k, star in enumerate(problem.stars)
-    ]
-    crowd = max(np.bincount([star.stamp for star in problem.stars]))
+    given, steps, work = shares.problem.weight, 0, 0.0
+    crowd = max(np.bincount([star.stamp for star in shares.problem.stars]))
+
+    def work_of_step(terms):  # multiplications
+        return given.size * ((crowd * len(terms)) ** 2 + _CADENCE_TERMS**2)
+
+    best, least = (shares, cadences), np.full(held.sum(), np.inf)
     for degrees in _LADDER:
-        n_terms = crowd * len(polynomial_terms(*degrees))
-        more = _TRIAL_STEPS * _work_of_step(given.size, n_terms)
-        if best is not None and (n_terms > _MOST_TERMS or work + more > _MOST_WORK / 2):
+        trial = best[0].richer(*degrees), replace(best[1])
+        more = _TRIAL_STEPS * work_of_step(trial[0].terms)
+        too_many = crowd * len(trial[0].terms) > _MOST_TERMS
+        if work and (too_many or work + more > _MOST_WORK / 2):
             break
         work += more
-        if best is None:
-            shares = _Shares(_Psf(problem), _ranges(problem, center), *degrees, sizes, faint)
-            trial = cadences
-        else:
-            shares, trial = best[0].richer(*degrees), replace(best[1])
-        _, more = _climb(shares, trial, center, error, held, _TRIAL_STEPS, report)
-        steps += more
-        cost = _costs(_squares(shares, trial, given)[held])
-        if best is not None:
-            both = trial.used[held] & best[1].used[held]
-            if cost[both].sum() > (1 - _LEAST_GAIN) * best[2][both].sum():
-                # A model that is far off may need more terms at once.
-                if np.median(best[2]) < _FAR * np.count_nonzero(given) / len(given):
-                    break
-                continue
-        best = shares, trial, cost
-    left = (_MOST_WORK - work) // _work_of_step(given.size, crowd * len(best[0].terms))
-    return best[0], best[1], steps, max(int(left), _TRIAL_STEPS)
-
-
-def _work_of_step(n_values, n_terms):
-    """Return about how many multiplications a step takes."""
-    return n_values * (n_terms**2 + _CADENCE_TERMS**2)
-
-
-def _ranges(problem, center):
-    """Ranges of columns, rows and times that the polynomials cover."""
-    low, high = np.percentile(center, _INSIDE, axis=0)
-    pad = _PAD[0] * (high - low) + _PAD[1]
-    time = problem.data.time
-    return (*zip(low - pad, high + pad, strict=True), (time.min(), max(time.max(), time.min() + 1)))
-
-
-def _start(problem, state, few):
-    """Positions before the fit, their error, and the cadences to begin with."""
-    corr, middle = problem.data.pos_corr, np.median(few.xy(state), axis=0)
-    cadence = np.zeros((len(problem.flux), len(problem.columns)))
-    if corr is not None and few.options.positions != "free":
-        center = middle + corr - np.median(few.data.pos_corr, axis=0)
-    else:
-        center = centroids(problem.data, problem.target)
-    cadence[:, :2] = center
-    start = linear_start(problem, State(state.shared, np.zeros(0), cadence))
-    return center, _Cadences(start, problem.weight, np.ones(len(cadence), dtype=bool))
+        steps += _climb(*trial, center, error, held, _TRIAL_STEPS, report)[1]
+        cost = _costs(*trial, given)[held]
+        both = trial[1].used[held] & best[1].used[held]
+        if cost[both].sum() <= (1 - _LEAST_GAIN) * least[both].sum():
+            best, least = trial, cost
+        # A model that is far off may need more terms at once.
+        elif np.median(least) < _FAR * np.count_nonzero(given) / len(given):
+            break
+    left = (_MOST_WORK - work) // work_of_step(best[0].terms)
+    return *best, steps, max(int(left), _TRIAL_STEPS)
 
 
 def fit_response(problem, few, state, fits, report=None):
@@ -421,22 +329,28 @@ def fit_response(problem, few, state, fits, report=None):
         raise ValueError(
             f'`tpf` has {len(problem.flux)} cadences; response="pixels" needs {_FEWEST} or more'
         )
-    asked = problem.options
+    asked, corr = problem.options, problem.data.pos_corr
     error = {"path": _TIGHT, "prior": asked.position_error, "free": _LOOSE}.get(asked.positions)
     if error is None:
-        corr = problem.data.pos_corr
         moved = np.inf if corr is None else np.hypot(*corr.std(axis=0)) or np.inf
         error = min(_POSITION_ERROR, _POSITION_PART * moved)
     options = replace(few.options, positions="prior") if few.path else few.options
     problem = replace(few, stamps=problem.stamps, error_scale=1.0, options=options)
-    center, cadences = _start(problem, state, few)
+    center = centroids(problem.data, problem.target)
+    if corr is not None and options.positions != "free":
+        center = np.median(few.xy(state), axis=0) + corr - np.median(few.data.pos_corr, axis=0)
+    cadence = np.zeros((len(center), len(problem.columns)))
+    cadence[:, :2] = center
+    start = linear_start(problem, State(state.shared, np.zeros(0), cadence))
+    cadences = _Cadences(start, problem.weight, np.ones(len(center), dtype=bool))
     held = np.zeros(len(center), dtype=bool)
     held[_FIRST::_EVERY] = True
-    shares, cadences, steps, left = _choose(problem, cadences, center, error, held, report)
-    most = min(max(_MOST_STEPS // len(problem.stars), _WIDTH_STEPS), left)
+    shares = _Shares(problem, start, center)
+    shares, cadences, steps, left = _choose(shares, cadences, center, error, held, report)
+    most = min(max(_MOST_STEPS // len(problem.stars), _FEW_STEPS), left)
     settled, more = _climb(shares, cadences, center, error, held, most, report)
     _improve(shares, cadences, center, error, steps=3)
-    errors = _errors(shares, cadences, error)
+    errors = _errors(shares, cadences, center, error)
     ended = {"settled": settled, "n_steps": steps + more}
     return [
         _result(shares, cadences, held, errors, number, fit, **ended)
@@ -444,104 +358,67 @@ def fit_response(problem, few, state, fits, report=None):
     ]
 
 
-def _errors(shares, cadences, error):
-    """Variances of the parameters of the cadences, ``(n, k)``, and how many are free, ``(n,)``."""
-    problem, state, weight = shares.problem, cadences.state, cadences.weight
-    _, design = _linearized(shares, state)
-    normal, _ = _normal(design, 0 * weight, weight, 0.0, error)
-    covariance = _solved(normal, np.broadcast_to(np.eye(normal.shape[1]), normal.shape))
-    variance = np.einsum("nkk->nk", covariance).copy()
-    n_free = variance.shape[1] - variance[:, :2].sum(axis=1) / error**2
+def _errors(shares, cadences, center, error):
+    """`Errors` of the parameters of the cadences, and how many are free, ``(n,)``."""
+    problem, state = shares.problem, cadences.state
+    normal, _, design = _equations(shares, cadences, center, error)
+    k = normal.shape[1]
+    covariance = solved(normal, np.broadcast_to(np.eye(k), normal.shape))
+    n_free = k - np.trace(covariance[:, :2, :2], axis1=1, axis2=2) / error**2
     # How the errors of the shares act on them, in the gauge of the shares.
-    gain = covariance @ (design * weight[..., None] ** 2).transpose(0, 2, 1)
-    phi = shares.basis(state)[0]
-    for stamp, pixels in enumerate(problem.slices):
-        first = next(k for k, star in enumerate(problem.stars) if star.stamp == stamp)
-        parts, share_weight = shares.gauge(first)
-        own = gain[..., pixels]
-        own = own - (own @ parts)[..., None] * share_weight
-        for number, pixel in enumerate(range(pixels.start, pixels.stop)):
-            stars = shares.stars_in(stamp, number)
-            columns = np.hstack([problem.fluxes(state, k)[:, None] * phi for k in stars])
-            spread = np.sum((columns @ shares.covariance[pixel]) * columns, axis=1)
-            variance += own[..., number] ** 2 * spread[:, None]
-    return variance, n_free
+    gain = covariance @ (design * cadences.weight[..., None] ** 2).transpose(0, 2, 1)
+    for star in shares.firsts:
+        pixels, (parts, share) = problem.slices[problem.stars[star].stamp], shares.gauges[star]
+        gain[..., pixels] -= (gain[..., pixels] @ parts)[..., None] * share
+    phi, own = shares.basis(state)[0], np.arange(k)
+    for pixel, _, stars in shares.pixels():
+        columns = np.hstack([problem.fluxes(state, star)[:, None] * phi for star in stars])
+        spread = np.sum((columns @ shares.covariance[pixel]) * columns, axis=1)
+        covariance[:, own, own] += gain[..., pixel] ** 2 * spread[:, None]
+    # The gauge fixes what is common to a star's pixels: its error is that of the prior.
+    common = np.linalg.norm(phi * shares.width[shares.order], axis=1) * [
+        [np.linalg.norm(share * unit) / (size @ share)]
+        for size, unit, (_, share) in zip(shares.size, shares.unit, shares.gauges, strict=True)
+    ]
+    s = problem.n_shared
+    mixed = np.zeros((*covariance.shape[:2], s))
+    return Errors(np.zeros((s, s)), covariance, covariance, mixed, common), n_free
 
 
 def _result(shares, cadences, held, errors, number, fit, *, settled, n_steps):
     """Return the fit of the PSF to a file with the response of its pixels."""
-    problem, state, (variance, n_free) = shares.problem, cadences.state, errors
-    data, pixels = problem.stamps[number], problem.slices[number]
-    fitted = np.full(data.flux.shape, np.nan)
-    fitted[:, data.pixels] = shares.model(state)[:, pixels]
-    observed = data.flux.copy()
-    observed[:, data.pixels] = np.where(
-        cadences.weight[:, pixels] > 0, data.flux[:, data.pixels], np.nan
-    )
-    squares = ((observed - fitted) / data.flux_err) ** 2
+    problem, state, (errors, n_free) = shares.problem, cadences.state, errors
+    modeled = problem.flux - shares.residual(state)
+    fields = fitted_fields(problem, state, errors, number, modeled, cadences.weight)
+    squares, columns = fields.pop("squares"), fields.pop("cadences")
     squares[~cadences.used] = np.nan
     n_data = np.isfinite(squares).sum(axis=(1, 2))
     part = n_data.sum() / max(np.count_nonzero(cadences.weight[cadences.used]), 1)
-    free = n_free * part
-    out = held & cadences.used
-    stars = [k for k, star in enumerate(problem.stars) if star.stamp == number]
-    values = [_of_star(problem, state, variance, k) for k in stars]
-    scatter, basis = values[0]["flux_err"], shares.basis(state)[0]
-    for k, value in zip(stars, values, strict=True):
-        common = value["flux"] * shares.common(basis, k)
-        value["flux_err"] = np.hypot(value["flux_err"], common)
-    model = fit.model.copy()
-    for name, key in (("x_0", "x"), ("y_0", "y"), ("flux", "flux")):
-        setattr(model, name, float(np.median(values[0][key])))
-    n_parameters = round(part * shares.n_free + free[cadences.used].sum())
+    n_parameters = round(part * (shares.n_free + n_free[cadences.used].sum()))
     chi2 = float(np.nansum(squares))
     mean = chi2 / max(n_data.sum() - n_parameters, 1)
-    error = np.zeros(len(held))
-    if problem.options.background == "cadence":
-        error = np.sqrt(variance[:, problem.index.backgrounds[number]])
-    columns = {name: getattr(data, name) for name in ("time", "cadenceno", "quality", "pos_corr")}
-    columns |= values[0] | {
-        "flux_scatter": scatter,
-        "background": problem.backgrounds(state, number),
-        "background_err": error,
-        "focus": np.ones(len(held)),
-        "held_out": held,
-        "outliers": ~cadences.used,
-    }
-    left = max(n_data[out].sum() - free[out].sum(), 1)
+    out = held & cadences.used
+    left = max(n_data[out].sum() - part * n_free[out].sum(), 1)
     statistics = {
         "chi2": chi2,
         "n_data": int(n_data.sum()),
         "n_parameters": n_parameters,
-        "error_scale": float(np.sqrt(mean)) if mean > _UNTRUE else 1.0,
+        "error_scale": float(np.sqrt(mean)) if mean > UNTRUE else 1.0,
         "converged": settled and fit.converged and not fit.at_bounds,
         "n_steps": n_steps,
         "chi2_held_out": float(np.nansum(squares[out]) / left),
     }
     parameters = fit.parameters.copy()
-    parameters["error"][np.isin(parameters["name"], list(model.response_powers))] = np.nan
-    return replace(
-        fit,
-        model=model,
+    response = np.isin(parameters["name"], list(fit.model.response_powers))
+    parameters["error"][response] = np.nan
+    stars = [k for k, star in enumerate(problem.stars) if star.stamp == number]
+    return fit.replace(
+        **fields,
         parameters=parameters,
-        cadences=cadence_table(columns),
-        neighbors=tuple(FittedStar(**value) for value in values[1:]),
-        observed=observed,
-        observed_err=data.flux_err,
-        fitted=np.where(np.isfinite(observed), fitted, np.nan),
+        cadences=cadence_table(columns | {"held_out": held, "outliers": ~cadences.used}),
         statistics=statistics,
         response=tuple(_effect(shares, state, k, place) for place, k in enumerate(stars)),
     )
-
-
-def _of_star(problem, state, variance, star):
-    """Position and flux of a star, and their errors, by name."""
-    known = np.sqrt(variance).T
-    constant = problem.stars[star].constant
-    error = np.zeros(len(variance)) if constant else known[problem.index.fluxes[star]]
-    errors = {"x_err": known[0], "y_err": known[1], "flux_err": error}
-    values = problem.path_of(state, star) | errors
-    return {name: np.array(value) for name, value in values.items()}
 
 
 def _effect(shares, state, star, number):

@@ -1,13 +1,13 @@
 """Levenberg-Marquardt steps in which the parameters of the cadences are eliminated."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import null_space
+from scipy.linalg import block_diag
 
-from scope_models.fitting._problem import State
+from scope_models.fitting._problem import LARGEST_MOVE, NormalEquations, State
 
-__all__ = ["Solution", "covariances", "solve"]
+__all__ = ["Errors", "Solution", "covariances", "solve"]
 
 # Less damping at the start lets a PSF that starts far off become a point, from which nothing leads
 # back.
@@ -32,167 +32,129 @@ class Solution:
     """The state after the last iteration."""
 
     state: State  # the best parameters
-    equations: object  # the expansion there
+    equations: NormalEquations  # the expansion there
     converged: bool  # whether an undamped step would change next to nothing
     n_steps: int
-    distance: float  # by how much an undamped step would lower the cost
-
-
-class _Walls:
-    """Bounds of the shared parameters, and the linear constraint of the interpixel map."""
-
-    def __init__(self, problem, only=None):
-        self.lower, self.upper = problem.limits.lower, problem.limits.upper
-        self.gauge, self.only = problem.limits.gauge, only
-        self.n_shared, self.n_pixels = problem.n_shared, problem.n_pixels
-
-    def outward(self, shared, direction):
-        """Which parameters are at a bound and would leave it in a direction."""
-        direction = direction[: self.n_shared]
-        below, above = shared <= self.lower, shared >= self.upper
-        return (below & (direction < 0)) | (above & (direction > 0))
-
-    def part_inside(self, shared, step):
-        """Largest part of a step that stays within the bounds."""
-        step = step[: self.n_shared]
-        bound = np.where(step < 0, self.lower, self.upper)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            parts = (bound - shared) / step
-        return min(1.0, np.min(parts[step != 0], initial=1.0))
-
-    def basis(self, held):
-        """Directions in which parameters and the map may move, but for the held ones, (m, r)."""
-        if self.only is not None:
-            held = held | ~self.only
-        free = np.eye(self.n_shared + self.n_pixels)[:, : self.n_shared][:, ~held]
-        if self.gauge is None or self.only is not None:
-            return free
-        inside = null_space(self.gauge[None, :])
-        basis = np.zeros((self.n_shared + len(self.gauge), free.shape[1] + inside.shape[1]))
-        basis[:, : free.shape[1]] = free
-        basis[self.n_shared :, free.shape[1] :] = inside
-        return basis
-
-
-def _damped(matrix, damping):
-    """A matrix, or a stack of them, with its diagonal enlarged."""
-    matrix = matrix.copy()
-    index = np.arange(matrix.shape[-1])
-    matrix[..., index, index] *= 1 + damping
-    # A cadence whose star has no flux does not constrain its position.
-    diagonal = matrix[..., index, index]
-    matrix[..., index, index] = np.where(diagonal > 0, diagonal * (1 + 1e-12), 1.0)
-    return matrix
 
 
 @dataclass(frozen=True, eq=False)
-class _Reduced:
-    """Equations of the shared parameters alone, and what back-substitution needs."""
+class Errors:
+    """Covariances, each with the uncertainty of all other parameters."""
 
-    matrix: np.ndarray
-    gradient: np.ndarray
-    factor: np.ndarray
-    right: np.ndarray
+    shared: np.ndarray  # (m, m): shared parameters and interpixel map
+    cadence: np.ndarray  # (n, k, k): parameters of each cadence
+    relative: np.ndarray  # (n, k, k): ... less their mean over all cadences
+    mixed: np.ndarray  # (n, k, m): parameters of each cadence with the shared ones
+    common: np.ndarray  # (stars, n or 1): relative error of fluxes that cadences have in common
 
-    @property
-    def cadence_gain(self):
-        """By how much steps of the cadences alone would lower the cost."""
-        return float(np.sum(self.right[..., -1] ** 2))
+
+def _outward(problem, shared, direction):
+    """Which shared parameters are at a bound and would leave it in a direction, ``(s,)``."""
+    (lower, upper), direction = problem.bounds, direction[: problem.n_shared]
+    return ((shared <= lower) & (direction < 0)) | ((shared >= upper) & (direction > 0))
+
+
+def _directions(problem, held, only):
+    """Directions in which the shared parameters and the map may move, ``(m, r)``.
+
+    Those that are held may not; with ``only``, the others and the map may not either.
+    """
+    if only is not None:
+        return np.eye(problem.n_shared + problem.n_pixels)[:, : problem.n_shared][:, only & ~held]
+    return block_diag(np.eye(problem.n_shared)[:, ~held], problem.free_response)
+
+
+def _damped(matrix, damping):
+    """A stack of matrices with their diagonals enlarged."""
+    index = np.arange(matrix.shape[-1])
+    # A cadence whose star has no flux does not constrain its position.
+    diagonal = matrix[..., index, index] * ((1 + damping) * (1 + 1e-12))
+    matrix = matrix.copy()
+    matrix[..., index, index] = np.where(diagonal > 0, diagonal, 1.0)
+    return matrix
 
 
 def _eliminate(equations, damping=0.0):
-    """Eliminate the parameters of the cadences."""
+    """Matrix and gradient of the shared parameters alone, and what gives those of the cadences."""
     factor = np.linalg.cholesky(_damped(equations.cadence, damping))
-    n, k, m = equations.mixed.shape
     right = np.concatenate([equations.mixed, equations.cadence_gradient[..., None]], axis=2)
     right = np.linalg.solve(factor, right)
-    flat = right.reshape(n * k, m + 1)
+    m = right.shape[2] - 1
+    flat = right.reshape(-1, m + 1)
     product = flat.T @ flat
     matrix = equations.shared - product[:m, :m]
-    return _Reduced(matrix, equations.shared_gradient - product[:m, m], factor, right)
+    return matrix, equations.shared_gradient - product[:m, m], factor, right
 
 
-def _spectrum(matrix, whole):
+def _inverse(matrix, whole, basis, *, known=False):
+    """Inverse of a reduced matrix in some directions, in the scales of the whole one.
+
+    What is left of a direction that the cadences can imitate is a rounding error in these scales:
+    it gets a huge variance, or none if only the ``known`` ones count.
     """
-    Scales, eigenvalues and vectors of a reduced matrix in the scales of the whole one.
-
-    What is left of a direction that the cadences can imitate is a rounding error in these scales.
-    """
-    diagonal = np.diag(whole)
-    scale = np.where(diagonal > 0, 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0)), 0.0)
-    values, vectors = np.linalg.eigh(matrix * scale[:, None] * scale)
-    return scale, values, vectors
-
-
-def _inverse(matrix, whole):
-    """Inverse of a positive matrix; directions that are not determined get huge variances."""
-    if matrix.shape[0] == 0:
-        return matrix
-    scale, values, vectors = _spectrum(matrix, whole)
-    values = np.maximum(values, _FLOOR * max(values[-1], 1e-300))
-    return ((vectors / values) @ vectors.T) * scale[:, None] * scale
+    if not basis.shape[1]:
+        return np.zeros_like(matrix)
+    diagonal = np.einsum("ir,ij,jr->r", basis, whole, basis, optimize=True)
+    scaled = basis * np.where(diagonal > 0, np.maximum(diagonal, 1e-300) ** -0.5, 0.0)
+    values, vectors = np.linalg.eigh(scaled.T @ matrix @ scaled)
+    largest = max(values[-1], 1e-300)
+    vectors = scaled @ vectors[:, values > _KNOWN * largest if known else slice(None)]
+    values = values[values > _KNOWN * largest] if known else np.maximum(values, _FLOOR * largest)
+    return (vectors / values) @ vectors.T
 
 
-def _distance(equations, walls, shared):
+def _distance(problem, equations, shared, only):
     """By how much an undamped step would lower the cost."""
     try:
-        reduced = _eliminate(equations)
+        matrix, gradient, _, right = _eliminate(equations)
     except np.linalg.LinAlgError:
         return np.inf
-    basis = walls.basis(walls.outward(shared, reduced.gradient))
-    if not basis.shape[1]:
-        return reduced.cadence_gain
-    matrix = basis.T @ reduced.matrix @ basis
-    scale, values, vectors = _spectrum(matrix, basis.T @ equations.shared @ basis)
-    known = values > _KNOWN * values[-1]
-    gradient = (vectors.T @ (scale * (basis.T @ reduced.gradient)))[known]
-    return reduced.cadence_gain + float(np.sum(gradient**2 / values[known]))
+    basis = _directions(problem, _outward(problem, shared, gradient), only)
+    inverse = _inverse(matrix, equations.shared, basis, known=True)
+    return float(np.sum(right[..., -1] ** 2) + gradient @ inverse @ gradient)
 
 
-def _step(problem, state, equations, walls, damping):
+def _step(problem, state, equations, only, damping):
     """The state after one damped step and its expected gain, or None if there is no step."""
     try:
         # The cadences follow the shared parameters; only far from the minimum are they held too.
-        reduced = _eliminate(equations, damping * min(damping, 1.0))
+        matrix, gradient, factor, right = _eliminate(equations, damping * min(damping, 1.0))
     except np.linalg.LinAlgError:
         return None, 0.0
-    reach = problem.limits.reach(state.shared)
-    brake = np.maximum(np.diag(reduced.matrix), _FLOOR * np.diag(equations.shared))
-    brake[: len(reach)] += 1 / reach**2
-    matrix = reduced.matrix + damping * np.diag(brake)
-    held = walls.outward(state.shared, reduced.gradient)
+    s, (lower, upper) = problem.n_shared, problem.bounds
+    sizes = np.where([p.relative for p in problem.parameters], np.abs(state.shared), 1.0)
+    reach = np.array([p.largest_step for p in problem.parameters]) * sizes
+    brake = np.maximum(np.diag(matrix), _FLOOR * np.diag(equations.shared))
+    brake[:s] += 1 / reach**2
+    matrix = matrix + damping * np.diag(brake)
+    held = more = _outward(problem, state.shared, gradient)
     while True:
-        basis = walls.basis(held)
-        inverse = _inverse(basis.T @ matrix @ basis, basis.T @ equations.shared @ basis)
-        shared = basis @ (inverse @ (basis.T @ reduced.gradient))
-        more = walls.outward(state.shared, shared) & ~held
+        basis = _directions(problem, held, only)
+        shared = _inverse(matrix, equations.shared, basis) @ gradient
+        more = _outward(problem, state.shared, shared) & ~held
         if not more.any():
             break
-        held |= more
-    m = len(shared)
-    shared *= min(
-        1.0, np.min(reach / np.maximum(np.abs(shared[: len(reach)]), 1e-300), initial=1.0)
-    )
-    shared *= walls.part_inside(state.shared, shared)
-    change = reduced.right[..., m] - reduced.right[..., :m] @ shared
-    change = np.linalg.solve(reduced.factor.transpose(0, 2, 1), change[..., None])[..., 0]
-    limits = problem.limits
-    change = np.clip(change, -limits.cadence_step, limits.cadence_step)
-    cadence = np.clip(state.cadence + change, limits.cadence_lower, limits.cadence_upper)
-    new = np.clip(state.shared + shared[: problem.n_shared], limits.lower, limits.upper)
-    interpixel = state.interpixel + shared[problem.n_shared :]
-    if not all(np.isfinite(values).all() for values in (new, interpixel, cadence)):
+        held = held | more
+    room = np.where(shared[:s] < 0, state.shared - lower, upper - state.shared)
+    moves = shared[:s] != 0
+    part = np.min(np.minimum(reach, room)[moves] / np.abs(shared[:s][moves]), initial=1.0)
+    shared *= part
+    own = right[..., -1] - right[..., :-1] @ shared
+    own = np.linalg.solve(factor.transpose(0, 2, 1), own[..., None])[..., 0]
+    cadence = state.cadence + own
+    if not problem.path:
+        ny, nx = problem.data.shape
+        moved = np.clip(own[:, :2], -LARGEST_MOVE, LARGEST_MOVE)
+        cadence[:, :2] = np.clip(state.cadence[:, :2] + moved, -1.0, (nx, ny))
+    new = np.clip(state.shared + shared[:s], lower, upper)
+    trial = State(new, state.interpixel + shared[s:], cadence)
+    if not all(np.isfinite(values).all() for values in vars(trial).values()):
         return None, 0.0
-    return State(new, interpixel, cadence), _promise(equations, shared, cadence - state.cadence)
-
-
-def _promise(equations, shared, cadence):
-    """By how much a step would lower the cost if the equations held everywhere."""
-    gradient = equations.shared_gradient @ shared + np.sum(equations.cadence_gradient * cadence)
-    bend = shared @ equations.shared @ shared
-    bend += 2 * np.sum(cadence * (equations.mixed @ shared))
-    bend += np.einsum("nk,nkl,nl->", cadence, equations.cadence, cadence)
-    return float(2 * gradient - bend)
+    # By how much the cost would be lower if the equations held everywhere.
+    own = cadence - state.cadence
+    gain = 2 * (equations.shared_gradient @ shared + np.sum(equations.cadence_gradient * own))
+    gain -= shared @ equations.shared @ shared + 2 * np.sum(own * (equations.mixed @ shared))
+    return trial, gain - np.einsum("nk,nkl,nl->", own, equations.cadence, own)
 
 
 def solve(problem, state, max_steps, *, n_steps=0, only=None, loosely=False, report=None):
@@ -201,22 +163,25 @@ def solve(problem, state, max_steps, *, n_steps=0, only=None, loosely=False, rep
     With ``only``, the other shared parameters and the interpixel map wait; ``loosely``: the result
     is a start for what follows. ``report`` is called with the cost after each step.
     """
-    walls = _Walls(problem, only)
     equations = problem.expand(state)
     if not np.isfinite(equations.cost):
         raise ValueError("the model is not finite at the starting values")
     relative = _LOOSE if loosely else _RELATIVE
     damping, growth = _LATER_DAMPING if n_steps else _FIRST_DAMPING, 2.0
-    distance = _distance(equations, walls, state.shared)
+
+    def converged():
+        distance = _distance(problem, equations, state.shared, only)
+        return distance < max(_ABSOLUTE, relative * equations.cost)
+
+    near = converged()
     for _ in range(max_steps):
-        converged = distance < max(_ABSOLUTE, relative * equations.cost)
-        if (converged and loosely) or damping > _LARGEST_DAMPING:
+        if (near and loosely) or damping > _LARGEST_DAMPING:
             break
-        trial, promise = _step(problem, state, equations, walls, damping)
-        expanded = problem.expand(trial) if trial is not None else None
+        trial, promise = _step(problem, state, equations, only, damping)
+        expanded = None if trial is None else problem.expand(trial)
         gain = -np.inf if expanded is None else equations.cost - expanded.cost
         if not gain > 0:
-            if converged:
+            if near:
                 break
             damping, growth = max(damping * growth, _SOBER), growth * 2
             continue
@@ -226,29 +191,26 @@ def solve(problem, state, max_steps, *, n_steps=0, only=None, loosely=False, rep
         state, equations, n_steps = trial, expanded, n_steps + 1
         if report is not None:
             report(equations.cost)
-        distance = _distance(equations, walls, state.shared)
-        if converged:  # one more step, beyond the tolerance
+        before, near = near, converged()
+        if before:  # one more step, beyond the tolerance
             break
-    converged = distance < max(_ABSOLUTE, relative * equations.cost)
-    return Solution(state, equations, bool(converged), n_steps, float(distance))
+    return Solution(state, equations, bool(near), n_steps)
 
 
 def covariances(problem, solution):
-    """Covariances of the shared parameters ``(m, m)`` and of each cadence's own ``(n, k, k)``.
-
-    Each holds the uncertainty of the other. The third is that of the parameters of a cadence less
-    their mean over all cadences, the last, ``(n, k, m)``, that of a cadence's with the shared ones.
-    """
-    equations = problem.quoted().expand(solution.state)
-    walls = _Walls(problem)
-    reduced = _eliminate(equations)
-    basis = walls.basis(walls.outward(solution.state.shared, reduced.gradient))
-    inverse = _inverse(basis.T @ reduced.matrix @ basis, basis.T @ equations.shared @ basis)
-    shared = basis @ inverse @ basis.T
+    """`Errors` of all parameters."""
+    # The errors that are quoted, and the same weights of outliers.
+    soft = problem.options.loss_scale * problem.error_scale / problem.misfit
+    options = replace(problem.options, loss_scale=soft)
+    problem = replace(problem, error_scale=problem.misfit, options=options)
+    state, equations = solution.state, problem.expand(solution.state)
+    matrix, gradient, _, _ = _eliminate(equations)
+    basis = _directions(problem, _outward(problem, state.shared, gradient), None)
+    shared = _inverse(matrix, equations.shared, basis)
     alone = np.linalg.inv(_damped(equations.cadence, 0.0))
     along = alone @ equations.mixed
     mixed = -along @ shared
     cadence = alone - mixed @ along.transpose(0, 2, 1)
     along = along - along.mean(axis=0)
     relative = alone + (along @ shared) @ along.transpose(0, 2, 1)
-    return shared, cadence, relative, mixed
+    return Errors(shared, cadence, relative, mixed, np.zeros((len(problem.stars), 1)))

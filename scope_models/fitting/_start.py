@@ -2,15 +2,18 @@
 
 import warnings
 from dataclasses import dataclass, replace
+from functools import partial, reduce
+from operator import add
 
 import numpy as np
 from astropy import units as u
+from astropy.stats import mad_std
 from scipy.ndimage import maximum_filter
 
 from scope_models._arrays import plain_array
 from scope_models.exceptions import FitWarning
-from scope_models.fitting._problem import State
-from scope_models.io.pixels import read_pixels, star_places, usable_positions
+from scope_models.fitting._problem import State, median_image
+from scope_models.io.pixels import star_places, usable_positions
 from scope_models.models import (
     PRF,
     BivariateGaussianPSF,
@@ -20,20 +23,19 @@ from scope_models.models import (
     SensitivityPolynomial,
     TabulatedPRF,
 )
-from scope_models.scene.detector import Detector
 
 __all__ = [
     "APART",
     "PixelData",
     "centroids",
-    "detector_of",
     "find_stars",
     "is_faint",
     "linear_start",
     "make_prf",
     "make_rich_prf",
     "read_data",
-    "star_positions",
+    "read_places",
+    "solved",
     "starting_state",
 ]
 
@@ -69,10 +71,10 @@ class PixelData:
     quality: np.ndarray
     flux: np.ndarray  # (n, ny, nx), e-/s; NaN where not used
     flux_err: np.ndarray
-    pixels: np.ndarray  # (ny, nx), bool: those with data
-    pos_corr: np.ndarray | None  # (n, 2), interpolated where it is unusable; None if absent
-    time_format: str
     light: np.ndarray  # flux with that of saturated pixels, for the first guess of the positions
+    pos_corr: np.ndarray | None  # (n, 2), interpolated where it is unusable; None if absent
+    pixels: np.ndarray  # (ny, nx), bool: those with data
+    time_format: str
 
     @property
     def shape(self):
@@ -81,9 +83,8 @@ class PixelData:
 
     def __getitem__(self, cadences):
         """Return the data of some cadences."""
-        names = ("time", "cadenceno", "quality", "flux", "flux_err", "pos_corr", "light")
-        values = {name: getattr(self, name) for name in names}
-        return replace(self, **{k: v if v is None else v[cadences] for k, v in values.items()})
+        values = [*vars(self).items()][:7]
+        return replace(self, **{k: v if v is None else v[cadences] for k, v in values})
 
 
 def read_data(series, flux_err, detector, n_free, *, saturation):
@@ -103,27 +104,30 @@ def read_data(series, flux_err, detector, n_free, *, saturation):
     _drop_bad_errors(flux, error)
     light = flux.copy()
     if saturation:
-        _drop_saturated(flux, detector)
+        _drop_saturated(flux, detector.full_flux)
     good = np.isfinite(flux) & np.isfinite(error)
-    pixels = good.any(axis=0)
     cadences = np.isfinite(series.time) & (good.sum(axis=(1, 2)) > n_free)
-    if not cadences.any() or pixels.sum() <= n_free:
+    if not cadences.any() or good.any(axis=0).sum() <= n_free:
         raise ValueError("`tpf` has no cadence with enough pixels to fit")
-    flux, error = np.where(good, flux, np.nan)[cadences], np.where(good, error, np.nan)[cadences]
-    seen = np.isfinite(flux).any(axis=0)
-    if not (np.nanmedian(flux[:, seen], axis=0) > 0).any():
+    flux, error = (np.where(good, values, np.nan)[cadences] for values in (flux, error))
+    if not (median_image(flux) > 0).any():
         raise ValueError("no usable pixel of `tpf` has a positive median: there is no star to fit")
     series = series[cadences]
+    pos_corr = series.pos_corr
+    usable = None if pos_corr is None else usable_positions(pos_corr)
+    if usable is None or usable.sum() < 3:
+        pos_corr = None
+    else:  # straight lines over unusable cadences
+        number = np.arange(len(usable))
+        lines = [np.interp(number, number[usable], column[usable]) for column in pos_corr.T]
+        pos_corr = np.column_stack(lines)
     return PixelData(
-        time=series.time,
-        cadenceno=series.cadenceno,
-        quality=series.quality,
+        **{name: getattr(series, name) for name in ("time", "cadenceno", "quality", "time_format")},
         flux=flux,
         flux_err=error,
-        pixels=seen,
-        pos_corr=_pos_corr(series.pos_corr),
-        time_format=series.time_format,
         light=light[cadences],
+        pos_corr=pos_corr,
+        pixels=np.isfinite(flux).any(axis=0),
     )
 
 
@@ -143,9 +147,8 @@ def _drop_bad_errors(flux, error):
     flux[bad] = np.nan
 
 
-def _drop_saturated(flux, detector):
+def _drop_saturated(flux, limit):
     """Leave out the columns of pixels whose wells are full: the light runs along them."""
-    limit = detector.full_flux
     with np.errstate(invalid="ignore"):
         full = flux > limit
     columns = np.flatnonzero(full.mean(axis=0).max(axis=0) > 0.01)
@@ -161,62 +164,58 @@ def _drop_saturated(flux, detector):
         raise ValueError("all columns of `tpf` hold saturated pixels or none: nothing to fit")
 
 
-def _pos_corr(offsets):
-    """POS_CORR with straight lines over unusable cadences, or None."""
-    if offsets is None:
-        return None
-    good = usable_positions(offsets)
-    if good.sum() < 3:
-        return None
-    number = np.arange(len(offsets))
-    return np.column_stack([np.interp(number, number[good], column[good]) for column in offsets.T])
+def read_places(stars, neighbors, series, *, several):
+    """Per file, the position of the target or None, and those of the other stars, ``(k, 2)``."""
+    if stars is not None and neighbors is not None:
+        raise ValueError("give either `stars` or `neighbors`, not both")
+    name, given = ("stars", stars) if neighbors is None else ("neighbors", neighbors)
+    if given is None:
+        return [(None, np.zeros((0, 2)))] * len(series)
+    if not several or isinstance(given, str):
+        given = [given] * len(series)
+    if len(given) != len(series):
+        raise ValueError(f"`{name}` must be positions for each of {len(series)} files")
+    found = [*map(partial(_positions, name), given, series)]
+    if name == "neighbors":
+        return [(None, positions) for positions in found]
+    if not all(map(len, found)):
+        raise ValueError("`stars` must have at least the target")
+    return [(positions[0], positions[1:]) for positions in found]
 
 
-def detector_of(tpf):
-    """The preset with the exposure, gain, read noise and background of a target pixel file."""
-    series = read_pixels(tpf)
-    changes = {} if series.mission else {"mission": "Kepler"}
-    return Detector.from_tpf(series, psf=None, sensitivity=None, **changes)
-
-
-def star_positions(name, places, series):
+def _positions(name, places, series):
     """Return columns and rows of stars in a stamp, ``(k, 2)``, of `star_places` or "find"."""
     if isinstance(places, str):
         if places != "find":
             raise ValueError(f'`{name}` must be positions or "find", got {places!r}')
         found = find_stars(series.flux)
-        if len(found) > _MOST_FOUND:
-            message = (
-                f"the {_MOST_FOUND} brightest of {len(found)} maxima of the median image are "
-                f"fitted; `{name}` takes the positions of more"
-            )
-            warnings.warn(message, FitWarning, stacklevel=4)
-        return found[:_MOST_FOUND]
-    found = star_places(name, places, series)
-    size = np.array(series.flux.shape[:0:-1])  # columns, rows
-    far = (np.abs(found - (size - 1) / 2) - size / 2).max(axis=1, initial=-np.inf) > _FARTHEST
-    if name == "stars":
-        far[:1] = False  # the target, which is checked against the pixels
-    if far.any():
-        message = f"{far.sum()} of `{name}` are far outside of the pixels and are left out"
+        kept = np.arange(len(found)) < _MOST_FOUND
+        message = (
+            f"the {_MOST_FOUND} brightest of {len(found)} maxima of the median image are "
+            f"fitted; `{name}` takes the positions of more"
+        )
+    else:
+        found = star_places(name, places, series)
+        size = np.array(series.flux.shape[:0:-1])  # columns, rows
+        kept = (np.abs(found - (size - 1) / 2) - size / 2 <= _FARTHEST).all(axis=1)
+        if name == "stars":
+            kept[:1] = True  # the target, which is checked against the pixels
+        message = f"{(~kept).sum()} of `{name}` are far outside of the pixels and are left out"
+    if not kept.all():
         warnings.warn(message, FitWarning, stacklevel=4)
-    return found[~far]
+    return found[kept]
 
 
 def find_stars(flux):
     """Return columns and rows ``(k, 2)`` of the maxima of the median image, the brightest first."""
     good = np.isfinite(flux)
-    flux = np.where(good, flux, np.nan)
-    seen = good.any(axis=0)
-    image, error = np.full(seen.shape, -np.inf), np.ones(seen.shape)
-    image[seen] = np.nanmedian(flux[:, seen], axis=0)
-    scatter = np.nanmedian(np.abs(flux[:, seen] - image[seen]), axis=0)
-    error[seen] = 1.4826 * scatter / np.sqrt(np.maximum(good[:, seen].sum(axis=0), 1))
-    image = image - np.median(image[seen])
+    seen, image, error = good.any(axis=0), median_image(flux), np.ones(flux.shape[1:])
+    scatter = mad_std(np.where(good, flux, np.nan)[:, seen], axis=0, ignore_nan=True)
+    error[seen] = scatter / np.sqrt(good.sum(axis=0)[seen])
+    image = np.where(seen, image - np.median(image[seen]), -np.inf)
     ring = np.ones((3, 3), dtype=bool)
     ring[1, 1] = False
-    around = maximum_filter(image, footprint=ring, mode="constant", cval=-np.inf)
-    peak = seen & (image > around)
+    peak = seen & (image > maximum_filter(image, footprint=ring, mode="constant", cval=-np.inf))
     peak &= (image > _LEAST_PART * image[seen].max()) & (image > _LEAST_SIGNIFICANCE * error)
     rows, columns = np.nonzero(peak)
     order = np.argsort(-image[rows, columns])
@@ -231,32 +230,27 @@ def make_prf(psf, sensitivity, empirical):
     """
     if isinstance(psf, (PRF, TabulatedPRF)):
         return _given_prf(psf if isinstance(psf, PRF) else PRF(psf), sensitivity, empirical)
-    responses = (SensitivityPolynomial, DiffusionSensitivity, type(None))
-    if not isinstance(sensitivity, responses):
+    if not isinstance(sensitivity, (SensitivityPolynomial, DiffusionSensitivity, type(None))):
         raise TypeError(
             "`sensitivity` must be a SensitivityPolynomial, a DiffusionSensitivity or None, got "
             f"{sensitivity!r}"
         )
-    compound, number = (_gaussians(psf), True) if isinstance(psf, int) else (psf, False)
-    n_components = PRF(compound).n_components
+    fixed = {}
+    if isinstance(psf, int):
+        if isinstance(psf, bool) or not 1 <= psf <= len(_SIGMAS):
+            raise ValueError(f"`psf` must be 1, 2 or 3 components or a model, got {psf!r}")
+        fixed |= {f"{axis}_offset_{k}": False for axis in "xy" for k in range(1, psf)}
+        parts = [*zip(_FRACTIONS, _SIGMAS, strict=True)][:psf]
+        psf = reduce(add, (BivariateGaussianPSF(part, 0, 0, s, s) for part, s in parts))
     if empirical:
-        sigma = _EMPIRICAL_SIGMA
-        surface = GaussHermitePSF(_EMPIRICAL_FRACTION, 0, 0, sigma, sigma, order=empirical)
-        compound = compound + surface
-    prf = PRF(compound if sensitivity is None else compound * sensitivity, flux=1, x_0=0, y_0=0)
+        # A change of its flux or width is a change of the coefficients, which are linear.
+        number, sigma = PRF(psf).n_components, _EMPIRICAL_SIGMA
+        psf = psf + GaussHermitePSF(_EMPIRICAL_FRACTION, 0, 0, sigma, sigma, order=empirical)
+        fixed |= {f"{name}_{number}": True for name in ("flux_fraction", "sigma_x", "sigma_y")}
+    prf = PRF(psf if sensitivity is None else psf * sensitivity, flux=1, x_0=0, y_0=0)
     if sensitivity is not None:
-        for name in sensitivity.param_names:
-            getattr(prf, name).fixed = bool(getattr(sensitivity, name).fixed)
-    _hold_constants(prf)
-    if empirical:
-        # A change of either is a change of the coefficients, in which the model is linear.
-        for name in ("flux_fraction", "sigma_x", "sigma_y"):
-            getattr(prf, f"{name}_{n_components}").fixed = True
-    if number:
-        for k in range(1, n_components):
-            for name in (f"x_offset_{k}", f"y_offset_{k}"):
-                getattr(prf, name).fixed = False
-    return prf
+        fixed |= {name: bool(value) for name, value in sensitivity.fixed.items()}
+    return _with_fixed(prf, fixed)
 
 
 def _given_prf(prf, sensitivity, order):
@@ -270,9 +264,7 @@ def _given_prf(prf, sensitivity, order):
         values = (getattr(table, name).value for name in ("flux", "x_0", "y_0"))
         where = {"origin": table.origin, "uncertainty": table.uncertainty}
         prf = PRF(CorrectedPRF(table.array, table.oversampling, *values, order=order, **where))
-    prf = prf.copy()
-    _hold_constants(prf)
-    return prf
+    return _with_fixed(prf.copy(), {})
 
 
 def make_rich_prf(sensitivity):
@@ -285,47 +277,34 @@ def make_rich_prf(sensitivity):
     return make_prf(psf, sensitivity, _RICH_ORDER)
 
 
-def _gaussians(number):
-    """A sum of Gaussians."""
-    if isinstance(number, bool) or not 1 <= number <= len(_SIGMAS):
-        raise ValueError(f"`psf` must be 1, 2 or 3 components or a model, got {number!r}")
-    total = None
-    for sigma, fraction in list(zip(_SIGMAS, _FRACTIONS, strict=True))[:number]:
-        model = BivariateGaussianPSF(fraction, 0, 0, sigma, sigma)
-        total = model if total is None else total + model
-    return total
-
-
-def _hold_constants(prf):
+def _with_fixed(prf, fixed):
     """
-    Fix what pixels do not constrain.
+    Fix parameters of a PRF, and what pixels do not constrain.
 
     The constants of the sensitivity are the flux, and diffusion is a wider Gaussian.
     """
     kinds = prf.parameter_kinds
-    for name, (_, power) in prf.response_powers.items():
-        if power == 0:
-            getattr(prf, name).fixed = True
+    held = {name for name, (_, power) in prf.response_powers.items() if power == 0}
     if any(kind == "width" and not getattr(prf, name).fixed for name, kind in kinds.items()):
-        for name, kind in kinds.items():
-            if kind == "diffusion":
-                getattr(prf, name).fixed = True
+        held |= {name for name, kind in kinds.items() if kind == "diffusion"}
+    for name, value in (fixed | dict.fromkeys(held, True)).items():
+        getattr(prf, name).fixed = value
+    return prf
 
 
 def starting_state(problem):
     """Positions from centroids, fluxes from linear fits, the rest from the model."""
-    xy = centroids(problem.data, problem.target)
-    positions = problem.options.positions
+    xy, positions = centroids(problem.data, problem.target), problem.options.positions
     shared = np.array([p.start for p in problem.parameters])
     if problem.data.pos_corr is not None and positions != "free":
         fitted = _robust_map(problem.basis, xy)
-        if problem.n_affine:
-            shared[problem.n_shape : problem.n_shape + 6] = fitted.T.ravel()
+        if positions != "start":
+            shared[problem.affine] = fitted.T.ravel()
         xy = problem.basis @ fitted
-    shared = np.clip(shared, problem.limits.lower, problem.limits.upper)
     cadence = np.zeros((len(xy), len(problem.columns)))
     if not problem.path:
         cadence[:, :2] = xy
+    shared = np.clip(shared, *problem.bounds)
     return linear_start(problem, State(shared, np.zeros(problem.n_pixels), cadence))
 
 
@@ -334,48 +313,44 @@ def centroids(data, place=None):
 
     With the place of a star, column and row, the brightest pixels near it are its own.
     """
-    seen = np.isfinite(data.light).any(axis=0)
-    image = np.where(seen, np.nanmedian(np.where(seen, data.light, 0), axis=0), 0.0)
+    image = median_image(data.light)
     if image.max() <= 0:
         raise ValueError("no pixel of `tpf` has a positive median flux: there is no star to fit")
-    if place is not None:
-        row, column = np.indices(image.shape)
-        away = np.hypot(column - place[0], row - place[1]) > _NEAR
-        if away.all():
-            raise ValueError(f"no pixel is within {_NEAR} px of the star at {tuple(place)}")
-        image = np.where(away, 0.0, image)
     flux = np.where(np.isfinite(data.light), data.light, image)
+    rows, columns = (index.ravel() for index in np.indices(image.shape))
+    image, flux = image.ravel(), flux.reshape(len(flux), -1)
     if place is not None:
-        flux = np.where(away, 0.0, flux)
+        near = np.hypot(columns - place[0], rows - place[1]) <= _NEAR
+        if not near.any():
+            raise ValueError(f"no pixel is within {_NEAR} px of the star at {tuple(place)}")
+        image, flux = image * near, flux * near
     # Where the star ever is for some time; a cosmic ray is elsewhere, most often.
     often = np.percentile(flux, _OFTEN, axis=0)
-    flux = np.where(often > _BRIGHT * often.max(), flux, -np.inf).reshape(len(flux), -1)
-    rows, columns = (index.ravel() for index in np.indices(image.shape))
+    flux = np.where(often > _BRIGHT * often.max(), flux, -np.inf)
     peak = flux.argmax(axis=1)
     near = np.abs(rows - rows[peak, None]) <= _NEAR
     near &= np.abs(columns - columns[peak, None]) <= _NEAR
     light = np.where(near, np.maximum(flux - _BRIGHT * flux.max(axis=1, keepdims=True), 0.0), 0.0)
-    total = light.sum(axis=1)
-    light[total <= 0] = np.maximum(image.ravel(), 0.0)
+    light[light.sum(axis=1) <= 0] = np.maximum(image, 0.0)
     light /= light.sum(axis=1, keepdims=True)
     return np.column_stack([light @ columns, light @ rows])
 
 
 def is_faint(data, target, other):
     """Whether the light around a star is less than a tenth of that around the target."""
-    image = np.nanmedian(np.where(np.isfinite(data.light).any(axis=0), data.light, 0.0), axis=0)
+    image = median_image(data.light)
     row, column = np.indices(image.shape)
     near = [image[np.hypot(column - x, row - y) <= 1.0].max(initial=0) for x, y in (target, other)]
     return near[1] < _FAINT * near[0]
 
 
 def _robust_map(basis, xy):
-    """Affine map by least squares without the outliers, ``(3, 2)``."""
+    """Affine map by least squares without outliers of four standard deviations, ``(3, 2)``."""
     good = np.ones(len(xy), dtype=bool)
     for _ in range(5):
         fitted = np.linalg.lstsq(basis[good], xy[good], rcond=None)[0]
         distance = np.hypot(*(xy - basis @ fitted).T)
-        good = distance <= 4 * 1.4826 * np.median(distance) + 1e-6
+        good = distance <= 6 * np.median(distance) + 1e-6
     return fitted
 
 
@@ -384,27 +359,33 @@ def linear_start(problem, state):
 
     The flux of a constant star is the median of what it would be in each cadence.
     """
-    shared, cadence = state.shared.copy(), state.cadence.copy()
-    both = problem.options.background == "cadence"
-    values = np.zeros((len(problem.flux), len(problem.stars) + len(problem.stamps) * both))
+    shared, cadence, n_stars = state.shared.copy(), state.cadence.copy(), len(problem.stars)
+    stamps = problem.slices if problem.options.background == "cadence" else []
+    values = np.zeros((len(problem.flux), n_stars + len(stamps)))
     for part in problem.chunks():
         design = np.zeros((*problem.flux[part].shape, values.shape[1]))
         for k, star in enumerate(problem.stars):
             design[:, problem.slices[star.stamp], k] = problem.unit_images(state, part, k)
-        for i, pixels in enumerate(problem.slices if both else ()):
-            design[:, pixels, len(problem.stars) + i] = 1.0
+        for i, pixels in enumerate(stamps):
+            design[:, pixels, n_stars + i] = 1.0
         weight = problem.weight[part]
-        design *= weight[..., None]
-        normal = design.transpose(0, 2, 1) @ design
-        largest = normal.max(axis=(1, 2), keepdims=True)
-        normal += 1e-12 * np.maximum(largest, 1e-300) * np.eye(values.shape[1])
-        right = np.einsum("npk,np->nk", design, weight * problem.flux[part])
-        values[part] = np.linalg.solve(normal, right[..., None])[..., 0]
-    for k, star in enumerate(problem.stars):
-        if star.constant:
-            shared[problem.index.fluxes[k]] = np.median(values[:, k])
+        design = (design * weight[..., None]).transpose(0, 2, 1)
+        right = design @ (weight * problem.flux[part])[..., None]
+        values[part] = solved(design @ design.transpose(0, 2, 1), right)[..., 0]
+    for value, column in zip(values.T, problem.index.fluxes, strict=False):
+        if column < len(problem.columns):
+            cadence[:, column] = value
         else:
-            cadence[:, problem.index.fluxes[k]] = values[:, k]
-    if both:
-        cadence[:, -len(problem.stamps) :] = values[:, len(problem.stars) :]
+            shared[column - len(problem.columns)] = np.median(value)
+    if stamps:
+        cadence[:, -len(stamps) :] = values[:, n_stars:]
     return State(shared, state.interpixel, cadence)
+
+
+def solved(normal, right):
+    """Solve small systems whose diagonals are scaled to 1."""
+    index = np.arange(normal.shape[1])
+    scale = np.maximum(normal[:, index, index], 1e-300)[..., None] ** -0.5
+    matrix = normal * scale * scale.transpose(0, 2, 1)
+    matrix[:, index, index] = 1 + 1e-10
+    return scale * np.linalg.solve(matrix, scale * right)

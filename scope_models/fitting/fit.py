@@ -2,8 +2,8 @@
 
 import warnings
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import replace
+from functools import partial, reduce
 
 import numpy as np
 from astropy.modeling import Model
@@ -11,7 +11,7 @@ from astropy.modeling import Model
 from scope_models._checks import checked_choice, solvable
 from scope_models._threads import one_thread
 from scope_models.exceptions import FitWarning
-from scope_models.fitting._doubts import LARGEST_FLUX, LARGEST_SCATTER, warn_of_fit
+from scope_models.fitting._doubts import LARGEST_FLUX, LARGEST_SCATTER, doubts_of
 from scope_models.fitting._gather import make_results
 from scope_models.fitting._problem import FitOptions, FitStar, Problem, Settings
 from scope_models.fitting._response import fit_response
@@ -19,16 +19,16 @@ from scope_models.fitting._solver import covariances, solve
 from scope_models.fitting._start import (
     APART,
     centroids,
-    detector_of,
     is_faint,
     linear_start,
     make_prf,
     make_rich_prf,
     read_data,
-    star_positions,
+    read_places,
     starting_state,
 )
 from scope_models.io.pixels import read_pixels
+from scope_models.scene.detector import Detector
 
 __all__ = ["fit_tpf"]
 
@@ -188,7 +188,6 @@ def fit_tpf(
         interpixel=_PRIOR if interpixel is None else interpixel,
         positions=positions,
     )
-    max_steps = options.max_steps
     if psf is not None and not isinstance(psf, int | Model):
         raise TypeError(f"`psf` must be a number of components or a model, got {psf!r}")
     several = isinstance(tpf, list | tuple)
@@ -196,30 +195,20 @@ def fit_tpf(
     if not files:
         raise ValueError("`tpf` must have at least one file")
     if checked_choice("response", response, ("auto", "psf", "pixels")) == "pixels":
-        _check_pixels(options, sensitivity, interpixel)
+        contained = {"sensitivity": sensitivity, "focus": options.focus, "interpixel": interpixel}
+        for name, value in contained.items():
+            if value not in {None, 0}:
+                message = f'`{name}` must be left out with response="pixels", which contains it'
+                raise ValueError(message)
     series = [read_pixels(file) for file in files]
-    places = _places(stars, neighbors, series, several=several)
+    places = read_places(stars, neighbors, series, several=several)
     prf = make_prf(2 if psf is None else psf, sensitivity, options.empirical)
+    # Whether the data choose the PSF, and the response between pixels.
+    choice = {"any_psf": psf is None and not empirical, "any_response": interpixel is None}
     with one_thread, solvable(), _progress_bar(progress) as bar:
         problem, detectors = _make_problem(series, places, prf, flux_err, options)
-        steps = partial(solve, max_steps=max_steps, report=bar)
-        choice = _Choice(psf is None and not empirical, interpixel is None, sensitivity)
-        if response == "auto":
-            open_to_all = choice.psf and choice.interpixel and sensitivity is None
-            enough = len(problem.flux) >= _ENOUGH and options.focus is None
-            response = "either" if open_to_all and enough else "psf"
-        if response != "pixels":
-            candidates = _candidates(problem, choice, simple=response == "either")
-            tried = _tried(candidates, choice, steps, max_steps, few=choice.psf)
-            fitted = _best(tried)
-            if response == "either" and not _is_true(*fitted, strictly=True):
-                response = "pixels"
-        if response == "pixels":
-            tried = _tried(_rough(problem, choice), choice, steps, max_steps, few=True)
-            fitted = _best(tried)
-        else:
-            most = min(max_steps, _MANY_STEPS) if choice.psf else max_steps
-            fitted = _finished(problem, *fitted, partial(steps, max_steps=most))
+        steps = partial(solve, report=bar)
+        response, tried, fitted = _fit_psf(problem, response, sensitivity, steps, **choice)
         fits = make_results(*fitted, covariances(*fitted), detectors, series)
         if response == "pixels":
             fits = fit_response(problem, fitted[0], fitted[1].state, fits, bar)
@@ -231,99 +220,52 @@ def fit_tpf(
         warnings.warn(message, FitWarning, stacklevel=2)
     with one_thread:
         for fit in fits:
-            warn_of_fit(fit, stacklevel=3)
+            for doubt in doubts_of(fit):
+                warnings.warn(doubt, FitWarning, stacklevel=2)
     return tuple(fits) if several else fits[0]
 
 
-def _tried(candidates, choice, steps, max_steps, *, few):
-    """Fit the first of several models that describes some of the pixels, or the best."""
-    tried = []
-    for candidate, limit in candidates:
-        # No more than enough for a choice or a rough model; a guess may have up to twice as many.
-        values = _FEW_VALUES // candidate.flux.shape[1]
-        enough = max(min(_FEW // len(candidate.stars), values), _FEWEST)
-        every = (len(candidate.flux) + few * (enough - 1)) // enough
-        limited = partial(steps, max_steps=min(max_steps, limit))
-        doubtful = choice.psf and choice.interpixel
-        tried.append(_guess(candidate, limited, every, limit, doubtful=doubtful))
-        if _is_true(*tried[-1], strictly=choice.psf):
-            break
-    return tried
+def _fit_psf(problem, response, sensitivity, steps, *, any_psf, any_response):
+    """Return the kind of response, models that were tried, and the problem and its solution."""
+    choice = {"any_psf": any_psf, "any_response": any_response}
+    left = all(choice.values()) and sensitivity is None and problem.options.focus is None
+    simple = response == "auto" and left and len(problem.flux) >= _ENOUGH
+    if response != "pixels":
+        candidates = _candidates(problem, sensitivity, simple=simple, **choice)
+        tried = _tried(candidates, steps, few=any_psf, **choice)
+        if not simple or _is_true(*tried[0], strictly=True):
+            return "psf", tried, _finished(problem, *tried[0], steps, any_psf=any_psf)
+    tried = _tried(_rough(problem, any_psf=any_psf), steps, few=True, **choice)
+    return "pixels", tried, tried[0]
 
 
-def _best(tried):
-    """Return the best of the models that were tried."""
-    return min(tried, key=lambda item: _rank(*item))
+def _with(problem, prf=None, **options):
+    """Return the problem with other options, and with another PRF if there is one."""
+    return replace(problem, prf=prf or problem.prf, options=replace(problem.options, **options))
 
 
-def _rivals(tried, fit):
-    """Fluxes, other than that of a fit, of models whose cost is as low as that of the best."""
-    costs = [solution.equations.cost * problem.error_scale**2 for problem, solution in tried]
-    problem, solution = _best(tried)
-    best = costs[[item[1] for item in tried].index(solution)]
-    chance = best * np.sqrt(2 / max(problem.n_data - problem.n_free, 1))
-    error = np.hypot(np.median(fit.flux_err), np.median(fit.flux_scatter))
-    for (other, rival), cost in zip(tried, costs, strict=True):
-        flux = np.median(other.fluxes(rival.state))
-        strange = _rank(other, rival)[1]
-        if (
-            abs(cost - best) < chance
-            and not strange
-            and abs(flux - np.median(fit.flux)) > 3 * error
-        ):
-            yield flux
-
-
-def _check_pixels(options, sensitivity, interpixel):
-    """Check that nothing is fitted that the response of each pixel contains."""
-    for name, given in (
-        ("sensitivity", sensitivity is not None),
-        ("focus", options.focus is not None),
-        ("interpixel", bool(interpixel)),
-    ):
-        if given:
-            raise ValueError(f'`{name}` must be left out with response="pixels", which contains it')
-
-
-@dataclass(frozen=True)
-class _Choice:
-    """Choices that follow from the data: the PSF, the response between pixels."""
-
-    psf: bool
-    interpixel: bool
-    sensitivity: object
-
-
-def _candidates(problem, choice, *, simple):
+def _candidates(problem, sensitivity, *, simple, any_psf, any_response):
     """Models to try, the simplest first or only, and how many steps each is worth."""
-    if not choice.psf:
+    plain = {"interpixel": 0.0} if any_response else {}
+    if not any_psf:
         yield problem, np.inf
-        if choice.interpixel:
-            yield _with(problem, interpixel=0.0), np.inf
+        if any_response:
+            yield _with(problem, **plain), np.inf
         return
-    gaussians = [make_prf(number, choice.sensitivity, 0) for number in (1, 2)]
+    gaussians = [make_prf(number, sensitivity, 0) for number in (1, 2)]
     # A model that is true converges fast.
     for prf in gaussians:
-        yield replace(problem, prf=prf), _FEW_STEPS
-    if simple:
-        return
-    options = {"interpixel": 0.0} if choice.interpixel else {}
-    plain = _with(problem, **options, **_held(problem))
-    for prf in (gaussians[-1], make_rich_prf(choice.sensitivity)):
-        yield replace(plain, prf=prf), _MANY_STEPS
+        yield _with(problem, prf), _FEW_STEPS
+    if not simple:
+        for prf in (gaussians[-1], make_rich_prf(sensitivity)):
+            yield _with(problem, prf, **plain, **_held(problem)), _MANY_STEPS
 
 
-def _rough(problem, choice):
+def _rough(problem, *, any_psf):
     """Models to try of the PSF from which the pixels deviate, and how many steps each is worth."""
-    plain = _with(problem, interpixel=0.0, loss="soft_l1", **_held(problem))
-    prfs = [make_prf(1, None, 0), make_rich_prf(None)] if choice.psf else [problem.prf]
-    for prf in prfs:
-        yield replace(plain, prf=prf), _MANY_STEPS
-
-
-def _with(problem, **options):
-    """Return the problem with other options."""
-    return replace(problem, options=replace(problem.options, **options))
+    for prf in [make_prf(1, None, 0), make_rich_prf(None)] if any_psf else [problem.prf]:
+        rough = _with(problem, prf, interpixel=0.0, loss="soft_l1", **_held(problem))
+        yield rough, _MANY_STEPS
 
 
 def _held(problem):
@@ -335,48 +277,74 @@ def _held(problem):
     return {"positions": "prior", "position_error": error, "scale_error": _HELD}
 
 
+def _tried(candidates, steps, *, few, any_psf, any_response):
+    """Fit models until one describes some of the pixels; return problems and solutions, by rank.
+
+    No more cadences than are needed for a choice or, with ``few``, for a rough model; else a guess
+    may have up to twice as many.
+    """
+    tried = []
+    for candidate, limit in candidates:
+        values = _FEW_VALUES // candidate.flux.shape[1]
+        enough = max(min(_FEW // len(candidate.stars), values), _FEWEST)
+        every = max((len(candidate.flux) + few * (enough - 1)) // enough, 1)
+        thin = replace(candidate, stamps=tuple(s[::every] for s in candidate.stamps))
+        limited = partial(steps, max_steps=min(thin.options.max_steps, limit))
+        # What the shape of the PSF can imitate is freed when the shape is about right.
+        early = np.array([p.kind != "response" for p in thin.parameters], dtype=bool)
+        state = starting_state(thin)
+        # Scaled from the start: else all residuals are outliers to a robust loss.
+        problem = thin.rescaled(state)
+        solution = limited(problem, state, only=early, loosely=True)
+        doubtful = any_psf and any_response and problem.n_pixels > 0
+        tried.append(_rescaled(problem, solution, limited, limit, doubtful=doubtful))
+        if _is_true(*tried[-1], strictly=any_psf):
+            break
+    return sorted(tried, key=lambda item: _rank(*item))
+
+
+def _rivals(tried, fit):
+    """Fluxes, other than that of a fit, of models whose cost is as low as that of the best."""
+    costs = [solution.equations.cost * problem.error_scale**2 for problem, solution in tried]
+    chance = costs[0] * np.sqrt(2 / tried[0][0].dof)
+    error = np.hypot(np.median(fit.flux_err), np.median(fit.flux_scatter))
+    for (problem, solution), cost in zip(tried, costs, strict=True):
+        flux = np.median(problem.fluxes(solution.state))
+        strange = _rank(problem, solution)[1]
+        other = abs(flux - np.median(fit.flux)) > 3 * error
+        if abs(cost - costs[0]) < chance and not strange and other:
+            yield flux
+
+
 def _is_true(problem, solution, *, strictly=False):
     """Whether the model describes the pixels, with a response that agrees with its prior."""
     prior, response = problem.options.interpixel, solution.state.interpixel
     agrees = not prior or np.std(response) <= LARGEST_SCATTER * prior
-    dof = max(problem.n_data - problem.n_free, 1)
-    excess = solution.equations.cost / dof - 1
-    enough = not strictly or (solution.converged and excess < _EXCESS * np.sqrt(2 / dof))
-    return problem.misfit == 1.0 and agrees and enough
+    excess = solution.equations.cost / problem.dof - 1
+    enough = solution.converged and excess < _EXCESS * np.sqrt(2 / problem.dof)
+    return problem.misfit == 1.0 and agrees and (enough or not strictly)
 
 
 def _rank(problem, solution):
     """Order of models: with a flux that is in the pixels, converged inside the bounds, and true."""
-    limits, shared = problem.limits, solution.state.shared
-    at_bound = np.any((shared <= limits.lower) | (shared >= limits.upper))
+    state = solution.state
     light = np.median(problem.flux[:, problem.slices[0]].sum(axis=1))
-    strange = not 0 < np.median(problem.fluxes(solution.state)) < LARGEST_FLUX * abs(light)
-    images = problem.unit_images(solution.state, slice(None, None, _SOME))
+    strange = not 0 < np.median(problem.fluxes(state)) < LARGEST_FLUX * abs(light)
+    images = problem.unit_images(state, slice(None, None, _SOME))
     strange |= np.median(images.sum(axis=1)) < _LEAST_INSIDE
     # A free response between pixels describes errors of the PSF where the model is not true.
     absorbs = bool(problem.options.interpixel) and not _is_true(problem, solution)
     information = solution.equations.cost + problem.n_shared * np.log(problem.n_data)
-    ends = bool(at_bound) or not solution.converged
+    ends = bool(problem.at_bounds(state).any()) or not solution.converged
     return absorbs, strange, ends, problem.misfit, information
 
 
-def _guess(problem, steps, every, most, *, doubtful):
-    """Fit a part of a long series, or the whole of a short one; for the rest see `_rescaled`."""
-    problem = problem.thinned(max(every, 1))
-    # What the shape of the PSF can imitate is freed when the shape is about right.
-    early = np.array([p.kind != "response" for p in problem.parameters], dtype=bool)
-    state = starting_state(problem)
-    # Scaled from the start: else all residuals are outliers to a robust loss.
-    problem = problem.rescaled(state)
-    solution = steps(problem, state, only=early, loosely=True)
-    doubtful = doubtful and problem.n_pixels > 0
-    return _rescaled(problem, solution, steps, most, doubtful=doubtful)
-
-
-def _finished(problem, few, guess, steps):
+def _finished(problem, few, guess, steps, *, any_psf):
     """Fit all cadences, from the fit of some of them."""
     if len(problem.flux) == len(few.flux):
         return few, guess
+    most = min(few.options.max_steps, _MANY_STEPS if any_psf else np.inf)
+    steps = partial(steps, max_steps=most)
     problem = replace(few, stamps=problem.stamps)
     # What all cadences share is constrained nearly as well by some of them.
     state = starting_state(problem)
@@ -405,65 +373,37 @@ def _rescaled(problem, solution, steps, most=np.inf, *, doubtful=False):
     return problem, solution
 
 
-def _places(stars, neighbors, series, *, several):
-    """Per file, the position of the target or None, and those of the other stars."""
-    if stars is not None and neighbors is not None:
-        raise ValueError("give either `stars` or `neighbors`, not both")
-    name, given = ("stars", stars) if neighbors is None else ("neighbors", neighbors)
-    if given is None:
-        return [(None, np.zeros((0, 2)))] * len(series)
-    if several and not isinstance(given, str) and len(given) != len(series):
-        raise ValueError(f"`{name}` must be positions for each of {len(series)} files")
-    each = [given] * len(series) if isinstance(given, str) or not several else given
-    result = []
-    for one, pixels in zip(each, series, strict=True):
-        positions = star_positions(name, one, pixels)
-        if neighbors is None:
-            if not len(positions):
-                raise ValueError("`stars` must have at least the target")
-            result.append((positions[0], positions[1:]))
-        else:
-            result.append((None, positions))
-    return result
-
-
 def _make_problem(series, places, prf, flux_err, options):
     """What is fitted, and the detectors that recorded it."""
-    detectors = [detector_of(item) for item in series]
+    if options.focus is not None and "width" not in prf.parameter_kinds.values():
+        raise ValueError("`focus` needs a PSF with a width: a Gaussian or an empirical term")
     n_free = 1 + 2 * (options.positions != "path") + (options.background == "cadence")
-    stamps = [
-        read_data(item, flux_err, detector, n_free + len(others), saturation=options.saturation)
-        for item, detector, (_, others) in zip(series, detectors, places, strict=True)
-    ]
+    detectors, stamps = [], []
+    for item, (_, others) in zip(series, places, strict=True):
+        changes = {} if item.mission else {"mission": "Kepler"}
+        detectors.append(Detector.from_tpf(item, psf=None, sensitivity=None, **changes))
+        more, saturation = n_free + len(others), options.saturation
+        stamps.append(read_data(item, flux_err, detectors[-1], more, saturation=saturation))
     if stamps[0].pos_corr is None and options.positions in {"prior", "path"}:
         raise ValueError(f"`positions` is {options.positions!r}, but `tpf` has no POS_CORR")
-    stamps = _in_common(stamps)
+    common = reduce(np.intersect1d, [stamp.cadenceno for stamp in stamps])
+    if not common.size:
+        raise ValueError("the files have no cadence in common")
+    if len(stamps) > 1:
+        stamps = [stamp[np.isin(stamp.cadenceno, common)] for stamp in stamps]
     stars, first = [], None
     for number, (stamp, (target, others)) in enumerate(zip(stamps, places, strict=True)):
         center = np.median(centroids(stamp, target), axis=0)
-        given = target is not None
-        apart = others if given else others[np.hypot(*(others - center).T) > APART]
         first = center if first is None else first
         stars.append(FitStar(*(center - first), number))
-        for other in apart:
+        apart = np.hypot(*(others - center).T) > (APART if target is None else -1)
+        for other in others[apart]:
             weak = options.neighbor_flux == "auto" and is_faint(stamp, center, other)
             constant = options.neighbor_flux == "constant" or weak
             stars.append(FitStar(*(other - first), number, constant))
-    if options.focus is not None and "width" not in prf.parameter_kinds.values():
-        raise ValueError("`focus` needs a PSF with a width: a Gaussian or an empirical term")
-    span = float(stamps[0].time[0]), float(stamps[0].time[-1])
-    places = {"target": places[0][0], "span": span, "center": tuple(first.tolist())}
-    return Problem(tuple(stamps), prf, options, tuple(stars), **places), detectors
-
-
-def _in_common(stamps):
-    """The stamps in the cadences that all of them have."""
-    common = stamps[0].cadenceno
-    for stamp in stamps[1:]:
-        common = np.intersect1d(common, stamp.cadenceno)
-    if not common.size:
-        raise ValueError("the files have no cadence in common")
-    return [stamp[np.isin(stamp.cadenceno, common)] for stamp in stamps]
+    span, target = stamps[0].time[[0, -1]].tolist(), places[0][0]
+    problem = Problem(tuple(stamps), prf, options, tuple(stars), span, first.tolist(), target)
+    return problem, detectors
 
 
 @contextmanager

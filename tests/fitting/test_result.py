@@ -16,7 +16,6 @@ from scope_models.cli import main
 from scope_models.effects import Focus
 from scope_models.exceptions import FitWarning
 from scope_models.fitting import FitOptions
-from scope_models.fitting._start import detector_of
 from scope_models.plotting import plot_twin
 
 
@@ -166,7 +165,7 @@ def test_twin_has_the_noise_of_the_file(observation):
     detector = fit.scene()[1]
     expected = np.hypot(90.0, 12.0 * detector.exposure_time / detector.n_reads**0.5)
     assert detector.read_noise == pytest.approx(expected, rel=0.03)
-    assert detector_of(tpf).read_noise == 90.0
+    assert Detector.from_tpf(tpf, psf=None, sensitivity=None).read_noise == 90.0
 
 
 def test_command(observation, tmp_path, capsys):
