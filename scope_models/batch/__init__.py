@@ -14,6 +14,7 @@ __all__ = [
     "fit_files",
     "inject_file",
     "inject_files",
+    "read_results",
     "run_sweep",
     "simulate_table",
     "star_rng",
@@ -28,6 +29,7 @@ __getattr__, __dir__, _ = lazy_loader.attach(
             "detrend_files", "find_files", "fit_files", "inject_file", "inject_files",
             "simulate_table",
         ],
+        "results": ["read_results"],
         "sweep": ["SweepError", "SweepResult", "run_sweep", "star_rng", "star_seed"],
     },
 )  # fmt: skip

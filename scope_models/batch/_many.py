@@ -2,6 +2,8 @@
 
 import os
 import re
+import sys
+import time
 import warnings
 from functools import partial
 from pathlib import Path
@@ -13,7 +15,7 @@ from scope_models._arrays import values_of
 from scope_models.batch._store import FILE
 from scope_models.batch.sweep import run_sweep, star_seed
 
-__all__ = ["FITS", "RUN", "run_files"]
+__all__ = ["FITS", "RUN", "UNITS", "run_files"]
 
 #: Arguments of all functions that run over many files.
 RUN = """
@@ -26,30 +28,45 @@ sweep : mapping, optional
 """
 #: How the names of FITS files end.
 FITS = re.compile(r"\.(fits|fit|fts)(\.gz)?$", re.IGNORECASE)
+#: Columns of what a file has cost: processor time and memory, which differ from run to run.
+_COST = "seconds", "peak_memory"
+#: Units of all columns of results.
+UNITS = {
+    "mag": "mag", "ra": "deg", "dec": "deg", "flux": "electron / s",
+    "seconds": "s", "peak_memory": "Mibyte",
+    **dict.fromkeys(("period", "t0", "duration"), "d"),
+    **dict.fromkeys(("raw_cdpp", "cdpp", "raw_cdpp_everest", "cdpp_everest", "held_out"), "ppm"),
+}  # fmt: skip
 _LONGEST = 300  # characters of the warnings of a star
 
 
 def run_files(
-    work, names, folder, client, *, name, suffix, options, units=None, rows=None, inputs=None,
-    seed=1, draw=None, overwrite=False, sweep=None,
+    work, names, folder, client, *, name, suffix, options, rows=None, inputs=None,
+    seed=1, draw=None, overwrite=False, sweep=None, name_output=None,
 ):  # fmt: skip
     """Run a function that writes a file over many files or names.
 
     Options and outputs are checked first. ``work(task, output, seed, **options)`` writes a file and
     returns a row. The tasks hold ``rows`` and, without ``inputs``, the names, which are files then;
-    ``inputs`` are files that must not be replaced.
+    ``inputs`` are files that must not be replaced. ``name_output(file, key)`` returns the output's
+    path in the folder, by default the key with the suffix.
     """
     for option, value in options.items():
         if not isinstance(value, (bool, int, float, str, type(None))):
             raise TypeError(f"`{option}` must be a number, text, or true or false, got {value!r}")
-    folder, tasks, keys = Path(folder).absolute(), [], {}
+    folder, tasks, keys, written = Path(folder).absolute(), [], {}, {}
     for file, row in zip(names, rows or [{}] * len(names), strict=True):
         key = re.sub(r"[^A-Za-z0-9._+=-]", "_", FITS.sub("", Path(file).name)).strip("._-")
         if key in keys:
             raise ValueError(f"{keys[key]} and {file} would both become {key}{suffix}")
         keys[key] = file
         tasks.append({"key": key} | ({"file": file} | _state(file) if inputs is None else {}) | row)
-    outputs = [_output(folder, suffix, task) for task in tasks]
+        output = f"{key}{suffix}" if name_output is None else name_output(file, key)
+        if output in written:
+            raise ValueError(f"{written[output]} and {file} would both become {output}")
+        written[output] = file
+        tasks[-1]["output"] = output
+    outputs = [folder / task["output"] for task in tasks]
     replaced = {_identity(path) for path in outputs}
     for file in names if inputs is None else inputs:
         if _identity(file) in replaced:
@@ -58,26 +75,32 @@ def run_files(
         if path.exists():
             raise FileExistsError(f"{path} exists already; pass overwrite=True to replace it")
     return run_sweep(
-        partial(_worked, work, options, folder, suffix, seed), tasks, folder, client, name=name,
-        config={"seed": seed, **options}, units=units, summarize=_medians, draw=draw,
-        has_output=lambda task: _output(folder, suffix, task).is_file(), **(sweep or {}),
+        partial(_worked, work, options, folder, seed), tasks, folder, client, name=name,
+        config={"seed": seed, **options}, units=UNITS, summarize=_medians, draw=draw,
+        has_output=lambda task: (folder / task["output"]).is_file(), **(sweep or {}),
     )  # fmt: skip
 
 
-def _output(folder, suffix, task):
-    """Return the file that is written for a star."""
-    return folder / f"{task['key']}{suffix}"
-
-
-def _worked(work, options, folder, suffix, seed, task):
-    """Write the file of a star and return what is measured, with the warnings."""
+def _worked(work, options, folder, seed, task):
+    """Write the file of a star and return what is measured, with the warnings and the cost."""
+    start = time.thread_time()
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        output = _output(folder, suffix, task)
-        row = work(task, output, star_seed(seed, task["key"]), **options)
+        row = work(task, folder / task["output"], star_seed(seed, task["key"]), **options)
     texts = dict.fromkeys(" ".join(str(item.message).split()) for item in caught)
     texts = [text for text in texts if "tpfmodel submodule" not in text]
-    return row | {"n_warnings": len(texts), "warnings": "; ".join(texts)[:_LONGEST]}
+    row |= {"n_warnings": len(texts), "warnings": "; ".join(texts)[:_LONGEST]}
+    return row | {"seconds": round(time.thread_time() - start, 3), "peak_memory": _peak_memory()}
+
+
+def _peak_memory():
+    """Return the most memory that this process has used so far, MiB; NaN on Windows."""
+    try:
+        import resource
+    except ImportError:
+        return np.nan
+    unit = 2**20 if sys.platform == "darwin" else 2**10  # bytes there, KiB elsewhere
+    return round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / unit, 1)
 
 
 def _medians(table):
@@ -85,7 +108,7 @@ def _medians(table):
     names = [
         name
         for name in table.colnames
-        if table[name].dtype.kind in "fi" and name not in {"bytes", "changed", "mag"}
+        if table[name].dtype.kind in "fi" and name not in {"bytes", "changed", "mag", *_COST}
     ]
     bins = np.round(2 * values_of(table, "mag")) / 2
     rows = []

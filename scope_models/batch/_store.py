@@ -7,12 +7,12 @@ import sqlite3
 import time
 import warnings
 import zlib
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 
 from scope_models.exceptions import DamagedResultWarning
 
-__all__ = ["FILE", "Store"]
+__all__ = ["FILE", "Store", "read_records"]
 
 #: Name of the file in a results directory.
 FILE = "results.sqlite"
@@ -163,6 +163,27 @@ class Store:
                 f"cannot write to {self._path}; the {len(self)} stars that are finished are kept, "
                 f"and the same call goes on from there: the reason is: {error}",
             ) from error  # fmt: skip
+
+
+def read_records(directory):
+    """Return all records of a results directory, also of a run that was interrupted."""
+    path = Path(directory) / FILE
+    if not path.is_file():
+        raise FileNotFoundError(f"{directory} is no results directory: it has no {FILE}")
+    try:
+        with closing(sqlite3.connect(path, timeout=0)) as connection:
+            connection.text_factory = bytes
+            stars = connection.execute("SELECT key, record, crc FROM stars").fetchall()
+    except sqlite3.DatabaseError as error:
+        if getattr(error, "sqlite_errorcode", 0) & 0xFF in {
+            sqlite3.SQLITE_BUSY,
+            sqlite3.SQLITE_LOCKED,
+        }:
+            raise OSError(f"a run is writing to {directory}: wait until it has ended") from None
+        raise ValueError(f"{path} is damaged") from error
+    return [
+        json.loads(text) for key, text, crc in stars if crc == zlib.crc32(text, zlib.crc32(key))
+    ]
 
 
 def _file_in(directory):

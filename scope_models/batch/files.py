@@ -7,6 +7,7 @@ failures are those of `~scope_models.batch.run_sweep`.
 import os
 import re
 from dataclasses import fields
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -14,14 +15,25 @@ from astropy.table import Table
 
 from scope_models._arrays import values_of, without_unit
 from scope_models._docstrings import documented
+from scope_models.batch._detrend import (
+    FORMATS,
+    archive_name,
+    detrended,
+    header_row,
+    noise_of,
+    partition_of,
+    write_manifest,
+)
 from scope_models.batch._many import FITS, RUN, run_files
+from scope_models.batch._parquet import check_data_set
 from scope_models.io import read_pixels, read_tpf
 from scope_models.io._atomic import check_output
+from scope_models.io._hlsp import Collection
 from scope_models.io._opening import naming
+from scope_models.io.pixels import star_places
 from scope_models.io.tpf import write_hdulist
 from scope_models.missions import MISSIONS
 from scope_models.models import TransitModel
-from scope_models.photometry import cdpp
 from scope_models.scene import PRESETS, Detector, Motion, Star, read_detector
 from scope_models.simulation import inject, simulate
 
@@ -36,11 +48,13 @@ __all__ = [
 
 _NAME = re.compile(r"(EPIC|KIC|TIC)[ -]?\d+", re.IGNORECASE)
 _PLANET = ("period", "t0", "depth", "duration")
-_PLANET_UNITS = {"mag": "mag"} | dict.fromkeys(("period", "t0", "duration"), "d")
 
 
 @documented(run=RUN)
-def detrend_files(paths, output_dir, client=None, *, overwrite=False, sweep=None, **options):
+def detrend_files(
+    paths, output_dir, client=None, *, overwrite=False, sweep=None, format="fits", hlsp=None,  # noqa: A002
+    planets=None, **options,
+):  # fmt: skip
     """Correct the light curves of many target pixel files.
 
     Parameters
@@ -51,6 +65,16 @@ def detrend_files(paths, output_dir, client=None, *, overwrite=False, sweep=None
         Folder for the light curves, ``NAME-lc.fits``, and the results, as `run_sweep` writes
         them: the same call goes on where an earlier one stopped.
     {run}
+    format : {"fits", "hlsp", "parquet"}, optional
+        What is written: a FITS file per star, ``NAME-lc.fits``; FITS files as an archive's
+        collection of high-level science products has them, with a manifest; or one data set
+        ``light_curves`` of Parquet files, a row per star.
+    hlsp : mapping of str to str, optional
+        The collection of ``format="hlsp"``: its ``id``, ``lead`` and ``version``, and if wanted
+        ``title`` and ``doi``.
+    planets : astropy.table.Table or mapping, optional
+        Columns period, t0 (a mid-transit, as in the file) and duration in days, one row for all
+        files or one for each: cadences in transit are left out of the fit.
     **options
         Arguments of `~scope_models.correctors.PLDCorrector.correct` and fields of
         `~scope_models.correctors.PLDOptions` that are numbers, text, or
@@ -90,13 +114,30 @@ def detrend_files(paths, output_dir, client=None, *, overwrite=False, sweep=None
     >>> bool((result.table["cdpp"] < result.table["raw_cdpp"]).all())
     True
     """
-    units = {"mag": "mag"} | dict.fromkeys(
-        ("raw_cdpp", "cdpp", "raw_cdpp_everest", "cdpp_everest"), "ppm"
-    )
-    return run_files(
-        _detrended, find_files(paths), output_dir, client, name="detrend", suffix="-lc.fits",
-        options=options, units=units, draw=_noise_figure, overwrite=overwrite, sweep=sweep,
+    if format not in FORMATS:
+        raise ValueError(f"`format` must be one of {', '.join(FORMATS)}, got {format!r}")
+    files, rows, shared = find_files(paths), None, {}
+    if planets is not None:
+        rows = _rows_of(planets, ("period", "t0", "duration"), (), files)
+    if (format == "hlsp") != (hlsp is not None):
+        raise ValueError('`hlsp` is needed by, and only by, `format="hlsp"`')
+    if format != "fits":
+        shared = {"format": format} | {f"hlsp_{name}": hlsp[name] for name in hlsp or {}}
+    name_output = None
+    if format == "hlsp":
+        collection = Collection(**hlsp)
+        name_output = partial(archive_name, collection)
+    elif format == "parquet":
+        name_output = partition_of
+        check_data_set(output_dir, overwrite=overwrite)
+    result = run_files(
+        detrended, files, output_dir, client, name="detrend", suffix="-lc.fits", rows=rows,
+        options=shared | options, draw=_noise_figure, overwrite=overwrite, sweep=sweep,
+        name_output=name_output,
     )  # fmt: skip
+    if format == "hlsp":
+        return result.replace(files=(*result.files, write_manifest(result.table, output_dir)))
+    return result
 
 
 @documented(run=RUN)
@@ -113,7 +154,8 @@ def fit_files(paths, output_dir, client=None, *, overwrite=False, sweep=None, **
     **options
         Arguments of `~scope_models.fit_tpf` and `~scope_models.fitting.FitOptions` that are
         numbers, text, or true or false;
-        ``sensitivity=True`` fits a quadratic response, ``cadences=N`` uses the first N only.
+        ``sensitivity=True`` fits a quadratic response, ``cadences=N`` uses the first N only,
+        ``neighbors`` is "find" or the file of a catalog.
 
     Returns
     -------
@@ -136,10 +178,9 @@ def fit_files(paths, output_dir, client=None, *, overwrite=False, sweep=None, **
     >>> result.table["n_cadences"].tolist()
     [95]
     """
-    units = {"mag": "mag", "flux": "electron / s"}
     return run_files(
         _fitted, find_files(paths), output_dir, client, name="fit", suffix="-fit.fits",
-        options=options, units=units, overwrite=overwrite, sweep=sweep,
+        options=options, overwrite=overwrite, sweep=sweep,
     )  # fmt: skip
 
 
@@ -191,16 +232,11 @@ def inject_files(
     >>> result.table["injected_depth"].round(4).tolist()
     [0.01]
     """
-    files, rows = find_files(paths), planet_rows(planets)
-    if len(rows) not in {1, len(files)}:
-        raise ValueError(
-            f"`planets` must have one row, or one for each of the {len(files)} files, "
-            f"got {len(rows)}"
-        )
-    rows = rows if len(rows) > 1 else rows * len(files)
+    files = find_files(paths)
+    rows = _rows_of(planets, ("period", "depth"), ("t0", "duration"), files)
     return run_files(
         _injected, files, output_dir, client, name="inject", suffix="-injected.fits", rows=rows,
-        options={"star": star}, seed=seed, units=_PLANET_UNITS, overwrite=overwrite, sweep=sweep,
+        options={"star": star}, seed=seed, overwrite=overwrite, sweep=sweep,
     )  # fmt: skip
 
 
@@ -263,7 +299,7 @@ def inject_file(path, planet, output, *, star=None, seed=1, overwrite=False):
         injected = inject(tpf, model, light, seed=seed)
     write_hdulist(injected.hdu, output, overwrite=overwrite)
     table = injected.hdu[-1].data
-    return _header_row(series) | {
+    return header_row(series) | {
         "t0": float(model.t0.value),
         "duration": float(model.duration),
         "injected_depth": float(-np.min(table["FLUX_ADDED"].sum(axis=(1, 2))) / total) + 0.0,
@@ -271,14 +307,25 @@ def inject_file(path, planet, output, *, star=None, seed=1, overwrite=False):
     }
 
 
-def planet_rows(planets):
+def planet_rows(planets, needed=("period", "depth"), further=("t0", "duration")):
     """Return what is given of the planet of each row of a table."""
     planets = Table(planets)
-    for name in ("period", "depth"):
+    for name in needed:
         if name not in planets.colnames:
             raise ValueError(f"`planets` lacks the column {name}")
-    names = [name for name in _PLANET if name in planets.colnames]
+    names = [*needed, *(name for name in further if name in planets.colnames)]
     return [{n: float(row[n]) for n in names if not np.ma.is_masked(row[n])} for row in planets]
+
+
+def _rows_of(planets, needed, further, files):
+    """Return the planet of each file."""
+    rows = planet_rows(planets, needed, further)
+    if len(rows) not in {1, len(files)}:
+        raise ValueError(
+            f"`planets` must have one row, or one for each of the {len(files)} files, "
+            f"got {len(rows)}"
+        )
+    return rows if len(rows) > 1 else rows * len(files)
 
 
 def planet_model(planet, time, exposure_time):
@@ -372,7 +419,7 @@ def simulate_table(
     return run_files(
         _simulated, names, output_dir, client, name="simulate", suffix=".fits", rows=rows,
         inputs=[str(path) for path in (detector, motion) if path], options=options, seed=seed,
-        units=_PLANET_UNITS | {"cdpp": "ppm"}, overwrite=overwrite, sweep=sweep,
+        overwrite=overwrite, sweep=sweep,
     )  # fmt: skip
 
 
@@ -464,45 +511,6 @@ def _noise_figure(table, _):
     return plot_precision({name: values_of(table, name) for name in columns})
 
 
-def _header_row(series):
-    """Return what the header has: name, mission and magnitude."""
-    header, mission = series.header, series.mission
-    row = {"object": str(header.get("OBJECT") or ""), "n_cadences": len(series)}
-    row["mission"] = mission.name if mission else ""
-    row["mag"] = _number(header.get(mission.magnitude_keyword) if mission else None)
-    return row
-
-
-def _number(value):
-    """Return a number, NaN for anything else."""
-    return float(value) if isinstance(value, (int, float)) else np.nan
-
-
-def _cdpp(lc, method):
-    """Return the noise of a light curve, NaN if it is too short."""
-    try:
-        return float(cdpp(lc, method=method))
-    except ValueError:
-        return np.nan
-
-
-def _detrended(task, output, seed, **options):  # noqa: ARG001 - nothing is drawn
-    """Correct a file."""
-    from scope_models.correctors import detrend_file  # imports lightkurve
-
-    corrector = detrend_file(task["file"], output, overwrite=True, **options)
-    row = _header_row(read_pixels(corrector.tpf))
-    row["n_pixels"] = int(corrector.aperture_mask.sum())
-    for prefix, lc in (("raw_", corrector.original_lc), ("", corrector.corrected_lc)):
-        row[f"{prefix}cdpp"] = _cdpp(lc, "lightkurve")
-        row[f"{prefix}cdpp_everest"] = _cdpp(lc, "everest")
-    row["crowding"] = _number(corrector.tpf.hdu[1].header.get("CROWDSAP"))
-    if options.get("survival"):
-        row["survival"] = _number(getattr(corrector.result, "transit_survival", None))
-    row["n_outliers"] = int(np.sum(corrector.outlier_mask))
-    return row
-
-
 def fit_file(path, output, *, sensitivity=False, cadences=None, overwrite=False, **options):
     """Fit a file, write the fit and return it; the options are those of `fit_files`."""
     from scope_models import fit_tpf
@@ -516,15 +524,24 @@ def fit_file(path, output, *, sensitivity=False, cadences=None, overwrite=False,
         names = {item.name for item in fields(FitOptions)}
         few = {name: options.pop(name) for name in names & options.keys()}
         pixels = read_pixels(path)[: cadences or None]
+        if options.get("neighbors") not in {None, "find"}:
+            options["neighbors"] = _neighbors(options["neighbors"], pixels)
         fit = fit_tpf(pixels, options=FitOptions(**few), **options)
     fit.write(output, overwrite=overwrite)
     return fit
 
 
+def _neighbors(catalog, pixels):
+    """Return columns and rows of a catalog's stars in the pixels."""
+    places = star_places("neighbors", Table.read(catalog), pixels)
+    size = np.array(pixels.flux.shape[:0:-1])
+    return places[((places > -0.5) & (places < size - 0.5)).all(axis=1)]
+
+
 def _fitted(task, output, seed, **options):  # noqa: ARG001 - nothing is drawn
     """Fit a file."""
     fit = fit_file(task["file"], output, overwrite=True, **options)
-    row = _header_row(read_pixels(task["file"])) | {
+    row = header_row(read_pixels(task["file"])) | {
         "n_cadences": len(fit.time),
         "reduced_chi2": float(fit.reduced_chi2),
         "flux": float(np.nanmedian(without_unit(fit.flux))),
@@ -560,5 +577,5 @@ def _simulated(task, output, seed, *, detector, motion, cadences):
     return {
         "n_cadences": len(motion),
         "n_pixels": int(observation.aperture.sum()),
-        "cdpp": _cdpp(flux, "lightkurve"),
+        "cdpp": noise_of(flux, "lightkurve"),
     }

@@ -46,6 +46,9 @@ def _run(arguments):
     options = {name: getattr(arguments, name) for name in arguments.names}
     if arguments.command == "inject":
         options["planets"] = _batch.planets_of(arguments)
+    if arguments.command == "detrend":
+        many, one = _detrend_options(arguments)
+        options |= one if arguments.output_dir is None else many
     if arguments.output_dir is not None:
         return _batch.run(f"{arguments.command}_files", arguments, arguments.input, **options)
     path = _batch.single(arguments)
@@ -86,6 +89,67 @@ def _add_detrend(commands):
         action="store_true",
         help="find the part of a transit that survives, by a second correction",
     )
+    add(
+        "--aperture",
+        dest="aperture_mask",
+        choices=("pipeline", "threshold", "all"),
+        help="pixels that are summed (default: those whose sum is most precise)",
+    )
+    masked = parser.add_argument_group("transits that are left out of the fit")
+    for name, text in (
+        ("period", "period of a planet, days"),
+        ("t0", "a mid-transit, days as in the file"),
+        ("duration", "of its transits, days"),
+    ):
+        masked.add_argument(f"--{name}", type=float, metavar=name[0].upper(), help=text)
+    masked.add_argument(
+        "--planets",
+        metavar="TABLE",
+        help="a table that astropy reads with these columns: one row for each file",
+    )
+    _add_format(parser.add_argument_group("files for archives, with --output-dir"))
+
+
+def _add_format(group):
+    """Add the options of the format of many light curves."""
+    group.add_argument(
+        "--format",
+        choices=("fits", "hlsp", "parquet"),
+        default="fits",
+        help="fits: a file per star; hlsp: files as in an archive's collection; parquet: one data "
+        "set (default: fits)",
+    )
+    for name, text in (
+        ("hlsp-id", "identifier of the collection, for --format hlsp"),
+        ("lead", "name of who leads it"),
+        ("version", "its version, as 1.0"),
+        ("title", "its title"),
+        ("doi", "its digital object identifier"),
+    ):
+        group.add_argument(f"--{name}", metavar=name[-2:].upper(), help=text)
+
+
+def _detrend_options(arguments):
+    """Return options for many files, and for one, that are not arguments of a correction."""
+    planet = {name: getattr(arguments, name) for name in ("period", "t0", "duration")}
+    given = {name: value for name, value in planet.items() if value is not None}
+    if given and (len(given) < 3 or arguments.planets is not None):
+        raise ValueError("a mask of transits needs --period, --t0 and --duration, or --planets")
+    names = {"hlsp_id": "id", "lead": "lead", "version": "version", "title": "title", "doi": "doi"}
+    hlsp = {new: getattr(arguments, name) for name, new in names.items()}
+    hlsp = {name: value for name, value in hlsp.items() if value is not None}
+    if arguments.format == "hlsp" and not {"id", "lead", "version"} <= hlsp.keys():
+        raise ValueError("--format hlsp needs --hlsp-id, --lead and --version")
+    if arguments.output_dir is None and (arguments.format != "fits" or arguments.planets):
+        raise ValueError("--format and --planets need an --output-dir")
+    many = {"format": arguments.format, "hlsp": hlsp or None}
+    if arguments.planets is not None:
+        from astropy.table import Table
+
+        many["planets"] = Table.read(arguments.planets)
+    elif given:
+        many["planets"] = {name: [value] for name, value in given.items()}
+    return many, {"transits": given or None}
 
 
 def _detrend(arguments, path, **options):
@@ -136,6 +200,12 @@ def _add_fit(commands):
         metavar="S",
         help="standard deviation of the response between pixels; 0: all alike (default: 0.01 if "
         "the PSF describes the pixels, else 0)",
+    )
+    add(
+        "--neighbors",
+        metavar="TABLE",
+        help="other stars in the pixels: find, or a table that astropy reads with the columns ra "
+        "and dec (degrees), or x and y (pixels); stars outside of the pixels are left out",
     )
     add(
         "--positions",

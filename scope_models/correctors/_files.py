@@ -9,12 +9,19 @@ from scope_models.correctors._model import PLDOptions
 from scope_models.correctors.pld import PLDCorrector
 from scope_models.io import read_pixels
 from scope_models.io._atomic import atomic_path, check_output
+from scope_models.io._hlsp import archive_hdulist
 from scope_models.io._light_curves import make_light_curve_hdulist
 from scope_models.io._opening import naming
 from scope_models.io.tpf import write_hdulist
 from scope_models.photometry import cdpp
 
-__all__ = ["detrend_file", "make_lightcurve_hdulist"]
+__all__ = [
+    "correct_file",
+    "detrend_file",
+    "light_curve_arrays",
+    "make_archive_hdulist",
+    "make_lightcurve_hdulist",
+]
 
 
 def detrend_file(path, output, *, figure=None, overwrite=False, survival=False, **options):
@@ -34,7 +41,9 @@ def detrend_file(path, output, *, figure=None, overwrite=False, survival=False, 
     survival : bool, optional
         Whether the file has the card PLDSURV, `PLDFit.survival`: it takes a second correction.
     **options
-        Arguments of `PLDCorrector.correct`, and fields of `PLDOptions`.
+        Arguments of `PLDCorrector.correct`, and fields of `PLDOptions`; ``transits``, a mapping
+        with the period, t0 (a mid-transit, as TIME) and duration of a planet in days, masks its
+        transits.
 
     Returns
     -------
@@ -70,10 +79,7 @@ def detrend_file(path, output, *, figure=None, overwrite=False, survival=False, 
 
         check_figure_format(figure)
     with naming(path):
-        corrector = PLDCorrector(path)
-        names = {item.name for item in fields(PLDOptions)}
-        few = {name: options.pop(name) for name in names & options.keys()}
-        corrector.correct(options=PLDOptions(**few), **options)
+        corrector = correct_file(path, **options)
         hdus = make_lightcurve_hdulist(corrector, survival=survival)
     write_hdulist(hdus, output, overwrite=overwrite)
     if figure is not None:
@@ -82,6 +88,31 @@ def detrend_file(path, output, *, figure=None, overwrite=False, survival=False, 
         with atomic_path(figure, overwrite=overwrite) as temporary:
             save_figure(corrector.diagnose()[0].figure, temporary)
     return corrector
+
+
+def correct_file(path, transits=None, **options):
+    """Return a corrector after a correction; ``transits`` are as in `detrend_file`."""
+    corrector = PLDCorrector(path)
+    names = {item.name for item in fields(PLDOptions)}
+    few = {name: options.pop(name) for name in names & options.keys()}
+    if transits is not None:
+        period, t0, duration = _ephemeris(transits)
+        phase = np.mod(read_pixels(corrector.tpf).time - t0 + period / 2, period) - period / 2
+        options["transit_mask"] = np.abs(phase) <= duration / 2
+    corrector.correct(options=PLDOptions(**few), **options)
+    return corrector
+
+
+def _ephemeris(transits):
+    """Return period, a mid-transit and duration, checked."""
+    values = []
+    for name in ("period", "t0", "duration"):
+        if name not in transits:
+            raise ValueError(f"`transits` needs period, t0 and duration, got no {name}")
+        values.append(float(transits[name]))
+        if not np.isfinite(values[-1]) or (name != "t0" and values[-1] <= 0):
+            raise ValueError(f"`{name}` of the transits must be positive days, got {values[-1]}")
+    return values
 
 
 def make_lightcurve_hdulist(corrector, *, survival=False):
@@ -107,6 +138,60 @@ def make_lightcurve_hdulist(corrector, *, survival=False):
         aperture=corrector.aperture_mask,
         cards=_cards(corrector, survival),
     )
+
+
+def make_archive_hdulist(corrector, path, collection, *, survival=False):
+    """Make the FITS file of a corrected light curve as a `Collection` of an archive has them."""
+    series, result = read_pixels(corrector.tpf), corrector.result
+    cards = [("CDPPCONV", "lightkurve estimate_cdpp", "convention of CDPP and RAWCDPP")]
+    if result is not None:
+        cards += [
+            ("CROWDING", result.crowding, "share of the target in the aperture, at most"),
+            ("CONTAMIN", result.contamination, "constant light taken off, share"),
+            *_held_out(corrector),
+        ]
+    hdus = make_lightcurve_hdulist(corrector, survival=survival)
+    return archive_hdulist(hdus, series, collection, path, cards, _states(corrector, series))
+
+
+def _held_out(corrector):
+    """Return the cards of the scores on windows that the model has not seen."""
+    try:
+        residual, error, _ = corrector.held_out()
+    except ValueError:  # too few cadences
+        return []
+    scatter, pull = (float(np.sqrt(np.mean(x**2))) for x in (1e6 * residual, residual / error))
+    return [
+        ("HELDOUT", scatter, "[ppm] rms of held-out means of 13 cadences"),
+        ("HELDPULL", pull, "rms of the same over their errors"),
+    ]
+
+
+def _states(corrector, series):
+    """Return background, fitted position and width; NaN where there is none."""
+    n = len(series)
+    states = np.full((3, n), np.nan)
+    clean = getattr(getattr(corrector.result, "model", None), "clean", None)
+    if clean is not None:
+        usable = corrector.result.model.pixels.usable
+        states[:, usable] = *clean.position.T, clean.focus
+    background = np.full(n, np.nan)
+    if series.flux_bkg is not None:
+        background = np.nansum(series.flux_bkg[:, corrector.aperture_mask], axis=1)
+    return [
+        fits.Column("BKG_FLUX", "E", unit="e-/s", disp="E14.7", array=background),
+        fits.Column("POS_FIT1", "E", unit="pixel", disp="F10.5", array=states[0]),
+        fits.Column("POS_FIT2", "E", unit="pixel", disp="F10.5", array=states[1]),
+        fits.Column("WIDTH", "E", disp="E14.7", array=states[2]),
+    ]
+
+
+def light_curve_arrays(corrector):
+    """Return the light curve's arrays by name, as in the files of a `Collection`."""
+    series = read_pixels(corrector.tpf)
+    columns = _columns(corrector) + _states(corrector, series)
+    renamed = {series.mission.quality_column: "quality"}
+    return {renamed.get(c.name, c.name.lower()): np.asarray(c.array) for c in columns}
 
 
 def _columns(corrector):

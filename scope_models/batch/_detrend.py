@@ -1,0 +1,141 @@
+"""Corrects one file of many, and writes the light curve in the format of the run."""
+
+import warnings
+from pathlib import Path
+
+import numpy as np
+from astropy.table import Table
+
+from scope_models.batch._parquet import partition, write_star
+from scope_models.io import read_pixels
+from scope_models.io._atomic import atomic_path
+from scope_models.io._hlsp import Collection, run_label, sha256
+from scope_models.io._opening import cards_of, naming
+from scope_models.io.tpf import write_hdulist
+from scope_models.photometry import cdpp
+
+__all__ = [
+    "FORMATS",
+    "archive_name",
+    "detrended",
+    "header_row",
+    "noise_of",
+    "partition_of",
+    "write_manifest",
+]
+
+FORMATS = "fits", "hlsp", "parquet"
+
+
+def detrended(task, output, seed, *, format="fits", **options):  # noqa: A002, ARG001
+    """Correct a file."""
+    from scope_models.correctors import _files  # imports lightkurve
+
+    path, survival = task["file"], options.pop("survival", False)
+    hlsp = {name[5:]: options.pop(name) for name in list(options) if name.startswith("hlsp_")}
+    transits = task if "period" in task else None
+    with naming(path):
+        corrector = _files.correct_file(path, transits, **options)
+        series = read_pixels(corrector.tpf)
+        row = _correction_row(corrector, series, survival)
+        if format == "hlsp":
+            collection = Collection(**hlsp)
+            collection.name(series.header)  # raises an error if there is none
+            hdus = _files.make_archive_hdulist(corrector, path, collection, survival=survival)
+        elif format == "fits":
+            hdus = _files.make_lightcurve_hdulist(corrector, survival=survival)
+    if format == "parquet":
+        facts = {"key": task["key"], "output": task["output"]} | row
+        del facts["campaign"], facts["channel"]  # which the path has
+        write_star(output, facts, _files.light_curve_arrays(corrector))
+    else:
+        write_hdulist(hdus, output, overwrite=True)
+    if format == "hlsp":
+        row["sha256"] = sha256(output)
+    return row
+
+
+def _correction_row(corrector, series, survival):
+    """Return what is measured of a correction."""
+    header = series.header
+    row = header_row(series)
+    row["campaign"], row["channel"] = _place(header)
+    row |= {"ra": number_of(header.get("RA_OBJ")), "dec": number_of(header.get("DEC_OBJ"))}
+    row["n_pixels"] = int(corrector.aperture_mask.sum())
+    for prefix, lc in (("raw_", corrector.original_lc), ("", corrector.corrected_lc)):
+        row[f"{prefix}cdpp"] = noise_of(lc, "lightkurve")
+        row[f"{prefix}cdpp_everest"] = noise_of(lc, "everest")
+    row["crowding"] = number_of(header.get("CROWDSAP"))
+    if survival:
+        row["survival"] = number_of(getattr(corrector.result, "transit_survival", None))
+    row["n_outliers"] = int(np.sum(corrector.outlier_mask))
+    return row
+
+
+def archive_name(collection, file, key):
+    """Return the name of a file in a collection; that of its key where the headers name none."""
+    try:
+        return collection.name(_cards(file))
+    except ValueError:
+        return f"{key}-lc.fits"
+
+
+def partition_of(file, key):
+    """Return the place of a star in the data set, by campaign and channel."""
+    return partition(*_place(_cards(file)), key)
+
+
+def _place(cards):
+    """Return campaign, quarter or sector, and channel or camera and CCD; empty if unknown."""
+    channel = cards.get("CHANNEL")
+    if channel is None and "CCD" in cards:
+        channel = f"{cards.get('CAMERA')}-{cards['CCD']}"
+    return run_label(cards), "" if channel is None else str(channel)
+
+
+def _cards(file):
+    """Return the cards of a target pixel file; none of one that cannot be read."""
+    from astropy.io import fits
+
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            with fits.open(file) as hdus:
+                return cards_of(hdus[0].header, hdus[1].header)
+    except (OSError, ValueError, IndexError, EOFError, fits.VerifyError):
+        return {}
+
+
+def write_manifest(table, folder):
+    """Write the list of the files of a collection, with their checksums."""
+    path = Path(folder).absolute() / "manifest.csv"
+    names = {"output": "file", "sha256": "sha256", "object": "target", "file": "tpf"}
+    listed = table[list(names)]
+    listed["file"] = [Path(file).name for file in listed["file"]]
+    listed.meta.clear()
+    listed = Table(list(listed.itercols()), names=list(names.values()))
+    with atomic_path(path, overwrite=True) as temporary:
+        listed.write(temporary, format="ascii.csv")
+    return path
+
+
+def header_row(series):
+    """Return what the header has: name, mission and magnitude."""
+    header, mission = series.header, series.mission
+    row = {"object": str(header.get("OBJECT") or ""), "n_cadences": len(series)}
+    row["mission"] = mission.name if mission else ""
+    row["mag"] = number_of(header.get(mission.magnitude_keyword) if mission else None)
+    return row
+
+
+def number_of(value):
+    """Return a number, NaN for anything else."""
+    return float(value) if isinstance(value, (int, float)) else np.nan
+
+
+def noise_of(lc, method):
+    """Return the noise of a light curve, NaN if it is too short."""
+    try:
+        return float(cdpp(lc, method=method))
+    except ValueError:
+        return np.nan

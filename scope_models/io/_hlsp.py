@@ -1,0 +1,179 @@
+"""Light curves of an archive's collection: their names, keywords and columns.
+
+The conventions are those of MAST for contributed products: "File Naming Convention", "Common
+Metadata" and "Light-curve Metadata" of https://outerspace.stsci.edu/display/MASTDOCS.
+"""
+
+import hashlib
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from scope_models.missions import Mission
+
+__all__ = ["Collection", "archive_hdulist", "run_label", "sha256"]
+
+#: Instrument and filter in names; of TESS as in the collection TESS-SPOC.
+_INSTRUMENTS = {"TESS": ("phot", "tess")}
+_KEPLER = "kepler", "kepler"
+_RUNS = {"CAMPAIGN": "c{:02d}", "QUARTER": "q{:02d}", "SECTOR": "s{:04d}"}
+_LICENSE = "CC BY 4.0", "https://creativecommons.org/licenses/by/4.0/"
+_ID, _VERSION = re.compile(r"[a-z][a-z0-9-]{0,18}[a-z0-9]"), re.compile(r"\d{1,2}(\.\d{1,2}){0,2}")
+#: Longest name of a target with its run, and of a file.
+_LONGEST_TARGET, _LONGEST_NAME = 30, 90
+
+
+@dataclass(frozen=True)
+class Collection:
+    """A collection of light curves in an archive; checked when it is made.
+
+    Parameters
+    ----------
+    id : str
+        Its identifier: letters, digits and hyphens, at most 20, the first a letter.
+    lead : str
+        Full name of who leads the project, in ASCII, as FITS headers are.
+    version : str
+        Its version: up to three numbers, as "1.0".
+    title : str, optional
+        Its title, by default the identifier.
+    doi : str, optional
+        Its digital object identifier, which the archive gives.
+    """
+
+    id: str
+    lead: str
+    version: str
+    title: str = ""
+    doi: str = ""
+
+    def __post_init__(self):
+        for name in ("id", "lead", "version", "title", "doi"):
+            value = getattr(self, name)
+            if not isinstance(value, str) or not re.fullmatch(r"[ -~]{0,68}", value):
+                raise ValueError(
+                    f"`hlsp_{name}` must be text of at most 68 ASCII characters, got {value!r}"
+                )
+        if not _ID.fullmatch(self.id.lower()):
+            raise ValueError(
+                "`hlsp_id` must be 2 to 20 letters, digits and hyphens, beginning with a letter, "
+                f"got {self.id!r}"
+            )
+        if not self.lead.strip():
+            raise ValueError("`hlsp_lead` must be the name of who leads the project")
+        if not _VERSION.fullmatch(self.version):
+            raise ValueError(f"`hlsp_version` must be as 1 or 1.0, got {self.version!r}")
+
+    def name(self, cards):
+        """Return the name of the file of a star from the cards of its target pixel file."""
+        mission, run = Mission.from_header(cards), run_label(cards)
+        target = re.sub(r"\s+", "", str(cards.get("OBJECT") or "")).lower()
+        target = re.sub(r"[^a-z0-9+.-]+", "-", target).strip("+.-")
+        if mission is None or not target:
+            raise ValueError("the headers must name the mission and the target (OBJECT)")
+        instrument, band = _INSTRUMENTS.get(mission.name, _KEPLER)
+        place = f"{target}-{run}" if run else target
+        name = f"hlsp_{self.id}_{mission.name}_{instrument}_{place}_{band}_v{self.version}_lc.fits"
+        if len(place) > _LONGEST_TARGET or len(name) > _LONGEST_NAME:
+            raise ValueError(f"the name of the target is too long for an archive: {place}")
+        return name.lower()
+
+
+def run_label(cards):
+    """Return campaign, quarter or sector as it is in file names, "c05", "q12" or "s0015"."""
+    for keyword, form in _RUNS.items():
+        number = cards.get(keyword)
+        if isinstance(number, int) and number >= 0:
+            return form.format(number)
+    return ""
+
+
+def sha256(path):
+    """Return the checksum of a file."""
+    with Path(path).open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def archive_hdulist(hdus, series, collection, path, cards=(), columns=()):
+    """Turn the file of a light curve into one of a collection.
+
+    ``hdus`` are those of `make_light_curve_hdulist`, ``series`` the `PixelSeries`, ``path`` the
+    target pixel file; further ``cards`` go into the primary header, further ``columns`` into the
+    table. Times are TDB in all headers.
+    """
+    from astropy.io import fits
+
+    primary, old = hdus[0].header, hdus[1]
+    quality = series.mission.quality_column
+    if quality != "QUALITY":  # lightkurve leaves out flagged cadences of Kepler by the other
+        columns = [*columns, fits.Column("QUALITY", "J", array=old.data[quality])]
+    table = fits.BinTableHDU.from_columns(
+        old.columns + fits.ColDefs(columns), header=old.header, name="LIGHTCURVE"
+    )
+    table.columns["TIME"].unit = "d"
+    shared = _times(table, series) + _place(series)
+    for header in (primary, table.header):
+        header.remove("DATE-OBS", ignore_missing=True)
+        if header.get("RADESYS", "ICRS") == "ICRS":
+            header.remove("EQUINOX", ignore_missing=True)
+        for keyword, value, comment in shared:
+            header[keyword] = (value, comment)
+    for keyword, value, comment in (*_collection_cards(collection, series, path), *cards):
+        primary[keyword] = (value, comment)
+    return fits.HDUList([hdus[0], table, *hdus[2:]])
+
+
+def _times(table, series):
+    """Return the cards of the span of time, in TDB."""
+    from astropy.time import Time
+
+    first, last = table.header["TSTART"], table.header["TSTOP"]
+    days = np.array([first, (first + last) / 2, last])
+    times = Time(series.mission.time_zero, days, format="jd", scale="tdb")
+    cards = [("TIMESYS", "TDB", "barycentric dynamical time")]
+    for name, time in zip(("BEG", "AVG", "END"), times, strict=True):
+        cards += [
+            (f"DATE-{name}", time.isot, "TDB at the barycenter"),
+            (f"MJD-{name.replace('AVG', 'MID')}", float(time.mjd), "[d] TDB at the barycenter"),
+        ]
+    cards.append(("TELAPSE", last - first, "[d] from the first to the last cadence"))
+    exposure = table.header.get("TIMEDEL"), table.header.get("DEADC")
+    if None not in exposure:
+        seconds = 86400 * exposure[0] * exposure[1] * int(np.isfinite(table.data["FLUX"]).sum())
+        cards.append(("XPOSURE", seconds, "[s] of all cadences, without dead time"))
+    return cards
+
+
+def _place(series):
+    """Return the cards of place and band."""
+    band = _INSTRUMENTS.get(series.mission.name, _KEPLER)[1]
+    return [
+        ("RA_TARG", series.header.get("RA_OBJ"), "[deg] right ascension"),
+        ("DEC_TARG", series.header.get("DEC_OBJ"), "[deg] declination"),
+        ("RADESYS", series.header.get("RADESYS") or "ICRS", "reference frame"),
+        ("FILTER", band.upper(), "name of the filter"),
+    ]
+
+
+def _collection_cards(collection, series, path):
+    """Return the cards of the collection and of where the light curve comes from."""
+    cards = [
+        ("HLSPID", collection.id.upper(), "identifier of the collection"),
+        ("HLSPLEAD", collection.lead, "lead of the project"),
+        ("HLSPNAME", collection.title or collection.id, "title of the collection"),
+        ("HLSPTARG", str(series.header.get("OBJECT")), "target"),
+        ("HLSPVER", collection.version, "version of the collection"),
+        ("DOI", collection.doi, "digital object identifier"),
+        ("LICENSE", _LICENSE[0], "license of these data"),
+        ("LICENURL", _LICENSE[1], "its text"),
+        ("OBSERVAT", series.mission.telescope, "observatory"),
+        ("INSTRUME", series.mission.instrument, "instrument"),
+        ("MISSION", series.mission.name, "mission"),
+        ("TPFFILE", Path(path).name[-60:], "target pixel file"),
+        ("TPFSHA", sha256(path), ""),
+    ]
+    if "scope_models" in str(series.header.get("CREATOR")):
+        cards.append(("SIMULATD", True, "simulated pixels"))
+    return cards
