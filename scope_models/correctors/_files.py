@@ -41,7 +41,7 @@ def detrend_file(path, output, *, figure=None, overwrite=False, survival=False, 
     survival : bool, optional
         Whether the file has the card PLDSURV, `PLDFit.survival`: it takes a second correction.
     **options
-        Arguments of `PLDCorrector.correct`, and fields of `PLDOptions`; ``transits``, a mapping
+        Arguments of `PLDCorrector` and its `correct`, and fields of `PLDOptions`; ``transits``, a mapping
         with the period, t0 (a mid-transit, as TIME) and duration of a planet in days, masks its
         transits.
 
@@ -90,9 +90,9 @@ def detrend_file(path, output, *, figure=None, overwrite=False, survival=False, 
     return corrector
 
 
-def correct_file(path, transits=None, **options):
-    """Return a corrector after a correction; ``transits`` are as in `detrend_file`."""
-    corrector = PLDCorrector(path)
+def correct_file(path, transits=None, aperture_mask=None, **options):
+    """Return a corrector after a correction; the options are those of `detrend_file`."""
+    corrector = PLDCorrector(path, aperture_mask)
     names = {item.name for item in fields(PLDOptions)}
     few = {name: options.pop(name) for name in names & options.keys()}
     if transits is not None:
