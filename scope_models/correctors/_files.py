@@ -41,9 +41,9 @@ def detrend_file(path, output, *, figure=None, overwrite=False, survival=False, 
     survival : bool, optional
         Whether the file has the card PLDSURV, `PLDFit.survival`: it takes a second correction.
     **options
-        Arguments of `PLDCorrector` and its `correct`, and fields of `PLDOptions`; ``transits``, a mapping
-        with the period, t0 (a mid-transit, as TIME) and duration of a planet in days, masks its
-        transits.
+        Arguments of `PLDCorrector` and its `correct`, and fields of `PLDOptions`; ``transits``, a
+        mapping with the period, t0 (a mid-transit, as TIME) and duration of a planet in days, masks
+        its transits.
 
     Returns
     -------
