@@ -1,9 +1,9 @@
 """What is made of a fit: its file, the twin of the star, its sensitivity as a figure shows it."""
 
 import json
-from dataclasses import fields
 
 import numpy as np
+from astropy.stats import mad_std
 from scipy.ndimage import median_filter, uniform_filter1d
 
 from scope_models._arrays import native
@@ -38,7 +38,7 @@ __all__ = [
 ]
 
 _CREATOR, _VERSION = "scope_models fit", 2
-_OF_STAR = ("x", "y", "flux", "x_err", "y_err", "flux_err")
+_NOT_OF_THE_DETECTOR = ("sensitivity", "interpixel", "psf")
 _IMAGES = ("covariance", "interpixel", "interpixel_err", "observed", "observed_err", "fitted")
 # Two periods of the roll of K2: what is faster is the pixels', not the star's.
 SMOOTHING_DAYS = 0.5
@@ -60,18 +60,16 @@ def write_fit(fit, path, *, overwrite):
     for column in fit.cadences.itercols():
         name, unit = column.name.upper(), str(column.unit or "") or None
         kind = {"i": "K", "u": "K", "b": "L"}.get(column.dtype.kind, "D")
-        parts = (
-            {name: column} if column.ndim == 1 else {f"{name}{i + 1}": column[:, i] for i in (0, 1)}
-        )
-        columns += [fits.Column(n, kind, unit=unit, array=np.asarray(c)) for n, c in parts.items()]
-    parameters = fits.BinTableHDU(fit.parameters, name="PARAMETERS")
-    neighbors = np.array([[getattr(s, n) for n in _OF_STAR] for s in fit.neighbors], dtype=float)
-    neighbors = neighbors.reshape(len(fit.neighbors), len(_OF_STAR), len(fit.time))
+        parts = [column] if column.ndim == 1 else column.T
+        names = [name] if column.ndim == 1 else [f"{name}1", f"{name}2"]
+        for key, part in zip(names, parts, strict=True):
+            columns.append(fits.Column(key, kind, unit=unit, array=np.asarray(part)))
+    neighbors = np.array([list(vars(star).values()) for star in fit.neighbors], dtype=float)
     text = np.frombuffer(json.dumps(_description(fit)).encode(), dtype=np.uint8)
     hdus = [
         primary,
         fits.BinTableHDU.from_columns(columns, name="CADENCES"),
-        parameters,
+        fits.BinTableHDU(fit.parameters, name="PARAMETERS"),
         *(fits.ImageHDU(np.array(getattr(fit, name)), name=name.upper()) for name in _IMAGES),
         *([fits.ImageHDU(neighbors, name="NEIGHBORS")] if fit.neighbors else []),
         fits.ImageHDU(text, name="DESCRIPTION"),
@@ -90,64 +88,56 @@ def read_fit(path):
         try:
             return _fields_of(hdus)
         except Exception as error:  # a file can hold anything under the names of a fit
-            reason = one_line(error)
-            raise RefusedError(
-                f"{path} holds no fit that can be made: {type(error).__name__}: {reason}"
-            ) from error
+            reason = f"{type(error).__name__}: {one_line(error)}"
+            raise RefusedError(f"{path} holds no fit that can be made: {reason}") from error
 
 
 def _fields_of(hdus):
     """Return the fields of the fit in an HDU list."""
     table = hdus["CADENCES"].data
-    columns = {"focus": np.ones(len(table))}  # the first version had none
-    names = [name for name in CADENCE_UNITS if name.upper() in table.names]
-    columns |= {name: native(table[name.upper()]) for name in names}
+    columns = {n: native(table[n.upper()]) for n in CADENCE_UNITS if n.upper() in table.names}
     if "POS_CORR1" in table.names:
-        corrections = [native(table[f"POS_CORR{i}"]) for i in (1, 2)]
-        columns["pos_corr"] = np.column_stack(corrections)
-    values = {"cadences": cadence_table(columns)}
-    values |= {name: native(hdus[name.upper()].data) for name in _IMAGES}
+        columns["pos_corr"] = np.column_stack([native(table[f"POS_CORR{i}"]) for i in (1, 2)])
+    values = {name: native(hdus[name.upper()].data) for name in _IMAGES}
     cube = native(hdus["NEIGHBORS"].data) if "NEIGHBORS" in hdus else ()
-    values["neighbors"] = tuple(FittedStar(*star) for star in cube)
     described = json.loads(native(hdus["DESCRIPTION"].data).astype(np.uint8).tobytes())
-    model = _model(described.pop("model"))
-    detector = described.pop("detector")
-    detector["sensitivity"] = model.sensitivity
-    detector["interpixel"] = np.maximum(values["interpixel"], 0.0)
-    detector["shape"] = tuple(detector["shape"])
-    described["response"] = tuple(
+    prf, detector = described["model"], described["detector"]
+    psf, sensitivity = make_model(prf["psf"]), make_model(prf["sensitivity"])
+    model = PRF(psf if sensitivity is None else psf * sensitivity)
+    for name, value in prf["values"].items():
+        parameter = getattr(model, name)
+        parameter.value, parameter.fixed = value, prf["fixed"][name]
+        parameter.bounds = tuple(prf["bounds"][name])
+    detector |= {"sensitivity": model.sensitivity, "shape": tuple(detector["shape"])}
+    response = tuple(
         PixelShares(**{name: unpacked(value) for name, value in shares.items()})
-        for shares in described.get("response", ())
+        for shares in described["response"]
     )
-    if described["options"]["interpixel"] is None:
-        described["options"]["interpixel"] = np.inf
-    names = described.pop("names")
-    kinds = [model.parameter_kinds.get(name, "other") for name in names]
-    kinds = described.pop("kinds", kinds)  # the first version had none
-    statistics = {name: described.pop(name, np.nan) for name in STATISTICS}
-    values["parameters"] = parameter_table(
-        model,
-        [FitParameter(*item) for item in zip(names, kinds, strict=True)],
-        described.pop("parameters"),
-        values["covariance"],
-        described.pop("at_bounds", ()),
-        statistics,
-        response=bool(described["response"]),
-    )
-    values |= {"statistics": statistics, "model": model, "detector": Detector(**detector)}
-    return described | values
+    options, statistics = described["options"], {n: described.get(n, np.nan) for n in STATISTICS}
+    if options["interpixel"] is None:
+        options["interpixel"] = np.inf
+    free = [*map(FitParameter, described["names"], described["kinds"])]
+    parameters = parameter_table(
+        model, free, described["parameters"], values["covariance"], described["at_bounds"],
+        statistics, response=bool(response),
+    )  # fmt: skip
+    return values | {
+        "model": model,
+        "parameters": parameters,
+        "cadences": cadence_table(columns),
+        "neighbors": tuple(FittedStar(*star) for star in cube),
+        "statistics": statistics,
+        "time_format": described["time_format"],
+        "detector": Detector(**detector, interpixel=np.maximum(values["interpixel"], 0.0)),
+        "options": options,
+        "meta": described["meta"],
+        "response": response,
+    }
 
 
 def _description(fit):
     """Values that are neither an array by cadence nor an image."""
-    model = fit.model
-    detector = {
-        item.name: getattr(fit.detector, item.name)
-        for item in fields(fit.detector)
-        if item.name not in {"sensitivity", "interpixel", "psf"}
-    }
-    names = model.param_names
-    options = dict(fit.options)
+    model, detector, options = fit.model, vars(fit.detector), dict(fit.options)
     if not np.isfinite(options["interpixel"]):
         options["interpixel"] = None
     return {
@@ -155,57 +145,41 @@ def _description(fit):
             "psf": describe_model(model.psf),
             "sensitivity": describe_model(model.sensitivity),
             "values": numbers_of(model),
-            "fixed": {n: bool(getattr(model, n).fixed) for n in names},
-            "bounds": {n: list(getattr(model, n).bounds) for n in names},
+            "fixed": {name: bool(fixed) for name, fixed in model.fixed.items()},
+            "bounds": {name: list(bounds) for name, bounds in model.bounds.items()},
         },
-        "detector": detector,
+        "detector": {n: detector[n] for n in detector if n not in _NOT_OF_THE_DETECTOR},
         "names": list(fit.names),
         "kinds": fit.parameters["kind"][: len(fit.names)].tolist(),
         "at_bounds": list(fit.at_bounds),
         "parameters": list(fit.values.values()),
         "options": options,
         "meta": dict(fit.meta),
-        "response": [
-            {item.name: packed(getattr(shares, item.name)) for item in fields(shares)}
-            for shares in fit.response
-        ],
+        "response": [{n: packed(v) for n, v in vars(shares).items()} for shares in fit.response],
         "time_format": fit.time_format,
         **fit.statistics,
     }
-
-
-def _model(described):
-    """The PRF of a description."""
-    psf, sensitivity = make_model(described["psf"]), make_model(described["sensitivity"])
-    model = PRF(psf if sensitivity is None else psf * sensitivity)
-    for name, value in described["values"].items():
-        parameter = getattr(model, name)
-        parameter.value = value
-        parameter.fixed = described["fixed"][name]
-        parameter.bounds = tuple(described["bounds"][name])
-    return model
 
 
 def make_scene(fit, positions, signal):
     """Return the scene of a fit."""
     checked_choice("positions", positions, ("fitted", "path"))
     checked_choice("signal", signal, ("smooth", "fitted", "constant"))
-    x, y = fit.x, fit.y
+    xy = np.column_stack([fit.x, fit.y])
     if fit.response and fit.pos_corr is not None:
-        x, y = (
-            path + denoised(fit, p - path, error)
-            for p, path, error in zip((x, y), fit.pos_corr.T, (fit.x_err, fit.y_err), strict=True)
-        )
+        for axis, error in enumerate((fit.x_err, fit.y_err)):
+            path = fit.pos_corr[:, axis]
+            xy[:, axis] = path + denoised(fit, xy[:, axis] - path, error)
     if positions == "path":
         if fit.pos_corr is None:
             raise ValueError("`positions` is 'path', but the file had no POS_CORR")
-        basis = np.column_stack([np.ones(len(x)), fit.pos_corr])
-        x, y = (basis @ np.linalg.lstsq(basis, p, rcond=None)[0] for p in (x, y))
-    middle = float(np.median(x)), float(np.median(y))
+        basis = np.column_stack([np.ones(len(xy)), fit.pos_corr])
+        xy = basis @ np.linalg.lstsq(basis, xy, rcond=None)[0]
     flux = float(np.median(fit.flux))
     if flux <= 0:
         raise ValueError(f"the star has no flux to simulate: its median is {flux:g} e-/s")
     detector = fit.detector.replace(read_noise=_read_noise(fit))
+    middle = np.median(xy, axis=0).tolist()
     stars = []
     for star in (fit, *fit.neighbors):
         *place, light = (float(np.median(values)) for values in (star.x, star.y, star.flux))
@@ -213,14 +187,8 @@ def make_scene(fit, positions, signal):
             mag = detector.zero_point_mag - 2.5 * np.log10(light / detector.zero_point)
             own = {} if stars else {"signal": _signal(fit, signal)}
             stars.append(Star(float(mag), *(place if stars else middle), psf=fit.psf, **own))
-    motion = Motion(
-        time=fit.time,
-        x=x - middle[0],
-        y=y - middle[1],
-        quality=fit.quality,
-        cadenceno=fit.cadenceno,
-        time_format=fit.time_format,
-    )
+    arrays = {name: getattr(fit, name) for name in ("time", "quality", "cadenceno", "time_format")}
+    motion = Motion(x=xy[:, 0] - middle[0], y=xy[:, 1] - middle[1], **arrays)
     effects = () if np.all(fit.focus == 1) else (Focus(series=fit.focus),)
     if fit.response:
         left = denoised(fit, fit.background, fit.background_err)
@@ -231,12 +199,10 @@ def make_scene(fit, positions, signal):
 
 def _identity(cards, mission):
     """Return the fields of a scene that identify the target, of the cards that the file had."""
-    names = {"target_id": ("KEPLERID", "TICID"), "object_name": ("OBJECT",)}
-    names |= {"ra": ("RA_OBJ",), "dec": ("DEC_OBJ",), "column": ("1CRV5P",), "row": ("2CRV5P",)}
-    found = {
-        name: next((cards[key] for key in keys if key in cards), None)
-        for name, keys in names.items()
-    }
+    names = {"object_name": "OBJECT", "ra": "RA_OBJ", "dec": "DEC_OBJ"}
+    names |= {"column": "1CRV5P", "row": "2CRV5P"}
+    names["target_id"] = "KEPLERID" if "KEPLERID" in cards else "TICID"
+    found = {name: cards[key] for name, key in names.items() if key in cards}
     steps = [cards.get(key) for key in ("1CDLT5", "12PC5", "2CDLT5", "22PC5")]
     if all(isinstance(step, int | float) for step in steps):
         east, north = steps[0] * steps[1], steps[2] * steps[3]
@@ -244,7 +210,7 @@ def _identity(cards, mission):
     if mission in MISSIONS:
         names = (MISSIONS[mission].run, *MISSIONS[mission].places)
         found["metadata"] = {n: cards[n.upper()] for n in names if n.upper() in cards}
-    return {name: value for name, value in found.items() if value is not None}
+    return found
 
 
 def _signal(fit, kind):
@@ -256,9 +222,8 @@ def _signal(fit, kind):
         relative = denoised(fit, fit.flux, fit.flux_scatter) / np.median(fit.flux)
     elif kind == "smooth":
         # Sums of pixels: unlike fitted fluxes they do not depend on errors of the PSF.
-        background = fit.background[:, None, None]
-        light = np.nansum(fit.observed - background, axis=(1, 2))
-        expected = np.nansum(fit.fitted - background, axis=(1, 2))
+        cubes = (cube - fit.background[:, None, None] for cube in (fit.observed, fit.fitted))
+        light, expected = (np.nansum(cube, axis=(1, 2)) for cube in cubes)
         ratio = np.divide(light, expected, out=np.ones_like(light), where=expected > 0)
         relative = smoothed(fit.time, relative * ratio)
         relative /= np.median(relative)
@@ -290,15 +255,13 @@ def _read_noise(fit):
     detector = fit.detector
     if len(fit.time) < _FEWEST_CADENCES:
         return detector.read_noise
-    seconds = detector.exposure_time
-    with np.errstate(invalid="ignore"):
-        steps = np.abs(np.diff(fit.residual, axis=0)) / 2**0.5
-        seen = np.isfinite(steps).any(axis=0)
-        flux = np.nanmedian(np.where(seen, fit.fitted, 0.0), axis=0)
-        scatter = 1.4826 * np.nanmedian(np.where(seen, steps, 0.0), axis=0) * seconds
-    faint = seen & (flux < max(_FAINT * flux.max(), np.median(flux[seen])))
-    light = np.maximum(flux + detector.background, 0.0) * seconds
-    variance = np.median((scatter**2 - light)[faint]) / detector.n_reads
+    steps = np.diff(fit.residual, axis=0)
+    seen = np.isfinite(steps).any(axis=0)
+    flux = np.nanmedian(fit.fitted[:, seen], axis=0)
+    scatter = mad_std(steps[:, seen], axis=0, ignore_nan=True) / 2**0.5
+    light = np.maximum(flux + detector.background, 0.0) / detector.exposure_time
+    variance = (scatter**2 - light)[flux < max(_FAINT * flux.max(), np.median(flux))]
+    variance = np.median(variance) * detector.exposure_time**2 / detector.n_reads
     return float(np.sqrt(max(variance, 0.0)))
 
 
@@ -314,13 +277,12 @@ def sensitivity_profiles(fit):
     offset = np.linspace(-0.5, 0.5, 51)
     profiles = {"offset": offset}
     for axis in "xy":
-        names = [name for name, place in model.powers.items() if place[0] == axis]
-        value = np.polynomial.polynomial.polyval(offset, [getattr(model, n).value for n in names])
-        free = [name for name in names if name in fit.names]
+        powers = {name: offset**power for name, (of, power) in model.powers.items() if of == axis}
+        value = sum(getattr(model, name).value * term for name, term in powers.items())
+        free = [name for name in powers if name in fit.names]
         index = [fit.names.index(name) for name in free]
-        powers = np.array([offset ** model.powers[name][1] for name in free]).reshape(len(free), -1)
-        block = fit.covariance[np.ix_(index, index)]
-        variance = np.einsum("iu,ij,ju->u", powers, block, powers)
+        terms = np.array([powers[name] for name in free]).reshape(-1, len(offset))
+        variance = np.einsum("iu,ij,ju->u", terms, fit.covariance[np.ix_(index, index)], terms)
         known = all(fit.errors[name] > 0 for name in free)
         profiles[axis] = value, np.sqrt(np.maximum(variance, 0.0)) if known else variance * np.nan
     return profiles
