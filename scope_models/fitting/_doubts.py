@@ -51,7 +51,6 @@ def _of_convergence(fit):
 
 def _of_sensitivity(fit):
     """Doubts about the response within a pixel."""
-    spread = {"x": np.std(fit.x), "y": np.std(fit.y)}
     for name, (axis, power) in fit.model.response_powers.items():
         if name not in fit.names:
             continue
@@ -69,8 +68,8 @@ def _of_sensitivity(fit):
             )
         elif not error * 0.5**power < _LARGEST_EDGE_ERROR:
             yield (
-                f"the motion ({spread[axis]:.2g} px rms along {axis}) does not constrain the "
-                f"sensitivity: {name} = {value:.3g} +- {error:.2g}"
+                f"the motion ({np.std(getattr(fit, axis)):.2g} px rms along {axis}) does not "
+                f"constrain the sensitivity: {name} = {value:.3g} +- {error:.2g}"
             )
 
 
@@ -82,7 +81,7 @@ def _of_pixels(fit):
             f"the response between pixels scatters by {100 * scatter:.2g} % where the prior is "
             f"{100 * prior:.2g} %: it describes errors of the PSF; interpixel=0 leaves it out"
         )
-    light, invented = _light(fit), np.median(fit.flux)
+    light, invented = np.nanmedian(_light(fit)), np.median(fit.flux)
     if invented > LARGEST_FLUX * light > 0:
         yield (
             f"the flux is {invented:.4g} e-/s where the pixels hold {light:.4g}: the PSF has most "
@@ -95,9 +94,9 @@ def _of_pixels(fit):
             f"{fit.reduced_chi2:.4g}, and largest in column {column}, row {row}"
             + ("" if fit.response else '; response="pixels" fits the share of each pixel')
         )
-        stars = [(np.median(star.x), np.median(star.y)) for star in (fit, *fit.neighbors)]
-        away = [np.hypot(*(place - stars).T).min() for place in find_stars(fit.observed)]
-        others = np.sum(np.array(away) > APART)
+        stars = np.array([np.median([star.x, star.y], axis=1) for star in (fit, *fit.neighbors)])
+        away = np.linalg.norm(find_stars(fit.observed)[:, None] - stars, axis=2).min(axis=1)
+        others = np.sum(away > APART)
         if others:
             yield (
                 f"{others} other maxi{'mum' if others == 1 else 'ma'} of the median image may be "
@@ -106,30 +105,27 @@ def _of_pixels(fit):
 
 
 def _light(fit):
-    """Light in the pixels, e-/s."""
-    return float(np.nanmedian(np.nansum(fit.observed - fit.background[:, None, None], axis=(1, 2))))
+    """Light in the pixels of each cadence, e-/s."""
+    return np.nansum(fit.observed - fit.background[:, None, None], axis=(1, 2))
 
 
 def _of_positions(fit):
     """Doubts about where the star is, and how it moves."""
-    if fit.pos_corr is not None:
-        errors = np.array([np.median(fit.x_err), np.median(fit.y_err)]) / len(fit.x) ** 0.5
-        for axis, path, error, slope in zip(
-            "xy", fit.pos_corr.std(axis=0), errors, fit.path_scale(), strict=True
-        ):
-            differs = not _SCALES[0] < slope < _SCALES[1] and abs(slope - 1) * path > 3 * error
+    for axis, slope, size in zip("xy", fit.path_scale(), fit.shape[::-1], strict=True):
+        position, error = getattr(fit, axis), np.median(getattr(fit, f"{axis}_err"))
+        if not _SCALES[0] < slope < _SCALES[1] and np.isfinite(slope):
+            path = fit.pos_corr[:, "xy".index(axis)].std()
+            differs = abs(slope - 1) * path > 3 * error / len(fit.x) ** 0.5
             if differs and path * max(1.0, abs(slope)) > _LEAST_MOTION:
                 yield (
                     f"the fitted motion along {axis} is {slope:.2g} times that of POS_CORR: the "
                     'PSF may have absorbed it; positions="path" or a richer PSF prevents it'
                 )
-    ny, nx = fit.shape
-    x, y = np.median(fit.x), np.median(fit.y)
-    if not (0 <= x <= nx - 1 and 0 <= y <= ny - 1):
-        yield f"the star is at the edge of the pixels: x = {x:.2f}, y = {y:.2f}"
-    lost = (fit.x <= -1) | (fit.x >= nx) | (fit.y <= -1) | (fit.y >= ny)
-    if lost.any():
-        yield f"in {lost.sum()} cadences the fitted position ends at its bounds, off the pixels"
+        if not 0 <= np.median(position) <= size - 1:
+            yield f"the star is at the edge of the pixels: {axis} = {np.median(position):.2f}"
+        lost = np.sum((position <= -1) | (position >= size))
+        if lost:
+            yield f"in {lost} cadences the fitted {axis} ends at its bounds, off the pixels"
 
 
 def _of_flux(fit):
@@ -145,11 +141,9 @@ def _of_flux(fit):
             "fluxes of the fainter ones have larger errors than those given"
         )
     good = np.ones(len(fit.time), dtype=bool) if fit.outliers is None else ~fit.outliers
-    light = np.nansum(fit.observed - fit.background[:, None, None], axis=(1, 2))
-    whole = (
-        np.isfinite(fit.observed).sum(axis=(1, 2)) == np.isfinite(fit.observed).any(axis=0).sum()
-    )
-    steps = np.diff(np.column_stack([fit.flux, light])[good & whole], axis=0)
+    seen = np.isfinite(fit.observed)
+    whole = seen.sum(axis=(1, 2)) == seen.any(axis=0).sum()
+    steps = np.diff(np.column_stack([fit.flux, _light(fit)])[good & whole], axis=0)
     error = float(np.sqrt(np.mean(fit.flux_scatter**2)))
     if len(steps):
         ours, pixels = np.sqrt(np.mean(steps**2, axis=0))
@@ -158,7 +152,7 @@ def _of_flux(fit):
                 f"the flux changes by {ours:.3g} e-/s from cadence to cadence, and the light in "
                 f"the pixels by {pixels:.3g}: it has branches, between which nothing decides"
             )
-    explained, chance = _by_position(fit, good)
+    explained, chance = _by_position(fit, good) if good.sum() >= _FEWEST else (0.0, 1.0)
     if explained > LARGEST_SCATTER * error and chance < _CHANCE:
         yield (
             f"the flux follows the position of the star by {explained:.3g} e-/s rms, where its "
@@ -171,17 +165,13 @@ def _by_position(fit, good):
 
     Slow changes do not count, and there are as many independent fluxes as are left by that.
     """
-    n = int(good.sum())
     time, x, y, flux = (values[good] for values in (fit.time, fit.x, fit.y, fit.flux))
-    if n < _FEWEST:
-        return 0.0, 1.0
     x, y = x - x.mean(), y - y.mean()
-    terms = np.column_stack([flux, x, y, x * x, x * y, y * y])
-    terms = terms - np.column_stack([smoothed(time, column) for column in terms.T])
-    fast, terms = terms[:, 0] - terms[:, 0].mean(), terms[:, 1:] - terms[:, 1:].mean(axis=0)
+    columns = [values - smoothed(time, values) for values in (flux, x, y, x * x, x * y, y * y)]
+    fast, *terms = (column - column.mean() for column in columns)
+    terms = np.column_stack(terms)
     part = terms @ np.linalg.lstsq(terms, fast, rcond=None)[0]
-    spans = np.ptp(time) / SMOOTHING_DAYS
-    free = max(min(spans, n) - terms.shape[1] - 1, 1)
+    free = max(min(np.ptp(time) / SMOOTHING_DAYS, len(time)) - terms.shape[1] - 1, 1)
     rest = np.sum((fast - part) ** 2)
     ratio = np.sum(part**2) / terms.shape[1] / max(rest / free, 1e-300)
     return float(part.std()), float(f_distribution.sf(ratio, terms.shape[1], free))

@@ -58,11 +58,6 @@ class FitParameter(Value):
     center: float = 0.0  # ... and mean
     start: float = 0.0
 
-    @property
-    def unit(self):
-        """Unit (str)."""
-        return _UNITS.get(self.kind, "")
-
 
 def fit_parameters(prf, shape):
     """Return the free shared parameters of a PRF on an image, without flux and position.
@@ -136,17 +131,15 @@ def parameter_table(model, parameters, values, covariance, at_bounds, statistics
         unknown |= set(model.response_powers)
     free, kinds, numbers = [p.name for p in parameters], model.parameter_kinds, numbers_of(model)
     rows = [
-        (p.name, value, np.nan if p.name in unknown else error, p.unit, False, p.kind,
-         p.name in at_bounds)
+        (p.name, value, np.nan if p.name in unknown else error, False, p.kind, p.name in at_bounds)
         for p, value, error in zip(parameters, values, np.sqrt(np.diag(covariance)), strict=True)
-    ]  # fmt: skip
-    for name in model.param_names[3:]:
-        if name not in free:
-            p = FitParameter(name, kinds.get(name, "other"))
-            rows.append((name, numbers[name], 0.0, p.unit, True, p.kind, False))
+    ]
+    others = [name for name in model.param_names[3:] if name not in free]
+    rows += [(n, numbers[n], 0.0, True, kinds.get(n, "other"), False) for n in others]
+    rows = [(*row[:3], _UNITS.get(row[4], ""), *row[3:]) for row in rows]
     names = ("name", "value", "error", "unit", "fixed", "kind", "at_bound")
-    kinds = ("U32", float, float, "U8", bool, "U16", bool)
-    table = Table(rows=rows or None, names=names, dtype=kinds)
+    dtypes = ("U32", float, float, "U8", bool, "U16", bool)
+    table = Table(rows=rows or None, names=names, dtype=dtypes)
     table["value"].info.format, table["error"].info.format = ".6g", ".2g"
     return table
 

@@ -124,9 +124,8 @@ class TPFFit(Value):
         )
 
     def _repr_html_(self):
-        lines = [line for line in self.summary().splitlines() if not line.startswith("  ")]
-        text = "<br>".join(escape(line) for line in lines)
-        return f"<p>{text}</p>{self.parameters._repr_html_()}"
+        lines = [escape(s) for s in self.summary().splitlines() if not s.startswith("  ")]
+        return f"<p>{'<br>'.join(lines)}</p>{self.parameters._repr_html_()}"
 
     # --- numbers --------------------------------------------------------------------------
     @property
@@ -187,13 +186,6 @@ class TPFFit(Value):
         return self.observed - self.fitted
 
     @cached_property
-    def _squares(self):
-        squares = (self.residual / self.observed_err) ** 2
-        if self.outliers is not None:
-            squares[self.outliers] = np.nan
-        return squares
-
-    @cached_property
     def chi2_pixels(self):
         """Chi-squared per degree of freedom of each pixel, (ny, nx); NaN without data."""
         return self._mean_squares(0)
@@ -205,8 +197,11 @@ class TPFFit(Value):
 
     def _mean_squares(self, axis):
         """Mean square of the scaled residuals, with the parameters spread over all data."""
-        count = np.isfinite(self._squares).sum(axis=axis)
-        total = np.nansum(self._squares, axis=axis) * (self.n_data / self.dof)
+        squares = (self.residual / self.observed_err) ** 2
+        if self.outliers is not None:
+            squares[self.outliers] = np.nan
+        count = np.isfinite(squares).sum(axis=axis)
+        total = np.nansum(squares, axis=axis) * (self.n_data / self.dof)
         return np.divide(total, count, out=np.full(total.shape, np.nan), where=count > 0)
 
     def quantity(self, name):
@@ -225,9 +220,9 @@ class TPFFit(Value):
         """
         from astropy import units as u
 
-        rows = dict(zip(self.parameters["name"], self.parameters, strict=True))
-        unit = rows[name]["unit"]
-        return u.Quantity(rows[name]["value"], u.electron / u.s if unit == "e-/s" else unit)
+        row = dict(zip(self.parameters["name"], self.parameters, strict=True))[name]
+        unit = u.electron / u.s if row["unit"] == "e-/s" else row["unit"]
+        return u.Quantity(row["value"], unit)
 
     def correlation(self):
         """
@@ -240,10 +235,8 @@ class TPFFit(Value):
         """
         deviation = np.sqrt(np.maximum(np.diag(self.covariance), 1e-300))
         matrix = self.covariance / np.outer(deviation, deviation)
-        table = Table({"name": list(self.names)})
-        for name, column in zip(self.names, matrix.T, strict=True):
-            table[name] = column
-        return table
+        columns = dict(zip(self.names, matrix.T, strict=True))
+        return Table({"name": list(self.names)} | columns)
 
     def path_r2(self):
         """
@@ -257,11 +250,10 @@ class TPFFit(Value):
         if self.pos_corr is None:
             return np.nan, np.nan
         basis = np.column_stack([np.ones(len(self.x)), self.pos_corr])
-        result = []
-        for position in (self.x, self.y):
-            rest = position - basis @ np.linalg.lstsq(basis, position, rcond=None)[0]
-            result.append(float(1 - rest.var() / position.var()) if position.var() else np.nan)
-        return tuple(result)
+        xy = np.column_stack([self.x, self.y])
+        rest = xy - basis @ np.linalg.lstsq(basis, xy, rcond=None)[0]
+        pairs = zip(rest.var(axis=0), xy.var(axis=0), strict=True)
+        return tuple(float(1 - left / all_) if all_ else np.nan for left, all_ in pairs)
 
     def path_scale(self):
         """
@@ -277,11 +269,8 @@ class TPFFit(Value):
         if self.pos_corr is None or not self.pos_corr.std(axis=0).all():
             return np.nan, np.nan
         offsets = self.pos_corr - self.pos_corr.mean(axis=0)
-        slopes = [
-            path @ position / (path @ path)
-            for path, position in zip(offsets.T, (self.x, self.y), strict=True)
-        ]
-        return float(slopes[0]), float(slopes[1])
+        pairs = zip(offsets.T, (self.x, self.y), strict=True)
+        return tuple(float(path @ position / (path @ path)) for path, position in pairs)
 
     # --- light curve, scene, figure, file -------------------------------------------------
     def to_lightcurve(self):
@@ -354,22 +343,27 @@ class TPFFit(Value):
 
         n, ny, nx = self.observed.shape
         state = f"{'' if self.converged else 'not '}converged after {self.n_steps} steps"
-        x, y, flux = (np.median(values) for values in (self.x, self.y, self.flux))
         typical = np.nanmedian(self.chi2_pixels)
         stars = 1 + len(self.neighbors)
         lines = [
             f"{n} cadences of {ny} x {nx} pixels, {stars} star{'s' * (stars > 1)}, {state}",
             f"chi-squared per degree of freedom {self.reduced_chi2:.4g}, typically {typical:.4g}",
             f"errors of the pixels scaled by {self.error_scale:.3g}",
-            *self._of_response(),
-            f"flux {flux:.6g} e-/s at column {x:.3f}, row {y:.3f}",
         ]
+        if self.response:
+            shares, n = self.response[0], int(self.outliers.sum())
+            lines.append(
+                f"shares of pixels of degree {shares.degree} in position, {shares.time_degree} in "
+                f"time; chi-squared of {int(self.held_out.sum())} held-out cadences "
+                f"{self.chi2_held_out:.4g}; {n} outliers left out"
+            )
+        for star in (self, *self.neighbors):
+            x, y, flux = (np.median(values) for values in (star.x, star.y, star.flux))
+            name = "flux" if star is self else "other star:"
+            lines.append(f"{name} {flux:.6g} e-/s at column {x:.3f}, row {y:.3f}")
         for axis, r2, scale in zip("xy", self.path_r2(), self.path_scale(), strict=True):
             if np.isfinite(scale):
                 lines.append(f"motion along {axis}: {scale:.3f} of POS_CORR, R2 {r2:.3f}")
-        for star in self.neighbors:
-            x, y, flux = (np.median(values) for values in (star.x, star.y, star.flux))
-            lines.append(f"other star: {flux:.6g} e-/s at column {x:.3f}, row {y:.3f}")
         terms = np.isin(self.parameters["kind"], ("coefficient", "correction", "focus"))
         for row in self.parameters[~terms]:
             error = "fixed" if row["fixed"] else f"+- {row['error']:.2g}"
@@ -377,16 +371,6 @@ class TPFFit(Value):
         if terms.any():
             lines.append(f"  and {terms.sum()} coefficients of smooth terms")
         return "\n".join([*lines, *(f"! {doubt}" for doubt in doubts_of(self))])
-
-    def _of_response(self):
-        """Lines of the summary on the response of each pixel."""
-        if self.response:
-            shares, n = self.response[0], int(self.outliers.sum())
-            yield (
-                f"shares of pixels of degree {shares.degree} in position, {shares.time_degree} in "
-                f"time; chi-squared of {int(self.held_out.sum())} held-out cadences "
-                f"{self.chi2_held_out:.4g}; {n} outliers left out"
-            )
 
     def plot(self):
         """

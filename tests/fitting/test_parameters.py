@@ -44,7 +44,7 @@ def test_kinds_of_the_models():
         getattr(prf, name).fixed = name == "ax0"
     parameters = {p.name: p for p in fit_parameters(prf, (5, 9))}
     assert parameters["sigma_x_0"].upper == 4.5
-    assert parameters["sigma_x_0"].unit == "pix"
+    assert parameters["sigma_x_0"].kind == "width"
     assert parameters["rho_0"].upper == 0.95
     assert parameters["c_1_0_1"].prior == 10
     assert parameters["ax2"].upper == 4
