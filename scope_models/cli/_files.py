@@ -164,7 +164,9 @@ def _detrend(arguments, path, **options):
         return f"{output}: too few cadences for a CDPP"
     text = f"{output}: CDPP {raw:.1f} -> {corrected:.1f} ppm (6.5 h, as lightkurve's estimate_cdpp)"
     if options["survival"]:
-        text += f"; {corrector.result.transit_survival:.3f} of a transit survives"
+        result = corrector.result
+        survival = f"{result.transit_survival:.3f} +- {result.transit_survival_err:.3f}"
+        text += f"; {survival} of a transit survives"
     return text
 
 

@@ -235,6 +235,7 @@ def _cards(corrector, survival):
         if survival and np.isfinite(result.transit_survival):
             comment = "part of an unmasked transit that survives"
             cards.append(("PLDSURV", result.transit_survival, comment))
+            cards.append(("PLDSURVE", result.transit_survival_err, "its standard deviation"))
     for name, lc in (("RAWCDPP", corrector.original_lc), ("CDPP", corrector.corrected_lc)):
         try:
             value = cdpp(lc)

@@ -250,8 +250,8 @@ def depth_ratio(signal, flux, error):
     Returns
     -------
     ratio, error : float
-        The ratio, and its standard deviation as the scatter about the signal gives it; NaN
-        without events.
+        The ratio, and its standard deviation as the scatter about the signal gives it, or that
+        between the events, if it is more; NaN without events.
     """
     edges = np.flatnonzero(np.diff(signal != 0, prepend=False, append=False)).reshape(-1, 2)
     parts = [np.empty((0, 2))]
@@ -265,7 +265,12 @@ def depth_ratio(signal, flux, error):
     if not power > 0 or free < 1:
         return np.nan, np.nan
     ratio = seen @ expected / power
-    return float(ratio), float(np.sqrt(np.sum((seen - ratio * expected) ** 2) / free / power))
+    rest = seen - ratio * expected
+    within = np.sum(rest**2) / free / power
+    ends = np.cumsum([len(part) for part in parts])[:-1]
+    events = np.array([part.sum() for part in np.split(rest * expected, ends)]) / power
+    between = np.sum(events**2) * len(edges) / max(len(edges) - 1, 1)
+    return float(ratio), float(np.sqrt(max(within, between)))
 
 
 def checked_depth(depth):

@@ -31,8 +31,9 @@ _WHOLE = 9
 _MANY, _CONTAMINATED, _FOLLOWING, _NOISY = 0.1, 0.02, 0.05, 9.0
 #: Wings of neighbors may give more light: few TESS stars are without.
 _BLENDED = 0.1
-#: Standard deviation of a survival above which there is none.
-_PRECISE = 0.05
+#: Nothing of a depth survives or all of it: 0 to 1, with what the light that was taken off may be
+#: wrong by.
+_SURVIVALS = (-0.05, 1.15)
 #: Depth of the boxes of `PLDFit.survival`: so many errors of their mean, within these bounds.
 _OBVIOUS, _SHALLOW, _DEEP = 10.0, 1e-3, 0.3
 #: Largest number of times that a transit is taken out of the pixels, and what may be left, in
@@ -210,7 +211,7 @@ class PLDFit:
         step = float(np.median(np.diff(self.solution.time)))
         return int(np.clip(round(_TRANSIT_HOURS / 24 / step), 1, len(self.solution.alpha) // 2))
 
-    @cached_property
+    @property
     def transit_survival(self):
         """
         Part of a transit's depth that survives if the transit is not masked: `survival`.
@@ -218,7 +219,16 @@ class PLDFit:
         Found when it is first read, by another correction of the pixels; NaN, with a warning
         that has the reason, if it cannot be found.
         """
-        return self.survival()
+        return self._survival[0]
+
+    @property
+    def transit_survival_err(self):
+        """Standard deviation of `transit_survival`, of the corrections and not of the noise."""
+        return self._survival[1]
+
+    @cached_property
+    def _survival(self):
+        return self._survival_of(None, None)
 
     @property
     def joint(self):
@@ -450,9 +460,14 @@ class PLDFit:
         -----
         DetrendingWarning
             If the survival is NaN, with the reason: no file is behind the fit, the model is
-            constant in the data, the correction fails with the transit in it, or the standard
-            deviation of the slope is above 0.05, as in series that are short or hold wild cadences.
+            constant in the data, the correction fails with the transit in it, the slope is outside
+            of -0.05 to 1.15 and thus no survival, or two of its standard deviations reach from
+            nothing to all, as in series that are short or hold wild cadences.
         """
+        return self._survival_of(transit_model, depth)[0]
+
+    def _survival_of(self, transit_model, depth):
+        """Return a survival and its standard deviation."""
         pixels = self.model.pixels
         if self.model.source is None:
             return _no_survival("no file is behind the fit")
@@ -468,7 +483,7 @@ class PLDFit:
         else:
             column = transit_column(transit_model, pixels.time)
             if not column.shape[1]:
-                return np.nan
+                return np.nan, np.nan
             column = column[:, 0]
             if depth is not None:
                 if not column.min() < 0:
@@ -485,9 +500,10 @@ class PLDFit:
         known = np.isfinite(ratio) & np.isfinite(weight) & (self.cadence_mask | self.transit_mask)
         ratio, weight = ratio[known] / np.median(ratio[known]), weight[known]
         found, error = depth_ratio(np.exp(column[known]) - 1, ratio, weight)
-        if not error < _PRECISE:
+        low, high = _SURVIVALS
+        if not low < found < high or not 2 * error < max(found, 1 - found):
             return _no_survival(f"{found:.2f} with a standard deviation of {error:.2f}")
-        return found
+        return found, error
 
     @one_thread
     def _with_signal(self, column):
@@ -640,9 +656,11 @@ class PLDFit:
         names = ("n_columns", "prior_variance", "explained_variance", "effective_parameters")
         table = QTable({"group": list(self.groups), **{n: list(getattr(self, n)) for n in names}})
         table.meta.update({name: getattr(self, name) for name in _NUMBERS})
-        scale = vars(self).get("_transit", (np.nan, np.nan))
+        none = (np.nan, np.nan)
+        survival, scale = (vars(self).get(name, none) for name in ("_survival", "_transit"))
         table.meta.update(
-            transit_survival=vars(self).get("transit_survival", np.nan),
+            transit_survival=survival[0],
+            transit_survival_err=survival[1],
             transit_scale=scale[0],
             transit_scale_err=scale[1],
         )
@@ -665,8 +683,9 @@ class PLDFit:
             rows.append(("trend", trend))
         if self.frequencies:
             rows.append(("frequencies", f"{len(self.frequencies)}"))
-        if "transit_survival" in vars(self):  # further corrections are not made to be shown
-            rows.append(("transit survival", f"{self.transit_survival:.3f}"))
+        if "_survival" in vars(self):  # further corrections are not made to be shown
+            survival = f"{self.transit_survival:.3f} +- {self.transit_survival_err:.3f}"
+            rows.append(("transit survival", survival))
         if self.joint and "_transit" in vars(self):
             scale = f"{self.transit_scale:.4f} +- {self.transit_scale_err:.4f}"
             rows.append(("transit scale", scale))
@@ -691,6 +710,6 @@ class PLDFit:
 
 
 def _no_survival(reason):
-    """Return NaN, with a warning that has the reason."""
-    warnings.warn(f"the transit survival is NaN: {reason}", DetrendingWarning, stacklevel=3)
-    return np.nan
+    """Return NaN twice, with a warning that has the reason."""
+    warnings.warn(f"the transit survival is NaN: {reason}", DetrendingWarning, stacklevel=4)
+    return np.nan, np.nan

@@ -59,7 +59,7 @@ def test_showing_a_result_corrects_nothing(star, monkeypatch):
         meta = result.to_table().meta
     assert np.isnan([meta["transit_survival"], meta["transit_scale"]]).all()
     survival, scale = result.transit_survival, result.transit_scale
-    assert f"{survival:.3f}" in str(result)
+    assert f"{survival:.3f} +- {result.transit_survival_err:.3f}" in str(result)
     assert result.to_table().meta["transit_survival"] == survival
     assert result.to_table().meta["transit_scale"] == scale
 
@@ -80,7 +80,9 @@ def test_a_survival_that_cannot_be_had_is_nan_with_a_reason(star, monkeypatch):
         patch.setattr(type(result.model), "from_pixels", refused)
         with pytest.warns(DetrendingWarning, match=r"survival is NaN: the correction .* no light"):
             assert np.isnan(result.survival())
-    for found in ((17.2, 5.0), (1.17, 0.08)):
+    monkeypatch.setattr(result_module, "depth_ratio", lambda *_: (1.01, 0.33))
+    assert (result.transit_survival, result.transit_survival_err) == (1.01, 0.33)
+    for found in ((17.2, 5.0), (1.17, 0.01), (-0.06, 0.01), (0.5, 0.26), (1.0, 0.51)):
         monkeypatch.setattr(result_module, "depth_ratio", lambda *_, found=found: found)
         match = f"survival is NaN: {found[0]:.2f} with a standard deviation"
         with pytest.warns(DetrendingWarning, match=match):
@@ -101,6 +103,17 @@ def test_a_depth_is_not_taken_from_wild_cadences():
     flux[152], error[152] = 1e5, 1e6
     assert depth_ratio(signal, flux, error)[0] == pytest.approx(found, abs=0.05)
     assert np.isnan(depth_ratio(np.zeros(400), flux, error)).all()
+
+
+def test_the_error_of_a_depth_holds_differences_between_events():
+    """Each event keeps another part of its depth: the error of the mean is of four numbers."""
+    from scope_models.correctors._injection import depth_ratio
+
+    kept = np.array([0.6, 1.0, 0.7, 0.9])
+    signal = np.where(np.arange(400) % 100 // 10 == 5, -0.01, 0.0)
+    found, size = depth_ratio(signal, np.repeat(kept, 100) * signal, np.ones(400))
+    assert found == pytest.approx(kept.mean())
+    assert size == pytest.approx(kept.std(ddof=1) / 2)
 
 
 def test_cadences_that_a_user_masks_are_no_outliers(star):
