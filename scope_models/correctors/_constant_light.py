@@ -9,7 +9,7 @@ likewise, from what its own pixels show of its variability.
 
 import numpy as np
 
-__all__ = ["constant_light", "varying_light"]
+__all__ = ["along_position", "constant_light", "varying_light"]
 
 #: The star's bright pixels have this part of the brightest one's light.
 _BRIGHT = 0.1
@@ -58,7 +58,7 @@ def constant_light(image, own, slopes, position, grid, inside, use):
     right[:, 0, 1:] += coefficients[1:] / _SHIFT**2
     part = np.linalg.solve(hessian, right.transpose(0, 2, 1))[:, 0, 0]
     light = image[:, inside].sum(axis=1) - part * own[:, inside].sum(axis=1)
-    return _smooth(light, position, use)
+    return along_position(light, position, use)
 
 
 def varying_light(rest, image, slopes, noise, others, grid, inside, use):
@@ -137,7 +137,7 @@ def _wing(other, star, grid):
     return image * (light @ image) / (image[around] @ image[around])
 
 
-def _smooth(values, position, use):
+def along_position(values, position, use):
     """Return a robust fit of polynomials of position."""
     x, y = (position / np.maximum(np.abs(position[use]).max(axis=0), 1e-9)).T
     powers = [(i, n - i) for n in range(_DEGREE + 1) for i in range(n + 1)]

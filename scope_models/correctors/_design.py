@@ -3,8 +3,8 @@
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.linalg import solve_triangular
 
+from scope_models.correctors._constant_light import along_position
 from scope_models.correctors._features import (
     Regressors,
     center,
@@ -175,15 +175,16 @@ def constant_columns(clean, usable, use):
     """
     Return what constant light that the aperture gains and loses with position does to the light.
 
-    Beside a star of relative brightness s it counts as 1/s: the columns are polynomials of the
-    position, of unit variance, times 1/s - 1.
+    Beside a star of relative brightness s it counts as 1/s: the columns are powers of the position
+    in units of its range, times 1/s - 1. Brightness that the position explains is not the star's.
     """
     columns = np.full((len(usable), len(_POWERS)), np.nan)
-    x, y = (clean.position / np.maximum(clean.position[use[usable]].std(axis=0), 1e-12)).T
-    powers = np.column_stack([np.ones(len(x))] + [x**i * y**j for i, j in _POWERS])
-    root = np.linalg.qr(powers[use[usable]], mode="r") / np.sqrt(use.sum())
-    faint = np.median(clean.light) / np.where(clean.light > 0, clean.light, np.nan) - 1
-    columns[usable] = solve_triangular(root, powers.T, trans=1)[1:].T * faint[:, None]
+    x, y = (clean.position / np.maximum(np.ptp(clean.position[use[usable]], axis=0), 1e-12)).T
+    powers = np.column_stack([x**i * y**j for i, j in _POWERS])
+    powers -= powers[use[usable]].mean(axis=0)
+    typical = along_position(clean.light, clean.position, use[usable])
+    faint = typical / np.where(clean.light > 0, clean.light, np.nan) - 1
+    columns[usable] = powers * faint[:, None]
     return columns
 
 

@@ -310,9 +310,8 @@ class PLDFit:
             variance = solution.latent_variance()
         with np.errstate(all="ignore"):  # see `credible_flux`
             flux = self.model.pixels.total[self.model.pixels.usable] / np.exp(removed)
-            change = flux / np.median(flux) - 1
-            variance = variance + (self.contrast_error * change) ** 2
             error = flux * np.sqrt(solution.white_variance + variance)
+            error = np.hypot(error, self.contrast_error * (flux - np.median(flux)))
         return self._whole(flux), self._whole(error)
 
     def remarks(self):

@@ -31,11 +31,12 @@ _SIGNALS = ("constant", "transits", "eclipses", "doubling", "pulsation")
 
 @dataclass(frozen=True)
 class RandomFile:
-    """A random file and the facts that it was made of."""
+    """A random file, the facts that it was made of, and the star's relative flux."""
 
     seed: int
     hdus: fits.HDUList
     facts: dict
+    signal: np.ndarray
 
     def tpf(self):
         """Return lightkurve's object."""
@@ -77,7 +78,8 @@ def random_file(seed, *, small=False):
     place = str(rng.choice(["inside", "edge", "off"], p=[0.7, 0.15, 0.15]))
     x_0, y_0 = _place(rng, nx, place), _place(rng, ny, "inside" if place == "off" else place)
     magnitude, signal = rng.uniform(8, 18), str(rng.choice(_SIGNALS))
-    light = zero * 10 ** (-0.4 * magnitude) * _signal(rng, signal, time - time[0])
+    relative = _signal(rng, signal, time - time[0])
+    light = zero * 10 ** (-0.4 * magnitude) * relative
     wild = str(rng.choice(["none", "number", "star"], p=[0.7, 0.15, 0.15]))
     away = rng.random(n) < rng.choice([1 / n, 0.01])
     jump = np.where(away[:, None] & (wild != "none"), rng.uniform(100, 1000, (n, 2)), 0.0)
@@ -125,7 +127,7 @@ def random_file(seed, *, small=False):
         "missing": flaws, "errors": errors, "wild": wild, "pos_corr": offsets, "times": order,
         "gap": gap,
     }  # fmt: skip
-    return RandomFile(seed, hdus, facts)
+    return RandomFile(seed, hdus, facts, relative)
 
 
 def _damage(rng, flux, flaws):

@@ -20,19 +20,21 @@ LARGE = [
 ]
 
 
+drawn = pytest.mark.parametrize(("seed", "small"), SMALL + LARGE)
+
+
 @pytest.fixture
 def file(seed, small):
     return random_file(seed, small=small)
 
 
-pytestmark = pytest.mark.parametrize(("seed", "small"), SMALL + LARGE)
-
-
+@drawn
 def test_a_file_is_drawn_again(file, seed, small):
     again = random_file(seed, small=small)
     np.testing.assert_array_equal(again.hdus[1].data["FLUX"], file.hdus[1].data["FLUX"])
 
 
+@drawn
 def test_pld(file):
     tpf = file.tpf()
 
@@ -64,6 +66,7 @@ def test_pld(file):
             assert result.transit_survival_err < 1, file
 
 
+@drawn
 @pytest.mark.parametrize("star", [0.7, Star(13.0, 0.4, 0.2)], ids=["share", "star"])
 def test_inject(file, star):
     tpf = file.tpf()
@@ -86,6 +89,7 @@ def test_inject(file, star):
         assert np.ptp(np.nansum(added, axis=(1, 2))) > 0, file
 
 
+@drawn
 def test_fit(file):
     fit = checked(lambda: fit_tpf(file.tpf()), file)
     if fit is None:
@@ -98,6 +102,7 @@ def test_fit(file):
     assert fit.reduced_chi2 > 0
 
 
+@drawn
 def test_detrend(file, tmp_path):
     path, output = tmp_path / "star.fits", tmp_path / "lc.fits"
     file.hdus.writeto(path)
@@ -109,3 +114,16 @@ def test_detrend(file, tmp_path):
     assert status == (0 if output.exists() else 2), text
     if status:
         assert "star.fits" in text.splitlines()[-1], text
+
+
+@pytest.mark.filterwarnings("ignore::scope_models.exceptions.DetrendingWarning")
+def test_deep_eclipses_beside_constant_light():
+    """The depth is 0.9, of which 5 faint neighbors and the motion by 1.5 px take nothing."""
+    file = random_file(45)
+    corrector = PLDCorrector(file.tpf())
+    lc, light = corrector.correct(), file.signal
+    flux, error = (x / np.nanmedian(lc.flux.value) for x in (lc.flux.value, lc.flux_err.value))
+    known, eclipsed = np.isfinite(flux), light < 0.5
+    assert np.quantile(np.abs(flux - light)[known & eclipsed], 0.95) < 0.01
+    assert np.mean((np.abs(flux - light) < 3 * error)[known & eclipsed]) > 0.9
+    assert corrector.result.dips[known & eclipsed].mean() > 0.9
