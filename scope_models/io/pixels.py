@@ -356,6 +356,8 @@ def _of_tpf(tpf):
             "`tpf` must be a target pixel file with time, flux and flux_err, or the path of one, "
             f"got {type(tpf).__name__}"
         )
+    if _has_file(tpf):
+        return _of_hdus(tpf.hdu, "`tpf`")[tpf.quality_mask]
     header = _header_of(tpf)
     flux = plain_array(tpf.flux, _FLUX, "flux of tpf")
     if flux.ndim != 3 or not flux.size:
@@ -367,7 +369,7 @@ def _of_tpf(tpf):
     return _series(
         "`tpf`",
         time=_times_of(tpf, header),
-        cadenceno=_cadence_numbers_of(tpf, n),
+        cadenceno=_integers(tpf, "cadenceno", n),
         quality=_integers(tpf, "quality", n),
         flux=np.array(flux),
         flux_err=np.array(error),
@@ -429,35 +431,12 @@ def _has_file(tpf):
     return hasattr(type(tpf), "pipeline_mask")
 
 
-def _raw_column(tpf, name):
-    """Return a column of the table behind lightkurve's object, or None."""
-    if not _has_file(tpf):
-        return None
-    table = tpf.hdu[1]
-    if name not in table.columns.names:
-        return None
-    return np.asarray(table.data[name])[tpf.quality_mask]
-
-
 def _times_of(source, header):
-    """Return times in days: lightkurve has 0 where there is none, and its file NaN."""
-    column = _raw_column(source, "TIME")
-    if column is not None:
-        return np.array(column, dtype=float)
+    """Return times in days."""
     time = source.time
     if isinstance(time, Time) and time.format in TIME_ZEROS and not np.any(time.mask):
         return np.array(time.value, dtype=float).reshape(-1)
     return np.array(plain_time(time, time_format_of(header) or "bkjd", "time of tpf")).reshape(-1)
-
-
-def _cadence_numbers_of(source, n):
-    """Return cadence numbers: lightkurve counts the cadences where its file has only zeros."""
-    column = _raw_column(source, "CADENCENO")
-    if column is None:
-        return _integers(source, "cadenceno", n)
-    if column.any():
-        return np.array(column)
-    return np.flatnonzero(source.quality_mask) + 1
 
 
 def _integers(tpf, name, n):
@@ -481,13 +460,20 @@ def positions_of(source):
         raise TypeError(
             f"`tpf` must have time, POS_CORR1 and POS_CORR2, but {type(source).__name__} has not"
         )
+    if _has_file(source):
+        series = read_pixels(source)
+        names = ("time", "quality", "cadenceno", "time_format")
+        columns = {name: getattr(series, name) for name in names}
+        return (
+            columns | dict(zip("xy", pos_corr.T, strict=True)) | {"meta": facts_of(series.header)}
+        )
     header = _header_of(source)
     quality, number = _attribute(source, "quality"), _attribute(source, "cadenceno")
     return {
         "time": _times_of(source, header),
         **dict(zip("xy", pos_corr.T, strict=True)),
         "quality": None if quality is None else np.asarray(without_unit(quality)),
-        "cadenceno": None if number is None else _cadence_numbers_of(source, len(pos_corr)),
+        "cadenceno": None if number is None else np.asarray(without_unit(number)),
         "time_format": time_format_of(header),
         "meta": facts_of(header),
     }
@@ -495,10 +481,7 @@ def positions_of(source):
 
 def _header_of(tpf):
     """Return the cards behind lightkurve's object, with the zero of its times."""
-    if _has_file(tpf):
-        cards = cards_of(*(hdu.header for hdu in tpf.hdu[:2]))
-    else:
-        cards = cards_of(getattr(tpf, "meta", None) or {})
+    cards = cards_of(getattr(tpf, "meta", None) or {})
     form = getattr(getattr(tpf, "time", None), "format", None)
     if "BJDREFI" not in cards and form in TIME_ZEROS:
         cards["BJDREFI"] = int(TIME_ZEROS[form])

@@ -92,21 +92,7 @@ class CorrectedPRF(TabulatedPRF):
         return d / np.sqrt(square), self.radius**2 * square**-1.5
 
     def unit_derivatives(self, dx, dy, *coefficients):
-        """
-        Return fluxes of pixels and their derivatives by position and coefficients.
-
-        Parameters
-        ----------
-        dx, dy : array_like or `~astropy.units.Quantity`
-            Offsets of the pixels from the star in pixels; they broadcast.
-        *coefficients : float
-            The coefficients, in their order.
-
-        Returns
-        -------
-        flux, by_x_0, by_y_0, ... : `~numpy.ndarray`
-            For a star of unit flux.
-        """
+        """Return fluxes of unit flux and derivatives by x_0, y_0 and coefficients, at offsets."""
         dx, dy = np.broadcast_arrays(plain_array(dx, "pix", "dx"), plain_array(dy, "pix", "dy"))
         table, table_x, table_y = super().unit_derivatives(dx, dy)
         (t_x, slope_x), (t_y, slope_y) = self._t(dx), self._t(dy)

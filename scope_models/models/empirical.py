@@ -109,9 +109,8 @@ class GaussHermitePSF(StarModel):
             hermite_functions(np.asarray((u - u_0) / sigma, dtype=float), self.order + 1)
             for u, u_0, sigma in ((x, x_0, sigma_x), (y, y_0, sigma_y))
         )
-        return np.einsum("lk,k...,l...->...", matrix, along_x, along_y) * (
-            flux / (sigma_x * sigma_y)
-        )
+        density = np.einsum("lk,k...,l...->...", matrix, along_x, along_y)
+        return density * (flux / (sigma_x * sigma_y))
 
     def fit_deriv(self, x, y, flux, x_0, y_0, sigma_x, sigma_y, *coefficients):
         """Derivatives of the density with respect to the parameters, in their order."""
@@ -125,34 +124,8 @@ class GaussHermitePSF(StarModel):
         )
         return [unit, *(flux * part for part in parts)]
 
-    def pixel_engine(self, coefficients, *, derivatives=False):
-        """
-        What integrates the density of unit flux over pixels.
-
-        Parameters
-        ----------
-        coefficients : sequence of float
-            Values of the ``c_k_m``, in their order.
-        derivatives : bool, optional
-            Whether the derivatives by position, widths and coefficients are returned too.
-
-        Returns
-        -------
-        engine : callable
-            ``engine(x, y, x_0, y_0, sigma_x, sigma_y, x_coefficients, y_coefficients)``, with the
-            columns, the rows, positions of shape ``(...)`` and the polynomial response along the
-            axes, returns images ``(..., ny, nx)``, after an axis of derivatives if requested.
-
-        Examples
-        --------
-        >>> import numpy as np
-        >>> from scope_models.models import GaussHermitePSF
-        >>> psf = GaussHermitePSF(order=2)
-        >>> engine = psf.pixel_engine([0] * 5)
-        >>> one = np.ones(1)
-        >>> print(engine(np.arange(-1.0, 2), np.zeros(1), 0.0, 0.0, 0.5, 0.5, one, one).round(3))
-        [[0.107 0.466 0.107]]
-        """
+    def _engine(self, coefficients, *, derivatives=False):
+        """Return what integrates the density of unit flux, and if wanted its derivatives."""
         matrix, places = self._matrix(coefficients)
 
         def engine(x, y, x_0, y_0, sigma_x, sigma_y, along_x, along_y):
@@ -165,15 +138,13 @@ class GaussHermitePSF(StarModel):
             n_images = 5 + len(places) if derivatives else 1
             images = np.empty((n_images, flat[0].size, y.size, x.size))
             n = self.order + (3 if derivatives else 1)
+            along = np.atleast_1d(along_x), np.atleast_1d(along_y)
             for start in range(0, flat[0].size, _BATCH):
                 part = slice(start, start + _BATCH)
                 wide = [width[part] if width.size > 1 else width for width in widths]
                 tables = [
-                    axis_integrals(p, u_0[part], width, np.atleast_1d(along), n).transpose(0, 2, 1)
-                    for p, u_0, width, along in (
-                        (x, flat[0], wide[0], along_x),
-                        (y, flat[1], wide[1], along_y),
-                    )
+                    axis_integrals(pixels, centers[part], *others, n).transpose(0, 2, 1)
+                    for pixels, centers, *others in zip((x, y), flat, wide, along, strict=True)
                 ]
                 if derivatives:
                     wide = [width[:, np.newaxis, np.newaxis] for width in wide]
@@ -181,34 +152,21 @@ class GaussHermitePSF(StarModel):
                     images[:, part] = np.stack(parts)
                 else:
                     images[0, part] = _outer_pixels(tables[0], tables[1] @ matrix)
-            return images.reshape((*images.shape[:1], *shape, y.size, x.size))[
-                slice(None) if derivatives else 0
-            ]
+            images = images.reshape((n_images, *shape, y.size, x.size))
+            return images if derivatives else images[0]
 
         return engine
 
     def closed_form(self, values):
-        """
-        Return the integrals over pixels in closed form.
-
-        Parameters
-        ----------
-        values : dict
-            Value of each parameter.
-
-        Returns
-        -------
-        form : ClosedForm
-            What `~scope_models.integrate_pixels` uses.
-        """
+        """Return the integrals over pixels in closed form, for `integrate_pixels`."""
         flux, *parameters = (values[name] for name in self.param_names[:5])
         parameters = tuple(pixels_of(p) for p in parameters)
         coefficients = [values[name] for name in self.param_names[5:]]
         return ClosedForm(
             flux,
             parameters,
-            self.pixel_engine(coefficients),
-            self.pixel_engine(coefficients, derivatives=True),
+            self._engine(coefficients),
+            self._engine(coefficients, derivatives=True),
             self.param_names[1:],
         )
 

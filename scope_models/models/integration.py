@@ -340,16 +340,9 @@ def _refined(integrand, index, corner_u, corner_v, size, n, values, tolerance, d
     for du in (-0.25, 0.25):
         for dv in (-0.25, 0.25):
             u, v = corner_u[active] + du * size, corner_v[active] + dv * size
-            quarter = _rule(integrand, index[active], u, v, size / 2, first)
+            inside = index[active], u, v, size / 2, first
+            quarter = _rule(integrand, *inside)
             values[active] += _refined(
-                integrand,
-                index[active],
-                u,
-                v,
-                size / 2,
-                first,
-                quarter,
-                tolerance[active] / 2,
-                depth + 1,
+                integrand, *inside, quarter, tolerance[active] / 2, depth + 1
             )
     return values

@@ -52,21 +52,11 @@ class _Response:
 
 @dataclass(frozen=True, eq=False)
 class _Component:
-    """
-    One density or table of a PRF, and which parameter of the PRF feeds which of its own.
+    """One density or table of a PRF, and which parameter of the PRF feeds which of its own.
 
-    Parameters
-    ----------
-    model : `~astropy.modeling.Model`
-        The density.
-    shape : dict of str
-        Its own parameters to those of the PRF, without flux, x_0 and y_0.
-    fraction : str or None
-        Parameter that holds its part of the flux; None for the first component, with the rest.
-    offsets : tuple of str
-        Parameters that hold its position relative to the star, or ().
-    responses : tuple of _Response
-        The sensitivities that multiply it.
+    ``shape`` leads from its own parameters but flux, x_0 and y_0 to those of the PRF. ``fraction``
+    is the parameter that holds its part of the flux, None for the first component, which has the
+    rest; ``offsets`` are those of its position relative to the star, or ().
     """
 
     model: object

@@ -123,19 +123,7 @@ class BivariateGaussianPSF(StarModel):
 
     @staticmethod
     def closed_form(values):
-        """
-        Return the integrals over pixels in closed form.
-
-        Parameters
-        ----------
-        values : dict
-            Value of each parameter.
-
-        Returns
-        -------
-        form : ClosedForm
-            What `~scope_models.integrate_pixels` uses.
-        """
+        """Return the integrals over pixels in closed form, for `integrate_pixels`."""
         names = ("x_0", "y_0", "sigma_x", "sigma_y")
         parameters = (*(pixels_of(values[name]) for name in names), values["rho"])
         return ClosedForm(

@@ -190,21 +190,9 @@ class TransitModel(Fittable1DModel):
 
     @classmethod
     def from_orbit(
-        cls,
-        period,
-        t0=0.0,
-        rp=0.1,
-        *,
-        a=None,
-        density=None,
-        inc=None,
-        b=None,
-        ecc=0.0,
-        omega=90.0,
-        u1=0.3,
-        u2=0.2,
-        exposure_time=0.0,
-    ):
+        cls, period, t0=0.0, rp=0.1, *, a=None, density=None, inc=None, b=None, ecc=0.0, omega=90.0,
+        u1=0.3, u2=0.2, exposure_time=0.0,
+    ):  # fmt: skip
         r"""
         Make a transit from `a` or the star's density, and `inc` or `b`.
 

@@ -1,6 +1,6 @@
 """Tabulated PSFs and PRFs, which splines interpolate and integrate."""
 
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from astropy import units as u
@@ -146,21 +146,18 @@ class _Table(StarModel):
     """What tables of densities and of fluxes of pixels have in common."""
 
     def __init__(
-        self,
-        array,
-        oversampling=1,
-        flux=1.0,
-        x_0=0.0,
-        y_0=0.0,
-        *,
-        origin=None,
-        uncertainty=None,
+        self, array, oversampling=1, flux=1.0, x_0=0.0, y_0=0.0, *, origin=None, uncertainty=None,
         **kwargs,
-    ):
+    ):  # fmt: skip
         samples = _checked_samples("array", array)
-        self._surface = _Surface(
-            samples, _checked_oversampling(oversampling), _checked_origin(origin, samples.shape)
-        )
+        steps = np.broadcast_to(plain_array(oversampling, "", "oversampling"), (2,))
+        if not (np.isfinite(steps).all() and (steps > 0).all()):
+            raise ValueError(f"`oversampling` must be positive, got {oversampling!r}")
+        middle = [(n - 1) / 2 for n in samples.shape[::-1]]
+        place = plain_array(middle if origin is None else origin, "", "origin")
+        if place.shape != (2,) or not np.isfinite(place).all():
+            raise ValueError(f"`origin` must be (x, y) in samples, got {origin!r}")
+        self._surface = _Surface(samples, tuple(steps.tolist()), tuple(place.tolist()))
         self._error = None
         if uncertainty is not None:
             error = _checked_samples("uncertainty", uncertainty)
@@ -215,19 +212,7 @@ class _Table(StarModel):
         )
 
     def unit_derivatives(self, dx, dy):
-        """
-        Return the table and its derivatives by the position of the star.
-
-        Parameters
-        ----------
-        dx, dy : array_like
-            Offsets from the star in pixels; they broadcast.
-
-        Returns
-        -------
-        value, by_x_0, by_y_0 : `~numpy.ndarray`
-            For a star of unit flux.
-        """
+        """Return the table of unit flux and its derivatives by x_0 and y_0, at offsets (px)."""
         value = self._surface.value
         return value(dx, dy), -value(dx, dy, along_x=1), -value(dx, dy, along_y=1)
 
@@ -269,22 +254,6 @@ def _checked_samples(name, array):
     if not np.isfinite(array).all():
         raise ValueError(f"`{name}` must be finite")
     return array
-
-
-def _checked_oversampling(oversampling):
-    values = np.broadcast_to(plain_array(oversampling, "", "oversampling"), (2,))
-    if not (np.isfinite(values).all() and (values > 0).all()):
-        raise ValueError(f"`oversampling` must be positive, got {oversampling!r}")
-    return tuple(values.tolist())
-
-
-def _checked_origin(origin, shape):
-    if origin is None:
-        return ((shape[1] - 1) / 2, (shape[0] - 1) / 2)
-    values = plain_array(origin, "", "origin")
-    if values.shape != (2,) or not np.isfinite(values).all():
-        raise ValueError(f"`origin` must be (x, y) in samples, got {origin!r}")
-    return tuple(values.tolist())
 
 
 _REST = """
@@ -339,26 +308,11 @@ class TabulatedPSF(_Table):
         return density / u.pixel**2 if isinstance(x, u.Quantity) else density
 
     def closed_form(self, values):
-        """
-        Return the integrals over pixels, exact for the spline.
-
-        Parameters
-        ----------
-        values : dict
-            Value of each parameter.
-
-        Returns
-        -------
-        form : ClosedForm
-            What `~scope_models.integrate_pixels` uses.
-        """
-        surface = self._surface
-
-        def derivatives(*arguments):
-            return surface.integrals(*arguments, derivatives=True)
-
-        place = tuple(pixels_of(values[name]) for name in ("x_0", "y_0"))
-        return ClosedForm(values["flux"], place, surface.integrals, derivatives, ("x_0", "y_0"))
+        """Return the integrals over pixels, exact for the spline, for `integrate_pixels`."""
+        integrals, names = self._surface.integrals, ("x_0", "y_0")
+        place = tuple(pixels_of(values[name]) for name in names)
+        derivatives = partial(integrals, derivatives=True)
+        return ClosedForm(values["flux"], place, integrals, derivatives, names)
 
 
 @documented(rest=_REST)
