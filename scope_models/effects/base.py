@@ -351,17 +351,17 @@ class Effect(Value):
         """Return which cadences have no data, shape (n_cadences,), or None."""
 
 
-def checked_effects(effects):
-    """Return one effect or several as a tuple."""
-    if isinstance(effects, Effect):
-        return (effects,)
-    if not isinstance(effects, Iterable):
-        raise TypeError(f"`effects` must be effects, got {effects!r}")
-    effects = tuple(effects)
-    for effect in effects:
-        if not isinstance(effect, Effect):
-            raise TypeError(f"`effects` must hold effects, got {effect!r}")
-    return effects
+def checked_several(name, values, kind):
+    """Return one value of a class, or several, as a tuple."""
+    if isinstance(values, kind):
+        return (values,)
+    if not isinstance(values, Iterable):
+        raise TypeError(f"`{name}` must be {kind.__name__} or a sequence of them, got {values!r}")
+    values = tuple(values)
+    for value in values:
+        if not isinstance(value, kind):
+            raise TypeError(f"`{name}` must hold {kind.__name__} objects, got {value!r}")
+    return values
 
 
 def checked_series(effect, name, unit=""):

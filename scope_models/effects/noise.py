@@ -18,16 +18,9 @@ from scipy.special import ndtr
 from scope_models._arrays import DIGITAL, plain_array, plain_number, refuse_unit
 
 __all__ = [
-    "NOISE_TERMS",
-    "add_quantization",
-    "add_read_noise",
-    "check_seed",
-    "fresh_seed",
-    "noise_terms",
-    "poisson_counts",
-    "poisson_quantile",
-    "stream",
-]
+    "NOISE_TERMS", "add_quantization", "add_read_noise", "check_seed", "fresh_seed",
+    "noise_terms", "poisson_counts", "poisson_quantile", "stream",
+]  # fmt: skip
 
 NOISE_TERMS = ("photon", "background", "read", "quantization")
 _DEFAULT_TERMS = frozenset({"photon", "background", "read"})

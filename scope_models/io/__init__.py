@@ -6,13 +6,6 @@ from scope_models.io.pixels import PixelSeries, read_pixels, read_tpf, usable_po
 from scope_models.io.tpf import TPFMetadata, read_truth, write_tpf
 
 __all__ = [
-    "PixelSeries",
-    "TPFMetadata",
-    "Truth",
-    "conf",
-    "read_pixels",
-    "read_tpf",
-    "read_truth",
-    "usable_positions",
-    "write_tpf",
-]
+    "PixelSeries", "TPFMetadata", "Truth", "conf", "read_pixels", "read_tpf", "read_truth",
+    "usable_positions", "write_tpf",
+]  # fmt: skip

@@ -12,19 +12,8 @@ from scope_models.models.tables import TabulatedPRF, TabulatedPSF
 from scope_models.models.variability import sinusoidal_signal, stochastic_signal, tabulated_signal
 
 __all__ = [
-    "PRF",
-    "BivariateGaussianPSF",
-    "CorrectedPRF",
-    "DiffusionSensitivity",
-    "GaussHermitePSF",
-    "PRFGrid",
-    "SensitivityPolynomial",
-    "TabulatedPRF",
-    "TabulatedPSF",
-    "TransitModel",
-    "integrate_pixels",
-    "moffat_psf",
-    "sinusoidal_signal",
-    "stochastic_signal",
+    "PRF", "BivariateGaussianPSF", "CorrectedPRF", "DiffusionSensitivity", "GaussHermitePSF",
+    "PRFGrid", "SensitivityPolynomial", "TabulatedPRF", "TabulatedPSF", "TransitModel",
+    "integrate_pixels", "moffat_psf", "sinusoidal_signal", "stochastic_signal",
     "tabulated_signal",
-]
+]  # fmt: skip

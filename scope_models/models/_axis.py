@@ -12,15 +12,9 @@ import numpy as np
 from scipy.special import erf
 
 __all__ = [
-    "FEW",
-    "ROWS",
-    "AxisPanels",
-    "AxisTable",
-    "axis_integrals",
-    "gauss_legendre",
-    "gaussian_nodes",
-    "hermite_functions",
-]
+    "FEW", "ROWS", "AxisPanels", "AxisTable", "axis_integrals", "gauss_legendre",
+    "gaussian_nodes", "hermite_functions",
+]  # fmt: skip
 
 # Largest growth of rounding errors, in units of epsilon, that the closed form may have.
 _MAX_GROWTH = 1e5

@@ -10,14 +10,8 @@ from scipy.special import erf
 from scope_models.models._gaussian import gaussian_pixels
 
 __all__ = [
-    "FWHM",
-    "ClosedForm",
-    "closed_form",
-    "collected",
-    "diffused",
-    "is_photutils",
-    "pixels_of",
-]
+    "FWHM", "ClosedForm", "closed_form", "collected", "diffused", "is_photutils", "pixels_of",
+]  # fmt: skip
 
 # Full width at half maximum of a normal density, in standard deviations.
 FWHM = 2 * np.sqrt(2 * np.log(2))

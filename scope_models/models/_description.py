@@ -16,17 +16,9 @@ from scope_models.models._parameters import value_of
 from scope_models.models.sensitivity import SensitivityPolynomial
 
 __all__ = [
-    "check_coord",
-    "class_named",
-    "describe_coord",
-    "describe_model",
-    "make_coord",
-    "make_model",
-    "model_in_pixels",
-    "packed",
-    "sky_place",
-    "unpacked",
-]
+    "check_coord", "class_named", "describe_coord", "describe_model", "make_coord",
+    "make_model", "model_in_pixels", "packed", "sky_place", "unpacked",
+]  # fmt: skip
 
 _OPERATORS = {"+": operator.add, "-": operator.sub, "*": operator.mul}
 # Where the names of models in files are looked up, in this order.

@@ -29,14 +29,9 @@ import numpy as np
 from scope_models.models._axis import FEW, AxisTable, gauss_legendre, gaussian_nodes
 
 __all__ = [
-    "REACH",
-    "contract",
-    "gaussian_derivatives",
-    "gaussian_pixels",
-    "n_terms",
-    "series_step",
+    "REACH", "contract", "gaussian_derivatives", "gaussian_pixels", "n_terms", "series_step",
     "uses_series",
-]
+]  # fmt: skip
 
 # The series is cut where the rest is below this part of the total flux.
 _TOLERANCE = 1e-11

@@ -10,15 +10,9 @@ from astropy.units import UnitsError
 from scope_models._arrays import is_angle, plain_array, without_unit
 
 __all__ = [
-    "Domain",
-    "StarModel",
-    "check_model_parameters",
-    "gaussian_box",
-    "make_parameters",
-    "numbers_of",
-    "one_number",
-    "value_of",
-]
+    "Domain", "StarModel", "check_model_parameters", "gaussian_box", "make_parameters",
+    "numbers_of", "one_number", "value_of",
+]  # fmt: skip
 
 
 class StarModel(Fittable2DModel):

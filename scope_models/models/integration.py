@@ -95,13 +95,6 @@ def _spread(number, points):
     return np.reshape(number, np.shape(number) + (1,) * len(points.shape))
 
 
-def _scaled(images, factor):
-    """Fresh images times a factor, in place where it fits."""
-    fits = np.broadcast_shapes(images.shape, np.shape(factor)) == images.shape
-    in_place = fits and not isinstance(factor, u.Quantity)
-    return np.multiply(images, factor, out=images if in_place else None)
-
-
 def integrate_density(term, points, evaluate=None):
     """Integrate the product of a term's factors, without its scale, over pixels by quadrature.
 
@@ -165,7 +158,10 @@ def integrate_term(term, points, method="auto"):
     form = None if method == "quadrature" else term.closed_form()
     if form is not None:
         images = points.apply(form.pixels, form.parameters, (along_x, along_y))
-        return _scaled(images, _spread(term.scale * form.flux, points))
+        factor = _spread(term.scale * form.flux, points)
+        fits = np.broadcast_shapes(images.shape, np.shape(factor)) == images.shape
+        in_place = fits and not isinstance(factor, u.Quantity)
+        return np.multiply(images, factor, out=images if in_place else None)
     if method == "analytic":
         names = " * ".join(type(factor.model).__name__ for factor in term.densities)
         raise ValueError(f"no closed form for the integral of {names}: use method='auto'")

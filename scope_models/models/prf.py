@@ -1,6 +1,8 @@
 """Pixel response functions: what a fit or a renderer sees of a star, flux per pixel."""
 
 from dataclasses import dataclass
+from functools import reduce
+from operator import add, mul
 
 import numpy as np
 from astropy import units as u
@@ -80,6 +82,13 @@ class _Component:
         for name, offset in zip(("x_0", "y_0"), self.offsets or (None, None), strict=True):
             own[name] = values[name] + values[offset] if offset else values[name]
         return {name: np.asarray(own[name]) for name in self.model.param_names}
+
+    def at(self, values, flux):
+        """The density or table with its parameters at values of the PRF's."""
+        model = self.model.copy()
+        for name, value in self.own_values(values, flux).items():
+            getattr(model, name).value = float(value)
+        return model
 
     def term(self, values, flux=1.0):
         """The product that is integrated, at values of the PRF's parameters."""
@@ -275,11 +284,8 @@ class PRF(StarModel):
         """The `~scope_models.models.TabulatedPRF` that the PRF is, or None."""
         if self.n_components > 1 or not isinstance(self._components[0].model, TabulatedPRF):
             return None
-        component, values = self._components[0], self._own_or()
-        table = component.model.copy()
-        for name, value in component.own_values(values, values["flux"]).items():
-            getattr(table, name).value = float(value)
-        return table
+        values = self._own_or()
+        return self._components[0].at(values, values["flux"])
 
     @classmethod
     def from_tess(cls, path, camera=None, ccd=None, column=None, row=None):
@@ -340,24 +346,17 @@ class PRF(StarModel):
         A density or a sum of densities; a table of a PRF stands for itself.
         """
         values = self._own_or()
-        total = None
-        for component, fraction in zip(self._components, self._fractions(values), strict=True):
-            model = component.model.copy()
-            for name, value in component.own_values(values, fraction).items():
-                getattr(model, name).value = float(value)
-            total = model if total is None else total + model
-        return total
+        fractions = zip(self._components, self._fractions(values), strict=True)
+        return reduce(add, (c.at(values, fraction) for c, fraction in fractions))
 
     @property
     def sensitivity(self):
         """The response within a pixel: a sensitivity, a product of several, or None."""
-        total = None
-        for response in self._responses:
-            model = response.model.copy()
+        models = [response.model.copy() for response in self._responses]
+        for response, model in zip(self._responses, models, strict=True):
             for own, source in response.names.items():
                 getattr(model, own).value = float(getattr(self, source).value)
-            total = model if total is None else total * model
-        return total
+        return reduce(mul, models) if models else None
 
     @property
     def parameter_kinds(self):
@@ -379,10 +378,7 @@ class PRF(StarModel):
     @property
     def response_powers(self):
         """Axis ("x" or "y") and power of each coefficient of the sensitivities, by name (dict)."""
-        powers = {}
-        for response in self._responses:
-            powers |= response.powers
-        return powers
+        return {name: p for response in self._responses for name, p in response.powers.items()}
 
     def _own_or(self, values=None):
         """Value of each parameter as a float, with others in their place."""

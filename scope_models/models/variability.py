@@ -69,11 +69,10 @@ def sinusoidal_signal(amplitude, period, phase=0.0):
     1.01
     """
     amplitude = plain_number(amplitude, u.one, "amplitude")
-    period, phase = plain_number(period, u.day, "period"), plain_number(phase, u.cycle, "phase")
+    period = checked_number("period", period, u.day, positive=True)
+    phase = plain_number(phase, u.cycle, "phase")
     if not 0 <= amplitude < 1:
         raise ValueError(f"`amplitude` must be at least 0 and below 1, got {amplitude}")
-    if not (np.isfinite(period) and period > 0):
-        raise ValueError(f"`period` must be positive, got {period}")
     return Const1D(1.0) + SineSignal(amplitude, 1 / period, phase)
 
 

@@ -13,13 +13,6 @@ from scope_models.photometry.apertures import (
 from scope_models.photometry.precision import cdpp
 
 __all__ = [
-    "aperture_flux",
-    "cdpp",
-    "circular_aperture",
-    "contamination_aperture",
-    "crowding",
-    "flux_fraction",
-    "moving_aperture",
-    "signal_to_noise_aperture",
-    "threshold_aperture",
-]
+    "aperture_flux", "cdpp", "circular_aperture", "contamination_aperture", "crowding",
+    "flux_fraction", "moving_aperture", "signal_to_noise_aperture", "threshold_aperture",
+]  # fmt: skip

@@ -11,15 +11,9 @@ from scope_models._arrays import PER_PIXEL, plain_array, plain_number
 from scope_models._checks import checked_mask, checked_number, checked_shape
 
 __all__ = [
-    "aperture_flux",
-    "circular_aperture",
-    "contamination_aperture",
-    "crowding",
-    "flux_fraction",
-    "moving_aperture",
-    "signal_to_noise_aperture",
-    "threshold_aperture",
-]
+    "aperture_flux", "circular_aperture", "contamination_aperture", "crowding", "flux_fraction",
+    "moving_aperture", "signal_to_noise_aperture", "threshold_aperture",
+]  # fmt: skip
 
 _RATE = u.electron / u.s
 _NO_WEIGHT = 1e-3

@@ -7,8 +7,8 @@ from astropy.time import Time
 from scipy.interpolate import interp1d
 from scipy.signal import savgol_filter
 
-from scope_models._arrays import plain_array, plain_number
-from scope_models._checks import checked_number
+from scope_models._arrays import plain_array
+from scope_models._checks import checked_choice, checked_number
 from scope_models.missions import MISSIONS
 
 __all__ = ["cdpp"]
@@ -84,16 +84,12 @@ def cdpp(lc_or_flux, duration=6.5, method="lightkurve", *, cadence=None, filter_
     >>> print(f"{np.mean(cdpp(flux)):.0f} {np.mean(cdpp(flux, method='everest')):.0f}")
     23 26
     """
-    if method not in _FILTER_CADENCES:
-        names = " or ".join(f'"{name}"' for name in _FILTER_CADENCES)
-        raise ValueError(f"`method` must be {names}, got {method!r}")
+    checked_choice("method", method, _FILTER_CADENCES)
     time, flux = _series(lc_or_flux)
     days = _cadence_days(time, cadence)
     if time is None:
         time = np.arange(flux.shape[-1]) * days
-    hours = plain_number(duration, u.hour, "duration")
-    if not (np.isfinite(hours) and hours > 0):
-        raise ValueError(f"`duration` must be positive, got {duration}")
+    hours = checked_number("duration", duration, u.hour, positive=True)
     width = round(hours / 24 / days)
     if width < 1:
         raise ValueError(f"`duration` must be at least half a cadence, got {duration}")

@@ -8,15 +8,6 @@ from scope_models.scene.scene import Scene
 from scope_models.scene.star import Star
 
 __all__ = [
-    "PRESETS",
-    "ZERO_POINTS",
-    "Detector",
-    "K2Roll",
-    "Motion",
-    "MotionStatistics",
-    "Scene",
-    "Star",
-    "read_detector",
-    "read_scene",
-    "register_preset",
-]
+    "PRESETS", "ZERO_POINTS", "Detector", "K2Roll", "Motion", "MotionStatistics", "Scene",
+    "Star", "read_detector", "read_scene", "register_preset",
+]  # fmt: skip

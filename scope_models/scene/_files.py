@@ -34,15 +34,9 @@ from scope_models.scene.scene import Scene
 from scope_models.scene.star import Star
 
 __all__ = [
-    "describe_scene",
-    "read_detector",
-    "read_motion",
-    "read_scene",
-    "scene_columns",
-    "write_detector",
-    "write_motion",
-    "write_scene",
-]
+    "describe_scene", "read_detector", "read_motion", "read_scene", "scene_columns",
+    "write_detector", "write_motion", "write_scene",
+]  # fmt: skip
 
 _VERSION = 3
 # Fields that files of version 2 lack, and whose effect was another then.

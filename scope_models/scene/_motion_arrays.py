@@ -6,31 +6,18 @@ import astropy.units as u
 import numpy as np
 
 from scope_models._arrays import plain_array, plain_time
+from scope_models._checks import checked_choice
 from scope_models._values import Value
 from scope_models.io.pixels import LARGEST_OFFSET, usable_positions
 from scope_models.missions import MISSIONS, TIME_ZEROS
 
 __all__ = [
-    "TIME_FORMATS",
-    "MotionStatistics",
-    "as_int32",
-    "as_pixels",
-    "as_times",
-    "check_increasing",
-    "check_time_format",
-    "largest_distance",
-    "repair",
-]
+    "MotionStatistics", "as_int32", "as_pixels", "as_times", "check_increasing",
+    "largest_distance", "repair",
+]  # fmt: skip
 
-TIME_FORMATS = tuple(TIME_ZEROS)
 # Flags of the mission that has a time format.
 _QUALITY = {mission.time_format: mission.quality for mission in MISSIONS.values()}
-
-
-def check_time_format(value):
-    """Raise an error unless the value is the name of a time format."""
-    if value not in TIME_FORMATS:
-        raise ValueError(f'`time_format` must be "bkjd" or "btjd", got {value!r}')
 
 
 def as_pixels(value, name, n, pixel_scale=None):
@@ -42,7 +29,7 @@ def as_pixels(value, name, n, pixel_scale=None):
 
 def as_times(value, time_format):
     """Return a new one-dimensional array of times in days, at least one."""
-    check_time_format(time_format)
+    checked_choice("time_format", time_format, TIME_ZEROS)
     time = np.array(plain_time(value, time_format, "time"))
     if time.size == 0:
         raise ValueError("`time` is empty: a motion must have at least one cadence")
@@ -78,14 +65,13 @@ def check_increasing(values, name):
         )
 
 
-def repair(time, x, y, quality, cadenceno, *, time_format, bad, pixel_scale=None):
+def repair(time, x, y, quality, cadenceno, time_format, bad, pixel_scale):
     """Interpolate, drop or refuse cadences without a usable time or position.
 
     Returns new arrays, and the number of cadences with unusable values; the arguments are those of
     `Motion.from_arrays`.
     """
-    if bad not in {"interpolate", "drop", "error"}:
-        raise ValueError(f'`bad` must be "interpolate", "drop" or "error", got {bad!r}')
+    checked_choice("bad", bad, ("interpolate", "drop", "error"))
     time = as_times(time, time_format)
     n = len(time)
     x, y = as_pixels(x, "x", n, pixel_scale), as_pixels(y, "y", n, pixel_scale)

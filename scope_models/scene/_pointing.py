@@ -11,27 +11,17 @@ import astropy.units as u
 import numpy as np
 from scipy.signal import lfilter
 
-from scope_models._arrays import PER_PIXEL, plain_time
-from scope_models._checks import check_fields, checked_integer, number
+from scope_models._arrays import PER_PIXEL, TIME_ZEROS, plain_time
+from scope_models._checks import check_fields, checked_choice, checked_integer, number
 from scope_models._values import Value
 from scope_models.effects.noise import check_seed, fresh_seed, stream
 from scope_models.missions import MISSIONS
-from scope_models.scene._motion_arrays import check_time_format
 
 __all__ = [
-    "FailingWheels",
-    "GroundTracking",
-    "K2Campaign18",
-    "K2FinalCampaign",
-    "K2Roll",
-    "KeplerPointing",
-    "Pointing",
-    "RandomWalk",
-    "TESSPointing",
-    "cadence_means",
-    "first_time",
+    "FailingWheels", "GroundTracking", "K2Campaign18", "K2FinalCampaign", "K2Roll",
+    "KeplerPointing", "Pointing", "RandomWalk", "TESSPointing", "cadence_means", "first_time",
     "generate",
-]
+]  # fmt: skip
 
 _ARCSEC_PER_RADIAN = 180 * 3600 / np.pi
 _SPEED_OF_LIGHT = 299792.458  # km/s
@@ -64,7 +54,7 @@ class Pointing(Value):
 
 def first_time(start, time_format):
     """Return the time of a first cadence in days."""
-    check_time_format(time_format)
+    checked_choice("time_format", time_format, TIME_ZEROS)
     days = plain_time(start, time_format, "start")
     if days.ndim or not np.isfinite(days):
         raise ValueError(f"`start` must be one finite time, got {start!r}")

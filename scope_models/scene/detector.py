@@ -17,7 +17,7 @@ from scope_models._checks import (
 )
 from scope_models._docstrings import documented
 from scope_models._values import Value, frozen, html_table
-from scope_models.effects.base import Effect, checked_effects
+from scope_models.effects.base import Effect, checked_several
 from scope_models.effects.noise import stream
 from scope_models.io.pixels import read_pixels
 from scope_models.missions import MISSIONS, choose_cadence, full_flux
@@ -191,7 +191,7 @@ class Detector(Value):
                 f"`well_depth` must exceed the background of a frame, "
                 f"{self.background * self.int_time:g} e-, got {self.well_depth:g}"
             )
-        put(self, "effects", checked_effects(self.effects))
+        put(self, "effects", checked_several("effects", self.effects, Effect))
         if self.interpixel is not None:
             response = plain_array(self.interpixel, u.one, "interpixel")
             if response.shape != self.shape or not np.all((response >= 0) & (response < np.inf)):

@@ -39,20 +39,13 @@ from scope_models.scene._pointing import (
 )
 
 __all__ = [
-    "FailingWheels",
-    "GroundTracking",
-    "K2Campaign18",
-    "K2FinalCampaign",
-    "K2Roll",
-    "KeplerPointing",
-    "Motion",
-    "MotionStatistics",
-    "RandomWalk",
-    "TESSPointing",
-]
+    "FailingWheels", "GroundTracking", "K2Campaign18", "K2FinalCampaign", "K2Roll",
+    "KeplerPointing", "Motion", "MotionStatistics", "RandomWalk", "TESSPointing",
+]  # fmt: skip
 
 
 _KEPLER, _K2, _TESS = (MISSIONS[name] for name in ("Kepler", "K2", "TESS"))
+_COLUMNS = ("time", "x", "y", "quality", "cadenceno")
 _LAST = {18: K2Campaign18, 19: K2FinalCampaign}
 _CADENCE = """cadence : float or Quantity, optional
     Time between cadences, {unit}."""
@@ -179,13 +172,7 @@ class Motion(Value):
             if not -len(self) <= item < len(self):
                 raise IndexError(f"cadence {item} is out of range for {len(self)} cadences")
             item = [item]
-        return self.replace(
-            time=self.time[item],
-            x=self.x[item],
-            y=self.y[item],
-            quality=self.quality[item],
-            cadenceno=self.cadenceno[item],
-        )
+        return self.replace(**{name: getattr(self, name)[item] for name in _COLUMNS})
 
     def __mul__(self, factor):
         if isinstance(factor, u.Quantity) and factor.unit.is_equivalent(u.one) and factor.isscalar:
@@ -208,18 +195,9 @@ class Motion(Value):
 
     @classmethod
     def from_arrays(
-        cls,
-        time,
-        x,
-        y,
-        quality=None,
-        *,
-        cadenceno=None,
-        time_format="bkjd",
-        bad="interpolate",
-        meta=None,
-        pixel_scale=None,
-    ):
+        cls, time, x, y, quality=None, *, cadenceno=None, time_format="bkjd", bad="interpolate",
+        meta=None, pixel_scale=None,
+    ):  # fmt: skip
         """Make a motion of arrays that may hold unusable values.
 
         A position is unusable if x or y is not finite, or is 50 px or more: archive files have
@@ -278,18 +256,9 @@ class Motion(Value):
         array([0., 2.])
         """
         if pixel_scale is not None:
-            pixel_scale = getattr(pixel_scale, "pixel_scale", pixel_scale)
-            pixel_scale = _checked_scale(pixel_scale)
-        *columns, n_bad = repair(
-            time,
-            x,
-            y,
-            quality,
-            cadenceno,
-            time_format=time_format,
-            bad=bad,
-            pixel_scale=pixel_scale,
-        )
+            pixel_scale = _checked_scale(getattr(pixel_scale, "pixel_scale", pixel_scale))
+        given = time, x, y, quality, cadenceno
+        *columns, n_bad = repair(*given, time_format, bad, pixel_scale)
         return cls(*columns, time_format, {**(meta or {}), "n_bad": n_bad})
 
     @classmethod
@@ -664,10 +633,7 @@ class Motion(Value):
                     "times and cadence numbers must go on increasing from one motion to the next; "
                     "`Motion.concatenate(motions, shift=True)` shifts them"
                 )
-        columns = (
-            np.concatenate([getattr(motion, name) for motion in joined])
-            for name in ("time", "x", "y", "quality", "cadenceno")
-        )
+        columns = (np.concatenate([getattr(m, name) for m in joined]) for name in _COLUMNS)
         common = {
             key: value
             for key, value in first.meta.items()

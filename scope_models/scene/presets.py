@@ -137,30 +137,12 @@ register_preset(
 
 @dataclass(frozen=True)
 class Band(Value):
-    """A photometric band, as seen from the ground.
+    """A photometric band, as seen from the ground."""
 
-    Parameters
-    ----------
-    flux : float
-        Flux of a star of magnitude 0 above the atmosphere, Jy.
-    width : float
-        Width over wavelength.
-    sky : float
-        Brightness of the dark sky at the zenith, mag per square arcsecond.
-    extinction : float
-        Extinction, mag per airmass.
-
-    Examples
-    --------
-    >>> from scope_models.scene.presets import BANDS
-    >>> BANDS["R"].extinction
-    0.07
-    """
-
-    flux: float
-    width: float
-    sky: float
-    extinction: float
+    flux: float  # of a star of magnitude 0 above the atmosphere, Jy
+    width: float  # over wavelength
+    sky: float  # brightness of the dark sky at the zenith, mag per square arcsecond
+    extinction: float  # mag per airmass
 
 
 #: Bands by name. Fluxes and widths: Bessell (1979); sky and extinction: Paranal (Patat 2003).

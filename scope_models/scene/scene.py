@@ -1,6 +1,6 @@
 """Scenes: all that a simulation starts from."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from types import MappingProxyType
@@ -11,7 +11,7 @@ from scope_models._checks import check_fields, checked_matrix, integer, number
 from scope_models._docstrings import documented
 from scope_models._values import Value
 from scope_models.effects import Effect, mission_effects
-from scope_models.effects.base import checked_effects
+from scope_models.effects.base import checked_several
 from scope_models.effects.noise import check_seed, noise_terms
 from scope_models.io import TPFMetadata
 from scope_models.io._headers import tan_projection
@@ -113,7 +113,9 @@ class Scene(Value):
     def __post_init__(self):
         """Check every field and bring it to its type."""
         put = partial(object.__setattr__, self)
-        put("stars", _checked_stars(self.stars))
+        put("stars", checked_several("stars", self.stars, Star))
+        if not self.stars:
+            raise ValueError("`stars` must hold at least one star")
         for name, kind in (("detector", Detector), ("motion", Motion)):
             if not isinstance(getattr(self, name), kind):
                 raise TypeError(f"`{name}` must be a {kind.__name__}, got {getattr(self, name)!r}")
@@ -121,7 +123,8 @@ class Scene(Value):
         put("noise", noise_terms(self.noise))
         check_fields(self)
         own = isinstance(self.effects, str) and self.effects == "mission"
-        put("effects", mission_effects(self.detector) if own else checked_effects(self.effects))
+        effects = mission_effects(self.detector) if own else self.effects
+        put("effects", checked_several("effects", effects, Effect))
         self._put_on_sky()
         if not isinstance(self.object_name, str | None):
             raise TypeError(f"`object_name` must be text, got {self.object_name!r}")
@@ -381,21 +384,6 @@ def _middle_year(motion):
     """Return the middle of a motion, Julian years."""
     days = TIME_ZEROS[motion.time_format] + (motion.time[0] + motion.time[-1]) / 2
     return 2000.0 + float(days - 2451545.0) / 365.25
-
-
-def _checked_stars(stars):
-    """Return one star or several as a tuple."""
-    if isinstance(stars, Star):
-        return (stars,)
-    if not isinstance(stars, Iterable):
-        raise TypeError(f"`stars` must be a Star or a sequence of them, got {stars!r}")
-    stars = tuple(stars)
-    if not stars:
-        raise ValueError("`stars` must hold at least one star")
-    for star in stars:
-        if not isinstance(star, Star):
-            raise TypeError(f"`stars` must hold Star objects, got {star!r}")
-    return stars
 
 
 def scene_facts(scene):

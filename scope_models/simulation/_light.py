@@ -15,18 +15,9 @@ from scope_models.models._axis import ROWS
 from scope_models.models._series import ImageSeries, is_gaussian
 
 __all__ = [
-    "Prepared",
-    "StarLight",
-    "StarSums",
-    "fill_wells",
-    "gather",
-    "lost_fractions",
-    "pedestal",
-    "pieces",
-    "prepare",
-    "share_of_target",
-    "shown",
-]
+    "Prepared", "StarLight", "fill_wells", "gather", "lost_fractions", "pedestal", "pieces",
+    "prepare", "share_of_target", "shown",
+]  # fmt: skip
 
 # Seconds after which a bar shows the progress.
 _PATIENCE = 5.0
@@ -175,22 +166,12 @@ def _exposures(scene, added):
     return reduce(Exposures.joined, (more for more in added if more is not None), exposures)
 
 
-@dataclass(eq=False)
-class StarSums:
-    """Sums over each star's light that are taken while it is rendered, e-/s.
-
-    ``images`` are over all cadences, with the response of the pixels; ``in_aperture`` is the light
-    in the aperture, ``(n_stars, n_cadences)``.
-    """
-
-    images: np.ndarray
-    in_aperture: np.ndarray
-
-
 def gather(prepared, cadences, sums=None, aperture=None):
     """Return the electrons that the light of all stars makes in a slice of cadences.
 
-    The wells have not filled yet. ``sums`` are taken on the way, those in an ``aperture``.
+    The wells have not filled yet. ``sums`` are taken on the way, e-/s: each star's light of all
+    cadences, ``(n_stars, ny, nx)``, and that in an ``aperture``, ``(n_stars, n_cadences)``, both
+    with the response of the pixels.
     """
     scene, interpixel = prepared.scene, prepared.interpixel
     n = len(range(*cadences.indices(len(scene.motion))))
@@ -200,11 +181,12 @@ def gather(prepared, cadences, sums=None, aperture=None):
         images, window = light.images(cadences), light.window
         if sums is not None:
             flat, seen = images.reshape(n, -1), weights[window].ravel()
-            sums.in_aperture[number, cadences] = np.einsum("mp,p->m", flat, seen)
+            whole, in_aperture = sums
+            in_aperture[number, cadences] = np.einsum("mp,p->m", flat, seen)
             # One after the other: the sum is the same in pieces of any size.
             first = images[0].copy()
-            images[0] += sums.images[number, *window]
-            images.sum(axis=0, out=sums.images[number, *window])
+            images[0] += whole[number, *window]
+            images.sum(axis=0, out=whole[number, *window])
             images[0] = first
         if electrons is None and images.shape == shape:
             electrons = images

@@ -110,7 +110,9 @@ def inject(tpf, signal=None, star=None, *, seed=None, noise=True):
     hdus[1].header.remove("CHECKSUM", ignore_missing=True)
     hdus[1].header.remove("DATASUM", ignore_missing=True)
     if change.after is not None:
-        _renew(hdus, change.after, series)
+        new = change.after.to_tpf(aperture_mask=series.aperture, quality_bitmask="none").hdu
+        for hdu in new[new.index_of("TRUTH") :]:
+            hdus[hdu.name] = hdu
     added = np.where(np.isfinite(series.flux), change.expected, 0.0)
     _record(hdus, series, relative, added, star if signal is None else None)
     return type(original)(hdus, quality_bitmask=original.quality_bitmask)
@@ -185,7 +187,14 @@ def _multiplied(star, relative, tpf, series, electrons):
 def _scene_of(star, series, tpf=None):
     """Return the scene of a star, on the cadences of the series."""
     if isinstance(star, Star):
-        scene = _scene_on(star, series)
+        if series.pos_corr is None or not np.isfinite(series.pos_corr).any():
+            motion = Motion.still(len(series)).replace(
+                time=series.time, time_format=series.time_format
+            )
+        else:
+            places = series.pos_corr.T
+            motion = Motion.from_arrays(series.time, *places, time_format=series.time_format)
+        scene = _on_stamp(Scene(star, Detector.from_tpf(series), motion, seed=0))
     elif star is None:
         if "SCENE" not in tpf.hdu:
             raise ValueError(
@@ -204,15 +213,6 @@ def _scene_of(star, series, tpf=None):
             f"{series.flux.shape[1:]}"
         )
     return _at(scene, series)
-
-
-def _scene_on(star, series):
-    """Return a scene of one star on the pixels of a file, with its motion."""
-    if series.pos_corr is None or not np.isfinite(series.pos_corr).any():
-        motion = Motion.still(len(series)).replace(time=series.time, time_format=series.time_format)
-    else:
-        motion = Motion.from_arrays(series.time, *series.pos_corr.T, time_format=series.time_format)
-    return _on_stamp(Scene(star, Detector.from_tpf(series), motion, seed=0))
 
 
 def _on_stamp(scene):
@@ -248,13 +248,6 @@ def _simulated(scene):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", LostLightWarning)
         return simulate(scene, keep_model=True)
-
-
-def _renew(hdus, observation, series):
-    """Put the truth and the scene of an observation in the place of those of its file."""
-    new = observation.to_tpf(aperture_mask=series.aperture, quality_bitmask="none").hdu
-    for hdu in new[new.index_of("TRUTH") :]:
-        hdus[hdu.name] = hdu
 
 
 def _record(hdus, series, relative, added, star):

@@ -82,12 +82,11 @@ class Observation(Value):
     star_images: np.ndarray
 
     def __post_init__(self):
-        names = ("flux", "flux_err", "flux_bkg", "raw_cnts", "quality", "aperture", "star_images")
-        for name in names:
-            cube = getattr(self, name)
-            if cube.base is None:
-                cube.flags.writeable = False
-            object.__setattr__(self, name, frozen(cube))
+        for name, value in list(vars(self).items()):
+            if isinstance(value, np.ndarray):
+                if value.base is None:
+                    value.flags.writeable = False
+                object.__setattr__(self, name, frozen(value))
 
     def __repr__(self):
         n, ny, nx = self.flux.shape

@@ -20,7 +20,6 @@ from scope_models.photometry import signal_to_noise_aperture
 from scope_models.scene._files import describe_scene, scene_columns
 from scope_models.scene.scene import Scene
 from scope_models.simulation._light import (
-    StarSums,
     fill_wells,
     gather,
     lost_fractions,
@@ -110,7 +109,13 @@ def simulate(stars, detector=None, motion=None, *, keep_model=False, chunk_size=
     >>> observation.truth.x.shape
     (2, 100)
     """
-    scene = _checked_scene(stars, detector, motion, options)
+    if not isinstance(stars, Scene):
+        scene = Scene(stars, detector, motion, **options)
+    elif detector is not None or motion is not None:
+        raise TypeError("a Scene holds detector and motion: `Scene.replace` changes them")
+    else:
+        scene = stars.replace(**options) if options else stars
+    scene = scene.replace(seed=fresh_seed()) if scene.seed is None else scene
     if chunk_size is not None:
         chunk_size = checked_integer("chunk_size", chunk_size, 1)
     prepared = prepare(scene)
@@ -121,21 +126,16 @@ def simulate(stars, detector=None, motion=None, *, keep_model=False, chunk_size=
     _warn_of_loss(f"{star} loses {{}} of its light", lost[0], scene.detector.shape)
     aperture = _choose_aperture(prepared)
     shape = (len(scene.motion), *scene.detector.shape)
-    sums = StarSums(
-        np.zeros((len(scene.stars), *shape[1:])), np.zeros((len(scene.stars), shape[0]))
-    )
-    cubes = {
-        "flux": np.empty(shape, np.float32),
-        "flux_err": np.empty(shape, np.float32),
-        "raw_cnts": np.empty(shape, np.int32),
-    }
+    images, in_aperture = (np.zeros((len(scene.stars), *n)) for n in (shape[1:], shape[:1]))
+    cubes = {name: np.empty(shape, np.float32) for name in ("flux", "flux_err")}
+    cubes["raw_cnts"] = np.empty(shape, np.int32)
     model = np.empty(shape) if keep_model else None
     streams = {term: stream(scene.seed, term) for term in scene.noise}
     photons, of_sky = streams.get("photon"), streams.get("background")
     spilled, flux_bkg = 0.0, None
     with one_thread:
         for part in pieces(scene, chunk_size):
-            expected = gather(prepared, part, sums, aperture)
+            expected = gather(prepared, part, (images, in_aperture), aperture)
             added, subtracted = pedestal(prepared, part, expected)
             random = bool(photons or of_sky)
             if random:
@@ -162,21 +162,10 @@ def simulate(stars, detector=None, motion=None, *, keep_model=False, chunk_size=
         flux_bkg=flux_bkg,
         quality=_flag(prepared, cubes),
         scene=scene,
-        truth=_truth(prepared, lost, share_of_target(sums.in_aperture), model),
+        truth=_truth(prepared, lost, share_of_target(in_aperture), model),
         aperture=aperture,
-        star_images=sums.images * prepared.interpixel / len(scene.motion),
+        star_images=images * prepared.interpixel / len(scene.motion),
     )
-
-
-def _checked_scene(stars, detector, motion, options):
-    """Return the scene of the arguments, with a seed."""
-    if isinstance(stars, Scene):
-        if detector is not None or motion is not None:
-            raise TypeError("a Scene holds detector and motion: `Scene.replace` changes them")
-        scene = stars.replace(**options) if options else stars
-    else:
-        scene = Scene(stars, detector, motion, **options)
-    return scene.replace(seed=fresh_seed()) if scene.seed is None else scene
 
 
 def _choose_aperture(prepared):

@@ -229,7 +229,7 @@ def test_extinction_is_not_light_outside_the_aperture():
         (lambda: NightSky(moon_phase=np.nan), "`moon_phase` must be between 0 and 180"),
         (lambda: Detector.ground(band="K"), "`band` must be one of V, R, I"),
         (lambda: Detector.ground(0.0), "`aperture` must be positive"),
-        (lambda: Detector.ground(effects=[1]), "`effects` must hold effects"),
+        (lambda: Detector.ground(effects=[1]), "`effects` must hold Effect objects"),
         (lambda: moffat_psf(2.0, 1.0), "`beta` must be above 1"),
         (lambda: airmass([1400.0], "star", PARANAL), "`coord` must be a SkyCoord"),
         (lambda: airmass([1400.0], STAR, "here"), "`location` must be an EarthLocation"),

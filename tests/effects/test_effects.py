@@ -270,8 +270,8 @@ class Nothing(Effect):
         (lambda: Gaps([(2, 1)]), ValueError, "`intervals` must not end before they begin"),
         (lambda: Gaps([(1, np.nan)]), ValueError, "`intervals` must be finite and of the shape"),
         (lambda: Gaps([1, 2]), ValueError, "`intervals` must be finite and of the shape"),
-        (lambda: "focus", TypeError, "`effects` must hold effects, got 'f'"),
-        (lambda: 7, TypeError, "`effects` must be effects, got 7"),
+        (lambda: "focus", TypeError, "`effects` must hold Effect objects, got 'f'"),
+        (lambda: 7, TypeError, "`effects` must be Effect or a sequence of them, got 7"),
     ],
 )
 def test_bad_effects(make, error, message):

@@ -139,9 +139,9 @@ def test_cdpp_of_noiseless_flux_is_zero():
 @pytest.mark.parametrize(
     "arguments, message",
     [
-        ({"method": "kepler"}, '`method` must be "lightkurve" or "everest", got \'kepler\''),
+        ({"method": "kepler"}, "`method` must be one of lightkurve, everest, got 'kepler'"),
         ({"duration": 0}, "`duration` must be positive, got 0"),
-        ({"duration": np.nan}, "`duration` must be positive, got nan"),
+        ({"duration": np.nan}, "`duration` must be finite, got nan"),
         ({"duration": 0.1}, "`duration` must be at least half a cadence"),
         ({"cadence": -1}, "`cadence` must be positive, got -1"),
         ({"filter_window": 10}, "`filter_window` must be odd and at least 3, got 10"),

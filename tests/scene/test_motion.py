@@ -83,7 +83,7 @@ def test_pickle_and_copy(motion):
         ({"cadenceno": [3, 2, 1]}, ValueError, "`cadenceno` must increase strictly"),
         ({"quality": [0.5, 0, 0]}, TypeError, "`quality` must hold integers"),
         ({"quality": [2**40, 0, 0]}, ValueError, "`quality` must fit into 32 bits"),
-        ({"time_format": "jd"}, ValueError, '`time_format` must be "bkjd" or "btjd"'),
+        ({"time_format": "jd"}, ValueError, "`time_format` must be one of bkjd, btjd, got 'jd'"),
     ],
 )
 def test_refused_arrays(changes, error, match):
@@ -156,7 +156,7 @@ def test_limit_is_50_px():
         ([np.nan, 1, 2], [0, 99, 99], "drop", "no cadence with both"),
         ([np.nan, 1, np.nan], [0, 0, 0], "interpolate", "at least two usable values"),
         ([0, np.nan, 0], [0, 0, 0], "interpolate", "`time` must increase strictly"),
-        ([0, 1, 2], [0, 0, 0], "ignore", '`bad` must be "interpolate", "drop" or "error"'),
+        ([0, 1, 2], [0, 0, 0], "ignore", "`bad` must be one of interpolate, drop, error"),
     ],
 )
 def test_refused_values(time, x, bad, match):

@@ -340,7 +340,7 @@ def test_memory_stays_below_three_times_the_result(n, options):
     "changes, error, message",
     [
         ({"stars": []}, ValueError, "`stars` must hold at least one star"),
-        ({"stars": 12.0}, TypeError, "`stars` must be a Star or a sequence of them, got 12.0"),
+        ({"stars": 12.0}, TypeError, "`stars` must be Star or a sequence of them, got 12.0"),
         ({"stars": [12.0]}, TypeError, "`stars` must hold Star objects, got 12.0"),
         ({"detector": "k2"}, TypeError, "`detector` must be a Detector, got 'k2'"),
         ({"motion": np.zeros(3)}, TypeError, "`motion` must be a Motion, got array"),
