@@ -14,7 +14,7 @@ sys.path.insert(0, str(Path(__file__).parent / "_ext"))
 sys.path += [str(Path(__file__).parents[1] / folder) for folder in ("studies/paper", "studies")]
 
 # Each has a section on the page on the command line.
-COMMANDS = ("demo", "simulate", "inject", "detrend", "fit", "benchmark", "score")
+COMMANDS = ("demo", "simulate", "inject", "detrend", "fit", "report", "benchmark", "score")
 
 project = "scope_models"
 author = "scope_models developers"

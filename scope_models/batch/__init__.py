@@ -19,6 +19,7 @@ __all__ = [
     "simulate_table",
     "star_rng",
     "star_seed",
+    "write_report",
 ]
 
 # Public names are imported at first use, as in the package itself.
@@ -29,6 +30,7 @@ __getattr__, __dir__, _ = lazy_loader.attach(
             "detrend_files", "find_files", "fit_files", "inject_file", "inject_files",
             "simulate_table",
         ],
+        "report": ["write_report"],
         "results": ["read_results"],
         "sweep": ["SweepError", "SweepResult", "run_sweep", "star_rng", "star_seed"],
     },

@@ -151,7 +151,7 @@ def make_archive_hdulist(corrector, path, collection, *, survival=False):
             *_held_out(corrector),
         ]
     hdus = make_lightcurve_hdulist(corrector, survival=survival)
-    return archive_hdulist(hdus, series, collection, path, cards, _states(corrector, series))
+    return archive_hdulist(hdus, series, collection, path, cards)
 
 
 def _held_out(corrector):
@@ -189,7 +189,7 @@ def _states(corrector, series):
 def light_curve_arrays(corrector):
     """Return the light curve's arrays by name, as in the files of a `Collection`."""
     series = read_pixels(corrector.tpf)
-    columns = _columns(corrector) + _states(corrector, series)
+    columns = _columns(corrector)
     renamed = {series.mission.quality_column: "quality"}
     return {renamed.get(c.name, c.name.lower()): np.asarray(c.array) for c in columns}
 
@@ -215,6 +215,7 @@ def _columns(corrector):
         fits.Column("RAW_FLUX_ERR", "E", array=original.flux_err.value, **flux),
         fits.Column("IN_FIT", "L", array=corrector.cadence_mask & ~corrector.outlier_mask),
         fits.Column("OUTLIER", "L", array=corrector.outlier_mask),
+        *_states(corrector, series),
     ]
 
 

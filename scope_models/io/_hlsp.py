@@ -96,22 +96,19 @@ def sha256(path):
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def archive_hdulist(hdus, series, collection, path, cards=(), columns=()):
+def archive_hdulist(hdus, series, collection, path, cards=()):
     """Turn the file of a light curve into one of a collection.
 
     ``hdus`` are those of `make_light_curve_hdulist`, ``series`` the `PixelSeries`, ``path`` the
-    target pixel file; further ``cards`` go into the primary header, further ``columns`` into the
-    table. Times are TDB in all headers.
+    target pixel file; further ``cards`` go into the primary header. Times are TDB in all headers.
     """
     from astropy.io import fits
 
     primary, old = hdus[0].header, hdus[1]
-    quality = series.mission.quality_column
+    quality, columns = series.mission.quality_column, old.columns
     if quality != "QUALITY":  # lightkurve leaves out flagged cadences of Kepler by the other
-        columns = [*columns, fits.Column("QUALITY", "J", array=old.data[quality])]
-    table = fits.BinTableHDU.from_columns(
-        old.columns + fits.ColDefs(columns), header=old.header, name="LIGHTCURVE"
-    )
+        columns = columns + fits.ColDefs([fits.Column("QUALITY", "J", array=old.data[quality])])
+    table = fits.BinTableHDU.from_columns(columns, header=old.header, name="LIGHTCURVE")
     table.columns["TIME"].unit = "d"
     shared = _times(table, series) + _place(series)
     for header in (primary, table.header):

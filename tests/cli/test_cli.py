@@ -19,7 +19,7 @@ from scope_models.cli._main import _make_parser
 from scope_models.io import read_truth
 from scope_models.photometry import cdpp, threshold_aperture
 
-COMMANDS = ("demo", "simulate", "inject", "detrend", "fit", "benchmark", "score")
+COMMANDS = ("demo", "simulate", "inject", "detrend", "fit", "report", "benchmark", "score")
 
 
 @pytest.fixture

@@ -1,0 +1,227 @@
+"""One page about a run over many files: noise, outliers, warnings and failures."""
+
+import base64
+import html
+import io
+import re
+from collections import defaultdict
+from pathlib import Path
+
+import numpy as np
+from astropy.io import fits
+
+from scope_models._arrays import without_unit
+from scope_models._version import __version__
+from scope_models.batch._store import read_records
+from scope_models.batch.results import read_light_curve, read_results
+from scope_models.io import read_pixels
+from scope_models.io._atomic import atomic_path
+
+__all__ = ["write_report"]
+
+#: Medians of the unsaturated stars of campaigns 3 to 6 of K2, by magnitude, ppm, in EVEREST's
+#: convention: computed from the light curves of the 79,699 stars that all pipelines have.
+_PUBLISHED = {
+    "mag": [11.5, 12.5, 13.5, 14.5, 15.5, 16.5, 17.5],
+    "raw, published": [212, 217, 255, 347, 744, 1534, 2752],
+    "EVEREST 2": [20.9, 27.7, 42.9, 73.0, 167, 348, 664],
+    "K2SFF": [26.3, 36.9, 61.2, 106, 247, 519, 985],
+    "K2SC": [30.4, 39.8, 63.1, 105, 246, 490, 957],
+}
+_SOURCES = (
+    "Medians of the unsaturated stars of K2's campaigns 3 to 6 (79,699 stars that all pipelines "
+    "have), computed in the same convention from the published light curves of EVEREST 2 "
+    "(AJ 156, 99), K2SFF (PASP 126, 948) and K2SC (MNRAS 459, 2408)."
+)
+_CONVENTION = (
+    "Noise is the 6.5-h CDPP in EVEREST's convention: median of the scatter in windows of 13 "
+    "cadences over the root of 13, after a Savitzky-Golay trend of 49 cadences."
+)
+_OUTLIERS, _EXAMPLES = 8, 5  # stars that are shown
+_STYLE = """
+body { font: 15px/1.5 system-ui, sans-serif; max-width: 1100px; margin: 2em auto; padding: 0 1em; }
+h1, h2 { font-weight: 600; } img { max-width: 100%; } table { border-collapse: collapse; }
+td, th { padding: .2em .8em; text-align: right; border-bottom: 1px solid #ddd; }
+td:first-child, th:first-child { text-align: left; } pre { overflow-x: auto; background: #f4f4f4; }
+figure { margin: 1em 0; } figcaption, .note { color: #444; font-size: 90%; }
+div { margin: .6em 0; }
+"""
+
+
+def write_report(folder, output=None):
+    """
+    Write a page about a run over many files, also of one that was interrupted.
+
+    Parameters
+    ----------
+    folder : str or path-like
+        The ``output_dir`` of the run.
+    output : str or path-like, optional
+        The page, by default ``report.html`` in the folder; one that exists is replaced.
+
+    Returns
+    -------
+    pathlib.Path
+        The page: HTML that holds its figures. Runs of `detrend_files` have the noise against the
+        magnitude, beside published medians for K2, and the stars that are noisiest for their
+        magnitude, with pixels (if the file is still there), light curve, and positions and width.
+
+    Raises
+    ------
+    FileNotFoundError
+        If the folder holds no results.
+    OSError, ValueError
+        If a run is writing to the folder, the results are damaged, or the page cannot be written.
+
+    Examples
+    --------
+    >>> from scope_models.batch import simulate_table, write_report
+    >>> result = simulate_table({"mag": [11.0]}, "few", cadences=50, sweep={"progress": False})
+    >>> write_report("few").name
+    'report.html'
+    """
+    folder = Path(folder)
+    failures = [record for record in read_records(folder) if "error" in record]
+    table = read_results(folder)
+    parts = [_summary(table, failures)]
+    if "cdpp_everest" in table.colnames:
+        parts += [_noise(table), _outliers(folder, table)]
+    warned = [(row["key"], row["warnings"], "") for row in table if _text(row, "warnings")]
+    failed = [(row["task"]["key"], row["error"], row["traceback"]) for row in failures]
+    parts += [_causes("Failures", failed), _causes("Warnings", warned)]
+    title = f"Run of {html.escape(folder.absolute().name)}"
+    page = (
+        f'<!DOCTYPE html><html lang="en"><head><meta charset="utf-8"><title>{title}</title>'
+        f"<style>{_STYLE}</style></head><body><h1>{title}</h1>{''.join(parts)}</body></html>"
+    )
+    output = Path(output or folder / "report.html")
+    with atomic_path(output, overwrite=True) as temporary:
+        temporary.write_text(page, encoding="utf-8")
+    return output
+
+
+def _summary(table, failures):
+    """Return numbers of the whole run."""
+    rows = [("stars", len(table)), ("failed", len(failures))]
+    if "cdpp_everest" in table.colnames:
+        raw, now = (without_unit(table[name]) for name in ("raw_cdpp_everest", "cdpp_everest"))
+        rows.append(("median noise over raw", f"{np.nanmedian(now / raw):.2f}"))
+        rows.append(("noisier than raw", int(np.sum(now > raw))))
+    if "seconds" in table.colnames:
+        seconds = without_unit(table["seconds"])
+        rows.append(("processor time per file", f"{np.median(seconds):.2f} s"))
+        rows.append(("processor time of all", f"{np.sum(seconds) / 3600:.2f} h"))
+        rows.append(("peak memory", f"{np.nanmax(without_unit(table['peak_memory'])):.0f} MiB"))
+    rows.append(("version", f"scope_models {__version__}"))
+    return _table(rows)
+
+
+def _noise(table):
+    """Return the figure of the noise and the published medians."""
+    from scope_models.plotting.noise import plot_precision  # imports matplotlib
+
+    columns = {"mag": "mag", "raw_cdpp": "raw_cdpp_everest", "cdpp": "cdpp_everest"}
+    stars = {name: without_unit(table[column]) for name, column in columns.items()}
+    is_k2 = bool(np.any(table["mission"] == "K2"))
+    figure = plot_precision(stars, _PUBLISHED if is_k2 else None)
+    parts = ["<h2>Noise</h2>", _image(figure, "Noise against magnitude"), _note(_CONVENTION)]
+    if is_k2:
+        head = ["magnitude", "stars", "raw here", "corrected here", *list(_PUBLISHED)[1:]]
+        rows = []
+        for n, center in enumerate(_PUBLISHED["mag"]):
+            near = np.abs(stars["mag"] - center) <= 0.5
+            here = [
+                f"{np.nanmedian(stars[name][near]):.1f}" if near.any() else ""
+                for name in ("raw_cdpp", "cdpp")
+            ]
+            medians = [values[n] for name, values in _PUBLISHED.items() if name != "mag"]
+            rows.append([f"{center - 0.5:g}-{center + 0.5:g}", near.sum(), *here, *medians])
+        parts += [_table(rows, head), _note(_SOURCES)]
+    return "".join(parts)
+
+
+def _outliers(folder, table):
+    """Return the stars with the most noise for their magnitude, each with a figure."""
+    from scope_models.plotting.noise import plot_star
+
+    mag, noise = (without_unit(table[name]) for name in ("mag", "cdpp_everest"))
+    half, excess = np.round(2 * mag), np.full(len(table), -np.inf)
+    for center in np.unique(half[np.isfinite(half)]):
+        near = np.isfinite(noise) & (np.abs(half - center) <= 1)
+        here = near & (half == center)
+        excess[here] = noise[here] / np.median(noise[near])
+    parts = ["<h2>Noisiest stars for their magnitude</h2>"]
+    shown = [n for n in np.argsort(-excess)[:_OUTLIERS] if excess[n] > 0]
+    for n in shown:
+        row = table[n]
+        curve = read_light_curve(folder / row["output"])
+        arrays = {name: np.asarray(curve[name]) for name in curve.colnames}
+        text = (
+            f"{row['object'] or row['key']} ({row['key']}): magnitude {mag[n]:.1f}, noise "
+            f"{noise[n]:.0f} ppm, {excess[n]:.1f} times the median of stars like it. "
+        )
+        figure = plot_star(arrays, *_pixels(folder, row))
+        parts.append(_image(figure, text + _text(row, "warnings")))
+    return "".join(parts)
+
+
+def _pixels(folder, row):
+    """Return image and aperture of a star, as far as the files are there."""
+    try:
+        flux = read_pixels(row["file"]).flux
+        image = np.nanmedian(flux[:: max(1, len(flux) // 100)], axis=0)
+    except (OSError, ValueError):
+        return None, None
+    if Path(row["output"]).suffix != ".fits":
+        return image, None
+    with fits.open(folder / row["output"]) as hdus:
+        return image, hdus["APERTURE"].data & 2 > 0
+
+
+def _causes(title, found):
+    """Return a list of messages, each with the stars that have it, but for numbers and files."""
+    groups = defaultdict(list)
+    for key, message, trace in found:
+        cause = re.sub(r"(/[^\s:'\"]+)+", "FILE", message)
+        groups[re.sub(r"\d[\d.,e+-]*", "N", cause)].append((key, message, trace))
+    parts = [f"<h2>{title}</h2>"] if groups else []
+    for members in sorted(groups.values(), key=len, reverse=True):
+        keys = ", ".join(key for key, *_ in members[:_EXAMPLES])
+        keys += ", ..." if len(members) > _EXAMPLES else ""
+        _, message, trace = members[0]
+        text = f"<b>{len(members)}</b> ({html.escape(keys)}): {html.escape(message)}"
+        if trace:
+            trace = f"<pre>{html.escape(trace)}</pre>"
+            text += f"<details><summary>Traceback of the first</summary>{trace}</details>"
+        parts.append(f"<div>{text}</div>")
+    return "".join(parts)
+
+
+def _text(row, name):
+    """Return a text of a row, empty if it has none."""
+    return str(row[name]) if name in row.colnames else ""
+
+
+def _image(figure, caption):
+    """Return a figure as a part of the page."""
+    from scope_models.plotting._style import save_figure
+
+    content = io.BytesIO()
+    save_figure(figure, content)
+    data = base64.b64encode(content.getvalue()).decode()
+    text = html.escape(caption)
+    return (
+        f'<figure><img src="data:image/png;base64,{data}" alt="{text}">'
+        f"<figcaption>{text}</figcaption></figure>"
+    )
+
+
+def _note(text):
+    return f'<p class="note">{html.escape(text)}</p>'
+
+
+def _table(rows, head=()):
+    """Return a table."""
+    lines = ["".join(f"<th>{html.escape(str(cell))}</th>" for cell in head)] if head else []
+    lines += ["".join(f"<td>{html.escape(str(cell))}</td>" for cell in row) for row in rows]
+    return "<table>" + "".join(f"<tr>{line}</tr>" for line in lines) + "</table>"
