@@ -90,7 +90,8 @@ def plot_star(light_curve, image=None, aperture=None):
     for name, color in (("raw_flux", GRAY), ("flux", DARK)):
         middle.plot(curve["time"], curve[name] / np.nanmedian(curve[name]), ".", ms=2, color=color)
     scale_to(middle, *(curve[name] / np.nanmedian(curve[name]) for name in ("raw_flux", "flux")))
-    middle.set(xlabel="Time (d)", ylabel="Relative flux")
+    middle.set(xlabel="Time (d)", ylabel="Flux, raw (gray) and corrected")
+    middle.ticklabel_format(axis="y", useOffset=False)
     states = [name for name in _STATES if np.isfinite(curve.get(name, np.nan)).any()]
     states = states or [name for name in _CENTROIDS if name in curve]
     for name, color in zip(states, (DARK, LIGHT, GRAY), strict=False):
