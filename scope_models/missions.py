@@ -320,69 +320,6 @@ class Mission(Value):
         """
         return self.cadence(choice).n_frames * self.frame_time / _SECONDS_PER_DAY
 
-    def detector_fields(self):
-        """Return the fields of a detector that the mission fixes.
-
-        Returns
-        -------
-        dict
-            Fields of `~scope_models.Detector` and their values.
-
-        Examples
-        --------
-        >>> from scope_models.missions import MISSIONS
-        >>> MISSIONS["TESS"].detector_fields()["pixel_scale"]
-        21.0
-        """
-        names = ("pixel_scale", "zero_point_mag", "int_time", "read_time", "well_depth")
-        fields = {name: getattr(self, name) for name in names}
-        return fields | {"mission": self.name, "zero_point": self.zero_points[0][1]}
-
-    def detector_cards(self, cards):
-        """Return the fields of a detector that the cards of a target pixel file have.
-
-        Parameters
-        ----------
-        cards : mapping
-            Cards of its headers.
-
-        Returns
-        -------
-        dict
-            Fields of `~scope_models.Detector` and their values.
-
-        Examples
-        --------
-        >>> from scope_models.missions import MISSIONS
-        >>> MISSIONS["K2"].detector_cards({"INT_TIME": 6.02, "GAIN": 110.0, "READNOIS": None})
-        {'int_time': 6.02, 'gain': 110.0}
-        """
-        keywords = {
-            "int_time": "INT_TIME",
-            "read_time": "READTIME",
-            "n_frames": "NUM_FRM",
-            "gain": self.gain_keyword,
-            "read_noise": self.read_noise_keyword,
-            "mean_black": self.black_keyword,
-        }
-        found = {name: cards.get(keyword) for name, keyword in keywords.items()}
-        for keyword in self.offset_keywords:
-            found["fixed_offset"] = found.get("fixed_offset") or cards.get(keyword)
-        reads = cards.get("NREADOUT")
-        if _is_positive(reads) and _is_positive(found["n_frames"]):
-            found["live_fraction"] = min(reads / found["n_frames"], 1.0)
-        integers = ("n_frames", "mean_black", "fixed_offset")
-        return {
-            name: int(value) if name in integers else float(value)
-            for name, value in found.items()
-            if _is_positive(value)
-        }
-
-
-def _is_positive(value):
-    """Return whether the value of a card is a positive number."""
-    return isinstance(value, (int, float)) and not isinstance(value, bool) and value > 0
-
 
 def full_flux(well_depth, int_time, background=0.0):
     """Return the flux, e-/s, from which a pixel of an archive file may be full.

@@ -144,23 +144,8 @@ def rejected_shift(charge):
 
     with the distributions :math:`\Phi^9(z)\, \Phi(z - d)` of the highest and
     :math:`1 - [1 - \Phi(z)]^9 [1 - \Phi(z - d)]` of the lowest. It is 0.8 d for small d, and
-    1.485, the mean of the highest of nine, for large d.
-
-    Parameters
-    ----------
-    charge : array_like
-        The charge d, in standard deviations of a read.
-
-    Returns
-    -------
-    ndarray
-        The mean shift of the sum, in standard deviations of a read.
-
-    Examples
-    --------
-    >>> from scope_models.effects.cosmic_rays import rejected_shift
-    >>> print(rejected_shift([0.0, 2.0, 50.0]).round(3))
-    [0.    1.232 1.485]
+    1.485, the mean of the highest of nine, for large d. Charge and shift are in standard deviations
+    of a read.
     """
     return np.interp(plain_array(charge, "", "charge"), *_shift_table())
 

@@ -15,6 +15,11 @@ __all__ = ["calendar_dates", "make_headers", "pixel_column_cards", "tan_projecti
 _LAYOUTS = Path(__file__).with_name("layouts")
 _MATRIX = ("PC1_1", "PC1_2", "PC2_1", "PC2_2")
 _PROTECTED = ("SIMPLE", "BITPIX", "EXTEND", "NEXTEND", "EXTNAME", "EXTVER", "CHECKSUM", "DATASUM")
+_CARDS = {
+    "OBJECT": "name", "CHANNEL": "full_channel", "CAMERA": "camera", "CCD": "ccd",
+    "QUARTER": "quarter", "CAMPAIGN": "campaign", "SECTOR": "sector", "INT_TIME": "int_time",
+    "READTIME": "read_time", "FRAMETIM": "frame_time", "NUM_FRM": "n_frames", "NREADOUT": "reads",
+}  # fmt: skip
 _MAX_CARD_INTEGER = 2**63 - 1  # larger seeds are written as text, for readers with 64-bit integers
 
 
@@ -80,6 +85,7 @@ def _facts(metadata):
     offsets = ("FXDOFF", "LCFXDOFF" if metadata.is_long_cadence else "SCFXDOFF")
     outputs = ("", *"ABCD")
     return {
+        **{keyword: getattr(metadata, name) for keyword, name in _CARDS.items()},
         "DATE": (metadata.date or dt.datetime.now(dt.UTC).date()).isoformat()[:10],
         "CREATOR": f"scope_models {__version__} TargetPixelFile",
         "PROCVER": f"scope_models {__version__}",
@@ -87,27 +93,15 @@ def _facts(metadata):
         "TELESCOP": mission.telescope,
         "INSTRUME": mission.instrument,
         "MISSION": mission.name,
-        "OBJECT": metadata.name,
         mission.id_keyword: metadata.target_id,
         mission.magnitude_keyword: metadata.magnitude,
         "RA_OBJ": ra,
         "DEC_OBJ": dec,
-        "CHANNEL": metadata.full_channel,
         "MODULE": module,
         "OUTPUT": output,
-        "CAMERA": metadata.camera,
-        "CCD": metadata.ccd,
-        "QUARTER": quarter,
         "SEASON": None if quarter is None else (quarter + 2) % 4,
-        "CAMPAIGN": metadata.campaign,
-        "SECTOR": metadata.sector,
         "OBSMODE": f"{'long' if metadata.is_long_cadence else 'short'} cadence",
         "CRMITEN": metadata.reads < metadata.n_frames,
-        "INT_TIME": metadata.int_time,
-        "READTIME": metadata.read_time,
-        "FRAMETIM": metadata.frame_time,
-        "NUM_FRM": metadata.n_frames,
-        "NREADOUT": metadata.reads,
         **dict.fromkeys(offsets, metadata.fixed_offset),
         **{f"GAIN{x}": metadata.gain for x in outputs},
         **{f"READNOI{x or 'S'}": metadata.read_noise for x in outputs},

@@ -27,45 +27,13 @@ _NO_LONGER_TRUE = {
 
 
 def make_light_curve_hdulist(tpf, columns, *, aperture, cards=()):
-    """Make the FITS file of a light curve of a target pixel file.
+    """Return the FITS file of a light curve of lightkurve's target pixel file.
 
     Cards of the target pixel file that stay true (the star, the detector, the zero of time,
     exposures) are kept, with their comments; those of its columns, its aperture and its span of
-    time are not. lightkurve reads the file as a ``KeplerLightCurve`` or ``TessLightCurve``.
-
-    Parameters
-    ----------
-    tpf : lightkurve.TargetPixelFile
-        The target pixel file.
-    columns : sequence of astropy.io.fits.Column
-        The columns; the first is TIME, in days.
-    aperture : array_like of bool, shape (ny, nx)
-        The pixels that were summed.
-    cards : sequence of tuple, optional
-        Keywords, values and comments that are added to the primary header.
-
-    Returns
-    -------
-    astropy.io.fits.HDUList
-        Primary header, LIGHTCURVE table and APERTURE.
-
-    Raises
-    ------
-    ValueError
-        If no time is finite, or the headers name no mission.
-
-    Examples
-    --------
-    >>> from astropy.io import fits
-    >>> from scope_models import Detector, Motion, Star, simulate
-    >>> from scope_models.io._light_curves import make_light_curve_hdulist
-    >>> tpf = simulate(Star(12.0), Detector.k2(), Motion.still(50), seed=1).to_tpf()
-    >>> lc = tpf.to_lightcurve(aperture_mask="all")
-    >>> time = fits.Column("TIME", "D", array=lc.time.value)
-    >>> flux = fits.Column("FLUX", "E", unit="e-/s", array=lc.flux.value)
-    >>> hdus = make_light_curve_hdulist(tpf, [time, flux], aperture=tpf.flux[0].value > 100)
-    >>> hdus[0].header["OBJECT"], hdus[1].header["TUNIT1"]
-    ('SIM 1', 'BJD - 2454833')
+    time are not. lightkurve reads the file as a ``KeplerLightCurve`` or ``TessLightCurve``. The
+    first of the columns is TIME, in days; ``aperture`` are the pixels that were summed, and
+    ``cards``, keywords with values and comments, are added to the primary header.
     """
     from astropy.io import fits
 

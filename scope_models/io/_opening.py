@@ -100,24 +100,16 @@ def _content(path):
                 raise _too_large(path, limit)
             return stream.read()
         limit = min(limit, max(_SMALL, conf.max_ratio * size))
+        pieces, left = [], limit
         try:
-            content = _unpacked(stream, limit)
+            with gzip.GzipFile(fileobj=stream) as unpacked:
+                while left >= 0 and (piece := unpacked.read(_CHUNK)):
+                    pieces.append(piece)
+                    left -= len(piece)
         except Exception as error:  # of gzip
             raise _unreadable(path, error) from error
-    if content is None:
+    if left < 0:
         raise _too_large(path, limit)
-    return content
-
-
-def _unpacked(stream, limit):
-    """Return what a compressed stream holds; None if it is more than the limit."""
-    pieces, left = [], limit
-    with gzip.GzipFile(fileobj=stream) as unpacked:
-        while piece := unpacked.read(_CHUNK):
-            pieces.append(piece)
-            left -= len(piece)
-            if left < 0:
-                return None
     return b"".join(pieces)
 
 

@@ -32,28 +32,11 @@ class ImageSeries:
     Gaussians are interpolated between places that do not depend on the series: the same position
     and width give the same pixels to the last bit, in whatever pieces the series is rendered.
 
-    Parameters
-    ----------
-    psf : `~astropy.modeling.Model`
-        A density with the parameters flux, x_0 and y_0, or a sum of several. It is scaled to unit
-        flux, and its first component is put at the star's position.
-    sensitivity : `~astropy.modeling.Model` or None
-        Response within the pixels. A PSF that is integrated over pixels already contains it, and
-        is not multiplied by it.
-    shape : tuple of int
-        Shape (ny, nx) of the stamp.
-    x, y : `~numpy.ndarray`
-        All positions of the series, or their extremes, which choose the `window`.
-    widths : `~numpy.ndarray`, optional
-        All factors on the width of the PSF, or their extremes.
-    blur : float, optional
-        Standard deviation along each axis, px, of a normal distribution of the star's position
-        with which images are convolved; of sums of Gaussians only.
-
-    Attributes
-    ----------
-    window : tuple of slice
-        Rows and columns that the star lights.
+    The PSF is scaled to unit flux, and its first component is put at the star's position; one that
+    is integrated over pixels contains the sensitivity, and is not multiplied by it. Positions and
+    factors on the width are all of the series or their extremes, which choose the rows and columns
+    that the star lights, `window`. With a ``blur``, px, images of sums of Gaussians are convolved
+    with a normal distribution of the star's position along each axis.
     """
 
     def __init__(self, psf, sensitivity, shape, x, y, widths=None, blur=0.0):

@@ -35,6 +35,7 @@ ZERO_POINTS = {name: dict(mission.zero_points) for name, mission in MISSIONS.ite
 _SECONDS_PER_DAY = 86400.0
 _DISTRIBUTIONS = ("uniform", "normal")
 _RATE = u.electron / u.s
+_INTEGERS = ("n_frames", "mean_black", "fixed_offset")
 _OF_CADENCE = ("n_frames", "live_fraction", "fixed_offset")
 
 # Parts of the docstrings of the presets.
@@ -553,7 +554,7 @@ class Detector(Value):
                 "`tpf` must be of Kepler, K2 or TESS by its card MISSION or TELESCOP; else pass "
                 "the `mission` whose detector it is"
             )
-        found = mission.detector_cards(series.header) | {"shape": series.flux.shape[1:]}
+        found = _of_cards(series.header, mission) | {"shape": series.flux.shape[1:]}
         if series.flux_bkg is not None and np.isfinite(series.flux_bkg).any():
             found["background"] = float(max(np.nanmedian(series.flux_bkg), 0.0))
         return cls.preset(mission.name, **(found | changes))
@@ -714,3 +715,28 @@ class Detector(Value):
         True
         """
         return replace(self, sensitivity=None, interpixel=None, interpixel_scatter=0.0)
+
+
+def _of_cards(cards, mission):
+    """Return the fields of a detector that the cards of a target pixel file have."""
+    keywords = {
+        "int_time": "INT_TIME",
+        "read_time": "READTIME",
+        "n_frames": "NUM_FRM",
+        "reads": "NREADOUT",
+        "gain": mission.gain_keyword,
+        "read_noise": mission.read_noise_keyword,
+        "mean_black": mission.black_keyword,
+    }
+    found = {name: cards.get(keyword) for name, keyword in keywords.items()}
+    for keyword in mission.offset_keywords:
+        found["fixed_offset"] = found.get("fixed_offset") or cards.get(keyword)
+    found = {
+        name: int(value) if name in _INTEGERS else float(value)
+        for name, value in found.items()
+        if isinstance(value, int | float) and not isinstance(value, bool) and value > 0
+    }
+    reads = found.pop("reads", None)
+    if reads and "n_frames" in found:
+        found["live_fraction"] = min(reads / found["n_frames"], 1.0)
+    return found

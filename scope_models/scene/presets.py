@@ -38,6 +38,7 @@ class Preset(Value):
     cadences: tuple[Cadence, ...] = ()
 
 
+_OF_MISSION = ("pixel_scale", "zero_point_mag", "int_time", "read_time", "well_depth")
 _REGISTERED, _OWN = {}, []
 #: The presets by name; read-only, `register_preset` adds to it.
 PRESETS = MappingProxyType(_REGISTERED)
@@ -84,7 +85,8 @@ def register_preset(name, *, cadences=(), **fields):
     mission = MISSIONS.get(fields.get("mission"))
     if mission is not None:
         cadences = tuple(cadences) or mission.cadences
-        fields = mission.detector_fields() | fields
+        own = {name: getattr(mission, name) for name in _OF_MISSION}
+        fields = own | {"zero_point": mission.zero_points[0][1]} | fields
     if name in _OWN:
         raise ValueError(f"`name` must not be one of {', '.join(_OWN)}, got {name!r}")
     preset = _REGISTERED[name] = Preset(MappingProxyType(fields), tuple(cadences))

@@ -9,7 +9,7 @@ import numpy as np
 
 from scope_models._checks import check_fields, checked_matrix, integer, number
 from scope_models._docstrings import documented
-from scope_models._values import Value
+from scope_models._values import Value, html_table
 from scope_models.effects import Effect, mission_effects
 from scope_models.effects.base import checked_several
 from scope_models.effects.noise import check_seed, noise_terms
@@ -149,15 +149,10 @@ class Scene(Value):
         )
 
     def _repr_html_(self):
-        rows = "".join(
-            f"<tr><td>{i}</td><td>{star.mag:g}</td><td>{x:g}</td><td>{y:g}</td></tr>"
-            for i, (star, (x, y)) in enumerate(zip(self.stars, self.positions, strict=True), 1)
-        )
-        lines = (repr(part).replace("<", "&lt;") for part in (self, self.detector, self.motion))
-        return (
-            "<p>" + "<br>".join(lines) + "</p><table><tr><th>star</th><th>magnitude</th>"
-            f"<th>x_0 (pixel)</th><th>y_0 (pixel)</th></tr>{rows}</table>"
-        )
+        rows = {"detector": repr(self.detector), "motion": repr(self.motion)}
+        for i, (star, (x, y)) in enumerate(zip(self.stars, self.positions, strict=True), 1):
+            rows[f"star {i}"] = f"magnitude {star.mag:g} at column {x:g}, row {y:g}"
+        return html_table(repr(self), rows)
 
     def _put_on_sky(self):
         """Take the place on the sky of a target that has one, and check those of all stars."""

@@ -172,7 +172,7 @@ def test_scene_shows_what_it_is():
     text = "<Scene a star of 2 stars, K2, 40 cadences of 11 x 11 pixels, seed 3>"
     assert repr(make_scene()) == text
     html = make_scene()._repr_html_()
-    assert "<td>2</td><td>14</td><td>5</td><td>5</td>" in html
+    assert "<th>star 2</th><td>magnitude 14 at column 5, row 5</td>" in html
     assert "&lt;Scene a star" in html
 
 
