@@ -91,12 +91,17 @@ def airmass(time, coord, location):
     return np.maximum(1 / (sine + 0.50572 * (altitude + 6.07995) ** -1.6364), 1.0)
 
 
-def checked_airmass(effect):
-    """Bring the airmass of an effect, a number or one for each cadence, to its type."""
-    values = plain_array(effect.airmass, "", "airmass")
-    if values.ndim > 1 or not np.all(np.isfinite(values)) or np.any(values < 1):
-        raise ValueError("`airmass` must be 1 or more, one number or one for each cadence")
-    object.__setattr__(effect, "airmass", frozen(values) if values.ndim else float(values))
+class AirEffect(Effect):
+    """An effect with an airmass, a number or one for each cadence."""
+
+    by_cadence = ("airmass",)
+
+    def __post_init__(self):
+        super().__post_init__()
+        values = plain_array(self.airmass, "", "airmass")
+        if values.ndim > 1 or not np.all(np.isfinite(values)) or np.any(values < 1):
+            raise ValueError("`airmass` must be 1 or more, one number or one for each cadence")
+        object.__setattr__(self, "airmass", frozen(values) if values.ndim else float(values))
 
 
 def _red_noise(generator, time, correlation_time):
@@ -109,7 +114,7 @@ def _red_noise(generator, time, correlation_time):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Extinction(Effect):
+class Extinction(AirEffect):
     r"""Light of the stars that the atmosphere absorbs and scatters.
 
     .. math:: f(t) = 10^{-0.4 [k X(t) + c(t)]}
@@ -155,12 +160,6 @@ class Extinction(Effect):
     scatter: float = number(0.0, "mag")
     correlation_time: float = number(0.1, "day", positive=True)
 
-    by_cadence = ("airmass",)
-
-    def __post_init__(self):
-        super().__post_init__()
-        checked_airmass(self)
-
     def draw(self, conditions, generator):
         """Return the airmass and the factor of each cadence."""
         time = conditions.time
@@ -175,7 +174,7 @@ class Extinction(Effect):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Scintillation(Effect):
+class Scintillation(AirEffect):
     r"""Changes of the stars' light by turbulence high above the telescope.
 
     .. math:: \sigma^2 = 10^{-5} C_Y^2 D^{-4/3} t^{-1} X^3 e^{-2 h / H}
@@ -222,12 +221,6 @@ class Scintillation(Effect):
     coefficient: float = number(1.56)
     scale_height: float = number(8000.0, "m", positive=True)
 
-    by_cadence = ("airmass",)
-
-    def __post_init__(self):
-        super().__post_init__()
-        checked_airmass(self)
-
     def rms(self, exposure):
         """Return the standard deviation of the relative flux.
 
@@ -265,7 +258,7 @@ class Scintillation(Effect):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Seeing(Effect):
+class Seeing(AirEffect):
     r"""The width of the PSF with the seeing.
 
     .. math:: w(t) = X(t)^{3/5} e^{s\,g(t)}
@@ -299,12 +292,6 @@ class Seeing(Effect):
     scatter: float = number(0.15)
     correlation_time: float = number(0.02, "day", positive=True)
     airmass: float | np.ndarray = 1.0
-
-    by_cadence = ("airmass",)
-
-    def __post_init__(self):
-        super().__post_init__()
-        checked_airmass(self)
 
     def draw(self, conditions, generator):
         """Return the relative width of each cadence."""

@@ -10,12 +10,7 @@ from astropy.time import Time
 from scope_models._arrays import plain_array, plain_time
 from scope_models._checks import number
 from scope_models._values import frozen
-from scope_models.effects.atmosphere import (
-    checked_airmass,
-    horizon_altitude,
-    of_date,
-    sidereal_time,
-)
+from scope_models.effects.atmosphere import AirEffect, horizon_altitude, of_date, sidereal_time
 from scope_models.effects.background import SkyEffect
 from scope_models.effects.base import series_of
 from scope_models.missions import TIME_ZEROS
@@ -83,7 +78,7 @@ def moon_geometry(time, coord, location):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class NightSky(SkyEffect):
+class NightSky(AirEffect, SkyEffect):
     r"""Brightness of the sky by airmass and Moon.
 
     The detector's background is the dark sky at the zenith. Toward the horizon it has the factor
@@ -151,7 +146,6 @@ class NightSky(SkyEffect):
 
     def __post_init__(self):
         super().__post_init__()
-        checked_airmass(self)
         for name, (low, high) in _DOMAINS.items():
             values = plain_array(getattr(self, name), u.deg, name)
             if values.ndim > 1 or not np.all((values >= low) & (values <= high)):
