@@ -14,7 +14,7 @@ PANELS = {
 TICKS = {"terms": [2, 5, 10, 20, 50, 100, 200], "samples": [3, 5, 9, 13, 19, 27]}
 
 
-def make_figure(path="data/fifty_digits.ecsv"):
+def make_figure(path="../data/fifty_digits.ecsv"):
     """Return the figure; dots are the numbers that the package takes."""
     table = Table.read(path)
     figure, grid = plt.subplots(2, 2, figsize=(9, 7), sharey=True, layout="constrained")

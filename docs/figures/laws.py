@@ -8,13 +8,12 @@ import matplotlib.pyplot as plt
 import numpy as np
 from astropy.table import Table
 
-_FOLDER = Path(__file__).resolve().parents[1]
-_TEXTS = tomllib.loads((_FOLDER.parent / "studies" / "laws.toml").read_text(encoding="utf-8"))
+_TEXTS = tomllib.loads(Path("../../studies/laws.toml").read_text(encoding="utf-8"))
 
 
 def draw(name):
     """Return the figure of a law."""
-    table, texts = Table.read(_FOLDER / "data" / "laws.csv"), _TEXTS[name]
+    table, texts = Table.read("../data/laws.csv"), _TEXTS[name]
     x, measured, error, predicted = (
         np.array(table[n][table["law"] == name]) for n in ("x", "measured", "error", "predicted")
     )
