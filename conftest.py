@@ -22,6 +22,14 @@ _STUDIES = Path(__file__).resolve().parent / "studies"
 sys.path += [str(_STUDIES), str(_STUDIES / "paper")]
 
 
+@pytest.hookimpl(tryfirst=True)
+def pytest_cmdline_main(config):
+    """Share the files of a whole run between all cores, if pytest-xdist is there and not set."""
+    whole = config.args_source is pytest.Config.ArgsSource.TESTPATHS
+    if whole and getattr(config.option, "numprocesses", 0) is None:
+        config.option.numprocesses, config.option.dist = "auto", "loadfile"
+
+
 @pytest.fixture(autouse=True)
 def _doctests_leave_no_files(request, tmp_path_factory, monkeypatch):
     """Run each doctest in a temporary folder, and close the files and figures that it leaves open.

@@ -5,6 +5,7 @@ from itertools import product
 
 import numpy as np
 
+from scope_models._threads import one_thread
 from scope_models.scene.motion import K2Roll
 
 __all__ = [
@@ -241,6 +242,7 @@ def depth_difference(flux, without, truth, transit):
     return float(seen @ expected / (expected @ expected)) if expected.any() else float("nan")
 
 
+@one_thread
 def leak_slopes(time, deviation, nuisances):
     """Return slopes of the deviation's 6.5-h means on all nuisances together, and their errors.
 

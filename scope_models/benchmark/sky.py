@@ -12,6 +12,7 @@ import numpy as np
 
 from scope_models._arrays import plain_array
 from scope_models._checks import checked_choice, checked_integer
+from scope_models._threads import one_thread
 from scope_models._values import Value
 from scope_models.benchmark._light import LIGHTS, MOTIONS, make_transit, red_noise
 from scope_models.benchmark._pixels import bleed, make_psf, make_response, render
@@ -172,6 +173,7 @@ class MessyStar(Value):
         return kind(hdulist, quality_bitmask=quality_bitmask)
 
 
+@one_thread
 def make_sky(regime, seed=0, *, n_cadences=1100, positions=None, noise_seed=None):
     """Make a messy star.
 

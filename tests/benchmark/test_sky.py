@@ -233,7 +233,13 @@ def test_a_light_curve_of_few_cadences(part):
     assert np.isnan(leak_slopes(time, flux, [time])).all() == (part == 0.12)
 
 
-@pytest.mark.parametrize("name", sorted(REGIMES))
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=[] if number % 3 == 0 else pytest.mark.slow)
+        for number, name in enumerate(sorted(REGIMES))
+    ],
+)
 def test_every_regime_makes_a_star(name):
     sky = make_sky(name, seed=1, n_cadences=100)
     assert sky.flux.shape[1:] == REGIMES[name].shape

@@ -39,6 +39,9 @@ def test_measured_fractions_erase_it_and_warn(crowded):
     with follows, crowded_too:
         lc = corrector.correct(fractions="measured")
     assert abs(score(lc, crowded).amplitude) < 0.05
+    true = (crowded.neighbor_light / (crowded.neighbor_light + crowded.star_light)).mean()
+    assert 0.5 * true < 1 - corrector.result.crowding < 0.4
+    assert "of other stars" in str(corrector.result)
 
 
 def test_predicted_fractions_hold_no_noise(star):
@@ -151,18 +154,6 @@ def test_masked_cadences_do_not_change_the_others(star):
         assert corrector.model.clean is not None
     np.testing.assert_allclose(found[1][mask], found[0][mask], rtol=1e-9)
     assert not np.allclose(found[1][~mask], found[0][~mask], rtol=1e-3)
-
-
-def test_light_in_pixels_of_other_stars_is_reported(crowded, star):
-    everything = np.ones((9, 9), dtype=bool)
-    alone, fitted = (
-        PLDModel.from_tpf(tpf, everything).fit() for tpf in (star.tpf, crowded.to_tpf())
-    )
-    assert alone.crowding == 1
-    assert not alone.remarks()
-    true = (crowded.neighbor_light / (crowded.neighbor_light + crowded.star_light)).mean()
-    assert 0.5 * true < 1 - fitted.crowding < 0.4
-    assert "of other stars" in str(fitted)
 
 
 @pytest.mark.slow

@@ -118,6 +118,7 @@ def test_periodic_variability_stays_without_trend():
     assert np.nanstd(corrector.result.periodic) > 10 * np.nanstd(corrector.result.trend)
 
 
+@pytest.mark.usefixtures("one_thread")
 def test_sharp_eclipses_are_multiples_of_one_frequency():
     """As many as the eclipses are sharp; without them most eclipses are outliers."""
     period = 2.3

@@ -286,7 +286,7 @@ def test_survival_of_a_brightening_with_a_depth(star):
 
 @pytest.mark.filterwarnings("ignore::scope_models.exceptions.DetrendingWarning")
 def test_a_second_mask_fits_the_scene_again(fake_star):
-    star, mask = fake_star(200, seed=4), np.ones(200, dtype=bool)
+    star, mask = fake_star(120, seed=4), np.ones(120, dtype=bool)
     mask[50:80] = False
     corrector = SceneCorrector(star.tpf)
     corrector.correct()

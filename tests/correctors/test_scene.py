@@ -333,9 +333,9 @@ def test_part_of_the_light_that_is_noisy_warns(constant):
 
 @pytest.mark.filterwarnings("ignore::scope_models.exceptions.DetrendingWarning")
 def test_memory_of_fast_cadences_with_a_gap_of_300_days(fake_star):
-    tpf = fake_star(150, 12, 1).tpf
-    time = 2144.0 + np.arange(150) / 1440
-    time[75:] += 300
+    tpf = fake_star(90, 12, 1).tpf
+    time = 2144.0 + np.arange(90) / 1440
+    time[45:] += 300
     tpf.hdu[1].data["TIME"][:] = time
     tracemalloc.start()
     SceneCorrector(tpf).correct()

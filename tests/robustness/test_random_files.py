@@ -13,14 +13,23 @@ from scope_models.simulation import inject
 
 #: Two large files are quick: corrections that overflow, and a survival that is not precise.
 QUICK = (231, 259)
-SMALL = [pytest.param(seed, True, id=f"small-{seed}") for seed in range(12)]
-LARGE = [
-    pytest.param(seed, False, id=f"{seed}", marks=[] if seed in QUICK else pytest.mark.slow)
-    for seed in range(300)
-]
 
 
-drawn = pytest.mark.parametrize(("seed", "small"), SMALL + LARGE)
+def files(small, large):
+    """Return seeds of small and large files; those that are not named are slow."""
+    kinds = (("small-", small, 12), ("", large, 300))
+    rows = [(kind, seed, seed in quick) for kind, quick, n in kinds for seed in range(n)]
+    slow = pytest.mark.slow
+    return pytest.mark.parametrize(
+        ("seed", "small"),
+        [
+            pytest.param(seed, bool(kind), id=f"{kind}{seed}", marks=() if quick else slow)
+            for kind, seed, quick in rows
+        ],
+    )
+
+
+every_file = files(range(8), QUICK)
 
 
 @pytest.fixture
@@ -28,13 +37,13 @@ def file(seed, small):
     return random_file(seed, small=small)
 
 
-@drawn
+@every_file
 def test_a_file_is_drawn_again(file, seed, small):
     again = random_file(seed, small=small)
     np.testing.assert_array_equal(again.hdus[1].data["FLUX"], file.hdus[1].data["FLUX"])
 
 
-@drawn
+@every_file
 def test_pld(file):
     tpf = file.tpf()
 
@@ -66,7 +75,7 @@ def test_pld(file):
             assert result.transit_survival_err < 1, file
 
 
-@drawn
+@every_file
 @pytest.mark.parametrize("star", [0.7, Star(13.0, 0.4, 0.2)], ids=["share", "star"])
 def test_inject(file, star):
     tpf = file.tpf()
@@ -89,7 +98,7 @@ def test_inject(file, star):
         assert np.ptp(np.nansum(added, axis=(1, 2))) > 0, file
 
 
-@drawn
+@files((1, 2, 3, 5, 6), ())
 def test_fit(file):
     fit = checked(lambda: fit_tpf(file.tpf()), file)
     if fit is None:
@@ -102,7 +111,7 @@ def test_fit(file):
     assert fit.reduced_chi2 > 0
 
 
-@drawn
+@files(range(6), ())
 def test_detrend(file, tmp_path):
     path, output = tmp_path / "star.fits", tmp_path / "lc.fits"
     file.hdus.writeto(path)

@@ -35,9 +35,9 @@ SMALL = {
         "--magnitudes 12 --depths 0 1000 --scales 1 --stars 1 --cadences 400 --periods 2 3",
         "white_noise",
     ),
-    "tess": ("--magnitudes 9 13 --neighbors 0 --cadences 200", "pld"),
-    "breathing": ("--amplitudes 0.01 --periods 1 4 --cadences 200", "pld"),
-    "ground": ("--flats 0.002 0.01 --drifts 0.03 --stars 1 --cadences 120", "floor"),
+    "tess": ("--magnitudes 9 13 --neighbors 0 --cadences 120", "pld"),
+    "breathing": ("--amplitudes 0.01 --periods 1 4 --cadences 120", "pld"),
+    "ground": ("--flats 0.002 0.01 --drifts 0.03 --stars 1 --cadences 60", "floor"),
     "last_campaigns": ("--magnitudes 12 14 --parts", "kept"),
 }  # fmt: skip
 STORED = ("tess", "breathing", "last_campaigns")

@@ -7,13 +7,13 @@ from _stars import draw_star, field_position, motion_from_name, stamp_around
 from scope_models import BivariateGaussianPSF, Detector, Motion
 
 
-def draws(detector, n=2000, **options):
-    rng = np.random.default_rng(5)
-    return [draw_star(rng, 12.0, detector, **options) for _ in range(n)]
+@pytest.fixture(scope="module")
+def stars():
+    rng, detector = np.random.default_rng(5), Detector.k2()
+    return [draw_star(rng, 12.0, detector) for _ in range(800)]
 
 
-def test_stars_vary_as_in_the_paper():
-    stars = draws(Detector.k2())
+def test_stars_vary_as_in_the_paper(stars):
     for name, middle in (("x_0", 5.0), ("y_0", 5.0)):
         values = np.array([getattr(star, name) for star in stars]) - middle
         assert 0.198 < values.max() <= 0.2
@@ -24,8 +24,7 @@ def test_stars_vary_as_in_the_paper():
         assert high >= values.max() > high - 0.01 * (high - low)
 
 
-def test_draws_are_independent_of_each_other():
-    stars = draws(Detector.k2())
+def test_draws_are_independent_of_each_other(stars):
     columns = [[s.x_0, s.y_0, s.psf.sigma_x.value, s.psf.sigma_y.value, s.psf.rho.value]
                for s in stars]  # fmt: skip
     correlation = np.corrcoef(np.transpose(columns)) - np.eye(5)
