@@ -114,8 +114,7 @@ class NightSky(AirEffect, SkyEffect):
     Notes
     -----
     The truth has what the sky adds to the detector's background (e-/s per pixel) in the column
-    NIGHTSKY, and its relative shape in the map NIGHTSKY_SHAPE. The model is good to 8 to 23 %
-    [1]_.
+    NIGHTSKY, and its relative shape in the map NIGHTSKY_SHAPE. The model is good to 8 to 23 % [1]_.
 
     References
     ----------

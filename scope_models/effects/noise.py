@@ -90,8 +90,7 @@ def noise_terms(noise):
     Parameters
     ----------
     noise : bool or str or iterable of str
-        True for photon, background and read noise, False for none, or names out of
-        `NOISE_TERMS`.
+        True for photon, background and read noise, False for none, or names out of `NOISE_TERMS`.
 
     Returns
     -------

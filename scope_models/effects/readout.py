@@ -20,9 +20,8 @@ class ChargeTransferInefficiency(Effect):
 
     .. math:: P_k = \binom{N + k - 1}{k}\, (1 - \epsilon)^N\, \epsilon^k
 
-    arrives k pixels late, in a trail to larger rows and columns. The first bright pixel after
-    dark ones loses :math:`1 - (1 - \epsilon)^N`, its *first-pixel response*; all charge is
-    conserved.
+    arrives k pixels late, in a trail to larger rows and columns. The first bright pixel after dark
+    ones loses :math:`1 - (1 - \epsilon)^N`, its *first-pixel response*; all charge is conserved.
 
     Parameters
     ----------

@@ -17,20 +17,9 @@ __all__ = ["Factor", "Term", "expand", "is_pixel_integrated", "leaves"]
 # photutils' models whose values are fluxes of pixels; its names for densities end in PSF.
 _INTEGRATED_NAMES = {"ImagePSF", "GriddedPSFModel", "EPSFModel", "FittableImageModel"}
 # Parameters that set the width of a density, and their ratio to a standard deviation.
-_WIDTHS = {
-    "sigma": 1.0,
-    "sigma_x": 1.0,
-    "sigma_y": 1.0,
-    "x_stddev": 1.0,
-    "y_stddev": 1.0,
-    "fwhm": FWHM,
-    "x_fwhm": FWHM,
-    "y_fwhm": FWHM,
-    "gamma": 1.0,
-    "alpha": 1.0,
-    "radius": 3.0,
-    "r_eff": 1.0,
-}
+_WIDTHS = dict.fromkeys(("sigma", "sigma_x", "sigma_y", "x_stddev", "y_stddev"), 1.0)
+_WIDTHS |= dict.fromkeys(("fwhm", "x_fwhm", "y_fwhm"), FWHM)
+_WIDTHS |= {"gamma": 1.0, "alpha": 1.0, "radius": 3.0, "r_eff": 1.0}
 _SCALE_OF_OTHERS = 0.3
 
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from scope_models._checks import checked_integer
 from scope_models.models._axis import axis_integrals, hermite_functions
 from scope_models.models._closed_form import ClosedForm, pixels_of
 from scope_models.models._parameters import (
@@ -48,7 +49,7 @@ class GaussHermitePSF(StarModel):
 
     Raises
     ------
-    ValueError
+    TypeError, ValueError
         If a parameter is not finite, a width is not positive, or the order is not between 1 and
         20 or too small for the coefficients.
 
@@ -68,7 +69,9 @@ class GaussHermitePSF(StarModel):
 
     def __init__(self, flux=1.0, x_0=0.0, y_0=0.0, sigma_x=0.5, sigma_y=0.5, order=None, **kwargs):
         given = [name for name in kwargs if name.startswith("c_")]
-        self.order = _checked_order(order, given)
+        if order is None:
+            order = max([4, *(sum(_orders(name)) for name in given)])
+        self.order = checked_integer("order", order, 1, 20)
         n_terms = range(1, self.order + 1)
         values = {f"c_{n - m}_{m}": 0.0 for n in n_terms for m in range(n + 1)}
         unknown = set(given) - set(values)
@@ -179,15 +182,6 @@ def _orders(name):
     """The orders along x and y in a coefficient's name."""
     _, k, m = name.split("_")
     return int(k), int(m)
-
-
-def _checked_order(order, given):
-    """The order, or the smallest one with all named coefficients."""
-    if order is None:
-        order = max([4, *(sum(_orders(name)) for name in given)])
-    if isinstance(order, bool) or not isinstance(order, int | np.integer) or not 1 <= order <= 20:
-        raise ValueError(f"`order` must be an integer from 1 to 20, got {order!r}")
-    return int(order)
 
 
 def _outer_pixels(along_x, along_y):

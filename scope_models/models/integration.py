@@ -137,7 +137,11 @@ def integrate_density(term, points, evaluate=None):
         return value * along_x_at * collected(v_at + dy[index].reshape(shape), sigma)[0]
 
     scale = min((factor.scale for factor in term.densities), default=1.0)
-    integrals = _integrate_adaptively(integrand, image, min(scale, sigma or scale))
+    n = min(int(np.ceil(5 + 2.1 / min(scale, sigma or scale))), _MOST_NODES)
+    squares = integrand, np.arange(image.size), np.zeros(image.size), np.zeros(image.size), 1.0, n
+    totals = _rule(*squares)
+    tolerance = _TOLERANCE * np.bincount(image, np.abs(totals))[image]
+    integrals = _refined(*squares, totals, tolerance)
     integrals = integrals.reshape(near.size**2, -1).sum(axis=0)
     integrals = integrals.reshape(*lead, *points.shape)
     return integrals if units[-1] is None else integrals * units[-1]
@@ -293,25 +297,14 @@ def _rule(integrand, index, corner_u, corner_v, size, n):
     return result * size**2
 
 
-def _integrate_adaptively(integrand, groups, scale):
-    """Integrate ``integrand(u, v, index)`` over unit squares, with more nodes where it needs them.
+def _refined(integrand, index, corner_u, corner_v, size, n, values, tolerance, depth=0):
+    """Improve the integrals of ``integrand(u, v, index)`` over squares until their rules agree.
 
     The offsets from the centers of the squares ``index`` ``(m,)`` are u, ``(m, 1, k)``, and v,
-    ``(m, k, 1)``. Every square is integrated by two rules; where they differ by more than 1e-11 of
-    the sum of its image, which ``groups`` numbers, the number of nodes grows by half, and beyond 48
-    per axis the square is cut into quarters. ``scale``, the smallest width of the integrand in
-    pixels, sets the first number of nodes. Squares that have not converged warn.
+    ``(m, k, 1)``. Every square is integrated by two rules; where they differ by more than the
+    tolerance, the number of nodes grows by half, and beyond 48 per axis the square is cut into
+    quarters. Squares that have not converged warn.
     """
-    n = min(int(np.ceil(5 + 2.1 / scale)), _MOST_NODES)
-    index = np.arange(groups.size)
-    center = np.zeros(groups.size)
-    totals = _rule(integrand, index, center, center, 1.0, n)
-    tolerance = _TOLERANCE * np.bincount(groups, np.abs(totals))[groups]
-    return _refined(integrand, index, center, center, 1.0, n, totals, tolerance, 0)
-
-
-def _refined(integrand, index, corner_u, corner_v, size, n, values, tolerance, depth):
-    """Improve the values of squares until their rules agree."""
     values = values.copy()
     active = np.arange(index.size)
     while active.size and n < _MOST_NODES:

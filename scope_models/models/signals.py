@@ -31,11 +31,10 @@ class TransitModel(Fittable1DModel):
 
     The star is a disc with quadratic limb darkening,
     :math:`I(\mu) = 1 - u_1 (1 - \mu) - u_2 (1 - \mu)^2`, the planet an opaque
-    disc on a Keplerian orbit. The drop is the exact integral over the overlap
-    of the discs (exoplanet-core, Agol et al. 2020 [1]_), averaged over the
-    exposure by Gauss-Legendre quadrature with 101 nodes: the average is
-    within 1 ppm of the exact one for drops up to 2.5 % and exposures up to
-    an hour.
+    disc on a Keplerian orbit. The drop is the exact integral over the overlap of the discs
+    (exoplanet-core, Agol et al. 2020 [1]_), averaged over the exposure by Gauss-Legendre quadrature
+    with 101 nodes: the average is within 1 ppm of the exact one for drops up to 2.5 % and exposures
+    up to an hour.
 
     Parameters
     ----------

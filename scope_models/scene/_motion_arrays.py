@@ -134,8 +134,7 @@ class MotionStatistics(Value):
     Attributes
     ----------
     mean, std, maximum : ~astropy.units.Quantity
-        Mean, standard deviation and maximum of the distance from the reference position, in
-        pixels.
+        Mean, standard deviation and maximum of the distance from the reference position, in pixels.
     extent : ~astropy.units.Quantity
         Largest distance between any two positions, in pixels.
     pixel_scale : ~astropy.units.Quantity

@@ -615,11 +615,10 @@ _DUMPS = 1.9616
 class K2Campaign18(Pointing):
     """The pointing of K2 campaign 18: nominal but for one excursion.
 
-    The K2 data release notes describe a pointing "well within the limits of that seen in other
-    K2 campaigns" with less than 1.9 px for 2490 long cadences, but for the cadences 162613 to
-    162627 with more than 4 px, and the very last one. Both are flagged as of coarse pointing. The
-    roll is that of `~scope_models.scene.motion.K2Roll` with the reversals that the star EPIC
-    211983544 has.
+    The K2 data release notes describe a pointing "well within the limits of that seen in other K2
+    campaigns" with less than 1.9 px for 2490 long cadences, but for the cadences 162613 to 162627
+    with more than 4 px, and the very last one. Both are flagged as of coarse pointing. The roll is
+    that of `~scope_models.scene.motion.K2Roll` with the reversals that the star EPIC 211983544 has.
 
     Parameters
     ----------

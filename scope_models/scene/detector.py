@@ -237,8 +237,7 @@ class Detector(Value):
             "kepler", "k2", "k2_calibrated" or "tess", in any case, or a name given to
             `~scope_models.scene.presets.register_preset`.
         cadence : str, float or Quantity, optional
-            Name of a cadence, or its length, in seconds or with a unit; by default the usual
-            one.
+            Name of a cadence, or its length, in seconds or with a unit; by default the usual one.
         **changes
             Any field of `Detector`, to replace the preset's value.
 

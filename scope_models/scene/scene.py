@@ -63,8 +63,7 @@ class Scene(Value):
     object_name : str, optional
         Name of the target in a file; the default is "SIM" and the number.
     ra, dec : float or Quantity, optional
-        Place of the target on the sky, deg (ICRS); by default the middle of a field of the
-        mission.
+        Place of the target on the sky, deg (ICRS); by default the middle of a field of the mission.
     orientation : float or Quantity, optional
         Position angle of the direction of growing rows, deg from north to east.
     matrix : tuple of float, optional
@@ -266,8 +265,7 @@ class Scene(Value):
         TypeError
             If an argument is of the wrong kind.
         ValueError
-            If the table lacks a column or has no star at ``coord``, or ``wcs`` is of another
-            field.
+            If the table lacks a column or has no star at ``coord``, or ``wcs`` is of another field.
 
         Warns
         -----
