@@ -2,15 +2,13 @@
 
 import dataclasses
 from collections.abc import Mapping
-from functools import singledispatch
+from functools import partial
 from html import escape
 
 import numpy as np
 from astropy.modeling import CompoundModel, Model
 
 __all__ = ["Value", "frozen", "html_table", "value_key"]
-
-_PROPER_MOTION = ("pm_ra_cosdec", "pm_dec")
 
 
 class Value:
@@ -32,15 +30,12 @@ class Value:
         names = [item.name for item in dataclasses.fields(self) if item.init]
         values = {name: getattr(self, name) for name in names}
         plain = {k: dict(v) if isinstance(v, Mapping) else v for k, v in values.items()}
-        return _made, (type(self), plain)
+        return partial(type(self), **plain), ()
 
     def __repr__(self):
-        shown = (
-            f"{item.name}={_shown(getattr(self, item.name))}"
-            for item in dataclasses.fields(self)
-            if item.repr
-        )
-        return f"{type(self).__name__}({', '.join(shown)})"
+        names = [item.name for item in dataclasses.fields(self) if item.repr]
+        shown = ", ".join(f"{name}={_shown(getattr(self, name))}" for name in names)
+        return f"{type(self).__name__}({shown})"
 
     def replace(self, **changes):
         """Return a copy with other values of some fields.
@@ -84,60 +79,39 @@ def html_table(title, rows):
     return f"<p>{escape(title)}</p><table>{cells}</table>"
 
 
-@singledispatch
 def value_key(value):
     """Return what is equal, and hashes alike, for equal values; functions by identity."""
-    if hasattr(value, "__dataclass_fields__"):
-        names = [item.name for item in dataclasses.fields(value) if item.compare]
-        return type(value), *(value_key(getattr(value, name)) for name in names)
     if hasattr(value, "colnames"):  # a table
-        return value_key({name: np.asarray(value[name]) for name in value.colnames})
-    if hasattr(value, "icrs"):  # a SkyCoord
-        place = value.icrs
-        names = ("ra", "dec", *(_PROPER_MOTION if "s" in place.data.differentials else ()))
-        epoch = None if value.obstime is None else value.obstime.jyear
-        return value_key([*(getattr(place, name) for name in names), epoch])
-    return "nan" if isinstance(value, float) and np.isnan(value) else value
-
-
-@value_key.register(list | tuple)
-def _(value):
-    return tuple(value_key(item) for item in value)
-
-
-@value_key.register
-def _(value: Mapping):
-    return frozenset((key, value_key(item)) for key, item in value.items())
-
-
-@value_key.register
-def _(value: np.ndarray):
-    plain = value.view(np.ndarray)
-    if plain.dtype.kind in "fiub":
-        values = (plain.astype(float) + 0.0).tobytes()  # adding 0 makes -0 equal to 0
+        value = {name: np.asarray(value[name]) for name in value.colnames}
+    if isinstance(value, np.ndarray):
+        plain = value.view(np.ndarray)
+        if plain.dtype.kind in "fiub":
+            values = (plain.astype(float) + 0.0).tobytes()  # adding 0 makes -0 equal to 0
+        else:
+            values = tuple(plain.ravel().tolist())
+        return plain.shape, values, str(getattr(value, "unit", ""))
+    if isinstance(value, list | tuple):
+        return tuple(map(value_key, value))
+    if isinstance(value, Mapping):
+        return frozenset((key, value_key(item)) for key, item in value.items())
+    if isinstance(value, CompoundModel):
+        parts = value.op, value.left, value.right
+    elif isinstance(value, Model):  # its parameters, tables and options
+        values = {name: getattr(value, name) for name in value.param_names}
+        own = {k: v for k, v in vars(value).items() if k[0] != "_" and k not in values}
+        for name in ("arguments", "psf", "sensitivity"):  # private attributes of some models
+            own.setdefault(name, getattr(value, name, None))
+        parts = {name: (np.asarray(p.value), str(p.unit)) for name, p in values.items()}, own
+    elif hasattr(value, "__dataclass_fields__"):
+        names = [item.name for item in dataclasses.fields(value) if item.compare]
+        parts = [getattr(value, name) for name in names]
+    elif hasattr(value, "icrs"):  # a SkyCoord
+        place, epoch = value.icrs, getattr(value.obstime, "jyear", None)
+        moves = ("pm_ra_cosdec", "pm_dec") if "s" in place.data.differentials else ()
+        parts = [*(getattr(place, name) for name in ("ra", "dec", *moves)), epoch]
     else:
-        values = tuple(plain.ravel().tolist())
-    return plain.shape, values, str(getattr(value, "unit", ""))
-
-
-@value_key.register
-def _(value: CompoundModel):
-    return value.op, value_key(value.left), value_key(value.right)
-
-
-@value_key.register
-def _(value: Model):
-    """Return the class of a model, its parameters, and its tables and options."""
-    parameters = {name: getattr(value, name) for name in value.param_names}
-    own = {k: v for k, v in vars(value).items() if k[0] != "_" and k not in parameters}
-    for name in ("arguments", "psf", "sensitivity"):  # what some models keep in private attributes
-        own.setdefault(name, getattr(value, name, None))
-    values = {name: (np.asarray(p.value), str(p.unit)) for name, p in parameters.items()}
-    return type(value), value_key(values), value_key(own)
-
-
-def _made(kind, values):
-    return kind(**values)
+        return "nan" if isinstance(value, float) and np.isnan(value) else value
+    return type(value), value_key(parts)
 
 
 def _shown(value):
