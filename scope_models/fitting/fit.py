@@ -233,8 +233,12 @@ def _fit_psf(problem, response, sensitivity, steps, *, any_psf, any_response):
     if response != "pixels":
         candidates = _candidates(problem, sensitivity, simple=simple, **choice)
         tried = _tried(candidates, steps, few=any_psf, **choice)
-        if not simple or _is_true(*tried[0], strictly=True):
-            return "psf", tried, _finished(problem, *tried[0], steps, any_psf=any_psf)
+        few, guess = tried[0]
+        if not simple or _is_true(few, guess, strictly=True):
+            if len(few.flux) == len(problem.flux):
+                return "psf", tried, tried[0]
+            every, most = replace(few, stamps=problem.stamps), _MANY_STEPS if any_psf else np.inf
+            return "psf", tried, _fitted(every, steps, most, guess)
     tried = _tried(_rough(problem, any_psf=any_psf), steps, few=True, **choice)
     return "pixels", tried, tried[0]
 
@@ -284,23 +288,46 @@ def _tried(candidates, steps, *, few, any_psf, any_response):
     may have up to twice as many.
     """
     tried = []
-    for candidate, limit in candidates:
-        values = _FEW_VALUES // candidate.flux.shape[1]
-        enough = max(min(_FEW // len(candidate.stars), values), _FEWEST)
-        every = max((len(candidate.flux) + few * (enough - 1)) // enough, 1)
-        thin = replace(candidate, stamps=tuple(s[::every] for s in candidate.stamps))
-        limited = partial(steps, max_steps=min(thin.options.max_steps, limit))
-        # What the shape of the PSF can imitate is freed when the shape is about right.
-        early = np.array([p.kind != "response" for p in thin.parameters], dtype=bool)
-        state = starting_state(thin)
-        # Scaled from the start: else all residuals are outliers to a robust loss.
-        problem = thin.rescaled(state)
-        solution = limited(problem, state, only=early, loosely=True)
-        doubtful = any_psf and any_response and problem.n_pixels > 0
-        tried.append(_rescaled(problem, solution, limited, limit, doubtful=doubtful))
+    for problem, most in candidates:
+        values = _FEW_VALUES // problem.flux.shape[1]
+        enough = max(min(_FEW // len(problem.stars), values), _FEWEST)
+        every = max((len(problem.flux) + few * (enough - 1)) // enough, 1)
+        thin = replace(problem, stamps=tuple(s[::every] for s in problem.stamps))
+        tried.append(_fitted(thin, steps, most, doubtful=any_psf and any_response))
         if _is_true(*tried[-1], strictly=any_psf):
             break
     return sorted(tried, key=lambda item: _rank(*item))
+
+
+def _fitted(problem, steps, most, guess=None, *, doubtful=False):
+    """Fit everything, with errors that are scaled to the residuals; return problem and solution.
+
+    After ``most`` steps the errors stay. ``guess``: the solution for some of the cadences, which
+    constrain nearly as well what all share. ``doubtful``: a model that is not true with a response
+    between pixels is not finished, since the same model without that response is better.
+    """
+    steps = partial(steps, max_steps=min(problem.options.max_steps, most))
+    state = starting_state(problem)
+    # What the shape of the PSF can imitate is freed when the shape is about right.
+    early = {"only": np.array([p.kind != "response" for p in problem.parameters], dtype=bool)}
+    if guess is not None:
+        known = {name: getattr(guess.state, name) for name in ("shared", "interpixel")}
+        state, early = linear_start(problem, replace(state, **known)), {"n_steps": guess.n_steps}
+        most = np.inf
+    # Scaled from the start: else all residuals are outliers to a robust loss.
+    problem = problem.rescaled(state)
+    solution = steps(problem, state, loosely=True, **early)
+    for remaining in reversed(range(_RESCALINGS)):
+        scaled = problem.rescaled(solution.state)
+        given_up = doubtful and problem.n_pixels > 0 and remaining < _RESCALINGS - 2
+        if given_up and solution.converged and scaled.misfit > 1:
+            return scaled, solution
+        changed = scaled is not problem and remaining > 0 and solution.n_steps < most
+        problem = scaled
+        solution = steps(problem, solution.state, n_steps=solution.n_steps, loosely=changed)
+        if not changed:
+            break
+    return problem, solution
 
 
 def _rivals(tried, fit):
@@ -337,40 +364,6 @@ def _rank(problem, solution):
     information = solution.equations.cost + problem.n_shared * np.log(problem.n_data)
     ends = bool(problem.at_bounds(state).any()) or not solution.converged
     return absorbs, strange, ends, problem.misfit, information
-
-
-def _finished(problem, few, guess, steps, *, any_psf):
-    """Fit all cadences, from the fit of some of them."""
-    if len(problem.flux) == len(few.flux):
-        return few, guess
-    most = min(few.options.max_steps, _MANY_STEPS if any_psf else np.inf)
-    steps = partial(steps, max_steps=most)
-    problem = replace(few, stamps=problem.stamps)
-    # What all cadences share is constrained nearly as well by some of them.
-    state = starting_state(problem)
-    state = replace(state, shared=guess.state.shared, interpixel=guess.state.interpixel)
-    state = linear_start(problem, state)
-    problem = problem.rescaled(state)
-    solution = steps(problem, state, n_steps=guess.n_steps, loosely=True)
-    return _rescaled(problem, solution, steps)
-
-
-def _rescaled(problem, solution, steps, most=np.inf, *, doubtful=False):
-    """Fit everything, with errors that are scaled to the residuals.
-
-    After ``most`` steps the errors stay. ``doubtful``: a model that is not true with a response
-    between pixels is not finished, since the same model without that response is better.
-    """
-    for remaining in reversed(range(_RESCALINGS)):
-        scaled = problem.rescaled(solution.state)
-        if doubtful and remaining < _RESCALINGS - 2 and solution.converged and scaled.misfit > 1:
-            return scaled, solution
-        changed = scaled is not problem and remaining > 0 and solution.n_steps < most
-        problem = scaled
-        solution = steps(problem, solution.state, n_steps=solution.n_steps, loosely=changed)
-        if not changed:
-            break
-    return problem, solution
 
 
 def _make_problem(series, places, prf, flux_err, options):
