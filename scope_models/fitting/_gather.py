@@ -23,7 +23,6 @@ def make_results(problem, solution, errors, detectors, series):
     state, s, results = solution.state, problem.n_shared, []
     fitted, covariance = problem.model(state), errors.shared[:s, :s].copy()
     at_bounds = np.array(problem.names)[problem.at_bounds(state)].tolist()
-    n_all = state.cadence.size + s + problem.free_response.shape[1]
     for number, (data, pixels) in enumerate(zip(problem.stamps, problem.slices, strict=True)):
         fields = fitted_fields(problem, state, errors, number, fitted, problem.weight)
         interpixel, interpixel_err = np.ones(data.shape), np.full(data.shape, np.nan)
@@ -35,7 +34,7 @@ def make_results(problem, solution, errors, detectors, series):
         statistics = {
             "chi2": float(np.nansum(fields.pop("squares"))),
             "n_data": n_data,
-            "n_parameters": round(n_all * n_data / problem.n_data),
+            "n_parameters": round(problem.n_free * n_data / problem.n_data),
             "error_scale": problem.misfit,
             "converged": solution.converged and not at_bounds,
             "n_steps": solution.n_steps,

@@ -37,6 +37,8 @@ _MEDIAN_SQUARE = 0.4549364
 _FOCUS_PRIOR = 0.05
 # Standard deviation of the scale of the motion about that of POS_CORR.
 _SCALE_PRIOR = 0.02
+# Standard deviation of positions about POS_CORR that are nothing but its map, pixels.
+_PATH_ERROR = 1e-6
 # Largest step of a position, pixels.
 LARGEST_MOVE = 0.3
 # Standard deviation of the motion in a file about that in the first one, relative.
@@ -221,10 +223,15 @@ class Problem:
         return int(np.count_nonzero(self._given_weight))
 
     @property
+    def n_free(self):
+        """Number of free parameters."""
+        n_own = len(self.columns) - 2 * (self.options.positions == "path")
+        return self.n_shared + max(self.n_pixels - 1, 0) + len(self.flux) * n_own
+
+    @property
     def dof(self):
         """Pixel values less free parameters, at least 1."""
-        n_free = self.n_shared + self.n_pixels + len(self.flux) * len(self.columns)
-        return max(self.n_data - n_free, 1)
+        return max(self.n_data - self.n_free, 1)
 
     @cached_property
     def basis(self):
@@ -248,9 +255,10 @@ class Problem:
 
     # --- parameters -----------------------------------------------------------------------
     @property
-    def path(self):
-        """Whether the positions are an affine map of POS_CORR."""
-        return self.options.positions == "path"
+    def position_error(self):
+        """Standard deviation of the positions about the affine map of POS_CORR, pixels, or None."""
+        errors = {"path": _PATH_ERROR, "prior": self.options.position_error}
+        return errors.get(self.options.positions)
 
     @property
     def n_pixels(self):
@@ -271,7 +279,7 @@ class Problem:
     def parameters(self):
         """The shared parameters, in their order."""
         result = [*self._of_shape]
-        for i, axis in enumerate("xy" if self.options.positions in {"path", "prior"} else ()):
+        for i, axis in enumerate("xy" if self.position_error else ()):
             scale = {"kind": "slope", "prior": self.options.scale_error}
             result += [
                 FitParameter(f"{axis}_const", "position"),
@@ -306,10 +314,9 @@ class Problem:
     @cached_property
     def columns(self):
         """Names of the parameters of a cadence."""
-        position = () if self.path else ("x", "y")
         fluxes = (_numbered("flux", k) for k, s in enumerate(self.stars) if not s.constant)
         number = len(self.stamps) if self.options.background == "cadence" else 0
-        return (*position, *fluxes, *(_numbered("background", i) for i in range(number)))
+        return ("x", "y", *fluxes, *(_numbered("background", i) for i in range(number)))
 
     @cached_property
     def index(self):
@@ -378,35 +385,26 @@ class Problem:
         """Values of the free parameters of the PRF."""
         return {p.name: float(v) for p, v in zip(self._of_shape, state.shared, strict=False)}
 
-    def _path_of(self, state):
-        """Positions of the first star by the affine map, shape ``(n, 2)``."""
-        return self.basis @ state.shared[self.affine].reshape(2, 3).T
-
     def _map(self, state, stamp):
         """How a file moves with the first one, shape ``(2, 2)``."""
         return state.shared[self.index.maps[stamp]].reshape(2, 2) if stamp else np.eye(2)
 
     def xy(self, state, star=0):
         """Positions of a star in its stamp, shape ``(n, 2)``."""
-        first = self._path_of(state) if self.path else state.cadence[:, :2]
         if star == 0:
-            return first
-        moved = (first - self.center) @ self._map(state, self.stars[star].stamp).T + self.center
-        return moved + state.shared[self.index.places[star]]
+            return state.cadence[:, :2]
+        moved = (state.cadence[:, :2] - self.center) @ self._map(state, self.stars[star].stamp).T
+        return moved + self.center + state.shared[self.index.places[star]]
 
     def position_terms(self, state, star):
         """Yield what moves a star: ``(axis, column, derivative)``, the last of shape ``(n,)``."""
         stamp, one, k = self.stars[star].stamp, np.ones(len(self.flux)), len(self.columns)
         moved = self.xy(state) - self.center
         for axis, slopes in enumerate(self._map(state, stamp)):
-            for of in np.flatnonzero(slopes):
-                if self.path:
-                    for i, term in enumerate(self.basis.T, start=k + self.affine.start + 3 * of):
-                        yield axis, i, slopes[of] * term
-                else:
+            for of in (0, 1):
+                if slopes[of]:
                     yield axis, of, slopes[of] * one
-            if stamp:
-                for of in (0, 1):
+                if stamp:
                     yield axis, k + self.index.maps[stamp].start + 2 * axis + of, moved[:, of]
             if star:
                 yield axis, k + self.index.places[star].start + axis, one
@@ -497,13 +495,13 @@ class Problem:
                 shared[range(s, m), range(s, m)] += np.sum(light**2, axis=0)
                 gradient[s:] += np.sum(light * residual, axis=0)
                 mixed[part, :, s:] = (design[:k] * light).transpose(1, 0, 2)
-        if self.options.positions == "prior":
-            residual = (self._path_of(state) - state.cadence[:, :2]) / self.options.position_error
-            design = np.zeros((k + s, n, 2))
+        if self.position_error:
+            path = self.basis @ state.shared[self.affine].reshape(2, 3).T
+            residual, design = path - state.cadence[:, :2], np.zeros((k + s, n, 2))
             for axis in (0, 1):
                 first = k + self.affine.start + 3 * axis
-                design[axis, :, axis] = 1 / self.options.position_error
-                design[first : first + 3, :, axis] = -self.basis.T / self.options.position_error
+                design[axis, :, axis], design[first : first + 3, :, axis] = 1, -self.basis.T
+            residual, design = residual / self.position_error, design / self.position_error
             cost += np.sum(residual**2)
             add(slice(None), residual, design)
         shared[s:, :s] = shared[:s, s:].T

@@ -38,8 +38,8 @@ _EVERY, _FIRST = 10, 5
 _FEWEST = 20
 # Standard deviation of positions about POS_CORR: pixels, and parts of the motion, at most.
 _POSITION_ERROR, _POSITION_PART = 0.1, 0.5
-# ... where positions are the path, or free.
-_TIGHT, _LOOSE = 1e-6, 10.0
+# ... where positions are free.
+_LOOSE = 10.0
 # Standard deviations of the shares to begin with, relative to a pixel's share plus a part of all
 # light that every pixel may hold; smallest one.
 _FIRST_PRIOR, _EVERYWHERE, _LEAST_PRIOR = 0.3, 0.003, 1e-6
@@ -329,15 +329,14 @@ def fit_response(problem, few, state, fits, report=None):
         raise ValueError(
             f'`tpf` has {len(problem.flux)} cadences; response="pixels" needs {_FEWEST} or more'
         )
-    asked, corr = problem.options, problem.data.pos_corr
-    error = {"path": _TIGHT, "prior": asked.position_error, "free": _LOOSE}.get(asked.positions)
+    corr = problem.data.pos_corr
+    error = _LOOSE if problem.options.positions == "free" else problem.position_error
     if error is None:
         moved = np.inf if corr is None else np.hypot(*corr.std(axis=0)) or np.inf
         error = min(_POSITION_ERROR, _POSITION_PART * moved)
-    options = replace(few.options, positions="prior") if few.path else few.options
-    problem = replace(few, stamps=problem.stamps, error_scale=1.0, options=options)
+    problem = replace(few, stamps=problem.stamps, error_scale=1.0)
     center = centroids(problem.data, problem.target)
-    if corr is not None and options.positions != "free":
+    if corr is not None and problem.options.positions != "free":
         center = np.median(few.xy(state), axis=0) + corr - np.median(few.data.pos_corr, axis=0)
     cadence = np.zeros((len(center), len(problem.columns)))
     cadence[:, :2] = center

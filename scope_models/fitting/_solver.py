@@ -118,7 +118,8 @@ def _step(problem, state, equations, only, damping):
     """The state after one damped step and its expected gain, or None if there is no step."""
     try:
         # The cadences follow the shared parameters; only far from the minimum are they held too.
-        matrix, gradient, factor, right = _eliminate(equations, damping * min(damping, 1.0))
+        held = 0.0 if problem.options.positions == "path" else damping * min(damping, 1.0)
+        matrix, gradient, factor, right = _eliminate(equations, held)
     except np.linalg.LinAlgError:
         return None, 0.0
     s, (lower, upper) = problem.n_shared, problem.bounds
@@ -141,11 +142,9 @@ def _step(problem, state, equations, only, damping):
     shared *= part
     own = right[..., -1] - right[..., :-1] @ shared
     own = np.linalg.solve(factor.transpose(0, 2, 1), own[..., None])[..., 0]
+    own[:, :2] = np.clip(own[:, :2], -LARGEST_MOVE, LARGEST_MOVE)
     cadence = state.cadence + own
-    if not problem.path:
-        ny, nx = problem.data.shape
-        moved = np.clip(own[:, :2], -LARGEST_MOVE, LARGEST_MOVE)
-        cadence[:, :2] = np.clip(state.cadence[:, :2] + moved, -1.0, (nx, ny))
+    cadence[:, :2] = np.clip(cadence[:, :2], -1.0, problem.data.shape[::-1])
     new = np.clip(state.shared + shared[:s], lower, upper)
     trial = State(new, state.interpixel + shared[s:], cadence)
     if not all(np.isfinite(values).all() for values in vars(trial).values()):

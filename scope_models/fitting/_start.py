@@ -302,8 +302,7 @@ def starting_state(problem):
             shared[problem.affine] = fitted.T.ravel()
         xy = problem.basis @ fitted
     cadence = np.zeros((len(xy), len(problem.columns)))
-    if not problem.path:
-        cadence[:, :2] = xy
+    cadence[:, :2] = xy
     shared = np.clip(shared, *problem.bounds)
     return linear_start(problem, State(shared, np.zeros(problem.n_pixels), cadence))
 
