@@ -6,7 +6,7 @@ data give. Shares and cadences are fitted in turn, each by linear least squares.
 """
 
 from copy import copy
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from astropy.stats import mad_std
@@ -63,20 +63,15 @@ _TAYLOR, _CHUNK = 1e-3, 512
 _SOFT = 3.0
 
 
-@dataclass(eq=False)
-class _Cadences:
-    """Cadences of a fit: values, weights, and a mask of those in use."""
-
-    state: State
-    weight: np.ndarray
-    used: np.ndarray
-
-
 class _Shares:
-    """Images of all stars: the PSF's, and polynomials in all pixels, with their priors."""
+    """Images of all stars, the PSF's and polynomials in all pixels, and the cadences' values."""
 
-    def __init__(self, problem, state, center):
-        self.problem = problem
+    def __init__(self, problem, state, center, error):
+        self.problem, self.center, self.error = problem, center, error
+        #: Values, weights, and masks of the cadences in use and of those that are held out.
+        self.state, self.weight = state, problem.weight
+        self.used, self.held = np.ones(len(center), dtype=bool), np.zeros(len(center), dtype=bool)
+        self.held[_FIRST::_EVERY] = True
         low, high = np.percentile(center, _INSIDE, axis=0)
         pad, time = _PAD[0] * (high - low) + _PAD[1], problem.data.time
         last = max(time.max(), time.min() + 1)
@@ -127,9 +122,9 @@ class _Shares:
         other.covariance = list(self.covariance)
         return other
 
-    def basis(self, state):
+    def basis(self):
         """Polynomials of the cadences, and their derivatives by column and row, ``(n, k)``."""
-        values = (*self.problem.xy(state).T, self.problem.data.time)
+        values = (*self.problem.xy(self.state).T, self.problem.data.time)
         scaled = [scaled_to(v, limits) for v, limits in zip(values, self.ranges, strict=True)]
         value, *slopes = polynomials(self.terms, *scaled)
         for axis in (0, 1):
@@ -137,26 +132,26 @@ class _Shares:
             slopes[axis] *= np.where(np.abs(scaled[axis]) < 1, 2 / (high - low), 0.0)[:, np.newaxis]
         return value, *slopes
 
-    def _psf(self, state):
+    def psf(self):
         """Images of the PSF of unit flux, and derivatives by place, ``(3, n, p)`` per star."""
-        xy = self.problem.xy(state)
+        xy = self.problem.xy(self.state)
         moved = np.flatnonzero(np.abs(xy - self.places).max(axis=1) > _TAYLOR)
         for start in range(0, len(moved), _CHUNK):
             some = moved[start : start + _CHUNK]
             for k, part in enumerate(self.images):
-                image, by = self.problem.unit_images(state, some, k, derivatives=True)
+                image, by = self.problem.unit_images(self.state, some, k, derivatives=True)
                 part[:, some] = image, *by[:2]
         self.places[moved] = xy[moved]
         away = (xy - self.places).T[..., np.newaxis]
         return [(p[0] + away[0] * p[1] + away[1] * p[2], p[1], p[2]) for p in self.images]
 
-    def residual(self, state, *, slopes=False):
+    def residual(self, *, slopes=False):
         """Data less model ``(n, p)``, and derivatives of the model by the columns of cadences."""
-        problem, k = self.problem, len(self.problem.columns)
+        problem, state, k = self.problem, self.state, len(self.problem.columns)
         residual = problem.flux.copy()
         design = np.zeros((*residual.shape, k if slopes else 0))
-        basis = self.basis(state)[: 3 if slopes else 1]
-        for number, psf in enumerate(self._psf(state)):
+        basis = self.basis()[: 3 if slopes else 1]
+        for number, psf in enumerate(self.psf()):
             pixels = problem.slices[problem.stars[number].stamp]
             column, flux = problem.index.fluxes[number], problem.fluxes(state, number)[:, None]
             image, *by = (p + b @ self.values[number] for p, b in zip(psf, basis, strict=False))
@@ -178,14 +173,14 @@ class _Shares:
             for number in range(pixels.stop - pixels.start):
                 yield pixels.start + number, number, [k for k in own if self.unit[k][number]]
 
-    def update(self, cadences, learned):
-        """Fit the polynomials of all pixels to the light of some cadences."""
-        state, order = cadences.state, self.order
-        phi, rest = self.basis(state)[0][learned], self.residual(state)[learned]
-        fluxes = [self.problem.fluxes(state, k)[learned] for k in range(len(self.values))]
+    def update(self):
+        """Fit the polynomials of all pixels to the light of the cadences that are not held out."""
+        learned, order = self.used & ~self.held, self.order
+        phi, rest = self.basis()[0][learned], self.residual()[learned]
+        fluxes = [self.problem.fluxes(self.state, k)[learned] for k in range(len(self.values))]
         squares, counts, self.n_free = np.zeros_like(self.width), np.zeros_like(self.width), 0.0
         for pixel, number, stars in self.pixels():
-            weight = cadences.weight[learned, pixel]
+            weight = self.weight[learned, pixel]
             values = np.concatenate([self.values[k][:, number] for k in stars])
             # No share changes by more than all of the light.
             scale = np.concatenate(
@@ -216,107 +211,101 @@ class _Shares:
             values[:] -= (values @ share)[:, None] * parts
         self.width = np.maximum(np.sqrt(squares / counts), _LEAST_PRIOR)
 
+    def equations(self):
+        """Normal equations of the cadences, with the prior of the positions, and derivatives."""
+        residual, design = self.residual(slopes=True)
+        weighted = design * self.weight[..., None]
+        normal = weighted.transpose(0, 2, 1) @ weighted
+        right = np.einsum("npk,np->nk", weighted, self.weight * residual)
+        normal[:, [0, 1], [0, 1]] += self.error**-2
+        right[:, :2] += (self.center - self.state.cadence[:, :2]) / self.error**2
+        return normal, right[..., None], design
 
-def _equations(shares, cadences, center, error):
-    """Normal equations of the cadences, with the prior of the positions, and derivatives."""
-    residual, design = shares.residual(cadences.state, slopes=True)
-    weighted = design * cadences.weight[..., None]
-    normal = weighted.transpose(0, 2, 1) @ weighted
-    right = np.einsum("npk,np->nk", weighted, cadences.weight * residual)
-    normal[:, [0, 1], [0, 1]] += error**-2
-    right[:, :2] += (center - cadences.state.cadence[:, :2]) / error**2
-    return normal, right[..., None], design
+    def improve(self, steps=2):
+        """Fit flux, position and background of each cadence."""
+        for _ in range(steps):
+            normal, right, _ = self.equations()
+            step = solved(normal, right)[..., 0]
+            step[:, :2] = np.clip(step[:, :2], -_MOVE, _MOVE)
+            self.state = replace(self.state, cadence=self.state.cadence + step)
 
+    def put_on_path(self):
+        """Put the positions on the scale of POS_CORR, where the motion agrees with it."""
+        corr, used, cadence = self.problem.data.pos_corr, self.used, self.state.cadence.copy()
+        if corr is None or not corr.std(axis=0).all():
+            return
+        basis = self.problem.basis
+        for axis in (0, 1):
+            away = cadence[:, axis] - self.center[:, axis]
+            slopes = np.linalg.lstsq(basis[used], away[used], rcond=None)[0]
+            rest = away[used] - basis[used] @ slopes
+            agreement = 1 - rest.var() / max(cadence[used, axis].var(), 1e-300)
+            if agreement > _LEAST_R2 and _SCALES[0] < 1 + slopes[1 + axis] < _SCALES[1]:
+                cadence[:, axis] -= basis @ slopes
+        self.state = replace(self.state, cadence=cadence)
 
-def _improve(shares, cadences, center, error, steps=2):
-    """Fit flux, position and background of each cadence."""
-    for _ in range(steps):
-        normal, right, _ = _equations(shares, cadences, center, error)
-        step = solved(normal, right)[..., 0]
-        step[:, :2] = np.clip(step[:, :2], -_MOVE, _MOVE)
-        cadences.state = replace(cadences.state, cadence=cadences.state.cadence + step)
+    def costs(self, weight):
+        """Cost of each cadence, which grows only linearly with large residuals."""
+        squares = (weight * self.residual()) ** 2
+        return np.sum(2 * _SOFT**2 * (np.sqrt(1 + squares / _SOFT**2) - 1), axis=1)
 
+    def leave_out(self):
+        """Leave out single pixels that are hit, and cadences that the model does not describe."""
+        good = self.problem.weight > 0
+        squares = (self.problem.weight * self.residual()) ** 2
+        typical = median_image(np.where(good, squares, np.nan))
+        hit = squares > _HIT**2 * np.maximum(typical / 0.455, 1.0)
+        hit &= hit[self.used].mean(axis=0) <= _MOST_HITS
+        # Where many pixels are hit, the cadence is wrong and not the pixel.
+        hit &= (hit.sum(axis=1) <= max(0.1 * good.shape[1], 2))[:, np.newaxis]
+        self.weight = np.where(hit, 0.0, self.problem.weight)
+        mean = np.sum(squares * ~hit, axis=1) / np.maximum((self.weight > 0).sum(axis=1), 1)
+        self.used = mean <= np.median(mean) + _OUTLIER * mad_std(mean)
 
-def _on_path(cadences, problem, center):
-    """Put the positions on the scale of POS_CORR, where the motion agrees with it."""
-    if problem.data.pos_corr is None or not problem.data.pos_corr.std(axis=0).all():
-        return
-    used, cadence, basis = cadences.used, cadences.state.cadence.copy(), problem.basis
-    for axis in (0, 1):
-        away = cadence[:, axis] - center[:, axis]
-        slopes = np.linalg.lstsq(basis[used], away[used], rcond=None)[0]
-        rest = away[used] - basis[used] @ slopes
-        agreement = 1 - rest.var() / max(cadence[used, axis].var(), 1e-300)
-        if agreement > _LEAST_R2 and _SCALES[0] < 1 + slopes[1 + axis] < _SCALES[1]:
-            cadence[:, axis] -= basis @ slopes
-    cadences.state = replace(cadences.state, cadence=cadence)
-
-
-def _costs(shares, cadences, weight):
-    """Cost of each cadence, which grows only linearly with large residuals."""
-    squares = (weight * shares.residual(cadences.state)) ** 2
-    return np.sum(2 * _SOFT**2 * (np.sqrt(1 + squares / _SOFT**2) - 1), axis=1)
-
-
-def _leave_out(shares, cadences):
-    """Leave out single pixels that are hit, and cadences that the model does not describe."""
-    good = shares.problem.weight > 0
-    squares = (shares.problem.weight * shares.residual(cadences.state)) ** 2
-    typical = median_image(np.where(good, squares, np.nan))
-    hit = squares > _HIT**2 * np.maximum(typical / 0.455, 1.0)
-    hit &= hit[cadences.used].mean(axis=0) <= _MOST_HITS
-    # Where many pixels are hit, the cadence is wrong and not the pixel.
-    hit &= (hit.sum(axis=1) <= max(0.1 * good.shape[1], 2))[:, np.newaxis]
-    cadences.weight = np.where(hit, 0.0, shares.problem.weight)
-    mean = np.sum(squares * ~hit, axis=1) / np.maximum((cadences.weight > 0).sum(axis=1), 1)
-    cadences.used = mean <= np.median(mean) + _OUTLIER * mad_std(mean)
-
-
-def _climb(shares, cadences, center, error, held, steps, report):
-    """Fit shares and cadences in turn; return whether the cost has settled, and the steps."""
-    before = np.inf
-    for number in range(steps):
-        shares.update(cadences, cadences.used & ~held)
-        _improve(shares, cadences, center, error)
-        _on_path(cadences, shares.problem, center)
-        _leave_out(shares, cadences)
-        costs = _costs(shares, cadences, cadences.weight)
-        cost = float(costs[cadences.used & ~held].sum())
-        if report is not None:
-            report(cost)
-        small = max(_SAME * cost, _SMALL * np.sqrt(cadences.weight.size))
-        if number > 2 and abs(before - cost) < small:
-            return True, number + 1
-        before = cost
-    return False, steps
+    def climb(self, steps, report):
+        """Fit shares and cadences in turn; return whether the cost has settled, and the steps."""
+        before = np.inf
+        for number in range(steps):
+            self.update()
+            self.improve()
+            self.put_on_path()
+            self.leave_out()
+            cost = float(self.costs(self.weight)[self.used & ~self.held].sum())
+            if report is not None:
+                report(cost)
+            small = max(_SAME * cost, _SMALL * np.sqrt(self.weight.size))
+            if number > 2 and abs(before - cost) < small:
+                return True, number + 1
+            before = cost
+        return False, steps
 
 
-def _choose(shares, cadences, center, error, held, report):
+def _choose(shares, report):
     """Add terms as long as the cadences that are held out are described better."""
-    given, steps, work = shares.problem.weight, 0, 0.0
+    given, held, steps, work = shares.problem.weight, shares.held, 0, 0.0
     crowd = max(np.bincount([star.stamp for star in shares.problem.stars]))
 
     def work_of_step(terms):  # multiplications
         return given.size * ((crowd * len(terms)) ** 2 + _CADENCE_TERMS**2)
 
-    best, least = (shares, cadences), np.full(held.sum(), np.inf)
+    best, least = shares, np.full(held.sum(), np.inf)
     for degrees in _LADDER:
-        trial = best[0].richer(*degrees), replace(best[1])
-        more = _TRIAL_STEPS * work_of_step(trial[0].terms)
-        too_many = crowd * len(trial[0].terms) > _MOST_TERMS
+        trial = best.richer(*degrees)
+        more = _TRIAL_STEPS * work_of_step(trial.terms)
+        too_many = crowd * len(trial.terms) > _MOST_TERMS
         if work and (too_many or work + more > _MOST_WORK / 2):
             break
         work += more
-        steps += _climb(*trial, center, error, held, _TRIAL_STEPS, report)[1]
-        cost = _costs(*trial, given)[held]
-        both = trial[1].used[held] & best[1].used[held]
+        steps += trial.climb(_TRIAL_STEPS, report)[1]
+        cost = trial.costs(given)[held]
+        both = trial.used[held] & best.used[held]
         if cost[both].sum() <= (1 - _LEAST_GAIN) * least[both].sum():
             best, least = trial, cost
         # A model that is far off may need more terms at once.
         elif np.median(least) < _FAR * np.count_nonzero(given) / len(given):
             break
-    left = (_MOST_WORK - work) // work_of_step(best[0].terms)
-    return *best, steps, max(int(left), _TRIAL_STEPS)
+    left = (_MOST_WORK - work) // work_of_step(best.terms)
+    return best, steps, max(int(left), _TRIAL_STEPS)
 
 
 def fit_response(problem, few, state, fits, report=None):
@@ -341,35 +330,28 @@ def fit_response(problem, few, state, fits, report=None):
     cadence = np.zeros((len(center), len(problem.columns)))
     cadence[:, :2] = center
     start = linear_start(problem, State(state.shared, np.zeros(0), cadence))
-    cadences = _Cadences(start, problem.weight, np.ones(len(center), dtype=bool))
-    held = np.zeros(len(center), dtype=bool)
-    held[_FIRST::_EVERY] = True
-    shares = _Shares(problem, start, center)
-    shares, cadences, steps, left = _choose(shares, cadences, center, error, held, report)
+    shares, steps, left = _choose(_Shares(problem, start, center, error), report)
     most = min(max(_MOST_STEPS // len(problem.stars), _FEW_STEPS), left)
-    settled, more = _climb(shares, cadences, center, error, held, most, report)
-    _improve(shares, cadences, center, error, steps=3)
-    errors = _errors(shares, cadences, center, error)
-    ended = {"settled": settled, "n_steps": steps + more}
-    return [
-        _result(shares, cadences, held, errors, number, fit, **ended)
-        for number, fit in enumerate(fits)
-    ]
+    settled, more = shares.climb(most, report)
+    shares.improve(steps=3)
+    errors, n_free = _errors(shares)
+    ended = {"converged": settled, "n_steps": steps + more}
+    return [_result(shares, errors, n_free, *pair, **ended) for pair in enumerate(fits)]
 
 
-def _errors(shares, cadences, center, error):
+def _errors(shares):
     """`Errors` of the parameters of the cadences, and how many are free, ``(n,)``."""
-    problem, state = shares.problem, cadences.state
-    normal, _, design = _equations(shares, cadences, center, error)
+    problem, state = shares.problem, shares.state
+    normal, _, design = shares.equations()
     k = normal.shape[1]
     covariance = solved(normal, np.broadcast_to(np.eye(k), normal.shape))
-    n_free = k - np.trace(covariance[:, :2, :2], axis1=1, axis2=2) / error**2
+    n_free = k - np.trace(covariance[:, :2, :2], axis1=1, axis2=2) / shares.error**2
     # How the errors of the shares act on them, in the gauge of the shares.
-    gain = covariance @ (design * cadences.weight[..., None] ** 2).transpose(0, 2, 1)
+    gain = covariance @ (design * shares.weight[..., None] ** 2).transpose(0, 2, 1)
     for star in shares.firsts:
         pixels, (parts, share) = problem.slices[problem.stars[star].stamp], shares.gauges[star]
         gain[..., pixels] -= (gain[..., pixels] @ parts)[..., None] * share
-    phi, own = shares.basis(state)[0], np.arange(k)
+    phi, own = shares.basis()[0], np.arange(k)
     for pixel, _, stars in shares.pixels():
         columns = np.hstack([problem.fluxes(state, star)[:, None] * phi for star in stars])
         spread = np.sum((columns @ shares.covariance[pixel]) * columns, axis=1)
@@ -384,26 +366,26 @@ def _errors(shares, cadences, center, error):
     return Errors(np.zeros((s, s)), covariance, covariance, mixed, common), n_free
 
 
-def _result(shares, cadences, held, errors, number, fit, *, settled, n_steps):
+def _result(shares, errors, n_free, number, fit, *, converged, n_steps):
     """Return the fit of the PSF to a file with the response of its pixels."""
-    problem, state, (errors, n_free) = shares.problem, cadences.state, errors
-    modeled = problem.flux - shares.residual(state)
-    fields = fitted_fields(problem, state, errors, number, modeled, cadences.weight)
+    problem, state, used, held = shares.problem, shares.state, shares.used, shares.held
+    modeled = problem.flux - shares.residual()
+    fields = fitted_fields(problem, state, errors, number, modeled, shares.weight)
     squares, columns = fields.pop("squares"), fields.pop("cadences")
-    squares[~cadences.used] = np.nan
+    squares[~used] = np.nan
     n_data = np.isfinite(squares).sum(axis=(1, 2))
-    part = n_data.sum() / max(np.count_nonzero(cadences.weight[cadences.used]), 1)
-    n_parameters = round(part * (shares.n_free + n_free[cadences.used].sum()))
+    part = n_data.sum() / max(np.count_nonzero(shares.weight[used]), 1)
+    n_parameters = round(part * (shares.n_free + n_free[used].sum()))
     chi2 = float(np.nansum(squares))
     mean = chi2 / max(n_data.sum() - n_parameters, 1)
-    out = held & cadences.used
+    out = held & used
     left = max(n_data[out].sum() - part * n_free[out].sum(), 1)
     statistics = {
         "chi2": chi2,
         "n_data": int(n_data.sum()),
         "n_parameters": n_parameters,
         "error_scale": float(np.sqrt(mean)) if mean > UNTRUE else 1.0,
-        "converged": settled and fit.converged and not fit.at_bounds,
+        "converged": converged and fit.converged and not fit.at_bounds,
         "n_steps": n_steps,
         "chi2_held_out": float(np.nansum(squares[out]) / left),
     }
@@ -414,15 +396,15 @@ def _result(shares, cadences, held, errors, number, fit, *, settled, n_steps):
     return fit.replace(
         **fields,
         parameters=parameters,
-        cadences=cadence_table(columns | {"held_out": held, "outliers": ~cadences.used}),
+        cadences=cadence_table(columns | {"held_out": held, "outliers": ~used}),
         statistics=statistics,
-        response=tuple(_effect(shares, state, k, place) for place, k in enumerate(stars)),
+        response=tuple(_effect(shares, k, place) for place, k in enumerate(stars)),
     )
 
 
-def _effect(shares, state, star, number):
+def _effect(shares, star, number):
     """The shares of a star as an effect of a scene."""
-    problem = shares.problem
+    problem, state = shares.problem, shares.state
     stamp = problem.stamps[problem.stars[star].stamp]
     image = np.zeros((len(shares.terms), *stamp.shape))
     image[:, stamp.pixels] = shares.values[star]
