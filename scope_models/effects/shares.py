@@ -150,16 +150,8 @@ def polynomials(terms, u, v, w):
     degrees = terms.max(axis=0)
     tables = [legendre.legvander(x, n) for x, n in zip((u, v, w), degrees, strict=True)]
     columns, rows, times = (t[:, terms[:, axis]] for axis, t in enumerate(tables))
-    by_u, by_v = (_slopes(tables[axis])[:, terms[:, axis]] for axis in (0, 1))
+    by_u, by_v = (
+        (tables[axis][:, : max(n, 1)] @ legendre.legder(np.eye(n + 1)))[:, terms[:, axis]]
+        for axis, n in enumerate(degrees[:2])
+    )
     return columns * rows * times, by_u * rows * times, columns * by_v * times
-
-
-def _slopes(table):
-    """Return the derivatives of Legendre polynomials from their values."""
-    result = np.zeros_like(table)
-    for n in range(1, table.shape[1]):
-        # P'_n = P'_(n - 2) + (2 n - 1) P_(n - 1)
-        result[:, n] = (2 * n - 1) * table[:, n - 1]
-        if n > 1:
-            result[:, n] += result[:, n - 2]
-    return result

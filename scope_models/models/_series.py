@@ -180,7 +180,7 @@ def _engine(term, gaussian, columns, rows, blur):
     if gaussian is None:
         return _directly(term, columns, rows)
     along = term.polynomials()
-    widened = _Widened(*gaussian, np.hypot(blur, term.diffusion))
+    widened = _widened(*gaussian, np.hypot(blur, term.diffusion))
     sigma_x, sigma_y, rho = widened()
     if not uses_series(sigma_x, sigma_y, rho, max(c.size for c in along) - 1):
         return _tensor(columns, rows, widened, along)
@@ -204,8 +204,9 @@ def _engine(term, gaussian, columns, rows, blur):
             if widths is None:
                 x_table, y_table = tables(x[part], y[part])
             else:
-                wide, tall, tilt = widened.over(widths[part])
-                x_table, y_table = x_axis(x[part], wide), y_axis(y[part], tall)
+                wide, tall, tilt = widened(widths[part])
+                x_table = x_axis(x[part], wide / sigma_x)
+                y_table = y_axis(y[part], tall / sigma_y)
             if n > 1:
                 y_table *= np.reshape(tilt, (-1, 1, 1)) ** orders
             contract(y_table, x_table, images[part])
@@ -214,28 +215,18 @@ def _engine(term, gaussian, columns, rows, blur):
     return render
 
 
-class _Widened:
-    """Widths and correlation of a normal density that focus widens and blur convolves."""
+def _widened(sigma_x, sigma_y, rho, blur):
+    """Return the function of a factor on the width that gives those of a density that is blurred.
 
-    def __init__(self, sigma_x, sigma_y, rho, blur):
-        self._unblurred, self._blur = (sigma_x, sigma_y, rho), blur
+    Focus widens the density, and then it is convolved: sigma_x, sigma_y and rho.
+    """
 
-    def __call__(self, widths=1.0):
-        """Return sigma_x, sigma_y and rho at factors on the width."""
-        sigma_x, sigma_y, rho = self._unblurred
-        sigmas = widths * sigma_x, widths * sigma_y
-        if not self._blur:
-            return *sigmas, rho
-        wide, tall = (np.hypot(sigma, self._blur) for sigma in sigmas)
-        return wide, tall, rho * (sigmas[0] / wide) * (sigmas[1] / tall)
+    def at(widths=1.0):
+        narrow, low = widths * sigma_x, widths * sigma_y
+        wide, tall = np.hypot(narrow, blur), np.hypot(low, blur)
+        return wide, tall, rho * (narrow / wide) * (low / tall)
 
-    def over(self, widths):
-        """Return the factors on both widths against those at 1, and the correlation."""
-        if not self._blur:
-            return widths, widths, self._unblurred[2]
-        sigma_x, sigma_y, _ = self()
-        wide, tall, rho = self(widths)
-        return wide / sigma_x, tall / sigma_y, rho
+    return at
 
 
 def _tensor(columns, rows, widened, along):

@@ -2,7 +2,7 @@
 
 import astropy.units as u
 import numpy as np
-from astropy.stats import mad_std
+from astropy.stats import mad_std, sigma_clip
 from astropy.time import Time
 from scipy.interpolate import interp1d
 from scipy.signal import savgol_filter
@@ -142,7 +142,7 @@ def _estimate(estimator, time, flux, width, filter_window):
 
 def _lightkurve_cdpp(time, flux, width, filter_window):
     flat = flux / _clipped_trend(time, flux, filter_window)
-    flat = flat[_within(flat, sigma=5.0, iterations=5)]
+    flat = sigma_clip(flat, sigma=5.0, maxiters=5, masked=False)
     total = np.cumsum(np.insert(flat / np.median(flat) - 1, 0, 0.0))
     return np.std(total[width:] - total[:-width]) / width
 
@@ -166,18 +166,6 @@ def _clipped_trend(time, flux, filter_window, sigma=3.0, iterations=3, longest_g
         trend = line(time)
         kept = kept[near]
     return trend
-
-
-def _within(values, sigma, iterations):
-    """Mark the values within `sigma` standard deviations of the median, iteratively."""
-    keep = np.ones(len(values), dtype=bool)
-    for _ in range(iterations):
-        center, width = np.median(values[keep]), np.std(values[keep])
-        new = keep & (np.abs(values - center) <= sigma * width)
-        if new.sum() == keep.sum():
-            break
-        keep = new
-    return keep
 
 
 def _everest_cdpp(_time, flux, width, filter_window):
