@@ -26,7 +26,8 @@ sys.path += [str(_STUDIES), str(_STUDIES / "paper")]
 def pytest_cmdline_main(config):
     """Share the files of a whole run between all cores, if pytest-xdist is there and not set."""
     whole = config.args_source is pytest.Config.ArgsSource.TESTPATHS
-    if whole and getattr(config.option, "numprocesses", 0) is None:
+    worker = hasattr(config, "workerinput")
+    if whole and not worker and getattr(config.option, "numprocesses", 0) is None:
         config.option.numprocesses, config.option.dist = "auto", "loadfile"
 
 
