@@ -9,6 +9,7 @@ from scipy.special import erf
 
 from scope_models.io import TPFMetadata
 from scope_models.io.tpf import make_tpf_hdulist
+from scope_models.photometry import cdpp
 
 EXPOSURE = 1625.347  # s, Kepler long cadence
 BACKGROUND = 166.0  # e-/s per pixel
@@ -23,6 +24,12 @@ class FakeStar:
     expected: np.ndarray  # e-/s without noise
     noise: np.ndarray  # e-/s
     signal: np.ndarray  # true relative flux
+
+    def floor(self, corrector, method="lightkurve"):
+        """Return the CDPP of the noise alone in a corrector's aperture, for a constant star."""
+        mask = corrector.aperture_mask
+        level = self.expected[:, mask].sum(axis=1).mean()
+        return cdpp(level + self.noise[:, mask].sum(axis=1), method=method)
 
 
 def roll(n, seed, *, amplitude=0.3, drift=0.1):
