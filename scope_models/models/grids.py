@@ -221,9 +221,7 @@ class PRFGrid(Value):
         files = files if path.is_dir() else [path]
         found = [_read_tess(file) for file in files]
         chosen = [
-            item
-            for item in found
-            if (camera is None or item[0][0] == camera) and (ccd is None or item[0][1] == ccd)
+            item for item in found if camera in (None, item[0][0]) and ccd in (None, item[0][1])
         ]
         if not chosen:
             raise FileNotFoundError(f"{path} has no PRF of camera {camera}, CCD {ccd}")

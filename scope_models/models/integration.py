@@ -1,6 +1,8 @@
 """Integration of models over pixels: the one place where a density becomes a flux."""
 
 import warnings
+from functools import reduce
+from operator import add
 
 import numpy as np
 from astropy import units as u
@@ -274,10 +276,7 @@ def integrate_pixels(model, shape=None, *, x=None, y=None, method="auto"):
                     f"{type(whole[0]).__name__} is already integrated over pixels and works in "
                     f"sums and times constants only, not in the operator '{factor.model.op}'"
                 )
-    total = integrate_term(terms[0], points, method)
-    for term in terms[1:]:
-        total = total + integrate_term(term, points, method)
-    return total
+    return reduce(add, (integrate_term(term, points, method) for term in terms))
 
 
 def _rule(integrand, index, corner_u, corner_v, size, n):

@@ -72,9 +72,9 @@ def generate(pointing, n_cadences, days, start, seed, mission, **options):
     for meaning, cadences in flags.items():
         quality[cadences] |= getattr(mission.quality, meaning)
     meta = {"mission": mission.name, "generator": {"name": name, **asdict(pointing)}, "seed": seed}
-    time = first_time(start, mission.time_format) + time
-    fields = {"time": time, "x": x, "y": y, "quality": quality, "meta": meta}
-    return fields | {"time_format": mission.time_format}
+    zero = mission.time_format
+    fields = {"time": first_time(start, zero) + time, "x": x, "y": y, "quality": quality}
+    return fields | {"meta": meta, "time_format": zero}
 
 
 def _due(time, interval, generator):
@@ -504,12 +504,6 @@ class K2Roll(Pointing):
     # jitters are measured at this cadence.
     stream_name: ClassVar[str] = "k2_roll"
     cadence: ClassVar[float] = round(MISSIONS["K2"].cadence_days("long"), 14)
-
-    def __post_init__(self):
-        pair = self.field
-        if not isinstance(pair, tuple | list | np.ndarray) or len(pair) != 2:
-            raise TypeError(f"`field` must be a pair of numbers in degrees, got {pair!r}")
-        super().__post_init__()
 
     def track(self, time, streams):
         """Return where the star goes, each position the mean over a cadence, and the firings."""

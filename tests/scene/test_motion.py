@@ -651,7 +651,7 @@ def test_numbers_that_must_be_positive(name):
 @pytest.mark.parametrize(
     "parameters, error, match",
     [
-        ({"field": 3.0}, TypeError, "`field` must be a pair of numbers in degrees, got 3.0"),
+        ({"field": 3.0}, TypeError, r"`field` must be \(column, row\), got 3.0"),
         ({"field": (1.0, np.nan)}, ValueError, "`field` must be finite, got nan"),
         ({"reversal": np.inf}, ValueError, "`reversal` must be finite"),
         ({"solar_rate": "fast"}, TypeError, "`solar_rate` must be a number"),
