@@ -3,10 +3,8 @@
     python studies/fifty_digits.py truth tests/data/fifty_digits.ecsv
     python studies/fifty_digits.py errors docs/data/fifty_digits.ecsv
 
-"truth" writes integrals of correlated Gaussians times polynomials, and their derivatives, at
-places that are hard: narrow and wide densities, |rho| near 1, stars at centers, edges and corners
-of pixels, the brightest pixel, its diagonal neighbor, and one in the wings. "errors" writes the
-error against the number of terms, nodes, Chebyshev coefficients and samples, which
+"truth" writes integrals of correlated Gaussians times polynomials, and derivatives, at hard places;
+"errors" the error against the number of terms, nodes, Chebyshev coefficients and samples, which
 ``docs/figures/fifty_digits.py`` draws. Both need mpmath.
 """
 
@@ -18,7 +16,10 @@ import mpmath as mp
 import numpy as np
 from astropy.table import Table
 
-DIGITS = 50
+from scope_models import BivariateGaussianPSF, TabulatedPSF, integrate_pixels
+from scope_models.models import _axis, _gaussian
+
+mp.mp.dps, STEP = 50, mp.mpf("1e-16")
 X_ROW, Y_ROW = (1.0, 0.1, -0.05, 0.2), (1.0, -0.2, -0.75)
 NAMES = ("x_0", "y_0", "sigma_x", "sigma_y", "rho")
 PLACES = ((3.0, 3.0), (3.5, 3.125), (3.5, 3.5), (3.4990234375, 2.5))
@@ -101,15 +102,12 @@ def write_truth(path):
                 numbers += slopes(pixel, values) if hard else []
                 text = " ".join(mp.nstr(n, 25) for n in numbers)
                 rows.append((*pixel, *map(float, values), text))
-    Table(rows=rows, names=("column", "row", *NAMES, "integral_and_slopes")).write(
-        path, overwrite=True
-    )
+    names = ("column", "row", *NAMES, "integral_and_slopes")
+    Table(rows=rows, names=names).write(path, overwrite=True)
 
 
 def gaussian_errors():
     """Yield errors of the series and of the tensor rule, as their orders grow."""
-    from scope_models.models import _axis, _gaussian
-
     pixels, place = np.arange(7.0), (3.3, 3.4)
     rows = tuple(np.array(row) for row in (X_ROW, Y_ROW))
     kept = _gaussian.n_terms, _gaussian.gaussian_nodes
@@ -130,13 +128,13 @@ def gaussian_errors():
             yield kind, (rho if kind == "terms" else sigma), order, error, chosen
         _gaussian.n_terms, _gaussian.gaussian_nodes = kept
     for sigma in (0.15, 0.5, 1.5):
-        yield from panel_errors(_axis, sigma)
+        yield from panel_errors(sigma)
 
 
-def panel_errors(axis, sigma):
+def panel_errors(sigma):
     """Yield errors of the integrals along an axis as a Chebyshev series of the position grows."""
     pixels, row = np.arange(7.0), np.array(X_ROW)
-    panels = axis.AxisPanels(pixels, sigma, row, 1)
+    panels = _axis.AxisPanels(pixels, sigma, row, 1)
     at = np.array([2.5000001, 2.61, 2.9, 3.27, 3.4999999])
     truth = [[float(along_y(mp.mpf(x) - p, mp.mpf(sigma), X_ROW)) for p in range(7)] for x in at]
     panels(at)
@@ -149,8 +147,6 @@ def panel_errors(axis, sigma):
 
 def table_errors():
     """Yield errors of tabulated Gaussians against the samples per pixel."""
-    from scope_models import BivariateGaussianPSF, TabulatedPSF, integrate_pixels
-
     for sigma in (0.3, 0.5, 1.0):
         values = [mp.mpf(v) for v in (3.3, 3.4, sigma, sigma, 0.3)]
         truth = {p: exact(*p, *values, (1,), (1,)) for p in ((3, 3), (4, 4), (3, 4))}
@@ -170,15 +166,10 @@ def main():
     parser.add_argument("path")
     options = parser.parse_args()
     if options.kind == "truth":
-        write_truth(options.path)
-        return
-    rows = [*gaussian_errors(), *table_errors()]
-    names = ("kind", "case", "order", "error", "chosen")
-    Table(rows=rows, names=names).write(options.path, overwrite=True)
+        return write_truth(options.path)
+    names, rows = "kind case order error chosen".split(), [*gaussian_errors(), *table_errors()]
+    return Table(rows=rows, names=names).write(options.path, overwrite=True)
 
-
-mp.mp.dps = DIGITS
-STEP = mp.mpf(10) ** -16
 
 if __name__ == "__main__":
     main()

@@ -41,4 +41,5 @@ def draw(name):
     return figure
 
 
-globals().update({f"make_{name}_figure": partial(draw, name) for name in _TEXTS})
+_LAWS = [name for name, texts in _TEXTS.items() if isinstance(texts, dict)]
+globals().update({f"make_{name}_figure": partial(draw, name) for name in _LAWS})

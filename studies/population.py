@@ -1,0 +1,179 @@
+"""A population of K2 stars, simulated, beside 71,800 real ones of campaigns 3 to 6.
+
+    python studies/population.py DATA stars.csv [--stars 6000] [--corrected 600]
+    python studies/population.py DATA stars.csv --table docs/data/population
+
+DATA is the folder of shared data. Stars are drawn by their number and appended to the file, so that
+a run goes on where it stopped; "--table" writes the tables of docs/evaluation_population.rst, which
+states the distributions that are drawn from, and which stars are held out.
+"""
+
+import argparse
+import csv
+import gzip
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+from astropy.table import Table
+from k2_motion import K2MotionNoise, choose_aperture
+from paper._correctors import quiet
+from paper._stars import draw_star, stamp_around
+
+from scope_models import Detector, Motion, PLDCorrector, Star, simulate
+from scope_models.effects import mission_effects
+from scope_models.missions import MISSIONS
+from scope_models.models import sinusoidal_signal
+from scope_models.photometry import cdpp
+
+# Boresights of the campaigns, degrees (the mission's page of K2 fields).
+BORESIGHTS = {3: (336.653, -11.096), 4: (59.076, 18.660), 5: (130.158, 16.830)}
+MOTIONS = [f"poscorr/ktwo{name}_llc.fits" for name in (
+    "206103150-c03", "211117077-c04", "211436265-c05", "211495446-c05"
+)] + ["k2_tpf/ktwo211956421-c05_lpd-targ.fits.gz"]  # fmt: skip
+EDGE, FARTHEST, MAGNITUDES = 6.94, 4.0, range(11, 18)
+PIPELINES = ("everest2", "everest2_validation", "everest1", "k2sff", "k2sc")
+COLUMNS = ("number", "kp", "distance", "neighbors", "spots", "raw", "raw_file", "corrected")
+
+
+@cache
+def real_stars(data):
+    """Return the unsaturated stars with a raw light curve."""
+    with gzip.open(Path(data) / "k2_pipelines" / "k2_c03-c06_cdpp.csv.gz", "rt") as file:
+        lines = [line for line in file if not line.startswith("#")]
+    table = Table(rows=[list(map(float, r)) for r in list(csv.reader(lines))[1:]],
+                  names=lines[0].strip().split(","))  # fmt: skip
+    return table[(table["saturated"] == 0) & (table["raw"] > 0)]
+
+
+@cache
+def real_motion(path):
+    """Return a real motion about its median, and the star's distance from the boresight."""
+    motion = Motion.from_file(path)
+    ra_0, dec_0 = BORESIGHTS[motion.meta["campaign"]]
+    ra, dec = motion.meta["ra"], motion.meta["dec"]
+    distance = np.hypot((ra - ra_0) * np.cos(np.radians(dec_0)), dec - dec_0)
+    good = (motion.quality & MISSIONS["K2"].quality.rejected) == 0
+    x, y = (values - np.median(values[good]) for values in (motion.x, motion.y))
+    near = np.hypot(x, y) < FARTHEST
+    return motion.time, np.where(near, x, 0), np.where(near, y, 0), motion.quality, good, distance
+
+
+def moved(rng, data, scale):
+    """Return a motion somewhere in the field, its good cadences, and the distance."""
+    name = MOTIONS[rng.integers(len(MOTIONS))]
+    time, x, y, quality, good, known = real_motion(Path(data) / name)
+    distance, angle = EDGE * np.sqrt(rng.uniform()), rng.uniform(0, 2 * np.pi)
+    turned = scale * distance / known * np.exp(1j * angle) * (x + 1j * y)
+    motion = Motion.from_arrays(time, turned.real, turned.imag, quality=quality)
+    return motion, motion[good], distance
+
+
+def spotted(rng):
+    """Return the light curve of a star with spots, and whether it has any."""
+    has, amplitude = rng.uniform() < 1 / 3, min(0.003 * 10 ** rng.normal(0, 0.3), 0.2)
+    period, phases, ratio = 15 * 10 ** rng.normal(0, 0.3), rng.uniform(size=2), rng.uniform()
+    first = sinusoidal_signal(amplitude, period, phases[0])
+    second = sinusoidal_signal(ratio * amplitude, period / 2, phases[1])
+    return (lambda time: first(time) * second(time)) if has else None, has
+
+
+def neighbors(rng, shape):
+    """Return the field stars on a stamp."""
+    area = shape[0] * shape[1] * (3.98 / 3600) ** 2
+    n = rng.poisson(4000 * area)
+    mags = 20 + np.log10(rng.uniform(size=n)) / 0.22
+    places = rng.uniform(-0.5, np.array(shape[::-1]) - 0.5, (n, 2))
+    return [Star(max(mag, 9.0), *place) for mag, place in zip(mags, places, strict=True)]
+
+
+def observe(number, data, scale, *, correct):
+    """Return the row of a star."""
+    rng = np.random.default_rng([26, number])
+    real, low = real_stars(data), MAGNITUDES[number % len(MAGNITUDES)]
+    inside = real["kp"][(real["kp"] >= low) & (real["kp"] < low + 1)]
+    mag = float(inside[rng.integers(len(inside))])
+    motion, good, distance = moved(rng, data, scale)
+    shape, x_0, y_0 = stamp_around(good, 5)
+    background = 284 * np.exp(rng.normal(0, 0.2))
+    detector = Detector.k2_calibrated(shape=shape, background=background)
+    signal, has_spots = spotted(rng)
+    target = draw_star(rng, mag, detector, x_0=x_0, y_0=y_0, shift=0.5, signal=signal)
+    others = neighbors(rng, shape)
+    observation = simulate(
+        [target, *others], detector, motion, seed=number, effects=mission_effects(detector)
+    )
+    scene = observation.scene.replace(effects=(), detector=detector.without_sensitivity())
+    image = simulate(scene.replace(stars=[target]), noise=False).flux.mean(axis=0)
+    aperture = choose_aperture(K2MotionNoise(), observation, image)
+    curves = (observation.to_lightcurve(mask) for mask in (aperture, observation.aperture))
+    raw, raw_file = (cdpp(lc, method="everest") for lc in curves)
+    lc = PLDCorrector(observation.to_tpf()).correct() if correct else None
+    corrected = cdpp(lc, method="everest") if correct else np.nan
+    return (number, mag, round(distance, 3), len(others), int(has_spots),
+            *(round(float(v), 2) for v in (raw, raw_file, corrected)))  # fmt: skip
+
+
+def percentiles(values, rng):
+    """Return the 10th, 50th and 90th percentile and their errors by resampling."""
+    values = np.asarray(values)
+    picks = values[rng.integers(values.size, size=(400, values.size))]
+    return np.percentile(values, [10, 50, 90]), np.percentile(picks, [10, 50, 90], axis=1).std(1)
+
+
+def write_tables(stars, real, target):
+    """Write percentiles of raw light curves, and medians of corrected ones."""
+    rng, raw, corrected = np.random.default_rng(0), [], []
+    for low in MAGNITUDES:
+        ours = stars[(stars["kp"] >= low) & (stars["kp"] < low + 1)]
+        theirs = real[(real["kp"] >= low) & (real["kp"] < low + 1)]
+        held = theirs[theirs["campaign"] > 3]
+        (here, error), (there, _) = (percentiles(t["raw"], rng) for t in (ours, held))
+        file, _ = percentiles(ours["raw_file"], rng)
+        ratio, spread = here / there, error / there
+        agrees = (np.abs(ratio - 1) < 0.15) | (np.abs(ratio - 1) < 2 * spread)
+        cells = [f"{r:.2f} ± {s:.2f}{'' if a else ' (!)'}"
+                 for r, s, a in zip(ratio, spread, agrees, strict=True)]  # fmt: skip
+        raw.append([f"{low}-{low + 1}", len(ours), *np.rint(there).astype(int),
+                    *np.rint(here).astype(int), *cells, round(file[1])])  # fmt: skip
+        done = ours["corrected"][np.isfinite(ours["corrected"])]
+        if len(done):
+            median, error = (part[1] for part in percentiles(done, rng))
+            known = [theirs[n][theirs[n] > 0] for n in PIPELINES]
+            corrected.append([f"{low}-{low + 1}", len(done), f"{median:.1f} ± {error:.1f}",
+                              *(f"{np.median(values):.1f}" for values in known)])  # fmt: skip
+    names = ["Kp", "stars", "real 10 %", "50 %", "90 %", "simulated 10 %", "50 % ", "90 % ",
+             "ratio at 10 %", "at 50 %", "at 90 %", "file's aperture"]  # fmt: skip
+    others = ["Kp", "stars", "simulated, PLDCorrector", "EVEREST 2", "its validation", "EVEREST 1",
+              "K2SFF", "K2SC"]  # fmt: skip
+    for suffix, head, rows in (("raw", names, raw), ("corrected", others, corrected)):
+        with Path(f"{target}_{suffix}.csv").open("w", newline="", encoding="utf-8") as file:
+            csv.writer(file, lineterminator="\n").writerows([head, *rows])
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("data")
+    parser.add_argument("file", type=Path)
+    parser.add_argument("--stars", type=int, default=6000)
+    parser.add_argument("--motion", type=float, default=1.0, help="factor on the motions")
+    parser.add_argument("--corrected", type=int, default=600)
+    parser.add_argument("--table", help="beginning of the names of the tables")
+    options = parser.parse_args()
+    if options.table:
+        write_tables(Table.read(options.file), real_stars(options.data), options.table)
+        return
+    done = len(options.file.read_text().splitlines()) - 1 if options.file.exists() else 0
+    if not done:
+        options.file.write_text(",".join(COLUMNS) + "\n")
+    every = max(1, options.stars // max(options.corrected, 1))
+    for number in range(done, options.stars):
+        correct = options.corrected > 0 and number // len(MAGNITUDES) % every == 0
+        with quiet():
+            row = observe(number, options.data, options.motion, correct=correct)
+        with options.file.open("a") as file:
+            file.write(",".join(map(str, row)) + "\n")
+
+
+if __name__ == "__main__":
+    main()
