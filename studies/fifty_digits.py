@@ -167,7 +167,8 @@ def main():
     options = parser.parse_args()
     if options.kind == "truth":
         return write_truth(options.path)
-    names, rows = "kind case order error chosen".split(), [*gaussian_errors(), *table_errors()]
+    names = ("kind", "case", "order", "error", "chosen")
+    rows = [*gaussian_errors(), *table_errors()]
     return Table(rows=rows, names=names).write(options.path, overwrite=True)
 
 

@@ -48,8 +48,8 @@ class Law:
 
 def law(function):
     """Register a function of a folder that returns x, measured, error and predicted."""
-    texts = TEXTS[function.__name__]
-    LAWS[function.__name__] = lambda folder: Law(texts, *map(np.asarray, function(folder)))
+    name = function.__name__
+    LAWS[name] = lambda folder: Law(TEXTS[name], *map(np.asarray, function(folder)))
     return function
 
 

@@ -10,7 +10,6 @@ states the distributions that are drawn from, and which stars are held out.
 
 import argparse
 import csv
-import gzip
 from functools import cache
 from pathlib import Path
 
@@ -39,10 +38,8 @@ COLUMNS = ("number", "kp", "distance", "neighbors", "spots", "raw", "raw_file", 
 @cache
 def real_stars(data):
     """Return the unsaturated stars with a raw light curve."""
-    with gzip.open(Path(data) / "k2_pipelines" / "k2_c03-c06_cdpp.csv.gz", "rt") as file:
-        lines = [line for line in file if not line.startswith("#")]
-    table = Table(rows=[list(map(float, r)) for r in list(csv.reader(lines))[1:]],
-                  names=lines[0].strip().split(","))  # fmt: skip
+    path = Path(data) / "k2_pipelines" / "k2_c03-c06_cdpp.csv.gz"
+    table = Table.read(path, format="ascii.csv", comment="#")
     return table[(table["saturated"] == 0) & (table["raw"] > 0)]
 
 
@@ -51,8 +48,8 @@ def real_motion(path):
     """Return a real motion about its median, and the star's distance from the boresight."""
     motion = Motion.from_file(path)
     ra_0, dec_0 = BORESIGHTS[motion.meta["campaign"]]
-    ra, dec = motion.meta["ra"], motion.meta["dec"]
-    distance = np.hypot((ra - ra_0) * np.cos(np.radians(dec_0)), dec - dec_0)
+    east = (motion.meta["ra"] - ra_0) * np.cos(np.radians(dec_0))
+    distance = np.hypot(east, motion.meta["dec"] - dec_0)
     good = (motion.quality & MISSIONS["K2"].quality.rejected) == 0
     x, y = (values - np.median(values[good]) for values in (motion.x, motion.y))
     near = np.hypot(x, y) < FARTHEST
@@ -91,13 +88,12 @@ def observe(number, data, scale, *, correct):
     """Return the row of a star."""
     rng = np.random.default_rng([26, number])
     real, low = real_stars(data), MAGNITUDES[number % len(MAGNITUDES)]
-    inside = real["kp"][(real["kp"] >= low) & (real["kp"] < low + 1)]
+    inside = real["kp"][np.floor(real["kp"]) == low]
     mag = float(inside[rng.integers(len(inside))])
     motion, good, distance = moved(rng, data, scale)
     shape, x_0, y_0 = stamp_around(good, 5)
-    background = 284 * np.exp(rng.normal(0, 0.2))
-    detector = Detector.k2_calibrated(shape=shape, background=background)
-    signal, has_spots = spotted(rng)
+    detector = Detector.k2_calibrated(shape=shape, background=284 * np.exp(rng.normal(0, 0.2)))
+    signal, spots = spotted(rng)
     target = draw_star(rng, mag, detector, x_0=x_0, y_0=y_0, shift=0.5, signal=signal)
     others = neighbors(rng, shape)
     observation = simulate(
@@ -110,7 +106,7 @@ def observe(number, data, scale, *, correct):
     raw, raw_file = (cdpp(lc, method="everest") for lc in curves)
     lc = PLDCorrector(observation.to_tpf()).correct() if correct else None
     corrected = cdpp(lc, method="everest") if correct else np.nan
-    return (number, mag, round(distance, 3), len(others), int(has_spots),
+    return (number, mag, round(distance, 3), len(others), int(spots),
             *(round(float(v), 2) for v in (raw, raw_file, corrected)))  # fmt: skip
 
 
@@ -125,8 +121,7 @@ def write_tables(stars, real, target):
     """Write percentiles of raw light curves, and medians of corrected ones."""
     rng, raw, corrected = np.random.default_rng(0), [], []
     for low in MAGNITUDES:
-        ours = stars[(stars["kp"] >= low) & (stars["kp"] < low + 1)]
-        theirs = real[(real["kp"] >= low) & (real["kp"] < low + 1)]
+        ours, theirs = (table[np.floor(table["kp"]) == low] for table in (stars, real))
         held = theirs[theirs["campaign"] > 3]
         (here, error), (there, _) = (percentiles(t["raw"], rng) for t in (ours, held))
         file, _ = percentiles(ours["raw_file"], rng)
@@ -158,10 +153,16 @@ def main():
     parser.add_argument("--stars", type=int, default=6000)
     parser.add_argument("--motion", type=float, default=1.0, help="factor on the motions")
     parser.add_argument("--corrected", type=int, default=600)
+    parser.add_argument("--against", help="prints ratios to the same stars of another file")
     parser.add_argument("--table", help="beginning of the names of the tables")
     options = parser.parse_args()
     if options.table:
         write_tables(Table.read(options.file), real_stars(options.data), options.table)
+    if options.against:
+        one, two = (Table.read(path)["raw"] for path in (options.file, options.against))
+        ratio = np.array(one[: len(two)] / two[: len(one)])
+        print(f"{np.median(ratio):.2f} (16 %, 84 %: {np.percentile(ratio, [16, 84]).round(2)})")
+    if options.table or options.against:
         return
     done = len(options.file.read_text().splitlines()) - 1 if options.file.exists() else 0
     if not done:

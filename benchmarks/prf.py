@@ -1,0 +1,104 @@
+"""Fluxes of pixels of a star by this package and by others: first they agree, then the clock.
+
+1000 positions of 9 x 9 pixels without noise and without a sensitivity. The error is the largest
+difference from a rule of 40 x 40 nodes in each pixel, as part of the flux, at 20 of the positions.
+Times are processor times of calls in turn; memory is the largest that Python held in a call. In
+each pair of columns ours comes first. GaussianPRF is integrated over pixels since photutils 3.1.
+The last lines are the error of a first-order shift of an image (image plus offset times its
+derivative), by which scenes of pandora-psf follow small motions, at offsets from its center.
+
+Run as ``OMP_NUM_THREADS=1 python benchmarks/prf.py``.
+"""
+
+import tracemalloc
+
+import numpy as np
+from _common import report_environment, seconds
+from photutils.psf import CircularGaussianPRF, GaussianPRF, ImagePSF
+
+from scope_models import PRF, BivariateGaussianPSF, Detector, integrate_pixels
+from scope_models.models import TabulatedPRF
+
+N, SIZE, SIGMA, CHECKED = 1000, 9, 0.5, slice(None, None, 50)
+FWHM = 2 * np.sqrt(2 * np.log(2))
+
+
+def exact(psf, x, y):
+    """Return images of a density by a dense Gauss-Legendre rule."""
+    nodes, weights = (part / 2 for part in np.polynomial.legendre.leggauss(40))
+    at = (np.arange(SIZE)[:, None] + nodes).ravel()
+    images = []
+    for x_0, y_0 in zip(x, y, strict=True):
+        density = psf(at - x_0, (at - y_0)[:, None]).reshape(SIZE, 40, SIZE, 40)
+        images.append(np.einsum("jlik,l,k->ji", density, weights, weights))
+    return np.array(images)
+
+
+def peak_memory(function):
+    """Return the largest memory of a call, MB."""
+    tracemalloc.start()
+    function()
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    return peak / 1e6
+
+
+def cases(x, y):
+    """Yield name of the rival, the density, our call and its call, for all positions."""
+    rows, columns = np.mgrid[:SIZE, :SIZE].astype(float)
+    arguments = np.tile(columns, (N, 1, 1)), np.tile(rows, (N, 1, 1)), 1.0
+    places = x[:, None, None], y[:, None, None]
+    for rho in (0.0, 0.4):
+        psf = BivariateGaussianPSF(1, 0, 0, SIGMA, SIGMA, rho)
+        ours = BivariateGaussianPSF(1, x, y, SIGMA, SIGMA, rho)
+        if rho:
+            long, short = (FWHM * SIGMA * np.sqrt(1 + s * rho) for s in (1, -1))
+            model, shape = GaussianPRF(), (long, short, 45.0)
+        else:
+            model, shape = CircularGaussianPRF(), (FWHM * SIGMA,)
+        yield (
+            f"{type(model).__name__}, rho = {rho}", psf,
+            lambda m=ours: integrate_pixels(m, (SIZE, SIZE)),
+            lambda m=model, s=shape: m.evaluate(*arguments, *places, *s),
+        )  # fmt: skip
+    half = 5 * SIZE
+    y_at, x_at = np.mgrid[-half : half + 1, -half : half + 1] / SIZE
+    psf = BivariateGaussianPSF(1, 0, 0, SIGMA, SIGMA)
+    samples = PRF(psf)(x_at, y_at)
+    table, image = TabulatedPRF(samples, SIZE), ImagePSF(samples, oversampling=SIZE)
+    yield (
+        "ImagePSF, 9 samples per pixel", psf, lambda: table.evaluate(*arguments, *places),
+        lambda: image.evaluate(*arguments, *places),
+    )  # fmt: skip
+
+
+def main():
+    """Print the environment, and errors, times and memory of both sides."""
+    report_environment("photutils")
+    x, y = SIZE // 2 + np.random.default_rng(1).uniform(-0.5, 0.5, (2, N))
+    print(f"{'photutils':30} {'error':>17} {'time (ms)':>15} {'ratio':>6} {'memory (MB)':>13}")
+    for name, psf, ours, theirs in cases(x, y):
+        truth = exact(psf, x[CHECKED], y[CHECKED])
+        errors = [np.abs(call()[CHECKED] - truth).max() for call in (ours, theirs)]
+        times = seconds(ours, theirs)
+        memory = [peak_memory(call) for call in (ours, theirs)]
+        columns = zip(errors, times, memory, strict=True)
+        (error, time, peak), (error_2, time_2, peak_2) = columns
+        print(
+            f"{name:30} {error:8.0e} {error_2:8.0e} {1e3 * time:7.2f} {1e3 * time_2:7.2f} "
+            f"{time / time_2:6.3f} {peak:6.2f} {peak_2:6.2f}"
+        )
+    prf = PRF(Detector.k2_calibrated().psf)
+    print("\nfirst-order shift of the PRF of Detector.k2_calibrated, without its response")
+    middle, step = SIZE // 2, 1e-4
+    for offset in (0.05, 0.1, 0.25, 0.5):
+        here, low, high, there = (
+            prf.render((SIZE, SIZE), flux=1, x_0=middle + d, y_0=middle)
+            for d in (0, -step, step, offset)
+        )
+        shifted = here + offset * (high - low) / (2 * step)
+        print(f"{offset:5.2f} px: {np.abs(shifted - there).max():.1e} of the flux in a pixel")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,48 @@
+"""The population of K2: what is drawn, and its tables."""
+
+import csv
+
+import numpy as np
+import pytest
+from astropy.table import Table
+from population import PIPELINES, neighbors, percentiles, spotted, write_tables
+
+
+def test_neighbors_have_the_density_and_slope():
+    rng = np.random.default_rng(1)
+    drawn = [neighbors(rng, (60, 40)) for _ in range(400)]
+    mags = np.array([star.mag for stars in drawn for star in stars])
+    expected = 400 * 4000 * 2400 * (3.98 / 3600) ** 2
+    assert mags.size == pytest.approx(expected, abs=4 * np.sqrt(expected))
+    assert np.mean(mags < 18) == pytest.approx(10 ** (-0.44), abs=4 * 0.5 / np.sqrt(mags.size))
+
+
+def test_a_third_of_the_stars_has_spots():
+    rng, time = np.random.default_rng(2), np.linspace(0, 80, 400)
+    curves = [curve(time) for curve, has in (spotted(rng) for _ in range(900)) if has]
+    assert len(curves) == pytest.approx(300, abs=4 * np.sqrt(200))
+    assert np.median([np.std(c) for c in curves]) == pytest.approx(0.003 / 2**0.5, rel=0.3)
+
+
+def test_tables_mark_what_does_not_fit(tmp_path):
+    rng = np.random.default_rng(3)
+    kp = np.repeat(np.arange(11, 18) + 0.5, 400)
+    noise = 100 * np.exp(0.5 * rng.standard_normal(kp.size))
+    real = Table({"kp": kp, "raw": noise, "campaign": np.full(kp.size, 4)})
+    for name in PIPELINES:
+        real[name] = 30.0
+    factor = np.where(kp < 14, 1.0, 2.0)
+    stars = Table({"kp": kp, "raw": factor * noise, "raw_file": noise, "corrected": 0.2 * noise})
+    write_tables(stars, real, tmp_path / "population")
+    with (tmp_path / "population_raw.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [row["at 50 %"][:4] for row in rows] == ["1.00"] * 3 + ["2.00"] * 4
+    assert ["(!)" in row["at 50 %"] for row in rows] == [False] * 3 + [True] * 4
+    with (tmp_path / "population_corrected.csv").open() as file:
+        assert next(csv.DictReader(file))["EVEREST 2"] == "30.0"
+
+
+def test_errors_of_percentiles():
+    values = np.random.default_rng(4).standard_normal((200, 300))
+    found = np.array([percentiles(v, np.random.default_rng(5)) for v in values])
+    assert found[:, 1, 1].mean() == pytest.approx(found[:, 0, 1].std(), rel=0.2)
