@@ -42,12 +42,12 @@ def detrended(task, output, seed, *, format="fits", **options):  # noqa: A002, A
             collection = Collection(**hlsp)
             collection.name(series.header)  # raises an error if there is none
             hdus = _files.make_archive_hdulist(corrector, path, collection, survival=survival)
-        elif format == "fits":
+        else:
             hdus = _files.make_lightcurve_hdulist(corrector, survival=survival)
     if format == "parquet":
         facts = {"key": task["key"], "output": task["output"]} | row
         del facts["campaign"], facts["channel"]  # which the path has
-        write_star(output, facts, _files.light_curve_arrays(corrector))
+        write_star(output, facts, hdus[1].data)
     else:
         write_hdulist(hdus, output, overwrite=True)
     if format == "hlsp":

@@ -54,18 +54,18 @@ def partition(campaign, channel, key):
 
 
 def write_star(path, row, light_curve):
-    """Write the file of a star from its row and the arrays of its light curve."""
+    """Write the file of a star from its row and the table of its light curve."""
     pa = _pyarrow()
     columns, fields = [], []
     for name, value in row.items():
         unit = {"unit": UNITS[name]} if name in UNITS else None
         columns.append(pa.array([value]))
         fields.append(pa.field(name, columns[-1].type, metadata=unit))
-    arrays = {
-        name: array.astype(array.dtype.newbyteorder("=")) for name, array in light_curve.items()
-    }
-    lists = [pa.array([array]) for array in arrays.values()]
-    columns.append(pa.StructArray.from_arrays(lists, names=list(arrays)))
+    names = [name.lower().replace("sap_quality", "quality") for name in light_curve.names]
+    native = [np.asarray(light_curve[n]) for n in light_curve.names]
+    native = [array.astype(array.dtype.newbyteorder("=")) for array in native]
+    lists = [pa.array([array]) for array in native]
+    columns.append(pa.StructArray.from_arrays(lists, names=names))
     fields.append(pa.field("light_curve", columns[-1].type))
     path.parent.mkdir(parents=True, exist_ok=True)
     with atomic_path(path, overwrite=True) as temporary:

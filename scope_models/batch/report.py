@@ -43,7 +43,8 @@ body { font: 15px/1.5 system-ui, sans-serif; max-width: 1100px; margin: 2em auto
 h1, h2 { font-weight: 600; } img { max-width: 100%; } table { border-collapse: collapse; }
 td, th { padding: .2em .8em; text-align: right; border-bottom: 1px solid #ddd; }
 td:first-child, th:first-child { text-align: left; } pre { overflow-x: auto; background: #f4f4f4; }
-figure { margin: 1em 0; } figcaption, .note { color: #444; font-size: 90%; }
+figure { display: inline-block; vertical-align: top; width: 48%; min-width: 440px; margin: 1em 0; }
+figure:first-of-type { width: 100%; } figcaption, .note { color: #444; font-size: 90%; }
 div { margin: .6em 0; }
 """
 
@@ -126,24 +127,12 @@ def _noise(table):
     figure = plot_precision(stars, _PUBLISHED if is_k2 else None)
     parts = ["<h2>Noise</h2>", _image(figure, "Noise against magnitude"), _note(_CONVENTION)]
     if is_k2:
-        head = ["magnitude", "stars", "raw here", "corrected here", *list(_PUBLISHED)[1:]]
-        rows = []
-        for n, center in enumerate(_PUBLISHED["mag"]):
-            near = np.abs(stars["mag"] - center) <= 0.5
-            here = [
-                f"{np.nanmedian(stars[name][near]):.1f}" if near.any() else ""
-                for name in ("raw_cdpp", "cdpp")
-            ]
-            medians = [values[n] for name, values in _PUBLISHED.items() if name != "mag"]
-            rows.append([f"{center - 0.5:g}-{center + 0.5:g}", near.sum(), *here, *medians])
-        parts += [_table(rows, head), _note(_SOURCES)]
+        parts.append(_note(_SOURCES))
     return "".join(parts)
 
 
 def _outliers(folder, table):
     """Return the stars with the most noise for their magnitude, each with a figure."""
-    from scope_models.plotting.noise import plot_star
-
     mag, noise = (without_unit(table[name]) for name in ("mag", "cdpp_everest"))
     half, excess = np.round(2 * mag), np.full(len(table), -np.inf)
     for center in np.unique(half[np.isfinite(half)]):
@@ -154,28 +143,32 @@ def _outliers(folder, table):
     shown = [n for n in np.argsort(-excess)[:_OUTLIERS] if excess[n] > 0]
     for n in shown:
         row = table[n]
-        curve = read_light_curve(folder / row["output"])
-        arrays = {name: np.asarray(curve[name]) for name in curve.colnames}
         text = (
             f"{row['object'] or row['key']} ({row['key']}): magnitude {mag[n]:.1f}, noise "
             f"{noise[n]:.0f} ppm, {excess[n]:.1f} times the median of stars like it. "
         )
-        figure = plot_star(arrays, *_pixels(folder, row))
-        parts.append(_image(figure, text + _text(row, "warnings")))
+        parts.append(_image(_star(folder, row), text + _text(row, "warnings")))
     return "".join(parts)
 
 
-def _pixels(folder, row):
-    """Return image and aperture of a star, as far as the files are there."""
+def _star(folder, row):
+    """Return the figure of a star: its pixels, as far as they are there, motion and light curve."""
+    from scope_models.plotting import plot_light_curve, plot_summary  # imports matplotlib
+
+    curve = read_light_curve(folder / row["output"])
+    arrays = {name: np.asarray(curve[name]) for name in curve.colnames}
+    time, raw, flux = (arrays[name] for name in ("time", "raw_flux", "flux"))
     try:
-        flux = read_pixels(row["file"]).flux
-        image = np.nanmedian(flux[:: max(1, len(flux) // 100)], axis=0)
+        image = read_pixels(row["file"]).flux[0]
     except (OSError, ValueError):
-        return None, None
-    if Path(row["output"]).suffix != ".fits":
-        return image, None
-    with fits.open(folder / row["output"]) as hdus:
-        return image, hdus["APERTURE"].data & 2 > 0
+        return plot_light_curve(time, raw, flux).figure
+    aperture = None
+    if Path(row["output"]).suffix == ".fits":
+        with fits.open(folder / row["output"]) as hdus:
+            aperture = hdus["APERTURE"].data & 2 > 0
+    fitted = np.isfinite(arrays["pos_fit1"]).any()
+    x, y = (arrays[f"{'pos_fit' if fitted else 'mom_centr'}{axis}"] for axis in (1, 2))
+    return plot_summary(time, image, raw, x, y, corrected=flux, aperture=aperture)["image"].figure
 
 
 def _causes(title, found):

@@ -18,7 +18,6 @@ from scope_models.photometry import cdpp
 __all__ = [
     "correct_file",
     "detrend_file",
-    "light_curve_arrays",
     "make_archive_hdulist",
     "make_lightcurve_hdulist",
 ]
@@ -96,23 +95,15 @@ def correct_file(path, transits=None, aperture_mask=None, **options):
     names = {item.name for item in fields(PLDOptions)}
     few = {name: options.pop(name) for name in names & options.keys()}
     if transits is not None:
-        period, t0, duration = _ephemeris(transits)
+        if missing := {"period", "t0", "duration"} - set(transits):
+            raise ValueError(f"`transits` needs period, t0 and duration, got no {min(missing)}")
+        period, t0, duration = (float(transits[name]) for name in ("period", "t0", "duration"))
+        if not (period > 0 and duration > 0 and np.isfinite(t0)):
+            raise ValueError(f"`transits` must have positive days, got {period} and {duration}")
         phase = np.mod(read_pixels(corrector.tpf).time - t0 + period / 2, period) - period / 2
         options["transit_mask"] = np.abs(phase) <= duration / 2
     corrector.correct(options=PLDOptions(**few), **options)
     return corrector
-
-
-def _ephemeris(transits):
-    """Return period, a mid-transit and duration, checked."""
-    values = []
-    for name in ("period", "t0", "duration"):
-        if name not in transits:
-            raise ValueError(f"`transits` needs period, t0 and duration, got no {name}")
-        values.append(float(transits[name]))
-        if not np.isfinite(values[-1]) or (name != "t0" and values[-1] <= 0):
-            raise ValueError(f"`{name}` of the transits must be positive days, got {values[-1]}")
-    return values
 
 
 def make_lightcurve_hdulist(corrector, *, survival=False):
@@ -184,14 +175,6 @@ def _states(corrector, series):
         fits.Column("POS_FIT2", "E", unit="pixel", disp="F10.5", array=states[1]),
         fits.Column("WIDTH", "E", disp="E14.7", array=states[2]),
     ]
-
-
-def light_curve_arrays(corrector):
-    """Return the light curve's arrays by name, as in the files of a `Collection`."""
-    series = read_pixels(corrector.tpf)
-    columns = _columns(corrector)
-    renamed = {series.mission.quality_column: "quality"}
-    return {renamed.get(c.name, c.name.lower()): np.asarray(c.array) for c in columns}
 
 
 def _columns(corrector):

@@ -371,7 +371,7 @@ class TestTransits:
         with pytest.raises(ValueError, match="`planets` lacks the column duration"):
             detrend([injected[0]], tmp_path, planets={"period": [1.7], "t0": [2145.0]})
         planet = {"period": -1.0, "t0": 2145.0, "duration": 0.1}
-        with pytest.raises(ValueError, match=r"`period` of the transits must be positive"):
+        with pytest.raises(ValueError, match=r"`transits` must have positive days, got -1.0"):
             detrend_file(injected[0], tmp_path / "lc.fits", transits=planet)
 
 
