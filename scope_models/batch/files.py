@@ -525,17 +525,12 @@ def fit_file(path, output, *, sensitivity=False, cadences=None, overwrite=False,
         few = {name: options.pop(name) for name in names & options.keys()}
         pixels = read_pixels(path)[: cadences or None]
         if options.get("neighbors") not in {None, "find"}:
-            options["neighbors"] = _neighbors(options["neighbors"], pixels)
+            places = star_places("neighbors", Table.read(options["neighbors"]), pixels)
+            inside = (places > -0.5) & (places < np.array(pixels.flux.shape[:0:-1]) - 0.5)
+            options["neighbors"] = places[inside.all(axis=1)]
         fit = fit_tpf(pixels, options=FitOptions(**few), **options)
     fit.write(output, overwrite=overwrite)
     return fit
-
-
-def _neighbors(catalog, pixels):
-    """Return columns and rows of a catalog's stars in the pixels."""
-    places = star_places("neighbors", Table.read(catalog), pixels)
-    size = np.array(pixels.flux.shape[:0:-1])
-    return places[((places > -0.5) & (places < size - 0.5)).all(axis=1)]
 
 
 def _fitted(task, output, seed, **options):  # noqa: ARG001 - nothing is drawn

@@ -237,7 +237,8 @@ def make_sky(regime, seed=0, *, n_cadences=1100, positions=None, noise_seed=None
     light = bleed((star_light + others + residual + sky) * exposure, photometer.well * exposure)
     noise = np.sqrt(light + read_noise**2)
     electrons = light + noise * rngs["noise"].normal(size=light.shape)
-    electrons += _cosmic_rays(rngs["rays"], light.shape, regime.cosmic_rays * part)
+    hits = rngs["rays"].uniform(size=light.shape) < regime.cosmic_rays * part
+    electrons[hits] += 3000 * rngs["rays"].lognormal(0, 1, hits.sum())  # that the pipeline missed
     # Transits do not change the aperture: a star with and without them has the same.
     seen = (light / exposure - sky - others - residual) / true_flux[:, None, None]
     outside = on & (inside == 0)
@@ -369,14 +370,6 @@ def _events(regime, rng, firing, n):
     if regime.mission != "TESS":
         quality[bright] |= _ARGABRIGHTENING
     return quality, missing, flash
-
-
-def _cosmic_rays(rng, shape, rate):
-    """Return the electrons of the cosmic rays that the pipeline missed."""
-    hits = rng.uniform(size=shape) < rate
-    rays = np.zeros(shape)
-    rays[hits] = 3000 * rng.lognormal(0, 1, hits.sum())
-    return rays
 
 
 def _measured(offset, rng, time, quality, lost, positions):
