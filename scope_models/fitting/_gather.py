@@ -22,7 +22,8 @@ def make_results(problem, solution, errors, detectors, series):
     """Gather the fit of each file from what the solver gives."""
     state, s, results = solution.state, problem.n_shared, []
     fitted, covariance = problem.model(state), errors.shared[:s, :s].copy()
-    at_bounds = np.array(problem.names)[problem.at_bounds(state)].tolist()
+    ended = zip(problem.parameters, problem.at_bounds(state), strict=True)
+    at_bounds = [parameter.name for parameter, end in ended if end]
     for number, (data, pixels) in enumerate(zip(problem.stamps, problem.slices, strict=True)):
         fields = fitted_fields(problem, state, errors, number, fitted, problem.weight)
         interpixel, interpixel_err = np.ones(data.shape), np.full(data.shape, np.nan)

@@ -3,6 +3,7 @@
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
+from types import SimpleNamespace
 
 import numpy as np
 from scipy.interpolate import BSpline
@@ -104,11 +105,6 @@ class FitOptions(Value):
         checked_choice("loss", self.loss, ("linear", "soft_l1"))
         checked_choice("neighbor_flux", self.neighbor_flux, ("auto", "cadence", "constant"))
 
-    @property
-    def soft(self):
-        """Scale of the robust loss, or None."""
-        return self.loss_scale if self.loss == "soft_l1" else None
-
 
 @dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class Settings(FitOptions):
@@ -148,16 +144,6 @@ class State:
         """Values of a column, ``(n,)``: those of the cadences come first, then the shared ones."""
         n, k = self.cadence.shape
         return self.cadence[:, number] if number < k else np.full(n, self.shared[number - k])
-
-
-@dataclass(frozen=True)
-class _Columns:
-    """Where the parameters of stars and files are: numbers of columns, places in ``shared``."""
-
-    fluxes: tuple  # column of each star
-    backgrounds: tuple  # column of each file; none if it is 0
-    places: tuple  # of each star but the first, its position: a slice of the shared parameters
-    maps: tuple  # of each file but the first, its motion: a slice of the shared parameters
 
 
 @dataclass(frozen=True, eq=False)
@@ -301,11 +287,6 @@ class Problem:
         result += [FitParameter(f"focus_{i}", "focus", prior=_FOCUS_PRIOR) for i in range(n_focus)]
         return tuple(result)
 
-    @cached_property
-    def names(self):
-        """Names of the shared parameters."""
-        return tuple(p.name for p in self.parameters)
-
     @property
     def n_shared(self):
         """Number of shared parameters."""
@@ -320,18 +301,23 @@ class Problem:
 
     @cached_property
     def index(self):
-        """Where the parameters of stars and files are, `_Columns`."""
-        number = {name: i for i, name in enumerate((*self.columns, *self.names))}
-        stars, files, k = range(len(self.stars)), range(len(self.stamps)), len(self.columns)
+        """Columns of the fluxes of stars and of the backgrounds of files, none if these are 0.
+
+        And of each star but the first its position, of each file but the first its motion: slices
+        of the shared parameters.
+        """
+        names, k = (*self.columns, *(p.name for p in self.parameters)), len(self.columns)
+        number = {name: i for i, name in enumerate(names)}
+        stars, files = range(len(self.stars)), range(len(self.stamps))
+        places = [number.get(f"x_star_{i}", 0) - k for i in stars]
+        maps = [number.get(f"x_by_x_{i}", 0) - k for i in files]
         fluxes = (number.get(f"flux_star_{i}", number.get(_numbered("flux", i))) for i in stars)
-        backgrounds = (_numbered("background", i) for i in files)
-        places = (number.get(f"x_star_{i}", 0) - k for i in stars)
-        maps = (number.get(f"x_by_x_{i}", 0) - k for i in files)
-        return _Columns(
-            fluxes=tuple(fluxes),
-            backgrounds=tuple(number[name] for name in backgrounds if name in number),
-            places=tuple(slice(first, first + 2) for first in places),
-            maps=tuple(slice(first, first + 4) for first in maps),
+        backgrounds = (number.get(_numbered("background", i)) for i in files)
+        return SimpleNamespace(
+            fluxes=list(fluxes),
+            backgrounds=[column for column in backgrounds if column is not None],
+            places=[slice(first, first + 2) for first in places],
+            maps=[slice(first, first + 4) for first in maps],
         )
 
     @cached_property
@@ -373,7 +359,7 @@ class Problem:
         typical, bright = lost * typical, lost * bright
         untrue = typical > UNTRUE or bright > UNTRUE + by_chance
         misfit = scale = float(np.sqrt(max(typical, bright))) if untrue else 1.0
-        if self.options.soft:
+        if self.options.loss == "soft_l1":
             # In units of larger errors, cosmic rays in the pixels without light are no outliers.
             scale = float(np.sqrt(typical)) if typical > UNTRUE else 1.0
         if max(abs(scale / self.error_scale - 1), abs(misfit / self.misfit - 1)) > _SAME:
@@ -464,7 +450,7 @@ class Problem:
         n, k, s, m = *state.cadence.shape, self.n_shared, self.n_shared + self.n_pixels
         shared, gradient = np.zeros((m, m)), np.zeros(m)
         mixed, block, block_gradient = np.zeros((n, k, m)), np.zeros((n, k, k)), np.zeros((n, k))
-        cost, soft = self._add_priors(state, shared, gradient), self.options.soft
+        cost, soft = self._add_priors(state, shared, gradient), self.options.loss_scale
 
         def add(part, residual, design):
             own, of_all = design[:k].transpose(1, 0, 2), design[k:].reshape(s, residual.size)
@@ -479,7 +465,7 @@ class Problem:
             residual, design, light = self._linearize(state, part)
             weight = self.weight[part]
             residual *= weight
-            if soft is None:
+            if self.options.loss == "linear":
                 cost += np.sum(residual**2)
             else:
                 scaled = (residual / soft) ** 2
@@ -518,7 +504,8 @@ class Problem:
             image, slopes = self.unit_images(state, part, j, derivatives=True)
             by, flux = design[:, :, pixels], self.fluxes(state, j)[part, None]
             light[:, pixels] += flux * image
-            slopes = [response[pixels] * flux * slope for slope in slopes]
+            scale = response[pixels] * flux
+            slopes = [scale * slope for slope in slopes]
             for i, slope in enumerate(slopes[2 : 2 + self.affine.start], start=k):
                 by[i] += slope
             for axis, i, derivative in self.position_terms(state, j):

@@ -297,7 +297,11 @@ def starting_state(problem):
     xy, positions = centroids(problem.data, problem.target), problem.options.positions
     shared = np.array([p.start for p in problem.parameters])
     if problem.data.pos_corr is not None and positions != "free":
-        fitted = _robust_map(problem.basis, xy)
+        good = np.ones(len(xy), dtype=bool)
+        for _ in range(5):  # without outliers of four standard deviations
+            fitted = np.linalg.lstsq(problem.basis[good], xy[good], rcond=None)[0]
+            distance = np.hypot(*(xy - problem.basis @ fitted).T)
+            good = distance <= 6 * np.median(distance) + 1e-6
         if positions != "start":
             shared[problem.affine] = fitted.T.ravel()
         xy = problem.basis @ fitted
@@ -341,16 +345,6 @@ def is_faint(data, target, other):
     row, column = np.indices(image.shape)
     near = [image[np.hypot(column - x, row - y) <= 1.0].max(initial=0) for x, y in (target, other)]
     return near[1] < _FAINT * near[0]
-
-
-def _robust_map(basis, xy):
-    """Affine map by least squares without outliers of four standard deviations, ``(3, 2)``."""
-    good = np.ones(len(xy), dtype=bool)
-    for _ in range(5):
-        fitted = np.linalg.lstsq(basis[good], xy[good], rcond=None)[0]
-        distance = np.hypot(*(xy - basis @ fitted).T)
-        good = distance <= 6 * np.median(distance) + 1e-6
-    return fitted
 
 
 def linear_start(problem, state):

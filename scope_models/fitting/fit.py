@@ -34,17 +34,13 @@ __all__ = ["fit_tpf"]
 
 # Prior of the response between pixels where the caller leaves it to the data.
 _PRIOR = 0.01
-# Largest number of steps, per stage, of the simple models where all is left to the data.
-_FEW_STEPS = 20
-# ... and of the others.
-_MANY_STEPS = 60
+# Largest numbers of steps, per stage, where all is left to the data: of simple models, of others.
+_FEW_STEPS, _MANY_STEPS = 20, 60
 # Standard deviations by which chi-squared may exceed that of a model that is true.
 _EXCESS = 5.0
-# Standard deviation of the positions about POS_CORR, as a part of the motion's, where the PSF is
-# wrong.
-_POSITION_PART = 0.1
-# ... and of the scale of the motion.
-_HELD = 0.001
+# Standard deviations of the positions about POS_CORR, as a part of the motion's, and of the scale
+# of the motion, where the PSF is wrong.
+_POSITION_PART, _HELD = 0.1, 0.001
 # Part of the light in the stamp below which a model has invented it; every so many cadences.
 _LEAST_INSIDE, _SOME = 0.8, 10
 # Seconds after which a fit shows its progress.

@@ -168,6 +168,12 @@ def test_twin_has_the_noise_of_the_file(observation):
     assert Detector.from_tpf(tpf, psf=None, sensitivity=None).read_noise == 90.0
 
 
+def test_drift_of_the_residuals_is_no_noise_of_the_twin(fit):
+    drift = 50.0 * np.arange(len(fit.time))[:, None, None]
+    drifting = fit.replace(observed=fit.observed + drift)
+    assert drifting.scene()[1].read_noise == pytest.approx(fit.scene()[1].read_noise)
+
+
 def test_command(observation, tmp_path, capsys):
     path, output = tmp_path / "star.fits", tmp_path / "fit.fits"
     observation.write(path)
