@@ -21,7 +21,7 @@ import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
 from scipy.linalg import cholesky, solve_triangular
 
-from scope_models.correctors._constant_light import constant_light, varying_light
+from scope_models.correctors._constant_light import constant_light, polynomials, varying_light
 
 __all__ = ["CleanPixels", "clean_pixels", "precise_aperture", "quantile"]
 
@@ -38,8 +38,6 @@ _FEWEST_ITERATIONS, _SMALL_STEPS = 4, (0.15, 0.15, 0.15, 0.2)
 _REFINEMENTS = 3
 #: Iterations after which the focus has an image of its own, and constant light counts.
 _FOCUS_FROM, _CONSTANT_FROM = 2, 3
-#: With fewer pixels of the star, three for a parameter, cadences are fitted to those of others too.
-_FEWEST_OWN = 21
 #: Prior standard deviations: position about POS_CORR (px), relative width.
 _POSITION_PRIOR, _FOCUS_PRIOR = 0.02, 0.02
 #: POS_CORR that deviates by more is wrong (px).
@@ -49,25 +47,18 @@ _ABSURD = 12.0
 _FAST, _STRONG = 0.25, 0.02
 #: Relative change of the light in the aperture with position, for telling it from variability.
 _RESPONSE_PRIOR = 0.05
-#: Mean variance about the model, in units of the noise, below which images need not change slowly,
-#: and above which the brightness of images is not used.
-_STEADY, _LARGEST_MISFIT = 1.05, 1.3
-#: Noise of that brightness, in units of the sum's, below which it is used.
+#: Noise of the brightness of images, in units of the sum's, below which it is used.
 _LESS_NOISE = 0.9
 #: Part of the variance of lost light that is expected to remain: a tenth of the amplitude.
 _LOST = 0.01
 #: Part of the light in the aperture above which the level of dark pixels is background.
 _BACKGROUND = 0.05
-#: Distance (px) from the star at which pixels are dark, and the fewest such pixels for a plane.
-_FAR, _FEWEST_FAR = 2.7, 15
 #: Outliers exceed so many standard deviations, and cosmic rays so many.
 _CLIP, _HIT = 6.0, 4.5
 #: Part of a pixel's light by which the functions of position may miss where the star moves far:
 #: cosmic rays exceed it, too. Largest ratio of light to noise in a pixel from which on this and
 #: `_CLIP` hold; of fainter stars cosmic rays are a larger part of the light than such errors.
 _MISFIT, _BRIGHT = 0.05, 5000.0
-#: ... and in units of it, that below which images may change slowly.
-_FAINT_STAR = 0.4
 #: Images change with time as polynomials of one degree in so many days, up to so many columns, by
 #: about this part of a pixel's light.
 _DAYS_PER_DEGREE, _MOST_SLOW, _SLOW_CHANGE = 10.0, 60, 0.03
@@ -80,9 +71,6 @@ _NO_WEIGHT = 1e-6
 _WORSE = 1.05
 #: Width in days of the kernel beyond which outliers of the focus are dips, and none of the focus.
 _SLOW = 0.05
-#: Days, and the correlation of the focus with the brightness above which what is faster than this
-#: is no focus.
-_FASTER, _FOLLOWS = 2.0, 0.7
 #: Widths in cadences of the kernels that are tried to smooth the focus and the background.
 _WIDTHS = (1.5, 3.0, 6.0, 12.0, 24.0, 48.0)
 #: Kernels of this width and wider ones are convolved by Fourier transforms.
@@ -224,14 +212,14 @@ def clean_pixels(
     images = state.images()
     state.fit_brightness(images)
     light, error = state.summed(flux_err, images)
-    less = quantile(state.error) / quantile(error)
-    if kind == "weighted" or (kind == "auto" and less < 1):
-        fitted, found = copy(state), images
-        if state.misfit > _STEADY and state.bright < _FAINT_STAR:
-            found = fitted.refine()
+    # beside a star that varies strongly images hold what does not: constant light
+    steady = kind == "auto" and not state.varies
+    if kind == "weighted" or (steady and quantile(state.error) < quantile(error)):
+        fitted = copy(state)
+        found = fitted.refine()
         brightness = fitted.brightness_like(light)
         part = state.roughness(brightness) / state.roughness(light)
-        if kind == "weighted" or (part < _LESS_NOISE and fitted.misfit < _LARGEST_MISFIT):
+        if kind == "weighted" or part < _LESS_NOISE:
             error = np.maximum(fitted.error, part * error)
             return fitted.result(brightness, error, found, weighted=True)
     return state.result(light, error, images, weighted=False)
@@ -244,14 +232,15 @@ class _State:
         n, n_pixels = flux.shape
         self.time, self.grid, self.aperture, self.use = time, grid, aperture, use
         self.own = own
-        # beside other stars' light a dimming looks like a change of focus
-        self.fitted = own if own.sum() >= _FEWEST_OWN else np.ones_like(own)
         typical = quantile(flux[use].T)
         self.center = grid[np.argmax(typical)].astype(float)
         offset = (grid - grid.mean(axis=0)) / np.maximum(np.ptp(grid, axis=0), 1)
         self.planes = np.column_stack([np.ones(n_pixels), offset])
         dark = np.argsort(typical)[: max(3, n_pixels // 4)]
-        self.base = self._dark_plane(typical, dark)
+        # unless that may be the star's wings
+        level = quantile(typical[dark])
+        much = level * aperture.sum() > _BACKGROUND * typical[aperture].sum()
+        self.base = np.array([level if much else 0.0, 0.0, 0.0])
         planes = np.zeros((n, 3)) + self.base
         planes[:, 0] += quantile(flux[:, dark] - typical[dark])
         total = (flux - planes @ self.planes.T)[:, aperture].sum(axis=1)
@@ -263,7 +252,7 @@ class _State:
         self.variance = self.noise
         self.scale = np.maximum(quantile(self.y[use].T, 0.98), 3 * np.sqrt(self.noise))
         self.good = np.ones((n, n_pixels), dtype=bool)
-        self.focus, self.variable, self.seen = np.zeros((3, n))
+        self.focus, self.variable = np.zeros((2, n))
         self._start_positions(position, total)
         self.smoothed, self._last = _Smoother(time, use), None
         self._place = np.where(self.known, _POSITION_PRIOR**-2, 1e-2)
@@ -283,21 +272,6 @@ class _State:
     def background(self):
         """Background of each pixel and cadence."""
         return self.plane @ self.planes.T
-
-    def _dark_plane(self, typical, dark):
-        """Return level and slopes of the background, 0 where it may be the star's wings."""
-        far = np.hypot(*(self.grid - self.center).T) > _FAR
-        if far.sum() < _FEWEST_FAR:
-            plane = np.array([quantile(typical[dark]), 0.0, 0.0])
-        else:
-            use = far.copy()
-            for _ in range(5):
-                plane = np.linalg.lstsq(self.planes[use], typical[use], rcond=None)[0]
-                rest = typical - self.planes @ plane
-                spread = 1.4826 * quantile(np.abs(rest[use]))
-                use = far & (rest < 2 * spread) & (rest > -4 * spread)
-        level = (self.planes @ plane)[self.aperture].sum()
-        return plane if level > _BACKGROUND * typical[self.aperture].sum() else np.zeros(3)
 
     def _start_positions(self, position, total):
         """Begin at POS_CORR, and where that is unknown or absurd at centroids in its scale."""
@@ -402,8 +376,10 @@ class _State:
         spread = 1.4826 * quantile(np.abs(rest[self.use].T))
         self.variance = np.maximum(self.noise, spread**2)
         if iteration > 0:
-            self.good = ~_single(self._hot(rest, image, slopes), self.use)
-        hessian, right = self._normal_equations([image, *slopes], rest, self.fitted)
+            hot = self._hot(rest, image, slopes)
+            seen = np.pad(hot & self.use[:, None], ((1, 1), (0, 0)))
+            self.good = ~hot | seen[:-2] | seen[2:]  # cosmic rays are in one cadence only
+        hessian, right = self._normal_equations([image, *slopes], rest, self.own)
         level = np.abs(self.plane[self.use, 0] - self.base[0])
         tilt = max(1.4826 * quantile(level) + abs(self.base[0]), 1e-9)
         priors = [
@@ -422,7 +398,12 @@ class _State:
         self._set_background(self.plane + step[4:].T, error[4:].T, iteration)
         self._set_variable(iteration)
         self._anchor()
-        self._set_focus(self.focus + np.clip(step[3], -0.02, 0.02), error[3], iteration)
+        # what positions and brightness explain is no focus
+        columns = np.column_stack([np.ones(len(self.z)), self.z, self.variable])
+        focus = self.focus + np.clip(step[3], -0.02, 0.02)
+        focus -= _explained(columns, columns[self.use], focus[self.use])
+        late = iteration >= _FOCUS_FROM
+        self.focus = self.smoothed(focus, error[3], "focus") if late else focus
         moved = np.abs(np.stack([self.brightness, *self.z.T, self.focus]) - before) / error[:4]
         return bool((quantile(moved[:, self.use]) < _SMALL_STEPS).all())
 
@@ -434,18 +415,15 @@ class _State:
         """
         sigma, bright = np.sqrt(self.variance), self.bright
         if bright < 1:
-            sigma = sigma * np.sqrt(1 - self._leverage(image, slopes))
+            columns = np.stack([part.mean(axis=0) for part in (image, *slopes[:2])], axis=1)
+            columns /= sigma[:, None]
+            hessian = columns.T @ columns + np.diag([0, _POSITION_PRIOR**-2, _POSITION_PRIOR**-2])
+            leverage = np.einsum("ij,ji->i", columns, np.linalg.solve(hessian, columns.T))
+            sigma = sigma * np.sqrt(1 - leverage)
         excess = rest - (_HIT + bright * (_CLIP - _HIT)) * sigma
         hot = excess > 0
         hot[hot] = excess[hot] > bright * _MISFIT * np.abs(image[hot])
         return hot
-
-    def _leverage(self, image, slopes):
-        """Return how much brightness and position follow each pixel, typically."""
-        columns = np.stack([part.mean(axis=0) for part in (image, *slopes[:2])], axis=1)
-        columns /= np.sqrt(self.variance)[:, None]
-        hessian = columns.T @ columns + np.diag([0, _POSITION_PRIOR**-2, _POSITION_PRIOR**-2])
-        return np.einsum("ij,ji->i", columns, np.linalg.solve(hessian, columns.T))
 
     def _rest(self, image, constant):
         """Return what images and background leave of the light."""
@@ -523,7 +501,6 @@ class _State:
             noise = 1.4826 * quantile(np.abs(variable[use] - quantile(variable[use])))
             ridge = (noise / _RESPONSE_PRIOR) ** 2 * np.eye(len(gram))
             variable = change - columns @ np.linalg.solve(gram + ridge, right)
-        self.seen = variable
         strong = self._is_strong(variable[use])
         if strong and iteration >= _DECIDED:
             _, image, slopes, constant = self.images()
@@ -556,13 +533,6 @@ class _State:
             rest = self.expected - self.z - columns @ change
             use = known & (np.abs(rest).max(axis=1) < 0.1)
         self.z = self.z + columns @ change
-
-    def _set_focus(self, focus, error, iteration):
-        """Take from the focus what positions and brightness explain, and smooth it in time."""
-        columns = np.column_stack([np.ones(len(focus)), self.z, self.variable])
-        use = self.use
-        focus = focus - columns @ np.linalg.lstsq(columns[use], focus[use], rcond=None)[0]
-        self.focus = self.smoothed(focus, error, "focus") if iteration >= _FOCUS_FROM else focus
 
     def summed(self, flux_err, images):
         """
@@ -601,7 +571,7 @@ class _State:
             outside=still @ (self.own & ~inside),
             background=self.unit * self.background,
             position=self.z,
-            focus=self._slow_focus(),
+            focus=self._lines(self.focus, _SLOW),  # without short dips
             constant=self.unit * quantile(other[self.use]),
             repaired=~self.good,
             weighted=weighted,
@@ -624,28 +594,6 @@ class _State:
         """Light over noise in units of a bright star's, at most 1; with neighbors 1."""
         signal = (self.scale / np.sqrt(self.variance)).max()
         return min(signal / _BRIGHT, 1.0) if self.own.all() else 1.0
-
-    @property
-    def misfit(self):
-        """Mean variance about the model in units of the noise."""
-        return np.average(self.variance / self.noise, weights=np.maximum(self.scale, 0))
-
-    def _slow_focus(self):
-        """
-        Return the focus without what may be the star's variability beside constant light.
-
-        That is short dips, and what is faster than two days if it follows a brightness that varies
-        mostly so.
-        """
-        focus, use = self._lines(self.focus, _SLOW), self.use
-        fast, seen = (values - self._lines(values, _FASTER) for values in (focus, self.seen))
-        size = _CLIP * 1.4826 * quantile(np.abs(seen[use]))
-        part = np.clip(seen, -size, size)[use]
-        product, squares = fast[use] @ part, part @ part
-        follows = product**2 > _FOLLOWS**2 * squares * (fast[use] @ fast[use])
-        if not follows or squares < 0.5 * len(part) * np.var(self.seen[use]):
-            return focus
-        return focus - seen * (product / squares)
 
     def _lines(self, values, days):
         """Return values smoothed by a kernel of so many days."""
@@ -706,7 +654,8 @@ def precise_aperture(light, variance, position):
     inside = np.cumsum(light[:, order], axis=1)
     level = quantile(inside.T)
     noise = np.cumsum(variance[order])
-    columns = np.linalg.qr(_polynomials(position, 3))[0][:, 1:]
+    columns = polynomials(position / np.maximum(np.abs(position).max(axis=0), 1e-9))
+    columns = np.linalg.qr(columns)[0][:, 1:]
     part = ((columns.T @ (inside / inside[:, -1:])) ** 2).sum(axis=0) / len(light) * level**2
     lost = np.maximum(part - columns.shape[1] * noise / len(light), 0)
     scatter = (_LOST * lost + noise / 13) / np.where(level > 0, level, np.inf) ** 2
@@ -720,21 +669,6 @@ def _explained(columns, fit, values, ridge=0.0):
     """Return what columns explain of values, whose rows are ``fit``."""
     gram = fit.T @ fit + (ridge + 1e-9 * len(fit)) * np.eye(fit.shape[1])
     return columns @ np.linalg.solve(gram, fit.T @ values)
-
-
-def _polynomials(position, degree):
-    """Return all products of powers of both coordinates up to a degree, the constant first."""
-    x, y = (position / np.maximum(np.abs(position).max(axis=0), 1e-9)).T
-    powers = [(i, j) for i in range(degree + 1) for j in range(degree + 1 - i)]
-    return np.column_stack([x**i * y**j for i, j in powers])
-
-
-def _single(hot, use):
-    """Return the pixels that are hot in one cadence only, as cosmic rays make them."""
-    near, seen = np.zeros_like(hot), hot & use[:, None]
-    near[1:] |= seen[:-1]
-    near[:-1] |= seen[1:]
-    return hot & ~near
 
 
 class _Smoother:

@@ -9,7 +9,7 @@ likewise, from what its own pixels show of its variability.
 
 import numpy as np
 
-__all__ = ["along_position", "constant_light", "varying_light"]
+__all__ = ["along_position", "constant_light", "polynomials", "varying_light"]
 
 #: The star's bright pixels have this part of the brightest one's light.
 _BRIGHT = 0.1
@@ -137,11 +137,16 @@ def _wing(other, star, grid):
     return image * (light @ image) / (image[around] @ image[around])
 
 
+def polynomials(position):
+    """Return all products of powers of both coordinates up to degree 3, the constant first."""
+    x, y = position.T
+    powers = [(i, n - i) for n in range(_DEGREE + 1) for i in range(n + 1)]
+    return np.column_stack([x**i * y**j for i, j in powers])
+
+
 def along_position(values, position, use):
     """Return a robust fit of polynomials of position."""
-    x, y = (position / np.maximum(np.abs(position[use]).max(axis=0), 1e-9)).T
-    powers = [(i, n - i) for n in range(_DEGREE + 1) for i in range(n + 1)]
-    columns = np.column_stack([x**i * y**j for i, j in powers])
+    columns = polynomials(position / np.maximum(np.abs(position[use]).max(axis=0), 1e-9))
     weight = use.astype(float)
     for _ in range(_REWEIGHTS):
         root = np.sqrt(weight)

@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from scope_models.correctors._constant_light import along_position
+from scope_models.correctors._constant_light import along_position, polynomials
 from scope_models.correctors._features import (
     Regressors,
     center,
@@ -38,8 +38,6 @@ _REACH = 2
 _OTHER_COMPONENTS = 10
 #: Relative change of the PSF's width that is the unit of the focus.
 _FOCUS_UNIT = 2e-3
-#: Powers of column and row of the polynomials by which constant light changes with position.
-_POWERS = [(i, n - i) for n in range(1, 4) for i in range(n + 1)]
 
 
 @dataclass(frozen=True)
@@ -178,12 +176,12 @@ def constant_columns(clean, usable, use):
     Beside a star of relative brightness s it counts as 1/s: the columns are powers of the position
     in units of its range, times 1/s - 1. Brightness that the position explains is not the star's.
     """
-    columns = np.full((len(usable), len(_POWERS)), np.nan)
-    x, y = (clean.position / np.maximum(np.ptp(clean.position[use[usable]], axis=0), 1e-12)).T
-    powers = np.column_stack([x**i * y**j for i, j in _POWERS])
+    size = np.maximum(np.ptp(clean.position[use[usable]], axis=0), 1e-12)
+    powers = polynomials(clean.position / size)[:, 1:]
     powers -= powers[use[usable]].mean(axis=0)
     typical = along_position(clean.light, clean.position, use[usable])
     faint = typical / np.where(clean.light > 0, clean.light, np.nan) - 1
+    columns = np.full((len(usable), powers.shape[1]), np.nan)
     columns[usable] = powers * faint[:, None]
     return columns
 

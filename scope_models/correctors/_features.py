@@ -5,7 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 from astropy.stats import mad_std
-from scipy.linalg import solve_triangular
+from scipy.linalg import helmert, solve_triangular
 
 __all__ = [
     "Regressors",
@@ -195,15 +195,8 @@ def contrast_columns(columns, time, breaks, use):
     segment = np.searchsorted(np.asarray(breaks), time, side="right")
     present = np.unique(segment[use])
     member = (segment[:, None] == present).astype(float)
-    contrasts = member @ _orthonormal_contrasts(len(present))
+    contrasts = member @ helmert(len(present)).T
     return (contrasts[:, :, None] * columns[:, None, :]).reshape(len(columns), -1)
-
-
-def _orthonormal_contrasts(k):
-    """Return k - 1 orthonormal columns whose elements add up to zero (Helmert's)."""
-    contrasts = np.triu(np.ones((k, k - 1)))
-    contrasts[1:][np.diag_indices(k - 1)] = -np.arange(1, k)
-    return contrasts / np.sqrt(np.arange(1, k) * np.arange(2, k + 1))
 
 
 def roll_reversals(time, track, window=2.0):
@@ -232,7 +225,10 @@ def roll_reversals(time, track, window=2.0):
     n_windows = len(time) // max(width, 1)
     if width < 16 or n_windows < 4:
         return ()
-    sense = [_sense(steps) for steps in np.array_split(np.diff(track), n_windows)]
+    sense = []  # the sign of the median step, 0 if it is within three standard errors of none
+    for steps in np.array_split(np.diff(track), n_windows):
+        median, error = np.median(steps), 1.2533 * mad_std(steps) / np.sqrt(len(steps))
+        sense.append(int(np.sign(median)) if np.abs(median) > 3 * error else 0)
     drifting = np.flatnonzero(sense)
     reversals = []
     for i, j in pairwise(drifting):
@@ -241,10 +237,3 @@ def roll_reversals(time, track, window=2.0):
         if sense[i] != sense[j] and min(before, after) >= 2:
             reversals.append(float(time[(i + j + 1) * len(time) // (2 * n_windows)]))
     return tuple(reversals)
-
-
-def _sense(steps):
-    """Return the sign of the median step, 0 if it is within three standard errors of none."""
-    median = np.median(steps)
-    error = 1.2533 * mad_std(steps) / np.sqrt(len(steps))
-    return int(np.sign(median)) if np.abs(median) > 3 * error else 0

@@ -23,6 +23,7 @@ from scope_models.correctors._features import Regressors
 from scope_models.correctors._injection import Source, transit_column
 from scope_models.correctors._lightkurve import external_columns, sorted_regressors
 from scope_models.correctors._pixels import (
+    WORSE,
     Pixels,
     aperture_pixels,
     can_predict,
@@ -38,21 +39,8 @@ _FEWEST_CADENCES = 30
 _FRACTIONS = ("auto", "predicted", "measured")
 #: Kinds of the light that is corrected.
 FLUXES = ("auto", "sum", "weighted")
-#: Noise's variance over FLUX_ERR squared from which on measured fractions are tried, ...
-_MISFIT = 1.5
-#: Part of the cadences for which predicted fractions must exist.
+#: Branch: part of the cadences for which predicted fractions must exist.
 _CREDIBLE = 0.9
-#: ... the residual of unseen windows that they must reach in units of the other fit's, if that
-#: has a plain sum: they remove noise of pixels with little light, up to about this; ...
-_BETTER = 0.7
-#: ... and the part of a variability that they must keep if its standard deviation is so many
-#: times the noise.
-_KEPT, _STRONG = 0.95, 3.0
-#: Changes from cadence to cadence with predicted fractions, in units of those without a correction
-#: and of those with measured fractions, from which on predicted ones have failed.
-_ROUGHER = 1.1
-#: Part of the changes that are not the largest.
-_USUAL = 0.9
 _TRENDS = {"gp": 1, "quadratic": 3}
 
 
@@ -74,9 +62,8 @@ class PLDOptions(Value):
         least-squares fit of its image to all pixels gives it, in units of that sum. The image,
         which follows position, focus and slow changes, is learned from the same pixels. Where
         background and readout are the noise, as for faint stars, the fit is less noisy. By default
-        it is taken if it is expected to have less than 0.9 times the noise of the sum, has so from
-        cadence to cadence, and the images describe the pixels (mean variance about them below 1.3
-        times that of FLUX_ERR). Moving apertures, full pixels, measured fractions, and fewer than
+        it is taken if it is expected to have less noise than the sum and changes less from cadence
+        to cadence. Moving apertures, full pixels, measured fractions, and fewer than
         200 cadences or 4 pixels allow the sum only.
     saturation : "auto", None or float, optional
         Flux in e-/s above which a pixel is saturated, by default that of the mission if it is
@@ -414,11 +401,9 @@ def fit_pixels(pixels, options, series, cadence_mask=None, **transit):
     """
     Fit pixels, with the fractions that the data support.
 
-    With ``fractions="auto"`` these are the predicted ones, unless they leave more noise than
-    FLUX_ERR explains, no constant light was found, measured fractions predict windows that they
-    have not seen better, and the star's periodic variability is the same with both. Predicted
-    ones that make the light curve rougher than it was have failed too: under the seeing of the
-    ground, for example, which no smooth focus describes.
+    With ``fractions="auto"`` these are the predicted ones. Where they make the light curve rougher
+    than it was they have failed, as under the seeing of the ground, which no smooth focus
+    describes: then measured ones are taken if these predict unseen windows better.
 
     Parameters
     ----------
@@ -444,19 +429,16 @@ def fit_pixels(pixels, options, series, cadence_mask=None, **transit):
         return model.fit(cadence_mask, **transit)
 
     fitted = fitted_with(options)
-    if options.fractions != "auto" or options.flux == "weighted" or fitted.model.clean is None:
+    clean = fitted.model.clean
+    if options.fractions != "auto" or options.flux == "weighted" or clean is None:
         return fitted
-    rough = _roughness(fitted.corrected()[0]) / _ROUGHER
-    failed = rough > _roughness(pixels.total)
-    if fitted.model.clean.constant > 0 or (fitted.noise_scale < _MISFIT and not failed):
+    # beside constant light measured fractions follow the star
+    rough = _roughness(fitted.corrected()[0]) > WORSE * _roughness(pixels.total)
+    if clean.constant > 0 or not rough:
         return fitted
     measured = fitted_with(replace(options, fractions="measured"))
-    least = 1 if fitted.model.clean.weighted else _BETTER
     both = fitted.cadence_mask & fitted.model.pixels.usable & measured.model.pixels.usable
-    better = _unseen(measured, both) < least * _unseen(fitted, both)
-    if failed and fitted.crowding == 1 and not measured.may_follow:
-        better = better or rough > _roughness(measured.corrected()[0])
-    return measured if better and _keeps_variability(measured, fitted) else fitted
+    return min(measured, fitted, key=lambda one: _unseen(one, both))
 
 
 def _check_weighted(options, clean):
@@ -482,16 +464,4 @@ def _unseen(fitted, cadences):
 
 def _roughness(flux):
     """Size of relative changes from cadence to cadence, but for the largest."""
-    return np.nanquantile(np.abs(np.diff(flux)), _USUAL) / np.nanmedian(flux)
-
-
-def _keeps_variability(measured, predicted):
-    """Whether the light curve from measured fractions has the other one's periodic variability."""
-    clean, used = predicted.model.clean, measured.used & predicted.used
-    variability = predicted.waves[used]
-    if np.std(variability) < _STRONG * np.median(np.sqrt(predicted.solution.white_variance)):
-        return True
-    light = np.median(clean.light)
-    other = np.log(measured.corrected()[0][used])
-    slope = np.polyfit(variability, other, 1)[0] * (light + clean.constant) / light
-    return bool(slope > _KEPT)
+    return np.nanquantile(np.abs(np.diff(flux)), 0.9) / np.nanmedian(flux)

@@ -224,15 +224,14 @@ def own_pixels(image, peak):
     higher = ((rows + step // 3 - 1) * image.shape[1] + columns + step % 3 - 1).ravel()
     for _ in range(int(np.log2(image.size)) + 1):
         higher = higher[higher]
-    mine = [other for other in np.unique(higher) if _connected(values, peak, other)]
-    return np.isin(higher, [*mine, higher[peak]]).reshape(image.shape)
-
-
-def _connected(values, peak, other):
-    beside = abs(peak % values.shape[1] - other % values.shape[1]) > 1
-    level = (_SAME_STAR if beside else _SAME_COLUMN) * min(values.flat[peak], values.flat[other])
-    labels, _ = ndimage.label(values >= level)
-    return labels.flat[peak] == labels.flat[other] > 0
+    mine = [higher[peak]]
+    for other in np.unique(higher):
+        beside = abs(peak % image.shape[1] - other % image.shape[1]) > 1
+        part = _SAME_STAR if beside else _SAME_COLUMN
+        labels, _ = ndimage.label(values >= part * min(values.flat[peak], values.flat[other]))
+        if labels.flat[peak] == labels.flat[other] > 0:
+            mine.append(other)
+    return np.isin(higher, mine).reshape(image.shape)
 
 
 def _plane_terms(shape):
@@ -296,9 +295,11 @@ def aperture_pixels(series, aperture):
         _warn(f"{finite.sum() - positive.sum()} cadences without a positive flux are left out")
     total_err = _filled_errors(total, total_err, positive)
     typical = np.median(total[positive])
-    away = positive & _is_off_stamp(series.pos_corr, flux.shape) & (2 * total < typical)
-    if away.any():
-        _warn(f"{away.sum()} cadences are left out: POS_CORR and light are of a star off the stamp")
+    if series.pos_corr is not None and np.isfinite(series.pos_corr).all(axis=1).any():
+        distance = np.abs(series.pos_corr - np.nanmedian(series.pos_corr, axis=0)).max(axis=1)
+        away = positive & (np.nan_to_num(distance) > max(flux.shape[1:])) & (2 * total < typical)
+        if away.any():
+            _warn(f"{away.sum()} cadences are left out: POS_CORR and light are off the stamp")
         positive &= ~away
     noise = _SIGNIFICANCE * total_err
     lit = positive & ((total > noise) | (total > typical - noise))
@@ -335,14 +336,6 @@ def _jumps(flux):
     """Return the mean change of a flux from cadence to cadence, relative; 0 without light."""
     level = np.median(flux)
     return np.mean(np.abs(np.diff(flux, 2))) / level if level > 0 and len(flux) > 2 else 0.0
-
-
-def _is_off_stamp(pos_corr, shape):
-    """Return cadences whose positions are farther from the typical one than the stamp is wide."""
-    if pos_corr is None or not np.isfinite(pos_corr).all(axis=1).any():
-        return np.zeros(shape[0], dtype=bool)
-    distance = np.abs(pos_corr - np.nanmedian(pos_corr, axis=0)).max(axis=1)
-    return np.nan_to_num(distance) > max(shape[1:])
 
 
 def _own_light(flux, aperture, pos_corr):

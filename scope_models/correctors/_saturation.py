@@ -117,7 +117,8 @@ def find_row_centers(images, aperture, use, saturation, noise):
     weight = np.clip(sums / total[:, None] / _SMALLEST_SHARE - 1, 0, 1)
     weight *= np.clip((1 - images.max(axis=1) / saturation) / _TAPER, 0, 1)
     weight *= (np.abs(distance) < _REACH) / (variance + _MISFIT**2)
-    tilt = _hats(distance)
+    knots = np.arange(-_REACH, _REACH + 1)  # of piecewise linear functions of the distance
+    tilt = np.clip(1 - np.abs(distance[..., None] - knots), 0, None)
     fallback = _FALLBACK**-2
     weights = weight.sum(axis=1) + fallback
     mean = np.sum(weight * center, axis=1) + fallback * (images.sum(axis=2) @ rows / total)
@@ -134,12 +135,6 @@ def find_row_centers(images, aperture, use, saturation, noise):
     coefficients = np.linalg.solve(normal, right)
     star = mean - averaged @ coefficients
     return RowCenters(star, star[:, None] + tilt @ coefficients[: tilt.shape[-1]])
-
-
-def _hats(distance):
-    """Piecewise linear functions of the distance with knots at whole pixels, on a last axis."""
-    knots = np.arange(-_REACH, _REACH + 1)
-    return np.clip(1 - np.abs(distance[..., None] - knots), 0, None)
 
 
 def _normal_equations(tilt, pull, center, weight, column):

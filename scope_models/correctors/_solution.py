@@ -5,7 +5,7 @@ from functools import cached_property
 
 import numpy as np
 
-from scope_models.correctors._periodic import find_frequencies, harmonic_columns, is_periodic
+from scope_models.correctors._periodic import find_frequencies, harmonic_columns
 from scope_models.correctors._regression import (
     FLAT,
     Data,
@@ -349,8 +349,8 @@ def fit(make_regressors, time, y, variance, use, flat_columns, options, predicte
     """
     Fit, and leave out outliers until there are none.
 
-    If periodic variability is left, or many cadences seem to be outliers, the fit is made again
-    with columns for the star's frequencies, and the more likely one is returned.
+    If the star has frequencies, the fit is made again with columns for them, and the more likely
+    one is returned.
 
     Parameters
     ----------
@@ -377,7 +377,7 @@ def fit(make_regressors, time, y, variance, use, flat_columns, options, predicte
         time, y, variance, use, regressors, flat, scale, None, options.n_trend, predicted=predicted
     )
     solution = _without_outliers(first, make_regressors, options)
-    if options.trend == "gp" and is_periodic(solution, use):
+    if options.trend == "gp":
         frequencies = find_frequencies(solution, use)
         if len(frequencies):
             periodic = first.with_frequencies(frequencies, use)
