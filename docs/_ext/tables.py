@@ -3,6 +3,7 @@
 import csv
 from pathlib import Path
 
+import constants
 import numpy as np
 from astropy.table import Table
 from docutils import nodes
@@ -66,6 +67,7 @@ def _write(app):
     folder = Path(app.srcdir) / "_generated"
     folder.mkdir(exist_ok=True)
     write_scores(Path(app.srcdir) / "data" / RECORD, folder)
+    constants.write(folder / "constants.csv")
 
 
 def setup(app):

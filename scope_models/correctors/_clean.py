@@ -25,55 +25,61 @@ from scope_models.correctors._constant_light import constant_light, polynomials,
 
 __all__ = ["CleanPixels", "clean_pixels", "precise_aperture", "quantile"]
 
-#: Scale (px) of the response functions of position, and of those of focus and constant light.
+#: Prior: scale (px) of the response functions of position, and of those of focus and constant
+#: light.
 _SCALE, _COARSE_SCALE = 0.8, 1.0
+#: Tolerance: what is left of kernels at most, and the largest number of functions.
 _TOLERANCE, _COARSE_TOLERANCE = 1e-9, 1e-4
 _MAX_RANK, _COARSE_RANK = 200, 25
-#: Number of iterations, and for stars whose constant light is learned.
+#: Tolerance: number of iterations, and for stars whose constant light is learned.
 _ITERATIONS, _MORE_ITERATIONS = 7, 12
-#: The fit ends after so many iterations if the median steps of brightness, both positions and focus
-#: are less than these parts of their errors, and the star does not vary strongly.
+#: Tolerance: the fit ends after so many iterations if the median steps of brightness, both
+#: positions and focus are less than these parts of their errors, and the star does not vary
+#: strongly.
 _FEWEST_ITERATIONS, _SMALL_STEPS = 4, (0.15, 0.15, 0.15, 0.2)
-#: ... and once images may change slowly.
+#: Tolerance: and once images may change slowly.
 _REFINEMENTS = 3
-#: Iterations after which the focus has an image of its own, and constant light counts.
+#: Branch: iterations after which the focus has an image of its own, and constant light counts.
 _FOCUS_FROM, _CONSTANT_FROM = 2, 3
-#: Prior standard deviations: position about POS_CORR (px), relative width.
+#: Prior: standard deviations: position about POS_CORR (px), relative width.
 _POSITION_PRIOR, _FOCUS_PRIOR = 0.02, 0.02
-#: POS_CORR that deviates by more is wrong (px).
+#: Branch: POS_CORR that deviates by more is wrong (px).
 _ABSURD = 12.0
-#: Time in days, and standard deviation of changes of the star within it above which constant light
-#: can be learned.
+#: Branch: time in days, and standard deviation of changes of the star within it above which
+#: constant light can be learned.
 _FAST, _STRONG = 0.25, 0.02
-#: Relative change of the light in the aperture with position, for telling it from variability.
+#: Prior: relative change of the light in the aperture with position, for telling it from
+#: variability.
 _RESPONSE_PRIOR = 0.05
-#: Noise of the brightness of images, in units of the sum's, below which it is used.
+#: Branch: noise of the brightness of images, in units of the sum's, below which it is used.
 _LESS_NOISE = 0.9
-#: Part of the variance of lost light that is expected to remain: a tenth of the amplitude.
+#: Prior: part of the variance of lost light that is expected to remain: a tenth of the amplitude.
 _LOST = 0.01
-#: Part of the light in the aperture above which the level of dark pixels is background.
+#: Branch: part of the light in the aperture above which the level of dark pixels is background.
 _BACKGROUND = 0.05
-#: Outliers exceed so many standard deviations, and cosmic rays so many.
+#: Branch: outliers exceed so many standard deviations, and cosmic rays so many.
 _CLIP, _HIT = 6.0, 4.5
-#: Part of a pixel's light by which the functions of position may miss where the star moves far:
-#: cosmic rays exceed it, too. Largest ratio of light to noise in a pixel from which on this and
-#: `_CLIP` hold; of fainter stars cosmic rays are a larger part of the light than such errors.
+#: Branch: part of a pixel's light by which the functions of position may miss where the star moves
+#: far: cosmic rays exceed it, too. Largest ratio of light to noise in a pixel from which on this
+#: and `_CLIP` hold; of fainter stars cosmic rays are a larger part of the light than such errors.
 _MISFIT, _BRIGHT = 0.05, 5000.0
-#: Images change with time as polynomials of one degree in so many days, up to so many columns, by
-#: about this part of a pixel's light.
+#: Prior: images change with time as polynomials of one degree in so many days, up to so many
+#: columns, by about this part of a pixel's light.
 _DAYS_PER_DEGREE, _MOST_SLOW, _SLOW_CHANGE = 10.0, 60, 0.03
-#: Constant light in the aperture, relative, below which it does not count; and the iteration at
-#: which that is decided.
+#: Branch: constant light in the aperture, relative, below which it does not count; and the
+#: iteration at which that is decided.
 _FAINT, _DECIDED = 0.004, 5
-#: Weight of cadences that do not count.
+#: Tolerance: weight of cadences that do not count.
 _NO_WEIGHT = 1e-6
-#: Wider kernels are not tried where one has so many times the error of the best.
+#: Tolerance: wider kernels are not tried where one has so many times the error of the best.
 _WORSE = 1.05
-#: Width in days of the kernel beyond which outliers of the focus are dips, and none of the focus.
+#: Branch: width in days of the kernel beyond which outliers of the focus are dips, and none of the
+#: focus.
 _SLOW = 0.05
-#: Widths in cadences of the kernels that are tried to smooth the focus and the background.
+#: Tolerance: widths in cadences of the kernels that are tried to smooth the focus and the
+#: background.
 _WIDTHS = (1.5, 3.0, 6.0, 12.0, 24.0, 48.0)
-#: Kernels of this width and wider ones are convolved by Fourier transforms.
+#: Tolerance: kernels of this width and wider ones are convolved by Fourier transforms.
 _WIDE = 12.0
 
 

@@ -11,16 +11,18 @@ import numpy as np
 
 __all__ = ["along_position", "constant_light", "polynomials", "varying_light"]
 
-#: The star's bright pixels have this part of the brightest one's light.
+#: Branch: the star's bright pixels have this part of the brightest one's light.
 _BRIGHT = 0.1
-#: Relative error of images, and (px) of what fitted positions follow the relative brightness.
+#: Prior: relative error of images, and (px) of what fitted positions follow the relative
+#: brightness.
 _IMAGE_ERROR, _SHIFT = 0.003, 0.01
+#: Tolerance: passes, and changes of weights, of robust fits.
 _PASSES, _REWEIGHTS = 3, 10
-#: Width (px) of the rings of the star's profile.
+#: Tolerance: width (px) of the rings of the star's profile.
 _RING = 0.5
-#: A neighbor is variable if its pixels vary by this part, and by so many times their noise.
+#: Branch: a neighbor is variable if its pixels vary by this part, and by so many times their noise.
 _VARIABLE, _SIGNIFICANT = 0.005, 5.0
-#: Degree of the polynomials of position by which constant light changes.
+#: Prior: degree of the polynomials of position by which constant light changes.
 _DEGREE = 3
 
 

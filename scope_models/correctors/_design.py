@@ -29,14 +29,16 @@ __all__ = [
     "segment_breaks",
 ]
 
-#: Columns are dropped when they could not change the flux by this part of its noise's variance
-#: with coefficients of one; of higher orders, whose coefficients may be larger, earlier.
+#: Tolerance: columns are dropped when they could not change the flux by this part of its noise's
+#: variance with coefficients of one; of higher orders, whose coefficients may be larger, earlier.
 _TOLERANCE, _HIGHER_TOLERANCE = 1e-2, 1e-3
 _SHARED_TOLERANCE = 1e-6
 _MAX_RANK = 300
+#: Prior: products with pixels so far apart have common coefficients (px); number of components of
+#: files of other stars.
 _REACH = 2
 _OTHER_COMPONENTS = 10
-#: Relative change of the PSF's width that is the unit of the focus.
+#: Prior: relative change of the PSF's width that is the unit of the focus.
 _FOCUS_UNIT = 2e-3
 
 

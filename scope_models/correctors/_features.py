@@ -17,7 +17,7 @@ __all__ = [
     "shared_columns",
 ]
 
-#: Largest number of cadences of which the pivots of a factor are chosen.
+#: Tolerance: largest number of cadences of which the pivots of a factor are chosen.
 _CANDIDATES = 4000
 
 

@@ -29,19 +29,20 @@ __all__ = [
     "transit_column",
 ]
 
-#: Peaks below this part of the star's are no neighbors.
+#: Branch: peaks below this part of the star's are no neighbors.
 _FAINTEST = 0.02
-#: Relative errors of profile and image when the light is shared out, and their absolute ones in
-#: units of the star's light.
+#: Prior: relative errors of profile and image when the light is shared out, and their absolute ones
+#: in units of the star's light.
 _MISFIT, _LEVEL = 0.03, 1e-3
 _ROUNDS = 6
-#: Distance (px) from the star within which no other one is sought, and number of places tried.
+#: Branch: distance (px) from the star within which no other one is sought, and number of places
+#: tried.
 _NEAREST, _MOST_PLACES = 1.4, 12
-#: Part of constant light that is uncertain when the star's variability shows it.
+#: Prior: part of constant light that is uncertain when the star's variability shows it.
 _UNCERTAIN = 0.04
-#: The irrational number whose multiples spread boxes evenly, at places without a period.
+#: Tolerance: the irrational number whose multiples spread boxes evenly, at places without a period.
 _GOLDEN = (np.sqrt(5) - 1) / 2
-#: Boxes are at least so many times their width apart, and there are so many at most.
+#: Tolerance: boxes are at least so many times their width apart, and there are so many at most.
 _APART, _MOST_BOXES = 8, 8
 
 

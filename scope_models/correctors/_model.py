@@ -35,12 +35,14 @@ from scope_models.io import read_pixels
 
 __all__ = ["PLDModel", "PLDOptions", "Settings"]
 
+#: Branch: an error with fewer usable cadences.
 _FEWEST_CADENCES = 30
 _FRACTIONS = ("auto", "predicted", "measured")
 #: Kinds of the light that is corrected.
 FLUXES = ("auto", "sum", "weighted")
 #: Branch: part of the cadences for which predicted fractions must exist.
 _CREDIBLE = 0.9
+#: Prior: number of columns of the constant and the polynomial trend.
 _TRENDS = {"gp": 1, "quadratic": 3}
 
 
@@ -62,8 +64,9 @@ class PLDOptions(Value):
         least-squares fit of its image to all pixels gives it, in units of that sum. The image,
         which follows position, focus and slow changes, is learned from the same pixels. Where
         background and readout are the noise, as for faint stars, the fit is less noisy. By default
-        it is taken if it is expected to have less noise than the sum and changes less from cadence
-        to cadence. Moving apertures, full pixels, measured fractions, and fewer than
+        it is taken if the star does not vary strongly, and it is expected to have less noise than
+        the sum and changes less than 0.9 times as much from cadence to cadence. Moving apertures,
+        full pixels, measured fractions, and fewer than
         200 cadences or 4 pixels allow the sum only.
     saturation : "auto", None or float, optional
         Flux in e-/s above which a pixel is saturated, by default that of the mission if it is

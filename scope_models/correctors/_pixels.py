@@ -30,33 +30,35 @@ __all__ = [
     "with_predicted_fractions",
 ]
 
-#: Share of the star's light that a pixel must hold to belong to the default aperture.
+#: Branch: share of the star's light that a pixel must hold to belong to the default aperture.
 _SMALLEST_SHARE = 1e-3
-#: ... in this part of the cadences, and in so many at least: light that a rare excursion carries
-#: out of the aperture would be lost
+#: Branch: in this part of the cadences, and in so many at least: light that a rare excursion
+#: carries out of the aperture would be lost
 _BRIGHT_PART, _FEWEST = 0.002, 3
-#: ... and at least so many standard deviations of its noise, which pure noise passes in
-#: less than one of 10^5 cadences.
+#: Branch: and at least so many standard deviations of its noise, which pure noise passes in less
+#: than one of 10^5 cadences.
 _SIGNIFICANCE = 4.5
-#: A correction that changes the flux by a larger factor than this, against the others, is none.
+#: Branch: a correction that changes the flux by a larger factor than this, against the others, is
+#: none.
 LARGEST_CORRECTION = 30.0
-#: A correction adds noise if the 6.5-h noise is over that of the raw flux by this factor.
+#: Warning: a correction adds noise if the 6.5-h noise is over that of the raw flux by this factor.
 WORSE = 1.1
 UNKNOWN_NOISE = "FLUX_ERR has no valid values: the noise is taken from the scatter of the flux"
 NOISIER = (
     "the corrected light curve scatters more than the sum over the aperture, or there is no light "
     "above the noise: do not use it"
 )
-#: Pixels around the lit ones that may belong to the aperture too.
+#: Branch: pixels around the lit ones that may belong to the aperture too.
 _MARGIN = 2
-#: Light between two peaks of one star, in units of the fainter one, and along columns, where the
-#: charge of full pixels goes.
+#: Branch: light between two peaks of one star, in units of the fainter one, and along columns,
+#: where the charge of full pixels goes.
 _SAME_STAR, _SAME_COLUMN = 0.85, 0.7
-#: Pixels of other stars count from this part of the star's brightest pixel on.
+#: Branch: pixels of other stars count from this part of the star's brightest pixel on.
 _OTHER_STAR = 0.02
-#: The background is first sought in this part of the pixels, in so many at least for a slope.
+#: Branch: the background is first sought in this part of the pixels, in so many at least for a
+#: slope.
 _DARK_PART, _FEWEST_DARK, _PLANE_FITS = 0.3, 8, 5
-#: Fewer cadences or pixels do not determine how the fractions change with position.
+#: Branch: fewer cadences or pixels do not determine how the fractions change with position.
 _CADENCES_TO_PREDICT, _PIXELS_TO_PREDICT = 200, 4
 
 

@@ -20,33 +20,34 @@ __all__ = [
     "log_likelihood",
 ]
 
-#: The prior variance of the columns with flat priors, in units of the data's.
+#: Prior: variance of the columns with flat priors, in units of the data's.
 FLAT = 1e4
+#: Tolerance: a number of the process' power spectrum.
 _SQRT_2 = np.sqrt(2)
-#: Standard deviation of the logarithm of a group's prior variance about what is expected.
+#: Prior: standard deviation of the logarithm of a group's prior variance about what is expected.
 _SPREAD = 2.0
-#: ... and about its limit, beyond it.
+#: Prior: and about its limit, beyond it.
 _EXCESS = 0.1
-#: Twice as many cadences are averaged before the search: what is slow and how strong each group
-#: is shows in the means.
+#: Tolerance: twice as many cadences are averaged before the search: what is slow and how strong
+#: each group is shows in the means.
 _ENOUGH = 4000
-#: A search ends when a step improves the likelihood's logarithm by about so much.
+#: Tolerance: a search ends when a step improves the likelihood's logarithm by about so much.
 _PRECISION = 1e-3
-#: Steps of a search at most, and of those that only find the best start.
+#: Tolerance: steps of a search at most, and of those that only find the best start.
 _STEPS, _FEW_STEPS = 60, 10
-#: Largest number of rounds; they end when one improves the logarithm by less.
+#: Tolerance: largest number of rounds; they end when one improves the logarithm by less.
 _ROUNDS, _TOLERANCE = 5, 0.05
-#: Bounds of the period in days. What is faster than a transit is not a trend. With a longer period
-#: a straight line would cost little, and the star's would undo that of a slow drift.
+#: Prior: bounds of the period in days. What is faster than a transit is not a trend. With a longer
+#: period a straight line would cost little, and the star's would undo that of a slow drift.
 _SHORTEST_PERIOD, _LONGEST_PERIOD = 0.5, 5.0
-#: Variances of a group's part that are tried against others, in units of the data's.
+#: Tolerance: variances of a group's part that are tried against others, in units of the data's.
 _SCAN = (1e-3, 0.03, 1.0, 30.0, 300.0)
-#: Number of means, or up to twice as many, that find the best start.
+#: Tolerance: number of means, or up to twice as many, that find the best start.
 _FEW = 1000
-#: Where the search begins: the process' variance, and that of each group's part of the model,
-#: in units of the data's; and the process' period in days.
+#: Tolerance: where the search begins: the process' variance, and that of each group's part of the
+#: model, in units of the data's; and the process' period in days.
 _STARTS = ((None, 1.0, 5.0), (0.3, 0.1, 2.0), (1.0, 1.0, 5.0))
-#: The largest variance of a group's part, in the same unit. More is not needed, and less
+#: Tolerance: the largest variance of a group's part, in the same unit. More is not needed, and less
 #: well conditioned.
 _LARGEST = 1e3
 _value = attrgetter("value")

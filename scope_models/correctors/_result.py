@@ -23,29 +23,32 @@ from scope_models.exceptions import DetrendingWarning
 
 __all__ = ["PLDFit"]
 
+#: Prior: duration of a transit of a habitable planet, of which CDPP is the noise (Christiansen et
+#: al. 2012).
 _TRANSIT_HOURS = 6.5
-#: Parts from which on a warning is given: outliers, constant light, changes of the flux that
-#: measured fractions explain; and the noise's variance over FLUX_ERR squared.
-#: Smaller apertures lose light when the star moves, which the fractions explain.
+#: Warning: parts from which on a warning is given: outliers, constant light, changes of the flux
+#: that measured fractions explain; and the noise's variance over FLUX_ERR squared. Smaller
+#: apertures lose light when the star moves, which the fractions explain.
 _WHOLE = 9
 _MANY, _CONTAMINATED, _FOLLOWING, _NOISY = 0.1, 0.02, 0.05, 9.0
-#: Wings of neighbors may give more light: few TESS stars are without.
+#: Warning: wings of neighbors may give more light: few TESS stars are without.
 _BLENDED = 0.1
-#: Nothing of a depth survives or all of it: 0 to 1, with what the light that was taken off may be
-#: wrong by.
+#: Warning: nothing of a depth survives or all of it: 0 to 1, with what the light that was taken off
+#: may be wrong by.
 _SURVIVALS = (-0.05, 1.15)
-#: Depth of the boxes of `PLDFit.survival`: so many errors of their mean, within these bounds.
+#: Tolerance: depth of the boxes of `PLDFit.survival`: so many errors of their mean, within these
+#: bounds.
 _OBVIOUS, _SHALLOW, _DEEP = 10.0, 1e-3, 0.3
-#: Largest number of times that a transit is taken out of the pixels, and what may be left, in
-#: errors.
+#: Tolerance: largest number of times that a transit is taken out of the pixels, and what may be
+#: left, in errors.
 _REMOVALS, _NOTHING = 3, 0.2
-#: Uncertain part of the light of other stars in the aperture.
+#: Prior: uncertain part of the light of other stars in the aperture.
 _SHARE_ERROR = 0.03
-#: The first removal in errors, at least; and bounds of the response of the chain.
+#: Tolerance: the first removal in errors, at least; and bounds of the response of the chain.
 _AT_LEAST, _RESPONSES = 3.0, (0.1, 2.0)
-#: Largest change of the flux's logarithm by which a transit is taken out at once.
+#: Tolerance: largest change of the flux's logarithm by which a transit is taken out at once.
 _LARGEST = 0.5
-#: Part of a transit outside of the mask above which its depth is not trusted.
+#: Warning: part of a transit outside of the mask above which its depth is not trusted.
 _UNMASKED = 0.1
 #: Numbers of a fit that go into the metadata of its table.
 _NUMBERS = (

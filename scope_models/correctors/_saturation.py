@@ -7,20 +7,22 @@ from scipy.special import ndtr
 
 __all__ = ["RowCenters", "find_row_centers", "without_saturation"]
 
-#: A column counts as full if it is in this part of the cadences, and in so many at least.
+#: Branch: a column counts as full if it is in this part of the cadences, and in so many at least.
 _PART, _FEWEST = 0.01, 3
-#: Standard deviation in pixels of the Gaussian that stands for the star along a full column.
+#: Prior: standard deviation in pixels of the Gaussian that stands for the star along a full column.
 _DRAWN_WIDTH = 0.6
-#: Columns within so many pixels of the star constrain its row; so far reaches its tilt.
+#: Branch: columns within so many pixels of the star constrain its row; so far reaches its tilt.
 _REACH = 4
-#: A column constrains the row if it holds this share of the light; with twice the share fully.
+#: Branch: a column constrains the row if it holds this share of the light; with twice the share
+#: fully.
 _SMALLEST_SHARE = 5e-3
-#: ... and no pixel is fuller than 1, with 0.8 fully.
+#: Branch: and no pixel is fuller than 1, with 0.8 fully.
 _TAPER = 0.2
-#: Standard deviations: what a column's center of light does not follow the model by (pixel), and
-#: the pixels' responses (relative).
+#: Prior: standard deviations: what a column's center of light does not follow the model by (pixel),
+#: and the pixels' responses (relative).
 _MISFIT, _RESPONSE = 1e-3, 0.05
-#: Standard deviation in pixels of the center of all light, where no column constrains the row.
+#: Prior: standard deviation in pixels of the center of all light, where no column constrains the
+#: row.
 _FALLBACK = 0.5
 
 

@@ -18,19 +18,19 @@ from scope_models.correctors._regression import (
 
 __all__ = ["NothingToCorrectError", "Solution", "fit"]
 
-#: Factor of the variance of cadences that have next to no weight.
+#: Tolerance: factor of the variance of cadences that have next to no weight.
 _NO_WEIGHT = 1e6
-#: Largest number of fits of the hyper-parameters after outliers were found.
+#: Tolerance: largest number of fits of the hyper-parameters after outliers were found.
 _REFITS = 2
-#: Part of the cadences without which the columns and the time scales stay: only the variances are
-#: fitted again.
+#: Tolerance: part of the cadences without which the columns and the time scales stay: only the
+#: variances are fitted again.
 _LITTLE = 0.01
-#: Cycles per day: a star without any frequency above this has long-term variability alone.
+#: Branch: cycles per day: a star without any frequency above this has long-term variability alone.
 _FAST = 1.0
 
 
-#: Standard deviations of coefficients that are expected of predicted fractions: 1 % between the
-#: responses of pixels (Kepler Instrument Handbook), a few percent within them, some 1e-4 of the
+#: Prior: standard deviations of coefficients that are expected of predicted fractions: 1 % between
+#: the responses of pixels (Kepler Instrument Handbook), a few percent within them, some 1e-4 of the
 #: light at the aperture's edge. The data may change each by a factor of a few.
 _EXPECTED = {
     "order 1": 0.012,
@@ -41,8 +41,9 @@ _EXPECTED = {
     "aperture": 1.0,
     "constant light": 0.003,
 }
-#: Those of the focus have a limit: a width that changes by 1 % changes the response of pixels by
-#: 1e-3 at most. What seems to be a focus may be a dimming of the star beside constant light.
+#: Prior: those of the focus have a limit: a width that changes by 1 % changes the response of
+#: pixels by 1e-3 at most. What seems to be a focus may be a dimming of the star beside constant
+#: light.
 _MOST = {"focus": 5e-4}
 
 

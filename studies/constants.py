@@ -1,0 +1,88 @@
+"""List the constants of the correctors: place, name, value, kind and reason.
+
+    python studies/constants.py                # a table
+    python studies/constants.py constants.csv
+
+The comment of each number with a name at the top of a module begins with its kind:
+
+- prior: what a likelihood expects, with the source of its width;
+- tolerance: ranks, iterations, step sizes, which change the precision of a result;
+- warning: a limit from which on a result has a warning;
+- branch: a limit from which on something else is computed.
+"""
+
+import argparse
+import ast
+import csv
+from collections import Counter
+from pathlib import Path
+
+KINDS = ("prior", "tolerance", "warning", "branch")
+COLUMNS = ("module", "name", "value", "kind", "reason")
+FOLDER = Path(__file__).parents[1] / "scope_models" / "correctors"
+
+
+def constants(folder=FOLDER):
+    """Return a dictionary for each number with a name."""
+    found = []
+    for path in sorted(folder.glob("*.py")):
+        text = path.read_text(encoding="utf-8")
+        lines, comment, end = text.splitlines(), "", 0
+        for node in ast.parse(text).body:
+            if not isinstance(node, ast.Assign):
+                continue
+            first = node.lineno - 1
+            while first and lines[first - 1].startswith("#:"):
+                first -= 1
+            if first < node.lineno - 1:
+                comment = " ".join(line[2:].strip() for line in lines[first : node.lineno - 1])
+            elif first > end:  # not right below another one, which shares its comment
+                comment = ""
+            end = node.end_lineno
+            kind, _, reason = comment.partition(": ")
+            kind = kind.lower() if kind.lower() in KINDS else ""
+            for name, value in named(node):
+                row = path.stem, name, ast.unparse(value), kind, reason if kind else comment
+                found.append(dict(zip(COLUMNS, row, strict=True)))
+    return found
+
+
+def named(node):
+    """Return pairs of names and values of an assignment whose values hold numbers."""
+    target, values = node.targets[0], [node.value]
+    names = target.elts if isinstance(target, ast.Tuple) else [target]
+    if len(names) > 1:
+        values = node.value.elts if isinstance(node.value, ast.Tuple) else values * len(names)
+    pairs = zip(names, values, strict=True)
+    return [(name.id, value) for name, value in pairs if holds_number(value)]
+
+
+def holds_number(value):
+    """Whether an expression is or holds a number."""
+    parts = (part.value for part in ast.walk(value) if isinstance(part, ast.Constant))
+    return any(type(part) in (int, float) for part in parts)
+
+
+def write(path):
+    """Write the table as CSV."""
+    with Path(path).open("w", encoding="utf-8", newline="") as file:
+        writer = csv.DictWriter(file, COLUMNS)
+        writer.writeheader()
+        writer.writerows(constants())
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("output", nargs="?", help="table (CSV)")
+    output = parser.parse_args().output
+    rows = constants()
+    if output:
+        write(output)
+    else:
+        for row in rows:
+            print("{module:17}{name:24}{value:32.30}{kind:11}{reason}".format(**row))
+    print(len(rows), "constants:", dict(Counter(row["kind"] or "unknown" for row in rows)))
+
+
+if __name__ == "__main__":
+    main()
