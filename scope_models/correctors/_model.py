@@ -42,6 +42,8 @@ _FRACTIONS = ("auto", "predicted", "measured")
 FLUXES = ("auto", "sum", "weighted")
 #: Branch: part of the cadences for which predicted fractions must exist.
 _CREDIBLE = 0.9
+#: Branch: standard errors of a difference that is none by chance.
+_SIGNIFICANT = 2.0
 #: Prior: number of columns of the constant and the polynomial trend.
 _TRENDS = {"gp": 1, "quadratic": 3}
 
@@ -406,7 +408,7 @@ def fit_pixels(pixels, options, series, cadence_mask=None, **transit):
 
     With ``fractions="auto"`` these are the predicted ones. Where they make the light curve rougher
     than it was they have failed, as under the seeing of the ground, which no smooth focus
-    describes: then measured ones are taken if these predict unseen windows better.
+    describes: then measured ones are taken if these predict unseen windows significantly better.
 
     Parameters
     ----------
@@ -441,7 +443,7 @@ def fit_pixels(pixels, options, series, cadence_mask=None, **transit):
         return fitted
     measured = fitted_with(replace(options, fractions="measured"))
     both = fitted.cadence_mask & fitted.model.pixels.usable & measured.model.pixels.usable
-    return min(measured, fitted, key=lambda one: _unseen(one, both))
+    return measured if _gain(measured, fitted, both) > _SIGNIFICANT else fitted
 
 
 def _check_weighted(options, clean):
@@ -459,10 +461,17 @@ def _check_enough(use):
         )
 
 
-def _unseen(fitted, cadences):
-    """Mean size of the residuals of windows that the model has not seen, without the largest."""
-    size = np.sort(np.abs(fitted.held_out(fitted.window, cadences)[0]))
-    return size[: max(int(0.9 * len(size)), 1)].mean()
+def _gain(measured, predicted, cadences):
+    """
+    Return by how much measured fractions predict unseen windows better, in standard errors.
+
+    In the same windows for both, without the tenth in which either residual is largest.
+    """
+    window = predicted.window
+    ours, other = (np.abs(fit.held_out(window, cadences)[0]) for fit in (measured, predicted))
+    kept = np.argsort(np.maximum(ours, other))[: max(int(0.9 * len(ours)), 1)]
+    gain = (other - ours)[kept]
+    return gain.sum() / max(np.sqrt(len(gain)) * gain.std(), 1e-300)
 
 
 def _roughness(flux):

@@ -300,13 +300,20 @@ def _held_out(models, cadences):
     common = reduce(
         np.intersect1d, (first for first, *_ in found.values()), np.arange(len(cadences))
     )
-    numbers = {}
-    for name, (first, *values) in found.items():
-        residual, error = (v[np.isin(first, common)] for v in values)
-        size = np.sort(np.abs(residual))[: max(int(_KEPT_WINDOWS * len(residual)), 1)]
-        pull = np.sqrt(np.mean((residual / error) ** 2))
-        numbers[name] = {"held_out": 1e6 * size.mean(), "held_out_pull": pull}
-    return numbers
+    parts = {
+        name: [v[np.isin(first, common)] for v in values]
+        for name, (first, *values) in found.items()
+    }
+    sizes = [np.abs(residual) for residual, _ in parts.values()]
+    largest = np.max([np.zeros(len(common)), *sizes], axis=0)
+    kept = np.argsort(largest)[: max(int(_KEPT_WINDOWS * len(common)), 1)]
+    return {
+        name: {
+            "held_out": 1e6 * np.abs(residual[kept]).mean(),
+            "held_out_pull": np.sqrt(np.mean((residual / error) ** 2)),
+        }
+        for name, (residual, error) in parts.items()
+    }
 
 
 def _width(found):

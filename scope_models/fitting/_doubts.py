@@ -6,7 +6,7 @@ from scipy.stats import f as f_distribution
 from scope_models.fitting._products import SMOOTHING_DAYS, smoothed
 from scope_models.fitting._start import APART, find_stars
 
-__all__ = ["LARGEST_FLUX", "LARGEST_SCATTER", "doubts_of"]
+__all__ = ["LARGEST_FLUX", "LARGEST_SCATTER", "doubts_of", "followed"]
 
 # The paper's sensitivity is lower by this at the edge of a pixel than at its center: a coefficient
 # whose error there is larger has not been measured.
@@ -152,19 +152,24 @@ def _of_flux(fit):
                 f"the flux changes by {ours:.3g} e-/s from cadence to cadence, and the light in "
                 f"the pixels by {pixels:.3g}: it has branches, between which nothing decides"
             )
-    explained, chance = _by_position(fit, good) if good.sum() >= _FEWEST else (0.0, 1.0)
-    if explained > LARGEST_SCATTER * error and chance < _CHANCE:
+    explained = followed(fit)
+    if explained > LARGEST_SCATTER * error:
         yield (
             f"the flux follows the position of the star by {explained:.3g} e-/s rms, where its "
             f"error is {error:.3g}: the model does not separate them"
         )
 
 
-def _by_position(fit, good):
-    """The rms of the flux that a quadratic form of the position explains, and how likely by chance.
-
-    Slow changes do not count, and there are as many independent fluxes as are left by that.
+def followed(fit):
     """
+    Return the rms of the flux that a quadratic form of the position explains, 0 if by chance.
+
+    Slow changes do not count. The noise of each cadence is independent; of what else is left there
+    are as many independent values as spans of the smoothing.
+    """
+    good = np.ones(len(fit.time), dtype=bool) if fit.outliers is None else ~fit.outliers
+    if good.sum() < _FEWEST:
+        return 0.0
     time, x, y, flux = (values[good] for values in (fit.time, fit.x, fit.y, fit.flux))
     x, y = x - x.mean(), y - y.mean()
     columns = [values - smoothed(time, values) for values in (flux, x, y, x * x, x * y, y * y)]
@@ -172,6 +177,9 @@ def _by_position(fit, good):
     terms = np.column_stack(terms)
     part = terms @ np.linalg.lstsq(terms, fast, rcond=None)[0]
     free = max(min(np.ptp(time) / SMOOTHING_DAYS, len(time)) - terms.shape[1] - 1, 1)
-    rest = np.sum((fast - part) ** 2)
-    ratio = np.sum(part**2) / terms.shape[1] / max(rest / free, 1e-300)
-    return float(part.std()), float(f_distribution.sf(ratio, terms.shape[1], free))
+    noise = np.mean(fit.flux_scatter[good] ** 2)
+    rest = max(np.mean((fast - part) ** 2) - noise, 0.0)
+    expected = terms.shape[1] * (noise / len(time) + rest / free)
+    ratio = np.mean(part**2) / max(expected, 1e-300)
+    by_chance = f_distribution.sf(ratio, terms.shape[1], free) >= _CHANCE
+    return 0.0 if by_chance else float(part.std())

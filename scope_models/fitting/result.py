@@ -10,6 +10,7 @@ from astropy.table import Table
 
 from scope_models._docstrings import documented
 from scope_models._values import Value
+from scope_models.fitting._doubts import followed
 from scope_models.fitting._parameters import CADENCE_UNITS, STATISTICS, degrees_of_freedom
 from scope_models.models import PRF
 from scope_models.scene.detector import Detector
@@ -281,17 +282,19 @@ class TPFFit(Value):
         -------
         lightkurve.LightCurve
             With the columns centroid_col, centroid_row, background, quality and cadenceno. The
-            errors are those between cadences: the shared parameters scale all fluxes alike.
+            errors are those between cadences: the shared parameters scale all fluxes alike. With
+            responses of pixels they hold the rms of the flux that follows the position, too.
         """
         from astropy import units as u
         from astropy.time import Time
         from lightkurve import LightCurve
 
         unit = u.electron / u.s
+        error = np.hypot(self.flux_scatter, followed(self) if self.response else 0.0)
         curve = LightCurve(
             time=Time(self.time, format=self.time_format, scale="tdb"),
             flux=self.flux * unit,
-            flux_err=self.flux_scatter * unit,
+            flux_err=error * unit,
         )
         curve["centroid_col"], curve["centroid_row"] = self.x * u.pixel, self.y * u.pixel
         curve["background"] = self.background * unit

@@ -1,6 +1,7 @@
 """Predicted and measured pixel fractions, the aperture, and warnings about a fit."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from lightkurve import KeplerTargetPixelFile
 from scope_models import Detector, Motion, Star, TransitModel, simulate
 from scope_models.benchmark import make_sky, score
 from scope_models.correctors import PLDCorrector, PLDOptions, _model
-from scope_models.correctors._model import PLDModel
+from scope_models.correctors._model import PLDModel, _gain
 from scope_models.correctors._pixels import background_plane, own_pixels
 from scope_models.effects import Seeing
 from scope_models.exceptions import DetrendingWarning
@@ -185,3 +186,20 @@ def test_flux_is_an_open_choice():
         corrector.correct(options=PLDOptions(flux="best"))
     with pytest.raises(ValueError, match='`flux="weighted"` needs a model of the pixels'):
         corrector.correct(fractions="measured", options=PLDOptions(flux="weighted"))
+
+
+def test_fits_are_compared_on_the_same_windows():
+    """A tenth of the windows in which one fit is wild counts for neither; chance is no gain."""
+    rng = np.random.default_rng(7)
+    shared = rng.standard_normal(200)
+
+    def fit(residual):
+        return SimpleNamespace(window=13, held_out=lambda *_: (residual, None, None))
+
+    assert abs(_gain(fit(shared), fit(shared[::-1]), None)) < 2
+    assert _gain(fit(0.9 * shared), fit(shared), None) > 2
+    assert _gain(fit(shared), fit(0.9 * shared), None) < -2
+    wild = shared.copy()
+    wild[:10] *= 1e3
+    assert _gain(fit(wild), fit(1.1 * shared), None) > 2
+    assert _gain(fit(shared), fit(shared), None) == 0

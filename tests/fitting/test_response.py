@@ -11,6 +11,7 @@ from scope_models.effects import PixelShares
 from scope_models.effects.shares import polynomial_terms, polynomials
 from scope_models.exceptions import FitWarning
 from scope_models.fitting import FitOptions, _response
+from scope_models.fitting._products import smoothed
 from scope_models.photometry import cdpp
 
 # A PSF of many parts, random response within the pixels, focus: another renderer than ours.
@@ -92,6 +93,19 @@ def test_errors_of_the_flux_hold_what_the_gauge_fixes(sky, fit):
     deviation = np.abs(relative / np.median(relative) - 1)
     assert np.all(fit.flux_err > fit.flux_scatter)
     assert np.quantile(deviation / (fit.flux_err / fit.flux), 0.95) < 2
+
+
+@pytest.mark.parametrize("seed", [2002, 2005])
+def test_errors_of_a_light_curve_hold_what_follows_the_position(seed):
+    """The roll of 6 h is in the flux: in a warning or not, it is in the errors."""
+    sky = make_sky("k2-1x-kp14", seed)
+    fit = fitted(sky.to_tpf()[:600])
+    lc, index = fit.to_lightcurve(), np.searchsorted(sky.cadenceno, fit.cadenceno)
+    deviation = fit.flux / sky.true_flux[index]
+    good = ~fit.outliers
+    fast = (deviation - smoothed(fit.time, deviation))[good]
+    assert fast.std() > 1.3 * np.median(fit.flux_scatter)
+    assert 0.7 < fast.std() / np.median(lc.flux_err.value) < 1.3
 
 
 def test_sum_of_shares_and_background(fit):
