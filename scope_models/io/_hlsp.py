@@ -119,6 +119,10 @@ def archive_hdulist(hdus, series, collection, path, cards=()):
             header[keyword] = (value, comment)
     for keyword, value, comment in (*_collection_cards(collection, series, path), *cards):
         primary[keyword] = (value, comment)
+    for header in (primary, table.header, *(hdu.header for hdu in hdus[2:])):
+        for card in list(header.cards):  # blank cards say nothing, and fitsverify warns of them
+            if card.value is None or isinstance(card.value, fits.card.Undefined):
+                del header[card.keyword]
     return fits.HDUList([hdus[0], table, *hdus[2:]])
 
 

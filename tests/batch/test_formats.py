@@ -4,6 +4,7 @@ import csv
 import hashlib
 import re
 import shutil
+import subprocess
 
 import numpy as np
 import pytest
@@ -89,6 +90,14 @@ class TestCollection:
                 for hdu in hdus:
                     assert "CHECKSUM" in hdu.header
                     assert all(len(str(card)) == 80 for card in hdu.header.cards)
+
+    @pytest.mark.skipif(shutil.which("fitsverify") is None, reason="fitsverify is not installed")
+    def test_fitsverify(self, collection):
+        folder, result = collection
+        for name in result.table["output"]:
+            command = ["fitsverify", str(folder / name)]
+            text = subprocess.run(command, capture_output=True, text=True, check=False).stdout
+            assert "found 0 warning(s) and 0 error(s)" in text
 
     def test_keywords(self, collection, made):
         folder, result = collection
