@@ -107,7 +107,7 @@ def write_truth(path):
 
 
 def gaussian_errors():
-    """Yield errors of the series and of the tensor rule, as their orders grow."""
+    """Yield errors of the series and of the line rule, as their orders grow."""
     pixels, place = np.arange(7.0), (3.3, 3.4)
     rows = tuple(np.array(row) for row in (X_ROW, Y_ROW))
     kept = _gaussian.n_terms, _gaussian.gaussian_nodes
@@ -122,7 +122,7 @@ def gaussian_errors():
         for order in sorted({*range(2, 2 * chosen, max(1, chosen // 12)), chosen}):
             _gaussian.n_terms = _gaussian.gaussian_nodes = lambda *_, order=order: order
             image = np.zeros((1, 1, 7, 7))
-            engine = _gaussian._series_image if kind == "terms" else _gaussian._tensor_image  # noqa: SLF001
+            engine = _gaussian._series_image if kind == "terms" else _gaussian._line_image  # noqa: SLF001
             engine(pixels, pixels, values, rows, image)
             error = max(abs(float(image[0, 0, j, i] - v)) for (i, j), v in truth.items())
             yield kind, (rho if kind == "terms" else sigma), order, error, chosen

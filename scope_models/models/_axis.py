@@ -12,7 +12,7 @@ import numpy as np
 from scipy.special import erf
 
 __all__ = [
-    "FEW", "ROWS", "AxisPanels", "AxisTable", "axis_integrals", "gauss_legendre",
+    "FEW", "ROWS", "AxisPanels", "AxisTable", "axis_direct", "axis_integrals", "gauss_legendre",
     "gaussian_nodes", "hermite_functions",
 ]  # fmt: skip
 
@@ -126,7 +126,7 @@ def _axis_quadrature(pixels, center, sigma, coefficients, n_orders):
     return np.einsum("kpqm,q->kpm", hermite_functions(z, n_orders), weights) / sigma
 
 
-def _axis_direct(pixels, center, sigma, coefficients, n_orders):
+def axis_direct(pixels, center, sigma, coefficients, n_orders):
     """The integrals at each position, shape ``(m, n_orders, n)``."""
     grows = (6 * np.max(sigma)) ** (coefficients.size - 1) > _MAX_GROWTH
     method = _axis_quadrature if grows else _axis_closed_form
@@ -202,7 +202,7 @@ class AxisTable:
             return
         nodes, matrix = _chebyshev_rule(n)
         positions = self._middle + self._half * nodes
-        values = _axis_direct(pixels, positions, self._sigma, coefficients, n_orders)
+        values = axis_direct(pixels, positions, self._sigma, coefficients, n_orders)
         expansion = matrix @ values.reshape(n, -1)
         needed = np.abs(rho) ** (0.5 * np.arange(n_orders)) / _CHEBYSHEV_TOLERANCE
         sizes = np.abs(expansion).reshape(n, n_orders, -1).max(axis=2) @ needed
@@ -221,7 +221,7 @@ class AxisTable:
         center = self.center[part]
         if self._expansion is None:
             sigma = self._sigma if self._sigma.size == 1 else self._sigma[part]
-            return _axis_direct(pixels, center, sigma, coefficients, n_orders)
+            return axis_direct(pixels, center, sigma, coefficients, n_orders)
         n, width = self._expansion.shape
         if self.buffer.size < center.size * width:
             self.buffer = np.empty(center.size * width)
@@ -291,7 +291,7 @@ class AxisPanels:
 
     def _direct(self, center, sigma):
         pixels, coefficients, n_orders = self._arguments
-        table = _axis_direct(pixels, center, sigma, coefficients, n_orders)
+        table = axis_direct(pixels, center, sigma, coefficients, n_orders)
         return table.reshape(center.size, -1)
 
     def _expand(self, key, n_scales):

@@ -14,8 +14,8 @@ Stegun 22.9.3 with 26.2.31)
 where He_k are the probabilists' Hermite polynomials and ``z = (x - x_0) / sigma``. Each term
 integrates in closed form along each axis. With rho = 0 the first term is all. Because
 ``dh_k/dz = -sqrt(k + 1) h_{k+1}``, derivatives with respect to position and width are integrals
-of the same family. Where ``|rho|`` is so large that the series is long, a tensor Gauss-Legendre
-rule whose node count follows from the width of the density takes its place.
+of the same family. Where ``|rho|`` is so large that the series is long, a Gauss-Legendre rule along
+x, whose node count follows from the width of the density, of closed forms along y takes its place.
 
 The integrals along an axis are entire functions of the position. For many positions of one
 density they are evaluated at Chebyshev nodes and interpolated, with as many nodes as bring the
@@ -26,7 +26,7 @@ from math import prod
 
 import numpy as np
 
-from scope_models.models._axis import FEW, AxisTable, gauss_legendre, gaussian_nodes
+from scope_models.models._axis import FEW, AxisTable, axis_direct, gauss_legendre, gaussian_nodes
 
 __all__ = [
     "REACH", "contract", "gaussian_derivatives", "gaussian_pixels", "n_terms", "series_step",
@@ -38,11 +38,15 @@ _TOLERANCE = 1e-11
 # Beyond this many standard deviations a Gaussian holds less than 1e-16 of its flux.
 REACH = 8.5
 # Elements of temporary arrays: few enough for them to stay in the processor's cache.
-_TENSOR_CHUNK = 1 << 16
+_LINE_CHUNK = 1 << 16
 _SERIES_CHUNK = 1 << 15
 # Fewest and most densities in a step of the series: fewer are not worth its overhead, and fresh
 # large arrays cost more than what is computed in them.
 _FEWEST, _MOST = 32, 1024
+# Scale of a density, in the size of a panel, down to which a rule has one panel.
+_PANEL = 0.1
+# Terms of the series that cost as much as a node of the line rule.
+_NODE_COST = 12
 
 
 def n_terms(rho):
@@ -53,16 +57,20 @@ def n_terms(rho):
     return int(np.ceil(np.log(_TOLERANCE) / np.log(largest))) + 1
 
 
-def _narrowest(sigma_x, sigma_y, rho):
-    """Smallest conditional width of the densities."""
-    smallest = min(np.min(sigma_x), np.min(sigma_y))
-    return smallest * np.sqrt(1 - np.max(np.abs(rho)) ** 2)
-
-
-def uses_series(sigma_x, sigma_y, rho, degree):
-    """Whether the series is cheaper than the tensor quadrature (costs as measured)."""
+def uses_series(sigma_x, rho, degree):
+    """Whether the series is cheaper than the line rule (costs as measured)."""
     n = n_terms(rho)
-    return n == 1 or n <= gaussian_nodes(_narrowest(sigma_x, sigma_y, rho), degree) ** 2
+    return n == 1 or n <= _NODE_COST * _line_nodes(sigma_x, rho, degree)[0].size
+
+
+def _line_nodes(sigma_x, rho, degree):
+    """Nodes within a pixel, and their weights."""
+    scale = np.min(sigma_x) * np.sqrt(1 - np.max(np.abs(rho)) ** 2)
+    n_panels = int(np.ceil(_PANEL / scale))
+    nodes, weights = gauss_legendre(gaussian_nodes(scale * n_panels, degree))
+    panels = (np.arange(n_panels) + 0.5) / n_panels - 0.5
+    nodes = (panels[:, np.newaxis] + nodes / n_panels).ravel()
+    return nodes, np.tile(weights / n_panels, n_panels)
 
 
 def contract(y_table, x_table, out):
@@ -153,62 +161,51 @@ def _series_derivatives(x, y, parameters, coefficients, out):
             contract(*pair, image[part])
 
 
-class _TensorRule:
-    """The density at the nodes of a tensor Gauss-Legendre rule, and its weighted sums."""
+class _LineRule:
+    """A Gauss-Legendre rule along x over what integrates in closed form along y at a given x.
 
-    def __init__(self, x, y, parameters, degree):
-        flux, x_0, y_0, sigma_x, sigma_y, rho = (p[:, np.newaxis, np.newaxis] for p in parameters)
-        n = gaussian_nodes(_narrowest(sigma_x, sigma_y, rho), degree)
-        self.nodes, self.weights = gauss_legendre(n)
-        self.z_x = (x[:, np.newaxis] + self.nodes - x_0) / sigma_x
-        self.z_y = (y[:, np.newaxis] + self.nodes - y_0) / sigma_y
-        z_x = self.z_x.reshape(len(self.z_x), 1, -1)
-        z_y = self.z_y.reshape(len(self.z_y), -1, 1)
-        density = z_x - rho * z_y
-        density *= density
-        density *= -0.5 / (1 - rho**2)
-        density -= 0.5 * z_y**2
-        np.exp(density, out=density)
-        density *= flux / (2 * np.pi * sigma_x * sigma_y * np.sqrt(1 - rho**2))
-        self.density = density.reshape(-1, y.size, n, x.size, n)
+    There the density along y is normal, with the mean ``y_0 + rho sigma_y z_x`` and the width
+    ``sigma_y sqrt(1 - rho^2)``. Narrow densities have several panels in a pixel.
+    """
 
-    def along(self, coefficients):
-        """Weights times the polynomial, per node."""
-        return self.weights * np.polynomial.polynomial.polyval(self.nodes, coefficients)
+    def __init__(self, x, y, parameters, coefficients, n_orders):
+        flux, x_0, y_0, sigma_x, sigma_y, rho = (p[:, np.newaxis] for p in parameters)
+        nodes, weights = _line_nodes(sigma_x, rho, coefficients[0].size - 1)
+        weights = weights * np.polynomial.polynomial.polyval(nodes, coefficients[0])
+        self.z = ((x[:, np.newaxis] + nodes).ravel() - x_0) / sigma_x
+        middle = y_0 + rho * sigma_y * self.z
+        width = np.broadcast_to(sigma_y * np.sqrt(1 - rho**2), middle.shape)
+        table = axis_direct(y, middle.ravel(), width.ravel(), coefficients[1], n_orders)
+        self.shape = -1, x.size, nodes.size
+        self.table = table.reshape(*self.shape, n_orders, y.size)
+        self.density = np.exp(-0.5 * self.z**2) / np.sqrt(2 * np.pi) / sigma_x
+        self.density *= flux * np.tile(weights, x.size)
 
-    def integrate(self, x_weights, y_weights, x_power=0, y_power=0):
-        """Integral of the density times weights times ``z_x^x_power z_y^y_power``."""
-        right = x_weights * self.z_x**x_power
-        left = y_weights * self.z_y**y_power
-        # First over the x nodes, then over the y nodes: (m, ny, K, nx, K) -> (m, ny, nx).
-        rows = np.einsum("mykxq,mxq->mykx", self.density, right)
-        return np.einsum("mykx,myk->myx", rows, left)
+    def __call__(self, order, power):
+        """Sums of order X_k along y times ``z_x^power``, as images."""
+        weights = (self.density * self.z**power).reshape(self.shape)
+        return np.einsum("mxq,mxqy->myx", weights, self.table[..., order, :])
 
 
-def _tensor_image(x, y, parameters, coefficients, out):
-    degree = max(c.size for c in coefficients) - 1
-    rule = _TensorRule(x, y, parameters, degree)
-    out[0] = rule.integrate(*(rule.along(c) for c in coefficients))
+def _line_image(x, y, parameters, coefficients, out):
+    out[0] = _LineRule(x, y, parameters, coefficients, 1)(0, 0)
 
 
-def _tensor_derivatives(x, y, parameters, coefficients, out):
+def _line_derivatives(x, y, parameters, coefficients, out):
     *_, sigma_x, sigma_y, rho = (p[:, np.newaxis, np.newaxis] for p in parameters)
-    degree = max(c.size for c in coefficients) + 1
-    rule = _TensorRule(x, y, parameters, degree)
-    along_x, along_y = (rule.along(c) for c in coefficients)
-    powers = [(0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2)]
-    z = {power: rule.integrate(along_x, along_y, *power) for power in powers}
-    rest = 1 - rho**2
-    distance = (z[2, 0] - 2 * rho * z[1, 1] + z[0, 2]) / rest
-    images = [
-        z[0, 0],
-        (z[1, 0] - rho * z[0, 1]) / (rest * sigma_x),
-        (z[0, 1] - rho * z[1, 0]) / (rest * sigma_y),
-        ((z[2, 0] - rho * z[1, 1]) / rest - z[0, 0]) / sigma_x,
-        ((z[0, 2] - rho * z[1, 1]) / rest - z[0, 0]) / sigma_y,
-        (rho * z[0, 0] + z[1, 1] - rho * distance) / rest,
+    rule, rest = _LineRule(x, y, parameters, coefficients, 3), np.sqrt(1 - rho**2)
+    # Derivatives by mean and width along y, times powers of z_x.
+    by_mean = [rule(1, power) / (sigma_y * rest) for power in range(3)]
+    by_width = np.sqrt(2) * rule(2, 0) / (sigma_y * rest)
+    image, slope = rule(0, 0), rho * sigma_y
+    out[...] = [
+        image,
+        (rule(0, 1) - slope * by_mean[0]) / sigma_x,
+        by_mean[0],
+        (rule(0, 2) - image - slope * by_mean[1]) / sigma_x,
+        rho * by_mean[1] + rest * by_width,
+        sigma_y * (by_mean[1] - rho / rest * by_width),
     ]
-    out[...] = images
 
 
 def _reached(pixels, center, sigma):
@@ -221,7 +218,7 @@ def _reached(pixels, center, sigma):
 
 
 def _evaluate(x, y, parameters, coefficients, engines, n_images):
-    """Apply the cheaper of two engines, series and tensor rule, to the pixels within reach."""
+    """Apply the cheaper of two engines, series and line rule, to the pixels within reach."""
     parameters = [np.asarray(p, dtype=float) for p in parameters]
     shape = np.broadcast_shapes(*(p.shape for p in parameters))
     n = prod(shape)
@@ -233,11 +230,11 @@ def _evaluate(x, y, parameters, coefficients, engines, n_images):
     ]
     coefficients = [np.atleast_1d(np.asarray(c, dtype=float)) for c in coefficients]
     degree = max(c.size for c in coefficients) - 1
-    series = uses_series(*flat[3:], degree)
+    series = uses_series(flat[3], flat[5], degree)
     step = max(n, 1)
     if not series:
-        n_nodes = max(x.size * y.size, 1) * gaussian_nodes(_narrowest(*flat[3:]), degree) ** 2
-        step = max(1, int(_TENSOR_CHUNK / n_nodes))
+        n_nodes = max(x.size * y.size, 1) * _line_nodes(flat[3], flat[5], degree)[0].size
+        step = max(1, _LINE_CHUNK // n_nodes)
     images = np.zeros((n_images, n, y.size, x.size))
     for start in range(0, n, step):
         part = slice(start, start + step)
@@ -260,7 +257,7 @@ def gaussian_pixels(
     """
     parameters = (flux, x_0, y_0, sigma_x, sigma_y, rho)
     coefficients = (x_coefficients, y_coefficients)
-    return _evaluate(x, y, parameters, coefficients, (_series_image, _tensor_image), 1)[0]
+    return _evaluate(x, y, parameters, coefficients, (_series_image, _line_image), 1)[0]
 
 
 def gaussian_derivatives(
@@ -273,5 +270,5 @@ def gaussian_derivatives(
     """
     parameters = (1.0, x_0, y_0, sigma_x, sigma_y, rho)
     coefficients = (x_coefficients, y_coefficients)
-    engines = (_series_derivatives, _tensor_derivatives)
+    engines = (_series_derivatives, _line_derivatives)
     return _evaluate(x, y, parameters, coefficients, engines, 6)

@@ -182,8 +182,8 @@ def _engine(term, gaussian, columns, rows, blur):
     along = term.polynomials()
     widened = _widened(*gaussian, np.hypot(blur, term.diffusion))
     sigma_x, sigma_y, rho = widened()
-    if not uses_series(sigma_x, sigma_y, rho, max(c.size for c in along) - 1):
-        return _tensor(columns, rows, widened, along)
+    if not uses_series(sigma_x, rho, max(c.size for c in along) - 1):
+        return _along_lines(columns, rows, widened, along)
     n = n_terms(rho)
     orders = np.arange(n)[:, np.newaxis]
     x_axis = AxisPanels(columns, sigma_x, along[0], n, abs(rho))
@@ -229,7 +229,7 @@ def _widened(sigma_x, sigma_y, rho, blur):
     return at
 
 
-def _tensor(columns, rows, widened, along):
+def _along_lines(columns, rows, widened, along):
     """Return the renderer of a Gaussian so narrow along one direction that the series is long."""
 
     def render(x, y, widths):
