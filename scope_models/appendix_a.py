@@ -13,7 +13,7 @@ import numpy as np
 
 from scope_models import photometry
 from scope_models._arrays import PER_PIXEL
-from scope_models._checks import checked_integer, checked_number, checked_pair
+from scope_models._checks import checked_choice, checked_integer, checked_number, checked_pair
 from scope_models._docstrings import documented
 from scope_models._values import value_key
 from scope_models.effects.noise import check_seed, fresh_seed, noise_terms, stream
@@ -116,9 +116,8 @@ def generate_target(
     if no_sensitivity_variation:
         detector = detector.without_sensitivity()
     ny, nx = detector.shape
-    x_0, y_0 = (
-        ((nx - 1) / 2, (ny - 1) / 2) if coords is None else checked_pair("coords", coords, u.pix)
-    )
+    middle = (nx - 1) / 2, (ny - 1) / 2
+    x_0, y_0 = middle if coords is None else checked_pair("coords", coords, u.pix)
     if not _on_stamp(x_0, y_0, detector):
         raise ValueError(f"`coords` must be on the stamp of {ny} x {nx} pixels, got {coords!r}")
     target = Target(Star(mag, x_0, y_0, psf), detector, motion, seed=seed, noise=noise)
@@ -216,8 +215,6 @@ class Target:
             self._made[name] = key, make()
         return self._made[name][1]
 
-    # -- what is seen ----------------------------------------------------------------------------
-
     @property
     def scene(self):
         """The `~scope_models.Scene` of the star, its neighbors, the pixels and the motion."""
@@ -260,23 +257,22 @@ class Target:
     @property
     def _noise_free(self):
         """Noise-free cubes of the star, and of all neighbors or None."""
-        return self._kept(
-            "noise-free", lambda: (self._alone([self.star]), self._alone(self.neighbors))
-        )
 
-    def _alone(self, stars):
-        """Return the noise-free cube of some stars, None of none."""
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", LostLightWarning)  # the observation has warned
-            return simulate(self.scene.replace(stars=stars, noise=False)).flux if stars else None
+        def cube(stars):
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", LostLightWarning)  # the observation has warned
+                return simulate(self.scene.replace(stars=stars, noise=False)).flux
+
+        return self._kept(
+            "noise-free",
+            lambda: (cube([self.star]), cube(self.neighbors) if self.neighbors else None),
+        )
 
     @property
     def _detrended(self):
         """The light curve that `detrend` has made of the scene as it is now, or None."""
         key, light_curve = self._made.get("detrended", (None, None))
         return light_curve if key == value_key(self.scene) else None
-
-    # -- what is added ---------------------------------------------------------------------------
 
     @documented(same=_SAME)
     def add_transit(self, depth=0.01, per=15.0, dur=0.5, t0=5.0, *, b=0.0, u1=0.4, u2=0.26):
@@ -382,17 +378,12 @@ class Target:
             places = list(zip(x, y, strict=True))
         x_0, y_0 = next((p for p in places if _on_stamp(*p, self.detector)), places[0])
         if not _on_stamp(x_0, y_0, self.detector):
-            ny, nx = self.detector.shape
-            raise ValueError(
-                f"the neighbor at column {x_0:.2f}, row {y_0:.2f} is off the stamp of "
-                f"{ny} x {nx} pixels"
-            )
+            place, (ny, nx) = f"column {x_0:.2f}, row {y_0:.2f}", self.detector.shape
+            raise ValueError(f"the neighbor at {place} is off the stamp of {ny} x {nx} pixels")
         neighbor = Star(self.star.mag + magdiff, x_0, y_0, psf, signal)
         neighbor.relative_flux(self.time)  # a signal that does not fit is an error here
         self.neighbors.append(neighbor)
         return self
-
-    # -- what is measured -----------------------------------------------------------------
 
     def create_aperture(self, method="threshold", **options):
         """Choose the aperture.
@@ -412,22 +403,20 @@ class Target:
             Boolean mask ``(ny, nx)``, also kept as `aperture`.
         """
         (own, others), detector = self._noise_free, self.detector
-        if method == "threshold":
-            given = (own,)
-        elif method == "signal-to-noise":
-            given = own, detector.exposure_time
-            options |= {"background": detector.background, "read_noise": detector.read_noise}
-            options |= {"neighbors": others, "n_frames": detector.n_reads}
-        elif method == "contamination":
-            given = own, np.zeros_like(own) if others is None else others
-        elif method == "circular":
-            given = detector.shape, self.star.x_0, self.star.y_0
-        else:
-            raise ValueError(
-                '`method` must be "threshold", "signal-to-noise", "contamination" or "circular", '
-                f"got {method!r}"
-            )
-        mask = getattr(photometry, f"{method.replace('-', '_')}_aperture")(*given, **options)
+        noise = {
+            "background": detector.background, "read_noise": detector.read_noise,
+            "neighbors": others, "n_frames": detector.n_reads,
+        }  # fmt: skip
+        methods = {
+            "threshold": (own,),
+            "signal-to-noise": (own, detector.exposure_time),
+            "contamination": (own, np.zeros_like(own) if others is None else others),
+            "circular": (detector.shape, self.star.x_0, self.star.y_0),
+        }
+        checked_choice("method", method, methods)
+        options |= noise if method == "signal-to-noise" else {}
+        make = getattr(photometry, f"{method.replace('-', '_')}_aperture")
+        mask = make(*methods[method], **options)
         self._aperture = mask
         self._made.pop("detrended", None)
         return mask
@@ -483,8 +472,6 @@ class Target:
 
     to_tpf, write = _forwarded("to_tpf"), _forwarded("write")
     to_lightcurve = _forwarded("to_lightcurve")
-
-    # -- what is drawn --------------------------------------------------------------------
 
     plot, animate = _forwarded("plot"), _forwarded("animate")
 
