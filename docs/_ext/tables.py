@@ -18,6 +18,32 @@ COLUMNS = {
     "depth_kept": "depth",
 }
 RECORD = "record_19e5c3d.ecsv"
+# Columns of stored tables that pages show, with their titles.
+SHOWN = {
+    "fits_scenes": None,
+    "fits_files": None,
+    "motion_files": None,
+    "recovery": None,
+    "no_motion": {
+        "mag": "Kp",
+        "detector_p10_ratio": "10th percentile, detector over Kepler",
+        "star_p10_ratio": "10th percentile, star over Kepler",
+        "star_median_ratio": "median, star over Kepler",
+        "photon": "photons (ppm)",
+        "background": "background (ppm)",
+        "read": "reads (ppm)",
+        "n_pixels": "pixels",
+    },
+    "k2_calibration": {
+        "wings": "light in the wings",
+        "a_2": "a_2",
+        "scatter": "standard deviation of b",
+        "threshold": "T",
+        "exponent": "g",
+        "cost": "chi-squared",
+        "worst_median": "medians within",
+    },
+}
 
 
 class Made(Directive):
@@ -57,6 +83,30 @@ def write_scores(source, folder):
         writer.writerows((text, f"{value:.3g}") for text, value in whole(table).items())
 
 
+def write_stored(source, folder):
+    """Write the columns of a stored table that a page shows."""
+    table, columns = Table.read(source), SHOWN[source.stem]
+    if source.stem == "k2_calibration":  # the lowest point for each kind of wings
+        parts = [table[table["wings"] == wings] for wings in np.unique(table["wings"])]
+        table = Table(rows=[part[np.argmin(part["cost"])] for part in parts])
+    if source.stem == "motion_files":  # a column per file
+        names = [name for name in table.colnames if name != "file"]
+        turned = {row["file"]: [row[name] for name in names] for row in table}
+        table = Table({"quantity": names} | turned)
+    if source.stem == "recovery":  # a column per multiple of the motion
+        motions = table.meta["by_motion"]
+        names = list(next(iter(motions.values())))
+        turned = {name: [values.get(key, "") for key in names] for name, values in motions.items()}
+        table = Table({"motion": [name.replace("_", " ") for name in names]} | turned)
+    columns = columns or dict(zip(table.colnames, table.colnames, strict=True))
+    with (folder / f"{source.stem}.csv").open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(columns.values())
+        for row in table:
+            cells = [row[name] for name in columns]
+            writer.writerow(f"{c:.4g}" if isinstance(c, (float, np.floating)) else c for c in cells)
+
+
 def _median(values):
     """Return the median of the finite values with three digits, nothing if there are none."""
     values = values[np.isfinite(values)]
@@ -66,7 +116,10 @@ def _median(values):
 def _write(app):
     folder = Path(app.srcdir) / "_generated"
     folder.mkdir(exist_ok=True)
-    write_scores(Path(app.srcdir) / "data" / RECORD, folder)
+    data = Path(app.srcdir) / "data"
+    write_scores(data / RECORD, folder)
+    for name in SHOWN:
+        write_stored(data / f"{name}.ecsv", folder)
     constants.write(folder / "constants.csv")
 
 

@@ -1,7 +1,7 @@
-"""Store what a page shows of a study of skies: ``python docs/data/store_skies.py NAME RESULTS``.
+"""Store what a page shows of a study: ``python docs/data/store_skies.py NAME RESULTS``.
 
-NAME is "tess", "breathing" or "last-campaigns", RESULTS the directory of its script in
-``studies/paper``. Written are, beside this file, the summary and the tables of the page.
+NAME is "tess", "breathing", "last-campaigns", "ground" or "recovery", RESULTS the directory of its
+script in ``studies/paper``. Written are, beside this file, the summary and the tables of the page.
 """
 
 import csv
@@ -32,6 +32,11 @@ COLUMNS = {
     | {"floor": "light alone"}
     | NOISE
     | SURVIVALS,
+    "ground": {"flat": "flat", "drift": "drift (arcsec/h)", "raw": "aperture alone"}
+    | {"raw_pld": "PLD alone", "differential": "differential photometry"}
+    | {"differential_pld": "PLD on differential pixels", "ratio": "the same over differential"}
+    | {"ratio_error": "its error", "differential_pld_survival": "depth that it keeps"}
+    | {"differential_predicted": "PLD, predicted fractions", "floor": "light alone"},
 }
 
 
@@ -64,7 +69,7 @@ def main(name, results):
             summary[column][:] = [float(f"{value:.5g}") for value in np.array(summary[column])]
     stamp(summary, f"python studies/paper/{name.replace('-', '_')}.py")
     summary.write(FOLDER / f"{name}.ecsv", overwrite=True)
-    for part, rows in tables(name, summary).items():
+    for part, rows in tables(name, summary).items() if name in COLUMNS else ():
         with (FOLDER / f"{name}_{part}.csv").open("w", newline="", encoding="utf-8") as file:
             csv.writer(file, lineterminator="\n").writerows(rows)
 

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 from astropy.coordinates import SkyCoord
 from astropy.io import fits
+from astropy.table import Table
 from astropy.stats import mad_std
 from motion_series import principal_axes
 
@@ -99,13 +100,21 @@ def measure(path):
 
 
 def main(folder):
-    """Print the parameters of all files."""
+    """Write the parameters of all files to ``docs/data/motion_files.ecsv``."""
+    data = Path(__file__).parents[1] / "data"
+    sys.path.append(str(data))
+    from _stamp import stamp
+
     folder = Path(folder)
     files = [*folder.glob("poscorr/ktwo*.fits"), *folder.glob("k2_tpf/ktwo*.fits.gz")]
+    rows = []
     for path in sorted(files, key=lambda path: path.name):
-        print(path.name)
-        for name, value in measure(path).items():
-            print(f"    {name}: {value}")
+        values = {name: np.atleast_1d(value) for name, value in measure(path).items()}
+        texts = {name: ", ".join(f"{one:g}" for one in value) for name, value in values.items()}
+        rows.append({"file": path.name.partition("_")[0]} | texts)
+    table = Table(rows)
+    stamp(table, "python docs/figures/motion_measurements.py FOLDER")
+    table.write(data / "motion_files.ecsv", overwrite=True)
 
 
 if __name__ == "__main__":
