@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 from astropy.coordinates import SkyCoord
 from astropy.io import fits
-from astropy.table import Table
 from astropy.stats import mad_std
+from astropy.table import Table
 from motion_series import principal_axes
 
 from scope_models.scene.motion import Motion

@@ -34,11 +34,11 @@ def make_figure():
             corrected.flux.value,
             cdpp=star.estimate_cdpp(raw, method="everest"),
             corrected_cdpp=star.estimate_cdpp(corrected, method="everest"),
-            time_label="Time (BKJD, d)",
+            convention="EVEREST",
+            time_label="Time (BKJD)",
             title=f"{scale}x, sum over the aperture",
             ax=curve,
         )
-        curve.legend(loc="lower left", fontsize="small", framealpha=0.95)
     return figure
 
 

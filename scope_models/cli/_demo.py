@@ -1,4 +1,4 @@
-"""``scope-models demo``: a star on K2's roll, its files, its figure and its noise."""
+"""``scope-models demo``: a variable star with a planet at twice K2's motion."""
 
 from pathlib import Path
 
@@ -8,7 +8,6 @@ from scope_models.cli import _batch
 __all__ = ["add_parser", "run"]
 
 _PIXELS, _LIGHT_CURVE, _FIGURE = "pixels.fits", "light-curve.fits", "summary.png"
-_CONVENTIONS = ("lightkurve", "everest")
 _MAGNITUDE = 12.0
 
 
@@ -17,9 +16,10 @@ def add_parser(commands):
     parser = _batch.add_command(
         commands,
         "demo",
-        help="simulate and de-trend a star, without any input",
-        description="Simulate a star of magnitude 12 on the roll of K2, write its target pixel "
-        "file, its light curve and a figure, and print its noise. Needs no file and no network.",
+        help="simulate and correct a star, without any input",
+        description="Simulate a spotted star of magnitude 12 with a planet at twice the "
+        "motion of K2, write its target pixel file, its corrected light curve and a figure, and "
+        "print its noise about the true signal. Needs no file and no network.",
         example="demo --output-dir demo",
     )
     parser.add_argument(
@@ -34,7 +34,8 @@ def add_parser(commands):
 
 
 def run(arguments):
-    """Simulate and de-trend the star, write the files and print the table."""
+    """Simulate and correct the star, write the files and print the table."""
+    import numpy as np
     from tqdm import tqdm
 
     from scope_models.correctors._files import make_lightcurve_hdulist
@@ -47,16 +48,14 @@ def run(arguments):
         check_output(path, overwrite=arguments.overwrite)
     with tqdm(total=4, leave=False, disable=None) as bar:
         bar.set_description("simulating")
-        motion = sm.Motion.k2_roll()
+        motion = 2 * sm.Motion.k2_roll()
         observation = _observe(motion, arguments.seed)
-        still = _observe(sm.Motion.still(len(motion)), arguments.seed)
-        aperture = sm.photometry.threshold_aperture(observation.model())
+        still = _observe(motion * 0, arguments.seed)
         bar.update()
-        bar.set_description("de-trending")
-        tpf = observation.to_tpf()
-        raw = tpf.to_lightcurve(aperture_mask=aperture)
-        corrector = sm.correctors.PLDCorrector(tpf, aperture_mask=aperture)
+        bar.set_description("correcting")
+        corrector = sm.correctors.PLDCorrector(observation.to_tpf())
         corrected = corrector.correct()
+        aperture = corrector.aperture_mask
         bar.update()
         bar.set_description("writing")
         observation.write(paths[0], overwrite=arguments.overwrite)
@@ -64,50 +63,42 @@ def run(arguments):
         sm.io.tpf.write_hdulist(hdus, paths[1], overwrite=arguments.overwrite)
         bar.update()
         bar.set_description("drawing")
-        curves = {"raw": raw, "de-trended": corrected}
-        curves["without motion"] = still.to_lightcurve(aperture)
-        noise = {
-            name: [sm.photometry.cdpp(lc, method=way) for way in _CONVENTIONS]
-            for name, lc in curves.items()
-        }
-        figure = _draw(observation, aperture, curves, noise)
+        title = f"A star of magnitude {_MAGNITUDE:g} with spots and a planet, at twice K2's motion"
+        axes = observation.plot(corrected, aperture, title=title)
         with atomic_path(paths[2], overwrite=arguments.overwrite) as temporary:
-            figure.savefig(temporary, dpi=110)
+            axes["image"].figure.savefig(temporary, dpi=110)
         bar.update()
-    print(_table(noise))
+    curves = {
+        "raw": corrector.original_lc,
+        "corrected": corrected,
+        "at rest": still.to_lightcurve(aperture),
+    }
+    truth = observation.truth.relative_flux[0]
+    curves = {
+        name: lc / truth[np.isin(observation.cadenceno, lc.cadenceno)]
+        for name, lc in curves.items()
+    }
+    print(_table(curves))
     print("\n".join(["", "Written:", *(f"  {path}" for path in paths)]))
 
 
 def _observe(motion, seed):
-    """Return the demonstration's star on a motion."""
-    return sm.simulate(sm.Star(_MAGNITUDE), sm.Detector.k2(), motion, seed=seed)
-
-
-def _draw(observation, aperture, curves, noise):
-    """Return the figure: image, motion and light curves."""
-    import numpy as np
-
-    raw, corrected = curves["raw"], curves["de-trended"]
-    used = np.isin(observation.cadenceno, raw.cadenceno)
-    axes = sm.plotting.plot_summary(
-        raw.time.value,
-        observation.flux[used][0],
-        raw.flux.value,
-        observation.truth.x[0, used],
-        observation.truth.y[0, used],
-        corrected=corrected.flux.value,
-        aperture=aperture,
-        cdpp=noise["raw"][0],
-        corrected_cdpp=noise["de-trended"][0],
-        noise=float(np.nanmedian(raw.flux_err.value / raw.flux.value)),
-        time_label="Time (BKJD)",
-        title=f"A star of magnitude {_MAGNITUDE:g} on the roll of K2",
+    """Return the star of the demonstration on a motion."""
+    detector = sm.Detector.k2()
+    planet = sm.TransitModel.from_depth_duration(
+        0.001, 0.25, 4.1, motion.time[0] + 2.0, exposure_time=detector.cadence_days
     )
-    return axes["image"].figure
+    signal = planet * sm.models.sinusoidal_signal(0.002, period=9.0)
+    return sm.simulate(sm.Star(_MAGNITUDE, signal=signal), detector, motion, seed=seed)
 
 
-def _table(noise):
-    """Return the noise of each light curve in both conventions as lines of text."""
-    lines = [f"{'6.5-hour CDPP (ppm)':20s}" + "".join(f"{way:>12s}" for way in _CONVENTIONS)]
-    lines += [f"{name:20s}" + "".join(f"{v:12.1f}" for v in row) for name, row in noise.items()]
-    return "\n".join(lines)
+def _table(curves):
+    """Return the noise of each light curve as lines of text."""
+    noise = {
+        method: [sm.photometry.cdpp(lc, method=method) for lc in curves.values()]
+        for method in ("lightkurve", "everest")
+    }
+    lines = ["6.5-hour CDPP of flux over truth (ppm, lightkurve's convention)"]
+    lines += [f"{n:12s}{v:8.1f}" for n, v in zip(curves, noise["lightkurve"], strict=True)]
+    others = ", ".join(f"{value:.1f}" for value in noise["everest"])
+    return "\n".join([*lines, f"EVEREST's convention gives {others}"])

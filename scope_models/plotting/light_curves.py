@@ -23,22 +23,25 @@ def plot_light_curve(
     *,
     cdpp=None,
     corrected_cdpp=None,
+    convention="lightkurve",
     model=None,
     time_label="Time (d)",
     title="Light curve",
     ax=None,
 ):
     """
-    Draw a raw light curve and, over it, the de-trended one.
+    Draw a raw light curve and, over it, the corrected one.
 
     Parameters
     ----------
     time, flux : array_like
         Times in days and fluxes ``(n_cadences,)`` in any unit.
     corrected : array_like, optional
-        The de-trended fluxes ``(n_cadences,)``.
+        The corrected fluxes ``(n_cadences,)``.
     cdpp, corrected_cdpp : float, optional
         Noise of the two in ppm, written into the legend.
+    convention : str, optional
+        Convention of the CDPP, written beside it.
     model : array_like, optional
         Expected relative flux ``(n_cadences,)``, drawn as a line.
     time_label, title : str, optional
@@ -50,17 +53,17 @@ def plot_light_curve(
     >>> from scope_models.plotting import plot_light_curve
     >>> ax = plot_light_curve([0, 1, 2], [99, 100, 103], [100, 101, 100], cdpp=23.14)
     >>> [text.get_text() for text in ax.get_legend().get_texts()]
-    ['raw, CDPP 23.1 ppm', 'de-trended']
+    ['raw, CDPP 23.1 ppm (lightkurve)', 'corrected']
     """
     ax = given_or_new(ax, 8, 3.2)
     time, flux = plain_array(time, u.day, "time"), plain_array(flux, None, "flux")
     cdpp, corrected_cdpp = _ppm(cdpp, "cdpp"), _ppm(corrected_cdpp, "corrected_cdpp")
     relative = flux / np.nanmedian(flux)
-    ax.plot(time, relative, ".", ms=3.5, color=LIGHT, label=_with_cdpp("raw", cdpp))
+    ax.plot(time, relative, ".", ms=3.5, color=LIGHT, label=_with_cdpp("raw", cdpp, convention))
     if corrected is not None:
         corrected = plain_array(corrected, None, "corrected")
         relative = corrected / np.nanmedian(corrected)
-        label = _with_cdpp("de-trended", corrected_cdpp)
+        label = _with_cdpp("corrected", corrected_cdpp, convention)
         ax.plot(time, relative, ".", ms=2.5, color=DARK, label=label)
     if model is not None:
         ax.plot(time, model, "-", lw=0.9, color="k", label="model")
@@ -154,16 +157,16 @@ def plot_summary(
     x, y : array_like
         Positions of the star ``(n_cadences,)`` in pixels.
     corrected : array_like, optional
-        De-trended light curve ``(n_cadences,)``.
+        Corrected light curve ``(n_cadences,)``.
     aperture : array_like of bool, optional
         Mask ``(ny, nx)``.
     cdpp, corrected_cdpp : float, optional
-        Noise of the two light curves in ppm.
+        Noise of the two light curves in ppm, in lightkurve's convention.
     model : array_like, optional
-        Expected relative flux ``(n_cadences,)``, drawn over the de-trended light curve.
+        Expected relative flux ``(n_cadences,)``, drawn over the corrected light curve.
     noise : float or array_like, optional
         Expected relative standard deviation of a cadence, a number or
-        ``(n_cadences,)``: a band about the de-trended light curve.
+        ``(n_cadences,)``: a band about the corrected light curve.
     time_label, title : str, optional
         Label of the time axes and title of the figure.
 
@@ -171,7 +174,7 @@ def plot_summary(
     -------
     dict
         The Axes ``"image"``, ``"motion"``, ``"light curve"`` and, with
-        `corrected`, ``"de-trended"``; ``axes["image"].figure`` is the figure.
+        `corrected`, ``"corrected"``; ``axes["image"].figure`` is the figure.
 
     Examples
     --------
@@ -183,7 +186,7 @@ def plot_summary(
     """
     mosaic = [["image", "motion"], ["light curve", "light curve"]]
     if corrected is not None:
-        mosaic.append(["de-trended", "de-trended"])
+        mosaic.append(["corrected", "corrected"])
     heights = [1.5] + [1] * (len(mosaic) - 1)
     figure, axes = plt.subplot_mosaic(
         mosaic, figsize=(9, 2 + 2.4 * len(mosaic)), layout="constrained", height_ratios=heights
@@ -200,16 +203,16 @@ def plot_summary(
         ax=axes["light curve"],
     )
     if corrected is not None:
-        _plot_corrected(axes["de-trended"], time, corrected, model, noise, time_label)
+        _plot_corrected(axes["corrected"], time, corrected, model, noise, time_label)
     figure.suptitle(title)
     return axes
 
 
 def _plot_corrected(ax, time, corrected, model, noise, time_label):
-    """Draw the de-trended light curve alone, on its own scale."""
+    """Draw the corrected light curve alone, on its own scale."""
     time, corrected = plain_array(time, u.day, "time"), plain_array(corrected, None, "corrected")
     relative = corrected / np.nanmedian(corrected)
-    ax.plot(time, relative, ".", ms=2.5, color=DARK, label="de-trended")
+    ax.plot(time, relative, ".", ms=2.5, color=DARK, label="corrected")
     if noise is not None:
         level = np.ones(len(relative)) if model is None else np.asarray(model, dtype=float)
         noise = np.broadcast_to(noise, level.shape)
@@ -219,7 +222,7 @@ def _plot_corrected(ax, time, corrected, model, noise, time_label):
         )  # fmt: skip
     if model is not None:
         ax.plot(time, model, "-", lw=1.2, color=LIGHT, label="truth")
-    _label(ax, time_label, "De-trended light curve")
+    _label(ax, time_label, "Corrected light curve")
 
 
 def _label(ax, xlabel, title):
@@ -241,5 +244,5 @@ def _ppm(cdpp, name):
     return None if cdpp is None else plain_number(cdpp, u.Unit(1e-6), name)
 
 
-def _with_cdpp(name, cdpp):
-    return name if cdpp is None else f"{name}, CDPP {cdpp:.1f} ppm"
+def _with_cdpp(name, cdpp, convention):
+    return name if cdpp is None else f"{name}, CDPP {cdpp:.1f} ppm ({convention})"

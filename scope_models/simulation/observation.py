@@ -288,7 +288,9 @@ class Observation(Value):
         return write_tpf(path, overwrite=overwrite, **arguments)
 
     def plot(self, corrected=None, aperture_mask=None, *, title=None):
-        """Draw pixels, motion and light curves in one figure, with lightkurve's CDPP.
+        """Draw pixels, motion and light curves in one figure.
+
+        The legend has lightkurve's CDPP of the light curves over the true signal.
 
         Parameters
         ----------
@@ -333,8 +335,8 @@ class Observation(Value):
             self.truth.y[0],
             corrected=corrected,
             aperture=aperture,
-            cdpp=self._cdpp(raw),
-            corrected_cdpp=self._cdpp(corrected),
+            cdpp=self._cdpp(raw / signal),
+            corrected_cdpp=None if corrected is None else self._cdpp(corrected / signal),
             model=signal / np.nanmedian(signal) if np.ptp(signal) > 0 else None,
             noise=np.sqrt((self.flux_err[:, aperture].astype(float) ** 2).sum(axis=1)) / raw,
             time_label=self._time_label,
@@ -391,7 +393,7 @@ class Observation(Value):
     def _cdpp(self, flux):
         """Return lightkurve's CDPP, None without enough cadences."""
         try:
-            return None if flux is None else cdpp(SimpleNamespace(time=self.time, flux=flux))
+            return cdpp(SimpleNamespace(time=self.time, flux=flux))
         except ValueError:
             return None
 

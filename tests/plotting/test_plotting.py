@@ -198,7 +198,7 @@ def test_light_curve_is_relative_and_says_the_cdpp(scene):
     assert_allclose(raw.get_ydata(), scene.flux / np.median(scene.flux))
     assert_allclose(np.median(corrected.get_ydata()), 1)
     texts = [text.get_text() for text in ax.get_legend().get_texts()]
-    assert texts == ["raw, CDPP 201.3 ppm", "de-trended, CDPP 20.3 ppm"]
+    assert texts == ["raw, CDPP 201.3 ppm (lightkurve)", "corrected, CDPP 20.3 ppm (lightkurve)"]
 
 
 def test_fold_means(scene):
@@ -232,8 +232,8 @@ def test_animation(scene, tmp_path):
 def test_summary_without_and_with_correction(scene):
     assert set(_summary(scene)) == {"image", "motion", "light curve"}
     axes = _summary(scene, corrected=scene.corrected, model=scene.model)
-    assert set(axes) == {"image", "motion", "light curve", "de-trended"}
-    assert_array_equal(axes["de-trended"].lines[1].get_ydata(), scene.model)
+    assert set(axes) == {"image", "motion", "light curve", "corrected"}
+    assert_array_equal(axes["corrected"].lines[1].get_ydata(), scene.model)
     assert axes["image"].figure.get_suptitle() == "Star"
 
 
