@@ -124,7 +124,7 @@ def _noise(table):
     columns = {"mag": "mag", "raw_cdpp": "raw_cdpp_everest", "cdpp": "cdpp_everest"}
     stars = {name: without_unit(table[column]) for name, column in columns.items()}
     is_k2 = bool(np.any(table["mission"] == "K2"))
-    figure = plot_precision(stars, _PUBLISHED if is_k2 else None)
+    figure = plot_precision(stars, _PUBLISHED if is_k2 else None, convention="EVEREST")
     parts = ["<h2>Noise</h2>", _image(figure, "Noise against magnitude"), _note(_CONVENTION)]
     if is_k2:
         parts.append(_note(_SOURCES))

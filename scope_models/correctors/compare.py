@@ -104,10 +104,10 @@ class ComparisonResult:
         """
         from scope_models.plotting.detrending import plot_comparison  # imports matplotlib
 
-        time = next(iter(self.light_curves.values())).time.value
-        return plot_comparison(
-            time, {name: lc.flux.value for name, lc in self.light_curves.items()}, best=self.best
-        )
+        time = next(iter(self.light_curves.values())).time
+        fluxes = {name: lc.flux.value for name, lc in self.light_curves.items()}
+        label = f"Time ({time.format.upper()})"
+        return plot_comparison(time.value, fluxes, best=self.best, time_label=label)
 
 
 def compare_correctors(

@@ -365,6 +365,7 @@ class PLDCorrector(LightkurveNames, Corrector):
             trend=trend if self._restore_trend else None,
             outliers=self.outlier_mask,
             masked=~self.cadence_mask,
+            time_label=f"Time ({lc.time.format.upper()})",
         )
 
     def diagnose_masks(self):

@@ -656,6 +656,7 @@ class SceneCorrector(FixedAperture, Corrector):
             trend=trend,
             outliers=self.outlier_mask,
             masked=~self.cadence_mask,
+            time_label=f"Time ({self.original_lc.time.format.upper()})",
         )
 
     def diagnose_masks(self):

@@ -384,7 +384,7 @@ class TPFFit(Value):
         dict of str to matplotlib.axes.Axes
             The Axes by what they show.
         """
-        from scope_models.fitting._products import sensitivity_profiles
+        from scope_models.fitting._products import psf_image, sensitivity_profiles
         from scope_models.plotting import plot_fit
 
         return plot_fit(
@@ -393,11 +393,13 @@ class TPFFit(Value):
             np.nanmedian(self.residual, axis=0),
             self.x,
             self.y,
+            **psf_image(self),
             pos_corr=self.pos_corr,
             sensitivity=sensitivity_profiles(self),
             chi2=self.chi2_pixels,
             time=self.time,
             flux=self.flux,
+            time_label=f"Time ({self.time_format.upper()})",
         )
 
     @documented()

@@ -14,6 +14,7 @@ from scope_models.plotting.images import (
     plot_motion,
     plot_pixels,
     plot_psf,
+    plot_scene,
     plot_sensitivity,
 )
 from scope_models.plotting.light_curves import plot_fold, plot_light_curve, plot_summary
@@ -27,6 +28,7 @@ __all__ = [
     "plot_motion",
     "plot_pixels",
     "plot_psf",
+    "plot_scene",
     "plot_sensitivity",
     "plot_summary",
     "plot_twin",

@@ -18,7 +18,9 @@ __all__ = [
     "check_figure_format",
     "given_or_new",
     "label_pixels",
+    "label_places",
     "make_panels",
+    "mark_outside",
     "save_figure",
     "scale_to",
     "styled",
@@ -72,6 +74,46 @@ def scale_to(ax, *series):
         low, high = np.nanpercentile(values[np.isfinite(values)], (0.5, 99.5))
         margin = 0.3 * (high - low) or 0.01 * abs(high) or 1.0
         ax.set_ylim(low - margin, high + margin)
+
+
+def mark_outside(ax, x, *series):
+    """Draw arrows at the borders of the Axes toward values beyond them."""
+    low, high = ax.get_ylim()
+    for values in series:
+        for beyond, border, marker in ((values > high, high, "^"), (values < low, low, "v")):
+            if np.any(beyond):
+                at = np.full(np.count_nonzero(beyond), border)
+                ax.plot(np.asarray(x)[beyond], at, marker, ms=5, color=LIGHT, clip_on=False)
+
+
+def label_places(ax, places, texts, radii):
+    """Write texts beside places, the first ones first; what would overlap others is left out.
+
+    Radii of the markers are in points.
+    """
+    point = ax.figure.dpi / 72
+    frame, centers = ax.bbox.extents / point, ax.transData.transform(places) / point
+    taken = [(*(c - r), *(c + r)) for c, r in zip(centers, radii, strict=True)]
+    for place, (x, y), text, radius in zip(places, centers, texts, radii, strict=True):
+        width, height, gap = 6.0 * len(text), 10.0, radius + 1.0
+        for right, up in ((1, 1), (1, -1), (-1, 1), (-1, -1)):
+            left = x + gap if right > 0 else x - gap - width
+            low = y + gap if up > 0 else y - gap - height
+            box = left, low, left + width, low + height
+            inside = np.all(box[:2] >= frame[:2]) and np.all(box[2:] <= frame[2:])
+            if inside and all(_apart(box, other) for other in taken):
+                taken.append(box)
+                ax.annotate(
+                    text, place, (right * gap, up * gap), textcoords="offset points",
+                    ha="left" if right > 0 else "right", va="bottom" if up > 0 else "top",
+                    fontsize="small", zorder=6,
+                )  # fmt: skip
+                break
+
+
+def _apart(one, other):
+    """Return whether two boxes (left, low, right, high) do not overlap."""
+    return one[2] < other[0] or other[2] < one[0] or one[3] < other[1] or other[3] < one[1]
 
 
 def check_figure_format(path):

@@ -8,14 +8,22 @@ import numpy as np
 
 from scope_models._arrays import plain_array
 from scope_models.photometry import cdpp
-from scope_models.plotting._style import DARK, GRAY, LIGHT, label_pixels, scale_to, styled
+from scope_models.plotting._style import (
+    DARK,
+    GRAY,
+    LIGHT,
+    label_pixels,
+    mark_outside,
+    scale_to,
+    styled,
+)
 from scope_models.plotting.images import draw_outline
 
 __all__ = ["plot_comparison", "plot_detrending", "plot_detrending_masks"]
 
 
 @styled
-def plot_comparison(time, fluxes, *, best=None):
+def plot_comparison(time, fluxes, *, best=None, time_label="Time (d)"):
     """
     Draw light curves below each other on one scale.
 
@@ -27,6 +35,8 @@ def plot_comparison(time, fluxes, *, best=None):
         Flux by name; each is divided by its median.
     best : str, optional
         The one that is drawn dark.
+    time_label : str, optional
+        Label of the times.
 
     Returns
     -------
@@ -51,20 +61,28 @@ def plot_comparison(time, fluxes, *, best=None):
         relative = values / np.nanmedian(values)
         color = DARK if name == best else GRAY
         ax.plot(time, relative, ".", ms=2, color=color, label=_label(name, time, values))
-        ax.legend(loc="upper right", fontsize="small")
+        _legend_above(ax)
         ax.set_ylabel("Relative flux")
         shown.append(relative)
     scale_to(axes[0], *shown)
-    axes[-1].set_xlabel("Time (d)")
+    axes[-1].set_xlabel(time_label)
     return axes
 
 
 @styled
 def plot_detrending(
-    time, flux, corrected, *, systematics=None, trend=None, outliers=None, masked=None
+    time,
+    flux,
+    corrected,
+    *,
+    systematics=None,
+    trend=None,
+    outliers=None,
+    masked=None,
+    time_label="Time (d)",
 ):
     """
-    Draw a light curve before and after de-trending, and the model.
+    Draw a light curve before and after correction, and the model.
 
     Parameters
     ----------
@@ -75,6 +93,8 @@ def plot_detrending(
         The two parts of the model in the unit of the flux.
     outliers, masked : array_like of bool, optional
         Cadences that the fit left out, as outliers or by a mask.
+    time_label : str, optional
+        Label of the times.
 
     Returns
     -------
@@ -103,11 +123,18 @@ def plot_detrending(
     shown = (flux, flux if systematics is None else systematics, corrected)
     for ax, name, values in zip(axes, names, shown, strict=True):
         scale_to(ax, values)
+        mark_outside(ax, time, values)
         ax.set_ylabel(name)
         if ax.get_legend_handles_labels()[0]:
-            ax.legend(loc="upper right", fontsize="small")
-    axes[2].set_xlabel("Time (d)")
+            _legend_above(ax)
+    axes[2].set_xlabel(time_label)
     return axes
+
+
+def _legend_above(ax):
+    """Draw the legend above the Axes, where it hides no data."""
+    options = {"fontsize": "small", "borderaxespad": 0.2, "ncols": 3, "markerscale": 2}
+    ax.legend(loc="lower right", bbox_to_anchor=(1, 1), **options)
 
 
 def _label(name, time, flux):

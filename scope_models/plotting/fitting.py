@@ -4,9 +4,10 @@ import astropy.units as u
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.colors import AsinhNorm, LogNorm
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from scope_models._arrays import plain_array
-from scope_models.plotting._style import FLUX, label_pixels, scale_to, styled
+from scope_models.plotting._style import FLUX, label_pixels, mark_outside, scale_to, styled
 
 __all__ = ["plot_fit", "plot_twin"]
 
@@ -18,12 +19,26 @@ _LINEAR = 0.01
 
 @styled
 def plot_fit(
-    data, model, residual, x, y, *, pos_corr=None, sensitivity=None, chi2=None, time=None, flux=None
+    data,
+    model,
+    residual,
+    x,
+    y,
+    *,
+    psf=None,
+    psf_extent=None,
+    psf_width=None,
+    pos_corr=None,
+    sensitivity=None,
+    chi2=None,
+    time=None,
+    flux=None,
+    time_label="Time (d)",
 ):
     """
-    Draw data, model and residual, positions against POS_CORR, chi-squared and the sensitivity.
+    Draw data, model, residual and PSF, positions against POS_CORR, chi-squared and the light curve.
 
-    Without a sensitivity the last panel has the light curve.
+    A sensitivity takes the place of the light curve.
 
     Parameters
     ----------
@@ -33,6 +48,12 @@ def plot_fit(
         linear scale of its own.
     x, y : array_like
         Positions ``(n_cadences,)`` in pixels.
+    psf : array_like, optional
+        Density of the PSF on a fine grid, relative to its largest value.
+    psf_extent : tuple of float, optional
+        Left, right, lower and upper border of that grid in pixels.
+    psf_width : str, optional
+        Width of the PSF, written above it.
     pos_corr : array_like, optional
         POS_CORR ``(n_cadences, 2)`` in pixels; without it the positions are drawn as a track.
     sensitivity : dict, optional
@@ -41,13 +62,15 @@ def plot_fit(
     chi2 : array_like, optional
         Chi-squared per degree of freedom of each pixel, ``(ny, nx)``.
     time, flux : array_like or `~astropy.units.Quantity`, optional
-        Light curve ``(n_cadences,)`` in days and e-/s.
+        Light curve ``(n_cadences,)`` in days and e-/s. Arrows stand for values beyond the scale.
+    time_label : str, optional
+        Label of the times.
 
     Returns
     -------
     dict of str to `~matplotlib.axes.Axes`
-        "data", "model", "residual", "positions" and, if given, "chi2", and "sensitivity" or
-        "light curve".
+        "data", "model", "residual", "positions" and, if given, "psf", "chi2", and "sensitivity"
+        or "light curve".
 
     Examples
     --------
@@ -67,40 +90,67 @@ def plot_fit(
     flux = None if flux is None else plain_array(flux, _RATE, "flux")
     last = ("sensitivity", sensitivity) if sensitivity else ("light curve", flux)
     below = [name for name, part in (("chi2", chi2), last) if part is not None]
-    names = [*_TITLES, "positions", *below]
-    figure = plt.figure(figsize=(11.5, 6.4), layout="constrained")
-    rows = figure.add_gridspec(2, 3)
-    axes = {name: figure.add_subplot(rows[i // 3, i % 3]) for i, name in enumerate(names)}
+    above = [*_TITLES, *(["psf"] if psf is not None else [])]
+    figure = plt.figure(figsize=(3.7 * len(above), 6.4), layout="constrained")
+    beneath = ["positions", *below]
+    beneath += beneath[-1:] * (len(above) - len(beneath))
+    axes = figure.subplot_mosaic([above, beneath])
     top, largest = np.nanmax(np.abs(data)), np.nanmax(np.abs(residual)) or 1.0
     light = AsinhNorm(_LINEAR * top, -_LINEAR * top, top)
     for name, image in (("data", data), ("model", model)):
         shown = axes[name].imshow(image, origin="lower", cmap="viridis", norm=light)
         label_pixels(axes[name], _TITLES[name])
-    bar = figure.colorbar(shown, ax=axes["model"], label=FLUX)
+    bar = _colorbar(shown, axes["model"], FLUX)
     ticks = [0.0, *(part * top for part in (_LINEAR, 0.1, 1))]
-    bar.set_ticks(ticks, labels=[f"{tick:.3g}" for tick in ticks])
+    bar.set_ticks(ticks, labels=[f"{float(f'{tick:.3g}'):,.10g}" for tick in ticks])
     bar.minorticks_off()
     shown = axes["residual"].imshow(
         residual, origin="lower", cmap="RdBu_r", vmin=-largest, vmax=largest
     )
     label_pixels(axes["residual"], f"{_TITLES['residual']}, to {100 * largest / top:.2g} %")
-    figure.colorbar(shown, ax=axes["residual"], label=FLUX)
+    _colorbar(shown, axes["residual"], FLUX)
+    if psf is not None:
+        _draw_psf(axes["psf"], psf, psf_extent, psf_width)
     _draw_positions(axes["positions"], x, y, pos_corr)
     if chi2 is not None:
         shown = axes["chi2"].imshow(chi2, origin="lower", cmap="viridis", norm=LogNorm())
         label_pixels(axes["chi2"], f"Chi-squared, median {np.nanmedian(chi2):.3g}")
-        figure.colorbar(shown, ax=axes["chi2"], label="Per degree of freedom")
+        bar = _colorbar(shown, axes["chi2"], "Per degree of freedom")
+        bar.locator = LogLocator(subs=(1, 2, 5))
+        bar.formatter = FuncFormatter(lambda value, _: f"{value:g}")
+        bar.ax.yaxis.set_minor_formatter(NullFormatter())
     if sensitivity:
         _draw_sensitivity(axes["sensitivity"], sensitivity)
     elif flux is not None:
-        ax = axes["light curve"]
-        ax.plot(np.arange(flux.size) if time is None else time, flux, "k.", ms=2)
-        label = "Cadence" if time is None else "Time (d)"
-        ax.set(title="Light curve", xlabel=label, ylabel=FLUX)
-        scale_to(ax, flux)
-        ax.locator_params(axis="x", nbins=5)
-        ax.ticklabel_format(useOffset=False)
+        _draw_flux(axes["light curve"], time, flux, time_label)
     return axes
+
+
+def _colorbar(shown, ax, label):
+    """Return the color bar of an image."""
+    return ax.figure.colorbar(shown, ax=ax, label=label, shrink=0.85)
+
+
+def _draw_psf(ax, psf, extent, width):
+    """Draw the density of the PSF and its width."""
+    options = {"extent": extent, "cmap": "viridis", "norm": AsinhNorm(_LINEAR, 0, 1)}
+    shown = ax.imshow(psf, origin="lower", **options)
+    ax.set(title="PSF" if width is None else f"PSF, {width}")
+    ax.set(xlabel="Column offset (pixel)", ylabel="Row offset (pixel)")
+    bar = _colorbar(shown, ax, "Relative density")
+    bar.set_ticks([0, _LINEAR, 0.1, 1], labels=["0", f"{_LINEAR}", "0.1", "1"])
+    bar.minorticks_off()
+
+
+def _draw_flux(ax, time, flux, label):
+    """Draw the light curve, with arrows for what is beyond its scale."""
+    time, label = (np.arange(flux.size), "Cadence") if time is None else (time, label)
+    ax.plot(time, flux, "k.", ms=2)
+    ax.set(title="Light curve", xlabel=label, ylabel=FLUX)
+    scale_to(ax, flux)
+    mark_outside(ax, time, flux)
+    ax.locator_params(axis="x", nbins=5)
+    ax.ticklabel_format(useOffset=False)
 
 
 def _draw_positions(ax, x, y, pos_corr):
@@ -116,7 +166,7 @@ def _draw_positions(ax, x, y, pos_corr):
     ax.set(
         title="Positions, less their medians", xlabel="POS_CORR (pixel)", ylabel="Fitted (pixel)"
     )
-    ax.legend(fontsize="small", markerscale=4)
+    ax.legend(fontsize="small", markerscale=4, loc="upper left")
 
 
 def _draw_sensitivity(ax, sensitivity):

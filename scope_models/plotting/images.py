@@ -9,7 +9,7 @@ from matplotlib.colors import LogNorm
 from matplotlib.patheffects import Normal, Stroke
 
 from scope_models._arrays import plain_array, plain_number
-from scope_models.plotting._style import FLUX, given_or_new, styled
+from scope_models.plotting._style import FLUX, LIGHT, given_or_new, label_places, styled
 
 __all__ = [
     "animate_pixels",
@@ -17,6 +17,7 @@ __all__ = [
     "plot_motion",
     "plot_pixels",
     "plot_psf",
+    "plot_scene",
     "plot_sensitivity",
 ]
 
@@ -175,13 +176,7 @@ def plot_motion(time, x, y, shape=None, *, time_label="Time (d)", title="Motion"
     time = plain_array(time, u.day, "time")
     x, y = plain_array(x, u.pix, "x"), plain_array(y, u.pix, "y")
     ax = given_or_new(ax, 5, 4.2)
-    points = np.column_stack([x, y])
-    track = LineCollection(
-        np.stack([points[:-1], points[1:]], axis=1), cmap="viridis", lw=0.6, alpha=0.5
-    )
-    track.set_array(time[:-1])
-    ax.add_collection(track)
-    dots = ax.scatter(x, y, c=time, s=8, cmap="viridis", zorder=3)
+    _draw_track(ax, time, x, y, time_label)
     ax.plot(x[0], y[0], "kx", ms=7, mew=1.5, zorder=4, label="first cadence")
     ax.legend(loc="lower right", bbox_to_anchor=(1, 1), borderaxespad=0.2)
     if shape is None:
@@ -189,8 +184,73 @@ def plot_motion(time, x, y, shape=None, *, time_label="Time (d)", title="Motion"
     else:
         _pixel_axes(ax, (-0.5, shape[1] - 0.5), (-0.5, shape[0] - 0.5))
     ax.set_title(title, loc="left")
-    ax.figure.colorbar(dots, ax=ax, label=time_label, shrink=0.85)
     return ax
+
+
+@styled
+def plot_scene(time, x, y, shape, places, magnitudes, *, time_label="Time (d)", ax=None):
+    """
+    Draw the stars of a stamp, larger if they are brighter, with the track of the target.
+
+    Parameters
+    ----------
+    time : array_like
+        Times ``(n_cadences,)`` in days.
+    x, y : array_like
+        Positions of the target ``(n_cadences,)`` in pixels.
+    shape : tuple of int
+        Shape ``(ny, nx)`` of the stamp.
+    places : array_like
+        Columns and rows ``(n_stars, 2)`` of the stars in pixels, the target first.
+    magnitudes : array_like
+        Magnitudes ``(n_stars,)``, written beside the stars; of crowded ones beside the brightest.
+    time_label : str, optional
+        Label of the color bar, which a star at rest does not need.
+    {draw}
+
+    Examples
+    --------
+    >>> from scope_models.plotting import plot_scene
+    >>> ax = plot_scene([0, 1], [2, 2.5], [3, 3], (6, 6), [(2, 3), (4, 1)], [12.0, 14.0])
+    >>> [text.get_text() for text in ax.texts]
+    ['12', '14']
+    """
+    time = plain_array(time, u.day, "time")
+    x, y = plain_array(x, u.pix, "x"), plain_array(y, u.pix, "y")
+    places, magnitudes = plain_array(places, u.pix, "places"), plain_array(magnitudes, None, "mag")
+    ax = given_or_new(ax, 5.4, 4.2)
+    _pixel_axes(ax, (-0.5, shape[1] - 0.5), (-0.5, shape[0] - 0.5))
+    size = np.clip(10 ** (-0.2 * (magnitudes - magnitudes[0])), 0.15, 2.5)
+    radius = 5 * np.sqrt(size)  # points
+    options = {"s": (2 * radius[1:]) ** 2, "color": "k", "alpha": 0.7, "lw": 0, "zorder": 3}
+    if len(places) > 1:
+        ax.scatter(*places[1:].T, label="other stars", **options)
+    if np.ptp(x) or np.ptp(y):
+        _draw_track(ax, time, x, y, time_label)
+    ax.scatter(
+        *places[0], s=(2 * radius[0]) ** 2, facecolor="none", edgecolor=LIGHT, lw=2, zorder=5,
+        label="target",
+    )  # fmt: skip
+    ax.legend(loc="lower right", bbox_to_anchor=(1, 1), borderaxespad=0.2, ncols=2)
+    ax.set_title("Scene", loc="left")
+    order = [0, *(1 + np.argsort(magnitudes[1:]))]
+    texts = [f"{magnitudes[i]:.4g}" for i in order]
+    ax.figure.draw_without_rendering()  # where the Axes is
+    label_places(ax, places[order], texts, radius[order])
+    return ax
+
+
+def _draw_track(ax, time, x, y, time_label):
+    """Draw a track, colored by time, with its color bar."""
+    points = np.column_stack([x, y])
+    track = LineCollection(
+        np.stack([points[:-1], points[1:]], axis=1), cmap="viridis", lw=0.6, alpha=0.5
+    )
+    track.set_array(time[:-1])
+    ax.add_collection(track)
+    dots = ax.scatter(x, y, c=time, s=8, cmap="viridis", zorder=3)
+    if np.ptp(x) or np.ptp(y):  # a star at rest is one dot
+        ax.figure.colorbar(dots, ax=ax, label=time_label, shrink=0.85)
 
 
 def _draw_surroundings(ax, x, y):

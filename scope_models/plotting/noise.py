@@ -9,7 +9,7 @@ __all__ = ["plot_precision"]
 
 
 @styled
-def plot_precision(stars, published=None):
+def plot_precision(stars, published=None, *, convention="lightkurve"):
     """
     Draw the noise of stars before and after a correction over their magnitude.
 
@@ -19,6 +19,8 @@ def plot_precision(stars, published=None):
         Per star, ``(n,)`` each: "mag", "raw_cdpp" and "cdpp" (ppm). NaN is not drawn.
     published : mapping of str to array_like, optional
         "mag", and medians of other light curves at these magnitudes by their names, drawn as lines.
+    convention : str, optional
+        Convention of the CDPP, which the label names.
 
     Returns
     -------
@@ -40,6 +42,6 @@ def plot_precision(stars, published=None):
     center = medians.pop("mag", None)
     for (name, values), style in zip(medians.items(), ("-", "--", "-.", ":"), strict=False):
         ax.plot(center, values, style, color=LIGHT, label=name)
-    ax.set(yscale="log", xlabel="Magnitude", ylabel="6.5-h CDPP (ppm)")
+    ax.set(yscale="log", xlabel="Magnitude", ylabel=f"6.5-h CDPP (ppm, {convention})")
     ax.legend(fontsize="small")
     return figure

@@ -316,17 +316,13 @@ class Scene(Value):
         >>> [text.get_text() for text in ax.texts]
         ['12', '14']
         """
-        from scope_models.plotting import plot_motion
+        from scope_models.plotting import plot_scene
 
         motion, shape, positions = self.motion, self.detector.shape, self.positions
         x, y = positions[0, 0] + motion.x, positions[0, 1] + motion.y
         label = f"Time ({motion.time_format.upper()})"
-        ax = plot_motion(motion.time, x, y, shape, time_label=label, title="Scene", ax=ax)
-        ax.plot(*positions[1:].T, "*", color="k", ms=9, zorder=4)
-        for star, place in zip(self.stars, positions, strict=True):
-            text = f"{star.mag:.4g}"
-            ax.annotate(text, place, (6, 6), textcoords="offset points", clip_on=True)
-        return ax
+        mags = [star.mag for star in self.stars]
+        return plot_scene(motion.time, x, y, shape, positions, mags, time_label=label, ax=ax)
 
     @documented()
     def write(self, path, overwrite=False):

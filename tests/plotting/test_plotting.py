@@ -13,11 +13,13 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scope_models.plotting import (
     animate_pixels,
     plot_detector,
+    plot_fit,
     plot_fold,
     plot_light_curve,
     plot_motion,
     plot_pixels,
     plot_psf,
+    plot_scene,
     plot_sensitivity,
     plot_summary,
 )
@@ -71,11 +73,13 @@ def _summary(scene, **options):
         scene.y,
         aperture=scene.aperture,
         cdpp=201.26,
-        time_label="Time (BKJD, d)",
+        time_label="Time (BKJD)",
         title="Star",
         **options,
     )
 
+
+STARS = [(3.6, 4.2), (6.0, 1.5), (6.2, 1.7), (1.0, 7.0)]
 
 FIGURES = {
     "pixels": lambda s: plot_pixels(s.image, s.aperture, log=True),
@@ -83,6 +87,9 @@ FIGURES = {
         s.sensitivity, s.psf, s.image, s.oversample, aperture=s.aperture
     )[0],
     "motion": lambda s: plot_motion(s.time, s.x, s.y, s.image.shape),
+    "scene": lambda s: plot_scene(
+        s.time, s.x, s.y, s.image.shape, STARS, [12.0, 13.0, 15.0, 16.5], time_label="Time (BKJD)"
+    ),
     "light_curve": lambda s: plot_light_curve(
         s.time, s.flux, s.corrected, cdpp=201.26, corrected_cdpp=20.3
     ),
@@ -178,7 +185,7 @@ def test_detector_is_figure_3(scene):
 
 
 def test_motion_track(scene):
-    ax = plot_motion(scene.time, scene.x, scene.y, time_label="Time (BKJD, d)")
+    ax = plot_motion(scene.time, scene.x, scene.y, time_label="Time (BKJD)")
     lines, dots, *edges = ax.collections
     assert_allclose(dots.get_offsets(), np.column_stack([scene.x, scene.y]))
     assert_array_equal(dots.get_array(), scene.time)
@@ -189,7 +196,7 @@ def test_motion_track(scene):
     assert_allclose(ax.get_xlim(), [middle - half, middle + half])
     columns = {float(points[0, 0]) for points in edges[0].get_segments()}
     assert columns == {value for value in (2.5, 3.5, 4.5) if abs(value - middle) < half}
-    assert ax.figure.axes[1].get_ylabel() == "Time (BKJD, d)"
+    assert ax.figure.axes[1].get_ylabel() == "Time (BKJD)"
 
 
 def test_light_curve_is_relative_and_says_the_cdpp(scene):
@@ -199,6 +206,33 @@ def test_light_curve_is_relative_and_says_the_cdpp(scene):
     assert_allclose(np.median(corrected.get_ydata()), 1)
     texts = [text.get_text() for text in ax.get_legend().get_texts()]
     assert texts == ["raw, CDPP 201.3 ppm (lightkurve)", "corrected, CDPP 20.3 ppm (lightkurve)"]
+
+
+def test_scene_shows_brightness_and_labels_apart(scene):
+    ax = FIGURES["scene"](scene)
+    ax.figure.draw_without_rendering()
+    boxes = [text.get_window_extent() for text in ax.texts]
+    assert [text.get_text() for text in ax.texts] == ["12", "13", "15", "16.5"]
+    assert not any(a.overlaps(b) for i, a in enumerate(boxes) for b in boxes[:i])
+    others = next(c for c in ax.collections if c.get_label() == "other stars")
+    assert (np.diff(others.get_sizes()) < 0).all()
+    assert len(ax.figure.axes) == 2
+    still = plot_scene(scene.time, 0 * scene.x + 3.6, 0 * scene.y + 4.2, (9, 8), STARS[:1], [12.0])
+    assert len(still.figure.axes) == 1  # nothing for a color bar
+
+
+def test_values_beyond_the_scale_are_arrows(scene):
+    flux = np.array(scene.flux)
+    flux[[100, 300]] *= 1.5, 0.5
+    axes = plot_fit(
+        scene.image, scene.image, 0 * scene.image, scene.x, scene.y, chi2=1 + scene.image,
+        time=scene.time, flux=flux, time_label="Time (BKJD)",
+    )  # fmt: skip
+    ax = axes["light curve"]
+    arrows = {line.get_marker(): line.get_xydata() for line in ax.lines[1:]}
+    assert_allclose(arrows["^"], [[scene.time[100], ax.get_ylim()[1]]])
+    assert_allclose(arrows["v"], [[scene.time[300], ax.get_ylim()[0]]])
+    assert ax.get_xlabel() == "Time (BKJD)"
 
 
 def test_fold_means(scene):
