@@ -255,6 +255,42 @@ class PLDFit:
     def _transit(self):
         return self.fit_transit(self.transit_model) if self.joint else (np.nan, np.nan)
 
+    # The images behind the predicted fractions
+
+    def plot_states(self):
+        """
+        Draw position, width and background of each cadence, and how much the fractions change.
+
+        Returns
+        -------
+        dict of str to `~matplotlib.axes.Axes`
+            The Axes, see `~scope_models.plotting.detrending.plot_states`.
+
+        Raises
+        ------
+        ValueError
+            If the fractions are measured ones, which have no states.
+        """
+        from scope_models.plotting.detrending import plot_states  # imports matplotlib
+
+        pixels, clean = self.model.pixels, self.model.clean
+        if clean is None:
+            raise ValueError("the pixel fractions are measured: there are no states to draw")
+        background = np.mean(clean.background, axis=1)
+        states = {
+            "Column (pixel)": clean.position[:, 0],
+            "Row (pixel)": clean.position[:, 1],
+            "Relative width": clean.focus,
+            "Background (e-/s)": background - np.median(background),
+        }
+        return plot_states(
+            pixels.time,
+            {name: self._whole(values) for name, values in states.items()},
+            np.std(clean.shares, axis=0).reshape(pixels.aperture.shape),
+            pixels.aperture,
+            time_label=f"Time ({self.model.source.series.time_format.upper()})",
+        )
+
     # The light curve's parts
 
     def _whole(self, values, fill=np.nan):

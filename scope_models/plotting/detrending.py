@@ -19,7 +19,7 @@ from scope_models.plotting._style import (
 )
 from scope_models.plotting.images import draw_outline
 
-__all__ = ["plot_comparison", "plot_detrending", "plot_detrending_masks"]
+__all__ = ["plot_comparison", "plot_detrending", "plot_detrending_masks", "plot_states"]
 
 
 @styled
@@ -125,6 +125,7 @@ def plot_detrending(
         scale_to(ax, values)
         mark_outside(ax, time, values)
         ax.set_ylabel(name)
+        ax.ticklabel_format(useOffset=False)
         if ax.get_legend_handles_labels()[0]:
             _legend_above(ax)
     axes[2].set_xlabel(time_label)
@@ -182,4 +183,57 @@ def plot_detrending_masks(image, aperture, scatter):
         ax.figure.colorbar(drawn, ax=ax)
         draw_outline(ax, aperture)
         label_pixels(ax, title)
+    return axes
+
+
+@styled
+def plot_states(time, states, changes, aperture=None, *, time_label="Time (d)"):
+    """
+    Draw the states of a star's images in time, and the light that moves between the pixels.
+
+    Parameters
+    ----------
+    time : array_like
+        Days, ``(n_cadences,)``.
+    states : mapping of str to array_like
+        Position, width or background ``(n_cadences,)`` by the label of their axis, with the unit.
+    changes : array_like
+        Standard deviation of each pixel's fraction of the light, ``(ny, nx)``.
+    aperture : array_like of bool, optional
+        Pixels that are summed, ``(ny, nx)``.
+    time_label : str, optional
+        Label of the times.
+
+    Returns
+    -------
+    dict of str to `~matplotlib.axes.Axes`
+        The states by their names, and "changes".
+
+    Examples
+    --------
+    >>> from scope_models.plotting.detrending import plot_states
+    >>> axes = plot_states([0, 1], {"Column (pixel)": [4.0, 4.1]}, [[0, 0.1]], [[False, True]])
+    >>> sorted(axes)
+    ['Column (pixel)', 'changes']
+    """
+    time = plain_array(time, u.day, "time")
+    mosaic = [["changes", name] for name in states]
+    figure = plt.figure(figsize=(11, 1.2 + 1.5 * len(states)), layout="constrained")
+    axes = figure.subplot_mosaic(mosaic, width_ratios=(1, 2.2))
+    for name, values in states.items():
+        ax, state = axes[name], plain_array(values, None, name)
+        ax.plot(time, state, ".", ms=2, color=DARK)
+        scale_to(ax, state)
+        mark_outside(ax, time, state)
+        ax.set_ylabel(name)
+        ax.tick_params(labelbottom=False)
+    ax.tick_params(labelbottom=True)
+    ax.set_xlabel(time_label)
+    shown = axes["changes"].imshow(
+        100 * plain_array(changes, u.one, "changes"), origin="lower", cmap="cividis"
+    )
+    figure.colorbar(shown, ax=axes["changes"], label="Standard deviation (%)", shrink=0.5)
+    if aperture is not None:
+        draw_outline(axes["changes"], np.asarray(aperture, dtype=bool))
+    label_pixels(axes["changes"], "Light that moves between pixels")
     return axes

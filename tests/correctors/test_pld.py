@@ -480,6 +480,19 @@ def test_figures(corrected):
     plt.close("all")
 
 
+def test_figure_of_the_states(corrected, star):
+    axes = corrected.result.plot_states()
+    drawn = axes["Row (pixel)"].lines[0].get_ydata()
+    truth = star.tpf.pos_corr2
+    used = np.isfinite(drawn) & np.isfinite(truth)
+    assert np.corrcoef(drawn[used], truth[used])[0, 1] > 0.99
+    assert axes["Background (e-/s)"].get_xlabel() == "Time (BKJD)"
+    corrector = PLDCorrector(star.tpf)
+    corrector.correct(fractions="measured")
+    with pytest.raises(ValueError, match="the pixel fractions are measured"):
+        corrector.result.plot_states()
+
+
 @pytest.mark.parametrize("name", ["diagnose", "diagnose_masks"])
 def test_figures_need_a_correction(star, name):
     with pytest.raises(ValueError, match="call `correct` first"):
