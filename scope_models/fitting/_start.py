@@ -142,7 +142,7 @@ def _drop_bad_errors(flux, error):
             "`flux_err` must be positive: the file has no errors; pass them as flux_err=..."
         )
     warnings.warn(
-        f"{bad.sum()} pixel values without a positive error are left out", FitWarning, stacklevel=4
+        f"{bad.sum()} pixel values without a positive error are left out", FitWarning, stacklevel=5
     )
     flux[bad] = np.nan
 
@@ -156,7 +156,7 @@ def _drop_saturated(flux, limit):
         warnings.warn(
             f"columns {', '.join(map(str, columns))} hold saturated pixels and are left out",
             FitWarning,
-            stacklevel=4,
+            stacklevel=5,
         )
         flux[:, :, columns] = np.nan
     flux[full] = np.nan

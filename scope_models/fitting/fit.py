@@ -235,7 +235,11 @@ def _fit_psf(problem, response, sensitivity, steps, *, any_psf, any_response):
                 return "psf", tried, tried[0]
             every, most = replace(few, stamps=problem.stamps), _MANY_STEPS if any_psf else np.inf
             return "psf", tried, _fitted(every, steps, most, guess)
-    tried = _tried(_rough(problem, any_psf=any_psf), steps, few=True, **choice)
+    # The PSF from which the pixels deviate.
+    prfs = [make_prf(1, None, 0), make_rich_prf(None)] if any_psf else [problem.prf]
+    plain = {"interpixel": 0.0, "loss": "soft_l1", **_held(problem)}
+    rough = [(_with(problem, prf, **plain), _MANY_STEPS) for prf in prfs]
+    tried = _tried(rough, steps, few=True, **choice)
     return "pixels", tried, tried[0]
 
 
@@ -259,13 +263,6 @@ def _candidates(problem, sensitivity, *, simple, any_psf, any_response):
     if not simple:
         for prf in (gaussians[-1], make_rich_prf(sensitivity)):
             yield _with(problem, prf, **plain, **_held(problem)), _MANY_STEPS
-
-
-def _rough(problem, *, any_psf):
-    """Models to try of the PSF from which the pixels deviate, and how many steps each is worth."""
-    for prf in [make_prf(1, None, 0), make_rich_prf(None)] if any_psf else [problem.prf]:
-        rough = _with(problem, prf, interpixel=0.0, loss="soft_l1", **_held(problem))
-        yield rough, _MANY_STEPS
 
 
 def _held(problem):

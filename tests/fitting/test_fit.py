@@ -60,6 +60,7 @@ def messages_of(*arguments, **options):
         warnings.simplefilter("always")
         fit = fit_tpf(*arguments, **options)
     assert all(issubclass(warning.category, FitWarning) for warning in record)
+    assert {warning.filename for warning in record} <= {__file__}
     return fit, " | ".join(str(warning.message) for warning in record)
 
 
