@@ -271,9 +271,8 @@ def psf_image(fit, half=3.0, samples=121):
     offset = np.linspace(-half, half, samples)
     density = np.asarray(fit.psf(*np.meshgrid(offset, offset)))
     density = density / density.max()
-    width = 2 * np.sqrt(
-        np.mean(density > 0.5) * (2 * half) ** 2 / np.pi
-    )  # of a circle of this area
+    # The diameter of a circle with the area above half of the largest value.
+    width = 4 * half * np.sqrt(np.mean(density > 0.5) / np.pi)
     border = half * samples / (samples - 1)
     return {
         "psf": density,

@@ -125,7 +125,8 @@ def test_scene_options(fit):
 
 def test_figure(fit):
     axes = fit.plot()
-    assert sorted(axes) == ["chi2", "data", "model", "positions", "residual", "sensitivity"]
+    names = ["chi2", "data", "model", "positions", "psf", "residual", "sensitivity"]
+    assert sorted(axes) == names
     scales = {id(axes[name].images[0].norm) for name in ("data", "model")}
     assert len(scales) == 1
     # The residual has a linear scale of its own, symmetric about 0.
@@ -142,8 +143,9 @@ def test_figure(fit):
 
 def test_figure_without_a_sensitivity_has_the_light_curve(observation):
     axes = fit_tpf(observation.to_tpf()[:60], 2).plot()
-    assert sorted(axes) == ["chi2", "data", "light curve", "model", "positions", "residual"]
-    assert axes["light curve"].get_xlabel() == "Time (d)"
+    names = ["chi2", "data", "light curve", "model", "positions", "psf", "residual"]
+    assert sorted(axes) == names
+    assert axes["light curve"].get_xlabel() == "Time (BKJD)"
     plt.close("all")
 
 
