@@ -441,6 +441,13 @@ class SceneCorrector(FixedAperture, Corrector):
                 "PLDCorrector corrects such stars better"
             )
             warnings.warn(message, DetrendingWarning, stacklevel=4)
+        shape = self.tpf.flux.shape[1:]
+        if min(shape) == 1:
+            message = (
+                f"pixels of shape {shape} show no motion across the strip: light that it moves off "
+                "them stays in the flux; compare PLDCorrector"
+            )
+            warnings.warn(message, DetrendingWarning, stacklevel=4)
         if result.n_outliers > _MANY * (result.n_outliers + result.n_used):
             message = f"{result.n_outliers} cadences are left out of the fit as outliers"
             warnings.warn(message, DetrendingWarning, stacklevel=4)

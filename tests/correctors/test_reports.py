@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from scope_models import Detector, Motion, Star, simulate
 from scope_models.correctors import PLDCorrector, SceneCorrector
 from scope_models.correctors import _pixels as pixels_module
 from scope_models.correctors import _result as result_module
@@ -307,3 +308,15 @@ def test_transits_are_put_into_the_light_that_was_chosen(fake_star, monkeypatch,
     monkeypatch.setattr(PLDModel, "from_pixels", classmethod(from_pixels))
     assert 0.5 < fit.survival() < 1.5
     assert made == [(fractions, "weighted" if fit.weighted else "sum")]
+
+
+@pytest.mark.filterwarnings("ignore::scope_models.exceptions.LostLightWarning")
+def test_a_strip_has_systematics_with_a_warning():
+    """The light that the roll moves off a single row is no part of the scene's positions."""
+    observation = simulate(
+        Star(12.0, *place), Detector.k2(shape=shape), Motion.k2_roll(200), seed=2
+    )
+    corrector = SceneCorrector(observation.to_tpf())
+    with pytest.warns(DetrendingWarning, match=r"shape \(\d, \d\) show no motion across the strip"):
+        lc = corrector.correct()
+    assert np.nanstd(lc.flux.value) > 3 * np.nanmedian(lc.flux_err.value)
