@@ -71,8 +71,6 @@ _DAYS_PER_DEGREE, _MOST_SLOW, _SLOW_CHANGE = 10.0, 60, 0.03
 _FAINT, _DECIDED = 0.004, 5
 #: Tolerance: weight of cadences that do not count.
 _NO_WEIGHT = 1e-6
-#: Tolerance: wider kernels are not tried where one has so many times the error of the best.
-_WORSE = 1.05
 #: Branch: width in days of the kernel beyond which outliers of the focus are dips, and none of the
 #: focus.
 _SLOW = 0.05
@@ -700,8 +698,6 @@ class _Smoother:
         least, best, weight = np.inf, values, start
         for k in range(max(self._best.get(name, 0) - 1, 0), len(_WIDTHS)):
             smooth, size, weight = self.lines(values, start, _WIDTHS[k], weight)
-            if size > _WORSE * least:
-                break
             if size < least:
                 least, best, self._best[name] = size, smooth, k
         return best

@@ -25,13 +25,11 @@ from scope_models.correctors._lightkurve import external_columns, sorted_regress
 from scope_models.correctors._pixels import (
     WORSE,
     Pixels,
-    aperture_pixels,
     can_predict,
     with_predicted_fractions,
 )
 from scope_models.correctors._result import PLDFit
 from scope_models.correctors._solution import fit
-from scope_models.io import read_pixels
 
 __all__ = ["PLDModel", "PLDOptions", "Settings"]
 
@@ -193,22 +191,6 @@ class PLDModel:
         What was found about the pixels if the fractions are predicted ones.
     source : Source or None
         The pixels as measured, and the file: what `PLDFit.survival` puts dimmings into.
-
-    See Also
-    --------
-    PLDCorrector : Correct a target pixel file.
-
-    Examples
-    --------
-    >>> from scope_models import Detector, Motion, Star, simulate
-    >>> from scope_models.correctors._model import PLDModel
-    >>> observation = simulate(Star(12.0), Detector.k2(), Motion.k2_roll(300), seed=1)
-    >>> model = PLDModel.from_tpf(observation.to_tpf(), order=1)
-    >>> matrix = model.design_matrix()
-    >>> matrix.names[0]
-    'order 1'
-    >>> len(matrix.columns) == model.pixels.usable.size
-    True
     """
 
     pixels: Pixels
@@ -216,31 +198,6 @@ class PLDModel:
     design: DesignOptions
     clean: CleanPixels | None = None
     source: Source | None = None
-
-    @classmethod
-    def from_tpf(cls, tpf, aperture_mask=None, cadence_mask=None, **options):
-        """
-        Make the model of a target pixel file.
-
-        Parameters
-        ----------
-        tpf : `~lightkurve.targetpixelfile.TargetPixelFile`, str or path-like
-            As in `PLDCorrector`.
-        aperture_mask : array_like of bool, optional
-            As in `PLDCorrector`.
-        cadence_mask : ndarray of bool, optional
-            As in `from_pixels`.
-        **options
-            Fields of `Settings`.
-
-        Returns
-        -------
-        PLDModel
-            The model.
-        """
-        series = read_pixels(tpf)
-        pixels = aperture_pixels(series, aperture_mask)
-        return cls.from_pixels(pixels, Settings(**options), series, cadence_mask)
 
     @classmethod
     def from_pixels(cls, pixels, options, series, cadence_mask=None):

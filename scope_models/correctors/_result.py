@@ -322,11 +322,6 @@ class PLDFit:
         """Logarithm of the variability faster than a day and its overtones, ``(n_cadences,)``."""
         return self._whole(self.solution.periodic)
 
-    @property
-    def waves(self):
-        """Logarithm of all variability at `frequencies`, slow and fast, ``(n_cadences,)``."""
-        return self._whole(self.solution.waves)
-
     def corrected(self, *, restore_trend=True):
         """
         Return the corrected flux and its error.

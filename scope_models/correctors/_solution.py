@@ -174,12 +174,6 @@ class Solution:
         return trend - trend[self.use].mean()
 
     @cached_property
-    def waves(self):
-        """All variability at frequencies, slow and fast, without its mean."""
-        waves = self._flat_part(self.n_trend - 2 * len(self.frequencies), self.n_trend)
-        return waves - waves[self.use].mean()
-
-    @cached_property
     def periodic(self):
         """The periodic variability, without its mean."""
         periodic = self._flat_part(self._first_periodic, self.n_trend)

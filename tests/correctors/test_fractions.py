@@ -11,10 +11,11 @@ from lightkurve import KeplerTargetPixelFile
 from scope_models import Detector, Motion, Star, TransitModel, simulate
 from scope_models.benchmark import make_sky, score
 from scope_models.correctors import PLDCorrector, PLDOptions, _model
-from scope_models.correctors._model import PLDModel, _gain
-from scope_models.correctors._pixels import background_plane, own_pixels
+from scope_models.correctors._model import PLDModel, Settings, _gain
+from scope_models.correctors._pixels import aperture_pixels, background_plane, own_pixels
 from scope_models.effects import Seeing
 from scope_models.exceptions import DetrendingWarning
+from scope_models.io import read_pixels
 from scope_models.models import sinusoidal_signal
 
 
@@ -47,8 +48,10 @@ def test_measured_fractions_erase_it_and_warn(crowded):
 
 def test_predicted_fractions_hold_no_noise(star):
     """Fractions from the same place agree, and the fitted noise is that of FLUX_ERR."""
+    series = read_pixels(star.tpf)
+    pixels = aperture_pixels(series, np.ones((9, 9), dtype=bool))
     predicted, measured = (
-        PLDModel.from_tpf(star.tpf, np.ones((9, 9), bool), fractions=f)
+        PLDModel.from_pixels(pixels, Settings(fractions=f), series)
         for f in ("predicted", "measured")
     )
     rough = [

@@ -17,7 +17,8 @@ from scope_models.correctors import (
     SceneCorrector,
     compare_correctors,
 )
-from scope_models.correctors._model import PLDModel
+from scope_models.correctors._model import PLDModel, Settings
+from scope_models.correctors._pixels import aperture_pixels
 from scope_models.effects.saturation import bleed
 from scope_models.exceptions import DetrendingWarning
 from scope_models.io import read_pixels
@@ -128,7 +129,8 @@ def test_result_is_frozen_and_short(corrected):
 @pytest.mark.usefixtures("one_thread")
 def test_model_without_the_front(star, corrected):
     """The model gives what the corrector gives, and shows its design matrix."""
-    model = PLDModel.from_tpf(star.tpf)
+    series = read_pixels(star.tpf)
+    model = PLDModel.from_pixels(aperture_pixels(series, None), Settings(), series)
     fitted = model.fit()
     flux, flux_err = fitted.corrected()
     np.testing.assert_array_equal(flux, corrected.corrected_lc.flux.value)
