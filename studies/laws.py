@@ -181,8 +181,7 @@ def scintillation(folder):
         file = written(folder, Star(12.0), detector, ground(n), seed=seed, effects=effect)
         flux = file.flux.sum(axis=(1, 2))
         noise = (1e-5 * 1.56**2 * size ** (-4 / 3) / 30 * 1.5**3 * np.exp(-2 * 2400 / 8000)) ** 0.5
-        measured = flux.std() / flux.mean()
-        rows.append((size, measured, measured / (2 * n) ** 0.5, noise))
+        rows.append((size, flux.std() / flux.mean(), noise / (2 * n) ** 0.5, noise))
     return np.transpose(rows)
 
 
