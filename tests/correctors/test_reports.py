@@ -313,9 +313,8 @@ def test_transits_are_put_into_the_light_that_was_chosen(fake_star, monkeypatch,
 @pytest.mark.filterwarnings("ignore::scope_models.exceptions.LostLightWarning")
 def test_a_strip_has_systematics_with_a_warning():
     """The light that the roll moves off a single row is no part of the scene's positions."""
-    observation = simulate(
-        Star(12.0, *place), Detector.k2(shape=shape), Motion.k2_roll(200), seed=2
-    )
+    detector = Detector.k2(shape=(1, 9))
+    observation = simulate(Star(12.0, 4.2, 0.0), detector, Motion.k2_roll(200), seed=2)
     corrector = SceneCorrector(observation.to_tpf())
     with pytest.warns(DetrendingWarning, match=r"shape \(\d, \d\) show no motion across the strip"):
         lc = corrector.correct()
