@@ -91,7 +91,7 @@ def write_stored(source, folder):
         table = Table(rows=[part[np.argmin(part["cost"])] for part in parts])
     if source.stem == "motion_files":  # a column per file
         names = [name for name in table.colnames if name != "file"]
-        turned = {row["file"]: [row[name] for name in names] for row in table}
+        turned = {row["file"][4:13]: [row[name] for name in names] for row in table}
         table = Table({"quantity": names} | turned)
     if source.stem == "recovery":  # a column per multiple of the motion
         motions = table.meta["by_motion"]

@@ -24,8 +24,9 @@ def make_figure():
         corrected = star.detrend()
         x, y = star.observation.truth.x[0], star.observation.truth.y[0]
         shift = (DRAWN - size) / 2
-        title = f"{scale}x K2's motion"
-        plot_motion(star.time, x + shift, y + shift, (DRAWN, DRAWN), title=title, ax=track)
+        place = x + shift, y + shift, (DRAWN, DRAWN)
+        plot_motion(star.time, *place, time_label="Time (BKJD)", title=f"{scale}x", ax=track)
+        track.get_legend().remove()
         tpf = star.to_tpf()
         raw = tpf.to_lightcurve(aperture_mask=star.aperture)
         plot_light_curve(
@@ -36,9 +37,12 @@ def make_figure():
             corrected_cdpp=star.estimate_cdpp(corrected, method="everest"),
             convention="EVEREST",
             time_label="Time (BKJD)",
-            title=f"{scale}x, sum over the aperture",
+            title=None,
             ax=curve,
         )
+        options = {"bbox_to_anchor": (1, 1), "fontsize": "small", "markerscale": 2}
+        curve.legend(loc="lower right", ncols=2, borderaxespad=0.2, **options)
+        curve.locator_params(axis="x", nbins=5)
     return figure
 
 

@@ -61,7 +61,7 @@ _BACKGROUND = 0.05
 _CLIP, _HIT = 6.0, 4.5
 #: Branch: part of a pixel's light by which the functions of position may miss where the star moves
 #: far: cosmic rays exceed it, too. Largest ratio of light to noise in a pixel from which on this
-#: and `_CLIP` hold; of fainter stars cosmic rays are a larger part of the light than such errors.
+#: and ``_CLIP`` hold; of fainter stars cosmic rays are a larger part of the light than such errors.
 _MISFIT, _BRIGHT = 0.05, 5000.0
 #: Prior: images change with time as polynomials of one degree in so many days, up to so many
 #: columns, by about this part of a pixel's light.

@@ -36,7 +36,7 @@ _BLENDED = 0.1
 #: Warning: nothing of a depth survives or all of it: 0 to 1, with what the light that was taken off
 #: may be wrong by.
 _SURVIVALS = (-0.05, 1.15)
-#: Tolerance: depth of the boxes of `PLDFit.survival`: so many errors of their mean, within these
+#: Tolerance: depth of the boxes of ``PLDFit.survival``: so many errors of their mean, within these
 #: bounds.
 _OBVIOUS, _SHALLOW, _DEEP = 10.0, 1e-3, 0.3
 #: Tolerance: largest number of times that a transit is taken out of the pixels, and what may be
