@@ -499,6 +499,7 @@ class PLDFit:
         """
         return self._survival_of(transit_model, depth)[0]
 
+    @one_thread
     def _survival_of(self, transit_model, depth):
         """Return a survival and its standard deviation."""
         pixels = self.model.pixels
