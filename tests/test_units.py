@@ -640,6 +640,11 @@ PASSED_ON = {
     "PRF.from_tess.row": "PRFGrid.at.row",
     "Target.estimate_cdpp.duration": "cdpp.duration",
     "Target.plot_transit.window": "plot_fold.window",
+    "plot_fit.psf_extent": "plot_summary.x",
+    "plot_scene.places": "plot_summary.x",
+    "plot_scene.time": "plot_summary.time",
+    "plot_scene.x": "plot_summary.x",
+    "plot_scene.y": "plot_summary.y",
 }
 # Arguments in any unit, which cancels, and arrays that are changed in place.
 ANY_UNIT = {
@@ -656,7 +661,7 @@ NO_UNIT = {
     "TabulatedPSF.array", "TabulatedPSF.oversampling",
     "TabulatedPRF.array", "TabulatedPRF.oversampling",
     "SceneCorrector.correct.transit_model", "SceneCorrector.neighbors",
-    "inject_files.star", "plot_precision.stars",
+    "inject_files.star", "plot_precision.stars", "plot_precision.published", "plot_states.changes",
     "fit_tpf.stars",
     "inject.signal", "inject.star", "TabulatedPRF.origin", "plot_detector.psf", "plot_psf.psf",
     "plot_detector.sensitivity", "plot_fit.chi2", "plot_twin.residuals",

@@ -133,6 +133,7 @@ def _colorbar(shown, ax, label):
 
 def _draw_psf(ax, psf, extent, width):
     """Draw the density of the PSF and its width."""
+    extent = None if extent is None else plain_array(extent, u.pix, "psf_extent")
     options = {"extent": extent, "cmap": "viridis", "norm": AsinhNorm(_LINEAR, 0, 1)}
     shown = ax.imshow(psf, origin="lower", **options)
     ax.set(title="PSF" if width is None else f"PSF, {width}")
