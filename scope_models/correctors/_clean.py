@@ -98,7 +98,7 @@ class CleanPixels:
     shares : ndarray
         Predicted fractions of this light ``(n, n_pixels)``, 0 outside of the aperture.
     still : ndarray
-        Those of the light in the aperture without the changes of focus; they add up to 1.
+        Those of the light in the aperture at the slow focus; they add up to 1.
     outside : ndarray
         The star's light in its pixels outside of the aperture at constant focus, in units of that
         inside, ``(n,)``.
@@ -108,7 +108,7 @@ class CleanPixels:
     position : ndarray
         Position relative to the median, px, ``(n, 2)``.
     focus : ndarray
-        Relative change of the PSF's width without short dips, up to a factor, ``(n,)``.
+        Relative change of the PSF's width without short dips, ``(n,)``.
     constant : float
         Constant light that was taken off, e-/s, the median.
     repaired : ndarray of bool
@@ -237,7 +237,6 @@ class _State:
         self.time, self.grid, self.aperture, self.use = time, grid, aperture, use
         self.own = own
         typical = quantile(flux[use].T)
-        self.center = grid[np.argmax(typical)].astype(float)
         offset = (grid - grid.mean(axis=0)) / np.maximum(np.ptp(grid, axis=0), 1)
         self.planes = np.column_stack([np.ones(n_pixels), offset])
         dark = np.argsort(typical)[: max(3, n_pixels // 4)]
@@ -254,6 +253,16 @@ class _State:
         self.brightness = total / self.unit
         self.noise = (quantile(flux_err[use].T) / self.unit) ** 2
         self.variance = self.noise
+        places = {tuple(place): k for k, place in enumerate(grid)}
+        self.beside = np.array(
+            [
+                [
+                    [places.get((x + i * (1 - k), y + i * k), -1) for x, y in grid]
+                    for i in range(-2, 3)
+                ]
+                for k in (0, 1)
+            ]
+        )
         self.scale = np.maximum(quantile(self.y[use].T, 0.98), 3 * np.sqrt(self.noise))
         self.good = np.ones((n, n_pixels), dtype=bool)
         self.focus, self.variable = np.zeros((2, n))
@@ -281,7 +290,8 @@ class _State:
         """Begin at POS_CORR, and where that is unknown or absurd at centroids in its scale."""
         light = (self.y - self.background)[:, self.aperture]
         centroid = light @ self.grid[self.aperture] * (self.unit / total)[:, None]
-        centroid = centroid - quantile(centroid[self.use].T)
+        self.center = quantile(centroid[self.use].T)
+        centroid = centroid - self.center
         known = np.isfinite(position).all(axis=1)
         offset = np.where(known[:, None], position, 0.0)
         fit = known & self.use
@@ -358,6 +368,7 @@ class _State:
             # A PSF that widens about the star's center.
             far = self.grid - self.center - self.z[:, None]
             focus = far[:, :, 0] * slopes[0] + far[:, :, 1] * slopes[1] - 2 * image
+            focus = np.where(self.own, focus, 0.0)
             focus -= image * (focus @ inside)[:, None]
         else:
             focus = without_sum(coarse / total, self._focus)
@@ -368,6 +379,45 @@ class _State:
             whole += without_sum(self.slow / total, self._slow)
         return image, whole, [*slopes, focus], constant
 
+    def _widened(self, image):
+        """
+        Return the change of images of a PSF that widens by a part w, over w.
+
+        What pixels lose is what flows through their edges. The light there is that of the cubic
+        polynomial whose integrals over the four nearest pixels are right, and in the wings, where
+        that is less, the geometric mean of both pixels.
+        """
+        wider, whole = np.zeros_like(image), image
+        image = np.where(self.own, image, 0.0)  # other stars widen about their own centers
+        for axis in (0, 1):
+            near = [image[:, self.beside[axis, k]] * (self.beside[axis, k] >= 0) for k in range(5)]
+            for side, light in ((-1, near[:4]), (1, near[1:])):
+                edge = (7 * (light[1] + light[2]) - light[0] - light[3]) / 12
+                edge = np.maximum(edge, np.sqrt(np.maximum(light[1] * light[2], 0)))
+                far = self.grid[:, axis] + 0.5 * side - self.center[axis] - self.z[:, axis, None]
+                wider -= side * far * edge
+        return wider - whole * (wider @ self.aperture)[:, None]
+
+    def _normalize(self, image, slopes):
+        """
+        Give the focus the unit of a relative width, and its image the light of the wings.
+
+        Where pixels are dark a wider PSF is like more background: the level of its image there is
+        that of the widening.
+        """
+        use, outside = self.use, self.own & ~self.aperture
+        wider, fitted = self._widened(image)[use].mean(axis=0), slopes[2][use].mean(axis=0)
+        signal = [(values**2 / self.variance).sum() + 1e-12 for values in (fitted, wider)]
+        size = np.sqrt(signal[0] / signal[1])
+        self.focus = self.focus * size
+        self._focus, slopes[2] = self._focus / size, slopes[2] / size
+        if outside.any():
+            wing = quantile((wider - fitted / size)[outside])
+            columns = self._last[-1]
+            one = np.linalg.lstsq(columns[use], np.ones(use.sum()), rcond=None)[0]
+            self._focus = self._focus + wing * one[:, None]
+            slopes[2] += wing * (1 - self.aperture.sum() * image)
+
     def fit_cadences(self, iteration):
         """
         Improve brightness, background, position and focus of each cadence: one linear step.
@@ -375,7 +425,10 @@ class _State:
         Return whether the step was small.
         """
         before = np.stack([self.brightness, *self.z.T, self.focus])
-        _, image, slopes, constant = self.images()
+        still, image, slopes, constant = self.images()
+        if self._focus is not None:
+            self._normalize(still, slopes)
+        before[3] = self.focus
         rest = self._rest(image, constant)
         spread = 1.4826 * quantile(np.abs(rest[self.use].T))
         self.variance = np.maximum(self.noise, spread**2)
@@ -403,9 +456,12 @@ class _State:
         self._set_variable(iteration)
         self._anchor()
         # what positions and brightness explain is no focus
-        columns = np.column_stack([np.ones(len(self.z)), self.z, self.variable])
+        use, center = self.use, self.z[self.use].mean(axis=0)
+        columns = np.column_stack([np.ones(len(use)), self.z - center, self.variable])
         focus = self.focus + np.clip(step[3], -0.02, 0.02)
-        focus -= _explained(columns, columns[self.use], focus[self.use])
+        # ... beyond what positions are uncertain by
+        ridge = use.sum() * np.diag([0, _POSITION_PRIOR, _POSITION_PRIOR, 0]) ** 2
+        focus -= _explained(columns, columns[use], focus[use], ridge)
         late = iteration >= _FOCUS_FROM
         self.focus = self.smoothed(focus, error[3], "focus") if late else focus
         moved = np.abs(np.stack([self.brightness, *self.z.T, self.focus]) - before) / error[:4]
@@ -567,15 +623,16 @@ class _State:
         """Return a light and the fractions."""
         still, image, slopes, constant = images
         other, inside = self._constant_light(image, slopes[:2], constant), self.aperture
+        focus = self._lines(self.focus, _SLOW)  # without short dips
         return CleanPixels(
             light=self.unit * (light - other),
             light_error=self.unit * error,
             shares=np.where(inside, image, 0.0) / self._kept(images)[:, None],
-            still=np.where(inside, still, 0.0),
+            still=np.where(inside, still + focus[:, None] * slopes[2], 0.0),
             outside=still @ (self.own & ~inside),
             background=self.unit * self.background,
             position=self.z,
-            focus=self._lines(self.focus, _SLOW),  # without short dips
+            focus=focus,
             constant=self.unit * quantile(other[self.use]),
             repaired=~self.good,
             weighted=weighted,

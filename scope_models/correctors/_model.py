@@ -38,8 +38,11 @@ _FEWEST_CADENCES = 30
 _FRACTIONS = ("auto", "predicted", "measured")
 #: Kinds of the light that is corrected.
 FLUXES = ("auto", "sum", "weighted")
-#: Branch: part of the cadences for which predicted fractions must exist.
+#: Branch: part of the cadences with much light for which predicted fractions must exist.
 _CREDIBLE = 0.9
+#: Branch: variance of the noise over that of FLUX_ERR from which on predicted fractions may have
+#: failed, as under the seeing of the ground.
+_MISFIT = 1.5
 #: Branch: standard errors of a difference that is none by chance.
 _SIGNIFICANT = 2.0
 #: Prior: number of columns of the constant and the polynomial trend.
@@ -248,7 +251,8 @@ class PLDModel:
         plain = options.fractions != "measured" and regressor_mask is None and not background
         if plain and can_predict(pixels, saturation, use):
             predicted, clean = with_predicted_fractions(pixels, series.pos_corr, use, options.flux)
-            if clean and predicted.usable.sum() > _CREDIBLE * pixels.usable.sum():
+            bright = pixels.usable & (pixels.total > np.median(pixels.total[use]) / 2)
+            if clean and predicted.usable[bright].mean() > _CREDIBLE:
                 extra["focus"] = focus_columns(clean, pixels.usable, use)
                 extra["aperture"] = outside_column(clean, pixels.usable)
                 if clean.constant > 0:
@@ -364,8 +368,9 @@ def fit_pixels(pixels, options, series, cadence_mask=None, **transit):
     Fit pixels, with the fractions that the data support.
 
     With ``fractions="auto"`` these are the predicted ones. Where they make the light curve rougher
-    than it was they have failed, as under the seeing of the ground, which no smooth focus
-    describes: then measured ones are taken if these predict unseen windows significantly better.
+    than it was, or leave much more noise than FLUX_ERR explains, they may have failed, as under the
+    seeing of the ground, which no smooth focus describes: then measured ones are taken if these
+    predict unseen windows significantly better.
 
     Parameters
     ----------
@@ -396,7 +401,7 @@ def fit_pixels(pixels, options, series, cadence_mask=None, **transit):
         return fitted
     # beside constant light measured fractions follow the star
     rough = _roughness(fitted.corrected()[0]) > WORSE * _roughness(pixels.total)
-    if clean.constant > 0 or not rough:
+    if clean.constant > 0 or not (rough or fitted.noise_scale > _MISFIT):
         return fitted
     measured = fitted_with(replace(options, fractions="measured"))
     both = fitted.cadence_mask & fitted.model.pixels.usable & measured.model.pixels.usable

@@ -37,14 +37,14 @@ _EXPECTED = {
     "order 2": 0.02,
     "order 2, shared": 0.01,
     "segments": 1e-4,
-    "focus": 5e-5,
+    "focus": 1e-5,
     "aperture": 1.0,
     "constant light": 0.003,
 }
-#: Prior: those of the focus have a limit: a width that changes by 1 % changes the response of
-#: pixels by 1e-3 at most. What seems to be a focus may be a dimming of the star beside constant
-#: light.
-_MOST = {"focus": 5e-4}
+#: Prior: those of the focus have a limit. The fractions hold what it does to pixels of different
+#: response; within pixels a width that changes by 1 % changes the response by 5e-4 at most. What
+#: seems to be a focus may be a dimming of the star beside constant light.
+_MOST = {"focus": 1e-4}
 
 
 class NothingToCorrectError(ValueError):

@@ -157,7 +157,8 @@ class PLDCorrector(LightkurveNames, Corrector):
             background predicts them, or as they are measured. Measured
             fractions follow the star where other light is in the aperture.
             By default predicted ones, unless these make the light curve rougher than it was
-            (seeing) and measured ones predict unseen windows better. ``pld_aperture_mask``,
+            or leave 1.5 times the noise of FLUX_ERR (seeing), and measured ones predict
+            unseen windows better. ``pld_aperture_mask``,
             background as a regressor, full pixels and fewer than 200 cadences or 4
             pixels allow measured ones only.
         regressors : object or list, optional

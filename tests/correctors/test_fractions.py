@@ -206,3 +206,12 @@ def test_fits_are_compared_on_the_same_windows():
     wild[:10] *= 1e3
     assert _gain(fit(wild), fit(1.1 * shared), None) > 2
     assert _gain(fit(shared), fit(shared), None) == 0
+
+
+def test_seeing_of_the_ground_needs_measured_fractions():
+    sky = make_sky("ground-seeing", seed=6302, n_cadences=800)
+    corrector = PLDCorrector(sky.to_tpf())
+    lc = corrector.correct()
+    change = np.log(lc.flux.value / sky.true_flux[lc.cadenceno - 1])
+    assert corrector.result.model.clean is None
+    assert np.nanstd(change) < 1e-3
