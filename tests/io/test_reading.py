@@ -128,7 +128,7 @@ def test_absent_file_and_folder(tmp_path):
     [
         ("text.fits", b"this is no FITS file\n" * 300),
         ("garbage.fits.gz", b"\x1f\x8b" + bytes(range(256)) * 20),
-        ("text.fits.gz", gzip.compress(b"this is no FITS file\n" * 300)),
+        ("text.fits.gz", gzip.compress(b"this is no FITS file\n" * 300, mtime=0)),
         ("noise.fits", np.random.default_rng(0).bytes(20000)),
         ("short.fits", b"SIMPLE  ="),
     ],
