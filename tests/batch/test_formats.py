@@ -141,6 +141,8 @@ class TestCollection:
 
     # lightkurve adds a number without a unit to a time.
     @pytest.mark.filterwarnings("ignore:Numerical value without unit")
+    # lightkurve's `to_fits` inverts a bool
+    @pytest.mark.filterwarnings("ignore:Bitwise inversion:DeprecationWarning")
     def test_lightkurve_reads_and_writes_it_again(self, collection, tmp_path):
         import lightkurve
 
