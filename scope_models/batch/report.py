@@ -16,6 +16,7 @@ from scope_models.batch._store import read_records
 from scope_models.batch.results import read_light_curve, read_results
 from scope_models.io import read_pixels
 from scope_models.io._atomic import atomic_path
+from scope_models.missions import MISSIONS
 
 __all__ = ["write_report"]
 
@@ -158,17 +159,19 @@ def _star(folder, row):
     curve = read_light_curve(folder / row["output"])
     arrays = {name: np.asarray(curve[name]) for name in curve.colnames}
     time, raw, flux = (arrays[name] for name in ("time", "raw_flux", "flux"))
+    label = {"time_label": f"Time ({MISSIONS[row['mission']].time_format.upper()})"}
     try:
         image = read_pixels(row["file"]).flux[0]
     except (OSError, ValueError):
-        return plot_light_curve(time, raw, flux).figure
+        return plot_light_curve(time, raw, flux, **label).figure
     aperture = None
     if Path(row["output"]).suffix == ".fits":
         with fits.open(folder / row["output"]) as hdus:
             aperture = hdus["APERTURE"].data & 2 > 0
     fitted = np.isfinite(arrays["pos_fit1"]).any()
     x, y = (arrays[f"{'pos_fit' if fitted else 'mom_centr'}{axis}"] for axis in (1, 2))
-    return plot_summary(time, image, raw, x, y, corrected=flux, aperture=aperture)["image"].figure
+    axes = plot_summary(time, image, raw, x, y, corrected=flux, aperture=aperture, **label)
+    return axes["image"].figure
 
 
 def _causes(title, found):

@@ -8,13 +8,13 @@ import warnings
 
 from scope_models._threads import one_thread
 from scope_models._version import __version__
-from scope_models.cli import _batch, _benchmark, _demo, _files, _report, _simulate
+from scope_models.cli import _batch, _demo, _files, _results, _simulate
 
 __all__ = ["main"]
 
 # A command is a module with `add_parser(commands)`, which sets `run(arguments)` as the default
 # of `run`. The next one is added here.
-_COMMANDS = (_demo, _simulate, _files, _report, _benchmark)
+_COMMANDS = (_demo, _simulate, _files, _results)
 
 
 class _Parser(argparse.ArgumentParser):

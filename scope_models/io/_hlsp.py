@@ -15,7 +15,8 @@ from scope_models.missions import Mission
 
 __all__ = ["Collection", "archive_hdulist", "run_label", "sha256"]
 
-#: Instrument and filter in names; of TESS as in the collection TESS-SPOC.
+#: Instrument and filter in names. TESS has one instrument without an acronym, for which the
+#: convention takes a descriptive tag: phot, as in the collection TESS-SPOC of pixel files.
 _INSTRUMENTS = {"TESS": ("phot", "tess")}
 _KEPLER = "kepler", "kepler"
 _RUNS = {"CAMPAIGN": "c{:02d}", "QUARTER": "q{:02d}", "SECTOR": "s{:04d}"}

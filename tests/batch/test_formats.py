@@ -186,6 +186,8 @@ class TestCollection:
         assert "SIMULATD" not in lc.meta
         with fits.open(tmp_path / expected, checksum=True) as hdus:
             hdus.verify("exception")
+            assert hdus[0].header["INSTRUME"] == f"{lc.meta['TELESCOP']} Photometer"
+            assert hdus[1].header["FILTER"] == lc.meta["TELESCOP"].upper()
 
     @pytest.mark.parametrize(
         "changes, message",

@@ -9,6 +9,7 @@ from astropy.io import fits
 
 from scope_models import Detector, Motion, Star, simulate
 from scope_models.batch import SweepError, detrend_files, read_results, simulate_table, write_report
+from scope_models.batch.report import _star
 from scope_models.cli import main
 from scope_models.exceptions import FailedStarsWarning
 
@@ -99,6 +100,16 @@ def test_failures_by_cause(run):
     assert re.search(r"2\s+\(cut0, cut1\): ", after)
     assert re.search(r"1\s+\(empty\): ", after)
     assert "Traceback" in after
+
+
+@pytest.mark.parametrize("mission, expected", [("K2", "Time (BKJD)"), ("TESS", "Time (BTJD)")])
+@pytest.mark.parametrize("pixels", ["there", "away"])
+def test_times_are_those_of_the_mission(run, mission, expected, pixels):
+    row = dict(read_results(run)[0]) | {"mission": mission}
+    row |= {} if pixels == "there" else {"file": "away.fits"}
+    labels = {label for ax in _star(run, row).axes for label in (ax.get_xlabel(), ax.get_ylabel())}
+    assert expected in labels
+    assert "Time (d)" not in labels
 
 
 def test_without_the_pixels(run, tmp_path):

@@ -1,4 +1,4 @@
-"""``scope-models benchmark`` and ``score``: stars of known truth, and scores of corrections."""
+"""``scope-models report``, ``benchmark`` and ``score``: pages and scores of corrections."""
 
 from scope_models.cli import _batch
 
@@ -6,7 +6,21 @@ __all__ = ["add_parser"]
 
 
 def add_parser(commands):
-    """Add both commands to the parser of the command line."""
+    """Add the three commands to the parser of the command line."""
+    parser = _batch.add_command(
+        commands,
+        "report",
+        example="report corrected",
+        help="write a page about a run over many files",
+        description="Write one HTML page about a run: noise against magnitude, outliers with their "
+        "pixels, light curves and positions, warnings, and failures by cause. It holds all of its "
+        "figures and needs no network.",
+    )
+    parser.add_argument("folder", metavar="FOLDER", help="the --output-dir of the run")
+    parser.add_argument(
+        "--output", metavar="FILE", help="the page (default: report.html in the folder)"
+    )
+    parser.set_defaults(run=_report)
     parser = _batch.add_command(
         commands,
         "benchmark",
@@ -34,6 +48,13 @@ def add_parser(commands):
     parser.add_argument("--output", metavar="TABLE", help="write the scores of each file, as ECSV")
     parser.add_argument("--overwrite", action="store_true", help="replace the table if it exists")
     parser.set_defaults(run=_score)
+
+
+def _report(arguments):
+    """Write the page and print its path."""
+    from scope_models.batch import write_report
+
+    print(write_report(arguments.folder, arguments.output))
 
 
 def _write(arguments):
