@@ -131,6 +131,7 @@ class PLDCorrector(LightkurveNames, Corrector):
         transit_model=None,
         fractions="auto",
         regressors=(),
+        positions=None,
         restore_trend=True,
         options=None,
         **lightkurve_options,
@@ -167,6 +168,8 @@ class PLDCorrector(LightkurveNames, Corrector):
             target pixel files of other stars (or their paths) are, of which the pixel fractions
             are taken, and "background", principal components of the pixels outside of the
             aperture.
+        positions : Motion, optional
+            The star's motion in place of POS_CORR, as other stars of the CCD give it.
         restore_trend : bool, optional
             Whether the long-term variability stays in the light curve.
             Periodic variability with parts faster than a day always stays.
@@ -202,6 +205,9 @@ class PLDCorrector(LightkurveNames, Corrector):
         for name in ("pld_aperture_mask", "background_aperture_mask"):
             settings[name] = named_mask(self.tpf, settings[name], name)
         settings = Settings(**settings, fractions=fractions, regressors=regressors)
+        series = self._series
+        if positions is not None:
+            series = series.replace(pos_corr=positions.offsets(series)[0])
         n = len(self._pixels.time)
         mask = checked_cadences("cadence_mask", cadence_mask, n, default=True)
         in_transit = checked_cadences("transit_mask", transit_mask, n, default=False)
@@ -211,7 +217,7 @@ class PLDCorrector(LightkurveNames, Corrector):
                 result = fit_pixels(
                     pixels,
                     settings,
-                    self._series,
+                    series,
                     mask,
                     transit_mask=in_transit,
                     transit_model=transit_model,

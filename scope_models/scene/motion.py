@@ -14,7 +14,7 @@ from scope_models._checks import checked_integer, checked_number
 from scope_models._docstrings import documented
 from scope_models._values import Value, html_table
 from scope_models.io._opening import read_positions
-from scope_models.io.pixels import positions_of
+from scope_models.io.pixels import positions_of, read_pixels
 from scope_models.missions import MISSIONS
 from scope_models.scene._motion_arrays import (
     MotionStatistics,
@@ -127,6 +127,8 @@ class Motion(Value):
     time_format: str = "bkjd"
     meta: Mapping = field(default_factory=dict)
 
+    #: Standard deviations of x and y, pixels, if they are known.
+    x_err = y_err = None
     # numpy's scalars leave `scalar * motion` to this class.
     __array_ufunc__ = None
 
@@ -640,6 +642,70 @@ class Motion(Value):
             if all(key in motion.meta and motion.meta[key] == value for motion in joined)
         }
         return cls(*columns, first.time_format, common)
+
+    def at(self, column, row):  # noqa: ARG002 - one motion for all places
+        """Return the motion of a star at another place of the detector: the same.
+
+        Parameters
+        ----------
+        column, row : float
+            Place on the CCD, pixels, as 1CRV5P and 2CRV5P count them.
+
+        Returns
+        -------
+        Motion
+            The motion there; that of `from_tpfs` depends on the place.
+        """
+        return self
+
+    def offsets(self, tpf):
+        """Return the offsets of the star of a file, in the cadences of the file.
+
+        Parameters
+        ----------
+        tpf : lightkurve.TargetPixelFile, str, path-like or scope_models.io.PixelSeries
+            The file; its first pixel is at 1CRV5P and 2CRV5P on the CCD.
+
+        Returns
+        -------
+        offsets : ndarray of shape (n, 2)
+            Along columns and rows, px; NaN in cadences that the motion lacks.
+        errors : ndarray of shape (n, 2) or None
+            Their standard deviations, px; None if the motion has none.
+
+        Raises
+        ------
+        ValueError
+            If the motion has none of the cadences, or another zero of time.
+
+        Examples
+        --------
+        >>> from scope_models import Detector, Motion, Star, simulate
+        >>> motion = Motion.k2_roll(20, seed=1)
+        >>> tpf = simulate(Star(12.0), Detector.k2(), motion[5:], seed=1).to_tpf()
+        >>> bool((motion.offsets(tpf)[0][:, 0] == motion.x[5:]).all())
+        True
+        """
+        series = read_pixels(tpf)
+        if series.time_format != self.time_format:
+            times = f"{self.time_format.upper()}, those of the file {series.time_format.upper()}"
+            raise ValueError(f"the times of the motion are {times}")
+        time = np.where(np.isfinite(series.time), series.time, np.inf)
+        middles = (self.time[1:] + self.time[:-1]) / 2
+        nearest = np.searchsorted(middles, time)
+        step = np.median(np.diff(self.time)) if len(self) > 1 else K2Roll.cadence
+        known = np.abs(time - self.time[nearest]) < step / 2
+        if not known.any():
+            raise ValueError("the motion has none of the cadences of the file")
+        corner, stamp = [series.header.get(f"{i}CRV5P") for i in (1, 2)], series.flux.shape[:0:-1]
+        moved = self
+        if all(isinstance(value, int | float) for value in corner):
+            moved = self.at(*(c + (n - 1) / 2 for c, n in zip(corner, stamp, strict=True)))
+        pairs = [(moved.x, moved.y), (moved.x_err, moved.y_err)]
+        return tuple(
+            None if x is None else np.where(known, [x[nearest], y[nearest]], np.nan).T
+            for x, y in pairs
+        )
 
     @documented()
     def plot(self, ax=None, **options):
