@@ -5,15 +5,14 @@ The functions are ``h_k(z) = He_k(z) phi(z) / sqrt(k!)`` with the probabilists' 
 of which ``dh_k/dz = -sqrt(k + 1) h_{k+1}``; used in `scope_models.models._gaussian`.
 """
 
-from copy import copy
 from functools import cache, lru_cache
 
 import numpy as np
 from scipy.special import erf
 
 __all__ = [
-    "FEW", "ROWS", "AxisPanels", "AxisTable", "axis_direct", "axis_integrals", "gauss_legendre",
-    "gaussian_nodes", "hermite_functions",
+    "FEW", "ROWS", "AxisPanels", "axis_direct", "axis_table", "gauss_legendre", "gaussian_nodes",
+    "hermite_functions",
 ]  # fmt: skip
 
 # Largest growth of rounding errors, in units of epsilon, that the closed form may have.
@@ -84,7 +83,7 @@ def _monomial_integrals(cumulative, low, high, mu, sigma, degree):
 
 def _axis_closed_form(pixels, center, sigma, coefficients, n_orders):
     """
-    Closed form of `axis_integrals`, by parts from the pixel's edges.
+    Closed form of `axis_direct`, by parts from the pixel's edges.
 
     ``sqrt(k) X_k[p] = -[p h_{k-1}] + sigma X_{k-1}[p']``, repeated until p or k is used up.
     """
@@ -117,7 +116,7 @@ def _axis_closed_form(pixels, center, sigma, coefficients, n_orders):
 
 
 def _axis_quadrature(pixels, center, sigma, coefficients, n_orders):
-    """Gauss-Legendre form of `axis_integrals`, for wide densities and high degrees."""
+    """Gauss-Legendre form of `axis_direct`, for wide densities and high degrees."""
     # The oscillation of h_k near its center shortens the scale.
     scale = np.min(sigma) / np.sqrt(1 + 0.3 * n_orders)
     nodes, weights = gauss_legendre(gaussian_nodes(scale, coefficients.size - 1))
@@ -162,75 +161,6 @@ def _count(sizes):
     return max(np.flatnonzero(sizes > 1), default=0) + 1
 
 
-class AxisTable:
-    """
-    Integrals along one axis at many positions, of a polynomial times the functions ``h_k``.
-
-    ``X_k = integral of p(u) h_k((x - center) / sigma) / sigma`` over each pixel, where u is
-    measured from the pixel's center.
-
-    Parameters
-    ----------
-    pixels : `~numpy.ndarray`
-        Pixel centers, shape ``(n,)``.
-    center, sigma : `~numpy.ndarray`
-        Positions and widths of the densities in pixels, shape ``(m,)``; sigma may be ``(1,)``.
-    coefficients : `~numpy.ndarray`
-        Coefficients of p, the constant first.
-    n_orders : int
-        Number of orders k, from 0.
-    rho : float
-        Largest correlation coefficient: order k needs to be exact to ``1 / |rho|^(k/2)`` only.
-    """
-
-    def __init__(self, pixels, center, sigma, coefficients, n_orders, rho=0.0):
-        self._arguments = pixels, coefficients, n_orders
-        self.center, self._sigma = center, sigma
-        self._expansion = None
-        self.buffer = np.empty(0)
-        if sigma.size == 1 and center.size > FEW:
-            self._interpolate(rho)
-
-    def _interpolate(self, rho):
-        """Expand the integrals in Chebyshev polynomials of the position, if that pays."""
-        pixels, coefficients, n_orders = self._arguments
-        low, high = np.min(self.center), np.max(self.center)
-        self._middle, self._half = (low + high) / 2, max((high - low) / 2, 1e-6)
-        cycles = 7.7 / self._sigma[0] * self._half
-        n = int(cycles + 5 * np.cbrt(cycles) + 8 + 0.5 * n_orders)
-        if 3 * n > self.center.size:
-            return
-        nodes, matrix = _chebyshev_rule(n)
-        positions = self._middle + self._half * nodes
-        values = axis_direct(pixels, positions, self._sigma, coefficients, n_orders)
-        expansion = matrix @ values.reshape(n, -1)
-        needed = np.abs(rho) ** (0.5 * np.arange(n_orders)) / _CHEBYSHEV_TOLERANCE
-        sizes = np.abs(expansion).reshape(n, n_orders, -1).max(axis=2) @ needed
-        if np.all(sizes[-2:] <= 1):
-            self._expansion = expansion[: _count(sizes)]
-
-    def moved(self, center):
-        """A table of the same expansion for positions ``(m,)`` within the present range."""
-        table = copy(self)
-        table.center, table.buffer = center, np.empty(0)
-        return table
-
-    def __call__(self, part):
-        """The integrals at a slice of the positions, ``(m, n_orders, n)``, until the next call."""
-        pixels, coefficients, n_orders = self._arguments
-        center = self.center[part]
-        if self._expansion is None:
-            sigma = self._sigma if self._sigma.size == 1 else self._sigma[part]
-            return axis_direct(pixels, center, sigma, coefficients, n_orders)
-        n, width = self._expansion.shape
-        if self.buffer.size < center.size * width:
-            self.buffer = np.empty(center.size * width)
-        table = self.buffer[: center.size * width].reshape(center.size, width)
-        basis = _chebyshev_vandermonde((center - self._middle) / self._half, n)
-        np.matmul(basis.T, self._expansion, out=table)
-        return table.reshape(-1, n_orders, pixels.size)
-
-
 @lru_cache(maxsize=32)
 def _known_panels(*_):
     """Return the panels of the arguments: stars of the same PSF share them."""
@@ -238,25 +168,42 @@ def _known_panels(*_):
 
 
 class AxisPanels:
-    """The integrals of an `AxisTable`, as a function of position and width alone.
+    """
+    Integrals along one axis of a polynomial times the functions ``h_k``, by position and width.
 
-    An `AxisTable` interpolates over the range of the positions that it is given. Here the ranges
-    are fixed: one pixel in position, an eighth in the logarithm of the width. The integrals at a
-    position are then the same, to the last bit, whatever other positions there are. The arguments
-    are those of an `AxisTable`, with one width and no positions. Axes of equal arguments share
-    their `panels`.
+    ``X_k = integral of p(u) h_k((x - center) / sigma) / sigma`` over each pixel, where u is
+    measured from the pixel's center. They are interpolated within panels of a ``span`` in position
+    and an eighth in the logarithm of the width: in given panels the integrals at a position are the
+    same, to the last bit, whatever other positions there are. Axes of equal arguments share their
+    `panels`.
+
+    Parameters
+    ----------
+    pixels : `~numpy.ndarray`
+        Pixel centers, shape ``(n,)``.
+    sigma : float
+        Width of the density in pixels.
+    coefficients : `~numpy.ndarray`
+        Coefficients of p, the constant first.
+    n_orders : int
+        Number of orders k, from 0.
+    rho : float
+        Largest correlation coefficient: order k needs to be exact to ``1 / |rho|^(k/2)`` only.
+    middle, span : float
+        Middle of a panel, and length of all, in pixels.
     """
 
-    def __init__(self, pixels, sigma, coefficients, n_orders, rho=0.0):
+    def __init__(self, pixels, sigma, coefficients, n_orders, rho=0.0, middle=0.0, span=1.0):
         self._arguments = pixels, coefficients, n_orders
-        self._sigma = sigma
+        self._sigma, self._middle, self._span = sigma, middle, span
         self._needed = np.abs(rho) ** (0.5 * np.arange(n_orders)) / _CHEBYSHEV_TOLERANCE
-        self.panels = _known_panels(pixels.tobytes(), sigma, coefficients.tobytes(), n_orders, rho)
+        arrays = pixels.tobytes(), coefficients.tobytes()
+        self.panels = _known_panels(*arrays, sigma, n_orders, rho, middle, span)
 
     def __call__(self, center, scale=None):
         """Integrals ``(m, n_orders, n)`` at positions and factors on the width ``(m,)``."""
         pixels, _, n_orders = self._arguments
-        place = np.rint(center)
+        place = np.rint((center - self._middle) / self._span)
         step = None if scale is None else np.rint(np.log(scale) / _LOG_STEP)
         keys = place if step is None else place + 1j * step
         if np.all(keys == keys[0]):
@@ -280,7 +227,7 @@ class AxisPanels:
             return self._direct(center, sigma)
         rows = -(-center.size // ROWS) * ROWS
         at = np.zeros(rows)
-        at[: center.size] = 2 * (center - key.real)
+        at[: center.size] = 2 * ((center - self._middle) / self._span - key.real)
         basis = _chebyshev_vandermonde(at, sizes[0])
         if scale is not None:
             at[: center.size] = 2 * (np.log(scale) / _LOG_STEP - key.imag)
@@ -298,13 +245,13 @@ class AxisPanels:
         """Chebyshev coefficients of a panel in position and width, or None, and their numbers."""
         n_orders = self._needed.size
         middle = self._sigma * np.exp(_LOG_STEP * key.imag)
-        cycles = 3.85 / middle * np.exp(_LOG_STEP / 2 * (n_scales is None))
+        cycles = 3.85 * self._span / middle * np.exp(_LOG_STEP / 2 * (n_scales is None))
         n = int(cycles + 5 * np.cbrt(cycles) + 8 + 0.5 * n_orders)
         m = n_scales or 13 + n_orders // 2
         nodes, along = _chebyshev_rule(n)
         widths, across = _chebyshev_rule(m)
         sigma = middle * np.exp(_LOG_STEP / 2 * widths) if m > 1 else np.full(1, middle)
-        centers = np.tile(key.real + nodes / 2, m)
+        centers = np.tile(self._middle + self._span * (key.real + nodes / 2), m)
         values = self._direct(centers, sigma if m == 1 else np.repeat(sigma, n))
         expansion = along @ values.reshape(m, n, -1)
         if m > 1:
@@ -318,7 +265,19 @@ class AxisPanels:
         return expansion.reshape(keep[0] * keep[1], -1), keep
 
 
-def axis_integrals(pixels, center, sigma, coefficients, n_orders=1, rho=0.0):
-    """All integrals of an `AxisTable`, shape ``(m, n_orders, n)``."""
-    table = AxisTable(pixels, center, sigma, coefficients, n_orders, rho)
-    return table(slice(None))
+def axis_table(pixels, center, sigma, coefficients, n_orders=1, rho=0.0):
+    """Return the function of a slice of the positions that gives integrals ``(m, n_orders, n)``.
+
+    Many positions ``(m,)`` of one width are interpolated by `AxisPanels`.
+    """
+    low, high = center.min(), center.max()
+    if sigma.size == 1 and center.size > FEW * (1 + high - low):
+        place = (low + high) / 2, 1.001 * (high - low) + 1e-6
+        panels = AxisPanels(pixels, sigma[0], coefficients, n_orders, rho, *place)
+        return lambda part: panels(center[part])
+
+    def table(part):
+        width = sigma if sigma.size == 1 else sigma[part]
+        return axis_direct(pixels, center[part], width, coefficients, n_orders)
+
+    return table

@@ -26,7 +26,7 @@ from math import prod
 
 import numpy as np
 
-from scope_models.models._axis import FEW, AxisTable, axis_direct, gauss_legendre, gaussian_nodes
+from scope_models.models._axis import axis_direct, axis_table, gauss_legendre, gaussian_nodes
 
 __all__ = [
     "REACH", "contract", "gaussian_derivatives", "gaussian_pixels", "n_terms", "series_step",
@@ -86,25 +86,11 @@ def _tables(x, y, parameters, coefficients, n_orders):
     flux, x_0, y_0, sigma_x, sigma_y, rho = parameters
     largest = np.max(np.abs(rho))
     powers = flux[:, np.newaxis] * rho[:, np.newaxis] ** np.arange(n_orders)
-    powers = powers[..., np.newaxis]
-    if _alike(x, y, parameters, coefficients):
-        both = AxisTable(x, np.append(x_0, y_0), sigma_x, coefficients[0], n_orders, largest)
-        return both.moved(x_0), both.moved(y_0), powers
     return (
-        AxisTable(x, x_0, sigma_x, coefficients[0], n_orders, largest),
-        AxisTable(y, y_0, sigma_y, coefficients[1], n_orders, largest),
-        powers,
+        axis_table(x, x_0, sigma_x, coefficients[0], n_orders, largest),
+        axis_table(y, y_0, sigma_y, coefficients[1], n_orders, largest),
+        powers[..., np.newaxis],
     )
-
-
-def _alike(x, y, parameters, coefficients):
-    """Whether one expansion in the position serves both axes."""
-    _, x_0, y_0, sigma_x, sigma_y, _ = parameters
-    if x_0.size <= FEW or sigma_x.size > 1 or sigma_y.size > 1 or sigma_x[0] != sigma_y[0]:
-        return False
-    same = all(np.array_equal(*pair) for pair in ((x, y), coefficients))
-    # Not for a star far from the diagonal, whose two ranges of positions lie apart.
-    return same and abs(x_0[0] - y_0[0]) < 1
 
 
 def series_step(n_terms, x, y):

@@ -3,7 +3,7 @@
 import numpy as np
 
 from scope_models._checks import checked_integer
-from scope_models.models._axis import axis_integrals, hermite_functions
+from scope_models.models._axis import axis_table, hermite_functions
 from scope_models.models._closed_form import ClosedForm, pixels_of
 from scope_models.models._parameters import (
     Domain,
@@ -146,7 +146,7 @@ class GaussHermitePSF(StarModel):
                 part = slice(start, start + _BATCH)
                 wide = [width[part] if width.size > 1 else width for width in widths]
                 tables = [
-                    axis_integrals(pixels, centers[part], *others, n).transpose(0, 2, 1)
+                    axis_table(pixels, centers[part], *others, n)(slice(None)).transpose(0, 2, 1)
                     for pixels, centers, *others in zip((x, y), flat, wide, along, strict=True)
                 ]
                 if derivatives:

@@ -20,7 +20,7 @@ from scipy.stats import norm
 from scope_models import PRF, BivariateGaussianPSF, SensitivityPolynomial, integrate_pixels
 from scope_models.exceptions import IntegrationWarning
 from scope_models.models import _gaussian
-from scope_models.models._axis import axis_integrals
+from scope_models.models._axis import axis_table
 from scope_models.models._gaussian import gaussian_pixels, n_terms, uses_series
 
 
@@ -125,9 +125,10 @@ def test_interpolated_positions_equal_direct_ones(sigma, span):
     centers = 4 + span * np.linspace(-0.5, 0.5, 1001)
     row = np.array([1.0, 0.1, -0.05])
     pixels = np.arange(9.0)
-    together = axis_integrals(pixels, centers, np.array([sigma]), row, 20, rho=0.4)
+    every = slice(None)
+    together = axis_table(pixels, centers, np.array([sigma]), row, 20, rho=0.4)(every)
     alone = np.concatenate(
-        [axis_integrals(pixels, centers[i : i + 50], np.array([sigma]), row, 20)
+        [axis_table(pixels, centers[i : i + 50], np.array([sigma]), row, 20)(every)
          for i in range(0, 1001, 50)]
     )  # fmt: skip
     weight = 0.4 ** (0.5 * np.arange(20))[:, None]
