@@ -1,4 +1,4 @@
-"""Each public name of the table tests/data/names_19e5c3d.rst does what it is for, in a few lines."""
+"""Each public name of tests/data/names_19e5c3d.rst does what it is for, in a few lines."""
 
 import importlib
 import warnings
