@@ -172,16 +172,18 @@ def _multiplied(star, relative, tpf, series, electrons):
     scene = _scene_of(star, series, tpf)
     target = scene.stars[0]
     now = target.relative_flux(scene.motion.time)
-    before = _simulated(scene).truth.model
+    unchanged = _simulated(scene.replace(noise=False))
     changed = target.replace(signal=now * relative)
     after = _simulated(scene.replace(stars=(changed, *scene.stars[1:])))
-    expected = after.truth.model - before
+    expected = after.truth.model - unchanged.truth.model
     if isinstance(star, Star):
         # the residuals would hold the light of stars that the model of one star does not have
         return _Change(expected, 1.0)
     lost = np.minimum(np.maximum(-expected, 0.0), electrons)
     kept = 1 - np.divide(lost, electrons, out=np.zeros_like(lost), where=electrons > 0)
-    return _Change(expected, kept, series.flux - before, after if star is None else None)
+    # the flux, not the model, has the background that is left in the file
+    residual = series.flux - unchanged.flux
+    return _Change(expected, kept, residual, after if star is None else None)
 
 
 def _scene_of(star, series, tpf=None):

@@ -155,6 +155,15 @@ class TestNoise:
         ratio = residual.std(axis=0)[bright] / expected.flux_err[0][bright]
         np.testing.assert_allclose(ratio, 1, rtol=0.07)
 
+    def test_background_that_is_left_stays(self):
+        """Residuals are scaled; the background is none of them."""
+        left, motion = Background(left=np.full(3000, 300.0)), Motion.still(3000)
+        tpf = observe(Star(12.0), motion=motion, effects=left).to_tpf(quality_bitmask="none")
+        dimmed = inject(tpf, np.full(3000, 0.5), seed=5)
+        added = dimmed.hdu["INJECTED"].data["FLUX_ADDED"]
+        drawn = (flux_of(dimmed) - flux_of(tpf) - added)[:, added[0] < -1]
+        assert np.abs(drawn.mean(axis=0) / drawn.std(axis=0)).max() < 4.5 / 3000**0.5
+
     def test_seed(self, crowded, planet):
         tpf = crowded.to_tpf(quality_bitmask="none")
         one, same, other = (flux_of(inject(tpf, planet, seed=seed)) for seed in (1, 1, 2))
