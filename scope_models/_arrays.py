@@ -8,21 +8,10 @@ from astropy import units as u
 from astropy.time import Time, TimeDelta
 
 __all__ = [
-    "DIGITAL",
-    "LARGEST_DAY",
-    "PER_PIXEL",
-    "TIME_ZEROS",
-    "is_angle",
-    "native",
-    "plain_array",
-    "plain_number",
-    "plain_time",
-    "plain_tree",
-    "refuse_unit",
-    "unmasked",
-    "values_of",
+    "DIGITAL", "LARGEST_DAY", "PER_PIXEL", "TIME_ZEROS", "is_angle", "native", "plain_array",
+    "plain_number", "plain_time", "plain_tree", "refuse_unit", "unmasked", "values_of",
     "without_unit",
-]
+]  # fmt: skip
 
 #: Barycentric Julian date (TDB) of the zero of each time format.
 TIME_ZEROS = MappingProxyType({"bkjd": 2454833.0, "btjd": 2457000.0})

@@ -10,22 +10,10 @@ from astropy.modeling import Model
 from scope_models._arrays import plain_number
 
 __all__ = [
-    "check_fields",
-    "checked_cadences",
-    "checked_choice",
-    "checked_integer",
-    "checked_mask",
-    "checked_matrix",
-    "checked_model",
-    "checked_number",
-    "checked_pair",
-    "checked_shape",
-    "checked_weights",
-    "integer",
-    "number",
-    "one_line",
-    "solvable",
-]
+    "check_fields", "checked_cadences", "checked_choice", "checked_integer", "checked_mask",
+    "checked_matrix", "checked_model", "checked_number", "checked_pair", "checked_shape",
+    "checked_weights", "integer", "number", "one_line", "solvable",
+]  # fmt: skip
 
 
 @contextmanager

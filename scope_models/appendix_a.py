@@ -87,11 +87,6 @@ def generate_target(
     ConnectionError
         If the motion of an EPIC number cannot be downloaded.
 
-    Warns
-    -----
-    LostLightWarning
-        If the motion takes light off the stamp.
-
     Examples
     --------
     >>> import scope_models as scope
@@ -101,26 +96,25 @@ def generate_target(
     >>> star.add_transit(depth=0.01, per=15, dur=0.5, t0=2).add_neighbor(magdiff=2)
     <Target of magnitude 12 with 1 transit and 1 neighbor: 200 cadences of 7 x 7 pixels, seed 1>
     """
-    sources = {"motion": motion, "tpf_path": tpf_path, "ID": ID}
-    motion = checked_number("roll", roll, any_sign=True) * _find_motion(sources, ncadences)
+    motion = checked_number("roll", roll, any_sign=True) * _find_motion(
+        {"motion": motion, "tpf_path": tpf_path, "ID": ID}, ncadences
+    )
     if detector is None:
-        apsize = checked_integer("apsize", apsize, 1)
-        detector = Detector.k2(shape=(apsize, apsize))
+        detector = Detector.k2(shape=2 * (checked_integer("apsize", apsize, 1),))
     elif not isinstance(detector, Detector):
         raise TypeError(f"`detector` must be a Detector, got {detector!r}")
     if background_level is not None:
-        level = checked_number(
-            "background_level", background_level, u.electron / u.s, equivalencies=PER_PIXEL
-        )
+        unit, name = u.electron / u.s, "background_level"
+        level = checked_number(name, background_level, unit, equivalencies=PER_PIXEL)
         detector = detector.replace(background=level)
     if no_sensitivity_variation:
         detector = detector.without_sensitivity()
     ny, nx = detector.shape
     middle = (nx - 1) / 2, (ny - 1) / 2
-    x_0, y_0 = middle if coords is None else checked_pair("coords", coords, u.pix)
-    if not _on_stamp(x_0, y_0, detector):
+    place = middle if coords is None else checked_pair("coords", coords, u.pix)
+    if not _on_stamp(place, detector):
         raise ValueError(f"`coords` must be on the stamp of {ny} x {nx} pixels, got {coords!r}")
-    target = Target(Star(mag, x_0, y_0, psf), detector, motion, seed=seed, noise=noise)
+    target = Target(Star(mag, *place, psf), detector, motion, seed=seed, noise=noise)
     if signal is not None:
         target.add_signal(signal)
     if transit:
@@ -135,7 +129,7 @@ def generate_target(
 
 
 def _forwarded(name):
-    """Return a method of the observation, by default with what the target has."""
+    """Return a method of the observation, with aperture and light curve of the target."""
     method = getattr(Observation, name)
     signature = inspect.signature(method)
 
@@ -154,9 +148,9 @@ class Target:
     """A simulated star, its neighbors and its pixels.
 
     `generate_target` makes it. What is added changes the expected flux only: the noise of all else
-    stays as it was, as every effect draws from its own stream of the seed. All attributes below may
-    be changed: the next look at the pixels simulates what they are then. Methods raise ValueError
-    if an argument is outside its domain, and TypeError if an option is misspelled.
+    stays as it was. All attributes below may be changed: the next look at the pixels simulates what
+    they are then. Methods raise ValueError if an argument is outside its domain, and TypeError if
+    an option is misspelled.
 
     Parameters
     ----------
@@ -182,8 +176,7 @@ class Target:
 
     Examples
     --------
-    >>> from scope_models import Detector, Motion, Star
-    >>> from scope_models import Target
+    >>> from scope_models import Detector, Motion, Star, Target
     >>> star = Target(Star(12.0, 5, 5), Detector.k2(), Motion.still(100), seed=1)
     >>> star.add_transit(depth=0.01, per=15, dur=0.5, t0=1)
     <Target of magnitude 12 with 1 transit and 0 neighbors: 100 cadences of 11 x 11 pixels, seed 1>
@@ -196,8 +189,7 @@ class Target:
         self.neighbors, self.transits = [], []
         self.seed = fresh_seed() if seed is None else check_seed(seed)
         self.noise = noise_terms(noise)
-        self._aperture = None  # as chosen by the user
-        self._made = {}  # what was computed, with what it was computed of
+        self._aperture, self._made = None, {}
         _ = self.observation  # errors and warnings come here, not at the first look
 
     def __repr__(self):
@@ -263,10 +255,10 @@ class Target:
                 warnings.simplefilter("ignore", LostLightWarning)  # the observation has warned
                 return simulate(self.scene.replace(stars=stars, noise=False)).flux
 
-        return self._kept(
-            "noise-free",
-            lambda: (cube([self.star]), cube(self.neighbors) if self.neighbors else None),
-        )
+        def cubes():
+            return cube(self.star), cube(self.neighbors) if self.neighbors else None
+
+        return self._kept("noise-free", cubes)
 
     @property
     def _detrended(self):
@@ -296,10 +288,8 @@ class Target:
         per = checked_number("per", per, u.day, positive=True)
         dur = checked_number("dur", dur, u.day, positive=True)
         t0 = self.time[0] + checked_number("t0", t0, u.day, any_sign=True)
-        exposure = self.detector.cadence_days
-        planet = TransitModel.from_depth_duration(
-            depth, dur, per, t0, b=b, u1=u1, u2=u2, exposure_time=exposure
-        )
+        options = {"b": b, "u1": u1, "u2": u2, "exposure_time": self.detector.cadence_days}
+        planet = TransitModel.from_depth_duration(depth, dur, per, t0, **options)
         self.add_signal(planet)
         self.transits.append(planet)
         return self
@@ -319,8 +309,7 @@ class Target:
         {same}
         """
         var_amp = checked_number("var_amp", var_amp, positive=True)
-        freq = checked_number("freq", freq, u.rad / u.day, positive=True)
-        period = 2 * np.pi / freq
+        period = 2 * np.pi / checked_number("freq", freq, u.rad / u.day, positive=True)
         return self.add_signal(sinusoidal_signal(var_amp, period, -self.time[0] / period))
 
     @documented(same=_SAME)
@@ -376,11 +365,14 @@ class Target:
                 angles = np.radians([checked_number("angle", angle, u.deg, any_sign=True)])
             x, y = self.star.x_0 + dist * np.cos(angles), self.star.y_0 + dist * np.sin(angles)
             places = list(zip(x, y, strict=True))
-        x_0, y_0 = next((p for p in places if _on_stamp(*p, self.detector)), places[0])
-        if not _on_stamp(x_0, y_0, self.detector):
-            place, (ny, nx) = f"column {x_0:.2f}, row {y_0:.2f}", self.detector.shape
-            raise ValueError(f"the neighbor at {place} is off the stamp of {ny} x {nx} pixels")
-        neighbor = Star(self.star.mag + magdiff, x_0, y_0, psf, signal)
+        place = next((place for place in places if _on_stamp(place, self.detector)), None)
+        if place is None:
+            (x_0, y_0), (ny, nx) = places[0], self.detector.shape
+            raise ValueError(
+                f"the neighbor at column {x_0:.2f}, row {y_0:.2f} is off the stamp of {ny} x {nx} "
+                "pixels"
+            )
+        neighbor = Star(self.star.mag + magdiff, *place, psf, signal)
         neighbor.relative_flux(self.time)  # a signal that does not fit is an error here
         self.neighbors.append(neighbor)
         return self
@@ -403,23 +395,19 @@ class Target:
             Boolean mask ``(ny, nx)``, also kept as `aperture`.
         """
         (own, others), detector = self._noise_free, self.detector
-        noise = {
-            "background": detector.background, "read_noise": detector.read_noise,
-            "neighbors": others, "n_frames": detector.n_reads,
-        }  # fmt: skip
         methods = {
             "threshold": (own,),
             "signal-to-noise": (own, detector.exposure_time),
             "contamination": (own, np.zeros_like(own) if others is None else others),
             "circular": (detector.shape, self.star.x_0, self.star.y_0),
         }
-        checked_choice("method", method, methods)
-        options |= noise if method == "signal-to-noise" else {}
+        if checked_choice("method", method, methods) == "signal-to-noise":
+            options |= {"background": detector.background, "read_noise": detector.read_noise}
+            options |= {"neighbors": others, "n_frames": detector.n_reads}
         make = getattr(photometry, f"{method.replace('-', '_')}_aperture")
-        mask = make(*methods[method], **options)
-        self._aperture = mask
+        self._aperture = make(*methods[method], **options)
         self._made.pop("detrended", None)
-        return mask
+        return self._aperture
 
     def estimate_cdpp(self, flux=None, duration=6.5, method="lightkurve"):
         """Estimate the noise on the time scale of a transit.
@@ -442,13 +430,13 @@ class Target:
         cadence = None if hasattr(flux, "time") else self.detector.cadence_days
         return photometry.cdpp(flux, duration, method, cadence=cadence)
 
-    def detrend(self, *, mask_transits=True, **options):
+    def detrend(self, **options):
         """De-trend the light curve of `aperture` by pixel-level decorrelation.
+
+        The cadences of the transits that were added are left out of the fit.
 
         Parameters
         ----------
-        mask_transits : bool, optional
-            Leave the cadences of the transits that were added out of the fit.
         **options
             Options of `scope_models.correctors.PLDCorrector.correct`, such as order or
             transit_mask.
@@ -462,17 +450,15 @@ class Target:
         from scope_models.correctors import PLDCorrector
 
         tpf = self.to_tpf()
-        if mask_transits and self.transits:
-            in_transit = np.any([planet(self.time) < 1 for planet in self.transits], axis=0)
-            in_transit = in_transit[np.isin(self.motion.cadenceno, tpf.cadenceno)]
-            options["transit_mask"] = in_transit | options.get("transit_mask", False)
+        for planet in self.transits:
+            inside = (planet(self.time) < 1)[np.isin(self.motion.cadenceno, tpf.cadenceno)]
+            options["transit_mask"] = inside | options.get("transit_mask", False)
         light_curve = PLDCorrector(tpf, aperture_mask=self.aperture).correct(**options)
         self._made["detrended"] = value_key(self.scene), light_curve
         return light_curve
 
     to_tpf, write = _forwarded("to_tpf"), _forwarded("write")
     to_lightcurve = _forwarded("to_lightcurve")
-
     plot, animate = _forwarded("plot"), _forwarded("animate")
 
     def display_detector(self, oversample=20, *, axes=None):
@@ -492,21 +478,19 @@ class Target:
         """
         from scope_models.plotting import plot_detector
 
-        (ny, nx), truth = self.detector.shape, self.observation.truth
-        y, x = (np.mgrid[: ny * oversample, : nx * oversample] + 0.5) / oversample - 0.5
+        detector, truth = self.detector, self.observation.truth
+        y, x = (np.indices(oversample * np.array(detector.shape)) + 0.5) / oversample - 0.5
         sensitivity = np.kron(truth.interpixel, np.ones((oversample, oversample)))
-        if self.detector.sensitivity is not None:
-            sensitivity = sensitivity * self.detector.sensitivity(x, y)
+        if detector.sensitivity is not None:
+            sensitivity = sensitivity * detector.sensitivity(x, y)
         light = np.zeros_like(x)
-        for i, star in enumerate([self.star, *self.neighbors]):
-            psf = self.detector.psf if star.psf is None else star.psf
+        for i, star in enumerate(self.scene.stars):
+            psf = detector.psf if star.psf is None else star.psf
             prf, flux = PRF(psf), truth.flux[i] * truth.relative_flux[i, 0]
             place = x - truth.x[i, 0] + prf.x_0.value, y - truth.y[i, 0] + prf.y_0.value
             light += flux * psf(*place) / prf.flux.value
-        image = self.targetpixelfile[0]
-        return plot_detector(
-            sensitivity, light, image, oversample, aperture=self.aperture, axes=axes
-        )
+        options = {"aperture": self.aperture, "axes": axes}
+        return plot_detector(sensitivity, light, self.targetpixelfile[0], oversample, **options)
 
     @documented()
     def display_aperture(self, *, ax=None):
@@ -519,20 +503,6 @@ class Target:
         from scope_models.plotting import plot_pixels
 
         return plot_pixels(self.targetpixelfile[0], self.aperture, title="First cadence", ax=ax)
-
-    @documented()
-    def display_motion(self, *, ax=None):
-        """Draw the track of the star over the pixels, colored by time.
-
-        Parameters
-        ----------
-        {draw}
-        """
-        from scope_models.plotting import plot_motion
-
-        label, truth = f"Time ({self.motion.time_format.upper()})", self.observation.truth
-        place = truth.x[0], truth.y[0], self.detector.shape
-        return plot_motion(self.time, *place, time_label=label, ax=ax)
 
     @documented()
     def plot_transit(self, number=0, *, window=None, ax=None):
@@ -574,10 +544,9 @@ def _find_motion(sources, ncadences):
     given = [name for name, value in sources.items() if value is not None]
     if len(given) > 1:
         raise ValueError(f"only one of `motion`, `tpf_path` and `ID` may be given, got {given}")
-    if ncadences is not None:
-        ncadences = checked_integer("ncadences", ncadences, 1)
+    n = _NCADENCES if ncadences is None else checked_integer("ncadences", ncadences, 1)
     if not given:
-        return Motion.k2_roll(_NCADENCES if ncadences is None else ncadences)
+        return Motion.k2_roll(n)
     motion = sources[given[0]]
     if given == ["tpf_path"]:
         motion = Motion.from_file(motion)
@@ -585,11 +554,11 @@ def _find_motion(sources, ncadences):
         motion = _download_motion(checked_integer("ID", motion, 1))
     elif not isinstance(motion, Motion):
         raise TypeError(f"`motion` must be a Motion, got {motion!r}; `tpf_path` takes a file")
-    if ncadences is not None and ncadences > len(motion):
+    if ncadences is not None and n > len(motion):
         raise ValueError(
-            f"`ncadences` must be at most {len(motion)}, the length of the motion, got {ncadences}"
+            f"`ncadences` must be at most {len(motion)}, the length of the motion, got {n}"
         )
-    return motion[: ncadences or _NCADENCES]
+    return motion[:n]
 
 
 def _download_motion(epic):
@@ -602,14 +571,12 @@ def _download_motion(epic):
     except (OSError, lightkurve.search.SearchError) as error:
         raise ConnectionError(
             f"the motion of EPIC {epic} could not be downloaded ({type(error).__name__}); without "
-            "a network give a target pixel or light-curve file as `tpf_path`, or neither for a "
-            "generated motion"
+            "a network give a target pixel or light-curve file as `tpf_path`"
         ) from error
     if tpf is None:
         raise ValueError(f"`ID` must be the EPIC number of a K2 target, {epic} is not known")
     return Motion.from_tpf(tpf)
 
 
-def _on_stamp(x_0, y_0, detector):
-    ny, nx = detector.shape
-    return -0.5 <= x_0 <= nx - 0.5 and -0.5 <= y_0 <= ny - 0.5
+def _on_stamp(place, detector):
+    return all(-0.5 <= p <= n - 0.5 for p, n in zip(place, detector.shape[::-1], strict=True))

@@ -3,16 +3,10 @@
 from astropy.utils.exceptions import AstropyUserWarning
 
 __all__ = [
-    "CatalogWarning",
-    "DamagedFileWarning",
-    "DamagedResultWarning",
-    "DetrendingWarning",
-    "FailedStarsWarning",
-    "FitWarning",
-    "IntegrationWarning",
-    "LostLightWarning",
+    "CatalogWarning", "DamagedFileWarning", "DamagedResultWarning", "DetrendingWarning",
+    "FailedStarsWarning", "FitWarning", "IntegrationWarning", "LostLightWarning",
     "ScopeModelsWarning",
-]
+]  # fmt: skip
 
 
 class ScopeModelsWarning(AstropyUserWarning):

@@ -9,15 +9,9 @@ from scope_models._threads import one_thread
 from scope_models.scene.motion import K2Roll
 
 __all__ = [
-    "SkyScore",
-    "binned",
-    "depth_difference",
-    "deviation_of",
-    "diluted",
-    "leak_slopes",
-    "score_light_curve",
-    "score_places",
-]
+    "SkyScore", "binned", "depth_difference", "deviation_of", "diluted", "leak_slopes",
+    "score_light_curve", "score_places",
+]  # fmt: skip
 
 _BIN = 13 * K2Roll.cadence  # days, 6.5 h
 _WINDOW = 3.0  # days

@@ -9,15 +9,9 @@ from scope_models._values import Value
 from scope_models.models._parameters import numbers_of
 
 __all__ = [
-    "CADENCE_UNITS",
-    "STATISTICS",
-    "FitParameter",
-    "FittedStar",
-    "cadence_table",
-    "degrees_of_freedom",
-    "fit_parameters",
-    "parameter_table",
-]
+    "CADENCE_UNITS", "STATISTICS", "FitParameter", "FittedStar", "cadence_table",
+    "degrees_of_freedom", "fit_parameters", "parameter_table",
+]  # fmt: skip
 
 # Narrower PSFs are the same to a pixel.
 _LEAST_WIDTH = 0.1

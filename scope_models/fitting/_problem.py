@@ -15,16 +15,9 @@ from scope_models.fitting._parameters import FitParameter, fit_parameters
 from scope_models.models._parameters import numbers_of
 
 __all__ = [
-    "LARGEST_MOVE",
-    "UNTRUE",
-    "FitOptions",
-    "FitStar",
-    "NormalEquations",
-    "Problem",
-    "Settings",
-    "State",
-    "median_image",
-]
+    "LARGEST_MOVE", "UNTRUE", "FitOptions", "FitStar", "NormalEquations", "Problem", "Settings",
+    "State", "median_image",
+]  # fmt: skip
 
 # Cadences whose derivatives are held at once.
 _CHUNK = 256

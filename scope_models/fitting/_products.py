@@ -29,14 +29,9 @@ from scope_models.scene.scene import Scene
 from scope_models.scene.star import Star
 
 __all__ = [
-    "SMOOTHING_DAYS",
-    "make_scene",
-    "psf_image",
-    "read_fit",
-    "sensitivity_profiles",
-    "smoothed",
+    "SMOOTHING_DAYS", "make_scene", "psf_image", "read_fit", "sensitivity_profiles", "smoothed",
     "write_fit",
-]
+]  # fmt: skip
 
 _CREATOR, _VERSION = "scope_models fit", 2
 _NOT_OF_THE_DETECTOR = ("sensitivity", "interpixel", "psf")

@@ -25,19 +25,9 @@ from scope_models.models import (
 )
 
 __all__ = [
-    "APART",
-    "PixelData",
-    "centroids",
-    "find_stars",
-    "is_faint",
-    "linear_start",
-    "make_prf",
-    "make_rich_prf",
-    "read_data",
-    "read_places",
-    "solved",
-    "starting_state",
-]
+    "APART", "PixelData", "centroids", "find_stars", "is_faint", "linear_start", "make_prf",
+    "make_rich_prf", "read_data", "read_places", "solved", "starting_state",
+]  # fmt: skip
 
 # A local maximum of the median image is a star if it is brighter than this part of the brightest
 # pixel, and than so many errors of the median image.

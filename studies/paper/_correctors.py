@@ -11,15 +11,9 @@ from astropy.stats import mad_std
 from scope_models.photometry import cdpp
 
 __all__ = [
-    "CONVENTIONS",
-    "LIGHTKURVE_CORRECTORS",
-    "best_setting",
-    "correct",
-    "noise_of",
-    "quiet",
-    "score",
+    "CONVENTIONS", "LIGHTKURVE_CORRECTORS", "best_setting", "correct", "noise_of", "quiet", "score",
     "transit_amplitude",
-]
+]  # fmt: skip
 
 #: The two conventions of the CDPP.
 CONVENTIONS = ("everest", "lightkurve")

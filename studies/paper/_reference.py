@@ -11,13 +11,8 @@ import numpy as np
 from astropy.table import Table
 
 __all__ = [
-    "PERCENTILES",
-    "REFERENCES",
-    "bin_noise",
-    "compared",
-    "read_reference",
-    "reference_noise",
-]
+    "PERCENTILES", "REFERENCES", "bin_noise", "compared", "read_reference", "reference_noise",
+]  # fmt: skip
 
 #: Percentiles in the tables, by the name of their column.
 PERCENTILES = {"p10": 10, "p25": 25, "median": 50, "p75": 75, "p90": 90}

@@ -17,14 +17,8 @@ from scope_models.batch import SweepError, run_sweep
 from scope_models.cli._batch import add_workers, client_of, with_config
 
 __all__ = [
-    "cells",
-    "grid",
-    "largest",
-    "medians",
-    "on_grid",
-    "percentiles",
-    "run",
-]
+    "cells", "grid", "largest", "medians", "on_grid", "percentiles", "run",
+]  # fmt: skip
 
 
 def run(name, parameters, tasks, measure, summarize, draw, units, argv=None):
