@@ -1,16 +1,21 @@
 """Throughput and memory of sweeps.
 
-Three parts, or those that are named on the command line:
+Four parts, or those that are named on the command line:
 
 throughput
     The stars of the motion test without lightkurve's correctors and without transits (simulation,
     PLD and CDPP) in one process and in two, one after the other, several times: rates, and the
     gain of the second process. The target is 1.8. The processes have begun and have imported
     everything before the clock starts; that time is given separately.
-scaling
-    10 to 10,000 stars in two processes: rate, memory of all processes and what is on disk. Memory
-    must stay flat. So that many stars end soon, each is 100 cadences of 7 x 7 pixels, and nothing
-    is de-trended.
+files
+    100 to 10,000 target pixel files, simulated and corrected in one process: processor time per
+    file, all of it and that of the files alone, memory of the process, time of a resumed run, and
+    the records of results. All must stay flat. So that many files end soon, each has 60 cadences of
+    11 x 11 pixels; `--cadences` sets another number.
+cost
+    Files of a K2 campaign (3600 cadences) and of a TESS sector (120 s, 18,000 cadences), corrected
+    with default options, a process for each mission: processor time, peak memory, bytes read and
+    written, and core hours of 20,000 files.
 overhead
     100,000 stars that cost nothing, so that what is left is the sweep itself: keeping the stars,
     resuming, and writing the table.
@@ -26,22 +31,25 @@ import subprocess
 import sys
 import tempfile
 import time
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from functools import partial
+from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
 from _common import report_environment
 from distributed import Client, LocalCluster
 
-from scope_models import Detector, Motion, Star, simulate
-from scope_models.batch import run_sweep, star_rng, star_seed
+from scope_models.batch import detrend_files, run_sweep, simulate_table, star_rng
 
 sys.path.append(str(Path(__file__).parents[1] / "studies" / "paper"))
 motion = importlib.import_module("motion")
 
 REPEATS = 5
-SIZES = (10, 100, 1000, 10000)
+SIZES = (100, 1000, 10000)
+QUIET = {"progress": False}
+COSTS = {"K2": ("k2", 3600), "TESS": ("tess", 18000)}
 
 
 def stars(number):
@@ -51,15 +59,6 @@ def stars(number):
 def draw(task):
     """Return a star that costs nothing: a row of 15 random numbers."""
     return {f"value{i}": v for i, v in enumerate(star_rng(1, task["key"]).random(15))}
-
-
-def small(task):
-    """Return a star that costs little: 100 cadences of 7 x 7 pixels, and their scatter."""
-    detector, still = Detector.k2(shape=(7, 7)), Motion.still(100)
-    observation = simulate(Star(12.0), detector, still, seed=star_seed(1, task["key"]))
-    flux = observation.flux.sum(axis=(1, 2))
-    values = np.percentile(flux, np.linspace(0, 100, 14))
-    return {"scatter": flux.std()} | {f"value{i}": value for i, value in enumerate(values)}
 
 
 def light_study(number, cadences, magnitudes, scales):
@@ -114,30 +113,76 @@ def clock(study, client):
     return time.perf_counter() - began
 
 
-def report_scaling(sizes):
-    print("Scaling: stars of 100 cadences in two processes, all times with the start")
-    print("  stars        s  stars/s   largest memory, MiB: parent, worker   on disk, kB/star")
-    for size in sizes:  # each in a process of its own, because memory is a maximum so far
-        command = [sys.executable, __file__, "--size", str(size)]
-        print(subprocess.run(command, check=True, capture_output=True, text=True).stdout, end="",
-              flush=True)  # fmt: skip
+def own_process(*arguments):
+    """Run this script in a process of its own, because memory is a maximum so far."""
+    command = [sys.executable, __file__, *map(str, arguments)]
+    print(subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True).stdout, end="",
+          flush=True)  # fmt: skip
+
+
+def size_of(folder, pattern):
+    """Return the mean size of files, MiB."""
+    sizes = [path.stat().st_size for path in folder.rglob(pattern)]
+    return sum(sizes) / len(sizes) / 2**20
+
+
+def memory():
+    """Return the most memory of this process so far, MiB."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+
+
+def report_files(sizes, cadences):
+    print(f"Files: {cadences} cadences of 11 x 11 pixels in one process; ms of a core per file")
+    print("  files  simulate  detrend  the files alone  resume  memory, MiB  results, kB/file")
+    for size in sizes:
+        own_process("--size", size, "--cadences", cadences)
     print()
 
 
-def report_size(size):
-    """Print one line of the scaling."""
-    with tempfile.TemporaryDirectory() as folder:
-        began = time.perf_counter()
-        result = run_sweep(small, stars(size), folder, 2, progress=False)
-        taken = time.perf_counter() - began
-        disk = sum(path.stat().st_size for path in Path(folder).rglob("*") if path.is_file())
-    assert len(result.table) == size  # noqa: S101
-    own, workers = (
-        resource.getrusage(who).ru_maxrss / 1024
-        for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
-    )
-    print(f"  {size:5d} {taken:8.1f} {size / taken:8.1f} {own:29.0f} {workers:7.0f}"
-          f" {disk / size / 1e3:18.2f}")  # fmt: skip
+def report_size(size, cadences):
+    """Print one line about files."""
+    with tempfile.TemporaryDirectory() as name:
+        folder, stars = Path(name), {"mag": np.linspace(11, 15, size)}
+        used = [time.process_time()]
+        simulate_table(stars, folder / "pixels", cadences=cadences, sweep=QUIET)
+        used.append(time.process_time())
+        pixels = sorted((folder / "pixels").glob("*.fits"))
+        for _ in range(2):  # the second time nothing is left to do
+            result = detrend_files(pixels, folder / "out", order=1, sweep=QUIET)
+            used.append(time.process_time())
+        disk = (folder / "out" / "results.sqlite").stat().st_size / 1e3 / size
+    assert (len(result.table), result.n_computed) == (size, 0)  # noqa: S101
+    steps = 1e3 * np.diff(used) / size
+    alone = 1e3 * np.mean(result.table["seconds"])
+    print(f"  {size:5d} {steps[0]:9.1f} {steps[1]:8.1f} {alone:16.1f} {steps[2]:7.2f} "
+          f"{memory():12.0f} {disk:16.2f}")  # fmt: skip
+
+
+def report_cost(number):
+    print(f"Cost: {number} simulated stars of 11 to 16 mag, default options")
+    print("                             s per file   memory  file read  written  20,000 files")
+    for mission in COSTS:
+        own_process("--mission", mission, "--stars", number)
+    print()
+
+
+def report_mission(mission, number):
+    """Print one line about the cost of a mission's files."""
+    detector, cadences = COSTS[mission]
+    with tempfile.TemporaryDirectory() as name:
+        folder, stars = Path(name), {"mag": np.linspace(11, 16, number)}
+        options = {"detector": detector, "cadences": cadences, "sweep": QUIET}
+        # another process, because memory is a maximum so far
+        with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as other:
+            other.submit(simulate_table, stars, folder / "pixels", **options).result()
+        pixels = sorted((folder / "pixels").glob("*.fits"))
+        table = detrend_files(pixels, folder / "out", sweep=QUIET).table
+        read, written = size_of(folder / "pixels", "*.fits"), size_of(folder / "out", "*.fits")
+    seconds = np.asarray(table["seconds"])
+    title = f"{mission}, {cadences} cadences"
+    hours = 20_000 * seconds.mean() / 3600
+    print(f"  {title:25s} {seconds.min():5.2f}-{seconds.max():5.2f} {memory():5.0f} MiB "
+          f"{read:6.1f} MiB {written:4.2f} MiB {hours:6.1f} core hours")  # fmt: skip
 
 
 def report_overhead(size):
@@ -151,29 +196,34 @@ def report_overhead(size):
                   f"{1e3 * used / size:.3f} ms per star")  # fmt: skip
         print(f"  on disk: {(Path(folder) / 'results.sqlite').stat().st_size / 1e6:.1f} MB")
         print(f"  results.ecsv: {(Path(folder) / 'results.ecsv').stat().st_size / 1e6:.1f} MB")
-    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    print(f"  largest memory of the process: {memory:.0f} MiB")
+    print(f"  largest memory of the process: {memory():.0f} MiB")
 
 
 def main():
-    parts = ("throughput", "scaling", "overhead")
+    parts = ("throughput", "files", "cost", "overhead")
     parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
     parser.add_argument("parts", nargs="*", metavar="PART", help=f"{', '.join(parts)} (all)")
-    parser.add_argument("--stars", type=int, default=8, help="throughput: stars per cell (8)")
-    parser.add_argument("--cadences", type=int, default=1000, help="throughput: cadences (1000)")
-    parser.add_argument("--sizes", type=int, nargs="+", default=SIZES, help="scaling: stars")
+    parser.add_argument("--stars", type=int, default=8, help="throughput, cost: stars (8)")
+    parser.add_argument("--cadences", type=int, help="throughput (1000), files (60): cadences")
+    parser.add_argument("--sizes", type=int, nargs="+", default=SIZES, help="files: how many")
     parser.add_argument("--empty", type=int, default=100_000, help="overhead: stars (100000)")
     parser.add_argument("--size", type=int, help=argparse.SUPPRESS)
+    parser.add_argument("--mission", help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.size is not None:
-        report_size(options.size)
+        report_size(options.size, options.cadences)
+        return
+    if options.mission is not None:
+        report_mission(options.mission, options.stars)
         return
     report_environment("distributed")
     for part in options.parts or parts:
         if part == "throughput":
-            report_throughput(options.stars, options.cadences)
-        elif part == "scaling":
-            report_scaling(options.sizes)
+            report_throughput(options.stars, options.cadences or 1000)
+        elif part == "files":
+            report_files(options.sizes, options.cadences or 60)
+        elif part == "cost":
+            report_cost(options.stars)
         elif part == "overhead":
             report_overhead(options.empty)
         else:

@@ -61,8 +61,9 @@ def write_star(path, row, light_curve):
         unit = {"unit": UNITS[name]} if name in UNITS else None
         columns.append(pa.array([value]))
         fields.append(pa.field(name, columns[-1].type, metadata=unit))
-    names = [name.lower().replace("sap_quality", "quality") for name in light_curve.names]
-    native = [np.asarray(light_curve[n]) for n in light_curve.names]
+    names = light_curve.dtype.names
+    native = [np.asarray(light_curve[name]) for name in names]
+    names = [name.lower().replace("sap_quality", "quality") for name in names]
     native = [array.astype(array.dtype.newbyteorder("=")) for array in native]
     lists = [pa.array([array]) for array in native]
     columns.append(pa.StructArray.from_arrays(lists, names=names))

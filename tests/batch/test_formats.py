@@ -2,15 +2,18 @@
 
 import csv
 import hashlib
+import multiprocessing
 import re
 import shutil
 import subprocess
+import time
 
 import numpy as np
 import pytest
 from astropy import units as u
 from astropy.io import fits
 from astropy.time import Time
+from sweep_studies import write_rows
 
 from scope_models import Detector, Motion, Star, simulate
 from scope_models.batch import detrend_files, fit_files, inject_file, read_results
@@ -291,6 +294,49 @@ class TestParquet:
         for name in ("results.ecsv", "summary.ecsv", "results.sqlite"):
             (copy / name).unlink()
         assert read_results(copy)["key"].tolist() == ["star0", "star1", "star2"]
+
+    @pytest.mark.slow
+    def test_many_stars_by_many_workers_after_a_crash(self, tmp_path):
+        """10,000 stars by four processes, which are killed, and begin again."""
+        pytest.importorskip("pyarrow")
+        import pandas as pd
+
+        context, data = multiprocessing.get_context("spawn"), tmp_path / "light_curves"
+
+        def written():
+            return {int(path.stem[4:]) for path in data.glob("*/*/star*.parquet")}
+
+        def begin():
+            missing = sorted(set(range(10_000)) - written())
+            shares = [missing[first::4] for first in range(4)]
+            workers = [context.Process(target=write_rows, args=(tmp_path, n)) for n in shares]
+            for worker in workers:
+                worker.start()
+            return workers
+
+        def check(number):
+            frame = pd.read_parquet(data)
+            assert len(frame) == number == len(read_results(tmp_path))
+            numbers = frame["key"].str[4:].astype(int)
+            assert numbers.nunique() == number
+            assert np.allclose(frame["mag"], numbers / 1e3, rtol=1e-12)
+            for n, curve in zip(numbers, frame["light_curve"], strict=True):
+                np.testing.assert_array_equal(curve["time"], np.arange(20.0) + n)
+                np.testing.assert_array_equal(curve["flux"], 2 * np.arange(20.0) + 2 * n)
+
+        workers, limit = begin(), time.monotonic() + 600
+        while len(written()) < 2000:
+            assert time.monotonic() < limit
+            time.sleep(0.5)
+        for worker in workers:
+            worker.kill()
+            worker.join()
+        assert len(written()) < 10_000
+        check(len(written()))
+        for worker in begin():
+            worker.join()
+            assert worker.exitcode == 0
+        check(10_000)
 
     def test_a_data_set_that_exists(self, folder, made, tmp_path):
         shutil.copytree(folder / "light_curves", tmp_path / "light_curves")
