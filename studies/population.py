@@ -14,6 +14,7 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
+from _rows import append_rows
 from astropy.table import Table
 from k2_motion import K2MotionNoise, choose_aperture
 from paper._correctors import quiet
@@ -164,16 +165,12 @@ def main():
         print("16, 50, 84 %:", np.percentile(ratio, [16, 50, 84]).round(2))
     if options.table or options.against:
         return
-    done = len(options.file.read_text().splitlines()) - 1 if options.file.exists() else 0
-    if not done:
-        options.file.write_text(",".join(COLUMNS) + "\n")
     every = max(1, options.stars // max(options.corrected, 1))
-    for number in range(done, options.stars):
-        correct = options.corrected > 0 and number // len(MAGNITUDES) % every == 0
-        with quiet():
-            row = observe(number, options.data, options.motion, correct=correct)
-        with options.file.open("a") as file:
-            file.write(",".join(map(str, row)) + "\n")
+    with quiet():
+        append_rows(options.file, COLUMNS, range(options.stars), lambda i: [observe(
+            i, options.data, options.motion,
+            correct=options.corrected > 0 and i // len(MAGNITUDES) % every == 0,
+        )])  # fmt: skip
 
 
 if __name__ == "__main__":

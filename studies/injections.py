@@ -1,0 +1,155 @@
+"""Transits put into pixels and measured after the correction, as EVEREST 2 did in campaign 6.
+
+    python studies/injections.py DATA stars.csv [--stars 60] [--cadences 1700]
+    python studies/injections.py DATA real.csv --real 20
+    python studies/injections.py DATA stars.csv --with real.csv --table docs/data/injections
+
+DATA is the folder of shared data. Stars are appended to the file, so that a run goes on where it
+stopped. As in ``everest/inject.py``, all light of each pixel is multiplied by a transit of 0.1 d
+with a period of 3 to 10 d; the depth is found by least squares beside a cubic for each transit in
+windows of five durations; the control has the transits in the light curve that was corrected
+without them. Simulated stars have the magnitudes of stars of the table, and are those of
+``population.py`` otherwise; "--real" puts as many planets into each of two real files.
+"""
+
+import argparse
+import csv
+from functools import cache
+from itertools import product
+from pathlib import Path
+
+import numpy as np
+from _files import FILES
+from _rows import append_rows, store_rows
+from astropy.stats import mad_std
+from astropy.table import Table
+from paper._correctors import quiet
+from paper._stars import draw_star, stamp_around
+from population import moved, neighbors, spotted
+
+from scope_models import Detector, PLDCorrector, TransitModel, inject, simulate
+from scope_models.effects import mission_effects
+from scope_models.io import read_tpf
+
+DURATION, WINDOW, ORDER, DEPTHS = 0.1, 5, 3, (1e-2, 1e-3, 1e-4)
+RUNS = ("control", "unmasked", "masked")
+COLUMNS = ("epic", "kp", "depth", *RUNS)
+EXPOSURE = 29.4 / 1440
+
+
+@cache
+def injected_stars(data):
+    """Return what EVEREST found, and its stars with their magnitudes."""
+    folder = Path(data) / "k2_pipelines"
+    names = ("epic", "depth", "control", "unmasked", "masked_control", "masked")
+    found = Table.read(folder / "everest_c06_injection.txt.gz", format="ascii.no_header",
+                       names=names, data_start=2)  # fmt: skip
+    known = Table.read(folder / "k2_c03-c06_cdpp.csv.gz", format="ascii.csv", comment="#")
+    return found, known[np.isin(known["epic"], found["epic"]) & (known["saturated"] == 0)]
+
+
+def recovered(time, flux, transits):
+    """Return the depth of transits by least squares beside a cubic for each.
+
+    `transits` is a `TransitModel`; the depth is in units of the light outside.
+    """
+    good = np.isfinite(flux)
+    time, flux = time[good], flux[good] / np.median(flux[good])
+    shape = (transits(time) - 1) / transits.depth
+    number = np.rint((time - transits.t0.value) / transits.period.value)
+    since = time - transits.t0.value - number * transits.period.value
+    near = np.abs(since) < WINDOW * DURATION / 2
+    columns = [shape[near]]
+    for one in np.unique(number[near & (shape < 0)]):
+        columns += [np.where(number == one, since**n, 0.0)[near] for n in range(ORDER + 1)]
+    used = np.isin(number[near], number[near & (shape < 0)])
+    return np.linalg.lstsq(np.transpose(columns)[used], flux[near][used], rcond=None)[0][0]
+
+
+def measure(tpf, epic, kp, rng):
+    """Yield rows of one star: what is recovered of each depth."""
+    start, period = tpf.time.value[0], rng.uniform(3, 10)
+    start += period * rng.uniform()
+    clean, seed = PLDCorrector(tpf).correct(), int(rng.integers(2**31))
+    time = clean.time.value
+    for depth in DEPTHS:
+        planet = TransitModel.from_depth_duration(
+            depth, DURATION, period, start, exposure_time=EXPOSURE
+        )
+        corrector, light = PLDCorrector(inject(tpf, planet, 1.0, seed=seed)), planet(time)
+        masks = np.zeros(len(time), dtype=bool), light < 1
+        curves = [clean.flux.value * light] + [
+            corrector.correct(transit_mask=mask).flux.value for mask in masks
+        ]
+        yield epic, kp, depth, *(f"{recovered(time, one, planet):.4e}" for one in curves)
+
+
+def simulated(number, data, cadences):
+    """Return rows of a simulated star."""
+    rng, stars = np.random.default_rng([28, number]), injected_stars(data)[1]
+    star = stars[rng.integers(len(stars))]
+    motion, good, _ = moved(rng, data, 1.0)
+    motion, good = motion[:cadences], good[:cadences]
+    shape, x_0, y_0 = stamp_around(good, 5)
+    detector = Detector.k2_calibrated(shape=shape)
+    target = draw_star(
+        rng, star["kp"], detector, x_0=x_0, y_0=y_0, shift=0.5, signal=spotted(rng)[0]
+    )
+    scene = [target, *neighbors(rng, shape)]
+    effects = mission_effects(detector)
+    tpf = simulate(scene, detector, motion, seed=number, effects=effects).to_tpf()
+    return measure(tpf, star["epic"], star["kp"], rng)
+
+
+def real(number, data):
+    """Return rows of a planet in a real file."""
+    name = sorted(FILES)[number % 2]
+    tpf = read_tpf(Path(data) / FILES[name])
+    kp = tpf.get_keyword("kepmag")
+    return measure(tpf, name.split()[1], kp, np.random.default_rng([29, number]))
+
+
+def write_table(target, data, *tables):
+    """Write medians and scatters of recovered over true depths, EVEREST's and ours."""
+    everest, _ = injected_stars(data)
+    same = everest[np.isin(everest["epic"], tables[0]["epic"])]
+    names = ("EVEREST 2, all", "EVEREST 2, same stars", "simulated stars", "two real stars")
+    rows = [["depth", "light curves", "number", *RUNS]]
+    sets = list(zip(names, (everest, same, *tables), strict=False))
+    for depth, (name, table) in product(DEPTHS, sets):
+        part = table[np.isclose(table["depth"], depth)]
+        ratios = [np.asarray(part[run]) / depth for run in RUNS]
+        rows.append([f"{depth:g}", name, len(part),
+                     *(f"{np.median(r):.3f} ± {mad_std(r):.3f}" for r in ratios)])  # fmt: skip
+    with Path(f"{target}.csv").open("w", newline="", encoding="utf-8") as file:
+        csv.writer(file, lineterminator="\n").writerows(rows)
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("data")
+    parser.add_argument("file", type=Path)
+    parser.add_argument("--stars", type=int, default=60)
+    parser.add_argument("--cadences", type=int, default=1700)
+    parser.add_argument("--real", type=int, help="planets in each real file")
+    parser.add_argument("--with", dest="other", type=Path, help="rows of real files")
+    parser.add_argument("--table", help="beginning of the names of the tables")
+    options = parser.parse_args()
+    if options.table:
+        table = store_rows(options.file, f"{options.table}.ecsv")
+        others = [store_rows(options.other, f"{options.table}_real.ecsv")] if options.other else []
+        write_table(options.table, options.data, table, *others)
+        return
+
+    def star(number):
+        if options.real:
+            return real(number, options.data)
+        return simulated(number, options.data, options.cadences)
+
+    with quiet():
+        append_rows(options.file, COLUMNS, range(options.real * 2 if options.real else
+                    options.stars), star, len(DEPTHS))  # fmt: skip
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,150 @@
+"""RR Lyrae stars of K2, simulated with the magnitudes of 100 real ones, and corrected.
+
+    python studies/rrlyrae.py DATA stars.csv [--stars 100] [--cadences 1700]
+    python studies/rrlyrae.py DATA stars.csv --table docs/data/rrlyrae
+
+DATA is the folder of shared data. Stars are appended to the file, so that a run goes on where it
+stopped. Light curves are Fourier series in magnitudes with coefficients in the ranges of RRab
+stars (Nemec et al. 2011, MNRAS 417, 1022) and RRc stars (Moskalik et al. 2015, MNRAS 447, 2348) of
+Kepler. "Properly" is an amplitude within 3 % and an rms about the truth below 3 % of it.
+"""
+
+import argparse
+import csv
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+from _rows import append_rows, store_rows
+from astropy.table import Table
+from paper._correctors import quiet
+from paper._stars import draw_star, stamp_around
+from population import moved
+
+from scope_models import Detector, PLDCorrector, Star, simulate
+from scope_models.effects import mission_effects
+from scope_models.missions import MISSIONS
+
+LIMIT = 0.03
+COLUMNS = ("epic", "kp", "kind", "period", "neighbor", "raw_amplitude", "raw_rms", "amplitude",
+           "rms")  # fmt: skip
+# Periods (d), amplitudes of the fundamental (mag), ratios R_k1, and phases phi_k1 of sines.
+SHAPES = {
+    "RRab": ((0.45, 0.8), (0.19, 0.40), (0.47, 0.35, 0.24, 0.16, 0.11, 0.07, 0.05),
+             (2.4, 5.1, 1.4, 4.1, 0.5, 3.2, 5.9)),
+    "RRc": ((0.3, 0.42), (0.17, 0.25), (0.11, 0.08, 0.05), (3.1, 6.0, 2.6)),
+}  # fmt: skip
+
+
+@cache
+def real_stars(data):
+    """Return EPIC, magnitude (NaN where the tables have none) and judgments of the real stars."""
+    folder = Path(data) / "k2_pipelines"
+    names = ("epic", "everest2", "everest1", "k2sff", "k2sc")
+    stars = Table.read(folder / "everest_rrlyrae.tsv", format="ascii", names=names, comment="#")
+    known = Table.read(folder / "k2_c03-c06_cdpp.csv.gz", format="ascii.csv", comment="#")
+    kp = dict(zip(known["epic"], known["kp"], strict=True))
+    stars["kp"] = [kp.get(epic, np.nan) for epic in stars["epic"]]
+    return stars
+
+
+def pulsation(rng, kind):
+    """Return the relative flux of a star as a function of time, and its period."""
+    periods, amplitudes, ratios, phases = SHAPES[kind]
+    period, first, start = rng.uniform(*periods), rng.uniform(*amplitudes), rng.uniform()
+    orders = np.arange(1, len(ratios) + 2)
+    sizes = first * np.concatenate([[1], ratios * rng.normal(1, 0.05, len(ratios))])
+    phases = np.concatenate([[0], phases + rng.normal(0, 0.1) * orders[1:]])
+
+    def flux(time):
+        angle = 2 * np.pi * (np.asarray(time)[..., None] / period + start) * orders + phases
+        return 10 ** (-0.4 * np.sum(sizes * np.sin(angle), axis=-1))
+
+    mean = flux(np.linspace(0, period, 1001)[:-1]).mean()
+    return (lambda time: flux(time) / mean), period
+
+
+def quality(flux, truth):
+    """Return the ratio of amplitudes, and the rms about the truth over its amplitude.
+
+    Both in the same unit; light that is added to all of `flux` does not count.
+    """
+    good = np.isfinite(flux)
+    flux, truth = flux[good] - flux[good].mean(), truth[good] - truth[good].mean()
+    return flux @ truth / (truth @ truth), np.std(flux - truth) / np.ptp(truth)
+
+
+def observe(number, data, cadences, options):
+    """Return the row of a star."""
+    rng, stars = np.random.default_rng([27, number]), real_stars(data)
+    kp, known = stars["kp"][number], stars["kp"][np.isfinite(stars["kp"])]
+    kp = float(kp if np.isfinite(kp) else known[rng.integers(len(known))])
+    motion = moved(rng, data, 1.0)[0][:cadences]
+    good = (motion.quality & MISSIONS["K2"].quality.rejected) == 0
+    shape, x_0, y_0 = stamp_around(motion[good], 5)
+    kind = "RRab" if rng.uniform() < 0.75 else "RRc"
+    signal, period = pulsation(rng, kind)
+    detector = Detector.k2_calibrated(shape=shape)
+    target = draw_star(rng, kp, detector, x_0=x_0, y_0=y_0, shift=0.5, signal=signal)
+    distance, angle, fainter = rng.uniform(1.5, 5), rng.uniform(0, 2 * np.pi), rng.uniform(0, 3)
+    place = np.array([x_0, y_0]) + distance * np.array([np.cos(angle), np.sin(angle)])
+    scene = [target] + [Star(kp + fainter, *place)] * (number % 2)
+    observation = simulate(scene, detector, motion, seed=number, effects=mission_effects(detector))
+    corrector = PLDCorrector(observation.to_tpf(), **options)
+    corrected = corrector.correct()
+    aperture = np.asarray(corrector.aperture_mask, dtype=float)
+    alone = observation.scene.replace(stars=[target.replace(signal=None)], effects=())
+    light = simulate(alone, noise=False).flux
+    light = np.median((light * aperture).sum(axis=(1, 2))[good])
+    kept = np.isin(observation.cadenceno, corrected.cadenceno)  # lightkurve drops flagged cadences
+    truth = light * observation.truth.relative_flux[0, kept]
+    found = [quality(lc.flux.value, truth) for lc in (corrector.original_lc, corrected)]
+    return (stars["epic"][number], round(kp, 3), kind, round(period, 4), number % 2,
+            *(f"{value:.5f}" for value in np.ravel(found)))  # fmt: skip
+
+
+def write_tables(table, real, target):
+    """Write how many stars are corrected properly, and the judgments of real light curves."""
+    neighbor, kind = table["neighbor"] == 1, table["kind"]
+    parts = {"all": kind != "", "alone": ~neighbor, "with a neighbor": neighbor}
+    parts |= {name: kind == name for name in SHAPES}
+    rows = []
+    for name, part in ((n, p) for n, p in parts.items() if p.any()):
+        row = [name, int(part.sum())]
+        for prefix in ("raw_", ""):
+            amplitude, rms = table[f"{prefix}amplitude"][part], table[f"{prefix}rms"][part]
+            row.append(int(np.sum((np.abs(amplitude - 1) < LIMIT) & (rms < LIMIT))))
+        rows.append([*row, f"{np.median(amplitude):.4f}", f"{np.percentile(rms, 90):.4f}"])
+    heads = ["stars", "number", "before correction", "corrected", "median amplitude",
+             "90 % of the rms are below"]  # fmt: skip
+    judged = [[name, int(np.sum(real[name] != 3)), int(np.sum(real[name] == 1))]
+              for name in real.colnames[1:5]]  # fmt: skip
+    for suffix, lines in (
+        ("", [heads, *rows]),
+        ("_judged", [["pipeline", "light curves", "proper by eye"], *judged]),
+    ):
+        with Path(f"{target}{suffix}.csv").open("w", newline="", encoding="utf-8") as file:
+            csv.writer(file, lineterminator="\n").writerows(lines)
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("data")
+    parser.add_argument("file", type=Path)
+    parser.add_argument("--stars", type=int, default=100)
+    parser.add_argument("--cadences", type=int, default=1700)
+    parser.add_argument("--neighbors", help="argument of PLDCorrector")
+    parser.add_argument("--table", help="beginning of the names of the tables")
+    options = parser.parse_args()
+    if options.table:
+        table = store_rows(options.file, f"{options.table}.ecsv")
+        write_tables(table, real_stars(options.data), options.table)
+        return
+    chosen = {"neighbors": options.neighbors} if options.neighbors else {}
+    with quiet():
+        append_rows(options.file, COLUMNS, range(options.stars),
+                    lambda i: [observe(i, options.data, options.cadences, chosen)])  # fmt: skip
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,55 @@
+"""RR Lyrae stars: light curves, the measurement, and two stars."""
+
+import csv
+
+import numpy as np
+import pytest
+from astropy.table import Table
+from rrlyrae import COLUMNS, LIMIT, SHAPES, observe, pulsation, quality, real_stars, write_tables
+
+pytestmark = pytest.mark.filterwarnings("ignore")  # the scripts run within quiet()
+
+
+@pytest.mark.parametrize("kind, total", [("RRab", (0.45, 1.35)), ("RRc", (0.33, 0.6))])
+def test_light_curves_have_the_shape_of_the_class(kind, total):
+    phase = np.linspace(0, 1, 500, endpoint=False)
+    for seed in range(20):
+        curve, period = pulsation(np.random.default_rng(seed), kind)
+        flux = curve(phase * period)
+        assert SHAPES[kind][0][0] < period < SHAPES[kind][0][1]
+        assert flux.mean() == pytest.approx(1, abs=1e-6)
+        magnitudes = -2.5 * np.log10(flux)
+        assert total[0] < np.ptp(magnitudes) < total[1]
+        risen = (np.argmin(magnitudes) - np.argmax(magnitudes)) % 500 / 500
+        assert (0.08 < risen < 0.25) if kind == "RRab" else (0.3 < risen < 0.5)
+
+
+def test_quality_is_that_of_amplitude_and_differences():
+    truth = 1000 * (1 + 0.3 * np.sin(np.arange(2000) / 7))
+    noise = np.random.default_rng(1).normal(0, 6, 2000)
+    flux = np.where(np.arange(2000) % 40, 1.1 * truth + 500, np.nan)
+    assert quality(flux, truth)[0] == pytest.approx(1.1)
+    assert quality(truth + noise, truth) == pytest.approx((1, 0.01), abs=2e-3)
+
+
+def test_stars_of_the_table(shared_data):
+    stars = real_stars(shared_data)
+    assert len(stars) == 100
+    assert np.isfinite(stars["kp"]).sum() == 64
+    assert np.sum(stars["everest2"] == 1) == 66
+
+
+def test_two_stars_are_corrected(shared_data, tmp_path):
+    rows = [observe(number, shared_data, 400, {}) for number in (1, 2)]
+    table = Table(rows=rows, names=COLUMNS)
+    for name in COLUMNS[5:]:
+        table[name] = table[name].astype(float)
+    assert np.all(np.abs(table["amplitude"] - 1) < LIMIT)
+    assert np.all(table["rms"] < LIMIT)
+    assert np.all(table["rms"] < table["raw_rms"])
+    write_tables(table, real_stars(shared_data), tmp_path / "stars")
+    with (tmp_path / "stars.csv").open() as file:
+        counts = {row["stars"]: row["corrected"] for row in csv.DictReader(file)}
+    assert (counts["all"], counts["alone"], counts["with a neighbor"]) == ("2", "1", "1")
+    with (tmp_path / "stars_judged.csv").open() as file:
+        assert [row["proper by eye"] for row in csv.DictReader(file)] == ["66", "8", "4", "53"]
