@@ -5,12 +5,10 @@ sensitivity at the Cramer-Rao bound; the response of the pixels that a star cros
 the motion of K2 to 0.1 %; on real pixels a chi-squared per pixel below that of photutils'
 GaussianPRF for each cadence.
 
-Run as ``python studies/fitting.py``, with one of ``pulls``, ``scenes FILE``, ``defaults FOLDER
-RESPONSE``, ``real FOLDER``, ``response FOLDER`` and ``twin FOLDER``, where FOLDER has the archive
-files and RESPONSE is "auto" or "psf". ``scenes`` continues where its FILE ends.
+Run as ``python studies/fitting.py``, with one of ``pulls``, ``real FOLDER`` and ``twin FOLDER``,
+where FOLDER has the archive files; ``docs/data/store_fits.py`` stores `scene_pulls`.
 """
 
-import json
 import sys
 import time
 import warnings
@@ -25,7 +23,6 @@ from astropy.modeling.models import Const2D
 from astropy.utils.exceptions import AstropyUserWarning
 
 from scope_models import (
-    PRF,
     BivariateGaussianPSF,
     Detector,
     Motion,
@@ -35,13 +32,12 @@ from scope_models import (
     simulate,
 )
 from scope_models.correctors import PLDCorrector
-from scope_models.exceptions import FitWarning
 from scope_models.fitting import FitOptions
 from scope_models.photometry import cdpp
 
 N_STARS = 250
 N_CADENCES = 1000
-N_SCENES, SCENE_CADENCES = 100, 60
+SCENE_CADENCES = 60
 N_PHOTUTILS = 100
 MODELS = {
     "1 component": {"psf": 1},
@@ -95,14 +91,14 @@ def one_star(seed, motion):
     return pulls, others, fit.converged
 
 
-def report_pulls():
-    motion = Motion.k2_roll(N_CADENCES, seed=1)
+def report_pulls(n_stars=N_STARS, n_cadences=N_CADENCES):
+    motion = Motion.k2_roll(n_cadences, seed=1)
     for scale in (1, 5):
         begin = time.perf_counter()
-        results = [one_star(s, scale * motion) for s in range(N_STARS)]
+        results = [one_star(s, scale * motion) for s in range(n_stars)]
         rows, others, converged = zip(*results, strict=True)
         print(
-            f"{scale} x the motion of K2, {N_STARS} stars of Kp 10 to 13, {N_CADENCES} cadences, "
+            f"{scale} x the motion of K2, {n_stars} stars of Kp 10 to 13, {n_cadences} cadences, "
             f"{time.perf_counter() - begin:.0f} s, {sum(converged)} converged"
         )
         for name in rows[0]:
@@ -166,59 +162,6 @@ def scene_pulls(n_stars, seed):
         "n_stars": n_stars, "seed": seed, "converged": fit.converged, "chi2": fit.reduced_chi2,
         "shared": shared(values), "star": shared(offsets), "cadence": cadences,
     }  # fmt: skip
-
-
-def report_scenes(path):
-    """Run what the file does not have yet, and report all of it."""
-    path = Path(path)
-    rows = [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
-    done = {(row["n_stars"], row["seed"]) for row in rows}
-    with path.open("a") as file:
-        for seed in range(N_SCENES):
-            for n_stars in (1, 2, 5):
-                if (n_stars, seed) not in done:
-                    rows.append(scene_pulls(n_stars, seed))
-                    print(json.dumps(rows[-1]), file=file, flush=True)
-    for n_stars in (1, 2, 5):
-        own = [row for row in rows if row["n_stars"] == n_stars]
-        converged = sum(row["converged"] for row in own)
-        print(f"{n_stars} stars: {len(own)} scenes, {converged} converged")
-        for group in ("shared", "star", "cadence"):
-            values = [np.ravel(list(row[group].values())) for row in own]
-            pulls = np.concatenate(values)
-            if not pulls.size:
-                continue
-            inside = np.array([np.mean(np.abs(v) < 1) for v in values])
-            squares = np.array([np.mean(v**2) for v in values])
-            scatter = np.sqrt(squares.mean())
-            print(
-                f"  {group:8s} mean {pulls.mean():5.2f}, rms {scatter:.3f} +- "
-                f"{squares.std() / np.sqrt(len(own)) / 2 / scatter:.3f}, 68 % intervals hold "
-                f"{inside.mean():.3f} +- {inside.std() / np.sqrt(len(own)):.3f} of {pulls.size}"
-            )
-            for name in own[0][group]:
-                one = np.ravel([row[group][name] for row in own])
-                print(f"    {name:10s} rms {np.sqrt(np.mean(one**2)):.3f}, mean {one.mean():5.2f}")
-
-
-def report_defaults(folder, response):
-    """The default PSF on every file, with a response: time, steps, and how it ended."""
-    for path in sorted(Path(folder).glob("*_tpf/*.fits*")) + sorted(
-        Path(folder).glob("kepler_q12_ch4/*.fits.gz")
-    ):
-        begin = time.process_time()
-        with warnings.catch_warnings(record=True) as record:
-            warnings.simplefilter("always", FitWarning)
-            fit = fit_tpf(path, response=response)
-        messages = {str(w.message).partition(":")[0] for w in record if w.category is FitWarning}
-        print(
-            f"{path.name}: {fit.observed.shape}, {time.process_time() - begin:.1f} s, "
-            f"{fit.n_steps} steps, {'converged' if fit.converged else fit.at_bounds or 'not'}, "
-            f"{fit.names[0]}, chi-squared {fit.reduced_chi2:.3g}, median pixel "
-            f"{np.nanmedian(fit.chi2_pixels):.3g}, errors scaled by {fit.error_scale:.2f}, motion "
-            f"{fit.path_scale()[0]:.2f} {fit.path_scale()[1]:.2f}; {'; '.join(sorted(messages))}",
-            flush=True,
-        )
 
 
 def photutils_chi2(tpf):
@@ -288,45 +231,6 @@ def report_real(folder, only=tuple(FILES)):
         print()
 
 
-def report_response(folder):
-    """The response of each pixel: misfit, positions and time of every shared file."""
-    print("Chi-squared per degree of freedom: all, median pixel, six brightest, held-out cadences")
-    folder = Path(folder)
-    paths = [folder / name for name in FILES.values()]
-    crowd = sorted((folder / "kepler_q12_ch4").glob("*.fits.gz"))
-    for path in (*paths, *crowd):
-        begin = time.process_time()
-        line_of(path.name, fit_tpf(path, response="pixels"), time.process_time() - begin)
-    begin = time.process_time()
-    fits = fit_tpf(crowd, response="pixels")
-    for path, fit in zip(crowd, fits, strict=True):
-        line_of(f"together {path.name}", fit, time.process_time() - begin)
-    table = PRF.from_tess(folder / "tess_prf", 2, 3, 1078, 889)
-    begin = time.process_time()
-    tess = folder / "tess_tpf" / "tesssip_tpf1.fits"
-    fit = fit_tpf(tess, table, stars="find", response="pixels")
-    line_of(f"{tess.name}, official PRF", fit, time.process_time() - begin)
-
-
-def line_of(name, fit, seconds):
-    """Print what a fit has found."""
-    image = np.median(np.nan_to_num(fit.observed), axis=0).ravel()
-    six = fit.chi2_pixels.ravel()[np.argsort(-image)[:6]]
-    hits = np.isnan(fit.observed[:, np.isfinite(fit.observed).any(axis=0)]).mean()
-    r2, scale = fit.path_r2(), fit.path_scale()
-    used = ~fit.outliers
-    print(
-        f"  {name:52s} {fit.reduced_chi2:.2f} {np.nanmedian(fit.chi2_pixels):.2f} "
-        f"{six.mean():.2f} {fit.chi2_held_out:.2f}; degrees {fit.response[0].degree} "
-        f"{fit.response[0].time_degree}; outliers {100 * fit.outliers.mean():.1f} % of cadences, "
-        f"{100 * hits:.2f} % of values; R2 {r2[0]:.3f} {r2[1]:.3f}; scale {scale[0]:.2f} "
-        f"{scale[1]:.2f}; flux {np.median(fit.flux):.0f} e-/s, CDPP "
-        f"{cdpp(fit.flux[used], method='everest'):.0f} ppm; {seconds:.1f} s, {fit.n_steps} steps"
-        f"{'' if fit.converged else ', not converged'}",
-        flush=True,
-    )
-
-
 def light_curves(tpf, aperture):
     """Return the summed and de-trended light curves."""
     corrected = PLDCorrector(tpf, aperture_mask=aperture).correct()
@@ -377,10 +281,7 @@ def report_twin(folder):
 def main():
     warnings.simplefilter("ignore", AstropyUserWarning)
     name, *arguments = sys.argv[1:] or ["pulls"]
-    reports = {
-        "pulls": report_pulls, "scenes": report_scenes, "defaults": report_defaults,
-        "real": report_real, "response": report_response, "twin": report_twin,
-    }  # fmt: skip
+    reports = {"pulls": report_pulls, "real": report_real, "twin": report_twin}
     reports[name](*arguments)
 
 

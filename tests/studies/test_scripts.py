@@ -1,0 +1,67 @@
+"""The studies beside the paper's run with two stars."""
+
+import sys
+
+import drop
+import fitting
+import pytest
+import score_correctors
+from astropy.table import Table
+from matplotlib import pyplot as plt
+from matplotlib.image import imread
+
+from scope_models import Detector, Motion, Star, simulate
+from scope_models.benchmark import make_benchmark
+
+
+def numbers_after(text, word):
+    """Return the numbers that follow a word in a text."""
+    parts = text.partition(word)[2].replace(",", " ").split()
+    return [float(part) for part in parts if part.replace(".", "", 1).lstrip("-").isdigit()]
+
+
+@pytest.mark.filterwarnings("ignore::scope_models.exceptions.FitWarning")
+def test_pulls_of_fits(capsys):
+    fitting.report_pulls(n_stars=2, n_cadences=80)
+    lines = capsys.readouterr().out
+    assert "1 x the motion of K2, 2 stars" in lines
+    assert lines.count("2 converged") == 2
+    for text in lines.split("motion of K2")[1:]:
+        assert numbers_after(text, "freedom")[0] == pytest.approx(1, abs=0.1)
+        for name in ("sigma_x", "rho", "ax2", "x", "flux"):
+            mean, deviation = numbers_after(text, f"  {name} ")[:2]
+            assert abs(mean) < 4 / 2**0.5, name
+            assert deviation < 4, name
+
+
+@pytest.mark.filterwarnings("ignore::scope_models.exceptions.FitWarning")
+def test_drop_within_a_pixel(tmp_path, monkeypatch, capsys):
+    """Two stars on pixels that respond evenly: their drop is 0 within the errors."""
+    files = {f"EPIC {number}": f"{number}.fits" for number in (1, 2)}
+    for number, name in enumerate(files.values(), start=1):
+        detector = Detector.k2(shape=(9, 9)).without_sensitivity()
+        star = Star(12.0, 4 + 0.1 * number, 4.0)
+        simulate(star, detector, Motion.k2_roll(400, seed=number), seed=number).write(
+            tmp_path / name
+        )
+    monkeypatch.setattr(drop, "FILES", files)
+    drop.report(tmp_path, tmp_path / "drop.png")
+    plt.close("all")
+    text = capsys.readouterr().out
+    assert [line.partition(":")[0] for line in text.splitlines() if "EPIC" in line] == list(files)
+    value, error = numbers_after(text, "Both K2 stars:")[:2]
+    assert abs(value) < 4 * error
+    assert imread(tmp_path / "drop.png").std() > 0
+
+
+def test_scores_of_correctors(tmp_path, monkeypatch, capsys):
+    make_benchmark(tmp_path / "sky", stars=2, sweep={"progress": False})
+    arguments = [tmp_path / "sky", tmp_path / "curves", "--methods", "raw,truth,pld"]
+    monkeypatch.setattr(sys, "argv", ["score_correctors.py", *map(str, arguments)])
+    score_correctors.main()
+    table = Table.read(tmp_path / "curves" / "scores.ecsv")
+    assert table["method"].tolist() == ["raw", "truth", "pld"] * 2
+    full = {method: table["full"][table["method"] == method] for method in ("raw", "truth", "pld")}
+    assert full["truth"].tolist() == pytest.approx([1, 1], abs=0.3)
+    assert all(full["pld"] < full["raw"])
+    assert len(capsys.readouterr().out.splitlines()) == 3
