@@ -9,7 +9,7 @@ from astropy.table import Table
 from scope_models.batch._parquet import partition, write_star
 from scope_models.io import read_pixels
 from scope_models.io._atomic import atomic_path
-from scope_models.io._hlsp import Collection, run_label, sha256
+from scope_models.io._hlsp import Collection, ccd_label, sha256
 from scope_models.io._opening import cards_of, naming
 from scope_models.io.tpf import write_hdulist
 from scope_models.photometry import cdpp
@@ -59,7 +59,7 @@ def _correction_row(corrector, series, survival):
     """Return what is measured of a correction."""
     header = series.header
     row = header_row(series)
-    row["campaign"], row["channel"] = _place(header)
+    row["campaign"], row["channel"] = ccd_label(header)
     row |= {"ra": number_of(header.get("RA_OBJ")), "dec": number_of(header.get("DEC_OBJ"))}
     row["n_pixels"] = int(corrector.aperture_mask.sum())
     for prefix, lc in (("raw_", corrector.original_lc), ("", corrector.corrected_lc)):
@@ -82,15 +82,7 @@ def archive_name(collection, file, key):
 
 def partition_of(file, key):
     """Return the place of a star in the data set, by campaign and channel."""
-    return partition(*_place(_cards(file)), key)
-
-
-def _place(cards):
-    """Return campaign, quarter or sector, and channel or camera and CCD; empty if unknown."""
-    channel = cards.get("CHANNEL")
-    if channel is None and "CCD" in cards:
-        channel = f"{cards.get('CAMERA')}-{cards['CCD']}"
-    return run_label(cards), "" if channel is None else str(channel)
+    return partition(*ccd_label(_cards(file)), key)
 
 
 def _cards(file):

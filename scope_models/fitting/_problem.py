@@ -235,7 +235,12 @@ class Problem:
     # --- parameters -----------------------------------------------------------------------
     @property
     def position_error(self):
-        """Standard deviation of the positions about the affine map of POS_CORR, pixels, or None."""
+        """Standard deviation of the positions about the affine map of POS_CORR, pixels, or None.
+
+        For each cadence, ``(n, 2)``, where the positions have errors.
+        """
+        if self.data.pos_err is not None:
+            return np.maximum(self.data.pos_err, _PATH_ERROR)
         errors = {"path": _PATH_ERROR, "prior": self.options.position_error}
         return errors.get(self.options.positions)
 
@@ -258,7 +263,7 @@ class Problem:
     def parameters(self):
         """The shared parameters, in their order."""
         result = [*self._of_shape]
-        for i, axis in enumerate("xy" if self.position_error else ()):
+        for i, axis in enumerate("xy" if self.position_error is not None else ()):
             scale = {"kind": "slope", "prior": self.options.scale_error}
             result += [
                 FitParameter(f"{axis}_const", "position"),
@@ -474,7 +479,7 @@ class Problem:
                 shared[range(s, m), range(s, m)] += np.sum(light**2, axis=0)
                 gradient[s:] += np.sum(light * residual, axis=0)
                 mixed[part, :, s:] = (design[:k] * light).transpose(1, 0, 2)
-        if self.position_error:
+        if self.position_error is not None:
             path = self.basis @ state.shared[self.affine].reshape(2, 3).T
             residual, design = path - state.cadence[:, :2], np.zeros((k + s, n, 2))
             for axis in (0, 1):

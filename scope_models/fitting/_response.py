@@ -345,7 +345,8 @@ def _errors(shares):
     normal, _, design = shares.equations()
     k = normal.shape[1]
     covariance = solved(normal, np.broadcast_to(np.eye(k), normal.shape))
-    n_free = k - np.trace(covariance[:, :2, :2], axis1=1, axis2=2) / shares.error**2
+    own = np.diagonal(covariance[:, :2, :2], axis1=1, axis2=2)
+    n_free = k - np.sum(own / np.square(shares.error), axis=1)
     # How the errors of the shares act on them, in the gauge of the shares.
     gain = covariance @ (design * shares.weight[..., None] ** 2).transpose(0, 2, 1)
     for star in shares.firsts:

@@ -63,6 +63,7 @@ class PixelData:
     flux_err: np.ndarray
     light: np.ndarray  # flux with that of saturated pixels, for the first guess of the positions
     pos_corr: np.ndarray | None  # (n, 2), interpolated where it is unusable; None if absent
+    pos_err: np.ndarray | None  # (n, 2), infinite there; None if unknown
     pixels: np.ndarray  # (ny, nx), bool: those with data
     time_format: str
 
@@ -73,12 +74,15 @@ class PixelData:
 
     def __getitem__(self, cadences):
         """Return the data of some cadences."""
-        values = [*vars(self).items()][:7]
+        values = [*vars(self).items()][:8]
         return replace(self, **{k: v if v is None else v[cadences] for k, v in values})
 
 
-def read_data(series, flux_err, detector, n_free, *, saturation):
-    """Take from a `PixelSeries` what can be fitted; a cadence needs more than ``n_free`` pixels."""
+def read_data(series, flux_err, detector, n_free, *, saturation, moved):
+    """Take from a `PixelSeries` what can be fitted; a cadence needs more than ``n_free`` pixels.
+
+    ``moved`` are the positions in place of POS_CORR, and their errors.
+    """
     flux = np.array(series.flux)
     if not np.isfinite(flux).any():
         raise ValueError("`flux` has no finite value")
@@ -103,20 +107,23 @@ def read_data(series, flux_err, detector, n_free, *, saturation):
     if not (median_image(flux) > 0).any():
         raise ValueError("no usable pixel of `tpf` has a positive median: there is no star to fit")
     series = series[cadences]
-    pos_corr = series.pos_corr
+    pos_corr, pos_err = (value if value is None else value[cadences] for value in moved)
     usable = None if pos_corr is None else usable_positions(pos_corr)
     if usable is None or usable.sum() < 3:
-        pos_corr = None
+        pos_corr = pos_err = None
     else:  # straight lines over unusable cadences
         number = np.arange(len(usable))
         lines = [np.interp(number, number[usable], column[usable]) for column in pos_corr.T]
         pos_corr = np.column_stack(lines)
+        if pos_err is not None:
+            pos_err = np.where(usable[:, None], pos_err, np.inf)
     return PixelData(
         **{name: getattr(series, name) for name in ("time", "cadenceno", "quality", "time_format")},
         flux=flux,
         flux_err=error,
         light=light[cadences],
         pos_corr=pos_corr,
+        pos_err=pos_err,
         pixels=np.isfinite(flux).any(axis=0),
     )
 

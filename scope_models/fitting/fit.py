@@ -29,6 +29,7 @@ from scope_models.fitting._start import (
 )
 from scope_models.io.pixels import read_pixels
 from scope_models.scene.detector import Detector
+from scope_models.scene.motion import Motion
 
 __all__ = ["fit_tpf"]
 
@@ -112,10 +113,11 @@ def fit_tpf(
         Standard deviation, before the fit, of the response b between pixels; 0 fixes it at 1.
         None: 0.01 if the model then describes the pixels with a response that agrees with it, as
         in simulations; else 0, because b would describe errors of the PSF.
-    positions : {"start", "free", "prior", "path"}, optional
+    positions : {"start", "free", "prior", "path"} or Motion, optional
         What POS_CORR is used for, through an affine map: the first guess of free positions,
         nothing, a prior, or the positions themselves. The map is fitted too for the last two,
-        with a prior of 0.02 about the scale 1.
+        with a prior of 0.02 about the scale 1. A motion, as `~scope_models.Motion.from_tpfs` gives
+        it, is a prior in place of POS_CORR, with its errors or else ``position_error``.
     response : {"auto", "psf", "pixels"}, optional
         "psf": the pixels are those of PSF, sensitivity and b alone. "pixels": each pixel's share
         of a star's light is that plus a polynomial of fitted position and slow time: see the
@@ -178,11 +180,12 @@ def fit_tpf(
     """
     if not isinstance(options, FitOptions | None):
         raise TypeError(f"`options` must be FitOptions or None, got {options!r}")
+    motion = positions if isinstance(positions, Motion) else None
     options = Settings(
         **vars(options or FitOptions()),
         empirical=empirical,
         interpixel=_PRIOR if interpixel is None else interpixel,
-        positions=positions,
+        positions=positions if motion is None else "prior",
     )
     if psf is not None and not isinstance(psf, int | Model):
         raise TypeError(f"`psf` must be a number of components or a model, got {psf!r}")
@@ -202,7 +205,7 @@ def fit_tpf(
     # Whether the data choose the PSF, and the response between pixels.
     choice = {"any_psf": psf is None and not empirical, "any_response": interpixel is None}
     with one_thread, solvable(), _progress_bar(progress) as bar:
-        problem, detectors = _make_problem(series, places, prf, flux_err, options)
+        problem, detectors = _make_problem(series, places, prf, flux_err, options, motion)
         steps = partial(solve, report=bar)
         response, tried, fitted = _fit_psf(problem, response, sensitivity, steps, **choice)
         fits = make_results(*fitted, covariances(*fitted), detectors, series)
@@ -359,7 +362,7 @@ def _rank(problem, solution):
     return absorbs, strange, ends, problem.misfit, information
 
 
-def _make_problem(series, places, prf, flux_err, options):
+def _make_problem(series, places, prf, flux_err, options, motion):
     """What is fitted, and the detectors that recorded it."""
     if options.focus is not None and "width" not in prf.parameter_kinds.values():
         raise ValueError("`focus` needs a PSF with a width: a Gaussian or an empirical term")
@@ -369,7 +372,9 @@ def _make_problem(series, places, prf, flux_err, options):
         changes = {} if item.mission else {"mission": "Kepler"}
         detectors.append(Detector.from_tpf(item, psf=None, sensitivity=None, **changes))
         more, saturation = n_free + len(others), options.saturation
-        stamps.append(read_data(item, flux_err, detectors[-1], more, saturation=saturation))
+        moved = (item.pos_corr, None) if motion is None else motion.offsets(item)
+        given = {"saturation": saturation, "moved": moved}
+        stamps.append(read_data(item, flux_err, detectors[-1], more, **given))
     if stamps[0].pos_corr is None and options.positions in {"prior", "path"}:
         raise ValueError(f"`positions` is {options.positions!r}, but `tpf` has no POS_CORR")
     common = reduce(np.intersect1d, [stamp.cadenceno for stamp in stamps])

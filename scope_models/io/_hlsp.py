@@ -13,7 +13,7 @@ import numpy as np
 
 from scope_models.missions import Mission
 
-__all__ = ["Collection", "archive_hdulist", "run_label", "sha256"]
+__all__ = ["Collection", "archive_hdulist", "ccd_label", "run_label", "sha256"]
 
 #: Instrument and filter in names. TESS has one instrument without an acronym, for which the
 #: convention takes a descriptive tag: phot, as in the collection TESS-SPOC of pixel files.
@@ -89,6 +89,14 @@ def run_label(cards):
         if isinstance(number, int) and number >= 0:
             return form.format(number)
     return ""
+
+
+def ccd_label(cards):
+    """Return campaign, quarter or sector, and channel or camera and CCD; empty if unknown."""
+    channel = cards.get("CHANNEL")
+    if channel is None and "CCD" in cards:
+        channel = f"{cards.get('CAMERA')}-{cards['CCD']}"
+    return run_label(cards), "" if channel is None else str(channel)
 
 
 def sha256(path):

@@ -1,6 +1,7 @@
 """Stars, detectors, motions and the scenes that hold them."""
 
 from scope_models.scene._files import read_detector, read_scene
+from scope_models.scene.common import CommonMotion
 from scope_models.scene.detector import ZERO_POINTS, Detector
 from scope_models.scene.motion import K2Roll, Motion, MotionStatistics
 from scope_models.scene.presets import PRESETS, register_preset
@@ -8,6 +9,6 @@ from scope_models.scene.scene import Scene
 from scope_models.scene.star import Star
 
 __all__ = [
-    "PRESETS", "ZERO_POINTS", "Detector", "K2Roll", "Motion", "MotionStatistics", "Scene",
-    "Star", "read_detector", "read_scene", "register_preset",
+    "PRESETS", "ZERO_POINTS", "CommonMotion", "Detector", "K2Roll", "Motion", "MotionStatistics",
+    "Scene", "Star", "read_detector", "read_scene", "register_preset",
 ]  # fmt: skip

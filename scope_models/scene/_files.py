@@ -3,7 +3,7 @@
 import tomllib
 from contextlib import suppress
 from dataclasses import fields
-from functools import reduce
+from functools import partial, reduce
 from operator import add, mul
 from pathlib import Path
 
@@ -27,6 +27,7 @@ from scope_models.models._description import (
     packed,
     unpacked,
 )
+from scope_models.scene.common import CommonMotion
 from scope_models.scene.detector import Detector
 from scope_models.scene.motion import Motion
 from scope_models.scene.presets import PRESETS
@@ -39,6 +40,8 @@ __all__ = [
 ]  # fmt: skip
 
 _VERSION = 3
+# Columns of a motion that depends on the place.
+_OF_COMMON = *CommonMotion.offsets_of[2:], *CommonMotion.errors_of
 # Fields that files of version 2 lack, and whose effect was another then.
 _OLD_FIELDS = {"Undershoot": {"residual": 1.0}}
 
@@ -215,7 +218,9 @@ def _made(path, described, what, make):
 def _motion(truth):
     """Return the motion of a truth."""
     table, described = truth.columns, truth.scene["motion"]
-    return Motion(
+    more = {name: table[name.upper()] for name in _OF_COMMON if "place" in described}
+    kind = partial(CommonMotion, place=described["place"], **more) if more else Motion
+    return kind(
         time=table["TIME"],
         x=table["MOTION_X"],
         y=table["MOTION_Y"],
@@ -262,11 +267,14 @@ def scene_columns(scene, relative_flux):
 
 def _motion_columns(motion):
     columns = {"TIME": motion.time, "QUALITY": motion.quality}
-    return columns | {"MOTION_X": motion.x, "MOTION_Y": motion.y}
+    columns |= {"MOTION_X": motion.x, "MOTION_Y": motion.y}
+    common = _OF_COMMON if isinstance(motion, CommonMotion) else ()
+    return columns | {name.upper(): getattr(motion, name) for name in common}
 
 
 def _describe_motion(motion):
-    return {"time_format": motion.time_format, "meta": plain_tree(motion.meta, str)}
+    place = {"place": motion.place} if isinstance(motion, CommonMotion) else {}
+    return {"time_format": motion.time_format, "meta": plain_tree(motion.meta, str)} | place
 
 
 def _describe_effect(effect):

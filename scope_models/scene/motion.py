@@ -14,7 +14,7 @@ from scope_models._checks import checked_integer, checked_number
 from scope_models._docstrings import documented
 from scope_models._values import Value, html_table
 from scope_models.io._opening import read_positions
-from scope_models.io.pixels import positions_of, read_pixels
+from scope_models.io.pixels import place_of, positions_of, read_pixels
 from scope_models.missions import MISSIONS
 from scope_models.scene._motion_arrays import (
     MotionStatistics,
@@ -129,6 +129,8 @@ class Motion(Value):
 
     #: Standard deviations of x and y, pixels, if they are known.
     x_err = y_err = None
+    # Names of what a scale multiplies, and of the standard deviations of that.
+    offsets_of, errors_of = ("x", "y"), ()
     # numpy's scalars leave `scalar * motion` to this class.
     __array_ufunc__ = None
 
@@ -174,7 +176,8 @@ class Motion(Value):
             if not -len(self) <= item < len(self):
                 raise IndexError(f"cadence {item} is out of range for {len(self)} cadences")
             item = [item]
-        return self.replace(**{name: getattr(self, name)[item] for name in _COLUMNS})
+        names = dict.fromkeys((*_COLUMNS, *self.offsets_of, *self.errors_of))
+        return self.replace(**{name: getattr(self, name)[item] for name in names})
 
     def __mul__(self, factor):
         if isinstance(factor, u.Quantity) and factor.unit.is_equivalent(u.one) and factor.isscalar:
@@ -184,9 +187,9 @@ class Motion(Value):
         if not math.isfinite(factor):
             raise ValueError(f"the scale of a motion must be finite, got {factor}")
         scale = factor * self.meta.get("scale", 1)
-        return self.replace(
-            x=factor * self.x, y=factor * self.y, meta={**self.meta, "scale": scale}
-        )
+        scaled = {name: factor * getattr(self, name) for name in self.offsets_of}
+        scaled |= {name: abs(factor) * getattr(self, name) for name in self.errors_of}
+        return self.replace(**scaled, meta={**self.meta, "scale": scale})
 
     __rmul__ = __mul__
 
@@ -348,6 +351,52 @@ class Motion(Value):
         columns = positions_of(tpf)
         columns["time_format"] = columns["time_format"] or "bkjd"
         return cls.from_arrays(**columns, bad=bad)
+
+    @classmethod
+    def from_tpfs(cls, tpfs):
+        r"""Find the motion that the stars of a CCD share.
+
+        The positions of each star are those in its pixels, from a fit of one Gaussian and of the
+        neighbors that are found, and POS_CORR where the file has it. They are an offset and a
+        linear map of pointing, roll and scale of the cadence, at the star's place, with residuals
+        of Student's t: variable, saturated and crowded stars count as little as their positions
+        scatter. Stars that the motion of the others explains no better than noise are left out.
+
+        Parameters
+        ----------
+        tpfs : sequence of lightkurve.TargetPixelFile, str or path-like
+            Files of one CCD in one campaign, quarter or sector, with the same cadences. Of files
+            of several CCDs, those of the CCD with the most files.
+
+        Returns
+        -------
+        scope_models.scene.CommonMotion
+            The motion, with errors and its function of place, about the place on the CCD where it
+            is known best. Its ``meta`` has ``stars``, the files that count, and ``left_out``, the
+            reason for each star that disagrees.
+
+        Raises
+        ------
+        ValueError
+            If no file has positions.
+
+        Warns
+        -----
+        FitWarning
+            If files are left out, or one file is all there is.
+
+        Examples
+        --------
+        >>> from scope_models import Detector, Motion, Star, simulate
+        >>> motion, detector = Motion.k2_roll(60, seed=1), Detector.k2(shape=(7, 7))
+        >>> tpfs = [simulate(Star(11), detector, motion, seed=i).to_tpf() for i in range(3)]
+        >>> common = Motion.from_tpfs(tpfs)
+        >>> bool(common.x_err.max() < 0.001)
+        True
+        """
+        from scope_models.fitting._common import common_motion
+
+        return common_motion(tpfs)
 
     @classmethod
     def still(cls, n_cadences, *, start=_K2.start, cadence=K2Roll.cadence, time_format="bkjd"):
@@ -641,7 +690,7 @@ class Motion(Value):
             for key, value in first.meta.items()
             if all(key in motion.meta and motion.meta[key] == value for motion in joined)
         }
-        return cls(*columns, first.time_format, common)
+        return Motion(*columns, first.time_format, common)
 
     def at(self, column, row):  # noqa: ARG002 - one motion for all places
         """Return the motion of a star at another place of the detector: the same.
@@ -697,10 +746,8 @@ class Motion(Value):
         known = np.abs(time - self.time[nearest]) < step / 2
         if not known.any():
             raise ValueError("the motion has none of the cadences of the file")
-        corner, stamp = [series.header.get(f"{i}CRV5P") for i in (1, 2)], series.flux.shape[:0:-1]
-        moved = self
-        if all(isinstance(value, int | float) for value in corner):
-            moved = self.at(*(c + (n - 1) / 2 for c, n in zip(corner, stamp, strict=True)))
+        place = place_of(series)
+        moved = self if place is None else self.at(*place)
         pairs = [(moved.x, moved.y), (moved.x_err, moved.y_err)]
         return tuple(
             None if x is None else np.where(known, [x[nearest], y[nearest]], np.nan).T
