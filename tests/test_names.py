@@ -269,7 +269,7 @@ def test_behavior(place, name, made):
 ELSEWHERE = {
     "read_detector", "read_scene", "register_preset", "read_tpf", "read_truth", "write_tpf",
     "ComparisonResult", "SceneCorrector", "SceneResult", "choose_corrector", "compare_correctors",
-    "detrend_file", "plot_scene",
+    "detrend_file", "plot_scene", "CommonMotion",
 }  # fmt: skip
 
 

@@ -670,7 +670,7 @@ NO_UNIT = {
 # Classes whose objects the package makes, and methods that astropy calls with numbers after it has
 # converted them (test_contract.py).
 MADE_BY_THE_PACKAGE = re.compile(
-    r"(\w*(Fit|FittedStar|Result|Truth)|Observation|PixelSeries|Mission|MessyStar|PRFGrid|Conditions|Exposures)\."
+    r"(\w*(Fit|FittedStar|Result|Truth)|CommonMotion|Observation|PixelSeries|Mission|MessyStar|PRFGrid|Conditions|Exposures)\."
     r"|\w+\.(evaluate|fit_deriv|closed_form|unit_derivatives|track|times)\."
 )
 

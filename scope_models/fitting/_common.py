@@ -11,7 +11,7 @@ from scope_models.exceptions import FitWarning
 from scope_models.fitting.fit import fit_tpf
 from scope_models.io._hlsp import ccd_label
 from scope_models.io.pixels import place_of, read_pixels, usable_positions
-from scope_models.scene.common import Track, fit_tracks
+from scope_models.scene._tracks import Track, fit_tracks
 
 __all__ = ["common_motion", "common_motions"]
 

@@ -692,21 +692,6 @@ class Motion(Value):
         }
         return Motion(*columns, first.time_format, common)
 
-    def at(self, column, row):  # noqa: ARG002 - one motion for all places
-        """Return the motion of a star at another place of the detector: the same.
-
-        Parameters
-        ----------
-        column, row : float
-            Place on the CCD, pixels, as 1CRV5P and 2CRV5P count them.
-
-        Returns
-        -------
-        Motion
-            The motion there; that of `from_tpfs` depends on the place.
-        """
-        return self
-
     def offsets(self, tpf):
         """Return the offsets of the star of a file, in the cadences of the file.
 
@@ -747,7 +732,7 @@ class Motion(Value):
         if not known.any():
             raise ValueError("the motion has none of the cadences of the file")
         place = place_of(series)
-        moved = self if place is None else self.at(*place)
+        moved = self.at(*place) if place is not None and hasattr(self, "at") else self
         pairs = [(moved.x, moved.y), (moved.x_err, moved.y_err)]
         return tuple(
             None if x is None else np.where(known, [x[nearest], y[nearest]], np.nan).T

@@ -19,7 +19,7 @@ from scope_models import (
 )
 from scope_models.exceptions import FitWarning
 from scope_models.scene import CommonMotion
-from scope_models.scene.common import Track, fit_tracks
+from scope_models.scene._tracks import Track, fit_tracks
 
 MOTION = Motion.k2_roll(300, seed=1)
 
@@ -83,7 +83,7 @@ def channel(motion):
         moved = motion.at(column + 4, row + 4)
         scene = Scene(stars, Detector.k2(shape=(9, 9)), moved, **place)
         series = read_pixels(simulate(scene, seed=k).to_tpf(), quality_bitmask="none")
-        # as measured on real files: 1 % in scale, 0.006 px slowly, and 0.003 px from one to the next
+        # as of real files: 1 % in scale, 0.006 px slowly, and 0.003 px from one to the next
         error = 0.003 * rng.normal(size=(n, 2)) + 0.006 * np.sin(slow + rng.uniform(0, 6, 2))
         error += np.column_stack([moved.x, moved.y]) * 0.01 * rng.normal(size=2)
         known = np.isin(motion.cadenceno, series.cadenceno)
@@ -185,7 +185,7 @@ def test_files_of_other_ccds_and_files_that_fail(series, tmp_path):
     assert motion.meta["n_files"] == 2
     with pytest.warns(FitWarning, match="one file of c05 CCD 1 1765 s: no other star confirms it"):
         Motion.from_tpfs([of(1)])
-    with pytest.raises(ValueError, match="no file has positions: broken.fits"):
+    with pytest.raises(ValueError, match=r"no file has positions: broken\.fits"):
         Motion.from_tpfs(files[3:])
     with pytest.raises(ValueError, match=r"`tpfs` is empty"):
         Motion.from_tpfs([])
