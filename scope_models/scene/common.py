@@ -5,6 +5,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from scope_models._arrays import plain_number
 from scope_models.scene._motion_arrays import as_pixels
 from scope_models.scene.motion import Motion
 
@@ -74,7 +75,7 @@ class CommonMotion(Motion):
 
         Parameters
         ----------
-        column, row : float
+        column, row : float or Quantity
             The place, pixels, as 1CRV5P and 2CRV5P count them.
 
         Returns
@@ -82,15 +83,13 @@ class CommonMotion(Motion):
         CommonMotion
             The same motion, about this place.
         """
+        column, row = plain_number(column, "pix", "column"), plain_number(row, "pix", "row")
         right, up = column - self.place[0], row - self.place[1]
-        arms = (
-            np.hypot(self.scale_err * right, self.roll_err * up),
-            np.hypot(self.scale_err * up, self.roll_err * right),
-        )
+        scale, roll = self.scale_err, self.roll_err
         return self.replace(
             x=self.x + self.scale * right - self.roll * up,
             y=self.y + self.scale * up + self.roll * right,
-            x_err=np.hypot(self.x_err, arms[0]),
-            y_err=np.hypot(self.y_err, arms[1]),
+            x_err=np.sqrt(self.x_err**2 + (scale * right) ** 2 + (roll * up) ** 2),
+            y_err=np.sqrt(self.y_err**2 + (scale * up) ** 2 + (roll * right) ** 2),
             place=(column, row),
         )
