@@ -38,7 +38,8 @@ _CONVENTION = (
     "Noise is the 6.5-h CDPP in EVEREST's convention: median of the scatter in windows of 13 "
     "cadences over the root of 13, after a Savitzky-Golay trend of 49 cadences."
 )
-_OUTLIERS, _EXAMPLES = 8, 5  # stars that are shown
+# Stars in a list: as many as one looks at; the table of results has all.
+_OUTLIERS, _EXAMPLES = 8, 5
 _STYLE = """
 body { font: 15px/1.5 system-ui, sans-serif; max-width: 1100px; margin: 2em auto; padding: 0 1em; }
 h1, h2 { font-weight: 600; } img { max-width: 100%; } table { border-collapse: collapse; }

@@ -314,7 +314,7 @@ def aperture_pixels(series, aperture):
 
 
 def _compare_pipeline(series, aperture, total, usable):
-    """Warn if the pipeline's aperture has less noise, or the chosen one little of its light."""
+    """Warn if the pipeline's aperture has less noise, or other light than the chosen one."""
     other = series.aperture
     if not other.any() or other.all() or (other == aperture).all():
         return
@@ -327,6 +327,8 @@ def _compare_pipeline(series, aperture, total, usable):
     if inside < whole / 2:
         part = 100 * max(inside / whole, 0)
         _warn(f"the aperture holds {part:.0f} % of the light in the pipeline's: {remedy}")
+    elif not other.flat[np.argmax(np.where(aperture, image, -np.inf))]:
+        _warn(f"the brightest star in the aperture is outside of the pipeline's: {remedy}")
     sizes = [_jumps(values) for values in (total[usable], its)]
     # 0.76: standard deviation of the absolute value of a normal variable over its mean
     if sizes[1] > 0 and sizes[0] / sizes[1] > 1 + _SIGNIFICANCE * 0.76 * np.sqrt(2 / len(its)):

@@ -239,6 +239,17 @@ def test_a_worse_aperture_than_the_pipeline_s_is_reported(fake_star, monkeypatch
     PLDCorrector(star.tpf, chosen)  # the user's own
 
 
+@pytest.mark.parametrize(("magnitude", "column"), [(12.0, 7.0), (14.0, 6.5)])
+def test_an_aperture_on_another_star_is_reported(magnitude, column):
+    """The images of both have one peak, of the star that is not the target."""
+    stars = [Star(15.0, 5, 5), Star(magnitude, column, 5.5)]
+    motion = Motion.k2_roll(300, seed=4)
+    tpf = simulate(stars, Detector.k2(shape=(11, 11)), motion, seed=1).to_tpf()
+    with pytest.warns(DetrendingWarning, match="brightest star .* is outside of the pipeline's"):
+        assert not tpf.pipeline_mask[PLDCorrector(tpf).aperture_mask].all()
+    PLDCorrector(tpf, "pipeline")
+
+
 @pytest.mark.filterwarnings("ignore::scope_models.exceptions.DetrendingWarning")
 def test_a_star_that_vanishes_beside_constant_light(fake_star):
     """Total eclipses: the light of the neighbor is constant, and nothing of the star is left."""
