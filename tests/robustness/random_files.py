@@ -68,66 +68,77 @@ def random_file(seed, *, small=False):
     """
     rng = np.random.default_rng([22, seed])
     mission = str(rng.choice(list(_MISSIONS)))
-    exposure, step, zero, first, full, sky, read = _MISSIONS[mission]
-    ny, nx = _shape(rng, small)
+    _, step, _, first, *_ = _MISSIONS[mission]
+    shape = _shape(rng, small)
     n = int(np.exp(rng.uniform(np.log(25), np.log(300 if small else 4000))))
     time = first + step * np.arange(n)
     if gap := rng.random() < 0.2:
         time[n // 2 :] += rng.choice([1.0, 30.0, 300.0])
-    x, y = _motion(rng, n)
-    place = str(rng.choice(["inside", "edge", "off"], p=[0.7, 0.15, 0.15]))
-    x_0, y_0 = _place(rng, nx, place), _place(rng, ny, "inside" if place == "off" else place)
-    magnitude, signal = rng.uniform(8, 18), str(rng.choice(_SIGNALS))
-    relative = _signal(rng, signal, time - time[0])
-    light = zero * 10 ** (-0.4 * magnitude) * relative
-    wild = str(rng.choice(["none", "number", "star"], p=[0.7, 0.15, 0.15]))
-    away = rng.random(n) < rng.choice([1 / n, 0.01])
-    jump = np.where(away[:, None] & (wild != "none"), rng.uniform(100, 1000, (n, 2)), 0.0)
-    moved = jump * (wild == "star")
-    sigma = rng.uniform(0.4, 1.0)
-    expected = light[:, None, None] * _images(x_0 + x + moved[:, 0], y_0 + y + moved[:, 1],
-                                              sigma, ny, nx)  # fmt: skip
-    n_neighbors = int(rng.integers(0, 11)) if rng.random() < 0.5 else 0
-    for _ in range(n_neighbors):
-        other = zero * 10 ** (-0.4 * (magnitude + rng.uniform(-1, 6)))
-        u, v = rng.uniform(-2, nx + 1), rng.uniform(-2, ny + 1)
-        expected += other * _images(u + x + moved[:, 0], v + y + moved[:, 1], sigma, ny, nx)
-    expected *= 1 + 0.01 * rng.standard_normal((ny, nx))
-    expected = _bled(expected, full)
-    variance = (np.maximum(expected, 0) + sky) / exposure + read**2
-    flux = expected + np.sqrt(variance) * rng.standard_normal(expected.shape)
-    taken = str(rng.choice(["right", "twice", "star"], p=[0.75, 0.15, 0.1]))
-    flux -= {"right": 0.0, "twice": sky, "star": 0.2 * np.median(expected)}[taken]
-    error = np.sqrt(variance)
-    flaws = [str(name) for name in ("pixels", "cadences", "times") if rng.random() < 0.25]
-    _damage(rng, flux, flaws)
+    facts = {"mission": mission, "shape": (n, *shape), "gap": gap}
+    positions, expected, signal = _light(rng, facts, time - time[0])
+    flux, error = _pixels(rng, facts, expected)
     errors = str(rng.choice(["right", "zero", "nan", "some"], p=[0.7, 0.1, 0.1, 0.1]))
     invalid = {"right": 0, "some": 0.1}.get(errors, 1) > rng.random(n)
-    if "times" in flaws:
+    if "times" in facts["missing"]:
         time[rng.random(n) < 0.03] = np.nan
     order = str(rng.choice(["increasing", "unsorted"], p=[0.95, 0.05]))
     offsets = str(rng.choice(["right", "nan", "zero"], p=[0.8, 0.1, 0.1]))
-    pos_corr = {"right": np.column_stack([x, y]) + jump, "nan": np.full((n, 2), np.nan),
-                "zero": np.zeros((n, 2))}[offsets]  # fmt: skip
+    columns = {"right": positions, "nan": np.full((n, 2), np.nan), "zero": np.zeros((n, 2))}
     aperture = np.median(np.nan_to_num(expected), axis=0)
     aperture = aperture > 0.3 * aperture.max() if rng.random() < 0.8 else None
+    magnitude = round(facts["magnitude"], 2)
     hdus = make_tpf_hdulist(
-        metadata=TPFMetadata(mission=mission, target_id=seed + 1, magnitude=round(magnitude, 2)),
-        time=time, flux=flux, flux_err=error, flux_bkg=sky, flux_bkg_err=0.1,
-        pos_corr1=pos_corr[:, 0], pos_corr2=pos_corr[:, 1], aperture=aperture,
+        metadata=TPFMetadata(mission=mission, target_id=seed + 1, magnitude=magnitude),
+        time=time, flux=flux, flux_err=error, flux_bkg=_MISSIONS[mission][5], flux_bkg_err=0.1,
+        pos_corr1=columns[offsets][:, 0], pos_corr2=columns[offsets][:, 1], aperture=aperture,
     )  # fmt: skip
     table = hdus[1].data  # what no writer writes
     table["FLUX_ERR"][invalid] = np.nan if errors == "nan" else 0.0
     table["FLUX_ERR"][np.isnan(flux)] = np.nan
     if order == "unsorted":
         table["TIME"] = rng.permutation(time)
-    facts = {
-        "mission": mission, "shape": (n, ny, nx), "magnitude": round(magnitude, 1),
-        "signal": signal, "star": place, "neighbors": n_neighbors, "background": taken,
-        "missing": flaws, "errors": errors, "wild": wild, "pos_corr": offsets, "times": order,
-        "gap": gap,
-    }  # fmt: skip
-    return RandomFile(seed, hdus, facts, relative)
+    facts |= {"errors": errors, "pos_corr": offsets, "times": order}
+    return RandomFile(seed, hdus, facts, signal)
+
+
+def _light(rng, facts, time):
+    """Return POS_CORR, expected pixels, and the star's relative flux; add to the facts."""
+    _, _, zero, _, full, *_ = _MISSIONS[facts["mission"]]
+    n, ny, nx = facts["shape"]
+    x, y = _motion(rng, n)
+    place = str(rng.choice(["inside", "edge", "off"], p=[0.7, 0.15, 0.15]))
+    x_0, y_0 = _place(rng, nx, place), _place(rng, ny, "inside" if place == "off" else place)
+    magnitude, signal = rng.uniform(8, 18), str(rng.choice(_SIGNALS))
+    relative = _signal(rng, signal, time)
+    light = zero * 10 ** (-0.4 * magnitude) * relative
+    wild = str(rng.choice(["none", "number", "star"], p=[0.7, 0.15, 0.15]))
+    away = rng.random(n) < rng.choice([1 / n, 0.01])
+    jump = np.where(away[:, None] & (wild != "none"), rng.uniform(100, 1000, (n, 2)), 0.0)
+    at_x, at_y = x + jump[:, 0] * (wild == "star"), y + jump[:, 1] * (wild == "star")
+    sigma = rng.uniform(0.4, 1.0)
+    expected = light[:, None, None] * _images(x_0 + at_x, y_0 + at_y, sigma, ny, nx)
+    n_neighbors = int(rng.integers(0, 11)) if rng.random() < 0.5 else 0
+    for _ in range(n_neighbors):
+        other = zero * 10 ** (-0.4 * (magnitude + rng.uniform(-1, 6)))
+        u, v = rng.uniform(-2, nx + 1), rng.uniform(-2, ny + 1)
+        expected += other * _images(u + at_x, v + at_y, sigma, ny, nx)
+    expected *= 1 + 0.01 * rng.standard_normal((ny, nx))
+    facts |= {"magnitude": magnitude, "signal": signal, "star": place, "wild": wild}
+    facts["neighbors"] = n_neighbors
+    return np.column_stack([x, y]) + jump, _bled(expected, full), relative
+
+
+def _pixels(rng, facts, expected):
+    """Return flux and errors of pixels, some of them without data; add to the facts."""
+    exposure, *_, sky, read = _MISSIONS[facts["mission"]]
+    variance = (np.maximum(expected, 0) + sky) / exposure + read**2
+    flux = expected + np.sqrt(variance) * rng.standard_normal(expected.shape)
+    taken = str(rng.choice(["right", "twice", "star"], p=[0.75, 0.15, 0.1]))
+    flux -= {"right": 0.0, "twice": sky, "star": 0.2 * np.median(expected)}[taken]
+    flaws = [str(name) for name in ("pixels", "cadences", "times") if rng.random() < 0.25]
+    _damage(rng, flux, flaws)
+    facts |= {"background": taken, "missing": flaws}
+    return flux, np.sqrt(variance)
 
 
 def _damage(rng, flux, flaws):
