@@ -7,20 +7,10 @@
 import lazy_loader
 
 __all__ = [
-    "SweepError",
-    "SweepResult",
-    "detrend_files",
-    "find_files",
-    "fit_files",
-    "inject_file",
-    "inject_files",
-    "read_results",
-    "run_sweep",
-    "simulate_table",
-    "star_rng",
-    "star_seed",
+    "SweepError", "SweepResult", "detrend_files", "find_files", "fit_files", "inject_file",
+    "inject_files", "read_results", "run_sweep", "simulate_table", "star_rng", "star_seed",
     "write_report",
-]
+]  # fmt: skip
 
 # Public names are imported at first use, as in the package itself.
 __getattr__, __dir__, _ = lazy_loader.attach(

@@ -15,14 +15,9 @@ from scope_models.io.tpf import write_hdulist
 from scope_models.photometry import cdpp
 
 __all__ = [
-    "FORMATS",
-    "archive_name",
-    "detrended",
-    "header_row",
-    "noise_of",
-    "partition_of",
+    "FORMATS", "archive_name", "detrended", "header_row", "noise_of", "partition_of",
     "write_manifest",
-]
+]  # fmt: skip
 
 FORMATS = "fits", "hlsp", "parquet"
 

@@ -13,13 +13,8 @@ from scope_models.batch._store import FILE
 from scope_models.io._atomic import atomic_path
 
 __all__ = [
-    "DATA_SET",
-    "check_data_set",
-    "data_set_rows",
-    "light_curve_of",
-    "partition",
-    "write_star",
-]
+    "DATA_SET", "check_data_set", "data_set_rows", "light_curve_of", "partition", "write_star",
+]  # fmt: skip
 
 #: Name of the data set in a results directory.
 DATA_SET = "light_curves"

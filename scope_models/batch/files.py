@@ -38,13 +38,8 @@ from scope_models.scene import PRESETS, Detector, Motion, Star, read_detector
 from scope_models.simulation import inject, simulate
 
 __all__ = [
-    "detrend_files",
-    "find_files",
-    "fit_files",
-    "inject_file",
-    "inject_files",
-    "simulate_table",
-]
+    "detrend_files", "find_files", "fit_files", "inject_file", "inject_files", "simulate_table",
+]  # fmt: skip
 
 _NAME = re.compile(r"(EPIC|KIC|TIC)[ -]?\d+", re.IGNORECASE)
 _PLANET = ("period", "t0", "depth", "duration")

@@ -7,19 +7,9 @@ import warnings
 from pathlib import Path
 
 __all__ = [
-    "add_command",
-    "add_options",
-    "add_planet",
-    "add_workers",
-    "check_number",
-    "client_of",
-    "planet_of",
-    "planets_of",
-    "refuse_options_of_runs",
-    "run",
-    "single",
-    "with_config",
-]
+    "add_command", "add_options", "add_planet", "add_workers", "check_number", "client_of",
+    "planet_of", "planets_of", "refuse_options_of_runs", "run", "single", "with_config",
+]  # fmt: skip
 
 
 def add_command(commands, name, *, example, **texts):

@@ -20,16 +20,6 @@ from scope_models.plotting.images import (
 from scope_models.plotting.light_curves import plot_fold, plot_light_curve, plot_summary
 
 __all__ = [
-    "animate_pixels",
-    "plot_detector",
-    "plot_fit",
-    "plot_fold",
-    "plot_light_curve",
-    "plot_motion",
-    "plot_pixels",
-    "plot_psf",
-    "plot_scene",
-    "plot_sensitivity",
-    "plot_summary",
-    "plot_twin",
-]
+    "animate_pixels", "plot_detector", "plot_fit", "plot_fold", "plot_light_curve", "plot_motion",
+    "plot_pixels", "plot_psf", "plot_scene", "plot_sensitivity", "plot_summary", "plot_twin",
+]  # fmt: skip

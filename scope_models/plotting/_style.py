@@ -10,21 +10,9 @@ from matplotlib.backend_bases import FigureCanvasBase
 from scope_models._docstrings import documented
 
 __all__ = [
-    "DARK",
-    "FLUX",
-    "GRAY",
-    "LIGHT",
-    "STYLE",
-    "check_figure_format",
-    "given_or_new",
-    "label_pixels",
-    "label_places",
-    "make_panels",
-    "mark_outside",
-    "save_figure",
-    "scale_to",
-    "styled",
-]
+    "DARK", "FLUX", "GRAY", "LIGHT", "STYLE", "check_figure_format", "given_or_new", "label_pixels",
+    "label_places", "make_panels", "mark_outside", "save_figure", "scale_to", "styled",
+]  # fmt: skip
 
 STYLE = "scope_models.plotting.scope_models"
 # Far apart in lightness too, so that figures can be read in black and white.

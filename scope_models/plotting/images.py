@@ -12,14 +12,9 @@ from scope_models._arrays import plain_array, plain_number
 from scope_models.plotting._style import FLUX, LIGHT, given_or_new, label_places, styled
 
 __all__ = [
-    "animate_pixels",
-    "plot_detector",
-    "plot_motion",
-    "plot_pixels",
-    "plot_psf",
-    "plot_scene",
+    "animate_pixels", "plot_detector", "plot_motion", "plot_pixels", "plot_psf", "plot_scene",
     "plot_sensitivity",
-]
+]  # fmt: skip
 
 
 @styled

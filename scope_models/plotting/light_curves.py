@@ -9,10 +9,8 @@ from scope_models.plotting._style import DARK, LIGHT, given_or_new, styled
 from scope_models.plotting.images import plot_motion, plot_pixels
 
 __all__ = [
-    "plot_fold",
-    "plot_light_curve",
-    "plot_summary",
-]
+    "plot_fold", "plot_light_curve", "plot_summary",
+]  # fmt: skip
 
 
 @styled
