@@ -30,7 +30,7 @@ from scope_models.io import read_pixels, read_tpf
 from scope_models.io._atomic import check_output
 from scope_models.io._hlsp import Collection
 from scope_models.io._opening import naming
-from scope_models.io.pixels import star_places
+from scope_models.io.pixels import read_neighbors
 from scope_models.io.tpf import write_hdulist
 from scope_models.missions import MISSIONS
 from scope_models.models import TransitModel
@@ -73,7 +73,8 @@ def detrend_files(
     **options
         Arguments of `~scope_models.correctors.PLDCorrector.correct` and fields of
         `~scope_models.correctors.PLDOptions` that are numbers, text, or
-        true or false; ``survival=True`` adds the survival of transits, which doubles the time.
+        true or false; ``survival=True`` adds the survival of transits, which doubles the time;
+        ``neighbors`` is as for `~scope_models.correctors.detrend_file`.
 
     Returns
     -------
@@ -125,6 +126,7 @@ def detrend_files(
     elif format == "parquet":
         name_output = partition_of
         check_data_set(output_dir, overwrite=overwrite)
+    _make_absolute(options)
     result = run_files(
         detrended, files, output_dir, client, name="detrend", suffix="-lc.fits", rows=rows,
         options=shared | options, draw=_noise_figure, overwrite=overwrite, sweep=sweep,
@@ -173,6 +175,7 @@ def fit_files(paths, output_dir, client=None, *, overwrite=False, sweep=None, **
     >>> result.table["n_cadences"].tolist()
     [95]
     """
+    _make_absolute(options)
     return run_files(
         _fitted, find_files(paths), output_dir, client, name="fit", suffix="-fit.fits",
         options=options, overwrite=overwrite, sweep=sweep,
@@ -300,6 +303,12 @@ def inject_file(path, planet, output, *, star=None, seed=1, overwrite=False):
         "injected_depth": float(-np.min(table["FLUX_ADDED"].sum(axis=(1, 2))) / total) + 0.0,
         "in_transit": int(np.sum(table["SIGNAL"] < 1)),
     }
+
+
+def _make_absolute(options):
+    """Let workers find the catalog of neighbors."""
+    if options.get("neighbors") not in {None, "find"}:
+        options["neighbors"] = str(Path(options["neighbors"]).absolute())
 
 
 def planet_rows(planets, needed=("period", "depth"), further=("t0", "duration")):
@@ -520,9 +529,7 @@ def fit_file(path, output, *, sensitivity=False, cadences=None, overwrite=False,
         few = {name: options.pop(name) for name in names & options.keys()}
         pixels = read_pixels(path)[: cadences or None]
         if options.get("neighbors") not in {None, "find"}:
-            places = star_places("neighbors", Table.read(options["neighbors"]), pixels)
-            inside = (places > -0.5) & (places < np.array(pixels.flux.shape[:0:-1]) - 0.5)
-            options["neighbors"] = places[inside.all(axis=1)]
+            options["neighbors"] = read_neighbors(options["neighbors"], pixels)
         fit = fit_tpf(pixels, options=FitOptions(**few), **options)
     fit.write(output, overwrite=overwrite)
     return fit

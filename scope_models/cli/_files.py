@@ -44,6 +44,7 @@ def _run(arguments):
     """Treat one file or many; return the exit status."""
     _batch.check_number(arguments, "cadences")
     options = {name: getattr(arguments, name) for name in arguments.names}
+    options = {name: value for name, value in options.items() if value is not None}
     if arguments.command == "inject":
         options["planets"] = _batch.planets_of(arguments)
     if arguments.command == "detrend":
@@ -71,11 +72,10 @@ def _add_detrend(commands):
     parser.add_argument(
         "--figure", metavar="FILE", help="the figure (default: the output's name with .png)"
     )
-    add("--order", type=int, default=2, help="pixel fractions that are multiplied (default: 2)")
+    add("--order", type=int, help="pixel fractions that are multiplied (default: 2)")
     add(
         "--trend",
         choices=("gp", "quadratic"),
-        default="gp",
         help="model of the long-term variability (default: gp)",
     )
     add(
@@ -95,6 +95,7 @@ def _add_detrend(commands):
         choices=("pipeline", "threshold", "all"),
         help="pixels that are summed (default: those whose sum is most precise)",
     )
+    _add_neighbors(add)
     masked = parser.add_argument_group("transits that are left out of the fit")
     for name, text in (
         ("period", "period of a planet, days"),
@@ -108,6 +109,16 @@ def _add_detrend(commands):
         help="a table that astropy reads with these columns: one row for each file",
     )
     _add_format(parser.add_argument_group("files for archives, with --output-dir"))
+
+
+def _add_neighbors(add):
+    """Add ``--neighbors``."""
+    add(
+        "--neighbors",
+        metavar="TABLE",
+        help="other stars in the pixels: find, or a table that astropy reads with the columns ra "
+        "and dec (degrees), or x and y (pixels); stars outside of the pixels are left out",
+    )
 
 
 def _add_format(group):
@@ -203,12 +214,7 @@ def _add_fit(commands):
         help="standard deviation of the response between pixels; 0: all alike (default: 0.01 if "
         "the PSF describes the pixels, else 0)",
     )
-    add(
-        "--neighbors",
-        metavar="TABLE",
-        help="other stars in the pixels: find, or a table that astropy reads with the columns ra "
-        "and dec (degrees), or x and y (pixels); stars outside of the pixels are left out",
-    )
+    _add_neighbors(add)
     add(
         "--positions",
         choices=("start", "free", "prior", "path"),

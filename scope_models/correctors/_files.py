@@ -7,11 +7,13 @@ from astropy.io import fits
 
 from scope_models.correctors._model import PLDOptions
 from scope_models.correctors.pld import PLDCorrector
-from scope_models.io import read_pixels
+from scope_models.correctors.scene import SceneCorrector
+from scope_models.io import read_pixels, read_tpf
 from scope_models.io._atomic import atomic_path, check_output
 from scope_models.io._hlsp import archive_hdulist
 from scope_models.io._light_curves import make_light_curve_hdulist
 from scope_models.io._opening import naming
+from scope_models.io.pixels import read_neighbors
 from scope_models.io.tpf import write_hdulist
 from scope_models.photometry import cdpp
 
@@ -42,7 +44,9 @@ def detrend_file(path, output, *, figure=None, overwrite=False, survival=False, 
     **options
         Arguments of `PLDCorrector` and its `correct`, and fields of `PLDOptions`; ``transits``, a
         mapping with the period, t0 (a mid-transit, as TIME) and duration of a planet in days, masks
-        its transits.
+        its transits; ``neighbors``, "find" or the file of a catalog with the columns ra and dec
+        (degrees), or x and y (pixels, without the target), takes off the light of other stars with
+        `SceneCorrector`, which has fewer options.
 
     Returns
     -------
@@ -89,11 +93,16 @@ def detrend_file(path, output, *, figure=None, overwrite=False, survival=False, 
     return corrector
 
 
-def correct_file(path, transits=None, aperture_mask=None, **options):
+def correct_file(path, transits=None, aperture_mask=None, neighbors=None, **options):
     """Return a corrector after a correction; the options are those of `detrend_file`."""
-    corrector = PLDCorrector(path, aperture_mask)
-    names = {item.name for item in fields(PLDOptions)}
-    few = {name: options.pop(name) for name in names & options.keys()}
+    if neighbors is None:
+        corrector = PLDCorrector(path, aperture_mask)
+        names = {item.name for item in fields(PLDOptions)} & options.keys()
+        options["options"] = PLDOptions(**{name: options.pop(name) for name in names})
+    else:
+        tpf = read_tpf(path)
+        found = None if neighbors == "find" else read_neighbors(neighbors, read_pixels(tpf))
+        corrector = SceneCorrector(tpf, aperture_mask, found)
     if transits is not None:
         if missing := {"period", "t0", "duration"} - set(transits):
             raise ValueError(f"`transits` needs period, t0 and duration, got no {min(missing)}")
@@ -102,7 +111,7 @@ def correct_file(path, transits=None, aperture_mask=None, **options):
             raise ValueError(f"`transits` must have positive days, got {period} and {duration}")
         phase = np.mod(read_pixels(corrector.tpf).time - t0 + period / 2, period) - period / 2
         options["transit_mask"] = np.abs(phase) <= duration / 2
-    corrector.correct(options=PLDOptions(**few), **options)
+    corrector.correct(**options)
     return corrector
 
 
@@ -138,7 +147,7 @@ def make_archive_hdulist(corrector, path, collection, *, survival=False):
     if result is not None:
         cards += [
             ("CROWDING", result.crowding, "share of the target in the aperture, at most"),
-            ("CONTAMIN", result.contamination, "constant light taken off, share"),
+            ("CONTAMIN", getattr(result, "contamination", None), "constant light taken off, share"),
             *_held_out(corrector),
         ]
     hdus = make_lightcurve_hdulist(corrector, survival=survival)
@@ -213,8 +222,9 @@ def _cards(corrector, survival):
             ("PLDNFIT", result.n_used, "cadences in the fit"),
             ("PLDNOUT", result.n_outliers, "cadences left out as outliers"),
             ("PLDNOISE", result.noise_scale, "white noise variance over FLUX_ERR^2"),
-            ("PLDLNL", result.log_likelihood, "log marginal likelihood"),
-            ("PLDDOF", sum(result.effective_parameters), "effective number of parameters"),
+            ("PLDLNL", getattr(result, "log_likelihood", None), "log marginal likelihood"),
+            ("PLDDOF", sum(getattr(result, "effective_parameters", ())),
+             "effective number of parameters"),
         ]  # fmt: skip
         if survival and np.isfinite(result.transit_survival):
             comment = "part of an unmasked transit that survives"

@@ -92,6 +92,8 @@ class SceneResult:
         Part of a transit of 6.5 h that survives the whole chain if it is not masked.
     transit_scale, transit_scale_err : float
         Amplitude of the jointly fitted transit model, NaN without one.
+    transit_survival_err : float
+        NaN: not computed.
 
     Examples
     --------
@@ -124,6 +126,7 @@ class SceneResult:
     transit_survival: float
     transit_scale: float
     transit_scale_err: float
+    transit_survival_err: float = np.nan
 
     def __repr__(self):
         return (

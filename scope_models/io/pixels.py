@@ -518,6 +518,25 @@ def star_places(name, places, series):
     return positions
 
 
+def read_neighbors(path, series):
+    """Return the stars of a catalog file that are in the pixels of a `PixelSeries`, a table.
+
+    Of stars on the sky, the nearest to the target's coordinates, if within a pixel, is the target,
+    which is left out.
+    """
+    from astropy.table import Table
+
+    table = Table.read(path)
+    places = star_places("neighbors", table, series)
+    kept = ((places > -0.5) & (places < np.array(series.flux.shape[:0:-1]) - 0.5)).all(axis=1)
+    on_sky = len(table) and "x" not in map(str.lower, table.colnames)
+    target = target_place(series) if on_sky else None
+    if target is not None:
+        distance = np.hypot(*(places - target).T)
+        kept[np.argmin(distance)] &= distance.min() > 1
+    return table[kept]
+
+
 def target_place(series):
     """Return the target's column and row in the stamp by its coordinates; None without these."""
     place = [series.header.get(key) for key in ("RA_OBJ", "DEC_OBJ")]

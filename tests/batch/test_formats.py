@@ -12,7 +12,9 @@ import numpy as np
 import pytest
 from astropy import units as u
 from astropy.io import fits
+from astropy.table import Table
 from astropy.time import Time
+from astropy.wcs import WCS
 from sweep_studies import write_rows
 
 from scope_models import Detector, Motion, Star, simulate
@@ -441,6 +443,38 @@ class TestCommand:
         assert main([*command, "--order", "1"]) == 0
         with fits.open(out) as lc, fits.open(made[0]) as tpf:
             assert ((lc["APERTURE"].data & 2 > 0) == (tpf["APERTURE"].data & 2 > 0)).all()
+
+    @pytest.mark.filterwarnings("ignore:other stars give")
+    @pytest.mark.parametrize("sky", [False, True])
+    def test_light_of_the_neighbors_of_a_catalog(self, tmp_path, sky):
+        """The corrected light curve is that of the target; without the catalog it is both."""
+        from scope_models import Scene
+
+        catalog, path = tmp_path / "stars.csv", tmp_path / "two.fits"
+        stars = Star(12, 4.0, 4.0), Star(13.5, 7.5, 4.5)
+        place = {"ra": 150.0, "dec": 10.0} if sky else {}
+        motion = Motion.k2_roll(200, seed=1)
+        simulate(Scene(stars, Detector.k2(shape=(9, 12)), motion, **place), seed=1).write(path)
+        catalog.write_text("x,y\n7.5,4.5\n80,3\n")
+        if sky:  # a catalog has the target, too
+            with fits.open(path) as hdus:
+                wcs = WCS(hdus["APERTURE"].header)
+            rows = wcs.pixel_to_world_values([4.0, 7.5, 80.0], [4.0, 4.5, 3.0])
+            Table(rows, names=["ra", "dec"]).write(catalog, overwrite=True)
+        command = ["detrend", str(path), "--aperture", "all"]
+        share = {}
+        for name, more in (("with", ["--neighbors", str(catalog)]), ("without", [])):
+            assert main([*command, "--output-dir", str(tmp_path / name), *more]) == 0
+            with fits.open(tmp_path / name / "two-lc.fits") as hdus:
+                data = hdus[1].data
+                share[name] = np.nanmedian(data["FLUX"]) / np.nanmedian(data["RAW_FLUX"])
+        # the level of the background is a part of the model
+        assert share["with"] == pytest.approx(1 / (1 + 10 ** (-0.4 * 1.5)), abs=0.06)
+        assert share["without"] == pytest.approx(1, abs=0.01)
+        one = tmp_path / "one.fits"
+        assert main([*command, "--output", str(one), "--neighbors", str(catalog)]) == 0
+        with fits.open(one) as a, fits.open(tmp_path / "with" / "two-lc.fits") as b:
+            np.testing.assert_array_equal(a[1].data["FLUX"], b[1].data["FLUX"])
 
     def test_neighbors_of_a_catalog(self, tmp_path):
         """Stars outside of the pixels, and the target itself, are no neighbors."""
