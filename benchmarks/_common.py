@@ -1,12 +1,13 @@
-"""What benchmarks share: the line about the machine and the versions, and a clock."""
+"""What benchmarks share: the line about the machine and the versions, a clock, and memory."""
 
 import importlib
 import os
 import platform
 import sys
 import time
+import tracemalloc
 
-__all__ = ["report_environment", "seconds"]
+__all__ = ["peak_memory", "report_environment", "seconds"]
 
 
 def report_environment(*packages):
@@ -31,3 +32,12 @@ def seconds(*functions, repeats=5, choose=min, clock=time.process_time):
             spent.append(clock() - start)
     chosen = [choose(spent) for spent in times]
     return chosen[0] if len(chosen) == 1 else chosen
+
+
+def peak_memory(function):
+    """Return the largest memory that Python holds in a call, MB."""
+    tracemalloc.start()
+    function()
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    return peak / 1e6

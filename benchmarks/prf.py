@@ -4,16 +4,21 @@
 difference from a rule of 40 x 40 nodes in each pixel, as part of the flux, at 20 of the positions.
 Times are processor times of calls in turn; memory is the largest that Python held in a call. In
 each pair of columns ours comes first. GaussianPRF is integrated over pixels since photutils 3.1.
+lkprf and pandorapsf are compared if they are installed: lkprf with a file of Kepler's format that
+holds the PRF of a Gaussian, and a scene of pandorapsf with samples of a Gaussian, 40 in a pixel.
 The last lines are the error of a first-order shift of an image (image plus offset times its
-derivative), by which scenes of pandora-psf follow small motions, at offsets from its center.
+derivative), by which scenes of pandorapsf follow motions within half a pixel.
 
 Run as ``OMP_NUM_THREADS=1 python benchmarks/prf.py``.
 """
 
-import tracemalloc
+import tempfile
+from pathlib import Path
 
+import astropy.units as u
 import numpy as np
-from _common import report_environment, seconds
+from _common import peak_memory, report_environment, seconds
+from astropy.io import fits
 from photutils.psf import CircularGaussianPRF, GaussianPRF, ImagePSF
 
 from scope_models import PRF, BivariateGaussianPSF, Detector, integrate_pixels
@@ -32,15 +37,6 @@ def exact(psf, x, y):
         density = psf(at - x_0, (at - y_0)[:, None]).reshape(SIZE, 40, SIZE, 40)
         images.append(np.einsum("jlik,l,k->ji", density, weights, weights))
     return np.array(images)
-
-
-def peak_memory(function):
-    """Return the largest memory of a call, MB."""
-    tracemalloc.start()
-    function()
-    peak = tracemalloc.get_traced_memory()[1]
-    tracemalloc.stop()
-    return peak / 1e6
 
 
 def cases(x, y):
@@ -72,22 +68,82 @@ def cases(x, y):
     )  # fmt: skip
 
 
+def lkprf_case(x, y, folder):
+    """Return the case of lkprf: the table of a PRF in a file of Kepler's format."""
+    from lkprf import KeplerPRF
+
+    offsets = (np.arange(550) - 274.5) * 0.02
+    psf = BivariateGaussianPSF(1, 0, 0, SIGMA, SIGMA)
+    hdus = [fits.PrimaryHDU()]
+    hdus[0].header["DATE"] = "2011-09-22"
+    table = PRF(psf)(offsets, offsets[:, None])
+    for column, row in ((12, 20), (1111, 20), (1111, 1043), (12, 1043), (561.5, 531.5)):
+        hdus.append(fits.ImageHDU(table))
+        hdus[-1].header.update(CRVAL1P=column, CRVAL2P=row, CDELT1P=0.02, CDELT2P=0.02)
+    path = Path(folder) / "kplr07.4_2011265_prf.fits"
+    fits.HDUList(hdus).writeto(path)
+    theirs, ours = KeplerPRF(20, f"{folder}/"), PRF.from_kepler(path, 561, 531).table
+    rows, columns = np.mgrid[:SIZE, :SIZE].astype(float)
+    pixels = np.tile(columns, (N, 1, 1)), np.tile(rows, (N, 1, 1)), 1.0
+    targets = [(531 + b, 561 + a) for a, b in zip(x.tolist(), y.tolist(), strict=True)]
+    return (
+        "lkprf, Kepler's format", psf,
+        lambda: ours.evaluate(*pixels, x[:, None, None], y[:, None, None]),
+        lambda: theirs.evaluate(targets, (531, 561), (SIZE, SIZE)),
+    )  # fmt: skip
+
+
+def pandora_case(x, y, _):
+    """Return the case of a scene of pandorapsf."""
+    import pandorapsf
+
+    at = (np.arange(40 * (SIZE + 2)) - 20 * (SIZE + 2) + 0.5) / 40
+    psf = BivariateGaussianPSF(1, 0, 0, SIGMA, SIGMA)
+    samples = np.repeat(psf(at, at[:, None])[..., None], 2, axis=2)
+    model = pandorapsf.PSF(
+        "gaussian", [[1.0, 2.0] * u.um], samples, ["wavelength"], [u.um],
+        1 * u.um / u.pix, 0.025 * u.um / u.pix, check_bounds=False,
+    )  # fmt: skip
+    middle = SIZE // 2
+    scene = pandorapsf.Scene(np.full((1, 2), SIZE / 2), model, (SIZE, SIZE))  # from the corner
+    moved = np.array([y - middle, x - middle])
+    ours = BivariateGaussianPSF(1, x, y, SIGMA, SIGMA)
+    return (
+        "Scene of pandorapsf", psf, lambda: integrate_pixels(ours, (SIZE, SIZE)),
+        lambda: scene.model(np.ones((1, N)), moved, quiet=True),
+    )  # fmt: skip
+
+
+def installed_cases(x, y, folder):
+    """Yield the cases of packages that are not dependencies, where they are installed."""
+    for make in (lkprf_case, pandora_case):
+        try:
+            yield make(x, y, folder)
+        except ImportError as error:
+            print(f"{make.__name__.removesuffix('_case')}: {error}")
+
+
+def report(name, psf, ours, theirs, x, y):
+    """Print errors, times and memory of a case."""
+    truth = exact(psf, x[CHECKED], y[CHECKED])
+    errors = [np.abs(call()[CHECKED] - truth).max() for call in (ours, theirs)]
+    times = seconds(ours, theirs)
+    memory = [peak_memory(call) for call in (ours, theirs)]
+    (error, time, peak), (error_2, time_2, peak_2) = zip(errors, times, memory, strict=True)
+    print(
+        f"{name:30} {error:8.0e} {error_2:8.0e} {1e3 * time:7.2f} {1e3 * time_2:7.2f} "
+        f"{time / time_2:6.3f} {peak:6.2f} {peak_2:6.2f}"
+    )
+
+
 def main():
     """Print the environment, and errors, times and memory of both sides."""
     report_environment("photutils")
     x, y = SIZE // 2 + np.random.default_rng(1).uniform(-0.5, 0.5, (2, N))
-    print(f"{'photutils':30} {'error':>17} {'time (ms)':>15} {'ratio':>6} {'memory (MB)':>13}")
-    for name, psf, ours, theirs in cases(x, y):
-        truth = exact(psf, x[CHECKED], y[CHECKED])
-        errors = [np.abs(call()[CHECKED] - truth).max() for call in (ours, theirs)]
-        times = seconds(ours, theirs)
-        memory = [peak_memory(call) for call in (ours, theirs)]
-        columns = zip(errors, times, memory, strict=True)
-        (error, time, peak), (error_2, time_2, peak_2) = columns
-        print(
-            f"{name:30} {error:8.0e} {error_2:8.0e} {1e3 * time:7.2f} {1e3 * time_2:7.2f} "
-            f"{time / time_2:6.3f} {peak:6.2f} {peak_2:6.2f}"
-        )
+    print(f"{'':30} {'error':>17} {'time (ms)':>15} {'ratio':>6} {'memory (MB)':>13}")
+    with tempfile.TemporaryDirectory() as folder:
+        for case in (*cases(x, y), *installed_cases(x, y, folder)):
+            report(*case, x, y)
     prf = PRF(Detector.k2_calibrated().psf)
     print("\nfirst-order shift of the PRF of Detector.k2_calibrated, without its response")
     middle, step = SIZE // 2, 1e-4
