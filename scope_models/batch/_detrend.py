@@ -1,16 +1,16 @@
 """Corrects one file of many, and writes the light curve in the format of the run."""
 
-import warnings
 from pathlib import Path
 
 import numpy as np
 from astropy.table import Table
 
 from scope_models.batch._parquet import partition, write_star
-from scope_models.io import read_pixels
+from scope_models.batch._positions import file_cards, star_positions
+from scope_models.io import read_pixels, read_tpf
 from scope_models.io._atomic import atomic_path
 from scope_models.io._hlsp import Collection, ccd_label, sha256
-from scope_models.io._opening import cards_of, naming
+from scope_models.io._opening import naming
 from scope_models.io.tpf import write_hdulist
 from scope_models.photometry import cdpp
 
@@ -30,7 +30,11 @@ def detrended(task, output, seed, *, format="fits", **options):  # noqa: A002, A
     hlsp = {name[5:]: options.pop(name) for name in list(options) if name.startswith("hlsp_")}
     transits = task if "period" in task else None
     with naming(path):
-        corrector = _files.correct_file(path, transits, **options)
+        tpf = read_tpf(path)
+        if task.get("positions"):
+            folder = output.parents[len(Path(task["output"]).parts) - 1]
+            options["positions"] = star_positions(tpf, folder / task["positions"])
+        corrector = _files.correct_file(tpf, transits, **options)
         series = read_pixels(corrector.tpf)
         row = _correction_row(corrector, series, survival)
         if format == "hlsp":
@@ -70,27 +74,14 @@ def _correction_row(corrector, series, survival):
 def archive_name(collection, file, key):
     """Return the name of a file in a collection; that of its key where the headers name none."""
     try:
-        return collection.name(_cards(file))
+        return collection.name(file_cards(file))
     except ValueError:
         return f"{key}-lc.fits"
 
 
 def partition_of(file, key):
     """Return the place of a star in the data set, by campaign and channel."""
-    return partition(*ccd_label(_cards(file)), key)
-
-
-def _cards(file):
-    """Return the cards of a target pixel file; none of one that cannot be read."""
-    from astropy.io import fits
-
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            with fits.open(file) as hdus:
-                return cards_of(hdus[0].header, hdus[1].header)
-    except (OSError, ValueError, IndexError, EOFError, fits.VerifyError):
-        return {}
+    return partition(*ccd_label(file_cards(file)), key)
 
 
 def write_manifest(table, folder):

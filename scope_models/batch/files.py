@@ -26,6 +26,7 @@ from scope_models.batch._detrend import (
 )
 from scope_models.batch._many import FITS, RUN, run_files
 from scope_models.batch._parquet import check_data_set
+from scope_models.batch._positions import write_motions
 from scope_models.io import read_pixels, read_tpf
 from scope_models.io._atomic import check_output
 from scope_models.io._hlsp import Collection
@@ -48,7 +49,7 @@ _PLANET = ("period", "t0", "depth", "duration")
 @documented(run=RUN)
 def detrend_files(
     paths, output_dir, client=None, *, overwrite=False, sweep=None, format="fits", hlsp=None,  # noqa: A002
-    planets=None, **options,
+    planets=None, positions_from=None, **options,
 ):  # fmt: skip
     """Correct the light curves of many target pixel files.
 
@@ -70,6 +71,11 @@ def detrend_files(
     planets : astropy.table.Table or mapping, optional
         Columns period, t0 (a mid-transit, as in the file) and duration in days, one row for all
         files or one for each: cadences in transit are left out of the fit.
+    positions_from : sequence of str or path-like, optional
+        Target pixel files whose common motion (`Motion.from_tpfs <scope_models.Motion.from_tpfs>`)
+        is that of all stars of their CCDs. By default stars whose own POS_CORR is missing, or
+        disagrees with that of the others, have the motion of POS_CORR of up to 12 other files of
+        the run on the same CCD; their warnings say so.
     **options
         Arguments of `~scope_models.correctors.PLDCorrector.correct` and fields of
         `~scope_models.correctors.PLDOptions` that are numbers, text, or
@@ -127,6 +133,10 @@ def detrend_files(
         name_output = partition_of
         check_data_set(output_dir, overwrite=overwrite)
     _make_absolute(options)
+    if positions_from is not None:
+        positions_from = find_files(positions_from)
+    moved = write_motions(files, output_dir, positions_from)
+    rows = [row | more for row, more in zip(rows or [{}] * len(files), moved, strict=True)]
     result = run_files(
         detrended, files, output_dir, client, name="detrend", suffix="-lc.fits", rows=rows,
         options=shared | options, draw=_noise_figure, overwrite=overwrite, sweep=sweep,

@@ -96,6 +96,14 @@ def _add_detrend(commands):
         help="pixels that are summed (default: those whose sum is most precise)",
     )
     _add_neighbors(add)
+    parser.add_argument(
+        "--positions-from",
+        nargs="+",
+        metavar="FILE",
+        help="target pixel files of stars on the same CCD, whose common motion gives the "
+        "positions (default: POS_CORR, and with --output-dir the POS_CORR of other files of the "
+        "run on the same CCD where it is missing or disagrees with these)",
+    )
     masked = parser.add_argument_group("transits that are left out of the fit")
     for name, text in (
         ("period", "period of a planet, days"),
@@ -160,7 +168,12 @@ def _detrend_options(arguments):
         many["planets"] = Table.read(arguments.planets)
     elif given:
         many["planets"] = {name: [value] for name, value in given.items()}
-    return many, {"transits": given or None}
+    one = {"transits": given or None}
+    if arguments.positions_from is not None:
+        many["positions_from"] = arguments.positions_from
+        if arguments.output_dir is None:
+            one["positions"] = sm.Motion.from_tpfs(arguments.positions_from)
+    return many, one
 
 
 def _detrend(arguments, path, **options):

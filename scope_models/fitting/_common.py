@@ -9,11 +9,11 @@ import numpy as np
 from scope_models._checks import one_line
 from scope_models.exceptions import FitWarning
 from scope_models.fitting.fit import fit_tpf
-from scope_models.io._hlsp import ccd_label
+from scope_models.io._hlsp import ccd_name
 from scope_models.io.pixels import place_of, read_pixels, usable_positions
 from scope_models.scene._tracks import Track, fit_tracks
 
-__all__ = ["common_motion", "common_motions"]
+__all__ = ["common_motion", "common_motions", "pos_corr_track"]
 
 # Prior: map of fitted positions about 1, from errors of the PSF: `_problem._MAP_PRIOR`.
 _MAP_ERROR = 0.3
@@ -64,35 +64,39 @@ def common_motions(tpfs, *, pixels=True):
         except (OSError, TypeError, ValueError, np.linalg.LinAlgError) as error:
             found, failed[name] = [], one_line(error)
         if found:
-            run, ccd = ccd_label(series.header)
-            step = round(86400 * np.nanmedian(np.diff(series.time)))
-            label = " ".join(filter(None, (run, f"CCD {ccd}" if ccd else "", f"{step} s")))
+            ccd = ccd_name(series.header)
+            label = f"{ccd} {86400 * np.nanmedian(np.diff(series.time)):.0f} s".strip()
             tracks[label] += found
-            facts[label] = series.time_format
+            facts[label] = ccd, series.time_format
     motions = {}
     for label, group in tracks.items():
-        motion, left = fit_tracks(group, facts[label], {"ccd": label})
+        ccd, time_format = facts[label]
+        motion, left = fit_tracks(group, time_format)
         names = [track.name for track in group]
         reasons = {
             track.name: f"{track.kind} disagrees with the other stars"
             for track, out in zip(group, left, strict=True) if out
         }  # fmt: skip
         used = {track.name for track, out in zip(group, left, strict=True) if not out}
-        meta = {"ccd": label, "n_files": len(set(names)), "stars": sorted(used)}
+        meta = {"ccd": ccd, "n_files": len(set(names)), "stars": sorted(used)}
         motions[label] = motion.replace(meta=meta | {"left_out": reasons})
     return motions, failed
 
 
+def pos_corr_track(name, series):
+    """Return the positions of POS_CORR of a star; None without."""
+    known = False if series.pos_corr is None else usable_positions(series.pos_corr)
+    if not np.any(known):
+        return None
+    xy = np.where(known[:, None], series.pos_corr, np.nan)
+    error, place = np.full(xy.shape, _POS_CORR_ERROR), place_of(series) or (0.0, 0.0)
+    given = place, series.cadenceno, series.time, xy, error, _POS_CORR_SCALE
+    return Track(name, "POS_CORR", *given)
+
+
 def _tracks(name, series, *, pixels):
     """Return the positions of a star as its POS_CORR and its pixels have them."""
-    place, tracks, known = place_of(series) or (0.0, 0.0), [], None
-    if series.pos_corr is not None:
-        known = usable_positions(series.pos_corr)
-    if known is not None and known.any():
-        xy = np.where(known[:, None], series.pos_corr, np.nan)
-        error = np.full(xy.shape, _POS_CORR_ERROR)
-        given = place, series.cadenceno, series.time, xy, error, _POS_CORR_SCALE
-        tracks.append(Track(name, "POS_CORR", *given))
+    tracks = list(filter(None, [pos_corr_track(name, series)]))
     if pixels:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -100,6 +104,7 @@ def _tracks(name, series, *, pixels):
         xy, error = np.stack([fit.x, fit.y], 1), np.stack([fit.x_err, fit.y_err], 1)
         # errors of the noise alone: the scatter about the others gives the rest
         error = error / fit.statistics["error_scale"]
+        place = place_of(series) or (0.0, 0.0)
         given = place, fit.cadenceno, fit.time, xy, error, _MAP_ERROR
         tracks.append(Track(name, "the position in the pixels", *given))
     return tracks

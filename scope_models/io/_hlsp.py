@@ -13,7 +13,7 @@ import numpy as np
 
 from scope_models.missions import Mission
 
-__all__ = ["Collection", "archive_hdulist", "ccd_label", "run_label", "sha256"]
+__all__ = ["Collection", "archive_hdulist", "ccd_label", "ccd_name", "run_label", "sha256"]
 
 #: Instrument and filter in names. TESS has one instrument without an acronym, for which the
 #: convention takes a descriptive tag: phot, as in the collection TESS-SPOC of pixel files.
@@ -97,6 +97,12 @@ def ccd_label(cards):
     if channel is None and "CCD" in cards:
         channel = f"{cards.get('CAMERA')}-{cards['CCD']}"
     return run_label(cards), "" if channel is None else str(channel)
+
+
+def ccd_name(cards):
+    """Return campaign and CCD as text, "c05 CCD 31"; empty if both are unknown."""
+    run, ccd = ccd_label(cards)
+    return f"{run} CCD {ccd}".strip() if ccd else run
 
 
 def sha256(path):

@@ -1,12 +1,12 @@
 """The common motion of stars from positions of each, which are known up to a linear map."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from scope_models.scene.common import CommonMotion
 
-__all__ = ["Track", "fit_tracks"]
+__all__ = ["Track", "explains", "fit_tracks"]
 
 # Degrees of freedom of Student's t of residuals: a prior for tails.
 _TAILS = 4.0
@@ -151,14 +151,16 @@ class _Fit:
         tails = np.where(seen, (_TAILS + 2) / (_TAILS + squares / factor), 0.0)
         return max(np.sum(tails * squares) / (2 * seen.sum()), 1.0), tails
 
-    def agrees(self, k, others):
-        """Whether the motion of other tracks explains a track better than noise alone.
+    def others(self, k, names):
+        """Return the motion of the tracks of other stars, as `agrees` takes it; None without."""
+        others = names != names[k]
+        return self._cadences(others) if others.any() else None
+
+    def agrees(self, k, states, covariance):
+        """Whether a motion explains a track better than noise alone.
 
         It does too where the track is that motion within its errors.
         """
-        if not others.any():
-            return True
-        states, covariance = self._cadences(others)
         moved = self._evidence(k, states, covariance, self.map_error[k])[0]
         alone = self._evidence(k, 0 * states, 0 * covariance, self.map_error[k])[0]
         return moved > alone or self._evidence(k, states, covariance, _NO_MAP)[1] <= 1
@@ -209,7 +211,19 @@ def fit_tracks(tracks, time_format="bkjd", meta=None):
         Which of the tracks the motion of the others does not explain; they do not count.
     """
     fit, names = _Fit(tracks).run(), np.array([track.name for track in tracks])
-    agree = [fit.agrees(k, names != name) for k, name in enumerate(names)]
+    others = (fit.others(k, names) for k in range(len(names)))
+    agree = [given is None or fit.agrees(k, *given) for k, given in enumerate(others)]
     if any(agree) and not all(agree):
         fit = _Fit([track for track, good in zip(tracks, agree, strict=True) if good]).run()
     return fit.motion(time_format, meta or {}), [not good and any(agree) for good in agree]
+
+
+def explains(motion, track, series):
+    """Whether a motion explains the positions of the star of a `PixelSeries`, its track."""
+    moved, error = motion.offsets(series)
+    known = np.isfinite(moved)
+    fit = _Fit([replace(track, xy=np.where(known, track.xy, np.nan))])
+    states, covariance = np.zeros((len(moved), 4)), np.zeros((len(moved), 4, 4))
+    states[:, :2] = np.where(known, moved, 0)
+    covariance[:, [0, 1], [0, 1]] = np.where(known, error, 0) ** 2
+    return fit.agrees(0, states, covariance)

@@ -13,6 +13,7 @@ from scope_models._arrays import PER_PIXEL
 from scope_models._checks import checked_integer, checked_number
 from scope_models._docstrings import documented
 from scope_models._values import Value, html_table
+from scope_models.io._hlsp import ccd_name
 from scope_models.io._opening import read_positions
 from scope_models.io.pixels import place_of, positions_of, read_pixels
 from scope_models.missions import MISSIONS
@@ -661,7 +662,8 @@ class Motion(Value):
         Raises
         ------
         ValueError
-            If the motion has none of the cadences, or another zero of time.
+            If the motion has none of the cadences, or another zero of time, or is that of stars
+            of another CCD.
 
         Examples
         --------
@@ -675,6 +677,8 @@ class Motion(Value):
         if series.time_format != self.time_format:
             times = f"{self.time_format.upper()}, those of the file {series.time_format.upper()}"
             raise ValueError(f"the times of the motion are {times}")
+        if (ccd := self.meta.get("ccd")) and (other := ccd_name(series.header)) not in {"", ccd}:
+            raise ValueError(f"the motion is that of {ccd}, the file is of {other}")
         time = np.where(np.isfinite(series.time), series.time, np.inf)
         middles = (self.time[1:] + self.time[:-1]) / 2
         nearest = np.searchsorted(middles, time)

@@ -1,0 +1,97 @@
+"""Positions of the stars of a run from other stars of their CCDs."""
+
+import numpy as np
+import pytest
+from astropy.io import fits
+
+from scope_models import Detector, Motion, PLDCorrector, Scene, Star, read_pixels, simulate
+from scope_models.batch import detrend_files
+from scope_models.cli import main
+from scope_models.exceptions import FitWarning
+
+MOTION = Motion.k2_roll(150, seed=3)
+
+
+def make(path, number, channel=31):
+    place = {"column": 100 * number, "row": 400, "object_name": f"star {number}"}
+    metadata = {"campaign": 5, "channel": channel}
+    scene = Scene(Star(11 + 0.2 * number), Detector.k2(shape=(9, 9)), MOTION, **place)
+    return simulate(scene, seed=number).write(path / f"star{number}.fits", metadata=metadata)
+
+
+def change(path, factor):
+    """Multiply POS_CORR."""
+    with fits.open(path, mode="update", checksum=True) as hdus:
+        for axis in (1, 2):
+            hdus[1].data[f"POS_CORR{axis}"] *= factor
+    return path
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    """Five stars of a CCD, the second without POS_CORR, the fourth with a wrong one; another."""
+    folder = tmp_path_factory.mktemp("positions")
+    paths = [make(folder, number) for number in range(1, 6)]
+    change(paths[1], np.nan)
+    change(paths[3], -1)
+    return [*paths, make(folder, 6, channel=32)]
+
+
+def detrend(files, folder, **options):
+    return detrend_files(files, folder, sweep={"progress": False}, order=1, **options)
+
+
+def flux(folder, number):
+    return fits.getdata(folder / f"star{number}-lc.fits")["FLUX"]
+
+
+def test_positions_that_are_missing_or_disagree_are_those_of_others(files, tmp_path):
+    table = detrend(files, tmp_path / "out").table
+    found = dict(zip(table["key"], table["warnings"], strict=True))
+    assert "POS_CORR is missing: positions are those of 3 stars of c05 CCD 31" in found["star2"]
+    message = "POS_CORR disagrees with that of other stars: positions are those of 3 stars of c05"
+    assert message in found["star4"]
+    assert not any("positions" in found[f"star{number}"] for number in (1, 3, 5, 6))
+    paths = dict(zip(table["key"], table["positions"], strict=True))
+    assert paths["star1"] == "positions/c05-31-1765s.fits"
+    assert paths["star6"] == ""
+    motion = Motion.read(tmp_path / "out" / paths["star1"])
+    assert motion.meta["stars"] == ["star1.fits", "star3.fits", "star5.fits"]
+    assert list(motion.meta["left_out"]) == ["star4.fits"]
+    expected = PLDCorrector(files[1]).correct(order=1, positions=motion).flux.value
+    np.testing.assert_allclose(flux(tmp_path / "out", 2), expected, rtol=1e-6)
+
+
+def test_positions_from_files(files, tmp_path):
+    given = [files[number] for number in (0, 2, 4)]
+    with pytest.warns(FitWarning, match="no file of the run is of the same CCD as"):
+        table = detrend(files[1:2], tmp_path / "out", positions_from=[*given, files[5]]).table
+    assert "positions are those of 3 stars of c05 CCD 31" in table["warnings"][0]
+    motion = Motion.from_tpfs(given)
+    assert not (motion.x_err > 2e-4).any()
+    expected = PLDCorrector(files[1]).correct(order=1, positions=motion).flux.value
+    np.testing.assert_allclose(flux(tmp_path / "out", 2), expected, rtol=1e-6)
+
+
+def test_command(files, tmp_path, capsys):
+    given = ["--positions-from", *map(str, (files[0], files[2], files[4]))]
+    one = ["detrend", str(files[1]), "--order", "1"]
+    assert main([*one, "--output", str(tmp_path / "lc.fits"), *given]) == 0
+    assert main([*one, "--output-dir", str(tmp_path / "out"), *given]) == 0
+    alone = fits.getdata(tmp_path / "lc.fits")["FLUX"]
+    np.testing.assert_array_equal(alone, flux(tmp_path / "out", 2))
+    other = ["detrend", str(files[5]), "--output", str(tmp_path / "other.fits"), *given]
+    capsys.readouterr()
+    assert main(other) == 2
+    assert "the motion is that of c05 CCD 31, the file is of c05 CCD 32" in capsys.readouterr().err
+
+
+def test_light_curve_of_a_real_star_without_pos_corr(shared_data):
+    """It is as good as with its own."""
+    files = sorted((shared_data / "kepler_q12_ch4").glob("tpf_*.fits.gz"))
+    motion = Motion.from_tpfs(files[1:])
+    own = PLDCorrector(files[0]).correct()
+    others = PLDCorrector(files[0])
+    others._series = read_pixels(others.tpf).replace(pos_corr=None)
+    noise = others.correct(positions=motion).estimate_cdpp()
+    assert noise < 1.1 * own.estimate_cdpp()
