@@ -29,8 +29,7 @@ from scope_models.scene.scene import Scene
 from scope_models.scene.star import Star
 
 __all__ = [
-    "SMOOTHING_DAYS", "make_scene", "psf_image", "read_fit", "sensitivity_profiles", "smoothed",
-    "write_fit",
+    "SMOOTHING_DAYS", "make_scene", "read_fit", "sensitivity_profiles", "smoothed", "write_fit",
 ]  # fmt: skip
 
 _CREATOR, _VERSION = "scope_models fit", 2
@@ -259,21 +258,6 @@ def _read_noise(fit):
     variance = (scatter**2 - light)[flux < max(_FAINT * flux.max(), np.median(flux))]
     variance = np.median(variance) * detector.exposure_time**2 / detector.n_reads
     return float(np.sqrt(max(variance, 0.0)))
-
-
-def psf_image(fit, half=3.0, samples=121):
-    """Density of the PSF about the star over its largest value, with borders and full width."""
-    offset = np.linspace(-half, half, samples)
-    density = np.asarray(fit.psf(*np.meshgrid(offset, offset)))
-    density = density / density.max()
-    # The diameter of a circle with the area above half of the largest value.
-    width = 4 * half * np.sqrt(np.mean(density > 0.5) / np.pi)
-    border = half * samples / (samples - 1)
-    return {
-        "psf": density,
-        "psf_extent": (-border, border, -border, border),
-        "psf_width": f"FWHM {width:.2f} px",
-    }
 
 
 def sensitivity_profiles(fit):

@@ -16,7 +16,7 @@ from scope_models.effects.shares import PixelShares, polynomial_terms, polynomia
 from scope_models.fitting._gather import fitted_fields
 from scope_models.fitting._parameters import cadence_table
 from scope_models.fitting._problem import UNTRUE, State, median_image
-from scope_models.fitting._solver import Errors
+from scope_models.fitting._solver import Errors, psf_covariance
 from scope_models.fitting._start import centroids, linear_start, solved
 
 __all__ = ["fit_response"]
@@ -211,6 +211,16 @@ class _Shares:
             values[:] -= (values @ share)[:, None] * parts
         self.width = np.maximum(np.sqrt(squares / counts), _LEAST_PRIOR)
 
+    def responses(self):
+        """Typical share of each pixel over that of the PSF, less 1, ``(p,)``."""
+        light = np.zeros((2, self.weight.shape[1]))
+        for k, star in enumerate(self.problem.stars):
+            flux = np.median(self.problem.fluxes(self.state, k))
+            light[:, self.problem.slices[star.stamp]] += flux * np.array(
+                [self.values[k][0], self.size[k]]
+            )
+        return light[0] / np.maximum(light[1], _LEAST_PRIOR)
+
     def equations(self):
         """Normal equations of the cadences, with the prior of the positions, and derivatives."""
         residual, design = self.residual(slopes=True)
@@ -335,8 +345,9 @@ def fit_response(problem, few, state, fits, report=None):
     settled, more = shares.climb(most, report)
     shares.improve(steps=3)
     errors, n_free = _errors(shares)
+    psf = psf_covariance(few, state, shares.responses())
     ended = {"converged": settled, "n_steps": steps + more}
-    return [_result(shares, errors, n_free, *pair, **ended) for pair in enumerate(fits)]
+    return [_result(shares, errors, psf, n_free, *pair, **ended) for pair in enumerate(fits)]
 
 
 def _errors(shares):
@@ -367,7 +378,7 @@ def _errors(shares):
     return Errors(np.zeros((s, s)), covariance, covariance, mixed, common), n_free
 
 
-def _result(shares, errors, n_free, number, fit, *, converged, n_steps):
+def _result(shares, errors, psf, n_free, number, fit, *, converged, n_steps):
     """Return the fit of the PSF to a file with the response of its pixels."""
     problem, state, used, held = shares.problem, shares.state, shares.used, shares.held
     modeled = problem.flux - shares.residual()
@@ -390,13 +401,17 @@ def _result(shares, errors, n_free, number, fit, *, converged, n_steps):
         "n_steps": n_steps,
         "chi2_held_out": float(np.nansum(squares[out]) / left),
     }
-    parameters = fit.parameters.copy()
+    s, parameters = len(fit.names), fit.parameters.copy()
+    covariance = psf * statistics["error_scale"] ** 2
+    known = np.isfinite(parameters["error"][:s])
+    parameters["error"][:s] = np.where(known, np.sqrt(np.diag(covariance)), np.nan)
     response = np.isin(parameters["name"], list(fit.model.response_powers))
     parameters["error"][response] = np.nan
     stars = [k for k, star in enumerate(problem.stars) if star.stamp == number]
     return fit.replace(
         **fields,
         parameters=parameters,
+        covariance=covariance,
         cadences=cadence_table(columns | {"held_out": held, "outliers": ~used}),
         statistics=statistics,
         response=tuple(_effect(shares, k, place) for place, k in enumerate(stars)),

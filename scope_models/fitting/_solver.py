@@ -7,7 +7,7 @@ from scipy.linalg import block_diag
 
 from scope_models.fitting._problem import LARGEST_MOVE, NormalEquations, State
 
-__all__ = ["Errors", "Solution", "covariances", "solve"]
+__all__ = ["Errors", "Solution", "covariances", "psf_covariance", "solve"]
 
 # Less damping at the start lets a PSF that starts far off become a point, from which nothing leads
 # back.
@@ -213,3 +213,27 @@ def covariances(problem, solution):
     along = along - along.mean(axis=0)
     relative = alone + (along @ shared) @ along.transpose(0, 2, 1)
     return Errors(shared, cadence, relative, mixed, np.zeros((len(problem.stars), 1)))
+
+
+def psf_covariance(problem, state, response):
+    """Covariance of the shared parameters of a fit that took all pixels as even, ``(s, s)``.
+
+    ``response`` holds what the response of each pixel was found to be later, less 1, ``(p,)``.
+    """
+    options = replace(problem.options, interpixel=np.inf)
+    problem = replace(problem, options=options, error_scale=1.0)
+    equations = problem.expand(replace(state, interpixel=np.zeros(problem.n_pixels)))
+    matrix, s = _eliminate(equations)[0], problem.n_shared
+    basis = np.eye(s)[:, ~problem.at_bounds(state)]
+    covariance = _inverse(matrix[:s, :s], equations.shared[:s, :s], basis)
+    # The shared parameters have taken up a part of the responses, all of one variance; the others
+    # are what is left of it.
+    leak = covariance @ matrix[:s, s:]
+    left = np.trace(matrix[s:, s:]) - np.sum(leak * matrix[:s, s:])
+    variance = response @ matrix[s:, s:] @ response / max(left, 1e-300)
+    covariance = covariance + variance * leak @ leak.T
+    # No parameter is more uncertain than its prior.
+    prior = np.diag([p.prior**2 if np.isfinite(p.prior) else np.inf for p in problem.parameters])
+    some = np.isfinite(np.diag(prior))
+    gain = covariance[:, some]
+    return covariance - gain @ np.linalg.solve((covariance + prior)[np.ix_(some, some)], gain.T)

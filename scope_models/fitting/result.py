@@ -273,6 +273,46 @@ class TPFFit(Value):
         pairs = zip(offsets.T, (self.x, self.y), strict=True)
         return tuple(float(path @ position / (path @ path)) for path, position in pairs)
 
+    def psf_shape(self):
+        """
+        Measure width and ellipticity of the PSF.
+
+        Returns
+        -------
+        `~astropy.table.Table`
+            Name, value, error and unit of the full widths at half maximum: "fwhm", of a circle of
+            the same area, "fwhm_major" and "fwhm_minor", in pixels; of the "ellipticity", 1 less
+            the ratio of the widths; and of the "angle" of the major axis from the columns to the
+            rows, in degrees. Those of the area above half of the largest density; with a response
+            of each pixel of the Gaussian that fits the typical shares, whose errors hold the
+            scatter of the pixels.
+        """
+        from scope_models.fitting._shape import psf_shape
+
+        return psf_shape(self)
+
+    def psf_image(self, half=3.0, samples=121):
+        """
+        Draw the density of the PSF about the star.
+
+        Parameters
+        ----------
+        half : float, optional
+            Pixels from the center to the border.
+        samples : int, optional
+            Points along an axis.
+
+        Returns
+        -------
+        offset : ndarray of shape (samples,)
+            Offsets of the points along columns and rows, pixels.
+        density, error : ndarray of shape (samples, samples)
+            Density over its largest value, and its standard deviation.
+        """
+        from scope_models.fitting._shape import psf_image
+
+        return psf_image(self, half, samples)
+
     # --- light curve, scene, figure, file -------------------------------------------------
     def to_lightcurve(self):
         """
@@ -367,8 +407,15 @@ class TPFFit(Value):
         for axis, r2, scale in zip("xy", self.path_r2(), self.path_scale(), strict=True):
             if np.isfinite(scale):
                 lines.append(f"motion along {axis}: {scale:.3f} of POS_CORR, R2 {r2:.3f}")
+        shape = {
+            row["name"]: f"{row['value']:.4f} +- {row['error']:.4f}" for row in self.psf_shape()
+        }
+        lines.append(
+            f"full width at half maximum {shape['fwhm_major']} by {shape['fwhm_minor']} pix, "
+            f"ellipticity {shape['ellipticity']}"
+        )
         terms = np.isin(self.parameters["kind"], ("coefficient", "correction", "focus"))
-        for row in self.parameters[~terms]:
+        for row in self.parameters[~(terms | (terms.any() & self.parameters["fixed"]))]:
             error = "fixed" if row["fixed"] else f"+- {row['error']:.2g}"
             lines.append(f"  {row['name']:18s} {row['value']:12.6g} {error} {row['unit']}".rstrip())
         if terms.any():
@@ -384,8 +431,12 @@ class TPFFit(Value):
         dict of str to matplotlib.axes.Axes
             The Axes by what they show.
         """
-        from scope_models.fitting._products import psf_image, sensitivity_profiles
+        from scope_models.fitting._products import sensitivity_profiles
         from scope_models.plotting import plot_fit
+
+        offset, density, _ = self.psf_image()
+        border = (offset[-1] - offset[0] + offset[1] - offset[0]) / 2
+        width, error = self.psf_shape()["value", "error"][0]
 
         return plot_fit(
             np.nanmedian(self.observed, axis=0),
@@ -393,7 +444,9 @@ class TPFFit(Value):
             np.nanmedian(self.residual, axis=0),
             self.x,
             self.y,
-            **psf_image(self),
+            psf=density,
+            psf_extent=(-border, border, -border, border),
+            psf_width=f"FWHM {width:.3g} $\\pm$ {error:.1g} px",
             pos_corr=self.pos_corr,
             sensitivity=sensitivity_profiles(self),
             chi2=self.chi2_pixels,

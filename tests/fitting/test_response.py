@@ -5,7 +5,7 @@ import warnings
 import numpy as np
 import pytest
 
-from scope_models import Motion, TPFFit, fit_tpf, simulate
+from scope_models import BivariateGaussianPSF, Detector, Motion, Star, TPFFit, fit_tpf, simulate
 from scope_models.benchmark import SkyRegime, make_sky
 from scope_models.effects import PixelShares
 from scope_models.effects.shares import polynomial_terms, polynomials
@@ -238,3 +238,35 @@ def test_real_pixels(shared_data, name):
         if moved > 0.05:
             assert 0.9 < scale < 1.1
             assert r2 > 0.98
+
+
+@pytest.mark.parametrize(("seed", "mag", "moves"), [(2, 11.0, 1), (3, 11.0, 2), (6, 13.5, 1)])
+def test_width_of_the_psf_where_each_pixel_has_a_response(seed, mag, moves):
+    # A known Gaussian on pixels that differ by 1 %; an empirical PSF is fitted to the last two.
+    psf = BivariateGaussianPSF(sigma_x=0.6, sigma_y=0.5)
+    star = Star(mag, x_0=5.2, y_0=4.9, psf=psf)
+    tpf = simulate(star, Detector.k2(), moves * Motion.k2_roll(300), seed=seed).to_tpf()
+    fit = fitted(tpf)
+    shape = fit.psf_shape()
+    fwhm = 2 * np.sqrt(2 * np.log(2))
+    truth = {"fwhm": fwhm * np.sqrt(0.3), "fwhm_major": fwhm * 0.6, "fwhm_minor": fwhm * 0.5}
+    truth |= {"ellipticity": 1 / 6, "angle": 0.0}
+    for row in shape:
+        assert abs(row["value"] - truth[row["name"]]) < 3 * row["error"], row["name"]
+    assert (shape["error"][:4] < 0.01).all()
+    assert f"{shape['value'][1]:.4f} +- " in fit.summary()
+
+
+def test_errors_of_a_gaussian_hold_the_response_of_the_pixels():
+    psf = BivariateGaussianPSF(sigma_x=0.6, sigma_y=0.5)
+    pulls = []
+    for seed in range(1, 4):
+        star = Star(11.0, x_0=5.2, y_0=4.9, psf=psf)
+        tpf = simulate(star, Detector.k2(), Motion.k2_roll(150), seed=seed).to_tpf()
+        fit = fitted(tpf, psf=1)
+        pulls += [
+            (fit.values[name] - value) / fit.errors[name]
+            for name, value in (("sigma_x", 0.6), ("sigma_y", 0.5))
+        ]
+    assert np.max(np.abs(pulls)) < 4
+    assert np.std(pulls) > 0.2

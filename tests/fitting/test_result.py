@@ -11,7 +11,16 @@ from astropy.utils.diff import report_diff_values
 from matplotlib import pyplot as plt
 from photutils.psf import MoffatPSF
 
-from scope_models import Detector, Motion, Scene, Star, TPFFit, fit_tpf, simulate
+from scope_models import (
+    BivariateGaussianPSF,
+    Detector,
+    Motion,
+    Scene,
+    Star,
+    TPFFit,
+    fit_tpf,
+    simulate,
+)
 from scope_models.cli import main
 from scope_models.effects import Focus
 from scope_models.exceptions import FitWarning
@@ -231,3 +240,23 @@ def test_focus():
 def test_focus_needs_a_width(observation):
     with pytest.raises(ValueError, match="`focus` needs a PSF with a width"):
         fit_tpf(observation.to_tpf(), MoffatPSF(), options=FitOptions(focus=1.0))
+
+
+def test_shape_and_image_of_the_psf():
+    psf = BivariateGaussianPSF(sigma_x=0.6, sigma_y=0.45, rho=0.3)
+    detector = Detector.k2(shape=(9, 9), interpixel_scatter=0)
+    motion = 2 * Motion.k2_roll(60)
+    fit = fit_tpf(simulate(Star(13.0, psf=psf), detector, motion, seed=1).to_tpf(), psf=1)
+    shape = fit.psf_shape()
+    values, vectors = np.linalg.eigh([[0.36, 0.081], [0.081, 0.2025]])
+    minor, major = 2 * np.sqrt(2 * np.log(2) * values)
+    angle = np.degrees(np.arctan(vectors[1, 1] / vectors[0, 1]))
+    truth = [np.sqrt(major * minor), major, minor, 1 - minor / major, angle]
+    assert np.max(np.abs(shape["value"] - truth) / shape["error"]) < 3
+    assert (shape["error"][:4] < 0.005).all()
+    offset, density, error = fit.psf_image(1.0, 5)
+    assert offset.tolist() == [-1, -0.5, 0, 0.5, 1]
+    assert density[2, 2] == 1
+    true = psf(*np.meshgrid(offset, offset)) / psf(0, 0)
+    assert np.all(np.abs(density / true - 1) < 0.02)
+    assert np.all((error > 0) & (error < 0.01))
