@@ -14,7 +14,7 @@ import numpy as np
 from _reference import PERCENTILES, REFERENCES, bin_noise
 from astropy.table import Table, vstack
 
-CENTERS = np.arange(9.0, 16.1, 0.5)
+CENTERS = np.arange(9.0, 18.1, 0.5)
 FEWEST = 25
 SOURCE = (
     "EVEREST project (Luger et al. 2016, AJ 152, 100; Luger et al. 2018, AJ 156, 99), "
