@@ -657,7 +657,7 @@ NO_UNIT = {
     "TabulatedPSF.array", "TabulatedPSF.oversampling",
     "TabulatedPRF.array", "TabulatedPRF.oversampling",
     "SceneCorrector.correct.transit_model", "SceneCorrector.neighbors",
-    "inject_files.star", "plot_precision.stars", "plot_precision.published", "plot_states.changes",
+    "inject_files.star", "plot_precision.stars", "plot_precision.published", "plot_states.leaks",
     "fit_tpf.stars",
     "inject.signal", "inject.star", "TabulatedPRF.origin", "plot_detector.psf", "plot_psf.psf",
     "plot_detector.sensitivity", "plot_fit.chi2", "plot_twin.residuals",

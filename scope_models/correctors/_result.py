@@ -259,7 +259,7 @@ class PLDFit:
 
     def plot_states(self):
         """
-        Draw position, width and background of each cadence, and how much the fractions change.
+        Draw position, width and background of each cadence, and the light that they move.
 
         Returns
         -------
@@ -283,10 +283,15 @@ class PLDFit:
             "Relative width": clean.focus,
             "Background (e-/s)": background - np.median(background),
         }
+        moving = list(states)[:3]
+        columns = np.transpose([np.ones_like(clean.focus), *(states[name] for name in moving)])
+        slopes = np.linalg.lstsq(columns, clean.shares, rcond=None)[0]
+        leaks = np.std(columns, axis=0)[:, np.newaxis] * slopes
+        images = leaks[1:].reshape(len(moving), *pixels.aperture.shape)
         return plot_states(
             pixels.time,
             {name: self._whole(values) for name, values in states.items()},
-            np.std(clean.shares, axis=0).reshape(pixels.aperture.shape),
+            dict(zip(moving, images, strict=True)),
             pixels.aperture,
             time_label=f"Time ({self.model.source.series.time_format.upper()})",
         )

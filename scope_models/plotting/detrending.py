@@ -187,9 +187,9 @@ def plot_detrending_masks(image, aperture, scatter):
 
 
 @styled
-def plot_states(time, states, changes, aperture=None, *, time_label="Time (d)"):
+def plot_states(time, states, leaks, aperture=None, *, time_label="Time (d)"):
     """
-    Draw the states of a star's images in time, and the light that moves between the pixels.
+    Draw the states of a star's images in time, and the light that each moves between the pixels.
 
     Parameters
     ----------
@@ -197,8 +197,9 @@ def plot_states(time, states, changes, aperture=None, *, time_label="Time (d)"):
         Days, ``(n_cadences,)``.
     states : mapping of str to array_like
         Position, width or background ``(n_cadences,)`` by the label of their axis, with the unit.
-    changes : array_like
-        Standard deviation of each pixel's fraction of the light, ``(ny, nx)``.
+    leaks : mapping of str to array_like
+        By the names of states, part of the star's light that a pixel gains if this state grows by
+        its standard deviation, ``(ny, nx)``.
     aperture : array_like of bool, optional
         Pixels that are summed, ``(ny, nx)``.
     time_label : str, optional
@@ -207,19 +208,20 @@ def plot_states(time, states, changes, aperture=None, *, time_label="Time (d)"):
     Returns
     -------
     dict of str to `~matplotlib.axes.Axes`
-        The states by their names, and "changes".
+        The states by their names, and the images by "leak, " and the name.
 
     Examples
     --------
     >>> from scope_models.plotting.detrending import plot_states
-    >>> axes = plot_states([0, 1], {"Column (pixel)": [4.0, 4.1]}, [[0, 0.1]], [[False, True]])
+    >>> name = "Column (pixel)"
+    >>> axes = plot_states([0, 1], {name: [4.0, 4.1]}, {name: [[-0.1, 0.1]]}, [[False, True]])
     >>> sorted(axes)
-    ['Column (pixel)', 'changes']
+    ['Column (pixel)', 'leak, Column (pixel)']
     """
     time = plain_array(time, u.day, "time")
-    mosaic = [["changes", name] for name in states]
-    figure = plt.figure(figsize=(11, 1.2 + 1.5 * len(states)), layout="constrained")
-    axes = figure.subplot_mosaic(mosaic, width_ratios=(1, 2.2))
+    mosaic = [[f"leak, {name}" if name in leaks else ".", name] for name in states]
+    figure = plt.figure(figsize=(11, 1.2 + 2.1 * len(states)), layout="constrained")
+    axes = figure.subplot_mosaic(mosaic, width_ratios=(1, 2.2), empty_sentinel=".")
     for name, values in states.items():
         ax, state = axes[name], plain_array(values, None, name)
         ax.plot(time, state, ".", ms=2, color=DARK)
@@ -229,11 +231,13 @@ def plot_states(time, states, changes, aperture=None, *, time_label="Time (d)"):
         ax.tick_params(labelbottom=False)
     ax.tick_params(labelbottom=True)
     ax.set_xlabel(time_label)
-    shown = axes["changes"].imshow(
-        100 * plain_array(changes, u.one, "changes"), origin="lower", cmap="cividis"
-    )
-    figure.colorbar(shown, ax=axes["changes"], label="Standard deviation (%)", shrink=0.5)
-    if aperture is not None:
-        draw_outline(axes["changes"], np.asarray(aperture, dtype=bool))
-    label_pixels(axes["changes"], "Light that moves between pixels")
+    for name, image in leaks.items():
+        ax, leak = axes[f"leak, {name}"], 100 * plain_array(image, u.one, "leaks")
+        most = np.nanmax(np.abs(leak)) or 1.0
+        shown = ax.imshow(leak, origin="lower", cmap="RdBu_r", vmin=-most, vmax=most)
+        figure.colorbar(shown, ax=ax, label="Light (%)")
+        if aperture is not None:
+            draw_outline(ax, np.asarray(aperture, dtype=bool))
+        ax.set(xlabel="Column (pixel)" if name == list(leaks)[-1] else "", ylabel="Row (pixel)")
+    axes[f"leak, {next(iter(leaks))}"].set_title("Light that one standard deviation moves")
     return axes

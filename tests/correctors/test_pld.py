@@ -489,6 +489,10 @@ def test_figure_of_the_states(corrected, star):
     used = np.isfinite(drawn) & np.isfinite(truth)
     assert np.corrcoef(drawn[used], truth[used])[0, 1] > 0.99
     assert axes["Background (e-/s)"].get_xlabel() == "Time (BKJD)"
+    # A move to the next row takes light from the lower half of the image to the upper one.
+    leak = axes["leak, Row (pixel)"].images[0].get_array()
+    center = int(np.nanargmax(np.nansum(np.nanmedian(star.tpf.flux.value, axis=0), axis=1)))
+    assert leak[:center].sum() < 0 < leak[center + 1 :].sum()
     corrector = PLDCorrector(star.tpf)
     corrector.correct(fractions="measured")
     with pytest.raises(ValueError, match="the pixel fractions are measured"):
