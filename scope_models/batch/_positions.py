@@ -18,6 +18,11 @@ __all__ = ["file_cards", "star_positions", "write_motions"]
 _MOST = 12
 # Folder of the motions, and stars at least that outvote another one.
 _FOLDER, _MAJORITY = "positions", 3
+# All cards would take longer, for all files of a run before the first is corrected.
+_KEYWORDS = (
+    "MISSION", "TELESCOP", "OBJECT", "CAMPAIGN", "QUARTER", "SECTOR", "CHANNEL", "CAMERA", "CCD",
+    "TIMEDEL",
+)  # fmt: skip
 
 
 def write_motions(files, folder, positions_from=None):
@@ -28,8 +33,9 @@ def write_motions(files, folder, positions_from=None):
     """
     given, groups, written = positions_from is not None, defaultdict(list), {}
     places = [_place(file) for file in files]
-    for file in positions_from if given else files:
-        groups[_place(file)].append(file)
+    sources = positions_from if given else files
+    for file, place in zip(sources, map(_place, sources) if given else places, strict=True):
+        groups[place].append(file)
     if others := set(groups) - set(places):
         text = f"no file of the run is of the same CCD as {groups[min(others)][0]}"
         warnings.warn(text, FitWarning, stacklevel=3)
@@ -76,7 +82,7 @@ def star_positions(tpf, path):
 
 
 def file_cards(file):
-    """Return the cards of a target pixel file; none of one that cannot be read."""
+    """Return the cards that name a target pixel file; none of one that cannot be read."""
     from astropy.io import fits
     from astropy.utils.data import get_readable_fileobj
 
@@ -84,6 +90,7 @@ def file_cards(file):
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             with get_readable_fileobj(file, encoding="binary") as stream:
-                return cards_of(*(fits.Header.fromfile(stream) for _ in range(2)))
+                headers = [fits.Header.fromfile(stream) for _ in range(2)]
+                return cards_of(*({key: h[key] for key in _KEYWORDS if key in h} for h in headers))
     except (OSError, ValueError, IndexError, EOFError, fits.VerifyError):
         return {}
