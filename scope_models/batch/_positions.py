@@ -2,6 +2,7 @@
 
 import warnings
 from collections import defaultdict
+from hashlib import sha256
 from pathlib import Path
 
 from scope_models.exceptions import DetrendingWarning, FitWarning
@@ -40,19 +41,27 @@ def write_motions(files, folder, positions_from=None):
         text = f"no file of the run is of the same CCD as {groups[min(others)][0]}"
         warnings.warn(text, FitWarning, stacklevel=3)
     for place in set(groups) & set(places):
-        few = groups[place][:: max(-(-len(groups[place]) // _MOST), 1)]
-        if given:
-            motion = Motion.from_tpfs(groups[place])
-        elif len(few) > 1 and all(place[:2]) and (found := common_motions(few, pixels=False)[0]):
-            motion = max(found.values(), key=lambda motion: motion.meta["n_files"])
-        else:
-            continue
-        path = Path(folder) / _FOLDER / f"{'-'.join(filter(None, place)) or 'motion'}.fits"
-        path.parent.mkdir(parents=True, exist_ok=True)
-        motion = motion.replace(meta={**motion.meta, "given": given})
-        motion.write(path, overwrite=True)
-        written[place] = f"{_FOLDER}/{path.name}"
+        name = "-".join(filter(None, place)) or "motion"
+        if given:  # stars with the motion of others are corrected again
+            name += f"-{sha256(repr(sorted(map(str, groups[place]))).encode()).hexdigest()[:8]}"
+        path = Path(folder) / _FOLDER / f"{name}.fits"
+        if path.exists() or _write_motion(path, place, groups[place], given=given):
+            written[place] = f"{_FOLDER}/{path.name}"
     return [{"positions": written.get(place, "")} if written else {} for place in places]
+
+
+def _write_motion(path, place, files, *, given):
+    """Write the common motion of a CCD; return whether there is one."""
+    few = files[:: max(-(-len(files) // _MOST), 1)]
+    if given:
+        motion = Motion.from_tpfs(files)
+    elif len(few) > 1 and all(place[:2]) and (found := common_motions(few, pixels=False)[0]):
+        motion = max(found.values(), key=lambda motion: motion.meta["n_files"])
+    else:
+        return False
+    path.parent.mkdir(parents=True, exist_ok=True)
+    motion.replace(meta={**motion.meta, "given": given}).write(path, overwrite=True)
+    return True
 
 
 def _place(file):

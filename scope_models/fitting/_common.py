@@ -89,7 +89,10 @@ def pos_corr_track(name, series):
     if not np.any(known):
         return None
     xy = np.where(known[:, None], series.pos_corr, np.nan)
-    error, place = np.full(xy.shape, _POS_CORR_ERROR), place_of(series) or (0.0, 0.0)
+    error, place = (
+        np.full(xy.shape, _POS_CORR_ERROR),
+        place_of(series.header, series.flux.shape[1:]) or (0.0, 0.0),
+    )
     given = place, series.cadenceno, series.time, xy, error, _POS_CORR_SCALE
     return Track(name, "POS_CORR", *given)
 
@@ -104,7 +107,7 @@ def _tracks(name, series, *, pixels):
         xy, error = np.stack([fit.x, fit.y], 1), np.stack([fit.x_err, fit.y_err], 1)
         # errors of the noise alone: the scatter about the others gives the rest
         error = error / fit.statistics["error_scale"]
-        place = place_of(series) or (0.0, 0.0)
+        place = place_of(series.header, series.flux.shape[1:]) or (0.0, 0.0)
         given = place, fit.cadenceno, fit.time, xy, error, _MAP_ERROR
         tracks.append(Track(name, "the position in the pixels", *given))
     return tracks

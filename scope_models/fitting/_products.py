@@ -23,6 +23,7 @@ from scope_models.missions import MISSIONS
 from scope_models.models import PRF, SensitivityPolynomial
 from scope_models.models._description import describe_model, make_model, packed, unpacked
 from scope_models.models._parameters import numbers_of
+from scope_models.scene._motion_arrays import offsets_at
 from scope_models.scene.detector import Detector
 from scope_models.scene.motion import Motion
 from scope_models.scene.scene import Scene
@@ -158,18 +159,25 @@ def _description(fit):
 
 def make_scene(fit, positions, signal):
     """Return the scene of a fit."""
-    checked_choice("positions", positions, ("fitted", "path"))
+    common = isinstance(positions, Motion)
+    if not common:
+        checked_choice("positions", positions, ("fitted", "path"))
     checked_choice("signal", signal, ("smooth", "fitted", "constant"))
     xy = np.column_stack([fit.x, fit.y])
     if fit.response and fit.pos_corr is not None:
         for axis, error in enumerate((fit.x_err, fit.y_err)):
             path = fit.pos_corr[:, axis]
             xy[:, axis] = path + denoised(fit, xy[:, axis] - path, error)
-    if positions == "path":
-        if fit.pos_corr is None:
+    path = fit.pos_corr
+    if common:
+        shape = fit.observed.shape[1:]
+        path, _ = offsets_at(positions, fit.time, fit.time_format, fit.meta, shape)
+    if common or positions == "path":
+        if path is None:
             raise ValueError("`positions` is 'path', but the file had no POS_CORR")
-        basis = np.column_stack([np.ones(len(xy)), fit.pos_corr])
-        xy = basis @ np.linalg.lstsq(basis, xy, rcond=None)[0]
+        known = np.isfinite(path).all(axis=1)
+        basis = np.column_stack([np.ones(known.sum()), path[known]])
+        xy[known] = basis @ np.linalg.lstsq(basis, xy[known], rcond=None)[0]
     flux = float(np.median(fit.flux))
     if flux <= 0:
         raise ValueError(f"the star has no flux to simulate: its median is {flux:g} e-/s")

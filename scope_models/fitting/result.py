@@ -348,8 +348,10 @@ class TPFFit(Value):
 
         Parameters
         ----------
-        positions : {"fitted", "path"}, optional
-            The fitted positions, with their noise, or those of the affine map of POS_CORR.
+        positions : {"fitted", "path"} or Motion, optional
+            The fitted positions, with their noise, or those of the affine map of POS_CORR or of a
+            motion. With that of `~scope_models.Motion.from_tpfs` the twins of several stars are
+            the twin of their CCD.
         signal : {"smooth", "fitted", "constant"}, optional
             Relative flux: the sum of the pixels smoothed over half a day, the fitted fluxes with
             their noise, or none. With a response of each pixel, "smooth" are the fitted fluxes

@@ -547,13 +547,12 @@ def target_place(series):
     return star_places("tpf", SkyCoord(*place, unit=u.deg), series)[0]
 
 
-def place_of(series):
-    """Return column and row of the middle of the stamp on the CCD; None where it has no place."""
-    corner = series.header.get("1CRV5P"), series.header.get("2CRV5P")
+def place_of(cards, shape):
+    """Return column and row of the middle of a stamp on the CCD; None where it has no place."""
+    corner = cards.get("1CRV5P"), cards.get("2CRV5P")
     if not all(isinstance(value, int | float) for value in corner):
         return None
-    size = series.flux.shape[:0:-1]
-    return tuple(first + (n - 1) / 2 for first, n in zip(corner, size, strict=True))
+    return tuple(first + (n - 1) / 2 for first, n in zip(corner, shape[::-1], strict=True))
 
 
 def _wcs(series):

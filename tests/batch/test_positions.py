@@ -71,6 +71,8 @@ def test_positions_from_files(files, tmp_path):
     assert not (motion.x_err > 2e-4).any()
     expected = PLDCorrector(files[1]).correct(order=1, positions=motion).flux.value
     np.testing.assert_allclose(flux(tmp_path / "out", 2), expected, rtol=1e-6)
+    table = detrend(files[1:2], tmp_path / "out", positions_from=given[:2]).table
+    assert "positions are those of 2 stars" in table["warnings"][0]
 
 
 def test_command(files, tmp_path, capsys):

@@ -222,6 +222,31 @@ def test_real_stars_have_the_motion_of_the_others(shared_data):
     assert rest.std() < 0.1 * stars[3].pos_corr.std(axis=0).max()
 
 
+def test_twin_of_a_ccd():
+    """The scenes of several fits have one motion, which their twins give again."""
+    motion, stars = truth(60), []
+    for k, (column, row) in enumerate([(100, 900), (900, 150), (400, 400)]):
+        place = {"column": column, "row": row, "object_name": f"star {k}"}
+        scene = Scene(
+            Star(12 + k), Detector.k2(shape=(7, 7)), motion.at(column + 3, row + 3), **place
+        )
+        stars.append(read_pixels(simulate(scene, seed=k).to_tpf()).replace(pos_corr=None))
+    common = Motion.from_tpfs(stars)
+    scenes = [fit_tpf(star, psf=1).scene(positions=common) for star in stars]
+    for scene, star in zip(scenes, stars, strict=True):
+        moved, _ = common.offsets(star)
+        rest = left_after_a_map(moved, np.column_stack([scene.motion.x, scene.motion.y]))
+        assert np.abs(rest).max() < 1e-12
+        expected, _ = motion.offsets(star)
+        rest = left_after_a_map(expected, np.column_stack([scene.motion.x, scene.motion.y]))
+        assert rest.std() < 5e-4
+    again = Motion.from_tpfs([simulate(scene, seed=9).to_tpf() for scene in scenes])
+    moved, _ = again.offsets(stars[2])
+    assert left_after_a_map(moved, common.offsets(stars[2])[0]).std() < 5e-4
+    with pytest.raises(ValueError, match="`positions` must be"):
+        fit_tpf(stars[0], psf=1).scene(positions="guessed")
+
+
 @pytest.mark.slow
 def test_motion_of_a_long_channel():
     check_channel(1500)
