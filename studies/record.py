@@ -132,11 +132,7 @@ def run(task):
     else:
         depth = float(np.clip(10 * sky.floor() / np.sqrt(per_bin(regime)), 1e-4, 0.1))
         other = regime.replace(depth=depth, duration=0.25)
-    stars = [
-        sky,
-        make_sky(regime, seed, noise_seed=1, **options),
-        make_sky(other, seed, **options),
-    ]
+    stars = [sky, make_sky(regime, seed, noise_seed=1, **options), make_sky(other, seed, **options)]
     with tempfile.TemporaryDirectory() as folder:
         paths = [str(Path(folder) / f"{i}.fits") for i in range(3)]
         for star, path in zip(stars, paths, strict=True):
