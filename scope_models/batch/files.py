@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from astropy.table import Table
 
-from scope_models._arrays import values_of, without_unit
+from scope_models._arrays import LARGEST_DAY, values_of, without_unit
 from scope_models._docstrings import documented
 from scope_models.batch._detrend import (
     FORMATS,
@@ -352,13 +352,15 @@ def planet_model(planet, time, exposure_time):
     # 13 h (P / yr)^(1/3) (R / R_sun) (rho / rho_sun)^(-1/3): arXiv:1001.2010, eq. 19.
     duration = float(planet.get("duration", 13 / 24 * (period / 365.25) ** (1 / 3)))
     t0 = float(planet.get("t0", time.min() + period / 2))
+    span = f"{time.min():.2f} and {time.max():.2f} d, the times of the file"
+    if t0 > LARGEST_DAY:
+        raise ValueError(f"`t0` must have the zero of the times between {span}, got {t0:.1f}")
     model = TransitModel.from_depth_duration(
         float(planet["depth"]), duration, period, t0, exposure_time=exposure_time
     )
     if np.all(model(time) == 1):
         raise ValueError(
-            f"`t0` = {t0:g} d with `period` = {period:g} d: no cadence is in transit between "
-            f"{time.min():.2f} and {time.max():.2f} d, the times of the file"
+            f"`t0` = {t0:g} d with `period` = {period:g} d: no cadence is in transit between {span}"
         )
     return model
 

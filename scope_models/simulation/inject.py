@@ -85,7 +85,9 @@ def inject(tpf, signal=None, star=None, *, seed=None, noise=True):
 
     original = read_tpf(tpf)
     if not isinstance(original, TargetPixelFile):
-        raise TypeError(f"`tpf` must be a target pixel file or a path, got {original!r}")
+        raise TypeError(
+            f"`tpf` must be a target pixel file or a path, got a {type(original).__name__}"
+        )
     hdus = fits.HDUList([hdu.copy() for hdu in original.hdu])
     whole = read_pixels(hdus, quality_bitmask="none")
     rows = np.flatnonzero(np.isfinite(whole.time))

@@ -199,6 +199,10 @@ class TestSimulate:
                 ["--period", "2", "--depth", "0.1", "--t0", "0"],
                 "`t0` = 0 d with `period` = 2 d: no cadence is in transit between 2144.10 and",
             ),
+            (
+                ["--period", "2", "--depth", "0.1", "--t0", "2456977"],
+                "`t0` must have the zero of the times between 2144.10 and",
+            ),
         ],
     )
     def test_options_that_need_others(self, command, capsys, options, message):
