@@ -31,7 +31,7 @@ def detrended(task, output, seed, *, format="fits", **options):  # noqa: A002, A
     transits = task if "period" in task else None
     with naming(path):
         tpf = read_tpf(path)
-        if task.get("positions") and options.get("neighbors") is None:
+        if task.get("positions"):
             folder = output.parents[len(Path(task["output"]).parts) - 1]
             options["positions"] = star_positions(tpf, folder / task["positions"])
         corrector = _files.correct_file(tpf, transits, **options)

@@ -1,8 +1,11 @@
 """Many files: everything is written, failures are listed, runs go on, inputs are never replaced."""
 
+import errno
 import os
 import shutil
+import sqlite3
 import sys
+from contextlib import closing
 
 import numpy as np
 import pytest
@@ -23,6 +26,8 @@ from scope_models.batch import (
 )
 from scope_models.cli import main
 from scope_models.exceptions import FailedStarsWarning
+from scope_models.io._atomic import atomic_path
+from scope_models.io.tpf import write_hdulist
 
 QUIET = {"progress": False}
 PLANET = {"period": [1.5], "t0": [2145.0], "depth": [0.01], "duration": [0.2]}
@@ -188,6 +193,36 @@ class TestBadInput:
         assert result.failures["key"].tolist() == ["text", "cut", "absent"]
         assert "absent.fits" in result.failures["error"][2]
         assert not list((tmp_path / "out").glob("text*"))
+
+    def test_full_disk(self, files, tmp_path, monkeypatch):
+        """The file that does not fit is a failure without a rest; the next run writes it."""
+
+        def full(hdus, path, **options):
+            if path.name == "kp12-lc.fits":
+                with atomic_path(path) as temporary:
+                    temporary.write_bytes(b"half")
+                    raise OSError(errno.ENOSPC, "No space left on device", str(temporary))
+            return write_hdulist(hdus, path, **options)
+
+        with monkeypatch.context() as patch:
+            patch.setattr("scope_models.batch._detrend.write_hdulist", full)
+            with pytest.warns(FailedStarsWarning, match="1 stars failed"):
+                result = detrend(files, tmp_path / "out")
+        assert "kp12-lc.fits: No space left on device" in result.failures["error"][0]
+        names = {"kp11-lc.fits", "kp13-lc.fits"}
+        assert {path.name for path in (tmp_path / "out").glob("*fits*")} == names
+        assert not list((tmp_path / "out").glob(".scope-models*"))
+        again = detrend(files, tmp_path / "out")
+        assert (again.n_computed, len(again.table)) == (1, 3)
+
+    def test_second_run_in_one_folder(self, files, tmp_path, capsys):
+        command = ["detrend", str(files[0]), "--order", "1", "--output-dir", str(tmp_path / "out")]
+        assert main(command) == 0
+        with closing(sqlite3.connect(tmp_path / "out" / "results.sqlite")) as other:
+            other.execute("BEGIN EXCLUSIVE")
+            assert main(command) == 2
+        assert "another run is writing to" in capsys.readouterr().err
+        assert main(command) == 0
 
     def test_all_fail(self, tmp_path):
         (tmp_path / "text.fits").write_text("no FITS file")

@@ -19,7 +19,6 @@ from sweep_studies import write_rows
 
 from scope_models import Detector, Motion, Star, simulate
 from scope_models.batch import detrend_files, fit_files, inject_file, read_results
-from scope_models.batch._detrend import detrended
 from scope_models.cli import main
 from scope_models.exceptions import FailedStarsWarning
 
@@ -444,12 +443,6 @@ class TestCommand:
         assert main([*command, "--order", "1"]) == 0
         with fits.open(out) as lc, fits.open(made[0]) as tpf:
             assert ((lc["APERTURE"].data & 2 > 0) == (tpf["APERTURE"].data & 2 > 0)).all()
-
-    def test_neighbors_and_the_motion_of_other_stars(self, made, tmp_path):
-        """The scene finds positions itself."""
-        task = {"key": "a", "file": str(made[0]), "output": "a.fits", "positions": "absent.fits"}
-        row = detrended(task, tmp_path / "a.fits", 1, neighbors="find")
-        assert row["cdpp"] < row["raw_cdpp"]
 
     @pytest.mark.filterwarnings("ignore:other stars give")
     @pytest.mark.parametrize("sky", [False, True])
