@@ -6,6 +6,10 @@ flux. What is left is that flux, if the star is constant: light is lost where th
 pixels. The amplitude is fitted beside what looks similar: differences between the pixels (a prior
 of 1 %), light beyond the stamp, and slow variability.
 
+Stars of one CCD have one drop, and nothing else in common that their flux shows: fitted together,
+their amplitude is the mean of those of each, weighted by the errors. The seven stars of channel 4
+in quarter 12 are fitted so, and as many simulated stars of one CCD of K2, of which it is known.
+
 Run as ``OMP_NUM_THREADS=1 python studies/drop.py FOLDER [FIGURE.png]`` with the archive files.
 """
 
@@ -20,7 +24,7 @@ from astropy.utils.exceptions import AstropyUserWarning
 from matplotlib import pyplot as plt
 from scipy.interpolate import BSpline
 
-from scope_models import fit_tpf
+from scope_models import Detector, Motion, Star, fit_tpf, simulate
 
 # Peak-to-peak ppm of all light of a Gaussian of 0.45 px that crosses a pixel along one axis.
 ANCHORS = {
@@ -78,7 +82,7 @@ def amplitude(fit, keep):
 
 
 def measured(star, fit, sigma):
-    """Print the amplitude of a star and the drops it stands for; return it and its error."""
+    """Print the amplitude of a star; return it and its error."""
     value, error, clean, good = amplitude(fit, np.ones(len(fit.time), dtype=bool))
     part = np.arange(len(fit.time)) * PARTS // len(fit.time)
     others = [amplitude(fit, part != i)[0] for i in range(PARTS)]
@@ -89,10 +93,53 @@ def measured(star, fit, sigma):
         f"{np.ptp(fit.y[good]):.2f} px; amplitude {1e6 * value:.0f} +- {1e6 * error:.0f} (model) "
         f"+- {1e6 * spread:.0f} (parts) ppm"
     )
-    for assumed in (*SIGMAS, sigma):
-        drop, deviation = (0.0125 * 1e6 * v / predicted(187, assumed) for v in (value, total))
-        print(f"  drop for a PSF of {assumed:.2f} px: {drop:.2f} +- {deviation:.2f}")
     return value, total, clean, good
+
+
+def together(name, numbers):
+    """Print the common amplitude of stars, given value, error and width of each, and its limit."""
+    values, errors = np.array(numbers)[:, :2].T
+    mean, error = np.average(values, weights=errors**-2), np.sum(errors**-2) ** -0.5
+    scatter = np.sum(((values - mean) / errors) ** 2)
+    limit = max(mean, 0) + 1.645 * error
+    print(
+        f"{name}: {1e6 * mean:.0f} +- {1e6 * error:.0f} ppm, chi-squared {scatter:.1f} of "
+        f"{len(values) - 1}; below {1e6 * limit:.0f} ppm with 95 %"
+    )
+    for assumed in SIGMAS:
+        drop = 0.0125 * 1e6 * limit / predicted(187, assumed)
+        print(f"  drop for {assumed:.2f} px: below {drop:.2f}")
+
+
+def simulated(number, motion):
+    """Return the file of a star of one CCD of K2, and the amplitude of its flux."""
+    rng, detector = np.random.default_rng([30, number]), Detector.k2_calibrated(shape=(11, 11))
+    star = Star(12 + 3 * rng.uniform(), *(5 + rng.uniform(-0.5, 0.5, 2)))
+    alike = detector.replace(interpixel=np.ones(detector.shape))
+    truth = simulate(star, alike, motion, noise=False)
+    light = truth.flux.sum(axis=(1, 2))
+    x, y = star.x_0 + motion.x, star.y_0 + motion.y
+    wave = 0.5 * (np.cos(2 * np.pi * x) + np.cos(2 * np.pi * y))
+    design = np.column_stack([wave, np.ones(len(wave))])
+    slope = np.linalg.lstsq(design, light / np.median(light), rcond=None)[0][0]
+    return simulate(star, detector, motion, seed=number).to_tpf(), slope
+
+
+def one_ccd(folder, n_stars=7):
+    """Print what stars of one CCD give together, real ones and simulated ones."""
+    motion = Motion.k2_roll(1000, seed=1)
+    motion = motion[motion.quality == 0]
+    files = [(path.name, path) for path in sorted(Path(folder, "kepler_q12_ch4").glob("*.fits.gz"))]
+    made, truths = zip(*(simulated(number, motion) for number in range(n_stars)), strict=True)
+    sets = {"real": files, "simulated": list(enumerate(made))}
+    for name, tpfs in sets.items():
+        numbers = []
+        for star, tpf in tpfs:
+            one = fit_tpf(tpf, 1, interpixel=0, positions="path")
+            sigma = np.sqrt(one.values["sigma_x"] * one.values["sigma_y"])
+            numbers.append((*measured(f"{name} {star}", fit_tpf(tpf), sigma)[:2], sigma))
+        together(f"{len(numbers)} {name} stars of one CCD", numbers)
+    print(f"truth of the simulated stars: {1e6 * np.mean(truths):.0f} ppm")
 
 
 def report(folder, path):
@@ -122,16 +169,7 @@ def report(folder, path):
         mean = np.array([np.mean(1e6 * clean[good][one]) for one in bins])
         error = [np.std(1e6 * clean[good][one]) / np.sqrt(np.sum(one)) for one in bins]
         right.errorbar(at, mean - mean.mean(), error, fmt=f"k{marker}", ms=4, label=star)
-    weights = np.array([total**-2 for _, total, _ in numbers])
-    mean = np.sum(weights * [value for value, *_ in numbers]) / weights.sum()
-    limit = max(mean, 0) + 1.645 * weights.sum() ** -0.5
-    print(
-        f"Both K2 stars: {1e6 * mean:.0f} +- {1e6 * weights.sum() ** -0.5:.0f} ppm; below "
-        f"{1e6 * limit:.0f} ppm with 95 %"
-    )
-    for assumed in SIGMAS:
-        drop = 0.0125 * 1e6 * limit / predicted(187, assumed)
-        print(f"  drop for {assumed:.2f} px: below {drop:.2f}")
+    together("Both K2 stars", numbers)
     u = np.linspace(-0.5, 0.5, 101)
     for (name, value), place in zip(list(ANCHORS.items())[3:], (0.0, 0.1), strict=True):
         curve = 0.5 * predicted(value, 0.5) * np.cos(2 * np.pi * u)
@@ -150,6 +188,7 @@ def main():
     """Run the study."""
     warnings.simplefilter("ignore", AstropyUserWarning)
     report(sys.argv[1], sys.argv[2] if len(sys.argv) > 2 else "drop.png")
+    one_ccd(sys.argv[1])
 
 
 if __name__ == "__main__":

@@ -54,6 +54,22 @@ def test_drop_within_a_pixel(tmp_path, monkeypatch, capsys):
     assert imread(tmp_path / "drop.png").std() > 0
 
 
+@pytest.mark.filterwarnings("ignore::scope_models.exceptions.FitWarning")
+def test_drop_of_stars_of_one_ccd(capsys):
+    """Two simulated stars of K2 give the known amplitude; together it is known better."""
+    motion = Motion.k2_roll(400, seed=1)
+    motion, numbers = motion[motion.quality == 0], []
+    for star in range(2):
+        tpf, truth = drop.simulated(star, motion)
+        value, error = drop.measured(f"star {star}", drop.fit_tpf(tpf), 0.5)[:2]
+        assert abs(value - truth) < 4 * error
+        numbers.append((value, error))
+    drop.together("both", numbers)
+    value, error = numbers_after(capsys.readouterr().out, "both:")[:2]
+    assert 1e-6 * error < min(error for _, error in numbers)
+    assert abs(1e-6 * value - truth) < 4e-6 * error
+
+
 def test_scores_of_correctors(tmp_path, monkeypatch, capsys):
     make_benchmark(tmp_path / "sky", stars=2, sweep={"progress": False})
     arguments = [tmp_path / "sky", tmp_path / "curves", "--methods", "raw,truth,pld"]
