@@ -114,11 +114,12 @@ def write_table(target, data, *tables):
     everest, _ = injected_stars(data)
     same = everest[np.isin(everest["epic"], tables[0]["epic"])]
     names = ("EVEREST 2, all", "EVEREST 2, same stars", "simulated stars", "two real stars")
-    rows = [["depth", "light curves", "number", *RUNS]]
+    rows = [["depth", "light curves", "number", *RUNS, "unmasked over control"]]
     sets = list(zip(names, (everest, same, *tables), strict=False))
     for depth, (name, table) in product(DEPTHS, sets):
         part = table[np.isclose(table["depth"], depth)]
         ratios = [np.asarray(part[run]) / depth for run in RUNS]
+        ratios.append(ratios[1] / ratios[0])
         rows.append([f"{depth:g}", name, len(part),
                      *(f"{np.median(r):.3f} ± {mad_std(r):.3f}" for r in ratios)])  # fmt: skip
     with Path(f"{target}.csv").open("w", newline="", encoding="utf-8") as file:

@@ -26,7 +26,7 @@ from scope_models.missions import MISSIONS
 from scope_models.models import sinusoidal_signal
 from scope_models.photometry import cdpp
 
-# Boresights of the campaigns, degrees (the mission's page of K2 fields).
+# Boresights of the campaigns, degrees (archive.stsci.edu/missions-and-data/k2/campaign-fields).
 BORESIGHTS = {3: (336.653, -11.096), 4: (59.076, 18.660), 5: (130.158, 16.830)}
 MOTIONS = [f"poscorr/ktwo{name}_llc.fits" for name in (
     "206103150-c03", "211117077-c04", "211436265-c05", "211495446-c05"
