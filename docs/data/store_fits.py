@@ -21,10 +21,10 @@ SCENES, STARS = 20, (1, 2, 5)
 GROUPS = {"shared": "PSF and response", "star": "other stars' places", "cadence": "cadences"}
 
 
-def fits(folder):
+def fits(paths):
     """Return a row for the default fit of each file."""
     rows = []
-    for path in sorted([*folder.glob("*_tpf/*.fits*"), *folder.glob("kepler_q12_ch4/*.fits*")]):
+    for path in paths:
         begin = time.process_time()
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", FitWarning)
@@ -48,12 +48,12 @@ def fits(folder):
     return Table(rows)
 
 
-def scenes():
+def scenes(numbers=STARS):
     """Return pulls and coverage of the errors by number of stars and group of parameters."""
     from fitting import scene_pulls
 
     rows = []
-    for n_stars in STARS:
+    for n_stars in numbers:
         found = [scene_pulls(n_stars, seed) for seed in range(SCENES)]
         for group, title in GROUPS.items():
             pulls = np.concatenate([np.ravel(list(row[group].values())) for row in found])
@@ -74,7 +74,9 @@ def scenes():
 def main(folder):
     """Write the tables."""
     sys.path.append(str(FOLDER.parents[1] / "studies"))
-    for name, table in (("fits_scenes", scenes()), ("fits_files", fits(Path(folder)))):
+    folder = Path(folder)
+    paths = sorted([*folder.glob("*_tpf/*.fits*"), *folder.glob("kepler_q12_ch4/*.fits*")])
+    for name, table in (("fits_scenes", scenes()), ("fits_files", fits(paths))):
         stamp(table, "python docs/data/store_fits.py FOLDER")
         table.write(FOLDER / f"{name}.ecsv", overwrite=True)
 

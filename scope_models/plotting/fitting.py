@@ -95,6 +95,21 @@ def plot_fit(
     beneath = ["positions", *below]
     beneath += beneath[-1:] * (len(above) - len(beneath))
     axes = figure.subplot_mosaic([above, beneath])
+    _draw_images(axes, data, model, residual)
+    if psf is not None:
+        _draw_psf(axes["psf"], psf, psf_extent, psf_width)
+    _draw_positions(axes["positions"], x, y, pos_corr)
+    if chi2 is not None:
+        _draw_chi2(axes["chi2"], chi2)
+    if sensitivity:
+        _draw_sensitivity(axes["sensitivity"], sensitivity)
+    elif flux is not None:
+        _draw_flux(axes["light curve"], time, flux, time_label)
+    return axes
+
+
+def _draw_images(axes, data, model, residual):
+    """Draw data and model on one scale, and the residual on its own."""
     top, largest = np.nanmax(np.abs(data)), np.nanmax(np.abs(residual)) or 1.0
     light = AsinhNorm(_LINEAR * top, -_LINEAR * top, top)
     for name, image in (("data", data), ("model", model)):
@@ -109,21 +124,16 @@ def plot_fit(
     )
     label_pixels(axes["residual"], f"{_TITLES['residual']}, to {100 * largest / top:.2g} %")
     _colorbar(shown, axes["residual"], FLUX)
-    if psf is not None:
-        _draw_psf(axes["psf"], psf, psf_extent, psf_width)
-    _draw_positions(axes["positions"], x, y, pos_corr)
-    if chi2 is not None:
-        shown = axes["chi2"].imshow(chi2, origin="lower", cmap="viridis", norm=LogNorm())
-        label_pixels(axes["chi2"], f"Chi-squared, median {np.nanmedian(chi2):.3g}")
-        bar = _colorbar(shown, axes["chi2"], "Per degree of freedom")
-        bar.locator = LogLocator(subs=(1, 2, 5))
-        bar.formatter = FuncFormatter(lambda value, _: f"{value:g}")
-        bar.ax.yaxis.set_minor_formatter(NullFormatter())
-    if sensitivity:
-        _draw_sensitivity(axes["sensitivity"], sensitivity)
-    elif flux is not None:
-        _draw_flux(axes["light curve"], time, flux, time_label)
-    return axes
+
+
+def _draw_chi2(ax, chi2):
+    """Draw chi-squared of the pixels."""
+    shown = ax.imshow(chi2, origin="lower", cmap="viridis", norm=LogNorm())
+    label_pixels(ax, f"Chi-squared, median {np.nanmedian(chi2):.3g}")
+    bar = _colorbar(shown, ax, "Per degree of freedom")
+    bar.locator = LogLocator(subs=(1, 2, 5))
+    bar.formatter = FuncFormatter(lambda value, _: f"{value:g}")
+    bar.ax.yaxis.set_minor_formatter(NullFormatter())
 
 
 def _colorbar(shown, ax, label):

@@ -5,7 +5,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from scope_models._arrays import plain_array, plain_number
-from scope_models.plotting._style import DARK, LIGHT, given_or_new, styled
+from scope_models.plotting._style import DARK, LIGHT, given_or_new, mark_outside, scale_to, styled
 from scope_models.plotting.images import plot_motion, plot_pixels
 
 __all__ = [
@@ -218,8 +218,12 @@ def _plot_corrected(ax, time, corrected, model, noise, time_label):
             time, level - noise, level + noise, color="0.85", lw=0, zorder=0,
             label="expected noise, 1 sigma",
         )  # fmt: skip
+    scale_to(ax, relative)
     if model is not None:
         ax.plot(time, model, "-", lw=1.2, color=LIGHT, label="truth")
+        low, high = ax.get_ylim()
+        ax.set_ylim(min(low, np.nanmin(model)), max(high, np.nanmax(model)))
+    mark_outside(ax, time, relative)
     _label(ax, time_label, "Corrected light curve")
 
 
@@ -234,6 +238,8 @@ def _label(ax, xlabel, title):
         ncols=3,
         markerscale=2,
         borderaxespad=0.2,
+        fontsize="small",
+        columnspacing=1.2,
     )
 
 
