@@ -28,7 +28,6 @@ from scope_models.missions import TIME_ZEROS, Mission
 __all__ = ["PixelSeries", "read_pixels", "read_tpf", "usable_positions"]
 
 _OPTIMAL = 2  # the bit of the optimal aperture in the APERTURE extension
-_FLUX = "electron / s"
 _OF_LIGHTKURVE = ("TIME", "CADENCENO", "FLUX", "FLUX_ERR", "QUALITY")
 #: Keywords of the WCS of the column FLUX, and their names in an image.
 _WCS = {
@@ -213,8 +212,13 @@ def read_pixels(source, *, quality_bitmask=None):
             series = _of_hdus(hdus, source)
     elif isinstance(source, fits.HDUList):
         series = _of_hdus(source, name)
+    elif _has_file(source):
+        series = _of_hdus(source.hdu, name)[source.quality_mask]
     else:
-        series = _of_tpf(source)
+        raise TypeError(
+            "`tpf` must be a target pixel file of lightkurve, or the path of one, got "
+            f"{type(source).__name__}"
+        )
     if series is not source:
         _check_times(series, name)
     if quality_bitmask is None:
@@ -349,38 +353,6 @@ def _of_hdus(hdus, name):
     )
 
 
-def _of_tpf(tpf):
-    """Return the pixels of lightkurve's object, or of one with its attributes."""
-    if not all(hasattr(tpf, name) for name in ("time", "flux", "flux_err")):
-        raise TypeError(
-            "`tpf` must be a target pixel file with time, flux and flux_err, or the path of one, "
-            f"got {type(tpf).__name__}"
-        )
-    if _has_file(tpf):
-        return _of_hdus(tpf.hdu, "`tpf`")[tpf.quality_mask]
-    header = _header_of(tpf)
-    flux = plain_array(tpf.flux, _FLUX, "flux of tpf")
-    if flux.ndim != 3 or not flux.size:
-        raise ValueError(f"flux of `tpf` must have shape (n_cadences, ny, nx), got {flux.shape}")
-    n, *stamp = flux.shape
-    aperture = _attribute(tpf, "pipeline_mask")
-    error = plain_array(tpf.flux_err, _FLUX, "flux_err of tpf")
-    background = _attribute(tpf, "flux_bkg")
-    return _series(
-        "`tpf`",
-        time=_times_of(tpf, header),
-        cadenceno=_integers(tpf, "cadenceno", n),
-        quality=_integers(tpf, "quality", n),
-        flux=np.array(flux),
-        flux_err=np.array(error),
-        flux_bkg=None if background is None else plain_array(background, _FLUX, "flux_bkg"),
-        pos_corr=pos_corr_of(tpf),
-        aperture=np.ones(stamp, dtype=bool) if aperture is None else np.array(aperture),
-        header=header,
-        mission=Mission.from_header(header),
-    )
-
-
 def _series(name, **values):
     """Return the series, after checks that its arrays belong together."""
     n, *stamp = values["flux"].shape
@@ -437,12 +409,6 @@ def _times_of(source, header):
     if isinstance(time, Time) and time.format in TIME_ZEROS and not np.any(time.mask):
         return np.array(time.value, dtype=float).reshape(-1)
     return np.array(plain_time(time, time_format_of(header) or "bkjd", "time of tpf")).reshape(-1)
-
-
-def _integers(tpf, name, n):
-    """Return an attribute of integers, zeros where there is none."""
-    values = _attribute(tpf, name)
-    return np.zeros(n, dtype=np.int64) if values is None else np.asarray(without_unit(values))
 
 
 def pos_corr_of(source):

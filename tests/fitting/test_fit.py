@@ -6,6 +6,7 @@ import lightkurve as lk
 import numpy as np
 import pytest
 from astropy import units as u
+from astropy.io import fits
 from astropy.modeling.fitting import TRFLSQFitter
 from matplotlib import pyplot as plt
 from photutils.psf import CircularGaussianPSF
@@ -34,17 +35,26 @@ TRUE_SHAPE = {
 }  # fmt: skip
 
 
-class Pixels:
-    """The least that a fit needs of a target pixel file."""
+def column(name):
+    """Return a property of the first table."""
 
-    def __init__(self, tpf, **changes):
-        self.time, self.meta = tpf.time, tpf.meta
-        self.flux = np.array(tpf.flux.value, dtype=float)
-        self.flux_err = np.array(tpf.flux_err.value, dtype=float)
-        self.pos_corr1, self.pos_corr2 = np.array(tpf.pos_corr1), np.array(tpf.pos_corr2)
-        self.cadenceno, self.quality = tpf.cadenceno, tpf.quality
-        for name, value in changes.items():
-            setattr(self, name, value)
+    def change(self, values):
+        self.hdu[1].data[name] = values
+
+    return property(lambda self: self.hdu[1].data[name], change)
+
+
+class Pixels(lk.KeplerTargetPixelFile):
+    """A target pixel file whose columns can be changed."""
+
+    flux, flux_err = column("FLUX"), column("FLUX_ERR")
+    pos_corr1, pos_corr2 = column("POS_CORR1"), column("POS_CORR2")
+
+    def __init__(self, tpf):
+        hdus = fits.HDUList([hdu.copy() for hdu in tpf.hdu])
+        super().__init__(hdus, quality_bitmask="none")
+        self.hdu[1].data = self.hdu[1].data[tpf.quality_mask]
+        self.quality_mask = np.ones(len(self.hdu[1].data), dtype=bool)
 
 
 def make(motion=None, mag=12.0, shape=(7, 7), seed=1, n=80, **star):
@@ -381,7 +391,7 @@ class TestBadInput:
 
     def test_path_without_pos_corr(self):
         tpf = make(n=5)
-        tpf.pos_corr1 = tpf.pos_corr2 = None
+        tpf.pos_corr1 = tpf.pos_corr2 = np.nan
         with pytest.raises(ValueError, match="has no POS_CORR"):
             fit_tpf(tpf, positions="path")
 

@@ -2,14 +2,10 @@
 
 import gzip
 import pickle
-from types import SimpleNamespace
 
-import astropy.units as u
 import numpy as np
 import pytest
 from astropy.io import fits
-from astropy.time import Time
-from astropy.utils.masked import Masked
 
 from scope_models import Detector, Motion, Star, simulate
 from scope_models.correctors import detrend_file
@@ -158,32 +154,6 @@ def test_quality_bits(observation):
         flagged.without_flagged("hard")
     with pytest.raises(ValueError, match=f"all {n} cadences have quality flags of 1"):
         series.replace(quality=np.ones(n, dtype=int)).without_flagged(1)
-
-
-def test_units_and_masks_of_objects():
-    time = Time([2000.0, 2001.0, 2002.0], format="bkjd", scale="tdb")
-    flux = Masked(np.full((3, 2, 2), 3600.0) * u.electron / u.hour, mask=False)
-    flux.mask[1, 0, 0] = True
-    tpf = SimpleNamespace(
-        time=time,
-        flux=flux,
-        flux_err=np.ma.masked_less(np.ones((3, 2, 2)), 0),
-        pos_corr1=[0.0, 0.1, 0.2] * u.pix,
-        pos_corr2=np.zeros(3),
-        meta={"MISSION": "K2", "OBJECT": "EPIC 1"},
-    )
-    series = read_pixels(tpf)
-    assert np.isnan(series.flux[1, 0, 0])
-    assert np.nansum(series.flux) == pytest.approx(11)
-    assert np.array_equal(series.time, [2000.0, 2001.0, 2002.0])
-    assert np.array_equal(series.cadenceno, [1, 2, 3])
-    assert np.array_equal(series.pos_corr, [[0, 0], [0.1, 0], [0.2, 0]])
-    assert series.aperture.all()
-    assert series.flux_bkg is None
-    assert series.mission.name == "K2"
-    tpf.flux = flux.unmasked.value * u.m
-    with pytest.raises(ValueError, match=r"`flux of tpf` must be in electron / s"):
-        read_pixels(tpf)
 
 
 def test_cadences_without_numbers_are_counted(hdus):
