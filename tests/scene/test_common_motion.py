@@ -82,13 +82,14 @@ def channel(motion):
         place = {"column": column, "row": row, "object_name": f"star {k}"}
         moved = motion.at(column + 4, row + 4)
         scene = Scene(stars, Detector.k2(shape=(9, 9)), moved, **place)
-        series = read_pixels(simulate(scene, seed=k).to_tpf(), quality_bitmask="none")
+        tpf = simulate(scene, seed=k).to_tpf()
+        series = read_pixels(tpf)
         # as of real files: 1 % in scale, 0.006 px slowly, and 0.003 px from one to the next
         error = 0.003 * rng.normal(size=(n, 2)) + 0.006 * np.sin(slow + rng.uniform(0, 6, 2))
         error += np.column_stack([moved.x, moved.y]) * 0.01 * rng.normal(size=2)
         known = np.isin(motion.cadenceno, series.cadenceno)
         pos_corr = np.column_stack([moved.x, moved.y]) + error * (2 if 5 <= k < 8 else 1)
-        yield series.replace(pos_corr=None if k < 5 else pos_corr[known])
+        yield tpf, series.replace(pos_corr=None if k < 5 else pos_corr[known])
 
 
 def left_after_a_map(found, expected):
@@ -99,7 +100,7 @@ def left_after_a_map(found, expected):
 
 def check_channel(n):
     motion = truth(n)
-    stars = list(channel(motion))
+    tpfs, stars = zip(*channel(motion), strict=True)
     found = Motion.from_tpfs(stars)
     own = np.isin(motion.cadenceno, found.cadenceno)
     for column, row in ((100, 900), (500, 500), (1000, 300)):
@@ -110,11 +111,11 @@ def check_channel(n):
         # POS_CORR is wrong by 5e-3 px, and the pixels of one star by 2e-4
         assert rest.std() < 1e-4
         assert 0.5 < np.sqrt(np.mean((rest / error) ** 2)) < 2.5
-    return stars, found
+    return tpfs, stars, found
 
 
 def test_motion_of_a_channel():
-    stars, found = check_channel(150)
+    _, stars, found = check_channel(150)
     assert found.meta["n_files"] == 20
     assert len(found.meta["stars"]) == 20
     # an eclipsing star beside a neighbor, without its POS_CORR
@@ -248,5 +249,20 @@ def test_twin_of_a_ccd():
 
 
 @pytest.mark.slow
-def test_motion_of_a_long_channel():
-    check_channel(1500)
+@pytest.mark.filterwarnings("ignore::scope_models.exceptions.DetrendingWarning")
+def test_eclipses_beside_neighbors_without_pos_corr():
+    """The motion of the others keeps their depth; centroids would follow the eclipses."""
+    n = 600
+    tpfs, stars, found = check_channel(n)
+    depths = []
+    for k in range(8, 12):
+        corrector = PLDCorrector(tpfs[k])
+        corrector._series = stars[k].replace(pos_corr=None)
+        cadence = stars[k].cadenceno - found.cadenceno[0]
+        dimmed = (cadence // 7) % 4 == 0
+        for positions in (None, found):
+            flux = corrector.correct(positions=positions).flux.value
+            depths.append(1 - np.nanmedian(flux[dimmed]) / np.nanmedian(flux[~dimmed]))
+    depths = np.reshape(depths, (4, 2)) / 0.3
+    assert np.abs(depths[:, 0] - 1).max() > 0.1
+    np.testing.assert_allclose(depths[:, 1], 1, atol=0.01)
