@@ -324,7 +324,7 @@ def write_page(docs, laws):
     for name, one in laws.items():
         texts, largest = one.texts, np.abs(one.predicted).max()
         worst = np.abs(one.measured - one.predicted).max() / largest
-        noise = f"; errors of measurement up to {one.error.max() / largest:.1g}"
+        noise = f" (errors {one.error.max() / largest:.1g})"
         parts.append(BLOCK.format(
             **texts, name=name, line="-" * len(texts["title"]), worst=worst,
             n=one.x.size, noise=noise if one.error.max() else "",
