@@ -799,16 +799,6 @@ def test_transits_have_the_zero_of_the_times():
         simulate(Star(12.0, signal=julian), Detector.k2(), Motion.still(3))
 
 
-def test_places_on_the_sky():
-    place = SkyCoord("22h30m", "-10d")
-    metadata = TPFMetadata(mission="K2", target_id=1, coord=place.galactic)
-    assert metadata.position == pytest.approx((337.5, -10.0))
-    with pytest.raises(ValueError, match="`coord` must not be given together"):
-        TPFMetadata(mission="K2", target_id=1, coord=place, ra=3.0)
-    with pytest.raises(TypeError, match="`coord` must be one SkyCoord"):
-        TPFMetadata(mission="K2", target_id=1, coord=(3.0, 4.0))
-
-
 def test_what_holds_no_numbers_is_refused():
     for wrong in (
         "5",

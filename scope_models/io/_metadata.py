@@ -2,8 +2,7 @@
 
 import datetime as dt
 from collections.abc import Mapping
-from dataclasses import MISSING, InitVar, dataclass, field
-from typing import TYPE_CHECKING
+from dataclasses import MISSING, dataclass, field
 
 import astropy.units as u
 
@@ -11,9 +10,6 @@ from scope_models._arrays import DIGITAL, PER_PIXEL
 from scope_models._checks import check_fields, checked_matrix, integer, number
 from scope_models._values import Value
 from scope_models.missions import MISSIONS
-
-if TYPE_CHECKING:
-    from astropy.coordinates import SkyCoord
 
 __all__ = ["TPFMetadata"]
 
@@ -90,8 +86,6 @@ class TPFMetadata(Value):
         Further cards: keyword to value, or to value and comment. Keywords that the layout has
         without a value (TEFF, CROWDSAP, TTABLEID, ...) are filled where they are, others are
         added to the primary header.
-    coord : astropy.coordinates.SkyCoord, optional
-        Position, in place of ``ra`` and ``dec``.
 
     Raises
     ------
@@ -141,12 +135,9 @@ class TPFMetadata(Value):
     seed: int | None = integer(None, 0)
     date: dt.date | None = None
     extra_cards: Mapping = field(default_factory=dict)
-    coord: InitVar["SkyCoord | None"] = None
 
-    def __post_init__(self, coord):
+    def __post_init__(self):
         """Check every field and bring it to its type."""
-        if coord is not None:
-            self._set_position(coord)
         names = {name.lower(): name for name in MISSIONS}
         object.__setattr__(self, "mission", names.get(str(self.mission).lower(), self.mission))
         if self.mission not in MISSIONS:
@@ -174,17 +165,6 @@ class TPFMetadata(Value):
         if self.matrix is not None:
             object.__setattr__(self, "matrix", checked_matrix(self.matrix))
         self._check_place()
-
-    def _set_position(self, coord):
-        """Set right ascension and declination to those of a coordinate."""
-        from astropy.coordinates import SkyCoord
-
-        if not isinstance(coord, SkyCoord) or not coord.isscalar:
-            raise TypeError(f"`coord` must be one SkyCoord, got {coord!r}")
-        if self.ra is not None or self.dec is not None:
-            raise ValueError("`coord` must not be given together with `ra` or `dec`")
-        object.__setattr__(self, "ra", coord.icrs.ra.deg)
-        object.__setattr__(self, "dec", coord.icrs.dec.deg)
 
     def _check_place(self):
         """Check that time and place are those of the mission, and a channel is one."""

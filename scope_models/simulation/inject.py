@@ -207,8 +207,6 @@ def _scene_of(star, series, tpf=None):
         scene = read_scene(tpf)
     else:
         scene = star.scene() if callable(getattr(star, "scene", None)) else star
-        if isinstance(scene, tuple) and len(scene) == 3:  # stars, detector, motion
-            scene = Scene(*scene)
     if not isinstance(scene, Scene):
         raise TypeError(f"`star` must be a Scene, a fit, a Star or a share, got {star!r}")
     if scene.detector.shape != series.flux.shape[1:]:
