@@ -43,8 +43,8 @@ _OUTLIERS, _EXAMPLES = 8, 5
 _STYLE = """
 body { font: 15px/1.5 system-ui, sans-serif; max-width: 1100px; margin: 2em auto; padding: 0 1em; }
 h1, h2 { font-weight: 600; } img { max-width: 100%; } table { border-collapse: collapse; }
-td, th { padding: .2em .8em; text-align: right; border-bottom: 1px solid #ddd; }
-td:first-child, th:first-child { text-align: left; } pre { overflow-x: auto; background: #f4f4f4; }
+td { padding: .2em .8em; text-align: right; border-bottom: 1px solid #ddd; }
+td:first-child { text-align: left; } pre { overflow-x: auto; background: #f4f4f4; }
 figure { display: inline-block; vertical-align: top; width: 48%; min-width: 440px; margin: 1em 0; }
 figure:first-of-type { width: 100%; } figcaption, .note { color: #444; font-size: 90%; }
 div { margin: .6em 0; }
@@ -217,8 +217,7 @@ def _note(text):
     return f'<p class="note">{html.escape(text)}</p>'
 
 
-def _table(rows, head=()):
+def _table(rows):
     """Return a table."""
-    lines = ["".join(f"<th>{html.escape(str(cell))}</th>" for cell in head)] if head else []
-    lines += ["".join(f"<td>{html.escape(str(cell))}</td>" for cell in row) for row in rows]
+    lines = ["".join(f"<td>{html.escape(str(cell))}</td>" for cell in row) for row in rows]
     return "<table>" + "".join(f"<tr>{line}</tr>" for line in lines) + "</table>"

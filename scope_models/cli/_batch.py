@@ -19,14 +19,15 @@ def add_command(commands, name, *, example, **texts):
     return parser
 
 
-def add_planet(group):
-    """Add the options of a planet."""
-    for name, text in (
-        ("period", "period of a planet, days; needs --depth"),
-        ("depth", "relative drop of its transits"),
-        ("t0", "a mid-transit, days as in the file (default: half a period after the first one)"),
-        ("duration", "of its transits, days (default: central ones of a star like the Sun)"),
-    ):
+def add_planet(group, **texts):
+    """Add the options of a planet, all or those with a text."""
+    texts = texts or {
+        "period": "period of a planet, days; needs --depth",
+        "depth": "relative drop of its transits",
+        "t0": "a mid-transit, days as in the file (default: half a period after the first one)",
+        "duration": "of its transits, days (default: central ones of a star like the Sun)",
+    }
+    for name, text in texts.items():
         group.add_argument(f"--{name}", type=float, metavar=name[0].upper(), help=text)
 
 

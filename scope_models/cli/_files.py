@@ -8,6 +8,12 @@ from scope_models.cli import _batch
 __all__ = ["add_parser"]
 
 
+_NEIGHBORS = (
+    "other stars in the pixels: find, or a table that astropy reads with the columns ra and dec "
+    "(degrees), or x and y (pixels); stars outside of the pixels are left out"
+)
+
+
 def add_parser(commands):
     """Add the three commands to the parser of the command line."""
     _add_detrend(commands)
@@ -34,8 +40,8 @@ def _add_command(commands, name, one, output, **texts):
     names = []
     parser.set_defaults(run=_run, command=name, one=one, names=names)
 
-    def add(*flags, **settings):
-        names.append(parser.add_argument(*flags, **settings).dest)
+    def add(flag, text, **settings):
+        names.append(parser.add_argument(flag, help=text, **settings).dest)
 
     return parser, add
 
@@ -69,33 +75,19 @@ def _add_detrend(commands):
         "lightkurve opens, and a figure.",
         example="detrend star.fits --output lc.fits",
     )
-    parser.add_argument(
-        "--figure", metavar="FILE", help="the figure (default: the output's name with .png)"
-    )
-    add("--order", type=int, help="pixel fractions that are multiplied (default: 2)")
-    add(
-        "--trend",
-        choices=("gp", "quadratic"),
-        help="model of the long-term variability (default: gp)",
-    )
-    add(
-        "--remove-trend",
-        dest="restore_trend",
-        action="store_false",
-        help="remove the long-term variability too",
-    )
-    add(
-        "--survival",
-        action="store_true",
-        help="find the part of a transit that survives, by a second correction",
-    )
-    add(
-        "--aperture",
-        dest="aperture_mask",
-        choices=("pipeline", "threshold", "all"),
-        help="pixels that are summed (default: those whose sum is most precise)",
-    )
-    _add_neighbors(add)
+    text = "the figure (default: the output's name with .png)"
+    parser.add_argument("--figure", metavar="FILE", help=text)
+    add("--order", "pixel fractions that are multiplied (default: 2)", type=int)
+    trends = ("gp", "quadratic")
+    add("--trend", "model of the long-term variability (default: gp)", choices=trends)
+    text = "remove the long-term variability too"
+    add("--remove-trend", text, dest="restore_trend", action="store_false")
+    text = "find the part of a transit that survives, by a second correction"
+    add("--survival", text, action="store_true")
+    text = "pixels that are summed (default: those whose sum is most precise)"
+    choices = ("pipeline", "threshold", "all")
+    add("--aperture", text, dest="aperture_mask", choices=choices)
+    add("--neighbors", _NEIGHBORS, metavar="TABLE")
     parser.add_argument(
         "--positions-from",
         nargs="+",
@@ -105,28 +97,15 @@ def _add_detrend(commands):
         "run on the same CCD where it is missing or disagrees with these)",
     )
     masked = parser.add_argument_group("transits that are left out of the fit")
-    for name, text in (
-        ("period", "period of a planet, days"),
-        ("t0", "a mid-transit, days as in the file"),
-        ("duration", "of its transits, days"),
-    ):
-        masked.add_argument(f"--{name}", type=float, metavar=name[0].upper(), help=text)
-    masked.add_argument(
-        "--planets",
-        metavar="TABLE",
-        help="a table that astropy reads with these columns: one row for each file",
+    _batch.add_planet(
+        masked,
+        period="period of a planet, days",
+        t0="a mid-transit, days as in the file",
+        duration="of its transits, days",
     )
+    text = "a table that astropy reads with these columns: one row for each file"
+    masked.add_argument("--planets", metavar="TABLE", help=text)
     _add_format(parser.add_argument_group("files for archives, with --output-dir"))
-
-
-def _add_neighbors(add):
-    """Add ``--neighbors``."""
-    add(
-        "--neighbors",
-        metavar="TABLE",
-        help="other stars in the pixels: find, or a table that astropy reads with the columns ra "
-        "and dec (degrees), or x and y (pixels); stars outside of the pixels are left out",
-    )
 
 
 def _add_format(group):
@@ -154,8 +133,8 @@ def _detrend_options(arguments):
     given = {name: value for name, value in planet.items() if value is not None}
     if given and (len(given) < 3 or arguments.planets is not None):
         raise ValueError("a mask of transits needs --period, --t0 and --duration, or --planets")
-    names = {"hlsp_id": "id", "lead": "lead", "version": "version", "title": "title", "doi": "doi"}
-    hlsp = {new: getattr(arguments, name) for name, new in names.items()}
+    names = ("hlsp_id", "lead", "version", "title", "doi")
+    hlsp = {name.removeprefix("hlsp_"): getattr(arguments, name) for name in names}
     hlsp = {name: value for name, value in hlsp.items() if value is not None}
     if arguments.format == "hlsp" and not {"id", "lead", "version"} <= hlsp.keys():
         raise ValueError("--format hlsp needs --hlsp-id, --lead and --version")
@@ -205,51 +184,27 @@ def _add_fit(commands):
         "the parameters with their errors, the light curve and the model's pixels to a FITS file.",
         example="fit star.fits --components 2 --robust --output fit.fits",
     )
-    add(
-        "--components",
-        dest="psf",
-        type=int,
-        choices=(1, 2, 3),
-        help="Gaussian components of the PSF (default: what describes the pixels)",
+    text = "Gaussian components of the PSF (default: what describes the pixels)"
+    add("--components", text, dest="psf", type=int, choices=(1, 2, 3))
+    text = "order of an empirical term in the PSF (default: none)"
+    add("--empirical", text, type=int, metavar="N")
+    add("--sensitivity", "fit a quadratic response within the pixels", action="store_true")
+    text = (
+        "standard deviation of the response between pixels; 0: all alike (default: 0.01 if the PSF "
+        "describes the pixels, else 0)"
     )
-    add(
-        "--empirical",
-        type=int,
-        default=0,
-        metavar="N",
-        help="order of an empirical term in the PSF (default: none)",
+    add("--interpixel", text, type=float, metavar="S")
+    add("--neighbors", _NEIGHBORS, metavar="TABLE")
+    choices = ("start", "free", "prior", "path")
+    add("--positions", "what POS_CORR is used for (default: start)", choices=choices)
+    text = (
+        "pixels: the share of each pixel is a smooth function of position and time; auto: where no "
+        "PSF describes the pixels (default: auto)"
     )
-    add("--sensitivity", action="store_true", help="fit a quadratic response within the pixels")
-    add(
-        "--interpixel",
-        type=float,
-        metavar="S",
-        help="standard deviation of the response between pixels; 0: all alike (default: 0.01 if "
-        "the PSF describes the pixels, else 0)",
-    )
-    _add_neighbors(add)
-    add(
-        "--positions",
-        choices=("start", "free", "prior", "path"),
-        default="start",
-        help="what POS_CORR is used for (default: start)",
-    )
-    add(
-        "--response",
-        choices=("auto", "psf", "pixels"),
-        default="auto",
-        help="pixels: the share of each pixel is a smooth function of position and time; auto: "
-        "where no PSF describes the pixels (default: auto)",
-    )
-    add(
-        "--robust",
-        dest="loss",
-        action="store_const",
-        const="soft_l1",
-        default="linear",
-        help="a loss that suits data with cosmic rays",
-    )
-    add("--cadences", type=int, metavar="N", help="only the first N cadences")
+    add("--response", text, choices=("auto", "psf", "pixels"))
+    text = "a loss that suits data with cosmic rays"
+    add("--robust", text, dest="loss", action="store_const", const="soft_l1")
+    add("--cadences", "only the first N cadences", type=int, metavar="N")
 
 
 def _fit(arguments, path, **options):
@@ -279,21 +234,17 @@ def _add_inject(commands):
         example="inject star.fits --period 4.2 --depth 0.001 --output planet.fits",
     )
     _batch.add_planet(parser)
-    parser.add_argument(
-        "--planets",
-        metavar="TABLE",
-        help="a table that astropy reads with the columns period and depth, and if wanted t0 and "
-        "duration: one row for each file",
+    text = (
+        "a table that astropy reads with the columns period and depth, and if wanted t0 and "
+        "duration: one row for each file"
     )
-    add(
-        "--star",
-        type=_light,
-        metavar="LIGHT",
-        help="the light that is dimmed: scene, that of a simulated file; fit, that of a fit of the "
-        "PSF; or the share of the star in all pixels (default: the scene if there is one, else "
-        "the fit)",
+    parser.add_argument("--planets", metavar="TABLE", help=text)
+    text = (
+        "the light that is dimmed: scene, that of a simulated file; fit, that of a fit of the PSF; "
+        "or the share of the star in all pixels (default: the scene if there is one, else the fit)"
     )
-    add("--seed", type=int, default=1, help="seed of the photon noise (default: 1)")
+    add("--star", text, type=_light, metavar="LIGHT")
+    add("--seed", "seed of the photon noise (default: 1)", type=int, default=1)
 
 
 def _light(text):
