@@ -78,6 +78,10 @@ def star_positions(tpf, path):
     if motion.meta["given"]:
         warnings.warn(f"positions are those of {stars}", DetrendingWarning, stacklevel=2)
         return motion
+    try:
+        motion.offsets(series)
+    except ValueError:  # it has none of the cadences
+        return None
     track = pos_corr_track("", series)
     if track is None:
         message = f"POS_CORR is missing: positions are those of {stars}"

@@ -135,9 +135,8 @@ def detrend_files(
     _make_absolute(options)
     if positions_from is not None:
         positions_from = find_files(positions_from)
-    if positions_from is not None or options.get("neighbors") is None:
-        moved = write_motions(files, output_dir, positions_from)
-        rows = [row | more for row, more in zip(rows or [{}] * len(files), moved, strict=True)]
+    moved = write_motions(files, output_dir, positions_from)
+    rows = [row | more for row, more in zip(rows or [{}] * len(files), moved, strict=True)]
     result = run_files(
         detrended, files, output_dir, client, name="detrend", suffix="-lc.fits", rows=rows,
         options=shared | options, draw=_noise_figure, overwrite=overwrite, sweep=sweep,

@@ -367,7 +367,7 @@ class Motion(Value):
 
         Returns
         -------
-        scope_models.scene.CommonMotion
+        scope_models.scene.common.CommonMotion
             The motion, with errors and its function of place, about the place on the CCD where it
             is known best. Its ``meta`` has ``stars``, the files that count, and ``left_out``, the
             reason for each star that disagrees.

@@ -75,6 +75,17 @@ def test_positions_from_files(files, tmp_path):
     assert "positions are those of 2 stars" in table["warnings"][0]
 
 
+def test_a_file_of_other_times_keeps_its_own_positions(files, tmp_path):
+    later = MOTION.replace(time=MOTION.time + 20, cadenceno=MOTION.cadenceno + 1000)
+    scene = Scene(Star(12), Detector.k2(shape=(9, 9)), later, column=700, row=400)
+    path = simulate(scene, seed=1).write(
+        tmp_path / "later.fits", metadata={"campaign": 5, "channel": 31, "object_name": "later"}
+    )
+    table = detrend([*files[:5], change(path, np.nan)], tmp_path / "out").table
+    assert len(table) == 6
+    assert "positions" not in dict(zip(table["key"], table["warnings"], strict=True))["later"]
+
+
 def test_command(files, tmp_path, capsys):
     given = ["--positions-from", *map(str, (files[0], files[2], files[4]))]
     one = ["detrend", str(files[1]), "--order", "1"]
