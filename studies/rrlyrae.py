@@ -107,9 +107,10 @@ def observe(number, data, cadences, options):
 
 def write_tables(table, real, target):
     """Write how many stars are corrected properly, and the judgments of real light curves."""
-    neighbor, kind = table["neighbor"] == 1, table["kind"]
+    neighbor, kind, kp = table["neighbor"] == 1, table["kind"], table["kp"]
     parts = {"all": kind != "", "alone": ~neighbor, "with a neighbor": neighbor}
     parts |= {name: kind == name for name in SHAPES}
+    parts |= {"Kp below 17": kp < 17, "17 to 18.5": (kp >= 17) & (kp < 18.5), "above": kp >= 18.5}
     rows = []
     for name, part in ((n, p) for n, p in parts.items() if p.any()):
         row = [name, int(part.sum())]
