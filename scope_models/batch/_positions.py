@@ -83,6 +83,8 @@ def star_positions(tpf, path):
     except ValueError:  # it has none of the cadences
         return None
     track = pos_corr_track("", series)
+    if not motion.meta["stars"]:  # they disagree
+        return None
     if track is None:
         message = f"POS_CORR is missing: positions are those of {stars}"
     else:

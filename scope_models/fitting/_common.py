@@ -38,7 +38,8 @@ def common_motion(tpfs):
         if other != label:
             left[other] = f"another CCD than {label}, {motions[other].meta['n_files']} files"
     if left:
-        warnings.warn(f"left out: {_listed(left)}", FitWarning, stacklevel=3)
+        what = "left out" if motion.meta["stars"] else "no two stars agree"
+        warnings.warn(f"{what}: {_listed(left)}", FitWarning, stacklevel=3)
     if motion.meta["n_files"] == 1:
         message = f"the motion is that of one file of {label}: no other star confirms it"
         warnings.warn(message, FitWarning, stacklevel=3)

@@ -208,14 +208,15 @@ def fit_tracks(tracks, time_format="bkjd", meta=None):
     motion : CommonMotion
         The motion.
     left_out : list of bool
-        Which of the tracks the motion of the others does not explain; they do not count.
+        Which of the tracks the motion of the others does not explain; they do not count, unless
+        all are.
     """
     fit, names = _Fit(tracks).run(), np.array([track.name for track in tracks])
     others = (fit.others(k, names) for k in range(len(names)))
     agree = [given is None or fit.agrees(k, *given) for k, given in enumerate(others)]
     if any(agree) and not all(agree):
         fit = _Fit([track for track, good in zip(tracks, agree, strict=True) if good]).run()
-    return fit.motion(time_format, meta or {}), [not good and any(agree) for good in agree]
+    return fit.motion(time_format, meta or {}), [not good for good in agree]
 
 
 def explains(motion, track, series):

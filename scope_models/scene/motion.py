@@ -357,7 +357,8 @@ class Motion(Value):
         neighbors that are found, and POS_CORR where the file has it. They are an offset and a
         linear map of pointing, roll and scale of the cadence, at the star's place, with residuals
         of Student's t: variable, saturated and crowded stars count as little as their positions
-        scatter. Stars that the motion of the others explains no better than noise are left out.
+        scatter. Stars that the motion of the others explains no better than noise are left out,
+        unless all are.
 
         Parameters
         ----------

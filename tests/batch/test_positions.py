@@ -75,6 +75,19 @@ def test_positions_from_files(files, tmp_path):
     assert "positions are those of 2 stars" in table["warnings"][0]
 
 
+def test_stars_of_which_no_two_agree_keep_their_positions(files, tmp_path):
+    rng = np.random.default_rng(1)
+    paths = []
+    for file in files[:4]:
+        paths.append(tmp_path / file.name)
+        paths[-1].write_bytes(file.read_bytes())
+        with fits.open(paths[-1], mode="update", checksum=True) as hdus:
+            for axis in (1, 2):
+                hdus[1].data[f"POS_CORR{axis}"] = rng.normal(0, 0.1, len(hdus[1].data))
+    table = detrend(paths, tmp_path / "out").table
+    assert not any("positions" in text for text in table["warnings"])
+
+
 def test_a_file_of_other_times_keeps_its_own_positions(files, tmp_path):
     later = MOTION.replace(time=MOTION.time + 20, cadenceno=MOTION.cadenceno + 1000)
     scene = Scene(Star(12), Detector.k2(shape=(9, 9)), later, column=700, row=400)
