@@ -22,7 +22,7 @@ def test_light_curves_have_the_shape_of_the_class(kind, total):
         assert total[0] < np.ptp(magnitudes) < total[1]
         slope = np.gradient(magnitudes)
         steeper = -slope.min() / slope.max()  # the rise than the fall
-        assert (steeper > 3) if kind == "RRab" else (1 < steeper < 2)
+        assert (steeper > 2.5) if kind == "RRab" else (1 < steeper < 2)
 
 
 def test_quality_is_that_of_amplitude_and_differences():
