@@ -9,7 +9,7 @@ from astropy.time import Time, TimeDelta
 
 __all__ = [
     "DIGITAL", "LARGEST_DAY", "PER_PIXEL", "TIME_ZEROS", "is_angle", "native", "plain_array",
-    "plain_number", "plain_time", "plain_tree", "refuse_unit", "unmasked", "values_of",
+    "plain_number", "plain_time", "plain_tree", "unmasked", "values_of",
     "without_unit",
 ]  # fmt: skip
 
@@ -161,12 +161,6 @@ def values_of(table, name):
     if name not in table.colnames:
         return np.full(len(table), np.nan)
     return np.ma.filled(np.ma.asarray(table[name].value, dtype=float), np.nan)
-
-
-def refuse_unit(array, name):
-    """Raise an error if an array that is changed in place has a unit."""
-    if hasattr(array, "unit"):
-        raise TypeError(f"`{name}` is changed in place and must be a plain array, got a unit")
 
 
 def is_angle(unit):

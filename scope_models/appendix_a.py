@@ -16,7 +16,7 @@ from scope_models._arrays import PER_PIXEL
 from scope_models._checks import checked_choice, checked_integer, checked_number, checked_pair
 from scope_models._docstrings import documented
 from scope_models._values import value_key
-from scope_models.effects.noise import check_seed, fresh_seed, noise_terms, stream
+from scope_models.effects._noise import check_seed, fresh_seed, noise_terms, stream
 from scope_models.exceptions import LostLightWarning
 from scope_models.models import PRF, TransitModel, sinusoidal_signal
 from scope_models.scene import Detector, Motion, Scene, Star

@@ -40,9 +40,7 @@ from scope_models._arrays import plain_array, plain_number, plain_time
 from scope_models.benchmark import SkyRegime
 from scope_models.correctors import PLDOptions
 from scope_models.effects import Effect, Focus, Gaps, ScatteredLight, airmass, moon_geometry
-from scope_models.effects import noise as effects_noise
 from scope_models.effects.cosmic_rays import rejected_shift
-from scope_models.effects.saturation import bleed
 from scope_models.exceptions import FitWarning
 from scope_models.fitting import FitOptions
 from scope_models.io import TPFMetadata, usable_positions
@@ -260,9 +258,6 @@ ROWS = {
     "Detector.interpixel": (
         lambda v: Detector.k2(shape=(2, 2), interpixel=v).interpixel, np.full((2, 2), 0.9), u.one
     ),
-    "poisson_quantile.deviate": (
-        lambda v: effects_noise.poisson_quantile(v, 30.0), [1.0, 2.0], u.one
-    ),
     "rejected_shift.charge": (rejected_shift, [1.0, 2.0], u.one),
     "animate_pixels.interval": (
         lambda v: animated(TIME, interval=v)._interval, 30.0, u.ms
@@ -470,24 +465,6 @@ ROWS = {
     "circular_aperture.x_0": (lambda v: ph.circular_aperture((5, 5), v, 2, 1.5), 2.2, u.pix),
     "circular_aperture.y_0": (lambda v: ph.circular_aperture((5, 5), 2, v, 1.5), 2.2, u.pix),
     "circular_aperture.radius": (lambda v: ph.circular_aperture((5, 5), 2, 2, v), 1.5, u.pix),
-    "poisson_quantile.mean": (
-        lambda v: effects_noise.poisson_quantile(np.zeros(3), v), [3.0, 50.0, 900.0], u.electron
-    ),
-    "poisson_counts.mean": (
-        lambda v: effects_noise.poisson_counts(v, np.random.default_rng(1)), [3.0, 50.0], u.electron
-    ),
-    "add_read_noise.sigma": (
-        lambda v: effects_noise.add_read_noise(np.zeros(5), v, np.random.default_rng(1)),
-        90.0,
-        u.electron,
-    ),
-    "add_quantization.gain": (
-        lambda v: effects_noise.add_quantization(np.ones(5), v, 3, np.random.default_rng(1)),
-        110.0,
-        u.electron / u.adu,
-    ),
-    "bleed.well_depth": (lambda v: bleed(100 * np.eye(3), v), 50.0, u.electron),
-    "bleed.background": (lambda v: bleed(100 * np.eye(3), 50.0, v), 20.0, u.electron),
     "PLDOptions.segments": (lambda v: PLDOptions(segments=v).segments, [3.0, 5.0], u.day),
     "PLDOptions.saturation": (lambda v: PLDOptions(saturation=v).saturation, 1e4, RATE),
     "generate_target.mag": (
@@ -647,7 +624,7 @@ ANY_UNIT = {
     "BivariateGaussianPSF.flux", "PRF.render.flux",
     "plot_light_curve.flux", "plot_fold.flux", "plot_detrending.flux",
     "plot_detrending.corrected", "plot_pixels.image", "animate_pixels.cube", "plot_summary.image",
-    "plot_detector.image", "bleed.charge", "add_quantization.electrons", "add_read_noise.electrons",
+    "plot_detector.image",
 }  # fmt: skip
 NO_UNIT = {
     # a description that names a unit of something else
@@ -729,17 +706,6 @@ def test_quantities_convert_or_the_argument_is_named(name):
         with pytest.raises((ValueError, TypeError), match=rf"`{named}`"):
             call(np.asarray(value) * wrong)
     plt.close("all")
-
-
-def test_arrays_that_are_changed_in_place_refuse_units():
-    rng = np.random.default_rng(1)
-    for call in (
-        lambda v: bleed(v, 5.0),
-        lambda v: effects_noise.add_read_noise(v, 5.0, rng),
-        lambda v: effects_noise.add_quantization(v, 5.0, 1, rng),
-    ):
-        with pytest.raises(TypeError, match="is changed in place and must be a plain array"):
-            call(np.eye(3) * u.electron)
 
 
 def test_angles_need_a_pixel_scale():

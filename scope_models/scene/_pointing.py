@@ -14,7 +14,7 @@ from scipy.signal import lfilter
 from scope_models._arrays import PER_PIXEL, TIME_ZEROS, plain_time
 from scope_models._checks import check_fields, checked_choice, checked_integer, number
 from scope_models._values import Value
-from scope_models.effects.noise import check_seed, fresh_seed, stream
+from scope_models.effects._noise import check_seed, fresh_seed, stream
 from scope_models.missions import MISSIONS
 
 __all__ = [

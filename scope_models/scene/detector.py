@@ -17,8 +17,8 @@ from scope_models._checks import (
 )
 from scope_models._docstrings import documented
 from scope_models._values import Value, frozen, html_table
+from scope_models.effects._noise import stream
 from scope_models.effects.base import Effect, checked_several
-from scope_models.effects.noise import stream
 from scope_models.io.pixels import read_pixels
 from scope_models.missions import MISSIONS, choose_cadence, full_flux
 from scope_models.models import PRF, BivariateGaussianPSF

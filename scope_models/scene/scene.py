@@ -11,8 +11,8 @@ from scope_models._checks import check_fields, checked_matrix, integer, number
 from scope_models._docstrings import documented
 from scope_models._values import Value, html_table
 from scope_models.effects import Effect, mission_effects
+from scope_models.effects._noise import check_seed, noise_terms
 from scope_models.effects.base import checked_several
-from scope_models.effects.noise import check_seed, noise_terms
 from scope_models.io import TPFMetadata
 from scope_models.io._headers import tan_projection
 from scope_models.missions import TIME_ZEROS

@@ -8,9 +8,8 @@ from operator import mul
 import numpy as np
 from tqdm import tqdm
 
+from scope_models.effects._noise import bleed, stream
 from scope_models.effects.base import Conditions, Exposures
-from scope_models.effects.noise import stream
-from scope_models.effects.saturation import bleed
 from scope_models.models._axis import ROWS
 from scope_models.models._series import ImageSeries, is_gaussian
 

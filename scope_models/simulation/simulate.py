@@ -7,7 +7,7 @@ from astropy.table import Table
 
 from scope_models._checks import checked_integer
 from scope_models._threads import one_thread
-from scope_models.effects.noise import (
+from scope_models.effects._noise import (
     add_quantization,
     add_read_noise,
     fresh_seed,

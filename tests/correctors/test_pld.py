@@ -19,7 +19,7 @@ from scope_models.correctors import (
 )
 from scope_models.correctors._model import PLDModel, Settings
 from scope_models.correctors._pixels import aperture_pixels
-from scope_models.effects.saturation import bleed
+from scope_models.effects._noise import bleed
 from scope_models.exceptions import DetrendingWarning
 from scope_models.io import read_pixels
 from scope_models.models import TransitModel

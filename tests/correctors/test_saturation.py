@@ -5,7 +5,7 @@ import pytest
 from scipy.special import ndtr
 
 from scope_models.correctors._saturation import find_row_centers, without_saturation
-from scope_models.effects.saturation import bleed
+from scope_models.effects._noise import bleed
 
 FULL = 0.2  # of the light
 NOISE = 1e-9

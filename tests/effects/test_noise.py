@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2, kstest, norm, poisson
 
-from scope_models.effects.noise import (
+from scope_models.effects._noise import (
     NOISE_TERMS,
     add_quantization,
     add_read_noise,

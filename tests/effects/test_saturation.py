@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from scope_models.effects.saturation import bleed
+from scope_models.effects._noise import bleed
 
 
 def test_nothing_happens_below_the_well_depth():

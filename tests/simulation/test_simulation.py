@@ -10,7 +10,7 @@ from scipy.integrate import dblquad
 from scipy.stats import norm
 
 from scope_models import Detector, Motion, Scene, Star, simulate
-from scope_models.effects.noise import NOISE_TERMS
+from scope_models.effects._noise import NOISE_TERMS
 from scope_models.exceptions import LostLightWarning, ScopeModelsWarning
 from scope_models.models import BivariateGaussianPSF
 from scope_models.models._series import ImageSeries
