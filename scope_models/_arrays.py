@@ -136,7 +136,7 @@ def plain_time(value, time_format, name):
 
 
 def without_unit(value):
-    """Return the value of a quantity, and anything else as it is."""
+    """Return the value of a quantity; other values are unchanged."""
     return getattr(value, "value", value)
 
 

@@ -23,8 +23,8 @@ def solvable():
         yield
     except np.linalg.LinAlgError as error:
         raise ValueError(
-            f"the pixels of `tpf` do not determine all that is fitted to them ({error}): check "
-            "FLUX_ERR and the aperture, or give less to fit"
+            f"the pixels of `tpf` do not constrain all fitted parameters ({error}): check "
+            "FLUX_ERR and the aperture, or fit fewer parameters"
         ) from error
 
 

@@ -161,7 +161,7 @@ class Store:
             raise _numbered(
                 OSError, number,
                 f"cannot write to {self._path}; the {len(self)} stars that are finished are kept, "
-                f"and the same call goes on from there: the reason is: {error}",
+                f"and the same call resumes there: the reason is: {error}",
             ) from error  # fmt: skip
 
 
@@ -169,7 +169,7 @@ def read_records(directory):
     """Return all records of a results directory, also of a run that was interrupted."""
     path = Path(directory) / FILE
     if not path.is_file():
-        raise FileNotFoundError(f"{directory} is no results directory: it has no {FILE}")
+        raise FileNotFoundError(f"{directory} is not a results directory: it has no {FILE}")
     try:
         with closing(sqlite3.connect(path, timeout=0)) as connection:
             connection.text_factory = bytes

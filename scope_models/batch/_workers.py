@@ -223,7 +223,7 @@ def _dask_client(where):
             )  # fmt: skip
         except RuntimeError as error:
             raise LostWorkersError(
-                "worker processes die as they begin, see their message; a script must start its "
+                "worker processes die at their start; see their message; a script must start its "
                 'work under `if __name__ == "__main__":`'
             ) from error
         client = stack.enter_context(Client(stack.enter_context(cluster)))

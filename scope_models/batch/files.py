@@ -343,7 +343,7 @@ def _rows_of(planets, needed, further, files):
 
 
 def planet_model(planet, time, exposure_time):
-    """Return the transits of a planet, of which one at least is among times in days.
+    """Return the transits of a planet; at least one must be among the times in days.
 
     ``planet`` has the period and depth, and if known t0 and duration.
     """
@@ -412,7 +412,7 @@ def simulate_table(
     _detector(str(detector))
     table = Table(table)
     if "mag" not in table.colnames or not len(table):
-        raise ValueError("`table` must have a column `mag` and a row at least")
+        raise ValueError("`table` must have a column `mag` and at least one row")
     known = ("name", "mag", "x_0", "y_0", *_PLANET)
     if unknown := [name for name in table.colnames if name not in known]:
         raise ValueError(
@@ -479,9 +479,7 @@ def find_files(paths):
         text = os.fspath(path)
         if not Path(text).exists() and not FITS.search(text):
             if not _NAME.fullmatch(text):
-                raise FileNotFoundError(
-                    f"{text}: no such file, and no EPIC, KIC or TIC and a number"
-                )
+                raise FileNotFoundError(f"{text}: no such file, and not an EPIC, KIC or TIC number")
             text = _downloaded(text)
         key = os.path.realpath(text)
         if key in found:
@@ -502,9 +500,9 @@ def _downloaded(name):
             tpf = search[int(np.argmax(seconds))].download()
     except Exception as error:  # of the network, from many libraries
         reason = " ".join(str(error).split())
-        raise OSError(f"{name} is no file, and the search for it failed: {reason}") from error
+        raise OSError(f"{name} is not a file, and the search for it failed: {reason}") from error
     if tpf is None:
-        raise ValueError(f"{name} is no file, and no target pixel file is found for this name")
+        raise ValueError(f"{name} is not a file, and no target pixel file was found for this name")
     tpf.hdu.close()
     return tpf.path
 

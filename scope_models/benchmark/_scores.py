@@ -1,4 +1,4 @@
-"""Scores of a light curve of which the truth is known: pure functions of arrays."""
+"""Scores of a light curve with known truth: pure functions of arrays."""
 
 from dataclasses import dataclass
 from itertools import product

@@ -142,7 +142,7 @@ def score_light_curves(paths):
     OSError
         If a file cannot be read.
     ValueError
-        If a file is no light curve, or not one of a star of the benchmark.
+        If a file is not a light curve of a star of the benchmark.
 
     Examples
     --------
@@ -173,7 +173,7 @@ def score_light_curves(paths):
 def _read(path):
     """Return a light curve with lower-case columns, and the cards of its file."""
     if Path(path).exists() and not Path(path).is_file():
-        raise ValueError(f"{path} is no regular file")
+        raise ValueError(f"{path} is not a regular file")
     with Path(path).open("rb") as file:
         start = file.read(6)
     if start.startswith(_COMPRESSED):
@@ -187,11 +187,11 @@ def _read(path):
         else:
             lc, cards = Table.read(path), {}
     except (IORegistryError, InconsistentTableError, UnicodeDecodeError) as error:
-        raise ValueError(f"{path} is no table that astropy reads") from error
+        raise ValueError(f"{path} is not a table that astropy can read") from error
     lc.rename_columns(lc.colnames, [name.lower() for name in lc.colnames])
     for name in ("cadenceno", "flux", "flux_err"):
         if name not in lc.colnames:
-            raise ValueError(f"{path} is no light curve: it has no column {name.upper()}")
+            raise ValueError(f"{path} is not a light curve: it has no column {name.upper()}")
     return lc, cards
 
 

@@ -122,7 +122,7 @@ def with_config(argv):
 
 
 def add_workers(parser):
-    """Add ``--workers`` and ``--scheduler``, of which one may be given."""
+    """Add ``--workers`` and ``--scheduler``, which exclude each other."""
     group = parser.add_mutually_exclusive_group()
     group.add_argument(
         "--workers", type=int, default=1, metavar="N", help="processes on this machine (default: 1)"

@@ -35,7 +35,7 @@ def main(argv=None):
     Returns
     -------
     int
-        0, 1 if some of many files failed, or 2 after an error, of which one line goes to the
+        0, 1 if some of many files failed, or 2 after an error, whose line goes to the
         standard error.
 
     Examples

@@ -222,7 +222,7 @@ class Effect(Value):
     2. light that is not the stars': `pedestal`;
     3. charge, after photon noise: `charge`;
     4. readout, before read noise and digitization: `readout`;
-    5. calibration, of which RAW_CNTS have nothing, in reverse order: `calibrate`;
+    5. calibration (not in RAW_CNTS), in reverse order: `calibrate`;
     6. `quality` and `missing` of the cadences.
 
     Within a stage they act in the order of their `place`, however they are given; only effects of

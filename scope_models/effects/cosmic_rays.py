@@ -50,7 +50,7 @@ class CosmicRays(Effect):
     columns), and ELECTRONS, the charge of the whole track.
 
     With ``rejection`` a read that a ray has hit is nearly always the highest of its ten, and is
-    dropped; what stays is the bias of the other nine, of which the lowest is still dropped
+    dropped; what stays is the bias of the other nine, whose lowest is still dropped
     (`rejected_shift`). The reads are taken as normal, and a pixel as hit at most once in ten
     reads. The smaller noise of trimmed sums is not a part of this effect.
 

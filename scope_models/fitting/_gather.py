@@ -19,7 +19,7 @@ _FACTS = (
 
 
 def make_results(problem, solution, errors, detectors, series):
-    """Gather the fit of each file from what the solver gives."""
+    """Gather the fit of each file from the solution."""
     state, s, results = solution.state, problem.n_shared, []
     fitted, covariance = problem.model(state), errors.shared[:s, :s].copy()
     ended = zip(problem.parameters, problem.at_bounds(state), strict=True)

@@ -221,7 +221,7 @@ class Problem:
 
     @cached_property
     def focus_basis(self):
-        """Cubic splines of time of which the relative width is a sum, shape ``(n, k)``."""
+        """Cubic splines of time that add up to the relative width, shape ``(n, k)``."""
         if self.options.focus is None:
             return np.zeros((len(self.flux), 0))
         first, last = self.span

@@ -1,4 +1,4 @@
-"""What is made of a fit: its file, the twin of the star, its sensitivity as a figure shows it."""
+"""The file of a fit, the twin of its star, and profiles of the sensitivity."""
 
 import json
 
@@ -78,7 +78,7 @@ def read_fit(path):
     with open_fits(path) as hdus:
         header = hdus[0].header
         if header.get("CREATOR") != _CREATOR:
-            raise RefusedError(f"{path} is no fit of this package")
+            raise RefusedError(f"{path} is not a fit of this package")
         if header.get("FITVERS", _VERSION + 1) > _VERSION:
             raise RefusedError(f"{path} was written by a later version of this package")
         try:

@@ -256,7 +256,7 @@ def _given_prf(prf, sensitivity, order):
         raise ValueError("`sensitivity` must be left out if `psf` is a PRF")
     table = prf.table
     if order and table is None:
-        raise ValueError("`empirical` must be left out if `psf` is a PRF that is no table")
+        raise ValueError("`empirical` must be left out if `psf` is a PRF but not a table")
     if order:
         values = (getattr(table, name).value for name in ("flux", "x_0", "y_0"))
         where = {"origin": table.origin, "uncertainty": table.uncertainty}

@@ -127,7 +127,7 @@ def checked_columns(metadata, values):
     if values["raw_cnts"] is not None:
         checked["RAW_CNTS"] = _integers("raw_cnts", values["raw_cnts"], flux.shape)
         if checked["RAW_CNTS"].min() < -1:
-            raise ValueError("`raw_cnts` must not be negative, but for -1 where there are no data")
+            raise ValueError("`raw_cnts` must not be negative, except -1 where there are no data")
     return checked
 
 

@@ -63,9 +63,9 @@ class Collection:
                 f"got {self.id!r}"
             )
         if not self.lead.strip():
-            raise ValueError("`hlsp_lead` must be the name of who leads the project")
+            raise ValueError("`hlsp_lead` must name the leader of the project")
         if not _VERSION.fullmatch(self.version):
-            raise ValueError(f"`hlsp_version` must be as 1 or 1.0, got {self.version!r}")
+            raise ValueError(f"`hlsp_version` must be a version as 1.0, got {self.version!r}")
 
     def name(self, cards):
         """Return the name of the file of a star from the cards of its target pixel file."""

@@ -78,7 +78,7 @@ def naming(path):
 
 def _unreadable(path, error):
     reason = one_line(error) or type(error).__name__  # bytes of a damaged header can be in it
-    return ValueError(f"{path} is no readable FITS file, or truncated: {reason}")
+    return ValueError(f"{path} is not a readable FITS file, or is truncated: {reason}")
 
 
 def _content(path):
@@ -88,7 +88,7 @@ def _content(path):
     if not path.exists():
         raise FileNotFoundError(f"no such file: {path}")
     if not path.is_file():
-        raise OSError(f"{path} is no regular file")
+        raise OSError(f"{path} is not a regular file")
     size, limit = path.stat().st_size, conf.max_bytes
     if size == 0:
         raise ValueError(f"{path} is empty")
@@ -130,7 +130,7 @@ def _check(hdus, content, path):
         start, end = place["hdrLoc"], place["datLoc"] + place["datSpan"]
         kinds = (fits.PrimaryHDU, fits.ImageHDU, fits.BinTableHDU, fits.TableHDU)
         if not isinstance(hdu, kinds):
-            raise _refused(path, f"HDU {number} is no image or table")
+            raise _refused(path, f"HDU {number} is neither an image nor a table")
         if end > len(content) or place["datSpan"] < 0:
             raise _refused(path, f"HDU {number} claims more bytes than the file has")
         if isinstance(hdu, fits.BinTableHDU | fits.TableHDU):
@@ -144,7 +144,7 @@ def _check(hdus, content, path):
                 break
         number += 1
     if content[end:].strip(b"\0 "):
-        raise _refused(path, "what follows its last HDU is no extension")
+        raise _refused(path, "bytes after its last HDU are not an extension")
     claimed = hdus[0].header.get("NEXTEND")
     if isinstance(claimed, int) and len(hdus) - 1 < claimed:
         raise _refused(path, f"it has {len(hdus) - 1} of {claimed} extensions")
@@ -158,7 +158,7 @@ def _check(hdus, content, path):
 
 
 def _check_axes(content, start, path):
-    """Refuse a header of more axes than FITS has, of which astropy would make a list."""
+    """Refuse a header with more axes than FITS allows, before astropy lists them."""
     from astropy.io import fits
 
     stream = io.BytesIO(content)
@@ -180,11 +180,11 @@ def _check_columns(hdu, path):
         )
     for number in range(1, n_columns + 1):
         if not isinstance(hdu.header.get(f"TTYPE{number}"), str):
-            raise _refused(path, f"TTYPE{number} is absent or no text")
+            raise _refused(path, f"TTYPE{number} is absent or not text")
 
 
 def _refused(path, reason):
-    return RefusedError(f"{path} is no readable FITS file, or truncated: {reason}")
+    return RefusedError(f"{path} is not a readable FITS file, or is truncated: {reason}")
 
 
 def checksum_of(data, start=0):

@@ -424,7 +424,7 @@ def positions_of(source):
     pos_corr = pos_corr_of(source)
     if _attribute(source, "time") is None or pos_corr is None:
         raise TypeError(
-            f"`tpf` must have time, POS_CORR1 and POS_CORR2, but {type(source).__name__} has not"
+            f"`tpf` must have time, POS_CORR1 and POS_CORR2, but {type(source).__name__} lacks them"
         )
     if _has_file(source):
         series = read_pixels(source)

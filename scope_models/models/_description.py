@@ -100,7 +100,7 @@ def check_coord(coord):
     if not np.isfinite(coord.icrs.ra.deg + coord.icrs.dec.deg):
         raise ValueError(f"`coord` must be finite, got {coord!r}")
     if "s" in coord.data.differentials and coord.obstime is None:
-        raise ValueError("`coord` must have an `obstime`, for it has a proper motion")
+        raise ValueError("`coord` must have an `obstime`, because it has a proper motion")
 
 
 def sky_place(coord, year):
@@ -113,7 +113,7 @@ def sky_place(coord, year):
 
 
 def packed(value):
-    """Return an array as text, and anything else as it is."""
+    """Return an array as text; other values are unchanged."""
     if not isinstance(value, np.ndarray):
         return value
     values = np.ascontiguousarray(value, dtype="<f8")
@@ -121,7 +121,7 @@ def packed(value):
 
 
 def unpacked(value):
-    """Return the array of a text, the quantity of a unit, and anything else as it is."""
+    """Return the array of a text and the quantity of a unit; other values are unchanged."""
     if not isinstance(value, dict):
         return value
     if "unit" in value:

@@ -55,7 +55,7 @@ class PRFGrid(Value):
         if places.shape != (len(tables), 2) or not np.isfinite(places).all() or not tables:
             raise ValueError(f"`places` must have the shape ({len(tables)}, 2), got {places.shape}")
         if len(np.unique(places, axis=0)) < len(places):
-            raise ValueError("`places` must differ: there are two tables of one place")
+            raise ValueError("`places` must differ: two tables have the same place")
         first = tables[0]
         for table in tables:
             same = table.array.shape == first.array.shape and table.origin == first.origin
@@ -273,7 +273,7 @@ def _card(header, name, path):
     try:
         return float(header[name])
     except (KeyError, TypeError, ValueError):
-        raise ValueError(f"{path} is no PRF file: it has no card {name}") from None
+        raise ValueError(f"{path} is not a PRF file: it has no card {name}") from None
 
 
 def _read_tess(path):

@@ -70,7 +70,7 @@ class _Surface:
         """
         Integrals over pixels times polynomials: ``(..., ny, nx)``, or 3 of them.
 
-        The spline is a polynomial between its samples, of which Gauss-Legendre rules are exact.
+        Gauss-Legendre rules are exact for the polynomials between the samples.
         """
         shape = np.broadcast_shapes(np.shape(x_0), np.shape(y_0))
         x_0, y_0 = (np.broadcast_to(p, shape).reshape(-1).astype(float) for p in (x_0, y_0))

@@ -105,7 +105,7 @@ def _apart(one, other):
 
 
 def check_figure_format(path):
-    """Refuse a file whose suffix is no format of figures, before any work is done for it."""
+    """Refuse a file whose suffix is not a figure format, before any work is done."""
     formats = FigureCanvasBase.get_supported_filetypes()
     if Path(path).suffix[1:].lower() not in formats:
         raise ValueError(f"cannot write {path}: the formats of figures are {', '.join(formats)}")

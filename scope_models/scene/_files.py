@@ -199,7 +199,7 @@ def _maps(detector):
 
 
 def _made(path, described, what, make):
-    """Return what a file describes, with one kind of error for whatever is wrong with it."""
+    """Return what a file describes; all its errors are ValueErrors that name it."""
     if not described:
         raise ValueError(f"{path} holds no {what} to make again")
     version = described.get("version")

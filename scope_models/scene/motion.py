@@ -634,7 +634,7 @@ class Motion(Value):
             before, after = joined[-2:]
             if not (before.time[-1] < after.time[0] and before.cadenceno[-1] < after.cadenceno[0]):
                 raise ValueError(
-                    "times and cadence numbers must go on increasing from one motion to the next; "
+                    "times and cadence numbers must increase from one motion to the next; "
                     "`Motion.concatenate(motions, shift=True)` shifts them"
                 )
         columns = (np.concatenate([getattr(m, name) for m in joined]) for name in _COLUMNS)

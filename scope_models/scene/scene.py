@@ -154,7 +154,7 @@ class Scene(Value):
         return html_table(repr(self), rows)
 
     def _put_on_sky(self):
-        """Take the place on the sky of a target that has one, and check those of all stars."""
+        """Take the sky position of the target, and check those of all stars."""
         if self.matrix is not None:
             object.__setattr__(self, "matrix", checked_matrix(self.matrix))
         target = self.stars[0].coord

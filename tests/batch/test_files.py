@@ -283,7 +283,7 @@ class TestBadInput:
         "table, message",
         [
             ({"name": ["a"]}, "`table` must have a column `mag`"),
-            ({"mag": []}, "`table` must have a column `mag` and a row"),
+            ({"mag": []}, "`table` must have a column `mag` and at least one row"),
             ({"mag": [12], "magnitude": [12]}, "`table` has an unknown column magnitude"),
             (
                 {"mag": [12], "depth": [0.1]},
@@ -324,7 +324,7 @@ class TestNames:
 
         monkeypatch.setattr(lightkurve, "search_targetpixelfile", search)
         assert find_files(["EPIC 211956421", files[1]]) == (str(files[0]), str(files[1]))
-        with pytest.raises(ValueError, match="no target pixel file is found for this name"):
+        with pytest.raises(ValueError, match="no target pixel file was found"):
             find_files(["TIC 1"])
         assert asked == ["EPIC 211956421", "TIC 1"]
 
@@ -366,7 +366,7 @@ class TestNames:
 
         monkeypatch.setattr(lightkurve, "search_targetpixelfile", search)
         with pytest.raises(
-            OSError, match="EPIC 1 is no file, and the search for it failed: no rou"
+            OSError, match="EPIC 1 is not a file, and the search for it failed: no rou"
         ):
             find_files(["EPIC 1"])
 
@@ -379,7 +379,9 @@ class TestNames:
     @pytest.mark.parametrize("name", ["star", "star.fit s", "kplr009002278", "EPIC211956421.fts.g"])
     def test_mistyped_files_are_not_searched(self, monkeypatch, name):
         monkeypatch.setitem(sys.modules, "lightkurve", None)
-        with pytest.raises(FileNotFoundError, match=f"{name}: no such file, and no EPIC, KIC or"):
+        with pytest.raises(
+            FileNotFoundError, match=f"{name}: no such file, and not an EPIC, KIC or"
+        ):
             find_files([name])
 
     def test_files_that_are_absent_are_not_searched(self, tmp_path, monkeypatch):

@@ -3,7 +3,6 @@
 import csv
 import hashlib
 import multiprocessing
-import re
 import shutil
 import subprocess
 import time
@@ -199,9 +198,9 @@ class TestCollection:
         [
             ({"id": "my collection"}, "`hlsp_id` must be 2 to 20 letters"),
             ({"id": "x" * 21}, "`hlsp_id` must be 2 to 20 letters"),
-            ({"lead": ""}, "`hlsp_lead` must be the name"),
+            ({"lead": ""}, "`hlsp_lead` must name the leader"),
             ({"lead": "Müller"}, "`hlsp_lead` must be text of at most 68 ASCII characters"),
-            ({"version": "one"}, "`hlsp_version` must be as 1 or 1.0, got 'one'"),
+            ({"version": "one"}, "`hlsp_version` must be a version as 1.0, got 'one'"),
         ],
     )
     def test_bad_collections(self, made, tmp_path, changes, message):
@@ -395,7 +394,7 @@ class TestResults:
         assert "seconds" not in collection[1].summary.colnames
 
     def test_no_results(self, tmp_path):
-        with pytest.raises(FileNotFoundError, match=re.escape("no results directory")):
+        with pytest.raises(FileNotFoundError, match="is not a results directory"):
             read_results(tmp_path)
         (tmp_path / "results.sqlite").write_bytes(b"damaged" * 1000)
         with pytest.raises(ValueError, match="is damaged"):

@@ -144,4 +144,4 @@ def test_command(run, tmp_path, capsys):
     assert main(["report", str(run), "--output", str(tmp_path / "page.html")]) == 0
     assert capsys.readouterr().out.strip() == str(tmp_path / "page.html")
     assert main(["report", str(tmp_path)]) == 2
-    assert "is no results directory" in capsys.readouterr().err
+    assert "is not a results directory" in capsys.readouterr().err

@@ -632,7 +632,7 @@ class TestFailures:
         )  # fmt: skip
         assert result.returncode == 1
         last = result.stderr.strip().splitlines()[-1]
-        assert "worker processes die as they begin, see their message; a script must" in last
+        assert "worker processes die at their start; see their message; a script must" in last
 
 
 class TestDamage:

@@ -108,10 +108,10 @@ def test_a_file_is_found_by_its_target_number(tmp_path, transits):
 def test_other_files_are_refused(tmp_path):
     text = tmp_path / "sky000.txt"
     text.write_text("nothing")
-    with pytest.raises(ValueError, match=r"sky000\.txt is no table that astropy reads"):
+    with pytest.raises(ValueError, match=r"sky000\.txt is not a table that astropy can read"):
         score_light_curves([text])
     Table({"FLUX": [1.0]}).write(tmp_path / "sky000.fits")
-    with pytest.raises(ValueError, match="is no light curve: it has no column CADENCENO"):
+    with pytest.raises(ValueError, match="is not a light curve: it has no column CADENCENO"):
         score_light_curves([tmp_path / "sky000.fits"])
     Table({"CADENCENO": [5000], "FLUX": [1.0], "FLUX_ERR": [1.0]}).write(tmp_path / "sky001.fits")
     with pytest.raises(ValueError, match="has cadences that the star does not have"):
@@ -122,7 +122,7 @@ def test_other_files_are_refused(tmp_path):
     packed.write_bytes(lzma.compress(bytes(1000)))
     with pytest.raises(ValueError, match="is compressed in a way whose size is not checked"):
         score_light_curves([packed])
-    with pytest.raises(ValueError, match="is no regular file"):
+    with pytest.raises(ValueError, match="is not a regular file"):
         score_light_curves([tmp_path])
 
 

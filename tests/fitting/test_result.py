@@ -91,7 +91,7 @@ def test_file_holds_everything(fit, tmp_path):
 def test_other_files_are_refused(tmp_path):
     path = tmp_path / "other.fits"
     fits.PrimaryHDU().writeto(path)
-    with pytest.raises(ValueError, match="is no fit of this package"):
+    with pytest.raises(ValueError, match="is not a fit of this package"):
         TPFFit.read(path)
 
 

@@ -1,4 +1,4 @@
-"""Invariants of integrals over pixels that hold for all parameters, at parameters drawn anew."""
+"""Invariants of integrals over pixels that hold for all parameters, at random parameters."""
 
 import numpy as np
 import pytest

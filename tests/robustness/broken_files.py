@@ -166,7 +166,7 @@ def _claims(content, rng):
 
 
 def _cards(content, _):
-    """Remove or replace cards, and write the file anew."""
+    """Remove or replace cards, and write the file again."""
     for keyword in (
         "TTYPE1",
         "TFORM1",
