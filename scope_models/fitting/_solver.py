@@ -235,5 +235,8 @@ def psf_covariance(problem, state, response):
     # No parameter is more uncertain than its prior.
     prior = np.diag([p.prior**2 if np.isfinite(p.prior) else np.inf for p in problem.parameters])
     some = np.isfinite(np.diag(prior))
-    gain = covariance[:, some]
-    return covariance - gain @ np.linalg.solve((covariance + prior)[np.ix_(some, some)], gain.T)
+    both = np.ix_(some, some)
+    gain, keep = np.linalg.solve((covariance + prior)[both], covariance[some]).T, np.eye(s)
+    keep[:, some] -= gain
+    # A sum of squares, which stays one where a huge variance meets a prior.
+    return keep @ covariance @ keep.T + gain @ prior[both] @ gain.T

@@ -270,3 +270,17 @@ def test_errors_of_a_gaussian_hold_the_response_of_the_pixels():
         ]
     assert np.max(np.abs(pulls)) < 4
     assert np.std(pulls) > 0.2
+
+
+def test_errors_of_a_psf_that_only_its_priors_hold():
+    """Deep eclipses beside neighbors: the variances are as large as those of the priors."""
+    motion = Motion.k2_roll(100, seed=3)
+    eclipses = 1 - 0.9 * (motion.time / 2.7 % 1 < 0.06)
+    places = np.random.default_rng(3).uniform(0, 6, (3, 2))
+    stars = [Star(10.0, 3, 3, signal=eclipses)]
+    stars += [Star(mag, *place) for mag, place in zip((13.0, 15.5, 18.0), places, strict=True)]
+    tpf = simulate(stars, Detector.k2(shape=(7, 7)), motion, seed=2).to_tpf()
+    fit = fitted(tpf)
+    errors = np.sqrt(np.diag(fit.covariance))
+    assert np.isfinite(errors).all()
+    assert np.linalg.eigvalsh(fit.covariance / np.outer(errors, errors)).min() > -1e-9
