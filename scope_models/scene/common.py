@@ -18,8 +18,8 @@ class CommonMotion(Motion):
 
     A star at :math:`(X, Y)`, pixels from ``place``, is displaced by :math:`x + s X - \theta Y` and
     :math:`y + s Y + \theta X`, with the scale s and the roll :math:`\theta` of the cadence.
-    `~scope_models.Motion.from_tpfs` makes it; `at` gives the motion at another place. Its errors follow from the
-    scatter of the stars about it; errors of the PSF that all stars share are not in them.
+    `~scope_models.Motion.from_tpfs` makes it; `at` gives the motion at another place. Its errors
+    follow from the scatter of the stars about it, without errors of the PSF that all share.
 
     Parameters
     ----------
