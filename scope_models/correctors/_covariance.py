@@ -9,13 +9,7 @@ __all__ = ["Covariance", "Noise"]
 
 
 class Noise:
-    """White noise alone, with the interface of `Covariance`.
-
-    Parameters
-    ----------
-    variance : ndarray
-        Variance of the noise, ``(n,)``.
-    """
+    """White noise alone, of a variance ``(n,)``, with the interface of `Covariance`."""
 
     def __init__(self, variance):
         self.variance = variance
@@ -43,28 +37,14 @@ class Noise:
 
 
 class Covariance:
-    r"""
-    White noise plus critically smooth stochastic oscillators, factorized by celerite2.
+    r"""White noise plus critically smooth stochastic oscillators, factorized by celerite2.
 
     The kernel of each is that of a stochastically driven, damped oscillator of
     quality :math:`1/\sqrt{2}`, :math:`k(\tau) = \sigma^2 e^{-w|\tau|}
-    (\cos w\tau + \sin w|\tau|)` with :math:`w = \sqrt{2}\,\pi/\rho`.
-
-    Parameters
-    ----------
-    time : ndarray
-        Increasing times ``(n,)`` in days.
-    variance : ndarray
-        Variance of the white noise, ``(n,)``.
-    amplitudes : sequence of float
-        Variance of each oscillator, :math:`\sigma^2`.
-    periods : sequence of float
-        Undamped periods :math:`\rho` in days: their time scales.
-
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        If the covariance is not positive definite to working precision.
+    (\cos w\tau + \sin w|\tau|)` with :math:`w = \sqrt{2}\,\pi/\rho`. Their ``amplitudes`` are the
+    variances :math:`\sigma^2`, their ``periods`` the undamped :math:`\rho` in days; times in days
+    ``(n,)`` increase, and ``variance`` is that of the white noise. A LinAlgError is raised if the
+    covariance is not positive definite to working precision.
     """
 
     def __init__(self, time, variance, amplitudes, periods):

@@ -44,50 +44,20 @@ _FOCUS_UNIT = 2e-3
 
 @dataclass(frozen=True)
 class DesignOptions:
-    """
-    Options of the design matrix.
+    """Options of the design matrix."""
 
-    Parameters
-    ----------
-    order : int
-        Highest number of factors.
-    saturation : float or None
-        Flux in e-/s above which a pixel counts as saturated.
-    breaks : tuple of float
-        Times at which a new segment begins.
-    extra : dict
-        Further groups, from names to columns ``(n_cadences, m)``, NaN where unknown.
-    most : int or None
-        Largest number of columns per order.
-    mask : ndarray of bool or None
-        Pixels whose fractions are regressors; None: those of the aperture.
-    """
-
-    order: int
-    saturation: float | None = None
-    breaks: tuple = ()
-    extra: dict = field(default_factory=dict)
-    most: int | None = None
-    mask: np.ndarray | None = None
+    order: int  # highest number of factors
+    saturation: float | None = None  # flux of a full pixel, e-/s
+    breaks: tuple = ()  # times at which a new segment begins
+    extra: dict = field(default_factory=dict)  # further groups: columns by name, NaN where unknown
+    most: int | None = None  # largest number of columns per order
+    mask: np.ndarray | None = None  # whose fractions are regressors; None: the aperture
 
 
 def make_regressors(pixels, use, options):
-    """
-    Make the groups of regressors.
+    """Make the groups of regressors for the usable cadences, centered on those in ``use``.
 
-    Parameters
-    ----------
-    pixels : Pixels
-        Pixels; only usable cadences are read.
-    use : ndarray of bool
-        Cadences in the fit, of the usable ones.
-    options : DesignOptions
-        What to make.
-
-    Returns
-    -------
-    Regressors
-        Columns for the usable cadences, centered on the cadences in use.
+    ``use`` are cadences in the fit, of the usable ones of ``pixels``; no others are read.
     """
     usable = pixels.usable
     total, most = pixels.total[usable], options.most
@@ -129,18 +99,7 @@ def _completed(columns, use, noise):
 
 
 def segment_breaks(segments, pixels, use):
-    """
-    Return the times at which segments begin, found or given.
-
-    Parameters
-    ----------
-    segments : "auto", None or sequence of float
-        As in `PLDOptions`.
-    pixels : Pixels
-        The pixels.
-    use : ndarray of bool
-        Cadences from which they are found, ``(n_cadences,)``.
-    """
+    """Return the times at which segments begin, given or found from the cadences in ``use``."""
     if segments is None:
         return ()
     time = pixels.time[use]

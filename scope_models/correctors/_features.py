@@ -23,45 +23,15 @@ _CANDIDATES = 4000
 
 @dataclass(frozen=True)
 class Regressors:
-    """Columns that share a prior variance within each named group.
+    """Columns that share a prior variance within each named group."""
 
-    Parameters
-    ----------
-    columns : ndarray
-        Regressors, ``(n_cadences, n_columns)``.
-    groups : ndarray of int
-        Group of each column, an index into ``names``.
-    names : tuple of str
-        Names of the groups.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from scope_models.correctors._features import Regressors
-    >>> matrix = Regressors.join({"position": np.ones((5, 2)), "focus": np.ones((5, 1))})
-    >>> matrix.columns.shape, matrix.names
-    ((5, 3), ('position', 'focus'))
-    """
-
-    columns: np.ndarray
-    groups: np.ndarray
+    columns: np.ndarray  # (n_cadences, n_columns)
+    groups: np.ndarray  # group of each column, an index into ``names``
     names: tuple
 
     @classmethod
     def join(cls, parts):
-        """
-        Join groups, without the empty ones.
-
-        Parameters
-        ----------
-        parts : dict
-            From names to columns ``(n_cadences, m)``.
-
-        Returns
-        -------
-        Regressors
-            All columns.
-        """
+        """Join groups, from names to columns ``(n_cadences, m)``, without the empty ones."""
         first = next(iter(parts.values()))
         parts = {name: columns for name, columns in parts.items() if columns.shape[1]}
         if not parts:
@@ -80,19 +50,10 @@ def center(columns, use):
 
 
 def principal_columns(columns, use, tolerance):
-    """
-    Rotate columns to their principal components, and drop those that are too small to matter.
+    """Rotate centered columns to principal components, and drop those that are too small to matter.
 
-    The rotation is orthogonal: a common prior variance means the same before and after.
-
-    Parameters
-    ----------
-    columns : ndarray
-        Centered columns ``(n, m)``.
-    use : ndarray of bool
-        Cadences that define the components.
-    tolerance : float
-        Components whose mean square is below this are dropped.
+    The rotation is orthogonal: a common prior variance means the same before and after. The
+    cadences in ``use`` define the components; those whose mean square is below ``tolerance`` go.
     """
     values, vectors = np.linalg.eigh(columns[use].T @ columns[use] / use.sum())
     keep = values > max(tolerance, 1e-14 * values[-1])
@@ -100,33 +61,13 @@ def principal_columns(columns, use, tolerance):
 
 
 def power_columns(fractions, order, use, tolerance, max_rank):
-    r"""
-    All products of ``order`` fractions, as few columns.
+    r"""Return all products of ``order`` fractions ``(n_cadences, n_pixels)``, as few columns.
 
-    The products, each weighted with the square root of its number of
-    orderings, span the kernel :math:`(p_i \cdot p_j)^n`. A pivoted Cholesky
-    factor of that kernel gives the same regression without forming them.
-
-    Parameters
-    ----------
-    fractions : ndarray
-        Pixel fractions, ``(n_cadences, n_pixels)``.
-    order : int
-        Number of factors.
-    use : ndarray of bool
-        Cadences that may become pivots; of very many, evenly spaced ones.
-    tolerance : float
-        The factor ends when the mean of what is left of the kernel's
-        diagonal, over the cadences in use, is below this.
-    max_rank : int
-        Largest number of columns.
-
-    Returns
-    -------
-    columns : ndarray
-        ``(n_cadences, rank)``.
-    rest : float
-        Mean of what is left of the diagonal, over the cadences that could be pivots.
+    The products, each weighted with the square root of its number of orderings, span the kernel
+    :math:`(p_i \cdot p_j)^n`. A pivoted Cholesky factor of that kernel gives the same regression
+    without forming them. Cadences in ``use`` may become pivots; of very many, evenly spaced ones.
+    The factor ends at ``max_rank`` columns, or when the mean of what is left of the kernel's
+    diagonal over these cadences, which comes second, is below ``tolerance``.
     """
     few = np.flatnonzero(use)
     few = few[:: -(-len(few) // _CANDIDATES)]
@@ -153,24 +94,13 @@ def _pivoted_cholesky(points, order, tolerance, max_rank):
 
 
 def shared_columns(images, order, reach):
-    r"""
-    Products of neighboring fractions, summed over all pixels.
+    r"""Return products of neighboring fractions, summed over all pixels.
 
-    When all pixels have the same intra-pixel response, products of order n
-    with the same offsets have the same coefficients: only their sums over
-    the pixels count. For order 2 these are :math:`\sum_l p_l p_{l+d}` for
-    all offsets :math:`d` up to ``reach``, for order n
-    :math:`\sum_l p_l^{n-1} p_{l+d}`.
-
-    Parameters
-    ----------
-    images : ndarray
-        Images of the fractions ``(n_cadences, ny, nx)``, zero outside of the
-        aperture.
-    order : int
-        Number of factors, at least 2.
-    reach : int
-        Largest offset in pixels along either axis.
+    When all pixels have the same intra-pixel response, products of order n with the same offsets
+    have the same coefficients: only their sums over the pixels count. For order 2 these are
+    :math:`\sum_l p_l p_{l+d}` for all offsets :math:`d` up to ``reach`` pixels along either axis,
+    for order n :math:`\sum_l p_l^{n-1} p_{l+d}`. The ``images`` of the fractions,
+    ``(n_cadences, ny, nx)``, are zero outside of the aperture.
     """
     powers = images ** (order - 1)
     padded = np.pad(images, ((0, 0), (reach, reach), (reach, reach)))
@@ -200,26 +130,11 @@ def contrast_columns(columns, time, breaks, use):
 
 
 def roll_reversals(time, track, window=2.0):
-    """
-    Find the times at which the sense of the spacecraft's roll reverses.
+    """Return the times, a tuple, at which the sense of the spacecraft's roll reverses.
 
-    Between two thruster firings the star drifts one way, and each firing
-    throws it back. The sense of the drift is the sign of the median step
-    within a window; a reversal counts when it lasts.
-
-    Parameters
-    ----------
-    time : ndarray
-        Increasing times in days.
-    track : ndarray
-        Position of the star along the direction in which it moves most.
-    window : float, optional
-        Length of the windows in days.
-
-    Returns
-    -------
-    tuple of float
-        Times of the reversals.
+    Between two thruster firings the star drifts one way along its ``track``, the direction in which
+    it moves most, and each firing throws it back. The sense of the drift is the sign of the median
+    step within a ``window`` in days; a reversal counts when it lasts.
     """
     width = round(window / np.median(np.diff(time)))
     n_windows = len(time) // max(width, 1)

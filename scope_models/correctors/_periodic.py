@@ -36,23 +36,12 @@ def harmonic_columns(time, frequencies):
 
 
 def find_frequencies(solution, allowed):
-    """
-    Find the frequencies of a star's variability, one after the other.
+    """Return the frequencies of a star's variability, cycles per day, found one after the other.
 
     In each round all columns are fitted together, and the frequencies that explain most of the
-    rest are added. Regressors are among the columns: what they explain is not variability.
-
-    Parameters
-    ----------
-    solution : Solution
-        A fit without periodic variability; its data and columns are used, not its variances.
-    allowed : ndarray of bool
-        Cadences that may be used, of all usable ones.
-
-    Returns
-    -------
-    ndarray
-        Frequencies in cycles per day.
+    rest are added. Regressors are among the columns: what they explain is not variability. Of the
+    ``solution``, without periodic variability, data and columns are used and not its variances;
+    ``allowed`` are cadences that may be used, of all usable ones.
     """
     n_most = allowed.sum() // _CADENCES_PER_FREQUENCY
     found, rest = np.empty(0), solution.y

@@ -55,40 +55,17 @@ _value = attrgetter("value")
 
 @dataclass(frozen=True)
 class Data:
-    """
-    Data and regressors.
+    """Data and regressors."""
 
-    Parameters
-    ----------
-    time : ndarray
-        Increasing times in days, from zero.
-    y : ndarray
-        Data, near zero.
-    variance : ndarray
-        Variance of their white noise.
-    columns : ndarray
-        ``(n, r)``; the first ones belong to the groups, the last ``n_flat`` have flat priors.
-    groups : ndarray of int
-        Group of each column that has one.
-    n_flat : int
-        Number of columns with flat priors, whose largest elements are 1.
-    expected : ndarray, optional
-        Prior variance of each group that is expected, NaN where nothing is.
-    most : ndarray, optional
-        Largest prior variance of each group, with `expected`.
-    least_noise : float, optional
-        Least factor of the white noise's variance.
-    """
-
-    time: np.ndarray
-    y: np.ndarray
-    variance: np.ndarray
-    columns: np.ndarray
-    groups: np.ndarray
-    n_flat: int
-    expected: np.ndarray | None = None
-    most: np.ndarray | None = None
-    least_noise: float = 1e-4
+    time: np.ndarray  # increasing, days from zero
+    y: np.ndarray  # near zero
+    variance: np.ndarray  # of the white noise
+    columns: np.ndarray  # (n, r): those of groups, then ``n_flat`` with flat priors
+    groups: np.ndarray  # group of each column that has one
+    n_flat: int  # columns with flat priors, whose largest elements are 1
+    expected: np.ndarray | None = None  # prior variance of each group, NaN for none
+    most: np.ndarray | None = None  # largest prior variance of each group, with ``expected``
+    least_noise: float = 1e-4  # least factor of the white noise's variance
 
     @property
     def n_groups(self):
@@ -135,23 +112,12 @@ class Data:
 
 @dataclass(frozen=True)
 class Hyperparameters:
-    """
-    Variances and time scales.
+    """Variances and time scales."""
 
-    Parameters
-    ----------
-    noise_scale : float
-        Factor of the white noise's variance.
-    variances : ndarray
-        Prior variance of each group.
-    amplitude, period : float
-        Variance and undamped period (days) of the long-term process; amplitude None: none.
-    """
-
-    noise_scale: float
-    variances: np.ndarray
-    amplitude: float | None
-    period: float
+    noise_scale: float  # factor of the white noise's variance
+    variances: np.ndarray  # prior variance of each group
+    amplitude: float | None  # variance of the long-term process; None: there is none
+    period: float  # its undamped period, days
 
     def process(self, time, variance):
         """Return the covariance of everything but the columns."""
@@ -173,15 +139,10 @@ class Hyperparameters:
 
 
 class Posterior:
-    """
-    Coefficients of the columns given a Gram matrix.
+    """Coefficients of the columns, with prior variances ``prior``, given a Gram matrix.
 
-    Parameters
-    ----------
-    gram : ndarray
-        ``[X y].T @ inv(K) @ [X y]`` with the covariance ``K`` of noise and long-term process.
-    prior : ndarray
-        Prior variance of each column.
+    ``gram`` is ``[X y].T @ inv(K) @ [X y]`` with the covariance ``K`` of noise and long-term
+    process.
     """
 
     def __init__(self, gram, prior):

@@ -28,25 +28,14 @@ _FALLBACK = 0.5
 
 @dataclass(frozen=True)
 class RowCenters:
-    """
-    Position of the star along the columns.
+    """Position of the star along the columns."""
 
-    Parameters
-    ----------
-    star : ndarray
-        Row of the star, up to a smooth function of its place, ``(n_cadences,)``.
-    columns : ndarray
-        Row of the center of the light in each column, ``(n_cadences, nx)``: where the image is
-        tilted it differs from column to column.
-    """
-
-    star: np.ndarray
-    columns: np.ndarray
+    star: np.ndarray  # row of the star, up to a smooth function of its place, (n_cadences,)
+    columns: np.ndarray  # row of the center of light of each column, (n_cadences, nx)
 
 
 def without_saturation(images, aperture, use, saturation, noise):
-    """
-    Return images in which full columns do not depend on the star's brightness.
+    """Return images in which full columns do not depend on the star's brightness.
 
     A full pixel stays full when the star dims: its share of the light follows the dimming, and
     must not be a regressor. Charge bleeds along the columns, so that a column's sum does not
@@ -54,18 +43,9 @@ def without_saturation(images, aperture, use, saturation, noise):
     are replaced by images of these alone: a Gaussian along the column about the star's row,
     as bright as the column.
 
-    Parameters
-    ----------
-    images : ndarray
-        ``(n_cadences, ny, nx)``.
-    aperture : ndarray of bool
-        ``(ny, nx)``; outside of it the images become zero.
-    use : ndarray of bool
-        Cadences that determine which columns are full and the star's mean image.
-    saturation : float or None
-        Flux of a full pixel, in the images' unit.
-    noise : float
-        Variance of the noise per flux, in the images' unit.
+    The ``images``, ``(n_cadences, ny, nx)``, become zero outside of the aperture. The cadences in
+    ``use`` determine which columns are full, and the star's mean image. ``saturation`` is the flux
+    of a full pixel or None, ``noise`` the variance of the noise per flux, in the images' unit.
     """
     images = np.where(aperture, images, 0.0)
     if saturation is None:
@@ -82,8 +62,7 @@ def without_saturation(images, aperture, use, saturation, noise):
 
 
 def find_row_centers(images, aperture, use, saturation, noise):
-    r"""
-    Find the row of the star from the columns without full pixels.
+    r"""Return the `RowCenters` of the star from the columns without full pixels.
 
     The center of light of column c is
 
@@ -95,17 +74,8 @@ def find_row_centers(images, aperture, use, saturation, noise):
     piecewise linear function, and the pixels' responses :math:`1 + \beta_{rc}`, which move the
     center in proportion to the pixel's share q of the column and its lever. One linear
     least-squares fit finds h and :math:`\beta` for all cadences: without them the row
-    would jump when the star comes to other columns.
-
-    Parameters
-    ----------
-    images, aperture, use, saturation, noise
-        As in `without_saturation`; the images are zero outside of the aperture.
-
-    Returns
-    -------
-    RowCenters
-        Rows of the star and of the light in each column.
+    would jump when the star comes to other columns. The arguments are those of
+    `without_saturation`; the images are zero outside of the aperture.
     """
     rows, columns = np.arange(images.shape[1]), np.arange(images.shape[2])
     sums = images.sum(axis=1)

@@ -53,44 +53,19 @@ class NothingToCorrectError(ValueError):
 
 @dataclass(frozen=True)
 class Solution:
-    """
-    A fitted model of the logarithm of the flux.
+    """A fitted model of the logarithm of the flux."""
 
-    Parameters
-    ----------
-    time, y, variance : ndarray
-        Days from the first cadence in use, logarithm of the relative flux, and its variance;
-        ``(n,)``, all usable cadences.
-    use : ndarray of bool
-        Cadences in the fit.
-    regressors : Regressors
-        Groups of columns, for all usable cadences.
-    flat : ndarray
-        Columns with flat priors ``(n, m)``: constant, trend, transit.
-    scale : ndarray
-        What the flat columns were divided by.
-    hyper : Hyperparameters
-        The fitted variances and time scales.
-    n_trend : int
-        Number of flat columns that are the constant and the star's variability.
-    frequencies : tuple of float
-        Frequencies of the periodic variability in cycles per day; the last columns of the
-        variability are a cosine and a sine for each.
-    predicted : bool
-        Whether the pixel fractions are predicted, and hold no noise of the flux.
-    """
-
-    time: np.ndarray
-    y: np.ndarray
+    time: np.ndarray  # (n,), days from the first cadence in use, of all usable ones
+    y: np.ndarray  # logarithm of the relative flux
     variance: np.ndarray
-    use: np.ndarray
-    regressors: object
-    flat: np.ndarray
-    scale: np.ndarray
+    use: np.ndarray  # cadences in the fit
+    regressors: object  # for all usable cadences
+    flat: np.ndarray  # columns with flat priors (n, m): constant, trend, transit
+    scale: np.ndarray  # what the flat columns were divided by
     hyper: Hyperparameters
-    n_trend: int = 1
-    frequencies: tuple = ()
-    predicted: bool = False
+    n_trend: int = 1  # flat columns that are constant and variability
+    frequencies: tuple = ()  # of the last columns of the variability, a cosine and a sine each, 1/d
+    predicted: bool = False  # whether the fractions hold no noise of the flux
 
     @cached_property
     def columns(self):
@@ -198,22 +173,11 @@ class Solution:
         return inverse - (x @ self.posterior.covariance) @ x.transpose(0, 2, 1)
 
     def held_out(self, width, cadences=None):
-        """
-        Predict each window of cadences from all others that are in use.
+        """Predict each window of ``width`` cadences from all others that are in use.
 
-        Parameters
-        ----------
-        width : int
-            Cadences in a window; what remains at the end is left out.
-        cadences : ndarray of bool, optional
-            Cadences in the windows, by default those in use; at least these.
-
-        Returns
-        -------
-        residual : ndarray
-            Measured minus predicted, ``(n_windows, width)``.
-        covariance : ndarray
-            Expected covariance of these, ``(n_windows, width, width)``.
+        The ``cadences`` in the windows, what remains at the end left out, are by default those in
+        use, and at least these. Returns measured less predicted, ``(n_windows, width)``, and the
+        expected covariance, ``(n_windows, width, width)``.
         """
         cadences = self.use if cadences is None else cadences
         whole = self._with_weights(cadences)
@@ -242,18 +206,9 @@ class Solution:
         return rest / np.sqrt(self.white_variance + self.systematics_variance)
 
     def deviations(self, cadences):
-        """
-        Return what cadences differ by from predictions of all others that are in use.
+        """Return what cadences differ by from predictions of all others that are in use.
 
-        Parameters
-        ----------
-        cadences : ndarray of bool
-            Cadences, at least those in use.
-
-        Returns
-        -------
-        ndarray
-            One number for each of the cadences, in standard deviations.
+        In standard deviations; the cadences are at least those in use.
         """
         whole = self._with_weights(cadences)
         expected = 1 / np.maximum(whole.precision, 1e-300)
@@ -341,26 +296,11 @@ class Solution:
 
 
 def fit(make_regressors, time, y, variance, use, flat_columns, options, predicted=False):
-    """
-    Fit, and leave out outliers until there are none.
+    """Fit, and leave out outliers until there are none.
 
     If the star has frequencies, the fit is made again with columns for them, and the more likely
-    one is returned.
-
-    Parameters
-    ----------
-    make_regressors : callable
-        Takes the mask of cadences in use and returns `Regressors`.
-    time, y, variance : ndarray
-        As in `Solution`.
-    use : ndarray of bool
-        Cadences that may be used.
-    flat_columns : ndarray
-        Transit column ``(n, m)``, m = 0 or 1.
-    options : PLDOptions
-        Trend and clipping.
-    predicted : bool, optional
-        As in `Solution`.
+    one is returned. ``make_regressors`` takes the mask of cadences in use, ``use`` are those that
+    may be; ``flat_columns``, ``(n, m)``, hold a transit or none.
     """
     regressors = make_regressors(use)
     if not regressors.columns.shape[1]:
