@@ -2,6 +2,7 @@
 
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.ticker import MaxNLocator
 
 from scope_models import (
     PRF,
@@ -65,7 +66,8 @@ def draw_fit():
     )
     for ax, (title, image) in zip(axes, panels, strict=True):
         shown = ax.imshow(image, origin="lower")
-        ax.figure.colorbar(shown, ax=ax, location="bottom")
+        bar = ax.figure.colorbar(shown, ax=ax, location="bottom")
+        bar.locator = MaxNLocator(3)
         ax.set(title=title, xlabel="Column (pixel)")
     axes[0].set_ylabel("Row (pixel)")
 

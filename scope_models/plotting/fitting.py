@@ -130,7 +130,11 @@ def _draw_chi2(ax, chi2):
     """Draw chi-squared of the pixels."""
     shown = ax.imshow(chi2, origin="lower", cmap="viridis", norm=LogNorm())
     label_pixels(ax, f"Chi-squared, median {np.nanmedian(chi2):.3g}")
-    bar = _colorbar(shown, ax, "Per degree of freedom")
+    _write_numbers(_colorbar(shown, ax, "Per degree of freedom"))
+
+
+def _write_numbers(bar):
+    """Label a logarithmic color bar with numbers."""
     bar.locator = LogLocator(subs=(1, 2, 5))
     bar.formatter = FuncFormatter(lambda value, _: f"{value:g}")
     bar.ax.yaxis.set_minor_formatter(NullFormatter())
@@ -251,5 +255,5 @@ def plot_twin(time, real, twin, residuals, *, time_label="Time (d)", labels=None
     for name, image in zip(("real", "twin"), residuals, strict=True):
         shown = axes[name].imshow(image, origin="lower", cmap="viridis", norm=norm)
         label_pixels(axes[name], name.replace("real", "star").capitalize())
-        figure.colorbar(shown, ax=axes[name], label="Scatter of residuals (errors)")
+        _write_numbers(_colorbar(shown, axes[name], "Scatter of residuals (errors)"))
     return axes
