@@ -175,25 +175,12 @@ def _checked_saturation(saturation):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class PLDModel:
-    r"""
-    The linear model of the logarithm of a star's flux.
+    r"""The linear model of the logarithm of a star's flux.
 
     `PLDCorrector` makes one for each call of ``correct``. The equation is on the page
-    :doc:`/explanation/pld`.
-
-    Parameters
-    ----------
-    pixels : Pixels
-        Light and fractions of the pixels, aperture, and cadences that can be used.
-    options : Settings
-        Order, trend, further regressors, clipping.
-    design : DesignOptions
-        The same for the design matrix, with what has been found in the file: segments,
-        saturation, columns of background and other targets.
-    clean : CleanPixels or None
-        What was found about the pixels if the fractions are predicted ones.
-    source : Source or None
-        The pixels as measured, and the file: what `PLDFit.survival` puts dimmings into.
+    :doc:`/explanation/pld`. Of the options, ``design`` has those of the design matrix, with what
+    has been found in the file; ``clean`` is what was found about the pixels if the fractions are
+    predicted ones, ``source`` the pixels as measured, into which `PLDFit.survival` puts dimmings.
     """
 
     pixels: Pixels
@@ -204,25 +191,9 @@ class PLDModel:
 
     @classmethod
     def from_pixels(cls, pixels, options, series, cadence_mask=None):
-        """
-        Make the model of pixels that have been read already.
+        """Make the model of pixels of a `PixelSeries`.
 
-        Parameters
-        ----------
-        pixels : Pixels
-            Pixels and aperture.
-        options : Settings
-            The options.
-        series : PixelSeries
-            Their file, for its mission and cadence numbers.
-        cadence_mask : ndarray of bool, optional
-            Cadences ``(n_cadences,)`` from which images and components are learned, by default
-            all.
-
-        Returns
-        -------
-        PLDModel
-            The model.
+        Images and components are learned from the cadences of ``cadence_mask``, by default all.
         """
         extra, source = {}, Source(pixels, series, cadence_mask)
         use = pixels.usable & pixels.lit
@@ -276,20 +247,9 @@ class PLDModel:
         )
 
     def design_matrix(self, cadence_mask=None):
-        """
-        Return the regressors.
+        """Return the `Regressors`, NaN in cadences that cannot be used.
 
-        Parameters
-        ----------
-        cadence_mask : ndarray of bool, optional
-            Cadences ``(n_cadences,)`` from which means and principal components are taken; by
-            default all.
-
-        Returns
-        -------
-        Regressors
-            Columns ``(n_cadences, n_columns)``, NaN in cadences that cannot be used, and their
-            groups.
+        Means and principal components are those of the cadences of the mask, by default all.
         """
         usable = self.pixels.usable
         use = usable if cadence_mask is None else usable & cadence_mask
@@ -299,28 +259,11 @@ class PLDModel:
         return Regressors(columns, found.groups, found.names)
 
     def fit(self, cadence_mask=None, *, transit_mask=None, transit_model=None):
-        """
-        Fit the model.
+        """Fit the model to cadences that may be used and are not in transit; return a `PLDFit`.
 
-        Parameters
-        ----------
-        cadence_mask : ndarray of bool, optional
-            Cadences that may be used, ``(n_cadences,)``.
-        transit_mask : ndarray of bool, optional
-            Cadences in transit, which are not used.
-        transit_model : array_like or callable, optional
-            Relative flux whose amplitude is fitted jointly, as in `PLDCorrector.correct`.
-
-        Returns
-        -------
-        PLDFit
-            The result.
-
-        Raises
-        ------
-        ValueError
-            If no regressor varies, fewer than 30 cadences are left, or the covariance is
-            singular.
+        The amplitude of the relative flux of a ``transit_model`` is fitted jointly. A ValueError is
+        raised if no regressor varies, fewer than 30 cadences are left, or the covariance is
+        singular.
         """
         pixels, n = self.pixels, len(self.pixels.time)
         usable = pixels.usable
@@ -364,31 +307,13 @@ class PLDModel:
 
 
 def fit_pixels(pixels, options, series, cadence_mask=None, **transit):
-    """
-    Fit pixels, with the fractions that the data support.
+    """Fit pixels, with the fractions that the data support; return a `PLDFit`.
 
     With ``fractions="auto"`` these are the predicted ones. Where they make the light curve rougher
     than it was, or leave much more noise than FLUX_ERR explains, they may have failed, as under the
     seeing of the ground, which no smooth focus describes: then measured ones are taken if these
-    predict unseen windows significantly better.
-
-    Parameters
-    ----------
-    pixels : Pixels
-        Pixels and aperture.
-    options : Settings
-        The options.
-    series : PixelSeries
-        Their file.
-    cadence_mask : ndarray of bool, optional
-        As in `PLDModel.fit`.
-    **transit
-        Further arguments of `PLDModel.fit`.
-
-    Returns
-    -------
-    PLDFit
-        The result; its ``model`` is the one that was chosen.
+    predict unseen windows significantly better. ``series`` is the file of the pixels; the rest are
+    arguments of `PLDModel.fit`.
     """
 
     def fitted_with(options):

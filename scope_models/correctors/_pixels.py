@@ -108,21 +108,12 @@ class Pixels:
 
 
 def choose_aperture(flux, flux_err, pipeline=None, pos_corr=None):
-    """
-    Choose the aperture whose sum is expected to be most precise.
+    """Choose the aperture whose sum is expected to be most precise.
 
     Candidates are the pixels that the star lights up wherever it moves, without those of other
     stars. Of these the ones are summed that make the noise of 6.5 h and the light that the
-    aperture loses with the star's motion least.
-
-    Parameters
-    ----------
-    flux, flux_err : ndarray
-        ``(n_cadences, ny, nx)``.
-    pipeline : ndarray of bool, optional
-        Pixels in which the target is searched.
-    pos_corr : ndarray, optional
-        Offsets ``(n_cadences, 2)``, px. Without them all candidates are summed.
+    aperture loses with the star's motion least; all without ``pos_corr``, ``(n_cadences, 2)`` px.
+    The target is searched in the pixels of ``pipeline``.
     """
     if len(flux) < _FEWEST:
         raise ValueError(f"`tpf` has {len(flux)} cadences: at least {_FEWEST} are needed")
@@ -205,18 +196,10 @@ def _most_precise(flux, flux_err, own, candidates, pos_corr):
 
 
 def own_pixels(image, peak):
-    """
-    Return the pixels from which the light rises to a star's peak and not to another star's.
+    """Return the pixels from which the light rises to a star's peak and not to another star's.
 
     Peaks between which the light drops by less than 15 % of the fainter one, 30 % along columns,
-    are one star's.
-
-    Parameters
-    ----------
-    image : ndarray
-        Typical image, ``(ny, nx)``.
-    peak : int
-        Flat index of the star's brightest pixel.
+    are one star's. ``peak`` is a flat index of the typical image.
     """
     values = np.where(np.isfinite(image), image, -np.inf)
     padded = np.pad(values, 1, constant_values=-np.inf)
@@ -242,13 +225,9 @@ def _plane_terms(shape):
 
 
 def background_plane(image):
-    """
-    Return the background of a typical image: a plane through its darkest pixels.
+    """Return the background of a median image: a plane through its darkest pixels.
 
-    Parameters
-    ----------
-    image : ndarray
-        Median image, ``(ny, nx)``; NaN where there are no data.
+    The image, ``(ny, nx)``, is NaN where there are no data.
     """
     terms = _plane_terms(image.shape)
     known = np.isfinite(image)
@@ -264,20 +243,10 @@ def background_plane(image):
 
 
 def aperture_pixels(series, aperture):
-    """
-    Return the pixels of an aperture of a target pixel file.
+    """Return the pixels of an aperture of a `PixelSeries`: a mask, weights by cadence, or chosen.
 
-    Parameters
-    ----------
-    series : PixelSeries
-        The pixels.
-    aperture : ndarray or None
-        Pixels to sum, boolean, or weights of each cadence's pixels; None: chosen.
-
-    Raises
-    ------
-    TypeError, ValueError
-        If the aperture is no mask of pixels with data, or the sums are not positive.
+    A TypeError or ValueError is raised if it is no mask of pixels with data, or the sums are not
+    positive.
     """
     time, flux, flux_err = series.time, series.flux, series.flux_err
     weights, chosen = None, aperture is None
@@ -356,20 +325,10 @@ def _own_light(flux, aperture, pos_corr):
 
 
 def can_predict(pixels, saturation, use):
-    """
-    Whether the pixel fractions can be predicted.
+    """Whether the pixel fractions can be predicted, learned from the cadences in ``use``.
 
-    Not with few pixels or cadences, without FLUX_ERR, nor where pixels are full: their light
-    depends on others'.
-
-    Parameters
-    ----------
-    pixels : Pixels
-        Pixels as measured.
-    saturation : float or None
-        Flux of a full pixel, e-/s.
-    use : ndarray of bool
-        Cadences from which they are learned, ``(n_cadences,)``.
+    Not with few pixels or cadences, without FLUX_ERR, nor where pixels are full, at ``saturation``,
+    e-/s: their light depends on others'.
     """
     flux, error = pixels.flux[use][:, pixels.aperture], pixels.flux_err[use]
     if flux.shape[0] < _CADENCES_TO_PREDICT or flux.shape[1] < _PIXELS_TO_PREDICT:
@@ -379,27 +338,13 @@ def can_predict(pixels, saturation, use):
 
 
 def with_predicted_fractions(pixels, pos_corr, cadence_mask=None, kind="auto"):
-    """
-    Return the star's light with predicted pixel fractions in place of the measured pixels.
+    """Return the star's light with predicted pixel fractions in place of the measured pixels.
 
-    Parameters
-    ----------
-    pixels : Pixels
-        Pixels as measured.
-    pos_corr : ndarray or None
-        Offsets ``(n_cadences, 2)``, px.
-    cadence_mask : ndarray of bool, optional
-        Cadences from which images and constant light are learned, by default all.
-    kind : {"auto", "sum", "weighted"}, optional
-        As ``flux`` of `PLDCorrector.correct`; of moving apertures the sum.
-
-    Returns
-    -------
-    pixels : Pixels
-        ``total`` is the light without background and without the constant light that is known,
-        ``flux`` the predicted fractions at constant focus times this.
-    clean : CleanPixels or None
-        What was found; None if the equations are singular, with the pixels as they were.
+    Images and constant light are learned from the cadences of ``cadence_mask``, by default all;
+    ``kind`` is ``flux`` of `PLDCorrector.correct`, the sum for moving apertures. The ``total`` of
+    the returned pixels is the light without background and without the constant light that is
+    known, their ``flux`` the predicted fractions at constant focus times this. Second come the
+    `CleanPixels`; None, with the pixels as they were, if the equations are singular.
     """
     use = pixels.usable.copy()
     known = np.isfinite(pixels.flux[use]).all(axis=0)
@@ -483,21 +428,12 @@ def _filled_errors(total, total_err, usable):
 
 
 def credible_flux(flux, flux_err, total, outliers):
-    """
-    Return a corrected flux that is finite or NaN, and its errors.
+    """Return a corrected flux that is finite or NaN, and its errors.
 
     Where the light in the aperture is nearly nothing, pixel fractions are large, and a model of
     them can be anything. Such cadences get the typical correction, and an error as large as their
-    flux.
-
-    Parameters
-    ----------
-    flux, flux_err : ndarray
-        Corrected flux and its error, ``(n_cadences,)``.
-    total : ndarray
-        The flux before, NaN where it cannot be used.
-    outliers : ndarray of bool
-        Cadences that were left out of the fit as outliers.
+    flux. ``total`` is the flux before, NaN where it cannot be used; ``outliers`` were left out of
+    the fit.
     """
     usable = np.isfinite(total)
     with np.errstate(all="ignore"):
@@ -517,15 +453,9 @@ def credible_flux(flux, flux_err, total, outliers):
 
 
 def noise_ratios(raw, corrected):
-    """
-    Return the relative noise of 6.5 h over that of the raw flux, in both conventions.
+    """Return the relative noise of 6.5 h over that of the raw flux, in both conventions.
 
     In shorter series it is that of a quarter of them; without light above the noise it is infinite.
-
-    Parameters
-    ----------
-    raw, corrected : `~lightkurve.LightCurve`
-        Light curves of the same cadences.
     """
     both = np.isfinite(raw.flux.value) & np.isfinite(corrected.flux.value)
     curves = raw[both], corrected[both]
