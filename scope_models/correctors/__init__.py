@@ -13,6 +13,13 @@ from scope_models.correctors.pld import PLDCorrector
 from scope_models.correctors.scene import SceneCorrector, SceneResult
 
 __all__ = [
-    "ComparisonResult", "PLDCorrector", "PLDFit", "PLDOptions", "SceneCorrector", "SceneResult",
-    "choose_corrector", "compare_correctors", "detrend_file",
-]  # fmt: skip
+    "ComparisonResult",
+    "PLDCorrector",
+    "PLDFit",
+    "PLDOptions",
+    "SceneCorrector",
+    "SceneResult",
+    "choose_corrector",
+    "compare_correctors",
+    "detrend_file",
+]

@@ -83,50 +83,25 @@ _WIDE = 12.0
 
 @dataclass(frozen=True)
 class CleanPixels:
-    """
-    The light of a star without background, and predicted pixel fractions.
+    """The light of a star without background, and predicted pixel fractions.
 
-    Parameters
-    ----------
-    light : ndarray
-        Light less background, and less constant light where that is known, e-/s, ``(n,)``: the
-        sum of the pixels, cosmic rays replaced, or of faint stars the brightness of the fitted
-        images, where its expected error is smaller. What the focus moves over the border of the
-        aperture is put back.
-    light_error : ndarray
-        Standard deviation of its noise, e-/s, ``(n,)``.
-    shares : ndarray
-        Predicted fractions of this light ``(n, n_pixels)``, 0 outside of the aperture.
-    still : ndarray
-        Those of the light in the aperture at the slow focus; they add up to 1.
-    outside : ndarray
-        The star's light in its pixels outside of the aperture at constant focus, in units of that
-        inside, ``(n,)``.
-    background : ndarray
-        Background, e-/s, ``(n, n_pixels)``; relative to its median where the dark pixels may hold
-        the star's wings.
-    position : ndarray
-        Position relative to the median, px, ``(n, 2)``.
-    focus : ndarray
-        Relative change of the PSF's width without short dips, ``(n,)``.
-    constant : float
-        Constant light that was taken off, e-/s, the median.
-    repaired : ndarray of bool
-        Pixels in cadences whose light was replaced by the model's, ``(n, n_pixels)``.
-    weighted : bool
-        Whether the light is the brightness of the fitted images.
+    The ``light`` is the sum of the pixels, cosmic rays replaced, or of faint stars the brightness
+    of the fitted images, where its expected error is smaller (``weighted``); constant light is
+    taken off where it is known, and what the focus moves over the border of the aperture is put
+    back. The ``background`` is relative to its median where the dark pixels may hold the star's
+    wings.
     """
 
-    light: np.ndarray
-    light_error: np.ndarray
-    shares: np.ndarray
-    still: np.ndarray
-    outside: np.ndarray
-    background: np.ndarray
-    position: np.ndarray
-    focus: np.ndarray
-    constant: float
-    repaired: np.ndarray
+    light: np.ndarray  # e-/s, (n,)
+    light_error: np.ndarray  # standard deviation of its noise, e-/s, (n,)
+    shares: np.ndarray  # fractions of this light (n, n_pixels), 0 outside of the aperture
+    still: np.ndarray  # those of the light at the slow focus; they add up to 1
+    outside: np.ndarray  # the star's light in its other pixels over that inside, (n,)
+    background: np.ndarray  # e-/s, (n, n_pixels)
+    position: np.ndarray  # relative to the median, px, (n, 2)
+    focus: np.ndarray  # relative change of the PSF's width without short dips, (n,)
+    constant: float  # median of the constant light that was taken off, e-/s
+    repaired: np.ndarray  # pixels whose light was replaced by the model's, (n, n_pixels)
     weighted: bool
 
 
@@ -692,23 +667,10 @@ class _State:
 
 
 def precise_aperture(light, variance, position):
-    """
-    Choose the pixels whose sum is expected to be most precise.
+    """Choose the pixels ``(n_pixels,)`` whose sum is expected to be most precise.
 
-    Pixels are added by their ratio of light to noise, as long as the noise of 6.5 h and what the
-    aperture loses as the star moves, relative to all pixels, become less.
-
-    Parameters
-    ----------
-    light, variance : ndarray
-        Light less background and its variance, ``(n, n_pixels)``.
-    position : ndarray
-        Positions ``(n, 2)``.
-
-    Returns
-    -------
-    ndarray of bool
-        The pixels, ``(n_pixels,)``.
+    Pixels are added by their ratio of light, less background, to noise, as long as the noise of
+    6.5 h and what the aperture loses as the star moves, relative to all pixels, become less.
     """
     variance = quantile(variance.T)
     order = np.argsort(-quantile(light.T, 0.98) / variance)

@@ -27,29 +27,11 @@ _DEGREE = 3
 
 
 def constant_light(image, own, slopes, position, grid, inside, use):
-    """
-    Return the constant light in an aperture.
+    """Return the constant light in an aperture, a part of the light in each cadence ``(n,)``.
 
-    Parameters
-    ----------
-    image, own : ndarray
-        Images of all light, whose sum over the aperture is 1, and of what varies, ``(n,
-        n_pixels)``.
-    slopes : list of ndarray
-        Derivatives of the image by columns and rows.
-    position : ndarray
-        Positions, px, ``(n, 2)``.
-    grid : ndarray
-        Column and row of each pixel.
-    inside : ndarray of bool
-        Pixels of the aperture.
-    use : ndarray of bool
-        Cadences from which it is learned.
-
-    Returns
-    -------
-    ndarray
-        Part of the light in each cadence, ``(n,)``.
+    ``image`` and ``own`` are images of all light, whose sum over the aperture is 1, and of what
+    varies, ``(n, n_pixels)``; ``slopes`` are derivatives of the image by columns and rows. It is
+    learned from the cadences in ``use``; ``inside`` are the pixels of the aperture.
     """
     mean, *columns = (values[use].mean(axis=0) for values in (image, own, *slopes))
     bright = inside & (columns[0] > _BRIGHT * columns[0][inside].max())

@@ -116,21 +116,10 @@ def correct_file(path, transits=None, aperture_mask=None, neighbors=None, **opti
 
 
 def make_lightcurve_hdulist(corrector, *, survival=False):
-    """
-    Make the FITS file of a corrected light curve.
+    """Make the FITS file of a corrected light curve.
 
-    Parameters
-    ----------
-    corrector : PLDCorrector
-        After a correction.
-    survival : bool, optional
-        As in `detrend_file`.
-
-    Returns
-    -------
-    `~astropy.io.fits.HDUList`
-        The corrected light curve with the measured flux, the systematics' masks and the result's
-        numbers, and the cards of the target pixel file that stay true.
+    It has the measured flux, the systematics' masks and the result's numbers too, and the cards of
+    the target pixel file that stay true; ``survival`` is that of `detrend_file`.
     """
     return make_light_curve_hdulist(
         corrector.tpf,

@@ -137,24 +137,10 @@ def _star_share(image, aperture):
 
 
 def _shared_out(image, places, near):
-    """
-    Share the light out between stars of one profile.
+    """Share the light of an image without background out between stars of one profile.
 
-    Parameters
-    ----------
-    image : ndarray
-        Image without background, ``(ny, nx)``.
-    places : list of tuple of float
-        Column and row of each star.
-    near : ndarray of bool
-        The first star's pixels, from which the profile is first learned.
-
-    Returns
-    -------
-    share : ndarray
-        The first star's share in each pixel.
-    misfit : ndarray
-        What the stars leave of the image, in standard deviations.
+    The profile is first learned from the first star's pixels, ``near``. Returns this star's share
+    in each pixel, and what the stars leave of the image, in standard deviations.
     """
     rows, columns = np.indices(image.shape)
     distances = [(columns - x, rows - y) for x, y in places]
@@ -238,21 +224,11 @@ def fitted_depth(fitted, column):
 
 
 def depth_ratio(signal, flux, error):
-    """
-    Return the depth of events in a flux over that in a signal, with a line about each event.
+    """Return the depth of events in a flux over that in a signal, with a line about each event.
 
-    Parameters
-    ----------
-    signal, flux : ndarray
-        Relative flux, the signal less 1, ``(n,)``.
-    error : ndarray
-        Standard deviations that weight the cadences.
-
-    Returns
-    -------
-    ratio, error : float
-        The ratio, and its standard deviation as the scatter about the signal gives it, or that
-        between the events, if it is more; NaN without events.
+    Both are relative, the signal less 1. Second comes the standard deviation of the ratio as the
+    scatter about the signal gives it, or that between the events, if it is more; NaN without
+    events. Errors weight the cadences.
     """
     edges = np.flatnonzero(np.diff(signal != 0, prepend=False, append=False)).reshape(-1, 2)
     parts = [np.empty((0, 2))]
@@ -283,21 +259,10 @@ def checked_depth(depth):
 
 
 def transit_column(model, time):
-    """
-    Return the logarithm of a transit model at all cadences, shape ``(n, 1)``.
+    """Return the logarithm of a transit model at all cadences, ``(n, 1)``, 0 without a time.
 
-    Parameters
-    ----------
-    model : array_like or callable
-        Relative flux, or what returns it for times in days.
-    time : ndarray
-        Times of the cadences.
-
-    Returns
-    -------
-    ndarray
-        Logarithms, 0 where the time is unknown; of shape ``(n, 0)``, with a warning, where a
-        callable is constant at all cadences.
+    The model is relative flux, or what returns it for times in days. Where that is constant at all
+    cadences, a warning is given and the shape is ``(n, 0)``.
     """
     known = np.isfinite(time)
     if callable(model):

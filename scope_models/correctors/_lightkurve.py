@@ -64,20 +64,10 @@ class LightkurveNames(FixedAperture):
 
 
 def translated(options):
-    """
-    Return fields of `Settings` for arguments of lightkurve.
+    """Return fields of `Settings` for arguments that `PLDCorrector.correct` does not have itself.
 
-    Parameters
-    ----------
-    options : dict
-        Arguments that `PLDCorrector.correct` does not have.
-
-    Raises
-    ------
-    TypeError
-        If a name is unknown.
-    ValueError
-        If an argument has no counterpart; the message names what replaces it.
+    A TypeError is raised for a name that lightkurve does not have, and a ValueError that names a
+    replacement where there is no counterpart.
     """
     found = {}
     for name, value in options.items():
@@ -96,19 +86,11 @@ def translated(options):
 
 
 def named_mask(tpf, mask, name):
-    """
-    Return a mask of pixels for one of lightkurve's names.
+    """Return a mask of pixels for one of lightkurve's names; what is none returns as it is.
 
-    Parameters
-    ----------
-    tpf : `~lightkurve.targetpixelfile.TargetPixelFile`
-        The file.
-    mask : str, array_like of bool or None
-        "pipeline", "threshold" (`create_threshold_mask` with 3 standard deviations), "default"
-        (the first of these that the file has), "all", "background" (pixels below the median) or
-        "empty". Integers are 0 and 1, or the bits of a pipeline. Else it is returned as it is.
-    name : str
-        The argument's name, for messages.
+    "pipeline", "threshold" (`create_threshold_mask` with 3 standard deviations), "default" (the
+    first of these that the file has), "all", "background" (pixels below the median) or "empty".
+    Integers are 0 and 1, or the bits of a pipeline. ``name`` is that of the argument in messages.
     """
     if not isinstance(mask, str):
         if isinstance(mask, np.ndarray) and mask.dtype.kind in "iu":
@@ -133,20 +115,10 @@ def named_mask(tpf, mask, name):
 
 
 def sorted_regressors(regressors):
-    """
-    Sort what `PLDCorrector.correct` takes as regressors.
+    """Sort what `PLDCorrector.correct` takes as regressors, one or a list of them.
 
-    Parameters
-    ----------
-    regressors : object or list
-        One or a list of them; numbers are one column.
-
-    Returns
-    -------
-    background : bool
-        Whether the pixels outside of the aperture are among them.
-    others, columns : list
-        Target pixel files, and all that has a row per cadence.
+    Returns whether the pixels outside of the aperture are among them, target pixel files, and all
+    that has a row per cadence; numbers are one column.
     """
     several = isinstance(regressors, (list, tuple)) and not any(
         isinstance(one, Real) for one in regressors
@@ -163,20 +135,10 @@ def sorted_regressors(regressors):
 
 
 def external_columns(regressors, cadenceno):
-    """
-    Return columns of the user's own, each with unit variance.
+    """Return columns of the user's own with unit variance, NaN where a column is unknown.
 
-    Parameters
-    ----------
-    regressors : list of array_like, DesignMatrix, DesignMatrixCollection or CotrendingBasisVectors
-        Basis vectors are matched by their cadence numbers, the others must have a row per cadence.
-    cadenceno : ndarray of int
-        The star's cadence numbers.
-
-    Returns
-    -------
-    ndarray
-        ``(n_cadences, n_columns)``, NaN where a column is unknown.
+    Basis vectors are matched by their cadence numbers; arrays, design matrices and collections
+    of them must have a row per cadence.
     """
     columns = np.concatenate([_columns_of(one, cadenceno) for one in regressors], axis=1)
     spread = np.nanstd(columns, axis=0)
@@ -208,16 +170,7 @@ def _columns_of(regressor, cadenceno):
 
 
 def to_collection(regressors, prior_variance):
-    """
-    Return lightkurve's design matrices of groups of regressors.
-
-    Parameters
-    ----------
-    regressors : Regressors
-        Columns with a row per cadence.
-    prior_variance : sequence of float
-        Prior variance of each group's coefficients.
-    """
+    """Return lightkurve's design matrices of groups of regressors, with their prior variances."""
     from lightkurve.correctors import DesignMatrix, DesignMatrixCollection
 
     matrices = []
