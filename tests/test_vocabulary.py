@@ -22,7 +22,7 @@ def glossary(repository):
     """Return word, unit, arguments and words that are not used, of each row."""
     text = (repository / "docs" / "development.rst").read_text(encoding="utf-8")
     table = re.search(
-        r"^Glossary\n-+\n.*?(^\.\. list-table::.*?)^\w", text, re.MULTILINE | re.DOTALL
+        r"^Glossary\n-+\n.*?(^\.\. csv-table::.*?)^\w", text, re.MULTILINE | re.DOTALL
     )
     document = publish_doctree(table[1])
     cells = [[e.astext() for e in r.findall(entry)] for r in document.findall(row)]
