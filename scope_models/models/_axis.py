@@ -168,29 +168,16 @@ def _known_panels(*_):
 
 
 class AxisPanels:
-    """
-    Integrals along one axis of a polynomial times the functions ``h_k``, by position and width.
+    """Integrals along one axis of a polynomial times the functions ``h_k``, by position and width.
 
-    ``X_k = integral of p(u) h_k((x - center) / sigma) / sigma`` over each pixel, where u is
-    measured from the pixel's center. They are interpolated within panels of a ``span`` in position
-    and an eighth in the logarithm of the width: in given panels the integrals at a position are the
-    same, to the last bit, whatever other positions there are. Axes of equal arguments share their
-    `panels`.
+    ``X_k = integral of p(u) h_k((x - center) / sigma) / sigma`` over pixels of given centers, where
+    u is measured from the pixel's center, and p has the coefficients, the constant first. Order k
+    needs to be exact to ``1 / |rho|^(k/2)`` only, with the largest correlation coefficient rho.
 
-    Parameters
-    ----------
-    pixels : `~numpy.ndarray`
-        Pixel centers, shape ``(n,)``.
-    sigma : float
-        Width of the density in pixels.
-    coefficients : `~numpy.ndarray`
-        Coefficients of p, the constant first.
-    n_orders : int
-        Number of orders k, from 0.
-    rho : float
-        Largest correlation coefficient: order k needs to be exact to ``1 / |rho|^(k/2)`` only.
-    middle, span : float
-        Middle of a panel, and length of all, in pixels.
+    They are interpolated within panels of a ``span`` in position, of which one has the ``middle``,
+    pixels, and an eighth in the logarithm of the width: in given panels the integrals at a position
+    are the same, to the last bit, whatever other positions there are. Axes of equal arguments share
+    their `panels`.
     """
 
     def __init__(self, pixels, sigma, coefficients, n_orders, rho=0.0, middle=0.0, span=1.0):

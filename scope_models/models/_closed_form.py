@@ -19,32 +19,20 @@ FWHM = 2 * np.sqrt(2 * np.log(2))
 
 @dataclass(frozen=True, eq=False)
 class ClosedForm:
-    """
-    Integral of a density over pixels without quadrature.
+    """Integral of a density over pixels without quadrature.
 
     A model has one by a method ``closed_form(values)`` that returns it; so have the Gaussians of
-    astropy and photutils.
-
-    Parameters
-    ----------
-    flux : float, array or `~astropy.units.Quantity`
-        Integral of the density over the plane.
-    parameters : tuple
-        Numbers or arrays in pixels, x_0 and y_0 first.
-    pixels : callable
-        ``pixels(x, y, *parameters, x_coefficients, y_coefficients)`` with columns, rows and the
-        polynomial response along the axes: images ``(..., ny, nx)`` of unit flux.
-    derivatives : callable or None
-        The same, with the images' derivatives by ``names`` on a new first axis, after the images.
-    names : tuple of str
-        Parameters of the model.
+    astropy and photutils. The functions are ``pixels(x, y, *parameters, x_coefficients,
+    y_coefficients)`` with columns, rows and the polynomial response along the axes, which returns
+    images ``(..., ny, nx)`` of unit flux, and the same with their derivatives by ``names`` on a new
+    first axis, after the images.
     """
 
-    flux: object
-    parameters: tuple
+    flux: object  # integral over the plane
+    parameters: tuple  # numbers or arrays in pixels, x_0 and y_0 first
     pixels: object
     derivatives: object = None
-    names: tuple = ()
+    names: tuple = ()  # parameters of the model
 
 
 def closed_form(model, values):
