@@ -8,7 +8,7 @@ stopped. Light curves are Fourier series in magnitudes. Ratios and phases of RRa
 EPIC 220198696, fitted to the light curve of campaign 8 in the tests of autoEAP, with a scatter;
 amplitudes are those of Kepler's (Nemec et al. 2011, MNRAS 417, 1022). RRc stars are rounded values
 of Kepler's (Moskalik et al. 2015, MNRAS 447, 2348). "Properly" is an amplitude within 3 % and an
-rms about the truth below 3 % of it.
+rms about the truth below 3 % of it; "clean" cadences are not flagged for rolling bands.
 """
 
 import argparse
@@ -29,7 +29,7 @@ from scope_models.missions import MISSIONS
 
 LIMIT = 0.03
 COLUMNS = ("epic", "kp", "kind", "period", "neighbor", "raw_amplitude", "raw_rms", "amplitude",
-           "rms")  # fmt: skip
+           "rms", "clean_amplitude", "clean_rms")  # fmt: skip
 # Periods (d), amplitudes of the fundamental (mag), ratios R_k1, and phases phi_k1 of sines.
 SHAPES = {
     "RRab": ((0.45, 0.8), (0.19, 0.40), (0.45, 0.35, 0.23, 0.16, 0.10, 0.06, 0.04),
@@ -100,7 +100,9 @@ def observe(number, data, cadences, options):
     light = np.median((light * aperture).sum(axis=(1, 2))[good])
     kept = np.isin(observation.cadenceno, corrected.cadenceno)  # lightkurve drops flagged cadences
     truth = light * observation.truth.relative_flux[0, kept]
-    found = [quality(lc.flux.value, truth) for lc in (corrector.original_lc, corrected)]
+    raw, flux = corrector.original_lc.flux.value, corrected.flux.value
+    bands = observation.quality[kept] & MISSIONS["K2"].quality.rolling_band > 0
+    found = [quality(one, truth) for one in (raw, flux, np.where(bands, np.nan, flux))]
     return (stars["epic"][number], round(kp, 3), kind, round(period, 4), number % 2,
             *(f"{value:.5f}" for value in np.ravel(found)))  # fmt: skip
 
@@ -114,12 +116,12 @@ def write_tables(table, real, target):
     rows = []
     for name, part in ((n, p) for n, p in parts.items() if p.any()):
         row = [name, int(part.sum())]
-        for prefix in ("raw_", ""):
+        for prefix in ("raw_", "", "clean_"):
             amplitude, rms = table[f"{prefix}amplitude"][part], table[f"{prefix}rms"][part]
             row.append(int(np.sum((np.abs(amplitude - 1) < LIMIT) & (rms < LIMIT))))
         rows.append([*row, f"{np.median(amplitude):.4f}", f"{np.percentile(rms, 90):.4f}"])
-    heads = ["stars", "number", "before correction", "corrected", "median amplitude",
-             "90 % of the rms are below"]  # fmt: skip
+    heads = ["stars", "number", "before correction", "corrected", "without rolling bands",
+             "median amplitude", "90 % of the rms are below"]  # fmt: skip
     judged = [[name, int(np.sum(real[name] != 3)), int(np.sum(real[name] == 1))]
               for name in real.colnames[1:5]]  # fmt: skip
     for suffix, lines in (
