@@ -14,6 +14,7 @@ from itertools import pairwise
 
 import mpmath as mp
 import numpy as np
+from _rows import stamp
 from astropy.table import Table
 
 from scope_models import BivariateGaussianPSF, TabulatedPSF, integrate_pixels
@@ -169,7 +170,9 @@ def main():
         return write_truth(options.path)
     names = ("kind", "case", "order", "error", "chosen")
     rows = [*gaussian_errors(), *table_errors()]
-    return Table(rows=rows, names=names).write(options.path, overwrite=True)
+    table = Table(rows=rows, names=names)
+    stamp(table, "python studies/fifty_digits.py errors docs/data/fifty_digits.ecsv")
+    return table.write(options.path, overwrite=True)
 
 
 if __name__ == "__main__":
