@@ -34,7 +34,7 @@ _MANY, _CONTAMINATED, _FOLLOWING, _NOISY = 0.1, 0.02, 0.05, 9.0
 #: Warning: wings of neighbors may give more light: few TESS stars are without.
 _BLENDED = 0.1
 #: Warning: nothing of a depth survives or all of it: 0 to 1, with what the light that was taken off
-#: may be wrong by.
+#: may be wrong by. Every random file of ``tests/robustness`` is held to the same bounds.
 _SURVIVALS = (-0.05, 1.15)
 #: Tolerance: depth of the boxes of ``PLDFit.survival``: so many errors of their mean, within these
 #: bounds.
