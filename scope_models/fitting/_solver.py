@@ -229,14 +229,16 @@ def psf_covariance(problem, state, response):
     # The shared parameters have taken up a part of the responses, all of one variance; the others
     # are what is left of it.
     leak = covariance @ matrix[:s, s:]
-    left = np.trace(matrix[s:, s:]) - np.sum(leak * matrix[:s, s:])
-    variance = response @ matrix[s:, s:] @ response / max(left, 1e-300)
+    whole = np.trace(matrix[s:, s:])
+    left = max(whole - np.sum(leak * matrix[:s, s:]), np.finfo(float).eps * whole, 1e-300)
+    variance = response @ matrix[s:, s:] @ response / left
     covariance = covariance + variance * leak @ leak.T
-    # No parameter is more uncertain than its prior.
-    prior = np.diag([p.prior**2 if np.isfinite(p.prior) else np.inf for p in problem.parameters])
-    some = np.isfinite(np.diag(prior))
-    both = np.ix_(some, some)
-    gain, keep = np.linalg.solve((covariance + prior)[both], covariance[some]).T, np.eye(s)
-    keep[:, some] -= gain
-    # A sum of squares, which stays one where a huge variance meets a prior.
-    return keep @ covariance @ keep.T + gain @ prior[both] @ gain.T
+    # No parameter is more uncertain than its prior; sums of squares stay positive where the
+    # variances differ by many orders.
+    size = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    values, vectors = np.linalg.eigh(covariance / np.outer(size, size))
+    root = size[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
+    prior = np.array([p.prior for p in problem.parameters])
+    turn = np.linalg.svd(root / prior[:, None])
+    root = root @ turn.Vh.T / np.hypot(1.0, turn.S)
+    return root @ root.T
