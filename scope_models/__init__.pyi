@@ -47,7 +47,6 @@ from ._version import __version__ as __version__
 from .appendix_a import Target as Target
 from .appendix_a import generate_target as generate_target
 from .correctors import PLDCorrector as PLDCorrector
-from .correctors import SceneCorrector as SceneCorrector
 from .fitting import TPFFit as TPFFit
 from .fitting import fit_tpf as fit_tpf
 from .io import read_pixels as read_pixels

@@ -21,7 +21,7 @@ import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
 from scipy.linalg import cholesky, solve_triangular
 
-from scope_models.correctors._constant_light import constant_light, polynomials, varying_light
+from scope_models.correctors._constant_light import constant_light, polynomials
 
 __all__ = ["CleanPixels", "clean_pixels", "precise_aperture", "quantile"]
 
@@ -148,9 +148,7 @@ def _kernel(a, b, scale):
     return np.exp(-0.5 * square / scale**2)
 
 
-def clean_pixels(
-    time, flux, flux_err, position, grid, aperture, *, use=None, own=None, kind="auto"
-):
+def clean_pixels(time, flux, flux_err, position, grid, aperture, *, use=None, kind="auto"):
     """
     Predict the pixel fractions of a star.
 
@@ -168,8 +166,6 @@ def clean_pixels(
         Pixels that are summed.
     use : ndarray of bool, optional
         Cadences from which everything that they share is learned, ``(n,)``; by default all.
-    own : ndarray of bool, optional
-        Pixels that show the star's brightness, by default all: not those of other stars.
     kind : {"auto", "sum", "weighted"}, optional
         The light: sum of the pixels, or brightness of the fitted images.
 
@@ -179,8 +175,7 @@ def clean_pixels(
         The result.
     """
     use = np.ones(len(flux), dtype=bool) if use is None else use
-    own = np.ones_like(aperture) if own is None else own
-    state = _State(time, flux, flux_err, position, grid, aperture, use, own)
+    state = _State(time, flux, flux_err, position, grid, aperture, use)
     for iteration in range(_MORE_ITERATIONS):
         if iteration >= _ITERATIONS and not state.variable.any():
             break
@@ -207,10 +202,9 @@ def clean_pixels(
 class _State:
     """The model and its parameters while they are fitted; fluxes in units of the star's."""
 
-    def __init__(self, time, flux, flux_err, position, grid, aperture, use, own):
+    def __init__(self, time, flux, flux_err, position, grid, aperture, use):
         n, n_pixels = flux.shape
         self.time, self.grid, self.aperture, self.use = time, grid, aperture, use
-        self.own = own
         typical = quantile(flux[use].T)
         offset = (grid - grid.mean(axis=0)) / np.maximum(np.ptp(grid, axis=0), 1)
         self.planes = np.column_stack([np.ones(n_pixels), offset])
@@ -242,7 +236,7 @@ class _State:
         self.good = np.ones((n, n_pixels), dtype=bool)
         self.focus, self.variable = np.zeros((2, n))
         self._start_positions(position, total)
-        self.smoothed, self._last = _Smoother(time, use), None
+        self.smoothed, self._last = Smoother(time, use), None
         self._place = np.where(self.known, _POSITION_PRIOR**-2, 1e-2)
         self.features = _Features(self.z[use], _SCALE, _TOLERANCE, _MAX_RANK)
         self.coarse = _Features(self.z[use], _COARSE_SCALE, _COARSE_TOLERANCE, _COARSE_RANK)
@@ -343,7 +337,6 @@ class _State:
             # A PSF that widens about the star's center.
             far = self.grid - self.center - self.z[:, None]
             focus = far[:, :, 0] * slopes[0] + far[:, :, 1] * slopes[1] - 2 * image
-            focus = np.where(self.own, focus, 0.0)
             focus -= image * (focus @ inside)[:, None]
         else:
             focus = without_sum(coarse / total, self._focus)
@@ -362,8 +355,7 @@ class _State:
         polynomial whose integrals over the four nearest pixels are right, and in the wings, where
         that is less, the geometric mean of both pixels.
         """
-        wider, whole = np.zeros_like(image), image
-        image = np.where(self.own, image, 0.0)  # other stars widen about their own centers
+        wider = np.zeros_like(image)
         for axis in (0, 1):
             near = [image[:, self.beside[axis, k]] * (self.beside[axis, k] >= 0) for k in range(5)]
             for side, light in ((-1, near[:4]), (1, near[1:])):
@@ -371,7 +363,7 @@ class _State:
                 edge = np.maximum(edge, np.sqrt(np.maximum(light[1] * light[2], 0)))
                 far = self.grid[:, axis] + 0.5 * side - self.center[axis] - self.z[:, axis, None]
                 wider -= side * far * edge
-        return wider - whole * (wider @ self.aperture)[:, None]
+        return wider - image * (wider @ self.aperture)[:, None]
 
     def _normalize(self, image, slopes):
         """
@@ -380,7 +372,7 @@ class _State:
         Where pixels are dark a wider PSF is like more background: the level of its image there is
         that of the widening.
         """
-        use, outside = self.use, self.own & ~self.aperture
+        use, outside = self.use, ~self.aperture
         wider, fitted = self._widened(image)[use].mean(axis=0), slopes[2][use].mean(axis=0)
         signal = [(values**2 / self.variance).sum() + 1e-12 for values in (fitted, wider)]
         size = np.sqrt(signal[0] / signal[1])
@@ -411,7 +403,7 @@ class _State:
             hot = self._hot(rest, image, slopes)
             seen = np.pad(hot & self.use[:, None], ((1, 1), (0, 0)))
             self.good = ~hot | seen[:-2] | seen[2:]  # cosmic rays are in one cadence only
-        hessian, right = self._normal_equations([image, *slopes], rest, self.own)
+        hessian, right = self._normal_equations([image, *slopes], rest)
         level = np.abs(self.plane[self.use, 0] - self.base[0])
         tilt = max(1.4826 * quantile(level) + abs(self.base[0]), 1e-9)
         priors = [
@@ -468,13 +460,13 @@ class _State:
             rest += self.variable[:, None] * constant
         return rest
 
-    def _normal_equations(self, images, rest, pixels, n_planes=3):
+    def _normal_equations(self, images, rest, n_planes=3):
         """
         Return the Hessian and the right side of each cadence's least squares, ``(k, k, n)``.
 
         The images are those of brightness, position, and focus. They are overwritten.
         """
-        root, damaged = pixels / np.sqrt(self.variance), np.nonzero(~self.good)
+        root, damaged = 1 / np.sqrt(self.variance), np.nonzero(~self.good)
         for values in (*images, rest):
             np.multiply(values, root, out=values)
             values[damaged] = 0
@@ -505,7 +497,7 @@ class _State:
         _, image, slopes, constant = images
         rest = self._rest(image, constant)
         columns = [values.copy() for values in (image, *slopes)]
-        hessian, right = self._normal_equations(columns, rest, self.own, 0)
+        hessian, right = self._normal_equations(columns, rest, 0)
         hessian[[1, 2], [1, 2]] += self._place
         hessian[3, 3] += 1 / max(np.var(self.focus[self.use]), 1e-12)
         step, error = _solved(hessian, right)
@@ -575,13 +567,10 @@ class _State:
 
         What the focus moves over the border of the aperture is put back.
         """
-        _, image, slopes, constant = images
+        _, image, _, constant = images
         light = self.y - self.background
         light[~self.good] -= self._rest(image, constant)[~self.good]
-        pixels, light = light, light[:, self.aperture].sum(axis=1)
-        if not self.own.all():
-            rest = pixels - light[:, None] * image + self.variable[:, None] * constant
-            light = light - self._varying_light(rest, image, slopes[:2], ~self.own)
+        light = light[:, self.aperture].sum(axis=1)
         error = np.sqrt((flux_err[:, self.aperture] ** 2).sum(axis=1)) / self.unit
         kept = self._kept(images)
         return light * kept, error * kept
@@ -589,7 +578,7 @@ class _State:
     def _kept(self, images):
         """Return the light that the aperture would hold at constant focus, over what it holds."""
         still, _, slopes, _ = images
-        outside = self.own & ~self.aperture
+        outside = ~self.aperture
         moved = self._lines(self.focus, _SLOW) * (slopes[2] @ outside)  # without short dips
         before = np.maximum(1 + still @ outside, 0.1)
         return np.maximum(before + moved, 0.1) / before
@@ -604,7 +593,7 @@ class _State:
             light_error=self.unit * error,
             shares=np.where(inside, image, 0.0) / self._kept(images)[:, None],
             still=np.where(inside, still + focus[:, None] * slopes[2], 0.0),
-            outside=still @ (self.own & ~inside),
+            outside=still @ ~inside,
             background=self.unit * self.background,
             position=self.z,
             focus=focus,
@@ -627,9 +616,9 @@ class _State:
 
     @property
     def bright(self):
-        """Light over noise in units of a bright star's, at most 1; with neighbors 1."""
+        """Light over noise in units of a bright star's, at most 1."""
         signal = (self.scale / np.sqrt(self.variance)).max()
-        return min(signal / _BRIGHT, 1.0) if self.own.all() else 1.0
+        return min(signal / _BRIGHT, 1.0)
 
     def _lines(self, values, days):
         """Return values smoothed by a kernel of so many days."""
@@ -648,14 +637,6 @@ class _State:
         noise = 1.05 * quantile(np.abs(np.diff(change)))
         ridge = (noise / _RESPONSE_PRIOR) ** 2
         return self.brightness - _explained(columns, columns[self.use], change, ridge)
-
-    def _varying_light(self, rest, image, slopes, others):
-        """Return the light in the aperture that varies with other stars."""
-        columns = [self._functions()[1], self.focus, self.variable, self.variable[:, None] * self.z]
-        columns = np.column_stack(columns)
-        rest = rest - _explained(columns, columns[self.use], rest[self.use])
-        where = self.grid, self.aperture, self.use
-        return varying_light(rest, image, slopes, self.noise, others, *where)
 
     def _constant_light(self, image, slopes, constant):
         """Return the constant light in the aperture, if the star's variability shows it."""
@@ -694,7 +675,7 @@ def _explained(columns, fit, values, ridge=0.0):
     return columns @ np.linalg.solve(gram, fit.T @ values)
 
 
-class _Smoother:
+class Smoother:
     """Robust local lines in time, with Gaussian kernels whose widths are in cadences."""
 
     def __init__(self, time, use):

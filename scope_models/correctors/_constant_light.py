@@ -3,13 +3,12 @@
 The images of a variable star's pixels are those of all light, and of what varies. Their difference
 is the constant light, up to a multiple of the star's image, and up to a shift of it: positions that
 were fitted may follow the star's brightness a little. Both are fixed in the star's bright pixels,
-which hold hardly more than the wing of a neighbor. The light of a variable neighbor is found
-likewise, from what its own pixels show of its variability.
+which hold hardly more than the wing of a neighbor.
 """
 
 import numpy as np
 
-__all__ = ["along_position", "constant_light", "polynomials", "varying_light"]
+__all__ = ["along_position", "constant_light", "polynomials"]
 
 #: Branch: the star's bright pixels have this part of the brightest one's light.
 _BRIGHT = 0.1
@@ -20,8 +19,6 @@ _IMAGE_ERROR, _SHIFT = 0.003, 0.01
 _PASSES, _REWEIGHTS = 3, 10
 #: Tolerance: width (px) of the rings of the star's profile.
 _RING = 0.5
-#: Branch: a neighbor is variable if its pixels vary by this part, and by so many times their noise.
-_VARIABLE, _SIGNIFICANT = 0.005, 5.0
 #: Prior: degree of the polynomials of position by which constant light changes.
 _DEGREE = 3
 
@@ -43,44 +40,6 @@ def constant_light(image, own, slopes, position, grid, inside, use):
     part = np.linalg.solve(hessian, right.transpose(0, 2, 1))[:, 0, 0]
     light = image[:, inside].sum(axis=1) - part * own[:, inside].sum(axis=1)
     return along_position(light, position, use)
-
-
-def varying_light(rest, image, slopes, noise, others, grid, inside, use):
-    """
-    Return what a variable neighbor adds to the light in an aperture.
-
-    Parameters
-    ----------
-    rest : ndarray
-        Pixels less the star's image times the light in the aperture, without what positions and
-        focus explain, ``(n, n_pixels)``.
-    image, slopes, grid, inside, use
-        As in `constant_light`.
-    noise : ndarray
-        Variance of the pixels' noise, ``(n_pixels,)``.
-    others : ndarray of bool
-        Pixels of other stars.
-
-    Returns
-    -------
-    ndarray
-        Light about its mean, ``(n,)``; 0 if no neighbor varies.
-    """
-    star = image[use].mean(axis=0)
-    weight = np.where(others, star / noise, 0)
-    if not weight.any():
-        return np.zeros(len(rest))
-    weight /= star @ weight
-    change = rest @ weight
-    size, error = 1.4826 * np.median(np.abs(change[use])), np.sqrt(noise @ weight**2)
-    if size < max(_VARIABLE, _SIGNIFICANT * error):
-        return np.zeros(len(rest))
-    fit = use & (np.abs(change) < 10 * size)
-    response = change[fit] @ rest[fit] / (change[fit] @ change[fit] - error**2 * fit.sum())
-    bright = inside & ~others & (star > _BRIGHT * star[inside].max())
-    columns = np.column_stack([star, *(slope[use].mean(axis=0) for slope in slopes)])
-    part = -_own_part(response, columns, bright, grid)[0][0]
-    return part * change if 0 < part < 1 else np.zeros(len(rest))
 
 
 def _own_part(mean, columns, bright, grid):

@@ -26,6 +26,7 @@ __all__ = [
     "checked_depth",
     "depth_ratio",
     "fitted_depth",
+    "taken_off",
     "transit_column",
 ]
 
@@ -97,7 +98,7 @@ class Source:
 
     def contrast_error(self, clean):
         """Return the uncertain part of the light that was not taken off, or may be none."""
-        found, other = _constant_part(clean), self.other_light
+        found, other = taken_off(self.pixels, clean), self.other_light
         return _UNCERTAIN * max(found, other) if found > 0 else other
 
     def dimmed(self, signal, clean):
@@ -109,6 +110,12 @@ class Source:
         total, _ = aperture_flux(flux, weights, pixels.flux_err)
         usable = pixels.usable & (np.nan_to_num(total) > 0)
         return replace(self, pixels=replace(pixels, flux=flux, total=total, usable=usable))
+
+
+def taken_off(pixels, clean):
+    """Return the part of the aperture's light that was taken off: of neighbors, and constant."""
+    share = 1.0 if pixels.neighbors is None else pixels.crowding
+    return 1 - share * (1 - _constant_part(clean))
 
 
 def _constant_part(clean):

@@ -8,7 +8,6 @@ import numpy as np
 from scope_models._arrays import plain_array
 
 __all__ = [
-    "FixedAperture",
     "LightkurveNames",
     "external_columns",
     "named_mask",
@@ -45,16 +44,7 @@ _ATTRIBUTES = {
 }
 
 
-class FixedAperture:
-    """Mixin of correctors, whose sums belong to an aperture that cannot be edited."""
-
-    @property
-    def aperture_mask(self):
-        """Pixels that are summed, a read-only mask of shape ``(ny, nx)``."""
-        return self._aperture_mask
-
-
-class LightkurveNames(FixedAperture):
+class LightkurveNames:
     """Mixin whose errors name what replaces an attribute of lightkurve's corrector."""
 
     def __getattr__(self, name):

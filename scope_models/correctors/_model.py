@@ -143,6 +143,12 @@ class Settings(PLDOptions):
         super().__post_init__()
         checked_choice("fractions", self.fractions, _FRACTIONS)
 
+    def full_flux(self, series):
+        """Return the flux above which pixels of a file are full, e-/s, or None."""
+        if self.saturation == "auto":
+            return series.mission and series.mission.full_flux
+        return self.saturation
+
 
 def _checked_segments(segments):
     """Return "auto", None or times in days."""
@@ -215,9 +221,7 @@ class PLDModel:
             extra["other_targets"] = other_columns(series.cadenceno, others)
         if columns:
             extra["regressors"] = external_columns(columns, series.cadenceno)
-        saturation = options.saturation
-        if saturation == "auto":
-            saturation = series.mission and series.mission.full_flux
+        saturation = options.full_flux(series)
         clean = None
         plain = options.fractions != "measured" and regressor_mask is None and not background
         if plain and can_predict(pixels, saturation, use):

@@ -87,6 +87,8 @@ class Pixels:
         The target's share of the aperture's light: all but that in pixels of other stars.
     lit : ndarray of bool, optional
         Cadences that show the star, ``(n_cadences,)``; from the others nothing is learned.
+    neighbors : NeighborLight, optional
+        Other stars whose light was taken off.
     """
 
     time: np.ndarray
@@ -100,6 +102,7 @@ class Pixels:
     own: np.ndarray | None = None
     crowding: float = 1.0
     lit: np.ndarray | bool = True
+    neighbors: object = None
 
     @property
     def weighted(self):
@@ -364,7 +367,6 @@ def with_predicted_fractions(pixels, pos_corr, cadence_mask=None, kind="auto"):
                 np.stack([columns, rows], axis=1),
                 pixels.aperture[known],
                 use=None if cadence_mask is None else cadence_mask[use],
-                own=None if pixels.own is None else pixels.own[known],
                 kind=kind if pixels.weights is None else "sum",
             )
     except np.linalg.LinAlgError:

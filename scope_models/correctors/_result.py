@@ -15,6 +15,7 @@ from scope_models.correctors._injection import (
     checked_depth,
     depth_ratio,
     fitted_depth,
+    taken_off,
     transit_column,
 )
 from scope_models.correctors._pixels import LARGEST_CORRECTION
@@ -372,8 +373,8 @@ class PLDFit:
             )
         if self.contamination > _CONTAMINATED:
             found.append(
-                f"{100 * self.contamination:.1f} % of the light in the aperture is constant and "
-                "was taken off: another star or background"
+                f"{100 * self.contamination:.1f} % of the light in the aperture was taken off: of "
+                "other stars, or constant"
             )
         elif 1 - self.crowding > _CONTAMINATED:
             found.append(
@@ -416,9 +417,20 @@ class PLDFit:
 
     @property
     def contamination(self):
-        """Constant light that was taken off, in units of all light in the aperture."""
-        clean = self.model.clean
-        return 0.0 if clean is None else clean.constant / (clean.constant + np.median(clean.light))
+        """Light of neighbors and constant light that was taken off, as a part of all light."""
+        return taken_off(self.model.pixels, self.model.clean)
+
+    @property
+    def neighbors(self):
+        """Flux (e-/s), column and row in the stamp (px) of the neighbors, a table, or None."""
+        found = self.model.pixels.neighbors
+        return found and found.table
+
+    @property
+    def positions(self):
+        """Column and row of the target in the stamp, px, ``(n_cadences, 2)``; None if alone."""
+        found = self.model.pixels.neighbors
+        return found and found.positions
 
     @cached_property
     def contrast_error(self):

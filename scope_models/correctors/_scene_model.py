@@ -16,9 +16,11 @@ __all__ = [
     "improve_shape",
     "measure_floor",
     "misfit",
+    "neighbor_images",
     "render",
+    "residuals",
+    "solve_states",
     "solve_track",
-    "state_variance",
 ]
 
 #: Prior standard deviations: of the PRF about the first guess (relative, and in units of its
@@ -95,12 +97,12 @@ class Track:
 @dataclass(frozen=True)
 class Priors:
     """
-    Gaussian priors of the states: means like a `Track`, and standard deviations ``(n, 5)``.
+    Gaussian priors of the states: means like a `Track`, and standard deviations.
 
     Parameters
     ----------
     mean : ndarray
-        ``(n, 5)``, columns as in `Track.stacked`.
+        ``(n, 5)`` or with the changes of neighbors, columns as in `Track.stacked`.
     sigma : ndarray
         Standard deviations; infinite where there is no prior.
     """
@@ -183,7 +185,34 @@ def _weights(variance, light, floor):
     return 1 / (variance.reshape(light.shape) + (floor * light) ** 2)
 
 
+def residuals(shape, track, flux):
+    """Return what the model leaves of the pixels, and the stars' light, ``(n, ny, nx)``."""
+    images = render(shape, track)
+    light = track.flux[:, None, None] * images.star + images.others
+    return flux - light - track.background[:, None, None], light
+
+
+def neighbor_images(shape, track, change):
+    """Return the light of each neighbor whose flux changes by ``(n, m)``, a list of images."""
+    images = _unit_images(shape, track, change.shape[1])
+    fluxes = (shape.neighbors[:, 0] + change).T
+    return [flux[:, None, None] * image for flux, image in zip(fluxes, images, strict=True)]
+
+
+def _unit_images(shape, track, count):
+    return [
+        shape.gains * _star(shape, track.x + dx, track.y + dy, track.width, slopes=False)[0]
+        for _, dx, dy in shape.neighbors[:count]
+    ]
+
+
 def solve_track(shape, track, flux, variance, priors, floor, steps=3):
+    """Return the states of all cadences with constant neighbors; arguments as `solve_states`."""
+    constant = np.empty((len(flux), 0))
+    return solve_states(shape, track, constant, flux, variance, priors, floor, steps)[0]
+
+
+def solve_states(shape, track, change, flux, variance, priors, floor, steps=2):
     """
     Fit the state of each cadence with the shape held.
 
@@ -191,12 +220,14 @@ def solve_track(shape, track, flux, variance, priors, floor, steps=3):
     ----------
     shape, track
         Where to begin.
+    change : ndarray
+        Change of each neighbor's flux (e-/s), ``(n, m)``, or of none, ``(n, 0)``.
     flux : ndarray
         Pixels ``(n, ny, nx)`` in e-/s, finite everywhere.
     variance : ndarray
         Of their noise; infinite in pixels that are left out.
     priors : Priors
-        Of the states.
+        Of the states and of these changes, ``(n, 5 + m)``.
     floor : float
         Model errors relative to the stars' light.
     steps : int
@@ -204,40 +235,42 @@ def solve_track(shape, track, flux, variance, priors, floor, steps=3):
 
     Returns
     -------
-    Track
+    track : Track
         The fitted states.
+    change : ndarray
+        The fitted changes.
+    error : ndarray
+        Standard deviations of both, ``(n, 5 + m)``.
     """
     precision = priors.sigma**-2.0
     for _ in range(steps):
-        residual, jacobian, light = _linearized(shape, track, flux)
+        images = _unit_images(shape, track, change.shape[1])
+        varying = sum(c[:, None, None] * i for c, i in zip(change.T, images, strict=True))
+        residual, jacobian, light = _linearized(shape, track, flux - varying)
+        more = [image.reshape(len(flux), -1, 1) for image in images]
+        jacobian = np.concatenate([jacobian, *more], axis=2)
         weight = _weights(variance, light, floor)
-        weighted = jacobian * weight[:, :, None]
-        normal = weighted.transpose(0, 2, 1) @ jacobian
-        right = (weighted.transpose(0, 2, 1) @ residual[:, :, None])[:, :, 0]
-        state = track.stacked
+        weighted = (jacobian * weight[:, :, None]).transpose(0, 2, 1)
+        normal = weighted @ jacobian
+        right = (weighted @ residual[:, :, None])[:, :, 0]
+        state = np.concatenate([track.stacked, change], axis=1)
         right += precision * np.where(np.isfinite(priors.sigma), priors.mean - state, 0.0)
-        track = Track(*(state + _bounded(_solve(normal, right, precision))).T)
-    return track
-
-
-def state_variance(shape, track, flux, variance, floor):
-    """Return the formal variances of the states, ``(n, 5)``; arguments as in `solve_track`."""
-    _, jacobian, light = _linearized(shape, track, flux)
-    weight = _weights(variance, light, floor)
-    normal = (jacobian * weight[:, :, None]).transpose(0, 2, 1) @ jacobian
-    root = 1 / np.sqrt(np.maximum(np.einsum("nii->ni", normal), 1e-300))
-    scaled = normal * root[:, :, None] * root[:, None, :] + 1e-9 * np.eye(5)
-    return np.einsum("nii->ni", np.linalg.inv(scaled)) * root**2
+        step, error = _solve(normal, right, precision)
+        state = state + _bounded(step)
+        track, change = Track(*state[:, :5].T), state[:, 5:]
+    return track, change, error
 
 
 def _solve(normal, right, precision):
-    """Solve the small systems, scaled so that their diagonals are 1."""
+    """Solve the small systems, scaled so that their diagonals are 1; return errors too."""
     diagonal = np.einsum("nii->ni", normal) + precision
     root = 1 / np.sqrt(np.maximum(diagonal, 1e-300))
     scaled = normal * root[:, :, None] * root[:, None, :]
     index = np.arange(right.shape[1])
     scaled[:, index, index] = 1 + 1e-10
-    return root * np.linalg.solve(scaled, (root * right)[:, :, None])[:, :, 0]
+    inverse = np.linalg.inv(scaled)
+    step = root * (inverse @ (root * right)[:, :, None])[:, :, 0]
+    return step, root * np.sqrt(np.maximum(np.einsum("nii->ni", inverse), 0.0))
 
 
 def _bounded(step):
@@ -251,7 +284,7 @@ def improve_shape(shape, track, flux, variance, priors, floor, gain=_GAIN):
     Make one Gauss-Newton step of the shape, with the states of all cadences eliminated.
 
     The step takes into account that position, flux, width and background follow: with the
-    states held, the shape would converge slowly. Arguments as in `solve_track`.
+    states held, the shape would converge slowly. Arguments as in `solve_states`.
     """
     grid = shape.grid
     residual, jacobian, light = _linearized(shape, track, flux)
@@ -364,9 +397,7 @@ def _block_rows(q):
 
 def misfit(shape, track, flux, variance, priors, floor, gain):
     """Return what the fit minimizes: squares of residuals and of deviations from the priors."""
-    images = render(shape, track)
-    light = track.flux[:, None, None] * images.star + images.others
-    rest = flux - light - track.background[:, None, None]
+    rest, _ = residuals(shape, track, flux)
     value = np.sum(rest**2 / (variance + (floor * np.abs(flux)) ** 2))
     value += np.nansum(((track.stacked - priors.mean) / priors.sigma) ** 2)
     mean, sigma, state = _shape_prior(shape, gain)
@@ -384,9 +415,7 @@ def between(old, new, part):
 
 def measure_floor(shape, track, flux, variance):
     """Return the typical error of the model relative to the light, from the bright pixels."""
-    images = render(shape, track)
-    light = track.flux[:, None, None] * images.star + images.others
-    residual = flux - light - track.background[:, None, None]
+    residual, light = residuals(shape, track, flux)
     bright = (light > 0.05 * track.flux[:, None, None]) & np.isfinite(variance)
     if not bright.any():
         return 0.0

@@ -30,7 +30,7 @@ _WIDTHS = (0.7, 0.85, 1.0, 1.2, 1.5, 2.0, 3.0, 5.0)
 #: Standard deviation of the window of the centroids (px).
 _WINDOW = 1.5
 _MOST_PIXELS = 20000
-_NO_LIGHT = "the pixels of `tpf` hold no light of the target; use PLDCorrector"
+_NO_LIGHT = "the pixels of `tpf` hold no light of the target"
 
 
 class NoLightError(ValueError):
@@ -225,7 +225,7 @@ _STEP, _LARGEST_MOVE = 0.05, 0.3
 @dataclass(frozen=True)
 class KnownNeighbors:
     """
-    Places of neighbors that the user gives, in the box of pixels that is modeled.
+    Places of neighbors that the user gives.
 
     Parameters
     ----------
@@ -240,7 +240,7 @@ class KnownNeighbors:
     target: np.ndarray | None
 
     @classmethod
-    def read(cls, neighbors, series, origin, peak):
+    def read(cls, neighbors, series, peak):
         """
         Read the user's argument.
 
@@ -250,8 +250,8 @@ class KnownNeighbors:
             As in `~scope_models.io.pixels.star_places`.
         series : PixelSeries
             The pixels.
-        origin, peak : ndarray
-            Column and row of the box' first pixel in the stamp, and of the target in the stamp.
+        peak : ndarray
+            Column and row of the target's light in the stamp.
         """
         places = star_places("neighbors", neighbors, series)
         names = {name.lower() for name in getattr(neighbors, "colnames", ("x", "y"))}
@@ -270,7 +270,11 @@ class KnownNeighbors:
         if far.any():
             message = f"{far.sum()} of `neighbors` are far outside of the pixels and are left out"
             warnings.warn(message, DetrendingWarning, stacklevel=4)
-        return cls(places[~far] - origin, None if target is None else target - origin)
+        return cls(places[~far], target)
+
+    def within(self, origin):
+        """Return the same in a box of pixels with its first column and row."""
+        return type(self)(self.places - origin, None if self.target is None else self.target - origin)
 
     def offsets(self, track):
         """Return the distances from the target, ``(m, 2)``."""
@@ -321,8 +325,8 @@ def find_neighbors(shape, track, flux, variance, known, refit):
             settled = _settled(shape, track, flux, variance, found, refit, known)
             if settled is None:
                 raise ValueError(
-                    "the scene with the given `neighbors` does not describe the pixels; "
-                    "PLDCorrector needs no model of the scene"
+                    "the target and the given `neighbors` do not describe the pixels: leave out "
+                    "those that are not there, or give `neighbors=[]`"
                 )
             shape, track, found = settled
         return replace(shape, neighbors=found, first_neighbors=found), track

@@ -1,4 +1,4 @@
-"""Correctors side by side on one star, and the rule that chooses one."""
+"""Correctors side by side on one star."""
 
 import time as clock
 import warnings
@@ -12,19 +12,14 @@ from astropy.units.cds import ppm
 
 from scope_models._checks import checked_cadences
 from scope_models.correctors.pld import PLDCorrector
-from scope_models.correctors.scene import SceneCorrector
 from scope_models.exceptions import DetrendingWarning
 from scope_models.io import read_tpf
 from scope_models.photometry import cdpp
 
-__all__ = ["ComparisonResult", "choose_corrector", "compare_correctors"]
+__all__ = ["ComparisonResult", "compare_correctors"]
 
-_NAMES = ("raw", "pld", "scene", "lightkurve")
-#: SceneCorrector is chosen if its residuals of unseen windows are below those of PLDCorrector by
-#: this factor; by the second one if the target's share in PLD's aperture is below the third number,
-#: because PLD does not take off the light of a constant star's neighbors.
-_CLEARLY, _CROWDED, _SHARE = 0.95, 1.1, 0.98
-#: Largest residuals of windows are left out: transits, flares and damaged pixels.
+_NAMES = ("raw", "pld", "measured", "lightkurve")
+#: Tolerance: the largest residuals of windows are left out: transits, flares and damaged pixels.
 _KEPT_WINDOWS = 0.9
 _WINDOW_HOURS = 6.5
 #: Columns of a comparison and their units.
@@ -55,10 +50,6 @@ class ComparisonResult:
         `~lightkurve.LightCurve` by corrector, on the same cadences.
     correctors : dict
         The corrector objects, with all their results; none for "raw".
-    best : str or None
-        The corrector that the rule of `choose_corrector` takes, None if neither was compared.
-    reason : str
-        Why.
 
     Examples
     --------
@@ -68,30 +59,22 @@ class ComparisonResult:
     ...     Star(13, 4, 4), Detector.k2(shape=(9, 9)), Motion.k2_roll(300, seed=1), seed=1
     ... )
     >>> comparison = compare_correctors(observation.to_tpf(), ("raw", "pld"))
-    >>> comparison.best
-    'pld'
+    >>> list(comparison.light_curves)
+    ['raw', 'pld']
     """
 
     table: QTable
     light_curves: dict
     correctors: dict
-    best: str | None
-    reason: str
 
     def __repr__(self):
-        return f"<ComparisonResult of {', '.join(self.light_curves)}: best {self.best}>"
+        return f"<ComparisonResult of {', '.join(self.light_curves)}>"
 
     def _repr_html_(self):
-        return f"{self.table._repr_html_()}<p>best: {self.best}, because {self.reason}</p>"
+        return self.table._repr_html_()
 
     def __str__(self):
-        text = "\n".join(self.table.pformat(max_width=-1, max_lines=-1))
-        return f"{text}\nbest: {self.best}, because {self.reason}"
-
-    @property
-    def corrector(self):
-        """The corrector that was chosen, with its corrected light curve."""
-        return self.correctors.get(self.best)
+        return "\n".join(self.table.pformat(max_width=-1, max_lines=-1))
 
     def plot(self):
         """
@@ -107,7 +90,7 @@ class ComparisonResult:
         time = next(iter(self.light_curves.values())).time
         fluxes = {name: lc.flux.value for name, lc in self.light_curves.items()}
         label = f"Time ({time.format.upper()})"
-        return plot_comparison(time.value, fluxes, best=self.best, time_label=label)
+        return plot_comparison(time.value, fluxes, time_label=label)
 
 
 def compare_correctors(
@@ -121,11 +104,11 @@ def compare_correctors(
     tpf : `~lightkurve.targetpixelfile.TargetPixelFile`, str or path-like
         Target pixel file.
     correctors : sequence of str, optional
-        Of "raw" (the sum over the aperture), "pld", "scene" and "lightkurve" (lightkurve's
-        PLDCorrector).
+        Of "raw" (the sum over the aperture), "pld", "measured" (`PLDCorrector` with measured
+        pixel fractions, as pixel level decorrelation was published) and "lightkurve"
+        (lightkurve's PLDCorrector).
     aperture_mask : array_like of bool, optional
-        Pixels ``(ny, nx)`` that all of them sum. By default raw, PLD and lightkurve sum the pixels
-        that `PLDCorrector` chooses, and `SceneCorrector` its window.
+        Pixels ``(ny, nx)`` that all of them sum, by default those that `PLDCorrector` chooses.
     cadence_mask, transit_mask : array_like of bool, optional
         True where cadences may be fitted, and during transits, as in `PLDCorrector.correct`.
 
@@ -144,10 +127,6 @@ def compare_correctors(
     -----
     DetrendingWarning
         If a corrector fails or warns; the text begins with its name.
-
-    See Also
-    --------
-    choose_corrector
 
     Examples
     --------
@@ -182,7 +161,7 @@ def compare_correctors(
         _pass_on(caught, name)
         if lc is None:
             continue
-        rows[name] = {"seconds": clock.perf_counter() - begin, "aperture": _aperture(found, pld)}
+        rows[name] = {"seconds": clock.perf_counter() - begin, "aperture": f"{pld.aperture_mask.sum()} pixels"}
         curves[name] = lc
         if found is not None:
             objects[name] = found
@@ -191,8 +170,11 @@ def compare_correctors(
     common = np.all([np.isfinite(lc.flux.value) for lc in curves.values()], axis=0)
     common &= ~checked_cadences("transit_mask", transit_mask, len(common), default=False)
     windows = common & checked_cadences("cadence_mask", cadence_mask, len(common), default=True)
-    own = (PLDCorrector, SceneCorrector)
-    models = {n: found for n, found in objects.items() if isinstance(found, own) and found.result}
+    models = {
+        name: found
+        for name, found in objects.items()
+        if isinstance(found, PLDCorrector) and found.result
+    }
     held_out = _held_out(models, windows)
     for name, lc in curves.items():
         if name in models:
@@ -200,50 +182,7 @@ def compare_correctors(
             rows[name].update(held_out.get(name, {}))
         for method in ("lightkurve", "everest"):
             rows[name][f"cdpp_{method}"] = cdpp(lc[common], method=method)
-    best, reason = _choice(objects, held_out)
-    return ComparisonResult(_table(rows), curves, objects, best, reason)
-
-
-def choose_corrector(tpf, *, aperture_mask=None, cadence_mask=None, transit_mask=None):
-    """
-    Correct a star with the corrector that its own data support.
-
-    `SceneCorrector` is taken if it predicts windows of 6.5 h, which the models have not seen,
-    better than `PLDCorrector` by at least 5 %, or worse by at most 10 % where other stars give
-    more than 2 % of the starlight in PLD's aperture. `PLDCorrector` is taken otherwise, and always
-    where pixels saturate.
-
-    Parameters
-    ----------
-    tpf : `~lightkurve.targetpixelfile.TargetPixelFile`, str or path-like
-        Target pixel file.
-    aperture_mask, cadence_mask, transit_mask : array_like of bool, optional
-        As in `compare_correctors`.
-
-    Returns
-    -------
-    PLDCorrector or SceneCorrector
-        After its call of ``correct``, with ``corrected_lc`` and ``result``.
-
-    See Also
-    --------
-    compare_correctors
-
-    Examples
-    --------
-    >>> from scope_models import Detector, Motion, Star, simulate
-    >>> from scope_models.correctors import choose_corrector
-    >>> observation = simulate(
-    ...     Star(13, 4, 4), Detector.k2(shape=(9, 9)), Motion.k2_roll(300, seed=1), seed=1
-    ... )
-    >>> corrector = choose_corrector(observation.to_tpf())
-    >>> len(corrector.corrected_lc)
-    283
-    """
-    return compare_correctors(
-        tpf, ("pld", "scene"), aperture_mask=aperture_mask, cadence_mask=cadence_mask,
-        transit_mask=transit_mask,
-    ).corrector  # fmt: skip
+    return ComparisonResult(_table(rows), curves, objects)
 
 
 def _corrected(name, tpf, pld, aperture_mask, options):
@@ -252,10 +191,9 @@ def _corrected(name, tpf, pld, aperture_mask, options):
         return None, pld.original_lc
     if name == "lightkurve":
         return _lightkurve(tpf, pld.aperture_mask, options)
-    found = pld if name == "pld" else SceneCorrector(tpf, aperture_mask)
-    if name == "scene" and found.saturated:
-        raise ValueError("pixels saturate, which PLDCorrector models better")
-    return found, found.correct(**options)
+    found = pld if name == "pld" else PLDCorrector(tpf, aperture_mask)
+    fractions = "auto" if name == "pld" else "measured"
+    return found, found.correct(fractions=fractions, **options)
 
 
 def _lightkurve(tpf, aperture, options):
@@ -279,13 +217,6 @@ def _lightkurve(tpf, aperture, options):
     flux[np.isin(whole["cadenceno"], lc["cadenceno"])] = lc.flux.value
     whole.flux = flux * whole.flux.unit
     return found, whole
-
-
-def _aperture(found, pld):
-    if isinstance(found, SceneCorrector):
-        window = found.result.window
-        return f"{window} px" if isinstance(window, float) else window
-    return f"{pld.aperture_mask.sum()} pixels"
 
 
 def _held_out(models, cadences):
@@ -320,23 +251,6 @@ def _width(found):
     """Return the number of cadences in 6.5 h."""
     step = np.nanmedian(np.diff(found.original_lc.time.value))
     return max(round(_WINDOW_HOURS / 24 / step), 1)
-
-
-def _choice(objects, held_out):
-    """Return the name of the better one of PLD and scene, and why."""
-    if "scene" not in objects or "pld" not in objects:
-        found = [name for name in ("pld", "scene") if name in objects]
-        return (found[0], "the other one was not compared or fails") if found else (None, "")
-    pld, scene = (held_out.get(name, {}).get("held_out") for name in ("pld", "scene"))
-    if pld is None or scene is None:
-        return "pld", "windows cannot be predicted"
-    share = objects["scene"].crowding(objects["pld"].aperture_mask)
-    reason = (
-        f"the scene predicts unseen windows to {scene:.0f} ppm, PLD to {pld:.0f} ppm, and the "
-        f"target has {100 * share:.0f} % of the starlight in PLD's aperture"
-    )
-    limit = _CROWDED if share < _SHARE else _CLEARLY
-    return ("scene" if scene < limit * pld else "pld"), reason
 
 
 def _pass_on(caught, name):

@@ -15,10 +15,16 @@ from scope_models.correctors._lightkurve import (
     translated,
 )
 from scope_models.correctors._model import PLDOptions, Settings, fit_pixels
+from scope_models.correctors._neighbors import (
+    light_of_neighbors,
+    read_neighbors,
+    without_neighbors,
+)
 from scope_models.correctors._pixels import (
     NOISIER,
     WORSE,
     aperture_pixels,
+    can_predict,
     credible_flux,
     noise_ratios,
 )
@@ -60,6 +66,12 @@ class PLDCorrector(LightkurveNames, Corrector):
         Pixels ``(ny, nx)`` that are summed, boolean, or weights ``(n_cadences, ny, nx)`` of a
         moving aperture. By default the pixels whose sum is expected to be most precise, of those
         that the star lights up at some time.
+    neighbors : array_like, `~astropy.table.Table` or `~astropy.coordinates.SkyCoord`, optional
+        Other stars, whose light is fitted together with the target's and taken off: columns and
+        rows in the stamp ``(m, 2)`` in pixels, a table with columns ``x`` and ``y`` or ``ra`` and
+        ``dec``, or places on the sky, which are taken relative to the target's coordinates in the
+        file. By default they are found in the images where pixel fractions can be predicted;
+        ``[]``: none.
 
     Attributes
     ----------
@@ -76,8 +88,8 @@ class PLDCorrector(LightkurveNames, Corrector):
     Raises
     ------
     TypeError, ValueError
-        If `aperture_mask` is not a mask of pixels with data, or the flux in it
-        is not positive.
+        If `aperture_mask` is not a mask of pixels with data, the flux in it
+        is not positive, or `neighbors` do not fit the file.
 
     See Also
     --------
@@ -101,12 +113,15 @@ class PLDCorrector(LightkurveNames, Corrector):
     True
     """
 
-    def __init__(self, tpf, aperture_mask=None):
+    def __init__(self, tpf, aperture_mask=None, neighbors=None):
         self.tpf = read_tpf(tpf)
         self._series = read_pixels(self.tpf)
         mask = named_mask(self.tpf, aperture_mask, "aperture_mask")
         with one_thread:
             self._pixels = pixels = aperture_pixels(self._series, mask)
+        self._neighbors = None
+        if neighbors is not None:
+            self._neighbors = read_neighbors(neighbors, self._series, pixels)
         self.original_lc = lc = self.tpf.to_lightcurve(aperture_mask=pixels.aperture.copy())
         unit = lc.flux.unit
         lc.flux = np.where(pixels.usable, pixels.total, np.nan) * unit
@@ -214,6 +229,7 @@ class PLDCorrector(LightkurveNames, Corrector):
         pixels, original = self._pixels, self.original_lc
         with one_thread, solvable():
             try:
+                pixels, series = self._alone(pixels, series, settings, mask)
                 result = fit_pixels(
                     pixels,
                     settings,
@@ -243,6 +259,19 @@ class PLDCorrector(LightkurveNames, Corrector):
         self.cadence_mask, self.transit_mask = mask & ~in_transit, in_transit
         self.outlier_mask, self._restore_trend = outliers, restore_trend
         return lc
+
+    def _alone(self, pixels, series, settings, mask):
+        """Return the pixels and their file without the light of neighbors, if there are any."""
+        given = self._neighbors
+        if given is None and settings.fractions == "measured":
+            return pixels, series
+        if not can_predict(pixels, settings.full_flux(series), pixels.usable & pixels.lit & mask):
+            if given is not None and len(given.places):
+                message = "pixels are full, or too few: the light of `neighbors` stays in the flux"
+                warnings.warn(message, DetrendingWarning, stacklevel=3)
+            return pixels, series
+        found = light_of_neighbors(pixels, series, mask, given)
+        return (pixels, series) if found is None else without_neighbors(pixels, series, found)
 
     def _fitted(self):
         """Return the last fit, or raise an error."""

@@ -23,7 +23,7 @@ __all__ = ["plot_comparison", "plot_detrending", "plot_detrending_masks", "plot_
 
 
 @styled
-def plot_comparison(time, fluxes, *, best=None, time_label="Time (d)"):
+def plot_comparison(time, fluxes, *, time_label="Time (d)"):
     """
     Draw light curves below each other on one scale.
 
@@ -33,8 +33,6 @@ def plot_comparison(time, fluxes, *, best=None, time_label="Time (d)"):
         Days, ``(n_cadences,)``.
     fluxes : dict of str to array_like
         Flux by name; each is divided by its median.
-    best : str, optional
-        The one that is drawn dark.
     time_label : str, optional
         Label of the times.
 
@@ -59,8 +57,7 @@ def plot_comparison(time, fluxes, *, best=None, time_label="Time (d)"):
     for ax, (name, flux) in zip(axes, fluxes.items(), strict=True):
         values = plain_array(flux, None, "fluxes")
         relative = values / np.nanmedian(values)
-        color = DARK if name == best else GRAY
-        ax.plot(time, relative, ".", ms=2, color=color, label=_label(name, time, values))
+        ax.plot(time, relative, ".", ms=2, color=DARK, label=_label(name, time, values))
         _legend_above(ax)
         ax.set_ylabel("Relative flux")
         shown.append(relative)

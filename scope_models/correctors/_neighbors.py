@@ -1,0 +1,289 @@
+"""Light of other stars in a star's pixels, by a model of all of them."""
+
+import warnings
+from dataclasses import dataclass, replace
+
+import numpy as np
+from astropy.stats import mad_std
+from astropy.table import QTable
+
+from scope_models.correctors._clean import Smoother
+from scope_models.correctors._scene_model import (
+    Priors,
+    between,
+    improve_shape,
+    measure_floor,
+    misfit,
+    neighbor_images,
+    render,
+    residuals,
+    solve_states,
+    solve_track,
+)
+from scope_models.correctors._scene_start import (
+    KnownNeighbors,
+    NoLightError,
+    centroids,
+    find_neighbors,
+    first_shape,
+    first_track,
+)
+from scope_models.exceptions import DetrendingWarning
+from scope_models.io.pixels import usable_positions
+
+__all__ = ["NeighborLight", "light_of_neighbors", "read_neighbors", "without_neighbors"]
+
+#: Tolerance: pixels farther from the star than this (px) are left out.
+_REACH = 7
+#: Tolerance: cadences that constrain the shape, and number of its Gauss-Newton steps.
+_SHAPE_CADENCES, _SHAPE_STEPS = 250, 8
+#: Tolerance: model errors relative to the light that are allowed in the steps of the shape, one
+#: after the other; never below a fifth of those that are measured.
+_FLOORS = (1e-2, 3e-3, 1e-3, 3e-4, 1e-4)
+#: Prior: standard deviations of positions (px) with and without POS_CORR, and of widths.
+_POSITION, _FREE_POSITION, _WIDTH = 0.05, 0.3, 0.01
+#: Prior: ... and of widths about their smooth course.
+_HELD = 1e-5
+#: Prior: standard deviations of the pixels' gains in the first steps of the shape, and later.
+_GAINS = (1e-4, 1e-3, 5e-3, 0.015)
+#: Tolerance: after these steps the priors of the PRF are about what has been found: stars at rest
+#: need it.
+_ANCHORS = (2, 4, 6)
+#: Branch: pixels that deviate by more standard deviations are left out, in less than this part of
+#: the cadences.
+_SIGMA, _MOST_HITS = 6.0, 0.05
+#: Tolerance: the median of the squares of a normal variable of unit variance.
+_MEDIAN_SQUARE = 0.455
+
+
+@dataclass(frozen=True, eq=False)
+class NeighborLight:
+    """
+    Other stars of a stamp.
+
+    Parameters
+    ----------
+    table : `~astropy.table.QTable`
+        Flux (e-/s), column and row in the stamp (px) of each, ``flux, x, y``.
+    light : ndarray
+        Their light in each pixel, e-/s, ``(n_cadences, ny, nx)``.
+    positions : ndarray
+        Column and row of the target in the stamp, ``(n_cadences, 2)``, px; NaN where unknown.
+    """
+
+    table: QTable
+    light: np.ndarray
+    positions: np.ndarray
+
+
+def without_neighbors(pixels, series, found):
+    """Return pixels and their file without the light of other stars, at the fitted positions."""
+    flux = pixels.flux - found.light
+    inside = pixels.aperture if pixels.weights is None else pixels.weights
+    light = np.sum(found.light * inside, axis=(1, 2))
+    total = pixels.total - light
+    usable = pixels.usable & (np.nan_to_num(total) > 0)
+    share = float(np.median((total / pixels.total)[usable])) if usable.any() else 1.0
+    pixels = replace(
+        pixels, flux=flux, total=total, usable=usable, lit=pixels.lit & usable,
+        own=np.ones_like(pixels.aperture), crowding=share, neighbors=found,
+    )  # fmt: skip
+    middle = np.nanmedian(found.positions, axis=0)
+    return pixels, series.replace(flux=flux, pos_corr=found.positions - middle)
+
+
+def read_neighbors(neighbors, series, pixels):
+    """Return the neighbors that a user gives, as in `~scope_models.io.pixels.star_places`."""
+    image, peak = _peak(pixels)
+    start = (np.array([float(k)]) for k in peak[::-1])
+    place = np.ravel(centroids(image[None] - np.median(image), *start))
+    return KnownNeighbors.read(neighbors, series, place)
+
+
+def _peak(pixels):
+    """Return the typical image, and row and column of the brightest pixel in the aperture."""
+    image = np.median(np.nan_to_num(pixels.flux[pixels.usable]), axis=0)
+    inside = np.where(pixels.aperture, image, -np.inf)
+    return image, np.unravel_index(np.argmax(inside), image.shape)
+
+
+def light_of_neighbors(pixels, series, cadence_mask, neighbors=None):
+    """
+    Fit the target and its neighbors to the pixels near it.
+
+    Parameters
+    ----------
+    pixels : Pixels
+        Pixels and aperture.
+    series : PixelSeries
+        Their file.
+    cadence_mask : ndarray of bool
+        Cadences from which the stars' image and places are learned.
+    neighbors : KnownNeighbors, optional
+        Other stars; None: they are found.
+
+    Returns
+    -------
+    NeighborLight or None
+        None if there are none.
+
+    Raises
+    ------
+    ValueError
+        If given neighbors do not fit the file, or do not describe its pixels.
+    """
+    usable = np.flatnonzero(pixels.usable)
+    use = (cadence_mask & pixels.lit)[usable]
+    pos_corr, reach = None, 3.0
+    if series.pos_corr is not None:
+        known = usable_positions(series.pos_corr)
+        pos_corr = np.where(known[:, None], series.pos_corr, np.nan)[usable]
+        if known[usable].any():
+            reach = float(np.nanmax(np.abs(pos_corr - np.nanmedian(pos_corr, axis=0))))
+    typical, peak = _peak(pixels)
+    box = tuple(
+        slice(max(0, int(k - _REACH - reach)), min(size, int(k + _REACH + reach + 2)))
+        for k, size in zip(peak, typical.shape, strict=True)
+    )
+    flux, error = pixels.flux[usable][:, *box], pixels.flux_err[usable][:, *box]
+    good = np.isfinite(flux) & (error > 0)
+    flux, variance = np.where(good, flux, 0.0), np.where(good, error, np.inf) ** 2
+    origin = np.array([box[1].start, box[0].start])
+    peak = np.array(peak[::-1]) - origin
+    if neighbors is not None:
+        if not len(neighbors.places):
+            return None
+        neighbors = neighbors.within(origin)
+    try:
+        found = _fit(pixels.time[usable], flux, variance, pos_corr, peak, use, neighbors)
+    except (NoLightError, np.linalg.LinAlgError):
+        if neighbors is None:
+            return None
+        raise ValueError("the target and the given `neighbors` do not describe the pixels") from None
+    if found is None:
+        return None
+    shape, track, others = found
+    light = np.zeros(pixels.flux.shape)
+    part = np.zeros((len(usable), *typical.shape))
+    part[:, *box] = others
+    light[usable] = part
+    positions = np.full((len(pixels.time), 2), np.nan)
+    positions[usable] = origin + track.stacked[:, 1:3]
+    places = shape.neighbors[:, 1:] + np.median(positions[usable][use], axis=0)
+    table = QTable([shape.neighbors[:, 0], *places.T], names=("flux", "x", "y"))
+    for name, unit in (("flux", "electron / s"), ("x", "pix"), ("y", "pix")):
+        table[name].unit = unit
+    return NeighborLight(table, light, positions)
+
+
+def _step(shape, track, data, gain):
+    """Improve shape and states, by less than a whole Gauss-Newton step if that is too much."""
+    before = misfit(shape, track, *data, gain)
+    whole = improve_shape(shape, track, *data, gain)
+    for part in (1.0, 0.4, 0.15):
+        trial = between(shape, whole, part)
+        moved = solve_track(trial, track, *data, steps=2)
+        after = misfit(trial, moved, *data, gain)
+        if after < before:
+            return trial, moved, after > 0.99 * before
+    return shape, track, True
+
+
+def _without_hits(shape, track, flux, variance, floor):
+    """Return the variances, infinite in the few pixels that deviate, as cosmic rays do."""
+    rest, light = residuals(shape, track, flux)
+    deviation = np.abs(rest) / np.sqrt(variance + (4 * floor * light) ** 2)
+    hit = deviation > _SIGMA
+    often = hit.mean(axis=0) > _MOST_HITS  # here the model errs
+    return np.where(hit & ~often, np.inf, variance)
+
+
+def _fit(time, flux, variance, pos_corr, peak, use, known):
+    """
+    Return shape, track and the neighbors' light, or None without neighbors.
+
+    Parameters
+    ----------
+    time : ndarray
+        Days, ``(n,)``.
+    flux, variance : ndarray
+        Pixels ``(n, ny, nx)`` in e-/s, finite; infinite variance where there are no data.
+    pos_corr : ndarray or None
+        ``(n, 2)``.
+    peak : ndarray
+        Column and row of the target in a typical cadence.
+    use : ndarray of bool
+        Cadences from which the shape is learned.
+    known : KnownNeighbors or None
+        Other stars; None: they are found.
+    """
+    n, rng = len(flux), np.random.default_rng(0)
+    (x, y), measured = first_track(flux, pos_corr, peak)
+    pixels = flux[use], variance[use]
+    shape, track = first_shape(*pixels, x[use], y[use], rng)
+
+    def refit(images):
+        some = images[::10], x[use][::10], y[use][::10]
+        shifts = (np.median(c - s) for c, s in zip(centroids(*some), some[1:], strict=True))
+        column, row = (s[use] + shift for s, shift in zip((x, y), shifts, strict=True))
+        return first_shape(images, variance[use], column, row, np.random.default_rng(0))
+
+    shape, track = find_neighbors(shape, track, *pixels, known, refit)
+    if not len(shape.neighbors):
+        return None
+    shift = np.median(track.stacked[:, 1:3] - np.column_stack([x, y])[use], axis=0)
+    start = np.zeros((n, 5))
+    start[:, 0] = np.median(track.flux)
+    start[:, 1:3] = np.column_stack([x, y]) + shift
+    sigma = np.full((n, 5), np.inf)
+    sigma[:, 1:3] = np.where(measured, _POSITION, _FREE_POSITION)[:, None]
+    sigma[:, 3] = _WIDTH
+    sub = np.flatnonzero(use)
+    sub = sub[np.unique(np.linspace(0, len(sub) - 1, _SHAPE_CADENCES).astype(int))]
+    noise, schedule = variance[sub], _FLOORS[0]
+    priors = Priors(start, sigma)
+    part = solve_track(shape, type(track)(*start[sub].T), flux[sub], noise, priors[sub], schedule)
+    for step in range(_SHAPE_STEPS):
+        gain = _GAINS[min(step, len(_GAINS) - 1)]
+        shape, part, stuck = _step(shape, part, (flux[sub], noise, priors[sub], schedule), gain)
+        floor = measure_floor(shape, part, flux[sub], variance[sub])
+        schedule = max(_FLOORS[min(step + 1, len(_FLOORS) - 1)], floor / 5)
+        if step >= 1:
+            noise = _without_hits(shape, part, flux[sub], variance[sub], floor)
+        if step == 1 and measured.mean() > 0.5:
+            errors = part.stacked[:, 1:3] - start[sub, 1:3]
+            tight = np.clip(1.5 * max(mad_std(errors, axis=0)), 0.003, _POSITION)
+            sigma[:, 1:3] = np.where(measured, tight, _FREE_POSITION)[:, None]
+        if step in _ANCHORS:
+            shape = replace(shape, prior_mean=shape.coefficients)
+        if stuck and step >= len(_GAINS):
+            break
+    floor = max(floor, _FLOORS[-1])
+    track = solve_track(shape, type(track)(*start.T), flux, variance, priors, floor)
+    clean = _without_hits(shape, track, flux, variance, floor)
+    track, change = _varying(time, shape, track, flux, clean, priors, floor, use)
+    return shape, track, np.sum(neighbor_images(shape, track, change), axis=0)
+
+
+def _varying(time, shape, track, flux, variance, priors, floor, use):
+    """
+    Fit the states with smooth widths, and neighbors that may vary.
+
+    The variance of each neighbor's flux is what its values have beyond their errors, so that a
+    constant one stays constant.
+    """
+    m = len(shape.neighbors)
+    change = np.zeros((len(flux), m))
+    mean = np.concatenate([priors.mean, change], axis=1)
+    sigma = np.concatenate([priors.sigma, np.full_like(change, np.inf)], axis=1)
+    sigma[:, 3] = np.inf
+    data = flux, variance
+    track, change, error = solve_states(shape, track, change, *data, Priors(mean, sigma), floor)
+    mean[:, 3], sigma[:, 3] = Smoother(time, use)(track.width, error[:, 3]), _HELD
+    track, change, error = solve_states(shape, track, change, *data, Priors(mean, sigma), floor)
+    middle = np.median(change[use], axis=0)
+    noise = np.median(error[use, 5:] ** 2, axis=0)
+    size = np.median((change[use] - middle) ** 2, axis=0) / _MEDIAN_SQUARE
+    mean[:, 5:] = middle
+    sigma[:, 5:] = np.sqrt(np.maximum(size - noise, 1e-6 * noise))
+    return solve_states(shape, track, change, *data, Priors(mean, sigma), floor)[:2]
