@@ -20,7 +20,7 @@ import numpy as np
 from astropy.table import Table
 from paper._correctors import quiet
 
-from scope_models import Detector, Motion, PLDCorrector, SceneCorrector, Star, simulate
+from scope_models import Detector, Motion, PLDCorrector, Star, simulate
 from scope_models._arrays import values_of
 from scope_models.benchmark import benchmark_star, score_light_curves, summarize_scores
 from scope_models.io import read_tpf
@@ -95,7 +95,7 @@ METHODS = {
     "lk-sff": sff,
     "cbv": cbv,
     "pld": lambda tpf, number: PLDCorrector(tpf).correct(),  # noqa: ARG005
-    "scene": lambda tpf, number: SceneCorrector(tpf).correct(),  # noqa: ARG005
+    "alone": lambda tpf, number: PLDCorrector(tpf, neighbors=[]).correct(),  # noqa: ARG005
 }
 
 

@@ -268,8 +268,7 @@ def test_behavior(place, name, made):
 #: Names with a test of their own: files, and calls that take seconds.
 ELSEWHERE = {
     "read_detector", "read_scene", "register_preset", "read_tpf", "read_truth", "write_tpf",
-    "ComparisonResult", "SceneCorrector", "SceneResult", "choose_corrector", "compare_correctors",
-    "detrend_file", "plot_scene", "CommonMotion",
+    "ComparisonResult", "compare_correctors", "detrend_file", "plot_scene", "CommonMotion",
 }  # fmt: skip
 
 

@@ -65,7 +65,7 @@ def test_packages_offer_public_names_and_modules_only(name):
 
 
 def test_common_names_in_one_line():
-    names = "Detector Motion PLDCorrector Scene SceneCorrector Star cdpp fit_tpf inject read_pixels"
+    names = "Detector Motion PLDCorrector Scene Star cdpp fit_tpf inject read_pixels"
     assert set(names.split()) | {"simulate", "write_tpf"} <= set(dir(scope_models))
 
 

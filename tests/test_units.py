@@ -633,12 +633,12 @@ NO_UNIT = {
     "PLDCorrector.correct.regressors", "CorrectedPRF.array", "CorrectedPRF.oversampling",
     "TabulatedPSF.array", "TabulatedPSF.oversampling",
     "TabulatedPRF.array", "TabulatedPRF.oversampling",
-    "SceneCorrector.correct.transit_model", "SceneCorrector.neighbors",
+    "PLDCorrector.neighbors",
     "inject_files.star", "plot_precision.stars", "plot_precision.published", "plot_states.leaks",
     "fit_tpf.stars",
     "inject.signal", "inject.star", "TabulatedPRF.origin", "plot_detector.psf", "plot_psf.psf",
     "plot_detector.sensitivity", "plot_fit.chi2", "plot_twin.residuals",
-    "plot_detrending_masks.scatter", "PLDCorrector.aperture_mask", "SceneCorrector.aperture_mask",
+    "plot_detrending_masks.scatter", "PLDCorrector.aperture_mask",
 }  # fmt: skip
 # Classes whose objects the package makes, and methods that astropy calls with numbers after it has
 # converted them (test_contract.py).

@@ -17,9 +17,8 @@ NOISE = {
     "aperture": "aperture",
     "wide": "wide",
     "pld": "PLD",
-    "scene": "scene model",
 }
-SURVIVALS = {"pld_survival": "PLD keeps", "scene_survival": "scene model keeps"}
+SURVIVALS = {"pld_survival": "PLD keeps"}
 COLUMNS = {
     "tess": {"neighbors": "neighbors", "mag": "T", "pixels": "pixels", "share": "share"}
     | {"model": "noise model", "floor": "light alone"}

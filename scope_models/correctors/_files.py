@@ -7,7 +7,6 @@ from astropy.io import fits
 
 from scope_models.correctors._model import PLDOptions
 from scope_models.correctors.pld import PLDCorrector
-from scope_models.correctors.scene import SceneCorrector
 from scope_models.io import read_pixels, read_tpf
 from scope_models.io._atomic import atomic_path, check_output
 from scope_models.io._hlsp import archive_hdulist
@@ -45,8 +44,8 @@ def detrend_file(path, output, *, figure=None, overwrite=False, survival=False, 
         Arguments of `PLDCorrector` and its `correct`, and fields of `PLDOptions`; ``transits``, a
         mapping with the period, t0 (a mid-transit, as TIME) and duration of a planet in days, masks
         its transits; ``neighbors``, "find" or the file of a catalog with the columns ra and dec
-        (degrees), or x and y (pixels, without the target), takes off the light of other stars with
-        `SceneCorrector`, which has fewer options.
+        (degrees), or x and y (pixels, without the target), has other stars whose light is taken
+        off.
 
     Returns
     -------
@@ -95,14 +94,12 @@ def detrend_file(path, output, *, figure=None, overwrite=False, survival=False, 
 
 def correct_file(path, transits=None, aperture_mask=None, neighbors=None, **options):
     """Return a corrector after a correction; the options are those of `detrend_file`."""
-    if neighbors is None:
-        corrector = PLDCorrector(path, aperture_mask)
-        names = {item.name for item in fields(PLDOptions)} & options.keys()
-        options["options"] = PLDOptions(**{name: options.pop(name) for name in names})
-    else:
-        tpf = read_tpf(path)
-        found = None if neighbors == "find" else read_neighbors(neighbors, read_pixels(tpf))
-        corrector = SceneCorrector(tpf, aperture_mask, found)
+    tpf = read_tpf(path)
+    if neighbors not in (None, "find"):
+        neighbors = read_neighbors(neighbors, read_pixels(tpf))
+    corrector = PLDCorrector(tpf, aperture_mask, neighbors)
+    names = {item.name for item in fields(PLDOptions)} & options.keys()
+    options["options"] = PLDOptions(**{name: options.pop(name) for name in names})
     if transits is not None:
         if missing := {"period", "t0", "duration"} - set(transits):
             raise ValueError(f"`transits` needs period, t0 and duration, got no {min(missing)}")
@@ -136,7 +133,7 @@ def make_archive_hdulist(corrector, path, collection, *, survival=False):
     if result is not None:
         cards += [
             ("CROWDING", result.crowding, "share of the target in the aperture, at most"),
-            ("CONTAMIN", getattr(result, "contamination", None), "constant light taken off, share"),
+            ("CONTAMIN", result.contamination, "constant light taken off, share"),
             *_held_out(corrector),
         ]
     hdus = make_lightcurve_hdulist(corrector, survival=survival)

@@ -1,12 +1,12 @@
 """Light of other stars in a star's pixels, by a model of all of them."""
 
-import warnings
 from dataclasses import dataclass, replace
 
 import numpy as np
 from astropy.stats import mad_std
 from astropy.table import QTable
 
+from scope_models._checks import checked_choice
 from scope_models.correctors._clean import Smoother
 from scope_models.correctors._scene_model import (
     Priors,
@@ -15,12 +15,12 @@ from scope_models.correctors._scene_model import (
     measure_floor,
     misfit,
     neighbor_images,
-    render,
     residuals,
     solve_states,
     solve_track,
 )
 from scope_models.correctors._scene_start import (
+    NEAREST,
     KnownNeighbors,
     NoLightError,
     centroids,
@@ -28,10 +28,9 @@ from scope_models.correctors._scene_start import (
     first_shape,
     first_track,
 )
-from scope_models.exceptions import DetrendingWarning
 from scope_models.io.pixels import usable_positions
 
-__all__ = ["NeighborLight", "light_of_neighbors", "read_neighbors", "without_neighbors"]
+__all__ = ["NeighborLight", "light_of_neighbors", "given_neighbors", "without_neighbors"]
 
 #: Tolerance: pixels farther from the star than this (px) are left out.
 _REACH = 7
@@ -92,8 +91,10 @@ def without_neighbors(pixels, series, found):
     return pixels, series.replace(flux=flux, pos_corr=found.positions - middle)
 
 
-def read_neighbors(neighbors, series, pixels):
-    """Return the neighbors that a user gives, as in `~scope_models.io.pixels.star_places`."""
+def given_neighbors(neighbors, series, pixels):
+    """Return "find", or the neighbors of a user as `~scope_models.io.pixels.star_places` does."""
+    if isinstance(neighbors, str):
+        return checked_choice("neighbors", neighbors, ("find",))
     image, peak = _peak(pixels)
     start = (np.array([float(k)]) for k in peak[::-1])
     place = np.ravel(centroids(image[None] - np.median(image), *start))
@@ -119,8 +120,10 @@ def light_of_neighbors(pixels, series, cadence_mask, neighbors=None):
         Their file.
     cadence_mask : ndarray of bool
         Cadences from which the stars' image and places are learned.
-    neighbors : KnownNeighbors, optional
-        Other stars; None: they are found.
+    neighbors : KnownNeighbors or "find", optional
+        Other stars. None: those with peaks of their own are found, for the bumps of a PRF look like
+        neighbors of up to 20 % of a star's light (official PRFs of TESS, camera 2, CCD 3); "find":
+        all.
 
     Returns
     -------
@@ -132,8 +135,13 @@ def light_of_neighbors(pixels, series, cadence_mask, neighbors=None):
     ValueError
         If given neighbors do not fit the file, or do not describe its pixels.
     """
+    given = isinstance(neighbors, KnownNeighbors)
+    if (neighbors is None and pixels.own.all()) or (given and not len(neighbors.places)):
+        return None
     usable = np.flatnonzero(pixels.usable)
     use = (cadence_mask & pixels.lit)[usable]
+    total = pixels.total[usable]
+    use &= total > np.median(total[use]) / 2  # what is left in eclipses may be of others
     pos_corr, reach = None, 3.0
     if series.pos_corr is not None:
         known = usable_positions(series.pos_corr)
@@ -150,16 +158,15 @@ def light_of_neighbors(pixels, series, cadence_mask, neighbors=None):
     flux, variance = np.where(good, flux, 0.0), np.where(good, error, np.inf) ** 2
     origin = np.array([box[1].start, box[0].start])
     peak = np.array(peak[::-1]) - origin
-    if neighbors is not None:
-        if not len(neighbors.places):
-            return None
-        neighbors = neighbors.within(origin)
+    known = neighbors.within(origin) if given else None
+    places = ~pixels.own[box] if neighbors is None else None
     try:
-        found = _fit(pixels.time[usable], flux, variance, pos_corr, peak, use, neighbors)
+        found = _fit(pixels.time[usable], flux, variance, pos_corr, peak, use, known, places)
     except (NoLightError, np.linalg.LinAlgError):
-        if neighbors is None:
+        if not given:
             return None
-        raise ValueError("the target and the given `neighbors` do not describe the pixels") from None
+        message = "the target and the given `neighbors` do not describe the pixels"
+        raise ValueError(message) from None
     if found is None:
         return None
     shape, track, others = found
@@ -198,7 +205,7 @@ def _without_hits(shape, track, flux, variance, floor):
     return np.where(hit & ~often, np.inf, variance)
 
 
-def _fit(time, flux, variance, pos_corr, peak, use, known):
+def _fit(time, flux, variance, pos_corr, peak, use, known, places):
     """
     Return shape, track and the neighbors' light, or None without neighbors.
 
@@ -216,6 +223,13 @@ def _fit(time, flux, variance, pos_corr, peak, use, known):
         Cadences from which the shape is learned.
     known : KnownNeighbors or None
         Other stars; None: they are found.
+    places : ndarray of bool or None
+        Pixels in which they may be.
+
+    Raises
+    ------
+    NoLightError
+        If the model describes another star than the one at the peak.
     """
     n, rng = len(flux), np.random.default_rng(0)
     (x, y), measured = first_track(flux, pos_corr, peak)
@@ -228,7 +242,7 @@ def _fit(time, flux, variance, pos_corr, peak, use, known):
         column, row = (s[use] + shift for s, shift in zip((x, y), shifts, strict=True))
         return first_shape(images, variance[use], column, row, np.random.default_rng(0))
 
-    shape, track = find_neighbors(shape, track, *pixels, known, refit)
+    shape, track = find_neighbors(shape, track, *pixels, known, refit, places)
     if not len(shape.neighbors):
         return None
     shift = np.median(track.stacked[:, 1:3] - np.column_stack([x, y])[use], axis=0)
@@ -261,6 +275,8 @@ def _fit(time, flux, variance, pos_corr, peak, use, known):
     floor = max(floor, _FLOORS[-1])
     track = solve_track(shape, type(track)(*start.T), flux, variance, priors, floor)
     clean = _without_hits(shape, track, flux, variance, floor)
+    if np.hypot(*(np.median(track.stacked[use, 1:3], axis=0) - peak)) > NEAREST:
+        raise NoLightError("the model has left the target")
     track, change = _varying(time, shape, track, flux, clean, priors, floor, use)
     return shape, track, np.sum(neighbor_images(shape, track, change), axis=0)
 

@@ -23,13 +23,13 @@ __all__ = [
     "solve_track",
 ]
 
-#: Prior standard deviations: of the PRF about the first guess (relative, and in units of its
+#: Prior: standard deviations of the PRF about the first guess (relative, and in units of its
 #: peak), of the pixels' gains, and of a neighbor's place (px).
 _PRF_RELATIVE, _PRF_ABSOLUTE, _GAIN, _PLACE = 0.25, 2e-3, 0.015, 0.1
-#: The PRF's sum over pixels is about 1, wherever in a pixel the star is: places along an axis, and
-#: prior standard deviation.
+#: Prior: the PRF's sum over pixels is about 1, wherever in a pixel the star is: places along an
+#: axis, and standard deviation.
 _PHASES, _SUM = 8, 2e-4
-#: Largest steps of a position (px) and a width in one iteration.
+#: Tolerance: largest steps of a position (px) and a width in one iteration.
 _LARGEST_STEP, _LARGEST_BREATH = 0.3, 0.02
 
 

@@ -16,6 +16,7 @@ from scope_models.exceptions import DetrendingWarning
 from scope_models.io.pixels import star_places, target_place
 
 __all__ = [
+    "NEAREST",
     "KnownNeighbors",
     "NoLightError",
     "centroids",
@@ -25,11 +26,10 @@ __all__ = [
     "fit_gaussians",
 ]
 
-#: Widths of the Gaussians whose sum is the first guess, in units of the star's.
+#: Tolerance: widths of the Gaussians whose sum is the first guess, in units of the star's.
 _WIDTHS = (0.7, 0.85, 1.0, 1.2, 1.5, 2.0, 3.0, 5.0)
-#: Standard deviation of the window of the centroids (px).
-_WINDOW = 1.5
-_MOST_PIXELS = 20000
+#: Tolerance: standard deviation of the window of the centroids (px), and pixels of the first guess.
+_WINDOW, _MOST_PIXELS = 1.5, 20000
 _NO_LIGHT = "the pixels of `tpf` hold no light of the target"
 
 
@@ -209,16 +209,16 @@ def first_shape(flux, variance, x, y, rng):
     return shape, Track(total * sum_of, np.array(x), np.array(y), zero, zero)
 
 
-#: Given neighbors closer to the target (px) are the target, and those farther outside of the
-#: pixels have no light in them.
+#: Branch: given neighbors closer to the target (px) are the target, and those farther outside of
+#: the pixels have no light in them.
 _TARGET_ITSELF, _FARTHEST = 0.3, 5.0
 
-#: Least distance from the target (px), and largest number of neighbors.
-_NEAREST, _MOST = 1.4, 6
-#: What the model leaves counts as a star if it is so many times its error, so many times
+#: Branch: least distance from the target (px), and largest number of neighbors.
+NEAREST, _MOST = 1.4, 6
+#: Branch: what the model leaves counts as a star if it is so many times its error, so many times
 #: the target's light there, and so large a part of the target's flux.
 _SIGMA, _OVER_STAR, _LEAST = 6.0, 0.7, 4e-3
-#: Steps (px) of the derivative by a neighbor's place, and of the place itself.
+#: Tolerance: steps (px) of the derivative by a neighbor's place, and of the place itself.
 _STEP, _LARGEST_MOVE = 0.05, 0.3
 
 
@@ -274,7 +274,9 @@ class KnownNeighbors:
 
     def within(self, origin):
         """Return the same in a box of pixels with its first column and row."""
-        return type(self)(self.places - origin, None if self.target is None else self.target - origin)
+        return type(self)(
+            self.places - origin, None if self.target is None else self.target - origin
+        )
 
     def offsets(self, track):
         """Return the distances from the target, ``(m, 2)``."""
@@ -303,7 +305,7 @@ def _stacked(values, variance, track):
     return mean, np.where(few, np.inf, error), place
 
 
-def find_neighbors(shape, track, flux, variance, known, refit):
+def find_neighbors(shape, track, flux, variance, known, refit, places=None):
     """
     Return the shape with stars beside the target.
 
@@ -318,6 +320,8 @@ def find_neighbors(shape, track, flux, variance, known, refit):
         looks like a star's.
     refit : callable
         Takes pixels without the neighbors' light, and returns a new first model of the target.
+    places : ndarray of bool, optional
+        Pixels in which neighbors may be, ``(ny, nx)``; by default anywhere.
     """
     if known is not None:
         found = np.column_stack([np.zeros(len(known.places)), known.offsets(track)])
@@ -332,7 +336,7 @@ def find_neighbors(shape, track, flux, variance, known, refit):
         return replace(shape, neighbors=found, first_neighbors=found), track
     found = np.empty((0, 3))
     while len(found) < _MOST:
-        new = _brightest_rest(shape, track, flux, variance, found)
+        new = _brightest_rest(shape, track, flux, variance, found, places)
         if new is None:
             break
         tried = np.concatenate([found, [new]])
@@ -365,14 +369,14 @@ def _separate(found, typical):
     places = np.concatenate([[[0.0, 0.0]], found[:, 1:]])
     distance = np.hypot(*(places[:, None] - places).transpose(2, 0, 1))
     distance[np.diag_indices_from(distance)] = np.inf
-    return distance.min() > _NEAREST and found[:, 0].min() > _LEAST * typical
+    return distance.min() > NEAREST and found[:, 0].min() > _LEAST * typical
 
 
 def _light_of(shape, track, neighbors):
     return render(replace(shape, neighbors=neighbors), track).others
 
 
-def _brightest_rest(shape, track, flux, variance, found):
+def _brightest_rest(shape, track, flux, variance, found, places):
     """Return flux and distance of the brightest star that the model leaves, or None."""
     typical = float(np.median(track.flux))
     images = render(replace(shape, neighbors=found), track)
@@ -381,9 +385,15 @@ def _brightest_rest(shape, track, flux, variance, found):
     light, _, _ = _stacked(star + images.others, variance, track)
     rest = rest - np.median(rest[np.isfinite(error)])
     good = rest > np.maximum(_OVER_STAR * light, _SIGMA * error)
-    good &= (rest > _LEAST * typical * shape.coefficients.max()) & (np.hypot(du, dv) > _NEAREST)
+    good &= (rest > _LEAST * typical * shape.coefficients.max()) & (np.hypot(du, dv) > NEAREST)
     for _, dx, dy in found:
-        good &= np.hypot(du - dx, dv - dy) > _NEAREST
+        good &= np.hypot(du - dx, dv - dy) > NEAREST
+    if places is not None:
+        inside = np.pad(places, 1)  # but not on the border
+        center = (np.median(track.y) + dv, np.median(track.x) + du)
+        index = (np.nan_to_num(c, posinf=-1) for c in center)
+        index = (np.clip(np.rint(i), -1, k) for i, k in zip(index, places.shape, strict=True))
+        good &= inside[tuple(i.astype(int) + 1 for i in index)]
     if not good.any():
         return None
     j, i = np.unravel_index(np.argmax(np.where(good, rest, -np.inf)), rest.shape)

@@ -8,9 +8,11 @@ from scipy.interpolate import BSpline
 
 __all__ = ["SplineGrid", "make_grid"]
 
+#: Tolerance: degree of the splines.
 _DEGREE = 3
-#: Knots are so far apart (px) within so many pixels of the star.
+#: Tolerance: knots are so far apart (px) within so many pixels of the star.
 _SPACINGS = ((1.5, 0.25), (3.0, 0.5), (6.0, 1.0))
+#: Tolerance: and so far apart farther out.
 _FAR_SPACING = 2.0
 
 

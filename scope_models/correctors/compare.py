@@ -161,7 +161,10 @@ def compare_correctors(
         _pass_on(caught, name)
         if lc is None:
             continue
-        rows[name] = {"seconds": clock.perf_counter() - begin, "aperture": f"{pld.aperture_mask.sum()} pixels"}
+        rows[name] = {
+            "seconds": clock.perf_counter() - begin,
+            "aperture": f"{pld.aperture_mask.sum()} pixels",
+        }
         curves[name] = lc
         if found is not None:
             objects[name] = found

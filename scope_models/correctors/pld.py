@@ -17,7 +17,7 @@ from scope_models.correctors._lightkurve import (
 from scope_models.correctors._model import PLDOptions, Settings, fit_pixels
 from scope_models.correctors._neighbors import (
     light_of_neighbors,
-    read_neighbors,
+    given_neighbors,
     without_neighbors,
 )
 from scope_models.correctors._pixels import (
@@ -66,12 +66,12 @@ class PLDCorrector(LightkurveNames, Corrector):
         Pixels ``(ny, nx)`` that are summed, boolean, or weights ``(n_cadences, ny, nx)`` of a
         moving aperture. By default the pixels whose sum is expected to be most precise, of those
         that the star lights up at some time.
-    neighbors : array_like, `~astropy.table.Table` or `~astropy.coordinates.SkyCoord`, optional
+    neighbors : array_like, Table, `~astropy.coordinates.SkyCoord` or "find", optional
         Other stars, whose light is fitted together with the target's and taken off: columns and
         rows in the stamp ``(m, 2)`` in pixels, a table with columns ``x`` and ``y`` or ``ra`` and
         ``dec``, or places on the sky, which are taken relative to the target's coordinates in the
-        file. By default they are found in the images where pixel fractions can be predicted;
-        ``[]``: none.
+        file. By default those are found that have a peak of their own in the images; "find" takes
+        those in the target's wings, too, which may be bumps of the PRF; ``[]``: none.
 
     Attributes
     ----------
@@ -121,7 +121,7 @@ class PLDCorrector(LightkurveNames, Corrector):
             self._pixels = pixels = aperture_pixels(self._series, mask)
         self._neighbors = None
         if neighbors is not None:
-            self._neighbors = read_neighbors(neighbors, self._series, pixels)
+            self._neighbors = given_neighbors(neighbors, self._series, pixels)
         self.original_lc = lc = self.tpf.to_lightcurve(aperture_mask=pixels.aperture.copy())
         unit = lc.flux.unit
         lc.flux = np.where(pixels.usable, pixels.total, np.nan) * unit
@@ -266,7 +266,7 @@ class PLDCorrector(LightkurveNames, Corrector):
         if given is None and settings.fractions == "measured":
             return pixels, series
         if not can_predict(pixels, settings.full_flux(series), pixels.usable & pixels.lit & mask):
-            if given is not None and len(given.places):
+            if given is not None:
                 message = "pixels are full, or too few: the light of `neighbors` stays in the flux"
                 warnings.warn(message, DetrendingWarning, stacklevel=3)
             return pixels, series

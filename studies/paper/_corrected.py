@@ -1,4 +1,4 @@
-"""Noise of a constant star in two apertures and after two corrections, beside its floor."""
+"""Noise of a constant star in two apertures and after a correction, beside its floor."""
 
 import numpy as np
 from _correctors import quiet
@@ -9,15 +9,14 @@ from scope_models.photometry import cdpp
 
 __all__ = ["METHODS", "SURVIVALS", "UNITS", "amplitude", "corrected_noise", "curves"]
 
-#: What is compared: the file's aperture, one that is a pixel wider, and the two correctors.
+#: What is compared: the file's aperture, one that is a pixel wider, and the corrector.
 METHODS = {
     "aperture": "Aperture",
     "wide": "Aperture + 1 pixel",
     "pld": "PLDCorrector",
-    "scene": "SceneCorrector",
 }
 #: Columns of the part of transits that is left.
-SURVIVALS = ("pld_survival", "scene_survival")
+SURVIVALS = ("pld_survival",)
 _NOISE = ("floor", "floor_wide", *METHODS)
 #: Units of the columns of noise.
 UNITS = dict.fromkeys((*_NOISE, *(f"{name}_full" for name in _NOISE)), "ppm")
@@ -26,17 +25,17 @@ _DEPTH, _DURATION, _PERIOD = 0.01, 0.25, 3.1
 
 
 def corrected_noise(observation, hours):
-    """Return the noise of a star before and after corrections; no star of the scene varies.
+    """Return the noise of a star before and after a correction; no star of the scene varies.
 
     For each of `METHODS` the CDPP in lightkurve's convention, and, followed by "_full", the
     standard deviation of means of `hours` without any filter, both in ppm of the target's flux, NaN
-    where a corrector refuses the data; the same of the noise of the light alone in both apertures,
-    "floor" and "floor_wide"; "pld_survival" and "scene_survival", the part of the depth of transits
-    of 1 % that is left if they are not masked, by which the noise of correctors is divided.
+    where the corrector refuses the data; the same of the noise of the light alone in both
+    apertures, "floor" and "floor_wide"; "pld_survival", the part of the depth of transits of 1 %
+    that is left if they are not masked, by which the noise of the corrector is divided.
     "pixels" and "share" are the number of pixels of the file's aperture and the target's share in
     its starlight; "kept" is the part of the cadences with a finite flux of PLD.
     """
-    from scope_models import PLDCorrector, SceneCorrector  # they import lightkurve
+    from scope_models import PLDCorrector  # imports lightkurve
 
     scene, days = observation.scene, observation.detector.cadence_days
     planet = TransitModel.from_depth_duration(
@@ -75,21 +74,19 @@ def corrected_noise(observation, hours):
         row.setdefault("share", float(share))
         row[floor], row[f"{floor}_full"] = noise((total - still) / flux)
         row[name], row[f"{name}_full"] = noise((total - np.median(total)) / flux)
-    for name, make in (("pld", PLDCorrector), ("scene", SceneCorrector)):
-        row[name] = row[f"{name}_full"] = row[f"{name}_survival"] = np.nan
-        with quiet():
-            try:
-                correctors = [make(tpf) for tpf in files]
-                plain, dimmed = (each.correct().flux.value for each in correctors)
-            except ValueError:
-                continue
-        level = np.nanmedian(plain)
-        flux = target_flux(correctors[0].aperture_mask)[0] if name == "pld" else level
-        survival = amplitude((dimmed - plain) / flux, planet(observation.time[used]) - 1)
-        row[f"{name}_survival"] = survival
-        row[name], row[f"{name}_full"] = noise((plain - level) / flux / survival)
-        if name == "pld":
-            row["kept"] = float(np.isfinite(plain).sum() / len(observation.cadenceno))
+    row["pld"] = row["pld_full"] = row["pld_survival"] = np.nan
+    with quiet():
+        try:
+            correctors = [PLDCorrector(tpf) for tpf in files]
+            plain, dimmed = (each.correct().flux.value for each in correctors)
+        except ValueError:
+            return row
+    level = np.nanmedian(plain)
+    flux = level if correctors[0].result.neighbors else target_flux(correctors[0].aperture_mask)[0]
+    survival = amplitude((dimmed - plain) / flux, planet(observation.time[used]) - 1)
+    row["pld_survival"] = survival
+    row["pld"], row["pld_full"] = noise((plain - level) / flux / survival)
+    row["kept"] = float(np.isfinite(plain).sum() / len(observation.cadenceno))
     return row
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.special import erf
 
-from scope_models.correctors._clean import _Smoother, clean_pixels, precise_aperture
+from scope_models.correctors._clean import Smoother, clean_pixels, precise_aperture
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 
@@ -163,7 +163,7 @@ def test_smoothing_takes_the_width_that_the_data_ask_for(scale):
     signal = np.sin(2 * np.pi * TIME / scale)
     noise = 0.3 * rng.normal(size=len(TIME))
     all_cadences = np.ones(len(TIME), dtype=bool)
-    smooth = _Smoother(TIME, all_cadences)(signal + noise, np.full(len(TIME), 0.3))
+    smooth = Smoother(TIME, all_cadences)(signal + noise, np.full(len(TIME), 0.3))
     assert (smooth - signal).std() < (0.8 if scale < 1 else 0.35) * noise.std()
 
 
@@ -190,7 +190,7 @@ def test_local_lines_are_weighted_least_squares(width):
     use = rng.random(200) < 0.8
     time = np.cumsum(rng.choice([1.0, 2.0], 200))
     values, weight = 0.1 * time + rng.normal(size=200), np.where(use, 1.0, 1e-6)
-    smooth, *_ = _Smoother(time, use).lines(values, weight, width)
+    smooth, *_ = Smoother(time, use).lines(values, weight, width)
     for k in (0, 57, 199):
         kernel = np.exp(-0.5 * ((time - time[k]) / width) ** 2)
         kernel[np.abs(time - time[k]) > 3.5 * width + 1] = 0

@@ -1,19 +1,10 @@
-"""Tests of the comparison of correctors and of the rule that chooses one."""
-
-from types import SimpleNamespace
+"""Tests of the comparison of correctors."""
 
 import numpy as np
 import pytest
 from astropy import units as u
 
-from scope_models.benchmark import make_sky, score
-from scope_models.correctors import (
-    PLDCorrector,
-    SceneCorrector,
-    choose_corrector,
-    compare,
-    compare_correctors,
-)
+from scope_models.correctors import PLDCorrector, compare_correctors
 from scope_models.exceptions import DetrendingWarning
 from scope_models.photometry import cdpp
 
@@ -45,12 +36,10 @@ def test_apertures_and_cadences_are_the_same(compared):
     assert len({len(lc) for lc in compared.light_curves.values()}) == 1
 
 
-def test_text_has_all_columns_and_the_reason(compared):
-    assert repr(compared) == f"<ComparisonResult of raw, pld, lightkurve: best {compared.best}>"
+def test_text_has_all_columns(compared):
+    assert repr(compared) == "<ComparisonResult of raw, pld, lightkurve>"
     text = str(compared)
     assert all(name in text for name in compared.table.colnames)
-    assert "best: pld, because the other one was not compared" in text
-    assert compared.corrector is compared.correctors["pld"]
 
 
 def test_picture(compared):
@@ -61,28 +50,12 @@ def test_picture(compared):
 
 @pytest.mark.parametrize(
     ("correctors", "match"),
-    [(("pld", "sff"), "must be of raw, pld, scene, lightkurve"), ((), "each corrector once"),
+    [(("pld", "sff"), "must be of raw, pld, measured, lightkurve"), ((), "each corrector once"),
      (("pld", "pld"), "each corrector once")],
 )  # fmt: skip
 def test_bad_names(star, correctors, match):
     with pytest.raises(ValueError, match=match):
         compare_correctors(star.tpf, correctors)
-
-
-@pytest.mark.parametrize(
-    ("scene", "share", "best"),
-    [(94.0, 1.0, "scene"), (96.0, 1.0, "pld"), (None, 0.5, "pld"), (96.0, 0.97, "scene"),
-     (109.0, 0.97, "scene"), (111.0, 0.97, "pld")],
-)  # fmt: skip
-def test_rule(scene, share, best):
-    objects = {
-        "pld": SimpleNamespace(aperture_mask=None),
-        "scene": SimpleNamespace(crowding=lambda _: share),
-    }
-    held_out = {"pld": {"held_out": 100.0}, "scene": {"held_out": scene}}
-    chosen, reason = compare._choice(objects, held_out)
-    assert chosen == best
-    assert reason
 
 
 @pytest.mark.filterwarnings("ignore::scope_models.exceptions.DetrendingWarning")
@@ -92,20 +65,18 @@ def test_windows_are_the_same_for_all(fake_star, monkeypatch):
     flux = tpf.hdu[1].data["FLUX"].copy()
     flux[50:56] *= 1.05
     tpf.hdu[1].data["FLUX"][:] = flux
-    asked = {}
-    for corrector in (PLDCorrector, SceneCorrector):
+    asked, original = [], PLDCorrector.held_out
 
-        def held_out(self, *arguments, original=corrector.held_out):
-            asked[type(self).__name__] = original(self, *arguments)
-            return asked[type(self).__name__]
+    def held_out(self, *arguments):
+        asked.append(original(self, *arguments))
+        return asked[-1]
 
-        monkeypatch.setattr(corrector, "held_out", held_out)
-    compared = compare_correctors(tpf, ("pld", "scene"))
+    monkeypatch.setattr(PLDCorrector, "held_out", held_out)
+    compared = compare_correctors(tpf, ("pld", "measured"))
     assert any(found.outlier_mask[50:56].any() for found in compared.correctors.values())
-    pld, scene = asked["PLDCorrector"], asked["SceneCorrector"]
-    np.testing.assert_array_equal(pld[2][: len(scene[2])], scene[2])
-    assert np.isin(np.arange(50, 56), pld[2]).all()
-    for residual, error, _ in (pld, scene):  # the window of 52 to 64
+    np.testing.assert_array_equal(asked[0][2], asked[1][2])
+    assert np.isin(np.arange(50, 56), asked[0][2]).all()
+    for residual, error, _ in asked:  # the window of 52 to 64
         assert residual[4] == pytest.approx(np.log(1.05) * 4 / 13, rel=0.1)
         assert error[4] < 0.005
 
@@ -114,22 +85,7 @@ def test_failing_corrector_is_left_out(star, monkeypatch):
     def fail(*_, **__):
         raise ValueError("no light")
 
-    monkeypatch.setattr(SceneCorrector, "correct", fail)
-    with pytest.warns(DetrendingWarning, match="scene: fails: no light"):
-        found = compare_correctors(star.tpf, ("raw", "scene"))
+    monkeypatch.setattr(PLDCorrector, "correct", fail)
+    with pytest.warns(DetrendingWarning, match="pld: fails: no light"):
+        found = compare_correctors(star.tpf, ("raw", "pld"))
     assert list(found.table["corrector"]) == ["raw"]
-    assert found.best is None
-
-
-@pytest.mark.slow
-@pytest.mark.filterwarnings("ignore::scope_models.exceptions.DetrendingWarning")
-@pytest.mark.parametrize(
-    "regime", ["k2-1x-eclipsing-neighbor", "k2-1x-constant", "k2-1x-kp10-saturated"]
-)
-def test_choice_on_messy_stars(regime):
-    sky = make_sky(regime, 0)
-    tpf = sky.to_tpf()
-    corrector = choose_corrector(tpf)
-    assert type(corrector).__name__ == "PLDCorrector"
-    raw = tpf.to_lightcurve(aperture_mask="pipeline")
-    assert score(corrector.corrected_lc, sky).full < min(0.3 * score(raw, sky).full, 5)

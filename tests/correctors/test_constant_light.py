@@ -6,7 +6,7 @@ import pytest
 from scope_models import Detector, Motion, Star, simulate
 from scope_models.benchmark import make_sky, score
 from scope_models.correctors import PLDCorrector
-from scope_models.correctors._constant_light import constant_light, varying_light
+from scope_models.correctors._constant_light import constant_light
 
 from .test_clean import GRID, TIME, image, motion
 
@@ -39,25 +39,6 @@ def test_constant_light_changes_with_position(shift):
     true = (neighbor[:, inside].sum(axis=1, keepdims=True) / total)[:, 0]
     assert true.std() > 0.01
     assert np.abs(found - true).max() < 2e-3
-
-
-@pytest.mark.parametrize("amplitude", [0.0, 0.02])
-def test_light_of_a_variable_neighbor(amplitude):
-    x, y, _ = motion()
-    inside = GRID[:, 0] < 7
-    wave = amplitude * np.sin(2 * np.pi * TIME / 1.1)
-    star, neighbor = image(x, y), 0.2 * image(x + NEIGHBOR, y)
-    both = (star + neighbor) / (star + neighbor)[:, inside].sum(axis=1, keepdims=True)
-    noise = np.full(len(GRID), 1e-5**2)
-    pixels = star + neighbor * (1 + wave)[:, None]
-    pixels += 1e-5 * np.random.default_rng(3).normal(size=pixels.shape)
-    rest = pixels - pixels[:, inside].sum(axis=1, keepdims=True) * both
-    found = varying_light(rest, both, slopes(x, y), noise, ~inside, GRID, inside, USE)
-    true = wave * neighbor[:, inside].sum(axis=1)
-    if not amplitude:
-        assert not found.any()
-    else:
-        assert np.polyfit(true, found, 1)[0] == pytest.approx(1, abs=0.1)
 
 
 @pytest.mark.slow

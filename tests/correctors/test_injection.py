@@ -145,7 +145,7 @@ def test_depths_of_messy_stars(how, magnitude, depth, neighbors):
 def test_errors_hold_other_light_in_the_aperture():
     """The neighbor dilutes transits, and the errors in transit are as large."""
     sky = make_sky(replace(REGIMES["k2-1x-transits-neighbor"], depth=0.05), 6102, n_cadences=400)
-    corrector = PLDCorrector(sky.to_tpf(), "all")
+    corrector = PLDCorrector(sky.to_tpf(), "all", neighbors=[])
     lc = corrector.correct()
     rows = np.searchsorted(sky.cadenceno, lc["cadenceno"])
     others, mine = (light[rows].sum() for light in (sky.neighbor_light, sky.star_light))
@@ -186,7 +186,7 @@ def test_warnings_of_made_variability(fake_star, made, match):
 def test_a_warning_of_a_neighbor_in_the_wings():
     sky = make_sky("k2-1x-transits-neighbor", 6111, n_cadences=400)
     near = np.hypot(*(np.indices((9, 9)) - 4)) < 3.2
-    corrector = PLDCorrector(sky.to_tpf(), near)
+    corrector = PLDCorrector(sky.to_tpf(), near, neighbors=[])
     with pytest.warns(DetrendingWarning, match="of the light in the aperture is of"):
         corrector.correct()
 

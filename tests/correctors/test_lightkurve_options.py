@@ -7,7 +7,7 @@ from lightkurve.correctors import DesignMatrix
 from lightkurve.correctors.cbvcorrector import KeplerCotrendingBasisVectors
 
 from scope_models.benchmark import make_sky
-from scope_models.correctors import PLDCorrector, PLDOptions, SceneCorrector
+from scope_models.correctors import PLDCorrector, PLDOptions
 from scope_models.exceptions import DetrendingWarning
 from scope_models.photometry import cdpp
 
@@ -171,9 +171,8 @@ def test_one_neighbor_without_a_list(star):
     np.testing.assert_array_equal(corrector.correct(order=1, regressors=[star.tpf]).flux, flux)
 
 
-@pytest.mark.parametrize("kind", [PLDCorrector, SceneCorrector])
-def test_the_aperture_cannot_be_edited(star, kind):
-    corrector = kind(star.tpf, "threshold")
+def test_the_aperture_cannot_be_edited(star):
+    corrector = PLDCorrector(star.tpf, "threshold")
     np.testing.assert_array_equal(corrector.aperture_mask, star.tpf.create_threshold_mask())
     with pytest.raises(ValueError, match="read-only"):
         corrector.aperture_mask[:] = True

@@ -14,7 +14,6 @@ from scope_models.correctors import (
     PLDCorrector,
     PLDFit,
     PLDOptions,
-    SceneCorrector,
     compare_correctors,
 )
 from scope_models.correctors._model import PLDModel, Settings
@@ -781,7 +780,7 @@ def test_tess_star(shared_data):
     assert np.isfinite(lc.flux).all()
 
 
-@pytest.mark.parametrize("front", [PLDCorrector, SceneCorrector, compare_correctors])
+@pytest.mark.parametrize("front", [PLDCorrector, compare_correctors])
 def test_a_pixel_series_is_no_target_pixel_file(star, front):
     with pytest.raises(TypeError, match=r"`tpf` must be .* got a PixelSeries: .* `read_tpf`"):
         front(read_pixels(star.tpf))

@@ -8,8 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from scope_models import Detector, Motion, Star, simulate
-from scope_models.correctors import PLDCorrector, SceneCorrector
+from scope_models.correctors import PLDCorrector
 from scope_models.correctors import _pixels as pixels_module
 from scope_models.correctors import _result as result_module
 from scope_models.correctors._model import PLDModel
@@ -130,7 +129,7 @@ def test_a_neighbor_that_dilutes_is_reported(fake_star, ratio, width):
     signal = dips(400)
     facts = {"shape": (9, 11), "width": width, "motion": 1.0 if width == 1 else 10.0}
     alone, pair = (fake_star(400, seed=5, signal=signal, neighbor=k, **facts) for k in (0, ratio))
-    corrector = PLDCorrector(pair.tpf)
+    corrector = PLDCorrector(pair.tpf, neighbors=[])
     if ratio:
         with pytest.warns(DetrendingWarning, match=r"\d+ % of the light .* is of other stars"):
             lc = corrector.correct(transit_mask=signal < 1)
@@ -275,10 +274,7 @@ def test_a_ghost_in_masked_cadences_changes_nothing_else(fake_star):
     again = PLDCorrector(star.tpf, before.aperture_mask)
     found = again.correct(cadence_mask=mask).flux.value[mask]
     assert np.std(found / np.median(found) - plain / np.median(plain)) < 2e-5
-    scene = SceneCorrector(star.tpf)
-    scene.correct(cadence_mask=mask)
-    assert scene.result.chi_squared < 10
-    assert scene.fallback is None
+    assert again.result.neighbors is None
 
 
 def test_survival_of_a_brightening_with_a_depth(star):
@@ -289,20 +285,6 @@ def test_survival_of_a_brightening_with_a_depth(star):
         ValueError, match="`transit_model` must dim the star where `depth` is given"
     ):
         corrector.result.survival(flare, depth=0.01)
-
-
-@pytest.mark.filterwarnings("ignore::scope_models.exceptions.DetrendingWarning")
-def test_a_second_mask_fits_the_scene_again(fake_star):
-    star, mask = fake_star(120, seed=4), np.ones(120, dtype=bool)
-    mask[50:80] = False
-    corrector = SceneCorrector(star.tpf)
-    corrector.correct()
-    first = corrector.scene
-    corrector.correct(cadence_mask=mask)
-    assert corrector.scene is not first
-    alone = SceneCorrector(star.tpf)
-    alone.correct(cadence_mask=mask)
-    np.testing.assert_array_equal(corrector.corrected_lc.flux.value, alone.corrected_lc.flux.value)
 
 
 @pytest.mark.parametrize("fractions", ["predicted", "measured"])
@@ -319,14 +301,3 @@ def test_transits_are_put_into_the_light_that_was_chosen(fake_star, monkeypatch,
     monkeypatch.setattr(PLDModel, "from_pixels", classmethod(from_pixels))
     assert 0.5 < fit.survival() < 1.5
     assert made == [(fractions, "weighted" if fit.weighted else "sum")]
-
-
-@pytest.mark.filterwarnings("ignore::scope_models.exceptions.LostLightWarning")
-def test_a_strip_has_systematics_with_a_warning():
-    """The light that the roll moves off a single row is no part of the scene's positions."""
-    detector = Detector.k2(shape=(1, 9))
-    observation = simulate(Star(12.0, 4.2, 0.0), detector, Motion.k2_roll(200), seed=2)
-    corrector = SceneCorrector(observation.to_tpf())
-    with pytest.warns(DetrendingWarning, match=r"shape \(\d, \d\) show no motion across the strip"):
-        lc = corrector.correct()
-    assert np.nanstd(lc.flux.value) > 3 * np.nanmedian(lc.flux_err.value)

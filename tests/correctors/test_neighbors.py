@@ -1,0 +1,247 @@
+"""Tests of neighbors whose light the corrector takes off, on stars of known truth."""
+
+import tracemalloc
+import warnings
+
+import numpy as np
+import pytest
+from astropy.coordinates import SkyCoord
+from astropy.table import Table
+
+from scope_models import Detector, Motion, Star, simulate
+from scope_models.benchmark import make_sky, score
+from scope_models.correctors import PLDCorrector
+from scope_models.exceptions import DetrendingWarning, LostLightWarning
+from scope_models.io import read_pixels
+from scope_models.io.pixels import target_place
+from scope_models.models import PRF
+
+
+def corrected(sky, *arguments, **options):
+    """Return a corrector after its default call."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DetrendingWarning)
+        corrector = PLDCorrector(sky.to_tpf(), *arguments, **options)
+        corrector.correct()
+    return corrector
+
+
+@pytest.fixture(scope="module")
+def neighbor():
+    """Return an RR Lyrae star with a neighbor 1 mag fainter, and its correction."""
+    sky = make_sky("k2-1x-rr-lyrae-neighbor", 11, n_cadences=300)
+    return sky, corrected(sky)
+
+
+@pytest.fixture(scope="module")
+def constant():
+    """Return a constant star, and its correction."""
+    sky = make_sky("k2-1x-constant", 12, n_cadences=300)
+    return sky, corrected(sky)
+
+
+def test_neighbor_is_found_where_it_is(neighbor):
+    sky, corrector = neighbor
+    found = corrector.result.neighbors
+    light = np.nanmean(sky.neighbor_light, axis=0)
+    v, u = np.mgrid[: light.shape[0], : light.shape[1]]
+    assert len(found) == 1
+    assert found["x"][0].value == pytest.approx((light * u).sum() / light.sum(), abs=0.3)
+    assert found["y"][0].value == pytest.approx((light * v).sum() / light.sum(), abs=0.3)
+    assert found["flux"][0].value == pytest.approx(light.sum(), rel=0.1)
+
+
+def test_positions_are_those_of_the_target(neighbor):
+    sky, corrector = neighbor
+    keep = np.isin(sky.cadenceno, np.asarray(corrector.tpf.cadenceno))
+    change = corrector.result.positions - np.stack([sky.x, sky.y], axis=1)[keep]
+    assert np.nanstd(change, axis=0).max() < 0.02
+
+
+def test_light_that_is_taken_off(neighbor):
+    sky, corrector = neighbor
+    own, other = (
+        np.nanmedian(light[:, corrector.aperture_mask].sum(axis=1))
+        for light in (sky.star_light, sky.neighbor_light)
+    )
+    assert corrector.result.crowding == pytest.approx(own / (own + other), abs=0.02)
+    assert corrector.result.contamination == pytest.approx(other / (own + other), abs=0.02)
+
+
+def test_variable_star_is_kept(neighbor):
+    sky, corrector = neighbor
+    found = score(corrector.corrected_lc, sky)
+    assert found.amplitude == pytest.approx(1, abs=0.01)
+    assert found.full < 0.2 * score(corrector.original_lc, sky).full
+
+
+@pytest.mark.parametrize(
+    ("regime", "neighbors"),
+    [("k2-1x-neighbor-variable", None), ("rest-eclipses-30pct-neighbor", "find")],
+)
+def test_neighbors_that_vary_and_stars_at_rest(regime, neighbors):
+    sky = make_sky(regime, 21, n_cadences=500)
+    found = score(corrected(sky, neighbors=neighbors).corrected_lc, sky)
+    assert found.full < 4
+    if sky.regime.star == "eclipsing":
+        assert found.amplitude == pytest.approx(1, abs=0.02)
+
+
+@pytest.mark.parametrize("neighbors", [None, "find"])
+def test_bumps_of_a_real_prf(shared_data, neighbors):
+    """They are part of the star, but look like other stars if these need no peak."""
+    folder = shared_data / "tess_prf"
+    detector = Detector.tess(shape=(11, 11), psf=PRF.from_tess(folder, 2, 3, 557, 513))
+    tpf = simulate(Star(10, 5.2, 4.9), detector, Motion.tess(300, seed=3), seed=3).to_tpf()
+    corrector = PLDCorrector(tpf, neighbors=neighbors)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DetrendingWarning)
+        corrector.correct()
+    assert (corrector.result.neighbors is None) == (neighbors is None)
+
+
+def test_a_star_alone_is_corrected_as_without_a_search(constant):
+    sky, corrector = constant
+    assert corrector.result.neighbors is None
+    alone = corrected(sky, neighbors=[])
+    np.testing.assert_array_equal(alone.corrected_lc.flux.value, corrector.corrected_lc.flux.value)
+
+
+def test_transits_are_not_diluted():
+    """The difference of two files with the same noise is the transit, of the star's own flux."""
+    sky = make_sky("k2-1x-neighbor-close", 13, n_cadences=500)
+    dimming = np.where(np.abs(np.arange(500) % 150 - 70) < 6, 0.02, 0.0)
+    tpf = sky.to_tpf()
+    rows = np.isin(np.asarray(tpf.hdu[1].data["CADENCENO"]), sky.cadenceno)
+    light = np.zeros(tpf.hdu[1].data["FLUX"].shape)
+    light[rows] = np.nan_to_num(sky.star_light) * dimming[:, None, None]
+    curves = [corrected(sky).corrected_lc]
+    tpf.hdu[1].data["FLUX"][:] -= light.astype(np.float32)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DetrendingWarning)
+        corrector = PLDCorrector(tpf)
+        curves.append(corrector.correct())
+    keep = np.isin(sky.cadenceno, np.asarray(corrector.tpf.cadenceno))
+    change = curves[0].flux.value - curves[1].flux.value
+    own = np.nanmedian(sky.star_light[:, corrector.aperture_mask].sum(axis=1))
+    inside = dimming[keep] > 0
+    assert np.nanmedian(change[inside]) / own == pytest.approx(0.02, rel=0.04)
+
+
+def test_a_ghost_in_masked_cadences_is_no_neighbor(constant):
+    sky, corrector = constant
+    tpf = sky.to_tpf()
+    mask = np.ones(len(tpf.time), dtype=bool)
+    mask[150:220] = False
+    rows, columns = np.indices(tpf.shape[1:])
+    y, x = (np.median(v) for v in (sky.y, sky.x))
+    ghost = 3e4 * np.exp(-((rows - y - 2) ** 2) - (columns - x + 3) ** 2)
+    tpf.hdu[1].data["FLUX"][np.flatnonzero(tpf.quality_mask)[~mask]] += ghost.astype(np.float32)
+    again = PLDCorrector(tpf, corrector.aperture_mask)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DetrendingWarning)
+        again.correct(cadence_mask=mask)
+    assert again.result.neighbors is None
+
+
+def test_given_neighbors_are_where_they_are_given(neighbor):
+    sky, corrector = neighbor
+    found = corrector.result.neighbors
+    x, y = found["x"][0].value, found["y"][0].value
+    truth = np.nanmean(sky.neighbor_light, axis=0).sum()
+    place = pytest.approx(np.array([x, y]), abs=0.15)
+    for given in ([[x, y]], Table([[x], [y]], names=("x", "y"))):
+        again = corrected(sky, neighbors=given).result.neighbors
+        assert again["flux"][0].value == pytest.approx(truth, rel=0.1)
+        assert np.array([again["x"][0].value, again["y"][0].value]) == place
+
+
+def test_neighbors_on_the_sky(neighbor):
+    """lightkurve's own reading of the file's coordinates is the truth."""
+    sky, corrector = neighbor
+    tpf = sky.to_tpf()
+    place = tpf.wcs.world_to_pixel(SkyCoord(tpf.ra, tpf.dec, unit="deg"))
+    found = corrector.result.neighbors
+    target = np.nanmedian(corrector.result.positions, axis=0)
+    offset = [found[k][0].value - t for k, t in zip("xy", target, strict=True)]
+    other = tpf.wcs.pixel_to_world(place[0] + offset[0], place[1] + offset[1])
+    table = Table({"ra": [other.ra.deg], "dec": [other.dec.deg]})
+    truth = np.nanmean(sky.neighbor_light, axis=0).sum()
+    for given in (other, SkyCoord([other]).galactic, table):
+        again = corrected(sky, neighbors=given).result.neighbors
+        assert again["flux"][0].value == pytest.approx(truth, rel=0.1)
+    with pytest.raises(ValueError, match="must not hold the target itself"):
+        PLDCorrector(tpf, neighbors=SkyCoord(tpf.ra, tpf.dec, unit="deg"))
+
+
+def test_neighbors_that_cannot_matter_warn(constant):
+    with pytest.warns(DetrendingWarning, match="1 of `neighbors` are far outside"):
+        PLDCorrector(constant[0].to_tpf(), neighbors=[[3.0, 1.0], [40.0, 2.0]])
+
+
+def test_coordinates_of_a_real_file(shared_data):
+    name = "kepler_tpf/kplr009002278-2010174085026_lpd-targ.fits.gz"
+    series = read_pixels(shared_data / name)
+    image = np.nanmedian(series.flux, axis=0)
+    rows, columns = np.indices(image.shape)
+    center = [np.sum(image * k) / image.sum() for k in (columns, rows)]
+    np.testing.assert_allclose(target_place(series), center, atol=0.5)
+
+
+def test_neighbors_of_full_pixels_stay_with_a_warning():
+    sky = make_sky("k2-1x-kp10-saturated", 1, n_cadences=100)
+    corrector = PLDCorrector(sky.to_tpf(), neighbors=[[2.0, 2.0]])
+    with (
+        warnings.catch_warnings(),
+        pytest.warns(DetrendingWarning, match="the light of `neighbors` stays in the flux"),
+    ):
+        corrector.correct()
+    assert corrector.result.neighbors is None
+
+
+@pytest.mark.parametrize(
+    ("neighbors", "match"),
+    [
+        ([[1.0, 2.0, 3.0]], r"`neighbors` must be finite positions of shape \(k, 2\)"),
+        ([[np.nan, 2.0]], "`neighbors` must be finite"),
+        ("all", "`neighbors` must be one of find, got 'all'"),
+        (Table({"a": [1.0]}), "`neighbors` must have the columns x and y"),
+    ],
+)
+def test_bad_neighbors(constant, neighbors, match):
+    with pytest.raises(ValueError, match=match):
+        PLDCorrector(constant[0].to_tpf(), neighbors=neighbors)
+
+
+@pytest.mark.filterwarnings("ignore::scope_models.exceptions.DetrendingWarning")
+@pytest.mark.parametrize(
+    ("shape", "x", "y"), [((1, 9), 12, 0), ((3, 3), 1, 5), ((9, 9), 12, 4), ((5, 5), -3, 2)]
+)
+def test_stars_off_the_stamp(shape, x, y):
+    """Refused, or with a warning."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", LostLightWarning)
+        observation = simulate(
+            Star(12, x, y), Detector.k2(shape=shape), Motion.k2_roll(250, seed=1), seed=1
+        )
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        try:
+            PLDCorrector(observation.to_tpf()).correct()
+        except ValueError as error:
+            assert "no pixel of `tpf` is above its noise" in str(error)  # noqa: PT017
+            return
+    assert any("without a positive flux are left out" in str(w.message) for w in caught)
+
+
+@pytest.mark.filterwarnings("ignore::scope_models.exceptions.DetrendingWarning")
+def test_memory_of_fast_cadences_with_a_gap_of_300_days(fake_star):
+    tpf = fake_star(90, 12, 1).tpf
+    time = 2144.0 + np.arange(90) / 1440
+    time[45:] += 300
+    tpf.hdu[1].data["TIME"][:] = time
+    tracemalloc.start()
+    PLDCorrector(tpf).correct()
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 5e8
