@@ -115,7 +115,7 @@ def drawn(function, *arguments, **options):
 
 
 VALUE = object()
-GENERATORS = ("kepler", "tess", "k2_final_campaign", "ground")
+GENERATORS = ("kepler", "tess", "k2_final_campaign", "ground", "random_walk", "failing_wheels")
 FIT = {"data": IMAGE, "model": IMAGE, "residual": IMAGE, "x": TIME, "y": TIME, "flux": TIME}
 PLACES = [(1, 1), (1, 101), (101, 1), (101, 101)]
 GRID = PRFGrid(PLACES, [TabulatedPRF(np.eye(7) + column) for column, _ in PLACES])
@@ -372,6 +372,10 @@ ROWS = {
     ),
     "moffat_psf.fwhm": (lambda v: moffat_psf(v)(1.0, 2.0), 2.5, u.pix),
     "Motion.ground.cadence": (lambda v: Motion.ground(3, cadence=v).time, 30.0, u.s),
+    "Motion.random_walk.cadence": (lambda v: Motion.random_walk(3, cadence=v).time, 0.1, u.day),
+    "Motion.failing_wheels.cadence": (
+        lambda v: Motion.failing_wheels(3, cadence=v).time, 0.1, u.day
+    ),
     "Star.mag": (lambda v: Star(v).mag, 12.0, u.mag),
     "Star.x_0": (lambda v: Star(12, x_0=v).x_0, 3.0, u.pix),
     "Star.y_0": (lambda v: Star(12, y_0=v).y_0, 3.0, u.pix),

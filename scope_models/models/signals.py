@@ -300,6 +300,13 @@ class TransitModel(Fittable1DModel):
         return contacts[1] - contacts[0]
 
     @property
+    def stellar_density(self):
+        """Mean density of the star in g/cm3 that the period and `a` imply."""
+        p = self._in_units()
+        density = 3 * np.pi * p["a"] ** 3 / (constants.G * (p["period"] * u.day) ** 2)
+        return float(density.to_value(_DENSITY))
+
+    @property
     def input_units(self):
         """Unit of times: days; plain numbers are taken as days."""
         return {self.inputs[0]: u.day}

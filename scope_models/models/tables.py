@@ -158,7 +158,7 @@ class _Table(StarModel):
         if place.shape != (2,) or not np.isfinite(place).all():
             raise ValueError(f"`origin` must be (x, y) in samples, got {origin!r}")
         self._surface = _Surface(samples, tuple(steps.tolist()), tuple(place.tolist()))
-        error = None
+        self._error = None
         if uncertainty is not None:
             error = _checked_samples("uncertainty", uncertainty)
             if error.shape != samples.shape or (error < 0).any():
@@ -166,9 +166,7 @@ class _Table(StarModel):
                     f"`uncertainty` must not be negative and of shape {samples.shape}, got shape "
                     f"{error.shape}"
                 )
-            error.flags.writeable = False
-        #: Standard deviations of the samples (ndarray of shape (ny, nx)) or None.
-        self.uncertainty = error
+            self._error = _Surface(error, self._surface.oversampling, self._surface.origin)
         super().__init__(flux=flux, x_0=x_0, y_0=y_0, **kwargs)
 
     @property
@@ -185,6 +183,11 @@ class _Table(StarModel):
     def origin(self):
         """Sample, counted from 0, where the star is, along x and y (tuple of float)."""
         return self._surface.origin
+
+    @property
+    def uncertainty(self):
+        """Standard deviations of the samples (ndarray of shape (ny, nx)) or None."""
+        return None if self._error is None else self._error.samples
 
     @property
     def reach(self):
@@ -339,6 +342,34 @@ class TabulatedPRF(_Table):
     """
 
     pixel_integrated = True
+
+    def uncertainty_image(self, shape):
+        """
+        Return the uncertainty of the fluxes in an image that the table brings with it.
+
+        It is interpolated between the samples' standard deviations; errors of neighboring
+        samples and pixels are correlated.
+
+        Parameters
+        ----------
+        shape : tuple of int
+            Shape (ny, nx) of the image.
+
+        Returns
+        -------
+        uncertainty : `~numpy.ndarray`
+            For the flux and position of the model, without a unit.
+
+        Raises
+        ------
+        ValueError
+            If the table has no uncertainty.
+        """
+        if self._error is None:
+            raise ValueError("the table has no uncertainty")
+        y, x = np.indices(shape)
+        value = self._error.value(x - _number(self.x_0.value), y - _number(self.y_0.value))
+        return float(self.flux.value) * np.maximum(value, 0.0)
 
     @classmethod
     def from_photutils(cls, model):

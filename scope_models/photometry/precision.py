@@ -19,11 +19,9 @@ LONG_CADENCE = MISSIONS["Kepler"].cadence_days("long") * u.day
 #: Length of the Savitzky-Golay filter of each convention, in long cadences.
 _FILTER_CADENCES = {"lightkurve": 101, "everest": 49}
 _FILTER_ORDER = 2
-# Clipping of the trend of lightkurve's convention, and gap in cadences that splits it.
-_SIGMA, _ITERATIONS, _LONGEST_GAP = 3.0, 3, 5
 
 
-def cdpp(lc_or_flux, duration=6.5, method="lightkurve", *, cadence=None):
+def cdpp(lc_or_flux, duration=6.5, method="lightkurve", *, cadence=None, filter_window=None):
     r"""
     Estimate the noise on the time scale of a transit.
 
@@ -59,6 +57,9 @@ def cdpp(lc_or_flux, duration=6.5, method="lightkurve", *, cadence=None):
     cadence : float or `~astropy.units.Quantity`, optional
         Time between cadences in days. By default the median of the light
         curve's time steps; for arrays the Kepler long cadence, 0.0204336 d.
+    filter_window : int, optional
+        Length of the Savitzky-Golay filter in cadences, odd. By default the
+        time spanned by 101 ("lightkurve") or 49 ("everest") long cadences.
 
     Returns
     -------
@@ -92,8 +93,11 @@ def cdpp(lc_or_flux, duration=6.5, method="lightkurve", *, cadence=None):
     width = round(hours / 24 / days)
     if width < 1:
         raise ValueError(f"`duration` must be at least half a cadence, got {duration}")
-    length = _FILTER_CADENCES[method] * LONG_CADENCE.to_value(u.day) / days
-    filter_window = max(2 * int(length // 2) + 1, _FILTER_ORDER + 1)
+    if filter_window is None:
+        length = _FILTER_CADENCES[method] * LONG_CADENCE.to_value(u.day) / days
+        filter_window = max(2 * int(length // 2) + 1, _FILTER_ORDER + 1)
+    elif filter_window % 2 != 1 or filter_window <= _FILTER_ORDER:
+        raise ValueError(f"`filter_window` must be odd and at least 3, got {filter_window}")
     estimator = _lightkurve_cdpp if method == "lightkurve" else _everest_cdpp
     result = [_estimate(estimator, time, f, width, filter_window) for f in np.atleast_2d(flux)]
     return result[0] if flux.ndim == 1 else np.array(result)
@@ -143,21 +147,21 @@ def _lightkurve_cdpp(time, flux, width, filter_window):
     return np.std(total[width:] - total[:-width]) / width
 
 
-def _clipped_trend(time, flux, filter_window):
+def _clipped_trend(time, flux, filter_window, sigma=3.0, iterations=3, longest_gap=5):
     """Savitzky-Golay trend through the points that are not outliers from it."""
-    kept = np.flatnonzero(np.abs(flux - np.median(flux)) <= _SIGMA * np.std(flux))
+    kept = np.flatnonzero(np.abs(flux - np.median(flux)) <= sigma * np.std(flux))
     trend = np.full_like(flux, np.median(flux))
-    for _ in range(_ITERATIONS):
+    for _ in range(iterations):
         t, f = time[kept], flux[kept]
         steps = np.diff(t)
-        cuts = np.flatnonzero(steps > _LONGEST_GAP * np.median(steps)) + 1
+        cuts = np.flatnonzero(steps > longest_gap * np.median(steps)) + 1
         smooth = np.empty_like(f)
         for part in np.split(np.arange(len(t)), cuts):
-            if len(part) < max(filter_window, _LONGEST_GAP):
+            if len(part) < max(filter_window, longest_gap):
                 smooth[part] = np.median(f[part])
             else:
                 smooth[part] = savgol_filter(f[part], filter_window, _FILTER_ORDER)
-        near = np.abs(f - smooth) < _SIGMA * np.std(f - smooth) + 1e-14
+        near = np.abs(f - smooth) < sigma * np.std(f - smooth) + 1e-14
         line = interp1d(t[near], smooth[near], fill_value="extrapolate", assume_sorted=True)
         trend = line(time)
         kept = kept[near]

@@ -1,4 +1,4 @@
-"""Pointing of telescopes in space and on the ground.
+"""Pointing of telescopes in space and on the ground, and made-up ones for tests of correctors.
 
 Each class gives times, offsets and flagged cadences; `generate` makes series of them.
 """
@@ -18,8 +18,9 @@ from scope_models.effects._noise import check_seed, fresh_seed, stream
 from scope_models.missions import MISSIONS
 
 __all__ = [
-    "GroundTracking", "K2Campaign18", "K2FinalCampaign", "K2Roll", "KeplerPointing", "Pointing",
-    "TESSPointing", "cadence_means", "first_time", "generate",
+    "FailingWheels", "GroundTracking", "K2Campaign18", "K2FinalCampaign", "K2Roll",
+    "KeplerPointing", "Pointing", "RandomWalk", "TESSPointing", "cadence_means", "first_time",
+    "generate",
 ]  # fmt: skip
 
 _ARCSEC_PER_RADIAN = 180 * 3600 / np.pi
@@ -322,6 +323,74 @@ def _turbulence(generator, n):
     # Each frequency stands for two, but the highest of an even number.
     power = 2 * np.sum(weights**2) - (weights[-1] ** 2 if n % 2 == 0 else 0.0)
     return np.fft.irfft(spectrum * weights, n) * np.sqrt(n / max(power, _LOWEST))
+
+
+@dataclass(frozen=True)
+class RandomWalk(Pointing):
+    r"""A random walk of the star, :math:`\langle x^2 \rangle = D^2 t` per axis; made up.
+
+    Parameters
+    ----------
+    spread : float or Quantity
+        Standard deviation per axis after one day D, px.
+
+    Examples
+    --------
+    >>> from scope_models.scene.motion import RandomWalk
+    >>> RandomWalk(spread=0.2).spread
+    0.2
+    """
+
+    spread: float = number(0.1, u.pix)
+
+    def track(self, time, streams):
+        """Return where the star goes."""
+        steps = self.spread * np.sqrt(np.diff(time, prepend=time[0]))
+        walk = steps[:, np.newaxis] * streams("walk").standard_normal((len(time), 2))
+        x, y = np.cumsum(walk, axis=0).T
+        return x, y, {}
+
+
+@dataclass(frozen=True)
+class FailingWheels(Pointing):
+    """A pointing whose wheels lose their grip: a drift, a walk and jumps that grow; made up.
+
+    Parameters
+    ----------
+    drift : float or Quantity
+        Rate of the drift along a random direction, px/d.
+    spread : float or Quantity
+        Standard deviation of the walk per axis after one day, px.
+    jump : float or Quantity
+        Standard deviation of a jump per axis at the end of the first day, px; it grows with the
+        square root of time.
+    jump_interval : float or Quantity
+        Mean time between jumps, days. Their cadences are flagged as of coarse pointing.
+
+    Examples
+    --------
+    >>> from scope_models.scene.motion import FailingWheels
+    >>> FailingWheels(jump=1.0).jump
+    1.0
+    """
+
+    drift: float = number(0.02, u.pix / u.day)
+    spread: float = number(0.05, u.pix)
+    jump: float = number(0.1, u.pix)
+    jump_interval: float = number(2.0, u.day, positive=True)
+
+    def track(self, time, streams):
+        """Return where the star goes, and the cadences with a jump."""
+        x, y, _ = RandomWalk(spread=self.spread).track(time, streams)
+        direction = 2 * np.pi * streams("direction").random()
+        steps = np.diff(time, prepend=time[0])
+        jumps = streams("jumps").random(len(time)) < -np.expm1(-steps / self.jump_interval)
+        sizes = streams("sizes").standard_normal((len(time), 2))
+        sizes *= self.jump * np.sqrt(time)[:, np.newaxis]
+        jumped = np.cumsum(np.where(jumps[:, np.newaxis], sizes, 0.0), axis=0)
+        x = x + self.drift * np.cos(direction) * time + jumped[:, 0]
+        y = y + self.drift * np.sin(direction) * time + jumped[:, 1]
+        return x, y, {"coarse_point": jumps}
 
 
 # Length of a firing in hours: about 7 % of all extend over two long cadences.

@@ -27,25 +27,29 @@ from scope_models.scene._motion_arrays import (
     repair,
 )
 from scope_models.scene._pointing import (
+    FailingWheels,
     GroundTracking,
     K2Campaign18,
     K2FinalCampaign,
     K2Roll,
     KeplerPointing,
+    RandomWalk,
     TESSPointing,
     first_time,
     generate,
 )
 
 __all__ = [
-    "GroundTracking", "K2Campaign18", "K2FinalCampaign", "K2Roll",
-    "KeplerPointing", "Motion", "MotionStatistics", "TESSPointing",
+    "FailingWheels", "GroundTracking", "K2Campaign18", "K2FinalCampaign", "K2Roll",
+    "KeplerPointing", "Motion", "MotionStatistics", "RandomWalk", "TESSPointing",
 ]  # fmt: skip
 
 
 _KEPLER, _K2, _TESS = (MISSIONS[name] for name in ("Kepler", "K2", "TESS"))
 _COLUMNS = ("time", "x", "y", "quality", "cadenceno")
 _LAST = {18: K2Campaign18, 19: K2FinalCampaign}
+_CADENCE = """cadence : float or Quantity, optional
+    Time between cadences, {unit}."""
 # What all generators have in common, from the seed on.
 _REST = """seed : int or None, optional
     Seed of all random numbers; None takes a new one, which ``meta["seed"]`` holds.
@@ -564,7 +568,7 @@ class Motion(Value):
         )
 
     @classmethod
-    @documented(rest=_rest("GroundTracking", "BTJD"))
+    @documented(cadence=_CADENCE.format(unit="s"), rest=_rest("GroundTracking", "BTJD"))
     def ground(cls, n_cadences=1000, *, cadence=60.0, seed=1, start=_TESS.start, **parameters):
         """Generate the motion of a star on a ground-based telescope, night by night.
 
@@ -575,8 +579,7 @@ class Motion(Value):
         ----------
         n_cadences : int, optional
             Number of exposures.
-        cadence : float or Quantity, optional
-            Time between cadences, s.
+        {cadence}
         {rest}
 
         Examples
@@ -588,6 +591,52 @@ class Motion(Value):
         """
         days = checked_number("cadence", cadence, u.s, positive=True) / 86400
         return cls(**generate(GroundTracking(**parameters), n_cadences, days, start, seed, _TESS))
+
+    @classmethod
+    @documented(cadence=_CADENCE.format(unit="days"), rest=_rest("RandomWalk"))
+    def random_walk(
+        cls, n_cadences=1000, *, cadence=K2Roll.cadence, seed=1, start=_K2.start, **parameters
+    ):
+        """Generate a random walk, to test what corrects motions; it is no mission's motion.
+
+        Parameters
+        ----------
+        n_cadences : int, optional
+            Number of cadences. A longer series begins like a shorter one.
+        {cadence}
+        {rest}
+
+        Examples
+        --------
+        >>> from scope_models import Motion
+        >>> len(Motion.random_walk(100))
+        100
+        """
+        days = checked_number("cadence", cadence, u.day, positive=True)
+        return cls(**generate(RandomWalk(**parameters), n_cadences, days, start, seed, _K2))
+
+    @classmethod
+    @documented(cadence=_CADENCE.format(unit="days"), rest=_rest("FailingWheels"))
+    def failing_wheels(
+        cls, n_cadences=1000, *, cadence=K2Roll.cadence, seed=1, start=_K2.start, **parameters
+    ):
+        """Generate a drift with growing jumps, to test what corrects motions; it is no mission's.
+
+        Parameters
+        ----------
+        n_cadences : int, optional
+            Number of cadences. A longer series begins like a shorter one.
+        {cadence}
+        {rest}
+
+        Examples
+        --------
+        >>> from scope_models import Motion
+        >>> len(Motion.failing_wheels(100))
+        100
+        """
+        days = checked_number("cadence", cadence, u.day, positive=True)
+        return cls(**generate(FailingWheels(**parameters), n_cadences, days, start, seed, _K2))
 
     @classmethod
     def concatenate(cls, motions, *, shift=False):

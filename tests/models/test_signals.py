@@ -155,6 +155,7 @@ def test_density_and_axis():
     """Sun and Earth: 215.03 solar radii, 1.41 g/cm3."""
     earth = TransitModel.from_orbit(365.25636, density=1.40977 * u.g / u.cm**3)
     assert_allclose(earth.a.value, 149597870.7 / 695700, rtol=1e-4)
+    assert_allclose(earth.stellar_density, 1.40977, rtol=1e-12)
     same = TransitModel.from_orbit(365.25636, density=1409.77 * u.kg / u.m**3)
     assert_allclose(same.a.value, earth.a.value, rtol=1e-12)
 

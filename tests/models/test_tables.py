@@ -139,8 +139,9 @@ def test_to_and_from_photutils(table):
 
 def test_uncertainty(table):
     star = TabulatedPRF(table.array, 9, 100.0, 3, 3, uncertainty=table.uncertainty)
-    np.testing.assert_array_equal(star.uncertainty, table.uncertainty)
-    assert TabulatedPRF(table.array, 9).uncertainty is None
+    np.testing.assert_allclose(star.uncertainty_image((7, 7)), 0.1)
+    with pytest.raises(ValueError, match="no uncertainty"):
+        TabulatedPRF(table.array, 9).uncertainty_image((7, 7))
 
 
 def test_as_text_and_copies(table):

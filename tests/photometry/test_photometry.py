@@ -51,6 +51,12 @@ def test_cdpp_is_lightkurves_number(lk, n_window):
     )
 
 
+def test_cdpp_filter_window_is_lightkurves_savgol_window(lk):
+    time, flux = _awkward_series()
+    lc = lk.LightCurve(time=time, flux=flux)
+    assert_allclose(cdpp(lc, filter_window=51), lc.estimate_cdpp(savgol_window=51).value, rtol=1e-8)
+
+
 def test_cdpp_of_short_cadence_scales_the_windows(lk):
     """Two-minute cadences: 6.5 h are 195 cadences and 101 long cadences 1485 (odd)."""
     time = np.arange(5000) * 120 / 86400
@@ -138,6 +144,7 @@ def test_cdpp_of_noiseless_flux_is_zero():
         ({"duration": np.nan}, "`duration` must be finite, got nan"),
         ({"duration": 0.1}, "`duration` must be at least half a cadence"),
         ({"cadence": -1}, "`cadence` must be positive, got -1"),
+        ({"filter_window": 10}, "`filter_window` must be odd and at least 3, got 10"),
         ({"duration": 200}, "must have at least 816 finite cadences, got 500"),
     ],
 )

@@ -18,6 +18,8 @@ GENERATORS = {
     "tess": 400,
     "k2_final_campaign": 1291,
     "ground": 400,
+    "random_walk": 400,
+    "failing_wheels": 400,
 }
 
 
@@ -35,7 +37,7 @@ def test_seeds_decide(name):
         make(5, misspelled=1.0)
 
 
-@pytest.mark.parametrize("name", ["tess", "k2_final_campaign"])
+@pytest.mark.parametrize("name", ["tess", "k2_final_campaign", "random_walk", "failing_wheels"])
 def test_a_longer_series_begins_like_a_shorter_one(name):
     make = getattr(Motion, name)
     long, short = make(300, seed=2), make(100, seed=2)
@@ -183,6 +185,24 @@ def test_shaking_on_the_ground_has_its_spectrum():
     assert slope == pytest.approx(-5 / 3, abs=0.05)
     expected = (GroundTracking().image_motion / 0.5) ** 2
     assert np.mean(variances) == pytest.approx(expected, rel=0.2)
+
+
+def test_random_walk_spreads_with_the_root_of_time():
+    ends = [
+        Motion.random_walk(101, cadence=0.04, seed=seed, spread=0.1).x[-1] for seed in range(300)
+    ]
+    assert np.std(ends) == pytest.approx(0.2, rel=0.12)
+
+
+def test_failing_wheels_drift_and_jump():
+    motion = Motion.failing_wheels(2000, jump=0.5, drift=0.1, seed=5)
+    jumps = motion.quality & MISSIONS["K2"].quality.coarse_point > 0
+    days = np.ptp(motion.time)
+    assert days / 2 * 0.5 < jumps.sum() < days / 2 * 2
+    steps = np.hypot(np.diff(motion.x), np.diff(motion.y))
+    assert np.median(steps[jumps[1:]]) > 10 * np.median(steps[~jumps[1:]])
+    quiet = Motion.failing_wheels(2000, jump=0.0, spread=0.0, drift=0.1)
+    assert np.hypot(quiet.x[-1], quiet.y[-1]) == pytest.approx(0.1 * days)
 
 
 @pytest.mark.parametrize(
