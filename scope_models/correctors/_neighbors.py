@@ -30,7 +30,7 @@ from scope_models.correctors._scene_start import (
 )
 from scope_models.io.pixels import usable_positions
 
-__all__ = ["NeighborLight", "light_of_neighbors", "given_neighbors", "without_neighbors"]
+__all__ = ["NeighborLight", "given_neighbors", "light_of_neighbors", "without_neighbors"]
 
 #: Tolerance: pixels farther from the star than this (px) are left out.
 _REACH = 7

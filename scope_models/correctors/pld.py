@@ -16,8 +16,8 @@ from scope_models.correctors._lightkurve import (
 )
 from scope_models.correctors._model import PLDOptions, Settings, fit_pixels
 from scope_models.correctors._neighbors import (
-    light_of_neighbors,
     given_neighbors,
+    light_of_neighbors,
     without_neighbors,
 )
 from scope_models.correctors._pixels import (

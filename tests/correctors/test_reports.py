@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from scope_models import Detector, Motion, Star, simulate
 from scope_models.correctors import PLDCorrector
 from scope_models.correctors import _pixels as pixels_module
 from scope_models.correctors import _result as result_module

@@ -229,7 +229,7 @@ class TestGrid:
             grid.at(300, 10)
 
     def test_bad_grids(self):
-        with pytest.raises(ValueError, match="two tables of one place"):
+        with pytest.raises(ValueError, match="two tables have the same place"):
             self.grid([(1, 1), (1, 1)])
         tables = [TabulatedPRF(np.ones((n, 7))) for n in (7, 8)]
         with pytest.raises(ValueError, match="must have one shape"):
