@@ -133,12 +133,10 @@ def detrend_files(
         name_output = partition_of
         check_data_set(output_dir, overwrite=overwrite)
     _make_absolute(options)
-    if options.get("neighbors") is None:
-        positions_from = positions_from if positions_from is None else find_files(positions_from)
-        moved = write_motions(files, output_dir, positions_from)
-        rows = [row | more for row, more in zip(rows or [{}] * len(files), moved, strict=True)]
-    elif positions_from is not None:
-        raise ValueError("`positions_from` cannot be combined with `neighbors`")
+    if positions_from is not None:
+        positions_from = find_files(positions_from)
+    moved = write_motions(files, output_dir, positions_from)
+    rows = [row | more for row, more in zip(rows or [{}] * len(files), moved, strict=True)]
     result = run_files(
         detrended, files, output_dir, client, name="detrend", suffix="-lc.fits", rows=rows,
         options=shared | options, draw=_noise_figure, overwrite=overwrite, sweep=sweep,

@@ -149,8 +149,6 @@ def _detrend_options(arguments):
         many["planets"] = {name: [value] for name, value in given.items()}
     one = {"transits": given or None}
     if arguments.positions_from is not None:
-        if arguments.neighbors is not None:
-            raise ValueError("--positions-from cannot be combined with --neighbors")
         many["positions_from"] = arguments.positions_from
         if arguments.output_dir is None:
             one["positions"] = sm.Motion.from_tpfs(arguments.positions_from)

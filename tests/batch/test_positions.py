@@ -99,22 +99,6 @@ def test_a_file_of_other_times_keeps_its_own_positions(files, tmp_path):
     assert "positions" not in dict(zip(table["key"], table["warnings"], strict=True))["later"]
 
 
-def test_scenes_find_their_positions(files, tmp_path, capsys):
-    def detrend(**options):
-        sweep = {"progress": False}
-        return detrend_files(files[:5], tmp_path / "out", neighbors="find", sweep=sweep, **options)
-
-    table = detrend().table
-    assert len(table) == 5
-    assert "positions" not in table.colnames
-    with pytest.raises(ValueError, match="`positions_from` cannot be combined with `neighbors`"):
-        detrend(positions_from=files)
-    path = str(files[0])
-    command = ["detrend", path, "--output", str(tmp_path / "lc.fits"), "--neighbors", "find"]
-    assert main([*command, "--positions-from", path]) == 2
-    assert "--positions-from cannot be combined with --neighbors" in capsys.readouterr().err
-
-
 def test_command(files, tmp_path, capsys):
     given = ["--positions-from", *map(str, (files[0], files[2], files[4]))]
     one = ["detrend", str(files[1]), "--order", "1"]
