@@ -649,7 +649,7 @@ def test_a_singular_start_is_a_clear_error(star, monkeypatch):
         raise np.linalg.LinAlgError("145-th leading minor not positive definite")
 
     monkeypatch.setattr("scope_models.correctors.pld.fit_pixels", fail)
-    with pytest.raises(ValueError, match=r"^the pixels of `tpf` do not determine .* \(145-th") as e:
+    with pytest.raises(ValueError, match=r"^the pixels of `tpf` do not constrain .* \(145-th") as e:
         PLDCorrector(star.tpf).correct()
     assert not isinstance(e.value, np.linalg.LinAlgError)
 

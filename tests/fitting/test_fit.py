@@ -570,7 +570,7 @@ def test_singular_pixels_are_a_clear_error(monkeypatch, name):
 
     monkeypatch.setattr(f"scope_models.fitting.fit.{name}", fail)
     tpf = simulate(Star(12.0), Detector.k2(shape=(5, 5)), Motion.k2_roll(30), seed=1).to_tpf()
-    with pytest.raises(ValueError, match=r"pixels of `tpf` do not determine .*singular") as error:
+    with pytest.raises(ValueError, match=r"pixels of `tpf` do not constrain .*singular") as error:
         fit_tpf(tpf, 1)
     assert not isinstance(error.value, np.linalg.LinAlgError)
 
@@ -580,7 +580,7 @@ def test_singular_pixels_are_a_clear_error(monkeypatch, name):
     [
         ("FLUX", lambda flux: np.broadcast_to(flux[:, :, 3:4], flux.shape), None),  # all alike
         ("FLUX_ERR", lambda error: 0 * error, "`flux_err` must be positive"),
-        ("FLUX_ERR", lambda error: 0 * error + 1e-30, "`tpf` do not determine .*: check FLUX_ERR"),
+        ("FLUX_ERR", lambda error: 0 * error + 1e-30, "`tpf` do not constrain .*: check FLUX_ERR"),
     ],
 )
 def test_files_whose_pixels_are_singular(tmp_path, column, values, error):
