@@ -17,7 +17,8 @@ COLUMNS = {
     "amplitude": "amplitude",
     "depth_kept": "depth",
 }
-RECORD = "record_19e5c3d.ecsv"
+BEFORE = {"corrected": "full", "high-passed": "high_passed", "pull": "pull"}
+RECORD, FIRST = "record_21343c5.ecsv", "record_19e5c3d.ecsv"
 # Columns of stored tables that pages show, with their titles.
 SHOWN = {
     "fits_scenes": None,
@@ -64,23 +65,33 @@ class Made(Directive):
         return [line]
 
 
-def write_scores(source, folder):
-    """Write the medians of each regime of a record, and the summary of its stars."""
-    from record import whole
+def write_scores(source, first, folder):
+    """Write the medians of each regime of a record, and its summary, beside those of another one.
 
-    table = Table.read(source)
+    The other one counts where it has the same stars.
+    """
+    from record import KEY, whole
+
+    table, other = Table.read(source), Table.read(first)
     table = table[table["positions"] == "wrong"]
+    stars = set(zip(*(table[name] for name in KEY), strict=True))
+    other = other[[row in stars for row in zip(*(other[name] for name in KEY), strict=True)]]
     with (folder / "scores_regimes.csv").open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
-        writer.writerow(["regime", "stars", *COLUMNS.values()])
+        writer.writerow(["regime", "stars", *COLUMNS.values(), *(f"{c} before" for c in BEFORE)])
         for regime in dict.fromkeys(table["regime"]):
             rows = table[table["regime"] == regime]
             cells = [_median(np.asarray(rows[name], float)) for name in COLUMNS]
+            rows = other[other["regime"] == regime]
+            cells += [_median(np.asarray(rows[name], float)) for name in BEFORE.values()]
             writer.writerow([regime + " *" * bool(rows["apart"][0]), len(rows), *cells])
     with (folder / "scores_all.csv").open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
-        writer.writerow(["number", "value"])
-        writer.writerows((text, f"{value:.3g}") for text, value in whole(table).items())
+        writer.writerow(["number", "value", "before"])
+        before = whole(other)
+        writer.writerows(
+            (text, f"{value:.3g}", f"{before[text]:.3g}") for text, value in whole(table).items()
+        )
 
 
 def write_stored(source, folder):
@@ -117,7 +128,7 @@ def _write(app):
     folder = Path(app.srcdir) / "_generated"
     folder.mkdir(exist_ok=True)
     data = Path(app.srcdir) / "data"
-    write_scores(data / RECORD, folder)
+    write_scores(data / RECORD, data / FIRST, folder)
     for name in SHOWN:
         write_stored(data / f"{name}.ecsv", folder)
     constants.write(folder / "constants.csv")

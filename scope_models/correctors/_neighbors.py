@@ -76,7 +76,7 @@ class NeighborLight:
 
 
 def without_neighbors(pixels, series, found):
-    """Return pixels and their file without the light of other stars, at the fitted positions."""
+    """Return pixels and file without the light of other stars; with positions if it has none."""
     flux = pixels.flux - found.light
     inside = pixels.aperture if pixels.weights is None else pixels.weights
     light = np.sum(found.light * inside, axis=(1, 2))
@@ -87,8 +87,10 @@ def without_neighbors(pixels, series, found):
         pixels, flux=flux, total=total, usable=usable, lit=pixels.lit & usable,
         own=np.ones_like(pixels.aperture), crowding=share, neighbors=found,
     )  # fmt: skip
-    middle = np.nanmedian(found.positions, axis=0)
-    return pixels, series.replace(flux=flux, pos_corr=found.positions - middle)
+    positions = series.pos_corr
+    if positions is None or not usable_positions(positions).any():
+        positions = found.positions - np.nanmedian(found.positions, axis=0)
+    return pixels, series.replace(flux=flux, pos_corr=positions)
 
 
 def given_neighbors(neighbors, series, pixels):
@@ -170,6 +172,9 @@ def light_of_neighbors(pixels, series, cadence_mask, neighbors=None):
     if found is None:
         return None
     shape, track, others = found
+    inside = pixels.aperture[box]
+    if not given and np.median(others[:, inside].sum(axis=1) / pixels.total[usable]) > 0.5:
+        return None  # pixels from which the light rises to the target's peak are mostly its own
     light = np.zeros(pixels.flux.shape)
     part = np.zeros((len(usable), *typical.shape))
     part[:, *box] = others

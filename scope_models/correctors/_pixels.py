@@ -27,6 +27,7 @@ __all__ = [
     "noise_ratios",
     "scatter",
     "typical_image",
+    "warn_of_pipeline",
     "with_predicted_fractions",
 ]
 
@@ -280,32 +281,41 @@ def aperture_pixels(series, aperture):
     places = None if series.pos_corr is None else series.pos_corr[positive]
     own, crowding = _own_light(flux[positive], aperture, places)
     if chosen:
-        _compare_pipeline(series, aperture, total, positive)
+        _compare_pipeline(series, aperture, positive)
     totals = total, total_err, positive
     return Pixels(time, flux, flux_err, aperture, *totals, weights, own, crowding, lit)
 
 
-def _compare_pipeline(series, aperture, total, usable):
-    """Warn if the pipeline's aperture has less noise, or other light than the chosen one."""
+_REMEDY = 'compare `aperture_mask="pipeline"`'
+
+
+def _compare_pipeline(series, aperture, usable):
+    """Warn if the pipeline's aperture has other light than the chosen one."""
     other = series.aperture
     if not other.any() or other.all() or (other == aperture).all():
         return
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # pixels without data
         image = np.nan_to_num(np.nanmedian(series.flux[usable], axis=0))
-    its = np.nansum(series.flux[usable][:, other], axis=1)
-    remedy = 'compare `aperture_mask="pipeline"`'
     inside, whole = np.sum(image[other & aperture]), np.sum(image[other])
     if inside < whole / 2:
         part = 100 * max(inside / whole, 0)
-        _warn(f"the aperture holds {part:.0f} % of the light in the pipeline's: {remedy}")
+        _warn(f"the aperture holds {part:.0f} % of the light in the pipeline's: {_REMEDY}")
     elif not other.flat[np.argmax(np.where(aperture, image, -np.inf))]:
-        _warn(f"the brightest star in the aperture is outside of the pipeline's: {remedy}")
-    sizes = [_jumps(values) for values in (total[usable], its)]
+        _warn(f"the brightest star in the aperture is outside of the pipeline's: {_REMEDY}")
+
+
+def warn_of_pipeline(series, aperture, flux):
+    """Warn if a corrected flux has more noise than the raw sum over the pipeline's aperture."""
+    other, good = series.aperture, np.isfinite(flux)
+    if not other.any() or other.all() or (other == aperture).all():
+        return
+    its = np.nansum(series.flux[good][:, other], axis=1)
+    sizes = [_jumps(values) for values in (flux[good], its)]
     # 0.76: standard deviation of the absolute value of a normal variable over its mean
     if sizes[1] > 0 and sizes[0] / sizes[1] > 1 + _SIGNIFICANCE * 0.76 * np.sqrt(2 / len(its)):
         part = sizes[0] / sizes[1]
-        _warn(f"the aperture has {part:.1f} times the noise of the pipeline's: {remedy}")
+        _warn(f"the light curve has {part:.1f} times the noise of the pipeline's: {_REMEDY}")
 
 
 def _jumps(flux):

@@ -376,15 +376,15 @@ class PLDFit:
                 f"{100 * self.contamination:.1f} % of the light in the aperture was taken off: of "
                 "other stars, or constant"
             )
-        elif 1 - self.crowding > _CONTAMINATED:
+        elif 1 - self.model.pixels.crowding > _CONTAMINATED:
             found.append(
                 f"{100 * (1 - self.crowding):.0f} % of the light in the aperture is of other "
                 "stars: depths and amplitudes are too small by as much"
             )
         elif self.contrast_error > _BLENDED:
             found.append(
-                f"about {100 * self.contrast_error:.0f} % of the light in the aperture is in wings "
-                "of other stars: depths and amplitudes are too small by as much"
+                f"about {100 * self.contrast_error:.0f} % of the light in the aperture is of other "
+                "stars, blended or in wings: depths and amplitudes are too small by as much"
             )
         whole = self.model.pixels.aperture.sum() >= _WHOLE
         if whole and self.may_follow:

@@ -220,6 +220,9 @@ NEAREST, _MOST = 1.4, 6
 _SIGMA, _OVER_STAR, _LEAST = 6.0, 0.7, 4e-3
 #: Tolerance: steps (px) of the derivative by a neighbor's place, and of the place itself.
 _STEP, _LARGEST_MOVE = 0.05, 0.3
+#: Tolerance: most turns of a first fit, and change of fluxes (relative to the brightest neighbor)
+#: and of places (px) in the last one.
+_MOST_TURNS, _SETTLED = 20, 0.03
 
 
 @dataclass(frozen=True)
@@ -348,9 +351,9 @@ def find_neighbors(shape, track, flux, variance, known, refit, places=None):
 
 
 def _settled(shape, track, flux, variance, found, refit, known=None):
-    """Measure the neighbors and the target's first model by turns; None if that diverges."""
-    for _ in range(4):
-        found = _measured(shape, track, flux, variance, found, move=known is None)
+    """Measure the neighbors and the target's first model by turns; None if that does not settle."""
+    for _ in range(_MOST_TURNS):
+        before, found = found, _measured(shape, track, flux, variance, found, move=known is None)
         old = track
         try:
             shape, track = refit(flux - _light_of(shape, track, found))
@@ -361,7 +364,10 @@ def _settled(shape, track, flux, variance, found, refit, known=None):
             found = found - [0.0, *moved]
         else:
             found[:, 1:] = known.offsets(track)
-    return shape, track, found
+        change = (found - before) / [*np.max(found[:, :1], axis=0), 1.0, 1.0]
+        if np.abs(change).max() < _SETTLED:
+            return shape, track, found
+    return None
 
 
 def _separate(found, typical):

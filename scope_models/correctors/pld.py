@@ -27,6 +27,7 @@ from scope_models.correctors._pixels import (
     can_predict,
     credible_flux,
     noise_ratios,
+    warn_of_pipeline,
 )
 from scope_models.correctors._solution import NothingToCorrectError
 from scope_models.exceptions import DetrendingWarning
@@ -119,6 +120,7 @@ class PLDCorrector(LightkurveNames, Corrector):
         mask = named_mask(self.tpf, aperture_mask, "aperture_mask")
         with one_thread:
             self._pixels = pixels = aperture_pixels(self._series, mask)
+        self._chosen = mask is None
         self._neighbors = None
         if neighbors is not None:
             self._neighbors = given_neighbors(neighbors, self._series, pixels)
@@ -253,6 +255,8 @@ class PLDCorrector(LightkurveNames, Corrector):
                 # transits that a correction uncovers are noise to one of the conventions
                 if (1 - result.contamination) * min(noise_ratios(original, lc)) > WORSE:
                     warnings.warn(NOISIER, DetrendingWarning, stacklevel=2)
+                elif self._chosen:
+                    warn_of_pipeline(self._series, pixels.aperture, lc.flux.value)
         # nothing has failed: only now the corrector changes
         self.corrected_lc = lc
         self.result, self.model = result, result and result.model

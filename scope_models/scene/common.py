@@ -23,7 +23,7 @@ class CommonMotion(Motion):
 
     Parameters
     ----------
-    time, x, y, quality, cadenceno, time_format, meta
+    time, x, y, quality, cadenceno, time_format, meta : object
         As those of `~scope_models.Motion`, at ``place``.
     x_err, y_err : array_like of shape (n,)
         Standard deviations of x and y, pixels.
