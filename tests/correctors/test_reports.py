@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from scope_models import Detector, Motion, Star, simulate
-from scope_models.correctors import PLDCorrector, PLDOptions
+from scope_models.correctors import PLDCorrector, PLDFit
 from scope_models.correctors import _pixels as pixels_module
 from scope_models.correctors import _result as result_module
 from scope_models.correctors._model import PLDModel
@@ -215,7 +215,7 @@ def test_held_out_windows_may_hold_outliers(fake_star):
     [
         ((4, 4), None),
         ((2, 2), r"holds \d+ % of the light in the pipeline's: compare `aperture_mask=\"pip"),
-        ((4, 4, 400), r"has \d+\.\d times the noise of the pipeline's: compare"),
+        ((4, 4, 40), r"has \d+\.\d times the noise of the pipeline's: compare"),
     ],
 )
 def test_a_worse_aperture_than_the_pipeline_s_is_reported(fake_star, monkeypatch, seen, match):
@@ -231,9 +231,13 @@ def test_a_worse_aperture_than_the_pipeline_s_is_reported(fake_star, monkeypatch
         table["FLUX"][:, beside] += rng.normal(0, noise[0], (400, beside.sum()))
     chosen = ~beside if not noise else np.ones((9, 9), dtype=bool)
     monkeypatch.setattr(pixels_module, "choose_aperture", lambda *_: chosen)
+    if noise:  # half of it is left
+        left = np.nansum(table["FLUX"], axis=(1, 2)) ** 0.5
+        left *= np.median(left)
+        monkeypatch.setattr(PLDFit, "corrected", lambda *_, **__: (left, 0.01 * left))
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", DetrendingWarning)
-        PLDCorrector(star.tpf).correct(options=PLDOptions(flux="sum"))
+        PLDCorrector(star.tpf).correct()
     assert bool(caught) == bool(match)
     assert not match or any(re.search(match, str(w.message)) for w in caught)
 
