@@ -384,7 +384,7 @@ class PLDFit:
         elif self.contrast_error > _BLENDED:
             found.append(
                 f"about {100 * self.contrast_error:.0f} % of the light in the aperture is of other "
-                "stars, blended or in wings: depths and amplitudes are too small by as much"
+                "stars: depths and amplitudes are too small by as much"
             )
         whole = self.model.pixels.aperture.sum() >= _WHOLE
         if whole and self.may_follow:

@@ -346,6 +346,8 @@ def find_neighbors(shape, track, flux, variance, known, refit, places=None):
         trial = _settled(shape, track, flux, variance, tried, refit)
         if trial is None or not _separate(trial[2], np.median(trial[1].flux)):
             break
+        if places is not None and not _in_places(places, trial[1], *trial[2][:, 1:].T).all():
+            break
         shape, track, found = trial
     return replace(shape, neighbors=found, first_neighbors=found), track
 
@@ -395,11 +397,7 @@ def _brightest_rest(shape, track, flux, variance, found, places):
     for _, dx, dy in found:
         good &= np.hypot(du - dx, dv - dy) > NEAREST
     if places is not None:
-        inside = np.pad(places, 1)  # but not on the border
-        center = (np.median(track.y) + dv, np.median(track.x) + du)
-        index = (np.nan_to_num(c, posinf=-1) for c in center)
-        index = (np.clip(np.rint(i), -1, k) for i, k in zip(index, places.shape, strict=True))
-        good &= inside[tuple(i.astype(int) + 1 for i in index)]
+        good &= _in_places(places, track, du, dv)
     if not good.any():
         return None
     j, i = np.unravel_index(np.argmax(np.where(good, rest, -np.inf)), rest.shape)
@@ -408,6 +406,16 @@ def _brightest_rest(shape, track, flux, variance, found, places):
     weight = np.where(near, np.clip(rest[box], 0, None), 0.0)
     place = [np.sum(weight * np.where(near, d[box], 0.0)) / weight.sum() for d in (du, dv)]
     return np.array([weight.sum(), *place])
+
+
+def _in_places(places, track, du, dv):
+    """Return whether distances from the target are in pixels in which neighbors may be."""
+    inside = np.pad(places, 1)  # but not on the border
+    center = (np.median(track.y) + dv, np.median(track.x) + du)
+    index = (np.rint(np.nan_to_num(c, posinf=-1)) for c in center)
+    return inside[
+        tuple(np.clip(i, -1, k).astype(int) + 1 for i, k in zip(index, places.shape, strict=True))
+    ]
 
 
 def _measured(shape, track, flux, variance, neighbors, *, move):
