@@ -9,6 +9,7 @@ from astropy.table import QTable
 from scope_models._checks import checked_choice
 from scope_models.correctors._clean import Smoother
 from scope_models.correctors._scene_model import (
+    MEDIAN_SQUARE,
     Priors,
     between,
     improve_shape,
@@ -51,8 +52,6 @@ _ANCHORS = (2, 4, 6)
 #: Branch: pixels that deviate by more standard deviations are left out, in less than this part of
 #: the cadences.
 _SIGMA, _MOST_HITS = 6.0, 0.05
-#: Tolerance: the median of the squares of a normal variable of unit variance.
-_MEDIAN_SQUARE = 0.455
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,7 +137,7 @@ def light_of_neighbors(pixels, series, cadence_mask, neighbors=None):
         If given neighbors do not fit the file, or do not describe its pixels.
     """
     given = isinstance(neighbors, KnownNeighbors)
-    if (neighbors is None and pixels.own.all()) or (given and not len(neighbors.places)):
+    if neighbors is None and pixels.own.all():
         return None
     usable = np.flatnonzero(pixels.usable)
     use = (cadence_mask & pixels.lit)[usable]
@@ -304,7 +303,7 @@ def _varying(time, shape, track, flux, variance, priors, floor, use):
     track, change, error = solve_states(shape, track, change, *data, Priors(mean, sigma), floor)
     middle = np.median(change[use], axis=0)
     noise = np.median(error[use, 5:] ** 2, axis=0)
-    size = np.median((change[use] - middle) ** 2, axis=0) / _MEDIAN_SQUARE
+    size = np.median((change[use] - middle) ** 2, axis=0) / MEDIAN_SQUARE
     mean[:, 5:] = middle
     sigma[:, 5:] = np.sqrt(np.maximum(size - noise, 1e-6 * noise))
     return solve_states(shape, track, change, *data, Priors(mean, sigma), floor)[:2]

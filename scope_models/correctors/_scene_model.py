@@ -9,6 +9,7 @@ from scipy.linalg import cho_factor, cho_solve
 from scope_models.correctors._splines import SplineGrid
 
 __all__ = [
+    "MEDIAN_SQUARE",
     "NEIGHBOR_ERROR",
     "Priors",
     "Shape",
@@ -27,6 +28,8 @@ __all__ = [
 #: Prior: standard deviations of the PRF about the first guess (relative, and in units of its
 #: peak), of the pixels' gains, and of a neighbor's place (px).
 _PRF_RELATIVE, _PRF_ABSOLUTE, _GAIN, _PLACE = 0.25, 2e-3, 0.015, 0.1
+#: Tolerance: the median of the squares of a normal variable of unit variance.
+MEDIAN_SQUARE = 0.455
 #: Prior: relative error of a neighbor's flux.
 NEIGHBOR_ERROR = 0.3
 #: Prior: the PRF's sum over pixels is about 1, wherever in a pixel the star is: places along an
@@ -422,5 +425,7 @@ def measure_floor(shape, track, flux, variance):
     bright = (light > 0.05 * track.flux[:, None, None]) & np.isfinite(variance)
     if not bright.any():
         return 0.0
-    excess = np.median((residual[bright] ** 2 / 0.455 - variance[bright]) / light[bright] ** 2)
+    excess = np.median(
+        (residual[bright] ** 2 / MEDIAN_SQUARE - variance[bright]) / light[bright] ** 2
+    )
     return float(np.sqrt(max(excess, 0.0)))

@@ -275,6 +275,9 @@ class KnownNeighbors:
             warnings.warn(message, DetrendingWarning, stacklevel=4)
         return cls(places[~far], target)
 
+    def __len__(self):
+        return len(self.places)
+
     def within(self, origin):
         """Return the same in a box of pixels with its first column and row."""
         return type(self)(

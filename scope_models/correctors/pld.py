@@ -267,7 +267,8 @@ class PLDCorrector(LightkurveNames, Corrector):
     def _alone(self, pixels, series, settings, mask):
         """Return the pixels and their file without the light of neighbors, if there are any."""
         given = self._neighbors
-        if given is None and settings.fractions == "measured":
+        none = settings.fractions == "measured" if given is None else not len(given)
+        if none:
             return pixels, series
         if not can_predict(pixels, settings.full_flux(series), pixels.usable & pixels.lit & mask):
             if given is not None:

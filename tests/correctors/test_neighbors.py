@@ -200,6 +200,13 @@ def test_neighbors_of_full_pixels_stay_with_a_warning():
     assert corrector.result.neighbors is None
 
 
+def test_no_neighbors_are_no_warning():
+    sky = make_sky("k2-1x-kp10-saturated", 1, n_cadences=100)
+    corrector = PLDCorrector(sky.to_tpf(), neighbors=[])
+    corrector.correct()
+    assert corrector.result.neighbors is None
+
+
 @pytest.mark.parametrize(
     ("neighbors", "match"),
     [
