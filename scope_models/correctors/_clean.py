@@ -79,6 +79,8 @@ _SLOW = 0.05
 _WIDTHS = (1.5, 3.0, 6.0, 12.0, 24.0, 48.0)
 #: Tolerance: kernels of this width and wider ones are convolved by Fourier transforms.
 _WIDE = 12.0
+#: Tolerance: cadences whose arrays a processor's cache holds.
+_BLOCK = 128
 
 
 @dataclass(frozen=True)
@@ -349,21 +351,25 @@ class _State:
 
     def _widened(self, image):
         """
-        Return the change of images of a PSF that widens by a part w, over w.
+        Return the mean change of images of a PSF that widens by a part w, over w.
 
         What pixels lose is what flows through their edges. The light there is that of the cubic
         polynomial whose integrals over the four nearest pixels are right, and in the wings, where
         that is less, the geometric mean of both pixels.
         """
-        wider = np.zeros_like(image)
-        for axis in (0, 1):
-            near = [image[:, self.beside[axis, k]] * (self.beside[axis, k] >= 0) for k in range(5)]
-            for side, light in ((-1, near[:4]), (1, near[1:])):
-                edge = (7 * (light[1] + light[2]) - light[0] - light[3]) / 12
-                edge = np.maximum(edge, np.sqrt(np.maximum(light[1] * light[2], 0)))
-                far = self.grid[:, axis] + 0.5 * side - self.center[axis] - self.z[:, axis, None]
-                wider -= side * far * edge
-        return wider - image * (wider @ self.aperture)[:, None]
+        use, change = np.flatnonzero(self.use), np.zeros(image.shape[1])
+        for part in np.split(use, range(_BLOCK, len(use), _BLOCK)):
+            light = np.pad(image[part].T, ((0, 1), (0, 0)))  # the last row is beside the stamp
+            wider = np.zeros_like(light[:-1])
+            for axis in (0, 1):
+                near = light[self.beside[axis]]
+                far = (self.grid[:, axis] - self.center[axis])[:, None] - self.z[part, axis]
+                for side, four in ((-1, near[:4]), (1, near[1:])):
+                    edge = (7 * (four[1] + four[2]) - four[0] - four[3]) / 12
+                    edge = np.maximum(edge, np.sqrt(np.maximum(four[1] * four[2], 0)))
+                    wider -= side * (far + 0.5 * side) * edge
+            change += (wider - light[:-1] * (self.aperture @ wider)).sum(axis=1)
+        return change / len(use)
 
     def _normalize(self, image, slopes):
         """
@@ -373,7 +379,7 @@ class _State:
         that of the widening.
         """
         use, outside = self.use, ~self.aperture
-        wider, fitted = self._widened(image)[use].mean(axis=0), slopes[2][use].mean(axis=0)
+        wider, fitted = self._widened(image), slopes[2][use].mean(axis=0)
         signal = [(values**2 / self.variance).sum() + 1e-12 for values in (fitted, wider)]
         size = np.sqrt(signal[0] / signal[1])
         self.focus = self.focus * size
