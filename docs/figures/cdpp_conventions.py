@@ -31,8 +31,7 @@ def make_figure():
     axes[0].set(xlabel="Factor on K2's motion", ylabel="CDPP (ppm)", title="Systematics alone")
     axes[1].axvline(100 / 13**0.5, color="black", lw=1, label="nominal")
     axes[1].set(xlabel="CDPP (ppm)", ylabel="Number of series", title="White noise alone")
-    for ax in axes:
-        ax.legend()
+    figure.legend(*axes[1].get_legend_handles_labels(), loc="outside upper center", ncols=3)
     return figure
 
 

@@ -111,7 +111,7 @@ def make_rays_figure():
     ]
     figure, (left, right) = plt.subplots(1, 2, layout="constrained", figsize=(9, 4))
     image = left.imshow(charge[0] - charge[1], origin="lower", vmax=4000)
-    figure.colorbar(image, label="Charge (e$^-$)")
+    figure.colorbar(image, label="Charge (e$^-$)", shrink=0.85)
     left.set_xlabel("Column (pixel)")
     left.set_ylabel("Row (pixel)")
     d = np.linspace(0, 12, 200)
@@ -199,9 +199,9 @@ def make_readout_figure():
         left.semilogy(
             np.arange(-2, 7), np.maximum(column[0, :, 0], 1e-9), "o-", label=f"{epsilon:g}"
         )
-    left.set_ylim(1e-8, 2)
+    left.set_ylim(1e-8, 1e3)  # room for the legend
     left.set_xlabel("Rows behind the bright pixel")
-    left.set_ylabel("Part of its charge")
+    left.set_ylabel("Fraction of the charge")
     left.legend(title="Inefficiency")
     detector, motion = Detector.k2(shape=(60, 5), background=0.0), Motion.still(300)
     bands = simulate(

@@ -38,25 +38,26 @@ def make_figure():
     even = integrate_pixels(BivariateGaussianPSF(1.0, X + MOTION, Y, SIGMA, SIGMA), shape=(N, N))
     flat = 0.975 ** (N - np.arange(N))[:, None]
     changes = {
-        "1. wider": star(sigma=np.sqrt(2) * SIGMA) - image,
+        "1. Wider": star(sigma=np.sqrt(2) * SIGMA) - image,
         "2. y not integrated": not_integrated_along_y(Y)[0] - even,
-        "3. from the edge": polynomial_from_the_edge() - image,
-        "4. flat repeated": image * (flat - 0.975),
-        "5. axes swapped": star(X, Y + MOTION) - image,
+        "3. From the edge": polynomial_from_the_edge() - image,
+        "4. Flat repeated": image * (flat - 0.975),
+        "5. Axes swapped": star(X, Y + MOTION) - image,
     }
-    panels = {"image": image} | changes
+    panels = {"Image": image} | changes
     names = list(panels)
-    mosaic = [names[:3], names[3:], ["even pixels"] * 3]
+    mosaic = [names[:3], names[3:], ["Even pixels"] * 3]
     figure, axes = plt.subplot_mosaic(mosaic, figsize=(8, 7.6), layout="constrained")
     for title, values in panels.items():
         ax = axes[title]
         largest = 100 * np.abs(values).max()
-        low, colors = (0, "viridis") if title == "image" else (-largest, "RdBu")
+        low, colors = (0, "viridis") if title == "Image" else (-largest, "RdBu")
         drawn = ax.imshow(100 * values, origin="lower", vmin=low, vmax=largest, cmap=colors)
-        ax.set(title=title, xlabel="Column (pixel)", ylabel="Row (pixel)")
+        ax.set_title(title, fontsize="medium")
+        ax.set(xlabel="Column (pixel)", ylabel="Row (pixel)")
         ax.set(xticks=range(N), yticks=range(N))
         figure.colorbar(drawn, ax=ax, label="% of the flux", shrink=0.85)
-    _draw_flux(axes["even pixels"])
+    _draw_flux(axes["Even pixels"])
     return figure
 
 
@@ -66,7 +67,7 @@ def _draw_flux(ax):
     flux = not_integrated_along_y(y, np.sqrt(2) * SIGMA, n=13).sum(axis=(1, 2))
     ax.plot(y - 6, np.zeros_like(y), label="exact")
     ax.plot(y - 6, 1e6 * (flux / flux.mean() - 1), "--", label="1. and 2.")
-    ax.set(title="even pixels", xlabel="Position along y (pixel)", ylabel="Change (ppm)")
+    ax.set(title="Even pixels", xlabel="Position along y (pixel)", ylabel="Change (ppm)")
     ax.legend()
 
 

@@ -45,7 +45,7 @@ def make_twin(path=PATH):
         sums = [np.nansum(cube[:, pixels], axis=1, dtype=float) for pixels in (every, brightest)]
         curves.append([values / np.median(values) for values in sums])
     images = [np.nanstd(cube / fit.observed_err, axis=0) for cube in residuals]
-    axes = plot_twin(fit.time, *curves, images)
+    axes = plot_twin(fit.time, *curves, images, time_label="Time (BKJD)")
     axes["raw"].set_title("All pixels")
     axes["corrected"].set_title("Brightest pixels")
     return axes["raw"].figure

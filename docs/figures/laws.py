@@ -35,7 +35,7 @@ def draw(name):
         if predicted.min() > 0 and predicted.max() > 9 * predicted.min():
             top.set_yscale("log")
     top.set_ylabel(texts["y"])
-    top.legend()
+    top.legend(loc="lower left", bbox_to_anchor=(0, 1), ncols=2, frameon=False)
     bottom.set_xlabel(texts["x"])
     bottom.set_ylabel("Ratio")
     return figure

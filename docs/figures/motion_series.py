@@ -89,7 +89,7 @@ def draw_summary(axes, motions):
         color = COLORS[label]
         frequency, along, across = power_spectra(motion)
         axes[0].loglog(frequency, along, color=color, lw=1, label=f"{label}, along roll")
-        axes[0].loglog(frequency, across, color=color, lw=0.8, alpha=0.5, label="across")
+        axes[0].loglog(frequency, across, color=color, lw=0.8, alpha=0.5, label=f"{label}, across")
         hours = hours_between_resets(motion)
         bins = np.arange(3, 60, 6) - 0.05
         axes[1].hist(hours, bins, density=True, histtype="step", color=color, lw=1.4)
@@ -113,7 +113,7 @@ def make_series_figure(folder=FOLDER):
     for axes, (title, star) in zip(grid, STARS.items(), strict=True):
         draw_series(axes, read_motions(folder, *star))
         axes[0].set(title=title, xlabel="Time (d)", ylabel="Offset (pixel)")
-        axes[1].set(title="four days of it", xlabel="Time (d)")
+        axes[1].set(title="Four days", xlabel="Time (d)")
     return figure
 
 
@@ -123,8 +123,9 @@ def make_summary_figure(folder=FOLDER):
     for axes, (title, star) in zip(grid, STARS.items(), strict=True):
         draw_summary(axes, read_motions(folder, *star))
         axes[0].set(title=title, xlabel="Cycles per day", ylabel="Power (pixel² d)")
-        axes[1].set(title="drift lengths", xlabel="Hours between resets", ylabel="Density")
-        axes[2].set(title="track", xlabel="x (pixel)", ylabel="y (pixel)")
+        axes[1].set(title="Drift lengths", xlabel="Hours between resets", ylabel="Density")
+        axes[2].set(title="Track", xlabel="x (pixel)", ylabel="y (pixel)")
         axes[2].set(aspect="equal", adjustable="datalim")
-    grid[0, 0].legend(fontsize=8)
+    handles, labels = grid[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
     return figure

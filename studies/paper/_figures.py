@@ -82,8 +82,10 @@ def plot_cdpp_panels(panels, reference=None, *, limits=(), residuals=None, colum
         ax.legend(loc="lower left", fontsize="small")
         shown = [number for number, label in enumerate(labels) if label not in residuals]
         handles, labels = [handles[k] for k in shown], [labels[k] for k in shown]
-    if labels:
-        first.legend(handles, labels, loc="lower right", fontsize="small")
+        if labels:
+            first.legend(handles, labels, loc="lower right", fontsize="small")
+    else:
+        first.figure.legend(handles, labels, loc="outside lower center", ncols=3)
     for number, title in enumerate(titles):
         lowest = number + columns >= len(titles)
         axes[title].tick_params(labelbottom=lowest)

@@ -274,22 +274,22 @@ def by_motion(rows, threshold):
 
 @styled
 def draw(study, _, summary):
-    """Draw maps of completeness and of found over true depth: a column of panels per motion."""
+    """Draw maps of completeness and of found over true depth: a row of panels per motion."""
     mags = sorted({float(mag) for mag in study.magnitudes})
     depths = sorted({float(depth) for depth in study.depths if depth > 0})
     ratios = np.array(summary["depth_ratio"], dtype=float)
     largest = max(0.1, np.nanmax(np.abs(ratios - 1), initial=0.0))
-    rows = (
+    columns = (
         ("completeness", "Completeness", (0, 1)),
         ("depth_ratio", "Found / true depth", (1 - largest, 1 + largest)),
     )
-    size = 1.2 + len(study.scales) * (2.0 + 0.5 * len(mags)), 2 * (1.3 + 0.42 * len(depths))
+    size = 1.2 + 2 * (2.0 + 0.5 * len(mags)), len(study.scales) * (1.3 + 0.3 * len(depths))
     figure, axes = plt.subplots(
-        2, len(study.scales), figsize=size, squeeze=False, layout="constrained"
+        len(study.scales), 2, figsize=size, squeeze=False, layout="constrained"
     )
-    for column, scale in enumerate(sorted(study.scales)):
+    for row, scale in zip(axes, sorted(study.scales), strict=True):
         part = summary[summary["scale"] == scale]
-        for ax, (name, label, span) in zip(axes[:, column], rows, strict=True):
+        for ax, (name, label, span) in zip(row, columns, strict=True):
             plot_map(
                 on_grid(part, ("depth", depths), ("mag", mags), name), depths, mags,
                 row_label="Depth (ppm)", column_label="Kp (mag)", label=label, span=span,
