@@ -3,5 +3,5 @@
 import lazy_loader
 
 # `__init__.pyi` lists the public names. They are imported at first use, because astropy.modeling
-# and what builds on it take longer to import than a command line should take to answer.
+# and packages that need it import more slowly than a command line should answer.
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

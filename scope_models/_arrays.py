@@ -164,7 +164,7 @@ def values_of(table, name):
 
 
 def is_angle(unit):
-    """Return whether a unit, or None, is that of an angle."""
+    """Return whether a unit, or None, is an angle."""
     return unit is not None and unit.is_equivalent(u.rad)
 
 

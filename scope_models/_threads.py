@@ -18,7 +18,7 @@ def _libraries():
 
 
 def _release():
-    """Let any thread set the number of threads, which has one owner from threadpoolctl 3.8 on."""
+    """Let any thread set the number of threads; since threadpoolctl 3.8 it has one owner."""
     for library in _libraries().lib_controllers:
         if hasattr(library, "clear_controlling_thread"):
             library.clear_controlling_thread(force=True)

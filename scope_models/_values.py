@@ -1,4 +1,4 @@
-"""Objects that are compared by what they hold: equality, hash, `replace`, copies, one-line text."""
+"""Objects compared by value: equality, hash, `replace`, copies, one-line text."""
 
 import dataclasses
 from collections.abc import Mapping
@@ -12,7 +12,7 @@ __all__ = ["Value", "frozen", "html_table", "value_key"]
 
 
 class Value:
-    """Mixin of frozen dataclasses that are what their fields are.
+    """Mixin of frozen dataclasses that are equal if their fields are.
 
     Arrays among the fields are read-only; fields with ``compare=False`` do not count.
     """
@@ -59,7 +59,7 @@ class Value:
 
 
 def frozen(array):
-    """Return a read-only array: a copy if this one, or what it is a view of, can be written to."""
+    """Return a read-only array, a copy if this one or its base can be written to."""
     array = owner = np.asarray(array)
     while isinstance(owner, np.ndarray):
         if owner.flags.writeable:
@@ -80,7 +80,7 @@ def html_table(title, rows):
 
 
 def value_key(value):
-    """Return what is equal, and hashes alike, for equal values; functions by identity."""
+    """Return a key that is equal, with equal hash, for equal values; functions by identity."""
     if hasattr(value, "colnames"):  # a table
         value = {name: np.asarray(value[name]) for name in value.colnames}
     if isinstance(value, np.ndarray):

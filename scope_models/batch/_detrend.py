@@ -55,7 +55,7 @@ def detrended(task, output, seed, *, format="fits", **options):  # noqa: A002, A
 
 
 def _correction_row(corrector, series, survival):
-    """Return what is measured of a correction."""
+    """Return the measures of a correction."""
     header = series.header
     row = header_row(series)
     row["campaign"], row["channel"] = ccd_label(header)
@@ -98,7 +98,7 @@ def write_manifest(table, folder):
 
 
 def header_row(series):
-    """Return what the header has: name, mission and magnitude."""
+    """Return name, mission and magnitude from the header."""
     header, mission = series.header, series.mission
     row = {"object": str(header.get("OBJECT") or ""), "n_cadences": len(series)}
     row["mission"] = mission.name if mission else ""

@@ -1,4 +1,4 @@
-"""A function that writes a file, for many files: checks of what it would write, and resuming."""
+"""A function that writes a file, for many files: checks of the outputs, and resuming."""
 
 import os
 import re
@@ -28,7 +28,7 @@ sweep : mapping, optional
 """
 #: How the names of FITS files end.
 FITS = re.compile(r"\.(fits|fit|fts)(\.gz)?$", re.IGNORECASE)
-#: Columns of what a file has cost: processor time and memory, which differ from run to run.
+#: Columns of processor time and memory, which differ from run to run.
 _COST = "seconds", "peak_memory"
 #: Units of all columns of results.
 UNITS = {
@@ -82,7 +82,7 @@ def run_files(
 
 
 def _worked(work, options, folder, seed, task):
-    """Write the file of a star and return what is measured, with the warnings and the cost."""
+    """Write the file of a star and return its row, with the warnings and the cost."""
     start = time.thread_time()
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
@@ -133,7 +133,7 @@ def _state(file):
 
 
 def _identity(path):
-    """Return what is the same for all links to a file: device and inode, or the path if absent."""
+    """Return a key common to all links to a file: device and inode, or the path if absent."""
     try:
         state = Path(path).stat()
     except OSError:

@@ -18,7 +18,7 @@ __all__ = [
 
 #: Name of the data set in a results directory.
 DATA_SET = "light_curves"
-_UNKNOWN = "__HIVE_DEFAULT_PARTITION__"  # how such data sets spell that there is no value
+_UNKNOWN = "__HIVE_DEFAULT_PARTITION__"  # these data sets' name of a missing value
 
 
 def _pyarrow():

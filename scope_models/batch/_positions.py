@@ -76,7 +76,7 @@ def star_positions(tpf, path):
     motion, series = Motion.read(path), read_pixels(tpf)
     stars = f"{len(motion.meta['stars'])} stars of {motion.meta['ccd'] or 'the same CCD'}"
     if motion.meta["given"]:
-        warnings.warn(f"positions are those of {stars}", DetrendingWarning, stacklevel=2)
+        warnings.warn(f"positions come from {stars}", DetrendingWarning, stacklevel=2)
         return motion
     try:
         motion.offsets(series)
@@ -86,12 +86,12 @@ def star_positions(tpf, path):
     if not motion.meta["stars"]:  # they disagree
         return None
     if track is None:
-        message = f"POS_CORR is missing: positions are those of {stars}"
+        message = f"POS_CORR is missing: positions come from {stars}"
     else:
         outvoted = len(motion.meta["stars"]) >= _MAJORITY
         if not outvoted or explains(motion, track, series):
             return None
-        message = f"POS_CORR disagrees with that of other stars: positions are those of {stars}"
+        message = f"POS_CORR disagrees with that of other stars: positions come from {stars}"
     warnings.warn(message, DetrendingWarning, stacklevel=2)
     return motion
 

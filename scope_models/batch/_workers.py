@@ -49,7 +49,7 @@ class Job:
     def _record(self, task):
         try:
             return {"task": task, "row": _checked_values(self.measure(task), "result", task)}
-        except Exception as error:  # noqa: BLE001 - whatever it is, the other stars go on
+        except Exception as error:  # noqa: BLE001 - the other stars go on
             return _failure(task, error)
 
 
@@ -104,7 +104,7 @@ def _checked_values(values, kind, task=()):
 
 
 def check_client(client):
-    """Refuse what cannot compute stars."""
+    """Refuse objects that cannot compute stars."""
     if isinstance(client, Integral) and not isinstance(client, bool):
         checked_integer("client", client, 1)
     elif isinstance(client, str):
@@ -250,6 +250,6 @@ def _later_interrupts():
 
 
 def _begin_worker(filters):
-    """Leave interrupts to the parent, and warn of what it warns."""
+    """Leave interrupts to the parent, and share its warning filters."""
     warnings.filters[:] = filters
     signal.signal(signal.SIGINT, signal.SIG_IGN)

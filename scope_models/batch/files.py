@@ -322,7 +322,7 @@ def _make_absolute(options):
 
 
 def planet_rows(planets, needed=("period", "depth"), further=("t0", "duration")):
-    """Return what is given of the planet of each row of a table."""
+    """Return the given parameters of the planet of each row of a table."""
     planets = Table(planets)
     for name in needed:
         if name not in planets.colnames:

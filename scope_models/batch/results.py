@@ -1,4 +1,4 @@
-"""Reads what a run over many files has written."""
+"""Reads the output of a run over many files."""
 
 from pathlib import Path
 

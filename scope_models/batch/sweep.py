@@ -1,4 +1,4 @@
-"""Computes a function of many stars, here or on a cluster, and keeps what is finished."""
+"""Computes a function of many stars, here or on a cluster, and keeps finished ones."""
 
 import dataclasses
 import hashlib
@@ -106,7 +106,7 @@ def star_seed(seed, key, purpose=""):
 
 
 def star_rng(seed, key, purpose="star"):
-    """Return a random generator for what is drawn of a star.
+    """Return a random generator for a star.
 
     Parameters
     ----------

@@ -48,7 +48,7 @@ def benchmark_star(number):
     Raises
     ------
     TypeError, ValueError
-        If the number is no integer, or is negative.
+        If the number is not an integer, or is negative.
 
     Examples
     --------

@@ -345,7 +345,7 @@ def _starlight(regime, photometer, rng, time, offsets, width):
 
 
 def _background(regime, photometer, rng, time):
-    """Return the background that is left in the pixels, and what the pipeline took off."""
+    """Return the background that stays in the pixels, and the subtracted one."""
     ny, nx = regime.shape
     v, u = np.mgrid[:ny, :nx] / max(regime.shape) - 0.5
     level = 0.5 + 0.4 * np.sin(2 * np.pi * time / rng.uniform(8, 30) + rng.uniform(0, 6))

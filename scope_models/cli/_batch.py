@@ -133,13 +133,13 @@ def add_workers(parser):
 
 
 def client_of(arguments):
-    """Return what computes the stars, as `run_sweep` takes it."""
+    """Return the `client` of `run_sweep`."""
     check_number(arguments, "workers")
     return arguments.scheduler or (None if arguments.workers == 1 else arguments.workers)
 
 
 def run(name, arguments, *inputs, **options):
-    """Call a function for many files, print what it has found, return the status.
+    """Call a function for many files, print its results, return the status.
 
     It is 1 if a file has failed; ``inputs`` and ``options`` are for the function.
     """

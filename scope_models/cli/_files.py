@@ -156,7 +156,7 @@ def _detrend_options(arguments):
 
 
 def _detrend(arguments, path, **options):
-    """Correct a file and return what became of the noise."""
+    """Correct a file and return its noise before and after."""
     output = arguments.output
     figure = Path(arguments.figure or Path(output).with_suffix(".png"))
     corrector = sm.correctors.detrend_file(path, output, figure=figure, **options)

@@ -1,4 +1,4 @@
-"""The command line's entry: its commands, and what becomes of errors and warnings."""
+"""The command line's entry: its commands, errors and warnings."""
 
 import argparse
 import importlib
@@ -48,7 +48,7 @@ def main(argv=None):
         arguments = _make_parser().parse_args(
             _batch.with_config(sys.argv[1:] if argv is None else list(argv))
         )
-        if argv is None:  # as a program: what is half written is removed before the end
+        if argv is None:  # as a program: incomplete files are removed before the end
             signal.signal(signal.SIGTERM, _terminate)
         # Its logger takes over warnings when it is imported: before ours, which print one line.
         importlib.import_module("astropy")

@@ -1,7 +1,7 @@
 """Noise and saturation as pure functions of arrays of electrons and a random generator.
 
 Every effect draws from its own stream (`stream`), and every draw uses up the same amount of random
-numbers whatever the expected counts are. Two simulations with one seed therefore share their noise
+numbers for any expected counts. Two simulations with one seed therefore share their noise
 wherever their expected counts are equal: a transit added to one star changes no other pixel, and
 switching one effect off leaves the numbers of the others as they were.
 """

@@ -1,4 +1,4 @@
-"""Background: light that is not the stars', and what its subtraction leaves behind."""
+"""Background: diffuse light, and the residual of its subtraction."""
 
 from dataclasses import dataclass
 

@@ -271,7 +271,7 @@ class Effect(Value):
         return type(self).__name__
 
     def at(self, time, new):
-        """Return the effect at other times, with what it has for each cadence interpolated.
+        """Return the effect at other times; its values per cadence are interpolated.
 
         Parameters
         ----------
@@ -289,7 +289,7 @@ class Effect(Value):
         return self.replace(**{n: np.interp(new, time, v) for n, v in values.items() if np.ndim(v)})
 
     def draw(self, conditions, generator):
-        """Return what is drawn of the generator, or follows from the parameters.
+        """Return what is drawn from the generator or follows from the parameters.
 
         A `~scope_models.effects.base.Drawn`.
         """

@@ -59,7 +59,7 @@ class Smear(Effect):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class DarkCurrent(Effect):
-    r"""Thermal charge, which differs from pixel to pixel.
+    r"""Thermal charge that differs from pixel to pixel.
 
     Parameters
     ----------
@@ -204,7 +204,7 @@ class Undershoot(Effect):
         self._feed(electrons, -self.amplitude, np.exp(-1 / self.decay))
 
     def calibrate(self, drawn, conditions, part, electrons):
-        """Add what was taken off, but for the residual."""
+        """Add the subtracted charge again, except for the residual."""
         before = electrons.copy()
         self._feed(before, self.amplitude, np.exp(-1 / self.decay) + self.amplitude)
         electrons += (1 - self.residual) * (before - electrons)

@@ -102,7 +102,7 @@ class CosmicRays(Effect):
         return Drawn(tables={"COSMICRAYS": {name: values[seen] for name, values in hits.items()}})
 
     def charge(self, drawn, conditions, part, electrons):
-        """Add the charge of the hits, or what its rejection leaves."""
+        """Add the charge of the hits, or the part that the rejection leaves."""
         hits = drawn.tables["COSMICRAYS"]
         start, stop = np.searchsorted(hits["CADENCE"], (part.start, part.start + len(electrons)))
         some = {name: values[start:stop] for name, values in hits.items()}
@@ -135,7 +135,7 @@ def _deposits(hits, shape):
 
 
 def rejected_shift(charge):
-    r"""Return what the rejection leaves of a charge that hits one of ten normal reads.
+    r"""Return the mean shift by a charge in one of ten normal reads after the rejection.
 
     Of ten reads the highest and the lowest are dropped. Nine have the mean 0 and the standard
     deviation 1, one has the mean d. The mean of the other eight's sum is

@@ -153,7 +153,7 @@ class NightSky(AirEffect, SkyEffect):
             object.__setattr__(self, name, values)
 
     def draw(self, conditions, generator):
-        """Return what the sky adds to the background in each cadence."""
+        """Return the sky's background in each cadence."""
         series = {
             name: series_of(getattr(self, name), conditions.time, name)
             for name in ("airmass", *_DOMAINS)
@@ -162,7 +162,7 @@ class NightSky(AirEffect, SkyEffect):
         return self._drawn(conditions, conditions.background * (factor - 1))
 
     def _relative_brightness(self, airmass, moon_altitude, moon_separation, moon_phase):
-        """Return the brightness of the sky over that of the dark sky at the zenith."""
+        """Return the brightness of the sky relative to the dark sky at the zenith."""
         k = self.extinction
         dark = airmass * 10 ** (-0.4 * k * (airmass - 1))
         zenith = 34.08 * np.exp(20.7233 - 0.92104 * self.dark_sky)

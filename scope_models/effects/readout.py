@@ -74,7 +74,7 @@ class ChargeTransferInefficiency(Effect):
 
 
 def _late(epsilon, transfers, n):
-    """Return what arrives in each pixel (row) of the charge of each other (column), ``(n, n)``."""
+    """Return the part of pixels' charge (column) that arrives in each pixel (row), ``(n, n)``."""
     k = np.arange(n)
     number = (transfers + k)[:, np.newaxis]
     ratio = np.where(k == 0, 1.0, (number + k - 1) / np.maximum(k, 1) * epsilon)
@@ -114,7 +114,7 @@ class RollingBands(Effect):
     The truth has the list ROLLINGBANDS with TIME, AMPLITUDE and PHASE (periods) of each episode,
     and the amplitude of each cadence (e-/s) in the column ROLLINGBANDS. Cadences in which it is
     larger than half the mean amplitude have the mission's quality bit, where it has one. Bands
-    are no charge: they have no photon noise, and are not part of ``observation.model()``.
+    are not charge: they have no photon noise and are not part of ``observation.model()``.
 
     Examples
     --------

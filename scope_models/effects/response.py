@@ -77,7 +77,7 @@ class Throughput(Effect):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SensitivityDropouts(Effect):
-    r"""Sudden losses of sensitivity of single pixels, which recover in part.
+    r"""Sudden losses of single pixels' sensitivity that recover in part.
 
     After a dropout of the depth d at :math:`t_0`, the pixel's response has the factor
 

@@ -1,4 +1,4 @@
-"""Shares of a star's light in each pixel, where they are not those of its PSF."""
+"""Shares of a star's light in each pixel that differ from the PSF."""
 
 from dataclasses import dataclass
 
@@ -12,7 +12,7 @@ from scope_models.effects.base import Effect
 
 __all__ = ["PixelShares"]
 
-# Highest degree in position of what changes in time.
+# Highest degree in position of terms that change in time.
 _SLOW_DEGREE = 3
 
 
@@ -95,7 +95,7 @@ class PixelShares(Effect):
         return polynomial_terms(self.degree, self.time_degree)
 
     def changes(self, x, y, time):
-        """Return the shares less those of the PSF.
+        """Return the difference between the shares and the PSF's.
 
         Parameters
         ----------

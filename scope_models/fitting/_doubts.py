@@ -150,7 +150,7 @@ def _of_flux(fit):
         if ours > LARGEST_FLUX * np.hypot(pixels, error):
             yield (
                 f"the flux changes by {ours:.3g} e-/s from cadence to cadence, and the light in "
-                f"the pixels by {pixels:.3g}: it has branches, between which nothing decides"
+                f"the pixels by {pixels:.3g}: the data allow several branches"
             )
     explained = followed(fit)
     if explained > LARGEST_SCATTER * error:

@@ -105,7 +105,7 @@ class Settings(FitOptions):
     """All options of a fit, as `~scope_models.fit_tpf` describes them."""
 
     empirical: int = integer(0, 0)
-    interpixel: float = 0.01  # 0 fixes the response at 1, infinity is no prior
+    interpixel: float = 0.01  # 0 fixes the response at 1, infinity means no prior
     positions: str = "start"
     scale_error: float = _SCALE_PRIOR  # of the path about that of POS_CORR
 
@@ -359,7 +359,7 @@ class Problem:
         untrue = typical > UNTRUE or bright > UNTRUE + by_chance
         misfit = scale = float(np.sqrt(max(typical, bright))) if untrue else 1.0
         if self.options.loss == "soft_l1":
-            # In units of larger errors, cosmic rays in the pixels without light are no outliers.
+            # In units of larger errors, cosmic rays in dark pixels are not outliers.
             scale = float(np.sqrt(typical)) if typical > UNTRUE else 1.0
         if max(abs(scale / self.error_scale - 1), abs(misfit / self.misfit - 1)) > _SAME:
             return replace(self, error_scale=scale, misfit=misfit)

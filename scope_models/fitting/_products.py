@@ -269,7 +269,7 @@ def _read_noise(fit):
 
 
 def sensitivity_profiles(fit):
-    """The fitted sensitivity along both axes, with its uncertainty, or None if it is no polynomial.
+    """The fitted sensitivity along both axes, with its uncertainty; None without a polynomial.
 
     "offset" and, by axis, value and standard deviation, all of the same shape; NaN where a
     coefficient is at its bound.

@@ -80,10 +80,10 @@ class _Shares:
         errors = np.array([1 / np.median(w[w > 0]) if w.any() else np.inf for w in weight.T])
         # Images of the PSF, with their derivatives, and where each cadence was then.
         self.images, self.places = [], np.full((len(weight), 2), np.inf)
-        #: Share of each star that is typically in a pixel, and by what it changes: 0 where another
+        #: Typical share of each star in a pixel, and its change: 0 where another
         #: star than the first of its file has too little light to learn from.
         self.size, self.unit = [], []
-        #: What a common factor changes, and the weights of the sum that stays that of the PSF.
+        #: Effect of a common factor, and the weights of the sum that stays the PSF's.
         self.gauges = []
         stamps = [star.stamp for star in problem.stars]
         self.firsts = [stamps.index(stamp) for stamp in range(len(problem.stamps))]
@@ -202,7 +202,7 @@ class _Shares:
                 scaled = (value**2 + spread) / self.unit[k][number] ** 2
                 squares += np.bincount(order, scaled, len(squares))
                 counts += np.bincount(order, minlength=len(squares))
-        # A sum of the shares is that of the PSF, and no change is common to all pixels.
+        # A sum of the shares is the PSF's, and no change is common to all pixels.
         for values, unit, (parts, share) in zip(self.values, self.unit, self.gauges, strict=True):
             if self.problem.options.background == "cadence":
                 seen = unit > 0
@@ -368,7 +368,7 @@ def _errors(shares):
         columns = np.hstack([problem.fluxes(state, star)[:, None] * phi for star in stars])
         spread = np.sum((columns @ shares.covariance[pixel]) * columns, axis=1)
         covariance[:, own, own] += gain[..., pixel] ** 2 * spread[:, None]
-    # The gauge fixes what is common to a star's pixels: its error is that of the prior.
+    # The gauge fixes the part common to a star's pixels: its error is the prior's.
     common = np.linalg.norm(phi * shares.width[shares.order], axis=1) * [
         [np.linalg.norm(share * unit) / (size @ share)]
         for size, unit, (_, share) in zip(shares.size, shares.unit, shares.gauges, strict=True)

@@ -61,7 +61,7 @@ class PixelData:
     quality: np.ndarray
     flux: np.ndarray  # (n, ny, nx), e-/s; NaN where not used
     flux_err: np.ndarray
-    light: np.ndarray  # flux with that of saturated pixels, for the first guess of the positions
+    light: np.ndarray  # flux with saturated pixels, for the first guess of the positions
     pos_corr: np.ndarray | None  # (n, 2), interpolated where it is unusable; None if absent
     pos_err: np.ndarray | None  # (n, 2), infinite there; None if unknown
     pixels: np.ndarray  # (ny, nx), bool: those with data
@@ -79,7 +79,7 @@ class PixelData:
 
 
 def read_data(series, flux_err, detector, n_free, *, saturation, moved):
-    """Take from a `PixelSeries` what can be fitted; a cadence needs more than ``n_free`` pixels.
+    """Take the usable data of a `PixelSeries`; a cadence needs more than ``n_free`` pixels.
 
     ``moved`` are the positions in place of POS_CORR, and their errors.
     """
@@ -265,7 +265,7 @@ def _given_prf(prf, sensitivity, order):
 
 
 def make_rich_prf(sensitivity):
-    """The model of a star whose PSF is no sum of Gaussians: one Gaussian, and an empirical term.
+    """The model of a star whose PSF is not a sum of Gaussians: one Gaussian, and an empirical term.
 
     The Gaussian is fixed, so that all but the positions is linear: nothing ends at a bound.
     """

@@ -37,7 +37,7 @@ __all__ = ["fit_tpf"]
 _PRIOR = 0.01
 # Largest numbers of steps, per stage, where all is left to the data: of simple models, of others.
 _FEW_STEPS, _MANY_STEPS = 20, 60
-# Standard deviations by which chi-squared may exceed that of a model that is true.
+# Standard deviations by which chi-squared may exceed a true model's.
 _EXCESS = 5.0
 # Standard deviations of the positions about POS_CORR, as a part of the motion's, and of the scale
 # of the motion, where the PSF is wrong.

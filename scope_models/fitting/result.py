@@ -47,7 +47,7 @@ class TPFFit(Value):
         flux, that of a light curve; focus, the relative width of the PSF, 1 where it was not
         fitted; pos_corr, of shape (n, 2), if the file has it. With a response of each pixel, also
         held_out, cadences from which it has not learned, and outliers, which it does not describe:
-        they are no part of it, nor of chi-squared.
+        they are not part of it, nor of chi-squared.
     neighbors : tuple of FittedStar
         The other stars.
     interpixel, interpixel_err : ndarray of shape (ny, nx)

@@ -1,4 +1,4 @@
-"""The columns of the pixel table, and the checks of what goes into them."""
+"""The columns of the pixel table, and checks of their values."""
 
 from dataclasses import dataclass, replace
 
@@ -29,7 +29,7 @@ class PixelColumn:
     is_pixels: bool = False
 
     def image_shape(self, shape):
-        """Return rows and columns of what a cell holds, () for a number."""
+        """Return the shape of a cell's value, () for a number."""
         if self.name == "RB_LEVEL":
             return shape[0], _ROLLING_BAND_DURATIONS
         return tuple(shape) if self.is_pixels else ()

@@ -218,7 +218,7 @@ class TPFMetadata(Value):
 
     @property
     def layout(self):
-        """The mission, which fixes what is special in its files."""
+        """The mission, which fixes the special features of its files."""
         return MISSIONS[self.mission]
 
     @property
@@ -242,7 +242,7 @@ class TPFMetadata(Value):
 
     @property
     def full_channel(self):
-        """The channel, or that of the module and output."""
+        """The channel, given or derived from module and output."""
         if self.channel is None and self.module is not None and self.output is not None:
             return 4 * _MODULES.index(self.module) + self.output
         return self.channel

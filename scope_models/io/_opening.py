@@ -43,7 +43,7 @@ class RefusedError(ValueError):
 
 @contextmanager
 def open_fits(path):
-    """Open a FITS file to read, with one kind of error for whatever is wrong with it.
+    """Open a FITS file to read, with one kind of error for all kinds of damage.
 
     The file is read into memory, up to the limits in `scope_models.io.conf`, and each header's
     claims are checked before its data are read. The HDUs stay usable after the context. Whatever
@@ -67,7 +67,7 @@ def open_fits(path):
 
 @contextmanager
 def naming(path):
-    """Let errors of what is done with a file begin with its name."""
+    """Let errors that concern a file begin with its name."""
     try:
         yield
     except ValueError as error:

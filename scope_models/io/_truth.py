@@ -183,7 +183,7 @@ class Truth(Value):
         return _read_only(np.stack([self.columns[name] for name in names]))
 
     def _found(self, name):
-        """Return what the simulation found for each star."""
+        """Return the simulated values of each star."""
         if "found" not in self.scene:
             raise ValueError(f"the truth has no {name}: nothing was simulated")
         return _read_only(np.array(self.scene["found"][name]))
@@ -351,7 +351,7 @@ def maps_of(hdus):
 
 
 def scene_of(hdus):
-    """Return what the SCENE table holds, empty without one."""
+    """Return the content of the SCENE table, empty without one."""
     texts = {}
     for row in hdus["SCENE"].data if "SCENE" in hdus else ():
         key = str(row["KEY"])

@@ -36,7 +36,7 @@ _WCS = {
     "1CDLT5": "CDELT1", "2CDLT5": "CDELT2", "11PC5": "PC1_1", "12PC5": "PC1_2",
     "21PC5": "PC2_1", "22PC5": "PC2_2",
 }  # fmt: skip
-#: Offsets of so many pixels and more are no positions: archive files have -83 to -1023 px.
+#: Offsets of this size and more mark missing positions: archive files have -83 to -1023 px.
 LARGEST_OFFSET = 50.0
 
 
@@ -180,7 +180,7 @@ def read_pixels(source, *, quality_bitmask=None):
     Raises
     ------
     TypeError
-        If the source is no target pixel file.
+        If the source is not a target pixel file.
     OSError
         If the file cannot be opened.
     ValueError
@@ -420,7 +420,7 @@ def pos_corr_of(source):
 
 
 def positions_of(source):
-    """Return what `read_positions` does, of lightkurve's object."""
+    """Return the positions of lightkurve's object, as `read_positions` does."""
     pos_corr = pos_corr_of(source)
     if _attribute(source, "time") is None or pos_corr is None:
         raise TypeError(

@@ -176,7 +176,7 @@ class AxisPanels:
 
     They are interpolated within panels of a ``span`` in position, of which one has the ``middle``,
     pixels, and an eighth in the logarithm of the width: in given panels the integrals at a position
-    are the same, to the last bit, whatever other positions there are. Axes of equal arguments share
+    are the same, to the last bit, independent of the other positions. Axes of equal arguments share
     their `panels`.
     """
 

@@ -1,4 +1,4 @@
-"""Models as what JSON can hold, and back."""
+"""Models as JSON values, and back."""
 
 import importlib
 import math

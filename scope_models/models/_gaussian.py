@@ -41,7 +41,7 @@ REACH = 8.5
 _LINE_CHUNK = 1 << 16
 _SERIES_CHUNK = 1 << 15
 # Fewest and most densities in a step of the series: fewer are not worth its overhead, and fresh
-# large arrays cost more than what is computed in them.
+# large arrays cost more than the computation in them.
 _FEWEST, _MOST = 32, 1024
 # Scale of a density, in the size of a panel, down to which a rule has one panel.
 _PANEL = 0.1
@@ -148,7 +148,7 @@ def _series_derivatives(x, y, parameters, coefficients, out):
 
 
 class _LineRule:
-    """A Gauss-Legendre rule along x over what integrates in closed form along y at a given x.
+    """A Gauss-Legendre rule along x over closed forms along y.
 
     There the density along y is normal, with the mean ``y_0 + rho sigma_y z_x`` and the width
     ``sigma_y sqrt(1 - rho^2)``. Narrow densities have several panels in a pixel.
@@ -208,7 +208,7 @@ def _evaluate(x, y, parameters, coefficients, engines, n_images):
     parameters = [np.asarray(p, dtype=float) for p in parameters]
     shape = np.broadcast_shapes(*(p.shape for p in parameters))
     n = prod(shape)
-    # What is common to all densities stays a single number, which is faster; not the positions.
+    # A parameter common to all densities stays a single number for speed; not the positions.
     common = [p.size == 1 and i not in {1, 2} for i, p in enumerate(parameters)]
     flat = [
         p.reshape(1) if alone else np.broadcast_to(p, shape).reshape(n)

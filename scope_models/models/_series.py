@@ -19,7 +19,7 @@ from scope_models.models.integration import PixelPoints, integrate_density, inte
 
 __all__ = ["ImageSeries", "is_gaussian", "unit_images"]
 
-# Positions of one call of what interpolates long series: so few are integrated one by one.
+# Up to this number of positions are integrated one by one, more are interpolated.
 _BATCH = FEW - 4
 # Standard deviations beyond which a normal density holds less than 1e-13 of its light.
 _DARK = 7.5
@@ -30,7 +30,7 @@ class ImageSeries:
     Images of a star of unit flux at the positions of a series.
 
     Gaussians are interpolated between places that do not depend on the series: the same position
-    and width give the same pixels to the last bit, in whatever pieces the series is rendered.
+    and width give the same pixels to the last bit, however the series is split.
 
     The PSF is scaled to unit flux, and its first component is put at the star's position; one that
     is integrated over pixels contains the sensitivity, and is not multiplied by it. Positions and

@@ -1,4 +1,4 @@
-"""The sum-of-products form of a compound model, which is what gets integrated."""
+"""The sum-of-products form of a compound model, which is then integrated."""
 
 from dataclasses import dataclass, replace
 

@@ -1,4 +1,4 @@
-"""Tables of PRFs times a smooth correction, which pixels can constrain."""
+"""Tables of PRFs times a smooth correction that pixels can constrain."""
 
 import numpy as np
 

@@ -128,7 +128,7 @@ class GaussHermitePSF(StarModel):
         return [unit, *(flux * part for part in parts)]
 
     def _engine(self, coefficients, *, derivatives=False):
-        """Return what integrates the density of unit flux, and if wanted its derivatives."""
+        """Return the integrator of the density of unit flux and, if wanted, its derivatives."""
         matrix, places = self._matrix(coefficients)
 
         def engine(x, y, x_0, y_0, sigma_x, sigma_y, along_x, along_y):

@@ -150,7 +150,7 @@ class PRFGrid(Value):
         Raises
         ------
         ValueError
-            If the places are no rectangular grid.
+            If the places are not a rectangular grid.
         """
         from astropy.nddata import NDData
         from photutils.psf import GriddedPSFModel

@@ -222,7 +222,7 @@ def integrate_pixels(model, shape=None, *, x=None, y=None, method="auto"):
     shape : tuple of int, optional
         Shape (ny, nx) of an image whose pixels are all integrated.
     x, y : array_like, optional
-        Columns and rows of the pixels instead, which broadcast. A number that is no integer
+        Columns and rows of the pixels instead, which broadcast. A number that is not an integer
         stands for the unit square around it, with the response of a pixel centered there.
     method : {"auto", "analytic", "quadrature"}, optional
         "analytic" raises where there is no closed form, "quadrature" uses none.

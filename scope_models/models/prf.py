@@ -1,4 +1,4 @@
-"""Pixel response functions: what a fit or a renderer sees of a star, flux per pixel."""
+"""Pixel response functions: flux of a star per pixel."""
 
 from dataclasses import dataclass
 from functools import reduce
@@ -205,7 +205,7 @@ class PRF(StarModel):
     that is changed by, for example, ``prf.ax2.fixed = False``: the coefficients of the sensitivity
     and the offsets, because a single image hardly separates them from position, flux and width.
 
-    Evaluated at positions that are no integers, the model gives the flux in the unit square
+    Evaluated at positions that are not integers, the model gives the flux in the unit square
     around them, with the response of a pixel centered there, as photutils' PRFs do.
 
     References
@@ -592,7 +592,7 @@ def _like(source, name, *, fixed=None):
 
 
 def _table_at(grid, column, row):
-    """The table of a place, which a single one needs not."""
+    """The table at a place; with a single table no place is needed."""
     if column is None and row is None and len(grid.tables) == 1:
         return grid.tables[0]
     if column is None or row is None:

@@ -179,7 +179,7 @@ class DiffusionSensitivity(Fittable2DModel):
         super().__init__(sigma_d=plain_array(sigma_d, u.pix, "sigma_d"), **kwargs)
         check_model_parameters(self)
 
-    #: The response is no polynomial: it has no powers.
+    #: The response is not a polynomial: it has no powers.
     powers: ClassVar = {}
 
     #: Kind of the parameter in a fit.

@@ -33,7 +33,7 @@ def styled(function):
 
 
 def given_or_new(ax, width, height):
-    """Return the given Axes, or those of a new figure."""
+    """Return the given Axes, or a new figure's."""
     return plt.subplots(figsize=(width, height), layout="constrained")[1] if ax is None else ax
 
 
@@ -75,7 +75,7 @@ def mark_outside(ax, x, *series):
 
 
 def label_places(ax, places, texts, radii):
-    """Write texts beside places, the first ones first; what would overlap others is left out.
+    """Write texts beside places, the first ones first, and leave out overlapping ones.
 
     Radii of the markers are in points.
     """

@@ -1,4 +1,4 @@
-"""Figures of a corrector: what it removed, what it left, and from which pixels."""
+"""Figures of a corrector: removed systematics, remaining light curve, and pixels."""
 
 from types import SimpleNamespace
 

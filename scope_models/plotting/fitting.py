@@ -158,7 +158,7 @@ def _draw_psf(ax, psf, extent, width):
 
 
 def _draw_flux(ax, time, flux, label):
-    """Draw the light curve, with arrows for what is beyond its scale."""
+    """Draw the light curve, with arrows for values beyond its scale."""
     time, label = (np.arange(flux.size), "Cadence") if time is None else (time, label)
     ax.plot(time, flux, "k.", ms=2)
     ax.set(title="Light curve", xlabel=label, ylabel=FLUX)

@@ -199,9 +199,9 @@ def _maps(detector):
 
 
 def _made(path, described, what, make):
-    """Return what a file describes; all its errors are ValueErrors that name it."""
+    """Return the object that a file describes; errors are ValueErrors that name the file."""
     if not described:
-        raise ValueError(f"{path} holds no {what} to make again")
+        raise ValueError(f"{path} holds no {what}")
     version = described.get("version")
     if not isinstance(version, int):
         raise ValueError(f"{path} holds a {what} without a version")  # noqa: TRY004

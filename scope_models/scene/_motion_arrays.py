@@ -137,7 +137,7 @@ def offsets_at(motion, time, time_format, cards, shape):
         times = f"{motion.time_format.upper()}, those of the file {time_format.upper()}"
         raise ValueError(f"the times of the motion are {times}")
     if (ccd := motion.meta.get("ccd")) and (other := ccd_name(cards)) not in {"", ccd}:
-        raise ValueError(f"the motion is that of {ccd}, the file is of {other}")
+        raise ValueError(f"the motion belongs to {ccd}, the file to {other}")
     time = np.where(np.isfinite(time), time, np.inf)
     middles = (motion.time[1:] + motion.time[:-1]) / 2
     nearest = np.searchsorted(middles, time)
@@ -232,7 +232,7 @@ class MotionStatistics(Value):
 
 
 def largest_distance(x, y):
-    """Return the largest distance between any two points, which are corners of the hull."""
+    """Return the largest distance between any two points, both corners of the hull."""
     # Not imported with the package: it takes a third of the time that the package has for that.
     from scipy.spatial import ConvexHull, QhullError
     from scipy.spatial.distance import pdist

@@ -33,7 +33,7 @@ _LOWEST = 1e-300
 class Pointing(Value):
     """Base of the generators of motions; every parameter may be a quantity."""
 
-    #: Beginning of the names of its streams of random numbers; by default that of the class.
+    #: Prefix of the names of its random streams; by default the name of the class.
     stream_name: ClassVar[str] = ""
 
     def __post_init__(self):
@@ -78,7 +78,7 @@ def generate(pointing, n_cadences, days, start, seed, mission, **options):
 
 
 def _due(time, interval, generator):
-    """Return the first cadence at or after each occasion of what recurs at an interval, in days."""
+    """Return the first cadence at or after each recurrence of an event, in days."""
     phase = generator.random() * interval
     number = np.floor((time - time[0] + phase) / interval)
     return np.diff(number, prepend=number[0]) > 0

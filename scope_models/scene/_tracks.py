@@ -1,4 +1,4 @@
-"""The common motion of stars from positions of each, which are known up to a linear map."""
+"""The common motion of stars from their positions, each known up to a linear map."""
 
 from dataclasses import dataclass, replace
 

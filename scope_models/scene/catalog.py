@@ -59,7 +59,7 @@ def star_counts(mag, coord):
     Raises
     ------
     TypeError
-        If ``coord`` is no place on the sky.
+        If ``coord`` is not a place on the sky.
 
     References
     ----------

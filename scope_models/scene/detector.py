@@ -1,4 +1,4 @@
-"""The detector: what the pixels do with the light of stars."""
+"""The detector: geometry, response and noise of the pixels."""
 
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
@@ -533,7 +533,7 @@ class Detector(Value):
         Raises
         ------
         TypeError
-            If ``tpf`` is no target pixel file, or a field is misspelled.
+            If ``tpf`` is not a target pixel file, or a field is misspelled.
         OSError
             If the file cannot be opened.
         ValueError

@@ -130,7 +130,7 @@ class Motion(Value):
 
     #: Standard deviations of x and y, pixels, if they are known.
     x_err = y_err = None
-    # Names of what a scale multiplies, and of the standard deviations of that.
+    # Arrays that a scale multiplies, and their standard deviations.
     offsets_of, errors_of = ("x", "y"), ()
     # numpy's scalars leave `scalar * motion` to this class.
     __array_ufunc__ = None
@@ -597,7 +597,7 @@ class Motion(Value):
     def random_walk(
         cls, n_cadences=1000, *, cadence=K2Roll.cadence, seed=1, start=_K2.start, **parameters
     ):
-        """Generate a random walk, to test what corrects motions; it is no mission's motion.
+        """Generate a random walk for tests of correctors; no mission moves like this.
 
         Parameters
         ----------
@@ -620,7 +620,7 @@ class Motion(Value):
     def failing_wheels(
         cls, n_cadences=1000, *, cadence=K2Roll.cadence, seed=1, start=_K2.start, **parameters
     ):
-        """Generate a drift with growing jumps, to test what corrects motions; it is no mission's.
+        """Generate a drift with growing jumps for tests of correctors; no mission moves like this.
 
         Parameters
         ----------

@@ -220,7 +220,7 @@ class Scene(Value):
             proper motions ``pmra`` (times the cosine of the declination) and ``pmdec``, mas/yr,
             and their ``ref_epoch`` (Julian year). Names of Gaia, of VizieR and of the missions'
             catalogs are found. Stars without a place or a magnitude are left out with a warning;
-            missing proper motions are 0. None is no catalog.
+            missing proper motions are 0. None means no catalog.
         coord : SkyCoord
             Place of the target at the time of the motion.
         detector : Detector

@@ -1,4 +1,4 @@
-"""A star: what shines, where, how bright and how variable."""
+"""A star: its PSF, place, brightness and variability."""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING

@@ -122,7 +122,7 @@ def inject(tpf, signal=None, star=None, *, seed=None, noise=True):
 
 @dataclass(frozen=True, eq=False)
 class _Change:
-    """A change of the expected flux, e-/s, and what becomes of the noise that is there.
+    """A change of the expected flux, e-/s, and of the noise.
 
     ``kept`` is the factor on the residuals that the changed flux has if ``residual`` is None, and
     that it is to get if the residuals are given. ``after`` simulates the scene of the file after
@@ -253,7 +253,7 @@ def _simulated(scene):
 
 
 def _record(hdus, series, relative, added, star):
-    """Add the table of what was injected."""
+    """Add the table of the injected signal."""
     from astropy.io import fits
 
     ny, nx = series.flux.shape[1:]

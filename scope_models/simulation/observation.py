@@ -416,7 +416,7 @@ class Observation(Value):
         return full
 
     def _tpf_arguments(self, metadata: Mapping | None, aperture_mask):
-        """Return what the writer of target pixel files takes."""
+        """Return the arguments for the writer of target pixel files."""
         aperture = self._checked_aperture(aperture_mask)
         if self.detector.mission not in MISSIONS:
             raise ValueError(

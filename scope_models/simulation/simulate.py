@@ -241,7 +241,7 @@ def _flag(prepared, cubes):
 
 
 def _truth(prepared, lost, share, model):
-    """Return what lies behind the pixels."""
+    """Return the truth behind the pixels."""
     scene, lights = prepared.scene, prepared.lights
     columns = {"CADENCENO": scene.motion.cadenceno}
     columns |= scene_columns(scene, [light.relative_flux for light in lights])

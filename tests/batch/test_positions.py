@@ -48,8 +48,8 @@ def flux(folder, number):
 def test_positions_that_are_missing_or_disagree_are_those_of_others(files, tmp_path):
     table = detrend(files, tmp_path / "out").table
     found = dict(zip(table["key"], table["warnings"], strict=True))
-    assert "POS_CORR is missing: positions are those of 3 stars of c05 CCD 31" in found["star2"]
-    message = "POS_CORR disagrees with that of other stars: positions are those of 3 stars of c05"
+    assert "POS_CORR is missing: positions come from 3 stars of c05 CCD 31" in found["star2"]
+    message = "POS_CORR disagrees with that of other stars: positions come from 3 stars of c05"
     assert message in found["star4"]
     assert not any("positions" in found[f"star{number}"] for number in (1, 3, 5, 6))
     paths = dict(zip(table["key"], table["positions"], strict=True))
@@ -66,7 +66,7 @@ def test_positions_from_files(files, tmp_path):
     given = [files[number] for number in (0, 2, 4)]
     with pytest.warns(FitWarning, match="no file of the run is of the same CCD as"):
         table = detrend(files[1:2], tmp_path / "out", positions_from=[*given, files[5]]).table
-    assert "positions are those of 3 stars of c05 CCD 31" in table["warnings"][0]
+    assert "positions come from 3 stars of c05 CCD 31" in table["warnings"][0]
     motion = Motion.from_tpfs(given)
     assert not (motion.x_err > 2e-4).any()
     expected = PLDCorrector(files[1]).correct(order=1, positions=motion).flux.value
