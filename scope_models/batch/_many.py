@@ -41,15 +41,15 @@ _LONGEST = 300  # characters of the warnings of a star
 
 
 def run_files(
-    work, names, folder, client, *, name, suffix, options, rows=None, inputs=None,
+    work, names, folder, client, *, name, suffix, options, rows=None, inputs=(), are_files=True,
     seed=1, draw=None, overwrite=False, sweep=None, name_output=None,
 ):  # fmt: skip
     """Run a function that writes a file over many files or names.
 
     Options and outputs are checked first. ``work(task, output, seed, **options)`` writes a file and
-    returns a row. The tasks hold ``rows`` and, without ``inputs``, the names, which are files then;
-    ``inputs`` are files that must not be replaced. ``name_output(file, key)`` returns the output's
-    path in the folder, by default the key with the suffix.
+    returns a row. The tasks hold ``rows`` and, where they are files, the names. ``inputs`` are
+    files on which all results depend; none of both is replaced. ``name_output(file, key)`` returns
+    the output's path in the folder, by default the key with the suffix.
     """
     for option, value in options.items():
         if not isinstance(value, (bool, int, float, str, type(None))):
@@ -60,7 +60,7 @@ def run_files(
         if key in keys:
             raise ValueError(f"{keys[key]} and {file} would both become {key}{suffix}")
         keys[key] = file
-        tasks.append({"key": key} | ({"file": file} | _state(file) if inputs is None else {}) | row)
+        tasks.append({"key": key} | ({"file": file} | _state(file) if are_files else {}) | row)
         output = f"{key}{suffix}" if name_output is None else name_output(file, key)
         if output in written:
             raise ValueError(f"{written[output]} and {file} would both become {output}")
@@ -68,7 +68,7 @@ def run_files(
         tasks[-1]["output"] = output
     outputs = [folder / task["output"] for task in tasks]
     replaced = {_identity(path) for path in outputs}
-    for file in names if inputs is None else inputs:
+    for file in (*(names if are_files else ()), *inputs):
         if _identity(file) in replaced:
             raise ValueError(f"{file} would be replaced by an output: choose another folder")
     for path in () if overwrite or (folder / FILE).exists() else outputs:
@@ -77,7 +77,7 @@ def run_files(
     return run_sweep(
         partial(_worked, work, options, folder, seed), tasks, folder, client, name=name,
         config={"seed": seed, **options}, units=UNITS, summarize=_medians, draw=draw,
-        has_output=lambda task: (folder / task["output"]).is_file(), **(sweep or {}),
+        inputs=inputs, output=lambda task: folder / task["output"], **(sweep or {}),
     )  # fmt: skip
 
 

@@ -1,14 +1,14 @@
 """Positions of stars of a run from other stars of their CCDs."""
 
+import hashlib
 import warnings
 from collections import defaultdict
-from hashlib import sha256
 from pathlib import Path
 
 from scope_models.exceptions import DetrendingWarning, FitWarning
 from scope_models.fitting._common import common_motions, pos_corr_track
 from scope_models.io import read_pixels
-from scope_models.io._hlsp import ccd_label
+from scope_models.io._hlsp import ccd_label, sha256
 from scope_models.io._opening import cards_of
 from scope_models.scene import Motion
 from scope_models.scene._tracks import explains
@@ -42,8 +42,9 @@ def write_motions(files, folder, positions_from=None):
         warnings.warn(text, FitWarning, stacklevel=3)
     for place in set(groups) & set(places):
         name = "-".join(filter(None, place)) or "motion"
-        if given:  # stars with the motion of others are corrected again
-            name += f"-{sha256(repr(sorted(map(str, groups[place]))).encode()).hexdigest()[:8]}"
+        if given:  # stars with the motion of others, or of other contents, are corrected again
+            contents = sorted((Path(file).name, sha256(file)) for file in groups[place])
+            name += f"-{hashlib.sha256(repr(contents).encode()).hexdigest()[:8]}"
         path = Path(folder) / _FOLDER / f"{name}.fits"
         if path.exists() or _write_motion(path, place, groups[place], given=given):
             written[place] = f"{_FOLDER}/{path.name}"

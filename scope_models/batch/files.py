@@ -132,7 +132,7 @@ def detrend_files(
     elif format == "parquet":
         name_output = partition_of
         check_data_set(output_dir, overwrite=overwrite)
-    _make_absolute(options)
+    inputs = _catalog(options)
     if positions_from is not None:
         positions_from = find_files(positions_from)
     moved = write_motions(files, output_dir, positions_from)
@@ -140,7 +140,7 @@ def detrend_files(
     result = run_files(
         detrended, files, output_dir, client, name="detrend", suffix="-lc.fits", rows=rows,
         options=shared | options, draw=_noise_figure, overwrite=overwrite, sweep=sweep,
-        name_output=name_output,
+        inputs=inputs, name_output=name_output,
     )  # fmt: skip
     if format == "hlsp":
         return result.replace(files=(*result.files, write_manifest(result.table, output_dir)))
@@ -185,10 +185,10 @@ def fit_files(paths, output_dir, client=None, *, overwrite=False, sweep=None, **
     >>> result.table["n_cadences"].tolist()
     [95]
     """
-    _make_absolute(options)
+    inputs = _catalog(options)
     return run_files(
         _fitted, find_files(paths), output_dir, client, name="fit", suffix="-fit.fits",
-        options=options, overwrite=overwrite, sweep=sweep,
+        options=options, inputs=inputs, overwrite=overwrite, sweep=sweep,
     )  # fmt: skip
 
 
@@ -315,10 +315,12 @@ def inject_file(path, planet, output, *, star=None, seed=1, overwrite=False):
     }
 
 
-def _make_absolute(options):
-    """Let workers find the catalog of neighbors."""
-    if options.get("neighbors") not in {None, "find"}:
-        options["neighbors"] = str(Path(options["neighbors"]).absolute())
+def _catalog(options):
+    """Return the file of neighbors, if there is one; workers find it by its absolute path."""
+    if options.get("neighbors") in {None, "find"}:
+        return ()
+    options["neighbors"] = str(Path(options["neighbors"]).absolute())
+    return (options["neighbors"],)
 
 
 def planet_rows(planets, needed=("period", "depth"), further=("t0", "duration")):
@@ -434,8 +436,8 @@ def simulate_table(
     options = {"detector": str(detector), "motion": str(motion), "cadences": cadences}
     return run_files(
         _simulated, names, output_dir, client, name="simulate", suffix=".fits", rows=rows,
-        inputs=[str(path) for path in (detector, motion) if path], options=options, seed=seed,
-        overwrite=overwrite, sweep=sweep,
+        inputs=[path for path in map(str, (detector, motion)) if path not in {"", *PRESETS}],
+        are_files=False, options=options, seed=seed, overwrite=overwrite, sweep=sweep,
     )  # fmt: skip
 
 

@@ -26,7 +26,7 @@ from scope_models.batch._workers import (
     computed,
 )
 from scope_models.exceptions import FailedStarsWarning
-from scope_models.io._atomic import atomic_path
+from scope_models.io._atomic import atomic_path, remove_temporaries
 
 __all__ = ["SweepError", "SweepResult", "run_sweep", "star_rng", "star_seed"]
 
@@ -133,7 +133,7 @@ def star_rng(seed, key, purpose="star"):
 
 def run_sweep(
     measure, tasks, directory=None, client=None, *, name="sweep", config=None, units=None,
-    inputs=(), has_output=None, summarize=None, draw=None, retry_failed=True, progress=True,
+    inputs=(), output=None, summarize=None, draw=None, retry_failed=True, progress=True,
     chunk_size=1, in_flight=256,
 ):  # fmt: skip
     """Compute a function of many stars, and keep each star that is finished.
@@ -169,9 +169,10 @@ def run_sweep(
     inputs : sequence of str or path-like, optional
         Files that the results depend on. A directory that was begun with other contents of them is
         refused.
-    has_output : callable, optional
-        Function of a task: whether the files that `measure` writes are there. By default it writes
-        none.
+    output : callable, optional
+        Function of a task that returns the path of the file that `measure` writes. Stars whose file
+        is missing are computed again, and temporary files that a killed run has left beside it are
+        removed. By default there is none.
     summarize : callable, optional
         Function of the table of results that returns a summary, a table.
     draw : callable, optional
@@ -236,12 +237,15 @@ def run_sweep(
     fields = dataclasses.asdict(config) if dataclasses.is_dataclass(config) else dict(config or {})
     meta = {"creator": f"scope_models {__version__}", "study": name, **plain_tree(fields)}
     tasks = checked_tasks(tasks)
+    outputs = {task["key"]: Path(output(task)) for task in tasks if output is not None}
     with closing(Store(directory, meta, inputs, tasks)) as store:
+        for folder in {directory, *(path.parent for path in outputs.values())} - {None}:
+            remove_temporaries(folder)
         missing = [
             task
             for task in tasks
             if (retry_failed if store.has_failed(task["key"]) else not store.is_done(task["key"]))
-            or (store.is_done(task["key"]) and has_output is not None and not has_output(task))
+            or (outputs and store.is_done(task["key"]) and not outputs[task["key"]].is_file())
         ]
         if missing:
             bar = tqdm(total=len(tasks), initial=len(tasks) - len(missing), desc=name,

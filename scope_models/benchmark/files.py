@@ -97,8 +97,8 @@ def make_benchmark(output_dir, client=None, *, overwrite=False, sweep=None, star
     rows = [{"number": number} for number in range(checked_integer("stars", stars, 1))]
     files = [f"sky{n:03d}-{names[n % len(names)]}" for n in range(stars)]
     return run_files(
-        _written, files, output_dir, client, name="benchmark", suffix=".fits", rows=rows, inputs=(),
-        options={"version": 2}, overwrite=overwrite, sweep=sweep,
+        _written, files, output_dir, client, name="benchmark", suffix=".fits", rows=rows,
+        are_files=False, options={"version": 2}, overwrite=overwrite, sweep=sweep,
     )  # fmt: skip
 
 

@@ -7,12 +7,11 @@ from astropy.io import fits
 
 from scope_models.correctors._model import PLDOptions
 from scope_models.correctors.pld import PLDCorrector
-from scope_models.io import read_pixels, read_tpf
+from scope_models.io import read_pixels
 from scope_models.io._atomic import atomic_path, check_output
 from scope_models.io._hlsp import archive_hdulist
 from scope_models.io._light_curves import make_light_curve_hdulist
 from scope_models.io._opening import naming
-from scope_models.io.pixels import read_neighbors
 from scope_models.io.tpf import write_hdulist
 from scope_models.photometry import cdpp
 
@@ -94,10 +93,7 @@ def detrend_file(path, output, *, figure=None, overwrite=False, survival=False, 
 
 def correct_file(path, transits=None, aperture_mask=None, neighbors=None, **options):
     """Return a corrector after a correction; the options are those of `detrend_file`."""
-    tpf = read_tpf(path)
-    if neighbors not in (None, "find"):
-        neighbors = read_neighbors(neighbors, read_pixels(tpf))
-    corrector = PLDCorrector(tpf, aperture_mask, neighbors)
+    corrector = PLDCorrector(path, aperture_mask, neighbors)
     names = {item.name for item in fields(PLDOptions)} & options.keys()
     options["options"] = PLDOptions(**{name: options.pop(name) for name in names})
     if transits is not None:

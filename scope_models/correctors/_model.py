@@ -329,7 +329,7 @@ def fit_pixels(pixels, options, series, cadence_mask=None, **transit):
     if options.fractions != "auto" or options.flux == "weighted" or clean is None:
         return fitted
     # beside constant light measured fractions follow the star
-    rough = _roughness(fitted.corrected()[0]) > WORSE * _roughness(pixels.total)
+    rough = roughness(fitted.corrected()[0]) > WORSE * roughness(pixels.total)
     if clean.constant > 0 or not (rough or fitted.noise_scale > _MISFIT):
         return fitted
     measured = fitted_with(replace(options, fractions="measured"))
@@ -365,6 +365,6 @@ def _gain(measured, predicted, cadences):
     return gain.sum() / max(np.sqrt(len(gain)) * gain.std(), 1e-300)
 
 
-def _roughness(flux):
+def roughness(flux):
     """Size of relative changes from cadence to cadence, but for the largest."""
     return np.nanquantile(np.abs(np.diff(flux)), 0.9) / np.nanmedian(flux)

@@ -1,12 +1,13 @@
 """Light of other stars in a star's pixels, by a model of all of them."""
 
 from dataclasses import dataclass, replace
+from os import PathLike
+from pathlib import Path
 
 import numpy as np
 from astropy.stats import mad_std
 from astropy.table import QTable
 
-from scope_models._checks import checked_choice
 from scope_models.correctors._clean import Smoother
 from scope_models.correctors._scene_model import (
     MEDIAN_SQUARE,
@@ -29,7 +30,7 @@ from scope_models.correctors._scene_start import (
     first_shape,
     first_track,
 )
-from scope_models.io.pixels import usable_positions
+from scope_models.io.pixels import read_neighbors, usable_positions
 
 __all__ = ["NeighborLight", "given_neighbors", "light_of_neighbors", "without_neighbors"]
 
@@ -93,9 +94,14 @@ def without_neighbors(pixels, series, found):
 
 
 def given_neighbors(neighbors, series, pixels):
-    """Return "find", or the neighbors of a user as `~scope_models.io.pixels.star_places` does."""
-    if isinstance(neighbors, str):
-        return checked_choice("neighbors", neighbors, ("find",))
+    """Return "find", or the neighbors of a user: a file, or as `star_places` takes them."""
+    if isinstance(neighbors, str | PathLike):
+        if neighbors == "find":
+            return neighbors
+        if not Path(neighbors).is_file():
+            accepted = '"find", positions, a table, or the file of a table'
+            raise ValueError(f"`neighbors` must be {accepted}, got {str(neighbors)!r}")
+        neighbors = read_neighbors(neighbors, series)
     image, peak = _peak(pixels)
     start = (np.array([float(k)]) for k in peak[::-1])
     place = np.ravel(centroids(image[None] - np.median(image), *start))

@@ -3,10 +3,12 @@
 import os
 import secrets
 import shutil
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
-__all__ = ["atomic_path", "check_output"]
+__all__ = ["atomic_path", "check_output", "remove_temporaries"]
+
+_PREFIX = ".scope-models-"
 
 
 @contextmanager
@@ -23,7 +25,7 @@ def atomic_path(path, *, overwrite=False, inputs=()):
     an OSError or a ValueError that names the file.
     """
     target = check_output(path, overwrite=overwrite, inputs=inputs)
-    name = ".scope-models-" + secrets.token_hex(8) + "".join(target.suffixes[-2:])
+    name = _PREFIX + secrets.token_hex(8) + "".join(target.suffixes[-2:])
     temporary = target.with_name(name)
     try:
         yield temporary
@@ -36,6 +38,13 @@ def atomic_path(path, *, overwrite=False, inputs=()):
         raise type(error)(f"cannot write {path}: {error.strerror or error}") from error
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def remove_temporaries(folder):
+    """Remove what processes that were killed were writing in a folder, where that is possible."""
+    for path in Path(folder).glob(f"{_PREFIX}*"):
+        with suppress(OSError):
+            path.unlink()
 
 
 def check_output(path, *, overwrite=False, inputs=()):

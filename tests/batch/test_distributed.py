@@ -145,7 +145,7 @@ def test_a_worker_is_killed_and_the_scheduler_restarted(tmp_path):
             hdus.verify("exception")
             assert len(hdus[1].data) > 250
     assert sorted(path.name for path in out.glob("*.fits")) == sorted(table["output"])
-    # a process that is killed leaves what it was writing, under a hidden name
-    assert len(list(out.glob(".scope-models*"))) <= 3
+    # a process that is killed leaves what it was writing, which the next run removes
+    assert not list(out.glob(".scope-models*"))
     assert (table["seconds"].value < 60).all()
     assert (table["peak_memory"].value < 1024).all()

@@ -6,6 +6,7 @@ import shutil
 import sqlite3
 import sys
 from contextlib import closing
+from functools import partial
 
 import numpy as np
 import pytest
@@ -117,6 +118,34 @@ class TestDetrend:
         with pytest.raises(ValueError, match=r"differs in `order` \(1 there, 2 here\)"):
             detrend_files(files[:1], tmp_path / "out", order=2, sweep=QUIET)
 
+    @pytest.mark.parametrize("work", [detrend, partial(fit_files, psf=1, cadences=60, sweep=QUIET)])
+    def test_another_catalog_in_the_same_place_is_refused(self, files, tmp_path, work):
+        catalog = tmp_path / "stars.csv"
+        catalog.write_text("x,y\n80,3\n")
+        work(files[:1], tmp_path / "out", neighbors=catalog)
+        assert work(files[:1], tmp_path / "out", neighbors=catalog).n_computed == 0
+        catalog.write_text("x,y\n80,2\n")
+        with pytest.raises(ValueError, match=r"differs in `contents of .*stars\.csv`"):
+            work(files[:1], tmp_path / "out", neighbors=catalog)
+
+    @pytest.mark.parametrize("more", [{}, {"format": "parquet"}])
+    def test_what_killed_workers_were_writing_is_removed(self, files, tmp_path, more):
+        if more:
+            pytest.importorskip("pyarrow")
+        detrend(files[:1], tmp_path / "out", **more)
+        output = next((tmp_path / "out").rglob("kp11*"))
+        halves = [folder / ".scope-models-01.fits" for folder in (output.parent, tmp_path / "out")]
+        for half in (*halves, tmp_path / halves[0].name):
+            half.write_bytes(b"SIMPLE  =")
+        with closing(sqlite3.connect(tmp_path / "out" / "results.sqlite")) as other:
+            other.execute("BEGIN EXCLUSIVE")
+            with pytest.raises(OSError, match="another run is writing to"):
+                detrend(files[:1], tmp_path / "out", **more)
+            assert all(half.exists() for half in halves)  # they may be of the other run
+        assert detrend(files[:1], tmp_path / "out", **more).n_computed == 0
+        assert not any(half.exists() for half in halves)
+        assert (tmp_path / halves[0].name).exists()
+
     @pytest.mark.slow
     def test_workers_give_the_same_bytes(self, files, tmp_path):
         for workers, name in ((None, "a"), (2, "b")):
@@ -160,6 +189,15 @@ class TestOthers:
         scene = read_scene(tmp_path / "star0007.fits")
         assert scene.stars[0].mag == table["mag"][6]
         assert scene.stars[0].x_0 == table["x_0"][6]
+
+    def test_another_motion_in_the_same_place_is_refused(self, files, tmp_path):
+        options = {"motion": tmp_path / "motion.fits", "cadences": 20, "sweep": QUIET}
+        for file in files[:2]:
+            shutil.copy(file, tmp_path / "motion.fits")
+            if file is files[0]:
+                simulate_table({"mag": [12.0]}, tmp_path / "out", **options)
+        with pytest.raises(ValueError, match=r"differs in `contents of .*motion\.fits`"):
+            simulate_table({"mag": [12.0]}, tmp_path / "out", **options)
 
     def test_simulate_planets_and_names(self, tmp_path):
         table = {"name": ["a", "b"], "mag": [11, 11]} | {k: v * 2 for k, v in PLANET.items()}

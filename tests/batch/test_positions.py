@@ -75,6 +75,19 @@ def test_positions_from_files(files, tmp_path):
     assert "positions are those of 2 stars" in table["warnings"][0]
 
 
+def test_stars_whose_positions_come_from_changed_files_are_corrected_again(files, tmp_path):
+    given = [tmp_path / files[number].name for number in (0, 2)]
+    for number, path in zip((0, 2), given, strict=True):
+        path.write_bytes(files[number].read_bytes())
+    first = detrend(files[1:2], tmp_path / "out", positions_from=given)
+    assert detrend(files[1:2], tmp_path / "out", positions_from=given).n_computed == 0
+    with fits.open(given[0], mode="update", checksum=True) as hdus:
+        hdus[1].data["FLUX"] *= 1.5
+    again = detrend(files[1:2], tmp_path / "out", positions_from=given)
+    assert again.n_computed == 1
+    assert again.table["positions"][0] != first.table["positions"][0]
+
+
 def test_stars_of_which_no_two_agree_keep_their_positions(files, tmp_path):
     rng = np.random.default_rng(1)
     paths = []

@@ -145,13 +145,15 @@ def test_a_ghost_in_masked_cadences_is_no_neighbor(constant):
     assert again.result.neighbors is None
 
 
-def test_given_neighbors_are_where_they_are_given(neighbor):
+def test_given_neighbors_are_where_they_are_given(neighbor, tmp_path):
     sky, corrector = neighbor
     found = corrector.result.neighbors
     x, y = found["x"][0].value, found["y"][0].value
     truth = np.nanmean(sky.neighbor_light, axis=0).sum()
     place = pytest.approx(np.array([x, y]), abs=0.15)
-    for given in ([[x, y]], Table([[x], [y]], names=("x", "y"))):
+    table = Table([[x], [y]], names=("x", "y"))
+    table.write(tmp_path / "stars.csv")
+    for given in ([[x, y]], table, tmp_path / "stars.csv", str(tmp_path / "stars.csv")):
         again = corrected(sky, neighbors=given).result.neighbors
         assert again["flux"][0].value == pytest.approx(truth, rel=0.1)
         assert np.array([again["x"][0].value, again["y"][0].value]) == place
@@ -212,7 +214,7 @@ def test_no_neighbors_are_no_warning():
     [
         ([[1.0, 2.0, 3.0]], r"`neighbors` must be finite positions of shape \(k, 2\)"),
         ([[np.nan, 2.0]], "`neighbors` must be finite"),
-        ("all", "`neighbors` must be one of find, got 'all'"),
+        ("all", "`neighbors` must be \"find\", .* or the file of a table, got 'all'"),
         (Table({"a": [1.0]}), "`neighbors` must have the columns x and y"),
     ],
 )
