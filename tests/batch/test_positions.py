@@ -72,7 +72,7 @@ def test_positions_from_files(files, tmp_path):
     expected = PLDCorrector(files[1]).correct(order=1, positions=motion).flux.value
     np.testing.assert_allclose(flux(tmp_path / "out", 2), expected, rtol=1e-6)
     table = detrend(files[1:2], tmp_path / "out", positions_from=given[:2]).table
-    assert "positions are those of 2 stars" in table["warnings"][0]
+    assert "positions come from 2 stars" in table["warnings"][0]
 
 
 def test_stars_whose_positions_come_from_changed_files_are_corrected_again(files, tmp_path):
@@ -122,7 +122,7 @@ def test_command(files, tmp_path, capsys):
     other = ["detrend", str(files[5]), "--output", str(tmp_path / "other.fits"), *given]
     capsys.readouterr()
     assert main(other) == 2
-    assert "the motion is that of c05 CCD 31, the file is of c05 CCD 32" in capsys.readouterr().err
+    assert "the motion belongs to c05 CCD 31, the file to c05 CCD 32" in capsys.readouterr().err
 
 
 def test_light_curve_of_a_real_star_without_pos_corr(shared_data):
