@@ -123,15 +123,18 @@ class CosmicRays(Effect):
 
 def _deposits(hits, shape):
     """Return hit, row, column and charge of all points of tracks that are on a stamp."""
-    points = np.ceil(hits["LENGTH"] * _POINTS).astype(int) + 1
-    hit = np.repeat(np.arange(len(points)), points)
+    length = hits["LENGTH"]
+    outside = [np.maximum(-1 - hits[n], hits[n] - size) for n, size in zip("YX", shape, strict=True)]
+    near = np.flatnonzero(np.maximum(*outside) <= length)  # the others do not reach the stamp
+    points = np.ceil(length[near] * _POINTS).astype(int) + 1
+    hit, angle = np.repeat(near, points), np.repeat(hits["ANGLE"][near], points)
     along = np.arange(hit.size) - np.repeat(np.cumsum(points) - points, points) + 0.5
-    along *= (hits["LENGTH"] / points)[hit]
-    column = np.rint(hits["X"][hit] + along * np.cos(hits["ANGLE"][hit])).astype(int)
-    row = np.rint(hits["Y"][hit] + along * np.sin(hits["ANGLE"][hit])).astype(int)
+    along *= np.repeat(length[near] / points, points)
+    column = np.rint(hits["X"][hit] + along * np.cos(angle)).astype(int)
+    row = np.rint(hits["Y"][hit] + along * np.sin(angle)).astype(int)
     seen = (row >= 0) & (row < shape[0]) & (column >= 0) & (column < shape[1])
-    hit = hit[seen]
-    return hit, row[seen], column[seen], (hits["ELECTRONS"] / points)[hit]
+    charge = np.repeat(hits["ELECTRONS"][near] / points, points)
+    return hit[seen], row[seen], column[seen], charge[seen]
 
 
 def rejected_shift(charge):
