@@ -97,41 +97,33 @@ def poisson_quantile(deviate, mean):
     deviate, mean = np.asarray(deviate, dtype=float), np.asarray(mean, dtype=float)
     shape = np.broadcast_shapes(deviate.shape, mean.shape)
     deviate = np.broadcast_to(deviate, shape)
-    counts = np.empty(shape)
-    _asymptotic_quantile(deviate, mean, out=counts)
-    small = mean < _SEARCH_BELOW
-    if small.any():
-        np.copyto(counts, 0.0, where=small)
-        possible = np.flatnonzero(small & ((mean >= _RARE) | (deviate > _RARE_DEVIATE)))
-        mean = np.broadcast_to(mean, shape)
-        counts.ravel()[possible] = _searched_quantile(
-            deviate.ravel()[possible], mean.ravel()[possible]
-        )
+    large = mean >= _SEARCH_BELOW
+    if large.all():
+        return _asymptotic_quantile(deviate, mean)
+    counts, mean, large = np.zeros(shape), *(np.broadcast_to(v, shape) for v in (mean, large))
+    possible = ~large & ((mean >= _RARE) | (deviate > _RARE_DEVIATE))
+    for quantile, chosen in ((_asymptotic_quantile, large), (_searched_quantile, possible)):
+        counts[chosen] = quantile(deviate[chosen], mean[chosen])
     return counts
 
 
-def _asymptotic_quantile(deviate, mean, out):
-    """Write the asymptotic quantile to ``out``; meaningless for a small mean."""
-    root = np.sqrt(np.maximum(mean, 1.0))
-    inverse = 1.0 / root
-    square = deviate * deviate
-    np.multiply(square, 1.0 / 270.0, out=out)
-    out += 7.0 / 810.0
-    out *= square
-    out -= 8.0 / 405.0
-    out *= inverse
-    # Now the square bracket of 1 / root, times w, is added to root: one pass less each.
-    term = (square + 2.0) * (-1.0 / 72.0)
-    term *= deviate
-    out += term
-    out *= inverse
-    np.multiply(deviate, root, out=term)
-    out += term
-    square *= 1.0 / 6.0
-    out += square
-    out += mean + 1.0 / 3.0
-    np.floor(out, out=out)
-    return out
+def _asymptotic_quantile(deviate, mean):
+    """Return the asymptotic quantile of a large mean: a polynomial of the deviate.
+
+    Its coefficients have the shape of the mean, which may be that of one image.
+    """
+    root, inverse = np.sqrt(mean), 1.0 / mean
+    inverse_root = root * inverse
+    counts = deviate * (inverse / 270.0)
+    for coefficient in (
+        inverse_root * (-1.0 / 72.0),
+        inverse * (7.0 / 810.0) + 1.0 / 6.0,
+        root - inverse_root * (1.0 / 36.0),
+    ):
+        counts += coefficient
+        counts *= deviate
+    counts += mean + (1.0 / 3.0 - 8.0 / 405.0 * inverse)
+    return np.floor(counts, out=counts)
 
 
 def _searched_quantile(deviate, mean):

@@ -1,18 +1,17 @@
-"""Headers with their data as they are in a FITS file, without astropy's checks of each card."""
+"""Headers with their data as they are in a FITS file, without astropy's checks of each card.
+
+This takes a tenth of the time: of a small file, headers are the most.
+"""
 
 import io
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from scope_models.io._opening import checksum_of
 
-if TYPE_CHECKING:
-    from astropy.io import fits
-
-__all__ = ["CHECKSUM_COMMENT", "Block", "column_cards", "make_header", "write_blocks"]
+__all__ = ["CHECKSUM_COMMENT", "Block", "card_texts", "column_cards", "write_blocks"]
 
 CHECKSUM_COMMENT = "checksum of the FITS standard"
 _BLOCK = 2880
@@ -24,21 +23,25 @@ _EXCLUDED = {*range(0x3A, 0x41), *range(0x5B, 0x61)}
 
 @dataclass(frozen=True)
 class Block:
-    """A header without checksums and its data: an image, the rows of a table, or None."""
+    """The cards of a header without checksums, as one text, and its data.
 
-    header: "fits.Header"
+    The data are an image, the rows of a table, or None.
+    """
+
+    cards: str
     data: np.ndarray | None = None
 
     @classmethod
-    def primary(cls, cards):
+    def primary(cls, cards, n_extensions):
         """Return a primary header without data."""
         start = [
             ("SIMPLE", True, "conforms to FITS standard"),
             ("BITPIX", 8, "array data type"),
             ("NAXIS", 0, "number of array dimensions"),
             ("EXTEND", True, ""),
+            ("NEXTEND", n_extensions, "number of extensions"),
         ]
-        return cls(make_header([*start, *cards]))
+        return cls("".join(card_texts([*start, *cards])))
 
     @classmethod
     def image(cls, data, cards):
@@ -53,7 +56,7 @@ class Block:
             ("PCOUNT", 0, "number of parameters"),
             ("GCOUNT", 1, "number of groups"),
         ]
-        return cls(make_header([*start, *cards]), data)
+        return cls("".join(card_texts([*start, *cards])), data)
 
     @classmethod
     def table(cls, rows, cards):
@@ -68,16 +71,17 @@ class Block:
             ("GCOUNT", 1, "number of groups"),
             ("TFIELDS", len(rows.dtype), "number of table fields"),
         ]
-        return cls(make_header([*start, *cards]), rows)
+        return cls("".join(card_texts([*start, *cards])), rows)
 
     def hdu(self):
         """Return the HDU, which shares its memory with the block."""
         from astropy.io import fits
 
+        header = fits.Header.fromstring(self.cards)
         if self.data is None:
-            return fits.PrimaryHDU(header=self.header)
+            return fits.PrimaryHDU(header=header)
         if self.data.dtype.names is None:
-            return fits.ImageHDU(self.data, self.header)
+            return fits.ImageHDU(self.data, header)
         hdu = fits.BinTableHDU()
         hdu.data = self.data
         # The columns find their arrays in the table. References of their own would close a ring
@@ -85,10 +89,10 @@ class Block:
         hdu.columns.__dict__.pop("_arrays", None)
         for i, column in enumerate(hdu.columns, 1):
             for attribute, keyword in (("disp", "TDISP"), ("unit", "TUNIT"), ("null", "TNULL")):
-                if f"{keyword}{i}" in self.header:
-                    setattr(column, attribute, self.header[f"{keyword}{i}"])
+                if f"{keyword}{i}" in header:
+                    setattr(column, attribute, header[f"{keyword}{i}"])
             column.__dict__.pop("array", None)
-        hdu.header = self.header
+        hdu.header = header
         return hdu
 
     def write(self, stream):
@@ -98,8 +102,7 @@ class Block:
             data = np.ascontiguousarray(self.data, self.data.dtype.newbyteorder(">"))
             data = data.reshape(-1).view(np.uint8)
         total = checksum_of(data)
-        text = self.header.tostring(endcard=False, padding=False)
-        text += _card("CHECKSUM", _NO_CHECKSUM, CHECKSUM_COMMENT)
+        text = self.cards + _card("CHECKSUM", _NO_CHECKSUM, CHECKSUM_COMMENT)
         text += _card("DATASUM", str(total), CHECKSUM_COMMENT)
         text = (text + "END").encode("ascii")
         text += b" " * (-len(text) % _BLOCK)
@@ -123,15 +126,9 @@ def write_blocks(blocks, stream):
         stream.write(whole.getbuffer()[_BLOCK:])
 
 
-def make_header(cards):
-    """Return a header of texts of 80 characters or (keyword, value, comment).
-
-    It is made 20 times as fast as astropy formats and checks cards, which are parsed when read.
-    """
-    from astropy.io import fits
-
-    texts = (card if isinstance(card, str) else _card(*card) for card in cards)
-    return fits.Header.fromstring("".join(texts))
+def card_texts(cards):
+    """Return the texts of cards that are texts or (keyword, value, comment)."""
+    return [card if isinstance(card, str) else _card(*card) for card in cards]
 
 
 def _card(keyword, value, comment):

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from scope_models._version import __version__
-from scope_models.io._blocks import make_header
+from scope_models.io._blocks import card_texts
 
 __all__ = ["calendar_dates", "make_headers", "pixel_column_cards", "tan_projection"]
 
@@ -24,7 +24,7 @@ _MAX_CARD_INTEGER = 2**63 - 1  # larger seeds are written as text, for readers w
 
 
 def make_headers(metadata, time, timecorr, used, aperture):
-    """Return the headers of file, pixel table (without its columns) and aperture.
+    """Return the cards of file, pixel table (without its columns) and aperture, as texts.
 
     ``time`` and ``timecorr`` are days ``(n,)``, NaN where unknown; ``used`` is the number of
     cadences with a time and any flux; ``aperture`` holds bits, 1 for collected and 2 for optimal.
@@ -40,24 +40,23 @@ def make_headers(metadata, time, timecorr, used, aperture):
         "NPIXSAP": int(optimal.sum()),
         "NPIXMISS": int((optimal & ~collected).sum()),
     }
+    names = {} if metadata.is_long_cadence else {"LC_START": "SC_START", "LC_END": "SC_END"}
+    unknown = None in (metadata.camera, metadata.ccd)
+    names["TMOFST"] = None if unknown else f"TMOFST{metadata.camera}{metadata.ccd}"
     headers = []
     for cards in _template(metadata.layout.template):
         filled = (
-            text if values.get(keyword) is None else (keyword, values[keyword], comment)
+            (name, values[keyword], comment)
+            if values.get(keyword) is not None
+            else f"{name:8}{text[8:]}"
             for keyword, text, comment in cards
+            if (name := names.get(keyword, keyword)) is not None
         )
-        headers.append(make_header(filled))
+        headers.append(card_texts(filled))
     if metadata.layout.template != metadata.mission.lower():
-        headers[0]["MISSION"] = (metadata.mission, "kind of telescope; the layout is another's")
-    table = headers[1]
-    if "LC_START" in table and not metadata.is_long_cadence:
-        table.rename_keyword("LC_START", "SC_START")
-        table.rename_keyword("LC_END", "SC_END")
-    if "TMOFST" in table and None not in (metadata.camera, metadata.ccd):
-        table.rename_keyword("TMOFST", f"TMOFST{metadata.camera}{metadata.ccd}")
-    table.remove("TMOFST", ignore_missing=True)
-    _fill(headers, metadata.extra_cards)
-    return headers
+        comment = "kind of telescope; the layout is another's"
+        headers[0] += card_texts([("MISSION", metadata.mission, comment)])
+    return _filled(headers, metadata.extra_cards) if metadata.extra_cards else headers
 
 
 @cache
@@ -221,8 +220,11 @@ def tan_projection(metadata, shape):
     }
 
 
-def _fill(headers, extra_cards):
+def _filled(headers, extra_cards):
     """Fill cards without a value with those of the caller, or add them to the primary header."""
+    from astropy.io import fits
+
+    headers = [fits.Header.fromstring("".join(cards)) for cards in headers]
     for keyword, given in extra_cards.items():
         card = _checked_card(keyword, given)
         places = [header for header in headers if card.keyword in header]
@@ -234,6 +236,7 @@ def _fill(headers, extra_cards):
             header[card.keyword] = (card.value, comment)
         if not places:
             headers[0].append(card)
+    return [[str(card) for card in header.cards] for header in headers]
 
 
 def _checked_card(keyword, given):

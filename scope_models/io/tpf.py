@@ -2,13 +2,14 @@
 
 import gzip
 import inspect
+from dataclasses import replace
 from os import PathLike
 from pathlib import Path
 
 import numpy as np
 
 from scope_models.io._atomic import atomic_path
-from scope_models.io._blocks import CHECKSUM_COMMENT, Block, write_blocks
+from scope_models.io._blocks import CHECKSUM_COMMENT, Block, card_texts, write_blocks
 from scope_models.io._columns import checked_columns, pixel_columns, table_rows
 from scope_models.io._headers import make_headers, pixel_column_cards
 from scope_models.io._metadata import TPFMetadata
@@ -235,12 +236,11 @@ def _tpf_blocks(
     aperture = _aperture_bits(aperture, values["FLUX"].shape[1:])
     used = np.isfinite(values["TIME"]) & np.isfinite(values["FLUX"]).any(axis=(1, 2))
     timecorr = values.get("TIMECORR", np.full(n_cadences, np.nan))
-    headers = make_headers(metadata, values["TIME"], timecorr, int(used.sum()), aperture)
-    primary, table, image = (map(str, header.cards) for header in headers)
+    counted = int(used.sum())
+    primary, table, image = make_headers(metadata, values["TIME"], timecorr, counted, aperture)
     layout, shape = pixel_columns(metadata), values["FLUX"].shape
     definitions = pixel_column_cards(layout, metadata, shape[1:])
     blocks = [
-        Block.primary(primary),
         Block.table(table_rows(layout, values, shape), [*definitions, *table]),
         Block.image(aperture, image),
     ]
@@ -249,12 +249,19 @@ def _tpf_blocks(
     truth = truth_columns, truth_maps, scene, truth_tables
     if any(part is not None for part in truth):
         blocks.extend(truth_blocks(values["CADENCENO"], *truth))
-    blocks[0].header.set("NEXTEND", len(blocks) - 1, "number of extensions", after="EXTEND")
-    if not simulated:
-        for block in blocks:
-            if "SIMDATA" in block.header:
-                block.header["SIMDATA"] = (False, "the data are not simulated")
-    return blocks
+    blocks.insert(0, Block.primary(primary, len(blocks)))
+    return blocks if simulated else [_not_simulated(block) for block in blocks]
+
+
+def _not_simulated(block):
+    """Return a block whose header does not say that its data are simulated."""
+    simulated, other = (True, "the data are simulated"), (False, "the data are not simulated")
+    if isinstance(block, Block):
+        old, new = card_texts([("SIMDATA", *simulated), ("SIMDATA", *other)])
+        return replace(block, cards=block.cards.replace(old, new))
+    if "SIMDATA" in block.header:
+        block.header["SIMDATA"] = other
+    return block
 
 
 def _cosmic_ray_hdu(metadata, values):
