@@ -135,13 +135,14 @@ def _searched_quantile(deviate, mean):
     total = term.copy()
     count = 0
     while True:
-        beyond = np.flatnonzero(probability > total)
+        beyond = (probability > total).nonzero()[0]
         if not beyond.size:
             return counts
         count += 1
-        open_, mean, probability = open_[beyond], mean[beyond], probability[beyond]
-        term = term[beyond] * (mean / count)
-        total = total[beyond] + term
+        remaining = open_, mean, probability, term, total
+        open_, mean, probability, term, total = (values.take(beyond) for values in remaining)
+        term *= mean / count
+        total += term
         counts[open_] = count
 
 

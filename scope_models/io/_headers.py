@@ -56,7 +56,8 @@ def make_headers(metadata, time, timecorr, used, aperture):
     if metadata.layout.template != metadata.mission.lower():
         comment = "kind of telescope; the layout is another's"
         headers[0] += card_texts([("MISSION", metadata.mission, comment)])
-    return _filled(headers, metadata.extra_cards) if metadata.extra_cards else headers
+    _fill(headers, metadata.extra_cards)
+    return headers
 
 
 @cache
@@ -220,23 +221,23 @@ def tan_projection(metadata, shape):
     }
 
 
-def _filled(headers, extra_cards):
+def _fill(headers, extra_cards):
     """Fill cards without a value with those of the caller, or add them to the primary header."""
     from astropy.io import fits
 
-    headers = [fits.Header.fromstring("".join(cards)) for cards in headers]
     for keyword, given in extra_cards.items():
         card = _checked_card(keyword, given)
-        places = [header for header in headers if card.keyword in header]
-        known = any(header[card.keyword] is not None for header in places)
+        start = f"{card.keyword:8}"
+        places = [(h, i) for h in headers for i, text in enumerate(h) if text.startswith(start)]
+        # The text after "=" begins with a slash where there is a comment alone.
+        known = any(header[i][10:].strip()[:1] not in ("", "/") for header, i in places)
         if card.keyword in _PROTECTED or known:
             raise ValueError(f"`extra_cards` must not replace {keyword}, which the file sets")
-        for header in places:
-            comment = card.comment or header.comments[card.keyword]
-            header[card.keyword] = (card.value, comment)
+        for header, i in places:
+            comment = card.comment or fits.Card.fromstring(header[i]).comment
+            header[i] = str(fits.Card(card.keyword, card.value, comment))
         if not places:
-            headers[0].append(card)
-    return [[str(card) for card in header.cards] for header in headers]
+            headers[0].append(str(card))
 
 
 def _checked_card(keyword, given):
