@@ -70,9 +70,8 @@ def plain_array(value, unit, name, *, pixel_scale=None, equivalencies=()):
         except (TypeError, u.UnitConversionError) as error:
             raise TypeError(f"`{name}` mixes units: {error}") from error
     found = getattr(value, "unit", None)
-    wanted = unit.to_string() or "a number without a unit"
     if isinstance(found, u.FunctionUnitBase) and found.physical_unit != u.one:
-        raise ValueError(f"`{name}` must be in {wanted}, or convert to it, got {found}")
+        raise ValueError(f"`{name}` must be in {_text(unit)}, or convert to it, got {found}")
     try:
         if found is None:
             array = np.asarray(value)
@@ -93,7 +92,7 @@ def plain_array(value, unit, name, *, pixel_scale=None, equivalencies=()):
         if pixel_scale is None and is_angle(quantity.unit) and unit == u.pix:
             hint = "; there is no pixel scale here to convert an angle with"
         raise ValueError(
-            f"`{name}` must be in {wanted}, or convert to it, got {quantity.unit}{hint}"
+            f"`{name}` must be in {_text(unit)}, or convert to it, got {quantity.unit}{hint}"
         ) from None
 
 
@@ -166,6 +165,10 @@ def values_of(table, name):
 def is_angle(unit):
     """Return whether a unit, or None, is an angle."""
     return unit is not None and unit.is_equivalent(u.rad)
+
+
+def _text(unit):
+    return unit.to_string() or "a number without a unit"
 
 
 def _hint(unit):
