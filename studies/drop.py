@@ -150,7 +150,7 @@ def report(folder, path):
     for (name, value), style in zip(ANCHORS.items(), styles, strict=True):
         left.semilogy(width, predicted(value, width), ls=style, color="0.4", label=name)
     numbers = []
-    for (star, file), marker in zip(FILES.items(), "osv", strict=False):
+    for (star, file), marker in zip(FILES.items(), "osv", strict=True):
         fit = fit_tpf(Path(folder) / file)
         one = fit_tpf(Path(folder) / file, 1, interpixel=0, positions="path")
         sigma = np.sqrt(one.values["sigma_x"] * one.values["sigma_y"])

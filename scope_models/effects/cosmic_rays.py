@@ -124,7 +124,8 @@ class CosmicRays(Effect):
 def _deposits(hits, shape):
     """Return hit, row, column and charge of all points of tracks that are on a stamp."""
     length = hits["LENGTH"]
-    outside = [np.maximum(-1 - hits[n], hits[n] - size) for n, size in zip("YX", shape, strict=True)]
+    start = hits["Y"], hits["X"]
+    outside = (np.maximum(-1 - v, v - size) for v, size in zip(start, shape, strict=True))
     near = np.flatnonzero(np.maximum(*outside) <= length)  # the others do not reach the stamp
     points = np.ceil(length[near] * _POINTS).astype(int) + 1
     hit, angle = np.repeat(near, points), np.repeat(hits["ANGLE"][near], points)

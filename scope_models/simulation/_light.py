@@ -130,7 +130,9 @@ def _star_lights(scene, conditions, effects):
 def shown(*values):
     """Return what `zip` does, and show on a terminal how far it is where it takes long."""
     rows = zip(*values, strict=True)
-    return rows if len(values[0]) == 1 else tqdm(
+    if len(values[0]) == 1:
+        return rows
+    return tqdm(
         rows, "simulate", len(values[0]), leave=False, disable=None, delay=_PATIENCE, unit=" stars"
     )
 
