@@ -9,6 +9,7 @@ from astropy.stats import mad_std
 from astropy.table import QTable
 
 from scope_models.correctors._clean import Smoother
+from scope_models.correctors._constant_light import polynomials
 from scope_models.correctors._scene_model import (
     MEDIAN_SQUARE,
     Priors,
@@ -29,6 +30,7 @@ from scope_models.correctors._scene_start import (
     find_neighbors,
     first_shape,
     first_track,
+    in_places,
 )
 from scope_models.io.pixels import read_neighbors, usable_positions
 
@@ -53,6 +55,11 @@ _ANCHORS = (2, 4, 6)
 #: Branch: pixels that deviate by more standard deviations are left out, in less than this part of
 #: the cadences.
 _SIGMA, _MOST_HITS = 6.0, 0.05
+#: Branch: standard deviation from which on a star varies: what its position is uncertain by
+#: (0.02 px) times the change of the aperture's light with position (0.05 per px).
+_VARIES = 0.02 * 0.05
+#: Branch: standard deviations of what counts as seen, by a jackknife of so many parts of the time.
+_SEEN, _PARTS = 3.0, 10
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,9 +135,9 @@ def light_of_neighbors(pixels, series, cadence_mask, neighbors=None):
     cadence_mask : ndarray of bool
         Cadences from which the stars' image and places are learned.
     neighbors : KnownNeighbors or "find", optional
-        Other stars. None: those with peaks of their own are found, for the bumps of a PRF look like
-        neighbors of up to 20 % of a star's light (official PRFs of TESS, camera 2, CCD 3); "find":
-        all.
+        Other stars. None: those with peaks of their own are found, and those whose light does not
+        follow the star's, for the bumps of a PRF look like neighbors of up to 20 % of a star's
+        light (official PRFs of TESS, camera 2, CCD 3); "find": all.
 
     Returns
     -------
@@ -143,8 +150,6 @@ def light_of_neighbors(pixels, series, cadence_mask, neighbors=None):
         If given neighbors do not fit the file, or do not describe its pixels.
     """
     given = isinstance(neighbors, KnownNeighbors)
-    if neighbors is None and pixels.own.all():
-        return None
     usable = np.flatnonzero(pixels.usable)
     use = (cadence_mask & pixels.lit)[usable]
     total = pixels.total[usable]
@@ -155,6 +160,9 @@ def light_of_neighbors(pixels, series, cadence_mask, neighbors=None):
         pos_corr = np.where(known[:, None], series.pos_corr, np.nan)[usable]
         if known[usable].any():
             reach = float(np.nanmax(np.abs(pos_corr - np.nanmedian(pos_corr, axis=0))))
+    apart = neighbors is None and _holds_constant_light(pixels, usable, pos_corr)
+    if neighbors is None and not apart and pixels.own.all():
+        return None
     typical, peak = _peak(pixels)
     box = tuple(
         slice(max(0, int(k - _REACH - reach)), min(size, int(k + _REACH + reach + 2)))
@@ -166,7 +174,8 @@ def light_of_neighbors(pixels, series, cadence_mask, neighbors=None):
     origin = np.array([box[1].start, box[0].start])
     peak = np.array(peak[::-1]) - origin
     known = neighbors.within(origin) if given else None
-    places = ~pixels.own[box] if neighbors is None else None
+    peaks = ~pixels.own[box]
+    places = peaks if neighbors is None and not apart else None
     try:
         found = _fit(pixels.time[usable], flux, variance, pos_corr, peak, use, known, places)
     except (NoLightError, np.linalg.LinAlgError):
@@ -176,8 +185,14 @@ def light_of_neighbors(pixels, series, cadence_mask, neighbors=None):
         raise ValueError(message) from None
     if found is None:
         return None
-    shape, track, others = found
+    shape, track, others, steady = found
+    keep = np.ones(len(others), dtype=bool)
+    if apart:
+        keep = steady | in_places(peaks, track[use], *shape.neighbors[:, 1:].T)
+    others, stars = others[keep].sum(axis=0), shape.neighbors[keep]
     inside = pixels.aperture[box]
+    if not keep.any():
+        return None
     if not given and np.median(others[:, inside].sum(axis=1) / pixels.total[usable]) > 0.5:
         return None  # pixels from which the light rises to the target's peak are mostly its own
     light = np.zeros(pixels.flux.shape)
@@ -186,8 +201,8 @@ def light_of_neighbors(pixels, series, cadence_mask, neighbors=None):
     light[usable] = part
     positions = np.full((len(pixels.time), 2), np.nan)
     positions[usable] = origin + track.stacked[:, 1:3]
-    places = shape.neighbors[:, 1:] + np.median(positions[usable][use], axis=0)
-    table = QTable([shape.neighbors[:, 0], *places.T], names=("flux", "x", "y"))
+    places = stars[:, 1:] + np.median(positions[usable][use], axis=0)
+    table = QTable([stars[:, 0], *places.T], names=("flux", "x", "y"))
     for name, unit in (("flux", "electron / s"), ("x", "pix"), ("y", "pix")):
         table[name].unit = unit
     return NeighborLight(table, light, positions)
@@ -217,7 +232,7 @@ def _without_hits(shape, track, flux, variance, floor):
 
 def _fit(time, flux, variance, pos_corr, peak, use, known, places):
     """
-    Return shape, track and the neighbors' light, or None without neighbors.
+    Return shape, track, the neighbors' light, and which do not follow the star; None without any.
 
     Parameters
     ----------
@@ -287,13 +302,13 @@ def _fit(time, flux, variance, pos_corr, peak, use, known, places):
     clean = _without_hits(shape, track, flux, variance, floor)
     if np.hypot(*(np.median(track.stacked[use, 1:3], axis=0) - peak)) > NEAREST:
         raise NoLightError("the model has left the target")
-    track, change = _varying(time, shape, track, flux, clean, priors, floor, use)
-    return shape, track, np.sum(neighbor_images(shape, track, change), axis=0)
+    track, change, steady = _varying(time, shape, track, flux, clean, priors, floor, use)
+    return shape, track, np.array(neighbor_images(shape, track, change)), steady
 
 
 def _varying(time, shape, track, flux, variance, priors, floor, use):
     """
-    Fit the states with smooth widths, and neighbors that may vary.
+    Fit the states with smooth widths, and neighbors that may vary; find those that stay constant.
 
     The variance of each neighbor's flux is what its values have beyond their errors, so that a
     constant one stays constant.
@@ -307,9 +322,70 @@ def _varying(time, shape, track, flux, variance, priors, floor, use):
     track, change, error = solve_states(shape, track, change, *data, Priors(mean, sigma), floor)
     mean[:, 3], sigma[:, 3] = Smoother(time, use)(track.width, error[:, 3]), _HELD
     track, change, error = solve_states(shape, track, change, *data, Priors(mean, sigma), floor)
+    flux_of = shape.neighbors[:, 0] + change
+    steady = _steady(flux_of, error[:, 5:], track)
     middle = np.median(change[use], axis=0)
     noise = np.median(error[use, 5:] ** 2, axis=0)
     size = np.median((change[use] - middle) ** 2, axis=0) / MEDIAN_SQUARE
     mean[:, 5:] = middle
     sigma[:, 5:] = np.sqrt(np.maximum(size - noise, 1e-6 * noise))
-    return solve_states(shape, track, change, *data, Priors(mean, sigma), floor)[:2]
+    return *solve_states(shape, track, change, *data, Priors(mean, sigma), floor)[:2], steady
+
+
+def _jackknifed(columns, values):
+    """Return coefficients of least squares, and their errors from parts of the rows left out.
+
+    Both are of shape ``(n_columns, n_values)``.
+    """
+    parts = np.array_split(np.arange(len(columns)), _PARTS)
+    gram = np.array([columns[k].T @ columns[k] for k in parts])
+    right = np.array([columns[k].T @ values[k] for k in parts])
+    scale = np.sqrt(np.maximum(np.diag(gram.sum(axis=0)), 1e-300))
+    ridge = 1e-10 * np.diag(scale**2)
+    whole = np.linalg.solve(gram.sum(axis=0) + ridge, right.sum(axis=0))
+    without = np.linalg.solve(gram.sum(axis=0) - gram + ridge, right.sum(axis=0) - right)
+    return whole, np.sqrt((1 - 1 / _PARTS) * np.sum((without - without.mean(axis=0)) ** 2, axis=0))
+
+
+def _holds_constant_light(pixels, usable, pos_corr):
+    """
+    Return whether the star varies, and pixels of its aperture hold light that does not.
+
+    A star's pixels are its light times functions of position. Centroids follow constant light, so
+    that only POS_CORR counts. The star varies if that is more than errors of POS_CORR make.
+    """
+    total = pixels.total[usable] / np.median(pixels.total[usable])
+    light = np.nan_to_num(pixels.flux[usable][:, pixels.aperture]) / np.median(pixels.total[usable])
+    functions = np.ones((len(total), 1))
+    if pos_corr is not None and np.isfinite(pos_corr).all(axis=1).mean() > 0.5:
+        known = np.isfinite(pos_corr).all(axis=1)
+        total, light = total[known], light[known]
+        offset = pos_corr[known] - np.median(pos_corr[known], axis=0)
+        functions = polynomials(offset / max(np.abs(offset).max(), 1e-9))
+    columns = np.column_stack([np.ones(len(total)), functions * total[:, None]])
+    if len(total) < _PARTS * columns.shape[1]:
+        return False
+    rest = total - functions @ np.linalg.lstsq(functions, total, rcond=None)[0]
+    if np.var(rest) - np.mean(np.diff(rest) ** 2) / 2 < _VARIES**2:
+        return False
+    constant, error = (values[0] for values in _jackknifed(columns, light))
+    return bool((np.abs(constant) > _SEEN * error).any())
+
+
+def _steady(flux, error, track):
+    """
+    Return which neighbors' light is their own: most of it does not vary with all light.
+
+    The light of what is part of the star varies with it. What positions do to both is left out.
+    """
+    total = track.flux + flux.sum(axis=1)
+    offset = track.stacked[:, 1:3] - np.median(track.stacked[:, 1:3], axis=0)
+    columns = np.column_stack([total, polynomials(offset / max(np.abs(offset).max(), 1e-9))])
+    out = []
+    for values, noise in zip(flux.T, error.T, strict=True):
+        slope, spread = (
+            k[0, 0] * np.median(total) / np.median(values)
+            for k in _jackknifed(columns / noise[:, None], (values / noise)[:, None])
+        )
+        out.append(abs(slope) + _SEEN * abs(spread) < 0.5)
+    return np.array(out, dtype=bool)

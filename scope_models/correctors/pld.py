@@ -14,7 +14,7 @@ from scope_models.correctors._lightkurve import (
     to_collection,
     translated,
 )
-from scope_models.correctors._model import PLDOptions, Settings, fit_pixels, roughness
+from scope_models.correctors._model import PLDOptions, Settings, fit_pixels
 from scope_models.correctors._neighbors import (
     given_neighbors,
     light_of_neighbors,
@@ -72,8 +72,9 @@ class PLDCorrector(LightkurveNames, Corrector):
         rows in the stamp ``(m, 2)`` in pixels, a table with columns ``x`` and ``y`` or ``ra`` and
         ``dec``, the file of one, of which stars in the pixels are taken without the target, or
         places on the sky, which are taken relative to the target's coordinates in the file. By
-        default those are found that have a peak of their own in the images; "find" takes
-        those in the target's wings, too, which may be bumps of the PRF; ``[]``: none.
+        default those are found that have a peak of their own in the images, or stay constant while
+        the target varies; "find" takes all in the target's wings, too, which may be bumps of the
+        PRF; ``[]``: none.
 
     Attributes
     ----------
@@ -277,13 +278,7 @@ class PLDCorrector(LightkurveNames, Corrector):
                 warnings.warn(message, DetrendingWarning, stacklevel=3)
             return pixels, series
         found = light_of_neighbors(pixels, series, mask, given)
-        if found is None:
-            return pixels, series
-        alone, series_alone = without_neighbors(pixels, series, found)
-        rough = roughness(alone.total) > WORSE * roughness(pixels.total)
-        if rough and given in (None, "find"):  # they do not describe the crowd
-            return pixels, series
-        return alone, series_alone
+        return (pixels, series) if found is None else without_neighbors(pixels, series, found)
 
     def _fitted(self):
         """Return the last fit, or raise an error."""

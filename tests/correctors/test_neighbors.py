@@ -87,12 +87,24 @@ def test_neighbors_that_vary_and_stars_at_rest(regime, neighbors):
         assert found.amplitude == pytest.approx(1, abs=0.02)
 
 
-@pytest.mark.parametrize("neighbors", [None, "find"])
-def test_bumps_of_a_real_prf(shared_data, neighbors):
-    """They are part of the star, but look like other stars if these need no peak."""
+@pytest.mark.parametrize(
+    "regime", ["jitter-eclipses-30pct-neighbor", "rest-eclipses-2pct-neighbor"]
+)
+def test_constant_light_in_the_wings_of_an_eclipsing_star(regime):
+    """The neighbors have no peaks of their own: the eclipses show them."""
+    sky = make_sky(regime, 23, n_cadences=800)
+    corrector = corrected(sky)
+    assert len(corrector.result.neighbors) == 1
+    assert score(corrector.corrected_lc, sky).amplitude == pytest.approx(1, abs=0.01)
+
+
+@pytest.mark.parametrize(("neighbors", "amplitude"), [(None, 0.0), (None, 0.005), ("find", 0.0)])
+def test_bumps_of_a_real_prf(shared_data, neighbors, amplitude):
+    """They follow the star, but look like other stars if these need no peak."""
     folder = shared_data / "tess_prf"
     detector = Detector.tess(shape=(11, 11), psf=PRF.from_tess(folder, 2, 3, 557, 513))
-    tpf = simulate(Star(10, 5.2, 4.9), detector, Motion.tess(300, seed=3), seed=3).to_tpf()
+    star = Star(10, 5.2, 4.9, signal=1 + amplitude * np.sin(np.arange(300) / 20))
+    tpf = simulate(star, detector, Motion.tess(300, seed=3), seed=3).to_tpf()
     corrector = PLDCorrector(tpf, neighbors=neighbors)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DetrendingWarning)
