@@ -41,10 +41,8 @@ def generate_target(
 
     Parameters
     ----------
-    mag : float, optional
-        Magnitude in the mission's band (Kp).
-    roll : float, optional
-        Factor on the motion; 1 is K2's, 0 stands still.
+    mag, roll : float, optional
+        Magnitude in the mission's band (Kp), and factor on the motion; 1 is K2's, 0 stands still.
     coords : tuple of float, optional
         Reference position (column, row) in pixels from 0; by default the center of the stamp.
     background_level : float, optional
@@ -63,16 +61,14 @@ def generate_target(
         A target pixel or light-curve file whose motion is taken.
     no_sensitivity_variation : bool, optional
         Let all pixels respond alike and evenly, as a control.
-    signal : optional
-        The star's own relative flux, see `Target.add_signal`.
     motion : `~scope_models.Motion`, optional
         The motion; without it, `ID` and `tpf_path` it is that of `scope_models.Motion.k2_roll`.
     psf : `~astropy.modeling.Model`, optional
         PSF of the star; by default that of the detector.
     detector : `~scope_models.Detector`, optional
         The detector; by default ``Detector.k2()`` with a stamp of `apsize`.
-    noise, seed : optional
-        See `Target`.
+    signal, noise, seed : optional
+        See `Target.add_signal` and `Target`.
 
     Returns
     -------
@@ -96,16 +92,15 @@ def generate_target(
     >>> star.add_transit(depth=0.01, per=15, dur=0.5, t0=2).add_neighbor(magdiff=2)
     <Target of magnitude 12 with 1 transit and 1 neighbor: 200 cadences of 7 x 7 pixels, seed 1>
     """
-    motion = checked_number("roll", roll, any_sign=True) * _find_motion(
-        {"motion": motion, "tpf_path": tpf_path, "ID": ID}, ncadences
-    )
+    sources = {"motion": motion, "tpf_path": tpf_path, "ID": ID}
+    motion = checked_number("roll", roll, any_sign=True) * _find_motion(sources, ncadences)
     if detector is None:
         detector = Detector.k2(shape=2 * (checked_integer("apsize", apsize, 1),))
     elif not isinstance(detector, Detector):
         raise TypeError(f"`detector` must be a Detector, got {detector!r}")
     if background_level is not None:
-        unit, name = u.electron / u.s, "background_level"
-        level = checked_number(name, background_level, unit, equivalencies=PER_PIXEL)
+        options = {"unit": u.electron / u.s, "equivalencies": PER_PIXEL}
+        level = checked_number("background_level", background_level, **options)
         detector = detector.replace(background=level)
     if no_sensitivity_variation:
         detector = detector.without_sensitivity()
@@ -122,9 +117,8 @@ def generate_target(
     if variable:
         target.add_variability()
     if neighbor:
-        target.add_neighbor(
-            checked_number("neighbor_magdiff", neighbor_magdiff, u.mag, any_sign=True)
-        )
+        name = "neighbor_magdiff"
+        target.add_neighbor(checked_number(name, neighbor_magdiff, u.mag, any_sign=True))
     return target
 
 
@@ -156,10 +150,8 @@ class Target:
     ----------
     star : `~scope_models.Star`
         The star, with all signals that were added; its position must be given.
-    detector : `~scope_models.Detector`
-        The pixels.
-    motion : `~scope_models.Motion`
-        The motion.
+    detector, motion : `~scope_models.Detector`, `~scope_models.Motion`
+        The pixels and the motion.
     seed : int, optional
         The seed; by default a new one.
     noise : bool or iterable of str, optional
@@ -167,10 +159,8 @@ class Target:
 
     Attributes
     ----------
-    neighbors : list of `~scope_models.Star`
-        Its neighbors.
-    transits : list of `~scope_models.TransitModel`
-        The transits that were added.
+    neighbors, transits : list of `~scope_models.Star`, list of `~scope_models.TransitModel`
+        Its neighbors, and the transits that were added.
     star, detector, motion, seed, noise
         See the parameters.
 
@@ -203,9 +193,11 @@ class Target:
     def _kept(self, name, make):
         """Return what was made of the scene as it is now, made again if the scene has changed."""
         key = value_key(self.scene)
-        if self._made.get(name, (None,))[0] != key:
-            self._made[name] = key, make()
-        return self._made[name][1]
+        if self._made.get("scene") != key:
+            self._made = {"scene": key}
+        if name not in self._made:
+            self._made[name] = make()
+        return self._made[name]
 
     @property
     def scene(self):
@@ -240,10 +232,7 @@ class Target:
 
     @property
     def contamination(self):
-        """Share of the neighbors in the starlight of the aperture, 0 to 1.
-
-        A signal of the star of depth d has the depth (1 - contamination) d in the light curve.
-        """
+        """Share of the neighbors in the aperture's starlight; it dilutes signals of the star."""
         return 1 - photometry.crowding(*self._noise_free, self.aperture)
 
     @property
@@ -255,16 +244,15 @@ class Target:
                 warnings.simplefilter("ignore", LostLightWarning)  # the observation has warned
                 return simulate(self.scene.replace(stars=stars, noise=False)).flux
 
-        def cubes():
-            return cube(self.star), cube(self.neighbors) if self.neighbors else None
-
-        return self._kept("noise-free", cubes)
+        return self._kept(
+            "noise-free",
+            lambda: (cube(self.star), cube(self.neighbors) if self.neighbors else None),
+        )
 
     @property
     def _detrended(self):
         """The light curve that `detrend` has made of the scene as it is now, or None."""
-        key, light_curve = self._made.get("detrended", (None, None))
-        return light_curve if key == value_key(self.scene) else None
+        return self._kept("detrended", lambda: None)
 
     @documented(same=_SAME)
     def add_transit(self, depth=0.01, per=15.0, dur=0.5, t0=5.0, *, b=0.0, u1=0.4, u2=0.26):
@@ -274,14 +262,11 @@ class Target:
         ----------
         depth : float, optional
             Relative drop at mid-transit, between 0 and 1.
-        per, dur : float, optional
-            Orbital period, and time from first to fourth contact, in days.
-        t0 : float, optional
-            Time of a mid-transit in days after the first cadence.
-        b : float, optional
-            Impact parameter in stellar radii.
-        u1, u2 : float, optional
-            Coefficients of quadratic limb darkening.
+        per, dur, t0 : float, optional
+            Orbital period, time from first to fourth contact, and time of a mid-transit after the
+            first cadence, in days.
+        b, u1, u2 : float, optional
+            Impact parameter in stellar radii, and coefficients of quadratic limb darkening.
 
         {same}
         """
@@ -337,18 +322,14 @@ class Target:
         ----------
         magdiff : float, optional
             Its magnitude minus that of the star: positive is fainter.
-        dist : float, optional
-            Its distance from the star in pixels; not used with `position`.
-        angle : float, optional
-            Direction in degrees from growing columns toward growing rows; by default random, drawn
-            from the seed, and on the stamp.
+        dist, angle : float, optional
+            Its distance from the star in pixels, and direction in degrees from growing columns
+            toward growing rows; by default random, drawn from the seed, and on the stamp.
         position : tuple of float, optional
             Its column and row, in place of `dist` and `angle`.
-        psf : `~astropy.modeling.Model`, optional
-            Its PSF; by default that of the detector.
-        signal : optional
-            Its own relative flux, as in `add_signal`: an eclipsing background binary is a deep
-            `~scope_models.TransitModel`.
+        psf, signal : optional
+            Its PSF, by default that of the detector, and its own relative flux, as in `add_signal`:
+            an eclipsing background binary is a deep `~scope_models.TransitModel`.
 
         {same}
         """
@@ -357,21 +338,16 @@ class Target:
         if position is not None:
             places = [checked_pair("position", position, u.pix, **scale)]
         else:
-            dist = checked_number("dist", dist, u.pix, **scale)
-            if angle is None:  # the first random one on the stamp
-                generator = stream(self.seed, f"neighbor {len(self.neighbors)}")
-                angles = generator.uniform(0, 2 * np.pi, 1000)
-            else:
-                angles = np.radians([checked_number("angle", angle, u.deg, any_sign=True)])
-            x, y = self.star.x_0 + dist * np.cos(angles), self.star.y_0 + dist * np.sin(angles)
-            places = list(zip(x, y, strict=True))
+            # Of random angles the first one on the stamp.
+            angles = stream(self.seed, f"neighbor {len(self.neighbors)}").uniform(0, 360, 1000)
+            if angle is not None:
+                angles = np.array([checked_number("angle", angle, u.deg, any_sign=True)])
+            along = checked_number("dist", dist, u.pix, **scale) * np.exp(1j * np.radians(angles))
+            places = [(self.star.x_0 + d.real, self.star.y_0 + d.imag) for d in along]
         place = next((place for place in places if _on_stamp(place, self.detector)), None)
         if place is None:
-            (x_0, y_0), (ny, nx) = places[0], self.detector.shape
-            raise ValueError(
-                f"the neighbor at column {x_0:.2f}, row {y_0:.2f} is off the stamp of {ny} x {nx} "
-                "pixels"
-            )
+            text = "the neighbor at column {:.2f}, row {:.2f} is off the stamp of {} x {} pixels"
+            raise ValueError(text.format(*places[0], *self.detector.shape))
         neighbor = Star(self.star.mag + magdiff, *place, psf, signal)
         neighbor.relative_flux(self.time)  # a signal that does not fit is an error here
         self.neighbors.append(neighbor)
@@ -394,16 +370,16 @@ class Target:
         `~numpy.ndarray`
             Boolean mask ``(ny, nx)``, also kept as `aperture`.
         """
-        (own, others), detector = self._noise_free, self.detector
+        (own, others), pixels = self._noise_free, self.detector
         methods = {
             "threshold": (own,),
-            "signal-to-noise": (own, detector.exposure_time),
+            "signal-to-noise": (own, pixels.exposure_time),
             "contamination": (own, np.zeros_like(own) if others is None else others),
-            "circular": (detector.shape, self.star.x_0, self.star.y_0),
+            "circular": (pixels.shape, self.star.x_0, self.star.y_0),
         }
         if checked_choice("method", method, methods) == "signal-to-noise":
-            options |= {"background": detector.background, "read_noise": detector.read_noise}
-            options |= {"neighbors": others, "n_frames": detector.n_reads}
+            options |= {"background": pixels.background, "read_noise": pixels.read_noise}
+            options |= {"neighbors": others, "n_frames": pixels.n_reads}
         make = getattr(photometry, f"{method.replace('-', '_')}_aperture")
         self._aperture = make(*methods[method], **options)
         self._made.pop("detrended", None)
@@ -416,10 +392,8 @@ class Target:
         ----------
         flux : array_like or `~lightkurve.LightCurve`, optional
             The light curve; by default `lightcurve`.
-        duration : float, optional
-            Time scale in hours.
-        method : {"lightkurve", "everest"}, optional
-            The convention, see `scope_models.photometry.cdpp`.
+        duration, method : float, {"lightkurve", "everest"}, optional
+            Time scale in hours, and convention, see `scope_models.photometry.cdpp`.
 
         Returns
         -------
@@ -433,28 +407,27 @@ class Target:
     def detrend(self, **options):
         """De-trend the light curve of `aperture` by pixel-level decorrelation.
 
-        The cadences of the transits that were added are left out of the fit.
+        The cadences of the transits that were added are left out of the fit; `plot` draws the
+        result too.
 
         Parameters
         ----------
         **options
-            Options of `scope_models.correctors.PLDCorrector.correct`, such as order or
-            transit_mask.
+            Options of `scope_models.correctors.PLDCorrector.correct`, such as order.
 
         Returns
         -------
         `~lightkurve.LightCurve`
-            The de-trended light curve, without the cadences that lightkurve's default quality mask
-            drops. `plot` draws it too.
+            Without the cadences that lightkurve's default quality mask drops.
         """
         from scope_models.correctors import PLDCorrector
 
         tpf = self.to_tpf()
         for planet in self.transits:
-            inside = (planet(self.time) < 1)[np.isin(self.motion.cadenceno, tpf.cadenceno)]
+            inside = planet(tpf.time.value) < 1
             options["transit_mask"] = inside | options.get("transit_mask", False)
         light_curve = PLDCorrector(tpf, aperture_mask=self.aperture).correct(**options)
-        self._made["detrended"] = value_key(self.scene), light_curve
+        self._made["detrended"] = light_curve
         return light_curve
 
     to_tpf, write = _forwarded("to_tpf"), _forwarded("write")
@@ -522,42 +495,36 @@ class Target:
         from scope_models.plotting import plot_fold
 
         if not 0 <= number < len(self.transits):
-            raise ValueError(
-                f"`number` must be below {len(self.transits)}, the number of transits, got {number}"
-            )
+            n = len(self.transits)
+            raise ValueError(f"`number` must be below {n}, the number of transits, got {number}")
         planet, own, flux = self.transits[number], 1 - self.contamination, self.lightcurve
         if self._detrended is not None:
             flux = np.full(len(self.motion), np.nan)
             used = np.isin(self.motion.cadenceno, self._detrended.cadenceno)
             flux[used] = self._detrended.flux.value
-        others = self.star.relative_flux(self.time) / planet(self.time)
-        flux = flux / (1 + own * (others - 1))
+        model, window = planet(self.time), 48 * planet.duration if window is None else window
+        flux = flux / (1 + own * (self.star.relative_flux(self.time) / model - 1))
         return plot_fold(
             self.time, flux / np.nanmedian(flux), planet.period.value, planet.t0.value,
-            model=1 + own * (planet(self.time) - 1),
-            window=48 * planet.duration if window is None else window, title="Transit", ax=ax,
+            model=1 + own * (model - 1), window=window, title="Transit", ax=ax,
         )  # fmt: skip
 
 
 def _find_motion(sources, ncadences):
     """Return the motion of the one source that is given, with the right number of cadences."""
-    given = [name for name, value in sources.items() if value is not None]
+    given = {name: value for name, value in sources.items() if value is not None}
     if len(given) > 1:
-        raise ValueError(f"only one of `motion`, `tpf_path` and `ID` may be given, got {given}")
+        raise ValueError(f"only one of `motion`, `tpf_path` and `ID` may be given, got {[*given]}")
     n = _NCADENCES if ncadences is None else checked_integer("ncadences", ncadences, 1)
-    if not given:
-        return Motion.k2_roll(n)
-    motion = sources[given[0]]
-    if given == ["tpf_path"]:
+    name, motion = given.popitem() if given else ("motion", Motion.k2_roll(n))
+    if name == "tpf_path":
         motion = Motion.from_file(motion)
-    elif given == ["ID"]:
+    elif name == "ID":
         motion = _download_motion(checked_integer("ID", motion, 1))
     elif not isinstance(motion, Motion):
         raise TypeError(f"`motion` must be a Motion, got {motion!r}; `tpf_path` takes a file")
-    if ncadences is not None and n > len(motion):
-        raise ValueError(
-            f"`ncadences` must be at most {len(motion)}, the length of the motion, got {n}"
-        )
+    if ncadences is not None and n > (most := len(motion)):
+        raise ValueError(f"`ncadences` must be at most {most}, the length of the motion, got {n}")
     return motion[:n]
 
 
