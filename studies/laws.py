@@ -47,9 +47,14 @@ class Law:
 
 
 def law(function):
-    """Register a function of a folder that returns x, measured, error and predicted."""
-    name = function.__name__
-    LAWS[name] = lambda folder: Law(TEXTS[name], *map(np.asarray, function(folder)))
+    """Register a function of a folder: x, measured, error and predicted, as columns or rows."""
+
+    def make(folder):
+        found = function(folder)
+        columns = found if isinstance(found, tuple) else np.transpose([*found])
+        return Law(TEXTS[function.__name__], *map(np.asarray, columns))
+
+    LAWS[function.__name__] = make
     return function
 
 
@@ -92,7 +97,6 @@ def moments(images):
 
 @law
 def photon_transfer(folder):
-    rows = []
     for seed, level in enumerate(np.geomspace(1, 3e4, 10)):
         detector = plain(shape=(40, 40), background=level)
         scene = Star(40.0), detector, Motion.still(30)
@@ -101,13 +105,12 @@ def photon_transfer(folder):
         variances, reads = electrons.var(axis=0, ddof=1), 270
         noise = file.header["READNOIS"] ** 2 + file.header["GAIN"] ** 2 / 12
         charge = level * file.seconds
-        rows.append((charge, variances.mean(), variances.std() / 40, charge + reads * noise))
-    return np.transpose(rows)
+        yield charge, variances.mean(), variances.std() / 40, charge + reads * noise
 
 
 @law
 def brighter_fatter(folder):
-    rows, k, well = [], 0.02, 1.08e6
+    k, well = 0.02, 1.08e6
     part = np.diff([erf((e - 7.5) / SIGMA / 2**0.5) / 2 for e in range(16)])  # of a pixel
     squares = (part**2).sum() ** 2
     for mag in np.linspace(9.5, 13, 8):
@@ -116,33 +119,29 @@ def brighter_fatter(folder):
                  for e in ((), effects.BrighterFatter(k, well))]  # fmt: skip
         thin, fat = (moments(file.flux[0])[2] for file in files)
         charge = files[0].flux.sum() * files[0].seconds
-        rows.append((charge * part.max() ** 2, fat - thin, 0, k / well * charge * squares))
-    return np.transpose(rows)
+        yield charge * part.max() ** 2, fat - thin, 0, k / well * charge * squares
 
 
 @law
 def charge_transfer(folder):
-    rows, detector = [], plain(shape=(31, 15))
+    detector = plain(shape=(31, 15))
     star, motion, n = Star(12.0, 7, 10), Motion.still(1), 512
     before = moments(written(folder, star, detector, motion).flux[0])[1]
     for epsilon in np.geomspace(1e-6, 1e-3, 7):
         effect = effects.ChargeTransferInefficiency(epsilon, 0.0, rows=n)
         after = moments(written(folder, star, detector, motion, effects=effect).flux[0])[1]
-        rows.append((epsilon, after - before, 0, (n + 10) * epsilon / (1 - epsilon)))
-    return np.transpose(rows)
+        yield epsilon, after - before, 0, (n + 10) * epsilon / (1 - epsilon)
 
 
 @law
 def smear(folder):
-    rows = []
     for mag in range(8, 15):
         scene = Star(mag, 5, 5), plain(shape=(41, 11)), Motion.still(1)
         file = written(folder, *scene, effects=effects.Smear(residual=1))
         column = file.flux[0, :, 5]
         part = file.header["READTIME"] / (1070 * file.header["INT_TIME"])
         light = column[:15].sum() - 15 * column[20:].mean()
-        rows.append((light, column[20:].mean(), 0, part * light))
-    return np.transpose(rows)
+        yield light, column[20:].mean(), 0, part * light
 
 
 def jittered(folder, part):
@@ -164,25 +163,24 @@ def jittered(folder, part):
 
 @law
 def jitter_motion(folder):
-    return np.transpose(list(jittered(folder, 0)))
+    return jittered(folder, 0)
 
 
 @law
 def jitter_width(folder):
-    return np.transpose(list(jittered(folder, 1)))
+    return jittered(folder, 1)
 
 
 @law
 def scintillation(folder):
-    rows, n = [], 2000
+    n = 2000
     for seed, size in enumerate(np.geomspace(0.2, 10, 8)):
         detector = plain(Detector.ground, int_time=30.0, n_frames=1, shape=(13, 13))
         effect = effects.Scintillation(size, 2400.0, 1.5)
         file = written(folder, Star(12.0), detector, ground(n), seed=seed, effects=effect)
         flux = file.flux.sum(axis=(1, 2))
         noise = (1e-5 * 1.56**2 * size ** (-4 / 3) / 30 * 1.5**3 * np.exp(-2 * 2400 / 8000)) ** 0.5
-        rows.append((size, flux.std() / flux.mean(), noise / (2 * n) ** 0.5, noise))
-    return np.transpose(rows)
+        yield size, flux.std() / flux.mean(), noise / (2 * n) ** 0.5, noise
 
 
 @law
@@ -238,15 +236,13 @@ def focus(folder):
 
 @law
 def cosmic_rays(folder):
-    rows = []
     for seed, rate in enumerate((1.0, 2.0, 5.0, 10.0, 20.0)):
         scene = Star(40.0), plain(shape=(40, 40)), Motion.still(60)
         file = written(folder, *scene, seed=seed, effects=effects.CosmicRays(rate))
         charge = file.flux * file.seconds
         cadences = charge.mean(axis=(1, 2))
         hits = rate * (27e-4) ** 2 * file.seconds
-        rows.append((rate, cadences.mean(), cadences.std(ddof=1) / 60**0.5, 2500 * hits))
-    return np.transpose(rows)
+        yield rate, cadences.mean(), cadences.std(ddof=1) / 60**0.5, 2500 * hits
 
 
 @law

@@ -1,4 +1,4 @@
-"""Scores of corrections against the truth, and lightkurve's correctors in their best setting."""
+"""Noise before and after corrections, against its floor, of our corrector and lightkurve's."""
 
 import itertools
 import logging
@@ -7,14 +7,19 @@ from contextlib import contextmanager
 
 import numpy as np
 from astropy.stats import mad_std
+from scipy.ndimage import binary_dilation
 
+from scope_models import TransitModel, simulate
 from scope_models.photometry import cdpp
 
-__all__ = [
-    "CONVENTIONS", "LIGHTKURVE_CORRECTORS", "best_setting", "correct", "noise_of", "quiet", "score",
-    "transit_amplitude",
-]  # fmt: skip
-
+#: What `corrected_noise` compares: the file's aperture, one a pixel wider, and the corrector.
+METHODS = {"aperture": "Aperture", "wide": "Aperture + 1 pixel", "pld": "PLDCorrector"}
+#: Columns of the part of transits that is left.
+SURVIVALS = ("pld_survival",)
+#: Units of the columns of noise.
+UNITS = {
+    f"{name}{end}": "ppm" for end in ("", "_full") for name in ("floor", "floor_wide", *METHODS)
+}
 #: The two conventions of the CDPP.
 CONVENTIONS = ("everest", "lightkurve")
 #: Settings of each corrector that are tried: aperture and order of PLD; number of windows of SFF.
@@ -22,6 +27,87 @@ LIGHTKURVE_CORRECTORS = {
     "lightkurve_pld": tuple(itertools.product(("whole", "pipeline"), (1, 2, 3))),
     "lightkurve_sff": ((5,), (10,), (20,)),
 }
+# Transits that are put in to see how much of them is left.
+_DEPTH, _DURATION, _PERIOD = 0.01, 0.25, 3.1
+
+
+def corrected_noise(observation, hours):
+    """Return the noise of a star before and after a correction; no star of the scene varies.
+
+    For each of `METHODS` and of the light alone in both apertures ("floor", "floor_wide") the CDPP
+    in lightkurve's convention and, followed by "_full", the standard deviation of means of `hours`
+    without any filter, both in ppm of the target's flux. That of the corrector, NaN where it
+    refuses the data, is divided by "pld_survival", the part of the depth of unmasked transits of
+    1 % that is left. "pixels" and "share": pixels of the file's aperture, and the target's share in
+    its starlight; "kept": the part of the cadences with a flux of PLD.
+    """
+    from scope_models import PLDCorrector  # imports lightkurve
+
+    scene, days = observation.scene, observation.detector.cadence_days
+    planet = TransitModel.from_depth_duration(
+        _DEPTH, _DURATION, _PERIOD, observation.time[0] + 1.0, exposure_time=days
+    )
+    target, *neighbors = scene.stars
+    with quiet():
+        noiseless = simulate(scene, noise=False).flux
+        transits = simulate(scene.replace(stars=[target.replace(signal=planet), *neighbors]))
+        files = [each.to_tpf() for each in (observation, transits)]
+    used = np.searchsorted(observation.cadenceno, files[0].cadenceno)
+    width = max(round(hours / 24 / days), 1)
+
+    def target_flux(mask):
+        share = observation.target_share(mask)[used]
+        light = noiseless[used][:, mask].sum(axis=1, dtype=float)
+        return np.median(light * share), np.median(share)
+
+    def noise(change):
+        """Return the CDPP, and the standard deviation of means without a filter, in ppm."""
+        change = change[np.isfinite(change)]
+        if len(change) < 2 * width:
+            return np.nan, np.nan
+        means = change[: len(change) // width * width].reshape(-1, width).mean(axis=1)
+        return cdpp(1 + change, duration=hours, cadence=days), 1e6 * float(np.std(means))
+
+    row = {"pixels": int(observation.aperture.sum())}
+    for name, floor, mask in (
+        ("aperture", "floor", observation.aperture),
+        ("wide", "floor_wide", binary_dilation(observation.aperture)),
+    ):
+        total, still = (
+            cube[used][:, mask].sum(axis=1, dtype=float) for cube in (observation.flux, noiseless)
+        )
+        flux, share = target_flux(mask)
+        row.setdefault("share", float(share))
+        row[floor], row[f"{floor}_full"] = noise((total - still) / flux)
+        row[name], row[f"{name}_full"] = noise((total - np.median(total)) / flux)
+    row["pld"] = row["pld_full"] = row["pld_survival"] = np.nan
+    with quiet():
+        try:
+            correctors = [PLDCorrector(tpf) for tpf in files]
+            plain, dimmed = (each.correct().flux.value for each in correctors)
+        except ValueError:
+            return row
+    level = np.nanmedian(plain)
+    flux = level if correctors[0].result.neighbors else target_flux(correctors[0].aperture_mask)[0]
+    survival = amplitude((dimmed - plain) / flux, planet(observation.time[used]) - 1)
+    row["pld_survival"] = survival
+    row["pld"], row["pld_full"] = noise((plain - level) / flux / survival)
+    row["kept"] = float(np.isfinite(plain).sum() / len(observation.cadenceno))
+    return row
+
+
+def amplitude(change, shape):
+    """Return the least-squares amplitude of a shape, beside a constant."""
+    good = np.isfinite(change)
+    change, shape = (values[good] - values[good].mean() for values in (change, shape))
+    return float(shape @ change / (shape @ shape))
+
+
+def curves(part, **further):
+    """Return noise against magnitude of each method and of further columns, for a panel."""
+    names = {"floor": "Light alone"} | METHODS | further
+    mag = np.array(part["mag"])
+    return {label: (mag, np.array(part[name])) for name, label in names.items()}
 
 
 def score(corrector, noise, width=13):
@@ -29,10 +115,9 @@ def score(corrector, noise, width=13):
 
     `noise` is that of the sum over the aperture over its expected value. CDPP in ppm, "raw", "pld"
     and "floor", that of the noise alone, and "residual", the ratio of the last two, each followed
-    by the convention. "held_out_mad" and "held_out_rms" are the scatter of the mean residuals of
-    windows of `width` cadences that the model has not seen, over that of the noise, which is white:
-    better known from all cadences than from a few windows; "held_out_pull" is the rms of these
-    residuals in units of their predicted errors.
+    by the convention. Mean residuals of windows of `width` cadences that the model has not seen:
+    "held_out_mad" and "held_out_rms", their scatter over that of the noise, which is white (it is
+    better known from all cadences), and "held_out_pull", in units of their predicted errors.
     """
     means, errors, used = corrector.held_out(width)
     floor = np.std(noise[used]) / np.sqrt(width)
@@ -54,10 +139,8 @@ def score(corrector, noise, width=13):
 def noise_of(corrector, observation):
     """Return the scores of the last correction of an observation without flagged cadences."""
     mask = corrector.aperture_mask
-    expected = observation.model()[:, mask].sum(axis=1)
-    return score(
-        corrector, (observation.flux[:, mask].sum(axis=1) - expected) / np.median(expected)
-    )
+    expected, flux = (c[:, mask].sum(axis=1) for c in (observation.model(), observation.flux))
+    return score(corrector, (flux - expected) / np.median(expected))
 
 
 def transit_amplitude(flux, transit):
@@ -65,20 +148,16 @@ def transit_amplitude(flux, transit):
 
     `transit` is the relative flux of the model, 1 outside of transits.
     """
-    good = np.isfinite(flux)
-    shape = transit[good] - 1
-    relative = flux[good] / np.median(flux[good & (transit == 1)]) - 1
-    shape = shape - shape.mean()
-    return float(shape @ relative / (shape @ shape))
+    outside = np.isfinite(flux) & (transit == 1)
+    return amplitude(flux / np.median(flux[outside]) - 1, transit - 1)
 
 
 def correct(name, setting, tpf, aperture, cadence_mask=None):
     """Return the flux that one of lightkurve's correctors makes of a target pixel file, or None.
 
-    `name` is one of `LIGHTKURVE_CORRECTORS`, `setting` one of its settings. "whole" is `aperture`,
-    "pipeline" that of the file. SFF gets the light curve of `aperture` and the columns POS_CORR,
-    which in simulations are the truth. `cadence_mask` is True where a cadence may be used in the
-    fit.
+    `name` is one of `LIGHTKURVE_CORRECTORS`, `setting` one of its settings, in which "whole" is
+    `aperture`. SFF gets POS_CORR, which in simulations is the truth. `cadence_mask` is True where a
+    cadence may be used in the fit.
     """
     from lightkurve.correctors import PLDCorrector, SFFCorrector
 
@@ -100,10 +179,7 @@ def correct(name, setting, tpf, aperture, cadence_mask=None):
 
 
 def best_setting(name, tpf, aperture):
-    """Return the lowest CDPP of all settings by convention, and the best setting in EVEREST's.
-
-    They are empty and None if the corrector always fails.
-    """
+    """Return the lowest CDPP by convention, and EVEREST's best setting; or empty and None."""
     lowest, best = {}, None
     for setting in LIGHTKURVE_CORRECTORS[name]:
         flux = correct(name, setting, tpf, aperture)

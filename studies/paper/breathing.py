@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from _corrected import METHODS, SURVIVALS, UNITS, corrected_noise
+from _correctors import METHODS, SURVIVALS, UNITS, corrected_noise
 from _figures import plot_maps
 from _stars import motion_from_name
 from _study import grid, largest, medians, on_grid, run

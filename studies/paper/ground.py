@@ -13,8 +13,7 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from _corrected import amplitude
-from _correctors import quiet
+from _correctors import amplitude, quiet
 from _figures import plot_maps
 from _study import cells, grid, medians, on_grid, run
 

@@ -12,8 +12,7 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from _corrected import SURVIVALS, UNITS, corrected_noise, curves
-from _correctors import quiet
+from _correctors import SURVIVALS, UNITS, corrected_noise, curves, quiet
 from _figures import plot_cdpp_panels
 from _study import grid, largest, medians, run
 

@@ -11,8 +11,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from _corrected import SURVIVALS, UNITS, corrected_noise, curves
-from _correctors import quiet
+from _correctors import SURVIVALS, UNITS, corrected_noise, curves, quiet
 from _figures import plot_cdpp_panels
 from _study import grid, largest, medians, run
 

@@ -14,7 +14,7 @@ from functools import partial
 import _study
 import numpy as np
 import pytest
-from _corrected import METHODS, SURVIVALS, corrected_noise
+from _correctors import METHODS, SURVIVALS, corrected_noise
 from _study import grid, largest
 from astropy.table import Table
 from matplotlib import pyplot as plt

@@ -24,7 +24,7 @@ def result(scales, tmp_path_factory):
     """Return the results of a small grid."""
     folder = str(tmp_path_factory.mktemp("recovery") / "run")
     grid = ["--magnitudes", "12", "15", "--depths", "0", "50", "1000", "--stars", "1"]
-    grid += ["--cadences", "700", "--periods", "2", "4"]
+    grid += ["--cadences", "500", "--periods", "2", "4"]
     return main([*grid, "--scales", *map(str, scales), "--directory", folder])
 
 
@@ -190,7 +190,7 @@ class TestStudy:
             depths=(1000.0, 50.0),
             scales=(5.0,),
             stars=1,
-            cadences=700,
+            cadences=500,
             periods=(2.0, 4.0),
         )
         task = tasks(study)[0]
