@@ -1,14 +1,10 @@
 """The drop of the response within a pixel, from the flux of real stars against their place.
 
-Images constrain the PSF and the response only as a product: a change of the response that is a
-function of the place within the pixel scales all pixels of a star alike, and a fit takes it for
-flux. What is left is that flux, if the star is constant: light is lost where the star is between
-pixels. The amplitude is fitted beside what looks similar: differences between the pixels (a prior
-of 1 %), light beyond the stamp, and slow variability.
-
-Stars of one CCD have one drop, and nothing else in common that their flux shows: fitted together,
-their amplitude is the mean of those of each, weighted by the errors. The seven stars of channel 4
-in quarter 12 are fitted so, and as many simulated stars of one CCD of K2, of which it is known.
+A response that depends on the place within the pixel scales all pixels of a star alike, and a fit
+takes it for flux: a constant star is fainter between pixels. The amplitude is fitted beside what
+looks similar: differences between the pixels (a prior of 1 %), light beyond the stamp, and slow
+variability. Stars of one CCD have one drop, and nothing else in common: the weighted mean of the
+seven stars of channel 4 in quarter 12, and of as many simulated stars of K2, of which it is known.
 
 Run as ``OMP_NUM_THREADS=1 python studies/drop.py FOLDER [FIGURE.png]`` with the archive files.
 """
@@ -18,7 +14,7 @@ import warnings
 from pathlib import Path
 
 import numpy as np
-from _files import FILES
+from _rows import FILES
 from astropy.stats import mad_std
 from astropy.utils.exceptions import AstropyUserWarning
 from matplotlib import pyplot as plt
@@ -125,6 +121,12 @@ def simulated(number, motion):
     return simulate(star, detector, motion, seed=number).to_tpf(), slope
 
 
+def width_of(tpf):
+    """Return the standard deviation of one Gaussian that is fitted to a file."""
+    values = fit_tpf(tpf, 1, interpixel=0, positions="path").values
+    return np.sqrt(values["sigma_x"] * values["sigma_y"])
+
+
 def one_ccd(folder, n_stars=7):
     """Print what stars of one CCD give together, real ones and simulated ones."""
     motion = Motion.k2_roll(1000, seed=1)
@@ -135,8 +137,7 @@ def one_ccd(folder, n_stars=7):
     for name, tpfs in sets.items():
         numbers = []
         for star, tpf in tpfs:
-            one = fit_tpf(tpf, 1, interpixel=0, positions="path")
-            sigma = np.sqrt(one.values["sigma_x"] * one.values["sigma_y"])
+            sigma = width_of(tpf)
             numbers.append((*measured(f"{name} {star}", fit_tpf(tpf), sigma)[:2], sigma))
         together(f"{len(numbers)} {name} stars of one CCD", numbers)
     print(f"truth of the simulated stars: {1e6 * np.mean(truths):.0f} ppm")
@@ -152,8 +153,7 @@ def report(folder, path):
     numbers = []
     for (star, file), marker in zip(FILES.items(), "osv", strict=True):
         fit = fit_tpf(Path(folder) / file)
-        one = fit_tpf(Path(folder) / file, 1, interpixel=0, positions="path")
-        sigma = np.sqrt(one.values["sigma_x"] * one.values["sigma_y"])
+        sigma = width_of(Path(folder) / file)
         value, total, clean, good = measured(star, fit, sigma)
         if not star.startswith("EPIC"):
             continue

@@ -17,7 +17,7 @@ from pathlib import Path
 
 import lightkurve as lk
 import numpy as np
-from _files import FILES
+from _rows import FILES
 from astropy.modeling.fitting import TRFLSQFitter
 from astropy.modeling.models import Const2D
 from astropy.utils.exceptions import AstropyUserWarning

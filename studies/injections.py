@@ -4,26 +4,22 @@
     python studies/injections.py DATA real.csv --real 20
     python studies/injections.py DATA stars.csv --with real.csv --table docs/data/injections
 
-DATA is the folder of shared data. Stars are appended to the file, so that a run goes on where it
-stopped. As in ``everest/inject.py``, all light of each pixel is multiplied by a transit of 0.1 d
-with a period of 3 to 10 d; the depth is found by least squares beside a cubic for each transit in
-windows of five durations; the control has the transits in the light curve that was corrected
-without them. Simulated stars have the magnitudes of stars of the table, and are those of
-``population.py`` otherwise; "--real" puts as many planets into each of two real files.
+DATA is the folder of shared data. A run goes on where it stopped. As in ``everest/inject.py``, all
+light of each pixel is multiplied by a transit of 0.1 d with a period of 3 to 10 d; the depth is
+found by least squares beside a cubic for each transit in windows of five durations; the control has
+the transits in the light curve that was corrected without them. Simulated stars have the magnitudes
+of stars of the table, and are those of ``population.py`` otherwise; "--real" puts as many planets
+into each of two real files.
 """
 
-import argparse
-import csv
 from functools import cache
 from itertools import product
 from pathlib import Path
 
 import numpy as np
-from _files import FILES
-from _rows import append_rows, store_rows
+from _rows import FILES, append_rows, arguments_of, store_rows, write_csv
 from astropy.stats import mad_std
 from astropy.table import Table
-from paper._correctors import quiet
 from paper._stars import draw_star, stamp_around
 from population import moved, neighbors, spotted
 
@@ -92,11 +88,9 @@ def simulated(number, data, cadences):
     motion, good = motion[:cadences], good[:cadences]
     shape, x_0, y_0 = stamp_around(good, 5)
     detector = Detector.k2_calibrated(shape=shape)
-    target = draw_star(
-        rng, star["kp"], detector, x_0=x_0, y_0=y_0, shift=0.5, signal=spotted(rng)[0]
-    )
-    scene = [target, *neighbors(rng, shape)]
-    effects = mission_effects(detector)
+    place = {"x_0": x_0, "y_0": y_0, "shift": 0.5}
+    target = draw_star(rng, star["kp"], detector, **place, signal=spotted(rng)[0])
+    scene, effects = [target, *neighbors(rng, shape)], mission_effects(detector)
     tpf = simulate(scene, detector, motion, seed=number, effects=effects).to_tpf()
     return measure(tpf, star["epic"], star["kp"], rng)
 
@@ -122,34 +116,24 @@ def write_table(target, data, *tables):
         ratios.append(ratios[1] / ratios[0])
         rows.append([f"{depth:g}", name, len(part),
                      *(f"{np.median(r):.3f} ± {mad_std(r):.3f}" for r in ratios)])  # fmt: skip
-    with Path(f"{target}.csv").open("w", newline="", encoding="utf-8") as file:
-        csv.writer(file, lineterminator="\n").writerows(rows)
+    write_csv(f"{target}.csv", rows)
 
 
 def main():
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("data")
-    parser.add_argument("file", type=Path)
-    parser.add_argument("--stars", type=int, default=60)
-    parser.add_argument("--cadences", type=int, default=1700)
-    parser.add_argument("--real", type=int, help="planets in each real file")
-    parser.add_argument("--with", dest="other", type=Path, help="rows of real files")
-    parser.add_argument("--table", help="beginning of the names of the tables")
-    options = parser.parse_args()
+    real_files = {"type": int, "help": "planets in each real file"}
+    others = {"dest": "other", "type": Path, "help": "rows of real files"}
+    options = arguments_of(__doc__, 60, **{"real": real_files, "with": others})
     if options.table:
         table = store_rows(options.file, f"{options.table}.ecsv")
         others = [store_rows(options.other, f"{options.table}_real.ecsv")] if options.other else []
         write_table(options.table, options.data, table, *others)
-        return
-
-    def star(number):
-        if options.real:
-            return real(number, options.data)
-        return simulated(number, options.data, options.cadences)
-
-    with quiet():
-        append_rows(options.file, COLUMNS, range(options.real * 2 if options.real else
-                    options.stars), star, len(DEPTHS))  # fmt: skip
+    elif options.real:
+        append_rows(options.file, COLUMNS, range(2 * options.real),
+                    lambda number: real(number, options.data), len(DEPTHS))  # fmt: skip
+    else:
+        append_rows(options.file, COLUMNS, range(options.stars),
+                    lambda number: simulated(number, options.data, options.cadences),
+                    len(DEPTHS))  # fmt: skip
 
 
 if __name__ == "__main__":

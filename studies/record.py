@@ -5,11 +5,10 @@
     python studies/record.py new.ecsv --against docs/data/record_19e5c3d.ecsv
 
 Each star is corrected three times: as it is, with another draw of its noise, and without its
-transits (with transits of 6 h and ten floors where it has none). The corrector runs in a process of
-its own whose scope_models is that of ``--tree``; this checkout makes and scores the stars. Rows are
-added to ``new.jsonl`` as they are found, and a second call continues. ``--method`` is "pld",
-"raw", "measured", or MODULE:FUNCTION of a function that takes a target pixel file and returns a
-light curve.
+transits (with transits of 6 h and ten floors where it has none), by the scope_models of ``--tree``;
+this checkout makes and scores the stars. Rows are added to ``new.jsonl``, and a second call
+continues. ``--method`` is "pld", "raw", "measured", or MODULE:FUNCTION of a function that takes a
+target pixel file and returns a light curve.
 
 Stars with neighbors are compared with the truth of the amplitude that the curve has, for it may
 hold the neighbors' light; ``amplitude`` and ``undiluted`` compare with the star's own truth.

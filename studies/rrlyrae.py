@@ -3,23 +3,20 @@
     python studies/rrlyrae.py DATA stars.csv [--stars 100] [--cadences 1700]
     python studies/rrlyrae.py DATA stars.csv --table docs/data/rrlyrae
 
-DATA is the folder of shared data. Stars are appended to the file, so that a run goes on where it
-stopped. Light curves are Fourier series in magnitudes. Ratios and phases of RRab stars are those of
-EPIC 220198696, fitted to the light curve of campaign 8 in the tests of autoEAP, with a scatter;
-amplitudes are those of Kepler's (Nemec et al. 2011, MNRAS 417, 1022). RRc stars are rounded values
-of Kepler's (Moskalik et al. 2015, MNRAS 447, 2348). "Properly" is an amplitude within 3 % and an
-rms about the truth below 3 % of it; "clean" cadences are not flagged for rolling bands.
+DATA is the folder of shared data. A run goes on where it stopped. Light curves are Fourier series
+in magnitudes. Ratios and phases of RRab stars are those of EPIC 220198696, fitted to the light
+curve of campaign 8 in the tests of autoEAP, with a scatter; amplitudes are those of Kepler's (Nemec
+et al. 2011, MNRAS 417, 1022). RRc stars are rounded values of Kepler's (Moskalik et al. 2015, MNRAS
+447, 2348). "Properly" is an amplitude within 3 % and an rms about the truth below 3 % of it;
+"clean" cadences are not flagged for rolling bands.
 """
 
-import argparse
-import csv
 from functools import cache
 from pathlib import Path
 
 import numpy as np
-from _rows import append_rows, store_rows
+from _rows import append_rows, arguments_of, store_rows, write_csv
 from astropy.table import Table
-from paper._correctors import quiet
 from paper._stars import draw_star, stamp_around
 from population import moved
 
@@ -124,31 +121,18 @@ def write_tables(table, real, target):
              "median amplitude", "90 % of the rms are below"]  # fmt: skip
     judged = [[name, int(np.sum(real[name] != 3)), int(np.sum(real[name] == 1))]
               for name in real.colnames[1:5]]  # fmt: skip
-    for suffix, lines in (
-        ("", [heads, *rows]),
-        ("_judged", [["pipeline", "light curves", "proper by eye"], *judged]),
-    ):
-        with Path(f"{target}{suffix}.csv").open("w", newline="", encoding="utf-8") as file:
-            csv.writer(file, lineterminator="\n").writerows(lines)
+    write_csv(f"{target}.csv", [heads, *rows])
+    write_csv(f"{target}_judged.csv", [["pipeline", "light curves", "proper by eye"], *judged])
 
 
 def main():
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("data")
-    parser.add_argument("file", type=Path)
-    parser.add_argument("--stars", type=int, default=100)
-    parser.add_argument("--cadences", type=int, default=1700)
-    parser.add_argument("--neighbors", help="argument of PLDCorrector")
-    parser.add_argument("--table", help="beginning of the names of the tables")
-    options = parser.parse_args()
+    options = arguments_of(__doc__, 100, neighbors={"help": "argument of PLDCorrector"})
     if options.table:
         table = store_rows(options.file, f"{options.table}.ecsv")
-        write_tables(table, real_stars(options.data), options.table)
-        return
+        return write_tables(table, real_stars(options.data), options.table)
     chosen = {"neighbors": options.neighbors} if options.neighbors else {}
-    with quiet():
-        append_rows(options.file, COLUMNS, range(options.stars),
-                    lambda i: [observe(i, options.data, options.cadences, chosen)])  # fmt: skip
+    return append_rows(options.file, COLUMNS, range(options.stars),
+                       lambda i: [observe(i, options.data, options.cadences, chosen)])  # fmt: skip
 
 
 if __name__ == "__main__":

@@ -5,10 +5,9 @@
     scope-models score curves/pld/*.fits
 
 Each corrector has its default call, in the aperture of the file where it takes one, and nothing is
-masked. Light curves that exist are kept, so that a run goes on where it stopped. "cbv" stands for
-cotrending basis vectors: eight principal components of the light curves of 30 simulated constant
-stars that move as the file's POS_CORR, fitted by lightkurve's RegressionCorrector. "truth" is the
-true flux with the expected noise of the file's aperture.
+masked. Light curves that exist are kept. "cbv": eight principal components of the light curves of
+30 simulated constant stars that move as the file's POS_CORR, fitted by lightkurve's
+RegressionCorrector. "truth": the true flux with the expected noise of the file's aperture.
 """
 
 import argparse

@@ -2,13 +2,11 @@
 
     python studies/synthetic_lightkurve.py DIRECTORY
 
-They succeed the files of the same names that an earlier simulator made: the same signals, the same
-extension SIMULATED_SIGNAL (column NOISELESS_INPUT, cards PERIOD, SINE_AMP, RPRS, ...). The star
-moves along the diagonal of the pixels: those files had POS_CORR1 along rows and POS_CORR2 along
-columns, contrary to those of the archive, and lightkurve's tests expect that; here both are right.
-The response of the pixels grows along this diagonal. Fluxes are rounded to a tenth of the photon
-noise, so that the files are small. The other choices (magnitude, motion, PSF, response) are of
-those variants, about twenty, with which the tests of recovered signals pass.
+They have the signals and the extension SIMULATED_SIGNAL of earlier files of the same names. The
+star moves along the diagonal of the pixels, along which their response grows: those files had
+POS_CORR1 along rows and POS_CORR2 along columns, and lightkurve's tests expect that; here both are
+right. Fluxes are rounded to a tenth of the photon noise, so that the files are small. The other
+choices are of about twenty variants with which the tests of recovered signals pass.
 """
 
 import sys

@@ -7,11 +7,6 @@ from matplotlib.ticker import FuncFormatter, NullLocator
 
 from scope_models.plotting._style import given_or_new, make_panels, styled
 
-__all__ = [
-    "plot_cdpp", "plot_cdpp_panels", "plot_degeneracy", "plot_map", "plot_maps",
-    "plot_motion_statistics",
-]  # fmt: skip
-
 MARKERS = "os^Dvp*X"
 RESIDUALS = "Residual over noise"
 

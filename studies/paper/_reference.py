@@ -10,10 +10,6 @@ from pathlib import Path
 import numpy as np
 from astropy.table import Table
 
-__all__ = [
-    "PERCENTILES", "REFERENCES", "bin_noise", "compared", "read_reference", "reference_noise",
-]  # fmt: skip
-
 #: Percentiles in the tables, by the name of their column.
 PERCENTILES = {"p10": 10, "p25": 25, "median": 50, "p75": 75, "p90": 90}
 #: Light curves of Kepler's pipeline; of K2 campaign 3, raw, and de-trended by EVEREST 2.
@@ -55,13 +51,23 @@ def read_reference(name, stars="unsaturated"):
     return chosen
 
 
-def reference_noise(name, mag, column="median"):
+def reference_noise(name, mag, column="median", stars="unsaturated"):
     """Return the noise of real stars at any magnitude: its logarithm is linear between the bins."""
-    table = read_reference(name)
+    table = read_reference(name, stars)
     low, high = table["mag"].min(), table["mag"].max()
     if np.min(mag) < low or np.max(mag) > high:
         raise ValueError(f"`mag` must be within {low:g} and {high:g}, got {mag}")
     return np.exp(np.interp(mag, table["mag"], np.log(table[column])))
+
+
+def noise_band(name, label, mag=None):
+    """Return the noise of real stars as `plot_cdpp` takes it, by default in all bins."""
+    mag = np.array(read_reference(name, "all")["mag"] if mag is None else mag)
+    columns = {"median": "median", "low": "p10", "high": "p90"}
+    band = {key: reference_noise(name, mag, column, "all") for key, column in columns.items()}
+    return band | {
+        "mag": mag, "label": f"{label}, median", "band_label": f"{label}, 10 % to 90 %"
+    }  # fmt: skip
 
 
 def compared(prefix, noise, reference, mag, names, *, known="kepler"):

@@ -16,8 +16,6 @@ from scipy.special import erf, erfinv
 
 from scope_models.models import PRF, BivariateGaussianPSF, SensitivityPolynomial
 
-__all__ = ["RollingStars", "everest_noise", "winged_psf"]
-
 # Kepler's PRF: part of the light in the brightest pixel, and the diameter that holds 95 % of it.
 # Medians over the field, Kepler telescope page.
 _BRIGHTEST = 0.45

@@ -10,8 +10,6 @@ from scipy.optimize import least_squares
 
 from scope_models.models import TransitModel
 
-__all__ = ["Found", "fit_shape", "flattened", "isolated", "search", "search_light_curve"]
-
 # Days of the running median: several times the longest transit, less than K2's slow drifts.
 _FLAT_DAYS = 2.0
 _SHORTEST_PERIOD = 1.0

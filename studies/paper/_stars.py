@@ -1,6 +1,5 @@
 """The stars and the motions of the studies."""
 
-import re
 from dataclasses import fields
 from functools import lru_cache
 from pathlib import Path
@@ -10,14 +9,11 @@ import numpy as np
 from scope_models.missions import MISSIONS
 from scope_models.scene import K2Roll, Motion, Star
 
-__all__ = ["cached_motion", "draw_star", "field_position", "motion_from_name", "stamp_around"]
-
 # No star of K2 moves farther from its median than this in a good cadence, in pixels.
 _FARTHEST = 4.0
 _CADENCES = 1000
 # Direction of EPIC 205998445 from the boresight, degrees from columns toward rows.
 _ANGLE = 163.6
-_VARIED = re.compile(r"(sigma_x|sigma_y|rho)(_\d+)?")
 
 
 def draw_star(
@@ -41,15 +37,12 @@ def _varied(psf, factors, tilt):
     """Return a copy of a PSF with other widths and correlations."""
     psf = psf.copy()
     factors = dict(zip(("sigma_x", "sigma_y"), factors, strict=True))
-    for name in psf.param_names:
-        kind = _VARIED.fullmatch(name)
-        if kind is None:
-            continue
-        value = getattr(psf, name).value
-        if kind[1] == "rho":
+    for name, value in zip(psf.param_names, psf.parameters.tolist(), strict=True):
+        kind = name.rstrip("_0123456789")
+        if kind in factors:
+            setattr(psf, name, float(value * factors[kind]))
+        elif kind == "rho":
             setattr(psf, name, float(np.clip(value + tilt, -0.95, 0.95)))
-        else:
-            setattr(psf, name, float(value * factors[kind[1]]))
     return psf
 
 
@@ -66,9 +59,8 @@ def motion_from_name(name, n_cadences=None):
     """Return the motion that a name stands for, without flagged cadences.
 
     It is the path of a target pixel or light-curve file (without cadences farther than 4 px from
-    the median), "still", "k2_roll", or the generator with parameters as
-    "k2_roll:seed=3,distance=5.2,angle=120": `seed`, `distance` and `angle` of `field_position`, and
-    the numbers of `scope_models.scene.motion.K2Roll`.
+    the median), "still", "k2_roll", or "k2_roll:seed=3,distance=5.2,angle=120": a seed, distance
+    and angle of `field_position`, and the numbers of `scope_models.scene.motion.K2Roll`.
     """
     text = str(name)
     kind, _, options = text.partition(":")

@@ -16,10 +16,6 @@ from scope_models._arrays import values_of
 from scope_models.batch import SweepError, run_sweep
 from scope_models.cli._batch import add_workers, client_of, with_config
 
-__all__ = [
-    "cells", "grid", "largest", "medians", "on_grid", "percentiles", "run",
-]  # fmt: skip
-
 
 def run(name, parameters, tasks, measure, summarize, draw, units, argv=None):
     """Run a study with the parameters of the command line, and print where its results are.
@@ -84,12 +80,15 @@ def cells(table, names):
 
 
 def medians(table, cell, columns, more=()):
-    """Return a table of the medians of columns in each cell; rows may be added."""
+    """Return a table of the medians of columns in each cell, with units; rows may be added."""
     rows = []
     for values, part in cells(table, cell):
         middle = {name: percentiles(values_of(part, name))[1] for name in columns}
         rows.append(values | {"stars": len(part)} | middle)
-    return Table([*rows, *more])
+    summary = Table([*rows, *more])
+    for name in columns:
+        summary[name].unit = table[name].unit
+    return summary
 
 
 def percentiles(values):

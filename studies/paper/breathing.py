@@ -61,8 +61,6 @@ def summarize(_, table):
     for name in METHODS:
         floor = "floor_wide_full" if name == "wide" else "floor_full"
         summary[f"{name}_ratio"] = np.round(summary[f"{name}_full"] / summary[floor], 3)
-    for name in UNITS:
-        summary[name].unit = "ppm"
     real = summary[summary["amplitude"] <= 0.01]
     slow, strong = real[real["period"] >= 1], summary[summary["amplitude"] >= 0.01]
     summary.meta |= largest(

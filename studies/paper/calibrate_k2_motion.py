@@ -3,21 +3,16 @@
     OMP_NUM_THREADS=1 python studies/paper/calibrate_k2_motion.py [--stars N] [--output FOLDER]
 
 Stars all over the field of view of K2 campaign 3, and anywhere on a pixel, move as
-`Motion.k2_roll` gives for a campaign. Their noise is that of photons, background and read noise,
-which study ``no-motion`` has tested, and of the motion. That depends on a_2 (response 1 + a_2 u^2
-along each axis), on the standard deviation of b, on the wings of the PSF, and on the aperture.
+`Motion.k2_roll`. The noise of the motion depends on a_2 (response 1 + a_2 u^2 along each axis), the
+standard deviation of b, the wings of the PSF, and the aperture. Stars at Kp 10 and 10.5, all
+saturated, have large apertures, which lose nothing: they measure the response. The apertures of
+unsaturated stars at Kp 12 to 14.5 are the pixels in which the star has more than T (F / F_14)^g
+e-/s, F being its flux and F_14 that at Kp 14. Five percentiles of both groups are fitted together.
 
-For stars at Kp 10 and 10.5, which are all saturated, EVEREST took large apertures: what they lose
-is negligible, and their noise measures the response. For the unsaturated stars at Kp 12 to 14.5
-the aperture is taken as the pixels in which the star has more than T (F / F_14)^g e-/s, F being its
-flux and F_14 that at Kp 14. The percentiles 10, 25, 50, 75 and 90 of both groups are fitted
-together.
-
-The cost is the sum of the squares of the logarithms of the ratios over their errors: that of the
-reference by its number of stars, and 10 % for what the model lacks. Percentiles are computed on a
-coarse grid of a_2 and b, and interpolated. Errors of the fit come from resampling our stars and the
-reference. Writes k2_calibration.ecsv: for each wings, a_2 and standard deviation of b the lowest
-cost over T and g. Takes about 10 minutes on one core.
+The cost is the sum of the squared logarithms of the ratios over their errors: that of the reference
+by its number of stars, and 10 % for what the model lacks. Errors of the fit come from resampling.
+Writes k2_calibration.ecsv: for each wings, a_2 and standard deviation of b the lowest cost over T
+and g. Takes about 10 minutes on one core.
 """
 
 import argparse

@@ -191,8 +191,6 @@ def summarize(_, table):
     The ratio is the median over the fields, "ratio_error" its standard error.
     """
     summary = medians(table, ("flat", "drift"), ("floor", *METHODS, *SURVIVALS))
-    for name in UNITS:
-        summary[name].unit = "ppm"
     ratios = [
         np.array(part["differential_pld"] / part["differential"], dtype=float)
         for _, part in cells(table, ("flat", "drift"))

@@ -11,13 +11,15 @@ Saunders, N. et al. 2019, section 3; Luger, R. et al. 2018, AJ, 156, 99 (EVEREST
 
 from dataclasses import dataclass
 from functools import partial
+from itertools import product
 from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
-from _reference import PERCENTILES, compared, read_reference
+from _figures import plot_cdpp
+from _reference import PERCENTILES, compared, noise_band, read_reference
 from _stars import draw_star, motion_from_name, stamp_around
-from _study import run
+from _study import cells, run
 from astropy.table import Table
 from no_motion import noise_parts
 
@@ -83,10 +85,9 @@ def tasks(study):
             "detector": detector, "motion": motion, "mag": mag, "index": index,
             "star": f"motion{number}-{index}",
         }
-        for detector in study.detectors
-        for number, motion in enumerate(study.motions)
-        for mag in study.magnitudes
-        for index in range(study.stars)
+        for detector, (number, motion), mag, index in product(
+            study.detectors, enumerate(study.motions), study.magnitudes, range(study.stars)
+        )
     ]  # fmt: skip
 
 
@@ -152,55 +153,42 @@ def summarize(study, table):
     medians of the contributions.
     """
     reference = read_reference("k2_c03_raw", "all")
-    rows = []
-    for detector in study.detectors:
-        for motion in study.motions:
-            for mag in study.magnitudes:
-                chosen = (table["detector"] == detector) & (table["motion"] == motion)
-                stars = table[chosen & (np.asarray(table["mag"]) == mag)]
-                if not len(stars):
-                    continue
-                row = {"detector": detector, "motion": Path(motion).name, "mag": mag}
-                row["stars"] = len(stars)
-                row |= compared("noise", stars["cdpp"], reference, mag, PERCENTILES, known="k2")
-                for name in ("cdpp_lightkurve", *CONTRIBUTIONS, "n_pixels"):
-                    row[name] = float(np.median(stars[name]))
-                row["saturated"] = float(np.mean(stars["saturated"]))
-                rows.append(row)
+    rows, found = [], {tuple(c.values()): s for c, s in cells(table, ("detector", "motion", "mag"))}
+    for detector, motion, mag in product(study.detectors, study.motions, study.magnitudes):
+        stars = found.get((detector, motion, mag), ())
+        if not len(stars):
+            continue
+        row = {"detector": detector, "motion": Path(motion).name, "mag": mag, "stars": len(stars)}
+        row |= compared("noise", stars["cdpp"], reference, mag, PERCENTILES, known="k2")
+        for name in ("cdpp_lightkurve", *CONTRIBUTIONS, "n_pixels"):
+            row[name] = float(np.median(stars[name]))
+        rows.append(row | {"saturated": float(np.mean(stars["saturated"]))})
     return Table(rows=rows)
 
 
 @styled
 def draw(study, _, summary):
     """Draw our noise over that of campaign 3, and what contributes to it."""
-    reference, motion = read_reference("k2_c03_raw", "all"), summary["motion"][0]
+    known = noise_band("k2_c03_raw", "K2 campaign 3")
+    summary = summary[summary["motion"] == summary["motion"][0]]
     figure, (left, right) = plt.subplots(
         1, 2, figsize=(10, 4.6), sharex=True, sharey=True, layout="constrained"
     )
-    known = {name: np.array(reference[name]) for name in ("mag", "p10", "median", "p90")}
-    for ax in (left, right):
-        ax.fill_between(known["mag"], known["p10"], known["p90"], color="0.88", lw=0,
-                        label="K2 campaign 3, 10 % to 90 %")  # fmt: skip
-        ax.plot(known["mag"], known["median"], "k--", lw=1.2, label="K2 campaign 3, median")
-        ax.set(yscale="log", xlabel="Magnitude (Kp)")
+    series = {}
     for number, label in enumerate(study.detectors):
-        values = summary[(summary["detector"] == label) & (summary["motion"] == motion)]
-        low, half, high = (np.array(values[f"noise_{name}"]) for name in ("p10", "median", "p90"))
-        mag = np.array(values["mag"])
-        left.errorbar(
-            mag + 0.06 * (number - (len(study.detectors) - 1) / 2), half, [half - low, high - half],
-            fmt="os"[number], ms=5, color=("#2c5aa0", "#d95f02")[number], mec="k", mew=0.4, lw=1,
-            capsize=2, label=f"{label}: median, 10 % to 90 %",
-        )  # fmt: skip
+        values = summary[summary["detector"] == label]
+        columns = (np.array(values[f"noise_{name}"]) for name in ("median", "p10", "p90"))
+        shift = 0.06 * (number - (len(study.detectors) - 1) / 2)
+        series[f"{label}: median, 10 % to 90 %"] = (np.array(values["mag"]) + shift, *columns)
     texts = ("photons, background, reads", "light leaving the aperture",
              "and response within pixels", "and response between pixels")  # fmt: skip
-    for name, text, style in zip(CONTRIBUTIONS, texts, (":", "-.", "--", "-"), strict=True):
-        right.plot(mag, np.array(values[name]), style, color="#d95f02", lw=1.6, label=text)
-    left.set(xlim=(min(mag) - 0.3, max(mag) + 0.3), ylim=(8, 4000), ylabel="6.5-h CDPP (ppm)")
-    left.set_title("Noise before de-trending")
-    right.set_title(f"What contributes: {label}")
-    for ax in (left, right):
-        ax.legend(fontsize="small", loc="upper left")
+    parts = {
+        text: (values["mag"], values[name]) for name, text in zip(CONTRIBUTIONS, texts, strict=True)
+    }
+    plot_cdpp(series, known, title="Noise before de-trending", ax=left)
+    plot_cdpp(parts, known, title=f"What contributes: {label}", ax=right)
+    mag = summary["mag"]
+    left.set(xlim=(min(mag) - 0.3, max(mag) + 0.3), ylim=(8, 4000))
     return figure
 
 

@@ -129,8 +129,7 @@ def summarize(_, table):
     summary["mission"] = [
         MISSION_CDPP.get(part, {}).get(mag, np.nan) for part, mag in summary.iterrows("part", "mag")
     ]
-    for name in (*UNITS, "mission"):
-        summary[name].unit = "ppm"
+    summary["mission"].unit = "ppm"
     parts = {part: summary[summary["part"] == part] for part in PARTS}
 
     def over(part, column):

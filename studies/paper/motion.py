@@ -13,7 +13,7 @@ from functools import partial
 import numpy as np
 from _correctors import CONVENTIONS, best_setting, correct, noise_of, transit_amplitude
 from _figures import plot_cdpp_panels
-from _reference import read_reference, reference_noise
+from _reference import noise_band, read_reference, reference_noise
 from _stars import cached_motion, draw_star, stamp_around
 from _study import cells, grid, percentiles, run
 from astropy.table import Table
@@ -222,9 +222,6 @@ def draw(_, __, summary):
         }
     mags = np.array(read_reference("kepler")["mag"])  # also beside the stars, if they are few
     mags = mags[(mags >= min(summary["mag"]) - 0.5) & (mags <= max(summary["mag"]) + 0.5)]
-    kepler = {"mag": mags, "label": "Kepler, median", "band_label": "Kepler, 10 % to 90 %"}
-    for key, column in (("median", "median"), ("low", "p10"), ("high", "p90")):
-        kepler[key] = reference_noise("kepler", mags, column)
     limits = [
         (faintest, ppm, f"paper, {scale}x")
         for scale, faintest, ppm in LIMITS
@@ -234,6 +231,7 @@ def draw(_, __, summary):
         scale: (np.array(part["mag"]), np.array(part["residual_everest"]))
         for scale, part in parts.items()
     }
+    kepler = noise_band("kepler", "Kepler", mags)
     axes = plot_cdpp_panels(panels, kepler, limits=limits, residuals=residuals)
     axes["Residual over noise"].set_title(f"{TITLES['pld']}, residual over noise")
     return axes[TITLES["pld"]].figure

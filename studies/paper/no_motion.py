@@ -16,9 +16,10 @@ from functools import partial
 
 import matplotlib.pyplot as plt
 import numpy as np
-from _reference import PERCENTILES, compared, read_reference
+from _figures import plot_cdpp
+from _reference import PERCENTILES, compared, noise_band, read_reference
 from _stars import draw_star
-from _study import grid, run
+from _study import cells, grid, run
 from astropy.table import Table
 from scipy.special import ndtri
 
@@ -127,18 +128,15 @@ def noise_parts(observation, aperture):
     return {name: float(scale * np.sqrt(value)) for name, value in variances.items()}
 
 
-def summarize(study, table):
+def summarize(_, table):
     """Return our percentiles per bin beside Kepler's, with errors by resampling of the stars.
 
     Percentiles of detector noise alone ("detector_") and with variability ("star_"), and ratios.
     """
     reference = read_reference("kepler")
     rows = []
-    for mag in study.magnitudes:
-        stars = table[np.asarray(table["mag"]) == mag]
-        if not len(stars):
-            continue
-        row = {"mag": mag, "stars": len(stars)}
+    for cell, stars in cells(table, ("mag",)):
+        mag, row = cell["mag"], cell | {"stars": len(stars)}
         row |= compared("detector", stars["detector_cdpp"], reference, mag, ("p10", "median"))
         row |= compared("star", stars["cdpp"], reference, mag, PERCENTILES)
         for name in ("photon", "background", "read", "n_pixels"):
@@ -150,37 +148,26 @@ def summarize(study, table):
 @styled
 def draw(_, stars, summary):
     """Draw our noise over Kepler's, and the ratios."""
-    orange, blue, band = "#d95f02", "#2c5aa0", "0.88"
-    reference = read_reference("kepler")
     figure, (top, bottom) = plt.subplots(
         2, 1, figsize=(6.4, 6.8), sharex=True, height_ratios=(2.4, 1), layout="constrained"
     )
-    mag = np.array(reference["mag"])
-    low, tenth, half = (np.array(reference[name]) for name in ("p90", "p10", "median"))
-    top.fill_between(mag, tenth, low, color=band, lw=0, label="Kepler, 10 % to 90 %")
-    top.plot(mag, tenth, "-", color="0.45", lw=1, label="Kepler, 10 %")
-    top.plot(mag, half, "k--", lw=1.2, label="Kepler, median")
-    columns = (
-        ("cdpp", orange, "with variability"),
-        ("detector_cdpp", blue, "detector noise alone"),
-    )
-    for name, color, label in columns:
+    plot_cdpp({}, noise_band("kepler", "Kepler"), legend=False, ax=top)
+    for name, part, known, marker, color, percentile, label in (
+        ("cdpp", "star", "median", "s", "#d95f02", "median", "with variability"),
+        ("detector_cdpp", "detector", "p10", "o", "#2c5aa0", "10 %", "detector noise alone"),
+    ):
         top.plot(np.array(stars["kp"]), np.array(stars[name]), ".", color=color, ms=3, alpha=0.6,
                  label=f"ours, {label}")  # fmt: skip
-    top.set(yscale="log", ylabel="6.5-h CDPP (ppm)")
-    top.set(xlim=(min(stars["kp"]) - 0.2, max(stars["kp"]) + 0.2),
+        error = summary[f"{part}_{known}_error"] / summary[f"kepler_{known}"]
+        bottom.errorbar(
+            np.array(summary["mag"]), np.array(summary[f"{part}_{known}_ratio"]), np.array(error),
+            fmt=marker, color=color, ms=5, mec="k", mew=0.4, capsize=2, lw=1,
+            label=f"{percentile}, {label}",
+        )  # fmt: skip
+    top.set(xlabel="", xlim=(min(stars["kp"]) - 0.2, max(stars["kp"]) + 0.2),
             ylim=(0.6 * min(stars["detector_cdpp"]), 3 * max(stars["cdpp"])))  # fmt: skip
     top.legend(fontsize="small", loc="upper left", ncols=2)
-    for name, marker, color, label in (
-        ("detector_p10", "o", blue, "10th percentile, detector noise alone"),
-        ("star_median", "s", orange, "median, with variability"),
-    ):
-        error = summary[f"{name}_error"] / summary[f"kepler_{name.split('_')[1]}"]
-        bottom.errorbar(
-            np.array(summary["mag"]), np.array(summary[f"{name}_ratio"]), np.array(error),
-            fmt=marker, color=color, ms=5, mec="k", mew=0.4, capsize=2, lw=1, label=label,
-        )  # fmt: skip
-    bottom.axhspan(0.9, 1.1, color=band, lw=0, zorder=0)
+    bottom.axhspan(0.9, 1.1, color="0.88", lw=0, zorder=0)
     bottom.axhline(1, color="0.5", lw=0.8, zorder=0)
     bottom.set(xlabel="Magnitude (Kp)", ylabel="Ours / Kepler", ylim=(0.7, 1.3))
     bottom.legend(fontsize="small", loc="upper right")

@@ -90,8 +90,7 @@ def summarize(_, table):
     columns = ("pixels", "share", *SURVIVALS, *UNITS)
     summary = medians(table, ("neighbors", "mag"), columns)
     summary["model"] = tess_noise(summary["mag"], summary["pixels"])
-    for name in (*UNITS, "model"):
-        summary[name].unit = "ppm"
+    summary["model"].unit = "ppm"
     alone = summary[summary["neighbors"] == 0]
     bright, faint = alone[alone["mag"] <= 9], alone[alone["mag"] >= 13]
     summary.meta |= largest(
