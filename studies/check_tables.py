@@ -140,13 +140,10 @@ def differences(stored, new, keys, limit):
                 continue
             old, now = known[place][name], row[name]
             number += 1
-            if isinstance(now, str | np.str_) or isinstance(old, str | np.str_):
-                same = str(old) == str(now)
-            else:
-                same = bool(np.isclose(now, old, rtol=limit, atol=0, equal_nan=True))
-            if not same:
-                lines.append(f"{text}: {name} {old:.4g} is {now:.4g} now" if not isinstance(
-                    now, str | np.str_) else f"{text}: {name} {old} is {now} now")  # fmt: skip
+            words = isinstance(now, str)
+            if old != now if words else not np.isclose(now, old, limit, 0, equal_nan=True):
+                form = "" if words else ".4g"
+                lines.append(f"{text}: {name} {old:{form}} is {now:{form}} now")
     return number, lines
 
 

@@ -47,12 +47,13 @@ def small_k2(path, center):
 
 def star(path, preset, n, **metadata):
     """Write a simulated star."""
-    detector = Detector.preset(preset, shape=(11, 11) if preset == "tess" else (7, 6))
-    time_format, start = ("btjd", 1325.3) if preset == "tess" else ("bkjd", 735.4)
+    tess = preset == "tess"
+    detector = Detector.preset(preset, shape=(11, 11) if tess else (7, 6))
+    time_format, start = ("btjd", 1325.3) if tess else ("bkjd", 735.4)
     motion = Motion.still(n, start=start, cadence=detector.cadence_days, time_format=time_format)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", LostLightWarning)
-        observation = simulate(Star(9.0 if preset == "tess" else 12.0), detector, motion, seed=1)
+        observation = simulate(Star(9.0 if tess else 12.0), detector, motion, seed=1)
     observation.write(path, overwrite=True, metadata=metadata)
 
 

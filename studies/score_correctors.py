@@ -13,6 +13,7 @@ RegressionCorrector. "truth": the true flux with the expected noise of the file'
 import argparse
 import sys
 import time
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -88,9 +89,7 @@ def cbv(tpf, number):
 METHODS = {
     "truth": truth,
     "raw": raw,
-    "lk-pld1": lambda tpf, number: lightkurve_pld(tpf, number, 1),
-    "lk-pld2": lambda tpf, number: lightkurve_pld(tpf, number, 2),
-    "lk-pld3": lambda tpf, number: lightkurve_pld(tpf, number, 3),
+    **{f"lk-pld{order}": partial(lightkurve_pld, order=order) for order in (1, 2, 3)},
     "lk-sff": sff,
     "cbv": cbv,
     "pld": lambda tpf, number: PLDCorrector(tpf).correct(),  # noqa: ARG005

@@ -114,12 +114,9 @@ def measure(study, task):
     weighted = np.square(observation.model() / observation.flux_err).sum(axis=(1, 2))
     row = {
         "white_noise": 1e6 * float(np.median(1 / np.sqrt(weighted))),
-        "snr": found.snr,
-        "sde": found.sde,
-        "found_period": found.period,
-        "detected": found.snr >= study.threshold,
-        "recovered": False,
-    }
+        "snr": found.snr, "sde": found.sde, "found_period": found.period,
+        "detected": found.snr >= study.threshold, "recovered": False,
+    }  # fmt: skip
     if not task["depth"]:
         return row
     exposure = observation.detector.cadence_days
@@ -248,13 +245,11 @@ def by_motion(rows, threshold):
     expected = values_of(rows, "expected_snr")
     clear = expected > 2 * threshold
     numbers = {
-        "planets": len(rows),
-        "recovered": int(recovered.sum()),
-        "expected": int(np.sum(expected >= threshold)),
-        "false": int(np.sum(detected & ~recovered)),
+        "planets": len(rows), "recovered": int(recovered.sum()),
+        "expected": int(np.sum(expected >= threshold)), "false": int(np.sum(detected & ~recovered)),
         "survival": round(percentiles(values_of(rows, "survival")[clear])[1], 3),
         "snr_ratio": round(percentiles((values_of(rows, "snr") / expected)[clear])[1], 3),
-    }
+    }  # fmt: skip
     for found, true, use in (
         ("found_depth", "depth", recovered),
         ("joint_depth", "depth", np.ones(len(rows), dtype=bool)),

@@ -8,6 +8,7 @@ al. (2019).
 """
 
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -78,10 +79,7 @@ def draw(study, _, summary):
     return plot_motion_statistics(series, paper)
 
 
-def main(argv=None):
-    """Run the study."""
-    return run(NAME, Table1, tasks, measure, units=UNITS, summarize=summarize, draw=draw, argv=argv)
-
+main = partial(run, NAME, Table1, tasks, measure, summarize, draw, UNITS)
 
 if __name__ == "__main__":
     main()

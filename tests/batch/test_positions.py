@@ -8,6 +8,7 @@ from scope_models import Detector, Motion, PLDCorrector, Scene, Star, read_pixel
 from scope_models.batch import detrend_files
 from scope_models.cli import main
 from scope_models.exceptions import FitWarning
+from scope_models.io import read_tpf
 
 MOTION = Motion.k2_roll(150, seed=3)
 
@@ -129,8 +130,9 @@ def test_light_curve_of_a_real_star_without_pos_corr(shared_data):
     """It is as good as with its own."""
     files = sorted((shared_data / "kepler_q12_ch4").glob("tpf_*.fits.gz"))
     motion = Motion.from_tpfs(files[1:])
-    own = PLDCorrector(files[0]).correct()
-    others = PLDCorrector(files[0])
+    tpf = read_tpf(files[0])[:1500]
+    own = PLDCorrector(tpf).correct()
+    others = PLDCorrector(tpf)
     others._series = read_pixels(others.tpf).replace(pos_corr=None)
     noise = others.correct(positions=motion).estimate_cdpp()
     assert noise < 1.1 * own.estimate_cdpp()

@@ -71,8 +71,21 @@ def run(tmp_path_factory):
     return folder / "out"
 
 
-def test_page(run):
-    path = write_report(run)
+@pytest.fixture(scope="module")
+def path(run):
+    """Return the page of the run."""
+    return write_report(run)
+
+
+@pytest.fixture(scope="module")
+def plain(tmp_path_factory):
+    """Return the folder of a run without light curves."""
+    folder = tmp_path_factory.mktemp("plain") / "out"
+    simulate_table({"mag": [11.0, 12.0]}, folder, cadences=30, sweep=QUIET)
+    return folder
+
+
+def test_page(run, path):
     text = path.read_text(encoding="utf-8")
     page, table = Page(text), read_results(run)
     assert path == run / "report.html"
@@ -86,16 +99,16 @@ def test_page(run):
     assert "Failures" in page.words
 
 
-def test_needs_no_network_and_runs_nothing(run):
-    text = write_report(run).read_text(encoding="utf-8")
+def test_needs_no_network_and_runs_nothing(path):
+    text = path.read_text(encoding="utf-8")
     assert all(image.startswith("data:image/png;base64,") for image in Page(text).images)
     assert not re.search(r"https?:|<script|<link|src=\"(?!data:)", text)
     assert "<i>odd" not in text  # what files hold is text
     assert "&lt;i&gt;odd" in text
 
 
-def test_failures_by_cause(run):
-    page = Page(write_report(run).read_text(encoding="utf-8"))
+def test_failures_by_cause(path):
+    page = Page(path.read_text(encoding="utf-8"))
     after = page.text[page.text.index("Failures") :]
     assert re.search(r"2\s+\(cut0, cut1\): ", after)
     assert re.search(r"1\s+\(empty\): ", after)
@@ -133,15 +146,15 @@ def test_all_have_failed(tmp_path):
     assert dict(row for row in page.rows if len(row) == 2)["failed"] == "1"
 
 
-def test_other_runs(tmp_path):
-    simulate_table({"mag": [11.0, 12.0]}, tmp_path / "out", cadences=30, sweep=QUIET)
-    page = Page(write_report(tmp_path / "out", tmp_path / "page.html").read_text(encoding="utf-8"))
+def test_other_runs(plain, tmp_path):
+    page = Page(write_report(plain, tmp_path / "page.html").read_text(encoding="utf-8"))
     assert dict(row for row in page.rows if len(row) == 2)["stars"] == "2"
     assert not page.images
 
 
-def test_command(run, tmp_path, capsys):
-    assert main(["report", str(run), "--output", str(tmp_path / "page.html")]) == 0
+def test_command(plain, tmp_path, capsys):
+    assert main(["report", str(plain), "--output", str(tmp_path / "page.html")]) == 0
     assert capsys.readouterr().out.strip() == str(tmp_path / "page.html")
+    assert (tmp_path / "page.html").read_text() == write_report(plain).read_text()
     assert main(["report", str(tmp_path)]) == 2
     assert "is not a results directory" in capsys.readouterr().err
