@@ -22,7 +22,7 @@ from scope_models.models import sinusoidal_signal
 @pytest.fixture(scope="module")
 def crowded():
     """Return an RR Lyrae star with a constant neighbor, 1 mag fainter at 3 px."""
-    return make_sky("k2-1x-rr-lyrae-neighbor", seed=0, n_cadences=700)
+    return make_sky("k2-1x-rr-lyrae-neighbor", seed=0, n_cadences=400)
 
 
 def test_a_constant_neighbor_does_not_erase_the_star(crowded):
