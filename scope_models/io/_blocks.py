@@ -139,8 +139,10 @@ def _card(keyword, value, comment):
     elif isinstance(value, bool):
         text, plain = f"{'FT'[value]:>20}", True
     else:
-        text = f"{value!s:>20}".replace("e", "E")
-        plain = isinstance(value, int | float) and math.isfinite(value) and len(text) == 20
+        digits, exponent, power = str(value).replace("e", "E").partition("E")
+        text = f"{digits[: 20 - len(exponent + power)]}{exponent}{power}".rjust(20)
+        exact = isinstance(value, int) and len(digits) <= 20
+        plain = (exact or isinstance(value, float)) and math.isfinite(value)
     card = f"{keyword:8}= {text}" + (f" / {comment}" if comment else "")
     if plain and len(card) <= 80:
         return f"{card:80}"

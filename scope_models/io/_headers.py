@@ -2,7 +2,7 @@
 
 import datetime as dt
 import warnings
-from functools import cache
+from functools import cache, lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -133,15 +133,16 @@ def _span(metadata, time, timecorr, used):
     }
 
 
+@lru_cache(maxsize=64)
 def calendar_dates(zero, days):
-    """Return UTC calendar dates of barycentric times."""
+    """Return UTC calendar dates of barycentric times, a tuple: stars of a field have the same."""
     from astropy.time import Time
 
     with warnings.catch_warnings():
         # Leap seconds of years to come are not known: the date is then off by a second or so.
         warnings.filterwarnings("ignore", message=".*dubious year")
         times = Time(np.full(2, zero), np.array(days), format="jd", scale="tdb")
-        return times.utc.isot.tolist()
+        return tuple(times.utc.isot.tolist())
 
 
 def pixel_column_cards(columns, metadata, shape):

@@ -10,6 +10,7 @@ from scope_models.io._blocks import Block, card_texts, write_blocks
 
 VALUES = [
     *(True, False, 0, -7, 2**63, 2**80, 0.0, -0.0, 1.0, 1e22, -1.25e-300, 1 / 3, -1e-5 / 3),
+    *(-3.98 / 3600, 1e21 / 3, -1e-300 / 3, 123456789012345680.0, 10**20),
     *(np.float64(0.1), np.float32(0.1), np.int32(3), "", "K2", "eightchr", "e-/s"),
     *("nineteen letters it", "it's", "'", "x" * 45, "x" * 100, None),
 ]  # fmt: skip
