@@ -255,7 +255,11 @@ def aperture_pixels(series, aperture):
     time, flux, flux_err = series.time, series.flux, series.flux_err
     weights, chosen = None, aperture is None
     if aperture is None:
-        aperture = choose_aperture(flux, flux_err, series.aperture, series.pos_corr)
+        bands = series.mission.quality.rolling_band if series.mission else 0
+        dark = (series.quality & bands) == 0  # rolling bands light up pixels without stars
+        dark |= dark.sum() < _CADENCES_TO_PREDICT
+        positions = None if series.pos_corr is None else series.pos_corr[dark]
+        aperture = choose_aperture(flux[dark], flux_err[dark], series.aperture, positions)
     elif np.ndim(aperture) == 3:
         weights = checked_weights("aperture_mask", aperture, flux.shape)
         aperture = _checked_aperture(np.nanmax(weights, axis=0) > 0, flux)

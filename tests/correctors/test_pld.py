@@ -10,6 +10,7 @@ from astropy.table import QTable
 from lightkurve import KeplerLightCurve, KeplerTargetPixelFile, TessTargetPixelFile
 from lightkurve.correctors.corrector import Corrector
 
+from scope_models import Detector, Motion, Star, simulate
 from scope_models.correctors import (
     PLDCorrector,
     PLDFit,
@@ -18,6 +19,7 @@ from scope_models.correctors import (
 )
 from scope_models.correctors._model import PLDModel, Settings
 from scope_models.correctors._pixels import aperture_pixels
+from scope_models.effects import RollingBands
 from scope_models.effects._noise import bleed
 from scope_models.exceptions import DetrendingWarning
 from scope_models.io import read_pixels
@@ -460,6 +462,19 @@ def test_default_aperture_holds_the_star(fake_star):
     mask = PLDCorrector(target.tpf).aperture_mask
     inside = target.expected[:, mask].sum(axis=1) / target.expected.sum(axis=(1, 2))
     assert inside.min() > 0.99
+
+
+def test_default_aperture_leaves_rolling_bands_out():
+    """Flagged bands light up dark pixels, in more than one of a thousand cadences."""
+    detector, motion = Detector.k2(shape=(11, 11)), Motion.k2_roll(800, seed=2)
+    bands = RollingBands(rate=0.3, amplitude=5.0)
+    sizes = [
+        PLDCorrector(
+            simulate(Star(18.5), detector, motion, seed=1, effects=effects).to_tpf()
+        ).aperture_mask.sum()
+        for effects in ([], [bands])
+    ]
+    assert sizes[1] <= sizes[0] + 2
 
 
 def test_default_aperture_leaves_another_star_out(fake_star):
