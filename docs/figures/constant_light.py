@@ -1,5 +1,6 @@
 """Draw what correctors leave of a variable star that has a constant neighbor."""
 
+import sys
 import warnings
 
 import matplotlib.pyplot as plt
@@ -38,4 +39,6 @@ def make_figure():
 
 
 if __name__ == "__main__":
-    make_figure()
+    figure = make_figure()
+    if sys.argv[1:]:  # not in the documentation's build
+        figure.savefig(sys.argv[1])
