@@ -456,7 +456,7 @@ class _State:
         excess = rest - (_HIT + bright * (_CLIP - _HIT)) * sigma
         hot = excess > 0
         hot[hot] = excess[hot] > bright * _MISFIT * np.abs(image[hot])
-        return hot
+        return hot & (hot.mean(axis=1, keepdims=True) < 0.5)  # no cosmic ray hits most pixels
 
     def _rest(self, image, constant):
         """Return what images and background leave of the light."""

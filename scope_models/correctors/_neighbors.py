@@ -92,7 +92,7 @@ def without_neighbors(pixels, series, found):
     share = float(np.median((total / pixels.total)[usable])) if usable.any() else 1.0
     pixels = replace(
         pixels, flux=flux, total=total, usable=usable, lit=pixels.lit & usable,
-        own=np.ones_like(pixels.aperture), crowding=share, neighbors=found,
+        own=np.ones_like(pixels.aperture), crowding=min(share, 1.0), neighbors=found,
     )  # fmt: skip
     positions = series.pos_corr
     if positions is None or not usable_positions(positions).any():
@@ -193,7 +193,8 @@ def light_of_neighbors(pixels, series, cadence_mask, neighbors=None):
     inside = pixels.aperture[box]
     if not keep.any():
         return None
-    if not given and np.median(others[:, inside].sum(axis=1) / pixels.total[usable]) > 0.5:
+    part = np.median(others[:, inside].sum(axis=1) / pixels.total[usable])
+    if not given and not 0 <= part <= 0.5:
         return None  # pixels from which the light rises to the target's peak are mostly its own
     light = np.zeros(pixels.flux.shape)
     part = np.zeros((len(usable), *typical.shape))
