@@ -21,11 +21,8 @@ _CASTING = {"O": "unsafe", "f": "same_kind", "i": "same_kind", "u": "same_kind"}
 #: Equivalencies of quantities that are given per pixel.
 PER_PIXEL = ((u.arcsec / u.pix, u.arcsec), (u.electron / u.s / u.pix, u.electron / u.s))
 #: Equivalencies of the names of a digital number (DN).
-DIGITAL = tuple(
-    pair
-    for other in (u.ct, u.DN)
-    for pair in ((other, u.adu), (u.electron / other, u.electron / u.adu))
-)
+DIGITAL = tuple((other, u.adu) for other in (u.ct, u.DN))
+DIGITAL += tuple((u.electron / other, u.electron / u.adu) for other in (u.ct, u.DN))
 
 
 def native(array):
@@ -124,9 +121,7 @@ def plain_time(value, time_format, name):
     days = plain_array(value, u.day, name)
     if np.any(np.isfinite(days) & (days > LARGEST_DAY)):
         zero = TIME_ZEROS.get(time_format)
-        wanted = (
-            "days since a mission's zero of time" if zero is None else f"BJD - {zero:.0f} in days"
-        )
+        wanted = f"BJD - {zero:.0f} in days" if zero else "days since a mission's zero of time"
         raise ValueError(
             f"`{name}` must be {wanted}, got {np.nanmax(days):.1f}, as in Julian dates, which "
             "astropy.time.Time converts"

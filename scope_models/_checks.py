@@ -10,9 +10,9 @@ from astropy.modeling import Model
 from scope_models._arrays import plain_number
 
 __all__ = [
-    "check_fields", "checked_cadences", "checked_choice", "checked_integer", "checked_mask",
-    "checked_matrix", "checked_model", "checked_number", "checked_pair", "checked_shape",
-    "checked_weights", "integer", "number", "one_line", "solvable",
+    "check_fields", "checked_cadences", "checked_choice", "checked_int32", "checked_integer",
+    "checked_mask", "checked_matrix", "checked_model", "checked_number", "checked_pair",
+    "checked_shape", "checked_weights", "integer", "number", "one_line", "solvable",
 ]  # fmt: skip
 
 
@@ -104,15 +104,24 @@ def checked_integer(name, value, smallest, largest=None):
     return int(value)
 
 
+def checked_int32(name, values):
+    """Return an array of integers as one of 32-bit integers."""
+    array, limits = np.asarray(values), np.iinfo(np.int32)
+    if array.dtype.kind not in "iu":
+        raise TypeError(f"`{name}` must hold integers, got {array.dtype}")
+    if array.size and (array.min() < limits.min or array.max() > limits.max):
+        raise ValueError(f"`{name}` must fit into 32 bits, got {array.min()} to {array.max()}")
+    return array.astype(np.int32, copy=False)
+
+
 def checked_pair(name, pair, unit="", **options):
     """Return column and row as two finite floats in a unit."""
     try:
         column, row = pair
     except (TypeError, ValueError) as error:
         raise type(error)(f"`{name}` must be (column, row), got {pair!r}") from None
-    return tuple(
-        checked_number(name, value, unit, any_sign=True, **options) for value in (column, row)
-    )
+    options |= {"any_sign": True}
+    return tuple(checked_number(name, value, unit, **options) for value in (column, row))
 
 
 def checked_mask(name, mask, shape):
@@ -120,10 +129,8 @@ def checked_mask(name, mask, shape):
     mask = np.asarray(mask)
     is_mask = mask.dtype.kind == "b" or (mask.dtype.kind in "iu" and np.isin(mask, (0, 1)).all())
     if not is_mask or mask.shape != tuple(shape):
-        raise ValueError(
-            f"`{name}` must be a boolean mask of shape {tuple(shape)}, "
-            f"got {mask.dtype} {mask.shape}"
-        )
+        wanted = f"a boolean mask of shape {tuple(shape)}"
+        raise ValueError(f"`{name}` must be {wanted}, got {mask.dtype} {mask.shape}")
     if not mask.any():
         raise ValueError(f"`{name}` has no pixels")
     return mask.astype(bool)
@@ -144,9 +151,8 @@ def checked_weights(name, weights, shape):
     """Return weights of the pixels of each cadence; NaN where a cadence cannot be used."""
     weights = np.asarray(weights)
     if weights.dtype.kind not in "biuf" or weights.shape != tuple(shape):
-        raise ValueError(
-            f"`{name}` must be weights of shape {tuple(shape)}, got {weights.dtype} {weights.shape}"
-        )
+        wanted = f"weights of shape {tuple(shape)}"
+        raise ValueError(f"`{name}` must be {wanted}, got {weights.dtype} {weights.shape}")
     weights = weights.astype(float)
     if np.any(weights < 0) or np.any(np.isinf(weights)) or not np.any(weights > 0):
         raise ValueError(f"`{name}` must be finite, not negative, and above zero somewhere")

@@ -233,17 +233,13 @@ class Mission(Value):
         True
         """
         known = {name.lower(): mission for name, mission in MISSIONS.items()}
-        for keyword in ("MISSION", "TELESCOP"):
-            mission = known.get(str(cards.get(keyword)).strip().lower())
-            if mission is not None:
-                break
-        else:
-            return None
-        if keyword == "TELESCOP" and mission.name == "Kepler":
-            campaign = cards.get("CAMPAIGN")
-            if isinstance(campaign, int | np.integer) and not isinstance(campaign, bool):
-                return MISSIONS["K2"]
-        return mission
+        names = (str(cards.get(keyword)).strip().lower() for keyword in ("MISSION", "TELESCOP"))
+        mission, telescope = map(known.get, names)
+        campaign = cards.get("CAMPAIGN")
+        is_campaign = isinstance(campaign, int | np.integer) and not isinstance(campaign, bool)
+        if mission is None and telescope is MISSIONS["Kepler"] and is_campaign:
+            return MISSIONS["K2"]
+        return mission or telescope
 
     @property
     def time_zero(self):

@@ -37,6 +37,8 @@ KEY = ("regime", "seed", "positions")
 COLUMNS = ("cadenceno", "flux", "flux_err")
 SCORES = ("full", "high_passed")
 CADENCES, FEWEST = 1500, 100
+# Shares and correlation times (days) of the slow noise of leaks.
+SHARES, SCALES = (0.0, 0.2, 0.5, 0.8, 0.95, 0.99), (0.5, 1.0, 2.0, 4.0, 8.0, 16.0)
 
 
 # In the process of the corrector, which has only the names of its own checkout.
@@ -162,7 +164,7 @@ def share(sky):
 
 def rows_of(stars, found):
     """Return the scores of a star by its three corrections."""
-    from scope_models.benchmark._scores import binned, depth_difference, deviation_of, leak_slopes
+    from scope_models.benchmark._scores import binned
 
     sky, _, other = stars
     row = {"error": next((one["error"] for one in found if "error" in one), "")}
@@ -221,7 +223,7 @@ def curve(sky, cadenceno, flux, flux_err):
 
 def compared(sky, flux, error, *, dilute=True):
     """Return the score of a curve, and the truth that it is compared with."""
-    from scope_models.benchmark._scores import diluted, score_light_curve
+    from scope_models.benchmark._scores import score_light_curve
 
     truth = sky.true_flux
     if sky.regime.neighbors and dilute:
@@ -230,6 +232,76 @@ def compared(sky, flux, error, *, dilute=True):
     cadences = sky.regime.cadence * np.arange(len(flux))
     columns = (cadences, flux, error, truth, sky.transit)
     return score_light_curve(*(column[read] for column in columns), sky.floor()), truth
+
+
+def diluted(flux, truth):
+    """Return the truth with the amplitude that the flux has: light of neighbors may stay in it."""
+    from scope_models.benchmark._scores import slope
+
+    good = np.isfinite(deviation_of(flux, truth))
+    if truth[good].std() < 1e-9:
+        return truth
+    return 1 + slope(flux[good], truth[good]) * (truth / truth[good].mean() - 1)
+
+
+def deviation_of(flux, truth):
+    """Return the flux over the truth and its median, less 1; NaN for outliers."""
+    from scope_models.benchmark._scores import outliers
+
+    good = np.flatnonzero(np.isfinite(flux / truth))
+    deviation = np.full(len(flux), np.nan)
+    ratio = flux[good] / truth[good]
+    one = ratio / np.median(ratio) - 1
+    fine = ~outliers(one)
+    deviation[good[fine]] = one[fine]
+    return deviation
+
+
+def depth_difference(flux, without, truth, transit):
+    """Return the part of a transit's depth that is kept: the difference of two runs.
+
+    `flux` has the transits, `without` is of the same star and noise without them; `truth` has them.
+    """
+    alone = truth / transit
+    columns = [one / np.nanmedian((one / alone)[transit == 1]) for one in (flux, without, truth)]
+    seen, expected = columns[0] - columns[1], columns[2] - alone
+    good = np.isfinite(seen)
+    seen, expected = seen[good] - seen[good].mean(), expected[good] - expected[good].mean()
+    return float(seen @ expected / (expected @ expected)) if expected.any() else float("nan")
+
+
+def leak_slopes(time, deviation, nuisances):
+    """Return slopes of the deviation's 6.5-h means on all nuisances together, and their errors.
+
+    The noise of the means is white and an exponentially correlated process; their shares and the
+    correlation time maximize the restricted likelihood. A nuisance that is constant has NaN.
+    """
+    from scope_models.benchmark._scores import binned
+
+    good = np.isfinite(deviation) & np.isfinite(nuisances).all(axis=0)
+    time, means, count = binned(time[good], np.array([deviation, *nuisances])[:, good])
+    slopes = np.full((2, len(nuisances)), np.nan)
+    if len(time) <= len(means) + 2:
+        return slopes
+    target, columns = means[0], means[1:] - means[1:].mean(axis=1, keepdims=True)
+    sizes = columns.std(axis=1)
+    changing = sizes > 1e-9
+    scaled = columns[changing] / sizes[changing, None]
+    design = np.column_stack([np.ones(len(time)), *scaled])
+    white, lag = count.max() / count, np.abs(time[:, None] - time)
+    best = np.inf
+    for share, scale in product(SHARES, SCALES):
+        root = np.linalg.cholesky(np.diag((1 - share) * white) + share * np.exp(-lag / scale))
+        left, right = np.linalg.solve(root, design), np.linalg.solve(root, target)
+        inverse = np.linalg.pinv(left.T @ left, hermitian=True)
+        found = inverse @ left.T @ right
+        square = np.sum((right - left @ found) ** 2) / (len(time) - design.shape[1])
+        cost = (len(time) - design.shape[1]) * np.log(square) + 2 * np.log(np.diag(root)).sum()
+        cost += np.linalg.slogdet(left.T @ left)[1]
+        if cost < best:
+            best, chosen = cost, (found, np.sqrt(square * np.diag(inverse)))
+    slopes[:, changing] = np.array(chosen)[:, 1:] / sizes[changing]
+    return slopes
 
 
 # Tables.

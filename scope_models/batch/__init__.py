@@ -6,14 +6,8 @@
 
 import lazy_loader
 
-__all__ = [
-    "SweepError", "SweepResult", "detrend_files", "find_files", "fit_files", "inject_file",
-    "inject_files", "read_results", "run_sweep", "simulate_table", "star_rng", "star_seed",
-    "write_report",
-]  # fmt: skip
-
 # Public names are imported at first use, as in the package itself.
-__getattr__, __dir__, _ = lazy_loader.attach(
+__getattr__, __dir__, __all__ = lazy_loader.attach(
     __name__,
     submod_attrs={
         "files": [

@@ -12,11 +12,10 @@ from scope_models.io._atomic import atomic_path
 from scope_models.io._hlsp import Collection, ccd_label, sha256
 from scope_models.io._opening import naming
 from scope_models.io.tpf import write_hdulist
-from scope_models.photometry import cdpp
+from scope_models.photometry.precision import noise_of
 
 __all__ = [
-    "FORMATS", "archive_name", "detrended", "header_row", "noise_of", "partition_of",
-    "write_manifest",
+    "FORMATS", "archive_name", "detrended", "header_row", "partition_of", "write_manifest",
 ]  # fmt: skip
 
 FORMATS = "fits", "hlsp", "parquet"
@@ -62,7 +61,7 @@ def _correction_row(corrector, series, survival):
     row |= {"ra": number_of(header.get("RA_OBJ")), "dec": number_of(header.get("DEC_OBJ"))}
     row["n_pixels"] = int(corrector.aperture_mask.sum())
     for prefix, lc in (("raw_", corrector.original_lc), ("", corrector.corrected_lc)):
-        row[f"{prefix}cdpp"] = noise_of(lc, "lightkurve")
+        row[f"{prefix}cdpp"] = noise_of(lc)
         row[f"{prefix}cdpp_everest"] = noise_of(lc, "everest")
     row["crowding"] = number_of(header.get("CROWDSAP"))
     if survival:
@@ -109,11 +108,3 @@ def header_row(series):
 def number_of(value):
     """Return a number, NaN for anything else."""
     return float(value) if isinstance(value, (int, float)) else np.nan
-
-
-def noise_of(lc, method):
-    """Return the noise of a light curve, NaN if it is too short."""
-    try:
-        return float(cdpp(lc, method=method))
-    except ValueError:
-        return np.nan

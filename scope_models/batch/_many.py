@@ -105,11 +105,9 @@ def _peak_memory():
 
 def _medians(table):
     """Return the medians of all columns of numbers, by half magnitudes."""
-    names = [
-        name
-        for name in table.colnames
-        if table[name].dtype.kind in "fi" and name not in {"bytes", "changed", "mag", *_COST}
-    ]
+    left_out = {"bytes", "changed", "mag", *_COST}
+    names = [name for name in table.colnames if table[name].dtype.kind in "fi"]
+    names = [name for name in names if name not in left_out]
     bins = np.round(2 * values_of(table, "mag")) / 2
     rows = []
     for center in (*np.unique(bins[np.isfinite(bins)]), np.nan):

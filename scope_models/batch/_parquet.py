@@ -28,9 +28,8 @@ def _pyarrow():
         import pyarrow.dataset
         import pyarrow.parquet
     except ImportError as error:
-        raise ModuleNotFoundError(
-            'Parquet files need pyarrow: python -m pip install "scope_models[parquet]"'
-        ) from error
+        command = 'python -m pip install "scope_models[parquet]"'
+        raise ModuleNotFoundError(f"Parquet files need pyarrow: {command}") from error
     return pa
 
 
@@ -72,11 +71,8 @@ def data_set_rows(folder):
     """Return the rows of a data set without the light curves."""
     pa = _pyarrow()
     text = pa.schema([("campaign", pa.string()), ("channel", pa.string())])
-    data = pa.dataset.dataset(
-        Path(folder) / DATA_SET,
-        format="parquet",
-        partitioning=pa.dataset.partitioning(text, flavor="hive"),
-    )
+    hive = pa.dataset.partitioning(text, flavor="hive")
+    data = pa.dataset.dataset(Path(folder) / DATA_SET, format="parquet", partitioning=hive)
     names = [name for name in data.schema.names if name != "light_curve"]
     return data.to_table(columns=names).to_pylist()
 

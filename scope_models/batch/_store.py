@@ -19,6 +19,7 @@ FILE = "results.sqlite"
 _OUTPUTS = ("results.ecsv", "summary.ecsv", "failures.ecsv", "figure.png")
 # Seconds of work that a power failure may cost.
 _SYNC_INTERVAL = 5.0
+_LOCKED = {sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED}
 _SCHEMA = """
     CREATE TABLE IF NOT EXISTS config (value TEXT NOT NULL);
     CREATE TABLE IF NOT EXISTS stars (key TEXT PRIMARY KEY, record TEXT NOT NULL, crc INTEGER);
@@ -97,11 +98,8 @@ class Store:
                 self._failed[task["key"]] = "error" in record
         if damaged:
             shown = ", ".join(damaged[:5]) + (", ..." if len(damaged) > 5 else "")
-            warnings.warn(
-                f"{self._path}: damaged results ({shown}) are left out and computed again",
-                DamagedResultWarning,
-                stacklevel=5,
-            )
+            message = f"{self._path}: damaged results ({shown}) are left out and computed again"
+            warnings.warn(message, DamagedResultWarning, stacklevel=5)
 
     def is_done(self, key):
         """Return whether the star has a result."""
@@ -149,8 +147,8 @@ class Store:
         try:
             yield
         except sqlite3.DatabaseError as error:
-            code = getattr(error, "sqlite_errorcode", 0) & 0xFF
-            if code in {sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED}:
+            code = _code_of(error)
+            if code in _LOCKED:
                 raise OSError(
                     f"another run is writing to {self.directory}: wait until it has ended, or "
                     "choose another directory"
@@ -175,15 +173,11 @@ def read_records(directory):
             connection.text_factory = bytes
             stars = connection.execute("SELECT key, record, crc FROM stars").fetchall()
     except sqlite3.DatabaseError as error:
-        if getattr(error, "sqlite_errorcode", 0) & 0xFF in {
-            sqlite3.SQLITE_BUSY,
-            sqlite3.SQLITE_LOCKED,
-        }:
+        if _code_of(error) in _LOCKED:
             raise OSError(f"a run is writing to {directory}: wait until it has ended") from None
         raise ValueError(f"{path} is damaged") from error
-    return [
-        json.loads(text) for key, text, crc in stars if crc == zlib.crc32(text, zlib.crc32(key))
-    ]
+    sound = (text for key, text, crc in stars if crc == zlib.crc32(text, zlib.crc32(key)))
+    return [json.loads(text) for text in sound]
 
 
 def _file_in(directory):
@@ -203,6 +197,11 @@ def _file_in(directory):
                 f"{name}, but no {FILE}; choose another directory"
             )
     return path
+
+
+def _code_of(error):
+    """Return the primary code of an error of SQLite."""
+    return getattr(error, "sqlite_errorcode", 0) & 0xFF
 
 
 def _numbered(kind, number, message):

@@ -76,9 +76,8 @@ def checked_tasks(tasks):
         key = task.get("key")
         plain = isinstance(key, str) and _FREE_NAME.fullmatch(key)
         if not plain or _WINDOWS.fullmatch(key):
-            raise ValueError(
-                f"the key of a task must be a short, plain name that can be a file's, got {key!r}"
-            )
+            wanted = "a short, plain name that can be a file's"
+            raise ValueError(f"the key of a task must be {wanted}, got {key!r}")
         if key in keys:
             raise ValueError(f"the keys of the tasks must differ, got {key!r} twice")
         keys.add(key)
@@ -89,10 +88,7 @@ def _checked_values(values, kind, task=()):
     """Return a dictionary of numbers and strings with Python's own types."""
     if taken := [name for name in sorted(values) if name in task]:
         raise ValueError(f"a result must not be named as a value of its task: {taken}")
-    plain = {
-        name: value.item() if isinstance(value, np.generic) else value
-        for name, value in values.items()
-    }
+    plain = {k: v.item() if isinstance(v, np.generic) else v for k, v in values.items()}
     for name, value in plain.items():
         if not isinstance(value, (bool, int, float, str)):
             raise TypeError(f"`{name}` of a {kind} must be a number or a string, got {value!r}")
@@ -111,10 +107,8 @@ def check_client(client):
         if not _ADDRESS.fullmatch(client):
             raise ValueError(f"`client` must be an address such as tls://host:8786, got {client!r}")
     elif client is not None and not callable(getattr(client, "submit", None)):
-        raise TypeError(
-            "`client` must be a client of Dask, an address, a number of processes, an executor or "
-            f"None, got {client!r}"
-        )
+        wanted = "a client of Dask, an address, a number of processes, an executor or None"
+        raise TypeError(f"`client` must be {wanted}, got {client!r}")
 
 
 def computed(client, job, tasks, chunk_size, in_flight):
@@ -201,9 +195,8 @@ def _dask_client(where):
         from distributed import Client, LocalCluster
         from distributed.security import Security
     except ImportError as error:
-        raise ModuleNotFoundError(
-            'workers need Dask: python -m pip install "scope_models[distributed]"'
-        ) from error
+        command = 'python -m pip install "scope_models[distributed]"'
+        raise ModuleNotFoundError(f"workers need Dask: {command}") from error
     if isinstance(where, str):
         with Client(where) as client:
             yield client

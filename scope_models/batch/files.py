@@ -20,7 +20,6 @@ from scope_models.batch._detrend import (
     archive_name,
     detrended,
     header_row,
-    noise_of,
     partition_of,
     write_manifest,
 )
@@ -35,6 +34,7 @@ from scope_models.io.pixels import read_neighbors
 from scope_models.io.tpf import write_hdulist
 from scope_models.missions import MISSIONS
 from scope_models.models import TransitModel
+from scope_models.photometry.precision import noise_of
 from scope_models.scene import PRESETS, Detector, Motion, Star, read_detector
 from scope_models.simulation import inject, simulate
 
@@ -127,8 +127,7 @@ def detrend_files(
         shared = {"format": format} | {f"hlsp_{name}": hlsp[name] for name in hlsp or {}}
     name_output = None
     if format == "hlsp":
-        collection = Collection(**hlsp)
-        name_output = partial(archive_name, collection)
+        name_output = partial(archive_name, Collection(**hlsp))
     elif format == "parquet":
         name_output = partition_of
         check_data_set(output_dir, overwrite=overwrite)
@@ -337,10 +336,8 @@ def _rows_of(planets, needed, further, files):
     """Return the planet of each file."""
     rows = planet_rows(planets, needed, further)
     if len(rows) not in {1, len(files)}:
-        raise ValueError(
-            f"`planets` must have one row, or one for each of the {len(files)} files, "
-            f"got {len(rows)}"
-        )
+        wanted = f"one row, or one for each of the {len(files)} files"
+        raise ValueError(f"`planets` must have {wanted}, got {len(rows)}")
     return rows if len(rows) > 1 else rows * len(files)
 
 
@@ -356,13 +353,11 @@ def planet_model(planet, time, exposure_time):
     span = f"{time.min():.2f} and {time.max():.2f} d, the times of the file"
     if t0 > LARGEST_DAY:
         raise ValueError(f"`t0` must have the zero of the times between {span}, got {t0:.1f}")
-    model = TransitModel.from_depth_duration(
-        float(planet["depth"]), duration, period, t0, exposure_time=exposure_time
-    )
+    shape = float(planet["depth"]), duration, period, t0
+    model = TransitModel.from_depth_duration(*shape, exposure_time=exposure_time)
     if np.all(model(time) == 1):
-        raise ValueError(
-            f"`t0` = {t0:g} d with `period` = {period:g} d: no cadence is in transit between {span}"
-        )
+        given = f"`t0` = {t0:g} d with `period` = {period:g} d"
+        raise ValueError(f"{given}: no cadence is in transit between {span}")
     return model
 
 
@@ -417,20 +412,13 @@ def simulate_table(
         raise ValueError("`table` must have a column `mag` and at least one row")
     known = ("name", "mag", "x_0", "y_0", *_PLANET)
     if unknown := [name for name in table.colnames if name not in known]:
-        raise ValueError(
-            f"`table` has an unknown column {unknown[0]}; known are {', '.join(known)}"
-        )
+        listed = ", ".join(known)
+        raise ValueError(f"`table` has an unknown column {unknown[0]}; known are {listed}")
     planet = set(_PLANET) & set(table.colnames)
     if planet and not {"period", "depth"} <= planet:
         raise ValueError(f"`table` must have period and depth of a planet, got {sorted(planet)}")
-    rows = [
-        {
-            name: np.asarray(without_unit(row[name])).item()
-            for name in table.colnames
-            if not np.ma.is_masked(row[name])
-        }
-        for row in table
-    ]
+    given = [{n: row[n] for n in table.colnames if not np.ma.is_masked(row[n])} for row in table]
+    rows = [{n: np.asarray(without_unit(v)).item() for n, v in row.items()} for row in given]
     width = max(4, len(str(len(rows))))
     names = [str(row.get("name", f"star{n:0{width}d}")) for n, row in enumerate(rows, start=1)]
     options = {"detector": str(detector), "motion": str(motion), "cadences": cadences}
@@ -510,7 +498,6 @@ def _downloaded(name):
 
 
 def _detector(name):
-    """Return the detector of a name or a file."""
     if name.endswith(".toml"):
         return read_detector(name)
     if name not in PRESETS:
@@ -520,7 +507,6 @@ def _detector(name):
 
 
 def _noise_figure(table, _):
-    """Return a figure of the noise over the magnitude."""
     from scope_models.plotting.noise import plot_precision  # imports matplotlib
 
     columns = ("mag", "raw_cdpp", "cdpp")
@@ -548,7 +534,6 @@ def fit_file(path, output, *, sensitivity=False, cadences=None, overwrite=False,
 
 
 def _fitted(task, output, seed, **options):  # noqa: ARG001 - nothing is drawn
-    """Fit a file."""
     fit = fit_file(task["file"], output, overwrite=True, **options)
     row = header_row(read_pixels(task["file"])) | {
         "n_cadences": len(fit.time),
@@ -561,13 +546,11 @@ def _fitted(task, output, seed, **options):  # noqa: ARG001 - nothing is drawn
 
 
 def _injected(task, output, seed, *, star):
-    """Inject into a file."""
     row = inject_file(task["file"], task, output, star=star, seed=seed, overwrite=True)
     return {name: value for name, value in row.items() if name not in task}
 
 
 def _simulated(task, output, seed, *, detector, motion, cadences):
-    """Simulate a star."""
     detector = _detector(detector)
     if motion:
         motion = Motion.from_file(motion)[:cadences]
@@ -586,5 +569,5 @@ def _simulated(task, output, seed, *, detector, motion, cadences):
     return {
         "n_cadences": len(motion),
         "n_pixels": int(observation.aperture.sum()),
-        "cdpp": noise_of(flux, "lightkurve"),
+        "cdpp": noise_of(flux),
     }

@@ -52,8 +52,7 @@ div { margin: .6em 0; }
 
 
 def write_report(folder, output=None):
-    """
-    Write a page about a run over many files, also of one that was interrupted.
+    """Write a page about a run over many files, also of one that was interrupted.
 
     Parameters
     ----------
@@ -218,6 +217,5 @@ def _note(text):
 
 
 def _table(rows):
-    """Return a table."""
     lines = ["".join(f"<td>{html.escape(str(cell))}</td>" for cell in row) for row in rows]
     return "<table>" + "".join(f"<tr>{line}</tr>" for line in lines) + "</table>"

@@ -13,14 +13,12 @@ from scope_models.batch._store import FILE, read_records
 __all__ = ["read_results"]
 
 #: Units of the columns of light curves.
-_UNITS = {"time": "d"} | dict.fromkeys(
-    ("flux", "flux_err", "raw_flux", "raw_flux_err", "bkg_flux"), "electron / s"
-)
+_FLUXES = "flux", "flux_err", "raw_flux", "raw_flux_err", "bkg_flux"
+_UNITS = {"time": "d"} | dict.fromkeys(_FLUXES, "electron / s")
 
 
 def read_results(folder, *, light_curves=False):
-    """
-    Read the results of a run over many files, also of one that was interrupted.
+    """Read the results of a run over many files, also of one that was interrupted.
 
     Parameters
     ----------

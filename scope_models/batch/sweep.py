@@ -18,13 +18,7 @@ from scope_models._threads import one_thread
 from scope_models._values import Value
 from scope_models._version import __version__
 from scope_models.batch._store import Store
-from scope_models.batch._workers import (
-    Job,
-    LostWorkersError,
-    check_client,
-    checked_tasks,
-    computed,
-)
+from scope_models.batch._workers import Job, LostWorkersError, check_client, checked_tasks, computed
 from scope_models.exceptions import FailedStarsWarning
 from scope_models.io._atomic import atomic_path, remove_temporaries
 
@@ -257,18 +251,14 @@ def run_sweep(
         done = [store.read(key) for key in keys if store.is_done(key)]
         failed = [store.read(key) for key in keys if store.has_failed(key)]
     if failed:
-        warnings.warn(
-            f"{len(failed)} stars failed, the first one, {failed[0]['task']['key']}, with "
-            f"{failed[0]['error']}",
-            FailedStarsWarning,
-            stacklevel=2,
-        )
+        key, reason = failed[0]["task"]["key"], failed[0]["error"]
+        message = f"{len(failed)} stars failed, the first one, {key}, with {reason}"
+        warnings.warn(message, FailedStarsWarning, stacklevel=2)
     table, failures = _table(done, units or {}, meta), _failures(failed, meta)
     if not done and directory is not None:
         where = _write(failures, directory / "failures.ecsv")
-        raise SweepError(
-            f"all {len(failed)} stars failed, the first one with {failed[0]['error']}; see {where}"
-        )
+        first = f"the first one with {failed[0]['error']}"
+        raise SweepError(f"all {len(failed)} stars failed, {first}; see {where}")
     summary = summarize(table) if summarize is not None and done else None
     if summary is not None:
         summary.meta = meta | summary.meta
@@ -297,7 +287,6 @@ def _keep(records, store, bar):
 
 
 def _table(done, units, meta):
-    """Return the table of results."""
     rows = [record["task"] | record["row"] for record in done]
     names = list(dict.fromkeys(name for row in rows for name in row))
     table = Table(rows or None, names=names or None, meta=dict(meta))
@@ -307,7 +296,6 @@ def _table(done, units, meta):
 
 
 def _failures(failed, meta):
-    """Return the table of failures."""
     rows = [
         (record["task"]["key"], record["error"], json.dumps(record["task"]), record["traceback"])
         for record in failed

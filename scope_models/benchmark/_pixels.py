@@ -59,10 +59,8 @@ def make_psf(rng, width):
         moffat = (beta - 1) / (np.pi * alpha**2) * (1 + (x**2 + y**2) / alpha**2) ** -beta
         value = value + part * moffat
         for turn in (angle, angle + np.pi / 2):
-            along, across = (
-                x * np.cos(turn) + y * np.sin(turn),
-                -x * np.sin(turn) + y * np.cos(turn),
-            )
+            along = x * np.cos(turn) + y * np.sin(turn)
+            across = y * np.cos(turn) - x * np.sin(turn)
             square = (along / (4 * width)) ** 2 + (across / (0.9 * width)) ** 2
             value = value + spikes * np.exp(-square / 2) / (2 * np.pi * 3.6 * width**2)
         return value

@@ -1,16 +1,13 @@
 """Scores of a light curve with known truth: pure functions of arrays."""
 
 from dataclasses import dataclass
-from itertools import product
 
 import numpy as np
 
-from scope_models._threads import one_thread
 from scope_models.scene.motion import K2Roll
 
 __all__ = [
-    "SkyScore", "binned", "depth_difference", "deviation_of", "diluted", "leak_slopes",
-    "score_light_curve", "score_places",
+    "SkyScore", "binned", "outliers", "score_light_curve", "score_places", "slope",
 ]  # fmt: skip
 
 _BIN = 13 * K2Roll.cadence  # days, 6.5 h
@@ -20,7 +17,6 @@ _FEWEST = 100
 _PHASES = 8  # bins of a pixel along an axis
 _NEAR = 0.15  # px from the border of two pixels
 _SIDE = 8  # cadences on either side of a border, at least
-_SHARES, _SCALES = (0.0, 0.2, 0.5, 0.8, 0.95, 0.99), (0.5, 1.0, 2.0, 4.0, 8.0, 16.0)  # days
 
 
 @dataclass(frozen=True)
@@ -82,7 +78,7 @@ def score_light_curve(time, flux, error, truth, transit, noise):
     ratio = flux / truth
     level = np.median(ratio)
     deviation = ratio / level - 1
-    fine = ~_outliers(deviation)
+    fine = ~outliers(deviation)
     pull = np.sqrt(np.mean((deviation * truth * level / error)[fine] ** 2))
     smooth = deviation[fine] - _running_mean(time[fine], deviation[fine])
     return SkyScore(
@@ -109,7 +105,7 @@ def score_places(time, flux, truth, x, y):
         return float("nan"), float("nan")
     deviation = flux / truth / np.median(flux / truth) - 1
     deviation = deviation - _running_mean(time, deviation)
-    fine = ~_outliers(deviation)
+    fine = ~outliers(deviation)
     deviation, places = deviation[fine], (x[fine], y[fine])
     bins = [((a + 0.5) % 1 * _PHASES).astype(int) for a in places]
     columns = np.concatenate([np.eye(_PHASES)[number] for number in bins], axis=1)
@@ -142,7 +138,7 @@ def _steps(values, place):
         yield found[0], np.sqrt(inverse[0, 0] * (rest @ rest) / (len(rest) - 4)), len(rest)
 
 
-def _outliers(values):
+def outliers(values):
     """Return cadences far from their neighbors' median, 2 % at most: cosmic rays and the like."""
     padded = np.pad(values, 3, mode="edge")
     local = values - np.median(np.lib.stride_tricks.sliding_window_view(padded, 7), axis=1)
@@ -164,7 +160,6 @@ def _scatter(time, values):
 
 
 def _per_bin(time):
-    """Return the cadences of a bin."""
     return max(round(_BIN / np.diff(time).min()), 1) if len(time) > 1 else 1
 
 
@@ -196,78 +191,13 @@ def _amplitude(flux, truth, transit):
     flux, truth = flux[outside], truth[outside]
     if not outside.any() or truth.std() < 1e-5:
         return float("nan")
-    return _slope(flux, truth)
+    return slope(flux, truth)
 
 
-def _slope(flux, truth):
-    slope, level = np.polyfit(truth, flux, 1)
-    return float(slope / (slope * truth.mean() + level) * truth.mean())
-
-
-def diluted(flux, truth):
-    """Return the truth with the amplitude that the flux has: light of neighbors may stay in it."""
-    good = np.isfinite(deviation_of(flux, truth))
-    if truth[good].std() < 1e-9:
-        return truth
-    return 1 + _slope(flux[good], truth[good]) * (truth / truth[good].mean() - 1)
-
-
-def deviation_of(flux, truth):
-    """Return the flux over the truth and its median, less 1; NaN for outliers."""
-    good = np.flatnonzero(np.isfinite(flux / truth))
-    deviation = np.full(len(flux), np.nan)
-    ratio = flux[good] / truth[good]
-    one = ratio / np.median(ratio) - 1
-    fine = ~_outliers(one)
-    deviation[good[fine]] = one[fine]
-    return deviation
-
-
-def depth_difference(flux, without, truth, transit):
-    """Return the part of a transit's depth that is kept: the difference of two runs.
-
-    `flux` has the transits, `without` is of the same star and noise without them; `truth` has them.
-    """
-    alone = truth / transit
-    columns = [one / np.nanmedian((one / alone)[transit == 1]) for one in (flux, without, truth)]
-    seen, expected = columns[0] - columns[1], columns[2] - alone
-    good = np.isfinite(seen)
-    seen, expected = seen[good] - seen[good].mean(), expected[good] - expected[good].mean()
-    return float(seen @ expected / (expected @ expected)) if expected.any() else float("nan")
-
-
-@one_thread
-def leak_slopes(time, deviation, nuisances):
-    """Return slopes of the deviation's 6.5-h means on all nuisances together, and their errors.
-
-    The noise of the means is white and an exponentially correlated process; their shares and the
-    correlation time maximize the restricted likelihood. A nuisance that is constant has NaN.
-    """
-    good = np.isfinite(deviation) & np.isfinite(nuisances).all(axis=0)
-    time, means, count = binned(time[good], np.array([deviation, *nuisances])[:, good])
-    slopes = np.full((2, len(nuisances)), np.nan)
-    if len(time) <= len(means) + 2:
-        return slopes
-    target, columns = means[0], means[1:] - means[1:].mean(axis=1, keepdims=True)
-    sizes = columns.std(axis=1)
-    changing = sizes > 1e-9
-    design = np.column_stack(
-        [np.ones(len(time)), *(columns / np.maximum(sizes, 1e-9)[:, None])[changing]]
-    )
-    white, lag = count.max() / count, np.abs(time[:, None] - time)
-    best = np.inf
-    for share, scale in product(_SHARES, _SCALES):
-        root = np.linalg.cholesky(np.diag((1 - share) * white) + share * np.exp(-lag / scale))
-        left, right = np.linalg.solve(root, design), np.linalg.solve(root, target)
-        inverse = np.linalg.pinv(left.T @ left, hermitian=True)
-        found = inverse @ left.T @ right
-        square = np.sum((right - left @ found) ** 2) / (len(time) - design.shape[1])
-        cost = (len(time) - design.shape[1]) * np.log(square) + 2 * np.log(np.diag(root)).sum()
-        cost += np.linalg.slogdet(left.T @ left)[1]
-        if cost < best:
-            best, chosen = cost, (found, np.sqrt(square * np.diag(inverse)))
-    slopes[:, changing] = np.array(chosen)[:, 1:] / sizes[changing]
-    return slopes
+def slope(flux, truth):
+    """Return the relative change of the flux over that of the truth."""
+    change, level = np.polyfit(truth, flux, 1)
+    return float(change / (change * truth.mean() + level) * truth.mean())
 
 
 def _depth(time, flux, truth, transit):

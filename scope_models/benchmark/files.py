@@ -103,7 +103,6 @@ def make_benchmark(output_dir, client=None, *, overwrite=False, sweep=None, star
 
 
 def _written(task, output, seed, *, version):  # noqa: ARG001 - the same on every machine
-    """Write a star."""
     sky = benchmark_star(task["number"])
     tpf = sky.to_tpf(quality_bitmask="none")
     for hdu in tpf.hdu:

@@ -37,11 +37,8 @@ _Photometer = namedtuple(
     "_Photometer", "zero_point exposure read_noise background well width pixel_scale"
 )
 _KEPLER = _Photometer(1.74e5, 1625.3, 1479.0, 166.0, 1.79e5, 0.55, 3.98)
-_PHOTOMETERS = {
-    "K2": _KEPLER,
-    "Kepler": _KEPLER,
-    "TESS": _Photometer(2379.0, 1425.6, 268.0, 120.0, 1.0e5, 0.65, 21.0),
-}
+_TESS = _Photometer(2379.0, 1425.6, 268.0, 120.0, 1.0e5, 0.65, 21.0)
+_PHOTOMETERS = {"K2": _KEPLER, "Kepler": _KEPLER, "TESS": _TESS}
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -243,9 +240,8 @@ def make_sky(regime, seed=0, *, n_cadences=1100, positions=None, noise_seed=None
     seen = (light / exposure - sky - others - residual) / true_flux[:, None, None]
     outside = on & (inside == 0)
     aperture = _best_aperture(seen[outside], noise[outside] / exposure, part)
-    pos_corr = [
-        _measured(offset, rngs["positions"], time, quality, lost, positions) for offset in offsets
-    ]
+    given = rngs["positions"], time, quality, lost, positions
+    pos_corr = [_measured(offset, *given) for offset in offsets]
     flux = (electrons / exposure - sky).astype(np.float32)
     flux[missing] = np.nan
     return MessyStar(
@@ -298,7 +294,6 @@ def score(lc, sky):
 
 
 def _generators(regime, seed):
-    """Return the random generators of a star by name."""
     names = ("motion", "star", "optics", "sky", "noise", "events", "rays", "positions")
     seeds = np.random.SeedSequence([seed, *regime.name.encode()]).spawn(len(names))
     return dict(zip(names, map(np.random.default_rng, seeds), strict=True))

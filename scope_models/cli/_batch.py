@@ -8,7 +8,7 @@ from pathlib import Path
 
 __all__ = [
     "add_command", "add_options", "add_planet", "add_workers", "check_number", "client_of",
-    "planet_of", "planets_of", "refuse_options_of_runs", "run", "single", "with_config",
+    "given", "planet_of", "planets_of", "refuse_options_of_runs", "run", "single", "with_config",
 ]  # fmt: skip
 
 
@@ -31,13 +31,18 @@ def add_planet(group, **texts):
         group.add_argument(f"--{name}", type=float, metavar=name[0].upper(), help=text)
 
 
+def given(arguments, *names):
+    """Return the options that have a value, by name."""
+    values = {name: getattr(arguments, name) for name in names}
+    return {name: value for name, value in values.items() if value is not None}
+
+
 def planet_of(arguments):
     """Return the planet of the options, as far as it is given; empty without one."""
-    values = {name: getattr(arguments, name) for name in ("period", "depth", "t0", "duration")}
-    given = {name: value for name, value in values.items() if value is not None}
-    if given and not {"period", "depth"} <= given.keys():
+    planet = given(arguments, "period", "depth", "t0", "duration")
+    if planet and not {"period", "depth"} <= planet.keys():
         raise ValueError("a planet needs --period and --depth")
-    return given
+    return planet
 
 
 def planets_of(arguments):
@@ -73,8 +78,8 @@ def single(arguments):
 
 def refuse_options_of_runs(arguments):
     """Refuse options of many files where there is one."""
-    given = {"--workers": arguments.workers != 1, "--scheduler": arguments.scheduler}
-    for name in filter(given.get, given):
+    options = {"--workers": arguments.workers != 1, "--scheduler": arguments.scheduler}
+    for name in filter(options.get, options):
         raise ValueError(f"{name} needs an --output-dir")
 
 
@@ -86,11 +91,8 @@ def add_options(parser):
         help="folder for the files of many inputs and for the tables of results; the same command "
         "goes on where a run has stopped",
     )
-    parser.add_argument(
-        "--config",
-        metavar="FILE",
-        help="a TOML file with options of the command, as `order = 1`; those given here go first",
-    )
+    text = "a TOML file with options of the command, as `order = 1`; those given here go first"
+    parser.add_argument("--config", metavar="FILE", help=text)
     parser.add_argument("--overwrite", action="store_true", help="replace files that exist")
     add_workers(parser)
 
@@ -124,12 +126,10 @@ def with_config(argv):
 def add_workers(parser):
     """Add ``--workers`` and ``--scheduler``, which exclude each other."""
     group = parser.add_mutually_exclusive_group()
-    group.add_argument(
-        "--workers", type=int, default=1, metavar="N", help="processes on this machine (default: 1)"
-    )
-    group.add_argument(
-        "--scheduler", metavar="ADDRESS", help="address of a Dask scheduler, as tls://host:8786"
-    )
+    text = "processes on this machine (default: 1)"
+    group.add_argument("--workers", type=int, default=1, metavar="N", help=text)
+    text = "address of a Dask scheduler, as tls://host:8786"
+    group.add_argument("--scheduler", metavar="ADDRESS", help=text)
 
 
 def client_of(arguments):

@@ -22,12 +22,8 @@ def add_parser(commands):
         "print its noise about the true signal. Needs no file and no network.",
         example="demo --output-dir demo",
     )
-    parser.add_argument(
-        "--output-dir",
-        default="scope-models-demo",
-        metavar="FOLDER",
-        help="where the files go; it is made if need be (default: scope-models-demo)",
-    )
+    text = "where the files go; it is made if need be (default: scope-models-demo)"
+    parser.add_argument("--output-dir", default="scope-models-demo", metavar="FOLDER", help=text)
     parser.add_argument("--overwrite", action="store_true", help="replace files that exist")
     parser.add_argument("--seed", type=int, default=1, help="seed of the noise (default: 1)")
     parser.set_defaults(run=run)
@@ -68,16 +64,11 @@ def run(arguments):
         with atomic_path(paths[2], overwrite=arguments.overwrite) as temporary:
             axes["image"].figure.savefig(temporary, dpi=110)
         bar.update()
-    curves = {
-        "raw": corrector.original_lc,
-        "corrected": corrected,
-        "at rest": still.to_lightcurve(aperture),
-    }
-    truth = observation.truth.relative_flux[0]
-    curves = {
-        name: lc / truth[np.isin(observation.cadenceno, lc.cadenceno)]
-        for name, lc in curves.items()
-    }
+    curves = {"raw": corrector.original_lc, "corrected": corrected}
+    curves["at rest"] = still.to_lightcurve(aperture)
+    for name, lc in curves.items():
+        seen = np.isin(observation.cadenceno, lc.cadenceno)
+        curves[name] = lc / observation.truth.relative_flux[0, seen]
     print(_table(curves))
     print("\n".join(["", "Written:", *(f"  {path}" for path in paths)]))
 

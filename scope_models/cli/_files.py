@@ -49,8 +49,7 @@ def _add_command(commands, name, one, output, **texts):
 def _run(arguments):
     """Treat one file or many; return the exit status."""
     _batch.check_number(arguments, "cadences")
-    options = {name: getattr(arguments, name) for name in arguments.names}
-    options = {name: value for name, value in options.items() if value is not None}
+    options = _batch.given(arguments, *arguments.names)
     if arguments.command == "inject":
         options["planets"] = _batch.planets_of(arguments)
     if arguments.command == "detrend":
@@ -109,7 +108,6 @@ def _add_detrend(commands):
 
 
 def _add_format(group):
-    """Add the options of the format of many light curves."""
     group.add_argument(
         "--format",
         choices=("fits", "hlsp", "parquet"),
@@ -129,13 +127,11 @@ def _add_format(group):
 
 def _detrend_options(arguments):
     """Return options for many files, and for one, that are not arguments of a correction."""
-    planet = {name: getattr(arguments, name) for name in ("period", "t0", "duration")}
-    given = {name: value for name, value in planet.items() if value is not None}
-    if given and (len(given) < 3 or arguments.planets is not None):
+    planet = _batch.given(arguments, "period", "t0", "duration")
+    if planet and (len(planet) < 3 or arguments.planets is not None):
         raise ValueError("a mask of transits needs --period, --t0 and --duration, or --planets")
-    names = ("hlsp_id", "lead", "version", "title", "doi")
-    hlsp = {name.removeprefix("hlsp_"): getattr(arguments, name) for name in names}
-    hlsp = {name: value for name, value in hlsp.items() if value is not None}
+    hlsp = _batch.given(arguments, "hlsp_id", "lead", "version", "title", "doi")
+    hlsp = {name.removeprefix("hlsp_"): value for name, value in hlsp.items()}
     if arguments.format == "hlsp" and not {"id", "lead", "version"} <= hlsp.keys():
         raise ValueError("--format hlsp needs --hlsp-id, --lead and --version")
     if arguments.output_dir is None and (arguments.format != "fits" or arguments.planets):
@@ -145,9 +141,9 @@ def _detrend_options(arguments):
         from astropy.table import Table
 
         many["planets"] = Table.read(arguments.planets)
-    elif given:
-        many["planets"] = {name: [value] for name, value in given.items()}
-    one = {"transits": given or None}
+    elif planet:
+        many["planets"] = {name: [value] for name, value in planet.items()}
+    one = {"transits": planet or None}
     if arguments.positions_from is not None:
         many["positions_from"] = arguments.positions_from
         if arguments.output_dir is None:

@@ -45,9 +45,8 @@ def main(argv=None):
     2
     """
     try:
-        arguments = _make_parser().parse_args(
-            _batch.with_config(sys.argv[1:] if argv is None else list(argv))
-        )
+        given = _batch.with_config(sys.argv[1:] if argv is None else list(argv))
+        arguments = _make_parser().parse_args(given)
         if argv is None:  # as a program: incomplete files are removed before the end
             signal.signal(signal.SIGTERM, _terminate)
         # Its logger takes over warnings when it is imported: before ours, which print one line.
@@ -77,7 +76,6 @@ def _terminate(*_):
 
 
 def _make_parser():
-    """Return the parser of all commands."""
     parser = _Parser(
         prog="scope-models",
         description="Simulate what a space telescope records of a moving star.",

@@ -17,9 +17,8 @@ def add_parser(commands):
         "figures and needs no network.",
     )
     parser.add_argument("folder", metavar="FOLDER", help="the --output-dir of the run")
-    parser.add_argument(
-        "--output", metavar="FILE", help="the page (default: report.html in the folder)"
-    )
+    text = "the page (default: report.html in the folder)"
+    parser.add_argument("--output", metavar="FILE", help=text)
     parser.set_defaults(run=_report)
     parser = _batch.add_command(
         commands,

@@ -51,7 +51,6 @@ def _add(group, kind, *options):
 
 
 def _add_motion(group):
-    """Add the options of the motion."""
     group.add_argument(
         "--motion",
         metavar="FILE",
@@ -61,17 +60,11 @@ def _add_motion(group):
     )
     group.add_argument("--scale", type=float, default=1.0, help="factor on the motion (default: 1)")
     _add(group, int, ("cadences", "N", "only the first N cadences"))
-    group.add_argument(
-        "--n-sub",
-        type=int,
-        default=1,
-        metavar="N",
-        help="exposures within a cadence to average the motion over (default: 1)",
-    )
+    text = "exposures within a cadence to average the motion over (default: 1)"
+    group.add_argument("--n-sub", type=int, default=1, metavar="N", help=text)
 
 
 def _add_star(group):
-    """Add the options of the star."""
     _add(
         group,
         float,
@@ -84,19 +77,12 @@ def _add_star(group):
         ),
     )
     _batch.add_planet(group)
-    group.add_argument(
-        "--neighbor",
-        type=float,
-        nargs=3,
-        action="append",
-        default=[],
-        metavar=("MAG", "X", "Y"),
-        help="another star on the stamp; may be repeated",
-    )
+    several = {"nargs": 3, "action": "append", "default": [], "metavar": ("MAG", "X", "Y")}
+    text = "another star on the stamp; may be repeated"
+    group.add_argument("--neighbor", type=float, help=text, **several)
 
 
 def _add_sky(group):
-    """Add the options of the place on the sky."""
     _add(
         group,
         float,
@@ -126,7 +112,6 @@ def _add_sky(group):
 
 
 def _add_detector(group):
-    """Add the options of the detector."""
     group.add_argument(
         "--detector",
         default="k2",
@@ -135,14 +120,10 @@ def _add_detector(group):
         "detector (default: k2)",
     )
     _add(group, int, ("shape", ("NY", "NX"), "rows and columns of the stamp"))
-    for name, text in (
-        ("no-sensitivity", "pixels that all respond alike, and evenly within: the control"),
-        (
-            "mission-effects",
-            "with the effects of the detector's mission: cosmic rays, smear and others",
-        ),
-    ):
-        group.add_argument(f"--{name}", action="store_true", help=text)
+    text = "pixels that all respond alike, and evenly within: the control"
+    group.add_argument("--no-sensitivity", action="store_true", help=text)
+    text = "with the effects of the detector's mission: cosmic rays, smear and others"
+    group.add_argument("--mission-effects", action="store_true", help=text)
     noise = group.add_mutually_exclusive_group()
     noise.add_argument(
         "--noise",
@@ -166,12 +147,8 @@ def run(arguments):
     if arguments.output_dir is not None:
         raise ValueError("--output-dir needs --table")
     _batch.refuse_options_of_runs(arguments)
-    inputs = [arguments.motion, arguments.detector, arguments.catalog]
-    check_output(
-        arguments.output,
-        overwrite=arguments.overwrite,
-        inputs=[path for path in inputs if path is not None],
-    )
+    inputs = [*filter(None, (arguments.motion, arguments.detector, arguments.catalog))]
+    check_output(arguments.output, overwrite=arguments.overwrite, inputs=inputs)
     detector = _make_detector(arguments)
     motion = _make_motion(arguments, detector)
     noise = arguments.noise or not arguments.no_noise
@@ -187,7 +164,6 @@ def run(arguments):
 
 
 def _run_table(arguments):
-    """Simulate the stars of a table."""
     from astropy.table import Table
 
     if arguments.output_dir is None:
@@ -203,7 +179,6 @@ def _run_table(arguments):
 
 
 def _make_motion(arguments, detector):
-    """Return the motion of the options."""
     number = arguments.cadences
     if arguments.motion is None:
         return _default_motion(arguments, detector, number or _CADENCES)
@@ -225,16 +200,11 @@ def _default_motion(arguments, detector, number):
     if arguments.scale != 1:
         raise ValueError(f"--scale needs --motion FILE with --detector {arguments.detector}")
     mission = MISSIONS.get(detector.mission, MISSIONS["Kepler"])
-    return sm.Motion.still(
-        number,
-        start=mission.start,
-        cadence=detector.cadence_days,
-        time_format=mission.time_format,
-    )
+    options = {"start": mission.start, "time_format": mission.time_format}
+    return sm.Motion.still(number, cadence=detector.cadence_days, **options)
 
 
 def _make_detector(arguments):
-    """Return the detector of the options."""
     from scope_models.scene.presets import PRESETS
 
     changes = {} if arguments.shape is None else {"shape": tuple(arguments.shape)}
@@ -243,24 +213,20 @@ def _make_detector(arguments):
     elif arguments.detector.endswith(".toml"):
         detector = sm.read_detector(arguments.detector).replace(**changes)
     else:
-        raise ValueError(
-            f"--detector must be one of {', '.join(PRESETS)} or a .toml file, "
-            f"got {arguments.detector!r}"
-        )
+        wanted = f"one of {', '.join(PRESETS)} or a .toml file"
+        raise ValueError(f"--detector must be {wanted}, got {arguments.detector!r}")
     return detector.without_sensitivity() if arguments.no_sensitivity else detector
 
 
 def _make_scene(arguments, detector, motion, fields):
-    """Return the scene of the options."""
-    given = vars(arguments)
     fields |= {"target_id": arguments.target_id, "object_name": arguments.name}
-    fields["metadata"] = {name: given[name] for name in _RUNS if given[name] is not None}
+    fields["metadata"] = _batch.given(arguments, *_RUNS)
     if (arguments.ra is None) != (arguments.dec is None):
         raise ValueError("--ra and --dec go together")
     stars = _make_stars(arguments, detector, motion.time)
     drawn = {"background_stars": arguments.background_stars}
     if arguments.catalog is None and arguments.background_stars is None:
-        fields |= {name: given[name] for name in ("ra", "dec", "orientation")}
+        fields |= _batch.given(arguments, "ra", "dec", "orientation")
         return sm.Scene(stars, detector, motion, **fields)
     if arguments.ra is None or arguments.neighbor:
         raise ValueError("--catalog and --background-stars need --ra and --dec, and no --neighbor")
@@ -284,7 +250,6 @@ def _make_field(arguments, target, detector, motion, options):
 
 
 def _make_stars(arguments, detector, time):
-    """Return the star and its neighbors of the options."""
     from scope_models.batch.files import planet_model
 
     x_0, y_0 = arguments.position or (None, None)

@@ -56,9 +56,8 @@ def noise_terms(noise):
     terms = frozenset(noise)
     unknown = sorted(str(term) for term in terms - set(NOISE_TERMS))
     if unknown:
-        raise ValueError(
-            f"`noise` must hold names out of {', '.join(NOISE_TERMS)}, got {', '.join(unknown)}"
-        )
+        known = ", ".join(NOISE_TERMS)
+        raise ValueError(f"`noise` must hold names out of {known}, got {', '.join(unknown)}")
     return terms
 
 
@@ -151,9 +150,8 @@ def poisson_counts(mean, generator, shape=None):
 
     Each count, a whole number as a float, uses up one normal deviate.
     """
-    return poisson_quantile(
-        generator.standard_normal(np.shape(mean) if shape is None else shape), mean
-    )
+    shape = np.shape(mean) if shape is None else shape
+    return poisson_quantile(generator.standard_normal(shape), mean)
 
 
 def add_read_noise(electrons, sigma, generator):

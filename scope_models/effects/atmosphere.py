@@ -82,11 +82,9 @@ def airmass(time, coord, location):
     """
     days = np.atleast_1d(plain_time(time, "btjd", "time"))
     altitude = horizon_altitude(days, of_date(coord, days[0]), location)
-    if np.any(altitude <= 0):
-        raise ValueError(
-            f"`coord` must be above the horizon, got {np.sum(altitude <= 0)} of {days.size} times "
-            "at which it is below"
-        )
+    if below := np.sum(altitude <= 0):
+        times = f"{below} of {days.size} times at which it is below"
+        raise ValueError(f"`coord` must be above the horizon, got {times}")
     sine = np.sin(np.radians(altitude))
     return np.maximum(1 / (sine + 0.50572 * (altitude + 6.07995) ** -1.6364), 1.0)
 
@@ -98,10 +96,15 @@ class AirEffect(Effect):
 
     def __post_init__(self):
         super().__post_init__()
-        values = plain_array(self.airmass, "", "airmass")
-        if values.ndim > 1 or not np.all(np.isfinite(values)) or np.any(values < 1):
-            raise ValueError("`airmass` must be 1 or more, one number or one for each cadence")
-        object.__setattr__(self, "airmass", frozen(values) if values.ndim else float(values))
+        self._check("airmass", "", "1 or more, one number or one for each cadence", 1)
+
+    def _check(self, name, unit, domain, low, high=np.inf):
+        """Bring a field, one number or one for each cadence, to its unit."""
+        values = plain_array(getattr(self, name), unit, name)
+        inside = np.isfinite(values) & (values >= low) & (values <= high)
+        if values.ndim > 1 or not np.all(inside):
+            raise ValueError(f"`{name}` must be {domain}")
+        object.__setattr__(self, name, frozen(values) if values.ndim else float(values))
 
 
 def _red_noise(generator, time, correlation_time):

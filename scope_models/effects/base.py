@@ -173,12 +173,7 @@ class Exposures(Value):
         nodes, weights = np.polynomial.hermite_e.hermegauss(self.nodes)
         weights = weights / weights.sum()
         x, y = (self.blur * a.ravel() for a in np.meshgrid(nodes, nodes))
-        n = len(self.x)
-        grid = Exposures(
-            np.broadcast_to(x, (n, x.size)),
-            np.broadcast_to(y, (n, y.size)),
-            np.outer(weights, weights).ravel(),
-        )
+        grid = Exposures(x[np.newaxis], y[np.newaxis], np.outer(weights, weights).ravel())
         return Exposures(self.x, self.y, self.weights).joined(grid)
 
 
@@ -376,7 +371,6 @@ def checked_series(effect, name, unit=""):
 def series_of(value, time, name, noun="number"):
     """Return one value for each cadence, of one for all or for each."""
     if np.ndim(value) and np.shape(value) != time.shape:
-        raise ValueError(
-            f"`{name}` must give one {noun} for each of the {len(time)} cadences, got {len(value)}"
-        )
+        wanted = f"one {noun} for each of the {len(time)} cadences"
+        raise ValueError(f"`{name}` must give {wanted}, got {len(value)}")
     return np.broadcast_to(value, time.shape)

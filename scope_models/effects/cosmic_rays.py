@@ -156,7 +156,6 @@ def rejected_shift(charge):
 
 @cache
 def _shift_table():
-    """Return charges and shifts."""
     charge = np.concatenate([np.linspace(0, 12, 241), [20.0]])
     z = np.linspace(-9, 30, 7801)
     other = ndtr(z - charge[:, np.newaxis])

@@ -45,9 +45,8 @@ class Gaps(Effect):
     def __post_init__(self):
         intervals = plain_array(self.intervals, "day", "intervals")
         if intervals.ndim != 2 or intervals.shape[1] != 2 or not np.all(np.isfinite(intervals)):
-            raise ValueError(
-                f"`intervals` must be finite and of the shape (n, 2), got {intervals.shape}"
-            )
+            shape = intervals.shape
+            raise ValueError(f"`intervals` must be finite and of the shape (n, 2), got {shape}")
         plain_time(intervals[:, 0], None, "intervals")  # no Julian dates; an end may be far away
         if np.any(intervals[:, 1] < intervals[:, 0]):
             raise ValueError("`intervals` must not end before they begin")

@@ -7,9 +7,8 @@ import numpy as np
 from astropy.coordinates import CartesianRepresentation, SkyCoord, get_body, get_sun
 from astropy.time import Time
 
-from scope_models._arrays import plain_array, plain_time
+from scope_models._arrays import plain_time
 from scope_models._checks import number
-from scope_models._values import frozen
 from scope_models.effects.atmosphere import AirEffect, horizon_altitude, of_date, sidereal_time
 from scope_models.effects.background import SkyEffect
 from scope_models.effects.base import series_of
@@ -63,11 +62,8 @@ def moon_geometry(time, coord, location):
     # The observatory is up to an Earth's radius from the center: a degree of parallax.
     sidereal = np.radians(sidereal_time(days, location))
     radius, east = np.hypot(location.x, location.y), location.lon.rad + sidereal
-    observatory = CartesianRepresentation(
-        radius * np.cos(east),
-        radius * np.sin(east),
-        np.full(days.shape, location.z.to_value(u.m)) * u.m,
-    )
+    height = np.full(days.shape, location.z.to_value(u.m)) * u.m
+    observatory = CartesianRepresentation(radius * np.cos(east), radius * np.sin(east), height)
     center = of_date(SkyCoord(moon.ra, moon.dec, moon.distance), days[0])
     seen = SkyCoord(center.cartesian - observatory, frame=star)
     return {
@@ -146,18 +142,12 @@ class NightSky(AirEffect, SkyEffect):
     def __post_init__(self):
         super().__post_init__()
         for name, (low, high) in _DOMAINS.items():
-            values = plain_array(getattr(self, name), u.deg, name)
-            if values.ndim > 1 or not np.all((values >= low) & (values <= high)):
-                raise ValueError(f"`{name}` must be between {low} and {high} deg")
-            values = frozen(values) if values.ndim else float(values)
-            object.__setattr__(self, name, values)
+            self._check(name, u.deg, f"between {low} and {high} deg", low, high)
 
     def draw(self, conditions, generator):
         """Return the sky's background in each cadence."""
-        series = {
-            name: series_of(getattr(self, name), conditions.time, name)
-            for name in ("airmass", *_DOMAINS)
-        }
+        values = {name: getattr(self, name) for name in self.by_cadence}
+        series = {name: series_of(v, conditions.time, name) for name, v in values.items()}
         factor = self._relative_brightness(**series)
         return self._drawn(conditions, conditions.background * (factor - 1))
 

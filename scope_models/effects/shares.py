@@ -83,10 +83,8 @@ class PixelShares(Effect):
             if not low < high:
                 raise ValueError(f"`{name}` must increase, got {(low, high)}")
         if values.ndim != 3 or len(values) != len(self.terms) or not np.isfinite(values).all():
-            raise ValueError(
-                f"`coefficients` must be finite, of shape ({len(self.terms)}, ny, nx), "
-                f"got {values.shape}"
-            )
+            wanted = f"finite, of shape ({len(self.terms)}, ny, nx)"
+            raise ValueError(f"`coefficients` must be {wanted}, got {values.shape}")
         object.__setattr__(self, "coefficients", frozen(values))
 
     @property
@@ -109,21 +107,17 @@ class PixelShares(Effect):
         ndarray of shape (n, ny, nx)
             Parts of the star's flux.
         """
-        scaled = (
-            scaled_to(*pair)
-            for pair in ((x, self.x_range), (y, self.y_range), (time, self.time_range))
-        )
+        pairs = (x, self.x_range), (y, self.y_range), (time, self.time_range)
+        scaled = (scaled_to(*pair) for pair in pairs)
         return np.tensordot(polynomials(self.terms, *scaled)[0], self.coefficients, axes=1)
 
     def shares(self, drawn, conditions, star):
         """Return the function that gives the changes of a star, None for other stars."""
         if star != self.star:
             return None
-        if self.coefficients.shape[1:] != tuple(conditions.shape):
-            raise ValueError(
-                f"`coefficients` are of {self.coefficients.shape[1:]} pixels, the stamp has "
-                f"{tuple(conditions.shape)}"
-            )
+        own, wanted = self.coefficients.shape[1:], tuple(conditions.shape)
+        if own != wanted:
+            raise ValueError(f"`coefficients` are of {own} pixels, the stamp has {wanted}")
         return lambda x, y, part: self.changes(x, y, conditions.time[part])
 
 

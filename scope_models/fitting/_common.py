@@ -73,13 +73,11 @@ def common_motions(tpfs, *, pixels=True):
     for label, group in tracks.items():
         ccd, time_format = facts[label]
         motion, left = fit_tracks(group, time_format)
-        names = [track.name for track in group]
-        reasons = {
-            track.name: f"{track.kind} disagrees with the other stars"
-            for track, out in zip(group, left, strict=True) if out
-        }  # fmt: skip
-        used = {track.name for track, out in zip(group, left, strict=True) if not out}
-        meta = {"ccd": ccd, "n_files": len(set(names)), "stars": sorted(used)}
+        judged = [*zip(group, left, strict=True)]
+        used = {track.name for track, out in judged if not out}
+        kinds = {track.name: track.kind for track, out in judged if out}
+        reasons = {name: f"{kind} disagrees with the other stars" for name, kind in kinds.items()}
+        meta = {"ccd": ccd, "n_files": len(used | kinds.keys()), "stars": sorted(used)}
         motions[label] = motion.replace(meta=meta | {"left_out": reasons})
     return motions, failed
 
@@ -90,12 +88,13 @@ def pos_corr_track(name, series):
     if not np.any(known):
         return None
     xy = np.where(known[:, None], series.pos_corr, np.nan)
-    error, place = (
-        np.full(xy.shape, _POS_CORR_ERROR),
-        place_of(series.header, series.flux.shape[1:]) or (0.0, 0.0),
-    )
+    error, place = np.full(xy.shape, _POS_CORR_ERROR), _place_of(series)
     given = place, series.cadenceno, series.time, xy, error, _POS_CORR_SCALE
     return Track(name, "POS_CORR", *given)
+
+
+def _place_of(series):
+    return place_of(series.header, series.flux.shape[1:]) or (0.0, 0.0)
 
 
 def _tracks(name, series, *, pixels):
@@ -108,7 +107,6 @@ def _tracks(name, series, *, pixels):
         xy, error = np.stack([fit.x, fit.y], 1), np.stack([fit.x_err, fit.y_err], 1)
         # errors of the noise alone: the scatter about the others gives the rest
         error = error / fit.statistics["error_scale"]
-        place = place_of(series.header, series.flux.shape[1:]) or (0.0, 0.0)
-        given = place, fit.cadenceno, fit.time, xy, error, _MAP_ERROR
+        given = _place_of(series), fit.cadenceno, fit.time, xy, error, _MAP_ERROR
         tracks.append(Track(name, "the position in the pixels", *given))
     return tracks

@@ -34,7 +34,6 @@ def doubts_of(fit):
 
 
 def _of_convergence(fit):
-    """Doubts about where the iterations ended."""
     if not fit.converged and not fit.at_bounds:
         yield (
             f"the fit has not converged after {fit.n_steps} steps: chi-squared {fit.chi2:.6g}, "
@@ -43,14 +42,11 @@ def _of_convergence(fit):
     powers = fit.model.response_powers
     others = [f"{name} = {fit.values[name]:.3g}" for name in fit.at_bounds if name not in powers]
     if others:
-        yield (
-            f"the fit ends at bounds, {', '.join(others)}: the model does not suit the pixels; try "
-            "another psf"
-        )
+        ended = f"the fit ends at bounds, {', '.join(others)}"
+        yield f"{ended}: the model does not suit the pixels; try another psf"
 
 
 def _of_sensitivity(fit):
-    """Doubts about the response within a pixel."""
     for name, (axis, power) in fit.model.response_powers.items():
         if name not in fit.names:
             continue
@@ -74,7 +70,6 @@ def _of_sensitivity(fit):
 
 
 def _of_pixels(fit):
-    """Doubts about the response between pixels, and the residuals."""
     prior, scatter = fit.options["interpixel"], np.std(fit.interpixel - 1)
     if prior and scatter > LARGEST_SCATTER * prior:
         yield (
@@ -104,13 +99,16 @@ def _of_pixels(fit):
             )
 
 
+def _good(fit):
+    return np.ones(len(fit.time), dtype=bool) if fit.outliers is None else ~fit.outliers
+
+
 def _light(fit):
     """Light in the pixels of each cadence, e-/s."""
     return np.nansum(fit.observed - fit.background[:, None, None], axis=(1, 2))
 
 
 def _of_positions(fit):
-    """Doubts about where the star is, and how it moves."""
     for axis, slope, size in zip("xy", fit.path_scale(), fit.shape[::-1], strict=True):
         position, error = getattr(fit, axis), np.median(getattr(fit, f"{axis}_err"))
         if not _SCALES[0] < slope < _SCALES[1] and np.isfinite(slope):
@@ -129,7 +127,6 @@ def _of_positions(fit):
 
 
 def _of_flux(fit):
-    """Doubts about the fluxes."""
     for number, star in enumerate((fit, *fit.neighbors)):
         negative = np.sum(star.flux < -_CERTAIN * star.flux_err)
         if negative:
@@ -140,7 +137,7 @@ def _of_flux(fit):
             'response="pixels" divides the light of several stars between them by the PSF: the '
             "fluxes of the fainter ones have larger errors than those given"
         )
-    good = np.ones(len(fit.time), dtype=bool) if fit.outliers is None else ~fit.outliers
+    good = _good(fit)
     seen = np.isfinite(fit.observed)
     whole = seen.sum(axis=(1, 2)) == seen.any(axis=0).sum()
     steps = np.diff(np.column_stack([fit.flux, _light(fit)])[good & whole], axis=0)
@@ -161,13 +158,12 @@ def _of_flux(fit):
 
 
 def followed(fit):
-    """
-    Return the rms of the flux that a quadratic form of the position explains, 0 if by chance.
+    """Return the rms of the flux that a quadratic form of the position explains, 0 if by chance.
 
     Slow changes do not count. The noise of each cadence is independent; of what else is left there
     are as many independent values as spans of the smoothing.
     """
-    good = np.ones(len(fit.time), dtype=bool) if fit.outliers is None else ~fit.outliers
+    good = _good(fit)
     if good.sum() < _FEWEST:
         return 0.0
     time, x, y, flux = (values[good] for values in (fit.time, fit.x, fit.y, fit.flux))

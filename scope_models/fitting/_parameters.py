@@ -73,9 +73,8 @@ def fit_parameters(prf, shape):
             narrow = _LEAST_WIDTH, max(shape) / 2
         elif kind == "response":
             narrow = -(2.0 ** powers[name][1]), 2.0 ** powers[name][1]
-        low, high = (
-            x if bound is None else bound for x, bound in zip(narrow, parameter.bounds, strict=True)
-        )
+        given = zip(parameter.bounds, (-np.inf, np.inf), strict=True)
+        low, high = (end if bound is None else bound for bound, end in given)
         low, high = max(low, narrow[0]), min(high, narrow[1])
         if kind in {"correlation", "fraction", "offset", "diffusion"}:
             step = _LARGEST_MOVE
@@ -87,8 +86,7 @@ def fit_parameters(prf, shape):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class FittedStar(Value):
-    """
-    Another star in a fit.
+    """Another star in a fit.
 
     Parameters
     ----------

@@ -44,8 +44,7 @@ _STAR_MOVE = 1.0
 
 @dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class FitOptions(Value):
-    """
-    Options of `~scope_models.fit_tpf` that few fits need.
+    """Options of `~scope_models.fit_tpf` that few fits need.
 
     Parameters
     ----------
@@ -417,11 +416,9 @@ class Problem:
         stamp = self.stamps[self.stars[star].stamp]
         x, y = self.xy(state, star)[part].T
         widens = self.options.focus is not None
-        values = self.values(state)
-        result = self.prf.unit_images(
-            stamp.shape, x, y, values=values, derivatives=derivatives or widens
-        )
-        image, by = result if derivatives or widens else (result, {})
+        values, more = self.values(state), derivatives or widens
+        result = self.prf.unit_images(stamp.shape, x, y, values=values, derivatives=more)
+        image, by = result if more else (result, {})
         if widens:  # all distances from the star scale
             numbers, kinds = numbers_of(self.prf) | values, self.prf.parameter_kinds
             scaled = [name for name, kind in kinds.items() if kind in {"width", "offset"}]

@@ -7,7 +7,7 @@ from astropy.stats import mad_std
 from scipy.ndimage import median_filter, uniform_filter1d
 
 from scope_models._arrays import native
-from scope_models._checks import checked_choice, one_line
+from scope_models._checks import checked_choice
 from scope_models.effects import Background, Focus, PixelShares
 from scope_models.fitting._parameters import (
     CADENCE_UNITS,
@@ -17,7 +17,7 @@ from scope_models.fitting._parameters import (
     cadence_table,
     parameter_table,
 )
-from scope_models.io._opening import RefusedError, open_fits
+from scope_models.io._opening import RefusedError, making, open_fits
 from scope_models.io.tpf import write_hdulist
 from scope_models.missions import MISSIONS
 from scope_models.models import PRF, SensitivityPolynomial
@@ -81,15 +81,11 @@ def read_fit(path):
             raise RefusedError(f"{path} is not a fit of this package")
         if header.get("FITVERS", _VERSION + 1) > _VERSION:
             raise RefusedError(f"{path} was written by a later version of this package")
-        try:
+        with making(path, "fit"):
             return _fields_of(hdus)
-        except Exception as error:  # a file can hold anything under the names of a fit
-            reason = f"{type(error).__name__}: {one_line(error)}"
-            raise RefusedError(f"{path} holds no fit that can be made: {reason}") from error
 
 
 def _fields_of(hdus):
-    """Return the fields of the fit in an HDU list."""
     table = hdus["CADENCES"].data
     columns = {n: native(table[n.upper()]) for n in CADENCE_UNITS if n.upper() in table.names}
     if "POS_CORR1" in table.names:
@@ -217,7 +213,6 @@ def _identity(cards, mission):
 
 
 def _signal(fit, kind):
-    """Relative flux of the cadences."""
     if kind == "constant":
         return None
     relative = fit.flux / np.median(fit.flux)

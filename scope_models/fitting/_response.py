@@ -183,9 +183,8 @@ class _Shares:
             weight = self.weight[learned, pixel]
             values = np.concatenate([self.values[k][:, number] for k in stars])
             # No share changes by more than all of the light.
-            scale = np.concatenate(
-                [np.minimum(self.width[order] * self.unit[k][number], 1.0) for k in stars]
-            )
+            widths = [self.width[order] * self.unit[k][number] for k in stars]
+            scale = np.minimum(np.concatenate(widths), 1.0)
             # In units of the priors, all eigenvalues are 1 and more.
             weighted = np.hstack([phi * (fluxes[k] * weight)[:, None] for k in stars]) * scale
             normal = weighted.T @ weighted
@@ -216,9 +215,8 @@ class _Shares:
         light = np.zeros((2, self.weight.shape[1]))
         for k, star in enumerate(self.problem.stars):
             flux = np.median(self.problem.fluxes(self.state, k))
-            light[:, self.problem.slices[star.stamp]] += flux * np.array(
-                [self.values[k][0], self.size[k]]
-            )
+            parts = flux * np.array([self.values[k][0], self.size[k]])
+            light[:, self.problem.slices[star.stamp]] += parts
         return light[0] / np.maximum(light[1], _LEAST_PRIOR)
 
     def equations(self):
@@ -324,10 +322,8 @@ def fit_response(problem, few, state, fits, report=None):
     ``few`` is the problem of some of the cadences, to which the PSF was fitted with the result
     ``state``, whose shared parameters are kept, and ``fits`` for each file.
     """
-    if len(problem.flux) < _FEWEST:
-        raise ValueError(
-            f'`tpf` has {len(problem.flux)} cadences; response="pixels" needs {_FEWEST} or more'
-        )
+    if (n := len(problem.flux)) < _FEWEST:
+        raise ValueError(f'`tpf` has {n} cadences; response="pixels" needs {_FEWEST} or more')
     corr = problem.data.pos_corr
     error = _LOOSE if problem.options.positions == "free" else problem.position_error
     if error is None:

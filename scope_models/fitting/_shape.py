@@ -86,13 +86,8 @@ def _moments_of_shares(fit):
     covariance = variance * np.linalg.pinv(found.jac.T @ found.jac)[3:, 3:]
     # Of the area above half of the largest value, of a Gaussian.
     unit = np.log(4) / 4
-    by = np.array(
-        [
-            [2 * sigma_x, 0, 0],
-            [0, 2 * sigma_y, 0],
-            [rho * sigma_y, rho * sigma_x, sigma_x * sigma_y],
-        ]
-    )
+    by = np.diag([2 * sigma_x, 2 * sigma_y, sigma_x * sigma_y])
+    by[2, :2] = rho * sigma_y, rho * sigma_x
     moments = np.array([sigma_x**2, sigma_y**2, rho * sigma_x * sigma_y])
     return unit * moments, unit**2 * by @ covariance @ by.T
 
@@ -111,10 +106,8 @@ def _moments(psf, x, y):
     r = radii[first] - radii[1] * outer / (outer - inner)
     area = np.mean(r**2) / 2
     mean = [np.mean(r**3 * part) / (3 * area) for part in (cos, sin)]
-    pairs = ((cos, cos, 0, 0), (sin, sin, 1, 1), (cos, sin, 0, 1))
-    return np.array(
-        [np.mean(r**4 * a * b) / (4 * area) - mean[i] * mean[j] for a, b, i, j in pairs]
-    )
+    squares = [np.mean(r**4 * part) / (4 * area) for part in (cos * cos, sin * sin, cos * sin)]
+    return np.array(squares) - [mean[0] ** 2, mean[1] ** 2, mean[0] * mean[1]]
 
 
 def _axes(moments):

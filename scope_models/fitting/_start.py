@@ -92,9 +92,8 @@ def read_data(series, flux_err, detector, n_free, *, saturation, moved):
     try:
         error = np.array(np.broadcast_to(error, flux.shape))
     except ValueError:
-        raise ValueError(
-            f"`flux_err` must broadcast to {flux.shape}, got shape {error.shape}"
-        ) from None
+        message = f"`flux_err` must broadcast to {flux.shape}, got shape {error.shape}"
+        raise ValueError(message) from None
     _drop_bad_errors(flux, error)
     light = flux.copy()
     if saturation:
@@ -129,18 +128,15 @@ def read_data(series, flux_err, detector, n_free, *, saturation, moved):
 
 
 def _drop_bad_errors(flux, error):
-    """Leave out pixels without a positive error."""
     with np.errstate(invalid="ignore"):
         bad = np.isfinite(flux) & ~(np.isfinite(error) & (error > 0))
     if not bad.any():
         return
     if bad.sum() == np.isfinite(flux).sum():
-        raise ValueError(
-            "`flux_err` must be positive: the file has no errors; pass them as flux_err=..."
-        )
-    warnings.warn(
-        f"{bad.sum()} pixel values without a positive error are left out", FitWarning, stacklevel=5
-    )
+        message = "`flux_err` must be positive: the file has no errors; pass them as flux_err=..."
+        raise ValueError(message)
+    message = f"{bad.sum()} pixel values without a positive error are left out"
+    warnings.warn(message, FitWarning, stacklevel=5)
     flux[bad] = np.nan
 
 
@@ -150,11 +146,9 @@ def _drop_saturated(flux, limit):
         full = flux > limit
     columns = np.flatnonzero(full.mean(axis=0).max(axis=0) > 0.01)
     if columns.size:
-        warnings.warn(
-            f"columns {', '.join(map(str, columns))} hold saturated pixels and are left out",
-            FitWarning,
-            stacklevel=5,
-        )
+        listed = ", ".join(map(str, columns))
+        message = f"columns {listed} hold saturated pixels and are left out"
+        warnings.warn(message, FitWarning, stacklevel=5)
         flux[:, :, columns] = np.nan
     flux[full] = np.nan
     if not np.isfinite(flux).any():
@@ -228,10 +222,8 @@ def make_prf(psf, sensitivity, empirical):
     if isinstance(psf, (PRF, TabulatedPRF)):
         return _given_prf(psf if isinstance(psf, PRF) else PRF(psf), sensitivity, empirical)
     if not isinstance(sensitivity, (SensitivityPolynomial, DiffusionSensitivity, type(None))):
-        raise TypeError(
-            "`sensitivity` must be a SensitivityPolynomial, a DiffusionSensitivity or None, got "
-            f"{sensitivity!r}"
-        )
+        wanted = "a SensitivityPolynomial, a DiffusionSensitivity or None"
+        raise TypeError(f"`sensitivity` must be {wanted}, got {sensitivity!r}")
     fixed = {}
     if isinstance(psf, int):
         if isinstance(psf, bool) or not 1 <= psf <= len(_SIGMAS):
@@ -275,8 +267,7 @@ def make_rich_prf(sensitivity):
 
 
 def _with_fixed(prf, fixed):
-    """
-    Fix parameters of a PRF, and what pixels do not constrain.
+    """Fix parameters of a PRF, and what pixels do not constrain.
 
     The constants of the sensitivity are the flux, and diffusion is a wider Gaussian.
     """

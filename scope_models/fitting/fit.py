@@ -70,8 +70,7 @@ def fit_tpf(
     options=None,
     progress=None,
 ):
-    r"""
-    Fit one model to all pixels and cadences of a target pixel file at once.
+    r"""Fit one model to all pixels and cadences of a target pixel file at once.
 
     .. math:: f_{t,p} = b_p F_t \int_p P(x - x_t, y - y_t)\, s(u, v)\, dx\, dy + B_t
 

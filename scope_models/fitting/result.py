@@ -20,8 +20,7 @@ __all__ = ["TPFFit"]
 
 @dataclass(frozen=True, eq=False, repr=False)
 class TPFFit(Value):
-    """
-    A model of all pixels and cadences of a target pixel file.
+    """A model of all pixels and cadences of a target pixel file.
 
     `fit_tpf` makes it, `read` reads one that `write` has written. Arrays by cadence have the
     shape ``(n,)``, images ``(ny, nx)`` and cubes ``(n, ny, nx)``.
@@ -206,8 +205,7 @@ class TPFFit(Value):
         return np.divide(total, count, out=np.full(total.shape, np.nan), where=count > 0)
 
     def quantity(self, name):
-        """
-        Return a shared parameter with its unit.
+        """Return a shared parameter with its unit.
 
         Parameters
         ----------
@@ -226,8 +224,7 @@ class TPFFit(Value):
         return u.Quantity(row["value"], unit)
 
     def correlation(self):
-        """
-        Return the correlations between the shared parameters.
+        """Return the correlations between the shared parameters.
 
         Returns
         -------
@@ -240,8 +237,7 @@ class TPFFit(Value):
         return Table({"name": list(self.names)} | columns)
 
     def path_r2(self):
-        """
-        Return how well an affine map of POS_CORR predicts the positions.
+        """Return how well an affine map of POS_CORR predicts the positions.
 
         Returns
         -------
@@ -257,8 +253,7 @@ class TPFFit(Value):
         return tuple(float(1 - left / all_) if all_ else np.nan for left, all_ in pairs)
 
     def path_scale(self):
-        """
-        Return the fitted motion over that of POS_CORR.
+        """Return the fitted motion over that of POS_CORR.
 
         Returns
         -------
@@ -274,8 +269,7 @@ class TPFFit(Value):
         return tuple(float(path @ position / (path @ path)) for path, position in pairs)
 
     def psf_shape(self):
-        """
-        Measure width and ellipticity of the PSF.
+        """Measure width and ellipticity of the PSF.
 
         Returns
         -------
@@ -292,8 +286,7 @@ class TPFFit(Value):
         return psf_shape(self)
 
     def psf_image(self, half=3.0, samples=121):
-        """
-        Draw the density of the PSF about the star.
+        """Draw the density of the PSF about the star.
 
         Parameters
         ----------
@@ -315,8 +308,7 @@ class TPFFit(Value):
 
     # --- light curve, scene, figure, file -------------------------------------------------
     def to_lightcurve(self):
-        """
-        Return the fluxes as a light curve.
+        """Return the fluxes as a light curve.
 
         Returns
         -------
@@ -331,11 +323,8 @@ class TPFFit(Value):
 
         unit = u.electron / u.s
         error = np.hypot(self.flux_scatter, followed(self) if self.response else 0.0)
-        curve = LightCurve(
-            time=Time(self.time, format=self.time_format, scale="tdb"),
-            flux=self.flux * unit,
-            flux_err=error * unit,
-        )
+        time = Time(self.time, format=self.time_format, scale="tdb")
+        curve = LightCurve(time=time, flux=self.flux * unit, flux_err=error * unit)
         curve["centroid_col"], curve["centroid_row"] = self.x * u.pixel, self.y * u.pixel
         curve["background"] = self.background * unit
         curve["quality"], curve["cadenceno"] = self.quality, self.cadenceno
@@ -343,8 +332,7 @@ class TPFFit(Value):
         return curve
 
     def scene(self, *, positions="fitted", signal="smooth"):
-        """
-        Return the scene of the star's twin, for `~scope_models.simulate`.
+        """Return the scene of the star's twin, for `~scope_models.simulate`.
 
         Parameters
         ----------
@@ -376,8 +364,7 @@ class TPFFit(Value):
         return make_scene(self, positions, signal)
 
     def summary(self):
-        """
-        Return what the fit found, as text.
+        """Return what the fit found, as text.
 
         Returns
         -------
@@ -409,9 +396,8 @@ class TPFFit(Value):
         for axis, r2, scale in zip("xy", self.path_r2(), self.path_scale(), strict=True):
             if np.isfinite(scale):
                 lines.append(f"motion along {axis}: {scale:.3f} of POS_CORR, R2 {r2:.3f}")
-        shape = {
-            row["name"]: f"{row['value']:.4f} +- {row['error']:.4f}" for row in self.psf_shape()
-        }
+        rows = self.psf_shape()
+        shape = {row["name"]: f"{row['value']:.4f} +- {row['error']:.4f}" for row in rows}
         lines.append(
             f"full width at half maximum {shape['fwhm_major']} by {shape['fwhm_minor']} pix, "
             f"ellipticity {shape['ellipticity']}"
@@ -425,8 +411,7 @@ class TPFFit(Value):
         return "\n".join([*lines, *(f"! {doubt}" for doubt in doubts_of(self))])
 
     def plot(self):
-        """
-        Draw data, model and residual, positions, chi-squared, sensitivity or light curve.
+        """Draw data, model and residual, positions, chi-squared, sensitivity or light curve.
 
         Returns
         -------
@@ -459,8 +444,7 @@ class TPFFit(Value):
 
     @documented()
     def write(self, path, overwrite=False):
-        """
-        Write the fit to a FITS file.
+        """Write the fit to a FITS file.
 
         Parameters
         ----------
@@ -472,8 +456,7 @@ class TPFFit(Value):
 
     @classmethod
     def read(cls, path):
-        """
-        Read a fit from a FITS file.
+        """Read a fit from a FITS file.
 
         Parameters
         ----------

@@ -158,9 +158,8 @@ def column_cards(rows, titles):
         field = rows.dtype[name]
         title = f"column title: {titles[name]}" if name in titles else ""
         kind, size = field.base.str[1:], math.prod(field.shape)
-        form = (
-            f"{field.itemsize}A" if kind[0] == "S" else f"{size if size > 1 else ''}{_FORMS[kind]}"
-        )
+        number = f"{size if size > 1 else ''}{_FORMS.get(kind)}"
+        form = f"{field.itemsize}A" if kind[0] == "S" else number
         cards += [(f"TTYPE{i}", name, title), (f"TFORM{i}", form, "")]
         if field.shape:
             cards.append((f"TDIM{i}", f"({','.join(map(str, field.shape[::-1]))})", ""))

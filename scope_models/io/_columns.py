@@ -5,14 +5,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from scope_models._arrays import plain_array, plain_time
+from scope_models._checks import checked_int32
 
 __all__ = ["PixelColumn", "checked_columns", "pixel_columns", "table_rows"]
 
 _ROLLING_BAND_DURATIONS = 5
 _UNITS = {"timecorr": "d", "pos_corr1": "pix", "pos_corr2": "pix"}
-_UNITS |= dict.fromkeys(
-    ("flux", "flux_err", "flux_bkg", "flux_bkg_err", "cosmic_rays"), "electron / s"
-)
+_CUBES = "flux_err", "flux_bkg", "flux_bkg_err", "cosmic_rays"
+_UNITS |= dict.fromkeys(("flux", *_CUBES), "electron / s")
 _DTYPES = {"D": np.dtype(">f8"), "E": np.dtype(">f4"), "J": np.dtype(">i4")}
 
 
@@ -117,7 +117,7 @@ def checked_columns(metadata, values):
         raise ValueError(f"`flux` must have the shape (n_cadences, ny, nx), got {flux.shape}")
     checked = _checked_times(metadata, values, flux.shape[:1])
     checked["FLUX"] = _floats("flux", flux, flux.shape)
-    for name in ("flux_err", "flux_bkg", "flux_bkg_err", "cosmic_rays"):
+    for name in _CUBES:
         if values[name] is not None:
             checked[name.upper()] = _floats(name, values[name], flux.shape, broadcast=True)
     for name in ("pos_corr1", "pos_corr2", "timecorr"):
@@ -182,12 +182,7 @@ def _floats(name, values, shape, *, broadcast=False):
 
 def _integers(name, values, shape):
     """Return an array of 32-bit integers of a shape."""
-    array = np.asarray(values)
-    if array.dtype.kind not in "iu":
-        raise TypeError(f"`{name}` must be an array of integers, got {array.dtype}")
+    array = checked_int32(name, values)
     if array.shape != shape:
         raise ValueError(f"`{name}` must have the shape {shape}, got {array.shape}")
-    limits = np.iinfo(np.int32)
-    if array.dtype.itemsize >= 4 and (array.min() < limits.min or array.max() > limits.max):
-        raise ValueError(f"`{name}` must fit 32-bit integers, got {array.min()} to {array.max()}")
-    return array.astype(np.int32, copy=False)
+    return array

@@ -149,10 +149,8 @@ def pixel_column_cards(columns, metadata, shape):
     """Return keyword, value and comment of the cards of the columns of the pixel table."""
     cards, places = [], []
     for n, column in enumerate(columns, 1):
-        cards += [
-            (f"TTYPE{n}", column.name, f"column title: {column.title}"),
-            (f"TFORM{n}", column.form(shape), "column format"),
-        ]
+        cards.append((f"TTYPE{n}", column.name, f"column title: {column.title}"))
+        cards.append((f"TFORM{n}", column.form(shape), "column format"))
         if column.unit:
             cards.append((f"TUNIT{n}", column.unit, "column unit"))
         if column.null is not None:

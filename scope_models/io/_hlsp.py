@@ -54,14 +54,11 @@ class Collection:
         for name in ("id", "lead", "version", "title", "doi"):
             value = getattr(self, name)
             if not isinstance(value, str) or not re.fullmatch(r"[ -~]{0,68}", value):
-                raise ValueError(
-                    f"`hlsp_{name}` must be text of at most 68 ASCII characters, got {value!r}"
-                )
+                wanted = "text of at most 68 ASCII characters"
+                raise ValueError(f"`hlsp_{name}` must be {wanted}, got {value!r}")
         if not _ID.fullmatch(self.id.lower()):
-            raise ValueError(
-                "`hlsp_id` must be 2 to 20 letters, digits and hyphens, beginning with a letter, "
-                f"got {self.id!r}"
-            )
+            wanted = "2 to 20 letters, digits and hyphens, beginning with a letter"
+            raise ValueError(f"`hlsp_id` must be {wanted}, got {self.id!r}")
         if not self.lead.strip():
             raise ValueError("`hlsp_lead` must name the leader of the project")
         if not _VERSION.fullmatch(self.version):

@@ -69,11 +69,8 @@ def make_light_curve_hdulist(tpf, columns, *, aperture, cards=()):
 
 def _kept(header, left_out=_OF_COLUMNS):
     """Return the cards of a header that stay true."""
-    return [
-        card
-        for card in header.cards
-        if card.keyword not in _NO_LONGER_TRUE and not left_out.match(card.keyword)
-    ]
+    cards = (card for card in header.cards if card.keyword not in _NO_LONGER_TRUE)
+    return [card for card in cards if not left_out.match(card.keyword)]
 
 
 def _span(time, series):

@@ -151,13 +151,11 @@ class TPFMetadata(Value):
         if self.dec is not None and abs(self.dec) > 90:
             raise ValueError(f"`dec` must be within -90 to 90, got {self.dec}")
         if self.n_readouts is not None and self.n_readouts > self.n_frames:
-            raise ValueError(
-                f"`n_readouts` must not exceed `n_frames`, got {self.n_readouts} of {self.n_frames}"
-            )
-        if self.object_name is not None and not (
-            isinstance(self.object_name, str) and self.object_name.isascii()
-        ):
-            raise TypeError(f"`object_name` must be ASCII text, got {self.object_name!r}")
+            given = f"{self.n_readouts} of {self.n_frames}"
+            raise ValueError(f"`n_readouts` must not exceed `n_frames`, got {given}")
+        name = "" if self.object_name is None else self.object_name
+        if not isinstance(name, str) or not name.isascii():
+            raise TypeError(f"`object_name` must be ASCII text, got {name!r}")
         if self.date is not None and not isinstance(self.date, dt.date):
             raise TypeError(f"`date` must be a datetime.date, got {self.date!r}")
         if not isinstance(self.extra_cards, Mapping):
@@ -170,18 +168,16 @@ class TPFMetadata(Value):
         """Check that time and place are those of the mission, and a channel is one."""
         layout = self.layout
         for name in (*_RUNS, "channel", "module", "output", "camera", "ccd"):
-            if getattr(self, name) is not None and name not in {layout.run, *layout.places}:
-                raise ValueError(
-                    f"`{name}` must not be given for {self.mission}, got {getattr(self, name)}"
-                )
+            given = getattr(self, name)
+            if given is not None and name not in {layout.run, *layout.places}:
+                raise ValueError(f"`{name}` must not be given for {self.mission}, got {given}")
         if self.module is not None and self.module not in _MODULES:
             raise ValueError(f"`module` must be one of {_MODULES}, got {self.module}")
         for name, implied in zip(("module", "output"), self.module_and_output, strict=True):
             given = getattr(self, name)
             if given is not None and given != implied:
-                raise ValueError(
-                    f"`{name}` must be {implied} for channel {self.channel}, got {given}"
-                )
+                wanted = f"{implied} for channel {self.channel}"
+                raise ValueError(f"`{name}` must be {wanted}, got {given}")
 
     @classmethod
     def of(cls, detector, **facts):

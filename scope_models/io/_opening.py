@@ -16,7 +16,7 @@ from scope_models.missions import TIME_ZEROS, Mission
 
 __all__ = [
     "RefusedError", "cards_of", "checksum_of", "column_of", "conf", "facts_of", "first_table",
-    "naming", "open_fits", "read_columns", "read_positions", "time_format_of",
+    "making", "naming", "open_fits", "read_columns", "read_positions", "time_format_of",
 ]  # fmt: skip
 
 #: Limits of files that are read: ``max_bytes``, bytes after decompression, and ``max_ratio``, the
@@ -62,7 +62,7 @@ def open_fits(path):
     except RefusedError as error:
         raise ValueError(str(error)) from None
     except Exception as error:  # astropy raises anything when it reads damaged bytes
-        raise _unreadable(path, error) from error
+        raise ValueError(_unreadable(path, error)) from error
 
 
 @contextmanager
@@ -76,9 +76,19 @@ def naming(path):
         raise ValueError(f"{path}: {error}") from error
 
 
-def _unreadable(path, error):
-    reason = one_line(error) or type(error).__name__  # bytes of a damaged header can be in it
-    return ValueError(f"{path} is not a readable FITS file, or is truncated: {reason}")
+@contextmanager
+def making(path, what):
+    """Raise all errors of what is made of a file, which can hold anything, as one that names it."""
+    try:
+        yield
+    except Exception as error:
+        reason = f"{type(error).__name__}: {one_line(error)}"
+        raise RefusedError(f"{path} holds no {what} that can be made: {reason}") from error
+
+
+def _unreadable(path, reason):
+    reason = one_line(reason) or type(reason).__name__  # bytes of a damaged header can be in it
+    return f"{path} is not a readable FITS file, or is truncated: {reason}"
 
 
 def _content(path):
@@ -107,7 +117,7 @@ def _content(path):
                     pieces.append(piece)
                     left -= len(piece)
         except Exception as error:  # of gzip
-            raise _unreadable(path, error) from error
+            raise ValueError(_unreadable(path, error)) from error
     if left < 0:
         raise _too_large(path, limit)
     return b"".join(pieces)
@@ -149,12 +159,9 @@ def _check(hdus, content, path):
     if isinstance(claimed, int) and len(hdus) - 1 < claimed:
         raise _refused(path, f"it has {len(hdus) - 1} of {claimed} extensions")
     if mismatches:
-        warnings.warn(
-            f"{path}: {' and '.join(mismatches)} do{'es' * (len(mismatches) == 1)} not match: the "
-            "file was damaged, or changed after it was written",
-            DamagedFileWarning,
-            stacklevel=5,
-        )
+        found = f"{' and '.join(mismatches)} do{'es' * (len(mismatches) == 1)} not match"
+        message = f"{path}: {found}: the file was damaged, or changed after it was written"
+        warnings.warn(message, DamagedFileWarning, stacklevel=5)
 
 
 def _check_axes(content, start, path):
@@ -174,17 +181,16 @@ def _check_columns(hdu, path):
     if isinstance(n_columns, bool) or not 0 <= n_columns <= _MOST:
         raise _refused(path, f"TFIELDS is {n_columns}")
     width = hdu.columns.dtype.itemsize
-    if width > hdu.header["NAXIS1"]:
-        raise _refused(
-            path, f"the columns of a table have {width:,} bytes, its rows {hdu.header['NAXIS1']:,}"
-        )
+    if width > (length := hdu.header["NAXIS1"]):
+        reason = f"the columns of a table have {width:,} bytes, its rows {length:,}"
+        raise _refused(path, reason)
     for number in range(1, n_columns + 1):
         if not isinstance(hdu.header.get(f"TTYPE{number}"), str):
             raise _refused(path, f"TTYPE{number} is absent or not text")
 
 
 def _refused(path, reason):
-    return RefusedError(f"{path} is not a readable FITS file, or is truncated: {reason}")
+    return RefusedError(_unreadable(path, reason))
 
 
 def checksum_of(data, start=0):
@@ -208,10 +214,8 @@ def read_columns(path, required, optional=()):
         present = [name.upper() for name in table.columns.names]
         missing = [name for name in required if name.upper() not in present]
         if missing:
-            raise RefusedError(
-                f"{path} has no column {' or '.join(missing)} in its first table; "
-                f"it has {', '.join(present) or 'none'}"
-            )
+            lacks, has = " or ".join(missing), ", ".join(present) or "none"
+            raise RefusedError(f"{path} has no column {lacks} in its first table; it has {has}")
         names = [name.upper() for name in (*required, *optional) if name.upper() in present]
         columns = {name: column_of(table, name, path) for name in names}
         if len(table.data) == 0:

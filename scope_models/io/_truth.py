@@ -16,10 +16,8 @@ from scope_models.io._blocks import Block, column_cards
 
 __all__ = ["Truth", "maps_of", "scene_blocks", "scene_of", "truth_blocks", "truth_of"]
 
-_TPF_NAMES = {
-    *("PRIMARY", "TARGETTABLES", "PIXELS", "APERTURE", "TARGET COSMIC RAY"),
-    *("TRUTH", "SCENE"),
-}
+_TPF_NAMES = {"PRIMARY", "TARGETTABLES", "PIXELS", "APERTURE", "TARGET COSMIC RAY"}
+_TPF_NAMES |= {"TRUTH", "SCENE"}
 _MOST_COLUMNS = 999  # of the FITS standard
 _NUMBERED = "NUMBERED"
 _LONGEST_TEXT = 2000  # CFITSIO reads texts of up to 2879 characters
@@ -190,7 +188,6 @@ class Truth(Value):
 
 
 def _read_only(values):
-    """Return a view that cannot be written to."""
     view = np.asarray(values).view()
     view.flags.writeable = False
     return view
@@ -210,24 +207,19 @@ def scene_blocks(maps, scene, tables=()):
 
 
 def _truth_block(cadenceno, columns):
-    """Return the TRUTH table."""
     arrays, taken = {"CADENCENO": cadenceno}, {"CADENCENO"}
     for name, values in columns.items():
         _check_name("truth_columns", name, taken)
         taken.add(name.upper())
         array = np.asarray(values, dtype=float)
         if array.shape[:1] != cadenceno.shape or 0 in array.shape:
-            raise ValueError(
-                f"`truth_columns` {name} must have a row for each of the {len(cadenceno)} "
-                f"cadences, got the shape {array.shape}"
-            )
+            wanted = f"a row for each of the {len(cadenceno)} cadences"
+            found = f"got the shape {array.shape}"
+            raise ValueError(f"`truth_columns` {name} must have {wanted}, {found}")
         arrays[name] = array
     arrays, numbered = _vectors(arrays)
-    fields = [
-        (name, ">i4" if name == "CADENCENO" else ">f8", array.shape[1:])
-        for name, array in arrays.items()
-    ]
-    rows = np.empty(len(cadenceno), dtype=fields)
+    fields = [(name, ">f8", array.shape[1:]) for name, array in arrays.items()]
+    rows = np.empty(len(cadenceno), dtype=[("CADENCENO", ">i4"), *fields[1:]])
     for name, array in arrays.items():
         rows[name] = array
     cards = column_cards(rows, {"CADENCENO": "number of the cadence"})
@@ -273,10 +265,8 @@ def _map_blocks(maps):
         array = np.array(values, dtype=float)
         if array.ndim != 2 or 0 in array.shape:
             raise ValueError(f"`truth_maps` {name} must be an image, got the shape {array.shape}")
-        cards = [
-            ("MAPNAME", name, "name of the map of truth"),
-            ("EXTNAME", name.upper(), "extension name"),
-        ]
+        cards = [("MAPNAME", name, "name of the map of truth")]
+        cards.append(("EXTNAME", name.upper(), "extension name"))
         blocks[name.upper()] = Block.image(array, cards)
     return list(blocks.values())
 
@@ -298,9 +288,8 @@ def _table_hdus(tables, taken):
 def _check_name(argument, name, taken):
     """Check a name that becomes a column or an extension."""
     if not isinstance(name, str) or not re.fullmatch(r"[A-Za-z0-9_.\-]{1,60}", name):
-        raise ValueError(
-            f"`{argument}` must have names of up to 60 letters, digits and _ . -, got {name!r}"
-        )
+        wanted = "names of up to 60 letters, digits and _ . -"
+        raise ValueError(f"`{argument}` must have {wanted}, got {name!r}")
     if name.upper() in taken:
         raise ValueError(f"`{argument}` must not use the name {name}, which is taken")
 

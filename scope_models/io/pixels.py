@@ -148,9 +148,8 @@ class PixelSeries(Value):
         choice, named = quality_bitmask, {"none": 0, "default": rejected}
         is_integer = isinstance(choice, Integral) and not isinstance(choice, bool)
         if not is_integer and not (isinstance(choice, str) and choice in named):
-            raise ValueError(
-                f'`quality_bitmask` must be "default", "none" or an integer, got {choice!r}'
-            )
+            wanted = '"default", "none" or an integer'
+            raise ValueError(f"`quality_bitmask` must be {wanted}, got {choice!r}")
         bits = int(choice) if is_integer else named[choice]
         keep = (self.quality & bits) == 0
         if bits and self.mission is not None and not self.mission.quality.no_data:
@@ -318,7 +317,6 @@ def usable_positions(pos_corr):
 
 
 def _of_hdus(hdus, name):
-    """Return the pixels of an HDU list."""
     try:
         table = first_table(hdus, name)
     except RefusedError as error:
@@ -403,12 +401,10 @@ def _has_file(tpf):
     return hasattr(type(tpf), "pipeline_mask")
 
 
-def _times_of(source, header):
-    """Return times in days."""
-    time = source.time
+def _times_of(time, time_format):
     if isinstance(time, Time) and time.format in TIME_ZEROS and not np.any(time.mask):
         return np.array(time.value, dtype=float).reshape(-1)
-    return np.array(plain_time(time, time_format_of(header) or "bkjd", "time of tpf")).reshape(-1)
+    return np.array(plain_time(time, time_format or "bkjd", "time of tpf")).reshape(-1)
 
 
 def pos_corr_of(source):
@@ -423,35 +419,23 @@ def positions_of(source):
     """Return the positions of lightkurve's object, as `read_positions` does."""
     pos_corr = pos_corr_of(source)
     if _attribute(source, "time") is None or pos_corr is None:
-        raise TypeError(
-            f"`tpf` must have time, POS_CORR1 and POS_CORR2, but {type(source).__name__} lacks them"
-        )
+        kind = type(source).__name__
+        raise TypeError(f"`tpf` must have time, POS_CORR1 and POS_CORR2, but {kind} lacks them")
+    columns = dict(zip("xy", pos_corr.T, strict=True))
     if _has_file(source):
         series = read_pixels(source)
         names = ("time", "quality", "cadenceno", "time_format")
-        columns = {name: getattr(series, name) for name in names}
-        return (
-            columns | dict(zip("xy", pos_corr.T, strict=True)) | {"meta": facts_of(series.header)}
-        )
-    header = _header_of(source)
-    quality, number = _attribute(source, "quality"), _attribute(source, "cadenceno")
-    return {
-        "time": _times_of(source, header),
-        **dict(zip("xy", pos_corr.T, strict=True)),
-        "quality": None if quality is None else np.asarray(without_unit(quality)),
-        "cadenceno": None if number is None else np.asarray(without_unit(number)),
-        "time_format": time_format_of(header),
-        "meta": facts_of(header),
-    }
-
-
-def _header_of(tpf):
-    """Return the cards behind lightkurve's object, with the zero of its times."""
-    cards = cards_of(getattr(tpf, "meta", None) or {})
-    form = getattr(getattr(tpf, "time", None), "format", None)
-    if "BJDREFI" not in cards and form in TIME_ZEROS:
-        cards["BJDREFI"] = int(TIME_ZEROS[form])
-    return cards
+        columns |= {name: getattr(series, name) for name in names}
+        return columns | {"meta": facts_of(series.header)}
+    header = cards_of(getattr(source, "meta", None) or {})
+    form = getattr(source.time, "format", None)
+    if "BJDREFI" not in header and form in TIME_ZEROS:
+        header["BJDREFI"] = int(TIME_ZEROS[form])
+    columns |= {"time_format": time_format_of(header), "meta": facts_of(header)}
+    for name in ("quality", "cadenceno"):
+        value = _attribute(source, name)
+        columns[name] = None if value is None else np.asarray(without_unit(value))
+    return columns | {"time": _times_of(source.time, columns["time_format"])}
 
 
 def star_places(name, places, series):
@@ -464,9 +448,8 @@ def star_places(name, places, series):
 
     columns = {key.lower(): key for key in getattr(places, "colnames", ())}
     if {"x", "y"} <= set(columns):
-        places = np.column_stack(
-            [plain_array(places[columns[k]], u.pixel, f"{name}[{k!r}]") for k in "xy"]
-        )
+        given = {f"{name}[{key!r}]": places[columns[key]] for key in "xy"}
+        places = np.column_stack([plain_array(v, u.pixel, key) for key, v in given.items()])
     elif {"ra", "dec"} <= set(columns):
         ra, dec = (unmasked(places[columns[k]]) for k in ("ra", "dec"))
         places = SkyCoord(*(plain_array(v, u.deg, name) for v in (ra, dec)), unit=u.deg)
@@ -478,9 +461,8 @@ def star_places(name, places, series):
     if positions.size == 0:
         return np.zeros((0, 2))
     if positions.ndim != 2 or positions.shape[1] != 2 or not np.isfinite(positions).all():
-        raise ValueError(
-            f"`{name}` must be finite positions of shape (k, 2), got shape {positions.shape}"
-        )
+        wanted = "finite positions of shape (k, 2)"
+        raise ValueError(f"`{name}` must be {wanted}, got shape {positions.shape}")
     return positions
 
 
@@ -522,7 +504,6 @@ def place_of(cards, shape):
 
 
 def _wcs(series):
-    """The WCS of the stamp, from the cards of the table."""
     from astropy.wcs import WCS
 
     cards = {own: series.header.get(key) for key, own in _WCS.items()}

@@ -224,9 +224,8 @@ def _tpf_blocks(
     if isinstance(metadata, str):
         metadata = TPFMetadata(mission=metadata, target_id=1)
     if not isinstance(metadata, TPFMetadata):
-        raise TypeError(
-            f"`metadata` must be a TPFMetadata or the name of a mission, got {metadata!r}"
-        )
+        wanted = "a TPFMetadata or the name of a mission"
+        raise TypeError(f"`metadata` must be {wanted}, got {metadata!r}")
     n_cadences = len(np.atleast_1d(columns["time"]))
     if columns["cadenceno"] is None:
         columns["cadenceno"] = np.arange(1, n_cadences + 1)

@@ -1,5 +1,4 @@
-"""
-Integrals over pixels along one axis: normal densities, Hermite functions and polynomials.
+"""Integrals over pixels along one axis: normal densities, Hermite functions and polynomials.
 
 The functions are ``h_k(z) = He_k(z) phi(z) / sqrt(k!)`` with the probabilists' Hermite polynomials,
 of which ``dh_k/dz = -sqrt(k + 1) h_{k+1}``; used in `scope_models.models._gaussian`.
@@ -66,8 +65,7 @@ def _horner(coefficients, x):
 
 
 def _monomial_integrals(cumulative, low, high, mu, sigma, degree):
-    """
-    ``M_n``, the integral of u^n times the normal density, for n up to degree.
+    """``M_n``, the integral of u^n times the normal density, for n up to degree.
 
     Integration by parts gives ``M_n = mu M_{n-1} + (n-1) sigma^2 M_{n-2} - sigma [u^{n-1} h_0]``.
     """
@@ -82,8 +80,7 @@ def _monomial_integrals(cumulative, low, high, mu, sigma, degree):
 
 
 def _axis_closed_form(pixels, center, sigma, coefficients, n_orders):
-    """
-    Closed form of `axis_direct`, by parts from the pixel's edges.
+    """Closed form of `axis_direct`, by parts from the pixel's edges.
 
     ``sqrt(k) X_k[p] = -[p h_{k-1}] + sigma X_{k-1}[p']``, repeated until p or k is used up.
     """
@@ -94,9 +91,8 @@ def _axis_closed_form(pixels, center, sigma, coefficients, n_orders):
     rows = [coefficients.tolist()]  # of the polynomial and of all its derivatives
     while len(rows[-1]) > 1:
         rows.append([n * c for n, c in enumerate(rows[-1])][1:])
-    moments = _monomial_integrals(
-        (cumulative[1] - cumulative[0]) / 2, *table[0], -offset, sigma, len(rows) - 1
-    )
+    cumulative = (cumulative[1] - cumulative[0]) / 2
+    moments = _monomial_integrals(cumulative, *table[0], -offset, sigma, len(rows) - 1)
     integrals = np.zeros((n_orders, *offset.shape))
     factor = np.ones((n_orders, 1, sigma.size))
     for j, row in enumerate(rows[:n_orders]):
@@ -156,11 +152,6 @@ def _chebyshev_vandermonde(x, n):
     return table[:n]
 
 
-def _count(sizes):
-    """Number of coefficients up to the last that matters, one at least."""
-    return max(np.flatnonzero(sizes > 1), default=0) + 1
-
-
 @lru_cache(maxsize=32)
 def _known_panels(*_):
     """Return the panels of the arguments: stars of the same PSF share them."""
@@ -198,9 +189,8 @@ class AxisPanels:
         integrals = np.empty((center.size, n_orders * pixels.size))
         for key in np.unique(keys):
             chosen = keys == key
-            integrals[chosen] = self._panel(
-                key, center[chosen], None if scale is None else scale[chosen]
-            )
+            wide = None if scale is None else scale[chosen]
+            integrals[chosen] = self._panel(key, center[chosen], wide)
         return integrals.reshape(-1, n_orders, pixels.size)
 
     def _panel(self, key, center, scale):
@@ -245,7 +235,8 @@ class AxisPanels:
             expansion = np.tensordot(across, expansion, axes=1)
         # The last coefficients in either direction are those that a longer series would add to.
         sizes = np.abs(expansion).reshape(m, n, n_orders, -1).max(axis=3) @ self._needed
-        keep = [_count(part) for part in (sizes.max(axis=0), sizes.max(axis=1))]
+        # Numbers of coefficients up to the last that matters, one at least.
+        keep = [max(np.flatnonzero(sizes.max(axis=i) > 1), default=0) + 1 for i in (0, 1)]
         if keep[0] > n - 2 or (m > 1 and keep[1] > m - 2):
             return None, None
         expansion = expansion[: keep[1], : keep[0]]

@@ -117,9 +117,8 @@ def collected(offset, sigma):
 
     The charge is set free at an offset from the pixel's center and diffuses by sigma, pixels.
     """
-    edges = np.asarray(offset, dtype=float) + np.array([0.5, -0.5]).reshape(
-        (2,) + (1,) * np.ndim(offset)
-    )
+    offset = np.asarray(offset, dtype=float)
+    edges = np.stack([offset + 0.5, offset - 0.5])
     if sigma == 0:
         inside = 0.5 * (np.sign(edges[0]) - np.sign(edges[1]))
         return inside, np.zeros_like(inside)

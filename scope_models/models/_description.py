@@ -22,12 +22,8 @@ __all__ = [
 
 _OPERATORS = {"+": operator.add, "-": operator.sub, "*": operator.mul}
 # Where the names of models in files are looked up, in this order.
-_MODULES = (
-    "scope_models.models",
-    "scope_models.models.variability",
-    "astropy.modeling.models",
-    "photutils.psf",
-)
+_MODULES = ("scope_models.models", "scope_models.models.variability")
+_MODULES += ("astropy.modeling.models", "photutils.psf")
 _LARGEST_ARRAY = 1 << 26  # bytes of an array in a file, unpacked
 
 
@@ -172,6 +168,5 @@ def class_named(name, base, modules, what):
 
 
 def _subclasses(kind):
-    """Return all classes that derive from a class."""
     own = kind.__subclasses__()
     return own + [further for derived in own for further in _subclasses(derived)]

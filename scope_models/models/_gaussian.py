@@ -1,5 +1,4 @@
-r"""
-Exact integrals over pixels of a bivariate normal density times a polynomial.
+r"""Exact integrals over pixels of a bivariate normal density times a polynomial.
 
 Everything here is a pure function of arrays: no models, no units. A pixel is the unit square
 around an integer (or any other) center, and the polynomial is in ``(u, v)``, the offset from

@@ -1,6 +1,7 @@
 """Images of one star in all cadences of a series: each depends on its own position alone."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
@@ -26,8 +27,7 @@ _DARK = 7.5
 
 
 class ImageSeries:
-    """
-    Images of a star of unit flux at the positions of a series.
+    """Images of a star of unit flux at the positions of a series.
 
     Gaussians are interpolated between places that do not depend on the series: the same position
     and width give the same pixels to the last bit, however the series is split.
@@ -72,11 +72,9 @@ class ImageSeries:
 
     def lost(self, x, y):
         """Largest part of the star's light that falls off the stamp at a few positions."""
-        ends = [
-            (v.min() + 0.5, n - 0.5 - v.max())
-            for v, n in zip((x, y), self._stamp[::-1], strict=True)
-        ]
-        if min(map(min, ends)) > self._reach:
+        ny, nx = self._stamp
+        ends = x.min() + 0.5, nx - 0.5 - x.max(), y.min() + 0.5, ny - 0.5 - y.max()
+        if min(ends) > self._reach:
             return 0.0
         images = _summed(self._components, self._stamp, x, y)
         return min(max(1.0 - float(images.sum(axis=(1, 2)).min()), 0.0), 1.0)
@@ -112,10 +110,8 @@ def _components(psf):
         fraction = float(term.scale * values["flux"] / total)
         offset = [float(values[n] - without_unit(first[n])) for n in ("x_0", "y_0")]
         values |= {"flux": 1.0, "x_0": 0.0, "y_0": 0.0}
-        unit = Factor(term.densities[0].model, values)
-        components.append(
-            (fraction, offset, Term(densities=(unit,), sensitivities=term.sensitivities))
-        )
+        unit = replace(term, scale=1.0, densities=(Factor(term.densities[0].model, values),))
+        components.append((fraction, offset, unit))
     return components
 
 
@@ -251,15 +247,14 @@ def _directly(term, columns, rows):
 
     def moved(x, y):
         values = factor.values | {"x_0": x, "y_0": y}
-        return Term(densities=(Factor(factor.model, values),), sensitivities=term.sensitivities)
+        return replace(term, scale=1.0, densities=(Factor(factor.model, values),))
 
     def scaled(x, y, widths):
         """Integrate p((x - x_0) / w) / w^2; the response stays with the pixels."""
 
         def evaluate(x_at, y_at, index):
-            w, x_0, y_0 = (
-                values[index].reshape((-1,) + (1,) * (x_at.ndim - 1)) for values in (widths, x, y)
-            )
+            shape = (-1,) + (1,) * (x_at.ndim - 1)
+            w, x_0, y_0 = (values[index].reshape(shape) for values in (widths, x, y))
             return factor.evaluate((x_at - x_0) / w, (y_at - y_0) / w, index) / w**2
 
         zeros = np.zeros(x.size)
@@ -267,10 +262,8 @@ def _directly(term, columns, rows):
 
     def render(x, y, widths):
         if widths is not None and is_pixel_integrated(factor.model):
-            raise ValueError(
-                f"the width of {type(factor.model).__name__} cannot change: it is integrated over "
-                "pixels already"
-            )
+            name = type(factor.model).__name__
+            raise ValueError(f"the width of {name} cannot change: it is integrated over pixels")
         images = np.empty((x.size, rows.size, columns.size))
         x, y = x - columns[0], y - rows[0]
         for start in range(0, x.size, _BATCH):

@@ -33,13 +33,12 @@ class Factor:
     @classmethod
     def of(cls, model):
         """The factor that holds a model's present parameters."""
-        if isinstance(model, CompoundModel):
-            names = model.param_names
-            if any(np.ndim(getattr(model, name).value) for name in names):
-                raise ValueError(
-                    f"parameters with more than one value work in sums and products of models, "
-                    f"not in the operator '{model.op}'"
-                )
+        names = model.param_names if isinstance(model, CompoundModel) else ()
+        if any(np.ndim(getattr(model, name).value) for name in names):
+            raise ValueError(
+                f"parameters with more than one value work in sums and products of models, "
+                f"not in the operator '{model.op}'"
+            )
         values = {}
         for name in model.param_names:
             parameter = getattr(model, name)
@@ -58,11 +57,8 @@ class Factor:
     @property
     def scale(self):
         """Smallest width in pixels, as far as the parameters' names show it."""
-        widths = [
-            np.min(np.abs(pixels_of(value))) / _WIDTHS[name]
-            for name, value in self.values.items()
-            if name in _WIDTHS
-        ]
+        known = [(_WIDTHS[name], value) for name, value in self.values.items() if name in _WIDTHS]
+        widths = [np.min(np.abs(pixels_of(value))) / ratio for ratio, value in known]
         if not widths:
             return _SCALE_OF_OTHERS
         rho = np.max(np.abs(self.values.get("rho", 0.0)))
@@ -95,11 +91,8 @@ class Term:
 
     def __mul__(self, other):
         """The product of two terms is a term."""
-        return Term(
-            self.scale * other.scale,
-            self.densities + other.densities,
-            self.sensitivities + other.sensitivities,
-        )
+        densities = self.densities + other.densities
+        return Term(self.scale * other.scale, densities, self.sensitivities + other.sensitivities)
 
     def closed_form(self):
         """The closed form of the product, or None."""
@@ -119,9 +112,8 @@ class Term:
 
     def undiffused(self):
         """The product without diffusion."""
-        return replace(
-            self, sensitivities=tuple(f for f in self.sensitivities if "sigma_d" not in f.values)
-        )
+        others = tuple(f for f in self.sensitivities if "sigma_d" not in f.values)
+        return replace(self, sensitivities=others)
 
     def polynomials(self):
         """Coefficients along x and along y of the product of all sensitivities."""
@@ -141,9 +133,8 @@ def is_pixel_integrated(model):
     if getattr(model, "pixel_integrated", False):
         return True
     names = {base.__name__ for base in type(model).__mro__}
-    return is_photutils(model) and bool(
-        names & _INTEGRATED_NAMES or type(model).__name__.endswith("PRF")
-    )
+    known = names & _INTEGRATED_NAMES or type(model).__name__.endswith("PRF")
+    return is_photutils(model) and bool(known)
 
 
 def leaves(model):

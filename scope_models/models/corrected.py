@@ -1,6 +1,7 @@
 """Tables of PRFs times a smooth correction that pixels can constrain."""
 
 import numpy as np
+from numpy.polynomial import chebyshev
 
 from scope_models._arrays import plain_array
 from scope_models._checks import checked_integer, checked_number
@@ -11,8 +12,7 @@ __all__ = ["CorrectedPRF"]
 
 
 class CorrectedPRF(TabulatedPRF):
-    r"""
-    A table of a PRF times a smooth function of the offset from the star.
+    r"""A table of a PRF times a smooth function of the offset from the star.
 
     .. math:: f(d_x, d_y) = T(d_x, d_y) \Big[1 + \sum_{0 < k + m \le n} c_{k,m}
               \big(T_k(t_x)\, T_m(t_y) - \overline{T_k T_m}\big)\Big],
@@ -60,15 +60,13 @@ class CorrectedPRF(TabulatedPRF):
     def __init__(
         self, array, oversampling=1, flux=1.0, x_0=0.0, y_0=0.0, *, order=2, radius=2.0, **kwargs
     ):
-        self.order = checked_integer("order", order, 1)
+        self.order = order = checked_integer("order", order, 1)
         self.radius = checked_number("radius", radius, "pix", positive=True)
         names = {f"c_{k}_{m}": f"Coefficient of T_{k} T_{m}" for k, m in self._orders()}
         make_parameters(self, names)
         kwargs = dict.fromkeys(names, 0.0) | kwargs
         super().__init__(array, oversampling, flux, x_0, y_0, **kwargs)
-        along_x, along_y = (
-            np.polynomial.chebyshev.chebvander(self._t(d)[0], self.order) for d in self._offsets()
-        )
+        along_x, along_y = (chebyshev.chebvander(self._t(d)[0], order) for d in self._offsets())
         means = along_y.T @ self.array @ along_x / self.array.sum()
         self._means = np.array([means[m, k] for k, m in self._orders()])
 
@@ -98,9 +96,9 @@ class CorrectedPRF(TabulatedPRF):
         (t_x, slope_x), (t_y, slope_y) = self._t(dx), self._t(dy)
         values, slopes = [], []
         for t, slope in ((t_x, slope_x), (t_y, slope_y)):
-            values.append(np.polynomial.chebyshev.chebvander(t, self.order))
-            matrix = np.polynomial.chebyshev.chebder(np.eye(self.order + 1))
-            lower = np.polynomial.chebyshev.chebvander(t, self.order - 1)
+            values.append(chebyshev.chebvander(t, self.order))
+            matrix = chebyshev.chebder(np.eye(self.order + 1))
+            lower = chebyshev.chebvander(t, self.order - 1)
             slopes.append((lower @ matrix) * slope[..., np.newaxis])
         factor, factor_x, factor_y, by_coefficient = 1.0, 0.0, 0.0, []
         for (k, m), mean, c in zip(self._orders(), self._means, coefficients, strict=True):
@@ -121,8 +119,7 @@ class CorrectedPRF(TabulatedPRF):
         return flux * self.unit_derivatives(*offsets, *coefficients)[0]
 
     def to_photutils(self):
-        """
-        Return the corrected table as a model of photutils.
+        """Return the corrected table as a model of photutils.
 
         Returns
         -------
@@ -132,8 +129,7 @@ class CorrectedPRF(TabulatedPRF):
         return self.corrected_table().to_photutils()
 
     def corrected_table(self):
-        """
-        Return a plain table of the corrected PRF.
+        """Return a plain table of the corrected PRF.
 
         Returns
         -------

@@ -21,8 +21,7 @@ _BATCH = 512
 
 
 class GaussHermitePSF(StarModel):
-    r"""
-    A Gaussian with a smooth surface of low order on it.
+    r"""A Gaussian with a smooth surface of low order on it.
 
     .. math::
 
@@ -76,15 +75,11 @@ class GaussHermitePSF(StarModel):
         values = {f"c_{n - m}_{m}": 0.0 for n in n_terms for m in range(n + 1)}
         unknown = set(given) - set(values)
         if unknown:
-            raise ValueError(
-                f"`order` {self.order} has no coefficient {', '.join(sorted(unknown))}"
-            )
+            listed = ", ".join(sorted(unknown))
+            raise ValueError(f"`order` {self.order} has no coefficient {listed}")
         for name in given:
             if np.ndim(kwargs[name]):
-                raise ValueError(
-                    f"`{name}` must be one number, got {np.size(kwargs[name])} values; make a "
-                    "model for each"
-                )
+                raise ValueError(f"`{name}` must be one number, got {np.size(kwargs[name])} values")
         places = {name: _orders(name) for name in values}
         make_parameters(self, {n: f"Coefficient of h_{k} h_{m}" for n, (k, m) in places.items()})
         values |= {"flux": flux, "x_0": x_0, "y_0": y_0, "sigma_x": sigma_x, "sigma_y": sigma_y}
@@ -122,9 +117,8 @@ class GaussHermitePSF(StarModel):
         for u, u_0, sigma in ((x, x_0, sigma_x), (y, y_0, sigma_y)):
             table = hermite_functions(np.asarray((u - u_0) / sigma, dtype=float), self.order + 3)
             tables.append(np.moveaxis(table, 0, -1) / sigma)
-        unit, *parts = _derivatives(
-            *tables, sigma_x, sigma_y, matrix, places, lambda x, y: np.sum(x * y, axis=-1)
-        )
+        given = *tables, sigma_x, sigma_y, matrix, places
+        unit, *parts = _derivatives(*given, lambda x, y: np.sum(x * y, axis=-1))
         return [unit, *(flux * part for part in parts)]
 
     def _engine(self, coefficients, *, derivatives=False):
@@ -165,13 +159,8 @@ class GaussHermitePSF(StarModel):
         flux, *parameters = (values[name] for name in self.param_names[:5])
         parameters = tuple(pixels_of(p) for p in parameters)
         coefficients = [values[name] for name in self.param_names[5:]]
-        return ClosedForm(
-            flux,
-            parameters,
-            self._engine(coefficients),
-            self._engine(coefficients, derivatives=True),
-            self.param_names[1:],
-        )
+        engines = (self._engine(coefficients, derivatives=which) for which in (False, True))
+        return ClosedForm(flux, parameters, *engines, self.param_names[1:])
 
     def bounding_box(self, factor=6.5):
         """Rectangle outside which hardly any flux lies: 6.5 widths, and the root of the order."""
@@ -179,7 +168,6 @@ class GaussHermitePSF(StarModel):
 
 
 def _orders(name):
-    """The orders along x and y in a coefficient's name."""
     _, k, m = name.split("_")
     return int(k), int(m)
 
@@ -190,8 +178,7 @@ def _outer_pixels(along_x, along_y):
 
 
 def _derivatives(x_table, y_table, sigma_x, sigma_y, matrix, places, outer):
-    """
-    Unit image, and its derivatives by position, widths and coefficients.
+    """Unit image, and its derivatives by position, widths and coefficients.
 
     The tables hold two orders more than the matrix, on the last axis. With
     ``dh_k/dz = -sqrt(k + 1) h_{k + 1}``, all are sums of the same functions.

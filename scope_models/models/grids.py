@@ -19,8 +19,7 @@ _FAR = 100.0
 
 @dataclass(frozen=True, eq=False, repr=False)
 class PRFGrid(Value):
-    """
-    PRF tables at several places of a detector.
+    """PRF tables at several places of a detector.
 
     Parameters
     ----------
@@ -65,8 +64,7 @@ class PRFGrid(Value):
         object.__setattr__(self, "tables", tables)
 
     def weights(self, column, row):
-        """
-        Return the weight of each table at a place.
+        """Return the weight of each table at a place.
 
         Bilinear where the places are a rectangular grid, else linear in the triangles between
         them. Outside the places the nearest edge counts.
@@ -86,9 +84,8 @@ class PRFGrid(Value):
         ValueError
             If the place is more than 100 px outside.
         """
-        place = np.array(
-            [plain_number(column, u.pixel, "column"), plain_number(row, u.pixel, "row")]
-        )
+        given = {"column": column, "row": row}
+        place = np.array([plain_number(value, u.pixel, name) for name, value in given.items()])
         low, high = self.places.min(axis=0), self.places.max(axis=0)
         if not (np.all(place >= low - _FAR) and np.all(place <= high + _FAR)):
             raise ValueError(
@@ -98,22 +95,18 @@ class PRFGrid(Value):
         place = np.clip(place, low, high)
         columns, rows = (np.unique(p) for p in self.places.T)
         if columns.size * rows.size == len(self.tables):
-            along = [
-                np.array([np.interp(at, nodes, row) for row in np.eye(nodes.size)])
-                for nodes, at in zip((columns, rows), place, strict=True)
-            ]
-            index = [
-                np.searchsorted(n, p) for n, p in zip((columns, rows), self.places.T, strict=True)
-            ]
-            return along[0][index[0]] * along[1][index[1]]
+            weights = 1.0
+            for nodes, at, places in zip((columns, rows), place, self.places.T, strict=True):
+                along = np.array([np.interp(at, nodes, row) for row in np.eye(nodes.size)])
+                weights = weights * along[np.searchsorted(nodes, places)]
+            return weights
         weights = LinearNDInterpolator(self.places, np.eye(len(self.tables)))(place)[0]
         if np.isnan(weights).any():
             raise ValueError(f"column {place[0]:g}, row {place[1]:g} is not between the places")
         return np.maximum(weights, 0.0)
 
     def at(self, column, row):
-        """
-        Return the table of a place.
+        """Return the table of a place.
 
         Parameters
         ----------
@@ -139,8 +132,7 @@ class PRFGrid(Value):
         return TabulatedPRF(samples, first.oversampling, origin=first.origin, uncertainty=error)
 
     def to_photutils(self):
-        """
-        Return the grid as a model of photutils, which is bilinear between the places too.
+        """Return the grid as a model of photutils, which is bilinear between the places too.
 
         Returns
         -------
@@ -166,8 +158,7 @@ class PRFGrid(Value):
 
     @classmethod
     def from_photutils(cls, model):
-        """
-        Make a grid of a model of photutils.
+        """Make a grid of a model of photutils.
 
         Parameters
         ----------
@@ -193,8 +184,7 @@ class PRFGrid(Value):
 
     @classmethod
     def from_tess(cls, path, camera=None, ccd=None):
-        """
-        Read the official PRF tables of TESS.
+        """Read the official PRF tables of TESS.
 
         Parameters
         ----------
@@ -233,8 +223,7 @@ class PRFGrid(Value):
 
     @classmethod
     def from_kepler(cls, path):
-        """
-        Read an official PRF file of Kepler, of one channel.
+        """Read an official PRF file of Kepler, of one channel.
 
         Parameters
         ----------

@@ -38,9 +38,8 @@ class PixelPoints:
         try:
             x, y = np.broadcast_arrays(plain_array(x, u.pixel, "x"), plain_array(y, u.pixel, "y"))
         except ValueError as error:
-            raise ValueError(
-                f"`x` and `y` must broadcast, got shapes {np.shape(x)} and {np.shape(y)}"
-            ) from error
+            shapes = f"{np.shape(x)} and {np.shape(y)}"
+            raise ValueError(f"`x` and `y` must broadcast, got shapes {shapes}") from error
         if x.size == 0:
             raise ValueError("`x` and `y` must hold at least one pixel")
         if not (np.all(np.isfinite(x)) and np.all(np.isfinite(y))):
@@ -52,9 +51,8 @@ class PixelPoints:
         size = self.columns.size * self.rows.size
         # Points that are scattered rather than on a grid are better done one by one.
         self.on_grid = size <= 4 * self.x.size
-        self.whole = size == self.x.size and bool(
-            np.all(self._row * self.columns.size + self._column == np.arange(size))
-        )
+        place = self._row * self.columns.size + self._column
+        self.whole = size == self.x.size and bool(np.all(place == np.arange(size)))
 
     @classmethod
     def from_shape(cls, shape):
@@ -197,8 +195,7 @@ def _already_integrated(term, points):
 
 
 def integrate_pixels(model, shape=None, *, x=None, y=None, method="auto"):
-    r"""
-    Integrate a model over pixels.
+    r"""Integrate a model over pixels.
 
     .. math:: f_{ij} = \int_{i-1/2}^{i+1/2} \int_{j-1/2}^{j+1/2} m(x, y)\, dy\, dx
 
@@ -316,12 +313,9 @@ def _refined(integrand, index, corner_u, corner_v, size, n, values, tolerance, d
     if active.size == 0:
         return values
     if depth == _DEPTH or not np.all(np.isfinite(values[active])):
-        warnings.warn(
-            f"the integral over {np.unique(index[active]).size} pixels has not converged: "
-            "the model is not smooth there",
-            IntegrationWarning,
-            stacklevel=5,
-        )
+        which = f"the integral over {np.unique(index[active]).size} pixels"
+        message = f"{which} has not converged: the model is not smooth there"
+        warnings.warn(message, IntegrationWarning, stacklevel=5)
         return values
     first = max(8, _MOST_NODES // 4)
     values[active] = 0
@@ -330,7 +324,6 @@ def _refined(integrand, index, corner_u, corner_v, size, n, values, tolerance, d
             u, v = corner_u[active] + du * size, corner_v[active] + dv * size
             inside = index[active], u, v, size / 2, first
             quarter = _rule(integrand, *inside)
-            values[active] += _refined(
-                integrand, *inside, quarter, tolerance[active] / 2, depth + 1
-            )
+            accuracy = quarter, tolerance[active] / 2, depth + 1
+            values[active] += _refined(integrand, *inside, *accuracy)
     return values

@@ -93,9 +93,8 @@ class _Component:
     def term(self, values, flux=1.0):
         """The product that is integrated, at values of the PRF's parameters."""
         density = Factor(self.model, self.own_values(values, flux))
-        return Term(
-            densities=(density,), sensitivities=tuple(r.factor(values) for r in self.responses)
-        )
+        sensitivities = tuple(response.factor(values) for response in self.responses)
+        return Term(densities=(density,), sensitivities=sensitivities)
 
     def derivatives(self, points, values):
         """Image of unit flux ``(..., *points.shape)``, and derivatives by parameter of the PRF."""
@@ -162,8 +161,7 @@ class _Component:
 
 
 class PRF(StarModel):
-    r"""
-    Flux per pixel of a star: a compound of densities and sensitivities, integrated over pixels.
+    r"""Flux per pixel of a star: a compound of densities and sensitivities, integrated over pixels.
 
     .. math:: f_{ij} = F \int_{i-1/2}^{i+1/2} \int_{j-1/2}^{j+1/2} \sum_k \phi_k\,
               p_k(x - x_0, y - y_0)\, s(x, y)\, dy\, dx, \qquad \sum_k \phi_k = 1,
@@ -252,17 +250,13 @@ class PRF(StarModel):
                 source = getattr(component.model, own)
                 parameters[name] = _like(source, name)
                 values[name] = value_of(source)
-            if component.fraction:
-                parameters[component.fraction] = Parameter(
-                    component.fraction,
-                    bounds=(0.0, 1.0),
-                    description=f"Part of the flux in component {k}",
-                )
-                values[component.fraction] = float(fluxes[k] / total)
+            if part := component.fraction:
+                text = f"Part of the flux in component {k}"
+                parameters[part] = Parameter(part, bounds=(0.0, 1.0), description=text)
+                values[part] = float(fluxes[k] / total)
                 for name, axis in zip(component.offsets, ("x_0", "y_0"), strict=True):
-                    parameters[name] = Parameter(
-                        name, fixed=True, description=f"{axis[0]} of component {k} less {axis}"
-                    )
+                    text = f"{axis[0]} of component {k} less {axis}"
+                    parameters[name] = Parameter(name, fixed=True, description=text)
                     source, origin = getattr(component.model, axis), getattr(first, axis)
                     values[name] = value_of(source) - value_of(origin)
         for response in self._responses:
@@ -289,8 +283,7 @@ class PRF(StarModel):
 
     @classmethod
     def from_tess(cls, path, camera=None, ccd=None, column=None, row=None):
-        """
-        Read the official PRF of TESS at a place.
+        """Read the official PRF of TESS at a place.
 
         Parameters
         ----------
@@ -316,8 +309,7 @@ class PRF(StarModel):
 
     @classmethod
     def from_kepler(cls, path, column=None, row=None):
-        """
-        Read the official PRF of Kepler at a place.
+        """Read the official PRF of Kepler at a place.
 
         Parameters
         ----------
@@ -340,8 +332,7 @@ class PRF(StarModel):
 
     @property
     def psf(self):
-        """
-        The light before the pixel, of total flux 1, at the position of the model.
+        """The light before the pixel, of total flux 1, at the position of the model.
 
         A density or a sum of densities; a table of a PRF stands for itself.
         """
@@ -360,8 +351,7 @@ class PRF(StarModel):
 
     @property
     def parameter_kinds(self):
-        """
-        Kinds of the parameters in a fit, where they have one (dict of str).
+        """Kinds of the parameters in a fit, where they have one (dict of str).
 
         "width", "correlation", "coefficient" and "fraction" are shape, "offset" is a position
         relative to the star, "response" is a coefficient of a sensitivity, "diffusion" the width
@@ -422,10 +412,8 @@ class PRF(StarModel):
 
     def fit_deriv(self, x, y, *parameters):
         """Derivatives of the flux in the pixels with respect to the parameters, in their order."""
-        values = {
-            name: float(np.reshape(without_unit(value), -1)[0])
-            for name, value in zip(self.param_names, parameters, strict=True)
-        }
+        numbers = (float(np.reshape(without_unit(value), -1)[0]) for value in parameters)
+        values = dict(zip(self.param_names, numbers, strict=True))
         points = PixelPoints(x, y)
         image, derivatives = self._unit_derivatives(points, values)
         names = self.param_names[1:]
@@ -450,8 +438,7 @@ class PRF(StarModel):
         return total, derivatives
 
     def unit_images(self, shape, x_0=None, y_0=None, *, values=None, derivatives=False):
-        """
-        Draw images of a star of unit flux, and their derivatives.
+        """Draw images of a star of unit flux, and their derivatives.
 
         Parameters
         ----------
@@ -494,8 +481,7 @@ class PRF(StarModel):
         return self._images(points, numbers | {"flux": 1.0})
 
     def render(self, shape=None, flux=None, x_0=None, y_0=None, *, out=None, coords=None):
-        """
-        Draw images of a star at many positions and fluxes.
+        """Draw images of a star at many positions and fluxes.
 
         Parameters
         ----------
@@ -532,15 +518,13 @@ class PRF(StarModel):
         try:
             np.broadcast_shapes(*shapes)
         except ValueError as error:
-            raise ValueError(
-                f"`flux`, `x_0` and `y_0` must have the same length, got shapes {shapes}"
-            ) from error
+            message = f"`flux`, `x_0` and `y_0` must have the same length, got shapes {shapes}"
+            raise ValueError(message) from error
         images = self._images(PixelPoints.from_shape(shape), values | own)
         return images if unit is None else images * unit
 
     def bounding_box(self):
-        """
-        Rectangle that holds all pixels that the components' bounding boxes reach.
+        """Rectangle that holds all pixels that the components' bounding boxes reach.
 
         Returns
         -------
@@ -578,15 +562,9 @@ class PRF(StarModel):
 def _like(source, name, *, fixed=None):
     """A parameter with the constraints of another."""
     if source.tied:
-        raise ValueError(
-            f"`{source.name}` is tied, which a PRF does not support: leave it out or fix it"
-        )
-    parameter = Parameter(
-        name,
-        fixed=source.fixed if fixed is None else fixed,
-        bounds=source.bounds,
-        description=source.__doc__ or source.name,
-    )
+        raise ValueError(f"`{source.name}` is tied, which a PRF does not support")
+    fixed, text = source.fixed if fixed is None else fixed, source.__doc__ or source.name
+    parameter = Parameter(name, fixed=fixed, bounds=source.bounds, description=text)
     validator = source._validator  # noqa: SLF001 - astropy gives it out by no other way
     return parameter if validator is None else parameter.validator(validator)
 
@@ -636,9 +614,9 @@ def _check_compound(compound, terms):
         factor = term.densities[0]
         missing = [name for name in _POSITION if name not in factor.model.param_names]
         if missing:
+            lacks = ", ".join(f"`{name}`" for name in missing)
             raise ValueError(
-                f"{names} has no parameter {', '.join(f'`{m}`' for m in missing)}: "
-                "a component needs flux, x_0 and y_0"
+                f"{names} has no parameter {lacks}: a component needs flux, x_0 and y_0"
             )
         if is_pixel_integrated(factor.model):
             _check_integrated(names, factor.model, term.sensitivities)

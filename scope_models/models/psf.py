@@ -15,15 +15,14 @@ from scope_models.models._parameters import Domain, StarModel, gaussian_box
 
 __all__ = ["BivariateGaussianPSF", "moffat_psf"]
 
-_TINY = float(np.finfo(np.float32).tiny)
-_LARGEST_RHO = 1 - 1e-9
+_WIDTH = {"default": 0.5, "bounds": (float(np.finfo(np.float32).tiny), None)}
+_RHO = (-1 + 1e-9, 1 - 1e-9)  # bounds of a correlation
 # Components of a Moffat PSF with less of its flux are left out.
 _LEAST_FRACTION = 1e-5
 
 
 class BivariateGaussianPSF(StarModel):
-    r"""
-    Bivariate normal density times a flux.
+    r"""Bivariate normal density times a flux.
 
     .. math::
 
@@ -73,15 +72,9 @@ class BivariateGaussianPSF(StarModel):
     812.2
     """
 
-    sigma_x = Parameter(
-        default=0.5, bounds=(_TINY, None), description="Standard deviation along x (pixel)"
-    )
-    sigma_y = Parameter(
-        default=0.5, bounds=(_TINY, None), description="Standard deviation along y (pixel)"
-    )
-    rho = Parameter(
-        default=0.0, bounds=(-_LARGEST_RHO, _LARGEST_RHO), description="Correlation coefficient"
-    )
+    sigma_x = Parameter(description="Standard deviation along x (pixel)", **_WIDTH)
+    sigma_y = Parameter(description="Standard deviation along y (pixel)", **_WIDTH)
+    rho = Parameter(description="Correlation coefficient", default=0.0, bounds=_RHO)
     sigma_x.validator(Domain("sigma_x", "positive"))
     sigma_y.validator(Domain("sigma_y", "positive"))
     rho.validator(Domain("rho", "inside (-1, 1)"))
@@ -126,9 +119,8 @@ class BivariateGaussianPSF(StarModel):
         """Return the integrals over pixels in closed form, for `integrate_pixels`."""
         names = ("x_0", "y_0", "sigma_x", "sigma_y")
         parameters = (*(pixels_of(values[name]) for name in names), values["rho"])
-        return ClosedForm(
-            values["flux"], parameters, gaussian_pixels, gaussian_derivatives, (*names, "rho")
-        )
+        engines = gaussian_pixels, gaussian_derivatives
+        return ClosedForm(values["flux"], parameters, *engines, (*names, "rho"))
 
     def bounding_box(self, factor=6.5):
         """Rectangle outside which less than 2e-10 of the flux lies: 6.5 standard deviations."""
@@ -136,8 +128,7 @@ class BivariateGaussianPSF(StarModel):
 
 
 def moffat_psf(fwhm, beta=4.765, n_components=8):
-    r"""
-    Return a Moffat PSF as a sum of Gaussians, which are fast to integrate.
+    r"""Return a Moffat PSF as a sum of Gaussians, which are fast to integrate.
 
     A Moffat function is a mixture of Gaussians of all widths,
 
@@ -191,10 +182,5 @@ def moffat_psf(fwhm, beta=4.765, n_components=8):
     kept = weights >= _LEAST_FRACTION * weights.sum()
     fractions = (weights[kept] / weights[kept].sum()).tolist()
     sigmas = (alpha / np.sqrt(2 * nodes[kept])).tolist()
-    return reduce(
-        add,
-        [
-            BivariateGaussianPSF(fraction, sigma_x=sigma, sigma_y=sigma)
-            for fraction, sigma in zip(fractions, sigmas, strict=True)
-        ],
-    )
+    pairs = zip(fractions, sigmas, strict=True)
+    return reduce(add, (BivariateGaussianPSF(part, 0, 0, sigma, sigma) for part, sigma in pairs))

@@ -22,15 +22,13 @@ def _offset(position):
 def _checked(name, coefficients):
     coefficients = plain_array(coefficients, u.one, name)
     if coefficients.ndim != 1 or coefficients.size == 0:
-        raise ValueError(
-            f"`{name}` must be a sequence of at least one number, got shape {coefficients.shape}"
-        )
+        shape = coefficients.shape
+        raise ValueError(f"`{name}` must be a sequence of at least one number, got shape {shape}")
     return coefficients
 
 
 class SensitivityPolynomial(Fittable2DModel):
-    r"""
-    Response within each pixel: a polynomial in x times a polynomial in y.
+    r"""Response within each pixel: a polynomial in x times a polynomial in y.
 
     .. math:: s(x, y) = \sum_n a_{x,n} u^n \; \sum_m a_{y,m} v^m,
 
@@ -74,9 +72,8 @@ class SensitivityPolynomial(Fittable2DModel):
         self._n_x = x_coefficients.size
         values = {f"ax{n}": value for n, value in enumerate(x_coefficients)}
         values |= {f"ay{n}": value for n, value in enumerate(y_coefficients)}
-        make_parameters(
-            self, {n: f"Coefficient of {'uv'['xy'.index(n[1])]}^{n[2:]}" for n in values}
-        )
+        offsets = {"x": "u", "y": "v"}
+        make_parameters(self, {n: f"Coefficient of {offsets[n[1]]}^{n[2:]}" for n in values})
         super().__init__(**values, **kwargs)
         check_model_parameters(self)
 
@@ -122,8 +119,7 @@ def _polynomial(u, coefficients):
 
 
 class DiffusionSensitivity(Fittable2DModel):
-    r"""
-    Response of pixels that share charge: a box convolved with a normal distribution.
+    r"""Response of pixels that share charge: a box convolved with a normal distribution.
 
     .. math:: s(u, v) = c(u)\, c(v), \qquad
               c(u) = \frac{1}{2}\left[\mathrm{erf}\frac{u + 1/2}{\sqrt{2}\,\sigma_d} -
@@ -186,8 +182,7 @@ class DiffusionSensitivity(Fittable2DModel):
     parameter_kinds: ClassVar = {"sigma_d": "diffusion"}
 
     def response(self, dx, dy):
-        """
-        Part of the charge that a pixel collects.
+        """Part of the charge that a pixel collects.
 
         Parameters
         ----------

@@ -26,8 +26,7 @@ _UNITS = {"period": u.day, "t0": u.day, "inc": u.deg, "omega": u.deg}
 
 
 class TransitModel(Fittable1DModel):
-    r"""
-    Relative flux of a star that a planet transits.
+    r"""Relative flux of a star that a planet transits.
 
     The star is a disc with quadratic limb darkening,
     :math:`I(\mu) = 1 - u_1 (1 - \mu) - u_2 (1 - \mu)^2`, the planet an opaque
@@ -131,8 +130,7 @@ class TransitModel(Fittable1DModel):
     def from_depth_duration(
         cls, depth, duration, period, t0=0.0, *, b=0.0, u1=0.3, u2=0.2, exposure_time=0.0
     ):
-        """
-        Make a transit on a circular orbit from what is seen of it.
+        """Make a transit on a circular orbit from what is seen of it.
 
         Parameters
         ----------
@@ -192,8 +190,7 @@ class TransitModel(Fittable1DModel):
         cls, period, t0=0.0, rp=0.1, *, a=None, density=None, inc=None, b=None, ecc=0.0, omega=90.0,
         u1=0.3, u2=0.2, exposure_time=0.0,
     ):  # fmt: skip
-        r"""
-        Make a transit from `a` or the star's density, and `inc` or `b`.
+        r"""Make a transit from `a` or the star's density, and `inc` or `b`.
 
         The density gives :math:`a / R_* = (G \rho P^2 / 3 \pi)^{1/3}`, and
         the impact parameter the inclination by
@@ -357,10 +354,8 @@ def _separation(time, period, a, inc, ecc, omega, margin=0.0):
     `time` counts from conjunction; a planet less than `margin` behind is taken as in front.
     """
     inc, omega = np.radians(inc), np.radians(omega)
-    start = np.pi / 2 - omega
-    anomaly = 2 * np.arctan2(
-        np.sqrt(1 - ecc) * np.sin(start / 2), np.sqrt(1 + ecc) * np.cos(start / 2)
-    )
+    half = np.pi / 4 - omega / 2
+    anomaly = 2 * np.arctan2(np.sqrt(1 - ecc) * np.sin(half), np.sqrt(1 + ecc) * np.cos(half))
     mean = 2 * np.pi * time / period + anomaly - ecc * np.sin(anomaly)
     sin_f, cos_f = kepler(np.mod(mean + np.pi, 2 * np.pi) - np.pi, ecc)
     radius = a * (1 - ecc**2) / (1 + ecc * cos_f)

@@ -42,10 +42,8 @@ class _Surface:
     @cached_property
     def spline(self):
         """The spline in samples along y and x."""
-        ny, nx = self.samples.shape
-        return RectBivariateSpline(
-            np.arange(ny), np.arange(nx), self.samples, kx=_DEGREE, ky=_DEGREE
-        )
+        along = map(np.arange, self.samples.shape)
+        return RectBivariateSpline(*along, self.samples, kx=_DEGREE, ky=_DEGREE)
 
     def value(self, dx, dy, *, along_x=0, along_y=0):
         """Value or derivative at offsets from the star in pixels."""
@@ -67,8 +65,7 @@ class _Surface:
         return y, x, np.reshape(coefficients, shape)
 
     def integrals(self, x, y, x_0, y_0, along_x, along_y, *, derivatives=False):
-        """
-        Integrals over pixels times polynomials: ``(..., ny, nx)``, or 3 of them.
+        """Integrals over pixels times polynomials: ``(..., ny, nx)``, or 3 of them.
 
         Gauss-Legendre rules are exact for the polynomials between the samples.
         """
@@ -116,10 +113,8 @@ class _AxisRule:
         nodes, weights = gauss_legendre((_DEGREE + len(np.atleast_1d(polynomial)) + 1) // 2 + 1)
         inner = np.floor(low)[..., np.newaxis] + np.arange(1, int(np.ceil(oversampling)) + 1)
         high = low + oversampling
-        edges = np.concatenate(
-            [low[..., np.newaxis], np.minimum(inner, high[..., np.newaxis]), high[..., np.newaxis]],
-            axis=-1,
-        )
+        first, last = low[..., np.newaxis], high[..., np.newaxis]
+        edges = np.concatenate([first, np.minimum(inner, last), last], axis=-1)
         edges = np.clip(edges, 0, size - 1)[..., np.newaxis]
         step = np.diff(edges, axis=-2)
         at = edges[..., :-1, :] + step * (nodes + 0.5)
@@ -133,13 +128,11 @@ class _AxisRule:
     def of(self, knots, degree):
         """Integrals of the basis functions, shape ``(m, n, k)``."""
         table = BSpline.design_matrix(self.at, knots, degree)
-        n_functions, n_rows = table.shape[1], int(np.prod(self.shape))
+        k, n_rows = table.shape[1], int(np.prod(self.shape))
         row = np.repeat(np.arange(n_rows), self.at.size // n_rows * (degree + 1))
         weight = np.repeat(self.weight, degree + 1) * table.data
-        sums = np.bincount(
-            row * n_functions + table.indices, weight, minlength=n_rows * n_functions
-        )
-        return sums.reshape(*self.shape, n_functions)
+        sums = np.bincount(row * k + table.indices, weight, minlength=n_rows * k)
+        return sums.reshape(*self.shape, k)
 
 
 class _Table(StarModel):
@@ -162,10 +155,8 @@ class _Table(StarModel):
         if uncertainty is not None:
             error = _checked_samples("uncertainty", uncertainty)
             if error.shape != samples.shape or (error < 0).any():
-                raise ValueError(
-                    f"`uncertainty` must not be negative and of shape {samples.shape}, got shape "
-                    f"{error.shape}"
-                )
+                wanted = f"not negative and of shape {samples.shape}"
+                raise ValueError(f"`uncertainty` must be {wanted}, got shape {error.shape}")
             self._error = _Surface(error, self._surface.oversampling, self._surface.origin)
         super().__init__(flux=flux, x_0=x_0, y_0=y_0, **kwargs)
 
@@ -197,12 +188,8 @@ class _Table(StarModel):
     @property
     def arguments(self):
         """Arguments of an equal model, without its parameters (dict)."""
-        return {
-            "array": self.array,
-            "oversampling": self.oversampling,
-            "origin": self.origin,
-            "uncertainty": self.uncertainty,
-        }
+        names = ("array", "oversampling", "origin", "uncertainty")
+        return {name: getattr(self, name) for name in names}
 
     def _offsets(self):
         """Offsets of the samples from the star along x and y, pixels."""
@@ -227,8 +214,7 @@ class _Table(StarModel):
         return [unit, *(flux * part for part in parts)]
 
     def bounding_box(self):
-        """
-        Rectangle that the table covers.
+        """Rectangle that the table covers.
 
         Returns
         -------
@@ -280,8 +266,7 @@ ValueError
 
 @documented(rest=_REST)
 class TabulatedPSF(_Table):
-    r"""
-    A density that is given by samples: a spline of degree 5 through them, 0 outside.
+    r"""A density that is given by samples: a spline of degree 5 through them, 0 outside.
 
     Its integrals over pixels, also of its product with a sensitivity, are exact for the spline.
 
@@ -317,8 +302,7 @@ class TabulatedPSF(_Table):
 
 @documented(rest=_REST)
 class TabulatedPRF(_Table):
-    """
-    Flux of a pixel as a function of its offset from the star, given by samples.
+    """Flux of a pixel as a function of its offset from the star, given by samples.
 
     A spline of degree 5 through the samples, 0 outside. The values hold the response of the pixels:
     they are never multiplied by a sensitivity. `~scope_models.PRF` makes images of it.
@@ -344,8 +328,7 @@ class TabulatedPRF(_Table):
     pixel_integrated = True
 
     def uncertainty_image(self, shape):
-        """
-        Return the uncertainty of the fluxes in an image that the table brings with it.
+        """Return the uncertainty of the fluxes in an image that the table brings with it.
 
         It is interpolated between the samples' standard deviations; errors of neighboring
         samples and pixels are correlated.
@@ -373,8 +356,7 @@ class TabulatedPRF(_Table):
 
     @classmethod
     def from_photutils(cls, model):
-        """
-        Make a table of an image model of photutils.
+        """Make a table of an image model of photutils.
 
         Parameters
         ----------
@@ -398,8 +380,7 @@ class TabulatedPRF(_Table):
         return cls(model.data, model.oversampling, **numbers_of(model), origin=model.origin)
 
     def to_photutils(self):
-        """
-        Return the table as a model of photutils, whose splines have the degree 3.
+        """Return the table as a model of photutils, whose splines have the degree 3.
 
         Returns
         -------
@@ -413,12 +394,9 @@ class TabulatedPRF(_Table):
         """
         from photutils.psf import ImagePSF
 
-        return ImagePSF(
-            np.array(self.array),
-            **numbers_of(self),
-            origin=self.origin,
-            oversampling=integer_oversampling(self.oversampling),
-        )
+        size = integer_oversampling(self.oversampling)
+        values = numbers_of(self)
+        return ImagePSF(np.array(self.array), **values, origin=self.origin, oversampling=size)
 
 
 def integer_oversampling(oversampling):

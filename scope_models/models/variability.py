@@ -40,8 +40,7 @@ _FILTER_DAYS, _FILTER_ORDER = 101 * MISSIONS["Kepler"].cadence_days("long"), 2
 
 
 def sinusoidal_signal(amplitude, period, phase=0.0):
-    r"""
-    Make a sinusoidal signal, :math:`1 + A \sin 2\pi (t / P + \phi)`.
+    r"""Make a sinusoidal signal, :math:`1 + A \sin 2\pi (t / P + \phi)`.
 
     Parameters
     ----------
@@ -77,8 +76,7 @@ def sinusoidal_signal(amplitude, period, phase=0.0):
 
 
 def tabulated_signal(time, flux):
-    """
-    Make a signal of given values, linear between them.
+    """Make a signal of given values, linear between them.
 
     Parameters
     ----------
@@ -116,8 +114,7 @@ def tabulated_signal(time, flux):
 
 
 def stochastic_signal(time, cdpp, *, timescale=0.25, quality=0.5**0.5, duration=6.5, seed=None):
-    r"""
-    Draw red noise, such as granulation, whose CDPP has a stated expected value.
+    r"""Draw red noise, such as granulation, whose CDPP has a stated expected value.
 
     The noise is a Gaussian process of a damped, stochastically driven harmonic oscillator
     (celerite2's ``SHOTerm`` [1]_): with the default quality :math:`1/\sqrt{2}` its power is flat at

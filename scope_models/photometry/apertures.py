@@ -20,8 +20,7 @@ _NO_WEIGHT = 1e-3
 
 
 def threshold_aperture(target, threshold=None):
-    """
-    Select the pixels in which the target exceeds a threshold at some cadence.
+    """Select the pixels in which the target exceeds a threshold at some cadence.
 
     This is the paper's aperture: it is drawn on the noise-free target and
     holds the star wherever the motion takes it.
@@ -62,8 +61,7 @@ def threshold_aperture(target, threshold=None):
 def signal_to_noise_aperture(
     target, exposure_time, *, neighbors=None, background=0.0, read_noise=0.0, n_frames=1
 ):
-    """
-    Grow the aperture of the highest signal-to-noise ratio.
+    """Grow the aperture of the highest signal-to-noise ratio.
 
     From the pixel of highest ratio on, the pixel that raises the ratio of the sum most is added,
     until none does [1]_. The variance of a pixel holds the photons of target, neighbors and
@@ -141,8 +139,7 @@ def _grow(signal, variance):
 
 
 def contamination_aperture(target, neighbors, *, min_fraction=0.5, threshold=None):
-    """
-    Select the target's pixels that neighbors do not dominate.
+    """Select the target's pixels that neighbors do not dominate.
 
     Parameters
     ----------
@@ -182,8 +179,7 @@ def contamination_aperture(target, neighbors, *, min_fraction=0.5, threshold=Non
 
 
 def circular_aperture(shape, x_0, y_0, radius, *, min_overlap=0.5):
-    """
-    Select the pixels that lie mostly within a circle.
+    """Select the pixels that lie mostly within a circle.
 
     Parameters
     ----------
@@ -230,8 +226,7 @@ def circular_aperture(shape, x_0, y_0, radius, *, min_overlap=0.5):
 
 
 def moving_aperture(shape, x, y, radius, *, edge=0.35):
-    r"""
-    Make an aperture that follows a star, with a soft edge.
+    r"""Make an aperture that follows a star, with a soft edge.
 
     The weight of a pixel whose center is at the distance d from the star is
 
@@ -272,9 +267,8 @@ def moving_aperture(shape, x, y, radius, *, edge=0.35):
            [[0., 1., 1., 1.]]])
     """
     ny, nx = checked_shape(shape)
-    x, y = np.broadcast_arrays(
-        *(np.atleast_1d(plain_array(v, u.pix, n)) for v, n in ((x, "x"), (y, "y")))
-    )
+    x, y = (np.atleast_1d(plain_array(v, u.pix, name)) for v, name in ((x, "x"), (y, "y")))
+    x, y = np.broadcast_arrays(x, y)
     edge = checked_number("edge", edge, u.pix, positive=True)
     radius = plain_array(radius, u.pix, "radius")
     if x.ndim != 1 or radius.shape not in ((), x.shape):
@@ -288,8 +282,7 @@ def moving_aperture(shape, x, y, radius, *, edge=0.35):
 
 
 def aperture_flux(flux, aperture, flux_err=None):
-    """
-    Sum the pixels of a fixed or moving aperture.
+    """Sum the pixels of a fixed or moving aperture.
 
     Parameters
     ----------
@@ -322,9 +315,8 @@ def aperture_flux(flux, aperture, flux_err=None):
     flux = plain_array(flux, _RATE, "flux")
     aperture = np.asarray(aperture)
     if flux.ndim != 3 or aperture.shape not in (flux.shape, flux.shape[1:]):
-        raise ValueError(
-            f"`aperture` must have shape {flux.shape[-2:]} or {flux.shape}, got {aperture.shape}"
-        )
+        wanted = f"{flux.shape[-2:]} or {flux.shape}"
+        raise ValueError(f"`aperture` must have shape {wanted}, got {aperture.shape}")
     is_mask = aperture.dtype == bool and aperture.ndim == 2
     weights = 1.0 if is_mask else np.broadcast_to(aperture.astype(float), flux.shape)
 
@@ -342,8 +334,7 @@ def aperture_flux(flux, aperture, flux_err=None):
 
 
 def crowding(target, neighbors, aperture):
-    """
-    Share of the target in the starlight of an aperture (CROWDSAP).
+    """Share of the target in the starlight of an aperture (CROWDSAP).
 
     Parameters
     ----------
@@ -380,8 +371,7 @@ def crowding(target, neighbors, aperture):
 
 
 def flux_fraction(target, aperture, total=None):
-    """
-    Share of an aperture in the light of the target (FLFRCSAP).
+    """Share of an aperture in the light of the target (FLFRCSAP).
 
     Parameters
     ----------
@@ -420,9 +410,8 @@ def _images(images, name, shape=None):
     """Return a cube (n, ny, nx) of finite values; pixels without data hold no light."""
     images = plain_array(images, _RATE, name, equivalencies=PER_PIXEL)
     if images.ndim not in (2, 3) or 0 in images.shape:
-        raise ValueError(
-            f"`{name}` must have shape (ny, nx) or (n_cadences, ny, nx), got {images.shape}"
-        )
+        wanted = "(ny, nx) or (n_cadences, ny, nx)"
+        raise ValueError(f"`{name}` must have shape {wanted}, got {images.shape}")
     if shape is not None and images.shape[-2:] != tuple(shape):
         raise ValueError(f"`{name}` must have {tuple(shape)} pixels, got {images.shape[-2:]}")
     return np.nan_to_num(images.reshape(-1, *images.shape[-2:]), nan=0.0)

@@ -22,8 +22,7 @@ _FILTER_ORDER = 2
 
 
 def cdpp(lc_or_flux, duration=6.5, method="lightkurve", *, cadence=None, filter_window=None):
-    r"""
-    Estimate the noise on the time scale of a transit.
+    r"""Estimate the noise on the time scale of a transit.
 
     Two conventions are in use and differ by up to an order of magnitude on
     pointing systematics, so compare like with like:
@@ -103,6 +102,14 @@ def cdpp(lc_or_flux, duration=6.5, method="lightkurve", *, cadence=None, filter_
     return result[0] if flux.ndim == 1 else np.array(result)
 
 
+def noise_of(lc_or_flux, method="lightkurve"):
+    """Return the CDPP of a light curve, NaN if it is too short."""
+    try:
+        return cdpp(lc_or_flux, method=method)
+    except ValueError:
+        return np.nan
+
+
 def _series(lc_or_flux):
     """Return time (days or None) and flux as plain float arrays, masked values as NaN."""
     if hasattr(lc_or_flux, "flux") and hasattr(lc_or_flux, "time"):
@@ -131,9 +138,8 @@ def _cadence_days(time, cadence):
 def _estimate(estimator, time, flux, width, filter_window):
     good = np.isfinite(flux) & np.isfinite(time)
     if good.sum() < 2 * width:
-        raise ValueError(
-            f"`lc_or_flux` must have at least {2 * width} finite cadences, got {good.sum()}"
-        )
+        wanted = f"at least {2 * width} finite cadences"
+        raise ValueError(f"`lc_or_flux` must have {wanted}, got {good.sum()}")
     median = np.median(flux[good])
     if not median > 0:
         raise ValueError(f"the median of `lc_or_flux` must be positive, got {median}")

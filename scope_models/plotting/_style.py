@@ -11,7 +11,7 @@ from scope_models._docstrings import documented
 
 __all__ = [
     "DARK", "FLUX", "GRAY", "LIGHT", "STYLE", "check_figure_format", "given_or_new", "label_pixels",
-    "label_places", "make_panels", "mark_outside", "save_figure", "scale_to", "styled",
+    "label_places", "legend_above", "mark_outside", "save_figure", "scale_to", "styled",
 ]  # fmt: skip
 
 STYLE = "scope_models.plotting.scope_models"
@@ -37,22 +37,14 @@ def given_or_new(ax, width, height):
     return plt.subplots(figsize=(width, height), layout="constrained")[1] if ax is None else ax
 
 
-def make_panels(number, columns, size, **options):
-    """Return a figure of so many panels of a size, which share what ``options`` name."""
-    columns = min(columns, number)
-    rows = -(-number // columns)
-    size = size[0] + size[1] * columns, size[2] + size[3] * rows
-    figure, grid = plt.subplots(
-        rows, columns, figsize=size, squeeze=False, layout="constrained", **options
-    )
-    for ax in grid.flat[number:]:
-        ax.remove()
-    return figure, list(grid.flat[:number])
-
-
 def label_pixels(ax, title):
     """Label the axes of an image of pixels."""
     ax.set(title=title, xlabel="Column (pixel)", ylabel="Row (pixel)")
+
+
+def legend_above(ax, **options):
+    """Draw the legend above the Axes, where it hides no data."""
+    ax.legend(loc="lower right", bbox_to_anchor=(1, 1), borderaxespad=0.2, **options)
 
 
 def scale_to(ax, *series):

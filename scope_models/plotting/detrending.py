@@ -7,12 +7,13 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from scope_models._arrays import plain_array
-from scope_models.photometry import cdpp
+from scope_models.photometry.precision import noise_of
 from scope_models.plotting._style import (
     DARK,
     GRAY,
     LIGHT,
     label_pixels,
+    legend_above,
     mark_outside,
     scale_to,
     styled,
@@ -21,11 +22,12 @@ from scope_models.plotting.images import draw_outline
 
 __all__ = ["plot_comparison", "plot_detrending", "plot_detrending_masks", "plot_states"]
 
+_LEGEND = {"fontsize": "small", "ncols": 3, "markerscale": 2}
+
 
 @styled
 def plot_comparison(time, fluxes, *, time_label="Time (d)"):
-    """
-    Draw light curves below each other on one scale.
+    """Draw light curves below each other on one scale.
 
     Parameters
     ----------
@@ -58,7 +60,7 @@ def plot_comparison(time, fluxes, *, time_label="Time (d)"):
         values = plain_array(flux, None, "fluxes")
         relative = values / np.nanmedian(values)
         ax.plot(time, relative, ".", ms=2, color=DARK, label=_label(name, time, values))
-        _legend_above(ax)
+        legend_above(ax, **_LEGEND)
         ax.set_ylabel("Relative flux")
         shown.append(relative)
     scale_to(axes[0], *shown)
@@ -78,8 +80,7 @@ def plot_detrending(
     masked=None,
     time_label="Time (d)",
 ):
-    """
-    Draw a light curve before and after correction, and the model.
+    """Draw a light curve before and after correction, and the model.
 
     Parameters
     ----------
@@ -124,30 +125,20 @@ def plot_detrending(
         ax.set_ylabel(name)
         ax.ticklabel_format(useOffset=False)
         if ax.get_legend_handles_labels()[0]:
-            _legend_above(ax)
+            legend_above(ax, **_LEGEND)
     axes[2].set_xlabel(time_label)
     return axes
 
 
-def _legend_above(ax):
-    """Draw the legend above the Axes, where it hides no data."""
-    options = {"fontsize": "small", "borderaxespad": 0.2, "ncols": 3, "markerscale": 2}
-    ax.legend(loc="lower right", bbox_to_anchor=(1, 1), **options)
-
-
 def _label(name, time, flux):
     """Add the noise in lightkurve's convention, where there are enough cadences."""
-    try:
-        noise = cdpp(SimpleNamespace(time=time, flux=flux))
-    except ValueError:
-        return name
-    return f"{name}, CDPP {noise:.0f} ppm (lightkurve)"
+    noise = noise_of(SimpleNamespace(time=time, flux=flux))
+    return name if np.isnan(noise) else f"{name}, CDPP {noise:.0f} ppm (lightkurve)"
 
 
 @styled
 def plot_detrending_masks(image, aperture, scatter):
-    """
-    Draw an aperture over the star and over the pixels' share in the systematics.
+    """Draw an aperture over the star and over the pixels' share in the systematics.
 
     Parameters
     ----------
@@ -185,8 +176,7 @@ def plot_detrending_masks(image, aperture, scatter):
 
 @styled
 def plot_states(time, states, leaks, aperture=None, *, time_label="Time (d)"):
-    """
-    Draw the states of a star's images in time, and the light that each moves between the pixels.
+    """Draw the states of a star's images in time, and the light that each moves between the pixels.
 
     Parameters
     ----------

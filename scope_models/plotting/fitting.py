@@ -119,15 +119,13 @@ def _draw_images(axes, data, model, residual):
     ticks = [0.0, *(part * top for part in (_LINEAR, 0.1, 1))]
     bar.set_ticks(ticks, labels=[f"{float(f'{tick:.3g}'):,.10g}" for tick in ticks])
     bar.minorticks_off()
-    shown = axes["residual"].imshow(
-        residual, origin="lower", cmap="RdBu_r", vmin=-largest, vmax=largest
-    )
+    scale = {"cmap": "RdBu_r", "vmin": -largest, "vmax": largest}
+    shown = axes["residual"].imshow(residual, origin="lower", **scale)
     label_pixels(axes["residual"], f"{_TITLES['residual']}, to {100 * largest / top:.2g} %")
     _colorbar(shown, axes["residual"], FLUX)
 
 
 def _draw_chi2(ax, chi2):
-    """Draw chi-squared of the pixels."""
     shown = ax.imshow(chi2, origin="lower", cmap="viridis", norm=LogNorm())
     label_pixels(ax, f"Chi-squared, median {np.nanmedian(chi2):.3g}")
     _write_numbers(_colorbar(shown, ax, "Per degree of freedom"))
@@ -141,12 +139,10 @@ def _write_numbers(bar):
 
 
 def _colorbar(shown, ax, label):
-    """Return the color bar of an image."""
     return ax.figure.colorbar(shown, ax=ax, label=label, shrink=0.85)
 
 
 def _draw_psf(ax, psf, extent, width):
-    """Draw the density of the PSF and its width."""
     extent = None if extent is None else plain_array(extent, u.pix, "psf_extent")
     options = {"extent": extent, "cmap": "viridis", "norm": AsinhNorm(_LINEAR, 0, 1)}
     shown = ax.imshow(psf, origin="lower", **options)
@@ -178,9 +174,8 @@ def _draw_positions(ax, x, y, pos_corr):
     ax.plot(path[:, 0], x - np.median(x), "k.", ms=2, label="column")
     ax.plot(path[:, 1], y - np.median(y), ".", color="0.6", ms=2, label="row")
     ax.locator_params(nbins=5)
-    ax.set(
-        title="Positions, less their medians", xlabel="POS_CORR (pixel)", ylabel="Fitted (pixel)"
-    )
+    ax.set(title="Positions, less their medians")
+    ax.set(xlabel="POS_CORR (pixel)", ylabel="Fitted (pixel)")
     ax.legend(fontsize="small", markerscale=4, loc="upper left")
 
 
@@ -193,18 +188,14 @@ def _draw_sensitivity(ax, sensitivity):
         label += ", at its bound" if np.isnan(error).any() else ""
         ax.plot(offset, value, line, color=color, label=label)
         ax.fill_between(offset, value - error, value + error, color=color, alpha=0.25, lw=0)
-    ax.set(
-        title="Sensitivity",
-        xlabel="Offset from the pixel's center (pixel)",
-        ylabel="Relative response",
-    )
+    ax.set(title="Sensitivity")
+    ax.set(xlabel="Offset from the pixel's center (pixel)", ylabel="Relative response")
     ax.legend(fontsize="small")
 
 
 @styled
 def plot_twin(time, real, twin, residuals, *, time_label="Time (d)", labels=None):
-    """
-    Compare a star with its simulated twin.
+    """Compare a star with its simulated twin.
 
     Parameters
     ----------
@@ -244,10 +235,9 @@ def plot_twin(time, real, twin, residuals, *, time_label="Time (d)", labels=None
     axes = figure.subplot_mosaic([["raw", "real"], ["corrected", "twin"]], width_ratios=[2.4, 1])
     for number, (name, title) in enumerate((("raw", "Summed"), ("corrected", "De-trended"))):
         ax = axes[name]
-        ax.plot(time, real[number], "k.", ms=2, label=f"star {labels.get('real', '')}")
-        ax.plot(
-            time, twin[number], ".", color="0.6", ms=1.5, label=f"twin {labels.get('twin', '')}"
-        )
+        star, other = f"star {labels.get('real', '')}", f"twin {labels.get('twin', '')}"
+        ax.plot(time, real[number], "k.", ms=2, label=star)
+        ax.plot(time, twin[number], ".", color="0.6", ms=1.5, label=other)
         ax.set(title=title, ylabel="Relative flux", xlabel=time_label)
         scale_to(ax, real[number], twin[number])
         ax.legend(fontsize="small", markerscale=4)

@@ -9,7 +9,14 @@ from matplotlib.colors import LogNorm
 from matplotlib.patheffects import Normal, Stroke
 
 from scope_models._arrays import plain_array, plain_number
-from scope_models.plotting._style import FLUX, LIGHT, given_or_new, label_places, styled
+from scope_models.plotting._style import (
+    FLUX,
+    LIGHT,
+    given_or_new,
+    label_places,
+    legend_above,
+    styled,
+)
 
 __all__ = [
     "animate_pixels", "plot_detector", "plot_motion", "plot_pixels", "plot_psf", "plot_scene",
@@ -19,8 +26,7 @@ __all__ = [
 
 @styled
 def plot_pixels(image, aperture=None, *, log=False, title="Pixel image", ax=None):
-    """
-    Draw a pixel image, with the outline of an aperture.
+    """Draw a pixel image, with the outline of an aperture.
 
     Parameters
     ----------
@@ -53,8 +59,7 @@ def plot_pixels(image, aperture=None, *, log=False, title="Pixel image", ax=None
 
 @styled
 def plot_sensitivity(sensitivity, oversample=1, *, title="Sensitivity", ax=None):
-    """
-    Draw the sensitivity of the detector at sub-pixel resolution.
+    """Draw the sensitivity of the detector at sub-pixel resolution.
 
     Parameters
     ----------
@@ -79,8 +84,7 @@ def plot_sensitivity(sensitivity, oversample=1, *, title="Sensitivity", ax=None)
 
 @styled
 def plot_psf(psf, oversample=1, *, title="PSF on the detector", ax=None):
-    """
-    Draw the light that falls on the detector at sub-pixel resolution.
+    """Draw the light that falls on the detector at sub-pixel resolution.
 
     Parameters
     ----------
@@ -105,8 +109,7 @@ def plot_psf(psf, oversample=1, *, title="PSF on the detector", ax=None):
 
 @styled
 def plot_detector(sensitivity, psf, image, oversample=1, *, aperture=None, axes=None):
-    """
-    Draw sensitivity, PSF and pixel image side by side, as the paper's figure 3.
+    """Draw sensitivity, PSF and pixel image side by side, as the paper's figure 3.
 
     Parameters
     ----------
@@ -146,8 +149,7 @@ def plot_detector(sensitivity, psf, image, oversample=1, *, aperture=None, axes=
 
 @styled
 def plot_motion(time, x, y, shape=None, *, time_label="Time (d)", title="Motion", ax=None):
-    """
-    Draw the track of a star over the pixel grid, colored by time.
+    """Draw the track of a star over the pixel grid, colored by time.
 
     Parameters
     ----------
@@ -173,7 +175,7 @@ def plot_motion(time, x, y, shape=None, *, time_label="Time (d)", title="Motion"
     ax = given_or_new(ax, 5, 4.2)
     _draw_track(ax, time, x, y, time_label)
     ax.plot(x[0], y[0], "kx", ms=7, mew=1.5, zorder=4, label="first cadence")
-    ax.legend(loc="lower right", bbox_to_anchor=(1, 1), borderaxespad=0.2)
+    legend_above(ax)
     if shape is None:
         _draw_surroundings(ax, x, y)
     else:
@@ -184,8 +186,7 @@ def plot_motion(time, x, y, shape=None, *, time_label="Time (d)", title="Motion"
 
 @styled
 def plot_scene(time, x, y, shape, places, magnitudes, *, time_label="Time (d)", ax=None):
-    """
-    Draw the stars of a stamp, larger if they are brighter, with the track of the target.
+    """Draw the stars of a stamp, larger if they are brighter, with the track of the target.
 
     Parameters
     ----------
@@ -226,7 +227,7 @@ def plot_scene(time, x, y, shape, places, magnitudes, *, time_label="Time (d)", 
         *places[0], s=(2 * radius[0]) ** 2, facecolor="none", edgecolor=LIGHT, lw=2, zorder=5,
         label="target",
     )  # fmt: skip
-    ax.legend(loc="lower right", bbox_to_anchor=(1, 1), borderaxespad=0.2, ncols=2)
+    legend_above(ax, ncols=2)
     ax.set_title("Scene", loc="left")
     order = [0, *(1 + np.argsort(magnitudes[1:]))]
     texts = [f"{magnitudes[i]:.4g}" for i in order]
@@ -238,9 +239,8 @@ def plot_scene(time, x, y, shape, places, magnitudes, *, time_label="Time (d)", 
 def _draw_track(ax, time, x, y, time_label):
     """Draw a track, colored by time, with its color bar."""
     points = np.column_stack([x, y])
-    track = LineCollection(
-        np.stack([points[:-1], points[1:]], axis=1), cmap="viridis", lw=0.6, alpha=0.5
-    )
+    lines = np.stack([points[:-1], points[1:]], axis=1)
+    track = LineCollection(lines, cmap="viridis", lw=0.6, alpha=0.5)
     track.set_array(time[:-1])
     ax.add_collection(track)
     dots = ax.scatter(x, y, c=time, s=8, cmap="viridis", zorder=3)
@@ -264,8 +264,7 @@ def _draw_surroundings(ax, x, y):
 
 @styled
 def animate_pixels(cube, time=None, aperture=None, *, interval=50, time_label="Time (d)", ax=None):
-    """
-    Animate a stamp, cadence by cadence.
+    """Animate a stamp, cadence by cadence.
 
     Parameters
     ----------

@@ -5,7 +5,15 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from scope_models._arrays import plain_array, plain_number
-from scope_models.plotting._style import DARK, LIGHT, given_or_new, mark_outside, scale_to, styled
+from scope_models.plotting._style import (
+    DARK,
+    LIGHT,
+    given_or_new,
+    legend_above,
+    mark_outside,
+    scale_to,
+    styled,
+)
 from scope_models.plotting.images import plot_motion, plot_pixels
 
 __all__ = [
@@ -27,8 +35,7 @@ def plot_light_curve(
     title="Light curve",
     ax=None,
 ):
-    """
-    Draw a raw light curve and, over it, the corrected one.
+    """Draw a raw light curve and, over it, the corrected one.
 
     Parameters
     ----------
@@ -73,8 +80,7 @@ def plot_light_curve(
 def plot_fold(
     time, flux, period, t0, *, model=None, window=None, n_bins=60, title="Folded", ax=None
 ):
-    """
-    Draw a light curve folded on a period, with the means of phase bins.
+    """Draw a light curve folded on a period, with the means of phase bins.
 
     Parameters
     ----------
@@ -141,8 +147,7 @@ def plot_summary(
     time_label="Time (d)",
     title=None,
 ):
-    """
-    Draw image with aperture, motion and light curves of a star in one figure.
+    """Draw image with aperture, motion and light curves of a star in one figure.
 
     Parameters
     ----------
@@ -191,15 +196,8 @@ def plot_summary(
     )
     plot_pixels(image, aperture, title="First cadence", ax=axes["image"])
     plot_motion(time, x, y, time_label=time_label, ax=axes["motion"])
-    plot_light_curve(
-        time,
-        flux,
-        corrected,
-        cdpp=cdpp,
-        corrected_cdpp=corrected_cdpp,
-        time_label=time_label,
-        ax=axes["light curve"],
-    )
+    given = {"cdpp": cdpp, "corrected_cdpp": corrected_cdpp, "time_label": time_label}
+    plot_light_curve(time, flux, corrected, ax=axes["light curve"], **given)
     if corrected is not None:
         _plot_corrected(axes["corrected"], time, corrected, model, noise, time_label)
     figure.suptitle(title)
@@ -228,19 +226,11 @@ def _plot_corrected(ax, time, corrected, model, noise, time_label):
 
 
 def _label(ax, xlabel, title):
-    """Label the axes; the legend stands above them, where it hides no data."""
+    """Label the axes, and draw the legend."""
     ax.set(xlabel=xlabel, ylabel="Relative flux")
     ax.set_title(title, loc="left")
     ax.ticklabel_format(axis="y", useOffset=False)
-    ax.legend(
-        loc="lower right",
-        bbox_to_anchor=(1, 1),
-        ncols=3,
-        markerscale=2,
-        borderaxespad=0.2,
-        fontsize="small",
-        columnspacing=1.2,
-    )
+    legend_above(ax, ncols=3, markerscale=2, fontsize="small", columnspacing=1.2)
 
 
 def _ppm(cdpp, name):

@@ -10,8 +10,7 @@ __all__ = ["plot_precision"]
 
 @styled
 def plot_precision(stars, published=None, *, convention="lightkurve"):
-    """
-    Draw the noise of stars before and after a correction over their magnitude.
+    """Draw the noise of stars before and after a correction over their magnitude.
 
     Parameters
     ----------

@@ -11,11 +11,11 @@ import numpy as np
 from astropy.modeling import Model
 
 from scope_models._arrays import plain_tree
-from scope_models._checks import checked_choice, one_line
+from scope_models._checks import checked_choice
 from scope_models._values import value_key
 from scope_models.effects import Effect
 from scope_models.io import read_truth
-from scope_models.io._opening import open_fits
+from scope_models.io._opening import making, open_fits
 from scope_models.io._truth import maps_of, scene_blocks, scene_of, truth_blocks
 from scope_models.io.tpf import write_hdulist
 from scope_models.models._description import (
@@ -207,16 +207,11 @@ def _made(path, described, what, make):
         raise ValueError(f"{path} holds a {what} without a version")  # noqa: TRY004
     if version > _VERSION:
         raise ValueError(f"{path} holds a {what} of a later version of this package")
-    try:
+    with making(path, what):
         return make()
-    except Exception as error:  # a file can hold anything under the names of a scene
-        reason = one_line(error)
-        kind = type(error).__name__
-        raise ValueError(f"{path} holds no {what} that can be made: {kind}: {reason}") from error
 
 
 def _motion(truth):
-    """Return the motion of a truth."""
     table, described = truth.columns, truth.scene["motion"]
     more = {name: table[name.upper()] for name in _OF_COMMON if "place" in described}
     kind = partial(CommonMotion, place=described["place"], **more) if more else Motion
@@ -285,7 +280,6 @@ def _describe_effect(effect):
 
 
 def _effect(described):
-    """Return the effect of a description."""
     values = {name: unpacked(value) for name, value in described["parameters"].items()}
     kind = _named_effect(described["class"])
     return kind(**(_OLD_FIELDS.get(kind.__name__, {}) | values))
@@ -307,7 +301,6 @@ def _describe_detector(detector):
 
 
 def _detector(described, maps):
-    """Return the detector of a description."""
     values = dict(described)
     for name in ("sensitivity", "psf"):
         values[name] = make_model(values[name])
@@ -318,7 +311,6 @@ def _detector(described, maps):
 
 
 def _star(described, number, table):
-    """Return the star of a description."""
     signal = described["signal"] or None
     if signal is not None:
         is_model = isinstance(signal, dict)
@@ -329,7 +321,6 @@ def _star(described, number, table):
 
 
 def _detector_of_toml(values):
-    """Return the detector of a parsed file."""
     preset = values.pop("preset", None)
     if preset is not None:
         checked_choice("preset", preset, PRESETS)
@@ -345,9 +336,8 @@ def _detector_of_toml(values):
             parameters = dict(table) if isinstance(table, dict) else {}
             name = parameters.pop("effect", None)
             if not isinstance(name, str):
-                raise ValueError(  # noqa: TRY004
-                    f"`effects` must be tables with the name of an `effect`, got {name!r}"
-                )
+                wanted = "tables with the name of an `effect`"
+                raise ValueError(f"`effects` must be {wanted}, got {name!r}")  # noqa: TRY004
             values["effects"].append(_named_effect(name)(**parameters))
     if "psf" in values:
         values["psf"] = _combined(values["psf"], "psf", None, add)

@@ -1,12 +1,12 @@
 """The arrays of a motion: checks, repairs and statistics."""
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 
 import astropy.units as u
 import numpy as np
 
 from scope_models._arrays import plain_array, plain_time
-from scope_models._checks import checked_choice
+from scope_models._checks import checked_choice, checked_int32
 from scope_models._values import Value
 from scope_models.io._hlsp import ccd_name
 from scope_models.io.pixels import LARGEST_OFFSET, place_of, usable_positions
@@ -23,9 +23,8 @@ _QUALITY = {mission.time_format: mission.quality for mission in MISSIONS.values(
 
 def as_pixels(value, name, n, pixel_scale=None):
     """Return a new one-dimensional array of n offsets in pixels."""
-    return _checked_shape(
-        np.array(plain_array(value, "pix", name, pixel_scale=pixel_scale)), name, n
-    )
+    array = plain_array(value, "pix", name, pixel_scale=pixel_scale)
+    return _checked_shape(np.array(array), name, n)
 
 
 def as_times(value, time_format):
@@ -39,13 +38,7 @@ def as_times(value, time_format):
 
 def as_int32(value, name, n):
     """Return a new one-dimensional int32 array of n integers."""
-    array = np.asarray(value)
-    if array.dtype.kind not in "iu":
-        raise TypeError(f"`{name}` must hold integers, got {array.dtype}")
-    limits = np.iinfo(np.int32)
-    if array.size and (array.max() > limits.max or array.min() < limits.min):
-        raise ValueError(f"`{name}` must fit into 32 bits, got {array.min()} to {array.max()}")
-    return _checked_shape(array.astype(np.int32), name, n)
+    return _checked_shape(np.array(checked_int32(name, value)), name, n)
 
 
 def _checked_shape(array, name, n):
@@ -61,9 +54,9 @@ def check_increasing(values, name):
     steps = np.flatnonzero(~(np.diff(values) > 0))
     if len(steps):
         i = steps[0] + 1
-        raise ValueError(
-            f"`{name}` must increase strictly, got {values[i]} after {values[i - 1]} at index {i}"
-        )
+        before, after = values[i - 1 : i + 1]
+        found = f"{after} after {before} at index {i}"
+        raise ValueError(f"`{name}` must increase strictly, got {found}")
 
 
 def repair(time, x, y, quality, cadenceno, time_format, bad, pixel_scale):
@@ -97,10 +90,9 @@ def repair(time, x, y, quality, cadenceno, time_format, bad, pixel_scale):
 
 
 def _check_usable(lost, timeless, bad):
+    limit = f"NaN or at least {LARGEST_OFFSET:g} px"
     if lost.all():
-        raise ValueError(
-            f"no usable position: all of {len(lost)} are NaN or at least {LARGEST_OFFSET:g} px"
-        )
+        raise ValueError(f"no usable position: all of {len(lost)} are {limit}")
     if timeless.all():
         raise ValueError(f"no usable time: all of {len(timeless)} are NaN")
     unusable = lost | timeless
@@ -108,8 +100,7 @@ def _check_usable(lost, timeless, bad):
         raise ValueError("no cadence with both a usable time and a usable position")
     if bad == "error" and unusable.any():
         raise ValueError(
-            f"{lost.sum()} positions are NaN or at least {LARGEST_OFFSET:g} px, "
-            f"and {timeless.sum()} times are NaN, "
+            f"{lost.sum()} positions are {limit}, and {timeless.sum()} times are NaN, "
             f"the first of them at index {np.flatnonzero(unusable)[0]}"
         )
 
@@ -141,9 +132,8 @@ def offsets_at(motion, time, time_format, cards, shape):
     time = np.where(np.isfinite(time), time, np.inf)
     middles = (motion.time[1:] + motion.time[:-1]) / 2
     nearest = np.searchsorted(middles, time)
-    step = (
-        np.median(np.diff(motion.time)) if len(motion) > 1 else MISSIONS["K2"].cadence_days("long")
-    )
+    steps = np.diff(motion.time)
+    step = np.median(steps) if len(steps) else MISSIONS["K2"].cadence_days("long")
     known = np.abs(time - motion.time[nearest]) < step / 2
     if not known.any():
         raise ValueError("the motion has none of the cadences of the file")
@@ -208,9 +198,8 @@ class MotionStatistics(Value):
         names = ("mean", "std", "maximum", "extent")
         if self.mean.unit == u.arcsec:
             return self
-        return replace(
-            self, **{k: (getattr(self, k) * self.pixel_scale).to(u.arcsec) for k in names}
-        )
+        values = {name: getattr(self, name) * self.pixel_scale for name in names}
+        return self.replace(**{name: value.to(u.arcsec) for name, value in values.items()})
 
     def to_table(self):
         """Return the statistics as a table of one row, to be stacked with others.

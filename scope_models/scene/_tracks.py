@@ -109,9 +109,8 @@ class _Fit:
         rows = self.maps[used] @ self.arms[used]  # (k, 2, 4)
         squares = np.einsum("kai,kaj->kaij", rows, rows)
         normal = np.einsum("kna,kaij->nij", weight, squares, optimize=True)
-        right = np.einsum(
-            "kna,kai->ni", weight * (self.xy - self.origin[:, None])[used], rows, optimize=True
-        )
+        moved = weight * (self.xy - self.origin[:, None])[used]
+        right = np.einsum("kna,kai->ni", moved, rows, optimize=True)
         covariance = np.linalg.inv(normal + np.diag(1 / self.prior))
         return (covariance @ right[..., None])[..., 0], covariance
 

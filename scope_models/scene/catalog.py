@@ -157,39 +157,30 @@ def read_catalog(table, mission, magnitude, ref_epoch, year):
         return None, np.zeros(0)
     table = Table(table)
     band = MISSIONS[mission].band if mission in MISSIONS else ""
-    names = (
-        (*_MAGNITUDES.get(band, ()), *_ANY_MAGNITUDE) if magnitude is None else (magnitude.lower(),)
-    )
+    names = _MAGNITUDES.get(band, ()) + _ANY_MAGNITUDE
+    names = names if magnitude is None else (magnitude.lower(),)
     if ref_epoch is not None:
         is_time = isinstance(ref_epoch, Time)
         ref_epoch = ref_epoch.jyear if is_time else plain_number(ref_epoch, u.yr, "ref_epoch")
-    ra, dec, mags = (
-        _column(table, *item) for item in ((_RA, u.deg), (_DEC, u.deg), (names, u.mag))
-    )
+    units = {_RA: u.deg, _DEC: u.deg, names: u.mag}
+    ra, dec, mags = (_column(table, *item) for item in units.items())
     for wanted, values in ((_RA[0], ra), (_DEC[0], dec), (" or ".join(names), mags)):
         if values is None:
-            raise ValueError(
-                f"`table` must have a column {wanted}, got {', '.join(table.colnames) or 'none'}"
-            )
+            found = ", ".join(table.colnames) or "none"
+            raise ValueError(f"`table` must have a column {wanted}, got {found}")
     if np.any(np.abs(dec) > 90):
         raise ValueError("`table` must have declinations within -90 to 90")
     good = np.isfinite(ra) & np.isfinite(dec) & np.isfinite(mags)
     if not good.all():
-        warnings.warn(
-            f"{np.sum(~good)} of {len(good)} stars of the table have no place or no magnitude, "
-            "and are left out",
-            CatalogWarning,
-            stacklevel=3,
-        )
+        lacking = f"{np.sum(~good)} of {len(good)} stars of the table have no place or no magnitude"
+        warnings.warn(f"{lacking}, and are left out", CatalogWarning, stacklevel=3)
     places = SkyCoord(ra[good], dec[good], unit=u.deg)
     motions = [_column(table, names, u.mas / u.yr) for names in _PROPER_MOTIONS]
     if any(m is None for m in motions) or not good.any():
         return places, mags[good]
     epoch = _column(table, _EPOCH, u.yr) if ref_epoch is None else ref_epoch
     if epoch is None or not np.all(np.isfinite(epoch)):
-        raise ValueError(
-            "`ref_epoch` must be given for a `table` with proper motions and without its column"
-        )
+        raise ValueError("`ref_epoch` must be given: `table` has proper motions, but no epoch")
     since = year - epoch
     offsets = [np.nan_to_num(m[good]) * (since[good] if np.ndim(since) else since) for m in motions]
     return places.spherical_offsets_by(*(offset * u.mas for offset in offsets)), mags[good]
@@ -216,11 +207,10 @@ def _lighting(base, x, y, mags, model):
     """Return which stars light the stamp."""
     detector, motion = base.detector, base.motion
     ny, nx = detector.shape
-    near = []
-    for place, moved, n in ((x, motion.x, nx), (y, motion.y, ny)):
-        low, high = place + moved.min(), place + moved.max()
-        near.append(np.maximum(np.maximum(-0.5 - high, low - (n - 0.5)), 0))
-    outside = np.hypot(*near)
+    axes = (x, motion.x, nx), (y, motion.y, ny)
+    reached = [(place + moved.min(), place + moved.max(), n) for place, moved, n in axes]
+    away = [np.maximum(np.maximum(-0.5 - high, low - (n - 0.5)), 0) for low, high, n in reached]
+    outside = np.hypot(*away)
     kept = outside == 0
     seconds = detector.exposure_time
     variance = detector.background * seconds + detector.cadence_read_noise**2
@@ -228,17 +218,13 @@ def _lighting(base, x, y, mags, model):
     candidates = np.flatnonzero((outside > 0) & (outside < _FARTHEST))
     for part in np.split(candidates, range(_BATCH, len(candidates), _BATCH)):
         # The place within the motion that is nearest to the middle of the stamp.
-        at = [
-            np.clip((n - 1) / 2, p[part] + m.min(), p[part] + m.max())
-            for p, m, n in ((x, motion.x, nx), (y, motion.y, ny))
-        ]
+        at = [np.clip((n - 1) / 2, low[part], high[part]) for low, high, n in reached]
         brightest = unit_images(model, detector.shape, *at).max(axis=(1, 2), initial=0.0)
         kept[part] = brightest * detector.flux_from_mag(mags[part]) > least
     return kept
 
 
 def _psf_at(psf, base, x, y):
-    """Return the PSF at a place of the stamp."""
     column = TPFMetadata.column if base.column is None else base.column
     row = TPFMetadata.row if base.row is None else base.row
     at = psf.at if isinstance(psf, PRFGrid) else psf

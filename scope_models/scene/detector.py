@@ -172,10 +172,8 @@ class Detector(Value):
         if isinstance(self.zero_point, str):
             known = ZERO_POINTS.get(self.mission, {})
             if self.zero_point not in known:
-                raise ValueError(
-                    f"`zero_point` must be a number or one of {list(known)} for {self.mission}, "
-                    f"got {self.zero_point!r}"
-                )
+                wanted = f"a number or one of {list(known)} for {self.mission}"
+                raise ValueError(f"`zero_point` must be {wanted}, got {self.zero_point!r}")
             put(self, "zero_point", known[self.zero_point])
         check_fields(self)
         checked_choice("interpixel_distribution", self.interpixel_distribution, _DISTRIBUTIONS)
@@ -187,19 +185,16 @@ class Detector(Value):
             PRF(self.psf)
         if self.sensitivity is not None:
             PRF(BivariateGaussianPSF() * self.sensitivity)
-        if self.well_depth is not None and self.background * self.int_time >= self.well_depth:
-            raise ValueError(
-                f"`well_depth` must exceed the background of a frame, "
-                f"{self.background * self.int_time:g} e-, got {self.well_depth:g}"
-            )
+        light = self.background * self.int_time
+        if self.well_depth is not None and light >= self.well_depth:
+            wanted = f"exceed the background of a frame, {light:g} e-"
+            raise ValueError(f"`well_depth` must {wanted}, got {self.well_depth:g}")
         put(self, "effects", checked_several("effects", self.effects, Effect))
         if self.interpixel is not None:
             response = plain_array(self.interpixel, u.one, "interpixel")
             if response.shape != self.shape or not np.all((response >= 0) & (response < np.inf)):
-                raise ValueError(
-                    f"`interpixel` must be finite and not negative, of the shape {self.shape}, "
-                    f"got {response.shape}"
-                )
+                wanted = f"finite and not negative, of the shape {self.shape}"
+                raise ValueError(f"`interpixel` must be {wanted}, got {response.shape}")
             put(self, "interpixel", frozen(response))
 
     def __repr__(self):

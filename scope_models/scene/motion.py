@@ -46,6 +46,7 @@ __all__ = [
 
 
 _KEPLER, _K2, _TESS = (MISSIONS[name] for name in ("Kepler", "K2", "TESS"))
+_LONG = K2Roll.cadence  # days
 _COLUMNS = ("time", "x", "y", "quality", "cadenceno")
 _LAST = {18: K2Campaign18, 19: K2FinalCampaign}
 _CADENCE = """cadence : float or Quantity, optional
@@ -401,7 +402,7 @@ class Motion(Value):
         return common_motion(tpfs)
 
     @classmethod
-    def still(cls, n_cadences, *, start=_K2.start, cadence=K2Roll.cadence, time_format="bkjd"):
+    def still(cls, n_cadences, *, start=_K2.start, cadence=_LONG, time_format="bkjd"):
         """Make a motion that stays at the reference position.
 
         Parameters
@@ -467,7 +468,7 @@ class Motion(Value):
         >>> print(edge.statistics())
         0.247 +- 0.171 px, max 0.862 px, extent 1.56 px
         """
-        return cls(**generate(K2Roll(**parameters), n_cadences, K2Roll.cadence, start, seed, _K2))
+        return cls(**generate(K2Roll(**parameters), n_cadences, _LONG, start, seed, _K2))
 
     @classmethod
     @documented(rest=_rest("KeplerPointing"))
@@ -562,10 +563,9 @@ class Motion(Value):
         first, every = pointing.cadences
         n = every if n_cadences is None else n_cadences
         start = pointing.start if start is None else start
-        motion = cls(**generate(pointing, n, K2Roll.cadence, start, seed, _K2))
-        return motion.replace(
-            cadenceno=first + np.arange(len(motion)), meta={**motion.meta, "campaign": campaign}
-        )
+        motion = cls(**generate(pointing, n, _LONG, start, seed, _K2))
+        number, meta = first + np.arange(len(motion)), {**motion.meta, "campaign": campaign}
+        return motion.replace(cadenceno=number, meta=meta)
 
     @classmethod
     @documented(cadence=_CADENCE.format(unit="s"), rest=_rest("GroundTracking", "BTJD"))
@@ -594,9 +594,7 @@ class Motion(Value):
 
     @classmethod
     @documented(cadence=_CADENCE.format(unit="days"), rest=_rest("RandomWalk"))
-    def random_walk(
-        cls, n_cadences=1000, *, cadence=K2Roll.cadence, seed=1, start=_K2.start, **parameters
-    ):
+    def random_walk(cls, n_cadences=1000, *, cadence=_LONG, seed=1, start=_K2.start, **parameters):
         """Generate a random walk for tests of correctors; no mission moves like this.
 
         Parameters
@@ -618,7 +616,7 @@ class Motion(Value):
     @classmethod
     @documented(cadence=_CADENCE.format(unit="days"), rest=_rest("FailingWheels"))
     def failing_wheels(
-        cls, n_cadences=1000, *, cadence=K2Roll.cadence, seed=1, start=_K2.start, **parameters
+        cls, n_cadences=1000, *, cadence=_LONG, seed=1, start=_K2.start, **parameters
     ):
         """Generate a drift with growing jumps for tests of correctors; no mission moves like this.
 
@@ -850,7 +848,6 @@ class Motion(Value):
 
 
 def _checked_scale(pixel_scale):
-    """Return a pixel scale in arcsec."""
     return checked_number(
         "pixel_scale", pixel_scale, u.arcsec, positive=True, equivalencies=PER_PIXEL
     )
@@ -859,7 +856,7 @@ def _checked_scale(pixel_scale):
 def _shifted(motion, before):
     """Return the motion shifted in time to begin one cadence after another one."""
     steps = np.diff(before.time) if len(before) > 1 else np.diff(motion.time)
-    step = np.median(steps) if len(steps) else K2Roll.cadence
+    step = np.median(steps) if len(steps) else _LONG
     number = motion.cadenceno.astype(np.int64)
     return motion.replace(
         time=motion.time - motion.time[0] + (before.time[-1] + step),

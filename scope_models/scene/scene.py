@@ -182,13 +182,7 @@ class Scene(Value):
     @property
     def positions(self):
         """Reference position (x_0, y_0) of each star, pixels; shape (n_stars, 2)."""
-        middle = [(n - 1) / 2 for n in self.detector.shape[::-1]]
-        found = np.array(
-            [
-                [c if value is None else value for value, c in zip(place, middle, strict=True)]
-                for place in ((star.x_0, star.y_0) for star in self.stars)
-            ]
-        )
+        found = _places(self)
         on_sky = [i for i, star in enumerate(self.stars) if i and star.coord is not None]
         if on_sky:
             places = [sky_place(self.stars[i].coord, _middle_year(self.motion)) for i in on_sky]
@@ -369,6 +363,13 @@ class Scene(Value):
         return read_scene(path)
 
 
+def _places(scene):
+    """Return the given columns and rows of the stars, by default the middle, ``(k, 2)``."""
+    given = np.array([(star.x_0, star.y_0) for star in scene.stars], dtype=float)
+    middle = (np.array(scene.detector.shape[::-1]) - 1) / 2
+    return np.where(np.isnan(given), middle, given)
+
+
 def _middle_year(motion):
     """Return the middle of a motion, Julian years."""
     days = TIME_ZEROS[motion.time_format] + (motion.time[0] + motion.time[-1]) / 2
@@ -377,10 +378,7 @@ def _middle_year(motion):
 
 def scene_facts(scene):
     """Return the scene's target and stamp as fields of `TPFMetadata`."""
-    ny, nx = scene.detector.shape
-    target = scene.stars[0]
-    x_0 = (nx - 1) / 2 if target.x_0 is None else target.x_0
-    y_0 = (ny - 1) / 2 if target.y_0 is None else target.y_0
+    x_0, y_0 = _places(scene)[0].tolist()
     facts = {"target_id": 1, "magnitude": scene.stars[0].mag, "x_0": x_0, "y_0": y_0}
     facts |= {"seed": scene.seed} | dict(scene.metadata)
     identity = {name: getattr(scene, name) for name in _IDENTITY}

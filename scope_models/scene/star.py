@@ -112,10 +112,8 @@ class Star(Value):
         signal = self.signal(time) if callable(self.signal) else self.signal
         signal = np.array(plain_array(signal, u.one, "signal"))
         if signal.shape != time.shape:
-            raise ValueError(
-                f"`signal` must give one number for each of the {len(time)} cadences, "
-                f"got the shape {signal.shape}"
-            )
+            wanted = f"one number for each of the {len(time)} cadences"
+            raise ValueError(f"`signal` must give {wanted}, got the shape {signal.shape}")
         return _check_values(signal)
 
 
@@ -132,10 +130,8 @@ def _checked_signal(signal):
     except TypeError:
         values = np.array(0.0)
     if values.ndim != 1:
-        raise TypeError(
-            f"`signal` must be a model, a function of time, a one-dimensional array or None, "
-            f"got {signal!r}"
-        )
+        wanted = "a model, a function of time, a one-dimensional array or None"
+        raise TypeError(f"`signal` must be {wanted}, got {signal!r}")
     _check_values(values)
     values.flags.writeable = False
     return values

@@ -66,9 +66,8 @@ class StarLight:
         if self.shares:
             whole = np.zeros((len(x), *self.shape))
             whole[:, *self.series.window] = images
-            images = sum(
-                (f(x @ self.weights, y @ self.weights, cadences) for f in self.shares), whole
-            )
+            place = x @ self.weights, y @ self.weights
+            images = sum((share(*place, cadences) for share in self.shares), whole)
         np.putmask(images, images < _DARK, 0.0)
         flux = self.flux * (self.relative_flux * self.passed)[cadences]
         images *= flux[:, np.newaxis, np.newaxis]
@@ -96,18 +95,16 @@ def prepare(scene):
         generator = stream(scene.seed, f"effect {effect.name} {counts[effect.name]}")
         effects.append((effect, effect.draw(conditions, generator)))
     interpixel = scene.detector.interpixel_map(scene.seed)
-    return Prepared(
-        scene, conditions, effects, _star_lights(scene, conditions, effects), interpixel
-    )
+    lights = _star_lights(scene, conditions, effects)
+    return Prepared(scene, conditions, effects, lights, interpixel)
 
 
 def _star_lights(scene, conditions, effects):
     """Return the light of each star of a scene."""
     detector, time = scene.detector, scene.motion.time
     widths = _product(effect.width(drawn, conditions) for effect, drawn in effects)
-    exposures = _exposures(
-        scene, [effect.exposures(drawn, conditions) for effect, drawn in effects]
-    )
+    added = [effect.exposures(drawn, conditions) for effect, drawn in effects]
+    exposures = _exposures(scene, added)
     passed = _product(effect.starlight(drawn, conditions) for effect, drawn in effects)
     passed = np.broadcast_to(1.0 if passed is None else passed, (len(scene.stars), len(time)))
     expanded, lights = exposures.expanded(), []
@@ -132,9 +129,8 @@ def shown(*values):
     rows = zip(*values, strict=True)
     if len(values[0]) == 1:
         return rows
-    return tqdm(
-        rows, "simulate", len(values[0]), leave=False, disable=None, delay=_PATIENCE, unit=" stars"
-    )
+    options = {"leave": False, "disable": None, "delay": _PATIENCE, "unit": " stars"}
+    return tqdm(rows, "simulate", len(values[0]), **options)
 
 
 def _product(factors):
@@ -201,10 +197,8 @@ def gather(prepared, cadences, sums=None, aperture=None):
 
 def _response(prepared, cadences):
     """Return the factor of all effects on the light in some cadences, or None."""
-    conditions = prepared.conditions
-    return _product(
-        effect.response(drawn, conditions, cadences) for effect, drawn in prepared.effects
-    )
+    given = prepared.conditions, cadences
+    return _product(effect.response(drawn, *given) for effect, drawn in prepared.effects)
 
 
 def pedestal(prepared, cadences, electrons):

@@ -85,9 +85,8 @@ def inject(tpf, signal=None, star=None, *, seed=None, noise=True):
 
     original = read_tpf(tpf)
     if not isinstance(original, TargetPixelFile):
-        raise TypeError(
-            f"`tpf` must be a target pixel file or a path, got a {type(original).__name__}"
-        )
+        kind = type(original).__name__
+        raise TypeError(f"`tpf` must be a target pixel file or a path, got a {kind}")
     hdus = fits.HDUList([hdu.copy() for hdu in original.hdu])
     whole = read_pixels(hdus, quality_bitmask="none")
     rows = np.flatnonzero(np.isfinite(whole.time))
@@ -192,28 +191,22 @@ def _scene_of(star, series, tpf=None):
     """Return the scene of a star, on the cadences of the series."""
     if isinstance(star, Star):
         if series.pos_corr is None or not np.isfinite(series.pos_corr).any():
-            motion = Motion.still(len(series)).replace(
-                time=series.time, time_format=series.time_format
-            )
+            places = np.zeros((2, len(series)))
         else:
             places = series.pos_corr.T
-            motion = Motion.from_arrays(series.time, *places, time_format=series.time_format)
+        motion = Motion.from_arrays(series.time, *places, time_format=series.time_format)
         scene = _on_stamp(Scene(star, Detector.from_tpf(series), motion, seed=0))
     elif star is None:
         if "SCENE" not in tpf.hdu:
-            raise ValueError(
-                "`star` must be given: the file holds no scene to take the star's light from"
-            )
+            raise ValueError("`star` must be given: the file holds no scene with its light")
         scene = read_scene(tpf)
     else:
         scene = star.scene() if callable(getattr(star, "scene", None)) else star
     if not isinstance(scene, Scene):
         raise TypeError(f"`star` must be a Scene, a fit, a Star or a share, got {star!r}")
-    if scene.detector.shape != series.flux.shape[1:]:
-        raise ValueError(
-            f"the scene of `star` has {scene.detector.shape} pixels, the file "
-            f"{series.flux.shape[1:]}"
-        )
+    ours, theirs = scene.detector.shape, series.flux.shape[1:]
+    if ours != theirs:
+        raise ValueError(f"the scene of `star` has {ours} pixels, the file {theirs}")
     return _at(scene, series)
 
 
@@ -221,9 +214,8 @@ def _on_stamp(scene):
     """Return a scene whose last star is on the stamp."""
     (x_0, y_0), (ny, nx) = scene.positions[-1], scene.detector.shape
     if not (-0.5 <= x_0 <= nx - 0.5 and -0.5 <= y_0 <= ny - 0.5):
-        raise ValueError(
-            f"`star` is outside the stamp: column {x_0:g} and row {y_0:g} of {nx} and {ny}"
-        )
+        place = f"column {x_0:g} and row {y_0:g} of {nx} and {ny}"
+        raise ValueError(f"`star` is outside the stamp: {place}")
     return scene
 
 

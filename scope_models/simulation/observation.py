@@ -15,7 +15,7 @@ from scope_models.effects import Effect
 from scope_models.io import TPFMetadata, Truth, write_tpf
 from scope_models.io.tpf import make_tpf_hdulist
 from scope_models.missions import MISSIONS, TIME_ZEROS
-from scope_models.photometry import cdpp
+from scope_models.photometry.precision import noise_of
 from scope_models.scene.scene import Scene, scene_facts
 from scope_models.simulation._light import (
     fill_wells,
@@ -110,12 +110,8 @@ class Observation(Value):
 
     stars = property(attrgetter("scene.stars"), doc="The stars; the first is the target.")
     detector = property(attrgetter("scene.detector"), doc="The detector.")
-    motion = property(
-        attrgetter("scene.motion"), doc="The motion; time and cadence numbers are its own."
-    )
-    time = property(
-        attrgetter("motion.time"), doc="Middle of each cadence, days, in the format of the motion."
-    )
+    motion = property(attrgetter("scene.motion"), doc="The motion, with times and cadence numbers.")
+    time = property(attrgetter("motion.time"), doc="Middle of each cadence, days, as in `motion`.")
     cadenceno = property(attrgetter("motion.cadenceno"), doc="Cadence numbers.")
 
     @property
@@ -184,7 +180,6 @@ class Observation(Value):
         return share_of_target(sums)
 
     def _checked_aperture(self, aperture_mask):
-        """Return the pixels of an aperture."""
         if aperture_mask is None:
             return self.aperture
         return checked_mask("aperture_mask", aperture_mask, self.detector.shape)
@@ -392,10 +387,8 @@ class Observation(Value):
 
     def _cdpp(self, flux):
         """Return lightkurve's CDPP, None without enough cadences."""
-        try:
-            return cdpp(SimpleNamespace(time=self.time, flux=flux))
-        except ValueError:
-            return None
+        noise = noise_of(SimpleNamespace(time=self.time, flux=flux))
+        return None if np.isnan(noise) else noise
 
     def _at_all_cadences(self, corrected):
         """Return a corrected light curve at all cadences, NaN where it has none."""
@@ -403,10 +396,9 @@ class Observation(Value):
         numbers = getattr(corrected, "cadenceno", None)
         if numbers is None:
             if flux.shape != self.time.shape:
-                raise ValueError(
-                    f"`corrected` must have one value for each of the {len(self.time)} cadences or "
-                    f"a column cadenceno, got shape {flux.shape}"
-                )
+                n = len(self.time)
+                wanted = f"one value for each of the {n} cadences or a column cadenceno"
+                raise ValueError(f"`corrected` must have {wanted}, got shape {flux.shape}")
             return flux
         places = np.searchsorted(self.cadenceno, np.asarray(numbers)).clip(0, len(self.time) - 1)
         if not np.array_equal(self.cadenceno[places], numbers):
@@ -419,10 +411,8 @@ class Observation(Value):
         """Return the arguments for the writer of target pixel files."""
         aperture = self._checked_aperture(aperture_mask)
         if self.detector.mission not in MISSIONS:
-            raise ValueError(
-                "`mission` must be Kepler, K2 or TESS (or Ground) to make a target pixel file, got "
-                f"{self.detector.mission!r}"
-            )
+            wanted = "Kepler, K2 or TESS (or Ground) to make a target pixel file"
+            raise ValueError(f"`mission` must be {wanted}, got {self.detector.mission!r}")
         facts = scene_facts(self.scene) | dict(metadata or {})
         extra = facts.get("extra_cards") or {}
         facts["extra_cards"] = self._aperture_cards(aperture) | dict(extra)

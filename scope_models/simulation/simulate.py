@@ -241,7 +241,6 @@ def _flag(prepared, cubes):
 
 
 def _truth(prepared, lost, share, model):
-    """Return the truth behind the pixels."""
     scene, lights = prepared.scene, prepared.lights
     columns = {"CADENCENO": scene.motion.cadenceno}
     columns |= scene_columns(scene, [light.relative_flux for light in lights])
@@ -250,11 +249,8 @@ def _truth(prepared, lost, share, model):
         columns |= {f"X{i}": light.x @ light.weights, f"Y{i}": light.y @ light.weights}
     maps, tables = {"INTERPIXEL": prepared.interpixel}, {}
     for _, drawn in prepared.effects:
-        for found, into in (
-            (drawn.columns, columns),
-            (drawn.maps, maps),
-            ({name: Table(dict(table)) for name, table in drawn.tables.items()}, tables),
-        ):
+        lists = {name: Table(dict(table)) for name, table in drawn.tables.items()}
+        for found, into in ((drawn.columns, columns), (drawn.maps, maps), (lists, tables)):
             for name, value in found.items():  # with a number after one of its kind
                 number = 1 + sum(f"{name}{suffix}" in into for suffix in ("", "_2", "_3", "_4"))
                 into[name if number == 1 else f"{name}_{number}"] = value
@@ -266,11 +262,7 @@ def _truth(prepared, lost, share, model):
 
 
 def _warn_of_loss(text, fraction, shape):
-    """Warn of light or charge that is lost."""
     if fraction > _LARGEST_LOSS:
         lost = text.format(f"up to {100 * fraction:.1f} %")
-        warnings.warn(
-            f"{lost} off the stamp of {shape[0]} x {shape[1]} pixels",
-            LostLightWarning,
-            stacklevel=3,
-        )
+        message = f"{lost} off the stamp of {shape[0]} x {shape[1]} pixels"
+        warnings.warn(message, LostLightWarning, stacklevel=3)

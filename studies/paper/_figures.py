@@ -5,7 +5,7 @@ import numpy as np
 from matplotlib.patheffects import Normal, Stroke
 from matplotlib.ticker import FuncFormatter, NullLocator
 
-from scope_models.plotting._style import given_or_new, make_panels, styled
+from scope_models.plotting._style import given_or_new, styled
 
 MARKERS = "os^Dvp*X"
 RESIDUALS = "Residual over noise"
@@ -51,6 +51,17 @@ def plot_cdpp(series, reference=None, *, limits=(), title="", legend=True, ax=No
     if legend:
         ax.legend(fontsize="small")
     return ax
+
+
+def make_panels(number, columns, size, **options):
+    """Return a figure of so many panels of a size, which share what ``options`` name."""
+    columns = min(columns, number)
+    rows = -(-number // columns)
+    options["figsize"] = size[0] + size[1] * columns, size[2] + size[3] * rows
+    figure, grid = plt.subplots(rows, columns, squeeze=False, layout="constrained", **options)
+    for ax in grid.flat[number:]:
+        ax.remove()
+    return figure, list(grid.flat[:number])
 
 
 @styled

@@ -1,6 +1,5 @@
 """The record of a corrector's scores: known errors come back, and two records are compared."""
 
-import runpy
 import subprocess
 import sys
 
@@ -9,16 +8,6 @@ import pytest
 from astropy.table import Table
 
 from scope_models.benchmark import REGIMES, make_sky
-
-
-@pytest.fixture(scope="module")
-def script(repository):
-    return repository / "studies" / "record.py"
-
-
-@pytest.fixture(scope="module")
-def study(script):
-    return runpy.run_path(str(script), run_name="record")
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,7 @@ from scipy.integrate import dblquad
 from scope_models.benchmark import REGIMES, SkyRegime, make_sky, score
 from scope_models.benchmark._light import red_noise
 from scope_models.benchmark._pixels import bleed, make_psf, make_response, render
-from scope_models.benchmark._scores import depth_difference, leak_slopes, score_light_curve
+from scope_models.benchmark._scores import score_light_curve
 from scope_models.scene.motion import K2Roll
 
 
@@ -133,7 +133,7 @@ def test_another_draw_of_noise_changes_nothing_else(sky):
     assert np.nanstd(difference) == pytest.approx(np.sqrt(2), rel=0.02)
 
 
-def test_a_star_without_its_transits_shares_everything_else(sky):
+def test_a_star_without_its_transits_shares_everything_else(sky, study):
     without = make_sky(sky.regime.replace(depth=0.0), sky.seed, n_cadences=400)
     np.testing.assert_array_equal(without.true_flux, sky.true_flux / sky.transit)
     for name in ("pos_corr1", "x", "width", "aperture", "neighbor_light", "sky"):
@@ -142,12 +142,13 @@ def test_a_star_without_its_transits_shares_everything_else(sky):
     np.testing.assert_array_equal(without.flux[outside], sky.flux[outside])
     rows = np.isfinite(sky.time)
     raw, alone = (one.flux[:, sky.aperture].sum(axis=1) for one in (sky, without))
-    kept = depth_difference(raw, alone, sky.true_flux, sky.transit)
+    kept = study["depth_difference"](raw, alone, sky.true_flux, sky.transit)
     share = (sky.star_light / (sky.star_light + sky.background_light))[rows][:, sky.aperture]
     assert kept == pytest.approx(np.average(share), abs=0.02)
 
 
-def test_leaks_are_found_with_their_errors():
+def test_leaks_are_found_with_their_errors(study, one_thread):  # noqa: ARG001
+    leak_slopes = study["leak_slopes"]
     # A known slope in slow noise: the pulls of many draws are those of a Gaussian.
     rng = np.random.default_rng(7)
     time = K2Roll.cadence * np.arange(1300)
@@ -219,7 +220,7 @@ def test_all_nan_light_curve_has_the_worst_score():
 
 
 @pytest.mark.parametrize("part", [0.12, 0.3])
-def test_a_light_curve_of_few_cadences(part):
+def test_a_light_curve_of_few_cadences(part, study):
     rng = np.random.default_rng(4)
     time, noise = 0.02 * np.arange(3000.0), 1e-4
     flux = 1 + noise * rng.standard_normal(3000)
@@ -230,7 +231,7 @@ def test_a_light_curve_of_few_cadences(part):
     assert found.pull == pytest.approx(1, abs=0.1)
     if part == 0.12:  # no bin of 6.5 h is half full
         assert found.full == found.high_passed == np.inf
-    assert np.isnan(leak_slopes(time, flux, [time])).all() == (part == 0.12)
+    assert np.isnan(study["leak_slopes"](time, flux, [time])).all() == (part == 0.12)
 
 
 @pytest.mark.parametrize(

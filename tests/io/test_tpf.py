@@ -452,8 +452,8 @@ class TestChecks:
             ("time", -1, 2456789.0, "`time` must be BJD - 2454833 in days"),
             ("cadenceno", 5, 100, "`cadenceno` must increase"),
             ("cadenceno", 0, 0, "`cadenceno` must increase from at least 1, got 0"),
-            ("cadenceno", -1, 2**31, "`cadenceno` must fit 32-bit integers"),
-            ("raw_cnts", (0, 0, 0), 2**31, "`raw_cnts` must fit 32-bit integers"),
+            ("cadenceno", -1, 2**31, "`cadenceno` must fit into 32 bits"),
+            ("raw_cnts", (0, 0, 0), 2**31, "`raw_cnts` must fit into 32 bits"),
             ("raw_cnts", (0, 0, 0), -2, "`raw_cnts` must not be negative"),
             ("flux", (3, 0, 0), np.inf, "`flux` must not be infinite"),
             ("flux_err", (3, 0, 0), 0.0, "`flux_err` must be positive, got 0.0"),
@@ -502,7 +502,7 @@ class TestChecks:
         ],
     )
     def test_integers(self, name, value):
-        with pytest.raises(TypeError, match=f"`{name}` must be"):
+        with pytest.raises(TypeError, match=f"`{name}` must (be of booleans or|hold) integers"):
             make_tpf_hdulist(**contents_of("K2", **{name: value}))
 
     def test_numbers(self):
