@@ -41,13 +41,15 @@ _CONVENTION = (
 # Stars in a list: as many as one looks at; the table of results has all.
 _OUTLIERS, _EXAMPLES = 8, 5
 _STYLE = """
+:root { color-scheme: light dark; }
 body { font: 15px/1.5 system-ui, sans-serif; max-width: 1100px; margin: 2em auto; padding: 0 1em; }
 h1, h2 { font-weight: 600; } img { max-width: 100%; } table { border-collapse: collapse; }
-td { padding: .2em .8em; text-align: right; border-bottom: 1px solid #ddd; }
-td:first-child { text-align: left; } pre { overflow-x: auto; background: #f4f4f4; }
-figure { display: inline-block; vertical-align: top; width: 48%; min-width: 440px; margin: 1em 0; }
-figure:first-of-type { width: 100%; } figcaption, .note { color: #444; font-size: 90%; }
-div { margin: .6em 0; }
+td { padding: .2em .8em; text-align: right; border-bottom: 1px solid #8886; }
+td:first-child { text-align: left; } pre { overflow-x: auto; background: #8882; }
+figure { display: inline-block; vertical-align: top; width: 48%; min-width: min(440px, 100%); }
+figure { margin: 1em 0; } figure:first-of-type { width: 100%; }
+figcaption, .note { opacity: 0.8; font-size: 90%; }
+div { margin: .6em 0; overflow-wrap: anywhere; }
 """
 
 
@@ -93,7 +95,8 @@ def write_report(folder, output=None):
     parts += [_causes("Failures", failed), _causes("Warnings", warned)]
     title = f"Run of {html.escape(folder.absolute().name)}"
     page = (
-        f'<!DOCTYPE html><html lang="en"><head><meta charset="utf-8"><title>{title}</title>'
+        '<!DOCTYPE html><html lang="en"><head><meta charset="utf-8">'
+        f'<meta name="viewport" content="width=device-width"><title>{title}</title>'
         f"<style>{_STYLE}</style></head><body><h1>{title}</h1>{''.join(parts)}</body></html>"
     )
     output = Path(output or folder / "report.html")

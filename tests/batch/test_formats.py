@@ -471,7 +471,7 @@ class TestCommand:
                 data = hdus[1].data
                 share[name] = np.nanmedian(data["FLUX"]) / np.nanmedian(data["RAW_FLUX"])
         # the level of the background is a part of the model
-        assert share["with"] == pytest.approx(1 / (1 + 10 ** (-0.4 * 1.5)), abs=0.07)
+        assert share["with"] == pytest.approx(1 / (1 + 10 ** (-0.4 * 1.5)), abs=0.025)
         if sky:
             return
         assert share["without"] == pytest.approx(1, abs=0.01)

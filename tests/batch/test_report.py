@@ -105,6 +105,8 @@ def test_needs_no_network_and_runs_nothing(path):
     assert not re.search(r"https?:|<script|<link|src=\"(?!data:)", text)
     assert "<i>odd" not in text  # what files hold is text
     assert "&lt;i&gt;odd" in text
+    assert '<meta name="viewport"' in text  # small screens show it at its own size
+    assert "color-scheme: light dark" in text
 
 
 def test_failures_by_cause(path):
