@@ -9,15 +9,13 @@ states the distributions that are drawn from, and which stars are held out.
 """
 
 import argparse
-import csv
 from functools import cache
 from pathlib import Path
 
 import numpy as np
-from _rows import append_rows
+from _rows import append_rows, store_rows, write_csv
 from astropy.table import Table
 from k2_motion import K2MotionNoise, choose_aperture
-from paper._correctors import quiet
 from paper._stars import draw_star, stamp_around
 
 from scope_models import Detector, Motion, PLDCorrector, Star, simulate
@@ -147,8 +145,7 @@ def write_tables(stars, real, target):
     others = ["Kp", "stars", "simulated, PLDCorrector", "EVEREST 2", "its validation", "EVEREST 1",
               "K2SFF", "K2SC"]  # fmt: skip
     for suffix, head, rows in (("raw", names, raw), ("corrected", others, corrected)):
-        with Path(f"{target}_{suffix}.csv").open("w", newline="", encoding="utf-8") as file:
-            csv.writer(file, lineterminator="\n").writerows([head, *rows])
+        write_csv(f"{target}_{suffix}.csv", [head, *rows])
 
 
 def main():
@@ -162,7 +159,8 @@ def main():
     parser.add_argument("--table", help="beginning of the names of the tables")
     options = parser.parse_args()
     if options.table:
-        write_tables(Table.read(options.file), real_stars(options.data), options.table)
+        table = store_rows(options.file, f"{options.table}.ecsv")
+        write_tables(table, real_stars(options.data), options.table)
     if options.against:
         one, two = (Table.read(path)["raw"] for path in (options.file, options.against))
         ratio = np.array(one[: len(two)] / two[: len(one)])
@@ -170,11 +168,10 @@ def main():
     if options.table or options.against:
         return
     every = max(1, options.stars // max(options.corrected, 1))
-    with quiet():
-        append_rows(options.file, COLUMNS, range(options.stars), lambda i: [observe(
-            i, options.data, options.motion,
-            correct=options.corrected > 0 and i // len(MAGNITUDES) % every == 0,
-        )])  # fmt: skip
+    append_rows(options.file, COLUMNS, range(options.stars), lambda i: [observe(
+        i, options.data, options.motion,
+        correct=options.corrected > 0 and i // len(MAGNITUDES) % every == 0,
+    )])  # fmt: skip
 
 
 if __name__ == "__main__":
