@@ -15,15 +15,15 @@ only where the star itself varies strongly (v). Pixels and cadences are fitted i
 """
 
 from copy import copy
-from dataclasses import dataclass
 
 import numpy as np
-from scipy.fft import irfft, next_fast_len, rfft
-from scipy.linalg import cholesky, solve_triangular
 
-from scope_models.correctors._constant_light import constant_light, polynomials
+from scope_models.correctors._constant_light import constant_light
+from scope_models.correctors._position import Features, Widening
+from scope_models.correctors._smoothing import CLIP, NO_WEIGHT, Smoother, quantile
+from scope_models.correctors._states import CleanPixels
 
-__all__ = ["CleanPixels", "clean_pixels", "precise_aperture", "quantile"]
+__all__ = ["clean_pixels"]
 
 #: Prior: scale (px) of the response functions of position, and of those of focus and constant
 #: light.
@@ -53,15 +53,13 @@ _FAST, _STRONG = 0.25, 0.02
 _RESPONSE_PRIOR = 0.05
 #: Branch: noise of the brightness of images, in units of the sum's, below which it is used.
 _LESS_NOISE = 0.9
-#: Prior: part of the variance of lost light that is expected to remain: a tenth of the amplitude.
-_LOST = 0.01
 #: Branch: part of the light in the aperture above which the level of dark pixels is background.
 _BACKGROUND = 0.05
-#: Branch: outliers exceed so many standard deviations, and cosmic rays so many.
-_CLIP, _HIT = 6.0, 4.5
+#: Branch: cosmic rays exceed so many standard deviations.
+_HIT = 4.5
 #: Branch: part of a pixel's light by which the functions of position may miss where the star moves
 #: far: cosmic rays exceed it, too. Largest ratio of light to noise in a pixel from which on this
-#: and ``_CLIP`` hold; of fainter stars cosmic rays are a larger part of the light than such errors.
+#: and ``CLIP`` hold; of fainter stars cosmic rays are a larger part of the light than such errors.
 _MISFIT, _BRIGHT = 0.05, 5000.0
 #: Prior: images change with time as polynomials of one degree in so many days, up to so many
 #: columns, by about this part of a pixel's light.
@@ -69,85 +67,9 @@ _DAYS_PER_DEGREE, _MOST_SLOW, _SLOW_CHANGE = 10.0, 60, 0.03
 #: Branch: constant light in the aperture, relative, below which it does not count; and the
 #: iteration at which that is decided.
 _FAINT, _DECIDED = 0.004, 5
-#: Tolerance: weight of cadences that do not count.
-_NO_WEIGHT = 1e-6
 #: Branch: width in days of the kernel beyond which outliers of the focus are dips, and none of the
 #: focus.
 _SLOW = 0.05
-#: Tolerance: widths in cadences of the kernels that are tried to smooth the focus and the
-#: background.
-_WIDTHS = (1.5, 3.0, 6.0, 12.0, 24.0, 48.0)
-#: Tolerance: kernels of this width and wider ones are convolved by Fourier transforms.
-_WIDE = 12.0
-#: Tolerance: cadences whose arrays a processor's cache holds.
-_BLOCK = 128
-
-
-@dataclass(frozen=True)
-class CleanPixels:
-    """The light of a star without background, and predicted pixel fractions.
-
-    The ``light`` is the sum of the pixels, cosmic rays replaced, or of faint stars the brightness
-    of the fitted images, where its expected error is smaller (``weighted``); constant light is
-    taken off where it is known, and what the focus moves over the border of the aperture is put
-    back. The ``background`` is relative to its median where the dark pixels may hold the star's
-    wings.
-    """
-
-    light: np.ndarray  # e-/s, (n,)
-    light_error: np.ndarray  # standard deviation of its noise, e-/s, (n,)
-    shares: np.ndarray  # fractions of this light (n, n_pixels), 0 outside of the aperture
-    still: np.ndarray  # those of the light at the slow focus; they add up to 1
-    outside: np.ndarray  # the star's light in its other pixels over that inside, (n,)
-    background: np.ndarray  # e-/s, (n, n_pixels)
-    position: np.ndarray  # relative to the median, px, (n, 2)
-    focus: np.ndarray  # relative change of the PSF's width without short dips, (n,)
-    constant: float  # median of the constant light that was taken off, e-/s
-    repaired: np.ndarray  # pixels whose light was replaced by the model's, (n, n_pixels)
-    weighted: bool
-
-
-class _Features:
-    """Functions of position whose combinations are a Gaussian process of a scale (pivoted)."""
-
-    def __init__(self, position, scale, tolerance, max_rank):
-        few = position[:: max(1, len(position) // 600)]
-        rest, rows, pivots = np.ones(len(few)), np.zeros((max_rank, len(few))), []
-        self._scale = scale
-        for k in range(max_rank):
-            pivot = int(np.argmax(rest))
-            if rest[pivot] < tolerance:
-                break
-            row = _kernel(few, few[pivot : pivot + 1], scale)[:, 0] - rows[:k, pivot] @ rows[:k]
-            rows[k] = row / np.sqrt(rest[pivot])
-            rest = np.maximum(rest - rows[k] ** 2, 0)
-            pivots.append(pivot)
-        self._pivots = few[pivots]
-        kernel = self.kernel(self._pivots)
-        kernel.flat[:: len(kernel) + 1] += 1e-10
-        self._lower = cholesky(kernel, lower=True)
-
-    def kernel(self, position):
-        """Return the kernels of the pivots, of which the functions are combinations."""
-        return _kernel(position, self._pivots, self._scale)
-
-    def __call__(self, position):
-        """Return the kernels and the functions at positions, ``(n, rank)``."""
-        kernel = self.kernel(position)
-        return kernel, solve_triangular(self._lower, kernel.T, lower=True).T
-
-    def weights(self, coefficients):
-        """Return weights of the kernels that make combinations of the functions."""
-        return solve_triangular(self._lower, coefficients, lower=True, trans=1)
-
-    def slope_weights(self, weights):
-        """Return those of derivatives along x and y, plus multiples of the combinations."""
-        return [pivot[:, None] / self._scale**2 * weights for pivot in self._pivots.T]
-
-
-def _kernel(a, b, scale):
-    square = (a[:, None, 0] - b[None, :, 0]) ** 2 + (a[:, None, 1] - b[None, :, 1]) ** 2
-    return np.exp(-0.5 * square / scale**2)
 
 
 def clean_pixels(time, flux, flux_err, position, grid, aperture, *, use=None, kind="auto"):
@@ -224,24 +146,15 @@ class _State:
         self.brightness = total / self.unit
         self.noise = (quantile(flux_err[use].T) / self.unit) ** 2
         self.variance = self.noise
-        places = {tuple(place): k for k, place in enumerate(grid)}
-        self.beside = np.array(
-            [
-                [
-                    [places.get((x + i * (1 - k), y + i * k), -1) for x, y in grid]
-                    for i in range(-2, 3)
-                ]
-                for k in (0, 1)
-            ]
-        )
+        self.widened = Widening(grid, aperture)
         self.scale = np.maximum(quantile(self.y[use].T, 0.98), 3 * np.sqrt(self.noise))
         self.good = np.ones((n, n_pixels), dtype=bool)
         self.focus, self.variable = np.zeros((2, n))
         self._start_positions(position, total)
         self.smoothed, self._last = Smoother(time, use), None
         self._place = np.where(self.known, _POSITION_PRIOR**-2, 1e-2)
-        self.features = _Features(self.z[use], _SCALE, _TOLERANCE, _MAX_RANK)
-        self.coarse = _Features(self.z[use], _COARSE_SCALE, _COARSE_TOLERANCE, _COARSE_RANK)
+        self.features = Features(self.z[use], _SCALE, _TOLERANCE, _MAX_RANK)
+        self.coarse = Features(self.z[use], _COARSE_SCALE, _COARSE_TOLERANCE, _COARSE_RANK)
         coarse, span = self.coarse(self.expected)[1], time[-1] - time[0]
         degree = min(round(span / _DAYS_PER_DEGREE), _MOST_SLOW // coarse.shape[1])
         slow = np.polynomial.legendre.legvander(2 * (time - time[0]) / span - 1, degree)[:, 1:]
@@ -349,28 +262,6 @@ class _State:
             whole += without_sum(self.slow / total, self._slow)
         return image, whole, [*slopes, focus], constant
 
-    def _widened(self, image):
-        """
-        Return the mean change of images of a PSF that widens by a part w, over w.
-
-        What pixels lose is what flows through their edges. The light there is that of the cubic
-        polynomial whose integrals over the four nearest pixels are right, and in the wings, where
-        that is less, the geometric mean of both pixels.
-        """
-        use, change = np.flatnonzero(self.use), np.zeros(image.shape[1])
-        for part in np.split(use, range(_BLOCK, len(use), _BLOCK)):
-            light = np.pad(image[part].T, ((0, 1), (0, 0)))  # the last row is beside the stamp
-            wider = np.zeros_like(light[:-1])
-            for axis in (0, 1):
-                near = light[self.beside[axis]]
-                far = (self.grid[:, axis] - self.center[axis])[:, None] - self.z[part, axis]
-                for side, four in ((-1, near[:4]), (1, near[1:])):
-                    edge = (7 * (four[1] + four[2]) - four[0] - four[3]) / 12
-                    edge = np.maximum(edge, np.sqrt(np.maximum(four[1] * four[2], 0)))
-                    wider -= side * (far + 0.5 * side) * edge
-            change += (wider - light[:-1] * (self.aperture @ wider)).sum(axis=1)
-        return change / len(use)
-
     def _normalize(self, image, slopes):
         """
         Give the focus the unit of a relative width, and its image the light of the wings.
@@ -379,7 +270,8 @@ class _State:
         that of the widening.
         """
         use, outside = self.use, ~self.aperture
-        wider, fitted = self._widened(image), slopes[2][use].mean(axis=0)
+        away = self.center + self.z[use]
+        wider, fitted = self.widened(image[use], away), slopes[2][use].mean(axis=0)
         signal = [(values**2 / self.variance).sum() + 1e-12 for values in (fitted, wider)]
         size = np.sqrt(signal[0] / signal[1])
         self.focus = self.focus * size
@@ -456,7 +348,7 @@ class _State:
             hessian = columns.T @ columns + np.diag([0, _POSITION_PRIOR**-2, _POSITION_PRIOR**-2])
             leverage = np.einsum("ij,ji->i", columns, np.linalg.solve(hessian, columns.T))
             sigma = sigma * np.sqrt(1 - leverage)
-        excess = rest - (_HIT + bright * (_CLIP - _HIT)) * sigma
+        excess = rest - (_HIT + bright * (CLIP - _HIT)) * sigma
         hot = excess > 0
         hot[hot] = excess[hot] > bright * _MISFIT * np.abs(image[hot])
         return hot
@@ -521,7 +413,7 @@ class _State:
                 smooth = self.smoothed(values, error, f"background {k}")
                 rest = np.abs(values - smooth)
                 typical = 1.4826 * quantile(rest[self.use])
-                jumps = rest > _CLIP * np.maximum(error, typical)
+                jumps = rest > CLIP * np.maximum(error, typical)
                 values[:] = np.where(jumps, values, smooth)
         self.plane = plane
 
@@ -631,7 +523,7 @@ class _State:
 
     def _lines(self, values, days):
         """Return values smoothed by a kernel of so many days."""
-        weight = np.where(self.use, 1.0, _NO_WEIGHT)
+        weight = np.where(self.use, 1.0, NO_WEIGHT)
         return self.smoothed.lines(values, weight, days / self.smoothed.step)[0]
 
     def roughness(self, light):
@@ -656,107 +548,10 @@ class _State:
         return level * constant_light(*images, self.z, self.grid, self.aperture, self.use)
 
 
-def precise_aperture(light, variance, position):
-    """Choose the pixels ``(n_pixels,)`` whose sum is expected to be most precise.
-
-    Pixels are added by their ratio of light, less background, to noise, as long as the noise of
-    6.5 h and what the aperture loses as the star moves, relative to all pixels, become less.
-    """
-    variance = quantile(variance.T)
-    order = np.argsort(-quantile(light.T, 0.98) / variance)
-    inside = np.cumsum(light[:, order], axis=1)
-    level = quantile(inside.T)
-    noise = np.cumsum(variance[order])
-    columns = polynomials(position / np.maximum(np.abs(position).max(axis=0), 1e-9))
-    columns = np.linalg.qr(columns)[0][:, 1:]
-    part = ((columns.T @ (inside / inside[:, -1:])) ** 2).sum(axis=0) / len(light) * level**2
-    lost = np.maximum(part - columns.shape[1] * noise / len(light), 0)
-    scatter = (_LOST * lost + noise / 13) / np.where(level > 0, level, np.inf) ** 2
-    fewest = min(3, len(order) - 1)  # but one
-    mask = np.zeros(len(order), dtype=bool)
-    mask[order[: fewest + np.argmin(scatter[fewest:]) + 1]] = True
-    return mask
-
-
 def _explained(columns, fit, values, ridge=0.0):
     """Return what columns explain of values, whose rows are ``fit``."""
     gram = fit.T @ fit + (ridge + 1e-9 * len(fit)) * np.eye(fit.shape[1])
     return columns @ np.linalg.solve(gram, fit.T @ values)
-
-
-class Smoother:
-    """Robust local lines in time, with Gaussian kernels whose widths are in cadences."""
-
-    def __init__(self, time, use):
-        self.time, self.use = time, use
-        self.step = quantile(np.diff(time))
-        self._index = np.rint((time - time[0]) / self.step).astype(int)
-        self._kernels, self._best = {}, {}
-
-    def __call__(self, values, error, name=""):
-        """
-        Smooth with the width of the least median leave-one-out error.
-
-        Cadences that are not in use take the values of those around them. Widths are tried from
-        the next narrower one on than was best for the series of a name the last time.
-        """
-        use = self.use
-        typical = quantile(error[use])
-        start = np.where(use, (typical / np.maximum(error, 0.3 * typical)) ** 2, _NO_WEIGHT)
-        values = np.where(use, values, np.interp(self.time, self.time[use], values[use]))
-        least, best, weight = np.inf, values, start
-        for k in range(max(self._best.get(name, 0) - 1, 0), len(_WIDTHS)):
-            smooth, size, weight = self.lines(values, start, _WIDTHS[k], weight)
-            if size < least:
-                least, best, self._best[name] = size, smooth, k
-        return best
-
-    def lines(self, values, start, width, weight=None):
-        """
-        Return robust local linear fits, the median of leave-one-out errors, and the weights.
-
-        The weights are those of the start, but for outliers; the search may begin with others.
-        """
-        weight = start if weight is None else weight
-        for _ in range(3):
-            s0, s1, s2, m0, m1 = self._moments(weight, weight * values, width)
-            determinant = s0 * s2 - s1**2
-            determinant = np.where(determinant > 1e-12 * s0 * s2, determinant, np.inf)
-            smooth = (s2 * m0 - s1 * m1) / determinant
-            rest = np.abs(values - smooth) / np.maximum(1 - weight * s2 / determinant, 1e-3)
-            size = quantile(rest[self.use])
-            before, weight = weight, np.where(rest > _CLIP * 1.4826 * size, _NO_WEIGHT, 1.0) * start
-            if (weight == before).all():
-                break
-        return smooth, size, weight
-
-    def _moments(self, weight, data, width):
-        """Return moments of the weights about each cadence, to order 2, and of the data, to 1."""
-        grid = np.zeros((2, self._index[-1] + 1))
-        grid[:, self._index] = weight, data
-        half = int(3.5 * width) + 1
-        size = next_fast_len(self._index[-1] + 1 + half, real=True)
-        if width not in self._kernels:
-            d = np.arange(-half, half + 1.0)
-            kernels = np.exp(-0.5 * (d / width) ** 2) * np.array([d**0, -d, d * d])
-            self._kernels[width] = rfft(kernels, size) if width >= _WIDE else kernels
-        kernels = self._kernels[width]
-        if width < _WIDE:
-            pairs = [(grid[0], k) for k in kernels] + [(grid[1], k) for k in kernels[:2]]
-            moments = np.array([np.convolve(values, k)[half:-half] for values, k in pairs])
-        else:
-            whole = rfft(grid, size)
-            moments = irfft(whole[[0, 0, 0, 1, 1]] * kernels[[0, 1, 2, 0, 1]], size)[:, half:]
-        return moments[:, self._index]
-
-
-def quantile(values, part=0.5):
-    """Return a quantile along the last axis of finite values, faster than NumPy's."""
-    place = part * (values.shape[-1] - 1)
-    k = int(place)
-    ordered = np.partition(np.ascontiguousarray(values), k)
-    low = ordered[..., k]
-    return low if place == k else low + (place - k) * (ordered[..., k + 1 :].min(axis=-1) - low)
 
 
 def _solved(hessian, right):

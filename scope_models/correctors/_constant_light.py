@@ -8,19 +8,19 @@ which hold hardly more than the wing of a neighbor.
 
 import numpy as np
 
-__all__ = ["along_position", "constant_light", "polynomials"]
+from scope_models.correctors._position import REWEIGHTS, along_position
+
+__all__ = ["constant_light"]
 
 #: Branch: the star's bright pixels have this part of the brightest one's light.
 _BRIGHT = 0.1
 #: Prior: relative error of images, and (px) of what fitted positions follow the relative
 #: brightness.
 _IMAGE_ERROR, _SHIFT = 0.003, 0.01
-#: Tolerance: passes, and changes of weights, of robust fits.
-_PASSES, _REWEIGHTS = 3, 10
+#: Tolerance: passes of robust fits.
+_PASSES = 3
 #: Tolerance: width (px) of the rings of the star's profile.
 _RING = 0.5
-#: Prior: degree of the polynomials of position by which constant light changes.
-_DEGREE = 3
 
 
 def constant_light(image, own, slopes, position, grid, inside, use):
@@ -52,7 +52,7 @@ def _own_part(mean, columns, bright, grid):
     for _ in range(_PASSES):
         error = np.hypot(_IMAGE_ERROR * star, wing)[bright]
         weight = np.ones(bright.sum())
-        for _ in range(_REWEIGHTS):
+        for _ in range(REWEIGHTS):
             root = np.sqrt(weight) / error
             fit = columns[bright] * root[:, None], (mean - wing)[bright] * root
             coefficients = np.linalg.lstsq(*fit, rcond=None)[0]
@@ -78,22 +78,3 @@ def _wing(other, star, grid):
     profile, place = ([np.median(values[ring == k]) for k in rings] for values in (size, radius))
     image = np.exp(np.interp(distance, place, profile))
     return image * (light @ image) / (image[around] @ image[around])
-
-
-def polynomials(position):
-    """Return all products of powers of both coordinates up to degree 3, the constant first."""
-    x, y = position.T
-    powers = [(i, n - i) for n in range(_DEGREE + 1) for i in range(n + 1)]
-    return np.column_stack([x**i * y**j for i, j in powers])
-
-
-def along_position(values, position, use):
-    """Return a robust fit of polynomials of position."""
-    columns = polynomials(position / np.maximum(np.abs(position[use]).max(axis=0), 1e-9))
-    weight = use.astype(float)
-    for _ in range(_REWEIGHTS):
-        root = np.sqrt(weight)
-        fitted = columns @ np.linalg.lstsq(columns * root[:, None], values * root, rcond=None)[0]
-        rest = np.abs(values - fitted)
-        weight = use / (1 + (rest / (3 * max(np.median(rest[use]), 1e-12))) ** 2)
-    return fitted

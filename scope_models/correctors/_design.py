@@ -4,7 +4,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from scope_models.correctors._constant_light import along_position, polynomials
 from scope_models.correctors._features import (
     Regressors,
     center,
@@ -15,6 +14,7 @@ from scope_models.correctors._features import (
     shared_columns,
 )
 from scope_models.correctors._pixels import aperture_pixels
+from scope_models.correctors._position import along_position, polynomials
 from scope_models.correctors._saturation import without_saturation
 from scope_models.io import read_pixels
 

@@ -27,8 +27,10 @@ __all__ = [
     "checked_depth",
     "depth_ratio",
     "fitted_depth",
+    "no_survival",
     "taken_off",
     "transit_column",
+    "warn_of_unmasked",
 ]
 
 #: Branch: peaks below this part of the star's are no neighbors.
@@ -42,6 +44,8 @@ _ROUNDS = 6
 _NEAREST, _MOST_PLACES = 1.4, 12
 #: Prior: part of constant light that is uncertain when the star's variability shows it.
 _UNCERTAIN = 0.04
+#: Warning: part of a transit outside of the mask above which its depth is not trusted.
+_UNMASKED = 0.1
 #: Tolerance: the irrational number whose multiples spread boxes evenly, at places without a period.
 _GOLDEN = (np.sqrt(5) - 1) / 2
 #: Tolerance: boxes are at least so many times their width apart, and there are so many at most.
@@ -293,3 +297,21 @@ def transit_column(model, time):
     if not varies:
         raise ValueError("`transit_model` must vary with time, got a constant")
     return column[:, None]
+
+
+def no_survival(reason):
+    """Return NaN twice, with a warning that has the reason."""
+    warnings.warn(f"the transit survival is NaN: {reason}", DetrendingWarning, stacklevel=4)
+    return np.nan, np.nan
+
+
+def warn_of_unmasked(column, free):
+    """Warn if a fit of free cadences took a transit for variability, systematics or outliers."""
+    event = np.abs(column - np.median(column))
+    if event[free].sum() > _UNMASKED * event.sum():
+        message = (
+            "the transits were neither masked nor fitted jointly: part of their depth may be "
+            "in the variability or the systematics; `correct` with `transit_mask=` or "
+            "`transit_model=` first"
+        )
+        warnings.warn(message, DetrendingWarning, stacklevel=4)

@@ -8,7 +8,6 @@ from astropy import units as u
 from scope_models._arrays import plain_number, plain_time
 from scope_models._checks import check_fields, checked_choice, checked_mask, integer, number
 from scope_models._values import Value, frozen
-from scope_models.correctors._clean import CleanPixels
 from scope_models.correctors._design import (
     DesignOptions,
     background_columns,
@@ -30,6 +29,7 @@ from scope_models.correctors._pixels import (
 )
 from scope_models.correctors._result import PLDFit
 from scope_models.correctors._solution import fit
+from scope_models.correctors._states import CleanPixels
 
 __all__ = ["PLDModel", "PLDOptions", "Settings"]
 

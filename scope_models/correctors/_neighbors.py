@@ -8,8 +8,7 @@ import numpy as np
 from astropy.stats import mad_std
 from astropy.table import QTable
 
-from scope_models.correctors._clean import Smoother
-from scope_models.correctors._constant_light import polynomials
+from scope_models.correctors._position import polynomials
 from scope_models.correctors._scene_model import (
     MEDIAN_SQUARE,
     Priors,
@@ -32,6 +31,7 @@ from scope_models.correctors._scene_start import (
     first_track,
     in_places,
 )
+from scope_models.correctors._smoothing import Smoother
 from scope_models.io.pixels import read_neighbors, usable_positions
 
 __all__ = ["NeighborLight", "given_neighbors", "light_of_neighbors", "without_neighbors"]

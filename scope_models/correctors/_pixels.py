@@ -8,7 +8,9 @@ from astropy.stats import mad_std
 from scipy import ndimage
 
 from scope_models._checks import checked_weights
-from scope_models.correctors._clean import clean_pixels, precise_aperture, quantile
+from scope_models.correctors._clean import clean_pixels
+from scope_models.correctors._position import precise_aperture
+from scope_models.correctors._smoothing import quantile
 from scope_models.exceptions import DetrendingWarning
 from scope_models.io.pixels import usable_positions
 from scope_models.photometry import aperture_flux, cdpp

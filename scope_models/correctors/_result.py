@@ -15,8 +15,10 @@ from scope_models.correctors._injection import (
     checked_depth,
     depth_ratio,
     fitted_depth,
+    no_survival,
     taken_off,
     transit_column,
+    warn_of_unmasked,
 )
 from scope_models.correctors._pixels import LARGEST_CORRECTION
 from scope_models.correctors._solution import Solution
@@ -49,8 +51,6 @@ _SHARE_ERROR = 0.03
 _AT_LEAST, _RESPONSES = 3.0, (0.1, 2.0)
 #: Tolerance: largest change of the flux's logarithm by which a transit is taken out at once.
 _LARGEST = 0.5
-#: Warning: part of a transit outside of the mask above which its depth is not trusted.
-_UNMASKED = 0.1
 #: Numbers of a fit that go into the metadata of its table.
 _NUMBERS = (
     "noise_scale",
@@ -277,22 +277,11 @@ class PLDFit:
         pixels, clean = self.model.pixels, self.model.clean
         if clean is None:
             raise ValueError("the pixel fractions are measured: there are no states to draw")
-        background = np.mean(clean.background, axis=1)
-        states = {
-            "Column (pixel)": clean.position[:, 0],
-            "Row (pixel)": clean.position[:, 1],
-            "Relative width": clean.focus,
-            "Background (e-/s)": background - np.median(background),
-        }
-        moving = list(states)[:3]
-        columns = np.transpose([np.ones_like(clean.focus), *(states[name] for name in moving)])
-        slopes = np.linalg.lstsq(columns, clean.shares, rcond=None)[0]
-        leaks = np.std(columns, axis=0)[:, np.newaxis] * slopes
-        images = leaks[1:].reshape(len(moving), *pixels.aperture.shape)
+        states, leaks = clean.leaks()
         return plot_states(
             pixels.time,
             {name: self._whole(values) for name, values in states.items()},
-            dict(zip(moving, images, strict=True)),
+            {name: values.reshape(pixels.aperture.shape) for name, values in leaks.items()},
             pixels.aperture,
             time_label=f"Time ({self.model.source.series.time_format.upper()})",
         )
@@ -371,20 +360,17 @@ class PLDFit:
                 f"{left_out} of {n} cadences are left out of the fit as outliers: the star "
                 "varies in a way that the model cannot follow, or pixels are damaged"
             )
+        crowded = 1 - self.model.pixels.crowding > _CONTAMINATED
         if self.contamination > _CONTAMINATED:
             found.append(
                 f"{100 * self.contamination:.1f} % of the light in the aperture was taken off: of "
                 "other stars, or constant"
             )
-        elif 1 - self.model.pixels.crowding > _CONTAMINATED:
+        elif crowded or self.contrast_error > _BLENDED:
+            part = 1 - self.crowding if crowded else self.contrast_error
             found.append(
-                f"{100 * (1 - self.crowding):.0f} % of the light in the aperture is of other "
-                "stars: depths and amplitudes are too small by as much"
-            )
-        elif self.contrast_error > _BLENDED:
-            found.append(
-                f"about {100 * self.contrast_error:.0f} % of the light in the aperture is of other "
-                "stars: depths and amplitudes are too small by as much"
+                f"about {100 * part:.0f} % of the light in the aperture is of other stars: depths "
+                "and amplitudes are too small by as much"
             )
         whole = self.model.pixels.aperture.sum() >= _WHOLE
         if whole and self.may_follow:
@@ -521,10 +507,10 @@ class PLDFit:
         """Return a survival and its standard deviation."""
         pixels = self.model.pixels
         if self.model.source is None:
-            return _no_survival("no file is behind the fit")
+            return no_survival("no file is behind the fit")
         if transit_model is None:
             if 3 * self.window > self.n_used:
-                return _no_survival(f"{self.n_used} cadences are less than three of the boxes")
+                return no_survival(f"{self.n_used} cadences are less than three of the boxes")
             if depth is None:
                 flux, error = self.corrected()
                 with np.errstate(all="ignore"):  # as in `corrected`
@@ -543,7 +529,7 @@ class PLDFit:
         try:
             again = self._with_signal(column)
         except ValueError as error:
-            return _no_survival(f"the correction with transits in the pixels fails: {error}")
+            return no_survival(f"the correction with transits in the pixels fails: {error}")
         flux, flux_err = self.corrected()
         with np.errstate(all="ignore"):
             ratio = again.corrected()[0] / flux
@@ -553,7 +539,7 @@ class PLDFit:
         found, error = depth_ratio(np.exp(column[known]) - 1, ratio, weight)
         low, high = _SURVIVALS
         if not low < found < high or not 2 * error < max(found, 1 - found):
-            return _no_survival(f"{found:.2f} with a standard deviation of {error:.2f}")
+            return no_survival(f"{found:.2f} with a standard deviation of {error:.2f}")
         return found, error
 
     @one_thread
@@ -607,9 +593,11 @@ class PLDFit:
             If the transits were neither masked nor fitted jointly.
         """
         column = transit_column(transit_model, self.model.pixels.time)
-        if not column[self.model.pixels.usable].any():
+        usable = self.model.pixels.usable
+        if not column[usable].any():
             return np.nan, np.inf
-        self._check_masked(column[self.model.pixels.usable, 0])
+        if not self.joint:
+            warn_of_unmasked(column[usable, 0], self.cadence_mask[usable])
         first = fitted_depth(self, column)
         if not np.isfinite(first).all() or self.model.source is None:
             return first
@@ -635,18 +623,6 @@ class PLDFit:
         scale = share * (taken[-1] + left[-1] / response)
         error = np.hypot(error * share / response, _SHARE_ERROR * (1 - share) * scale)
         return float(scale), float(error)
-
-    def _check_masked(self, column):
-        """Warn if the fit has taken a transit for variability, systematics or outliers."""
-        event = np.abs(column - np.median(column))
-        free = self.cadence_mask[self.model.pixels.usable]
-        if not self.joint and event[free].sum() > _UNMASKED * event.sum():
-            message = (
-                "the transits were neither masked nor fitted jointly: part of their depth may be "
-                "in the variability or the systematics; `correct` with `transit_mask=` or "
-                "`transit_model=` first"
-            )
-            warnings.warn(message, DetrendingWarning, stacklevel=4)
 
     @one_thread
     def held_out(self, width=13, cadences=None):
@@ -709,12 +685,8 @@ class PLDFit:
         table.meta.update({name: getattr(self, name) for name in _NUMBERS})
         none = (np.nan, np.nan)
         survival, scale = (vars(self).get(name, none) for name in ("_survival", "_transit"))
-        table.meta.update(
-            transit_survival=survival[0],
-            transit_survival_err=survival[1],
-            transit_scale=scale[0],
-            transit_scale_err=scale[1],
-        )
+        table.meta.update(transit_survival=survival[0], transit_survival_err=survival[1])
+        table.meta.update(transit_scale=scale[0], transit_scale_err=scale[1])
         return table
 
     def _rows(self):
@@ -758,9 +730,3 @@ class PLDFit:
             f"<tr><th>{label}</th><td>{value}</td></tr>" for label, value in self._rows()
         )
         return f"<table>{rows}</table>"
-
-
-def _no_survival(reason):
-    """Return NaN twice, with a warning that has the reason."""
-    warnings.warn(f"the transit survival is NaN: {reason}", DetrendingWarning, stacklevel=4)
-    return np.nan, np.nan

@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 from scipy.special import erf
 
-from scope_models.correctors._clean import Smoother, clean_pixels, precise_aperture
+from scope_models.correctors._clean import clean_pixels
+from scope_models.correctors._position import precise_aperture
+from scope_models.correctors._smoothing import Smoother
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 

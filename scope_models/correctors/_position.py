@@ -1,0 +1,148 @@
+"""Functions of a star's position on the pixels, and what a wider PSF changes in them."""
+
+import numpy as np
+from scipy.linalg import cholesky, solve_triangular
+
+from scope_models.correctors._smoothing import quantile
+
+__all__ = ["REWEIGHTS", "Features", "Widening", "along_position", "polynomials", "precise_aperture"]
+
+#: Prior: degree of the polynomials of position by which light changes.
+_DEGREE = 3
+#: Tolerance: changes of weights of robust fits.
+REWEIGHTS = 10
+#: Prior: part of the variance of lost light that is expected to remain: a tenth of the amplitude.
+_LOST = 0.01
+#: Tolerance: cadences whose arrays a processor's cache holds.
+_BLOCK = 128
+
+
+class Features:
+    """Functions of position whose combinations are a Gaussian process of a scale (pivoted)."""
+
+    def __init__(self, position, scale, tolerance, max_rank):
+        few = position[:: max(1, len(position) // 600)]
+        rest, rows, pivots = np.ones(len(few)), np.zeros((max_rank, len(few))), []
+        self._scale = scale
+        for k in range(max_rank):
+            pivot = int(np.argmax(rest))
+            if rest[pivot] < tolerance:
+                break
+            row = _kernel(few, few[pivot : pivot + 1], scale)[:, 0] - rows[:k, pivot] @ rows[:k]
+            rows[k] = row / np.sqrt(rest[pivot])
+            rest = np.maximum(rest - rows[k] ** 2, 0)
+            pivots.append(pivot)
+        self._pivots = few[pivots]
+        kernel = self.kernel(self._pivots)
+        kernel.flat[:: len(kernel) + 1] += 1e-10
+        self._lower = cholesky(kernel, lower=True)
+
+    def kernel(self, position):
+        """Return the kernels of the pivots, of which the functions are combinations."""
+        return _kernel(position, self._pivots, self._scale)
+
+    def __call__(self, position):
+        """Return the kernels and the functions at positions, ``(n, rank)``."""
+        kernel = self.kernel(position)
+        return kernel, solve_triangular(self._lower, kernel.T, lower=True).T
+
+    def weights(self, coefficients):
+        """Return weights of the kernels that make combinations of the functions."""
+        return solve_triangular(self._lower, coefficients, lower=True, trans=1)
+
+    def slope_weights(self, weights):
+        """Return those of derivatives along x and y, plus multiples of the combinations."""
+        return [pivot[:, None] / self._scale**2 * weights for pivot in self._pivots.T]
+
+
+def _kernel(a, b, scale):
+    square = (a[:, None, 0] - b[None, :, 0]) ** 2 + (a[:, None, 1] - b[None, :, 1]) ** 2
+    return np.exp(-0.5 * square / scale**2)
+
+
+class Widening:
+    """
+    The change of images of a PSF that widens by a part w, over w.
+
+    What pixels lose is what flows through their edges. The light there is that of the cubic
+    polynomial whose integrals over the four nearest pixels are right, and in the wings, where that
+    is less, the geometric mean of both pixels.
+
+    Parameters
+    ----------
+    grid : ndarray
+        Column and row of each pixel, ``(n_pixels, 2)``.
+    aperture : ndarray of bool
+        Pixels whose sum stays as it is.
+    """
+
+    def __init__(self, grid, aperture):
+        self.grid, self.aperture = grid, aperture
+        places = {tuple(place): k for k, place in enumerate(grid)}
+        self._beside = np.array(
+            [
+                [
+                    [places.get((x + i * (1 - k), y + i * k), -1) for x, y in grid]
+                    for i in range(-2, 3)
+                ]
+                for k in (0, 1)
+            ]
+        )
+
+    def __call__(self, images, center):
+        """Return the mean change of images ``(n, n_pixels)`` of a star at centers ``(n, 2)``."""
+        change = np.zeros(images.shape[1])
+        for first in range(0, len(images), _BLOCK):
+            part = slice(first, first + _BLOCK)
+            light = np.pad(images[part].T, ((0, 1), (0, 0)))  # the last row is beside the stamp
+            wider = np.zeros_like(light[:-1])
+            for axis in (0, 1):
+                near = light[self._beside[axis]]
+                far = self.grid[:, axis, None] - center[part, axis]
+                for side, four in ((-1, near[:4]), (1, near[1:])):
+                    edge = (7 * (four[1] + four[2]) - four[0] - four[3]) / 12
+                    edge = np.maximum(edge, np.sqrt(np.maximum(four[1] * four[2], 0)))
+                    wider -= side * (far + 0.5 * side) * edge
+            change += (wider - light[:-1] * (self.aperture @ wider)).sum(axis=1)
+        return change / len(images)
+
+
+def polynomials(position):
+    """Return all products of powers of both coordinates up to degree 3, the constant first."""
+    x, y = position.T
+    powers = [(i, n - i) for n in range(_DEGREE + 1) for i in range(n + 1)]
+    return np.column_stack([x**i * y**j for i, j in powers])
+
+
+def along_position(values, position, use):
+    """Return a robust fit of polynomials of position."""
+    columns = polynomials(position / np.maximum(np.abs(position[use]).max(axis=0), 1e-9))
+    weight = use.astype(float)
+    for _ in range(REWEIGHTS):
+        root = np.sqrt(weight)
+        fitted = columns @ np.linalg.lstsq(columns * root[:, None], values * root, rcond=None)[0]
+        rest = np.abs(values - fitted)
+        weight = use / (1 + (rest / (3 * max(np.median(rest[use]), 1e-12))) ** 2)
+    return fitted
+
+
+def precise_aperture(light, variance, position):
+    """Choose the pixels ``(n_pixels,)`` whose sum is expected to be most precise.
+
+    Pixels are added by their ratio of light, less background, to noise, as long as the noise of
+    6.5 h and what the aperture loses as the star moves, relative to all pixels, become less.
+    """
+    variance = quantile(variance.T)
+    order = np.argsort(-quantile(light.T, 0.98) / variance)
+    inside = np.cumsum(light[:, order], axis=1)
+    level = quantile(inside.T)
+    noise = np.cumsum(variance[order])
+    columns = polynomials(position / np.maximum(np.abs(position).max(axis=0), 1e-9))
+    columns = np.linalg.qr(columns)[0][:, 1:]
+    part = ((columns.T @ (inside / inside[:, -1:])) ** 2).sum(axis=0) / len(light) * level**2
+    lost = np.maximum(part - columns.shape[1] * noise / len(light), 0)
+    scatter = (_LOST * lost + noise / 13) / np.where(level > 0, level, np.inf) ** 2
+    fewest = min(3, len(order) - 1)  # but one
+    mask = np.zeros(len(order), dtype=bool)
+    mask[order[: fewest + np.argmin(scatter[fewest:]) + 1]] = True
+    return mask
