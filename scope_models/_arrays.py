@@ -85,12 +85,11 @@ def plain_array(value, unit, name, *, pixel_scale=None, equivalencies=()):
     try:
         return quantity.to_value(unit, equivalencies=list(equivalencies))
     except u.UnitConversionError:
-        hint = ""
+        got = str(quantity.unit)
         if pixel_scale is None and is_angle(quantity.unit) and unit == u.pix:
-            hint = "; there is no pixel scale here to convert an angle with"
-        raise ValueError(
-            f"`{name}` must be in {_text(unit)}, or convert to it, got {quantity.unit}{hint}"
-        ) from None
+            got += "; there is no pixel scale here to convert an angle with"
+        message = f"`{name}` must be in {_text(unit)}, or convert to it, got {got}"
+        raise ValueError(message) from None
 
 
 def plain_number(value, unit, name, **options):

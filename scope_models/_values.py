@@ -72,10 +72,8 @@ def frozen(array):
 
 def html_table(title, rows):
     """Return a title and a table of names and values as HTML."""
-    cells = "".join(
-        f"<tr><th>{escape(str(name))}</th><td>{escape(str(value))}</td></tr>"
-        for name, value in rows.items()
-    )
+    texts = [(escape(str(name)), escape(str(value))) for name, value in rows.items()]
+    cells = "".join(f"<tr><th>{name}</th><td>{value}</td></tr>" for name, value in texts)
     return f"<p>{escape(title)}</p><table>{cells}</table>"
 
 

@@ -333,7 +333,6 @@ def planet_rows(planets, needed=("period", "depth"), further=("t0", "duration"))
 
 
 def _rows_of(planets, needed, further, files):
-    """Return the planet of each file."""
     rows = planet_rows(planets, needed, further)
     if len(rows) not in {1, len(files)}:
         wanted = f"one row, or one for each of the {len(files)} files"
@@ -566,8 +565,5 @@ def _simulated(task, output, seed, *, detector, motion, cadences):
     observation = simulate(star, detector, motion, seed=seed)
     observation.write(output, overwrite=True, metadata={"object_name": task["key"]})
     flux = observation.flux[:, observation.aperture].sum(axis=1, dtype=float)
-    return {
-        "n_cadences": len(motion),
-        "n_pixels": int(observation.aperture.sum()),
-        "cdpp": noise_of(flux),
-    }
+    n_pixels = int(observation.aperture.sum())
+    return {"n_cadences": len(motion), "n_pixels": n_pixels, "cdpp": noise_of(flux)}

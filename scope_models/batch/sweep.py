@@ -305,7 +305,6 @@ def _failures(failed, meta):
 
 
 def _written(directory, table, summary, figure, failures):
-    """Write tables and figure, and return their paths."""
     files = [_write(table, directory / "results.ecsv")]
     if summary is not None:
         files.append(_write(summary, directory / "summary.ecsv"))
@@ -323,7 +322,6 @@ def _written(directory, table, summary, figure, failures):
 
 
 def _write(table, path):
-    """Write a table in one step and return its path."""
     if "traceback" in table.colnames:
         table = table.copy()
         # ECSV takes the blanks off the beginnings of the lines of a text

@@ -33,9 +33,8 @@ _ARGABRIGHTENING = 4096  # on the CCD
 # Numbers of the missions' photometers, from their handbooks: zero point (e-/s of a star of
 # magnitude 12), seconds of exposure, read noise per cadence (e-), sky background (e-/s per pixel),
 # full well (e-/s), width of the PSF (px), pixel scale (arcsec).
-_Photometer = namedtuple(
-    "_Photometer", "zero_point exposure read_noise background well width pixel_scale"
-)
+_NUMBERS = "zero_point exposure read_noise background well width pixel_scale"
+_Photometer = namedtuple("_Photometer", _NUMBERS)
 _KEPLER = _Photometer(1.74e5, 1625.3, 1479.0, 166.0, 1.79e5, 0.55, 3.98)
 _TESS = _Photometer(2379.0, 1425.6, 268.0, 120.0, 1.0e5, 0.65, 21.0)
 _PHOTOMETERS = {"K2": _KEPLER, "Kepler": _KEPLER, "TESS": _TESS}

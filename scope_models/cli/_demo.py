@@ -85,10 +85,8 @@ def _observe(motion, seed):
 
 def _table(curves):
     """Return the noise of each light curve as lines of text."""
-    noise = {
-        method: [sm.photometry.cdpp(lc, method=method) for lc in curves.values()]
-        for method in ("lightkurve", "everest")
-    }
+    methods = ("lightkurve", "everest")
+    noise = {m: [sm.photometry.cdpp(lc, method=m) for lc in curves.values()] for m in methods}
     lines = ["6.5-hour CDPP of flux over truth (ppm, lightkurve's convention)"]
     lines += [f"{n:12s}{v:8.1f}" for n, v in zip(curves, noise["lightkurve"], strict=True)]
     others = ", ".join(f"{value:.1f}" for value in noise["everest"])

@@ -204,7 +204,6 @@ def _add_fit(commands):
 
 
 def _fit(arguments, path, **options):
-    """Fit a file and return the free parameters."""
     from scope_models.batch.files import fit_file
 
     fit = fit_file(path, arguments.output, **options)

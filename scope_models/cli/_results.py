@@ -50,21 +50,18 @@ def add_parser(commands):
 
 
 def _report(arguments):
-    """Write the page and print its path."""
     from scope_models.batch import write_report
 
     print(write_report(arguments.folder, arguments.output))
 
 
 def _write(arguments):
-    """Write the stars; return the exit status."""
     if arguments.output_dir is None:
         arguments.error("the following arguments are required: --output-dir")
     return _batch.run("make_benchmark", arguments, stars=arguments.stars)
 
 
 def _score(arguments):
-    """Score light curves; return the exit status."""
     from scope_models.benchmark import score_light_curves, summarize_scores
     from scope_models.io._atomic import atomic_path, check_output
 

@@ -234,7 +234,6 @@ def _make_scene(arguments, detector, motion, fields):
 
 
 def _make_field(arguments, target, detector, motion, options):
-    """Return the scene of a catalog."""
     from astropy.coordinates import SkyCoord
     from astropy.table import Table
 

@@ -152,10 +152,8 @@ class Exposures(Value):
         Exposures
             All sums of offsets; the variances of the blur add up.
         """
-        x, y = (
-            (a[:, :, np.newaxis] + b[:, np.newaxis]).reshape(len(a), -1)
-            for a, b in ((self.x, other.x), (self.y, other.y))
-        )
+        pairs = (self.x, other.x), (self.y, other.y)
+        x, y = ((a[:, :, np.newaxis] + b[:, np.newaxis]).reshape(len(a), -1) for a, b in pairs)
         weights = np.outer(self.weights, other.weights).ravel()
         blur = float(np.hypot(self.blur, other.blur))
         return Exposures(x, y, weights, blur, max(self.nodes, other.nodes))

@@ -165,7 +165,6 @@ class Problem:
     error_scale: float = 1.0  # factor of all errors in the fit
     misfit: float = 1.0  # ... of the errors that are quoted, from the pixels with light
 
-    # --- data -----------------------------------------------------------------------------
     @property
     def data(self):
         """The pixels of the first file."""
@@ -232,7 +231,6 @@ class Problem:
         """Relative width of the PSF less 1, shape ``(n,)``."""
         return self.focus_basis @ state.shared[self.n_shared - self.focus_basis.shape[1] :]
 
-    # --- parameters -----------------------------------------------------------------------
     @property
     def position_error(self):
         """Standard deviation of the positions about the affine map of POS_CORR, pixels, or None.
@@ -364,7 +362,6 @@ class Problem:
             return replace(self, error_scale=scale, misfit=misfit)
         return self
 
-    # --- parts of a state -----------------------------------------------------------------
     def values(self, state):
         """Values of the free parameters of the PRF."""
         return {p.name: float(v) for p, v in zip(self._of_shape, state.shared, strict=False)}
@@ -402,7 +399,6 @@ class Problem:
         columns = self.index.backgrounds
         return state.column(columns[stamp]) if columns else np.zeros(len(state.cadence))
 
-    # --- model ----------------------------------------------------------------------------
     def chunks(self):
         """Slices of cadences."""
         n = len(self.flux)

@@ -101,10 +101,8 @@ def _fields_of(hdus):
         parameter.value, parameter.fixed = value, prf["fixed"][name]
         parameter.bounds = tuple(prf["bounds"][name])
     detector |= {"sensitivity": model.sensitivity, "shape": tuple(detector["shape"])}
-    response = tuple(
-        PixelShares(**{name: unpacked(value) for name, value in shares.items()})
-        for shares in described["response"]
-    )
+    shares = ({name: unpacked(v) for name, v in one.items()} for one in described["response"])
+    response = tuple(PixelShares(**values) for values in shares)
     options, statistics = described["options"], {n: described.get(n, np.nan) for n in STATISTICS}
     if options["interpixel"] is None:
         options["interpixel"] = np.inf

@@ -127,7 +127,6 @@ class TPFFit(Value):
         lines = [escape(s) for s in self.summary().splitlines() if not s.startswith("  ")]
         return f"<p>{'<br>'.join(lines)}</p>{self.parameters._repr_html_()}"
 
-    # --- numbers --------------------------------------------------------------------------
     @property
     def shape(self):
         """Shape (ny, nx) of an image."""
@@ -306,7 +305,6 @@ class TPFFit(Value):
 
         return psf_image(self, half, samples)
 
-    # --- light curve, scene, figure, file -------------------------------------------------
     def to_lightcurve(self):
         """Return the fluxes as a light curve.
 

@@ -181,7 +181,6 @@ def _floats(name, values, shape, *, broadcast=False):
 
 
 def _integers(name, values, shape):
-    """Return an array of 32-bit integers of a shape."""
     array = checked_int32(name, values)
     if array.shape != shape:
         raise ValueError(f"`{name}` must have the shape {shape}, got {array.shape}")

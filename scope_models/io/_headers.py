@@ -240,7 +240,6 @@ def _fill(headers, extra_cards):
 
 
 def _checked_card(keyword, given):
-    """Return a card that FITS allows."""
     from astropy.io import fits
 
     value, comment = given if isinstance(given, tuple) and len(given) == 2 else (given, "")

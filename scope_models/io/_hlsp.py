@@ -160,7 +160,6 @@ def _times(table, series):
 
 
 def _place(series):
-    """Return the cards of place and band."""
     band = _INSTRUMENTS.get(series.mission.name, _KEPLER)[1]
     return [
         ("RA_TARG", series.header.get("RA_OBJ"), "[deg] right ascension"),

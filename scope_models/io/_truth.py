@@ -258,7 +258,6 @@ def _columns_of(hdu):
 
 
 def _map_blocks(maps):
-    """Return an image for each map."""
     blocks = {}
     for name, values in maps.items():
         _check_name("truth_maps", name, _TPF_NAMES | blocks.keys())

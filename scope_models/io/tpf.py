@@ -285,7 +285,6 @@ def _cosmic_ray_hdu(metadata, values):
 
 
 def _aperture_bits(aperture, shape):
-    """Return the aperture as int32 bits."""
     if aperture is None:
         return np.full(shape, _COLLECTED, dtype=np.int32)
     aperture = np.asarray(aperture)

@@ -209,10 +209,8 @@ def _evaluate(x, y, parameters, coefficients, engines, n_images):
     n = prod(shape)
     # A parameter common to all densities stays a single number for speed; not the positions.
     common = [p.size == 1 and i not in {1, 2} for i, p in enumerate(parameters)]
-    flat = [
-        p.reshape(1) if alone else np.broadcast_to(p, shape).reshape(n)
-        for p, alone in zip(parameters, common, strict=True)
-    ]
+    pairs = zip(parameters, common, strict=True)
+    flat = [p.reshape(1) if alone else np.broadcast_to(p, shape).reshape(n) for p, alone in pairs]
     coefficients = [np.atleast_1d(np.asarray(c, dtype=float)) for c in coefficients]
     degree = max(c.size for c in coefficients) - 1
     series = uses_series(flat[3], flat[5], degree)

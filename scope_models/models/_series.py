@@ -52,10 +52,8 @@ class ImageSeries:
             for _, offset, term, gaussian in parts
         )
         rows, columns = (np.arange(s.start, s.stop, dtype=float) for s in self.window)
-        self._parts = [
-            (fraction, offset, _engine(term, gaussian, columns, rows, blur))
-            for fraction, offset, term, gaussian in parts
-        ]
+        grid = columns, rows, blur
+        self._parts = [(part, offset, _engine(*form, *grid)) for part, offset, *form in parts]
         self._shape = rows.size, columns.size
 
     def __call__(self, x, y, widths=None):

@@ -112,10 +112,8 @@ class CorrectedPRF(TabulatedPRF):
 
     def evaluate(self, x, y, flux, x_0, y_0, *coefficients):
         """Flux in the pixels."""
-        offsets = [
-            plain_array(a, "pix", n) - plain_array(b, "pix", f"{n}_0")
-            for n, a, b in (("x", x, x_0), ("y", y, y_0))
-        ]
+        axes = ("x", x, x_0), ("y", y, y_0)
+        offsets = [plain_array(a, "pix", n) - plain_array(b, "pix", f"{n}_0") for n, a, b in axes]
         return flux * self.unit_derivatives(*offsets, *coefficients)[0]
 
     def to_photutils(self):

@@ -210,9 +210,7 @@ class PRFGrid(Value):
         files = sorted([*path.glob("*prf*.fits"), *path.glob("*prf*.fits.gz")])
         files = files if path.is_dir() else [path]
         found = [_read_tess(file) for file in files]
-        chosen = [
-            item for item in found if camera in (None, item[0][0]) and ccd in (None, item[0][1])
-        ]
+        chosen = [row for row in found if camera in (None, row[0][0]) and ccd in (None, row[0][1])]
         if not chosen:
             raise FileNotFoundError(f"{path} has no PRF of camera {camera}, CCD {ccd}")
         if len({item[0] for item in chosen}) > 1:

@@ -153,10 +153,8 @@ class _Component:
         source = self.shape.get(name, name)
         size = float(np.max(np.abs(values[source]))) if name in self.shape else 1.0
         step = _STEP * max(1.0, size)
-        high, low = (
-            integrate_term(self.term(values | {source: values[source] + sign * step}), points)
-            for sign in (1, -1)
-        )
+        changes = ({source: values[source] + size} for size in (step, -step))
+        high, low = (integrate_term(self.term(values | change), points) for change in changes)
         return (high - low) / (2 * step)
 
 
@@ -614,10 +612,8 @@ def _check_compound(compound, terms):
         factor = term.densities[0]
         missing = [name for name in _POSITION if name not in factor.model.param_names]
         if missing:
-            lacks = ", ".join(f"`{name}`" for name in missing)
-            raise ValueError(
-                f"{names} has no parameter {lacks}: a component needs flux, x_0 and y_0"
-            )
+            lacks = f"no parameter {', '.join(f'`{name}`' for name in missing)}"
+            raise ValueError(f"{names} has {lacks}: a component needs flux, x_0 and y_0")
         if is_pixel_integrated(factor.model):
             _check_integrated(names, factor.model, term.sensitivities)
         if factor.size:

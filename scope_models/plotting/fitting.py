@@ -180,7 +180,6 @@ def _draw_positions(ax, x, y, pos_corr):
 
 
 def _draw_sensitivity(ax, sensitivity):
-    """Draw the response along both axes with its uncertainty."""
     offset = sensitivity["offset"]
     for axis, color, line in (("x", "k", "-"), ("y", "0.5", "--")):
         value, error = sensitivity[axis]

@@ -237,7 +237,6 @@ def plot_scene(time, x, y, shape, places, magnitudes, *, time_label="Time (d)", 
 
 
 def _draw_track(ax, time, x, y, time_label):
-    """Draw a track, colored by time, with its color bar."""
     points = np.column_stack([x, y])
     lines = np.stack([points[:-1], points[1:]], axis=1)
     track = LineCollection(lines, cmap="viridis", lw=0.6, alpha=0.5)

@@ -131,18 +131,16 @@ def offsets_at(motion, time, time_format, cards, shape):
         raise ValueError(f"the motion belongs to {ccd}, the file to {other}")
     time = np.where(np.isfinite(time), time, np.inf)
     middles = (motion.time[1:] + motion.time[:-1]) / 2
-    nearest = np.searchsorted(middles, time)
+    at = np.searchsorted(middles, time)
     steps = np.diff(motion.time)
     step = np.median(steps) if len(steps) else MISSIONS["K2"].cadence_days("long")
-    known = np.abs(time - motion.time[nearest]) < step / 2
+    known = np.abs(time - motion.time[at]) < step / 2
     if not known.any():
         raise ValueError("the motion has none of the cadences of the file")
     place = place_of(cards, shape)
     moved = motion.at(*place) if place is not None and hasattr(motion, "at") else motion
     pairs = [(moved.x, moved.y), (moved.x_err, moved.y_err)]
-    return tuple(
-        None if x is None else np.where(known, [x[nearest], y[nearest]], np.nan).T for x, y in pairs
-    )
+    return tuple(None if x is None else np.where(known, [x[at], y[at]], np.nan).T for x, y in pairs)
 
 
 @dataclass(frozen=True)

@@ -685,11 +685,8 @@ class Motion(Value):
                     "`Motion.concatenate(motions, shift=True)` shifts them"
                 )
         columns = (np.concatenate([getattr(m, name) for m in joined]) for name in _COLUMNS)
-        common = {
-            key: value
-            for key, value in first.meta.items()
-            if all(key in motion.meta and motion.meta[key] == value for motion in joined)
-        }
+        metas = [motion.meta for motion in joined]
+        common = {k: v for k, v in first.meta.items() if all(k in m and m[k] == v for m in metas)}
         return Motion(*columns, first.time_format, common)
 
     def offsets(self, tpf):
@@ -848,9 +845,8 @@ class Motion(Value):
 
 
 def _checked_scale(pixel_scale):
-    return checked_number(
-        "pixel_scale", pixel_scale, u.arcsec, positive=True, equivalencies=PER_PIXEL
-    )
+    options = {"positive": True, "equivalencies": PER_PIXEL}
+    return checked_number("pixel_scale", pixel_scale, u.arcsec, **options)
 
 
 def _shifted(motion, before):

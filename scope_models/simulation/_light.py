@@ -145,10 +145,8 @@ def lost_fractions(prepared):
     x, y = motion.x, motion.y
     # Farthest along the axes and along the diagonals.
     extremes = sorted({i for u in (x, y, x + y, x - y) for i in (u.argmin(), u.argmax())})
-    return [
-        light.series.lost(x_0 + x[extremes], y_0 + y[extremes])
-        for light, (x_0, y_0) in shown(prepared.lights, positions)
-    ]
+    x, y, rows = x[extremes], y[extremes], shown(prepared.lights, positions)
+    return [light.series.lost(x_0 + x, y_0 + y) for light, (x_0, y_0) in rows]
 
 
 def _exposures(scene, added):
