@@ -392,8 +392,10 @@ class Target:
         ----------
         flux : array_like or `~lightkurve.LightCurve`, optional
             The light curve; by default `lightcurve`.
-        duration, method : float, {"lightkurve", "everest"}, optional
-            Time scale in hours, and convention, see `scope_models.photometry.cdpp`.
+        duration : float, optional
+            Time scale in hours.
+        method : {"lightkurve", "everest"}, optional
+            Convention, see `scope_models.photometry.cdpp`.
 
         Returns
         -------
