@@ -113,7 +113,6 @@ def value_key(value):
 
 
 def _shown(value):
-    """Return text of one line."""
     if hasattr(value, "colnames"):
         return f"<table of {len(value)} rows>"
     if isinstance(value, np.ndarray) and value.size > 4:

@@ -54,7 +54,6 @@ def detrended(task, output, seed, *, format="fits", **options):  # noqa: A002, A
 
 
 def _correction_row(corrector, series, survival):
-    """Return the measures of a correction."""
     header = series.header
     row = header_row(series)
     row["campaign"], row["channel"] = ccd_label(header)

@@ -212,6 +212,5 @@ def _numbered(kind, number, message):
 
 
 def _shown(name, values):
-    """Return a value for a message, shortened."""
     text = json.dumps(values[name]) if name in values else "absent"
     return text if len(text) <= 60 else f"{text[:57]}..."

@@ -106,7 +106,6 @@ def write_report(folder, output=None):
 
 
 def _summary(table, failures):
-    """Return numbers of the whole run."""
     rows = [("stars", len(table)), ("failed", len(failures))]
     if "cdpp_everest" in table.colnames:
         raw, now = (without_unit(table[name]) for name in ("raw_cdpp_everest", "cdpp_everest"))
@@ -202,7 +201,6 @@ def _text(row, name):
 
 
 def _image(figure, caption):
-    """Return a figure as a part of the page."""
     from scope_models.plotting._style import save_figure
 
     content = io.BytesIO()

@@ -115,7 +115,6 @@ def _of_star(problem, state, errors, star):
 
 
 def _deviation(errors, column):
-    """Standard deviations of a column, ``(n,)``."""
     k = errors.cadence.shape[1]
     if column < k:
         return np.sqrt(np.maximum(errors.cadence[:, column, column], 0.0))

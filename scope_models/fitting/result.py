@@ -134,7 +134,6 @@ class TPFFit(Value):
 
     @cached_property
     def _free(self):
-        """The free parameters (Table)."""
         return self.parameters[~self.parameters["fixed"]]
 
     @property

@@ -271,7 +271,6 @@ def _map_blocks(maps):
 
 
 def _table_hdus(tables, taken):
-    """Return a table for each list."""
     from astropy.io import fits
 
     hdus = []

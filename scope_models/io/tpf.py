@@ -239,10 +239,8 @@ def _tpf_blocks(
     primary, table, image = make_headers(metadata, values["TIME"], timecorr, counted, aperture)
     layout, shape = pixel_columns(metadata), values["FLUX"].shape
     definitions = pixel_column_cards(layout, metadata, shape[1:])
-    blocks = [
-        Block.table(table_rows(layout, values, shape), [*definitions, *table]),
-        Block.image(aperture, image),
-    ]
+    rows = table_rows(layout, values, shape)
+    blocks = [Block.table(rows, [*definitions, *table]), Block.image(aperture, image)]
     if "COSMIC_RAYS" in metadata.layout.absent_columns:
         blocks.append(_cosmic_ray_hdu(metadata, values))
     truth = truth_columns, truth_maps, scene, truth_tables

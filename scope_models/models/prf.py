@@ -377,7 +377,6 @@ class PRF(StarModel):
         return own | {name: float(value) for name, value in (values or {}).items()}
 
     def _fractions(self, values):
-        """Part of the flux in each component."""
         others = [values[c.fraction] for c in self._components if c.fraction]
         return [1.0 - sum(others), *others]
 

@@ -35,8 +35,7 @@ def plot_fit(
     flux=None,
     time_label="Time (d)",
 ):
-    """
-    Draw data, model, residual and PSF, positions against POS_CORR, chi-squared and the light curve.
+    """Draw data, model, residual and PSF, positions against POS_CORR, chi-squared, light curve.
 
     A sensitivity takes the place of the light curve.
 

@@ -226,7 +226,6 @@ def _plot_corrected(ax, time, corrected, model, noise, time_label):
 
 
 def _label(ax, xlabel, title):
-    """Label the axes, and draw the legend."""
     ax.set(xlabel=xlabel, ylabel="Relative flux")
     ax.set_title(title, loc="left")
     ax.ticklabel_format(axis="y", useOffset=False)

@@ -204,7 +204,6 @@ def _draw(base, faintest, mags):
 
 
 def _lighting(base, x, y, mags, model):
-    """Return which stars light the stamp."""
     detector, motion = base.detector, base.motion
     ny, nx = detector.shape
     axes = (x, motion.x, nx), (y, motion.y, ny)

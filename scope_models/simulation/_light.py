@@ -100,7 +100,6 @@ def prepare(scene):
 
 
 def _star_lights(scene, conditions, effects):
-    """Return the light of each star of a scene."""
     detector, time = scene.detector, scene.motion.time
     widths = _product(effect.width(drawn, conditions) for effect, drawn in effects)
     added = [effect.exposures(drawn, conditions) for effect, drawn in effects]

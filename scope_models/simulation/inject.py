@@ -245,7 +245,6 @@ def _simulated(scene):
 
 
 def _record(hdus, series, relative, added, star):
-    """Add the table of the injected signal."""
     from astropy.io import fits
 
     ny, nx = series.flux.shape[1:]
