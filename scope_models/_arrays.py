@@ -9,8 +9,7 @@ from astropy.time import Time, TimeDelta
 
 __all__ = [
     "DIGITAL", "LARGEST_DAY", "PER_PIXEL", "TIME_ZEROS", "is_angle", "native", "plain_array",
-    "plain_number", "plain_time", "plain_tree", "unmasked", "values_of",
-    "without_unit",
+    "plain_number", "plain_time", "plain_tree", "unmasked", "values_of", "without_unit",
 ]  # fmt: skip
 
 #: Barycentric Julian date (TDB) of the zero of each time format.

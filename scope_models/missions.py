@@ -9,9 +9,7 @@ import numpy as np
 from scope_models._arrays import TIME_ZEROS, plain_number
 from scope_models._values import Value
 
-__all__ = [
-    "MISSIONS", "TIME_ZEROS", "Cadence", "Mission", "QualityBits",
-]  # fmt: skip
+__all__ = ["MISSIONS", "TIME_ZEROS", "Cadence", "Mission", "QualityBits"]
 
 # A length names the cadence that differs by less: a Kepler long cadence is called 30 minutes.
 _CADENCE_TOLERANCE = 0.03

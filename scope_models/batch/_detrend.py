@@ -14,9 +14,7 @@ from scope_models.io._opening import naming
 from scope_models.io.tpf import write_hdulist
 from scope_models.photometry.precision import noise_of
 
-__all__ = [
-    "FORMATS", "archive_name", "detrended", "header_row", "partition_of", "write_manifest",
-]  # fmt: skip
+__all__ = ["FORMATS", "archive_name", "detrended", "header_row", "partition_of", "write_manifest"]
 
 FORMATS = "fits", "hlsp", "parquet"
 

@@ -19,9 +19,7 @@ import numpy as np
 from scope_models._checks import checked_integer
 from scope_models._threads import one_thread
 
-__all__ = [
-    "Job", "LostWorkersError", "check_client", "checked_tasks", "computed",
-]  # fmt: skip
+__all__ = ["Job", "LostWorkersError", "check_client", "checked_tasks", "computed"]
 
 _DIED = "WorkerDied: the process that computed this star died (killed, out of memory, or a crash)"
 _FREE_NAME = re.compile(r"[A-Za-z0-9]([A-Za-z0-9._+=-]{0,198}[A-Za-z0-9_+=-])?")

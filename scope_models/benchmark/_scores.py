@@ -6,9 +6,7 @@ import numpy as np
 
 from scope_models.scene.motion import K2Roll
 
-__all__ = [
-    "SkyScore", "binned", "outliers", "score_light_curve", "score_places", "slope",
-]  # fmt: skip
+__all__ = ["SkyScore", "binned", "outliers", "score_light_curve", "score_places", "slope"]
 
 _BIN = 13 * K2Roll.cadence  # days, 6.5 h
 _WINDOW = 3.0  # days

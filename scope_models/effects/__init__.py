@@ -15,9 +15,8 @@ from scope_models.effects.response import SensitivityDropouts, Throughput
 from scope_models.effects.shares import PixelShares
 
 __all__ = [
-    "Argabrightening", "Background", "BrighterFatter", "ChargeTransferInefficiency",
-    "CosmicRays", "DarkCurrent", "Effect", "Extinction", "Focus", "Gaps", "Jitter", "NightSky",
-    "PixelShares", "RollingBands", "ScatteredLight", "Scintillation", "Seeing",
-    "SensitivityDropouts", "Smear", "Throughput", "Undershoot", "airmass", "mission_effects",
-    "moon_geometry",
+    "Argabrightening", "Background", "BrighterFatter", "ChargeTransferInefficiency", "CosmicRays",
+    "DarkCurrent", "Effect", "Extinction", "Focus", "Gaps", "Jitter", "NightSky", "PixelShares",
+    "RollingBands", "ScatteredLight", "Scintillation", "Seeing", "SensitivityDropouts", "Smear",
+    "Throughput", "Undershoot", "airmass", "mission_effects", "moon_geometry",
 ]  # fmt: skip

@@ -401,12 +401,6 @@ def _has_file(tpf):
     return hasattr(type(tpf), "pipeline_mask")
 
 
-def _times_of(time, time_format):
-    if isinstance(time, Time) and time.format in TIME_ZEROS and not np.any(time.mask):
-        return np.array(time.value, dtype=float).reshape(-1)
-    return np.array(plain_time(time, time_format or "bkjd", "time of tpf")).reshape(-1)
-
-
 def pos_corr_of(source):
     """Return POS_CORR of lightkurve's object, pixels, ``(n, 2)``; None if it has none."""
     columns = [_attribute(source, f"pos_corr{axis}") for axis in (1, 2)]
@@ -435,7 +429,10 @@ def positions_of(source):
     for name in ("quality", "cadenceno"):
         value = _attribute(source, name)
         columns[name] = None if value is None else np.asarray(without_unit(value))
-    return columns | {"time": _times_of(source.time, columns["time_format"])}
+    time = source.time
+    if not isinstance(time, Time) or time.format not in TIME_ZEROS or np.any(time.mask):
+        time = plain_time(time, columns["time_format"] or "bkjd", "time of tpf")
+    return columns | {"time": np.array(without_unit(time), dtype=float).reshape(-1)}
 
 
 def star_places(name, places, series):

@@ -14,6 +14,5 @@ from scope_models.models.variability import sinusoidal_signal, stochastic_signal
 __all__ = [
     "PRF", "BivariateGaussianPSF", "CorrectedPRF", "DiffusionSensitivity", "GaussHermitePSF",
     "PRFGrid", "SensitivityPolynomial", "TabulatedPRF", "TabulatedPSF", "TransitModel",
-    "integrate_pixels", "moffat_psf", "sinusoidal_signal", "stochastic_signal",
-    "tabulated_signal",
+    "integrate_pixels", "moffat_psf", "sinusoidal_signal", "stochastic_signal", "tabulated_signal",
 ]  # fmt: skip

@@ -81,7 +81,9 @@ def label_places(ax, places, texts, radii):
             low = y + gap if up > 0 else y - gap - height
             box = left, low, left + width, low + height
             inside = np.all(box[:2] >= frame[:2]) and np.all(box[2:] <= frame[2:])
-            if inside and all(_apart(box, other) for other in taken):
+            others = np.array(taken)
+            apart = np.any((others[:, 2:] < box[:2]) | (others[:, :2] > box[2:]), axis=1)
+            if inside and apart.all():
                 taken.append(box)
                 ax.annotate(
                     text, place, (right * gap, up * gap), textcoords="offset points",
@@ -89,11 +91,6 @@ def label_places(ax, places, texts, radii):
                     fontsize="small", zorder=6,
                 )  # fmt: skip
                 break
-
-
-def _apart(one, other):
-    """Return whether two boxes (left, low, right, high) do not overlap."""
-    return one[2] < other[0] or other[2] < one[0] or one[3] < other[1] or other[3] < one[1]
 
 
 def check_figure_format(path):

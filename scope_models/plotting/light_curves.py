@@ -16,9 +16,7 @@ from scope_models.plotting._style import (
 )
 from scope_models.plotting.images import plot_motion, plot_pixels
 
-__all__ = [
-    "plot_fold", "plot_light_curve", "plot_summary",
-]  # fmt: skip
+__all__ = ["plot_fold", "plot_light_curve", "plot_summary"]
 
 
 @styled
