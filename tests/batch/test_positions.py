@@ -102,6 +102,33 @@ def test_stars_of_which_no_two_agree_keep_their_positions(files, tmp_path):
     assert not any("positions" in text for text in table["warnings"])
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("given", [False, True])
+def test_crowds_without_pos_corr_are_no_noisier_than_raw(tmp_path, given):
+    """Stars among 25 others, some brighter: less than a tenth of the raw noise is left."""
+    motion, crowds, bright = Motion.k2_roll(300, seed=3), [], []
+    metadata = {"campaign": 5, "channel": 31}
+    for number in (1, 2):
+        rng = np.random.default_rng(number)
+        others = zip(rng.uniform(12, 17, 25), *rng.uniform(-1, 12, (2, 25)), strict=True)
+        stars = Star(12.0 + number, 5.0, 5.0), *(Star(*values) for values in others)
+        place = {"column": 100 * number, "row": 700, "object_name": f"crowd {number}"}
+        scene = Scene(stars, Detector.k2(shape=(12, 12)), motion, **place)
+        path = simulate(scene, seed=number).write(tmp_path / f"{number}.fits", metadata=metadata)
+        crowds.append(change(path, np.nan))
+    for number in (1, 2, 3):
+        place = {"column": 100 * number, "row": 400, "object_name": f"star {number}"}
+        scene = Scene(Star(11 + 0.2 * number), Detector.k2(shape=(9, 9)), motion, **place)
+        path = simulate(scene, seed=number).write(tmp_path / f"b{number}.fits", metadata=metadata)
+        bright.append(path)
+    files, more = (crowds, {"positions_from": bright}) if given else (crowds + bright, {})
+    table = detrend_files(files, tmp_path / "out", sweep={"progress": False}, **more).table
+    assert len(table) == len(files)  # no exception
+    assert all("positions come from 3 stars" in text for text in table["warnings"][:2])
+    for name in ("cdpp", "cdpp_everest"):
+        assert (table[name] < 0.1 * table[f"raw_{name}"])[:2].all()
+
+
 def test_a_file_of_other_times_keeps_its_own_positions(files, tmp_path):
     later = MOTION.replace(time=MOTION.time + 20, cadenceno=MOTION.cadenceno + 1000)
     scene = Scene(Star(12), Detector.k2(shape=(9, 9)), later, column=700, row=400)
