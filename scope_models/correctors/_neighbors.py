@@ -20,6 +20,7 @@ from scope_models.correctors._scene_model import (
     residuals,
     solve_states,
     solve_track,
+    without_level,
 )
 from scope_models.correctors._scene_start import (
     NEAREST,
@@ -258,9 +259,12 @@ def _fit(time, flux, variance, pos_corr, peak, use, known, places):
         If the model describes another star than the one at the peak.
     """
     n, rng = len(flux), np.random.default_rng(0)
-    (x, y), measured = first_track(flux, pos_corr, peak)
     pixels = flux[use], variance[use]
-    shape, track = first_shape(*pixels, x[use], y[use], rng)
+    # a first guess without the light around known neighbors
+    theirs = False if known is None else known.nearer(peak, flux.shape[1:])
+    (x, y), measured = first_track(np.where(theirs, 0.0, flux), pos_corr, peak)
+    own = np.where(theirs, np.inf, pixels[1])
+    shape, track = first_shape(pixels[0], own, x[use], y[use], rng)
 
     def refit(images):
         some = images[::10], x[use][::10], y[use][::10]
@@ -282,7 +286,9 @@ def _fit(time, flux, variance, pos_corr, peak, use, known, places):
     sub = sub[np.unique(np.linspace(0, len(sub) - 1, _SHAPE_CADENCES).astype(int))]
     noise, schedule = variance[sub], _FLOORS[0]
     priors = Priors(start, sigma)
-    part = solve_track(shape, type(track)(*start[sub].T), flux[sub], noise, priors[sub], schedule)
+    part = type(track)(*start[sub].T)
+    shape = without_level(shape, part[::10])
+    part = solve_track(shape, part, flux[sub], noise, priors[sub], schedule)
     for step in range(_SHAPE_STEPS):
         gain = _GAINS[min(step, len(_GAINS) - 1)]
         shape, part, stuck = _step(shape, part, (flux[sub], noise, priors[sub], schedule), gain)
@@ -323,14 +329,20 @@ def _varying(time, shape, track, flux, variance, priors, floor, use):
     track, change, error = solve_states(shape, track, change, *data, Priors(mean, sigma), floor)
     mean[:, 3], sigma[:, 3] = Smoother(time, use)(track.width, error[:, 3]), _HELD
     track, change, error = solve_states(shape, track, change, *data, Priors(mean, sigma), floor)
-    flux_of = shape.neighbors[:, 0] + change
-    steady = _steady(flux_of, error[:, 5:], track)
+    slope, spread = _followed(shape.neighbors[:, 0] + change, error[:, 5:], track)
+    steady = np.abs(slope) + _SEEN * spread < 0.5
     middle = np.median(change[use], axis=0)
     noise = np.median(error[use, 5:] ** 2, axis=0)
     size = np.median((change[use] - middle) ** 2, axis=0) / MEDIAN_SQUARE
     mean[:, 5:] = middle
     sigma[:, 5:] = np.sqrt(np.maximum(size - noise, 1e-6 * noise))
-    return *solve_states(shape, track, change, *data, Priors(mean, sigma), floor)[:2], steady
+    track, change, error = solve_states(shape, track, change, *data, Priors(mean, sigma), floor)
+    # what follows the star is the star's, as far as it is seen
+    flux = shape.neighbors[:, 0] + change
+    slope, spread = _followed(flux, error[:, 5:], track)
+    total = track.flux + flux.sum(axis=1)
+    slope *= slope**2 / (slope**2 + spread**2) * np.median(flux, axis=0)
+    return track, change - slope * (total / np.median(total) - 1)[:, None], steady
 
 
 def _jackknifed(columns, values):
@@ -373,20 +385,17 @@ def _holds_constant_light(pixels, usable, pos_corr):
     return bool((np.abs(constant) > _SEEN * error).any())
 
 
-def _steady(flux, error, track):
+def _followed(flux, error, track):
     """
-    Return which neighbors' light is their own: most of it does not vary with all light.
+    Return by how much neighbors' fluxes vary with all light, both relative, and the errors.
 
     The light of what is part of the star varies with it. What positions do to both is left out.
     """
     total = track.flux + flux.sum(axis=1)
     offset = track.stacked[:, 1:3] - np.median(track.stacked[:, 1:3], axis=0)
     columns = np.column_stack([total, polynomials(offset / max(np.abs(offset).max(), 1e-9))])
-    out = []
-    for values, noise in zip(flux.T, error.T, strict=True):
-        slope, spread = (
-            k[0, 0] * np.median(total) / np.median(values)
-            for k in _jackknifed(columns / noise[:, None], (values / noise)[:, None])
-        )
-        out.append(abs(slope) + _SEEN * abs(spread) < 0.5)
-    return np.array(out, dtype=bool)
+    out = [
+        [k[0, 0] for k in _jackknifed(columns / noise[:, None], (values / noise)[:, None])]
+        for values, noise in zip(flux.T, error.T, strict=True)
+    ]
+    return np.transpose(out) * np.median(total) / np.abs(np.median(flux, axis=0))

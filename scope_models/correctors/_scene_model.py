@@ -23,6 +23,7 @@ __all__ = [
     "residuals",
     "solve_states",
     "solve_track",
+    "without_level",
 ]
 
 #: Prior: standard deviations of the PRF about the first guess (relative, and in units of its
@@ -35,6 +36,8 @@ NEIGHBOR_ERROR = 0.3
 #: Prior: the PRF's sum over pixels is about 1, wherever in a pixel the star is: places along an
 #: axis, and standard deviation.
 _PHASES, _SUM = 8, 2e-4
+#: Tolerance: its mean in the darkest part of the pixels is background by definition, and 0.
+_DARK, _LEVEL = 0.1, 2e-6
 #: Tolerance: largest steps of a position (px) and a width in one iteration.
 _LARGEST_STEP, _LARGEST_BREATH = 0.3, 0.02
 
@@ -58,6 +61,8 @@ class Shape:
         Flux (e-/s) and distance (px, column and row) from the target, ``(m, 3)``.
     first_neighbors : ndarray
         The same as first measured, about which there are priors.
+    dark : ndarray
+        The PRF's mean in the darkest pixels as a row of the coefficients.
     """
 
     grid: SplineGrid
@@ -66,6 +71,7 @@ class Shape:
     gains: np.ndarray
     neighbors: np.ndarray
     first_neighbors: np.ndarray
+    dark: np.ndarray | float = 0.0
 
 
 @dataclass(frozen=True)
@@ -314,10 +320,10 @@ def improve_shape(shape, track, flux, variance, priors, floor, gain=_GAIN):
     mean, sigma, state = _shape_prior(shape, gain)
     normal[np.diag_indices_from(normal)] += sigma**-2.0
     right += sigma**-2.0 * (mean - state)
-    sums = _sums_over_pixels(grid)
+    matrix, values = _about_prf(shape)
     k = grid.size**2
-    normal[:k, :k] += sums.T @ sums / _SUM**2
-    right[:k] += sums.T @ (1 - sums @ state[:k]) / _SUM**2
+    normal[:k, :k] += matrix.T @ matrix
+    right[:k] += matrix.T @ (values - matrix @ state[:k])
     unit = 1 / np.sqrt(np.diag(normal))
     step = unit * cho_solve(cho_factor(normal * unit[:, None] * unit + 1e-10 * np.eye(len(unit))),
                             unit * right)  # fmt: skip
@@ -354,6 +360,29 @@ def _sums_over_pixels(grid):
     pixels = np.arange(-last, last + 1)
     along = grid.values(pixels[:, None] - phases).sum(axis=0)
     return np.einsum("ai,bj->abij", along, along).reshape(_PHASES**2, -1)
+
+
+def _about_prf(shape):
+    """Return rows of the coefficients and their expected values, over standard deviations."""
+    sums = _sums_over_pixels(shape.grid)
+    rows = np.vstack([sums / _SUM, np.broadcast_to(shape.dark, sums[:1].shape) / _LEVEL])
+    return rows, np.append(np.full(len(sums), 1 / _SUM), 0.0)
+
+
+def without_level(shape, track):
+    """Return a shape whose PRF is 0 on average in the darkest pixels, and stays so."""
+    one = np.ones(len(track.x))
+    columns = _spline_columns(shape, one, track.x, track.y, track.width)
+    mean = columns.toarray().reshape(len(one), shape.gains.size, -1).mean(axis=0)
+    image = mean @ shape.coefficients.ravel()
+    dark = mean[image <= np.quantile(image, _DARK)].mean(axis=0)
+    left = shape.coefficients - dark @ shape.coefficients.ravel()  # splines add up to 1
+    size = np.mean(_sums_over_pixels(shape.grid) @ left.ravel())
+    others = shape.neighbors * [size, 1, 1]
+    return replace(
+        shape, coefficients=left / size, prior_mean=left / size, neighbors=others,
+        first_neighbors=others, dark=dark,
+    )  # fmt: skip
 
 
 def _shape_columns(shape, track, light):
@@ -407,8 +436,9 @@ def misfit(shape, track, flux, variance, priors, floor, gain):
     value = np.sum(rest**2 / (variance + (floor * np.abs(flux)) ** 2))
     value += np.nansum(((track.stacked - priors.mean) / priors.sigma) ** 2)
     mean, sigma, state = _shape_prior(shape, gain)
-    sums = _sums_over_pixels(shape.grid) @ shape.coefficients.ravel() - 1
-    return float(value + np.sum(((state - mean) / sigma) ** 2) + np.sum(sums**2) / _SUM**2)
+    matrix, values = _about_prf(shape)
+    value += np.sum((matrix @ shape.coefficients.ravel() - values) ** 2)
+    return float(value + np.sum(((state - mean) / sigma) ** 2))
 
 
 def between(old, new, part):

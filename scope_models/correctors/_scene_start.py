@@ -285,6 +285,13 @@ class KnownNeighbors:
             self.places - origin, None if self.target is None else self.target - origin
         )
 
+    def nearer(self, star, shape):
+        """Return which pixels are nearer to a neighbor than to the target, ``(ny, nx)``."""
+        rows, columns = np.indices(shape)
+        away = self.places - (star if self.target is None else self.target)
+        own, *others = (np.hypot(columns - x, rows - y) for x, y in [star, *(star + away)])
+        return np.min(others, axis=0, initial=np.inf) < own
+
     def offsets(self, track):
         """Return the distances from the target, ``(m, 2)``."""
         seen = [np.median(track.x), np.median(track.y)]
@@ -332,14 +339,7 @@ def find_neighbors(shape, track, flux, variance, known, refit, places=None):
     """
     if known is not None:
         found = np.column_stack([np.zeros(len(known.places)), known.offsets(track)])
-        if len(found):
-            settled = _settled(shape, track, flux, variance, found, refit, known)
-            if settled is None:
-                raise ValueError(
-                    "the target and the given `neighbors` do not describe the pixels: leave out "
-                    "those that are not there, or give `neighbors=[]`"
-                )
-            shape, track, found = settled
+        found = _measured(shape, track, flux, variance, found, move=False)
         return replace(shape, neighbors=found, first_neighbors=found), track
     found = np.empty((0, 3))
     while len(found) < _MOST:
@@ -356,20 +356,17 @@ def find_neighbors(shape, track, flux, variance, known, refit, places=None):
     return replace(shape, neighbors=found, first_neighbors=found), track
 
 
-def _settled(shape, track, flux, variance, found, refit, known=None):
+def _settled(shape, track, flux, variance, found, refit):
     """Measure the neighbors and the target's first model by turns; None if that does not settle."""
     for _ in range(_MOST_TURNS):
-        before, found = found, _measured(shape, track, flux, variance, found, move=known is None)
+        before, found = found, _measured(shape, track, flux, variance, found, move=True)
         old = track
         try:
             shape, track = refit(flux - _light_of(shape, track, found))
         except NoLightError:
             return None
-        if known is None:
-            moved = [np.median(track.x - old.x), np.median(track.y - old.y)]
-            found = found - [0.0, *moved]
-        else:
-            found[:, 1:] = known.offsets(track)
+        moved = [np.median(track.x - old.x), np.median(track.y - old.y)]
+        found = found - [0.0, *moved]
         change = (found - before) / [*np.max(found[:, :1], axis=0), 1.0, 1.0]
         if np.abs(change).max() < _SETTLED:
             return shape, track, found
