@@ -73,8 +73,7 @@ _SLOW = 0.05
 
 
 def clean_pixels(time, flux, flux_err, position, grid, aperture, *, use=None, kind="auto"):
-    """
-    Predict the pixel fractions of a star.
+    """Predict the pixel fractions of a star.
 
     Parameters
     ----------
@@ -227,8 +226,7 @@ class _State:
         return self._last[1:]
 
     def images(self):
-        """
-        Return G, the whole image, its derivatives by x, y and w, and N or nothing.
+        """Return G, the whole image, its derivatives by x, y and w, and N or nothing.
 
         Sums are as stated. The image has the focus and slow changes of each cadence, once these
         have images of their own.
@@ -263,8 +261,7 @@ class _State:
         return image, whole, [*slopes, focus], constant
 
     def _normalize(self, image, slopes):
-        """
-        Give the focus the unit of a relative width, and its image the light of the wings.
+        """Give the focus the unit of a relative width, and its image the light of the wings.
 
         Where pixels are dark a wider PSF is like more background: the level of its image there is
         that of the widening.
@@ -284,8 +281,7 @@ class _State:
             slopes[2] += wing * (1 - self.aperture.sum() * image)
 
     def fit_cadences(self, iteration):
-        """
-        Improve brightness, background, position and focus of each cadence: one linear step.
+        """Improve brightness, background, position and focus of each cadence: one linear step.
 
         Return whether the step was small.
         """
@@ -336,8 +332,7 @@ class _State:
         return bool((quantile(moved[:, self.use]) < _SMALL_STEPS).all())
 
     def _hot(self, rest, image, slopes):
-        """
-        Return pixels far above the model.
+        """Return pixels far above the model.
 
         In faint stars' pixels, brightness and position follow a cosmic ray in part: less is left.
         """
@@ -362,8 +357,7 @@ class _State:
         return rest
 
     def _normal_equations(self, images, rest, n_planes=3):
-        """
-        Return the Hessian and the right side of each cadence's least squares, ``(k, k, n)``.
+        """Return the Hessian and the right side of each cadence's least squares, ``(k, k, n)``.
 
         The images are those of brightness, position, and focus. They are overwritten.
         """
@@ -389,8 +383,7 @@ class _State:
         return hessian, right
 
     def fit_brightness(self, images):
-        """
-        Fit brightness, positions and focus at the smoothed background.
+        """Fit brightness, positions and focus at the smoothed background.
 
         The smoothed focus is as uncertain as it varies: the brightness of images is much more
         sensitive to the width than a sum is.
@@ -463,8 +456,7 @@ class _State:
         self.z = self.z + columns @ change
 
     def summed(self, flux_err, images):
-        """
-        Return the sum over the aperture, cosmic rays replaced, and its error.
+        """Return the sum over the aperture, cosmic rays replaced, and its error.
 
         What the focus moves over the border of the aperture is put back.
         """
@@ -555,8 +547,7 @@ def _explained(columns, fit, values, ridge=0.0):
 
 
 def _solved(hessian, right):
-    """
-    Solve many small systems at once by Cholesky factors.
+    """Solve many small systems at once by Cholesky factors.
 
     Parameters are a Hessian ``(k, k, n)``, of which the lower triangle is used, and a right side
     ``(k, n)``. Returned are the solution and its standard deviations, ``(k, n)``.

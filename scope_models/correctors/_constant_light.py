@@ -43,8 +43,7 @@ def constant_light(image, own, slopes, position, grid, inside, use):
 
 
 def _own_part(mean, columns, bright, grid):
-    """
-    Fit an image by the star's and its slopes in bright pixels, beside the wing of a neighbor.
+    """Fit an image by the star's and its slopes in bright pixels, beside the wing of a neighbor.
 
     Returns the coefficients, the square roots of the weights of the bright pixels, and the wing.
     """

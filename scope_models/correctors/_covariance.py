@@ -94,8 +94,7 @@ class Covariance:
         return driver.general_matmul_upper(time, self.time, self._c, v, self._u, alpha, mean)[:, 0]
 
     def gradient(self, columns, whitened, gram_bar):
-        """
-        Differentiate ``f(C.T @ inv(K) @ C) + log det(K) / 2``, with one oscillator.
+        """Differentiate ``f(C.T @ inv(K) @ C) + log det(K) / 2``, with one oscillator.
 
         With B = inv(K) C, a change dK of K changes the argument of f by -B^T dK B: no derivative
         has to be carried through the factorization's recursions for all columns.
@@ -115,8 +114,7 @@ class Covariance:
         return variance_bar - by_noise, amplitude_bar - by_process, period_bar - by_period
 
     def _slope_below(self, columns):
-        r"""
-        Multiply the lower triangle of the kernel's derivative by log period with columns.
+        r"""Multiply the lower triangle of the kernel's derivative by log period with columns.
 
         The derivative is :math:`2 \sigma^2 w\tau e^{-w\tau} \sin w\tau`; the factor
         :math:`\tau` is a difference of times, so that four pairs of generators make it.
@@ -151,8 +149,7 @@ class Covariance:
         return 2 * self._determinant_bars[1]
 
     def inverse_blocks(self, starts, width):
-        """
-        Return the diagonal blocks of ``inv(K)`` of one oscillator, ``(n_blocks, width, width)``.
+        """Return the diagonal blocks of ``inv(K)`` of one oscillator, ``(n_blocks, width, width)``.
 
         With K = L D L^T, a column of inv(L) is a recursion through a state of two numbers, so
         that all rows below a block enter through one 2 x 2 matrix, which is summed from the

@@ -117,8 +117,7 @@ def _components(flux, total, fit=None):
 
 
 def focus_columns(clean, usable, use):
-    """
-    Return the focus, and its products with the position in units of its size.
+    """Return the focus, and its products with the position in units of its size.
 
     The focus has a unit of its own: in units of its size, one that hardly changes would explain the
     star's variability.
@@ -131,8 +130,7 @@ def focus_columns(clean, usable, use):
 
 
 def constant_columns(clean, usable, use):
-    """
-    Return what constant light that the aperture gains and loses with position does to the light.
+    """Return what constant light that the aperture gains and loses with position does to the light.
 
     Beside a star of relative brightness s it counts as 1/s: the columns are powers of the position
     in units of its range, times 1/s - 1. Brightness that the position explains is not the star's.

@@ -116,8 +116,7 @@ def shared_columns(images, order, reach):
 
 
 def contrast_columns(columns, time, breaks, use):
-    """
-    Return copies of the columns that differ between the segments and are the same in none.
+    """Return copies of the columns that differ between the segments and are the same in none.
 
     A common part of the coefficients is left to the columns themselves: of k segments, k - 1
     orthonormal contrasts remain.

@@ -24,8 +24,7 @@ __all__ = [
 
 
 def detrend_file(path, output, *, figure=None, overwrite=False, survival=False, **options):
-    """
-    Correct a target pixel file, and write the light curve to a FITS file.
+    """Correct a target pixel file, and write the light curve to a FITS file.
 
     Parameters
     ----------

@@ -177,8 +177,7 @@ def _shared_out(image, places, near):
 
 
 def _blended_share(image, aperture):
-    """
-    Return the star's share in each pixel where another one has no peak of its own.
+    """Return the star's share in each pixel where another one has no peak of its own.
 
     A second star is there if one profile, which may be elliptical but is the same on both sides,
     does not describe the image within its error, and two of them leave less than half.

@@ -353,8 +353,7 @@ def _check_enough(use):
 
 
 def _gain(measured, predicted, cadences):
-    """
-    Return by how much measured fractions predict unseen windows better, in standard errors.
+    """Return by how much measured fractions predict unseen windows better, in standard errors.
 
     In the same windows for both, without the tenth in which either residual is largest.
     """

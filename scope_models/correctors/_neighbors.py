@@ -65,8 +65,7 @@ _SEEN, _PARTS = 3.0, 10
 
 @dataclass(frozen=True, eq=False)
 class NeighborLight:
-    """
-    Other stars of a stamp.
+    """Other stars of a stamp.
 
     Parameters
     ----------
@@ -124,8 +123,7 @@ def _peak(pixels):
 
 
 def light_of_neighbors(pixels, series, cadence_mask, neighbors=None):
-    """
-    Fit the target and its neighbors to the pixels near it.
+    """Fit the target and its neighbors to the pixels near it.
 
     Parameters
     ----------
@@ -192,11 +190,10 @@ def light_of_neighbors(pixels, series, cadence_mask, neighbors=None):
         keep = steady | in_places(peaks, track[use], *shape.neighbors[:, 1:].T)
     others, stars = others[keep].sum(axis=0), shape.neighbors[keep]
     inside = pixels.aperture[box]
-    if not keep.any():
-        return None
     part = np.median(others[:, inside].sum(axis=1) / pixels.total[usable])
-    if not given and not 0 <= part <= 0.5:
-        return None  # pixels from which the light rises to the target's peak are mostly its own
+    # pixels from which the light rises to the target's peak are mostly its own
+    if not keep.any() or not (given or 0 <= part <= 0.5):
+        return None
     light = np.zeros(pixels.flux.shape)
     part = np.zeros((len(usable), *typical.shape))
     part[:, *box] = others
@@ -204,9 +201,8 @@ def light_of_neighbors(pixels, series, cadence_mask, neighbors=None):
     positions = np.full((len(pixels.time), 2), np.nan)
     positions[usable] = origin + track.stacked[:, 1:3]
     places = stars[:, 1:] + np.median(positions[usable][use], axis=0)
-    table = QTable([stars[:, 0], *places.T], names=("flux", "x", "y"))
-    for name, unit in (("flux", "electron / s"), ("x", "pix"), ("y", "pix")):
-        table[name].unit = unit
+    units = ("electron / s", "pix", "pix")
+    table = QTable([stars[:, 0], *places.T], names=("flux", "x", "y"), units=units)
     return NeighborLight(table, light, positions)
 
 
@@ -353,16 +349,14 @@ def _jackknifed(columns, values):
     parts = np.array_split(np.arange(len(columns)), _PARTS)
     gram = np.array([columns[k].T @ columns[k] for k in parts])
     right = np.array([columns[k].T @ values[k] for k in parts])
-    scale = np.sqrt(np.maximum(np.diag(gram.sum(axis=0)), 1e-300))
-    ridge = 1e-10 * np.diag(scale**2)
+    ridge = 1e-10 * np.diag(np.maximum(np.diag(gram.sum(axis=0)), 1e-300))
     whole = np.linalg.solve(gram.sum(axis=0) + ridge, right.sum(axis=0))
     without = np.linalg.solve(gram.sum(axis=0) - gram + ridge, right.sum(axis=0) - right)
     return whole, np.sqrt((1 - 1 / _PARTS) * np.sum((without - without.mean(axis=0)) ** 2, axis=0))
 
 
 def _holds_constant_light(pixels, usable, pos_corr):
-    """
-    Return whether the star varies, and pixels of its aperture hold light that does not.
+    """Return whether the star varies, and pixels of its aperture hold light that does not.
 
     A star's pixels are its light times functions of position. Centroids follow constant light, so
     that only POS_CORR counts. The star varies if that is more than errors of POS_CORR make.
@@ -386,8 +380,7 @@ def _holds_constant_light(pixels, usable, pos_corr):
 
 
 def _followed(flux, error, track):
-    """
-    Return by how much neighbors' fluxes vary with all light, both relative, and the errors.
+    """Return by how much neighbors' fluxes vary with all light, both relative, and the errors.
 
     The light of what is part of the star varies with it. What positions do to both is left out.
     """

@@ -109,8 +109,7 @@ def _with_simple_noise(solution, rest):
 
 
 def _spectrum(solution):
-    """
-    Return what a cosine and a sine at each frequency would gain.
+    """Return what a cosine and a sine at each frequency would gain.
 
     Twice the gain of the log-likelihood is |c^T a|^2 / (c^T Q c) with the inverse covariance Q and
     a = Q y. Here Q is that of noise and slow process alone, which makes the gain smaller where

@@ -67,8 +67,7 @@ _CADENCES_TO_PREDICT, _PIXELS_TO_PREDICT = 200, 4
 
 @dataclass(frozen=True)
 class Pixels:
-    """
-    Pixels of an aperture and which cadences can be used.
+    """Pixels of an aperture and which cadences can be used.
 
     Parameters
     ----------

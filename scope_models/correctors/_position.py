@@ -61,8 +61,7 @@ def _kernel(a, b, scale):
 
 
 class Widening:
-    """
-    The change of images of a PSF that widens by a part w, over w.
+    """The change of images of a PSF that widens by a part w, over w.
 
     What pixels lose is what flows through their edges. The light there is that of the cubic
     polynomial whose integrals over the four nearest pixels are right, and in the wings, where that
@@ -79,15 +78,8 @@ class Widening:
     def __init__(self, grid, aperture):
         self.grid, self.aperture = grid, aperture
         places = {tuple(place): k for k, place in enumerate(grid)}
-        self._beside = np.array(
-            [
-                [
-                    [places.get((x + i * (1 - k), y + i * k), -1) for x, y in grid]
-                    for i in range(-2, 3)
-                ]
-                for k in (0, 1)
-            ]
-        )
+        moved = [[grid + i * axis for i in range(-2, 3)] for axis in np.eye(2, dtype=int)]
+        self._beside = np.array([[[places.get(tuple(p), -1) for p in m] for m in k] for k in moved])
 
     def __call__(self, images, center):
         """Return the mean change of images ``(n, n_pixels)`` of a star at centers ``(n, 2)``."""

@@ -185,8 +185,7 @@ class Posterior:
 
 
 def log_likelihood(data, hyper, *, gradient=False):
-    """
-    Return the logarithm of the marginal likelihood.
+    """Return the logarithm of the marginal likelihood.
 
     With ``gradient`` its derivatives by the logarithms of noise scale, variances, amplitude and
     period follow, the last two with a long-term process only.
@@ -280,8 +279,7 @@ def _fit_scales(trial, n_steps=_STEPS):
 
 
 def _minimize(objective, start, bounds, n, n_steps=_STEPS):
-    """
-    Minimize over positive parameters, and return these.
+    """Minimize over positive parameters, and return these.
 
     The first one is the noise, which ``n`` data determine much better than the others: its unit is
     smaller.
@@ -345,8 +343,7 @@ def fit_columns(data, hyper):
 
 
 def fit_hyperparameters(data, start=None, *, trend=True):
-    """
-    Maximize the marginal likelihood.
+    """Maximize the marginal likelihood.
 
     The columns' parameters are improved at fixed process, where only a small matrix enters,
     and the process' with the columns compressed, by turns. Whether a slow change
@@ -372,8 +369,7 @@ def fit_hyperparameters(data, start=None, *, trend=True):
 
 
 def _scanned(trial):
-    """
-    Try other variances of one group after the other, far from the present ones.
+    """Try other variances of one group after the other, far from the present ones.
 
     Groups explain much the same, so that the likelihood has several maxima, and from a variance
     of nothing there is no slope back.

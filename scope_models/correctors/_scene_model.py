@@ -350,8 +350,7 @@ def _shape_prior(shape, gain):
 
 
 def _sums_over_pixels(grid):
-    """
-    Return the matrix from the coefficients to the PRF's sum over pixels at places in the pixel.
+    """Return the matrix from the coefficients to the PRF's sum over pixels at places in the pixel.
 
     Images do not constrain this sum, which the flux may be divided by: only a prior does.
     """

@@ -39,8 +39,7 @@ class NoLightError(ValueError):
 
 
 def centroids(images, x, y, steps=6):
-    """
-    Return centers of light in a Gaussian window that moves along.
+    """Return centers of light in a Gaussian window that moves along.
 
     Parameters
     ----------
@@ -65,8 +64,7 @@ def centroids(images, x, y, steps=6):
 
 
 def first_track(images, pos_corr, peak):
-    """
-    Return positions, and whether POS_CORR describes the motion.
+    """Return positions, and whether POS_CORR describes the motion.
 
     POS_CORR is used along with the images if the images' centers follow it.
 
@@ -106,8 +104,7 @@ def _correlation(x, a, y, b):
 
 
 def fit_gaussians(u, v, values, weight):
-    """
-    Fit a non-negative sum of Gaussians of one shape and several widths, and a constant.
+    """Fit a non-negative sum of Gaussians of one shape and several widths, and a constant.
 
     Parameters
     ----------
@@ -155,8 +152,7 @@ def fit_gaussians(u, v, values, weight):
 
 
 def first_shape(flux, variance, x, y, rng):
-    """
-    Return the first guess of the PRF, on splines, from all cadences' pixels.
+    """Return the first guess of the PRF, on splines, from all cadences' pixels.
 
     Parameters
     ----------
@@ -228,8 +224,7 @@ _MOST_TURNS, _SETTLED = 20, 0.03
 
 @dataclass(frozen=True)
 class KnownNeighbors:
-    """
-    Places of neighbors that the user gives.
+    """Places of neighbors that the user gives.
 
     Parameters
     ----------
@@ -245,8 +240,7 @@ class KnownNeighbors:
 
     @classmethod
     def read(cls, neighbors, series, peak):
-        """
-        Read the user's argument.
+        """Read the user's argument.
 
         Parameters
         ----------
@@ -320,8 +314,7 @@ def _stacked(values, variance, track):
 
 
 def find_neighbors(shape, track, flux, variance, known, refit, places=None):
-    """
-    Return the shape with stars beside the target.
+    """Return the shape with stars beside the target.
 
     Parameters
     ----------

@@ -26,8 +26,7 @@ class Smoother:
         self._kernels, self._best = {}, {}
 
     def __call__(self, values, error, name=""):
-        """
-        Smooth with the width of the least median leave-one-out error.
+        """Smooth with the width of the least median leave-one-out error.
 
         Cadences that are not in use take the values of those around them. Widths are tried from
         the next narrower one on than was best for the series of a name the last time.
@@ -44,8 +43,7 @@ class Smoother:
         return best
 
     def lines(self, values, start, width, weight=None):
-        """
-        Return robust local linear fits, the median of leave-one-out errors, and the weights.
+        """Return robust local linear fits, the median of leave-one-out errors, and the weights.
 
         The weights are those of the start, but for outliers; the search may begin with others.
         """

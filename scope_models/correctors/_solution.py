@@ -337,8 +337,7 @@ def _without_outliers(solution, make_regressors, options):
 
 
 def _evidence(solution, allowed):
-    """
-    Log-likelihood with the outliers, which may be anywhere in the range of the data.
+    """Log-likelihood with the outliers, which may be anywhere in the range of the data.
 
     The amplitudes of waves are as large as the data's, not as wide as flat priors are.
     """

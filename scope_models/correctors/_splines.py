@@ -18,8 +18,7 @@ _FAR_SPACING = 2.0
 
 @dataclass(frozen=True)
 class SplineGrid:
-    """
-    Knots of a cubic spline along one axis.
+    """Knots of a cubic spline along one axis.
 
     Parameters
     ----------
@@ -75,8 +74,7 @@ class SplineGrid:
 
 
 def make_grid(reach):
-    """
-    Return knots that are dense at the star and sparse in its wings.
+    """Return knots that are dense at the star and sparse in its wings.
 
     Parameters
     ----------
