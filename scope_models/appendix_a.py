@@ -61,14 +61,16 @@ def generate_target(
         A target pixel or light-curve file whose motion is taken.
     no_sensitivity_variation : bool, optional
         Let all pixels respond alike and evenly, as a control.
+    signal : optional
+        See `Target.add_signal`.
     motion : `~scope_models.Motion`, optional
         The motion; without it, `ID` and `tpf_path` it is that of `scope_models.Motion.k2_roll`.
     psf : `~astropy.modeling.Model`, optional
         PSF of the star; by default that of the detector.
     detector : `~scope_models.Detector`, optional
         The detector; by default ``Detector.k2()`` with a stamp of `apsize`.
-    signal, noise, seed : optional
-        See `Target.add_signal` and `Target`.
+    noise, seed : optional
+        See `Target`.
 
     Returns
     -------

@@ -342,10 +342,7 @@ def _varying(time, shape, track, flux, variance, priors, floor, use):
 
 
 def _jackknifed(columns, values):
-    """Return coefficients of least squares, and their errors from parts of the rows left out.
-
-    Both are of shape ``(n_columns, n_values)``.
-    """
+    """Return coefficients ``(n_columns, n_values)``, and their errors by leaving parts out."""
     parts = np.array_split(np.arange(len(columns)), _PARTS)
     gram = np.array([columns[k].T @ columns[k] for k in parts])
     right = np.array([columns[k].T @ values[k] for k in parts])
