@@ -127,22 +127,22 @@ def _asymptotic_quantile(deviate, mean):
 
 def _searched_quantile(deviate, mean):
     """Return the exact quantile by adding up probabilities, for one-dimensional arrays."""
-    counts = np.zeros(mean.shape)
-    open_ = np.arange(mean.size)
+    counts, at, count = np.zeros(mean.shape), np.arange(mean.size), 0
     probability = ndtr(np.minimum(deviate, _LARGEST_DEVIATE))
     term = np.exp(-mean)
     total = term.copy()
-    count = 0
-    while True:
-        beyond = (probability > total).nonzero()[0]
-        if not beyond.size:
-            return counts
-        count += 1
-        remaining = open_, mean, probability, term, total
-        open_, mean, probability, term, total = (values.take(beyond) for values in remaining)
-        term *= mean / count
-        total += term
-        counts[open_] = count
+    while at.size:
+        found = np.full(at.size, count, np.int8)
+        for _ in range(8):  # before what is found is left out
+            count += 1
+            beyond = probability > total
+            found += beyond.view(np.int8)
+            term *= mean / count
+            total += term
+        counts[at] = found
+        remaining, kept = (at, mean, probability, term, total), beyond.nonzero()[0]
+        at, mean, probability, term, total = (values.take(kept) for values in remaining)
+    return counts
 
 
 def poisson_counts(mean, generator, shape=None):

@@ -238,10 +238,10 @@ def pieces(scene, size=None):
     """Return slices of cadences that together are all of them; ``size`` is rounded up to 16."""
     n = len(scene.motion)
     if size is None:
-        # A piece needs up to 80 bytes per pixel, 50 without noise, and the result 12: so many
+        # A piece needs up to 80 bytes per pixel, 30 without noise, and the result 12: so many
         # pieces keep the memory below three times the result.
         pixels = n * int(np.prod(scene.detector.shape))
-        size = -(-n // (scene.n_sub * max(5 if scene.noise else 3, -(-pixels // _PIECE))))
+        size = -(-n // (scene.n_sub * max(5 if scene.noise else 2, -(-pixels // _PIECE))))
     size = max(-(-size // ROWS), 1) * ROWS
     return [slice(start, min(start + size, n)) for start in range(0, n, size)]
 
