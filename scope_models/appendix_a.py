@@ -24,7 +24,6 @@ from scope_models.simulation import Observation, simulate
 
 __all__ = ["Target", "generate_target"]
 
-_NCADENCES = 1000
 _SAME = """Returns
 -------
 `Target`
@@ -229,27 +228,22 @@ class Target:
     def aperture(self):
         """Mask ``(ny, nx)`` that `create_aperture` made, the paper's by default."""
         if self._aperture is None:
-            return photometry.threshold_aperture(self._noise_free[0])
+            return photometry.threshold_aperture(self._noise_free)
         return self._aperture
 
     @property
     def contamination(self):
         """Share of the neighbors in the aperture's starlight; it dilutes signals of the star."""
-        return 1 - photometry.crowding(*self._noise_free, self.aperture)
+        light = self.observation.star_images[:, self.aperture].sum(axis=1)
+        return float(light[1:].sum() / light.sum())
 
     @property
     def _noise_free(self):
-        """Noise-free cubes of the star, and of all neighbors or None."""
-
-        def cube(stars):
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore", LostLightWarning)  # the observation has warned
-                return simulate(self.scene.replace(stars=stars, noise=False)).flux
-
-        return self._kept(
-            "noise-free",
-            lambda: (cube(self.star), cube(self.neighbors) if self.neighbors else None),
-        )
+        """Noise-free cube of the star alone."""
+        alone = self.scene.replace(stars=self.star, noise=False)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", LostLightWarning)  # the observation has warned
+            return self._kept("noise-free", lambda: simulate(alone).flux)
 
     @property
     def _detrended(self):
@@ -337,15 +331,14 @@ class Target:
         """
         magdiff = checked_number("magdiff", magdiff, u.mag, any_sign=True)
         scale = {"pixel_scale": self.detector.pixel_scale}  # converts angles
+        angles = stream(self.seed, f"neighbor {len(self.neighbors)}").uniform(0, 360, 1000)
+        if angle is not None:
+            angles = [checked_number("angle", angle, u.deg, any_sign=True)]
+        along = checked_number("dist", dist, u.pix, **scale) * np.exp(1j * np.radians(angles))
+        places = [(self.star.x_0 + d.real, self.star.y_0 + d.imag) for d in along]
         if position is not None:
             places = [checked_pair("position", position, u.pix, **scale)]
-        else:
-            # Of random angles the first one on the stamp.
-            angles = stream(self.seed, f"neighbor {len(self.neighbors)}").uniform(0, 360, 1000)
-            if angle is not None:
-                angles = np.array([checked_number("angle", angle, u.deg, any_sign=True)])
-            along = checked_number("dist", dist, u.pix, **scale) * np.exp(1j * np.radians(angles))
-            places = [(self.star.x_0 + d.real, self.star.y_0 + d.imag) for d in along]
+        # Of random angles the first one on the stamp.
         place = next((place for place in places if _on_stamp(place, self.detector)), None)
         if place is None:
             text = "the neighbor at column {:.2f}, row {:.2f} is off the stamp of {} x {} pixels"
@@ -372,11 +365,12 @@ class Target:
         `~numpy.ndarray`
             Boolean mask ``(ny, nx)``, also kept as `aperture`.
         """
-        (own, others), pixels = self._noise_free, self.detector
+        own, pixels = self._noise_free, self.detector
+        others = self.observation.star_images[1:].sum(axis=0)
         methods = {
             "threshold": (own,),
             "signal-to-noise": (own, pixels.exposure_time),
-            "contamination": (own, np.zeros_like(own) if others is None else others),
+            "contamination": (own, others),
             "circular": (pixels.shape, self.star.x_0, self.star.y_0),
         }
         if checked_choice("method", method, methods) == "signal-to-noise":
@@ -498,8 +492,7 @@ class Target:
         """
         from scope_models.plotting import plot_fold
 
-        if not 0 <= number < len(self.transits):
-            n = len(self.transits)
+        if not 0 <= number < (n := len(self.transits)):
             raise ValueError(f"`number` must be below {n}, the number of transits, got {number}")
         planet, own, flux = self.transits[number], 1 - self.contamination, self.lightcurve
         if self._detrended is not None:
@@ -519,7 +512,7 @@ def _find_motion(sources, ncadences):
     given = {name: value for name, value in sources.items() if value is not None}
     if len(given) > 1:
         raise ValueError(f"only one of `motion`, `tpf_path` and `ID` may be given, got {[*given]}")
-    n = _NCADENCES if ncadences is None else checked_integer("ncadences", ncadences, 1)
+    n = 1000 if ncadences is None else checked_integer("ncadences", ncadences, 1)
     name, motion = given.popitem() if given else ("motion", Motion.k2_roll(n))
     if name == "tpf_path":
         motion = Motion.from_file(motion)

@@ -322,7 +322,7 @@ def test_eclipsing_background_binary():
 def test_apertures():
     target = _target().add_neighbor(magdiff=0.0, dist=2.5, angle=0)
     default = target.aperture
-    assert_array_equal(default, threshold_aperture(target._noise_free[0]))
+    assert_array_equal(default, threshold_aperture(target._noise_free))
     masks = {
         name: target.create_aperture(name, **options)
         for name, options in {
