@@ -1,12 +1,16 @@
-"""Studies with a file of rows, to which a run that goes on appends; their tables."""
+"""Studies whose run writes a file of rows, of which tables are made; real files of several."""
 
 import argparse
 import csv
 import sys
+from functools import partial
 from pathlib import Path
 
 from astropy.table import Table
 from paper._correctors import quiet
+
+from scope_models.batch import run_sweep
+from scope_models.cli._batch import add_workers, client_of
 
 ROOT = Path(__file__).parents[1]
 sys.path += [str(ROOT / folder) for folder in ("docs/data", "studies/paper")]
@@ -20,29 +24,38 @@ FILES = {
 }
 
 
-def arguments_of(text, stars, **more):
-    """Return the command line of a study of rows, with its further arguments."""
+def arguments_of(text, argv, stars, **more):
+    """Return the command line of a study of rows; further arguments are numbers or described."""
     parser = argparse.ArgumentParser(description=text.splitlines()[0])
     parser.add_argument("data", help="the folder of shared data")
-    parser.add_argument("file", type=Path, help="rows, to which stars are appended")
-    parser.add_argument("--stars", type=int, default=stars)
-    parser.add_argument("--cadences", type=int, default=1700)
+    parser.add_argument("file", type=Path, help="rows; a folder beside it keeps finished stars")
     parser.add_argument("--table", help="beginning of the names of the tables")
-    for name, options in more.items():
-        parser.add_argument(f"--{name}", **options)
-    return parser.parse_args()
+    for name, value in ({"stars": stars} | more).items():
+        described = value if isinstance(value, dict) else {"type": type(value), "default": value}
+        parser.add_argument(f"--{name}", **described)
+    add_workers(parser)
+    return parser.parse_args(argv)
 
 
-def append_rows(path, columns, tasks, measure, each=1):
-    """Append the rows, `each` for a task, that `measure` returns and a file does not have yet."""
-    done = (len(path.read_text().splitlines()) - 1) // each if path.exists() else 0
-    if not done:
-        path.write_text(",".join(columns) + "\n")
+def sweep_rows(options, measure, number, rows_of):
+    """Compute so many stars, of which finished ones are kept, and write the rows of their table.
+
+    `measure` is a partial function of a task; its keywords but the data are the configuration.
+    """
+    config = {name: value for name, value in measure.keywords.items() if name != "data"}
+    result = run_sweep(
+        partial(quietly, measure), [{"key": f"star{n}", "number": n} for n in range(number)],
+        options.file.with_suffix(""), client_of(options), name=options.file.stem, config=config,
+        progress=sys.stderr.isatty(),
+    )  # fmt: skip
+    rows_of(result.table).write(options.file, format="ascii.csv", overwrite=True)
+    return result
+
+
+def quietly(measure, task):
+    """Return the row of a star, without the warnings of the libraries."""
     with quiet():
-        for task in list(tasks)[done:]:
-            rows = "".join(",".join(map(str, row)) + "\n" for row in measure(task))
-            with path.open("a") as file:
-                file.write(rows)
+        return measure(task)
 
 
 def store_rows(path, target):

@@ -4,20 +4,20 @@
     python studies/injections.py DATA real.csv --real 20
     python studies/injections.py DATA stars.csv --with real.csv --table docs/data/injections
 
-DATA is the folder of shared data. A run goes on where it stopped. As in ``everest/inject.py``, all
-light of each pixel is multiplied by a transit of 0.1 d with a period of 3 to 10 d; the depth is
-found by least squares beside a cubic for each transit in windows of five durations; the control has
-the transits in the light curve that was corrected without them. Simulated stars have the magnitudes
-of stars of the table, and are those of ``population.py`` otherwise; "--real" puts as many planets
-into each of two real files.
+DATA is the folder of shared data. A run goes on where it stopped; ``--workers 2`` shares it. As in
+``everest/inject.py``, all light of each pixel is multiplied by a transit of 0.1 d with a period of
+3 to 10 d; the depth is found by least squares beside a cubic for each transit in windows of five
+durations; the control has the transits in the light curve that was corrected without them.
+Simulated stars have the magnitudes of stars of the table, and are those of ``population.py``
+otherwise; "--real" puts as many planets into each of two real files.
 """
 
-from functools import cache
+from functools import cache, partial
 from itertools import product
 from pathlib import Path
 
 import numpy as np
-from _rows import FILES, append_rows, arguments_of, store_rows, write_csv
+from _rows import FILES, arguments_of, store_rows, sweep_rows, write_csv
 from astropy.stats import mad_std
 from astropy.table import Table
 from paper._stars import draw_star, stamp_around
@@ -63,11 +63,11 @@ def recovered(time, flux, transits):
 
 
 def measure(tpf, epic, kp, rng):
-    """Yield rows of one star: what is recovered of each depth."""
+    """Return what is recovered of each depth, by run and depth."""
     start, period = tpf.time.value[0], rng.uniform(3, 10)
     start += period * rng.uniform()
     clean, seed = PLDCorrector(tpf).correct(), int(rng.integers(2**31))
-    time = clean.time.value
+    row, time = {"epic": epic, "kp": kp}, clean.time.value
     for depth in DEPTHS:
         planet = TransitModel.from_depth_duration(
             depth, DURATION, period, start, exposure_time=EXPOSURE
@@ -77,11 +77,22 @@ def measure(tpf, epic, kp, rng):
         curves = [clean.flux.value * light] + [
             corrector.correct(transit_mask=mask).flux.value for mask in masks
         ]
-        yield epic, kp, depth, *(f"{recovered(time, one, planet):.4e}" for one in curves)
+        for run, flux in zip(RUNS, curves, strict=True):
+            row[f"{run} {depth:g}"] = float(f"{recovered(time, flux, planet):.4e}")
+    return row
 
 
-def simulated(number, data, cadences):
-    """Return rows of a simulated star."""
+def rows_of(table):
+    """Return a row for each star and depth."""
+    return Table(names=COLUMNS, rows=[
+        (row["epic"], row["kp"], depth, *(row[f"{run} {depth:g}"] for run in RUNS))
+        for row in table for depth in DEPTHS
+    ])  # fmt: skip
+
+
+def simulated(task, *, data, cadences):
+    """Return the row of a simulated star."""
+    number = task["number"]
     rng, stars = np.random.default_rng([28, number]), injected_stars(data)[1]
     star = stars[rng.integers(len(stars))]
     motion, good, _ = moved(rng, data, 1.0)
@@ -92,15 +103,15 @@ def simulated(number, data, cadences):
     target = draw_star(rng, star["kp"], detector, **place, signal=spotted(rng)[0])
     scene, effects = [target, *neighbors(rng, shape)], mission_effects(detector)
     tpf = simulate(scene, detector, motion, seed=number, effects=effects).to_tpf()
-    return measure(tpf, star["epic"], star["kp"], rng)
+    return measure(tpf, int(star["epic"]), float(star["kp"]), rng)
 
 
-def real(number, data):
-    """Return rows of a planet in a real file."""
-    name = sorted(FILES)[number % 2]
+def real(task, *, data):
+    """Return the row of a planet in a real file."""
+    name = sorted(FILES)[task["number"] % 2]
     tpf = read_tpf(Path(data) / FILES[name])
-    kp = tpf.get_keyword("kepmag")
-    return measure(tpf, name.split()[1], kp, np.random.default_rng([29, number]))
+    rng = np.random.default_rng([29, task["number"]])
+    return measure(tpf, int(name.split()[1]), tpf.get_keyword("kepmag"), rng)
 
 
 def write_table(target, data, *tables):
@@ -119,21 +130,19 @@ def write_table(target, data, *tables):
     write_csv(f"{target}.csv", rows)
 
 
-def main():
+def main(argv=None):
     real_files = {"type": int, "help": "planets in each real file"}
     others = {"dest": "other", "type": Path, "help": "rows of real files"}
-    options = arguments_of(__doc__, 60, **{"real": real_files, "with": others})
+    more = {"cadences": 1700, "real": real_files, "with": others}
+    options = arguments_of(__doc__, argv, 60, **more)
     if options.table:
         table = store_rows(options.file, f"{options.table}.ecsv")
         others = [store_rows(options.other, f"{options.table}_real.ecsv")] if options.other else []
-        write_table(options.table, options.data, table, *others)
-    elif options.real:
-        append_rows(options.file, COLUMNS, range(2 * options.real),
-                    lambda number: real(number, options.data), len(DEPTHS))  # fmt: skip
-    else:
-        append_rows(options.file, COLUMNS, range(options.stars),
-                    lambda number: simulated(number, options.data, options.cadences),
-                    len(DEPTHS))  # fmt: skip
+        return write_table(options.table, options.data, table, *others)
+    if options.real:
+        return sweep_rows(options, partial(real, data=options.data), 2 * options.real, rows_of)
+    measure = partial(simulated, data=options.data, cadences=options.cadences)
+    return sweep_rows(options, measure, options.stars, rows_of)
 
 
 if __name__ == "__main__":

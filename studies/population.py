@@ -3,17 +3,16 @@
     python studies/population.py DATA stars.csv [--stars 6000] [--corrected 600]
     python studies/population.py DATA stars.csv --table docs/data/population
 
-DATA is the folder of shared data. Stars are drawn by their number and appended to the file, so that
-a run goes on where it stopped; "--table" writes the tables of docs/evaluation_population.rst, which
-states the distributions that are drawn from, and which stars are held out.
+DATA is the folder of shared data. A run goes on where it stopped; ``--workers 2`` shares it.
+"--table" writes the tables of docs/evaluation_population.rst, which states the distributions that
+are drawn from, and which stars are held out.
 """
 
-import argparse
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
-from _rows import append_rows, store_rows, write_csv
+from _rows import arguments_of, store_rows, sweep_rows, write_csv
 from astropy.table import Table
 from k2_motion import K2MotionNoise, choose_aperture
 from paper._stars import draw_star, stamp_around
@@ -83,8 +82,9 @@ def neighbors(rng, shape):
     return [Star(max(mag, 9.0), *place) for mag, place in zip(mags, places, strict=True)]
 
 
-def observe(number, data, scale, *, correct):
-    """Return the row of a star."""
+def observe(task, *, data, scale, every):
+    """Return the row of a star; one in so many is corrected, none for 0."""
+    number = task["number"]
     rng = np.random.default_rng([26, number])
     real, low = real_stars(data), MAGNITUDES[number % len(MAGNITUDES)]
     inside = real["kp"][np.floor(real["kp"]) == low]
@@ -106,10 +106,12 @@ def observe(number, data, scale, *, correct):
     pixels = observation.flux[(observation.quality & MISSIONS["K2"].quality.rejected) == 0]
     curves = (pixels[:, mask].sum(axis=1, dtype=float) for mask in (aperture, observation.aperture))
     raw, raw_file = (cdpp(flux, method="everest") for flux in curves)
-    lc = PLDCorrector(observation.to_tpf()).correct() if correct else None
-    corrected = cdpp(lc, method="everest") if correct else np.nan
-    return (number, mag, round(distance, 3), len(others), int(spots),
-            *(round(float(v), 2) for v in (raw, raw_file, corrected)))  # fmt: skip
+    corrected = np.nan
+    if every and number // len(MAGNITUDES) % every == 0:
+        corrected = cdpp(PLDCorrector(observation.to_tpf()).correct(), method="everest")
+    row = (mag, round(distance, 3), len(others), int(spots),
+           *(round(float(v), 2) for v in (raw, raw_file, corrected)))  # fmt: skip
+    return dict(zip(COLUMNS[1:], row, strict=True))
 
 
 def percentiles(values, rng):
@@ -148,16 +150,10 @@ def write_tables(stars, real, target):
         write_csv(f"{target}_{suffix}.csv", [head, *rows])
 
 
-def main():
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("data")
-    parser.add_argument("file", type=Path)
-    parser.add_argument("--stars", type=int, default=6000)
-    parser.add_argument("--motion", type=float, default=1.0, help="factor on the motions")
-    parser.add_argument("--corrected", type=int, default=600)
-    parser.add_argument("--against", help="prints ratios to the same stars of another file")
-    parser.add_argument("--table", help="beginning of the names of the tables")
-    options = parser.parse_args()
+def main(argv=None):
+    more = {"corrected": 600, "motion": {"type": float, "default": 1.0, "help": "factor on it"}}
+    more["against"] = {"help": "prints ratios to the same stars of another file"}
+    options = arguments_of(__doc__, argv, 6000, **more)
     if options.table:
         table = store_rows(options.file, f"{options.table}.ecsv")
         write_tables(table, real_stars(options.data), options.table)
@@ -166,12 +162,10 @@ def main():
         ratio = np.array(one[: len(two)] / two[: len(one)])
         print("16, 50, 84 %:", np.percentile(ratio, [16, 50, 84]).round(2))
     if options.table or options.against:
-        return
-    every = max(1, options.stars // max(options.corrected, 1))
-    append_rows(options.file, COLUMNS, range(options.stars), lambda i: [observe(
-        i, options.data, options.motion,
-        correct=options.corrected > 0 and i // len(MAGNITUDES) % every == 0,
-    )])  # fmt: skip
+        return None
+    every = max(1, options.stars // options.corrected) if options.corrected > 0 else 0
+    measure = partial(observe, data=options.data, scale=options.motion, every=every)
+    return sweep_rows(options, measure, options.stars, lambda table: table[list(COLUMNS)])
 
 
 if __name__ == "__main__":

@@ -3,19 +3,19 @@
     python studies/rrlyrae.py DATA stars.csv [--stars 100] [--cadences 1700]
     python studies/rrlyrae.py DATA stars.csv --table docs/data/rrlyrae
 
-DATA is the folder of shared data. A run goes on where it stopped. Light curves are Fourier series
-in magnitudes. Ratios and phases of RRab stars are those of EPIC 220198696, fitted to the light
-curve of campaign 8 in the tests of autoEAP, with a scatter; amplitudes are those of Kepler's (Nemec
-et al. 2011, MNRAS 417, 1022). RRc stars are rounded values of Kepler's (Moskalik et al. 2015, MNRAS
-447, 2348). "Properly" is an amplitude within 3 % and an rms about the truth below 3 % of it;
-"clean" cadences are not flagged for rolling bands.
+DATA is the folder of shared data. A run goes on where it stopped; ``--workers 2`` shares it. Light
+curves are Fourier series in magnitudes. Ratios and phases of RRab stars are those of EPIC
+220198696, fitted to the light curve of campaign 8 in the tests of autoEAP, with a scatter;
+amplitudes are those of Kepler's (Nemec et al. 2011, MNRAS 417, 1022). RRc stars are rounded values
+of Kepler's (Moskalik et al. 2015, MNRAS 447, 2348). "Properly" is an amplitude within 3 % and an
+rms about the truth below 3 % of it; "clean" cadences are not flagged for rolling bands.
 """
 
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
-from _rows import append_rows, arguments_of, store_rows, write_csv
+from _rows import arguments_of, store_rows, sweep_rows, write_csv
 from astropy.table import Table
 from paper._stars import draw_star, stamp_around
 from population import moved
@@ -73,8 +73,9 @@ def quality(flux, truth):
     return flux @ truth / (truth @ truth), np.std(flux - truth) / np.ptp(truth)
 
 
-def observe(number, data, cadences, options):
+def observe(task, *, data, cadences, neighbors):
     """Return the row of a star."""
+    number = task["number"]
     rng, stars = np.random.default_rng([27, number]), real_stars(data)
     kp, known = stars["kp"][number], stars["kp"][np.isfinite(stars["kp"])]
     kp = float(kp if np.isfinite(kp) else known[rng.integers(len(known))])
@@ -89,6 +90,7 @@ def observe(number, data, cadences, options):
     place = np.array([x_0, y_0]) + distance * np.array([np.cos(angle), np.sin(angle)])
     scene = [target] + [Star(kp + fainter, *place)] * (number % 2)
     observation = simulate(scene, detector, motion, seed=number, effects=mission_effects(detector))
+    options = {"neighbors": neighbors} if neighbors else {}
     corrector = PLDCorrector(observation.to_tpf(), **options)
     corrected = corrector.correct()
     aperture = np.asarray(corrector.aperture_mask, dtype=float)
@@ -100,8 +102,9 @@ def observe(number, data, cadences, options):
     raw, flux = corrector.original_lc.flux.value, corrected.flux.value
     bands = observation.quality[kept] & MISSIONS["K2"].quality.rolling_band > 0
     found = [quality(one, truth) for one in (raw, flux, np.where(bands, np.nan, flux))]
-    return (stars["epic"][number], round(kp, 3), kind, round(period, 4), number % 2,
-            *(f"{value:.5f}" for value in np.ravel(found)))  # fmt: skip
+    row = (int(stars["epic"][number]), round(kp, 3), kind, round(period, 4), number % 2,
+           *(round(float(value), 5) for value in np.ravel(found)))  # fmt: skip
+    return dict(zip(COLUMNS, row, strict=True))
 
 
 def write_tables(table, real, target):
@@ -125,14 +128,15 @@ def write_tables(table, real, target):
     write_csv(f"{target}_judged.csv", [["pipeline", "light curves", "proper by eye"], *judged])
 
 
-def main():
-    options = arguments_of(__doc__, 100, neighbors={"help": "argument of PLDCorrector"})
+def main(argv=None):
+    more = {"cadences": 1700, "neighbors": {"help": "argument of PLDCorrector"}}
+    options = arguments_of(__doc__, argv, 100, **more)
     if options.table:
         table = store_rows(options.file, f"{options.table}.ecsv")
         return write_tables(table, real_stars(options.data), options.table)
-    chosen = {"neighbors": options.neighbors} if options.neighbors else {}
-    return append_rows(options.file, COLUMNS, range(options.stars),
-                       lambda i: [observe(i, options.data, options.cadences, chosen)])  # fmt: skip
+    given = {name: getattr(options, name) for name in ("data", *more)}
+    measure = partial(observe, **given)
+    return sweep_rows(options, measure, options.stars, lambda table: table[list(COLUMNS)])
 
 
 if __name__ == "__main__":

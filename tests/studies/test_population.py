@@ -1,11 +1,14 @@
 """The population of K2: what is drawn, and its tables."""
 
 import csv
+import os
+import subprocess
+import sys
 
 import numpy as np
 import pytest
 from astropy.table import Table
-from population import PIPELINES, neighbors, percentiles, spotted, write_tables
+from population import COLUMNS, PIPELINES, main, neighbors, percentiles, spotted, write_tables
 
 
 def test_neighbors_have_the_density_and_slope():
@@ -46,3 +49,26 @@ def test_errors_of_percentiles():
     values = np.random.default_rng(4).standard_normal((200, 300))
     found = np.array([percentiles(v, np.random.default_rng(5)) for v in values])
     assert found[:, 1, 1].mean() == pytest.approx(found[:, 0, 1].std(), rel=0.2)
+
+
+def test_two_stars(shared_data, tmp_path):
+    arguments = [str(shared_data), str(tmp_path / "stars.csv"), "--stars", "2", "--corrected", "0"]
+    assert main(arguments).n_computed == 2
+    assert main(arguments).n_computed == 0  # goes on from what is there
+    stars = Table.read(tmp_path / "stars.csv")
+    assert stars.colnames == list(COLUMNS)
+    assert np.floor(stars["kp"]).tolist() == [11, 12]
+    assert np.all(stars["raw"] > 10)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["population", "injections", "rrlyrae"])
+def test_workers(name, shared_data, repository, tmp_path):
+    """Functions of a script reach the workers."""
+    short = [] if name == "population" else ["--cadences", "200"]
+    command = [sys.executable, repository / "studies" / f"{name}.py", shared_data, "stars.csv"]
+    subprocess.run(
+        [*command, "--stars", "2", "--workers", "2", *short],
+        check=True, cwd=tmp_path, env=os.environ | {"PYTHONPATH": str(repository)},
+    )  # fmt: skip
+    assert len(Table.read(tmp_path / "stars.csv")) == (6 if name == "injections" else 2)
