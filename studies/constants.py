@@ -1,7 +1,6 @@
 """List the constants of the correctors: place, name, value, kind and reason.
 
-    python studies/constants.py                # a table
-    python studies/constants.py constants.csv
+    python studies/constants.py
 
 The comment of each number with a name at the top of a module begins with its kind:
 
@@ -11,7 +10,6 @@ The comment of each number with a name at the top of a module begins with its ki
 - branch: a limit from which on something else is computed.
 """
 
-import argparse
 import ast
 import csv
 from collections import Counter
@@ -64,7 +62,7 @@ def holds_number(value):
 
 
 def write(path):
-    """Write the table as CSV."""
+    """Write the table of the page on PLD as CSV."""
     with Path(path).open("w", encoding="utf-8", newline="") as file:
         writer = csv.DictWriter(file, COLUMNS)
         writer.writeheader()
@@ -72,15 +70,9 @@ def write(path):
 
 
 def main():
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("output", nargs="?", help="table (CSV)")
-    output = parser.parse_args().output
     rows = constants()
-    if output:
-        write(output)
-    else:
-        for row in rows:
-            print("{module:17}{name:24}{value:32.30}{kind:11}{reason}".format(**row))
+    for row in rows:
+        print("{module:17}{name:24}{value:32.30}{kind:11}{reason}".format(**row))
     print(len(rows), "constants:", dict(Counter(row["kind"] or "unknown" for row in rows)))
 
 

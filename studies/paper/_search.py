@@ -20,15 +20,13 @@ _N_DURATIONS = 6
 class Found:
     """The strongest periodic box in a light curve: times in days, `t0` the middle of the first box.
 
-    `snr` is the depth over its error, `sde` the height of the peak over the mean of the periodogram
-    in units of its standard deviation.
+    `snr` is the depth over its error.
     """
 
     period: float
     t0: float
     duration: float
     snr: float
-    sde: float
 
     def in_transit(self, time, widths=0.5):
         """Return which times are within so many durations of the middle of a box."""
@@ -81,14 +79,8 @@ def search(time, flux, shortest, longest):
     )  # fmt: skip
     result = model.power(periods, durations, objective="snr", oversample=5)
     best = int(np.argmax(result.power))
-    height = result.power[best] - np.mean(result.power)
-    return Found(
-        period=float(result.period[best]),
-        t0=float(result.transit_time[best]),
-        duration=float(result.duration[best]),
-        snr=float(result.depth_snr[best]),
-        sde=float(height / np.std(result.power)),
-    )
+    names = ("period", "transit_time", "duration", "depth_snr")
+    return Found(*(float(result[name][best]) for name in names))
 
 
 def fit_shape(time, flux, error, found, exposure_time):

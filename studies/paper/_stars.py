@@ -1,19 +1,16 @@
 """The stars and the motions of the studies."""
 
-from dataclasses import fields
 from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 
 from scope_models.missions import MISSIONS
-from scope_models.scene import K2Roll, Motion, Star
+from scope_models.scene import Motion, Star
 
 # No star of K2 moves farther from its median than this in a good cadence, in pixels.
 _FARTHEST = 4.0
 _CADENCES = 1000
-# Direction of EPIC 205998445 from the boresight, degrees from columns toward rows.
-_ANGLE = 163.6
 
 
 def draw_star(
@@ -46,29 +43,17 @@ def _varied(psf, factors, tilt):
     return psf
 
 
-def field_position(distance, angle=_ANGLE):
-    """Return the `field` of K2Roll, degrees along columns and rows, of a place in the field.
-
-    Distance from the boresight and direction from columns toward rows are in degrees.
-    """
-    angle = np.radians(angle)
-    return float(distance * np.cos(angle)), float(distance * np.sin(angle))
-
-
-def motion_from_name(name, n_cadences=None):
+def motion_from_name(name, n_cadences=None, **options):
     """Return the motion that a name stands for, without flagged cadences.
 
-    It is the path of a target pixel or light-curve file (without cadences farther than 4 px from
-    the median), "still", "k2_roll", or "k2_roll:seed=3,distance=5.2,angle=120": a seed, distance
-    and angle of `field_position`, and the numbers of `scope_models.scene.motion.K2Roll`.
+    It is "k2_roll", with `options` of `scope_models.Motion.k2_roll`, or the path of a target pixel
+    or light-curve file, without cadences farther than 4 px from the median.
     """
-    text = str(name)
-    kind, _, options = text.partition(":")
-    if text == "still":
-        return Motion.still(n_cadences or _CADENCES)
-    if kind == "k2_roll":
-        return _generated(text, options, n_cadences or _CADENCES)
-    return _usable(Motion.from_file(Path(name), bad="drop"), name)[:n_cadences]
+    if str(name) != "k2_roll":
+        return _usable(Motion.from_file(Path(name), bad="drop"), name)[:n_cadences]
+    n = n_cadences or _CADENCES
+    # Thrusters fire in one cadence of twelve at most, and a firing may fall into two cadences.
+    return _usable(Motion.k2_roll(n + n // 4 + 12, **options), name)[:n]
 
 
 #: `motion_from_name` for studies, in which all stars have the same motion.
@@ -82,31 +67,6 @@ def _usable(motion, name):
         raise ValueError(f"{name}: no cadence is without a quality flag")
     x, y = (values - np.median(values[keep]) for values in (motion.x, motion.y))
     return motion[keep & (np.hypot(x, y) < _FARTHEST)]
-
-
-def _generated(text, options, n_cadences):
-    """Return a generated motion of so many cadences without thruster firings."""
-    parameters = {}
-    known = {"seed", "distance", "angle"} | {field.name for field in fields(K2Roll)} - {"field"}
-    for option in filter(None, options.split(",")):
-        key, equals, value = (part.strip() for part in option.partition("="))
-        if key not in known or not equals:
-            raise ValueError(
-                f"`motion` must be like 'k2_roll:seed=3,distance=5', got {text!r}; the parameters "
-                f"are {', '.join(sorted(known))}"
-            )
-        try:
-            parameters[key] = int(value) if key == "seed" else float(value)
-        except ValueError:
-            raise ValueError(f"`{key}` must be a number, got {value!r} in {text!r}") from None
-    if "angle" in parameters and "distance" not in parameters:
-        raise ValueError(f"`angle` needs a `distance`, got {text!r}")
-    if "distance" in parameters:
-        position = parameters.pop("distance"), parameters.pop("angle", _ANGLE)
-        parameters["field"] = field_position(*position)
-    # Thrusters fire in one cadence of twelve at most, and a firing may fall into two cadences.
-    motion = Motion.k2_roll(n_cadences + n_cadences // 4 + 12, **parameters)
-    return _usable(motion, text)[:n_cadences]
 
 
 def stamp_around(motion, margin=5):

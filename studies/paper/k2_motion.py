@@ -11,15 +11,13 @@ Saunders, N. et al. 2019, section 3; Luger, R. et al. 2018, AJ, 156, 99 (EVEREST
 
 from dataclasses import dataclass
 from functools import partial
-from itertools import product
-from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
 from _figures import plot_cdpp
 from _reference import PERCENTILES, compared, noise_band, read_reference
 from _stars import draw_star, motion_from_name, stamp_around
-from _study import cells, run
+from _study import cells, grid, run
 from astropy.table import Table
 from no_motion import noise_parts
 
@@ -46,10 +44,7 @@ class K2MotionNoise:
     seed: int = 1
     magnitudes: tuple[float, ...] = tuple(11 + 0.5 * k for k in range(9))  # Kp
     detectors: tuple[str, ...] = ("paper", "calibrated")
-    # "field" is a generated motion of each star's own, evenly spread over the field of view and
-    # over the time of a campaign; others as `motion_from_name` takes them
-    motions: tuple[str, ...] = ("field",)
-    stars: int = 60  # per magnitude, motion and detector; the same stars are in all bins
+    stars: int = 60  # per magnitude and detector, all over the field; the same are in all bins
     cadences: int = 1000  # at a random time of the campaign, which has 3380
     shift: float = 0.5  # px from the middle of a pixel; the paper has 0.2
     threshold: float = 140.0  # T in e-/s, fitted; 0 takes the aperture of highest signal-to-noise
@@ -57,55 +52,39 @@ class K2MotionNoise:
     saturated_part: float = 1e-4  # part of a saturated star's flux that a pixel of its aperture has
 
 
-def field_motion(number, cadences, *, place=None, rng=None):
-    """Return the motion of a star somewhere in the field of view, at some time of a campaign.
+def field_motion(number, cadences, *, place, rng):
+    """Return the motion about its median of a star in the field of view, at a time of a campaign.
 
     `number` is the seed of the motion, `place` the part of the field, between 0 and 1, that is
     nearer to the boresight than the star, and `rng` the source of the direction and of the time.
     """
-    rng = np.random.default_rng(number) if rng is None else rng
-    place = rng.uniform() if place is None else place
-    distance, angle = EDGE * np.sqrt(place), rng.uniform(0, 360)
+    distance, angle = round(EDGE * np.sqrt(place), 4), np.radians(round(rng.uniform(0, 360), 2))
     start = int(rng.integers(max(CAMPAIGN - cadences, 0) + 1))
-    name = f"k2_roll:seed={number},distance={distance:.4f},angle={angle:.2f}"
-    return about_median(motion_from_name(name, CAMPAIGN)[start : start + cadences])
-
-
-def about_median(motion):
-    """Return a motion about its median."""
+    field = float(distance * np.cos(angle)), float(distance * np.sin(angle))
+    motion = motion_from_name("k2_roll", CAMPAIGN, seed=number, field=field)
+    motion = motion[start : start + cadences]
     x, y = motion.x - np.median(motion.x), motion.y - np.median(motion.y)
     return type(motion).from_arrays(motion.time, x, y, time_format=motion.time_format)
 
 
 def tasks(study):
     """Return one task per star."""
-    return [
-        {
-            "key": f"{detector}-motion{number}-kp{mag:g}-{index}",
-            "detector": detector, "motion": motion, "mag": mag, "index": index,
-            "star": f"motion{number}-{index}",
-        }
-        for detector, (number, motion), mag, index in product(
-            study.detectors, enumerate(study.motions), study.magnitudes, range(study.stars)
-        )
-    ]  # fmt: skip
+    return grid("{detector}-kp{mag:g}-{index}", detector=study.detectors, mag=study.magnitudes,
+                index=study.stars)  # fmt: skip
 
 
 def observe(study, task):
     """Return the pixels of a star; both detectors see the same star and motion."""
-    rng = star_rng(study.seed, task["star"])
-    if task["motion"] == "field":
-        shift = star_rng(study.seed, "field", "shift").uniform()
-        place = (shift + task["index"] * GOLDEN) % 1.0
-        number = star_seed(study.seed, task["star"], "motion") % 2**31
-        motion = field_motion(number, study.cadences, place=place, rng=rng)
-    else:
-        motion = about_median(motion_from_name(task["motion"]))[: study.cadences]
+    key = f"motion0-{task['index']}"
+    rng = star_rng(study.seed, key)
+    shift = star_rng(study.seed, "field", "shift").uniform()
+    place = (shift + task["index"] * GOLDEN) % 1.0
+    number = star_seed(study.seed, key, "motion") % 2**31
+    motion = field_motion(number, study.cadences, place=place, rng=rng)
     shape, x_0, y_0 = stamp_around(motion, MARGIN)
     detector = DETECTORS[task["detector"]](shape=shape)
     star = draw_star(rng, task["mag"], detector, x_0=x_0, y_0=y_0, shift=study.shift)
-    seed = star_seed(study.seed, task["star"], "pixels")
-    return simulate(star, detector, motion, seed=seed)
+    return simulate(star, detector, motion, seed=star_seed(study.seed, key, "pixels"))
 
 
 def measure(study, task):
@@ -149,28 +128,24 @@ def choose_aperture(study, observation, image, *, saturated=False):
 def summarize(study, table):
     """Return our noise beside that of campaign 3, saturated stars included, as they are in ours.
 
-    Per detector, motion and magnitude: percentiles with errors by resampling, the ratios, and
-    medians of the contributions.
+    Per detector and magnitude: percentiles with errors by resampling, the ratios, and medians of
+    the contributions.
     """
-    reference = read_reference("k2_c03_raw", "all")
-    rows, found = [], {tuple(c.values()): s for c, s in cells(table, ("detector", "motion", "mag"))}
-    for detector, motion, mag in product(study.detectors, study.motions, study.magnitudes):
-        stars = found.get((detector, motion, mag), ())
-        if not len(stars):
-            continue
-        row = {"detector": detector, "motion": Path(motion).name, "mag": mag, "stars": len(stars)}
-        row |= compared("noise", stars["cdpp"], reference, mag, PERCENTILES, known="k2")
+    reference, rows = read_reference("k2_c03_raw", "all"), []
+    for cell, stars in cells(table, ("detector", "mag")):
+        row = {"detector": cell["detector"], "motion": "field", "mag": cell["mag"]}
+        row["stars"] = len(stars)
+        row |= compared("noise", stars["cdpp"], reference, cell["mag"], PERCENTILES, known="k2")
         for name in ("cdpp_lightkurve", *CONTRIBUTIONS, "n_pixels"):
             row[name] = float(np.median(stars[name]))
         rows.append(row | {"saturated": float(np.mean(stars["saturated"]))})
-    return Table(rows=rows)
+    return Table(sorted(rows, key=lambda row: study.detectors.index(row["detector"])))
 
 
 @styled
 def draw(study, _, summary):
     """Draw our noise over that of campaign 3, and what contributes to it."""
     known = noise_band("k2_c03_raw", "K2 campaign 3")
-    summary = summary[summary["motion"] == summary["motion"][0]]
     figure, (left, right) = plt.subplots(
         1, 2, figsize=(10, 4.6), sharex=True, sharey=True, layout="constrained"
     )

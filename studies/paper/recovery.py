@@ -97,7 +97,7 @@ def observe(study, task):
 def measure(study, task):
     """Return what is found of the planet of a star.
 
-    "white_noise", the least that a cadence can have (ppm), with the true image known; "snr", "sde",
+    "white_noise", the least that a cadence can have (ppm), with the true image known; "snr" and
     "found_period" of the strongest box; "detected", whether it is above the threshold, and
     "recovered", whether it is the planet too. Of a planet its "period" and "duration";
     "expected_snr", that of its transits in this noise; "survival", the part of its depth that the
@@ -114,7 +114,7 @@ def measure(study, task):
     weighted = np.square(observation.model() / observation.flux_err).sum(axis=(1, 2))
     row = {
         "white_noise": 1e6 * float(np.median(1 / np.sqrt(weighted))),
-        "snr": found.snr, "sde": found.sde, "found_period": found.period,
+        "snr": found.snr, "found_period": found.period,
         "detected": found.snr >= study.threshold, "recovered": False,
     }  # fmt: skip
     if not task["depth"]:

@@ -1,17 +1,12 @@
 """The studies beside the paper's run with two stars."""
 
-import sys
-
 import drop
 import fitting
 import pytest
-import score_correctors
-from astropy.table import Table
 from matplotlib import pyplot as plt
 from matplotlib.image import imread
 
 from scope_models import Detector, Motion, Star, simulate
-from scope_models.benchmark import make_benchmark
 
 
 def numbers_after(text, word):
@@ -68,16 +63,3 @@ def test_drop_of_stars_of_one_ccd(capsys):
     value, error = numbers_after(capsys.readouterr().out, "both:")[:2]
     assert 1e-6 * error < min(error for _, error in numbers)
     assert abs(1e-6 * value - truth) < 4e-6 * error
-
-
-def test_scores_of_correctors(tmp_path, monkeypatch, capsys):
-    make_benchmark(tmp_path / "sky", stars=2, sweep={"progress": False})
-    arguments = [tmp_path / "sky", tmp_path / "curves", "--methods", "raw,truth,pld"]
-    monkeypatch.setattr(sys, "argv", ["score_correctors.py", *map(str, arguments)])
-    score_correctors.main()
-    table = Table.read(tmp_path / "curves" / "scores.ecsv")
-    assert table["method"].tolist() == ["raw", "truth", "pld"] * 2
-    full = {method: table["full"][table["method"] == method] for method in ("raw", "truth", "pld")}
-    assert full["truth"].tolist() == pytest.approx([1, 1], abs=0.3)
-    assert all(full["pld"] < full["raw"])
-    assert len(capsys.readouterr().out.splitlines()) == 3
