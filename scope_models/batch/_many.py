@@ -15,7 +15,7 @@ from scope_models._arrays import values_of
 from scope_models.batch._store import FILE
 from scope_models.batch.sweep import run_sweep, star_seed
 
-__all__ = ["FITS", "RUN", "UNITS", "run_files"]
+__all__ = ["FITS", "RUN", "UNITS", "file_state", "run_files"]
 
 #: Arguments of all functions that run over many files.
 RUN = """
@@ -60,7 +60,7 @@ def run_files(
         if key in keys:
             raise ValueError(f"{keys[key]} and {file} would both become {key}{suffix}")
         keys[key] = file
-        tasks.append({"key": key} | ({"file": file} | _state(file) if are_files else {}) | row)
+        tasks.append({"key": key} | ({"file": file} | file_state(file) if are_files else {}) | row)
         output = f"{key}{suffix}" if name_output is None else name_output(file, key)
         if output in written:
             raise ValueError(f"{written[output]} and {file} would both become {output}")
@@ -121,7 +121,7 @@ def _medians(table):
     return Table(rows)
 
 
-def _state(file):
+def file_state(file):
     """Return size and age of a file, so that one that has changed is computed again."""
     try:
         state = Path(file).stat()

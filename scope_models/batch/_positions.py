@@ -5,6 +5,7 @@ import warnings
 from collections import defaultdict
 from pathlib import Path
 
+from scope_models.batch._many import file_state
 from scope_models.exceptions import DetrendingWarning, FitWarning
 from scope_models.fitting._common import common_motions, pos_corr_track
 from scope_models.io import read_pixels
@@ -36,33 +37,48 @@ def write_motions(files, folder, positions_from=None):
     places = [_place(file) for file in files]
     sources = positions_from if given else files
     for file, place in zip(sources, map(_place, sources) if given else places, strict=True):
-        groups[place].append(file)
+        if given or all(place[:2]):
+            groups[place].append(file)
     if others := set(groups) - set(places):
         text = f"no file of the run is of the same CCD as {groups[min(others)][0]}"
         warnings.warn(text, FitWarning, stacklevel=3)
+    folder = Path(folder) / _FOLDER
     for place in set(groups) & set(places):
-        name = "-".join(filter(None, place)) or "motion"
-        if given:  # stars with the motion of others, or of other contents, are corrected again
-            contents = sorted((Path(file).name, sha256(file)) for file in groups[place])
-            name += f"-{hashlib.sha256(repr(contents).encode()).hexdigest()[:8]}"
-        path = Path(folder) / _FOLDER / f"{name}.fits"
-        if path.exists() or _write_motion(path, place, groups[place], given=given):
+        name, sources = "-".join(filter(None, place)) or "motion", groups[place]
+        if not given:
+            sources = sources[:: -(-len(sources) // _MOST)]
+        path = not given and _unchanged(folder, name)
+        if path or (path := _write_motion(folder, name, sources, given=given)):
             written[place] = f"{_FOLDER}/{path.name}"
     return [{"positions": written.get(place, "")} if written else {} for place in places]
 
 
-def _write_motion(path, place, files, *, given):
-    """Write the common motion of a CCD; return whether there is one."""
-    few = files[:: max(-(-len(files) // _MOST), 1)]
+def _unchanged(folder, name):
+    """Return the motion of files of a run that have not changed since, or None."""
+    for path in folder.glob(f"{name}-????????.fits"):
+        meta = Motion.read(path).meta
+        states = [(file_state(file), state) for file, state in meta["sources"].items()]
+        if not meta["given"] and all(now == then or now["bytes"] < 0 for now, then in states):
+            return path
+    return None
+
+
+def _write_motion(folder, name, files, *, given):
+    """Write the common motion of a CCD; return its file, named by the contents of all, or None."""
+    contents = sorted((Path(file).name, sha256(file)) for file in files)
+    path = folder / f"{name}-{hashlib.sha256(repr(contents).encode()).hexdigest()[:8]}.fits"
+    if path.exists():
+        return path
     if given:
         motion = Motion.from_tpfs(files)
-    elif len(few) > 1 and all(place[:2]) and (found := common_motions(few, pixels=False)[0]):
+    elif len(files) > 1 and (found := common_motions(files, pixels=False)[0]):
         motion = max(found.values(), key=lambda motion: motion.meta["n_files"])
     else:
-        return False
-    path.parent.mkdir(parents=True, exist_ok=True)
-    motion.replace(meta={**motion.meta, "given": given}).write(path, overwrite=True)
-    return True
+        return None
+    folder.mkdir(parents=True, exist_ok=True)
+    sources = {str(Path(file).absolute()): file_state(file) for file in files}
+    motion = motion.replace(meta={**motion.meta, "given": given, "sources": sources})
+    return motion.write(path, overwrite=True)
 
 
 def _place(file):
