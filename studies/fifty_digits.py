@@ -16,6 +16,7 @@ import mpmath as mp
 import numpy as np
 from _rows import stamp
 from astropy.table import Table
+from mpmath.calculus.quadrature import GaussLegendre
 
 from scope_models import BivariateGaussianPSF, TabulatedPSF, integrate_pixels
 from scope_models.models import _axis, _gaussian
@@ -24,24 +25,14 @@ mp.mp.dps, STEP = 50, mp.mpf("1e-16")
 X_ROW, Y_ROW = (1.0, 0.1, -0.05, 0.2), (1.0, -0.2, -0.75)
 NAMES = ("x_0", "y_0", "sigma_x", "sigma_y", "rho")
 PLACES = ((3.0, 3.0), (3.5, 3.125), (3.5, 3.5), (3.4990234375, 2.5))
-# Half the width of a panel in standard deviations, nodes in it (1e-50), and where densities end.
-HALF, NODES, REACH = 0.75, 24, 15
+# Half the width of a panel in standard deviations, and where densities end.
+HALF, REACH = 0.75, 15
 
 
 @cache
 def legendre():
-    """Return nodes and weights of the Gauss-Legendre rule, by Newton's method."""
-    found = []
-    for k in range(NODES):
-        x = mp.cos(mp.pi * (k + mp.mpf(3) / 4) / (NODES + mp.mpf(1) / 2))
-        for _ in range(8):
-            p, before = mp.mpf(1), mp.mpf(0)
-            for n in range(NODES):
-                p, before = ((2 * n + 1) * x * p - n * before) / (n + 1), p
-            slope = NODES * (x * p - before) / (x * x - 1)
-            x -= p / slope
-        found.append((x, 2 / ((1 - x * x) * slope**2)))
-    return found
+    """Return the 24 nodes and weights of the Gauss-Legendre rule on (-1, 1)."""
+    return GaussLegendre(mp.mp).get_nodes(-1, 1, degree=4, prec=mp.mp.prec)
 
 
 def along_y(mean, sigma, row):

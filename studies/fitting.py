@@ -201,20 +201,17 @@ def photutils_chi2(tpf):
     return some, np.nanmean(squares, axis=0) * n / (n - 7)
 
 
-def fit_model(tpf, model, **changes):
-    options = FitOptions(loss="soft_l1")
-    return fit_tpf(tpf, options=options, **({"interpixel": 0} | MODELS[model] | changes))
-
-
-def report_real(folder, only=tuple(FILES)):
-    for star in only:
+def report_real(folder):
+    for star in FILES:
         tpf = lk.read(Path(folder) / FILES[star])
         some, chi2 = photutils_chi2(tpf)
         print(f"{star}: {tpf.flux.shape}")
         print(f"  photutils, {len(some)} cadences: median chi-squared {np.median(chi2):.4g}")
-        for model in MODELS:
+        for model, options in MODELS.items():
             begin = time.process_time()
-            fit = fit_model(tpf, model)
+            fit = fit_tpf(
+                tpf, **({"interpixel": 0, "options": FitOptions(loss="soft_l1")} | options)
+            )
             same = np.isin(fit.cadenceno, np.asarray(tpf.cadenceno)[some])
             part = ((fit.residual / fit.observed_err)[same] ** 2).mean(axis=0)
             part *= fit.n_data / fit.dof
@@ -240,42 +237,23 @@ def light_curves(tpf, aperture):
 
 def report_twin(folder):
     """Stars and their twins in the same aperture and cadences."""
-    from matplotlib import pyplot as plt
-
-    from scope_models.plotting import plot_twin
-
     print("Twins: 6.5-h CDPP (ppm), lightkurve's and EVEREST's convention")
     for star, name in FILES.items():
         fit = fit_tpf(Path(folder) / name, response="pixels")
         tpf = lk.read(Path(folder) / name)
         used = fit.cadenceno[~fit.outliers]
-        observation = simulate(fit.scene().replace(seed=1))
-        twin = observation.to_tpf(quality_bitmask="none")
+        twin = simulate(fit.scene().replace(seed=1)).to_tpf(quality_bitmask="none")
         tpf, twin = (pixels[np.isin(pixels.cadenceno, used)] for pixels in (tpf, twin))
         own = PLDCorrector(tpf).aperture_mask
         for label, aperture in (("pipeline", tpf.pipeline_mask), ("PLD", own)):
-            curves = {"real": light_curves(tpf, aperture), "twin": light_curves(twin, aperture)}
-            rows = {
-                kind: [cdpp(c, method=m) for c in pair for m in ("lightkurve", "everest")]
-                for kind, pair in curves.items()
-            }
-            for kind, row in rows.items():
+            for kind, pixels in (("real", tpf), ("twin", twin)):
+                pair = light_curves(pixels, aperture)
+                row = [cdpp(curve, method=m) for curve in pair for m in ("lightkurve", "everest")]
                 print(
                     f"  {star} {label} aperture, {kind}: summed {row[0]:.0f} {row[1]:.0f}, "
                     f"de-trended {row[2]:.0f} {row[3]:.0f}",
                     flush=True,
                 )
-        residual = (observation.flux - observation.model()) / fit.observed_err
-        images = [np.nanstd(fit.residual / fit.observed_err, axis=0), np.nanstd(residual, axis=0)]
-        n = min(len(curve) for pair in curves.values() for curve in pair)
-        axes = plot_twin(
-            curves["real"][0].time.value[:n],
-            *([curve.flux.value[:n] for curve in pair] for pair in curves.values()),
-            images,
-            labels={k: f"(CDPP {row[1]:.0f}, {row[3]:.0f} ppm)" for k, row in rows.items()},
-        )
-        axes["raw"].figure.savefig(f"twin_{star.split()[-1]}.png", dpi=110)
-        plt.close("all")
 
 
 def main():

@@ -7,8 +7,7 @@
 Each star is corrected three times: as it is, with another draw of its noise, and without its
 transits (with transits of 6 h and ten floors where it has none), by the scope_models of ``--tree``;
 this checkout makes and scores the stars. Rows are added to ``new.jsonl``, and a second call
-continues. ``--method`` is "pld", "raw", "measured", or MODULE:FUNCTION of a function that takes a
-target pixel file and returns a light curve.
+continues. ``--method`` is "pld", the corrector, or "raw", the sum over the file's aperture.
 
 Stars with neighbors are compared with the truth of the amplitude that the curve has, for it may
 hold the neighbors' light; ``amplitude`` and ``undiluted`` compare with the star's own truth.
@@ -17,7 +16,6 @@ Leaks are slopes of the corrected over the true flux on the true width (ppm per 
 """
 
 import argparse
-import importlib
 import json
 import os
 import subprocess
@@ -46,15 +44,11 @@ SHARES, SCALES = (0.0, 0.2, 0.5, 0.8, 0.95, 0.99), (0.5, 1.0, 2.0, 4.0, 8.0, 16.
 
 def correct(tpf, method):
     """Return the light curve by a method."""
-    if ":" in method:
-        module, _, name = method.partition(":")
-        return getattr(importlib.import_module(module), name)(tpf)
     if method == "raw":
         return tpf.to_lightcurve(aperture_mask="pipeline")
     from scope_models.correctors import PLDCorrector
 
-    options = {"pld": {}, "measured": {"fractions": "measured"}}[method]
-    return PLDCorrector(tpf).correct(**options)
+    return PLDCorrector(tpf).correct()
 
 
 def serve(method):
@@ -131,7 +125,8 @@ def run(task):
     if regime.depth:
         other = regime.replace(depth=0.0)
     else:
-        depth = float(np.clip(10 * sky.floor() / np.sqrt(per_bin(regime)), 1e-4, 0.1))
+        per_bin = max(round(13 * 0.0204 / regime.cadence), 1)  # 6.5 h
+        depth = float(np.clip(10 * sky.floor() / np.sqrt(per_bin), 1e-4, 0.1))
         other = regime.replace(depth=depth, duration=0.25)
     stars = [sky, make_sky(regime, seed, noise_seed=1, **options), make_sky(other, seed, **options)]
     with tempfile.TemporaryDirectory() as folder:
@@ -139,27 +134,14 @@ def run(task):
         for star, path in zip(stars, paths, strict=True):
             star.to_tpf(quality_bitmask="none").hdu.writeto(path)
         found = ask(paths, regime.mission)
-    row = dict(zip(KEY, task, strict=True)) | {
-        "apart": regime.apart,
-        "magnitude": regime.magnitude,
-        "scale": regime.scale,
-        "neighbors": len(regime.neighbors),
-        "share": share(sky),
-    }
-    return row | rows_of(stars, found)
-
-
-def per_bin(regime):
-    """Return the cadences of 6.5 h."""
-    return max(round(13 * 0.0204 / regime.cadence), 1)
-
-
-def share(sky):
-    """Return the star's part of the light of all stars in the file's aperture."""
     own, others = (
         float(light[:, sky.aperture].sum()) for light in (sky.star_light, sky.neighbor_light)
     )
-    return own / (own + others)
+    row = dict(zip(KEY, task, strict=True)) | {
+        "apart": regime.apart, "magnitude": regime.magnitude, "scale": regime.scale,
+        "neighbors": len(regime.neighbors), "share": own / (own + others),
+    }  # fmt: skip
+    return row | rows_of(stars, found)
 
 
 def rows_of(stars, found):
@@ -451,12 +433,9 @@ def record(options):
     git = ["git", "-C", str(arguments[0]), "rev-parse", "--short", "HEAD"]
     version = subprocess.run(git, capture_output=True, text=True, check=False).stdout.strip()
     table.meta |= {
-        "version": version,
-        "date": time.strftime("%Y-%m-%d"),
-        "method": options.method,
-        "command": "python studies/record.py " + options.command,
-        "cadences": CADENCES,
-    }
+        "version": version, "date": time.strftime("%Y-%m-%d"), "method": options.method,
+        "command": "python studies/record.py " + options.command, "cadences": CADENCES,
+    }  # fmt: skip
     for name in table.colnames:
         if table[name].dtype.kind == "f":
             table[name] = [float(f"{value:.5g}") for value in table[name]]
@@ -471,7 +450,7 @@ def main():
     parser.add_argument("--regimes", default="", help="beginnings of names, comma-separated")
     parser.add_argument("--seeds", default="2001-2002", type=seeds, help="as 0-3 or 1,5")
     parser.add_argument("--positions", default="wrong", help="wrong, exact, none, comma-separated")
-    parser.add_argument("--method", default="pld", help="pld, raw, measured or MODULE:FUNCTION")
+    parser.add_argument("--method", default="pld", choices=("pld", "raw"))
     parser.add_argument("--tree", default=Path(__file__).parents[1], type=Path, help="checkout")
     parser.add_argument("--workers", default=1, type=int)
     parser.add_argument("--show", action="store_true", help="compute nothing more")
