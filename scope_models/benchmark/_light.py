@@ -98,14 +98,9 @@ def _jitter(rng, time, size=0.0035, slow=0.0035):
 #: Offsets in pixels along x and y, and the cadences in which thrusters fire, by the kind of motion.
 #: Times are in days from the beginning.
 MOTIONS = {
-    "k2": _roll,
-    "kepler": _drift,
-    "tess": _orbits,
-    "walk": _walk,
-    "wheels": _wheels,
-    "rest": partial(_jitter, size=1e-4, slow=0.0),
-    "jitter": _jitter,
-}
+    "k2": _roll, "kepler": _drift, "tess": _orbits, "walk": _walk, "wheels": _wheels,
+    "rest": partial(_jitter, size=1e-4, slow=0.0), "jitter": _jitter,
+}  # fmt: skip
 
 
 def _wave(rng, time, period):

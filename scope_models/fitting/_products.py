@@ -112,17 +112,12 @@ def _fields_of(hdus):
         statistics, response=bool(response),
     )  # fmt: skip
     return values | {
-        "model": model,
-        "parameters": parameters,
-        "cadences": cadence_table(columns),
-        "neighbors": tuple(FittedStar(*star) for star in cube),
-        "statistics": statistics,
+        "model": model, "parameters": parameters, "cadences": cadence_table(columns),
+        "neighbors": tuple(FittedStar(*star) for star in cube), "statistics": statistics,
         "time_format": described["time_format"],
         "detector": Detector(**detector, interpixel=np.maximum(values["interpixel"], 0.0)),
-        "options": options,
-        "meta": described["meta"],
-        "response": response,
-    }
+        "options": options, "meta": described["meta"], "response": response,
+    }  # fmt: skip
 
 
 def _description(fit):

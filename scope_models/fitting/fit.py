@@ -56,20 +56,9 @@ _ENOUGH = 100
 
 
 def fit_tpf(
-    tpf,
-    psf=None,
-    sensitivity=None,
-    *,
-    stars=None,
-    neighbors=None,
-    empirical=0,
-    interpixel=None,
-    positions="start",
-    response="auto",
-    flux_err=None,
-    options=None,
-    progress=None,
-):
+    tpf, psf=None, sensitivity=None, *, stars=None, neighbors=None, empirical=0, interpixel=None,
+    positions="start", response="auto", flux_err=None, options=None, progress=None,
+):  # fmt: skip
     r"""Fit one model to all pixels and cadences of a target pixel file at once.
 
     .. math:: f_{t,p} = b_p F_t \int_p P(x - x_t, y - y_t)\, s(u, v)\, dx\, dy + B_t

@@ -423,21 +423,13 @@ class TPFFit(Value):
         width, error = self.psf_shape()["value", "error"][0]
 
         return plot_fit(
-            np.nanmedian(self.observed, axis=0),
-            np.nanmedian(self.fitted, axis=0),
-            np.nanmedian(self.residual, axis=0),
-            self.x,
-            self.y,
-            psf=density,
+            np.nanmedian(self.observed, axis=0), np.nanmedian(self.fitted, axis=0),
+            np.nanmedian(self.residual, axis=0), self.x, self.y, psf=density,
             psf_extent=(-border, border, -border, border),
-            psf_width=f"FWHM {width:.3g} $\\pm$ {error:.1g} px",
-            pos_corr=self.pos_corr,
-            sensitivity=sensitivity_profiles(self),
-            chi2=self.chi2_pixels,
-            time=self.time,
-            flux=self.flux,
-            time_label=f"Time ({self.time_format.upper()})",
-        )
+            psf_width=f"FWHM {width:.3g} $\\pm$ {error:.1g} px", pos_corr=self.pos_corr,
+            sensitivity=sensitivity_profiles(self), chi2=self.chi2_pixels, time=self.time,
+            flux=self.flux, time_label=f"Time ({self.time_format.upper()})",
+        )  # fmt: skip
 
     @documented()
     def write(self, path, overwrite=False):

@@ -32,14 +32,10 @@ def make_headers(metadata, time, timecorr, used, aperture):
     optimal, collected = aperture & 2 > 0, aperture & 1 > 0
     sky = {key: value for key, (value, _) in tan_projection(metadata, aperture.shape).items()}
     values = {
-        **_facts(metadata),
-        **_span(metadata, time, timecorr, used),
-        **sky,
-        "CRVAL1P": metadata.column,
-        "CRVAL2P": metadata.row,
-        "NPIXSAP": int(optimal.sum()),
+        **_facts(metadata), **_span(metadata, time, timecorr, used), **sky,
+        "CRVAL1P": metadata.column, "CRVAL2P": metadata.row, "NPIXSAP": int(optimal.sum()),
         "NPIXMISS": int((optimal & ~collected).sum()),
-    }
+    }  # fmt: skip
     names = {} if metadata.is_long_cadence else {"LC_START": "SC_START", "LC_END": "SC_END"}
     unknown = None in (metadata.camera, metadata.ccd)
     names["TMOFST"] = None if unknown else f"TMOFST{metadata.camera}{metadata.ccd}"
@@ -90,15 +86,9 @@ def _facts(metadata):
         "CREATOR": f"scope_models {__version__} TargetPixelFile",
         "PROCVER": f"scope_models {__version__}",
         "SEED": str(seed) if seed is not None and seed > _MAX_CARD_INTEGER else seed,
-        "TELESCOP": mission.telescope,
-        "INSTRUME": mission.instrument,
-        "MISSION": mission.name,
-        mission.id_keyword: metadata.target_id,
-        mission.magnitude_keyword: metadata.magnitude,
-        "RA_OBJ": ra,
-        "DEC_OBJ": dec,
-        "MODULE": module,
-        "OUTPUT": output,
+        "TELESCOP": mission.telescope, "INSTRUME": mission.instrument, "MISSION": mission.name,
+        mission.id_keyword: metadata.target_id, mission.magnitude_keyword: metadata.magnitude,
+        "RA_OBJ": ra, "DEC_OBJ": dec, "MODULE": module, "OUTPUT": output,
         "SEASON": None if quarter is None else (quarter + 2) % 4,
         "OBSMODE": f"{'long' if metadata.is_long_cadence else 'short'} cadence",
         "CRMITEN": metadata.reads < metadata.n_frames,
@@ -106,7 +96,7 @@ def _facts(metadata):
         **{f"GAIN{x}": metadata.gain for x in outputs},
         **{f"READNOI{x or 'S'}": metadata.read_noise for x in outputs},
         **{f"MEANBLC{x or 'K'}": metadata.mean_black for x in outputs},
-    }
+    }  # fmt: skip
 
 
 def _span(metadata, time, timecorr, used):
@@ -118,19 +108,10 @@ def _span(metadata, time, timecorr, used):
     spacecraft = (time - timecorr)[timed] + (zero - 2400000.5)
     first, last = (value.item() if np.isfinite(value) else None for value in spacecraft)
     return {
-        "BJDREFI": int(zero),
-        "EXPOSURE": used * delta * live,
-        "TELAPSE": stop - start,
-        "LIVETIME": (stop - start) * live,
-        "TSTART": start,
-        "TSTOP": stop,
-        "LC_START": first,
-        "LC_END": last,
-        "DEADC": live,
-        "TIMEDEL": delta,
-        "DATE-OBS": dates[0],
-        "DATE-END": dates[1],
-    }
+        "BJDREFI": int(zero), "EXPOSURE": used * delta * live, "TELAPSE": stop - start,
+        "LIVETIME": (stop - start) * live, "TSTART": start, "TSTOP": stop, "LC_START": first,
+        "LC_END": last, "DEADC": live, "TIMEDEL": delta, "DATE-OBS": dates[0], "DATE-END": dates[1],
+    }  # fmt: skip
 
 
 @lru_cache(maxsize=64)
@@ -169,18 +150,14 @@ def _column_wcs(n, metadata, shape):
     cards = [
         (f"WCSN{n}P", "PHYSICAL", "name of the detector coordinates"),
         (f"WCAX{n}P", 2, "axes of the detector coordinates"),
-        (f"1CTY{n}P", "RAWX", "axis 1: CCD column"),
-        (f"2CTY{n}P", "RAWY", "axis 2: CCD row"),
-        (f"1CUN{n}P", "PIXEL", "unit of axis 1"),
-        (f"2CUN{n}P", "PIXEL", "unit of axis 2"),
+        (f"1CTY{n}P", "RAWX", "axis 1: CCD column"), (f"2CTY{n}P", "RAWY", "axis 2: CCD row"),
+        (f"1CUN{n}P", "PIXEL", "unit of axis 1"), (f"2CUN{n}P", "PIXEL", "unit of axis 2"),
         (f"1CRV{n}P", metadata.column, "CCD column of the first pixel"),
         (f"2CRV{n}P", metadata.row, "CCD row of the first pixel"),
-        (f"1CDL{n}P", 1.0, "step of axis 1"),
-        (f"2CDL{n}P", 1.0, "step of axis 2"),
-        (f"1CRP{n}P", 1, "first pixel of axis 1"),
-        (f"2CRP{n}P", 1, "first pixel of axis 2"),
+        (f"1CDL{n}P", 1.0, "step of axis 1"), (f"2CDL{n}P", 1.0, "step of axis 2"),
+        (f"1CRP{n}P", 1, "first pixel of axis 1"), (f"2CRP{n}P", 1, "first pixel of axis 2"),
         (f"WCAX{n}", 2, "axes of the sky coordinates"),
-    ]
+    ]  # fmt: skip
     short = {"CTYPE": "CTYP", "CRPIX": "CRPX", "CRVAL": "CRVL", "CUNIT": "CUNI", "CDELT": "CDLT"}
     for keyword, (value, comment) in sky.items():
         if keyword.startswith("PC"):

@@ -70,16 +70,9 @@ def plot_comparison(time, fluxes, *, time_label="Time (d)"):
 
 @styled
 def plot_detrending(
-    time,
-    flux,
-    corrected,
-    *,
-    systematics=None,
-    trend=None,
-    outliers=None,
-    masked=None,
+    time, flux, corrected, *, systematics=None, trend=None, outliers=None, masked=None,
     time_label="Time (d)",
-):
+):  # fmt: skip
     """Draw a light curve before and after correction, and the model.
 
     Parameters

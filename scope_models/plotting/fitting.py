@@ -19,22 +19,9 @@ _LINEAR = 0.01
 
 @styled
 def plot_fit(
-    data,
-    model,
-    residual,
-    x,
-    y,
-    *,
-    psf=None,
-    psf_extent=None,
-    psf_width=None,
-    pos_corr=None,
-    sensitivity=None,
-    chi2=None,
-    time=None,
-    flux=None,
-    time_label="Time (d)",
-):
+    data, model, residual, x, y, *, psf=None, psf_extent=None, psf_width=None, pos_corr=None,
+    sensitivity=None, chi2=None, time=None, flux=None, time_label="Time (d)",
+):  # fmt: skip
     """Draw data, model, residual and PSF, positions against POS_CORR, chi-squared, light curve.
 
     A sensitivity takes the place of the light curve.

@@ -21,18 +21,9 @@ __all__ = ["plot_fold", "plot_light_curve", "plot_summary"]
 
 @styled
 def plot_light_curve(
-    time,
-    flux,
-    corrected=None,
-    *,
-    cdpp=None,
-    corrected_cdpp=None,
-    convention="lightkurve",
-    model=None,
-    time_label="Time (d)",
-    title="Light curve",
-    ax=None,
-):
+    time, flux, corrected=None, *, cdpp=None, corrected_cdpp=None, convention="lightkurve",
+    model=None, time_label="Time (d)", title="Light curve", ax=None,
+):  # fmt: skip
     """Draw a raw light curve and, over it, the corrected one.
 
     Parameters
@@ -130,21 +121,9 @@ def plot_fold(
 
 @styled
 def plot_summary(
-    time,
-    image,
-    flux,
-    x,
-    y,
-    *,
-    corrected=None,
-    aperture=None,
-    cdpp=None,
-    corrected_cdpp=None,
-    model=None,
-    noise=None,
-    time_label="Time (d)",
-    title=None,
-):
+    time, image, flux, x, y, *, corrected=None, aperture=None, cdpp=None, corrected_cdpp=None,
+    model=None, noise=None, time_label="Time (d)", title=None,
+):  # fmt: skip
     """Draw image with aperture, motion and light curves of a star in one figure.
 
     Parameters

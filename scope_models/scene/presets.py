@@ -98,16 +98,10 @@ _MEAN = 1 + _A_2 / 12
 _FITTED = (1 / _MEAN, 0.0, _A_2 / _MEAN)
 # The sources of all numbers are in the docstrings of Detector.kepler, k2, k2_calibrated and tess.
 _KEPLER = {
-    "mission": "Kepler",
-    "shape": (11, 11),
-    "gain": 110.0,
-    "read_noise": 90.0,
-    "background": 166.0,
-    "mean_black": 720,
-    "sensitivity": SensitivityPolynomial(),
-    "interpixel_scatter": 0.01,
+    "mission": "Kepler", "shape": (11, 11), "gain": 110.0, "read_noise": 90.0, "background": 166.0,
+    "mean_black": 720, "sensitivity": SensitivityPolynomial(), "interpixel_scatter": 0.01,
     "psf": BivariateGaussianPSF(),
-}
+}  # fmt: skip
 _K2 = _KEPLER | {"mission": "K2", "background": 284.0}
 register_preset("kepler", **_KEPLER)
 register_preset("k2", **_K2)

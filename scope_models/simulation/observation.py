@@ -323,20 +323,13 @@ class Observation(Value):
         signal = 1 + self.target_share(aperture) * (self.truth.relative_flux[0] - 1)
         corrected = None if corrected is None else self._at_all_cadences(corrected)
         return plot_summary(
-            self.time,
-            self.flux[0],
-            raw,
-            self.truth.x[0],
-            self.truth.y[0],
-            corrected=corrected,
-            aperture=aperture,
-            cdpp=self._cdpp(raw / signal),
+            self.time, self.flux[0], raw, self.truth.x[0], self.truth.y[0], corrected=corrected,
+            aperture=aperture, cdpp=self._cdpp(raw / signal),
             corrected_cdpp=None if corrected is None else self._cdpp(corrected / signal),
             model=signal / np.nanmedian(signal) if np.ptp(signal) > 0 else None,
             noise=np.sqrt((self.flux_err[:, aperture].astype(float) ** 2).sum(axis=1)) / raw,
-            time_label=self._time_label,
-            title=self.scene.object_name if title is None else title,
-        )
+            time_label=self._time_label, title=self.scene.object_name if title is None else title,
+        )  # fmt: skip
 
     @documented()
     def animate(self, aperture_mask=None, *, step=1, interval=50, ax=None):
@@ -373,13 +366,9 @@ class Observation(Value):
 
         step = checked_integer("step", step, 1)
         return animate_pixels(
-            self.flux[::step],
-            self.time[::step],
-            self._checked_aperture(aperture_mask),
-            interval=interval,
-            time_label=self._time_label,
-            ax=ax,
-        )
+            self.flux[::step], self.time[::step], self._checked_aperture(aperture_mask),
+            interval=interval, time_label=self._time_label, ax=ax,
+        )  # fmt: skip
 
     @property
     def _time_label(self):
@@ -420,17 +409,12 @@ class Observation(Value):
         truth["TARGET_SHARE"] = self.target_share(aperture)
         metadata = TPFMetadata.of(self.detector, **facts)
         return {
-            "metadata": metadata,
-            "time": self._time_of(MISSIONS[metadata.mission]),
-            **{name: getattr(self, name) for name in _WRITTEN},
-            "pos_corr1": self.motion.x,
-            "pos_corr2": self.motion.y,
-            "aperture": aperture,
-            "truth_columns": truth,
-            "truth_maps": self.truth.maps,
-            "truth_tables": self.truth.tables or None,
+            "metadata": metadata, "time": self._time_of(MISSIONS[metadata.mission]),
+            **{name: getattr(self, name) for name in _WRITTEN}, "pos_corr1": self.motion.x,
+            "pos_corr2": self.motion.y, "aperture": aperture, "truth_columns": truth,
+            "truth_maps": self.truth.maps, "truth_tables": self.truth.tables or None,
             "scene": self.truth.scene,
-        }
+        }  # fmt: skip
 
     def _time_of(self, mission):
         """Return the times with a mission's zero, if its detector can have them."""

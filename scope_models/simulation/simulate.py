@@ -158,14 +158,10 @@ def simulate(stars, detector=None, motion=None, *, keep_model=False, chunk_size=
     text = "{} of the charge of a cadence bleeds along full columns"
     _warn_of_loss(text, spilled, scene.detector.shape)
     return Observation(
-        **cubes,
-        flux_bkg=flux_bkg,
-        quality=_flag(prepared, cubes),
-        scene=scene,
-        truth=_truth(prepared, lost, share_of_target(in_aperture), model),
-        aperture=aperture,
+        **cubes, flux_bkg=flux_bkg, quality=_flag(prepared, cubes), scene=scene,
+        truth=_truth(prepared, lost, share_of_target(in_aperture), model), aperture=aperture,
         star_images=images * prepared.interpixel / len(scene.motion),
-    )
+    )  # fmt: skip
 
 
 def _choose_aperture(prepared):
