@@ -148,6 +148,21 @@ def write_tables(stars, real, target):
               "K2SFF", "K2SC"]  # fmt: skip
     for suffix, head, rows in (("raw", names, raw), ("corrected", others, corrected)):
         write_csv(f"{target}_{suffix}.csv", [head, *rows])
+    write_campaigns(stars, real, target)
+
+
+def write_campaigns(stars, real, target):
+    """Write 10th percentiles of the noise before and after K2SFF, by campaign."""
+    campaigns, rows = np.unique(real["campaign"]), []
+    for low in MAGNITUDES[3:]:
+        ours, theirs = (table[np.floor(table["kp"]) == low] for table in (stars, real))
+        parts = [theirs[theirs["campaign"] == number] for number in campaigns]
+        quiet = [np.percentile(part[name][part[name] > 0], 10)
+                 for name in ("raw", "k2sff") for part in parts]  # fmt: skip
+        ours = np.percentile(ours["raw"], 10)
+        rows.append([f"{low}-{low + 1}", *(f"{v:.0f}" for v in (ours, *quiet))])
+    names = [f"{name} {number}" for name in ("raw, campaign", "K2SFF,") for number in campaigns]
+    write_csv(f"{target}_campaigns.csv", [["Kp", "raw, simulated", *names], *rows])
 
 
 def main(argv=None):

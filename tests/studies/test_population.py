@@ -43,6 +43,11 @@ def test_tables_mark_what_does_not_fit(tmp_path):
     assert ["(!)" in row["at 50 %"] for row in rows] == [False] * 3 + [True] * 4
     with (tmp_path / "population_corrected.csv").open() as file:
         assert next(csv.DictReader(file))["EVEREST 2"] == "30.0"
+    with (tmp_path / "population_campaigns.csv").open() as file:
+        row = next(csv.DictReader(file))
+    expected = np.percentile(noise[kp == 14.5], 10)
+    assert (row["raw, campaign 4"], row["K2SFF, 4"]) == (f"{expected:.0f}", "30")
+    assert row["raw, simulated"] == f"{2 * expected:.0f}"
 
 
 def test_errors_of_percentiles():
