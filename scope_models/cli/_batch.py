@@ -154,13 +154,9 @@ def run(name, arguments, *inputs, **options):
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", FailedStarsWarning)  # the failures are listed below
             result = getattr(batch, name, getattr(benchmark, name, None))(
-                *inputs,
-                output_dir=arguments.output_dir,
-                client=client_of(arguments),
-                overwrite=arguments.overwrite,
-                sweep={"progress": sys.stderr.isatty()},
-                **options,
-            )
+                *inputs, output_dir=arguments.output_dir, client=client_of(arguments),
+                overwrite=arguments.overwrite, sweep={"progress": sys.stderr.isatty()}, **options,
+            )  # fmt: skip
     except (ModuleNotFoundError, batch.SweepError) as error:
         print(f"scope-models: error: {one_line(error)}", file=sys.stderr)
         return 1

@@ -33,14 +33,11 @@ def make_results(problem, solution, errors, detectors, series):
             interpixel_err[data.pixels] = np.sqrt(np.maximum(variance, 0))
         model, n_data = fields["model"], int(np.isfinite(fields["observed"]).sum())
         statistics = {
-            "chi2": float(np.nansum(fields.pop("squares"))),
-            "n_data": n_data,
+            "chi2": float(np.nansum(fields.pop("squares"))), "n_data": n_data,
             "n_parameters": round(problem.n_free * n_data / problem.n_data),
-            "error_scale": problem.misfit,
-            "converged": solution.converged and not at_bounds,
-            "n_steps": solution.n_steps,
-            "chi2_held_out": np.nan,
-        }
+            "error_scale": problem.misfit, "converged": solution.converged and not at_bounds,
+            "n_steps": solution.n_steps, "chi2_held_out": np.nan,
+        }  # fmt: skip
         table = parameter_table(
             model, problem.parameters, state.shared, covariance, at_bounds, statistics,
             response=False,
@@ -88,14 +85,11 @@ def fitted_fields(problem, state, errors, number, fitted, weight):
         "focus": 1 + problem.focus(state),
     }
     return {
-        "model": model,
-        "cadences": columns,
-        "neighbors": tuple(FittedStar(**values) for values in others),
-        "observed": observed,
-        "observed_err": data.flux_err,
-        "fitted": modeled,
+        "model": model, "cadences": columns,
+        "neighbors": tuple(FittedStar(**values) for values in others), "observed": observed,
+        "observed_err": data.flux_err, "fitted": modeled,
         "squares": ((observed - modeled) / data.flux_err) ** 2,
-    }
+    }  # fmt: skip
 
 
 def _of_star(problem, state, errors, star):

@@ -389,14 +389,11 @@ def _result(shares, errors, psf, n_free, number, fit, *, converged, n_steps):
     out = held & used
     left = max(n_data[out].sum() - part * n_free[out].sum(), 1)
     statistics = {
-        "chi2": chi2,
-        "n_data": int(n_data.sum()),
-        "n_parameters": n_parameters,
+        "chi2": chi2, "n_data": int(n_data.sum()), "n_parameters": n_parameters,
         "error_scale": float(np.sqrt(mean)) if mean > UNTRUE else 1.0,
-        "converged": converged and fit.converged and not fit.at_bounds,
-        "n_steps": n_steps,
+        "converged": converged and fit.converged and not fit.at_bounds, "n_steps": n_steps,
         "chi2_held_out": float(np.nansum(squares[out]) / left),
-    }
+    }  # fmt: skip
     s, parameters = len(fit.names), fit.parameters.copy()
     covariance = psf * statistics["error_scale"] ** 2
     known = np.isfinite(parameters["error"][:s])

@@ -118,13 +118,9 @@ def read_data(series, flux_err, detector, n_free, *, saturation, moved):
             pos_err = np.where(usable[:, None], pos_err, np.inf)
     return PixelData(
         **{name: getattr(series, name) for name in ("time", "cadenceno", "quality", "time_format")},
-        flux=flux,
-        flux_err=error,
-        light=light[cadences],
-        pos_corr=pos_corr,
-        pos_err=pos_err,
+        flux=flux, flux_err=error, light=light[cadences], pos_corr=pos_corr, pos_err=pos_err,
         pixels=np.isfinite(flux).any(axis=0),
-    )
+    )  # fmt: skip
 
 
 def _drop_bad_errors(flux, error):

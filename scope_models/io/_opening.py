@@ -236,14 +236,10 @@ def read_positions(path):
     with naming(path):
         time_format = time_format_of(header)
     return {
-        "time": time,
-        "x": x,
-        "y": y,
-        "quality": columns.get("QUALITY", columns.get("SAP_QUALITY")),
-        "cadenceno": number,
-        "time_format": time_format,
+        "time": time, "x": x, "y": y, "quality": columns.get("QUALITY", columns.get("SAP_QUALITY")),
+        "cadenceno": number, "time_format": time_format,
         "meta": {**facts_of(header), "filename": Path(path).name},
-    }
+    }  # fmt: skip
 
 
 def facts_of(header):

@@ -337,18 +337,15 @@ def _of_hdus(hdus, name):
     bits = hdus[2].data if len(hdus) > 2 else None  # where lightkurve finds the aperture
     has_aperture = bits is not None and np.asarray(bits).dtype.kind in "iu"
     return _series(
-        name,
-        time=np.asarray(column("TIME", np.full(n, np.nan)), dtype=float),
+        name, time=np.asarray(column("TIME", np.full(n, np.nan)), dtype=float),
         cadenceno=column("CADENCENO", np.zeros(n, dtype=int)),
-        quality=column("QUALITY", np.zeros(n, dtype=int)),
-        flux=flux,
+        quality=column("QUALITY", np.zeros(n, dtype=int)), flux=flux,
         flux_err=column("FLUX_ERR", np.full(flux.shape, np.nan), ndim=3),
         flux_bkg=column("FLUX_BKG", ndim=3),
         pos_corr=None if any(c is None for c in pos_corr) else np.column_stack(pos_corr),
         aperture=(np.asarray(bits) & _OPTIMAL) > 0 if has_aperture else np.ones(stamp, dtype=bool),
-        header=header,
-        mission=Mission.from_header(header),
-    )
+        header=header, mission=Mission.from_header(header),
+    )  # fmt: skip
 
 
 def _series(name, **values):

@@ -216,14 +216,10 @@ def _motion(truth):
     more = {name: table[name.upper()] for name in _OF_COMMON if "place" in described}
     kind = partial(CommonMotion, place=described["place"], **more) if more else Motion
     return kind(
-        time=table["TIME"],
-        x=table["MOTION_X"],
-        y=table["MOTION_Y"],
-        quality=np.asarray(table["QUALITY"], dtype=np.int32),
-        cadenceno=table["CADENCENO"],
-        time_format=described["time_format"],
-        meta=described["meta"],
-    )
+        time=table["TIME"], x=table["MOTION_X"], y=table["MOTION_Y"],
+        quality=np.asarray(table["QUALITY"], dtype=np.int32), cadenceno=table["CADENCENO"],
+        time_format=described["time_format"], meta=described["meta"],
+    )  # fmt: skip
 
 
 def describe_scene(scene):

@@ -542,12 +542,9 @@ class K2Roll(Pointing):
         frequency = math.pi / (24 * self.reversal_interval)
         phase = frequency * (24 * self.reversal - times)
         state, fired = self._fire_thrusters(
-            times,
-            self.solar_rate * np.sin(phase),
-            -self.solar_rate * frequency * np.cos(phase),
-            self.reset_scatter * deviates[:, 1],
-            1 + self.rate_scatter * deviates[:, 2],
-        )
+            times, self.solar_rate * np.sin(phase), -self.solar_rate * frequency * np.cos(phase),
+            self.reset_scatter * deviates[:, 1], 1 + self.rate_scatter * deviates[:, 2],
+        )  # fmt: skip
         return cadence_means(times, state, edges), times[fired]
 
     def _fire_thrusters(self, times, rate, acceleration, offsets, factors):

@@ -714,14 +714,10 @@ class Detector(Value):
 def _of_cards(cards, mission):
     """Return the fields of a detector that the cards of a target pixel file have."""
     keywords = {
-        "int_time": "INT_TIME",
-        "read_time": "READTIME",
-        "n_frames": "NUM_FRM",
-        "reads": "NREADOUT",
-        "gain": mission.gain_keyword,
-        "read_noise": mission.read_noise_keyword,
+        "int_time": "INT_TIME", "read_time": "READTIME", "n_frames": "NUM_FRM", "reads": "NREADOUT",
+        "gain": mission.gain_keyword, "read_noise": mission.read_noise_keyword,
         "mean_black": mission.black_keyword,
-    }
+    }  # fmt: skip
     found = {name: cards.get(keyword) for name, keyword in keywords.items()}
     for keyword in mission.offset_keywords:
         found["fixed_offset"] = found.get("fixed_offset") or cards.get(keyword)

@@ -175,13 +175,10 @@ def _choose_aperture(prepared):
     if not images[0].any():
         return np.ones(detector.shape, dtype=bool)
     return signal_to_noise_aperture(
-        images[0],
-        detector.exposure_time,
-        neighbors=images[1] if len(images) > 1 else None,
+        images[0], detector.exposure_time, neighbors=images[1] if len(images) > 1 else None,
         background=(detector.background * prepared.interpixel).astype(np.float32),
-        read_noise=detector.read_noise,
-        n_frames=detector.n_reads,
-    )
+        read_noise=detector.read_noise, n_frames=detector.n_reads,
+    )  # fmt: skip
 
 
 def _record(prepared, part, charges, pedestals, streams, cubes):
