@@ -111,7 +111,7 @@ def plain_time(value, time_format, name):
         value = Time(value)
     if isinstance(value, Time):
         if time_format is None:
-            raise TypeError(f"`{name}` must be in days from a zero of your own, got a Time")
+            raise TypeError(f"`{name}` must be in days since an epoch of your own, got a Time")
         mask = np.broadcast_to(getattr(value, "mask", False), value.shape)
         plain = value.unmasked if hasattr(value, "unmasked") else value
         zero = Time(TIME_ZEROS[time_format], format="jd", scale="tdb")

@@ -741,7 +741,7 @@ def test_times_of_any_format_and_scale():
     for julian in (2456977.1, 56976.6):
         with pytest.raises(ValueError, match=r"`time` must be BJD - 2454833 in days, got .*Julian"):
             Motion([julian, julian + 1], [0, 0], [0, 0])
-    with pytest.raises(TypeError, match="`time` must be in days from a zero of your own"):
+    with pytest.raises(TypeError, match="`time` must be in days since an epoch of your own"):
         tabulated_signal(time, [1, 1])
     with pytest.raises(TypeError, match="`mag` must be numbers, got a Time"):
         Star(time[0])
@@ -854,7 +854,7 @@ def test_parameters_of_a_transit_are_checked_when_they_are_set():
     planet.rp.value = -1  # which astropy does not check
     with pytest.raises(ValueError, match=r"`rp` must be at least 0, got -1\.0"):
         planet(0.0)
-    with pytest.raises(TypeError, match="`t0` must be in days from a zero of your own, got a Time"):
+    with pytest.raises(TypeError, match="`t0` must be in days since an epoch of your own"):
         TransitModel(t0=Time(2456977.0, format="jd"))
     with pytest.raises(ValueError, match="`rp` must be in a number without a unit"):
         TransitModel(rp=1 * u.R_earth)

@@ -176,7 +176,7 @@ def _read(path):
     with Path(path).open("rb") as file:
         start = file.read(6)
     if start.startswith(_COMPRESSED):
-        raise ValueError(f"{path} is compressed in a way whose size is not checked: unpack it")
+        raise ValueError(f"{path} has a compression that is not supported: unpack it")
     is_fits = start.startswith((b"SIMPLE", b"\x1f\x8b"))
     try:
         if is_fits:
@@ -203,7 +203,7 @@ def _number_of(path, cards):
         if isinstance(value, int) and value > _FIRST_SEED:
             return value - _FIRST_SEED - 1
     raise ValueError(
-        f"{path} is not of a star of the benchmark: its name does not begin with skyNNN, and it "
+        f"{path} is not a star of the benchmark: its name does not begin with skyNNN, and it "
         f"has no KEPLERID or TICID above {_FIRST_SEED}"
     )
 

@@ -460,8 +460,8 @@ def credible_flux(flux, flux_err, total, outliers):
         good &= np.abs(np.log(ratio / typical)) < np.log(LARGEST_CORRECTION)
     if lost := int(usable.sum() - good.sum()):
         _warn(
-            f"{lost} of {usable.sum()} cadences have the typical correction, and errors as large "
-            "as their flux: their own correction is no number, or large"
+            f"{lost} of {usable.sum()} cadences get the typical correction, and errors as large "
+            "as their flux: their own correction is not finite, or too large"
         )
     if outliers.sum() > usable.sum() / 2:
         _warn(f"{outliers.sum()} of {usable.sum()} cadences were left out of the fit as outliers")

@@ -117,7 +117,7 @@ class PixelShares(Effect):
             return None
         own, wanted = self.coefficients.shape[1:], tuple(conditions.shape)
         if own != wanted:
-            raise ValueError(f"`coefficients` are of {own} pixels, the stamp has {wanted}")
+            raise ValueError(f"`coefficients` must be for {wanted} pixels, got {own}")
         return lambda x, y, part: self.changes(x, y, conditions.time[part])
 
 

@@ -41,7 +41,7 @@ def common_motion(tpfs):
         what = "left out" if motion.meta["stars"] else "no two stars agree"
         warnings.warn(f"{what}: {_listed(left)}", FitWarning, stacklevel=3)
     if motion.meta["n_files"] == 1:
-        message = f"the motion is that of one file of {label}: no other star confirms it"
+        message = f"the motion comes from one file of {label}: no other star confirms it"
         warnings.warn(message, FitWarning, stacklevel=3)
     return motion
 

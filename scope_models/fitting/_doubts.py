@@ -43,7 +43,7 @@ def _of_convergence(fit):
     others = [f"{name} = {fit.values[name]:.3g}" for name in fit.at_bounds if name not in powers]
     if others:
         ended = f"the fit ends at bounds, {', '.join(others)}"
-        yield f"{ended}: the model does not suit the pixels; try another psf"
+        yield f"{ended}: the model does not describe the pixels; try another `psf`"
 
 
 def _of_sensitivity(fit):
@@ -73,13 +73,13 @@ def _of_pixels(fit):
     prior, scatter = fit.options["interpixel"], np.std(fit.interpixel - 1)
     if prior and scatter > LARGEST_SCATTER * prior:
         yield (
-            f"the response between pixels scatters by {100 * scatter:.2g} % where the prior is "
+            f"the response between pixels scatters by {100 * scatter:.2g} %, but its prior is "
             f"{100 * prior:.2g} %: it describes errors of the PSF; interpixel=0 leaves it out"
         )
     light, invented = np.nanmedian(_light(fit)), np.median(fit.flux)
     if invented > LARGEST_FLUX * light > 0:
         yield (
-            f"the flux is {invented:.4g} e-/s where the pixels hold {light:.4g}: the PSF has most "
+            f"the flux is {invented:.4g} e-/s, but the pixels hold {light:.4g}: the PSF has most "
             "of its light outside of them, or two of its terms cancel"
         )
     if fit.reduced_chi2 > _LARGEST_CHI2:
@@ -147,13 +147,13 @@ def _of_flux(fit):
         if ours > LARGEST_FLUX * np.hypot(pixels, error):
             yield (
                 f"the flux changes by {ours:.3g} e-/s from cadence to cadence, and the light in "
-                f"the pixels by {pixels:.3g}: the data allow several branches"
+                f"the pixels by {pixels:.3g}: the data allow several solutions"
             )
     explained = followed(fit)
     if explained > LARGEST_SCATTER * error:
         yield (
-            f"the flux follows the position of the star by {explained:.3g} e-/s rms, where its "
-            f"error is {error:.3g}: the model does not separate them"
+            f"the flux varies with the position of the star by {explained:.3g} e-/s rms, but its "
+            f"error is {error:.3g}: the model does not separate the two"
         )
 
 

@@ -107,7 +107,7 @@ class TransitModel(Fittable1DModel):
     def __init__(self, *args, exposure_time=0.0, **kwargs):
         for name, value in (*zip(self.param_names, args, strict=False), *kwargs.items()):
             if isinstance(value, Time):
-                raise TypeError(f"`{name}` must be in days from a zero of your own, got a Time")
+                raise TypeError(f"`{name}` must be in days since an epoch of your own, got a Time")
         super().__init__(*args, **kwargs)
         if len(self.parameters) != len(self.param_names):
             raise ValueError("the parameters of a TransitModel must be scalars")

@@ -544,10 +544,7 @@ class Detector(Value):
         series = read_pixels(tpf)
         mission = MISSIONS.get(changes.get("mission")) or series.mission
         if mission is None:
-            raise ValueError(
-                "`tpf` must be of Kepler, K2 or TESS by its card MISSION or TELESCOP; else pass "
-                "the `mission` whose detector it is"
-            )
+            raise ValueError("`tpf` must have MISSION or TELESCOP in its header, or pass `mission`")
         found = _of_cards(series.header, mission) | {"shape": series.flux.shape[1:]}
         if series.flux_bkg is not None and np.isfinite(series.flux_bkg).any():
             found["background"] = float(max(np.nanmedian(series.flux_bkg), 0.0))

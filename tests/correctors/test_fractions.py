@@ -106,7 +106,7 @@ def test_cadences_without_a_factor_are_as_uncertain_as_their_flux(star):
     flux[50, 4, 4] = 8 * 3e4 + 5
     hdus[1].data["FLUX"][:] = flux
     corrector = PLDCorrector(KeplerTargetPixelFile(hdus), mask)
-    with pytest.warns(DetrendingWarning, match="1 of 400 cadences have the typical correction"):
+    with pytest.warns(DetrendingWarning, match="1 of 400 cadences get the typical correction"):
         lc = corrector.correct(order=1, fractions="measured")
     assert np.isfinite(lc.flux.value).all()
     assert np.flatnonzero(lc.flux_err.value >= lc.flux.value).tolist() == [50]

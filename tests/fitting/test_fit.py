@@ -476,7 +476,7 @@ class TestDefault:
             assert not messages
             assert relative.std() < 1.5 * quoted
         else:
-            assert "the flux follows the position of the star by" in messages
+            assert "the flux varies with the position of the star by" in messages
             assert " | " not in messages
             assert relative.std() > 3 * quoted
 

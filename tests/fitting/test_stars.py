@@ -246,9 +246,9 @@ def test_negative_flux_is_warned_of(pair):
 def test_branches_of_flux_are_warned_of(pair):
     """Fluxes that jump where the light in the pixels does not."""
     fit, messages = messages_of(pair.to_tpf(), 1, stars=PLACES, interpixel=0)
-    assert "several branches" not in messages
+    assert "several solutions" not in messages
     jumps = np.where(np.arange(len(fit.time)) % 7 < 3, 0.5, 1.0)
     cadences = fit.cadences.copy()
     cadences["flux"] *= jumps
     doubtful = fit.replace(cadences=cadences)
-    assert "the data allow several branches" in doubtful.summary()
+    assert "the data allow several solutions" in doubtful.summary()

@@ -15,7 +15,7 @@ def test_what_is_no_correction_is_the_typical_one():
     total = np.array([1.0] * 10 + [2.0] * 4 + [np.nan])
     flux = np.array([1.1] * 10 + [np.inf, 9e22, np.nan, -0.5, np.nan])
     outliers = np.zeros(15, dtype=bool)
-    with pytest.warns(DetrendingWarning, match="4 of 14 cadences have the typical correction"):
+    with pytest.warns(DetrendingWarning, match="4 of 14 cadences get the typical correction"):
         kept, errors = credible_flux(flux, np.full(15, 0.1), total, outliers)
     np.testing.assert_allclose(kept, [1.1] * 10 + [2.2] * 4 + [np.nan])
     np.testing.assert_allclose(errors, [0.1] * 10 + [2.2] * 4 + [np.nan])

@@ -95,7 +95,7 @@ def test_detector_of_a_simulated_file_is_the_detector(tmp_path):
     with fits.open(path, mode="update") as hdus:
         for hdu in hdus[:2]:
             hdu.header["TELESCOP"] = "other"
-    with pytest.raises(ValueError, match="by its card MISSION or TELESCOP"):
+    with pytest.raises(ValueError, match="must have MISSION or TELESCOP in its header"):
         Detector.from_tpf(path)
     assert Detector.from_tpf(path, mission="TESS").gain == 5.5
 
