@@ -171,16 +171,15 @@ def report(folder, path):
         right.errorbar(at, mean - mean.mean(), error, fmt=f"k{marker}", ms=4, label=star)
     together("Both K2 stars", numbers)
     u = np.linspace(-0.5, 0.5, 101)
-    for (name, value), place in zip(list(ANCHORS.items())[3:], (0.0, 0.1), strict=True):
+    for (name, value), style in zip(list(ANCHORS.items())[3:], styles[3:], strict=True):
         curve = 0.5 * predicted(value, 0.5) * np.cos(2 * np.pi * u)
-        right.plot(u, curve, color="0.5", lw=1)
-        right.annotate(name, (place, np.interp(place, u, curve)), fontsize="x-small", color="0.3")
+        right.plot(u, curve, color="0.4", ls=style, label=f"{name}, PSF of 0.5 px")
     left.set(xlabel="Standard deviation of the PSF (pixel)", ylabel="Peak to peak (ppm)")
     right.set(xlabel="Column of the star within the pixel", ylabel="Relative flux (ppm)")
-    left.set_title("Anchors, and what two stars allow")
-    right.set_title("Flux against place; anchors for a PSF of 0.5 px")
-    left.legend(fontsize="x-small")
-    right.legend(fontsize="x-small")
+    left.set_title("Loss of light between pixels: published responses, limits")
+    right.set_title("Flux against the position within the pixel")
+    for axes in (left, right):
+        axes.legend(fontsize="small", loc="upper center", bbox_to_anchor=(0.5, -0.13), ncols=2)
     figure.savefig(path, dpi=110)
 
 

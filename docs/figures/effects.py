@@ -30,13 +30,12 @@ def make_focus_figure():
     flux, time = observation.flux, motion.time - motion.time[0]
     figure, (top, bottom) = plt.subplots(2, sharex=True, layout="constrained")
     top.plot(time, observation.truth.columns["FOCUS"])
-    top.set_ylabel("Relative width")
+    top.set(title="Width of a PSF that breathes", ylabel="Relative width")
     for half, label in ((1, "3 x 3 pixels"), (3, "7 x 7 pixels")):
         light = flux[:, 5 - half : 6 + half, 5 - half : 6 + half].sum(axis=(1, 2), dtype=float)
         bottom.plot(time, 1e6 * (light / np.median(light) - 1), label=label)
-    bottom.set_xlabel("Time (d)")
-    bottom.set_ylabel("Relative flux (ppm)")
-    bottom.legend()
+    bottom.set(title="Flux of a star at rest", xlabel="Time (d)", ylabel="Relative flux (ppm)")
+    bottom.legend(title="Aperture", loc="lower left")
     return figure
 
 
@@ -49,10 +48,11 @@ def make_background_figure():
     time = motion.time - motion.time[0]
     figure, (top, bottom) = plt.subplots(2, sharex=True, layout="constrained")
     top.plot(time, observation.flux_bkg[:, 0, 0])
-    top.set_ylabel("Background (e$^-$ s$^{-1}$)")
+    top.set(title="Subtracted background of a TESS pixel", ylabel="Background (e$^-$ s$^{-1}$)")
     bottom.plot(time, observation.flux[:, 0, 0], ".", markersize=2)
-    bottom.set_xlabel("Time (d)")
-    bottom.set_ylabel("Flux of a dark pixel\n(e$^-$ s$^{-1}$)")
+    bottom.set(
+        title="Background left in the pixel", xlabel="Time (d)", ylabel="Flux (e$^-$ s$^{-1}$)"
+    )
     return figure
 
 
@@ -72,13 +72,13 @@ def make_jitter_figure():
     fine = np.geomspace(2, 5000, 200) / 120
     variance = 2 * fine * (1 - fine * (1 - np.exp(-1 / fine)))
     figure, axes = plt.subplots(layout="constrained")
-    axes.semilogx(120 * fine, 0.05 * np.sqrt(variance), label="means of cadences")
+    axes.semilogx(120 * fine, 0.05 * np.sqrt(variance), label="motion between cadences")
     axes.plot(times, means, "o", color="C0")
     axes.plot(120 * fine, 0.05 * np.sqrt(1 - variance), "--", label="blur within a cadence")
     axes.plot(times, blurs, "s", color="C1")
-    axes.set_xlabel("Correlation time (s)")
-    axes.set_ylabel("Standard deviation (pixel)")
-    axes.legend()
+    axes.set_title("Jitter of 0.05 pixel (points: simulated, lines: formula)")
+    axes.set(xlabel="Correlation time (s)", ylabel="Standard deviation (pixel)")
+    axes.legend(loc="center left")
     return figure
 
 
@@ -90,13 +90,14 @@ def make_response_figure():
         SensitivityDropouts(rate=0.01, depth=0.1, recovery=0.6, recovery_time=0.5),
     )
     figure, panels = plt.subplots(2, sharex=True, layout="constrained")
-    for axes, effect in zip(panels, effects, strict=True):
+    titles = "Periodic throughput", "Sudden dropouts of single pixels"
+    for axes, effect, title in zip(panels, effects, titles, strict=True):
         observation = simulate(
             Star(12.0), Detector.k2_calibrated(), motion, seed=3, noise=False, effects=effect
         )
         light = observation.flux[:, observation.aperture].sum(axis=1, dtype=float)
         axes.plot(motion.time - motion.time[0], light / light[0])
-        axes.set_ylabel("Relative flux")
+        axes.set(title=title, ylabel="Relative flux")
     axes.set_xlabel("Time (d)")
     return figure
 
@@ -112,12 +113,11 @@ def make_rays_figure():
     figure, (left, right) = plt.subplots(1, 2, layout="constrained", figsize=(9, 4))
     image = left.imshow(charge[0] - charge[1], origin="lower", vmax=4000)
     figure.colorbar(image, label="Charge (e$^-$)", shrink=0.85)
-    left.set_xlabel("Column (pixel)")
-    left.set_ylabel("Row (pixel)")
+    left.set(title="One long cadence", xlabel="Column (pixel)", ylabel="Row (pixel)")
     d = np.linspace(0, 12, 200)
     right.plot(d, rejected_shift(d))
-    right.set_xlabel(r"Charge ($\sigma$)")
-    right.set_ylabel(r"Mean shift of the sum ($\sigma$)")
+    right.set_title("Highest and lowest of ten reads dropped")
+    right.set(xlabel=r"Charge of a hit ($\sigma$)", ylabel=r"Charge that is left ($\sigma$)")
     return figure
 
 
@@ -136,7 +136,7 @@ def make_charge_figure():
         peaks.append(images[1].max() * detector.exposure_time)
         growth.append(100 * (widths[0] / widths[1] - 1))
     left.plot(peaks, growth, "o-")
-    left.set_xlabel("Charge of the brightest pixel (e$^-$)")
+    left.set(title="Star", xlabel="Charge of the brightest pixel (e$^-$)")
     left.set_ylabel("Growth of the width (%)")
     levels, ratios = np.linspace(1e4, 1e6, 12), []
     for level in levels:
@@ -147,11 +147,12 @@ def make_charge_figure():
             Star(40.0), flat, Motion.still(20), noise="background", effects=effect, seed=5
         ).flux[:, 1:-1, 1:-1]
         ratios.append(flux.var() * detector.exposure_time**2 / level)
-    right.plot(levels, ratios, "o")
+    right.plot(levels, ratios, "o", label="simulated")
     k = effect.coefficient * levels / effect.full_well
-    right.plot(levels, (1 - 4 * k) ** 2 + 4 * k**2)
-    right.set_xlabel("Charge of a flat field (e$^-$)")
-    right.set_ylabel("Variance over that of photons")
+    right.plot(levels, (1 - 4 * k) ** 2 + 4 * k**2, label="formula")
+    right.set(title="Flat field", xlabel="Charge of a pixel (e$^-$)")
+    right.set_ylabel("Variance / photon variance")
+    right.legend()
     return figure
 
 
@@ -182,7 +183,8 @@ def make_ground_figure():
     formula = [1e6 * Scintillation(d, 2788.0, column).rms(60.0) for d in fine]
     axes.plot(fine, formula, label="scintillation")
     for level in (300, 1000):
-        axes.axhline(level, color="gray", linestyle=":")
+        label = "limits of Saunders et al." if level == 300 else None
+        axes.axhline(level, color="gray", linestyle=":", label=label)
     axes.set_xlabel("Aperture of the telescope (m)")
     axes.set_ylabel("Noise per minute (ppm)")
     axes.legend()
@@ -200,7 +202,7 @@ def make_readout_figure():
             np.arange(-2, 7), np.maximum(column[0, :, 0], 1e-9), "o-", label=f"{epsilon:g}"
         )
     left.set_ylim(1e-8, 1e3)  # room for the legend
-    left.set_xlabel("Rows behind the bright pixel")
+    left.set(title="Charge transfer", xlabel="Rows behind the bright pixel")
     left.set_ylabel("Fraction of the charge")
     left.legend(title="Inefficiency")
     detector, motion = Detector.k2(shape=(60, 5), background=0.0), Motion.still(300)
@@ -209,7 +211,6 @@ def make_readout_figure():
     )
     days = motion.time - motion.time[0]
     shown = right.pcolormesh(days, np.arange(60), bands.flux[:, :, 0].T, cmap="RdBu_r")
-    right.set_xlabel("Time (d)")
-    right.set_ylabel("Row")
+    right.set(title="Rolling bands in an empty stamp", xlabel="Time (d)", ylabel="Row (pixel)")
     figure.colorbar(shown, ax=right, label="Flux (e$^-$ s$^{-1}$)")
     return figure

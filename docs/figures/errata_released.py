@@ -65,9 +65,13 @@ def _draw_flux(ax):
     """Draw the flux of a star that moves along y over even pixels, with defects 1 and 2."""
     y = np.linspace(6, 7, 101)
     flux = not_integrated_along_y(y, np.sqrt(2) * SIGMA, n=13).sum(axis=(1, 2))
-    ax.plot(y - 6, np.zeros_like(y), label="exact")
-    ax.plot(y - 6, 1e6 * (flux / flux.mean() - 1), "--", label="1. and 2.")
-    ax.set(title="Even pixels", xlabel="Position along y (pixel)", ylabel="Change (ppm)")
+    ax.plot(y - 6, np.zeros_like(y), label="integrated")
+    ax.plot(y - 6, 1e6 * (flux / flux.mean() - 1), "--", label="defects 1 and 2")
+    ax.set(
+        title="Flux of a star on uniform pixels",
+        xlabel="Position along y (pixel)",
+        ylabel="Change (ppm)",
+    )
     ax.legend()
 
 

@@ -34,6 +34,7 @@ def make_figure(path="../data/fifty_digits.ecsv"):
             axes.minorticks_off()
         axes.legend()
         axes.set_ylim(5e-18, 1)
+    figure.suptitle("Dots: order that the package uses")
     for axes in grid[:, 0]:
-        axes.set_ylabel("Largest error (part of the flux)")
+        axes.set_ylabel("Largest error (fraction of the flux)")
     return figure

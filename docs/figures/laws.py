@@ -34,6 +34,7 @@ def draw(name):
         top.set_xscale("log")
         if predicted.min() > 0 and predicted.max() > 9 * predicted.min():
             top.set_yscale("log")
+    figure.suptitle(texts["title"], fontsize="medium")
     top.set_ylabel(texts["y"])
     top.legend(loc="lower left", bbox_to_anchor=(0, 1), ncols=2, frameon=False)
     bottom.set_xlabel(texts["x"])

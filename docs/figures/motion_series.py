@@ -75,8 +75,8 @@ def draw_series(axes, motions):
     for i, (label, motion) in enumerate(motions.items()):
         days = motion.time - motion.time[0]
         along, across = (values - i * height for values in principal_axes(motion))
-        axes[0].plot(days, along, color=COLORS[label], lw=0.5)
-        axes[0].plot(days, across, color="black", lw=0.6)
+        axes[0].plot(days, along, color=COLORS[label], lw=0.5, label=f"{label}, along the roll")
+        axes[0].plot(days, across, color="black", lw=0.6, label="across" if i == 0 else None)
         part = (days > 4) & (days < 8)
         axes[1].plot(days[part], along[part], ".-", color=COLORS[label], lw=0.6, ms=2.5)
         axes[1].plot(days[part], across[part], color="black", lw=0.6)
@@ -84,7 +84,7 @@ def draw_series(axes, motions):
 
 def draw_summary(axes, motions):
     """Draw power spectra, the distribution of drift lengths, and tracks on the detector."""
-    axes[0].axvline(24 / 5.885, color="0.85", lw=4, zorder=0)
+    axes[0].axvline(24 / 5.885, color="0.85", lw=4, zorder=0, label="thrusters")
     for label, motion in motions.items():
         color = COLORS[label]
         frequency, along, across = power_spectra(motion)
@@ -114,6 +114,8 @@ def make_series_figure(folder=FOLDER):
         draw_series(axes, read_motions(folder, *star))
         axes[0].set(title=title, xlabel="Time (d)", ylabel="Offset (pixel)")
         axes[1].set(title="Four days", xlabel="Time (d)")
+    handles, labels = grid[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
     return figure
 
 

@@ -84,7 +84,7 @@ def plot_cdpp_panels(panels, reference=None, *, limits=(), residuals=None, colum
     if residuals:
         ax = plot_cdpp(residuals, title=RESIDUALS, legend=False, ax=axes[RESIDUALS])
         ax.axhline(1, color="k", lw=0.8, ls="--", zorder=0)
-        ax.set(yscale="linear", ylabel="CDPP over that of the noise", ylim=(0, None))
+        ax.set(yscale="linear", ylabel="CDPP / CDPP of the noise alone", ylim=(0, None))
         ax.legend(loc="lower left", fontsize="small")
         shown = [number for number, label in enumerate(labels) if label not in residuals]
         handles, labels = [handles[k] for k in shown], [labels[k] for k in shown]

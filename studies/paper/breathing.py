@@ -87,7 +87,7 @@ def draw(study, _, summary):
     maps = {label: on_grid(summary, *axes, f"{name}_ratio") for name, label in METHODS.items()}
     return plot_maps(
         maps, [100 * value for value in rows], columns, row_label="Amplitude of the width (%)",
-        column_label="Period (d)", label="Noise over that of the light", text=".3g",
+        column_label="Period (d)", label="Noise / noise of the light alone", text=".3g",
     )  # fmt: skip
 
 
