@@ -26,7 +26,7 @@ from scope_models.models import (
 
 __all__ = [
     "APART", "PixelData", "centroids", "find_stars", "is_faint", "linear_start", "make_prf",
-    "make_rich_prf", "read_data", "read_places", "solved", "starting_state",
+    "make_rich_prfs", "read_data", "read_places", "solved", "starting_state",
 ]  # fmt: skip
 
 # A local maximum of the median image is a star if it is brighter than this part of the brightest
@@ -42,7 +42,7 @@ _SIGMAS, _FRACTIONS = (0.5, 1.1, 2.0), (0.7, 0.25, 0.05)
 # The empirical term: part of the flux, and width of its first function. From 0.7 to 0.8 the real
 # stars of the documentation are described best.
 _EMPIRICAL_FRACTION, _EMPIRICAL_SIGMA = 0.02, 0.75
-# Its order in the model of `make_rich_prf`.
+# Its order in the models of `make_rich_prfs`.
 _RICH_ORDER = 6
 # Pixels that are brighter than this part of the brightest one give the first positions.
 _BRIGHT = 0.1
@@ -252,14 +252,16 @@ def _given_prf(prf, sensitivity, order):
     return _with_fixed(prf.copy(), {})
 
 
-def make_rich_prf(sensitivity):
-    """The model of a star whose PSF is not a sum of Gaussians: one Gaussian, and an empirical term.
+def make_rich_prfs(sensitivity):
+    """Models of a star whose PSF is not a sum of Gaussians: a Gaussian and an empirical term.
 
-    The Gaussian is fixed, so that all but the positions is linear: nothing ends at a bound.
+    Around a Gaussian of another width the term has rings, so that it is free in the first model. In
+    the second one it is fixed: all but the positions is linear, and nothing ends at a bound.
     """
-    sigma, fixed = _SIGMAS[0], dict.fromkeys(("sigma_x", "sigma_y", "rho"), True)
-    psf = BivariateGaussianPSF(1 - _EMPIRICAL_FRACTION, 0, 0, sigma, sigma, fixed=fixed)
-    return make_prf(psf, sensitivity, _RICH_ORDER)
+    for held in (False, True):
+        sigma, fixed = _SIGMAS[0], dict.fromkeys(("sigma_x", "sigma_y", "rho"), held)
+        psf = BivariateGaussianPSF(1 - _EMPIRICAL_FRACTION, 0, 0, sigma, sigma, fixed=fixed)
+        yield make_prf(psf, sensitivity, _RICH_ORDER)
 
 
 def _with_fixed(prf, fixed):

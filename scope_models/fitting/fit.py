@@ -22,7 +22,7 @@ from scope_models.fitting._start import (
     is_faint,
     linear_start,
     make_prf,
-    make_rich_prf,
+    make_rich_prfs,
     read_data,
     read_places,
     starting_state,
@@ -80,7 +80,7 @@ def fit_tpf(
         `~scope_models.PRF`; or a `~scope_models.PRF`. A model gives the starting values, and its
         ``fixed`` and ``bounds`` are kept. None: one or two components if they describe the pixels;
         else what describes them better without a parameter at a bound, one or two components, or
-        one of fixed width with an empirical term of order 6, with positions near POS_CORR.
+        one with an empirical term of order 6, with positions near POS_CORR.
     sensitivity : `~scope_models.SensitivityPolynomial`, optional
         Response within a pixel: starting values, and by its ``fixed`` what is fitted. The
         constants are always fixed, because they are the flux. None: the response is 1.
@@ -227,7 +227,7 @@ def _fit_psf(problem, response, sensitivity, steps, *, any_psf, any_response):
             every, most = replace(few, stamps=problem.stamps), _MANY_STEPS if any_psf else np.inf
             return "psf", tried, _fitted(every, steps, most, guess)
     # The PSF from which the pixels deviate.
-    prfs = [make_prf(1, None, 0), make_rich_prf(None)] if any_psf else [problem.prf]
+    prfs = [make_prf(1, None, 0), *make_rich_prfs(None)] if any_psf else [problem.prf]
     plain = {"interpixel": 0.0, "loss": "soft_l1", **_held(problem)}
     rough = [(_with(problem, prf, **plain), _MANY_STEPS) for prf in prfs]
     tried = _tried(rough, steps, few=True, **choice)
@@ -252,7 +252,7 @@ def _candidates(problem, sensitivity, *, simple, any_psf, any_response):
     for prf in gaussians:
         yield _with(problem, prf), _FEW_STEPS
     if not simple:
-        for prf in (gaussians[-1], make_rich_prf(sensitivity)):
+        for prf in (gaussians[-1], *make_rich_prfs(sensitivity)):
             yield _with(problem, prf, **plain, **_held(problem)), _MANY_STEPS
 
 
@@ -273,6 +273,9 @@ def _tried(candidates, steps, *, few, any_psf, any_response):
     """
     tried = []
     for problem, most in candidates:
+        # A simpler model after a richer one takes its place where that one ends at a bound.
+        if tried and problem.n_shared < tried[-1][0].n_shared and not _ends(*tried[-1]):
+            continue
         values = _FEW_VALUES // problem.flux.shape[1]
         enough = max(min(_FEW // len(problem.stars), values), _FEWEST)
         every = max((len(problem.flux) + few * (enough - 1)) // enough, 1)
@@ -336,6 +339,11 @@ def _is_true(problem, solution, *, strictly=False):
     return problem.misfit == 1.0 and agrees and (enough or not strictly)
 
 
+def _ends(problem, solution):
+    """Whether the solution is at a bound, or not converged."""
+    return bool(problem.at_bounds(solution.state).any()) or not solution.converged
+
+
 def _rank(problem, solution):
     """Order of models: with a flux that is in the pixels, converged inside the bounds, and true."""
     state = solution.state
@@ -346,8 +354,7 @@ def _rank(problem, solution):
     # A free response between pixels describes errors of the PSF where the model is not true.
     absorbs = bool(problem.options.interpixel) and not _is_true(problem, solution)
     information = solution.equations.cost + problem.n_shared * np.log(problem.n_data)
-    ends = bool(problem.at_bounds(state).any()) or not solution.converged
-    return absorbs, strange, ends, problem.misfit, information
+    return absorbs, strange, _ends(problem, solution), problem.misfit, information
 
 
 def _make_problem(series, places, prf, flux_err, options, motion):

@@ -284,3 +284,18 @@ def test_errors_of_a_psf_that_only_its_priors_hold():
     errors = np.sqrt(np.diag(fit.covariance))
     assert np.isfinite(errors).all()
     assert np.linalg.eigvalsh(fit.covariance / np.outer(errors, errors)).min() > -1e-9
+
+
+def test_image_of_the_psf_has_no_rings():
+    """Two Gaussians that an empirical term around another Gaussian cannot describe."""
+    psf = BivariateGaussianPSF(0.8, 0, 0, 0.4, 0.35, 0.2) + BivariateGaussianPSF(0.2, 0, 0, 1, 1)
+    detector = Detector.k2(shape=(9, 9), sensitivity=None, interpixel_scatter=0)
+    observation = simulate(Star(12.0, psf=psf), detector, Motion.k2_roll(120), seed=1)
+    fit = fit_tpf(observation.to_tpf(), response="pixels")
+    offset, density, _ = fit.psf_image(2.0, 81)
+    used, truth = np.isin(observation.cadenceno, fit.cadenceno), observation.truth
+    x, y = (np.median(p - q[0, used]) for p, q in ((fit.x, truth.x), (fit.y, truth.y)))
+    true = psf(*np.meshgrid(offset + x, offset + y))
+    density, true = density / density.sum(), true / true.sum()
+    assert np.sum(true * np.abs(density - true)) < 0.03 * np.sum(true**2)
+    assert density.min() > -0.005 * density.max()
