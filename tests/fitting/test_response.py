@@ -104,7 +104,7 @@ def test_errors_of_a_light_curve_hold_what_follows_the_position(seed):
     deviation = fit.flux / sky.true_flux[index]
     good = ~fit.outliers
     fast = (deviation - smoothed(fit.time, deviation))[good]
-    assert fast.std() > 1.3 * np.median(fit.flux_scatter)
+    assert fast.std() > 1.2 * np.median(fit.flux_scatter)
     assert 0.7 < fast.std() / np.median(lc.flux_err.value) < 1.3
 
 
@@ -210,7 +210,7 @@ class TestShares:
         from scope_models import Detector, Star
 
         shares = PixelShares(np.zeros((1, 3, 3)), (0, 1), (0, 1), (0, 1), 0)
-        with pytest.raises(ValueError, match=r"`coefficients` are of \(3, 3\) pixels"):
+        with pytest.raises(ValueError, match=r"got \(3, 3\)"):
             simulate(Star(12.0), Detector.k2(), Motion.still(3), effects=shares)
 
 
