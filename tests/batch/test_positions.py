@@ -3,6 +3,8 @@
 import numpy as np
 import pytest
 from astropy.io import fits
+from photutils.detection import DAOStarFinder
+from photutils.psf import CircularGaussianPRF, PSFPhotometry, SourceGrouper
 
 from scope_models import Detector, Motion, PLDCorrector, Scene, Star, read_pixels, simulate
 from scope_models.batch import detrend_files
@@ -40,6 +42,13 @@ def files(tmp_path_factory):
 
 def detrend(files, folder, **options):
     return detrend_files(files, folder, sweep={"progress": False}, order=1, **options)
+
+
+def write(folder, name, stars, detector, motion, row):
+    place = {"column": 100 + 10 * len(stars), "row": row, "object_name": name}
+    scene = Scene(stars, detector, motion, **place)
+    metadata = {"campaign": 5, "channel": 31}
+    return simulate(scene, seed=len(name)).write(folder / f"{name}.fits", metadata=metadata)
 
 
 def flux(folder, number):
@@ -141,6 +150,53 @@ def test_crowds_without_pos_corr_are_no_noisier_than_raw(tmp_path, given):
     assert all("positions come from 3 stars" in text for text in table["warnings"][:2])
     for name in ("cdpp", "cdpp_everest"):
         assert (table[name] < 0.1 * table[f"raw_{name}"])[:2].all()
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:One or more fit")
+def test_crowds_of_a_real_field_are_quieter_with_positions_of_others(tmp_path, shared_data):
+    """Stars, as measured in an image of Ruprecht 147, that move as a real star of K2."""
+    image = fits.getdata(shared_data / "k2_superstamp" / "r147_c7.fits.gz")[120:240, 30:150]
+    finder = DAOStarFinder(threshold=60, fwhm=1.4)
+    photometry = PSFPhotometry(
+        CircularGaussianPRF(fwhm=1.4), (3, 3), finder=finder, grouper=SourceGrouper(2.5),
+        aperture_radius=1.5,
+    )  # fmt: skip
+    found = photometry(image.astype(float) - np.percentile(image, 20))
+    moved = np.hypot(*(found[f"{axis}_fit"] - found[f"{axis}_init"] for axis in "xy"))
+    found = found[(found["flux_fit"] > 0) & (moved < 1)]
+    assert len(found) > 250
+    x, y, flux = (np.array(found[f"{name}_fit"]) for name in ("x", "y", "flux"))
+    detector = Detector.k2_calibrated(shape=(13, 13))
+    mags = 12 - 2.5 * np.log10(flux / detector.flux_from_mag(12.0))
+    near = (np.abs(x - x[:, None]) < 4) & (np.abs(y - y[:, None]) < 4)
+    crowding = np.where(near, flux, 0).sum(axis=1) / flux
+    whole = Motion.from_file(shared_data / "poscorr" / "ktwo211436265-c05_llc.fits", bad="drop")
+    motion, files = whole[:500], []
+    inside = (np.abs(x - 60) < 50) & (np.abs(y - 60) < 50) & (mags > 13) & (mags < 15.5)
+    crowds = np.flatnonzero(inside)[np.argsort(crowding[inside])[-3:]]
+    for number in crowds:
+        dx, dy = x - np.rint(x[number]) + 6, y - np.rint(y[number]) + 6
+        part = np.flatnonzero((np.abs(dx - 6) < 11) & (np.abs(dy - 6) < 11))
+        part = [number, *part[part != number]]
+        stars = [Star(mags[i], dx[i], dy[i]) for i in part]
+        files.append(write(tmp_path, f"crowd{number}", stars, detector, motion, 700))
+    bright = [
+        write(tmp_path, f"star{n}", [Star(11.5 + 0.3 * n)], detector, motion, 400) for n in range(3)
+    ]
+    for path in files:
+        change(path, np.nan)
+    alone, helped = (
+        detrend_files(files, tmp_path / name, sweep={"progress": False}, **options).table
+        for name, options in (("alone", {}), ("helped", {"positions_from": bright}))
+    )
+    assert len(alone) == len(helped) == 3
+    for table in (alone, helped):
+        assert (table["cdpp"] < 0.1 * table["raw_cdpp"]).all()
+    assert all("positions come from 3 stars" in text for text in helped["warnings"])
+    ratio = helped["cdpp"] / alone["cdpp"]
+    assert ratio.max() < 1.05
+    assert np.log(ratio).mean() < 0
 
 
 def test_a_file_of_other_times_keeps_its_own_positions(files, tmp_path):
