@@ -139,13 +139,13 @@ def plain_tree(value, other=None):
     """
     if isinstance(value, np.generic):
         return value.item()
+    if value is None or isinstance(value, (str, int, float)):
+        return value
     if isinstance(value, Mapping):
         return {str(key): plain_tree(item, other) for key, item in value.items()}
     if isinstance(value, tuple | list):
         return [plain_tree(item, other) for item in value]
-    if other is None or isinstance(value, str | int | float | bool | None):
-        return value
-    return other(value)
+    return value if other is None else other(value)
 
 
 def values_of(table, name):

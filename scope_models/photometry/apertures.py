@@ -414,7 +414,8 @@ def _images(images, name, shape=None):
         raise ValueError(f"`{name}` must have shape {wanted}, got {images.shape}")
     if shape is not None and images.shape[-2:] != tuple(shape):
         raise ValueError(f"`{name}` must have {tuple(shape)} pixels, got {images.shape[-2:]}")
-    return np.nan_to_num(images.reshape(-1, *images.shape[-2:]), nan=0.0)
+    images = images.reshape(-1, *images.shape[-2:])
+    return np.where(np.isfinite(images), images, 0.0)
 
 
 def _not_empty(mask, message):
