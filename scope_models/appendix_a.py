@@ -15,7 +15,6 @@ from scope_models import photometry
 from scope_models._arrays import PER_PIXEL
 from scope_models._checks import checked_choice, checked_integer, checked_number, checked_pair
 from scope_models._docstrings import documented
-from scope_models._values import value_key
 from scope_models.effects._noise import check_seed, fresh_seed, noise_terms, stream
 from scope_models.exceptions import LostLightWarning
 from scope_models.models import PRF, TransitModel, sinusoidal_signal
@@ -180,7 +179,7 @@ class Target:
         self.neighbors, self.transits = [], []
         self.seed = fresh_seed() if seed is None else check_seed(seed)
         self.noise = noise_terms(noise)
-        self._aperture, self._made = None, {}
+        self._aperture, self._corrected, self._made = None, (None, None), {}
         _ = self.observation  # errors and warnings come here, not at the first look
 
     def __repr__(self):
@@ -191,14 +190,11 @@ class Target:
             f"seed {self.seed}>"
         )
 
-    def _kept(self, name, make):
-        """Return what was made of the scene as it is now, made again if the scene has changed."""
-        key = value_key(self.scene)
-        if self._made.get("scene") != key:
-            self._made = {"scene": key}
-        if name not in self._made:
-            self._made[name] = make()
-        return self._made[name]
+    def _simulated(self, scene):
+        """Return the observation of a scene; those of the last two are kept."""
+        if scene not in self._made:
+            self._made = dict([*self._made.items()][-1:]) | {scene: simulate(scene)}
+        return self._made[scene]
 
     @property
     def scene(self):
@@ -209,7 +205,7 @@ class Target:
     @property
     def observation(self):
         """The `~scope_models.Observation`, with the truth."""
-        return self._kept("observation", lambda: simulate(self.scene))
+        return self._simulated(self.scene)
 
     time = property(attrgetter("motion.time"), doc="Times of the cadences, days (BKJD).")
     targetpixelfile = property(
@@ -243,12 +239,13 @@ class Target:
         alone = self.scene.replace(stars=self.star, noise=False)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", LostLightWarning)  # the observation has warned
-            return self._kept("noise-free", lambda: simulate(alone).flux)
+            return self._simulated(alone).flux
 
     @property
     def _detrended(self):
         """The light curve that `detrend` has made of the scene as it is now, or None."""
-        return self._kept("detrended", lambda: None)
+        scene, light_curve = self._corrected
+        return light_curve if scene == self.scene else None
 
     @documented(same=_SAME)
     def add_transit(self, depth=0.01, per=15.0, dur=0.5, t0=5.0, *, b=0.0, u1=0.4, u2=0.26):
@@ -378,7 +375,7 @@ class Target:
             options |= {"neighbors": others, "n_frames": pixels.n_reads}
         make = getattr(photometry, f"{method.replace('-', '_')}_aperture")
         self._aperture = make(*methods[method], **options)
-        self._made.pop("detrended", None)
+        self._corrected = None, None
         return self._aperture
 
     def estimate_cdpp(self, flux=None, duration=6.5, method="lightkurve"):
@@ -425,7 +422,7 @@ class Target:
             inside = planet(tpf.time.value) < 1
             options["transit_mask"] = inside | options.get("transit_mask", False)
         light_curve = PLDCorrector(tpf, aperture_mask=self.aperture).correct(**options)
-        self._made["detrended"] = light_curve
+        self._corrected = self.scene, light_curve
         return light_curve
 
     to_tpf, write = _forwarded("to_tpf"), _forwarded("write")

@@ -347,8 +347,8 @@ class Detector(Value):
         Notes
         -----
         Every value is that of `k2` but these. The study is on the page on calibration; the fit is
-        ``python studies/calibrate_k2_motion.py``. Of the values that fit alike, these also give
-        EPIC 205998445 its noise.
+        ``python studies/paper/calibrate_k2_motion.py``. Of the values that fit alike, these also
+        give EPIC 205998445 its noise.
 
         ======================= ==================== ==========================================
         field                   value                source
