@@ -9,7 +9,7 @@ from pathlib import Path
 from astropy.table import Table
 from paper._correctors import quiet
 
-from scope_models.batch import run_sweep
+from scope_models.batch import read_results, run_sweep
 from scope_models.cli._batch import add_workers, client_of
 
 ROOT = Path(__file__).parents[1]
@@ -58,9 +58,17 @@ def quietly(measure, task):
         return measure(task)
 
 
-def store_rows(path, target):
-    """Write the rows of a file as a table with date, version and command; return it."""
-    table = Table.read(path, format="ascii.csv")
+def store_rows(path, target, rows_of):
+    """Write the rows of a file as a table with date, version and command; return it.
+
+    Of a run that was interrupted they are those of the stars that are finished.
+    """
+    if path.with_suffix("").is_dir():
+        table = Table(read_results(path.with_suffix("")))
+        table.sort("number")
+        table = rows_of(table)
+    else:
+        table = Table.read(path, format="ascii.csv")
     stamp(table, " ".join(["python", f"studies/{Path(sys.argv[0]).name}", *sys.argv[1:]]))
     table.write(target, overwrite=True)
     return table

@@ -136,9 +136,10 @@ def main(argv=None):
     more = {"cadences": 1700, "real": real_files, "with": others}
     options = arguments_of(__doc__, argv, 60, **more)
     if options.table:
-        table = store_rows(options.file, f"{options.table}.ecsv")
-        others = [store_rows(options.other, f"{options.table}_real.ecsv")] if options.other else []
-        return write_table(options.table, options.data, table, *others)
+        files = {"": options.file, "_real": options.other}
+        tables = [store_rows(path, f"{options.table}{end}.ecsv", rows_of)
+                  for end, path in files.items() if path]  # fmt: skip
+        return write_table(options.table, options.data, *tables)
     if options.real:
         return sweep_rows(options, partial(real, data=options.data), 2 * options.real, rows_of)
     measure = partial(simulated, data=options.data, cadences=options.cadences)

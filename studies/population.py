@@ -165,12 +165,17 @@ def write_campaigns(stars, real, target):
     write_csv(f"{target}_campaigns.csv", [["Kp", "raw, simulated", *names], *rows])
 
 
+def rows_of(table):
+    """Return the columns of the file of rows."""
+    return table[list(COLUMNS)]
+
+
 def main(argv=None):
     more = {"corrected": 600, "motion": {"type": float, "default": 1.0, "help": "factor on it"}}
     more["against"] = {"help": "prints ratios to the same stars of another file"}
     options = arguments_of(__doc__, argv, 6000, **more)
     if options.table:
-        table = store_rows(options.file, f"{options.table}.ecsv")
+        table = store_rows(options.file, f"{options.table}.ecsv", rows_of)
         write_tables(table, real_stars(options.data), options.table)
     if options.against:
         one, two = (Table.read(path)["raw"] for path in (options.file, options.against))
@@ -180,7 +185,7 @@ def main(argv=None):
         return None
     every = max(1, options.stars // options.corrected) if options.corrected > 0 else 0
     measure = partial(observe, data=options.data, scale=options.motion, every=every)
-    return sweep_rows(options, measure, options.stars, lambda table: table[list(COLUMNS)])
+    return sweep_rows(options, measure, options.stars, rows_of)
 
 
 if __name__ == "__main__":

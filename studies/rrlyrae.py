@@ -128,15 +128,20 @@ def write_tables(table, real, target):
     write_csv(f"{target}_judged.csv", [["pipeline", "light curves", "proper by eye"], *judged])
 
 
+def rows_of(table):
+    """Return the columns of the file of rows."""
+    return table[list(COLUMNS)]
+
+
 def main(argv=None):
     more = {"cadences": 1700, "neighbors": {"help": "argument of PLDCorrector"}}
     options = arguments_of(__doc__, argv, 100, **more)
     if options.table:
-        table = store_rows(options.file, f"{options.table}.ecsv")
+        table = store_rows(options.file, f"{options.table}.ecsv", rows_of)
         return write_tables(table, real_stars(options.data), options.table)
     given = {name: getattr(options, name) for name in ("data", *more)}
     measure = partial(observe, **given)
-    return sweep_rows(options, measure, options.stars, lambda table: table[list(COLUMNS)])
+    return sweep_rows(options, measure, options.stars, rows_of)
 
 
 if __name__ == "__main__":
