@@ -339,57 +339,30 @@ def choose_cadence(cadences, frame_time, choice=None):
 
 # Kepler Archive Manual (KDMC-10008), table of the QUALITY flags; K2 Handbook for the thrusters.
 _KEPLER_BITS = QualityBits(
-    argabrightening=64,
-    cosmic_ray=128,
-    manual_exclude=256,
-    sensitivity_dropout=1024,
-    impulsive_outlier=2048,
-    collateral_cosmic_ray=8192,
-    detector_anomaly=16384,
-    no_fine_point=32768,
-    no_data=65536,
-    rolling_band=131072,
-    possible_thruster_firing=524288,
-    thruster_firing=1048576,
+    argabrightening=64, cosmic_ray=128, manual_exclude=256, sensitivity_dropout=1024,
+    impulsive_outlier=2048, collateral_cosmic_ray=8192, detector_anomaly=16384, no_fine_point=32768,
+    no_data=65536, rolling_band=131072, possible_thruster_firing=524288, thruster_firing=1048576,
     rejected=1130799,
-)
+)  # fmt: skip
 # TESS Science Data Products Description Document (EXP-TESS-ARC-ICD-0014), table of the flags.
 _TESS_BITS = QualityBits(
-    argabrightening=16,
-    cosmic_ray=64,
-    manual_exclude=128,
-    impulsive_outlier=512,
-    collateral_cosmic_ray=1024,
-    scattered_light=4096,
-    rejected=17087,
-)
+    argabrightening=16, cosmic_ray=64, manual_exclude=128, impulsive_outlier=512,
+    collateral_cosmic_ray=1024, scattered_light=4096, rejected=17087,
+)  # fmt: skip
 # Frames and offsets: headers of target pixel files. Pixel scale: KSCI-19033 (Kepler Instrument
 # Handbook). Zero points: Kepler GO calibration page; KSCI-19033-002, section 7.5. Wells of the 84
 # channels: 0.947e6 to 1.19e6 electrons, median 1.08e6 (KSCI-19033, table 13).
 _PHOTOMETER = {
-    "telescope": "Kepler",
-    "instrument": "Kepler Photometer",
-    "band": "Kp",
-    "time_format": "bkjd",
-    "time_unit": "BJD - 2454833",
-    "pixel_scale": 3.98,
-    "zero_points": (("optimal aperture", 1.74e5), ("focal plane", 2.141e5)),
-    "zero_point_mag": 12.0,
-    "int_time": 6.019802903270,
-    "read_time": 0.518948526144,
-    "cadences": (Cadence("long", 270, 419400), Cadence("short", 9, 219400)),
-    "well_depth": 1.08e6,
-    "quality": _KEPLER_BITS,
-    "quality_column": "SAP_QUALITY",
-    "id_keyword": "KEPLERID",
-    "magnitude_keyword": "KEPMAG",
-    "gain_keyword": "GAIN",
-    "read_noise_keyword": "READNOIS",
-    "black_keyword": "MEANBLCK",
-    "offset_keywords": ("LCFXDOFF", "SCFXDOFF"),
-    "places": ("channel", "module", "output"),
-    "tpf_class": "KeplerTargetPixelFile",
-}
+    "telescope": "Kepler", "instrument": "Kepler Photometer", "band": "Kp", "time_format": "bkjd",
+    "time_unit": "BJD - 2454833", "pixel_scale": 3.98,
+    "zero_points": (("optimal aperture", 1.74e5), ("focal plane", 2.141e5)), "zero_point_mag": 12.0,
+    "int_time": 6.019802903270, "read_time": 0.518948526144,
+    "cadences": (Cadence("long", 270, 419400), Cadence("short", 9, 219400)), "well_depth": 1.08e6,
+    "quality": _KEPLER_BITS, "quality_column": "SAP_QUALITY", "id_keyword": "KEPLERID",
+    "magnitude_keyword": "KEPMAG", "gain_keyword": "GAIN", "read_noise_keyword": "READNOIS",
+    "black_keyword": "MEANBLCK", "offset_keywords": ("LCFXDOFF", "SCFXDOFF"),
+    "places": ("channel", "module", "output"), "tpf_class": "KeplerTargetPixelFile",
+}  # fmt: skip
 _KEPLER = Mission(
     name="Kepler",
     template="kepler",
@@ -454,17 +427,9 @@ _TESS = Mission(
 # Telescopes on the ground: lightkurve opens no files but those that say Kepler or TESS. The zero
 # point is that of `Detector.ground` with its defaults.
 _GROUND = replace(
-    _TESS,
-    name="Ground",
-    instrument="ground-based telescope",
-    band="R",
-    pixel_scale=0.4,
-    zero_points=(("1 m", 3.36e9),),
-    zero_point_mag=0.0,
-    int_time=60.0,
-    read_time=10.0,
-    cadences=(Cadence("60 s", 1),),
-    well_depth=1e5,
-)
+    _TESS, name="Ground", instrument="ground-based telescope", band="R", pixel_scale=0.4,
+    zero_points=(("1 m", 3.36e9),), zero_point_mag=0.0, int_time=60.0, read_time=10.0,
+    cadences=(Cadence("60 s", 1),), well_depth=1e5,
+)  # fmt: skip
 #: The missions by name; read-only.
 MISSIONS = MappingProxyType({item.name: item for item in (_KEPLER, _K2, _TESS, _GROUND)})
