@@ -70,10 +70,10 @@ class TestSearch:
         ],
     )
     def test_matches(self, period, t0, expected):
-        assert Found(period, t0, 0.2, 10.0, 5.0).matches(3.0, 10.0, 0.2, 20.0) is expected
+        assert Found(period, t0, 0.2, 5.0).matches(3.0, 10.0, 0.2, 20.0) is expected
 
     def test_in_transit(self):
-        found = Found(3.0, 1.0, 0.2, 10.0, 5.0)
+        found = Found(3.0, 1.0, 0.2, 5.0)
         time = np.array([-2.0, 0.85, 0.95, 1.0, 1.05, 1.15, 2.5, 4.05])
         expected = [True, False, True, True, True, False, False, True]
         assert found.in_transit(time).tolist() == expected
@@ -112,7 +112,7 @@ class TestShape:
         pulls = []
         for seed in range(25):
             time, flux, _ = light_curve(1e-3, seed=seed)
-            found = Found(3.302, 2145.09, 0.17, 20.0, 8.0)
+            found = Found(3.302, 2145.09, 0.17, 8.0)
             _, duration, error = fit_shape(time, flux, 100e-6, found, CADENCE)
             pulls.append((duration - 0.2) / error)
         assert 0.6 < np.std(pulls) < 1.5  # 25 numbers: 0.72 to 1.28 is two standard deviations
