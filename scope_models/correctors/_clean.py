@@ -469,12 +469,17 @@ class _State:
         return light * kept, error * kept
 
     def _kept(self, images):
-        """Return the light that the aperture would hold at constant focus, over what it holds."""
+        """Return the light that the aperture would hold at constant focus, over what it holds.
+
+        A wider PSF moves light to the pixels outside, and out of the stamp.
+        """
         still, _, slopes, _ = images
         outside = ~self.aperture
-        moved = self._lines(self.focus, _SLOW) * (slopes[2] @ outside)  # without short dips
-        before = np.maximum(1 + still @ outside, 0.1)
-        return np.maximum(before + moved, 0.1) / before
+        focus = self._lines(self.focus, _SLOW)  # without short dips
+        lost = focus * self.widened.lost(still, self.center + self.z)
+        whole = np.maximum(1 + still @ outside, 0.1)
+        moved = focus * (slopes[2] @ outside)
+        return np.maximum(whole + moved, 0.1) / np.maximum(whole - lost, 0.1)
 
     def result(self, light, error, images, *, weighted):
         """Return a light and the fractions."""

@@ -16,6 +16,7 @@ from scope_models.correctors._features import (
 from scope_models.correctors._pixels import aperture_pixels
 from scope_models.correctors._position import along_position, polynomials
 from scope_models.correctors._saturation import without_saturation
+from scope_models.correctors._smoothing import Smoother
 from scope_models.io import read_pixels
 
 __all__ = [
@@ -23,6 +24,7 @@ __all__ = [
     "background_columns",
     "constant_columns",
     "focus_columns",
+    "level_column",
     "make_regressors",
     "other_columns",
     "outside_column",
@@ -163,6 +165,27 @@ def background_columns(pixels, n_components, mask, use):
     columns = np.full((len(usable), min(n_components, rotated.shape[1])), np.nan)
     columns[usable] = rotated[:, :n_components]
     return columns
+
+
+def level_column(pixels, use):
+    """Return the light of a background that changes, over the flux, of the aperture.
+
+    Its level is the median of the darker half of the pixels outside, without the light that follows
+    the flux.
+    """
+    usable, inside = pixels.usable, pixels.aperture
+    flux, fit = pixels.flux[usable], use[usable]
+    weights = inside if pixels.weights is None else pixels.weights[usable]
+    outside = ~inside & np.isfinite(flux).all(axis=0)
+    column = np.zeros((len(usable), 1))
+    if outside.any():
+        relative = pixels.total[usable] / np.median(pixels.total[usable][fit])
+        typical = np.median(flux[fit][:, outside], axis=0)
+        dark = flux[:, outside] - typical * relative[:, None]
+        level = np.median(dark[:, typical <= np.median(typical)], axis=1)
+        level = Smoother(pixels.time[usable], fit)(level, np.ones(len(level)))
+        column[usable, 0] = level * weights.sum(axis=(-2, -1)) / pixels.total[usable]
+    return column
 
 
 def other_columns(cadenceno, others):

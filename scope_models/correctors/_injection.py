@@ -16,7 +16,6 @@ from scope_models.correctors._pixels import (
     own_pixels,
     typical_image,
 )
-from scope_models.correctors._scene_model import NEIGHBOR_ERROR
 from scope_models.correctors._scene_start import NoLightError, fit_gaussians
 from scope_models.exceptions import DetrendingWarning
 from scope_models.photometry import aperture_flux
@@ -105,8 +104,10 @@ class Source:
         """Return the uncertain part of the light that was not taken off, or may be none."""
         found, other = _constant_part(clean), self.other_light
         light = _UNCERTAIN * max(found, other) if found > 0 else other
-        neighbors = 0.0 if self.pixels.neighbors is None else 1 / self.pixels.crowding - 1
-        return float(np.hypot(light, NEIGHBOR_ERROR * neighbors))
+        if self.pixels.neighbors is None:
+            return float(light)
+        image = _LEVEL * np.sqrt(self.pixels.aperture.sum())
+        return float(np.linalg.norm([light, image, _MISFIT * (1 / self.pixels.crowding - 1)]))
 
     def dimmed(self, signal, clean):
         """Return the same with the star's light multiplied with a signal ``(n_cadences,)``."""

@@ -13,6 +13,7 @@ from scope_models.correctors._design import (
     background_columns,
     constant_columns,
     focus_columns,
+    level_column,
     make_regressors,
     other_columns,
     outside_column,
@@ -27,7 +28,7 @@ from scope_models.correctors._pixels import (
     can_predict,
     with_predicted_fractions,
 )
-from scope_models.correctors._result import PLDFit
+from scope_models.correctors._result import CONTAMINATED, NOISY, PLDFit
 from scope_models.correctors._solution import fit
 from scope_models.correctors._states import CleanPixels
 
@@ -40,11 +41,11 @@ _FRACTIONS = ("auto", "predicted", "measured")
 FLUXES = ("auto", "sum", "weighted")
 #: Branch: part of the cadences with much light for which predicted fractions must exist.
 _CREDIBLE = 0.9
-#: Branch: variance of the noise over that of FLUX_ERR from which on predicted fractions may have
-#: failed, as under the seeing of the ground.
-_MISFIT = 1.5
-#: Branch: standard errors of a difference that is none by chance.
-_SIGNIFICANT = 2.0
+#: Prior: variance of the noise over that of FLUX_ERR at most: that of real dark pixels is too small
+#: by up to 1.17. With more, predicted fractions have failed.
+_MISFIT = 1.17**2
+#: Prior: odds against predicted fractions that are decisive on Jeffreys' scale.
+_DECISIVE = np.log(100)
 #: Prior: number of columns of the constant and the polynomial trend.
 _TRENDS = {"gp": 1, "quadratic": 3}
 
@@ -237,6 +238,7 @@ class PLDModel:
                 clean = None
         _check_weighted(options, clean)
         if clean is None:
+            extra.setdefault("background", level_column(pixels, use))
             pixels = pixels.weighted
         breaks = segment_breaks(options.segments, pixels, use & pixels.usable)
         design = DesignOptions(
@@ -314,9 +316,9 @@ def fit_pixels(pixels, options, series, cadence_mask=None, **transit):
     """Fit pixels, with the fractions that the data support; return a `PLDFit`.
 
     With ``fractions="auto"`` these are the predicted ones. Where they make the light curve rougher
-    than it was, or leave much more noise than FLUX_ERR explains, they may have failed, as under the
+    than it was, or leave more noise than FLUX_ERR may lack, they may have failed, as under the
     seeing of the ground, which no smooth focus describes: then measured ones are taken if these
-    predict unseen windows significantly better. ``series`` is the file of the pixels; the rest are
+    predict unseen windows decisively better. ``series`` is the file of the pixels; the rest are
     arguments of `PLDModel.fit`.
     """
 
@@ -328,13 +330,14 @@ def fit_pixels(pixels, options, series, cadence_mask=None, **transit):
     clean = fitted.model.clean
     if options.fractions != "auto" or options.flux == "weighted" or clean is None:
         return fitted
-    # beside constant light measured fractions follow the star
+    # beside other light measured fractions follow the star
+    most = _MISFIT if fitted.contrast_error < CONTAMINATED else NOISY
     rough = roughness(fitted.corrected()[0]) > WORSE * roughness(pixels.total)
-    if clean.constant > 0 or not (rough or fitted.noise_scale > _MISFIT):
+    if clean.constant > 0 or not (rough or fitted.noise_scale > most):
         return fitted
     measured = fitted_with(replace(options, fractions="measured"))
     both = fitted.cadence_mask & fitted.model.pixels.usable & measured.model.pixels.usable
-    return measured if _gain(measured, fitted, both) > _SIGNIFICANT else fitted
+    return measured if _gain(measured, fitted, both) > _DECISIVE else fitted
 
 
 def _check_weighted(options, clean):
@@ -353,15 +356,15 @@ def _check_enough(use):
 
 
 def _gain(measured, predicted, cadences):
-    """Return by how much measured fractions predict unseen windows better, in standard errors.
+    """Return by how much measured fractions predict windows better: logarithm of the odds.
 
-    In the same windows for both, without the tenth in which either residual is largest.
+    These are of the means of at least ten windows of 13 h or less, which all other cadences
+    predict, without the tenth that is least likely by either.
     """
-    window = predicted.window
-    ours, other = (np.abs(fit.held_out(window, cadences)[0]) for fit in (measured, predicted))
-    kept = np.argsort(np.maximum(ours, other))[: max(int(0.9 * len(ours)), 1)]
-    gain = (other - ours)[kept]
-    return gain.sum() / max(np.sqrt(len(gain)) * gain.std(), 1e-300)
+    window = min(2 * predicted.window, cadences.sum() // 10)
+    seen = (fit.held_out(window, cadences)[:2] for fit in (measured, predicted))
+    ours, other = (-np.log(error) - 0.5 * (rest / error) ** 2 for rest, error in seen)
+    return np.sum((ours - other)[np.argsort(np.minimum(ours, other))[len(ours) // 10 :]])
 
 
 def roughness(flux):

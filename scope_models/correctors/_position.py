@@ -65,7 +65,7 @@ class Widening:
 
     What pixels lose is what flows through their edges. The light there is that of the cubic
     polynomial whose integrals over the four nearest pixels are right, and in the wings, where that
-    is less, the geometric mean of both pixels.
+    is less, the geometric mean of both pixels. Beside the stamp light falls as at its edge.
 
     Parameters
     ----------
@@ -84,19 +84,38 @@ class Widening:
     def __call__(self, images, center):
         """Return the mean change of images ``(n, n_pixels)`` of a star at centers ``(n, 2)``."""
         change = np.zeros(images.shape[1])
+        for light, wider in self._wider(images, center):
+            change += (wider - light * (self.aperture @ wider)).sum(axis=1)
+        return change / len(images)
+
+    def lost(self, images, center):
+        """Return what flows out of the stamp, ``(n,)``."""
+        return -np.concatenate([wider.sum(axis=0) for _, wider in self._wider(images, center)])
+
+    def _wider(self, images, center):
+        """Yield blocks of images and of what flows into each pixel, ``(n_pixels, n_block)``."""
         for first in range(0, len(images), _BLOCK):
             part = slice(first, first + _BLOCK)
-            light = np.pad(images[part].T, ((0, 1), (0, 0)))  # the last row is beside the stamp
-            wider = np.zeros_like(light[:-1])
+            light = images[part].T
+            wider = np.zeros_like(light)
             for axis in (0, 1):
-                near = light[self._beside[axis]]
+                near = self._near(light, axis)
                 far = self.grid[:, axis, None] - center[part, axis]
                 for side, four in ((-1, near[:4]), (1, near[1:])):
                     edge = (7 * (four[1] + four[2]) - four[0] - four[3]) / 12
                     edge = np.maximum(edge, np.sqrt(np.maximum(four[1] * four[2], 0)))
                     wider -= side * (far + 0.5 * side) * edge
-            change += (wider - light[:-1] * (self.aperture @ wider)).sum(axis=1)
-        return change / len(images)
+            yield light, wider
+
+    def _near(self, light, axis):
+        """Return two pixels before and after each along an axis, ``(5, n_pixels, n_block)``."""
+        near = light[self._beside[axis]]
+        for k, inner in ((1, 1), (0, 1), (3, -1), (4, -1)):
+            absent = self._beside[axis][k] < 0
+            edge, before = near[k + inner][absent], near[k + 2 * inner][absent]
+            falls = np.clip(edge / np.where(before > 0, before, np.inf), 0, 1)
+            near[k][absent] = edge * falls
+        return near
 
 
 def polynomials(position):

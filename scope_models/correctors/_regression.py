@@ -12,6 +12,7 @@ from scope_models.correctors._covariance import Covariance, Noise
 
 __all__ = [
     "FLAT",
+    "SLOWEST",
     "Data",
     "Hyperparameters",
     "Posterior",
@@ -39,7 +40,7 @@ _STEPS, _FEW_STEPS = 60, 10
 _ROUNDS, _TOLERANCE = 5, 0.05
 #: Prior: bounds of the period in days. What is faster than a transit is not a trend. With a longer
 #: period a straight line would cost little, and the star's would undo that of a slow drift.
-_SHORTEST_PERIOD, _LONGEST_PERIOD = 0.5, 5.0
+_SHORTEST_PERIOD, SLOWEST = 0.5, 5.0
 #: Tolerance: variances of a group's part that are tried against others, in units of the data's.
 _SCAN = (1e-3, 0.03, 1.0, 30.0, 300.0)
 #: Tolerance: number of means, or up to twice as many, that find the best start.
@@ -329,7 +330,7 @@ def _fit_process(trial):
         return unlikely - value, -slope
 
     amplitude = np.log([1e-5 * np.median(data.variance), _LARGEST * data.spread])
-    period = np.log([_SHORTEST_PERIOD, _LONGEST_PERIOD])
+    period = np.log([_SHORTEST_PERIOD, SLOWEST])
     bounds = [(np.log(data.least_noise), 16.0), (-8.0, 8.0), tuple(amplitude), tuple(period)]
     start = [hyper.noise_scale, 1.0, hyper.amplitude, hyper.period]
     scale, variance, amplitude, period = _minimize(objective, start, bounds, len(data.y))

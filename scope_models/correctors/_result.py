@@ -24,7 +24,7 @@ from scope_models.correctors._pixels import LARGEST_CORRECTION
 from scope_models.correctors._solution import Solution
 from scope_models.exceptions import DetrendingWarning
 
-__all__ = ["PLDFit"]
+__all__ = ["CONTAMINATED", "NOISY", "PLDFit"]
 
 #: Prior: duration of a transit of a habitable planet, of which CDPP is the noise (Christiansen et
 #: al. 2012).
@@ -33,8 +33,8 @@ _TRANSIT_HOURS = 6.5
 #: that measured fractions explain; and the noise's variance over FLUX_ERR squared. Smaller
 #: apertures lose light when the star moves, which the fractions explain.
 _WHOLE = 9
-_MANY, _CONTAMINATED, _FOLLOWING, _NOISY = 0.1, 0.02, 0.05, 9.0
-#: Warning: wings of neighbors may give more light: few TESS stars are without.
+_MANY, CONTAMINATED, _FOLLOWING, NOISY = 0.1, 0.02, 0.05, 9.0
+#: Warning: wings of neighbors may give more light, and light that was taken off is known better.
 _BLENDED = 0.1
 #: Warning: nothing of a depth survives or all of it: 0 to 1, with what the light that was taken off
 #: may be wrong by. Every random file of ``tests/robustness`` is held to the same bounds.
@@ -174,16 +174,16 @@ class PLDFit:
     def outliers(self):
         """Cadences that were left out of the fit as outliers, ``(n_cadences,)``.
 
-        Not those of `dips`, which are left out of the fit too.
+        Not those of `dips`, which are left out of the fit too, nor short brightenings.
         """
-        return self._whole(self._left_out & ~self._in_dips, fill=False)
+        return self._whole(self._left_out & ~self._in_dips & ~self.solution.short, fill=False)
 
     @property
     def dips(self):
         """Cadences that were left out of the fit because the star is fainter, ``(n_cadences,)``.
 
-        Two or more in a row, as in transits and eclipses, each fainter than the model by more than
-        the errors of noise and systematics allow.
+        Two or more in a row, as in transits and eclipses, each or all together fainter than the
+        model by more than the errors of noise and systematics allow.
         """
         return self._whole(self._in_dips, fill=False)
 
@@ -197,7 +197,9 @@ class PLDFit:
         faint = left_out & (self.solution.pulls < -sigma)
         labels, _ = ndimage.label(left_out)
         size = np.bincount(labels)
-        return left_out & (size > 1)[labels] & (np.bincount(labels, faint) == size)[labels]
+        dips = (size > 1) & (np.bincount(labels, faint) == size)
+        dips |= np.bincount(labels, self.solution.short * self.solution.pulls) < 0
+        return left_out & dips[labels]
 
     @property
     def n_used(self):
@@ -354,18 +356,19 @@ class PLDFit:
             above FLUX_ERR. Empty if there is nothing.
         """
         found, n = [], len(self.solution.use)
-        left_out = self._left_out.sum()
+        left_out = (self._left_out & ~self.solution.short).sum()
         if left_out > _MANY * self.cadence_mask.sum():
             found.append(
                 f"{left_out} of {n} cadences are left out of the fit as outliers: the star "
                 "varies in a way that the model cannot follow, or pixels are damaged"
             )
-        crowded = 1 - self.model.pixels.crowding > _CONTAMINATED
-        if self.contamination > _CONTAMINATED:
-            found.append(
-                f"{100 * self.contamination:.1f} % of the light in the aperture was taken off: of "
-                "other stars, or constant"
-            )
+        crowded = 1 - self.model.pixels.crowding > CONTAMINATED
+        if self.contamination > CONTAMINATED:
+            if self.contamination > _BLENDED:
+                found.append(
+                    f"{100 * self.contamination:.1f} % of the light in the aperture was taken off: "
+                    "of other stars, or constant"
+                )
         elif crowded or self.contrast_error > _BLENDED:
             part = 1 - self.crowding if crowded else self.contrast_error
             found.append(
@@ -379,7 +382,7 @@ class PLDFit:
                 "with other light in the aperture they follow the star, and its variability is "
                 'lost; compare `fractions="predicted"`'
             )
-        if self.noise_scale > _NOISY:
+        if self.noise_scale > NOISY:
             found.append(
                 f"the noise has {self.noise_scale:.0f} times the variance of FLUX_ERR: the star "
                 "varies faster than the trend model, or systematics are left"

@@ -10,7 +10,6 @@ from scope_models.correctors._splines import SplineGrid
 
 __all__ = [
     "MEDIAN_SQUARE",
-    "NEIGHBOR_ERROR",
     "Priors",
     "Shape",
     "Track",
@@ -27,12 +26,10 @@ __all__ = [
 ]
 
 #: Prior: standard deviations of the PRF about the first guess (relative, and in units of its
-#: peak), of the pixels' gains, and of a neighbor's place (px).
-_PRF_RELATIVE, _PRF_ABSOLUTE, _GAIN, _PLACE = 0.25, 2e-3, 0.015, 0.1
+#: peak), of the pixels' gains, and of a neighbor's place (px) and flux (relative).
+_PRF_RELATIVE, _PRF_ABSOLUTE, _GAIN, _PLACE, _FLUX = 0.25, 2e-3, 0.015, 0.1, 0.3
 #: Tolerance: the median of the squares of a normal variable of unit variance.
 MEDIAN_SQUARE = 0.455
-#: Prior: relative error of a neighbor's flux.
-NEIGHBOR_ERROR = 0.3
 #: Prior: the PRF's sum over pixels is about 1, wherever in a pixel the star is: places along an
 #: axis, and standard deviation.
 _PHASES, _SUM = 8, 2e-4
@@ -343,7 +340,7 @@ def _shape_prior(shape, gain):
     m = shape.first_neighbors
     mean = [shape.prior_mean.ravel(), np.ones(shape.gains.size), m.ravel()]
     prf = _PRF_RELATIVE * np.abs(shape.prior_mean.ravel()) + _PRF_ABSOLUTE * peak
-    around = np.stack([NEIGHBOR_ERROR * m[:, 0], *np.full((2, len(m)), _PLACE)], axis=1)
+    around = np.stack([_FLUX * m[:, 0], *np.full((2, len(m)), _PLACE)], axis=1)
     sigma = [prf, np.full(shape.gains.size, gain), around.ravel()]
     now = [shape.coefficients.ravel(), shape.gains.ravel(), shape.neighbors.ravel()]
     return tuple(np.concatenate(parts) for parts in (mean, sigma, now))

@@ -15,6 +15,7 @@ from scope_models.correctors._regression import (
     fit_hyperparameters,
     log_likelihood,
 )
+from scope_models.correctors._short import short_changes, with_edges
 
 __all__ = ["NothingToCorrectError", "Solution", "fit"]
 
@@ -41,6 +42,8 @@ _EXPECTED = {
     "aperture": 1.0,
     "constant light": 0.003,
 }
+#: Prior: ... of measured ones.
+_MEASURED = {"background": 1.0}
 #: Prior: those of the focus have a limit. The fractions hold what it does to pixels of different
 #: response; within pixels a width that changes by 1 % changes the response by 5e-4 at most. What
 #: seems to be a focus may be a dimming of the star beside constant light.
@@ -59,12 +62,14 @@ class Solution:
     y: np.ndarray  # logarithm of the relative flux
     variance: np.ndarray
     use: np.ndarray  # cadences in the fit
+    short: np.ndarray  # cadences of short changes, which are left out of it
     regressors: object  # for all usable cadences
     flat: np.ndarray  # columns with flat priors (n, m): constant, trend, transit
     scale: np.ndarray  # what the flat columns were divided by
     hyper: Hyperparameters
     n_trend: int = 1  # flat columns that are constant and variability
     frequencies: tuple = ()  # of the last columns of the variability, a cosine and a sine each, 1/d
+    n_short: int = 0  # the next flat columns are short changes
     predicted: bool = False  # whether the fractions hold no noise of the flux
 
     @cached_property
@@ -86,11 +91,11 @@ class Solution:
 
     @property
     def _expectations(self):
-        if not self.predicted:
-            return {}
-        expected = [_EXPECTED.get(name, np.nan) for name in self.regressors.names]
+        known = _EXPECTED if self.predicted else _MEASURED
+        expected = [known.get(name, np.nan) for name in self.regressors.names]
         most = [_MOST.get(name, 1e9) for name in self.regressors.names]
-        return {"expected": np.square(expected), "most": np.square(most), "least_noise": 1.0}
+        found = {"expected": np.square(expected), "most": np.square(most)}
+        return {**found, "least_noise": 1.0} if self.predicted else found
 
     @cached_property
     def process(self):
@@ -260,17 +265,34 @@ class Solution:
         """Return the same model with another transit column and other cadences."""
         n, scale = self.n_trend, np.abs(column).max(axis=0)
         flat = np.concatenate([self.flat[:, :n], column / scale], axis=1)
-        return replace(self, flat=flat, scale=np.append(self.scale[:n], scale), use=use)
+        scale = np.append(self.scale[:n], scale)
+        return replace(self, flat=flat, scale=scale, use=use, n_short=0)
+
+    def with_short(self, columns):
+        """Return the same model with columns of short changes."""
+        return self._inserted(columns, self.use, n_short=columns.shape[1])
+
+    def without_short(self, allowed):
+        """Return the model, not fitted, of allowed cadences that are in no short change."""
+        columns = slice(self.n_trend, self.n_trend + self.n_short)
+        short = with_edges(self.time, self.flat[:, columns].any(axis=1))
+        flat, scale = (np.delete(values, columns, axis=-1) for values in (self.flat, self.scale))
+        changed = {"flat": flat, "scale": scale, "n_short": 0, "short": short, "hyper": None}
+        return replace(self, use=allowed & ~short, **changed)
 
     def with_frequencies(self, frequencies, use):
         """Return the same model with periodic variability and other cadences."""
-        n, columns = self.n_trend, harmonic_columns(self.time, frequencies)
-        flat = np.concatenate([self.flat[:, :n], columns, self.flat[:, n:]], axis=1)
-        ones = np.ones(columns.shape[1])
-        scale = np.concatenate([self.scale[:n], ones, self.scale[n:]])
-        n += columns.shape[1]
+        columns = harmonic_columns(self.time, frequencies)
         frequencies = (*self.frequencies, *map(float, frequencies))
-        return replace(self, flat=flat, scale=scale, n_trend=n, frequencies=frequencies, use=use)
+        n = self.n_trend + columns.shape[1]
+        return self._inserted(columns, use, n_trend=n, frequencies=frequencies)
+
+    def _inserted(self, columns, use, **changes):
+        """Return the same model with more columns after the trend's, and other cadences."""
+        n, ones = self.n_trend, np.ones(columns.shape[1])
+        flat = np.concatenate([self.flat[:, :n], columns, self.flat[:, n:]], axis=1)
+        scale = np.concatenate([self.scale[:n], ones, self.scale[n:]])
+        return replace(self, flat=flat, scale=scale, use=use, **changes)
 
     def flat_coefficient(self, index):
         """Return the coefficient of a flat column and its standard deviation."""
@@ -308,17 +330,32 @@ def fit(make_regressors, time, y, variance, use, flat_columns, options, predicte
     time = time - time[use][0]
     flat, scale = _flat_columns(time, flat_columns, options.n_trend)
     y = y - y[use].mean()
-    first = Solution(
-        time, y, variance, use, regressors, flat, scale, None, options.n_trend, predicted=predicted
-    )
-    solution = _without_outliers(first, make_regressors, options)
+    data = time, y, variance, use, np.zeros_like(use)
+    first = Solution(*data, regressors, flat, scale, None, options.n_trend, predicted=predicted)
+
+    def likeliest(first):
+        """Return a fit, and one with short changes if that is more likely."""
+        plain = _without_outliers(first, make_regressors, options)
+        if options.trend != "gp" or not options.max_clips:
+            return plain
+        columns = short_changes(plain, options.sigma)
+        if not columns.shape[1]:
+            return plain
+        other = _without_outliers(first.with_short(columns), make_regressors, options)
+        return max(plain, other, key=lambda s: _evidence(s, use))
+
+    solution = likeliest(first)
     if options.trend == "gp":
         frequencies = find_frequencies(solution, use)
         if len(frequencies):
-            periodic = first.with_frequencies(frequencies, use)
-            periodic = _without_outliers(periodic, make_regressors, options)
+            periodic = likeliest(first.with_frequencies(frequencies, use))
             solution = max(solution, periodic, key=lambda s: _evidence(s, use))
-    return solution.with_returned(use, options)
+    if not solution.n_short:
+        return solution.with_returned(use, options)
+    # the shape of a short change is not learned from
+    solution = solution.without_short(use)
+    use = solution.use
+    return _without_outliers(solution, make_regressors, options).with_returned(use, options)
 
 
 def _without_outliers(solution, make_regressors, options):
@@ -339,11 +376,12 @@ def _without_outliers(solution, make_regressors, options):
 def _evidence(solution, allowed):
     """Log-likelihood with the outliers, which may be anywhere in the range of the data.
 
-    The amplitudes of waves are as large as the data's, not as wide as flat priors are.
+    The amplitudes of waves and short changes are as large as the data's, not as wide as flat priors
+    are.
     """
     n_outliers = allowed.sum() - solution.use.sum()
     value = solution.log_likelihood - n_outliers * np.log(np.ptp(solution.y[allowed]))
-    return value + len(solution.frequencies) * np.log(FLAT)
+    return value + (len(solution.frequencies) + solution.n_short / 2) * np.log(FLAT)
 
 
 def _flat_columns(time, extra, n_trend):

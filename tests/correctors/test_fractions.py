@@ -27,8 +27,7 @@ def crowded():
 
 def test_a_constant_neighbor_does_not_erase_the_star(crowded):
     corrector = PLDCorrector(crowded.to_tpf())
-    with pytest.warns(DetrendingWarning, match="of the light in the aperture was taken off"):
-        lc = corrector.correct()
+    lc = corrector.correct()
     assert corrector.model.clean is not None
     assert 0.02 < corrector.result.contamination < 0.3
     assert score(lc, crowded).amplitude == pytest.approx(1, abs=0.03)
@@ -194,18 +193,18 @@ def test_flux_is_an_open_choice():
 def test_fits_are_compared_on_the_same_windows():
     """A tenth of the windows in which one fit is wild counts for neither; chance is no gain."""
     rng = np.random.default_rng(7)
-    shared = rng.standard_normal(200)
+    shared, all_of_them = rng.standard_normal(200), np.ones(2600, dtype=bool)
 
-    def fit(residual):
-        return SimpleNamespace(window=13, held_out=lambda *_: (residual, None, None))
+    def fit(residual, error=1.0):
+        return SimpleNamespace(window=13, held_out=lambda *_: (residual, error, None))
 
-    assert abs(_gain(fit(shared), fit(shared[::-1]), None)) < 2
-    assert _gain(fit(0.9 * shared), fit(shared), None) > 2
-    assert _gain(fit(shared), fit(0.9 * shared), None) < -2
+    assert abs(_gain(fit(shared), fit(shared[::-1]), all_of_them)) < np.log(100)
+    assert _gain(fit(shared, 1.0), fit(1.5 * shared, 1.5), all_of_them) > np.log(100)
+    assert _gain(fit(1.5 * shared, 1.5), fit(shared, 1.0), all_of_them) < -np.log(100)
     wild = shared.copy()
     wild[:10] *= 1e3
-    assert _gain(fit(wild), fit(1.1 * shared), None) > 2
-    assert _gain(fit(shared), fit(shared), None) == 0
+    assert _gain(fit(wild), fit(1.5 * shared, 1.5), all_of_them) > np.log(100)
+    assert _gain(fit(shared), fit(shared), all_of_them) == 0
 
 
 def test_seeing_of_the_ground_needs_measured_fractions():

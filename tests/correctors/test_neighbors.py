@@ -95,7 +95,11 @@ def test_constant_light_in_the_wings_of_an_eclipsing_star(regime):
     sky = make_sky(regime, 23, n_cadences=800)
     corrector = corrected(sky)
     assert len(corrector.result.neighbors) == 1
-    assert score(corrector.corrected_lc, sky).amplitude == pytest.approx(1, abs=0.01)
+    found = score(corrector.corrected_lc, sky)
+    assert found.amplitude == pytest.approx(1, abs=0.01)
+    assert 0.5 < found.pull < 1.5
+    remark = f"{100 * corrector.result.contamination:.1f} % of the light in the aperture was taken"
+    assert remark in " ".join(corrector.result.remarks())
 
 
 @pytest.mark.parametrize(("neighbors", "amplitude"), [(None, 0.0), (None, 0.005), ("find", 0.0)])

@@ -22,7 +22,15 @@ def make_solution(y, noise=1e-4):
     regressors = Regressors(saw, np.zeros(1, dtype=int), ("a",))
     flat = np.ones((n, 1))
     return Solution(
-        TIME[:n], y, np.full(n, noise**2), np.ones(n, bool), regressors, flat, np.ones(1), hyper
+        TIME[:n],
+        y,
+        np.full(n, noise**2),
+        np.ones(n, bool),
+        np.zeros(n, bool),
+        regressors,
+        flat,
+        np.ones(1),
+        hyper,
     )
 
 

@@ -381,6 +381,15 @@ def test_background_that_leaks_is_removed(star):
     assert cdpp(lc) < 1.15 * cdpp(clean)
 
 
+def test_background_of_measured_fractions_is_removed_by_default(star):
+    rng = np.random.default_rng(0)
+    light = np.cumsum(rng.normal(0, 3, 400))
+    tpf = replaced(star.tpf, FLUX=star.tpf.flux.value + light[:, None, None])
+    curves = [PLDCorrector(each).correct(fractions="measured").flux for each in (tpf, star.tpf)]
+    change = curves[0] / np.median(curves[0]) - curves[1] / np.median(curves[1])
+    assert np.std(change) < 0.1 * np.std(25 * light) / np.median(curves[1].value)
+
+
 def test_other_targets_need_common_cadences(star, fake_star):
     other = fake_star(60)
     tpf = replaced(other.tpf, CADENCENO=np.arange(60) + 5000)

@@ -161,7 +161,9 @@ def solution(data, hyper):
     use = np.arange(N) % 10 != 3
     regressors = Regressors(data.columns[:, :7], data.groups, ("a", "b"))
     flat = data.columns[:, 7:]
-    return Solution(data.time, data.y, data.variance, use, regressors, flat, np.ones(1), hyper)
+    return Solution(
+        data.time, data.y, data.variance, use, ~use, regressors, flat, np.ones(1), hyper
+    )
 
 
 def test_held_out_windows(solution):

@@ -1,0 +1,79 @@
+"""Short changes of a star that belong to no process: transits, eclipses, flares, bumps."""
+
+from dataclasses import replace
+
+import numpy as np
+from astropy.stats import mad_std
+from scipy import ndimage
+
+from scope_models.correctors._regression import SLOWEST, Posterior
+
+__all__ = ["short_changes", "with_edges"]
+
+#: Tolerance: means of so many days are compared with what others predict, in runs of so many.
+_MEAN, _RUNS = 0.0625, (1, 2, 3, 4, 6, 8)
+#: Tolerance: largest number of searches, each for those that deviate by this part of the largest
+#: deviation: a deep transit bends the process around it.
+_ROUNDS, _PART = 20, 0.5
+
+
+def short_changes(solution, sigma):
+    """Return columns ``(n_cadences, n_changes)`` that are 1 in runs whose mean deviates by sigma.
+
+    What all other cadences predict has regressors and a slow process, which follows no transit. The
+    unit is the typical deviation of runs of the same length.
+    """
+    time, width = solution.time, _width(solution.data.time)
+    if len(solution.data.y) < 2 * width * _RUNS[-1]:
+        return np.empty((len(time), 0))
+    data = solution.data.averaged(width)
+    runs = _runs(data, solution.posterior.mean, solution.hyper, sigma)
+    half = np.median(np.diff(data.time)) / 2
+    begins, ends = data.time[runs[:, 0]] - half, data.time[runs[:, 1] - 1] + half
+    columns = ((time[:, None] >= begins) & (time[:, None] < ends)).astype(float)
+    # half of the cadences remain
+    return columns[:, : 0 if with_edges(time, columns.any(axis=1)).mean() > 0.5 else None]
+
+
+def with_edges(time, short):
+    """Return cadences of short changes with those around them, where the changes may begin."""
+    return ndimage.binary_dilation(short, iterations=_width(time))
+
+
+def _width(time):
+    """Return the number of cadences of a mean."""
+    return max(round(_MEAN / float(np.median(np.diff(time)))), 1)
+
+
+def _runs(data, mean, hyper, sigma):
+    """Return the first means of runs that deviate, and those after the last, ``(n_runs, 2)``."""
+    n, rest = len(data.y), data.y - data.columns @ mean
+    amplitude = min(hyper.amplitude, max(mad_std(rest) ** 2, np.median(data.variance)))
+    hyper = replace(hyper, amplitude=amplitude, period=SLOWEST)
+    process = hyper.process(data.time, data.variance)
+    inverse = [process.inverse_blocks(np.arange(n - k + 1), k).sum(axis=(1, 2)) for k in _RUNS]
+    free, runs = np.ones(n, dtype=bool), np.empty((0, 2), dtype=int)
+    for _ in range(_ROUNDS):
+        index = np.arange(n)[:, None]
+        boxes = (index >= runs[:, 0]) & (index < runs[:, 1])
+        trial = replace(data, columns=np.concatenate([data.columns, boxes], axis=1))
+        solved = process.solve(trial.stacked)
+        posterior = Posterior(trial.stacked.T @ solved, hyper.prior(trial))
+        solved[:, -1] -= solved[:, :-1] @ posterior.mean
+        sums = np.cumsum(np.pad(solved, ((1, 0), (0, 0))), axis=0)
+        deviating, new = [], []
+        for k, precision in zip(_RUNS, inverse, strict=True):
+            run = sums[k:] - sums[:-k]
+            explained = np.einsum("ij,ij->i", run[:, :-1] @ posterior.covariance, run[:, :-1])
+            size = np.abs(run[:, -1]) / np.sqrt(np.maximum(precision - explained, 1e-300))
+            size /= 1.4826 * np.median(size)
+            deviating += [(size[i], i, i + k) for i in np.flatnonzero(size > sigma)]
+        least = _PART * max(deviating, default=(0.0,))[0]
+        for size, *run in sorted(deviating, reverse=True):
+            if size > least and free[slice(*run)].all():
+                free[slice(*run)] = False
+                new.append(run)
+        if not new:
+            break
+        runs = np.concatenate([runs, new])
+    return runs

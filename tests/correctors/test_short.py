@@ -1,0 +1,36 @@
+"""Transits and bumps that no single cadence shows."""
+
+import numpy as np
+import pytest
+
+from scope_models.benchmark import REGIMES, make_sky
+from scope_models.correctors import PLDCorrector
+
+pytestmark = pytest.mark.usefixtures("one_thread")
+
+
+def corrected(regime, **options):
+    """Return corrector, relative flux and the transit of a star of the sky."""
+    sky = make_sky(regime, 5, n_cadences=1000, **options)
+    corrector = PLDCorrector(sky.to_tpf())
+    lc = corrector.correct()
+    flux = np.full(len(sky.time), np.nan)
+    flux[np.asarray(lc.cadenceno.value, int) - 1] = lc.flux.value
+    return sky, corrector, flux
+
+
+@pytest.mark.parametrize("depth", [3e-4, 3e-3])
+def test_unmasked_transits_are_seen_and_kept(depth):
+    """The same noise with and without transits of 10 h."""
+    regime = REGIMES["k2-1x-constant"]
+    deep = regime.replace(depth=depth, duration=10 / 24, transit_period=6.0)
+    sky, corrector, flux = corrected(deep)
+    _, _, without = corrected(regime)
+    inside, known = sky.transit < 1 - depth / 2, np.isfinite(flux / without)
+    ratio = flux[known] / without[known]
+    slope = np.polyfit(sky.transit[known], ratio / np.median(ratio), 1)[0]
+    assert slope == pytest.approx(1, abs=0.02)
+    whole = corrector.corrected_lc
+    seen = inside[np.asarray(whole.cadenceno.value, int) - 1]
+    assert np.mean(corrector.result.dips[seen]) > 0.7
+    assert np.mean(corrector.outlier_mask[seen]) < 0.1
