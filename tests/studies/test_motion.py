@@ -31,8 +31,14 @@ def study():
 
 @pytest.fixture(scope="module")
 def row(study):
-    """Return the measurements of a star with transits and with all correctors."""
-    return measure(study, tasks(study)[2])
+    """Return the measurements of a star with transits and with all correctors, of two settings."""
+    settings = {
+        "lightkurve_pld": (("pipeline", 1), ("pipeline", 2)),
+        "lightkurve_sff": ((5,), (10,)),
+    }
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(_correctors, "LIGHTKURVE_CORRECTORS", settings)
+        return measure(study, tasks(study)[2])
 
 
 def test_the_paper_grid():
@@ -236,6 +242,7 @@ def test_a_lightkurve_corrector_that_fails_leaves_its_columns_out(study, monkeyp
         raise np.linalg.LinAlgError("singular matrix")
 
     monkeypatch.setattr(PLDCorrector, "correct", fail)
+    monkeypatch.setitem(_correctors.LIGHTKURVE_CORRECTORS, "lightkurve_sff", ((10,),))
     row = measure(study, tasks(study)[0])
     assert not [name for name in row if "lightkurve_pld" in name]
     assert row["lightkurve_sff_everest"] > 0
