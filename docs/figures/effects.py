@@ -78,7 +78,7 @@ def make_jitter_figure():
     axes.plot(times, blurs, "s", color="C1")
     axes.set_title("Jitter of 0.05 pixel (points: simulated, lines: formula)")
     axes.set(xlabel="Correlation time (s)", ylabel="Standard deviation (pixel)")
-    axes.legend(loc="center left")
+    axes.legend(loc="center right")
     return figure
 
 
