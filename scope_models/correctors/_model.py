@@ -238,7 +238,8 @@ class PLDModel:
                 clean = None
         _check_weighted(options, clean)
         if clean is None:
-            extra.setdefault("background", level_column(pixels, use))
+            if "background" not in extra:
+                extra["level"] = level_column(pixels, use)
             pixels = pixels.weighted
         breaks = segment_breaks(options.segments, pixels, use & pixels.usable)
         design = DesignOptions(

@@ -43,11 +43,12 @@ _EXPECTED = {
     "constant light": 0.003,
 }
 #: Prior: ... of measured ones.
-_MEASURED = {"background": 1.0}
+_MEASURED = {"level": 1.0}
 #: Prior: those of the focus have a limit. The fractions hold what it does to pixels of different
 #: response; within pixels a width that changes by 1 % changes the response by 5e-4 at most. What
-#: seems to be a focus may be a dimming of the star beside constant light.
-_MOST = {"focus": 1e-4}
+#: seems to be a focus may be a dimming of the star beside constant light. So may a level of the
+#: background, which counts once.
+_MOST = {"focus": 1e-4, "level": 1.0}
 
 
 class NothingToCorrectError(ValueError):
