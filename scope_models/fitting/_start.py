@@ -261,6 +261,8 @@ def make_rich_prfs(sensitivity):
     for held in (False, True):
         sigma, fixed = _SIGMAS[0], dict.fromkeys(("sigma_x", "sigma_y", "rho"), held)
         psf = BivariateGaussianPSF(1 - _EMPIRICAL_FRACTION, 0, 0, sigma, sigma, fixed=fixed)
+        for name in ("sigma_x", "sigma_y"):  # a wider one would be background
+            psf.bounds[name] = (psf.bounds[name][0], _SIGMAS[1])
         yield make_prf(psf, sensitivity, _RICH_ORDER)
 
 
