@@ -16,7 +16,7 @@ from scope_models.correctors._features import (
 from scope_models.correctors._pixels import aperture_pixels
 from scope_models.correctors._position import along_position, polynomials
 from scope_models.correctors._saturation import without_saturation
-from scope_models.correctors._smoothing import Smoother
+from scope_models.correctors._smoothing import Smoother, quantile
 from scope_models.io import read_pixels
 
 __all__ = [
@@ -170,8 +170,8 @@ def background_columns(pixels, n_components, mask, use):
 def level_column(pixels, use):
     """Return the light of a background that changes, over the flux, of the aperture.
 
-    Its level is the median of the darker half of the pixels outside, without the light that follows
-    the flux.
+    Its level is the median of the pixels outside that the star lights least, wherever it is, without
+    the light that follows the flux.
     """
     usable, inside = pixels.usable, pixels.aperture
     flux, fit = pixels.flux[usable], use[usable]
@@ -180,9 +180,10 @@ def level_column(pixels, use):
     column = np.zeros((len(usable), 1))
     if outside.any():
         relative = pixels.total[usable] / np.median(pixels.total[usable][fit])
-        typical = np.median(flux[fit][:, outside], axis=0)
-        dark = flux[:, outside] - typical * relative[:, None]
-        level = np.median(dark[:, typical <= np.median(typical)], axis=1)
+        light = flux[:, outside]
+        most = quantile(light[fit].T, 0.98)
+        dark = light[:, most <= np.median(most)]
+        level = np.median(dark - np.median(dark[fit], axis=0) * relative[:, None], axis=1)
         level = Smoother(pixels.time[usable], fit)(level, np.ones(len(level)))
         column[usable, 0] = level * weights.sum(axis=(-2, -1)) / pixels.total[usable]
     return column
