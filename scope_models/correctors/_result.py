@@ -667,7 +667,9 @@ class PLDFit:
         if len(used) < 2 * width:
             raise ValueError(f"`width` must be at most {len(used) // 2}, got {width}")
         residual, covariance = self.solution.held_out(width, chosen[usable])
-        return residual.mean(axis=1), np.sqrt(covariance.sum(axis=(1, 2))) / width, used
+        noise = self.solution.white_variance[chosen[usable]][: residual.size].reshape(-1, width)
+        variance = np.maximum(covariance.sum(axis=(1, 2)), noise.sum(axis=1))
+        return residual.mean(axis=1), np.sqrt(variance) / width, used
 
     # How it looks
 

@@ -13,7 +13,7 @@ from scope_models.simulation import inject
 
 #: These large files are quick: neighbors of negative light, corrections that overflow, cadences
 #: with outliers in all pixels, and a survival that is not precise.
-QUICK = (91, 231, 243, 259)
+QUICK = (91, 113, 231, 243, 259)
 
 
 def files(small, large):
