@@ -170,8 +170,8 @@ def background_columns(pixels, n_components, mask, use):
 def level_column(pixels, use):
     """Return the light of a background that changes, over the flux, of the aperture.
 
-    Its level is the median of the pixels outside that the star lights least, wherever it is, without
-    the light that follows the flux.
+    Its level is the median of the pixels outside that the star lights least, wherever it is,
+    without the light that follows the flux.
     """
     usable, inside = pixels.usable, pixels.aperture
     flux, fit = pixels.flux[usable], use[usable]
