@@ -56,8 +56,10 @@ def motion_from_name(name, n_cadences=None, **options):
     return _usable(Motion.k2_roll(n + n // 4 + 12, **options), name)[:n]
 
 
-#: `motion_from_name` for studies, in which all stars have the same motion.
-cached_motion = lru_cache(maxsize=8)(motion_from_name)
+@lru_cache(maxsize=8)
+def cached_motion(name, n_cadences):
+    """Return `motion_from_name` for studies, in which all stars have the same motion."""
+    return motion_from_name(name, n_cadences)
 
 
 def _usable(motion, name):

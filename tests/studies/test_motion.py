@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from _correctors import transit_amplitude
 from _reference import reference_noise
+from _stars import cached_motion
 from astropy.table import Table
 from matplotlib import pyplot as plt
 from motion import MotionTest, draw, main, measure, observe, retrieved, summarize, tasks
@@ -256,6 +257,10 @@ def test_options_of_a_file_and_of_the_command(capsys, tmp_path):
     assert capsys.readouterr().out.splitlines()[0] == "motion: 1 stars, 0 failed"
     meta = Table.read(tmp_path / "out" / "summary.ecsv").meta
     assert (meta["scales"], meta["transit_scales"]) == ([2.0], [])
+
+
+def test_the_cached_motion_reaches_other_processes():
+    assert b"cached_motion" in pickle.dumps(cached_motion)
 
 
 def test_the_pages_show_the_stored_study(repository, monkeypatch):
