@@ -84,7 +84,7 @@ def main(results):
     for name in summary.colnames:
         if summary[name].dtype.kind == "f":
             summary[name][:] = [float(f"{value:.5g}") for value in np.array(summary[name])]
-    stamp(summary, f"python studies/paper/motion.py --stars {summary.meta['stars']}")
+    stamp(summary, "python studies/paper/motion.py")
     summary.write(FOLDER / "motion.ecsv", overwrite=True)
     for name, rows in tables(summary).items():
         with (FOLDER / f"motion_{name}.csv").open("w", newline="", encoding="utf-8") as file:

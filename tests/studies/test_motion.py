@@ -268,7 +268,7 @@ def test_the_pages_show_the_stored_study(repository, monkeypatch):
     monkeypatch.syspath_prepend(folder)
     store = runpy.run_path(str(folder / "store_motion.py"))
     summary = Table.read(folder / "motion.ecsv")
-    config = plain_tree(asdict(MotionTest(stars=2)))
+    config = plain_tree(asdict(MotionTest()))
     assert {name: summary.meta[name] for name in config} == config
     for name, rows in store["tables"](summary).items():
         with (folder / f"motion_{name}.csv").open(encoding="utf-8") as file:
