@@ -41,10 +41,10 @@ _FRACTIONS = ("auto", "predicted", "measured")
 FLUXES = ("auto", "sum", "weighted")
 #: Branch: part of the cadences with much light for which predicted fractions must exist.
 _CREDIBLE = 0.9
-#: Prior: variance of the noise over that of FLUX_ERR at most: that of real dark pixels is too small
-#: by up to 1.17. With more, predicted fractions have failed.
+#: Branch: with a variance of the noise over that of FLUX_ERR above this predicted fractions may
+#: have failed. FLUX_ERR of real dark pixels is too small by up to 1.17.
 _MISFIT = 1.17**2
-#: Prior: odds against predicted fractions that are decisive on Jeffreys' scale.
+#: Branch: logarithm of the odds for measured fractions that are decisive on Jeffreys' scale.
 _DECISIVE = np.log(100)
 #: Prior: number of columns of the constant and the polynomial trend.
 _TRENDS = {"gp": 1, "quadratic": 3}

@@ -110,6 +110,7 @@ class Widening:
     def _near(self, light, axis):
         """Return two pixels before and after each along an axis, ``(5, n_pixels, n_block)``."""
         near = light[self._beside[axis]]
+        near[self._beside[axis] < 0] = 0.0
         for k, inner in ((1, 1), (0, 1), (3, -1), (4, -1)):
             absent = self._beside[axis][k] < 0
             edge, before = near[k + inner][absent], near[k + 2 * inner][absent]

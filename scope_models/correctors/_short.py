@@ -10,7 +10,7 @@ from scope_models.correctors._regression import SLOWEST, Posterior
 
 __all__ = ["short_changes", "with_edges"]
 
-#: Tolerance: means of so many days are compared with what others predict, in runs of so many.
+#: Prior: changes last 1.5 to 12 h, as most transits: means of so many days, in runs of so many.
 _MEAN, _RUNS = 0.0625, (1, 2, 3, 4, 6, 8)
 #: Tolerance: largest number of searches, each for those that deviate by this part of the largest
 #: deviation: a deep transit bends the process around it.

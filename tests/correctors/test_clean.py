@@ -252,3 +252,15 @@ def test_light_that_a_wider_psf_loses_beside_the_stamp(wing):
     lost = widening.lost(light(1.0), np.column_stack([x, y]))
     exact = (light(1 - 1e-3) - light(1 + 1e-3)).sum(axis=1) / 2e-3
     np.testing.assert_allclose(lost.mean(), exact.mean(), rtol=0.2)
+
+
+def test_widening_of_a_column_of_pixels_does_not_depend_on_their_order():
+    """None has pixels beside it along the rows."""
+    x, y, _ = motion()
+    column = np.flatnonzero(GRID[:, 0] == 4)
+    light, center = image(x, y, 1.5)[:, column], np.column_stack([x, y])
+    lost = [
+        Widening(GRID[column[order]], np.ones(len(order), bool)).lost(light[:, order], center)
+        for order in (np.arange(len(column)), np.arange(len(column))[::-1])
+    ]
+    np.testing.assert_allclose(*lost, atol=1e-12)
