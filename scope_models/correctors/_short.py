@@ -23,14 +23,13 @@ def short_changes(solution, sigma):
     What all other cadences predict has regressors and a slow process, which follows no transit. The
     unit is the typical deviation of runs of the same length.
     """
-    time, width = solution.time, _width(solution.data.time)
-    if len(solution.data.y) < 2 * width * _RUNS[-1]:
+    time, used = solution.time, solution.data.time
+    width = _width(used)
+    if len(used) < 2 * width * _RUNS[-1]:
         return np.empty((len(time), 0))
-    data = solution.data.averaged(width)
-    runs = _runs(data, solution.posterior.mean, solution.hyper, sigma)
-    half = np.median(np.diff(data.time)) / 2
-    begins, ends = data.time[runs[:, 0]] - half, data.time[runs[:, 1] - 1] + half
-    columns = ((time[:, None] >= begins) & (time[:, None] < ends)).astype(float)
+    runs = _runs(solution.data.averaged(width), solution.posterior.mean, solution.hyper, sigma)
+    begins, ends = used[width * runs[:, 0]], used[width * runs[:, 1] - 1]
+    columns = ((time[:, None] >= begins) & (time[:, None] <= ends)).astype(float)
     # half of the cadences remain
     return columns[:, : 0 if with_edges(time, columns.any(axis=1)).mean() > 0.5 else None]
 

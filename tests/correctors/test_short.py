@@ -1,10 +1,13 @@
 """Transits and bumps that no single cadence shows."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from scope_models.benchmark import REGIMES, make_sky
-from scope_models.correctors import PLDCorrector
+from scope_models.correctors import PLDCorrector, _short
+from scope_models.correctors._regression import Data
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 
@@ -34,3 +37,14 @@ def test_unmasked_transits_are_seen_and_kept(depth):
     seen = inside[np.asarray(whole.cadenceno.value, int) - 1]
     assert np.mean(corrector.result.dips[seen]) > 0.7
     assert np.mean(corrector.outlier_mask[seen]) < 0.1
+
+
+def test_a_change_beside_a_gap_has_its_cadences(monkeypatch):
+    """The middle of three cadences around a gap of days is in the gap."""
+    time = 0.02 * np.append(np.arange(100), 500 + np.arange(100))
+    data = Data(time, np.zeros(200), np.ones(200), np.zeros((200, 1)), np.zeros(1, int), 0)
+    posterior = SimpleNamespace(mean=np.zeros(1))
+    solution = SimpleNamespace(time=time, data=data, posterior=posterior, hyper=None)
+    monkeypatch.setattr(_short, "_runs", lambda *_: np.array([[33, 34]]))
+    columns = _short.short_changes(solution, 5.0)
+    assert np.flatnonzero(columns[:, 0]).tolist() == [99, 100, 101]
