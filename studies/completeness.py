@@ -34,11 +34,7 @@ class Completeness:
     trials: int = 2
 
 
-def tasks(study):
-    return grid(
-        "p{period:g}-d{depth:g}-{trial}", trial=study.trials, depth=study.depths,
-        period=study.periods,
-    )  # fmt: skip
+tasks = grid("p{period:g}-d{depth:g}-{trial}", trial="trials", depth="depths", period="periods")
 
 
 @cache

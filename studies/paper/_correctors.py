@@ -195,14 +195,13 @@ def best_setting(name, tpf, aperture):
 @contextmanager
 def quiet():
     """Silence lightkurve and its libraries, and fix numpy's global state, from which it draws."""
-    logger, state = logging.getLogger("lightkurve"), np.random.get_state()  # noqa: NPY002
-    level = logger.level
-    logger.setLevel(logging.CRITICAL)
+    state = np.random.get_state()  # noqa: NPY002
     np.random.seed(0)  # noqa: NPY002
+    logging.disable()
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             yield
     finally:
-        logger.setLevel(level)
+        logging.disable(logging.NOTSET)
         np.random.set_state(state)  # noqa: NPY002

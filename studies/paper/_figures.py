@@ -1,9 +1,9 @@
-"""Figures of the studies: noise against magnitude, maps of a grid, statistics of motions."""
+"""Figures of the studies: noise against magnitude, maps of a grid, the calibration of K2."""
 
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.colors import LogNorm
 from matplotlib.patheffects import Normal, Stroke
-from matplotlib.ticker import FuncFormatter, NullLocator
 
 from scope_models.plotting._style import given_or_new, styled
 
@@ -22,13 +22,11 @@ def plot_cdpp(series, reference=None, *, limits=(), title="", legend=True, ax=No
     """
     ax = given_or_new(ax, 5.6, 4.6)
     if reference is not None:
+        mag, label = reference["mag"], reference.get("label")
         if "low" in reference:
-            ax.fill_between(
-                reference["mag"], reference["low"], reference["high"], color="0.85", lw=0,
-                zorder=0, label=reference.get("band_label"),
-            )  # fmt: skip
-        ax.plot(reference["mag"], reference["median"], "k--", lw=1.3, zorder=1,
-                label=reference.get("label"))  # fmt: skip
+            band = {"color": "0.85", "lw": 0, "zorder": 0, "label": reference.get("band_label")}
+            ax.fill_between(mag, reference["low"], reference["high"], **band)
+        ax.plot(mag, reference["median"], "k--", lw=1.3, zorder=1, label=label)
     shades = plt.get_cmap("viridis_r")(np.linspace(0.15, 1, max(len(series), 2)))
     for number, (label, values) in enumerate(series.items()):
         mag, cdpp, *bars = (np.asarray(value, dtype=float) for value in values)
@@ -65,127 +63,89 @@ def make_panels(number, columns, size, **options):
 
 
 @styled
-def plot_cdpp_panels(panels, reference=None, *, limits=(), residuals=None, columns=2):
+def plot_cdpp_panels(panels, reference=None, *, limits=(), residuals=None):
     """Draw `plot_cdpp` once per title on one scale; return the Axes by their titles.
 
-    `residuals` has for each label magnitudes and the noise that is left over that which must be
-    there, for a last panel.
+    `residuals` has for each label of the panels magnitudes and the noise that is left over that
+    which must be there, for a last panel.
     """
     titles = [*panels, *([RESIDUALS] if residuals else [])]
-    columns = min(columns, len(titles))
-    _, drawn = make_panels(len(titles), columns, (0.7, 4.1, 0.3, 3.9), sharex=True)
+    figure, drawn = make_panels(len(titles), 2, (0.7, 4.1, 0.3, 3.9), sharex=True)
     axes = dict(zip(titles, drawn, strict=True))
-    first = axes[titles[0]]
+    first = drawn[0]
     for title, series in panels.items():
         if axes[title] is not first:
             axes[title].sharey(first)
         plot_cdpp(series, reference, limits=limits, title=title, legend=False, ax=axes[title])
-    handles, labels = first.get_legend_handles_labels()
     if residuals:
         ax = plot_cdpp(residuals, title=RESIDUALS, legend=False, ax=axes[RESIDUALS])
         ax.axhline(1, color="k", lw=0.8, ls="--", zorder=0)
         ax.set(yscale="linear", ylabel="CDPP / CDPP of the noise alone", ylim=(0, None))
-        ax.legend(loc="lower left", fontsize="small")
-        shown = [number for number, label in enumerate(labels) if label not in residuals]
-        handles, labels = [handles[k] for k in shown], [labels[k] for k in shown]
-        if labels:
-            first.legend(handles, labels, loc="lower right", fontsize="small")
-    else:
-        first.figure.legend(handles, labels, loc="outside lower center", ncols=3)
-    for number, title in enumerate(titles):
-        lowest = number + columns >= len(titles)
-        axes[title].tick_params(labelbottom=lowest)
-        axes[title].xaxis.label.set_visible(lowest)
+    figure.legend(*first.get_legend_handles_labels(), loc="outside lower center", ncols=3)
+    for number, ax in enumerate(drawn):
+        lowest = number + 2 >= len(drawn)
+        ax.tick_params(labelbottom=lowest)
+        ax.xaxis.label.set_visible(lowest)
     return axes
 
 
 @styled
 def plot_map(
-    values, rows, columns, *, row_label, column_label, label, text=".2f", span=None, title="",
-    ax=None,
+    table, name, rows, columns, *, label, text=".2f", norm=None, title="", ax=None
 ):  # fmt: skip
-    """Draw a map with the number in each cell; the first row is the lowest, NaN stays empty.
+    """Draw a column of a table as a map over two others, with the number in each cell.
 
-    `text` is the format of the numbers or a function that writes them, `span` the ends of the
-    colors.
+    `rows` and `columns` are names and labels of the others; the lowest value is the lowest row.
+    Cells that the table has not and NaN stay empty. `norm` scales the colors.
     """
-    values = np.asarray(values, dtype=float)
-    size = 2.4 + 0.55 * len(columns), 1.6 + 0.45 * len(rows)
-    ax = given_or_new(ax, *np.clip(size, 3.6, 12))
-    low, high = (None, None) if span is None else span
-    shown = ax.imshow(values, origin="lower", aspect="auto", cmap="viridis", vmin=low, vmax=high)
-    ax.set_xticks(range(len(columns)), [f"{value:g}" for value in columns])
-    ax.set_yticks(range(len(rows)), [f"{value:g}" for value in rows])
-    ax.set(xlabel=column_label, ylabel=row_label, title=title)
+    (y, i), (x, j) = (np.unique(table[key], return_inverse=True) for key, _ in (rows, columns))
+    values = np.full((len(y), len(x)), np.nan)
+    values[i, j] = table[name]
+    ax = given_or_new(ax, *np.clip((2.4 + 0.55 * len(x), 1.6 + 0.45 * len(y)), 3.6, 12))
+    shown = ax.imshow(values, origin="lower", aspect="auto", cmap="viridis", norm=norm)
+    ax.set_xticks(range(len(x)), [f"{value:g}" for value in x])
+    ax.set_yticks(range(len(y)), [f"{value:g}" for value in y])
+    ax.set(xlabel=columns[1], ylabel=rows[1], title=title)
     ax.figure.colorbar(shown, ax=ax, label=label)
     for (row, column), value in np.ndenumerate(values):
         if np.isfinite(value):
-            number = text(value) if callable(text) else format(value, text)
             color = "w" if shown.norm(value) < 0.55 else "k"
-            ax.text(column, row, number, ha="center", va="center", fontsize="small", color=color)
+            ax.text(column, row, format(value, text), ha="center", va="center", fontsize="small",
+                    color=color)  # fmt: skip
     return ax
 
 
 @styled
-def plot_maps(maps, rows, columns, *, text, label, **labels):
-    """Draw maps of one grid, by their titles, on one logarithmic scale of colors."""
-    values = np.log10([np.asarray(value, dtype=float) for value in maps.values()])
-    span = float(np.nanmin(values)), float(np.nanmax(values))
-    figure, axes = make_panels(len(maps), 2, (9, 0, 0.4, 3.4))
-    for ax, title, value in zip(axes, maps, values, strict=True):
-        plot_map(
-            value, rows, columns, **labels, label=f"log10 ({label.lower()})", span=span,
-            title=title, ax=ax, text=lambda number: format(10**number, text),
-        )  # fmt: skip
+def plot_maps(table, names, rows, columns, **options):
+    """Draw maps of columns, by their titles, on one logarithmic scale of colors."""
+    figure, axes = make_panels(len(names), 2, (9, 0, 0.4, 3.4))
+    values = [table[name] for name in names.values()]
+    for ax, (title, name) in zip(axes, names.items(), strict=True):
+        norm = LogNorm(np.nanmin(values), np.nanmax(values))
+        plot_map(table, name, rows, columns, norm=norm, title=title, ax=ax, **options)
     return figure
 
 
 @styled
-def plot_motion_statistics(series, paper):
-    """Draw "mean", "std" and "maximum" of the distance against "scale", beside the paper's."""
-    figure, axes = plt.subplots(1, 3, figsize=(10, 3.6), sharey=True, layout="constrained")
-    shades = np.linspace(0, 0.7, max(len(series), 2))
-    ticks = sorted({float(scale) for values in series.values() for scale in values["scale"]})
-    titles = {"mean": "Mean", "std": "Standard deviation", "maximum": "Maximum"}
-    for ax, (name, title) in zip(axes, titles.items(), strict=True):
-        ax.plot(paper["scale"], paper[name], "-", color="#f08a24", lw=2, label="paper")
-        for i, (label, values) in enumerate(series.items()):
-            ax.plot(np.array(values["scale"]), np.array(values[name]), MARKERS[i % len(MARKERS)],
-                    color=str(shades[i]), mfc="none", label=label)  # fmt: skip
-        ax.set(title=title, xlabel="Factor on the motion", xscale="log", yscale="log")
-        ax.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
-        ax.xaxis.set_minor_locator(NullLocator())
-        ax.grid(axis="y", color="0.9")
-    axes[0].yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    axes[0].set_ylabel("Distance from the reference position (pixel)")
-    axes[0].legend(fontsize="small")
-    return figure
-
-
-@styled
-def plot_degeneracy(grids, marks):
+def plot_degeneracy(table, marks):
     """Draw how well the response within and between pixels explains the noise.
 
-    `grids` has for each part of the light in the wings a_2, the standard deviation of b, and the
-    chi square; `marks` points to mark in each panel.
+    `table` is that of ``calibrate_k2_motion.py``, `marks` are points to mark by their labels.
     """
-    figure, axes = make_panels(len(grids), 3, (1, 3.4, 0.6, 3.2), sharex=True, sharey=True)
-    lowest = min(np.min(cost) for _, _, cost in grids.values())
+    wings, lowest = np.unique(table["wings"]), np.min(table["cost"])
+    figure, axes = make_panels(len(wings), 3, (1, 3.4, 0.6, 3.2), sharex=True, sharey=True)
     levels = [0, 2.3, 6.2, 11.8, 20, 40, 80]
-    for ax, (wings, (a_2, scatter, cost)) in zip(axes, sorted(grids.items()), strict=True):
-        order = np.argsort(a_2)
-        place = np.asarray(a_2)[order], 100 * np.asarray(scatter)
-        excess = (np.asarray(cost) - lowest)[order].T
-        shown = ax.contourf(*place, excess, levels, cmap="Blues_r", extend="max")
-        ax.contour(*place, excess, levels[1:4], colors="k", linewidths=0.7)
+    for ax, part in zip(axes, wings, strict=True):
+        rows = table[table["wings"] == part]
+        cost = rows["a_2"], 100 * rows["scatter"], rows["cost"] - lowest
+        shown = ax.tricontourf(*cost, levels, cmap="Blues_r", extend="max")
+        ax.tricontour(*cost, levels[1:4], colors="k", linewidths=0.7)
         for marker, (label, point) in zip("*o^s", marks.items(), strict=False):
             ax.plot(point[0], 100 * point[1], marker, color="#d95f02", mec="k", ms=9, ls="none",
                     label=label, clip_on=False, zorder=5)  # fmt: skip
-        ax.set_title(f"{100 * wings:.0f} % in the wings")
-        ax.set(xlabel="$a_2$")
+        ax.set(title=f"{100 * part:.0f} % in the wings", xlabel="$a_2$",
+               ylabel="Standard deviation of $b$ (%)")  # fmt: skip
         ax.label_outer()
-    for ax in axes[::3]:
-        ax.set_ylabel("Standard deviation of $b$ (%)")
     axes[0].legend(fontsize="small", loc="upper left")
     figure.colorbar(shown, ax=axes, label=r"$\chi^2$ above the lowest")
     return figure

@@ -1,7 +1,8 @@
 """Noise of real stars of Kepler and K2 by magnitude, and comparisons with it.
 
 ``derive_reference.py`` makes the tables from the catalogs of the EVEREST project: the 6-hour CDPP
-in ppm, in EVEREST's convention, with the source in ``meta``.
+in ppm, in EVEREST's convention, with the source in ``meta``. They are "kepler", light curves of
+Kepler's pipeline, and "k2_c03_raw" and "k2_c03_everest", K2 campaign 3, de-trended by EVEREST 2.
 """
 
 from functools import cache
@@ -12,26 +13,7 @@ from astropy.table import Table
 
 #: Percentiles in the tables, by the name of their column.
 PERCENTILES = {"p10": 10, "p25": 25, "median": 50, "p75": 75, "p90": 90}
-#: Light curves of Kepler's pipeline; of K2 campaign 3, raw, and de-trended by EVEREST 2.
-REFERENCES = ("kepler", "k2_c03_raw", "k2_c03_everest")
 _RESAMPLES = 400
-
-
-def bin_noise(mag, cdpp, centers, width=0.5, *, fewest=1):
-    """Return percentiles of the noise of stars in bins of magnitude.
-
-    A bin holds its lower edge and not its upper one; bins with fewer stars than `fewest` are left
-    out. The columns are mag, n and those of `PERCENTILES`.
-    """
-    mag, cdpp = np.asarray(mag, dtype=float), np.asarray(cdpp, dtype=float)
-    rows = []
-    for center in centers:
-        inside = (mag >= center - width / 2) & (mag < center + width / 2)
-        if inside.sum() >= fewest:
-            values = np.percentile(cdpp[inside], list(PERCENTILES.values()))
-            rows.append((float(center), int(inside.sum()), *values))
-    names = ("mag", "n", *PERCENTILES)
-    return Table(rows=rows, names=names, dtype=(float, int, *[float] * len(PERCENTILES)))
 
 
 @cache
@@ -41,7 +23,7 @@ def _read(name):
 
 
 def read_reference(name, stars="unsaturated"):
-    """Return the columns mag, n and those of `PERCENTILES` of one of `REFERENCES`.
+    """Return the columns mag, n and those of `PERCENTILES` of a table.
 
     `stars` is "unsaturated", "saturated" or "all"; the Kepler table has "all" in every case.
     """
@@ -65,9 +47,8 @@ def noise_band(name, label, mag=None):
     mag = np.array(read_reference(name, "all")["mag"] if mag is None else mag)
     columns = {"median": "median", "low": "p10", "high": "p90"}
     band = {key: reference_noise(name, mag, column, "all") for key, column in columns.items()}
-    return band | {
-        "mag": mag, "label": f"{label}, median", "band_label": f"{label}, 10 % to 90 %"
-    }  # fmt: skip
+    labels = {"label": f"{label}, median", "band_label": f"{label}, 10 % to 90 %"}
+    return band | labels | {"mag": mag}
 
 
 def compared(prefix, noise, reference, mag, names, *, known="kepler"):
@@ -76,18 +57,14 @@ def compared(prefix, noise, reference, mag, names, *, known="kepler"):
     The errors are the standard deviation under resampling of the stars; ``names`` are those of
     `PERCENTILES`, ``prefix`` and ``known`` what our columns and the reference's are named after.
     """
-    noise = np.asarray(noise, dtype=float)
+    noise, row = np.asarray(noise, dtype=float), {}
     picks = np.random.default_rng(0).integers(len(noise), size=(_RESAMPLES, len(noise)))
-    row = {}
     for name in names:
-        ours = np.percentile(noise, PERCENTILES[name])
+        ours = float(np.percentile(noise, PERCENTILES[name]))
         error = np.std(np.percentile(noise[picks], PERCENTILES[name], axis=1))
-        found = reference[name][np.asarray(reference["mag"]) == mag]
-        theirs = float(found[0]) if len(found) else np.nan
+        theirs = float(np.append(reference[name][reference["mag"] == mag], np.nan)[0])
         row |= {
-            f"{prefix}_{name}": float(ours),
-            f"{prefix}_{name}_error": float(error),
-            f"{known}_{name}": theirs,
-            f"{prefix}_{name}_ratio": float(ours / theirs),
-        }
+            f"{prefix}_{name}": ours, f"{prefix}_{name}_error": float(error),
+            f"{known}_{name}": theirs, f"{prefix}_{name}_ratio": ours / theirs,
+        }  # fmt: skip
     return row

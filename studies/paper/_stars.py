@@ -5,12 +5,14 @@ from pathlib import Path
 
 import numpy as np
 
+from scope_models import Detector, Motion, Star, simulate
+from scope_models.batch import star_rng, star_seed
 from scope_models.missions import MISSIONS
-from scope_models.scene import Motion, Star
 
 # No star of K2 moves farther from its median than this in a good cadence, in pixels.
 _FARTHEST = 4.0
 _CADENCES = 1000
+DETECTORS = {"paper": Detector.k2, "calibrated": Detector.k2_calibrated}
 
 
 def draw_star(
@@ -82,3 +84,12 @@ def stamp_around(motion, margin=5):
         sizes.append(high - low + 2 * margin + 1)
         origins.append(margin - low)
     return tuple(sizes), origins[1], origins[0]
+
+
+def observe_star(study, task, motion, *, detector="paper", margin=5, signal=None):
+    """Return the pixels of a star, which is drawn by the key of its task, and moves on a stamp."""
+    shape, x_0, y_0 = stamp_around(motion, margin)
+    detector, key = DETECTORS[detector](shape=shape), task["key"]
+    place = {"x_0": x_0, "y_0": y_0, "signal": signal}
+    star = draw_star(star_rng(study.seed, key), task["mag"], detector, **place)
+    return simulate(star, detector, motion, seed=star_seed(study.seed, key, "noise"))

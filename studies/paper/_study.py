@@ -21,7 +21,8 @@ def run(name, parameters, tasks, measure, summarize, draw, units, argv=None):
     """Run a study with the parameters of the command line, and print where its results are.
 
     `parameters` is a dataclass; all functions get it first; `tasks` returns the stars, `measure` a
-    row of one, `summarize` the summary of the table, and `draw` the figure of table and summary.
+    row of one, `summarize` the summary of the table, and `draw` the figure of table and summary;
+    the last two may be None.
     """
     warnings.filterwarnings("ignore", ".*tpfmodel submodule is not available", UserWarning)
     parser = argparse.ArgumentParser(prog=f"{Path(sys.argv[0]).name}", description=f"Study {name}.")
@@ -46,8 +47,8 @@ def run(name, parameters, tasks, measure, summarize, draw, units, argv=None):
         texts = itertools.chain(*(v if isinstance(v, tuple) else [v] for v in values.values()))
         result = run_sweep(
             partial(measure, study), tasks(study), given.directory, client_of(given), name=name,
-            config=study, units=units, summarize=partial(summarize, study),
-            draw=partial(draw, study), progress=sys.stderr.isatty(),
+            config=study, units=units, summarize=summarize and partial(summarize, study),
+            draw=draw and partial(draw, study), progress=sys.stderr.isatty(),
             inputs=[text for text in texts if isinstance(text, str) and Path(text).is_file()],
         )  # fmt: skip
     except (OSError, SweepError, TypeError, ValueError) as error:
@@ -59,33 +60,45 @@ def run(name, parameters, tasks, measure, summarize, draw, units, argv=None):
 
 
 def grid(key, **columns):
-    """Return a task for each cell, from the outermost column to the innermost.
+    """Return the function of parameters that returns a task per cell, the first column outermost.
 
-    The key is a format string, whose columns the tasks have in its order; an integer stands for as
-    many numbers from 0.
+    The key is a format string, whose columns the tasks have in its order. Each column is named
+    after the parameter that holds its values; an integer stands for as many numbers from 0.
     """
-    columns = {k: range(v) if isinstance(v, int) else v for k, v in columns.items()}
     names = [name for _, name, *_ in string.Formatter().parse(key) if name]
-    rows = (dict(zip(columns, row, strict=True)) for row in itertools.product(*columns.values()))
-    return [{"key": key.format(**row)} | {name: row[name] for name in names} for row in rows]
+
+    def tasks(study):
+        values = [getattr(study, name) for name in columns.values()]
+        values = [range(v) if isinstance(v, int) else v for v in values]
+        found = []
+        for row in itertools.product(*values):
+            task = dict(zip(columns, row, strict=True))
+            text = key.format(**task).lower().replace(" ", "-")
+            found.append({"key": text} | {name: task[name] for name in names})
+        return found
+
+    return tasks
 
 
 def cells(table, names):
     """Yield each combination of values of columns that there is, sorted, with its rows."""
-    found = {}
-    for number, cell in enumerate(zip(*(table[name] for name in names), strict=True)):
-        found.setdefault(cell, []).append(number)
-    for cell in sorted(found):
-        yield dict(zip(names, cell, strict=True)), table[found[cell]]
+    for part in table.group_by(list(names)).groups:
+        yield {name: part[name][0] for name in names}, part
 
 
-def medians(table, cell, columns, more=()):
-    """Return a table of the medians of columns in each cell, with units; rows may be added."""
+def medians(table, cell, columns, spread=()):
+    """Return a table of the medians of columns in each cell, with units.
+
+    Columns of `spread` have the 16th and 84th percentiles beside them, "_low" and "_high".
+    """
     rows = []
-    for values, part in cells(table, cell):
-        middle = {name: percentiles(values_of(part, name))[1] for name in columns}
-        rows.append(values | {"stars": len(part)} | middle)
-    summary = Table([*rows, *more])
+    for row, part in cells(table, cell):
+        rows.append(row | {"stars": len(part)})
+        for name in columns:
+            low, rows[-1][name], high = percentiles(values_of(part, name))
+            if name in spread:
+                rows[-1] |= {f"{name}_low": low, f"{name}_high": high}
+    summary = Table(rows)
     for name in columns:
         summary[name].unit = table[name].unit
     return summary
@@ -102,11 +115,3 @@ def percentiles(values):
 def largest(claims):
     """Return the largest of the values over their limit of each claim, at most 1 where it holds."""
     return {"claims": {name: float(np.max(values, initial=0)) for name, values in claims.items()}}
-
-
-def on_grid(summary, rows, columns, name):
-    """Return a column as a map over two others, each given by its name and its values."""
-    values = np.full((len(rows[1]), len(columns[1])), np.nan)
-    for row in summary:
-        values[rows[1].index(row[rows[0]]), columns[1].index(row[columns[0]])] = row[name]
-    return values

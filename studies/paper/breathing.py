@@ -13,7 +13,7 @@ import numpy as np
 from _correctors import METHODS, SURVIVALS, UNITS, corrected_noise
 from _figures import plot_maps
 from _stars import motion_from_name
-from _study import grid, largest, medians, on_grid, run
+from _study import grid, largest, medians, run
 
 from scope_models import Detector, Star, simulate
 from scope_models.batch import star_rng, star_seed
@@ -35,12 +35,9 @@ class BreathingPSF:
     cadences: int = 1000
 
 
-def tasks(study):
-    """Return one task per star."""
-    return grid(
-        "a{amplitude:g}-p{period:g}-{index}", index=study.stars, amplitude=study.amplitudes,
-        period=study.periods,
-    )  # fmt: skip
+tasks = grid(
+    "a{amplitude:g}-p{period:g}-{index}", index="stars", amplitude="amplitudes", period="periods"
+)
 
 
 def measure(study, task):
@@ -63,31 +60,27 @@ def summarize(_, table):
         summary[f"{name}_ratio"] = np.round(summary[f"{name}_full"] / summary[floor], 3)
     real = summary[summary["amplitude"] <= 0.01]
     slow, strong = real[real["period"] >= 1], summary[summary["amplitude"] >= 0.01]
-    summary.meta |= largest(
-        {
-            "to 1 % PLD is within 1.5 times the noise of the light at all periods": (
-                real["pld_ratio"] / 1.5
-            ),
-            "to 1 % and from a day on PLD is within 2 times the noise": slow["pld_ratio"] / 2,
-            "from 1 % on a wider aperture alone halves the noise": (
-                2 * np.array(strong["wide_full"] / strong["aperture_full"])
-            ),
-            "no aperture alone is within 2 times the noise": (
-                2 / np.fmin(np.array(summary["aperture_ratio"]), np.array(summary["wide_ratio"]))
-            ),
-        }
-    )
+    summary.meta |= largest({
+        "to 1 % PLD is within 1.5 times the noise of the light at all periods": (
+            real["pld_ratio"] / 1.5
+        ),
+        "to 1 % and from a day on PLD is within 2 times the noise": slow["pld_ratio"] / 2,
+        "from 1 % on a wider aperture alone halves the noise": (
+            2 * strong["wide_full"] / strong["aperture_full"]
+        ),
+        "no aperture alone is within 2 times the noise": (
+            2 / np.fmin(summary["aperture_ratio"], summary["wide_ratio"])
+        ),
+    })  # fmt: skip
     return summary
 
 
-def draw(study, _, summary):
+def draw(_, __, summary):
     """Draw maps of the noise that is left, over amplitude and period."""
-    rows, columns = sorted(study.amplitudes), sorted(study.periods)
-    axes = ("amplitude", rows), ("period", columns)
-    maps = {label: on_grid(summary, *axes, f"{name}_ratio") for name, label in METHODS.items()}
     return plot_maps(
-        maps, [100 * value for value in rows], columns, row_label="Amplitude of the width (%)",
-        column_label="Period (d)", label="Noise / noise of the light alone", text=".3g",
+        summary, {label: f"{name}_ratio" for name, label in METHODS.items()},
+        ("amplitude", "Amplitude of the width"), ("period", "Period (d)"),
+        label="Noise / noise of the light alone", text=".3g",
     )  # fmt: skip
 
 

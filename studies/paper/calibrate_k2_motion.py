@@ -10,9 +10,9 @@ unsaturated stars at Kp 12 to 14.5 are the pixels in which the star has more tha
 e-/s, F being its flux and F_14 that at Kp 14. Five percentiles of both groups are fitted together.
 
 The cost is the sum of the squared logarithms of the ratios over their errors: that of the reference
-by its number of stars, and 10 % for what the model lacks. Errors of the fit come from resampling.
-Writes k2_calibration.ecsv: for each wings, a_2 and standard deviation of b the lowest cost over T
-and g. Takes about 10 minutes on one core.
+by its number of stars, and 10 % for what the model lacks. Writes k2_calibration.ecsv: for each
+wings, a_2 and standard deviation of b the lowest cost over T and g. Takes about 10 minutes on one
+core.
 """
 
 import argparse
@@ -45,9 +45,11 @@ LAWS = tuple(product((80.0, 100.0, 125.0, 160.0, 200.0), (0.0, 0.25, 0.5, 0.75, 
 WEIGHTS = np.array([0.5, 1.0, 2.0, 1.0, 0.5])
 # Errors of percentiles of a normal distribution, in standard deviations times the root of n.
 SPREAD = np.array([1.71, 1.36, 1.25, 1.36, 1.71])
+# Columns of the table, and their decimals.
+COLUMNS = {"wings": 2, "a_2": 2, "scatter": 4, "threshold": 0, "exponent": 2, "cost": 1,
+           "worst_median": 3}  # fmt: skip
 LOG_SCATTER = 0.85  # of the noise of real stars of one magnitude
 MODEL_ERROR = 0.1
-RESAMPLES = 40
 CHUNK = 30  # stars in memory
 
 
@@ -104,23 +106,18 @@ def at_part(values, law, mag):
     return (low + 1 - place) * values[low] + (place - low) * values[low + 1]
 
 
-def noise_of_bins(systematics, white, law):
-    """Return the noise of all stars for an aperture law: (bins, a_2, scatter, stars)."""
-    parts = np.moveaxis(systematics, 2, 0)
-    laws = [None if kind == "saturated" else law for _, kind in BINS]
-    return np.array([
-        np.hypot(*(np.exp(at_part(v, law, mag)) for v in (parts, own)))
-        for own, law, (mag, _) in zip(white, laws, BINS, strict=True)
-    ])  # fmt: skip
-
-
 def percentiles(systematics, white):
     """Return logarithms of percentiles: (laws, a_2, scatter, bins, percentiles), finely."""
     shape = (len(LAWS), len(FINE_A_2), len(FINE_SCATTER), len(BINS), len(PERCENTILES))
     fine = np.empty(shape, dtype=np.float32)
     wanted = list(PERCENTILES.values())
+    parts = np.moveaxis(systematics, 2, 0)
     for row, law in enumerate(LAWS):
-        noise = noise_of_bins(systematics, white, law)
+        laws = [None if kind == "saturated" else law for _, kind in BINS]
+        noise = np.array([
+            np.hypot(*(np.exp(at_part(v, law, mag)) for v in (parts, own)))
+            for own, law, (mag, _) in zip(white, laws, BINS, strict=True)
+        ])  # fmt: skip
         coarse = np.log(np.percentile(noise, wanted, axis=-1))  # (percentiles, bins, a_2, scatter)
         for name, number in np.ndindex(coarse.shape[:2]):
             spline = RectBivariateSpline(A_2, SCATTER, coarse[name, number], s=0.002)
@@ -135,38 +132,6 @@ def costs(ours, known, error):
     return cost, np.abs(np.expm1(ratio[..., 2])).max(axis=-1)
 
 
-def resampled(systematics, white, known, error, rng):
-    """Return cost, a_2, scatter, T and g of the best fit to resampled stars and reference."""
-    picks = rng.integers(white.shape[-1], size=white.shape[-1])
-    shaken = known + error * rng.standard_normal(known.shape)
-    cost, _ = costs(percentiles(systematics[..., picks], white[..., picks]), shaken, error)
-    row, i, j = np.unravel_index(np.argmin(cost), cost.shape)
-    return cost.min(), FINE_A_2[i], FINE_SCATTER[j], *LAWS[row]
-
-
-def report(wings, noise, known, error, rng):
-    """Print the best fit, and return the rows of the table."""
-    ours = percentiles(*noise)
-    cost, worst = costs(ours, known, error)
-    row, i, j = np.unravel_index(np.argmin(cost), cost.shape)
-    print(f"wings {wings}: cost {cost.min():.1f}, a_2 {FINE_A_2[i]:.2f}, scatter "
-          f"{FINE_SCATTER[j]:.4f}, T {LAWS[row][0]:.0f} e-/s, g {LAWS[row][1]}, medians within "
-          f"{100 * worst[row, i, j]:.0f} %")  # fmt: skip
-    print(f"    percentiles {', '.join(PERCENTILES)} over the reference")
-    for (mag, kind), ratios in zip(BINS, np.exp(ours[row, i, j] - known), strict=True):
-        print(f"    Kp {mag:4.1f} {kind:11s} {ratios.round(2)}", flush=True)
-    fits = np.array([resampled(*noise, known, error, rng) for _ in range(RESAMPLES)])
-    low, middle, high = np.percentile(fits, [16, 50, 84], axis=0)
-    for name, *values in zip(("cost", "a_2", "scatter", "T", "g"), middle, low, high, strict=True):
-        print("    resampled {}: {:.4g} ({:.4g} to {:.4g})".format(name, *values), flush=True)
-    rows = []
-    for i, j in np.ndindex(cost.shape[1:]):
-        row = int(np.argmin(cost[:, i, j]))
-        rows.append((wings, FINE_A_2[i], FINE_SCATTER[j], *LAWS[row], cost[row, i, j],
-                     worst[row, i, j]))  # fmt: skip
-    return rows
-
-
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--stars", type=int, default=300)
@@ -176,17 +141,27 @@ def main():
     parser.add_argument("--output", type=Path, default=Path())
     options = parser.parse_args()
     known, error = reference()
-    rng = np.random.default_rng(options.seed)
-    rows = []
-    names = ("wings", "a_2", "scatter", "threshold", "exponent", "cost", "worst_median")
-    digits = (".2f", ".2f", ".4f", ".0f", ".2f", ".1f", ".3f")
+    table = Table(names=list(COLUMNS))
+    table.meta = {"made by": "studies/paper/calibrate_k2_motion.py", "stars": options.stars,
+                  "cadences": options.cadences, "seed": options.seed}  # fmt: skip
     for wings in options.wings:
-        rows += report(wings, noise_by_part(wings, options), known, error, rng)
-        table = Table(rows=rows, names=names)
-        for name, form in zip(names, digits, strict=True):
-            table[name] = [float(format(value, form)) for value in table[name]]
-        table.meta = {"made by": "studies/paper/calibrate_k2_motion.py", "stars": options.stars,
-                      "cadences": options.cadences, "seed": options.seed}  # fmt: skip
+        ours = percentiles(*noise_by_part(wings, options))
+        cost, worst = costs(ours, known, error)
+        for i, j in np.ndindex(cost.shape[1:]):
+            row = int(np.argmin(cost[:, i, j]))
+            values = (
+                wings,
+                FINE_A_2[i],
+                FINE_SCATTER[j],
+                *LAWS[row],
+                *(each[row, i, j] for each in (cost, worst)),
+            )
+            table.add_row([round(v, n) for v, n in zip(values, COLUMNS.values(), strict=True)])
+        best = np.unravel_index(np.argmin(cost), cost.shape)
+        print(table[table["wings"] == wings][np.argmin(cost.min(axis=0))])
+        print(f"percentiles {', '.join(PERCENTILES)} over the reference")
+        for (mag, kind), ratios in zip(BINS, np.exp(ours[best] - known), strict=True):
+            print(f"    Kp {mag:4.1f} {kind:11s} {ratios.round(2)}", flush=True)
         table.write(options.output / "k2_calibration.ecsv", format="ascii.ecsv", overwrite=True)
 
 

@@ -15,7 +15,7 @@ from functools import partial
 import numpy as np
 from _correctors import amplitude, quiet
 from _figures import plot_maps
-from _study import cells, grid, medians, on_grid, run
+from _study import cells, grid, medians, run
 
 from scope_models import Detector, Motion, Star, TransitModel, simulate
 from scope_models.batch import star_rng, star_seed
@@ -56,12 +56,7 @@ class GroundPLD:
     cadences: int = 360  # exposures of 60 s, 120 in a night
 
 
-def tasks(study):
-    """Return one task per field."""
-    return grid(
-        "flat{flat:g}-drift{drift:g}-{index}", index=study.stars, flat=study.flats,
-        drift=study.drifts,
-    )  # fmt: skip
+tasks = grid("flat{flat:g}-drift{drift:g}-{index}", index="stars", flat="flats", drift="drifts")
 
 
 def observe(study, task, signal=None):
@@ -204,14 +199,12 @@ def summarize(_, table):
     return summary
 
 
-def draw(study, _, summary):
+def draw(_, __, summary):
     """Draw maps of the noise of each method."""
-    rows, columns = sorted(study.flats), sorted(study.drifts)
-    axes = ("flat", rows), ("drift", columns)
-    maps = {label: on_grid(summary, *axes, name) for name, label in METHODS.items()}
     return plot_maps(
-        maps, [100 * value for value in rows], columns, row_label="Response between pixels (%)",
-        column_label="Drift (arcsec/h)", label="Noise in 30 min (ppm)", text=".0f",
+        summary, {label: name for name, label in METHODS.items()},
+        ("flat", "Response between pixels"), ("drift", "Drift (arcsec/h)"),
+        label="Noise in 30 min (ppm)", text=".0f",
     )  # fmt: skip
 
 

@@ -16,12 +16,12 @@ import matplotlib.pyplot as plt
 import numpy as np
 from _figures import plot_cdpp
 from _reference import PERCENTILES, compared, noise_band, read_reference
-from _stars import draw_star, motion_from_name, stamp_around
+from _stars import DETECTORS, draw_star, motion_from_name, stamp_around
 from _study import cells, grid, run
 from astropy.table import Table
 from no_motion import noise_parts
 
-from scope_models import Detector, simulate
+from scope_models import simulate
 from scope_models.batch import star_rng, star_seed
 from scope_models.photometry import cdpp
 from scope_models.plotting._style import styled
@@ -29,7 +29,6 @@ from scope_models.plotting._style import styled
 NAME = "k2-motion"
 CONTRIBUTIONS = ("white", "losses", "intrapixel", "systematics")
 UNITS = dict.fromkeys(("cdpp", "cdpp_lightkurve", *CONTRIBUTIONS), "ppm")
-DETECTORS = {"paper": Detector.k2, "calibrated": Detector.k2_calibrated}
 EDGE = 6.94  # largest distance from the boresight in degrees, 6278 px (arXiv:1512.06162)
 CAMPAIGN = 3380  # cadences of campaign 3, and what is generated at most
 MARGIN = 7
@@ -47,7 +46,7 @@ class K2MotionNoise:
     stars: int = 60  # per magnitude and detector, all over the field; the same are in all bins
     cadences: int = 1000  # at a random time of the campaign, which has 3380
     shift: float = 0.5  # px from the middle of a pixel; the paper has 0.2
-    threshold: float = 140.0  # T in e-/s, fitted; 0 takes the aperture of highest signal-to-noise
+    threshold: float = 140.0  # T in e-/s, fitted
     exponent: float = 0.5  # g, fitted
     saturated_part: float = 1e-4  # part of a saturated star's flux that a pixel of its aperture has
 
@@ -67,10 +66,7 @@ def field_motion(number, cadences, *, place, rng):
     return type(motion).from_arrays(motion.time, x, y, time_format=motion.time_format)
 
 
-def tasks(study):
-    """Return one task per star."""
-    return grid("{detector}-kp{mag:g}-{index}", detector=study.detectors, mag=study.magnitudes,
-                index=study.stars)  # fmt: skip
+tasks = grid("{detector}-kp{mag:g}-{index}", detector="detectors", mag="magnitudes", index="stars")
 
 
 def observe(study, task):
@@ -115,8 +111,6 @@ def measure(study, task):
 
 def choose_aperture(study, observation, image, *, saturated=False):
     """Return the pixels of the light curve, by the mean image on pixels that respond alike."""
-    if study.threshold == 0:
-        return observation.aperture
     flux = observation.truth.flux[0]
     threshold = study.saturated_part * flux
     if not saturated:
@@ -128,17 +122,14 @@ def choose_aperture(study, observation, image, *, saturated=False):
 def summarize(study, table):
     """Return our noise beside that of campaign 3, saturated stars included, as they are in ours.
 
-    Per detector and magnitude: percentiles with errors by resampling, the ratios, and medians of
-    the contributions.
+    Per detector and magnitude: percentiles with errors by resampling, ratios, and medians.
     """
     reference, rows = read_reference("k2_c03_raw", "all"), []
     for cell, stars in cells(table, ("detector", "mag")):
-        row = {"detector": cell["detector"], "motion": "field", "mag": cell["mag"]}
-        row["stars"] = len(stars)
+        row = cell | {"stars": len(stars), "saturated": float(np.mean(stars["saturated"]))}
         row |= compared("noise", stars["cdpp"], reference, cell["mag"], PERCENTILES, known="k2")
-        for name in ("cdpp_lightkurve", *CONTRIBUTIONS, "n_pixels"):
-            row[name] = float(np.median(stars[name]))
-        rows.append(row | {"saturated": float(np.mean(stars["saturated"]))})
+        names = ("cdpp_lightkurve", *CONTRIBUTIONS, "n_pixels")
+        rows.append(row | {name: float(np.median(stars[name])) for name in names})
     return Table(sorted(rows, key=lambda row: study.detectors.index(row["detector"])))
 
 

@@ -14,13 +14,12 @@ import numpy as np
 from _correctors import CONVENTIONS, best_setting, correct, noise_of, transit_amplitude
 from _figures import plot_cdpp_panels
 from _reference import noise_band, read_reference, reference_noise
-from _stars import cached_motion, draw_star, stamp_around
-from _study import cells, grid, percentiles, run
-from astropy.table import Table
+from _stars import cached_motion, observe_star
+from _study import cells, grid, medians, percentiles, run
 
-from scope_models import Detector, TransitModel, simulate
+from scope_models import PLDCorrector, TransitModel, simulate
 from scope_models._arrays import values_of
-from scope_models.batch import star_rng, star_seed
+from scope_models.batch import star_rng
 
 NAME = "motion"
 TITLES = {
@@ -36,8 +35,6 @@ UNITS = dict.fromkeys(
     ),
     "ppm",
 )
-DETECTORS = {"paper": Detector.k2, "calibrated": Detector.k2_calibrated}
-MARGINS = {"paper": 5, "calibrated": 8}  # pixels; the calibrated PSF has wings
 KEPLER = {"kepler_median": "median", "kepler_p10": "p10", "kepler_p90": "p90"}
 PERIOD, DURATION = 3.1, 0.25  # of the transits, days
 #: Multiple of the motion, faintest magnitude, and the limit (ppm) that the paper's text states.
@@ -62,21 +59,14 @@ class MotionTest:
     lightkurve_sff: bool = True  # the best of 5, 10 and 20 windows, with the true positions
 
 
-def tasks(study):
-    """Return one task per star."""
-    return grid(
-        "kp{mag:g}-x{scale:g}-{index}", index=study.stars, scale=study.scales, mag=study.magnitudes
-    )
+tasks = grid("kp{mag:g}-x{scale:g}-{index}", index="stars", scale="scales", mag="magnitudes")
 
 
 def observe(study, task):
     """Return the pixels of a star without transits."""
     motion = task["scale"] * cached_motion(study.motion, study.cadences)
-    shape, x_0, y_0 = stamp_around(motion, MARGINS[study.detector])
-    detector = DETECTORS[study.detector](shape=shape)
-    rng = star_rng(study.seed, task["key"])
-    star = draw_star(rng, task["mag"], detector, x_0=x_0, y_0=y_0)
-    return simulate(star, detector, motion, seed=star_seed(study.seed, task["key"], "noise"))
+    margin = 8 if study.detector == "calibrated" else 5  # its PSF has wings
+    return observe_star(study, task, motion, detector=study.detector, margin=margin)
 
 
 def measure(study, task):
@@ -87,8 +77,6 @@ def measure(study, task):
     see the page on PLD. At `transit_scales` the depths in ppm, of ours with the transits masked and
     jointly fitted, and the part of the depth that each corrector leaves without a mask.
     """
-    from scope_models import PLDCorrector  # imports lightkurve
-
     observation = observe(study, task)
     tpf = observation.to_tpf()
     corrector = PLDCorrector(tpf)
@@ -109,8 +97,6 @@ def measure(study, task):
 
 def depths(study, task, observation, aperture, settings):
     """Return the depths of transits, of which the first one is anywhere within a period."""
-    from scope_models import PLDCorrector
-
     first = star_rng(study.seed, task["key"], "transit").uniform(0, PERIOD)
     planet = TransitModel.from_depth_duration(
         1e-6 * study.transit_depth, DURATION, PERIOD, observation.time[0] + first,
@@ -125,10 +111,10 @@ def depths(study, task, observation, aperture, settings):
     found = {"masked": corrector.fit_transit(transit)}
     corrector.correct(order=study.order, transit_model=transit)
     found["joint"] = corrector.result.transit_scale, corrector.result.transit_scale_err
-    row = {}
-    for name, (depth, error) in found.items():
-        row[f"depth_{name}"] = depth * study.transit_depth
-        row[f"depth_{name}_error"] = error * study.transit_depth
+    row = {
+        f"depth_{name}{end}": value * study.transit_depth
+        for name, pair in found.items() for end, value in zip(("", "_error"), pair, strict=True)
+    }  # fmt: skip
     flux = corrector.correct(order=study.order).flux.value
     row["survival_pld"] = transit_amplitude(flux, transit)
     for name, setting in settings.items():
@@ -148,16 +134,19 @@ def summarize(study, table):
     ``meta`` has "transits", how many depths are retrieved and their mean over the true one, and
     "survival", the part of a transit's depth that is left.
     """
-    summary = Table([middle(cell, rows) for cell, rows in cells(table, ("scale", "mag"))])
+    columns = [name for name in table.colnames if name not in {"key", "index", "scale", "mag"}]
+    everest = [f"{name}_everest" for name in TITLES]
+    summary = medians(table, ("scale", "mag"), columns, everest)
     for name, column in KEPLER.items():
         summary[name] = np.round(reference_noise("kepler", np.array(summary["mag"]), column), 2)
-    summary["over_kepler"] = summary["pld_everest"] / summary["kepler_median"]
+    noise = np.array(summary["pld_everest"])
+    summary["over_kepler"] = noise / summary["kepler_median"]
     limits = [
         [ppm for multiple, faintest, ppm in LIMITS if multiple == scale and mag <= faintest]
         for scale, mag in summary.iterrows("scale", "mag")
     ]
     limits = np.array([min(each, default=np.nan) for each in limits])
-    summary["below_paper"] = limits / summary["pld_everest"]
+    summary["below_paper"] = limits / noise
     summary.meta["transits"] = {
         how: retrieved(*(values_of(table, f"depth_{how}{end}") for end in ("", "_error")), study)
         for how in ("masked", "joint")
@@ -172,17 +161,6 @@ def summarize(study, table):
         if name.removesuffix("_low").removesuffix("_high") in (*UNITS, *KEPLER):
             summary[name].unit = "ppm"
     return summary
-
-
-def middle(cell, rows):
-    """Return the medians of all columns of the stars of a cell, and some percentiles."""
-    cell = {name: float(value) for name, value in cell.items()} | {"stars": len(rows)}
-    for name in rows.colnames:
-        if name not in {"key", "index", "scale", "mag", "stars"}:
-            low, cell[name], high = percentiles(values_of(rows, name))
-            if name in [f"{corrector}_everest" for corrector in TITLES]:
-                cell[f"{name}_low"], cell[f"{name}_high"] = low, high
-    return cell
 
 
 def retrieved(depth, error, study):
@@ -203,36 +181,27 @@ def retrieved(depth, error, study):
     }
 
 
-def by_scale(summary):
-    """Return the rows of each multiple of the motion, as "5x"."""
-    scales = sorted(set(summary["scale"]))
-    return {f"{scale:g}x": summary[summary["scale"] == scale] for scale in scales}
-
-
 def draw(_, __, summary):
     """Draw CDPP against magnitude: a panel per corrector, a curve per motion."""
-    parts = by_scale(summary)
-    panels = {}
-    for name, title in TITLES.items():
-        if f"{name}_everest" not in summary.colnames:
-            continue
-        columns = ["mag", *(f"{name}_everest{end}" for end in ("", "_low", "_high"))]
-        panels[title] = {
-            scale: [np.array(part[k]) for k in columns] for scale, part in parts.items()
-        }
+    parts = {f"{cell['scale']:g}x": part for cell, part in cells(summary, ("scale",))}
+
+    def curves(*columns):
+        return {scale: [np.array(part[k]) for k in columns] for scale, part in parts.items()}
+
+    panels = {
+        title: curves("mag", *(f"{name}_everest{end}" for end in ("", "_low", "_high")))
+        for name, title in TITLES.items() if f"{name}_everest" in summary.colnames
+    }  # fmt: skip
     mags = np.array(read_reference("kepler")["mag"])  # also beside the stars, if they are few
     mags = mags[(mags >= min(summary["mag"]) - 0.5) & (mags <= max(summary["mag"]) + 0.5)]
     limits = [
-        (faintest, ppm, f"paper, {scale}x")
-        for scale, faintest, ppm in LIMITS
+        (faintest, ppm, f"paper, {scale}x") for scale, faintest, ppm in LIMITS
         if f"{scale}x" in parts
-    ]
-    residuals = {
-        scale: (np.array(part["mag"]), np.array(part["residual_everest"]))
-        for scale, part in parts.items()
-    }
-    kepler = noise_band("kepler", "Kepler", mags)
-    axes = plot_cdpp_panels(panels, kepler, limits=limits, residuals=residuals)
+    ]  # fmt: skip
+    axes = plot_cdpp_panels(
+        panels, noise_band("kepler", "Kepler", mags), limits=limits,
+        residuals=curves("mag", "residual_everest"),
+    )  # fmt: skip
     axes["Residual over noise"].set_title(f"{TITLES['pld']}, residual over noise")
     return axes[TITLES["pld"]].figure
 

@@ -30,10 +30,9 @@ from scope_models.photometry import cdpp
 from scope_models.plotting._style import styled
 
 NAME = "no-motion"
-UNITS = {"kp": "mag"} | dict.fromkeys(
-    ("detector_cdpp", "detector_cdpp_lightkurve", "cdpp", "cdpp_lightkurve", "photon",
-     "background", "read", "variability"), "ppm",
-)  # fmt: skip
+NOISE = "detector_cdpp", "detector_cdpp_lightkurve", "cdpp", "cdpp_lightkurve", "variability"
+PARTS = "photon", "background", "read"
+UNITS = {"kp": "mag"} | dict.fromkeys((*NOISE, *PARTS), "ppm")
 WIDTH = 13  # cadences in the 6.5 hours of a CDPP
 BRIGHT = 11.5  # magnitude at which `giant_fraction` holds
 # Steps of an evenly spaced sequence in two dimensions: inverse powers of the plastic number.
@@ -58,9 +57,7 @@ class NoMotion:
     giant_decline: float = 0.28  # per magnitude
 
 
-def tasks(study):
-    """Return one task per star."""
-    return grid("kp{mag:g}-{index}", mag=study.magnitudes, index=study.stars)
+tasks = grid("kp{mag:g}-{index}", mag="magnitudes", index="stars")
 
 
 def even(study, task):
@@ -77,15 +74,14 @@ def quiet_star(study, task):
     return draw_star(star_rng(study.seed, task["key"]), mag, Detector.kepler(), signal=signal)
 
 
-def variability(study, task, mag):
-    """Return the CDPP of a star's variability in ppm, and whether the star is a giant."""
-    fraction = min(study.giant_fraction * np.exp(-study.giant_decline * (mag - BRIGHT)), 1.0)
-    place = even(study, task)[1]
-    if place < fraction:
-        deviate = ndtri(place / fraction)
-        return float(study.giant_cdpp * np.exp(study.giant_scatter * deviate)), True
-    deviate = ndtri((place - fraction) / (1.0 - fraction))
-    return float(study.dwarf_cdpp * np.exp(study.dwarf_scatter * deviate)), False
+def variability(study, mag, place):
+    """Return the CDPP of stars' variability in ppm, and whether they are giants; 0 < place < 1."""
+    part = study.giant_fraction * np.exp(-study.giant_decline * (mag - BRIGHT))
+    part = np.clip(part, 1e-9, 1 - 1e-9)
+    giant = place < part
+    deviate = ndtri(np.where(giant, place / part, (place - part) / (1.0 - part)).clip(1e-9))
+    giants = study.giant_cdpp * np.exp(study.giant_scatter * deviate)
+    return np.where(giant, giants, study.dwarf_cdpp * np.exp(study.dwarf_scatter * deviate)), giant
 
 
 def measure(study, task):
@@ -95,7 +91,7 @@ def measure(study, task):
     background and read noise; and what was drawn.
     """
     motion, still = Motion.still(study.cadences), quiet_star(study, task)
-    level, giant = variability(study, task, still.mag)
+    level, giant = (v.item() for v in variability(study, still.mag, even(study, task)[1]))
     red = stochastic_signal(motion.time, level, seed=star_rng(study.seed, task["key"], "red"))
     star = still.replace(signal=still.signal * red(motion.time))
     seed = star_seed(study.seed, task["key"], "pixels")
@@ -119,13 +115,10 @@ def noise_parts(observation, aperture):
     exposure = detector.exposure_time
     electrons = float(np.median(observation.flux[:, aperture].sum(axis=1, dtype=float))) * exposure
     pixels = aperture.sum()
-    variances = {
-        "photon": electrons,
-        "background": pixels * detector.background * exposure,
-        "read": pixels * detector.cadence_read_noise**2,
-    }
-    scale = 1e6 / electrons / WIDTH**0.5
-    return {name: float(scale * np.sqrt(value)) for name, value in variances.items()}
+    sky, reads = detector.background * exposure, detector.cadence_read_noise**2
+    variances = np.array([electrons, pixels * sky, pixels * reads])
+    noise = 1e6 / electrons / WIDTH**0.5 * np.sqrt(variances)
+    return dict(zip(PARTS, noise.tolist(), strict=True))
 
 
 def summarize(_, table):
@@ -139,9 +132,7 @@ def summarize(_, table):
         mag, row = cell["mag"], cell | {"stars": len(stars)}
         row |= compared("detector", stars["detector_cdpp"], reference, mag, ("p10", "median"))
         row |= compared("star", stars["cdpp"], reference, mag, PERCENTILES)
-        for name in ("photon", "background", "read", "n_pixels"):
-            row[name] = float(np.median(stars[name]))
-        rows.append(row)
+        rows.append(row | {name: float(np.median(stars[name])) for name in (*PARTS, "n_pixels")})
     return Table(rows=rows)
 
 

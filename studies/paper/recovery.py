@@ -18,23 +18,20 @@ import numpy as np
 from _correctors import transit_amplitude
 from _figures import plot_map
 from _search import fit_shape, flattened, isolated, search_light_curve
-from _stars import cached_motion, draw_star, stamp_around
-from _study import cells, grid, on_grid, percentiles, run
+from _stars import cached_motion, observe_star
+from _study import cells, grid, medians, percentiles, run
 from astropy.stats import mad_std
-from astropy.table import Table
 
-from scope_models import Detector, TransitModel, simulate
+from scope_models import Detector, PLDCorrector, TransitModel
 from scope_models._arrays import values_of
-from scope_models.batch import star_rng, star_seed
+from scope_models.batch import star_rng
 from scope_models.plotting._style import styled
 
 NAME = "recovery"
-UNITS = dict.fromkeys(
-    ("period", "duration", "found_period", "found_duration", "found_duration_error"), "d"
-) | dict.fromkeys(
-    ("depth", "found_depth", "found_depth_error", "joint_depth", "joint_depth_error",
-     "white_noise"), "ppm",
-)  # fmt: skip
+DAYS = ("period", "duration", "found_period", "found_duration", "found_duration_error")
+DEPTHS = ("depth", "found_depth", "found_depth_error", "joint_depth", "joint_depth_error")
+UNITS = dict.fromkeys(DAYS, "d") | dict.fromkeys((*DEPTHS, "white_noise"), "ppm")
+EXPOSURE = Detector.k2().cadence_days
 MASK_WIDTHS = 0.75  # of a found transit, in its durations on either side of the middle
 
 
@@ -56,15 +53,13 @@ class Recovery:
     threshold: float = 7.1  # signal-to-noise ratio of a detection
 
 
-def tasks(study):
-    """Return one task per star."""
-    return grid(
-        "kp{mag:g}-x{scale:g}-d{depth:g}-{index}", index=study.stars, scale=study.scales,
-        depth=study.depths, mag=study.magnitudes,
-    )  # fmt: skip
+tasks = grid(
+    "kp{mag:g}-x{scale:g}-d{depth:g}-{index}",
+    index="stars", scale="scales", depth="depths", mag="magnitudes",
+)  # fmt: skip
 
 
-def make_planet(study, task, time, exposure_time):
+def make_planet(study, task, time):
     """Return the transits of a star, and their duration; two of them at least are there."""
     rng = star_rng(study.seed, task["key"], "planet")
     period = float(np.exp(rng.uniform(*np.log(study.periods))))
@@ -75,23 +70,15 @@ def make_planet(study, task, time, exposure_time):
             f"`periods` must be at most half the time span of {np.ptp(time):.1f} d, so that two "
             f"transits are seen, got {study.periods[1]:g} d"
         )
-    model = TransitModel.from_depth_duration(
-        1e-6 * task["depth"], duration, period, t0, exposure_time=exposure_time
-    )
-    return model, duration
+    orbit = 1e-6 * task["depth"], duration, period, t0
+    return TransitModel.from_depth_duration(*orbit, exposure_time=EXPOSURE), duration
 
 
 def observe(study, task):
     """Return the pixels of a star with its planet."""
     motion = task["scale"] * cached_motion(study.motion, study.cadences)
-    shape, x_0, y_0 = stamp_around(motion)
-    detector = Detector.k2(shape=shape)
-    signal = None
-    if task["depth"]:
-        signal = make_planet(study, task, motion.time, detector.cadence_days)[0]
-    rng = star_rng(study.seed, task["key"])
-    star = draw_star(rng, task["mag"], detector, x_0=x_0, y_0=y_0, signal=signal)
-    return simulate(star, detector, motion, seed=star_seed(study.seed, task["key"], "noise"))
+    signal = make_planet(study, task, motion.time)[0] if task["depth"] else None
+    return observe_star(study, task, motion, signal=signal)
 
 
 def measure(study, task):
@@ -104,8 +91,6 @@ def measure(study, task):
     first de-trending leaves; and "joint_depth", fitted together with the systematics by the true
     shape. Of a recovered one "found_depth" and "found_duration", by the shape that was found.
     """
-    from scope_models import PLDCorrector  # imports lightkurve
-
     observation = observe(study, task)
     corrector = PLDCorrector(observation.to_tpf())
     lc = corrector.correct(order=study.order)
@@ -119,26 +104,23 @@ def measure(study, task):
     }  # fmt: skip
     if not task["depth"]:
         return row
-    exposure = observation.detector.cadence_days
-    planet, duration = make_planet(study, task, observation.time, exposure)
-    drop = 1e6 * (1 - planet(time))
-    matches = found.matches(planet.period.value, planet.t0.value, duration, np.ptp(time))
+    planet, duration = make_planet(study, task, observation.time)
+    drop, period = 1e6 * (1 - planet(time)), planet.period.value
+    matches = found.matches(period, planet.t0.value, duration, np.ptp(time))
     row |= {
-        "period": planet.period.value,
-        "duration": duration,
+        "period": period, "duration": duration, "recovered": row["detected"] and matches,
         "expected_snr": np.sqrt(np.sum(drop**2)) / row["white_noise"],
         "survival": transit_amplitude(flux, planet(time)),
-        "recovered": row["detected"] and matches,
-    }
+    }  # fmt: skip
     if row["recovered"]:
-        row |= found_shape(study, corrector, found, exposure)
+        row |= found_shape(study, corrector, found)
     corrector.correct(order=study.order, transit_model=planet)
-    row["joint_depth"] = task["depth"] * corrector.result.transit_scale
-    row["joint_depth_error"] = task["depth"] * corrector.result.transit_scale_err
-    return row
+    result = corrector.result
+    scales = {"joint_depth": result.transit_scale, "joint_depth_error": result.transit_scale_err}
+    return row | {name: task["depth"] * scale for name, scale in scales.items()}
 
 
-def found_shape(study, corrector, found, exposure_time):
+def found_shape(study, corrector, found):
     """Return depth and duration of what was found, masked in a second de-trending."""
     mask = found.in_transit(corrector.original_lc.time.value, MASK_WIDTHS)
     lc = corrector.correct(order=study.order, transit_mask=mask)
@@ -147,89 +129,42 @@ def found_shape(study, corrector, found, exposure_time):
     flux = flattened(time, flux, mask[good])
     error = mad_std(flux[~mask[good]])
     keep = ~isolated(flux)
-    model, *duration = fit_shape(time[keep], flux[keep], error, found, exposure_time)
-    scale, scale_error = corrector.fit_transit(model)
-    depth = 1e6 * model.depth
+    model, duration, error = fit_shape(time[keep], flux[keep], error, found, EXPOSURE)
+    depth, depth_error = 1e6 * model.depth * np.array(corrector.fit_transit(model))
     return {
-        "found_depth": depth * scale,
-        "found_depth_error": depth * scale_error,
-        "found_duration": duration[0],
-        "found_duration_error": duration[1],
-    }
+        "found_depth": depth, "found_depth_error": depth_error,
+        "found_duration": duration, "found_duration_error": error,
+    }  # fmt: skip
 
 
 def summarize(study, table):
-    """Return completeness and errors per motion, magnitude and depth.
+    """Return completeness and ratios per motion, magnitude and depth.
 
     "completeness" is the fraction of the stars that is recovered, "expected" that whose transits
-    would be above the threshold in the least white noise; medians of both signal-to-noise ratios
-    and of the survival; the median of found over true depth and duration of those that are
-    recovered, with half the range from the 16th to the 84th percentile; and of all the median of
-    the jointly fitted over the true depth, and of its pull. In ``meta``: "false_alarms",
-    "half_complete", the depth (ppm) of 50 % completeness, and "by_motion", the statistics of all
-    planets of a motion.
+    would be above the threshold in the least white noise; the others are medians: both
+    signal-to-noise ratios, the survival, and depths and durations over the true ones. In ``meta``:
+    "false_alarms", and "by_motion", the statistics of all planets of a motion.
     """
-    names = ("scale", "mag", "depth")
-    found = list(cells(table, names))
-    rows = [cell | cell_of(study, part) for cell, part in found if cell["depth"] > 0]
-    empty = [part["detected"] for cell, part in found if cell["depth"] == 0]
-    summary = Table(rows, names=None if rows else names)
-    summary["depth"].unit = "ppm"
-    alarms, stars = (sum(count(part) for part in empty) for count in (np.sum, len))
-    summary.meta["false_alarms"] = f"{alarms} of {stars} stars without planet"
-    scales = sorted(set(table["scale"]))
-    summary.meta["half_complete"] = {
-        f"{scale:g}x": {
-            f"Kp {mag:g}": half_complete(part["depth"], part["completeness"])
-            for mag in sorted(set(table["mag"]))
-            for part in [summary[(summary["scale"] == scale) & (summary["mag"] == mag)]]
-        }
-        for scale in scales
-    }
+    cell, alone = ("scale", "mag", "depth"), table["detected"][table["depth"] == 0]
     planets = table[table["depth"] > 0]
-    summary.meta["by_motion"] = {
-        f"{scale:g}x": by_motion(planets[planets["scale"] == scale], study.threshold)
-        for scale in scales
+    found = {"depth": "found_depth", "duration": "found_duration", "joint": "joint_depth"}
+    for name, column in found.items():
+        true = values_of(planets, column.partition("_")[2])
+        planets[f"{name}_ratio"] = values_of(planets, column) / true
+    names = ("snr", "expected_snr", "survival", *(f"{name}_ratio" for name in found))
+    summary = medians(planets, cell, names)
+    parts = [part for _, part in cells(planets, cell)]
+    summary["completeness"] = [np.mean(part["recovered"]) for part in parts]
+    summary["expected"] = [np.mean(part["expected_snr"] >= study.threshold) for part in parts]
+    summary["depth"].unit = "ppm"
+    summary.meta = {
+        "false_alarms": f"{np.sum(alone)} of {len(alone)} stars without planet",
+        "by_motion": {
+            f"{cell['scale']:g}x": by_motion(part, study.threshold)
+            for cell, part in cells(planets, ("scale",))
+        },
     }
     return summary
-
-
-def cell_of(study, rows):
-    """Return the statistics of the stars of a cell."""
-    recovered = np.array(rows["recovered"])
-    row = {
-        "stars": len(rows),
-        "completeness": recovered.mean(),
-        "expected": np.mean(values_of(rows, "expected_snr") >= study.threshold),
-    }
-    for name in ("snr", "expected_snr", "survival"):
-        row[name] = np.median(values_of(rows, name))
-    for name in ("depth", "duration"):
-        ratio = (values_of(rows, f"found_{name}") / values_of(rows, name))[recovered]
-        low, row[f"{name}_ratio"], high = percentiles(ratio)
-        row[f"{name}_ratio_scatter"] = 0.5 * (high - low)
-    depth, joint, error = (
-        values_of(rows, name) for name in ("depth", "joint_depth", "joint_depth_error")
-    )
-    row["joint_ratio"] = np.median(joint / depth)
-    row["joint_pull"] = np.median((joint - depth) / error)
-    return row
-
-
-def half_complete(depths, completeness):
-    """Return the depth at which the completeness last rises above one half, in its logarithm.
-
-    0 if it is above everywhere, infinite if it is below at the largest depth.
-    """
-    below = np.flatnonzero(np.asarray(completeness) < 0.5)
-    if len(below) == 0:
-        return 0.0
-    last = int(below[-1])
-    if last == len(depths) - 1:
-        return float("inf")
-    logarithms = np.log(depths[last : last + 2])
-    ends = completeness[last : last + 2]
-    return float(np.round(np.exp(np.interp(0.5, ends, logarithms)), 1))
 
 
 def by_motion(rows, threshold):
@@ -250,45 +185,34 @@ def by_motion(rows, threshold):
         "survival": round(percentiles(values_of(rows, "survival")[clear])[1], 3),
         "snr_ratio": round(percentiles((values_of(rows, "snr") / expected)[clear])[1], 3),
     }  # fmt: skip
-    for found, true, use in (
-        ("found_depth", "depth", recovered),
-        ("joint_depth", "depth", np.ones(len(rows), dtype=bool)),
-        ("found_duration", "duration", recovered),
-    ):
-        value, error, truth = (
-            values_of(rows, name)[use] for name in (found, f"{found}_error", true)
-        )
-        if not len(value):
-            continue
-        weights = (truth / error) ** 2
-        numbers[f"{found}_ratio"] = float(np.round(np.average(value / truth, weights=weights), 4))
-        numbers[f"{found}_ratio_error"] = float(np.round(weights.sum() ** -0.5, 4))
-        numbers[f"{found}_pulls"] = float(np.round(np.std((value - truth) / error), 2))
+    pairs = ("found_depth", "depth"), ("joint_depth", "depth"), ("found_duration", "duration")
+    for found, true in pairs:
+        columns = np.array([values_of(rows, name) for name in (found, f"{found}_error", true)])
+        value, error, truth = columns[:, np.isfinite(columns[0])]
+        if len(value):
+            weights, ratio = (truth / error) ** 2, value / truth
+            numbers[f"{found}_ratio"] = round(float(np.average(ratio, weights=weights)), 4)
+            numbers[f"{found}_ratio_error"] = round(float(weights.sum() ** -0.5), 4)
+            numbers[f"{found}_pulls"] = round(float(np.std((value - truth) / error)), 2)
     return numbers
 
 
 @styled
-def draw(study, _, summary):
+def draw(_, __, summary):
     """Draw maps of completeness and of found over true depth: a row of panels per motion."""
-    mags = sorted({float(mag) for mag in study.magnitudes})
-    depths = sorted({float(depth) for depth in study.depths if depth > 0})
-    ratios = np.array(summary["depth_ratio"], dtype=float)
-    largest = max(0.1, np.nanmax(np.abs(ratios - 1), initial=0.0))
+    scales, mags, depths = (len(set(summary[name])) for name in ("scale", "mag", "depth"))
+    size = 1.2 + 2 * (2.0 + 0.5 * mags), scales * (1.3 + 0.3 * depths)
+    figure, axes = plt.subplots(scales, 2, figsize=size, squeeze=False, layout="constrained")
+    largest = max(0.1, np.nanmax(np.abs(np.array(summary["depth_ratio"]) - 1), initial=0.0))
     columns = (
-        ("completeness", "Completeness", (0, 1)),
-        ("depth_ratio", "Found / true depth", (1 - largest, 1 + largest)),
+        ("completeness", "Completeness", plt.Normalize(0, 1)),
+        ("depth_ratio", "Found / true depth", plt.Normalize(1 - largest, 1 + largest)),
     )
-    size = 1.2 + 2 * (2.0 + 0.5 * len(mags)), len(study.scales) * (1.3 + 0.3 * len(depths))
-    figure, axes = plt.subplots(
-        len(study.scales), 2, figsize=size, squeeze=False, layout="constrained"
-    )
-    for row, scale in zip(axes, sorted(study.scales), strict=True):
-        part = summary[summary["scale"] == scale]
-        for ax, (name, label, span) in zip(row, columns, strict=True):
+    for row, (cell, part) in zip(axes, cells(summary, ("scale",)), strict=True):
+        for ax, (name, label, norm) in zip(row, columns, strict=True):
             plot_map(
-                on_grid(part, ("depth", depths), ("mag", mags), name), depths, mags,
-                row_label="Depth (ppm)", column_label="Kp (mag)", label=label, span=span,
-                title=f"{scale:g}x motion", ax=ax,
+                part, name, ("depth", "Depth (ppm)"), ("mag", "Kp (mag)"), label=label, norm=norm,
+                title=f"{cell['scale']:g}x motion", ax=ax,
             )  # fmt: skip
     return figure
 

@@ -54,12 +54,9 @@ def tess_noise(mag, pixels, hours=1.0, *, floor=60.0):
     return np.sqrt(1e12 * light + floor**2 / hours)
 
 
-def tasks(study):
-    """Return one task per star."""
-    return grid(
-        "t{mag:g}-n{neighbors}-{index}", index=study.stars, neighbors=study.neighbors,
-        mag=study.magnitudes,
-    )  # fmt: skip
+tasks = grid(
+    "t{mag:g}-n{neighbors}-{index}", index="stars", neighbors="neighbors", mag="magnitudes"
+)
 
 
 def measure(study, task):
@@ -93,20 +90,18 @@ def summarize(_, table):
     summary["model"].unit = "ppm"
     alone = summary[summary["neighbors"] == 0]
     bright, faint = alone[alone["mag"] <= 9], alone[alone["mag"] >= 13]
-    summary.meta |= largest(
-        {
-            "apertures of stars without neighbors are below the noise model with its 60 ppm": (
-                alone["aperture"] / alone["model"]
-            ),
-            "PLD is within 30 % of the noise of the light without neighbors": (
-                np.array(alone["pld"]) / np.array(alone["floor"]) / 1.3
-            ),
-            "to T 9 a wider aperture is less noisy without a filter": (
-                bright["wide_full"] / bright["aperture_full"]
-            ),
-            "from T 13 on a wider aperture is noisier": faint["aperture"] / faint["wide"],
-        }
-    )
+    summary.meta |= largest({
+        "apertures of stars without neighbors are below the noise model with its 60 ppm": (
+            alone["aperture"] / alone["model"]
+        ),
+        "PLD is within 30 % of the noise of the light without neighbors": (
+            alone["pld"] / alone["floor"] / 1.3
+        ),
+        "to T 9 a wider aperture is less noisy without a filter": (
+            bright["wide_full"] / bright["aperture_full"]
+        ),
+        "from T 13 on a wider aperture is noisier": faint["aperture"] / faint["wide"],
+    })  # fmt: skip
     return summary
 
 

@@ -134,12 +134,6 @@ def test_summary_and_figure(quick):
     assert figure.axes[0].get_ylabel() == "6.5-h CDPP (ppm)"
 
 
-def test_other_apertures():
-    tight = K2MotionNoise(magnitudes=(13.0,), stars=1, cadences=200, threshold=0.0)
-    task = tasks(tight)[0]
-    assert measure(tight, task)["n_pixels"] == observe(tight, task).aperture.sum()
-
-
 def test_calibrated_detector():
     detector, paper = Detector.k2_calibrated(), Detector.k2()
     assert detector.psf.parameters == pytest.approx(winged_psf(0.2).parameters, abs=1e-3)

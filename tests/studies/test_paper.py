@@ -10,6 +10,7 @@ import subprocess
 import sys
 from dataclasses import asdict
 from functools import partial
+from types import SimpleNamespace
 
 import _study
 import numpy as np
@@ -40,6 +41,8 @@ SMALL = {
     "ground": ("--flats 0.002 0.01 --drifts 0.03 --stars 1 --cadences 60", "floor"),
     "last_campaigns": ("--magnitudes 12 14 --parts", "kept"),
 }  # fmt: skip
+#: The paper's row of 1x motion in pixels: EPIC 205998445, campaign 3, 1000 cadences.
+PAPER_PIXELS = {"mean": 0.17, "std": 0.12, "maximum": 0.59}
 STORED = ("tess", "breathing", "last_campaigns")
 
 
@@ -59,14 +62,17 @@ def test_two_stars(name, tmp_path, capsys):
     result = study.main([*arguments, "--directory", str(tmp_path / "run")])
     assert len(result.table) == 2
     assert np.all(np.asarray(result.table[column]) > 0)
-    assert 1 <= len(result.summary) <= 2
-    names = ["results.ecsv", "summary.ecsv", "figure.png"]
-    assert [path.name for path in result.files] == names
-    assert imread(result.files[2]).std() > 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[0] == f"{study.NAME}: 2 stars, 0 failed"
-    if name == "table1":  # the same call goes on from what is there
+    names = ["results.ecsv", "summary.ecsv", "figure.png"]
+    if name == "table1":
+        del names[1:]
+        # The same call goes on from what is there.
         assert study.main([*arguments, "--directory", str(tmp_path / "run")]).n_computed == 0
+    else:
+        assert 1 <= len(result.summary) <= 2
+        assert imread(result.files[2]).std() > 0
+    assert [path.name for path in result.files] == names
 
 
 @pytest.mark.slow
@@ -98,7 +104,7 @@ def test_commands_of_the_pages(repository, monkeypatch, tmp_path):
     assert set(SMALL) <= {name for name, _ in commands}
     for name, arguments in commands:
         study = importlib.import_module(name)
-        if hasattr(study, "summarize"):
+        if isinstance(study.main, partial):
             with pytest.raises(StopIteration, match="the arguments are accepted"):
                 study.main(shlex.split(arguments.replace("\\\n", " ")))
 
@@ -133,7 +139,8 @@ def test_another_configuration_is_refused(tmp_path, capsys):
 
 
 def test_tasks_are_the_cells_of_the_grid():
-    tasks = grid("kp{mag:g}-{kind}-{index}", index=2, mag=(12, 13.5), kind=("b",))
+    study = SimpleNamespace(stars=2, magnitudes=(12, 13.5), kinds=("B",))
+    tasks = grid("kp{mag:g}-{kind}-{index}", index="stars", mag="magnitudes", kind="kinds")(study)
     assert [task["key"] for task in tasks] == [
         "kp12-b-0", "kp13.5-b-0", "kp12-b-1", "kp13.5-b-1",
     ]  # fmt: skip
@@ -150,7 +157,7 @@ def test_generator_agrees_with_the_papers_table():
     study = table1.Table1(scales=(1.0,))
     (task,) = table1.tasks(study)
     row = table1.measure(study, task)
-    for name, paper in table1.PAPER_PIXELS.items():
+    for name, paper in PAPER_PIXELS.items():
         assert row[name] == pytest.approx(paper, rel=0.05)
 
 
@@ -159,7 +166,7 @@ def test_the_papers_star(shared_data):
     path = str(shared_data / "poscorr" / "epic205998445_c03_poscorr.fits")
     study = table1.Table1(motions=(path,), scales=(1.0,))
     row = table1.measure(study, table1.tasks(study)[0])
-    for name, paper in table1.PAPER_PIXELS.items():
+    for name, paper in PAPER_PIXELS.items():
         assert row[name] == pytest.approx(paper, rel=0.05)
 
 
@@ -251,17 +258,6 @@ def test_ratios_of_ground():
     methods = importlib.import_module("ground").METHODS
     titles = [ax.get_title() for ax in draw(None, summary).axes[: len(methods)]]
     assert titles == list(methods.values())
-
-
-@pytest.mark.slow
-def test_a_real_star_of_campaign_18(shared_data, tmp_path):
-    path = str(shared_data / "k2_tpf/ktwo211983544-c18_lpd-targ.fits.gz")
-    summary = importlib.import_module("last_campaigns").main(
-        ["--magnitudes", "16", "--parts", "C18", "--motion", path, "--files", path,
-         "--directory", str(tmp_path)]
-    ).summary  # fmt: skip
-    real = summary[summary["part"] == "ktwo211983544-c18_lpd-targ.fits.gz"]
-    assert real["pld"][0] < real["aperture"][0]
 
 
 @pytest.mark.parametrize("name", STORED)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from _search import Found, fit_shape, flattened, isolated, search
 from astropy.table import Table
-from recovery import Recovery, half_complete, main, measure, tasks
+from recovery import Recovery, main, measure, tasks
 
 from scope_models import TransitModel
 
@@ -161,9 +161,6 @@ class TestStudy:
         rows = summary[summary["depth"] == 1000.0]
         assert rows["completeness"].tolist() == [1.0] * 2 * len(scales)
         assert np.abs(rows["depth_ratio"] - 1).max() < 0.15
-        half = summary.meta["half_complete"]
-        assert set(half) == {f"{scale:g}x" for scale in scales}
-        assert all(50 < depths["Kp 15"] < 1000 for depths in half.values())
 
     def test_motions(self, result):
         said = result.summary.meta["by_motion"]["5x"]
@@ -179,10 +176,7 @@ class TestStudy:
     def test_tables_are_read_back(self, result):
         table = Table.read(result.files[0])
         assert table["found_depth"].unit == "ppm"
-        assert (
-            Table.read(result.files[1]).meta["half_complete"]
-            == result.summary.meta["half_complete"]
-        )
+        assert Table.read(result.files[1]).meta["by_motion"] == result.summary.meta["by_motion"]
 
     def test_stars_do_not_depend_on_the_grid(self, result):
         study = Recovery(
@@ -198,14 +192,6 @@ class TestStudy:
         same = result.table[result.table["key"] == task["key"]][0]
         assert row["snr"] == same["snr"]
         assert row["joint_depth"] == same["joint_depth"]
-
-
-def testhalf_complete():
-    depths = np.array([50.0, 100.0, 200.0])
-    assert half_complete(depths, np.array([0.0, 0.0, 1.0])) == pytest.approx(141.4, abs=0.1)
-    assert half_complete(depths, np.array([1.0, 0.5, 1.0])) == 0.0
-    assert half_complete(depths, np.array([1.0, 0.0, 0.5])) == 200.0
-    assert half_complete(depths, np.array([1.0, 1.0, 0.4])) == np.inf
 
 
 def test_periods_beyond_the_series():

@@ -23,7 +23,7 @@ def test_pulls_of_fits(capsys):
     assert lines.count("2 converged") == 2
     for text in lines.split("motion of K2")[1:]:
         assert numbers_after(text, "freedom")[0] == pytest.approx(1, abs=0.1)
-        for name in ("sigma_x", "rho", "ax2", "x", "flux"):
+        for name in ("sigma_x", "rho", "ax2", "x_0", "flux_0"):
             mean, deviation = numbers_after(text, f"  {name} ")[:2]
             assert abs(mean) < 4 / 2**0.5, name
             assert deviation < 4, name
