@@ -452,7 +452,7 @@ class TestCommand:
         catalog, path = tmp_path / "stars.csv", tmp_path / "two.fits"
         stars = Star(12, 4.0, 4.0), Star(13.5, 7.5, 4.5)
         place = {"ra": 150.0, "dec": 10.0} if sky else {}
-        motion = Motion.k2_roll(400, seed=1)
+        motion = Motion.k2_roll(300, seed=1)
         simulate(Scene(stars, Detector.k2(shape=(9, 12)), motion, **place), seed=1).write(path)
         catalog.write_text("x,y\n7.5,4.5\n80,3\n")
         if sky:  # a catalog has the target, too

@@ -86,7 +86,7 @@ class Backwards(Executor):
 
 @pytest.fixture(scope="module")
 def pool():
-    with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as executor:
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as executor:
         yield executor
 
 
@@ -587,7 +587,7 @@ class TestFailures:
     def test_process_that_dies_costs_its_own_star(self, tmp_path):
         study = Numbers(deadly=(3,))
         with pytest.warns(FailedStarsWarning, match="1 stars failed, the first one, star3, with W"):
-            result = sweep(study, 2, tmp_path / "run")
+            result = sweep(study, 1, tmp_path / "run")
         assert list(result.table["index"]) == [0, 1, 2, 4, 5, 6, 7]
         assert "the process that computed this star died" in result.failures["error"][0]
 

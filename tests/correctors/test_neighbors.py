@@ -36,7 +36,7 @@ def neighbor():
 @pytest.fixture(scope="module")
 def constant():
     """Return a constant star, and its correction."""
-    sky = make_sky("k2-1x-constant", 12, n_cadences=300)
+    sky = make_sky("k2-1x-constant", 12, n_cadences=250)
     return sky, corrected(sky)
 
 
@@ -76,11 +76,11 @@ def test_variable_star_is_kept(neighbor):
 
 
 @pytest.mark.parametrize(
-    ("regime", "neighbors"),
-    [("k2-1x-neighbor-variable", None), ("rest-eclipses-30pct-neighbor", "find")],
+    ("regime", "neighbors", "n"),
+    [("k2-1x-neighbor-variable", None, 300), ("rest-eclipses-30pct-neighbor", "find", 500)],
 )
-def test_neighbors_that_vary_and_stars_at_rest(regime, neighbors):
-    sky = make_sky(regime, 21, n_cadences=500)
+def test_neighbors_that_vary_and_stars_at_rest(regime, neighbors, n):
+    sky = make_sky(regime, 21, n_cadences=n)
     found = score(corrected(sky, neighbors=neighbors).corrected_lc, sky)
     assert found.full < 4
     if sky.regime.star == "eclipsing":
@@ -92,7 +92,7 @@ def test_neighbors_that_vary_and_stars_at_rest(regime, neighbors):
 )
 def test_constant_light_in_the_wings_of_an_eclipsing_star(regime):
     """The neighbors have no peaks of their own: the eclipses show them."""
-    sky = make_sky(regime, 23, n_cadences=800)
+    sky = make_sky(regime, 23, n_cadences=400)
     corrector = corrected(sky)
     assert len(corrector.result.neighbors) == 1
     found = score(corrector.corrected_lc, sky)
@@ -107,8 +107,8 @@ def test_bumps_of_a_real_prf(shared_data, neighbors, amplitude):
     """They follow the star, but look like other stars if these need no peak."""
     folder = shared_data / "tess_prf"
     detector = Detector.tess(shape=(11, 11), psf=PRF.from_tess(folder, 2, 3, 557, 513))
-    star = Star(10, 5.2, 4.9, signal=1 + amplitude * np.sin(np.arange(300) / 20))
-    tpf = simulate(star, detector, Motion.tess(300, seed=3), seed=3).to_tpf()
+    star = Star(10, 5.2, 4.9, signal=1 + amplitude * np.sin(np.arange(230) / 20))
+    tpf = simulate(star, detector, Motion.tess(230, seed=3), seed=3).to_tpf()
     corrector = PLDCorrector(tpf, neighbors=neighbors)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DetrendingWarning)
@@ -178,10 +178,10 @@ def test_given_neighbors_are_where_they_are_given(neighbor, tmp_path):
         known = PLDCorrector(tpf, neighbors=given)._neighbors
         offset = known.places - (middle if known.target is None else known.target)
         np.testing.assert_allclose(offset, place - middle, atol=0.01)
-    again, on_sky = (corrected(sky, neighbors=one).result.neighbors for one in (place, other))
+    again = corrected(sky, neighbors=other).result.neighbors
     np.testing.assert_allclose([again[k][0].value for k in "xy"], place[0], atol=0.15)
-    truth = pytest.approx(np.nanmean(sky.neighbor_light, axis=0).sum(), rel=0.1)
-    assert [again["flux"][0].value, on_sky["flux"][0].value] == [truth, truth]
+    truth = np.nanmean(sky.neighbor_light, axis=0).sum()
+    assert again["flux"][0].value == pytest.approx(truth, rel=0.1)
     with pytest.raises(ValueError, match="must not hold the target itself"):
         PLDCorrector(tpf, neighbors=target)
 
@@ -241,7 +241,7 @@ def test_stars_off_the_stamp(shape, x, y):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", LostLightWarning)
         observation = simulate(
-            Star(12, x, y), Detector.k2(shape=shape), Motion.k2_roll(250, seed=1), seed=1
+            Star(12, x, y), Detector.k2(shape=shape), Motion.k2_roll(120, seed=1), seed=1
         )
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")

@@ -117,7 +117,7 @@ def test_periodic_variability_stays_without_trend():
 
 
 @pytest.mark.filterwarnings("ignore:.*outliers|the noise has:UserWarning")
-@pytest.mark.parametrize("period", [1.4, 2.3])
+@pytest.mark.parametrize("period", [1.4, pytest.param(2.3, marks=pytest.mark.slow)])
 def test_unmasked_eclipses_keep_their_depth(period):
     regime = REGIMES["k2-1x-eclipsing"].replace(period=period)
     sky = make_sky(regime, seed=5, n_cadences=700)

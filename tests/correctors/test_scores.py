@@ -55,7 +55,7 @@ def stars(shared_data):
     return run
 
 
-@pytest.mark.parametrize("detector", ["paper", "calibrated"])
+@pytest.mark.parametrize("detector", ["paper", pytest.param("calibrated", marks=pytest.mark.slow)])
 def test_a_star_with_a_real_motion(stars, detector):
     options = {"magnitudes": (12.0,), "scales": (5.0,), "cadences": 700}
     (row,) = stars(detector, MOTIONS[:1], **options, lightkurve_sff=False)

@@ -144,6 +144,7 @@ def test_killed_writer_leaves_what_was_there(tmp_path, before):
 REWRITING = """
 import sys
 from scope_models.io._atomic import atomic_path
+print("begun", flush=True)
 for digit in "123456789" * 20:
     with atomic_path(sys.argv[1], overwrite=True) as temporary:
         temporary.write_text(digit * 100_000)
@@ -153,13 +154,15 @@ for digit in "123456789" * 20:
 def test_readers_see_whole_files_only(tmp_path):
     path = tmp_path / "a.txt"
     save(path, "0" * 100_000)
-    writer = subprocess.Popen([sys.executable, "-c", REWRITING, str(path)])
-    stop = time.monotonic() + 30
-    while writer.poll() is None and time.monotonic() < stop:
-        text = path.read_text()
-        assert len(text) == 100_000
-        assert len(set(text)) == 1
-    assert writer.wait(timeout=30) == 0
+    command = [sys.executable, "-c", REWRITING, str(path)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as writer:
+        assert writer.stdout.readline() == "begun\n"
+        stop = time.monotonic() + 30
+        while writer.poll() is None and time.monotonic() < stop:
+            text = path.read_text()
+            assert len(text) == 100_000
+            assert len(set(text)) == 1
+        assert writer.wait(timeout=30) == 0
     assert path.read_text()[0] == "9"
 
 
