@@ -30,18 +30,13 @@ STUDIES = {
     "ground": ({"flats": (0.002,), "drifts": (0.03,)}, ("flat", "drift")),
     "k2_motion": ({"magnitudes": (14.0,), "detectors": ("calibrated",)}, ("detector", "mag")),
     "last-campaigns": ({"magnitudes": (12.0,), "parts": ("C18",)}, ("part", "mag")),
-    "motion": (
-        {"magnitudes": (12.0,), "scales": (5.0,), "transit_scales": ()}
-        | {"lightkurve_pld": False, "lightkurve_sff": False},
-        ("scale", "mag"),
-    ),
+    "motion": ({"magnitudes": (12.0,), "scales": (5.0,), "transit_scales": (),
+                "lightkurve_pld": False, "lightkurve_sff": False}, ("scale", "mag")),
     "no_motion": ({"magnitudes": (13.0,)}, ("mag",)),
-    "recovery": (
-        {"magnitudes": (12.0,), "scales": (1.0,), "depths": (200.0,)},
-        ("scale", "mag", "depth"),
-    ),
+    "recovery": ({"magnitudes": (12.0,), "scales": (1.0,), "depths": (200.0,)},
+                 ("scale", "mag", "depth")),
     "tess": ({"magnitudes": (10.0,), "neighbors": (0,)}, ("neighbors", "mag")),
-}
+}  # fmt: skip
 FAST_LAWS = ("brighter_fatter", "charge_transfer", "smear", "extinction", "seeing", "focus")
 SECONDS = ("seconds",)  # differ from machine to machine
 
@@ -85,12 +80,8 @@ def laws(_):
     from laws import LAWS
 
     with tempfile.TemporaryDirectory() as folder:
-        found = {name: LAWS[name](folder) for name in FAST_LAWS}
-    rows = [
-        (name, number, *row)
-        for name, one in found.items()
-        for number, row in enumerate(np.transpose(np.broadcast_arrays(one.x, one.measured)))
-    ]
+        found = {name: LAWS[name](folder)["x", "measured"] for name in FAST_LAWS}
+    rows = [(name, k, *row) for name, one in found.items() for k, row in enumerate(one)]
     stored = Table.read(DATA / "laws.csv")["law", "x", "measured"]
     places = [np.count_nonzero(stored["law"][:k] == name) for k, name in enumerate(stored["law"])]
     stored.add_column(places, 1, "point")
@@ -115,10 +106,8 @@ def record(_):
         command = [sys.executable, ROOT / "studies" / "record.py", path, "--seeds", "2003"]
         subprocess.run([*command, "--regimes", "k2-1x-constant"], check=True, capture_output=True)
         new = Table.read(path)
-    stored = Table.read(DATA / "record_5286b08.ecsv")
-    return stored, new["regime", "seed", "positions", "floor", "full"], (
-        "regime", "seed", "positions",
-    )  # fmt: skip
+    stored, keys = Table.read(DATA / "record_5286b08.ecsv"), ("regime", "seed", "positions")
+    return stored, new[*keys, "floor", "full"], keys
 
 
 CHECKS = {name: partial(of_study, name) for name in STUDIES}
@@ -129,21 +118,19 @@ def differences(stored, new, keys, limit):
     """Return how many numbers were compared, and a line for each that differs, or has no row."""
     number, lines = 0, []
     known = {tuple(row[key] for key in keys): row for row in stored}
+    names = [n for n in new.colnames if n in stored.colnames and n not in {*keys, *SECONDS}]
     for row in new:
         place = tuple(row[key] for key in keys)
         text = ", ".join(f"{key} {value}" for key, value in zip(keys, place, strict=True))
         if place not in known:
             lines.append(f"{text}: no such row is stored")
             continue
-        for name in new.colnames:
-            if name in {*keys, *SECONDS} or name not in stored.colnames:
-                continue
+        for name in names:
             old, now = known[place][name], row[name]
-            number += 1
-            words = isinstance(now, str)
+            form, words = (".4g", False) if new[name].dtype.kind in "if" else ("", True)
             if old != now if words else not np.isclose(now, old, limit, 0, equal_nan=True):
-                form = "" if words else ".4g"
                 lines.append(f"{text}: {name} {old:{form}} is {now:{form}} now")
+        number += len(names)
     return number, lines
 
 

@@ -8,13 +8,11 @@ no mask, and searches with box least squares; it is recovered if the box has a s
 ratio of 7.1 or more and lies on the transits. The page shows its results.ecsv with a stamp.
 """
 
-from dataclasses import dataclass
-from functools import cache, partial
+from functools import cache
 
 import numpy as np
-from paper._figures import plot_map
 from paper._search import search_light_curve
-from paper._study import grid, medians, on_grid, run
+from paper._study import grid, parameters, study_of
 
 from scope_models import Detector, PLDCorrector, TransitModel, fit_tpf, inject
 from scope_models.batch import star_rng
@@ -23,10 +21,8 @@ from scope_models.io import read_pixels, read_tpf
 DURATION, THRESHOLD = 0.2, 7.1
 
 
-@dataclass(frozen=True, kw_only=True)
+@parameters
 class Completeness:
-    """The parameters."""
-
     file: str = ""
     seed: int = 1
     periods: tuple[float, ...] = (1.5, 3.0, 6.0, 12.0, 24.0)  # days
@@ -62,24 +58,7 @@ def measure(study, task):
     }  # fmt: skip
 
 
-def summarize(_, table):
-    """Return medians, and the part of the planets that are recovered."""
-    summary = medians(table, ("depth", "period"), ("snr", "share"))
-    summary["recovered"] = [
-        np.mean(table["recovered"][(table["depth"] == depth) & (table["period"] == period)])
-        for depth, period in summary.iterrows("depth", "period")
-    ]
-    return summary
-
-
-def draw(study, _, summary):
-    depths, periods = sorted(study.depths), sorted(study.periods)
-    values = on_grid(summary, ("depth", depths), ("period", periods), "recovered")
-    labels = {"row_label": "Depth (ppm)", "column_label": "Period (d)", "label": "Recovered"}
-    return plot_map(values, depths, periods, span=(0, 1), **labels).figure
-
-
-main = partial(run, "completeness", Completeness, tasks, measure, summarize, draw, {})
+main = study_of("completeness", Completeness, tasks, measure)
 
 if __name__ == "__main__":
     main()

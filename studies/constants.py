@@ -26,9 +26,7 @@ def constants(folder=FOLDER):
     for path in sorted(folder.glob("*.py")):
         text = path.read_text(encoding="utf-8")
         lines, comment, end = text.splitlines(), "", 0
-        for node in ast.parse(text).body:
-            if not isinstance(node, ast.Assign):
-                continue
+        for node in (node for node in ast.parse(text).body if isinstance(node, ast.Assign)):
             first = node.lineno - 1
             while first and lines[first - 1].startswith("#:"):
                 first -= 1
@@ -46,19 +44,14 @@ def constants(folder=FOLDER):
 
 
 def named(node):
-    """Return pairs of names and values of an assignment whose values hold numbers."""
-    target, values = node.targets[0], [node.value]
-    names = target.elts if isinstance(target, ast.Tuple) else [target]
-    if len(names) > 1:
-        values = node.value.elts if isinstance(node.value, ast.Tuple) else values * len(names)
-    pairs = zip(names, values, strict=True)
-    return [(name.id, value) for name, value in pairs if holds_number(value)]
-
-
-def holds_number(value):
-    """Whether an expression is or holds a number."""
-    parts = (part.value for part in ast.walk(value) if isinstance(part, ast.Constant))
-    return any(type(part) in (int, float) for part in parts)
+    """Yield names and values of an assignment whose values are or hold numbers."""
+    names = getattr(node.targets[0], "elts", node.targets)
+    pairs = len(names) > 1 and isinstance(node.value, ast.Tuple)
+    values = node.value.elts if pairs else [node.value] * len(names)
+    for name, value in zip(names, values, strict=True):
+        parts = (part.value for part in ast.walk(value) if isinstance(part, ast.Constant))
+        if any(type(part) in {int, float} for part in parts):
+            yield name.id, value
 
 
 def write(path):

@@ -40,30 +40,25 @@ def predicted(anchor, sigma):
     return anchor * np.exp(-2 * np.pi**2 * (sigma**2 - SIGMA**2))
 
 
-def trend(time):
-    """Cubic splines of time."""
-    inner = np.linspace(time[0], time[-1], max(2, int(np.ptp(time) / KNOTS) + 1))
-    knots = np.concatenate([[inner[0]] * 3, inner, [inner[-1]] * 3])
-    return BSpline.design_matrix(time, knots, 3).toarray()
-
-
-def terms_of(fit):
-    """Return relative flux, and what it depends on: the drop, pixels, and light lost."""
-    # The fitted background absorbs errors of the PSF's wings: the pipeline's is the better one.
-    light = np.nansum(fit.observed, axis=(1, 2))
-    shares = (fit.fitted - fit.background[:, None, None]) / fit.flux[:, None, None]
-    shares = np.nan_to_num(shares).reshape(len(light), -1)
-    wave = 0.5 * (np.cos(2 * np.pi * fit.x) + np.cos(2 * np.pi * fit.y))
-    return light / np.median(light), wave, shares, 1 - shares.sum(axis=1)
+def wave_of(x, y):
+    """Half of the sum of the first harmonics of the pixels along both axes."""
+    return 0.5 * (np.cos(2 * np.pi * x) + np.cos(2 * np.pi * y))
 
 
 def amplitude(fit, keep):
     """Peak-to-peak amplitude along one axis, its error for white noise, and the residuals."""
-    flux, wave, shares, lost = (value[keep] for value in terms_of(fit))
-    shares = shares - shares.mean(axis=0)
-    slow = trend(fit.time[keep])
-    wave, lost = wave - wave.mean(), lost - lost.mean()
-    columns = np.column_stack([wave, shares * FLAT, lost * LOSS, slow])
+    # The fitted background absorbs errors of the PSF's wings: the pipeline's is the better one.
+    light = np.nansum(fit.observed, axis=(1, 2))
+    shares = (fit.fitted - fit.background[:, None, None]) / fit.flux[:, None, None]
+    shares = np.nan_to_num(shares).reshape(len(light), -1)
+    lost = 1 - shares.sum(axis=1, keepdims=True)
+    columns = wave_of(fit.x, fit.y)[:, None], shares * FLAT, lost * LOSS
+    columns = [each[keep] - each[keep].mean(axis=0) for each in columns]
+    flux, time = (light / np.median(light))[keep], fit.time[keep]
+    inner = np.linspace(time[0], time[-1], max(2, int(np.ptp(time) / KNOTS) + 1))
+    knots = np.concatenate([[inner[0]] * 3, inner, [inner[-1]] * 3])
+    slow = BSpline.design_matrix(time, knots, 3).toarray()
+    columns = np.column_stack([*columns, slow])
     prior = np.concatenate([[0.0], np.ones(shares.shape[1] + 1), np.zeros(slow.shape[1])])
     noise, good = 1e-3, np.ones(len(flux), dtype=bool)
     for _ in range(8):
@@ -77,19 +72,20 @@ def amplitude(fit, keep):
     return solution[0], error, residual + solution[0] * columns[:, 0], good
 
 
-def measured(star, fit, sigma):
-    """Print the amplitude of a star; return it and its error."""
+def measured(star, tpf):
+    """Print the amplitude of a star; return it, its error and the width, and place and flux."""
+    fit, values = fit_tpf(tpf), fit_tpf(tpf, 1, interpixel=0, positions="path").values
+    sigma = np.sqrt(values["sigma_x"] * values["sigma_y"])
     value, error, clean, good = amplitude(fit, np.ones(len(fit.time), dtype=bool))
     part = np.arange(len(fit.time)) * PARTS // len(fit.time)
     others = [amplitude(fit, part != i)[0] for i in range(PARTS)]
     spread = np.sqrt((PARTS - 1) / PARTS * np.sum((others - np.mean(others)) ** 2))
-    total = np.hypot(error, spread)
     print(
         f"{star}: one Gaussian of {sigma:.2f} px, motion {np.ptp(fit.x[good]):.2f} and "
         f"{np.ptp(fit.y[good]):.2f} px; amplitude {1e6 * value:.0f} +- {1e6 * error:.0f} (model) "
         f"+- {1e6 * spread:.0f} (parts) ppm"
     )
-    return value, total, clean, good
+    return (value, np.hypot(error, spread), sigma), fit.x[good], clean[good]
 
 
 def together(name, numbers):
@@ -112,19 +108,11 @@ def simulated(number, motion):
     rng, detector = np.random.default_rng([30, number]), Detector.k2_calibrated(shape=(11, 11))
     star = Star(12 + 3 * rng.uniform(), *(5 + rng.uniform(-0.5, 0.5, 2)))
     alike = detector.replace(interpixel=np.ones(detector.shape))
-    truth = simulate(star, alike, motion, noise=False)
-    light = truth.flux.sum(axis=(1, 2))
-    x, y = star.x_0 + motion.x, star.y_0 + motion.y
-    wave = 0.5 * (np.cos(2 * np.pi * x) + np.cos(2 * np.pi * y))
+    light = simulate(star, alike, motion, noise=False).flux.sum(axis=(1, 2))
+    wave = wave_of(star.x_0 + motion.x, star.y_0 + motion.y)
     design = np.column_stack([wave, np.ones(len(wave))])
     slope = np.linalg.lstsq(design, light / np.median(light), rcond=None)[0][0]
     return simulate(star, detector, motion, seed=number).to_tpf(), slope
-
-
-def width_of(tpf):
-    """Return the standard deviation of one Gaussian that is fitted to a file."""
-    values = fit_tpf(tpf, 1, interpixel=0, positions="path").values
-    return np.sqrt(values["sigma_x"] * values["sigma_y"])
 
 
 def one_ccd(folder, n_stars=7):
@@ -133,12 +121,8 @@ def one_ccd(folder, n_stars=7):
     motion = motion[motion.quality == 0]
     files = [(path.name, path) for path in sorted(Path(folder, "kepler_q12_ch4").glob("*.fits.gz"))]
     made, truths = zip(*(simulated(number, motion) for number in range(n_stars)), strict=True)
-    sets = {"real": files, "simulated": list(enumerate(made))}
-    for name, tpfs in sets.items():
-        numbers = []
-        for star, tpf in tpfs:
-            sigma = width_of(tpf)
-            numbers.append((*measured(f"{name} {star}", fit_tpf(tpf), sigma)[:2], sigma))
+    for name, tpfs in {"real": files, "simulated": list(enumerate(made))}.items():
+        numbers = [measured(f"{name} {star}", tpf)[0] for star, tpf in tpfs]
         together(f"{len(numbers)} {name} stars of one CCD", numbers)
     print(f"truth of the simulated stars: {1e6 * np.mean(truths):.0f} ppm")
 
@@ -152,22 +136,19 @@ def report(folder, path):
         left.semilogy(width, predicted(value, width), ls=style, color="0.4", label=name)
     numbers = []
     for (star, file), marker in zip(FILES.items(), "osv", strict=False):
-        fit = fit_tpf(Path(folder) / file)
-        sigma = width_of(Path(folder) / file)
-        value, total, clean, good = measured(star, fit, sigma)
+        found, x, clean = measured(star, Path(folder) / file)
         if not star.startswith("EPIC"):
             continue
-        numbers.append((value, total, sigma))
-        limit = 1e6 * (max(value, 0) + 1.645 * total)
-        left.errorbar(
-            sigma, limit, 0.5 * limit, uplims=True, fmt=f"k{marker}", label=f"{star}, 95 % limit"
-        )
-        place = fit.x[good] - np.rint(fit.x[good])
+        numbers.append(found)
+        limit = 1e6 * (max(found[0], 0) + 1.645 * found[1])
+        options = {"fmt": f"k{marker}", "label": f"{star}, 95 % limit"}
+        left.errorbar(found[2], limit, 0.5 * limit, uplims=True, **options)
+        place = x - np.rint(x)
         index = np.digitize(place, np.linspace(-0.5, 0.5, 21))
         bins = [index == i for i in range(1, 21) if np.sum(index == i) > 20]
         at = [place[one].mean() for one in bins]
-        mean = np.array([np.mean(1e6 * clean[good][one]) for one in bins])
-        error = [np.std(1e6 * clean[good][one]) / np.sqrt(np.sum(one)) for one in bins]
+        mean = np.array([np.mean(1e6 * clean[one]) for one in bins])
+        error = [np.std(1e6 * clean[one]) / np.sqrt(np.sum(one)) for one in bins]
         right.errorbar(at, mean - mean.mean(), error, fmt=f"k{marker}", ms=4, label=star)
     together("Both K2 stars", numbers)
     u = np.linspace(-0.5, 0.5, 101)

@@ -1,9 +1,9 @@
 """Fits of target pixel files: errors that hold, and twins.
 
-    python studies/fitting.py pulls
-    python studies/fitting.py twin FOLDER
+    python studies/fitting.py FOLDER
 
-FOLDER has archive files. ``docs/data/store_fits.py`` stores `scene_pulls`; their rms should be 1.
+simulates the fits of the archive files in a folder, and prints the noise of stars and twins.
+``docs/data/store_fits.py`` stores `scene_pulls`.
 """
 
 import sys
@@ -30,7 +30,7 @@ from scope_models.fitting import FitOptions
 from scope_models.photometry import cdpp
 
 
-def make_scene(n_stars, seed, scale, n_cadences):
+def make_scene(n_stars, seed):
     """Return an observation of stars at least 2.5 px apart, and their places."""
     generator = np.random.default_rng([n_stars, seed])
     side = {1: 7, 2: 9, 5: 13}[n_stars]
@@ -46,12 +46,12 @@ def make_scene(n_stars, seed, scale, n_cadences):
     stars = [Star(mag, *place, psf=psf) for mag, place in zip(mags, places, strict=True)]
     # Wells without end: stars above Kp 11.5 saturate.
     detector = Detector.k2(shape=(side, side), interpixel_scatter=0, well_depth=None)
-    return simulate(stars, detector, scale * Motion.k2_roll(n_cadences, seed=seed), seed=seed)
+    return simulate(stars, detector, 2 * Motion.k2_roll(60, seed=seed), seed=seed)
 
 
-def scene_pulls(n_stars, seed, scale=2, n_cadences=60):
+def scene_pulls(n_stars, seed):
     """Return the pulls of a scene by group: of what all share, of stars, and of cadences."""
-    observation = make_scene(n_stars, seed, scale, n_cadences)
+    observation = make_scene(n_stars, seed)
     truth, psf = observation.truth, observation.stars[0].psf
     places = [(star.x_0, star.y_0) for star in observation.stars]
     curvature = SensitivityPolynomial(fixed={"ax1": True, "ay1": True})
@@ -81,21 +81,6 @@ def scene_pulls(n_stars, seed, scale=2, n_cadences=60):
     }  # fmt: skip
 
 
-def report_pulls(n_stars=250, n_cadences=1000):
-    """Print the pulls of single stars."""
-    for scale in (1, 5):
-        found = [scene_pulls(1, seed, scale, n_cadences) for seed in range(n_stars)]
-        print(
-            f"{scale} x the motion of K2, {n_stars} stars of Kp 11.5 to 13.5, {n_cadences} "
-            f"cadences, {sum(one['converged'] for one in found)} converged; chi-squared per degree "
-            f"of freedom {np.mean([one['chi2'] for one in found]):.4f}"
-        )
-        rows = [one["shared"] | one["cadence"] for one in found]
-        for name in rows[0]:
-            each = np.array([row[name] for row in rows])
-            print(f"  {name:8s} mean {each.mean():6.2f}  standard deviation {each.std():5.2f}")
-
-
 def report_twin(folder):
     """Print the noise of stars and of their twins in the same aperture and cadences."""
     print("Twins: 6.5-h CDPP (ppm), lightkurve's and EVEREST's convention")
@@ -115,11 +100,6 @@ def report_twin(folder):
             ), flush=True)  # fmt: skip
 
 
-def main():
-    warnings.simplefilter("ignore", AstropyUserWarning)
-    name, *arguments = sys.argv[1:] or ["pulls"]
-    {"pulls": report_pulls, "twin": report_twin}[name](*arguments)
-
-
 if __name__ == "__main__":
-    main()
+    warnings.simplefilter("ignore", AstropyUserWarning)
+    report_twin(sys.argv[1])

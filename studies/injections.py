@@ -21,7 +21,7 @@ from _rows import FILES, arguments_of, store_rows, sweep_rows, write_csv
 from astropy.stats import mad_std
 from astropy.table import Table
 from paper._stars import draw_star, stamp_around
-from population import moved, neighbors, spotted
+from population import catalog, moved, neighbors, spotted
 
 from scope_models import Detector, PLDCorrector, TransitModel, inject, simulate
 from scope_models.effects import mission_effects
@@ -36,11 +36,9 @@ EXPOSURE = 29.4 / 1440
 @cache
 def injected_stars(data):
     """Return what EVEREST found, and its stars with their magnitudes."""
-    folder = Path(data) / "k2_pipelines"
+    path, known = Path(data) / "k2_pipelines" / "everest_c06_injection.txt.gz", catalog(data)
     names = ("epic", "depth", "control", "unmasked", "masked_control", "masked")
-    found = Table.read(folder / "everest_c06_injection.txt.gz", format="ascii.no_header",
-                       names=names, data_start=2)  # fmt: skip
-    known = Table.read(folder / "k2_c03-c06_cdpp.csv.gz", format="ascii.csv", comment="#")
+    found = Table.read(path, format="ascii.no_header", names=names, data_start=2)
     return found, known[np.isin(known["epic"], found["epic"]) & (known["saturated"] == 0)]
 
 

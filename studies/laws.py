@@ -9,7 +9,6 @@ a target pixel file, reads it with astropy.io.fits, and measures without filters
 import argparse
 import tempfile
 import tomllib
-from dataclasses import dataclass
 from math import erf
 from pathlib import Path
 from types import SimpleNamespace
@@ -22,28 +21,12 @@ from astropy.time import Time
 
 from scope_models import BivariateGaussianPSF, Detector, Motion, Star, effects, simulate
 
-LAWS = {}
+LAWS = {}  # functions of a folder that return tables
 TEXTS = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
 PAGE, BLOCK = TEXTS.pop("page"), TEXTS.pop("block")
+COLUMNS = ("x", "measured", "error", "predicted")
 SIGMA = 0.8
 NOISE = ("photon", "background", "read", "quantization")
-
-
-@dataclass(frozen=True)
-class Law:
-    """Texts of a law, and numbers; `tolerance` is relative, beside 4 errors of measurement."""
-
-    texts: dict
-    x: np.ndarray
-    measured: np.ndarray
-    error: np.ndarray
-    predicted: np.ndarray
-
-    @property
-    def deviation(self):
-        """Differences over what may be; below 1 the law holds."""
-        tolerance = self.texts.get("tolerance", 1e-4) * np.abs(self.predicted).max()
-        return np.abs(self.measured - self.predicted) / (4 * self.error + tolerance)
 
 
 def law(function):
@@ -52,7 +35,7 @@ def law(function):
     def make(folder):
         found = function(folder)
         columns = found if isinstance(found, tuple) else np.transpose([*found])
-        return Law(TEXTS[function.__name__], *map(np.asarray, columns))
+        return Table([*np.broadcast_arrays(*columns)], names=COLUMNS)
 
     LAWS[function.__name__] = make
     return function
@@ -310,21 +293,17 @@ def aberration(folder):
 
 def write_page(docs, laws):
     """Write numbers and page."""
-    rows = []
-    for name, one in laws.items():
-        numbers = np.broadcast_arrays(one.x, one.measured, one.error, one.predicted)
-        rows += [(name, *(f"{v:.8g}" for v in row)) for row in np.transpose(numbers)]
-    names = ("law", "x", "measured", "error", "predicted")
-    Table(rows=rows, names=names).write(docs / "data" / "laws.csv", overwrite=True)
-    parts = [PAGE]
-    for name, one in laws.items():
-        texts, largest = one.texts, np.abs(one.predicted).max()
-        worst = np.abs(one.measured - one.predicted).max() / largest
-        noise = f" (errors {one.error.max() / largest:.1g})"
+    rows, parts = [], [PAGE]
+    for name, table in laws.items():
+        rows += [(name, *(f"{value:.8g}" for value in row)) for row in table]
+        texts, largest = TEXTS[name], np.abs(table["predicted"]).max()
+        worst = np.abs(table["measured"] - table["predicted"]).max() / largest
+        error = table["error"].max() / largest
         parts.append(BLOCK.format(
-            **texts, name=name, line="-" * len(texts["title"]), worst=worst,
-            n=one.x.size, noise=noise if one.error.max() else "",
+            **texts, name=name, line="-" * len(texts["title"]), worst=worst, n=len(table),
+            noise=f" (errors {error:.1g})" if error else "",
         ))  # fmt: skip
+    Table(rows=rows, names=("law", *COLUMNS)).write(docs / "data" / "laws.csv", overwrite=True)
     (docs / "evaluation_laws.rst").write_text("\n".join(parts), encoding="utf-8")
 
 

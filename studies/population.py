@@ -9,6 +9,7 @@ are drawn from, and which stars are held out.
 """
 
 from functools import cache, partial
+from operator import itemgetter
 from pathlib import Path
 
 import numpy as np
@@ -32,13 +33,20 @@ EDGE, FARTHEST, MAGNITUDES = 6.94, 4.0, range(11, 18)
 EVERY = 10  # of so many cadences one is enough for the image that chooses the aperture
 PIPELINES = ("everest2", "everest2_validation", "everest1", "k2sff", "k2sc")
 COLUMNS = ("number", "kp", "distance", "neighbors", "spots", "raw", "raw_file", "corrected")
+rows_of = itemgetter(list(COLUMNS))
+
+
+@cache
+def catalog(data):
+    """Return the real stars with their noise."""
+    path = Path(data) / "k2_pipelines" / "k2_c03-c06_cdpp.csv.gz"
+    return Table.read(path, format="ascii.csv", comment="#")
 
 
 @cache
 def real_stars(data):
     """Return the unsaturated stars with a raw light curve."""
-    path = Path(data) / "k2_pipelines" / "k2_c03-c06_cdpp.csv.gz"
-    table = Table.read(path, format="ascii.csv", comment="#")
+    table = catalog(data)
     return table[(table["saturated"] == 0) & (table["raw"] > 0)]
 
 
@@ -163,11 +171,6 @@ def write_campaigns(stars, real, target):
         rows.append([f"{low}-{low + 1}", *(f"{v:.0f}" for v in (ours, *quiet))])
     names = [f"{name} {number}" for name in ("raw, campaign", "K2SFF,") for number in campaigns]
     write_csv(f"{target}_campaigns.csv", [["Kp", "raw, simulated", *names], *rows])
-
-
-def rows_of(table):
-    """Return the columns of the file of rows."""
-    return table[list(COLUMNS)]
 
 
 def main(argv=None):

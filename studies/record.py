@@ -30,6 +30,12 @@ from pathlib import Path
 
 import numpy as np
 
+if "--serve" not in sys.argv:  # the process of the corrector has the names of its own checkout
+    from astropy.table import Table, join
+
+    from scope_models.benchmark import REGIMES, make_sky
+    from scope_models.benchmark._scores import binned, outliers, score_light_curve, slope
+
 NUISANCES = {"width": 1e-3, "x": 0.01, "y": 0.01, "background": 1.0, "drift": 10.0}
 KEY = ("regime", "seed", "positions")
 COLUMNS = ("cadenceno", "flux", "flux_err")
@@ -39,22 +45,11 @@ CADENCES, FEWEST = 1500, 100
 SHARES, SCALES = (0.0, 0.2, 0.5, 0.8, 0.95, 0.99), (0.5, 1.0, 2.0, 4.0, 8.0, 16.0)
 
 
-# In the process of the corrector, which has only the names of its own checkout.
-
-
-def correct(tpf, method):
-    """Return the light curve by a method."""
-    if method == "raw":
-        return tpf.to_lightcurve(aperture_mask="pipeline")
-    from scope_models.correctors import PLDCorrector
-
-    return PLDCorrector(tpf).correct()
+# In the process of the corrector.
 
 
 def serve(method):
     """Correct the files that the lines of standard input name, a line of results for each."""
-    import lightkurve  # noqa: F401
-
     for line in sys.stdin:
         paths, source = json.loads(line)
         found = [corrected(path, source, method) for path in paths]
@@ -66,6 +61,8 @@ def corrected(path, source, method):
     """Return the light curve of a file, its processor time, and warnings or the error."""
     import lightkurve
 
+    from scope_models.correctors import PLDCorrector
+
     kind = lightkurve.TessTargetPixelFile if source == "TESS" else lightkurve.KeplerTargetPixelFile
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
@@ -73,7 +70,8 @@ def corrected(path, source, method):
         del caught[:]
         begin = time.process_time()
         try:
-            lc = correct(tpf, method)
+            raw = method == "raw"
+            lc = tpf.to_lightcurve(aperture_mask="pipeline") if raw else PLDCorrector(tpf).correct()
         except Exception as error:  # noqa: BLE001 - each exception is a result
             return {"error": f"{type(error).__name__}: {error}"}
         seconds = time.process_time() - begin
@@ -92,15 +90,12 @@ _WORKER = []
 
 def start(tree, method):
     """Start the process of the corrector."""
-    paths = [str(tree), os.environ.get("PYTHONPATH", "")]
+    paths = os.pathsep.join([str(tree), os.environ.get("PYTHONPATH", "")])
     threads = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
-    _WORKER[:] = [
-        subprocess.Popen(
-            [sys.executable, "-u", Path(__file__), "--serve", "--method", method],
-            stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
-            env={**os.environ, **threads, "PYTHONPATH": os.pathsep.join(paths)},
-        )
-    ]  # fmt: skip
+    command = [sys.executable, "-u", Path(__file__), "--serve", "--method", method]
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
+    environment = os.environ | threads | {"PYTHONPATH": paths}
+    _WORKER[:] = [subprocess.Popen(command, **pipes, env=environment)]
 
 
 def ask(paths, mission):
@@ -115,8 +110,6 @@ def ask(paths, mission):
 
 def run(task):
     """Return the row of a star."""
-    from scope_models.benchmark import REGIMES, make_sky
-
     name, seed, positions = task
     regime = REGIMES[name]
     kind = None if positions == "wrong" else positions
@@ -134,9 +127,8 @@ def run(task):
         for star, path in zip(stars, paths, strict=True):
             star.to_tpf(quality_bitmask="none").hdu.writeto(path)
         found = ask(paths, regime.mission)
-    own, others = (
-        float(light[:, sky.aperture].sum()) for light in (sky.star_light, sky.neighbor_light)
-    )
+    lights = sky.star_light, sky.neighbor_light
+    own, others = (float(light[:, sky.aperture].sum()) for light in lights)
     row = dict(zip(KEY, task, strict=True)) | {
         "apart": regime.apart, "magnitude": regime.magnitude, "scale": regime.scale,
         "neighbors": len(regime.neighbors), "share": own / (own + others),
@@ -146,8 +138,6 @@ def run(task):
 
 def rows_of(stars, found):
     """Return the scores of a star by its three corrections."""
-    from scope_models.benchmark._scores import binned
-
     sky, _, other = stars
     row = {"error": next((one["error"] for one in found if "error" in one), "")}
     lc = sky.to_tpf().to_lightcurve(aperture_mask="pipeline")
@@ -176,9 +166,8 @@ def rows_of(stars, found):
     ratio = deviation_of(fluxes[with_transits], fluxes[without] * star.transit)
     row["rest_change"] = float(np.sqrt(np.nanmean((ratio / relative)[star.transit == 1] ** 2)))
     row["injected"] = max(sky.regime.depth, other.regime.depth)
-    row["depth_kept"] = depth_difference(
-        fluxes[with_transits], fluxes[without], star.true_flux, star.transit
-    )
+    pair = fluxes[with_transits], fluxes[without]
+    row["depth_kept"] = depth_difference(*pair, star.true_flux, star.transit)
     first, second = (deviation_of(flux, truth) for flux in fluxes[:2])
     both = np.isfinite(first - second)
     if both.sum() < FEWEST:
@@ -186,11 +175,10 @@ def rows_of(stars, found):
     _, means, count = binned(cadences[both], (first - second)[both])
     rms = np.sqrt(np.average((means - np.average(means, weights=count)) ** 2, weights=count))
     row["noise_rms"] = float(1e6 * rms / np.sqrt(2) / raw.floor)
-    nuisances = [
-        sky.width, sky.x, sky.y, sky.background_light.mean(axis=(1, 2)), cadences
-    ]  # fmt: skip
+    light = sky.background_light.mean(axis=(1, 2))
+    nuisances = np.array([sky.width, sky.x, sky.y, light, cadences])
     units = np.array(list(NUISANCES.values()))[:, None]
-    slopes, slope_errors = leak_slopes(cadences, 1e6 * first, np.array(nuisances) / units)
+    slopes, slope_errors = leak_slopes(cadences, 1e6 * first, nuisances / units)
     for name, slope, error in zip(NUISANCES, slopes, slope_errors, strict=True):
         row |= {f"leak_{name}": float(slope), f"leak_{name}_error": float(error)}
     return row
@@ -205,8 +193,6 @@ def curve(sky, cadenceno, flux, flux_err):
 
 def compared(sky, flux, error, *, dilute=True):
     """Return the score of a curve, and the truth that it is compared with."""
-    from scope_models.benchmark._scores import score_light_curve
-
     truth = sky.true_flux
     if sky.regime.neighbors and dilute:
         truth = diluted(flux, truth)
@@ -218,8 +204,6 @@ def compared(sky, flux, error, *, dilute=True):
 
 def diluted(flux, truth):
     """Return the truth with the amplitude that the flux has: light of neighbors may stay in it."""
-    from scope_models.benchmark._scores import slope
-
     good = np.isfinite(deviation_of(flux, truth))
     if truth[good].std() < 1e-9:
         return truth
@@ -228,8 +212,6 @@ def diluted(flux, truth):
 
 def deviation_of(flux, truth):
     """Return the flux over the truth and its median, less 1; NaN for outliers."""
-    from scope_models.benchmark._scores import outliers
-
     good = np.flatnonzero(np.isfinite(flux / truth))
     deviation = np.full(len(flux), np.nan)
     ratio = flux[good] / truth[good]
@@ -258,8 +240,6 @@ def leak_slopes(time, deviation, nuisances):
     The noise of the means is white and an exponentially correlated process; their shares and the
     correlation time maximize the restricted likelihood. A nuisance that is constant has NaN.
     """
-    from scope_models.benchmark._scores import binned
-
     good = np.isfinite(deviation) & np.isfinite(nuisances).all(axis=0)
     time, means, count = binned(time[good], np.array([deviation, *nuisances])[:, good])
     slopes = np.full((2, len(nuisances)), np.nan)
@@ -287,16 +267,6 @@ def leak_slopes(time, deviation, nuisances):
 
 
 # Tables.
-
-
-def table_of(rows):
-    """Return a table of rows that need not have all columns."""
-    from astropy.table import Table
-
-    names = list(dict.fromkeys(name for row in rows for name in row))
-    texts = {"regime", "positions", "error", "warning"}
-    columns = {n: [row.get(n, "" if n in texts else np.nan) for row in rows] for n in names}
-    return Table(columns)
 
 
 def whole(table):
@@ -332,14 +302,13 @@ def whole(table):
         "amplitude between diluted and true, neighbors (1)": mean(kept[beside]),
         "depth kept above 0.97, up to 5x (0.95)": mean(deep[~fast] > 0.97),
         "depth kept above 0.90, 10x (0.95)": mean(deep[fast] > 0.9),
-        "curve outside of transits with and without them, errors, 90 % (0.3)": np.nanquantile(
-            col["rest_change"], 0.9
-        ),
+        "curve outside of transits with and without them, errors, 90 % (0.3)":
+            np.nanquantile(col["rest_change"], 0.9),
         "another draw of noise, median where full < 3 (1.4)": np.median(col["noise_rms"][fine]),
         "another draw of noise, worst where full < 3 (2.5)": max(col["noise_rms"][fine], default=0),
         "processor seconds, median": np.median(col["seconds"]),
         "processor seconds, worst": np.max(col["seconds"]),
-    }
+    }  # fmt: skip
 
 
 def mean(values):
@@ -372,8 +341,6 @@ def medians(table):
 
 def against(table, base):
     """Print a table beside a base, per regime and as a whole; only stars of both."""
-    from astropy.table import join
-
     keys = join(table[list(KEY)], base[list(KEY)], KEY)
     table, base = (join(keys, each, KEY) for each in (table, base))  # sorted alike
     print(f"{'ratios of medians':32}{'positions':10}{'full':>8}{'high':>8}{'new':>10}{'base':>10}")
@@ -393,10 +360,9 @@ def against(table, base):
                 f"{np.nanmedian(each):.3f}, better than 0.9 {np.mean(each < 0.9):.2f}, worse than "
                 f"1.1 {np.mean(each > 1.1):.2f}"
             )
-        for (text, value), other in zip(
-            whole(pair[0]).items(), whole(pair[1]).values(), strict=True
-        ):
-            print(f"    {text:52}{value:10.3f}{other:10.3f}")
+        new, old = (whole(each) for each in pair)
+        for text, value in new.items():
+            print(f"    {text:52}{value:10.3f}{old[text]:10.3f}")
     print("* scored apart: slow variability under slow motion")
 
 
@@ -408,28 +374,26 @@ def seeds(text):
 
 def record(options):
     """Compute the missing rows and write the table."""
-    from scope_models.benchmark import REGIMES
-
     lines = options.output.with_suffix(".jsonl")
     rows = [json.loads(line) for line in lines.read_text().splitlines()] if lines.exists() else []
     done = {tuple(row[name] for name in KEY) for row in rows}
-    names = [name for name in REGIMES if name.startswith(tuple(options.regimes.split(",")))]
+    chosen = [name for name in REGIMES if name.startswith(tuple(options.regimes.split(",")))]
     tasks = [
         (name, seed, positions)
-        for positions, seed, name in product(options.positions.split(","), options.seeds, names)
-        if positions == "wrong" or REGIMES[name].positions != "none"
+        for positions, seed, name in product(options.positions.split(","), options.seeds, chosen)
+        if (positions == "wrong" or REGIMES[name].positions != "none")
+        and (name, seed, positions) not in done
     ]
-    tasks = [task for task in tasks if task not in done]
     arguments = (options.tree.resolve(), options.method)
     with ProcessPoolExecutor(options.workers, initializer=start, initargs=arguments) as pool:
         for task, row in zip(tasks, pool.map(run, tasks), strict=True):
             rows.append(row)
             with lines.open("a") as file:
                 file.write(json.dumps(row) + "\n")
-            print(
-                *task, *(f"{row.get(k, np.nan):.2f}" for k in ("full", "high_passed")), flush=True
-            )
-    table = table_of(rows)
+            print(*task, *(f"{row.get(name, np.nan):.2f}" for name in SCORES), flush=True)
+    names = dict.fromkeys(name for row in rows for name in row)  # rows need not have all of them
+    empty = dict.fromkeys(("regime", "positions", "error", "warning"), "")
+    table = Table({n: [row.get(n, empty.get(n, np.nan)) for row in rows] for n in names})
     git = ["git", "-C", str(arguments[0]), "rev-parse", "--short", "HEAD"]
     version = subprocess.run(git, capture_output=True, text=True, check=False).stdout.strip()
     table.meta |= {
@@ -460,17 +424,10 @@ def main():
         return serve(options.method)
     if options.output is None:
         parser.error("the following arguments are required: output")
-    from astropy.table import Table
-
-    tree = str(options.tree)
-    words = (a for a in sys.argv[1:] if a not in {tree, "--tree"})
+    words = (word for word in sys.argv[1:] if word not in {str(options.tree), "--tree"})
     options.command = " ".join(Path(word).name if "/" in word else word for word in words)
     table = Table.read(options.output) if options.show else record(options)
-    if options.against:
-        against(table, Table.read(options.against))
-    else:
-        medians(table)
-    return None
+    return against(table, Table.read(options.against)) if options.against else medians(table)
 
 
 if __name__ == "__main__":

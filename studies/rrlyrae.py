@@ -12,13 +12,14 @@ rms about the truth below 3 % of it; "clean" cadences are not flagged for rollin
 """
 
 from functools import cache, partial
+from operator import itemgetter
 from pathlib import Path
 
 import numpy as np
 from _rows import arguments_of, store_rows, sweep_rows, write_csv
 from astropy.table import Table
 from paper._stars import draw_star, stamp_around
-from population import moved
+from population import catalog, moved
 
 from scope_models import Detector, PLDCorrector, Star, simulate
 from scope_models.effects import mission_effects
@@ -27,6 +28,7 @@ from scope_models.missions import MISSIONS
 LIMIT = 0.03
 COLUMNS = ("epic", "kp", "kind", "period", "neighbor", "raw_amplitude", "raw_rms", "amplitude",
            "rms", "clean_amplitude", "clean_rms")  # fmt: skip
+rows_of = itemgetter(list(COLUMNS))
 # Periods (d), amplitudes of the fundamental (mag), ratios R_k1, and phases phi_k1 of sines.
 SHAPES = {
     "RRab": ((0.45, 0.8), (0.19, 0.40), (0.45, 0.35, 0.23, 0.16, 0.10, 0.06, 0.04),
@@ -38,10 +40,9 @@ SHAPES = {
 @cache
 def real_stars(data):
     """Return EPIC, magnitude (NaN where the tables have none) and judgments of the real stars."""
-    folder = Path(data) / "k2_pipelines"
+    path, known = Path(data) / "k2_pipelines" / "everest_rrlyrae.tsv", catalog(data)
     names = ("epic", "everest2", "everest1", "k2sff", "k2sc")
-    stars = Table.read(folder / "everest_rrlyrae.tsv", format="ascii", names=names, comment="#")
-    known = Table.read(folder / "k2_c03-c06_cdpp.csv.gz", format="ascii.csv", comment="#")
+    stars = Table.read(path, format="ascii", names=names, comment="#")
     kp = dict(zip(known["epic"], known["kp"], strict=True))
     stars["kp"] = [kp.get(epic, np.nan) for epic in stars["epic"]]
     return stars
@@ -73,7 +74,7 @@ def quality(flux, truth):
     return flux @ truth / (truth @ truth), np.std(flux - truth) / np.ptp(truth)
 
 
-def observe(task, *, data, cadences, neighbors):
+def observe(task, *, data, cadences):
     """Return the row of a star."""
     number = task["number"]
     rng, stars = np.random.default_rng([27, number]), real_stars(data)
@@ -90,8 +91,7 @@ def observe(task, *, data, cadences, neighbors):
     place = np.array([x_0, y_0]) + distance * np.array([np.cos(angle), np.sin(angle)])
     scene = [target] + [Star(kp + fainter, *place)] * (number % 2)
     observation = simulate(scene, detector, motion, seed=number, effects=mission_effects(detector))
-    options = {"neighbors": neighbors} if neighbors else {}
-    corrector = PLDCorrector(observation.to_tpf(), **options)
+    corrector = PLDCorrector(observation.to_tpf())
     corrected = corrector.correct()
     aperture = np.asarray(corrector.aperture_mask, dtype=float)
     alone = observation.scene.replace(stars=[target.replace(signal=None)], effects=())
@@ -128,19 +128,12 @@ def write_tables(table, real, target):
     write_csv(f"{target}_judged.csv", [["pipeline", "light curves", "proper by eye"], *judged])
 
 
-def rows_of(table):
-    """Return the columns of the file of rows."""
-    return table[list(COLUMNS)]
-
-
 def main(argv=None):
-    more = {"cadences": 1700, "neighbors": {"help": "argument of PLDCorrector"}}
-    options = arguments_of(__doc__, argv, 100, **more)
+    options = arguments_of(__doc__, argv, 100, cadences=1700)
     if options.table:
         table = store_rows(options.file, f"{options.table}.ecsv", rows_of)
         return write_tables(table, real_stars(options.data), options.table)
-    given = {name: getattr(options, name) for name in ("data", *more)}
-    measure = partial(observe, **given)
+    measure = partial(observe, data=options.data, cadences=options.cadences)
     return sweep_rows(options, measure, options.stars, rows_of)
 
 

@@ -24,12 +24,9 @@ CADENCES, MAGNITUDE, SEED = 1000, 11.0, 1
 DATE = "2026-01-01"
 LEFT = 10.0  # background that was not taken off, e-/s: lightkurve's PLD divides by such pixels
 DETECTOR = Detector.k2(
-    shape=(7, 7),
-    psf=BivariateGaussianPSF(sigma_x=0.5, sigma_y=0.5),
-    interpixel=1 + 0.002 * (np.indices((7, 7)).sum(axis=0) - 6),
-    well_depth=None,
-    background=20.0,
-)
+    shape=(7, 7), psf=BivariateGaussianPSF(sigma_x=0.5, sigma_y=0.5),
+    interpixel=1 + 0.002 * (np.indices((7, 7)).sum(axis=0) - 6), well_depth=None, background=20.0,
+)  # fmt: skip
 PERIOD, SINE_AMPLITUDE = 5.0, 0.001
 PLANET = {"rp": 0.044, "a": 12.3108, "inc": 90.0, "u1": 0.40, "u2": 0.26}
 
@@ -47,7 +44,6 @@ def stars():
     planet = TransitModel(
         period=PERIOD, t0=start + 2.0, **PLANET, exposure_time=DETECTOR.cadence_days
     )
-    sine = sinusoidal_signal(SINE_AMPLITUDE, PERIOD)
     cards = {
         "PERIOD": (PERIOD, "[d] orbital period"),
         "T0": (start + 2.0, "[BKJD] middle of a transit"),
@@ -56,15 +52,13 @@ def stars():
         "LIMB_U1": (PLANET["u1"], "linear limb darkening"),
         "LIMB_U2": (PLANET["u2"], "quadratic limb darkening"),
     }
+    waves = {
+        "PERIOD": (PERIOD, "[d] period of the sinusoid"),
+        "SINE_AMP": (SINE_AMPLITUDE, "relative amplitude, half of peak to peak"),
+    }
     return {
         "flat": (None, {"SIGNAL": ("flat", "kind of the signal")}),
-        "sinusoid": (
-            sine,
-            {
-                "PERIOD": (PERIOD, "[d] period of the sinusoid"),
-                "SINE_AMP": (SINE_AMPLITUDE, "relative amplitude, half of peak to peak"),
-            },
-        ),
+        "sinusoid": (sinusoidal_signal(SINE_AMPLITUDE, PERIOD), waves),
         "planet": (planet, cards),
     }
 
@@ -73,31 +67,23 @@ def write(name, signal, cards, folder):
     """Write a file; return its path."""
     observation = simulate(Star(MAGNITUDE, signal=signal), DETECTOR, motion(), seed=SEED)
     error = np.sqrt(np.mean(np.square(observation.flux_err, dtype=float), axis=0))
-    flux = observation.flux + LEFT
+    flux, time, track = observation.flux + LEFT, observation.time, observation.motion
     step = 2.0 ** np.floor(np.log2(0.1 * error))
     metadata = TPFMetadata.of(
         DETECTOR, target_id=1, object_name=f"synthetic {name}", magnitude=MAGNITUDE, campaign=3
     )
     hdus = make_tpf_hdulist(
-        metadata=metadata,
-        time=observation.time,
-        flux=step * np.round(flux / step),
-        flux_err=np.broadcast_to(error, observation.flux.shape),
-        quality=observation.quality,
-        pos_corr1=observation.motion.x,
-        pos_corr2=observation.motion.y,
-        aperture=np.ones(DETECTOR.shape, dtype=bool),
-    )
-    truth = fits.BinTableHDU.from_columns(
-        [
-            fits.Column("TIME", "D", "d", array=observation.time),
-            fits.Column("NOISELESS_INPUT", "D", array=observation.truth.relative_flux[0]),
-        ],
-        name="SIMULATED_SIGNAL",
-    )
+        metadata=metadata, time=time, flux=step * np.round(flux / step),
+        flux_err=np.broadcast_to(error, flux.shape), quality=observation.quality,
+        pos_corr1=track.x, pos_corr2=track.y, aperture=np.ones(DETECTOR.shape, dtype=bool),
+    )  # fmt: skip
+    light = observation.truth.relative_flux[0]
+    columns = [
+        fits.Column("TIME", "D", "d", array=time), fits.Column("NOISELESS_INPUT", "D", array=light)
+    ]  # fmt: skip
+    truth = fits.BinTableHDU.from_columns(columns, name="SIMULATED_SIGNAL")
     truth.header.update(cards)
-    del hdus[3:]
-    hdus.append(truth)
+    hdus[3:] = [truth]
     hdus[0].header["NEXTEND"] = len(hdus) - 1
     for hdu in hdus:
         if "DATE" in hdu.header:

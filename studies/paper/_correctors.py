@@ -7,9 +7,10 @@ from contextlib import contextmanager
 
 import numpy as np
 from astropy.stats import mad_std
+from lightkurve import correctors as rivals
 from scipy.ndimage import binary_dilation
 
-from scope_models import TransitModel, simulate
+from scope_models import PLDCorrector, TransitModel, simulate
 from scope_models.photometry import cdpp
 
 #: What `corrected_noise` compares: the file's aperture, one a pixel wider, and the corrector.
@@ -41,12 +42,9 @@ def corrected_noise(observation, hours):
     1 % that is left. "pixels" and "share": pixels of the file's aperture, and the target's share in
     its starlight; "kept": the part of the cadences with a flux of PLD.
     """
-    from scope_models import PLDCorrector  # imports lightkurve
-
     scene, days = observation.scene, observation.detector.cadence_days
-    planet = TransitModel.from_depth_duration(
-        _DEPTH, _DURATION, _PERIOD, observation.time[0] + 1.0, exposure_time=days
-    )
+    orbit = _DEPTH, _DURATION, _PERIOD, observation.time[0] + 1.0
+    planet = TransitModel.from_depth_duration(*orbit, exposure_time=days)
     target, *neighbors = scene.stars
     with quiet():
         noiseless = simulate(scene, noise=False).flux
@@ -55,10 +53,8 @@ def corrected_noise(observation, hours):
     used = np.searchsorted(observation.cadenceno, files[0].cadenceno)
     width = max(round(hours / 24 / days), 1)
 
-    def target_flux(mask):
-        share = observation.target_share(mask)[used]
-        light = noiseless[used][:, mask].sum(axis=1, dtype=float)
-        return np.median(light * share), np.median(share)
+    def summed(cube, mask):
+        return cube[used][:, mask].sum(axis=1, dtype=float)
 
     def noise(change):
         """Return the CDPP, and the standard deviation of means without a filter, in ppm."""
@@ -69,16 +65,13 @@ def corrected_noise(observation, hours):
         return cdpp(1 + change, duration=hours, cadence=days), 1e6 * float(np.std(means))
 
     row = {"pixels": int(observation.aperture.sum())}
-    for name, floor, mask in (
-        ("aperture", "floor", observation.aperture),
-        ("wide", "floor_wide", binary_dilation(observation.aperture)),
-    ):
-        total, still = (
-            cube[used][:, mask].sum(axis=1, dtype=float) for cube in (observation.flux, noiseless)
-        )
-        flux, share = target_flux(mask)
-        row.setdefault("share", float(share))
-        row[floor], row[f"{floor}_full"] = noise((total - still) / flux)
+    wide = binary_dilation(observation.aperture)
+    for name, end, mask in (("aperture", "", observation.aperture), ("wide", "_wide", wide)):
+        total, still = (summed(cube, mask) for cube in (observation.flux, noiseless))
+        share = observation.target_share(mask)[used]
+        flux = np.median(still * share)
+        row.setdefault("share", float(np.median(share)))
+        row[f"floor{end}"], row[f"floor{end}_full"] = noise((total - still) / flux)
         row[name], row[f"{name}_full"] = noise((total - np.median(total)) / flux)
     row["pld"] = row["pld_full"] = row["pld_survival"] = np.nan
     with quiet():
@@ -87,8 +80,10 @@ def corrected_noise(observation, hours):
             plain, dimmed = (each.correct().flux.value for each in correctors)
         except ValueError:
             return row
-    level = np.nanmedian(plain)
-    flux = level if correctors[0].result.neighbors else target_flux(correctors[0].aperture_mask)[0]
+    flux = level = np.nanmedian(plain)
+    if not correctors[0].result.neighbors:
+        mask = correctors[0].aperture_mask
+        flux = np.median(summed(noiseless, mask) * observation.target_share(mask)[used])
     survival = amplitude((dimmed - plain) / flux, planet(observation.time[used]) - 1)
     row["pld_survival"] = survival
     row["pld"], row["pld_full"] = noise((plain - level) / flux / survival)
@@ -121,11 +116,9 @@ def score(corrector, noise, width=13):
     """
     means, errors, used = corrector.held_out(width)
     floor = np.std(noise[used]) / np.sqrt(width)
-    row = {
-        "held_out_mad": float(mad_std(means) / floor),
-        "held_out_rms": float(np.std(means) / floor),
-        "held_out_pull": float(np.sqrt(np.mean((means / errors) ** 2))),
-    }
+    row = {"held_out_mad": float(mad_std(means) / floor)}
+    row["held_out_rms"] = float(np.std(means) / floor)
+    row["held_out_pull"] = float(np.sqrt(np.mean((means / errors) ** 2)))
     good = np.isfinite(corrector.corrected_lc.flux.value)
     for method in CONVENTIONS:
         row[f"raw_{method}"] = cdpp(corrector.original_lc, method=method)
@@ -152,27 +145,23 @@ def transit_amplitude(flux, transit):
     return amplitude(flux / np.median(flux[outside]) - 1, transit - 1)
 
 
-def correct(name, setting, tpf, aperture, cadence_mask=None):
+def correct(name, setting, tpf, aperture):
     """Return the flux that one of lightkurve's correctors makes of a target pixel file, or None.
 
     `name` is one of `LIGHTKURVE_CORRECTORS`, `setting` one of its settings, in which "whole" is
-    `aperture`. SFF gets POS_CORR, which in simulations is the truth. `cadence_mask` is True where a
-    cadence may be used in the fit.
+    `aperture`. SFF gets POS_CORR, which in simulations is the truth.
     """
-    from lightkurve.correctors import PLDCorrector, SFFCorrector
-
     with quiet():
         try:
             if name == "lightkurve_pld":
                 mask = aperture if setting[0] == "whole" else None
-                corrector = PLDCorrector(tpf, aperture_mask=mask)
-                lc = corrector.correct(pld_order=setting[1], cadence_mask=cadence_mask)
+                corrector = rivals.PLDCorrector(tpf, aperture_mask=mask)
+                lc = corrector.correct(pld_order=setting[1])
             else:
-                corrector = SFFCorrector(tpf.to_lightcurve(aperture_mask=aperture))
-                lc = corrector.correct(
-                    centroid_col=tpf.pos_corr1, centroid_row=tpf.pos_corr2, windows=setting[0],
-                    cadence_mask=cadence_mask,
-                )  # fmt: skip
+                light_curve = tpf.to_lightcurve(aperture_mask=aperture)
+                corrector = rivals.SFFCorrector(light_curve)
+                places = {"centroid_col": tpf.pos_corr1, "centroid_row": tpf.pos_corr2}
+                lc = corrector.correct(**places, windows=setting[0])
         except (np.linalg.LinAlgError, ValueError):
             return None
     return np.asarray(lc.flux.value, dtype=float)

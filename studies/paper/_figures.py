@@ -64,7 +64,7 @@ def make_panels(number, columns, size, **options):
 
 @styled
 def plot_cdpp_panels(panels, reference=None, *, limits=(), residuals=None):
-    """Draw `plot_cdpp` once per title on one scale; return the Axes by their titles.
+    """Draw `plot_cdpp` once per title on one scale; return the figure.
 
     `residuals` has for each label of the panels magnitudes and the noise that is left over that
     which must be there, for a last panel.
@@ -86,7 +86,7 @@ def plot_cdpp_panels(panels, reference=None, *, limits=(), residuals=None):
         lowest = number + 2 >= len(drawn)
         ax.tick_params(labelbottom=lowest)
         ax.xaxis.label.set_visible(lowest)
-    return axes
+    return figure
 
 
 @styled

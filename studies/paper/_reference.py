@@ -14,12 +14,7 @@ from astropy.table import Table
 #: Percentiles in the tables, by the name of their column.
 PERCENTILES = {"p10": 10, "p25": 25, "median": 50, "p75": 75, "p90": 90}
 _RESAMPLES = 400
-
-
-@cache
-def _read(name):
-    """Return a table, read once."""
-    return Table.read(Path(__file__).parent / "data" / f"{name}.ecsv")
+_read = cache(Table.read)
 
 
 def read_reference(name, stars="unsaturated"):
@@ -27,7 +22,7 @@ def read_reference(name, stars="unsaturated"):
 
     `stars` is "unsaturated", "saturated" or "all"; the Kepler table has "all" in every case.
     """
-    table = _read(name)
+    table = _read(Path(__file__).parent / "data" / f"{name}.ecsv")
     chosen = table[table["stars"] == (stars if stars in table["stars"] else "all")]
     chosen.remove_column("stars")
     return chosen

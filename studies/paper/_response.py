@@ -26,21 +26,17 @@ _SQUARE = (0.0, 0.0, 1.0)
 _WHITE = 0.257
 
 
-def winged_psf(fraction, brightest=_BRIGHTEST, diameter=_DIAMETER):
-    """Return the sum of two round Gaussians, core and wings, that has Kepler's concentration.
+def winged_psf(fraction):
+    """Return two round Gaussians, core and wings, with Kepler's concentration.
 
-    `fraction` is the part of the light in the wings, from 0.06 to 0.6, `brightest` that in the
-    pixel on whose center the star is, and `diameter` (px) that of the circle that holds 95 % of the
-    light.
+    `fraction` is the part of the light in the wings, from 0.06 to 0.6.
     """
     if not 0.06 <= fraction <= 0.6:
         raise ValueError(f"`fraction` must be within 0.06 and 0.6, got {fraction}")
-    square, outside = (diameter / 2) ** 2, 0.05
+    square, outside = (_DIAMETER / 2) ** 2, 0.05
     for _ in range(100):  # the core matters little outside the circle, so that this converges
         wings = np.sqrt(square / (2 * np.log(fraction / outside)))
-        rest = (brightest - fraction * _central(wings)) / (1 - fraction)
-        if not 0 < rest < 1:
-            raise ValueError(f"no core goes with `fraction` {fraction} and `brightest` {brightest}")
+        rest = (_BRIGHTEST - fraction * _central(wings)) / (1 - fraction)
         core = 0.5 / (np.sqrt(2) * erfinv(np.sqrt(rest)))
         outside = 0.05 - (1 - fraction) * np.exp(-square / (2 * core**2))
     return BivariateGaussianPSF(
@@ -82,32 +78,26 @@ class RollingStars:
             moments = self._moments(detector, star, motion)
             deviations = rng.standard_normal(detector.shape)
             image = moments[0].mean(axis=0)
-            for row, threshold in enumerate(thresholds):
-                mask = image > threshold
-                self._fill((row, number), moments[:, :, mask], deviations[mask])
+            for place in ((row, number) for row in range(len(thresholds))):
+                mask = image > thresholds[place[0]]
+                inside = moments[:, :, mask]
+                sums = inside.sum(axis=2)
+                scale = sums[0].mean()  # series are near 1, so that single precision does
+                self._series[place][:3] = sums / scale
+                self._series[place][3:] = inside @ deviations[mask] / scale
+                self.fraction[place], self.n_pixels[place] = scale, mask.sum()
 
     @staticmethod
     def _moments(detector, star, motion):
         """Return the moments M_0, M_1, M_2 over pixels, shape (3, n, ny, nx)."""
-        ones = np.ones(len(motion))
+        place = {"x_0": star.x_0 + motion.x, "y_0": star.y_0 + motion.y}
 
-        def moment(along_x, along_y):
-            prf = PRF(star.psf * SensitivityPolynomial(along_x, along_y))
-            return prf.render(
-                detector.shape, flux=ones, x_0=star.x_0 + motion.x, y_0=star.y_0 + motion.y
-            )
+        def moment(*rows):
+            prf = PRF(star.psf * SensitivityPolynomial(*rows))
+            return prf.render(detector.shape, flux=np.ones(len(motion)), **place)
 
         first = moment(_SQUARE, (1.0,)) + moment((1.0,), _SQUARE)
         return np.array([moment((1.0,), (1.0,)), first, moment(_SQUARE, _SQUARE)])
-
-    def _fill(self, place, inside, deviations):
-        """Sum the moments over an aperture."""
-        sums = inside.sum(axis=2)
-        scale = sums[0].mean()  # series are near 1, so that single precision does
-        self._series[place][:3] = sums / scale
-        self._series[place][3:] = inside @ deviations / scale
-        self.fraction[place] = scale
-        self.n_pixels[place] = len(deviations)
 
     def systematics(self, a_2, scatter):
         """Return the noise by motion alone for a_2 and the standard deviation of b, CDPP in ppm."""

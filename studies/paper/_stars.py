@@ -15,20 +15,16 @@ _CADENCES = 1000
 DETECTORS = {"paper": Detector.k2, "calibrated": Detector.k2_calibrated}
 
 
-def draw_star(
-    rng, mag, detector, *, x_0=None, y_0=None, shift=0.2, sigma_spread=0.1, rho_spread=0.4,
-    signal=None,
-):  # fmt: skip
+def draw_star(rng, mag, detector, *, x_0=None, y_0=None, shift=0.2, signal=None):
     """Draw a star as the paper varies them: its place within a pixel, and the shape of its PSF.
 
     The place is within `shift` (px) of x_0 and y_0, by default the pixel in the middle of the
-    stamp, the widths within a part `sigma_spread`, the correlation within `rho_spread` of the
-    detector's PSF. Five uniform deviates are used whatever the spreads are.
+    stamp, the widths within 10 %, the correlation within 0.4 of the detector's PSF.
     """
     ny, nx = detector.shape
     deviates = rng.uniform(-1.0, 1.0, 5)
     x_0, y_0 = nx // 2 if x_0 is None else x_0, ny // 2 if y_0 is None else y_0
-    psf = _varied(detector.psf, 1 + sigma_spread * deviates[2:4], rho_spread * deviates[4])
+    psf = _varied(detector.psf, 1 + 0.1 * deviates[2:4], 0.4 * deviates[4])
     return Star(mag, x_0 + shift * deviates[0], y_0 + shift * deviates[1], psf=psf, signal=signal)
 
 
@@ -45,6 +41,7 @@ def _varied(psf, factors, tilt):
     return psf
 
 
+@lru_cache(maxsize=8)
 def motion_from_name(name, n_cadences=None, **options):
     """Return the motion that a name stands for, without flagged cadences.
 
@@ -56,12 +53,6 @@ def motion_from_name(name, n_cadences=None, **options):
     n = n_cadences or _CADENCES
     # Thrusters fire in one cadence of twelve at most, and a firing may fall into two cadences.
     return _usable(Motion.k2_roll(n + n // 4 + 12, **options), name)[:n]
-
-
-@lru_cache(maxsize=8)
-def cached_motion(name, n_cadences):
-    """Return `motion_from_name` for studies, in which all stars have the same motion."""
-    return motion_from_name(name, n_cadences)
 
 
 def _usable(motion, name):

@@ -16,14 +16,19 @@ from scope_models._arrays import values_of
 from scope_models.batch import SweepError, run_sweep
 from scope_models.cli._batch import add_workers, client_of, with_config
 
+parameters = dataclasses.dataclass(frozen=True, kw_only=True)
 
-def run(name, parameters, tasks, measure, summarize, draw, units, argv=None):
-    """Run a study with the parameters of the command line, and print where its results are.
+
+def study_of(name, parameters, tasks, measure, summarize=None, draw=None, units=None):
+    """Return a function that runs a study with a command line, and prints where its results are.
 
     `parameters` is a dataclass; all functions get it first; `tasks` returns the stars, `measure` a
-    row of one, `summarize` the summary of the table, and `draw` the figure of table and summary;
-    the last two may be None.
+    row of one, `summarize` the summary of the table, and `draw` the figure of table and summary.
     """
+    return partial(_run, name, parameters, tasks, measure, summarize, draw, units)
+
+
+def _run(name, parameters, tasks, measure, summarize, draw, units, argv=None):
     warnings.filterwarnings("ignore", ".*tpfmodel submodule is not available", UserWarning)
     parser = argparse.ArgumentParser(prog=f"{Path(sys.argv[0]).name}", description=f"Study {name}.")
     parser.add_argument("--directory", default=name, metavar="DIR", help=f"results ({name})")

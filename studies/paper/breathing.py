@@ -6,31 +6,23 @@ The relative width of the PSF is a sinusoid in time, beside a motion as K2's. Wh
 compared with the noise of the light alone, without any filter in time.
 """
 
-from dataclasses import dataclass
-from functools import partial
-
 import numpy as np
 from _correctors import METHODS, SURVIVALS, UNITS, corrected_noise
 from _figures import plot_maps
 from _stars import motion_from_name
-from _study import grid, largest, medians, run
+from _study import grid, largest, medians, parameters, study_of
 
 from scope_models import Detector, Star, simulate
 from scope_models.batch import star_rng, star_seed
 from scope_models.effects import Focus
 
-NAME = "breathing"
 
-
-@dataclass(frozen=True, kw_only=True)
+@parameters
 class BreathingPSF:
-    """The parameters."""
-
     seed: int = 1
     amplitudes: tuple[float, ...] = (0.001, 0.003, 0.01, 0.03)  # relative, of the width
     periods: tuple[float, ...] = (0.25, 1.0, 4.0, 16.0)  # days
     mag: float = 12.0  # Kp
-    motion: str = "k2_roll"  # see `motion_from_name`
     stars: int = 1  # per cell
     cadences: int = 1000
 
@@ -46,7 +38,7 @@ def measure(study, task):
     rng, detector = star_rng(study.seed, star), Detector.k2_calibrated()
     place = 5 + rng.uniform(-0.5, 0.5, 2)
     focus = Focus(task["amplitude"], period=task["period"], phase=rng.random())
-    motion = motion_from_name(study.motion, study.cadences)
+    motion = motion_from_name("k2_roll", study.cadences)
     seed = star_seed(study.seed, star, "noise")
     observation = simulate(Star(study.mag, *place), detector, motion, seed=seed, effects=focus)
     return corrected_noise(observation, hours=6.5)
@@ -84,7 +76,7 @@ def draw(_, __, summary):
     )  # fmt: skip
 
 
-main = partial(run, NAME, BreathingPSF, tasks, measure, summarize, draw, UNITS)
+main = study_of("breathing", BreathingPSF, tasks, measure, summarize, draw, UNITS)
 
 if __name__ == "__main__":
     main()

@@ -53,17 +53,6 @@ MODEL_ERROR = 0.1
 CHUNK = 30  # stars in memory
 
 
-def reference():
-    """Return the logarithms of campaign 3's percentiles, and their errors."""
-    rows = []
-    for mag, kind in BINS:
-        table = read_reference("k2_c03_raw", kind)
-        rows.append(table[table["mag"] == mag][0])
-    values = np.array([[row[name] for name in PERCENTILES] for row in rows])
-    counts = np.array([row["n"] for row in rows])
-    return np.log(values), LOG_SCATTER * SPREAD / np.sqrt(counts[:, np.newaxis])
-
-
 def field_stars(detector, numbers, options):
     """Return stars all over the field of view, as `RollingStars` takes them."""
     stars = []
@@ -125,13 +114,6 @@ def percentiles(systematics, white):
     return fine
 
 
-def costs(ours, known, error):
-    """Return the cost of each point, and the largest deviation of a median."""
-    ratio = ours - known
-    cost = np.sum(WEIGHTS * ratio**2 / (error**2 + MODEL_ERROR**2), axis=(-2, -1))
-    return cost, np.abs(np.expm1(ratio[..., 2])).max(axis=-1)
-
-
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--stars", type=int, default=300)
@@ -140,13 +122,18 @@ def main():
     parser.add_argument("--wings", type=float, nargs="+", default=WINGS)
     parser.add_argument("--output", type=Path, default=Path())
     options = parser.parse_args()
-    known, error = reference()
+    rows = [one[one["mag"] == mag][0] for mag, kind in BINS
+            for one in [read_reference("k2_c03_raw", kind)]]  # fmt: skip
+    known = np.log([[row[name] for name in PERCENTILES] for row in rows])
+    counts = np.array([[row["n"]] for row in rows])
+    variance = LOG_SCATTER**2 * SPREAD**2 / counts + MODEL_ERROR**2
     table = Table(names=list(COLUMNS))
     table.meta = {"made by": "studies/paper/calibrate_k2_motion.py", "stars": options.stars,
                   "cadences": options.cadences, "seed": options.seed}  # fmt: skip
     for wings in options.wings:
         ours = percentiles(*noise_by_part(wings, options))
-        cost, worst = costs(ours, known, error)
+        cost = np.sum(WEIGHTS * (ours - known) ** 2 / variance, axis=(-2, -1))
+        worst = np.abs(np.expm1((ours - known)[..., 2])).max(axis=-1)
         for i, j in np.ndindex(cost.shape[1:]):
             row = int(np.argmin(cost[:, i, j]))
             values = (
@@ -154,14 +141,11 @@ def main():
                 FINE_A_2[i],
                 FINE_SCATTER[j],
                 *LAWS[row],
-                *(each[row, i, j] for each in (cost, worst)),
+                cost[row, i, j],
+                worst[row, i, j],
             )
             table.add_row([round(v, n) for v, n in zip(values, COLUMNS.values(), strict=True)])
-        best = np.unravel_index(np.argmin(cost), cost.shape)
-        print(table[table["wings"] == wings][np.argmin(cost.min(axis=0))])
-        print(f"percentiles {', '.join(PERCENTILES)} over the reference")
-        for (mag, kind), ratios in zip(BINS, np.exp(ours[best] - known), strict=True):
-            print(f"    Kp {mag:4.1f} {kind:11s} {ratios.round(2)}", flush=True)
+        print(table[table["wings"] == wings][np.argmin(cost.min(axis=0))], flush=True)
         table.write(options.output / "k2_calibration.ecsv", format="ascii.ecsv", overwrite=True)
 
 

@@ -9,21 +9,19 @@ and divided by the reference; and the latter with the fractions that a model of 
 whose width is smooth in time.
 """
 
-from dataclasses import dataclass
-from functools import partial
-
 import numpy as np
 from _correctors import amplitude, quiet
 from _figures import plot_maps
-from _study import cells, grid, medians, run
+from _study import cells, grid, medians, parameters, study_of
+from lightkurve import TessTargetPixelFile
+from photutils.aperture import CircularAperture
 
-from scope_models import Detector, Motion, Star, TransitModel, simulate
+from scope_models import Detector, Motion, PLDCorrector, Star, TransitModel, simulate
 from scope_models.batch import star_rng, star_seed
 from scope_models.effects import DarkCurrent, Extinction, Scintillation, Seeing
 from scope_models.io.tpf import make_tpf_hdulist
 from scope_models.models import moffat_psf
 
-NAME = "ground"
 # Target and comparison stars, far from each other; the cut for PLD is about the target.
 SHAPE, TARGET, HALF = (57, 57), (28.0, 28.0), 8
 COMPARISONS = ((11.0, 11.0), (45.0, 11.0), (11.0, 45.0))
@@ -43,10 +41,8 @@ SURVIVALS = tuple(f"{name}_survival" for name in METHODS if name.startswith("dif
 UNITS = dict.fromkeys(("floor", *METHODS), "ppm")
 
 
-@dataclass(frozen=True, kw_only=True)
+@parameters
 class GroundPLD:
-    """The parameters."""
-
     seed: int = 1
     flats: tuple[float, ...] = (0.002, 0.01)  # scatter of the pixels' response after flat-fielding
     drifts: tuple[float, ...] = (0.03, 0.15)  # of the tracking, arcsec/h
@@ -98,41 +94,31 @@ def measure(study, task):
     """
     observation = observe(study, task)
     time = observation.time
-    planet = TransitModel.from_depth_duration(
-        DEPTH, DURATION, 0.9, time[0] + 0.125, exposure_time=EXPOSURE / 86400
-    )
+    orbit = DEPTH, DURATION, 0.9, time[0] + 0.125
+    planet = TransitModel.from_depth_duration(*orbit, exposure_time=EXPOSURE / 86400)
     still, dimmed = photometry(observation), photometry(observe(study, task, planet))
-    row = {"floor": floor(observation)}
+    row = {"floor": floor(observation)} | {name: noise(still[name]) for name in METHODS}
     for name in METHODS:
-        survival = 1.0
         if f"{name}_survival" in SURVIVALS:
             survival = amplitude(dimmed[name] - still[name], planet(time) - 1)
-            row[f"{name}_survival"] = survival
-        row[name] = noise(still[name]) / abs(survival)
+            row |= {f"{name}_survival": survival, name: row[name] / abs(survival)}
     return row
 
 
 def photometry(observation):
     """Return the relative flux of the target by each method, less 1."""
-    from lightkurve import TessTargetPixelFile
-
-    from scope_models import PLDCorrector
-
     sums = moving_sums(observation, observation.flux)
     reference = sums[1:].sum(axis=0)
     reference /= np.median(reference)
     found = {"raw": sums[0], "differential": sums[0] / reference}
-    x, y = (round(value) for value in TARGET)
-    cut = np.s_[:, y - HALF : y + HALF + 1, x - HALF : x + HALF + 1]
+    cut = np.s_[:, *(slice(round(at) - HALF, round(at) + HALF + 1) for at in TARGET[::-1])]
     for name, fractions, divisor in (
         ("raw_pld", "measured", np.ones_like(reference)),
         ("differential_pld", "measured", reference),
         ("differential_predicted", "predicted", reference),
     ):
-        flux, error = (
-            cube[cut] / divisor[:, np.newaxis, np.newaxis]
-            for cube in (observation.flux, observation.flux_err)
-        )
+        cubes = observation.flux[cut], observation.flux_err[cut]
+        flux, error = (cube / divisor[:, np.newaxis, np.newaxis] for cube in cubes)
         hdus = make_tpf_hdulist(
             metadata="Ground", time=observation.time, flux=flux, flux_err=error,
             pos_corr1=observation.motion.x, pos_corr2=observation.motion.y,
@@ -148,18 +134,12 @@ def photometry(observation):
 
 def moving_sums(observation, cube):
     """Return the flux of all stars in apertures that follow them, shape (n_stars, n_cadences)."""
-    from photutils.aperture import CircularAperture
-
-    x, y = observation.truth.x, observation.truth.y
-    return np.array(
-        [
-            [
-                mask.multiply(image).sum()
-                for mask in CircularAperture(np.column_stack([x[:, i], y[:, i]]), RADIUS).to_mask()
-            ]
-            for i, image in enumerate(cube.astype(float))
-        ]
-    ).T
+    places = np.transpose([observation.truth.x, observation.truth.y], (2, 1, 0))
+    apertures = (CircularAperture(each, RADIUS) for each in places)
+    return np.array([
+        aperture.do_photometry(image.astype(float))[0]
+        for aperture, image in zip(apertures, cube, strict=True)
+    ]).T  # fmt: skip
 
 
 def floor(observation):
@@ -185,12 +165,10 @@ def summarize(_, table):
 
     The ratio is the median over the fields, "ratio_error" its standard error.
     """
-    summary = medians(table, ("flat", "drift"), ("floor", *METHODS, *SURVIVALS))
-    ratios = [
-        np.array(part["differential_pld"] / part["differential"], dtype=float)
-        for _, part in cells(table, ("flat", "drift"))
-    ]
-    summary["ratio"] = [np.median(ratio) for ratio in ratios]
+    cell, table = ("flat", "drift"), table.copy()
+    table["ratio"] = np.array(table["differential_pld"] / table["differential"])
+    summary = medians(table, cell, ("floor", *METHODS, *SURVIVALS, "ratio"))
+    ratios = [np.array(part["ratio"]) for _, part in cells(table, cell)]
     # 1.25 sigma / sqrt(n): the standard error of a median of normal numbers.
     summary["ratio_error"] = [
         1.2533 * np.std(ratio, ddof=1) / np.sqrt(len(ratio)) if len(ratio) > 1 else np.nan
@@ -208,7 +186,7 @@ def draw(_, __, summary):
     )  # fmt: skip
 
 
-main = partial(run, NAME, GroundPLD, tasks, measure, summarize, draw, UNITS)
+main = study_of("ground", GroundPLD, tasks, measure, summarize, draw, UNITS)
 
 if __name__ == "__main__":
     main()

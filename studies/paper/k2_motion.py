@@ -9,15 +9,12 @@ at Kp 14. Stars with a pixel above 90 % of its well have a larger aperture, as E
 Saunders, N. et al. 2019, section 3; Luger, R. et al. 2018, AJ, 156, 99 (EVEREST 2).
 """
 
-from dataclasses import dataclass
-from functools import partial
-
 import matplotlib.pyplot as plt
 import numpy as np
 from _figures import plot_cdpp
 from _reference import PERCENTILES, compared, noise_band, read_reference
 from _stars import DETECTORS, draw_star, motion_from_name, stamp_around
-from _study import cells, grid, run
+from _study import cells, grid, parameters, study_of
 from astropy.table import Table
 from no_motion import noise_parts
 
@@ -26,7 +23,6 @@ from scope_models.batch import star_rng, star_seed
 from scope_models.photometry import cdpp
 from scope_models.plotting._style import styled
 
-NAME = "k2-motion"
 CONTRIBUTIONS = ("white", "losses", "intrapixel", "systematics")
 UNITS = dict.fromkeys(("cdpp", "cdpp_lightkurve", *CONTRIBUTIONS), "ppm")
 EDGE = 6.94  # largest distance from the boresight in degrees, 6278 px (arXiv:1512.06162)
@@ -36,10 +32,8 @@ GOLDEN = 0.6180339887498949
 LAW_MAGNITUDE = 14.0
 
 
-@dataclass(frozen=True, kw_only=True)
+@parameters
 class K2MotionNoise:
-    """The parameters."""
-
     seed: int = 1
     magnitudes: tuple[float, ...] = tuple(11 + 0.5 * k for k in range(9))  # Kp
     detectors: tuple[str, ...] = ("paper", "calibrated")
@@ -158,7 +152,7 @@ def draw(study, _, summary):
     return figure
 
 
-main = partial(run, NAME, K2MotionNoise, tasks, measure, summarize, draw, UNITS)
+main = study_of("k2-motion", K2MotionNoise, tasks, measure, summarize, draw, UNITS)
 
 if __name__ == "__main__":
     main()

@@ -6,18 +6,14 @@ The stars move as `Motion.k2_final_campaign`, and have the mission's effects. St
 three pixels, as the mission's. Each part is corrected for itself.
 """
 
-from dataclasses import dataclass
-from functools import partial
-
 import numpy as np
 from _correctors import SURVIVALS, UNITS, corrected_noise, curves, quiet
 from _figures import plot_cdpp_panels
-from _study import grid, largest, medians, run
+from _study import grid, largest, medians, parameters, study_of
 
 from scope_models import Detector, Motion, Star, simulate
 from scope_models.batch import star_rng, star_seed
 
-NAME = "last-campaigns"
 #: Parts of the campaigns by name: campaign, first and last long cadence (K2 data release notes).
 PARTS = {
     "C18": (18, 161969, 163168),
@@ -34,10 +30,8 @@ MISSION_CDPP = {
 COLUMNS = ("kept", "seen", *SURVIVALS, *UNITS)
 
 
-@dataclass(frozen=True, kw_only=True)
+@parameters
 class LastCampaigns:
-    """The parameters."""
-
     seed: int = 1
     magnitudes: tuple[float, ...] = (10.0, 12.0, 14.0, 16.0)  # Kp
     parts: tuple[str, ...] = tuple(PARTS)  # of campaign 18 the first 1200 cadences are used
@@ -110,10 +104,10 @@ def draw(study, _, summary):
     panels = {
         name: curves(summary[summary["part"] == name], mission="Mission") for name in study.parts
     }
-    return next(iter(plot_cdpp_panels(panels).values())).figure
+    return plot_cdpp_panels(panels)
 
 
-main = partial(run, NAME, LastCampaigns, tasks, measure, summarize, draw, UNITS)
+main = study_of("last-campaigns", LastCampaigns, tasks, measure, summarize, draw, UNITS)
 
 if __name__ == "__main__":
     main()

@@ -7,44 +7,33 @@ lightkurve's correctors in the same aperture. At some motions a second simulatio
 noise, has transits. The limits on the noise that Saunders et al. (2019) state are in the figure.
 """
 
-from dataclasses import dataclass
-from functools import partial
-
 import numpy as np
 from _correctors import CONVENTIONS, best_setting, correct, noise_of, transit_amplitude
 from _figures import plot_cdpp_panels
 from _reference import noise_band, read_reference, reference_noise
-from _stars import cached_motion, observe_star
-from _study import cells, grid, medians, percentiles, run
+from _stars import motion_from_name, observe_star
+from _study import cells, grid, medians, parameters, percentiles, study_of
 
 from scope_models import PLDCorrector, TransitModel, simulate
 from scope_models._arrays import values_of
 from scope_models.batch import star_rng
 
-NAME = "motion"
 TITLES = {
     "pld": "PLD (scope_models)",
     "lightkurve_pld": "PLD (lightkurve, best order)",
     "lightkurve_sff": "SFF (lightkurve)",
 }
-UNITS = dict.fromkeys(
-    (
-        *(f"{name}_{method}" for name in ("raw", "floor", *TITLES) for method in CONVENTIONS),
-        *(f"depth_{name}" for name in ("masked", "masked_error", "joint", "joint_error")),
-        *(f"depth_{name}" for name in list(TITLES)[1:]),
-    ),
-    "ppm",
-)
+NOISE = [f"{name}_{method}" for name in ("raw", "floor", *TITLES) for method in CONVENTIONS]
+DEPTHS = "depth_masked", "depth_masked_error", "depth_joint", "depth_joint_error"
+UNITS = dict.fromkeys((*NOISE, *DEPTHS), "ppm")
 KEPLER = {"kepler_median": "median", "kepler_p10": "p10", "kepler_p90": "p90"}
 PERIOD, DURATION = 3.1, 0.25  # of the transits, days
 #: Multiple of the motion, faintest magnitude, and the limit (ppm) that the paper's text states.
 LIMITS = ((2, 15, 200), (5, 15.5, 400), (10, 15.5, 1000))
 
 
-@dataclass(frozen=True, kw_only=True)
+@parameters
 class MotionTest:
-    """The parameters."""
-
     seed: int = 1
     magnitudes: tuple[float, ...] = tuple(10 + 0.5 * k for k in range(12))  # Kp
     scales: tuple[float, ...] = (1.0, 2.0, 4.0, 5.0, 10.0)  # multiples of the motion
@@ -64,7 +53,7 @@ tasks = grid("kp{mag:g}-x{scale:g}-{index}", index="stars", scale="scales", mag=
 
 def observe(study, task):
     """Return the pixels of a star without transits."""
-    motion = task["scale"] * cached_motion(study.motion, study.cadences)
+    motion = task["scale"] * motion_from_name(study.motion, study.cadences)
     margin = 8 if study.detector == "calibrated" else 5  # its PSF has wings
     return observe_star(study, task, motion, detector=study.detector, margin=margin)
 
@@ -105,9 +94,8 @@ def depths(study, task, observation, aperture, settings):
     star = observation.stars[0].replace(signal=planet)
     tpf = simulate(observation.scene.replace(stars=[star])).to_tpf()
     transit = planet(tpf.time.value)
-    outside = transit == 1
     corrector = PLDCorrector(tpf, aperture_mask=aperture)
-    corrector.correct(order=study.order, transit_mask=~outside)
+    corrector.correct(order=study.order, transit_mask=transit < 1)
     found = {"masked": corrector.fit_transit(transit)}
     corrector.correct(order=study.order, transit_model=transit)
     found["joint"] = corrector.result.transit_scale, corrector.result.transit_scale_err
@@ -118,21 +106,18 @@ def depths(study, task, observation, aperture, settings):
     flux = corrector.correct(order=study.order).flux.value
     row["survival_pld"] = transit_amplitude(flux, transit)
     for name, setting in settings.items():
-        ways = ("survival", None, 1), ("depth", outside, study.transit_depth)
-        for column, mask, unit in ways:
-            flux = correct(name, setting, tpf, aperture, mask)
-            if flux is not None:
-                row[f"{column}_{name}"] = unit * transit_amplitude(flux, transit)
+        flux = correct(name, setting, tpf, aperture)
+        if flux is not None:
+            row[f"survival_{name}"] = transit_amplitude(flux, transit)
     return row
 
 
-def summarize(study, table):
+def summarize(_, table):
     """Return medians per motion and magnitude beside Kepler's and the limits of the paper.
 
     Beside the medians of all columns: 16th and 84th percentiles of the correctors' CDPP, Kepler's
     percentiles, our CDPP over Kepler's median, and the limit that the paper states over our CDPP.
-    ``meta`` has "transits", how many depths are retrieved and their mean over the true one, and
-    "survival", the part of a transit's depth that is left.
+    ``meta`` has "survival", the part of a transit's depth that is left.
     """
     columns = [name for name in table.colnames if name not in {"key", "index", "scale", "mag"}]
     everest = [f"{name}_everest" for name in TITLES]
@@ -147,10 +132,6 @@ def summarize(study, table):
     ]
     limits = np.array([min(each, default=np.nan) for each in limits])
     summary["below_paper"] = limits / noise
-    summary.meta["transits"] = {
-        how: retrieved(*(values_of(table, f"depth_{how}{end}") for end in ("", "_error")), study)
-        for how in ("masked", "joint")
-    }
     summary.meta["survival"] = {
         name: dict(zip(("low", "median", "high"), percentiles(values), strict=True))
         for name in TITLES
@@ -161,24 +142,6 @@ def summarize(study, table):
         if name.removesuffix("_low").removesuffix("_high") in (*UNITS, *KEPLER):
             summary[name].unit = "ppm"
     return summary
-
-
-def retrieved(depth, error, study):
-    """Return the part of depths that are 7.1 errors deep and within 3 of the truth, and the mean.
-
-    7.1 is Kepler's threshold of detection.
-    """
-    depth, error = (values[np.isfinite(depth)] / study.transit_depth for values in (depth, error))
-    if not len(depth):
-        return {"stars": 0}
-    pull, weight = (depth - 1) / error, error**-2.0
-    return {
-        "stars": len(depth),
-        "share": float(np.mean((depth >= 7.1 * error) & (np.abs(pull) <= 3))),
-        "ratio": float(np.average(depth, weights=weight)),
-        "ratio_error": float(weight.sum() ** -0.5),
-        "pull": float(np.std(pull)),
-    }
 
 
 def draw(_, __, summary):
@@ -198,15 +161,15 @@ def draw(_, __, summary):
         (faintest, ppm, f"paper, {scale}x") for scale, faintest, ppm in LIMITS
         if f"{scale}x" in parts
     ]  # fmt: skip
-    axes = plot_cdpp_panels(
+    figure = plot_cdpp_panels(
         panels, noise_band("kepler", "Kepler", mags), limits=limits,
         residuals=curves("mag", "residual_everest"),
     )  # fmt: skip
-    axes["Residual over noise"].set_title(f"{TITLES['pld']}, residual over noise")
-    return axes[TITLES["pld"]].figure
+    figure.axes[-1].set_title(f"{TITLES['pld']}, residual over noise")
+    return figure
 
 
-main = partial(run, NAME, MotionTest, tasks, measure, summarize, draw, UNITS)
+main = study_of("motion", MotionTest, tasks, measure, summarize, draw, UNITS)
 
 if __name__ == "__main__":
     main()

@@ -11,15 +11,12 @@ its 10th percentiles with detector noise alone, by ``calibrate_no_motion.py``; c
 L. et al. 2011, ApJS 197, 6.
 """
 
-from dataclasses import dataclass
-from functools import partial
-
 import matplotlib.pyplot as plt
 import numpy as np
 from _figures import plot_cdpp
 from _reference import PERCENTILES, compared, noise_band, read_reference
 from _stars import draw_star
-from _study import cells, grid, run
+from _study import cells, grid, parameters, study_of
 from astropy.table import Table
 from scipy.special import ndtri
 
@@ -29,20 +26,16 @@ from scope_models.models import stochastic_signal
 from scope_models.photometry import cdpp
 from scope_models.plotting._style import styled
 
-NAME = "no-motion"
-NOISE = "detector_cdpp", "detector_cdpp_lightkurve", "cdpp", "cdpp_lightkurve", "variability"
 PARTS = "photon", "background", "read"
-UNITS = {"kp": "mag"} | dict.fromkeys((*NOISE, *PARTS), "ppm")
+UNITS = {"kp": "mag"} | dict.fromkeys(("detector_cdpp", "cdpp", "variability", *PARTS), "ppm")
 WIDTH = 13  # cadences in the 6.5 hours of a CDPP
 BRIGHT = 11.5  # magnitude at which `giant_fraction` holds
 # Steps of an evenly spaced sequence in two dimensions: inverse powers of the plastic number.
 STEPS = np.array([0.7548776662466927, 0.5698402909980532])
 
 
-@dataclass(frozen=True, kw_only=True)
+@parameters
 class NoMotion:
-    """The parameters."""
-
     seed: int = 1
     magnitudes: tuple[float, ...] = tuple(float(mag) for mag in np.arange(11.5, 15.6, 0.5))
     stars: int = 100  # per bin; magnitudes and variability are spread evenly over them
@@ -87,8 +80,8 @@ def variability(study, mag, place):
 def measure(study, task):
     """Return the noise of a star with its variability, and of the same star without it.
 
-    CDPP with variability and with detector noise alone, in both conventions; the parts of photons,
-    background and read noise; and what was drawn.
+    CDPP with variability and with detector noise alone; the parts of photons, background and read
+    noise; and what was drawn.
     """
     motion, still = Motion.still(study.cadences), quiet_star(study, task)
     level, giant = (v.item() for v in variability(study, still.mag, even(study, task)[1]))
@@ -102,7 +95,6 @@ def measure(study, task):
     for prefix, source in (("", observation), ("detector_", quiet)):
         flux = source.flux[:, aperture].sum(axis=1, dtype=float)
         row[f"{prefix}cdpp"] = cdpp(flux, method="everest")
-        row[f"{prefix}cdpp_lightkurve"] = cdpp(flux)
     return row | noise_parts(quiet, aperture)
 
 
@@ -165,7 +157,7 @@ def draw(_, stars, summary):
     return figure
 
 
-main = partial(run, NAME, NoMotion, tasks, measure, summarize, draw, UNITS)
+main = study_of("no-motion", NoMotion, tasks, measure, summarize, draw, UNITS)
 
 if __name__ == "__main__":
     main()

@@ -10,16 +10,13 @@ its error deep, Kepler's threshold, and all boxes are within half a transit of t
 was found is masked, the star is de-trended again, and a transit is fitted.
 """
 
-from dataclasses import dataclass
-from functools import partial
-
 import matplotlib.pyplot as plt
 import numpy as np
 from _correctors import transit_amplitude
 from _figures import plot_map
 from _search import fit_shape, flattened, isolated, search_light_curve
-from _stars import cached_motion, observe_star
-from _study import cells, grid, medians, percentiles, run
+from _stars import motion_from_name, observe_star
+from _study import cells, grid, medians, parameters, percentiles, study_of
 from astropy.stats import mad_std
 
 from scope_models import Detector, PLDCorrector, TransitModel
@@ -27,7 +24,6 @@ from scope_models._arrays import values_of
 from scope_models.batch import star_rng
 from scope_models.plotting._style import styled
 
-NAME = "recovery"
 DAYS = ("period", "duration", "found_period", "found_duration", "found_duration_error")
 DEPTHS = ("depth", "found_depth", "found_depth_error", "joint_depth", "joint_depth_error")
 UNITS = dict.fromkeys(DAYS, "d") | dict.fromkeys((*DEPTHS, "white_noise"), "ppm")
@@ -35,10 +31,8 @@ EXPOSURE = Detector.k2().cadence_days
 MASK_WIDTHS = 0.75  # of a found transit, in its durations on either side of the middle
 
 
-@dataclass(frozen=True, kw_only=True)
+@parameters
 class Recovery:
-    """The parameters."""
-
     seed: int = 1
     magnitudes: tuple[float, ...] = (11.0, 12.0, 13.0, 14.0, 15.0)  # Kp
     # ppm at mid-transit; 0 is a star without planet, and counts false alarms
@@ -76,7 +70,7 @@ def make_planet(study, task, time):
 
 def observe(study, task):
     """Return the pixels of a star with its planet."""
-    motion = task["scale"] * cached_motion(study.motion, study.cadences)
+    motion = task["scale"] * motion_from_name(study.motion, study.cadences)
     signal = make_planet(study, task, motion.time)[0] if task["depth"] else None
     return observe_star(study, task, motion, signal=signal)
 
@@ -140,8 +134,7 @@ def found_shape(study, corrector, found):
 def summarize(study, table):
     """Return completeness and ratios per motion, magnitude and depth.
 
-    "completeness" is the fraction of the stars that is recovered, "expected" that whose transits
-    would be above the threshold in the least white noise; the others are medians: both
+    "completeness" is the fraction of the stars that is recovered; the others are medians: both
     signal-to-noise ratios, the survival, and depths and durations over the true ones. In ``meta``:
     "false_alarms", and "by_motion", the statistics of all planets of a motion.
     """
@@ -153,9 +146,7 @@ def summarize(study, table):
         planets[f"{name}_ratio"] = values_of(planets, column) / true
     names = ("snr", "expected_snr", "survival", *(f"{name}_ratio" for name in found))
     summary = medians(planets, cell, names)
-    parts = [part for _, part in cells(planets, cell)]
-    summary["completeness"] = [np.mean(part["recovered"]) for part in parts]
-    summary["expected"] = [np.mean(part["expected_snr"] >= study.threshold) for part in parts]
+    summary["completeness"] = [np.mean(part["recovered"]) for _, part in cells(planets, cell)]
     summary["depth"].unit = "ppm"
     summary.meta = {
         "false_alarms": f"{np.sum(alone)} of {len(alone)} stars without planet",
@@ -217,7 +208,7 @@ def draw(_, __, summary):
     return figure
 
 
-main = partial(run, NAME, Recovery, tasks, measure, summarize, draw, UNITS)
+main = study_of("recovery", Recovery, tasks, measure, summarize, draw, UNITS)
 
 if __name__ == "__main__":
     main()

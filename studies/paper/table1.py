@@ -6,22 +6,16 @@ The distance of the star from its reference position has a mean, a standard devi
 the extent is the largest distance between any two positions.
 """
 
-from dataclasses import dataclass
-from functools import partial
-
 from _stars import motion_from_name
-from _study import run
+from _study import parameters, study_of
 
-NAME = "table1"
 UNITS = dict.fromkeys(("mean", "std", "maximum", "extent"), "pix") | dict.fromkeys(
     ("mean_angle", "std_angle", "maximum_angle"), "arcsec"
 )
 
 
-@dataclass(frozen=True, kw_only=True)
+@parameters
 class Table1:
-    """The parameters."""
-
     motions: tuple[str, ...] = ("k2_roll",)  # files or generators, see `motion_from_name`
     scales: tuple[float, ...] = (1.0, 2.0, 5.0, 10.0)
     cadences: int = 1000  # from the beginning of each motion
@@ -47,7 +41,7 @@ def measure(study, task):
     return row | {f"{name}_angle": getattr(angles, name).value for name in names[:3]}
 
 
-main = partial(run, NAME, Table1, tasks, measure, None, None, UNITS)
+main = study_of("table1", Table1, tasks, measure, None, None, UNITS)
 
 if __name__ == "__main__":
     main()

@@ -7,27 +7,23 @@ and scattered light of which a part is left. Half of the stars have neighbors, d
 counts and placed anywhere on the stamp.
 """
 
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import replace
 
 import numpy as np
 from _correctors import SURVIVALS, UNITS, corrected_noise, curves, quiet
 from _figures import plot_cdpp_panels
-from _study import grid, largest, medians, run
+from _study import grid, largest, medians, parameters, study_of
 
 from scope_models import Detector, Motion, Star, simulate
 from scope_models.batch import star_rng, star_seed
 from scope_models.effects import ScatteredLight, mission_effects
 
-NAME = "tess"
 SPAN, SLOPE = 6.0, 0.3  # magnitudes of neighbors below the target, and slope of log counts
 CLEAR = 1.0  # px between the target and a neighbor, at least
 
 
-@dataclass(frozen=True, kw_only=True)
+@parameters
 class TESSNoise:
-    """The parameters."""
-
     seed: int = 1
     magnitudes: tuple[float, ...] = (8.0, 9.0, 10.0, 11.0, 12.0, 13.0, 14.0)  # T
     neighbors: tuple[int, ...] = (0, 10)  # within six magnitudes of the target on the stamp
@@ -111,13 +107,13 @@ def draw(study, _, summary):
     panels = {f"{number} neighbors": curves(part) for number, part in parts.items()}
     first = parts[study.neighbors[0]]
     model = {name: np.array(first[key]) for name, key in (("mag", "mag"), ("median", "model"))}
-    axes = plot_cdpp_panels(panels, model | {"label": "Noise model, 60 ppm"})
-    for ax in axes.values():
+    figure = plot_cdpp_panels(panels, model | {"label": "Noise model, 60 ppm"})
+    for ax in figure.axes:
         ax.set(xlabel="Magnitude (T)", ylabel="1-h CDPP (ppm)")
-    return next(iter(axes.values())).figure
+    return figure
 
 
-main = partial(run, NAME, TESSNoise, tasks, measure, summarize, draw, UNITS)
+main = study_of("tess", TESSNoise, tasks, measure, summarize, draw, UNITS)
 
 if __name__ == "__main__":
     main()

@@ -30,6 +30,11 @@ def _default_style():
     plt.close("all")
 
 
+def panels_of(*arguments, **options):
+    """Return the Axes by their titles."""
+    return {ax.get_title(): ax for ax in plot_cdpp_panels(*arguments, **options).axes}
+
+
 def legend(ax):
     return [text.get_text() for text in ax.get_legend().get_texts()]
 
@@ -66,7 +71,7 @@ def test_a_star_outside_of_its_own_bars_has_none_on_that_side():
 
 
 def test_panels_share_their_scale():
-    axes = plot_cdpp_panels({"PLD": SERIES, "SFF": {"1x": (MAG, [500, 600, 700])}}, KEPLER)
+    axes = panels_of({"PLD": SERIES, "SFF": {"1x": (MAG, [500, 600, 700])}}, KEPLER)
     assert list(axes) == ["PLD", "SFF"]
     assert axes["PLD"].get_ylim() == axes["SFF"].get_ylim()
     assert axes["PLD"].get_ylim()[1] > 700
@@ -77,7 +82,7 @@ def test_panels_share_their_scale():
 
 def test_residuals_are_the_last_panel():
     panels = dict.fromkeys(("PLD", "SFF", "other"), SERIES)
-    axes = plot_cdpp_panels(panels, KEPLER, residuals={"1x": (MAG, [1.0, 0.9, 0.8])})
+    axes = panels_of(panels, KEPLER, residuals={"1x": (MAG, [1.0, 0.9, 0.8])})
     ax = axes["Residual over noise"]
     assert list(axes) == [*panels, "Residual over noise"]
     assert len(ax.figure.axes) == 4
@@ -90,7 +95,7 @@ def test_residuals_are_the_last_panel():
 
 
 def test_the_lowest_panels_have_the_labels_of_the_magnitudes():
-    axes = plot_cdpp_panels(dict.fromkeys(("PLD", "SFF", "other"), SERIES))
+    axes = panels_of(dict.fromkeys(("PLD", "SFF", "other"), SERIES))
     # Three panels in two columns: the second column ends above an empty place.
     assert len(axes["PLD"].figure.axes) == 3
     shown = {title: ax.xaxis.label.get_visible() for title, ax in axes.items()}

@@ -55,8 +55,6 @@ def test_winged_psf_has_keplers_concentration(fraction):
 def test_winged_psf_is_checked():
     with pytest.raises(ValueError, match="`fraction` must be within"):
         winged_psf(0.01)
-    with pytest.raises(ValueError, match="no core goes with"):
-        winged_psf(0.1, brightest=0.95)
 
 
 def test_noise_without_clipping_is_everests():

@@ -63,7 +63,7 @@ def test_two_stars(name, tmp_path, capsys):
     assert len(result.table) == 2
     assert np.all(np.asarray(result.table[column]) > 0)
     lines = capsys.readouterr().out.splitlines()
-    assert lines[0] == f"{study.NAME}: 2 stars, 0 failed"
+    assert lines[0] == f"{study.main.args[0]}: 2 stars, 0 failed"
     names = ["results.ecsv", "summary.ecsv", "figure.png"]
     if name == "table1":
         del names[1:]
@@ -266,12 +266,12 @@ def test_tables_of_the_page(name, repository, monkeypatch):
     monkeypatch.syspath_prepend(folder)
     stored = runpy.run_path(str(folder / "store_skies.py"))
     study = importlib.import_module(name)
-    summary = Table.read(folder / f"{study.NAME}.ecsv")
+    summary = Table.read(folder / f"{study.main.args[0]}.ecsv")
     kind = {"tess": "TESSNoise", "breathing": "BreathingPSF", "last_campaigns": "LastCampaigns"}
     own = getattr(study, kind[name])()
     config = plain_tree(asdict(own))
     assert {key: summary.meta[key] for key in config} == config
     study.draw(own, None, summary)
-    for part, rows in stored["tables"](study.NAME, summary).items():
-        with (folder / f"{study.NAME}_{part}.csv").open(encoding="utf-8") as file:
+    for part, rows in stored["tables"](study.main.args[0], summary).items():
+        with (folder / f"{study.main.args[0]}_{part}.csv").open(encoding="utf-8") as file:
             assert list(csv.reader(file)) == rows

@@ -2,6 +2,7 @@
 
 import drop
 import fitting
+import numpy as np
 import pytest
 from matplotlib import pyplot as plt
 from matplotlib.image import imread
@@ -15,18 +16,16 @@ def numbers_after(text, word):
     return [float(part) for part in parts if part.replace(".", "", 1).lstrip("-").isdigit()]
 
 
-@pytest.mark.filterwarnings("ignore::scope_models.exceptions.FitWarning")
-def test_pulls_of_fits(capsys):
-    fitting.report_pulls(n_stars=2, n_cadences=80)
-    lines = capsys.readouterr().out
-    assert "1 x the motion of K2, 2 stars" in lines
-    assert lines.count("2 converged") == 2
-    for text in lines.split("motion of K2")[1:]:
-        assert numbers_after(text, "freedom")[0] == pytest.approx(1, abs=0.1)
-        for name in ("sigma_x", "rho", "ax2", "x_0", "flux_0"):
-            mean, deviation = numbers_after(text, f"  {name} ")[:2]
-            assert abs(mean) < 4 / 2**0.5, name
-            assert deviation < 4, name
+@pytest.mark.parametrize("n_stars", [1, 2])
+def test_pulls_of_fits(n_stars):
+    row = fitting.scene_pulls(n_stars, seed=1)
+    assert row["converged"]
+    assert row["chi2"] == pytest.approx(1, abs=0.1)
+    names = [f"{name}_{star}" for star in range(n_stars) for name in ("x", "y", "flux")]
+    assert list(row["cadence"]) == names
+    assert len(row["star"]) == 2 * (n_stars - 1)
+    pulls = np.concatenate([np.ravel([*row[part].values()]) for part in ("shared", "cadence")])
+    assert np.abs(pulls).max() < 4.5
 
 
 @pytest.mark.filterwarnings("ignore::scope_models.exceptions.FitWarning")
@@ -56,7 +55,7 @@ def test_drop_of_stars_of_one_ccd(capsys):
     motion, numbers = motion[motion.quality == 0], []
     for star in range(2):
         tpf, truth = drop.simulated(star, motion)
-        value, error = drop.measured(f"star {star}", drop.fit_tpf(tpf), 0.5)[:2]
+        value, error = drop.measured(f"star {star}", tpf)[0][:2]
         assert abs(value - truth) < 4 * error
         numbers.append((value, error))
     drop.together("both", numbers)

@@ -42,16 +42,6 @@ def test_components_of_a_psf_vary_together():
     assert detector.psf.sigma_x_0.value == 0.5  # the detector's own is left alone
 
 
-def test_spreads_do_not_change_the_other_deviates():
-    wide, still = (
-        draw_star(np.random.default_rng(3), 12.0, Detector.k2(), shift=shift, sigma_spread=spread)
-        for shift, spread in ((0.5, 0.1), (0.0, 0.0))
-    )
-    assert (still.x_0, still.y_0) == (5.0, 5.0)
-    assert still.psf.sigma_x.value == 0.5
-    assert wide.psf.rho.value == still.psf.rho.value
-
-
 def test_generated_motion_without_firings():
     motion = motion_from_name("k2_roll", 1200, seed=4)
     assert len(motion) == 1200
