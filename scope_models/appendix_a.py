@@ -1,7 +1,4 @@
-"""The paper's Appendix A: a simulated star whose parts are added one by one.
-
-A thin layer over `~scope_models.Scene`, `~scope_models.simulate`, the corrector and the figures.
-"""
+"""The paper's Appendix A: a simulated star whose parts are added one by one."""
 
 import inspect
 import warnings
@@ -230,8 +227,8 @@ class Target:
     @property
     def contamination(self):
         """Share of the neighbors in the aperture's starlight; it dilutes signals of the star."""
-        light = self.observation.star_images[:, self.aperture].sum(axis=1)
-        return float(light[1:].sum() / light.sum())
+        own, *others = self.observation.star_images
+        return 1 - photometry.crowding(own, sum(others, 0 * own), self.aperture)
 
     @property
     def _noise_free(self):
@@ -326,7 +323,7 @@ class Target:
 
         {same}
         """
-        magdiff = checked_number("magdiff", magdiff, u.mag, any_sign=True)
+        mag = self.star.mag + checked_number("magdiff", magdiff, u.mag, any_sign=True)
         scale = {"pixel_scale": self.detector.pixel_scale}  # converts angles
         angles = stream(self.seed, f"neighbor {len(self.neighbors)}").uniform(0, 360, 1000)
         if angle is not None:
@@ -340,7 +337,7 @@ class Target:
         if place is None:
             text = "the neighbor at column {:.2f}, row {:.2f} is off the stamp of {} x {} pixels"
             raise ValueError(text.format(*places[0], *self.detector.shape))
-        neighbor = Star(self.star.mag + magdiff, *place, psf, signal)
+        neighbor = Star(mag, *place, psf, signal)
         neighbor.relative_flux(self.time)  # a signal that does not fit is an error here
         self.neighbors.append(neighbor)
         return self
@@ -365,11 +362,10 @@ class Target:
         own, pixels = self._noise_free, self.detector
         others = self.observation.star_images[1:].sum(axis=0)
         methods = {
-            "threshold": (own,),
-            "signal-to-noise": (own, pixels.exposure_time),
+            "threshold": (own,), "signal-to-noise": (own, pixels.exposure_time),
             "contamination": (own, others),
             "circular": (pixels.shape, self.star.x_0, self.star.y_0),
-        }
+        }  # fmt: skip
         if checked_choice("method", method, methods) == "signal-to-noise":
             options |= {"background": pixels.background, "read_noise": pixels.read_noise}
             options |= {"neighbors": others, "n_frames": pixels.n_reads}
@@ -385,10 +381,8 @@ class Target:
         ----------
         flux : array_like or `~lightkurve.LightCurve`, optional
             The light curve; by default `lightcurve`.
-        duration : float, optional
-            Time scale in hours.
-        method : {"lightkurve", "everest"}, optional
-            Convention, see `scope_models.photometry.cdpp`.
+        duration, method : float, {"lightkurve", "everest"}, optional
+            Time scale in hours, and convention, see `scope_models.photometry.cdpp`.
 
         Returns
         -------
@@ -457,8 +451,8 @@ class Target:
             prf, flux = PRF(psf), truth.flux[i] * truth.relative_flux[i, 0]
             place = x - truth.x[i, 0] + prf.x_0.value, y - truth.y[i, 0] + prf.y_0.value
             light += flux * psf(*place) / prf.flux.value
-        options = {"aperture": self.aperture, "axes": axes}
-        return plot_detector(sensitivity, light, self.targetpixelfile[0], oversample, **options)
+        maps = sensitivity, light, self.targetpixelfile[0], oversample
+        return plot_detector(*maps, aperture=self.aperture, axes=axes)
 
     @documented()
     def display_aperture(self, *, ax=None):
@@ -492,10 +486,9 @@ class Target:
         if not 0 <= number < (n := len(self.transits)):
             raise ValueError(f"`number` must be below {n}, the number of transits, got {number}")
         planet, own, flux = self.transits[number], 1 - self.contamination, self.lightcurve
-        if self._detrended is not None:
+        if (detrended := self._detrended) is not None:
             flux = np.full(len(self.motion), np.nan)
-            used = np.isin(self.motion.cadenceno, self._detrended.cadenceno)
-            flux[used] = self._detrended.flux.value
+            flux[np.isin(self.motion.cadenceno, detrended.cadenceno)] = detrended.flux.value
         model, window = planet(self.time), 48 * planet.duration if window is None else window
         flux = flux / (1 + own * (self.star.relative_flux(self.time) / model - 1))
         return plot_fold(
@@ -514,29 +507,18 @@ def _find_motion(sources, ncadences):
     if name == "tpf_path":
         motion = Motion.from_file(motion)
     elif name == "ID":
-        motion = _download_motion(checked_integer("ID", motion, 1))
+        from scope_models.batch import find_files
+
+        target = f"EPIC {checked_integer('ID', motion, 1)}"
+        try:
+            motion = Motion.from_file(*find_files(target))
+        except OSError as error:
+            raise ConnectionError(f"{error}; `tpf_path` takes a file") from error
     elif not isinstance(motion, Motion):
         raise TypeError(f"`motion` must be a Motion, got {motion!r}; `tpf_path` takes a file")
     if ncadences is not None and n > (most := len(motion)):
         raise ValueError(f"`ncadences` must be at most {most}, the length of the motion, got {n}")
     return motion[:n]
-
-
-def _download_motion(epic):
-    """Download the long-cadence target pixel file of a K2 target and return its motion."""
-    import lightkurve
-
-    try:
-        found = lightkurve.search_targetpixelfile(f"EPIC {epic}", mission="K2", exptime="long")
-        tpf = found[0].download(quality_bitmask="none") if len(found) else None
-    except (OSError, lightkurve.search.SearchError) as error:
-        raise ConnectionError(
-            f"the motion of EPIC {epic} could not be downloaded ({type(error).__name__}); without "
-            "a network give a target pixel or light-curve file as `tpf_path`"
-        ) from error
-    if tpf is None:
-        raise ValueError(f"`ID` must be the EPIC number of a K2 target, {epic} is not known")
-    return Motion.from_tpf(tpf)
 
 
 def _on_stamp(place, detector):

@@ -12,7 +12,6 @@ The comment of each number with a name at the top of a module begins with its ki
 
 import ast
 import csv
-from collections import Counter
 from pathlib import Path
 
 KINDS = ("prior", "tolerance", "warning", "branch")
@@ -66,7 +65,7 @@ def main():
     rows = constants()
     for row in rows:
         print("{module:17}{name:24}{value:32.30}{kind:11}{reason}".format(**row))
-    print(len(rows), "constants:", dict(Counter(row["kind"] or "unknown" for row in rows)))
+    print(len(rows), "constants")
 
 
 if __name__ == "__main__":

@@ -1,33 +1,12 @@
-"""Fits of target pixel files: errors that hold, and twins.
+"""Fits of simulated stars: ``docs/data/store_fits.py`` stores the pulls of their parameters."""
 
-    python studies/fitting.py FOLDER
+from itertools import combinations
 
-simulates the fits of the archive files in a folder, and prints the noise of stars and twins.
-``docs/data/store_fits.py`` stores `scene_pulls`.
-"""
-
-import sys
-import warnings
-from itertools import combinations, product
-from pathlib import Path
-
-import lightkurve as lk
 import numpy as np
-from _rows import FILES
-from astropy.utils.exceptions import AstropyUserWarning
 
-from scope_models import (
-    BivariateGaussianPSF,
-    Detector,
-    Motion,
-    PLDCorrector,
-    SensitivityPolynomial,
-    Star,
-    fit_tpf,
-    simulate,
-)
-from scope_models.fitting import FitOptions
-from scope_models.photometry import cdpp
+from scope_models import Detector, Motion, Star, simulate
+from scope_models.fitting import FitOptions, fit_tpf
+from scope_models.models import BivariateGaussianPSF, SensitivityPolynomial
 
 
 def make_scene(n_stars, seed):
@@ -79,27 +58,3 @@ def scene_pulls(n_stars, seed):
         "n_stars": n_stars, "seed": seed, "converged": fit.converged, "chi2": fit.reduced_chi2,
         "shared": shared(values), "star": shared(offsets), "cadence": cadences,
     }  # fmt: skip
-
-
-def report_twin(folder):
-    """Print the noise of stars and of their twins in the same aperture and cadences."""
-    print("Twins: 6.5-h CDPP (ppm), lightkurve's and EVEREST's convention")
-    for star, name in FILES.items():
-        path = Path(folder) / name
-        fit = fit_tpf(path, response="pixels")
-        twin = simulate(fit.scene().replace(seed=1)).to_tpf(quality_bitmask="none")
-        used = fit.cadenceno[~fit.outliers]
-        tpf, twin = (one[np.isin(one.cadenceno, used)] for one in (lk.read(path), twin))
-        masks = {"pipeline": tpf.pipeline_mask, "PLD": PLDCorrector(tpf).aperture_mask}
-        for label, kind in product(masks, ("real", "twin")):
-            corrector = PLDCorrector(tpf if kind == "real" else twin, masks[label])
-            curves = {"summed": corrector.original_lc, "de-trended": corrector.correct()}
-            print(f"  {star} {label} aperture, {kind}:", *(
-                f"{how} {cdpp(curve):.0f} {cdpp(curve, method='everest'):.0f}"
-                for how, curve in curves.items()
-            ), flush=True)  # fmt: skip
-
-
-if __name__ == "__main__":
-    warnings.simplefilter("ignore", AstropyUserWarning)
-    report_twin(sys.argv[1])

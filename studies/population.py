@@ -179,13 +179,11 @@ def main(argv=None):
     options = arguments_of(__doc__, argv, 6000, **more)
     if options.table:
         table = store_rows(options.file, f"{options.table}.ecsv", rows_of)
-        write_tables(table, real_stars(options.data), options.table)
+        return write_tables(table, real_stars(options.data), options.table)
     if options.against:
         one, two = (Table.read(path)["raw"] for path in (options.file, options.against))
         ratio = np.array(one[: len(two)] / two[: len(one)])
-        print("16, 50, 84 %:", np.percentile(ratio, [16, 50, 84]).round(2))
-    if options.table or options.against:
-        return None
+        return print("16, 50, 84 %:", np.percentile(ratio, [16, 50, 84]).round(2))
     every = max(1, options.stars // options.corrected) if options.corrected > 0 else 0
     measure = partial(observe, data=options.data, scale=options.motion, every=every)
     return sweep_rows(options, measure, options.stars, rows_of)

@@ -266,9 +266,6 @@ def leak_slopes(time, deviation, nuisances):
     return slopes
 
 
-# Tables.
-
-
 def whole(table):
     """Return the numbers of a whole sky, as pairs of a text and a value."""
     alone = table[~np.asarray(table["apart"], bool)]

@@ -95,8 +95,7 @@ def main(folder):
     """Write the three files."""
     Path(folder).mkdir(parents=True, exist_ok=True)
     for name, (signal, cards) in stars().items():
-        path = write(name, signal, cards, folder)
-        print(f"{path}: {path.stat().st_size:,} bytes")
+        print(write(name, signal, cards, folder))
 
 
 if __name__ == "__main__":

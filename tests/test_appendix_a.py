@@ -138,29 +138,13 @@ def test_detector_and_psf():
 # -- EPIC numbers --------------------------------------------------------------------------------
 
 
-class _Search(list):
-    """What a search of the archive gives."""
-
-
-def test_epic_number_is_downloaded(monkeypatch, star):
-    """The archive is replaced: the request, and what is made of the answer."""
-    lightkurve = pytest.importorskip("lightkurve")
-    asked = {}
-
-    class Found:
-        def download(self, quality_bitmask):
-            asked["bitmask"] = quality_bitmask
-            return star.to_tpf(quality_bitmask="none")
-
-    def search(target, **options):
-        asked.update(options, target=target)
-        return _Search([Found()])
-
-    monkeypatch.setattr(lightkurve, "search_targetpixelfile", search)
+def test_epic_number_is_downloaded(monkeypatch, star, tmp_path):
+    """The archive is replaced: the name that is searched, and what is made of the file."""
+    path = str(star.write(tmp_path / "star.fits"))
+    names = []
+    monkeypatch.setattr("scope_models.batch.find_files", lambda name: names.append(name) or (path,))
     copy = scope.generate_target(ID=205998445, seed=1)
-    assert asked["target"] == "EPIC 205998445"
-    assert asked["mission"] == "K2"
-    assert asked["bitmask"] == "none"
+    assert names == ["EPIC 205998445"]
     assert_allclose(copy.motion.x, star.motion.x, atol=1e-6)  # single precision in files
 
 
@@ -171,14 +155,14 @@ def test_epic_number_without_network(monkeypatch):
         raise OSError("no route to host")
 
     monkeypatch.setattr(lightkurve, "search_targetpixelfile", search)
-    with pytest.raises(ConnectionError, match=r"could not be downloaded .* as `tpf_path`"):
+    with pytest.raises(ConnectionError, match=r"EPIC 205998445 .* no route .* `tpf_path` takes a"):
         scope.generate_target(ID=205998445)
 
 
 def test_unknown_epic_number(monkeypatch):
     lightkurve = pytest.importorskip("lightkurve")
-    monkeypatch.setattr(lightkurve, "search_targetpixelfile", lambda *_, **__: _Search())
-    with pytest.raises(ValueError, match="`ID` must be the EPIC number of a K2 target, 7 is not"):
+    monkeypatch.setattr(lightkurve, "search_targetpixelfile", lambda _: [])
+    with pytest.raises(ValueError, match="EPIC 7 is not a file, and no target pixel file was"):
         scope.generate_target(ID=7)
 
 

@@ -1,7 +1,7 @@
 """Store what the page on fits shows: ``python docs/data/store_fits.py FOLDER``.
 
-FOLDER has the archive files, as for ``studies/fitting.py``. Written are, beside this file, the
-default fit of each file, and pulls of simulated scenes of one, two and five stars.
+FOLDER has the archive files. Written are, beside this file, the default fit of each file, and pulls
+of simulated scenes of one, two and five stars.
 """
 
 import sys

@@ -137,10 +137,7 @@ def noise_of(corrector, observation):
 
 
 def transit_amplitude(flux, transit):
-    """Return the least-squares amplitude of a transit in a light curve, in units of the model's.
-
-    `transit` is the relative flux of the model, 1 outside of transits.
-    """
+    """Return the least-squares amplitude of a transit, in units of the model's: 1 outside."""
     outside = np.isfinite(flux) & (transit == 1)
     return amplitude(flux / np.median(flux[outside]) - 1, transit - 1)
 

@@ -13,7 +13,6 @@ from astropy.table import Table
 
 #: Percentiles in the tables, by the name of their column.
 PERCENTILES = {"p10": 10, "p25": 25, "median": 50, "p75": 75, "p90": 90}
-_RESAMPLES = 400
 _read = cache(Table.read)
 
 
@@ -53,7 +52,7 @@ def compared(prefix, noise, reference, mag, names, *, known="kepler"):
     `PERCENTILES`, ``prefix`` and ``known`` what our columns and the reference's are named after.
     """
     noise, row = np.asarray(noise, dtype=float), {}
-    picks = np.random.default_rng(0).integers(len(noise), size=(_RESAMPLES, len(noise)))
+    picks = np.random.default_rng(0).integers(len(noise), size=(400, len(noise)))
     for name in names:
         ours = float(np.percentile(noise, PERCENTILES[name]))
         error = np.std(np.percentile(noise[picks], PERCENTILES[name], axis=1))

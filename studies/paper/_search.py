@@ -12,8 +12,6 @@ from scope_models.models import TransitModel
 
 # Days of the running median: several times the longest transit, less than K2's slow drifts.
 _FLAT_DAYS = 2.0
-_SHORTEST_PERIOD = 1.0
-_N_DURATIONS = 6
 
 
 @dataclass(frozen=True)
@@ -72,9 +70,9 @@ def search(time, flux, shortest, longest):
     """
     noise = mad_std(flux)
     model = BoxLeastSquares(time, flux, dy=noise)
-    durations = np.geomspace(0.7 * shortest, 1.2 * longest, _N_DURATIONS)
+    durations = np.geomspace(0.7 * shortest, 1.2 * longest, 6)
     periods = model.autoperiod(
-        durations, minimum_period=_SHORTEST_PERIOD, maximum_period=0.5 * np.ptp(time),
+        durations, minimum_period=1.0, maximum_period=0.5 * np.ptp(time),
         minimum_n_transit=2, frequency_factor=2.0,
     )  # fmt: skip
     result = model.power(periods, durations, objective="snr", oversample=5)

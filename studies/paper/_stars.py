@@ -11,7 +11,6 @@ from scope_models.missions import MISSIONS
 
 # No star of K2 moves farther from its median than this in a good cadence, in pixels.
 _FARTHEST = 4.0
-_CADENCES = 1000
 DETECTORS = {"paper": Detector.k2, "calibrated": Detector.k2_calibrated}
 
 
@@ -50,7 +49,7 @@ def motion_from_name(name, n_cadences=None, **options):
     """
     if str(name) != "k2_roll":
         return _usable(Motion.from_file(Path(name), bad="drop"), name)[:n_cadences]
-    n = n_cadences or _CADENCES
+    n = n_cadences or 1000
     # Thrusters fire in one cadence of twelve at most, and a firing may fall into two cadences.
     return _usable(Motion.k2_roll(n + n // 4 + 12, **options), name)[:n]
 

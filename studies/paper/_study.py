@@ -111,10 +111,8 @@ def medians(table, cell, columns, spread=()):
 
 def percentiles(values):
     """Return the 16th, 50th and 84th percentile of the values that are finite, or NaN."""
-    values = values[np.isfinite(values)]
-    if not len(values):
-        return [np.nan] * 3
-    return [float(value) for value in np.percentile(values, [16, 50, 84])]
+    good = values[np.isfinite(values)]
+    return np.percentile(good if len(good) else [np.nan], [16, 50, 84]).tolist()
 
 
 def largest(claims):

@@ -10,9 +10,9 @@ unsaturated stars at Kp 12 to 14.5 are the pixels in which the star has more tha
 e-/s, F being its flux and F_14 that at Kp 14. Five percentiles of both groups are fitted together.
 
 The cost is the sum of the squared logarithms of the ratios over their errors: that of the reference
-by its number of stars, and 10 % for what the model lacks. Writes k2_calibration.ecsv: for each
-wings, a_2 and standard deviation of b the lowest cost over T and g. Takes about 10 minutes on one
-core.
+by its number of stars, and 10 % for what the model lacks. Errors of the fit come from resampling.
+Writes k2_calibration.ecsv: for each wings, a_2 and standard deviation of b the lowest cost over T
+and g. Takes about 10 minutes on one core.
 """
 
 import argparse
@@ -50,6 +50,7 @@ COLUMNS = {"wings": 2, "a_2": 2, "scatter": 4, "threshold": 0, "exponent": 2, "c
            "worst_median": 3}  # fmt: skip
 LOG_SCATTER = 0.85  # of the noise of real stars of one magnitude
 MODEL_ERROR = 0.1
+RESAMPLES = 40
 CHUNK = 30  # stars in memory
 
 
@@ -114,6 +115,22 @@ def percentiles(systematics, white):
     return fine
 
 
+def costs(ours, known, error):
+    """Return the cost of each point, and the largest deviation of a median."""
+    ratio = ours - known
+    cost = np.sum(WEIGHTS * ratio**2 / (error**2 + MODEL_ERROR**2), axis=(-2, -1))
+    return cost, np.abs(np.expm1(ratio[..., 2])).max(axis=-1)
+
+
+def resampled(systematics, white, known, error, rng):
+    """Return a_2 and scatter of the best fit to resampled stars and reference."""
+    picks = rng.integers(white.shape[-1], size=white.shape[-1])
+    shaken = known + error * rng.standard_normal(known.shape)
+    cost, _ = costs(percentiles(systematics[..., picks], white[..., picks]), shaken, error)
+    _, i, j = np.unravel_index(np.argmin(cost), cost.shape)
+    return FINE_A_2[i], FINE_SCATTER[j]
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--stars", type=int, default=300)
@@ -125,27 +142,22 @@ def main():
     rows = [one[one["mag"] == mag][0] for mag, kind in BINS
             for one in [read_reference("k2_c03_raw", kind)]]  # fmt: skip
     known = np.log([[row[name] for name in PERCENTILES] for row in rows])
-    counts = np.array([[row["n"]] for row in rows])
-    variance = LOG_SCATTER**2 * SPREAD**2 / counts + MODEL_ERROR**2
-    table = Table(names=list(COLUMNS))
+    error = LOG_SCATTER * SPREAD / np.sqrt([[row["n"]] for row in rows])
+    rng, table = np.random.default_rng(options.seed), Table(names=list(COLUMNS))
     table.meta = {"made by": "studies/paper/calibrate_k2_motion.py", "stars": options.stars,
                   "cadences": options.cadences, "seed": options.seed}  # fmt: skip
     for wings in options.wings:
-        ours = percentiles(*noise_by_part(wings, options))
-        cost = np.sum(WEIGHTS * (ours - known) ** 2 / variance, axis=(-2, -1))
-        worst = np.abs(np.expm1((ours - known)[..., 2])).max(axis=-1)
+        noise = noise_by_part(wings, options)
+        cost, worst = costs(percentiles(*noise), known, error)
         for i, j in np.ndindex(cost.shape[1:]):
             row = int(np.argmin(cost[:, i, j]))
-            values = (
-                wings,
-                FINE_A_2[i],
-                FINE_SCATTER[j],
-                *LAWS[row],
-                cost[row, i, j],
-                worst[row, i, j],
-            )
+            found = *LAWS[row], cost[row, i, j], worst[row, i, j]
+            values = wings, FINE_A_2[i], FINE_SCATTER[j], *found
             table.add_row([round(v, n) for v, n in zip(values, COLUMNS.values(), strict=True)])
-        print(table[table["wings"] == wings][np.argmin(cost.min(axis=0))], flush=True)
+        print(table[table["wings"] == wings][np.argmin(cost.min(axis=0))])
+        fits = [resampled(*noise, known, error, rng) for _ in range(RESAMPLES)]
+        low, high = np.percentile(fits, [16, 84], axis=0).round(4)
+        print(f"resampled, 16 to 84 %: a_2, scatter {low} to {high}", flush=True)
         table.write(options.output / "k2_calibration.ecsv", format="ascii.ecsv", overwrite=True)
 
 

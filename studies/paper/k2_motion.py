@@ -27,9 +27,7 @@ CONTRIBUTIONS = ("white", "losses", "intrapixel", "systematics")
 UNITS = dict.fromkeys(("cdpp", "cdpp_lightkurve", *CONTRIBUTIONS), "ppm")
 EDGE = 6.94  # largest distance from the boresight in degrees, 6278 px (arXiv:1512.06162)
 CAMPAIGN = 3380  # cadences of campaign 3, and what is generated at most
-MARGIN = 7
 GOLDEN = 0.6180339887498949
-LAW_MAGNITUDE = 14.0
 
 
 @parameters
@@ -71,7 +69,7 @@ def observe(study, task):
     place = (shift + task["index"] * GOLDEN) % 1.0
     number = star_seed(study.seed, key, "motion") % 2**31
     motion = field_motion(number, study.cadences, place=place, rng=rng)
-    shape, x_0, y_0 = stamp_around(motion, MARGIN)
+    shape, x_0, y_0 = stamp_around(motion, margin=7)
     detector = DETECTORS[task["detector"]](shape=shape)
     star = draw_star(rng, task["mag"], detector, x_0=x_0, y_0=y_0, shift=study.shift)
     return simulate(star, detector, motion, seed=star_seed(study.seed, key, "pixels"))
@@ -108,7 +106,7 @@ def choose_aperture(study, observation, image, *, saturated=False):
     flux = observation.truth.flux[0]
     threshold = study.saturated_part * flux
     if not saturated:
-        relative = flux / observation.detector.flux_from_mag(LAW_MAGNITUDE)
+        relative = flux / observation.detector.flux_from_mag(14.0)
         threshold = study.threshold * relative**study.exponent
     return image > min(threshold, 0.5 * image.max())
 

@@ -1,15 +1,19 @@
 r"""Benchmark 1 of the paper: noise of stars that do not move, beside that of Kepler.
 
     python studies/paper/no_motion.py --workers 4
+    python studies/paper/no_motion.py --fit
 
 Photons, background and read noise are those of `Detector.kepler`. To these comes a *floor*, white
 noise in proportion to the flux that all stars have, and in a second light curve of each star its
 own variability, red noise of a CDPP that is log-normal for dwarfs and, in another way, for giants.
 The part of giants is :math:`f_g e^{-\gamma (Kp - 11.5)}`. The seven fitted numbers follow from the
 five percentiles of Kepler's table in the nine bins from Kp 11.5 to 15.5, with variability, and from
-its 10th percentiles with detector noise alone, by ``calibrate_no_motion.py``; compare Gilliland, R.
-L. et al. 2011, ApJS 197, 6.
+its 10th percentiles with detector noise alone ("--fit"); compare Gilliland, R. L. et al. 2011, ApJS
+197, 6.
 """
+
+import sys
+from dataclasses import replace
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -18,6 +22,7 @@ from _reference import PERCENTILES, compared, noise_band, read_reference
 from _stars import draw_star
 from _study import cells, grid, parameters, study_of
 from astropy.table import Table
+from scipy.optimize import minimize
 from scipy.special import ndtri
 
 from scope_models import Detector, Motion, simulate
@@ -32,6 +37,14 @@ WIDTH = 13  # cadences in the 6.5 hours of a CDPP
 BRIGHT = 11.5  # magnitude at which `giant_fraction` holds
 # Steps of an evenly spaced sequence in two dimensions: inverse powers of the plastic number.
 STEPS = np.array([0.7548776662466927, 0.5698402909980532])
+
+
+# Two values to start from of each number that is fitted, and weights of the percentiles.
+STARTS = {
+    "floor": (8, 5), "dwarf_cdpp": (25, 30), "dwarf_scatter": (0.7, 0.5), "giant_cdpp": (170, 150),
+    "giant_scatter": (0.35, 0.4), "giant_fraction": (0.41, 0.41), "giant_decline": (0.39, 0.39),
+}  # fmt: skip
+DETECTOR_WEIGHT, WEIGHTS = 2.0, np.array([1.0, 1.0, 2.0, 1.0, 0.5])
 
 
 @parameters
@@ -159,5 +172,47 @@ def draw(_, stars, summary):
 
 main = study_of("no-motion", NoMotion, tasks, measure, summarize, draw, UNITS)
 
+
+def fit(n_stars=300, cadences=1000):
+    """Print the fitted numbers: logarithms of percentiles are compared.
+
+    The noise of a star is the root of the sum of the squares of its white and red noise, of which
+    those of one ppm are drawn once.
+    """
+    study, units = NoMotion(stars=n_stars, cadences=100, floor=0.0), []
+    stars = Table([
+        task | measure(study, task) | {"place": even(study, task)[1]} for task in tasks(study)
+    ])  # fmt: skip
+    quiet = np.sqrt(WIDTH * sum(np.array(stars[name]) ** 2 for name in PARTS))
+    for number in range(n_stars):
+        rng, time = np.random.default_rng([number, 1]), np.arange(cadences) * 0.0204336
+        white = 1 + 1e-5 * rng.standard_normal(cadences)
+        red = stochastic_signal(time, 10.0, seed=rng)(time)
+        units.append(cdpp(np.array([white, red]), method="everest") / 10)
+    white, red = np.tile(np.transpose(units), len(study.magnitudes))
+    table = read_reference("kepler")
+    rows = [table[table["mag"] == mag][0] for mag in study.magnitudes]
+    kepler = np.array([[row[name] for name in PERCENTILES] for row in rows])
+
+    def differences(values, part):
+        new = replace(study, **dict(zip(STARTS, values, strict=True)))
+        level = part * variability(new, np.array(stars["kp"]), np.array(stars["place"]))[0]
+        noise = np.hypot(white * np.hypot(quiet, new.floor * WIDTH**0.5), red * level)
+        bins = [noise[stars["mag"] == mag] for mag in study.magnitudes]
+        ours = [np.percentile(each, list(PERCENTILES.values())) for each in bins]
+        return np.log(ours / kepler)
+
+    def cost(values):
+        if min(values) < 0:
+            return np.inf
+        detector, all_noise = differences(values, 0)[:, 0], differences(values, 1)
+        return DETECTOR_WEIGHT * np.sum(detector**2) + np.sum(WEIGHTS * all_noise**2)
+
+    options = {"maxiter": 4000, "maxfev": 4000}
+    for start in zip(*STARTS.values(), strict=True):
+        found = minimize(cost, start, method="Nelder-Mead", options=options)
+        print(f"cost {found.fun:.4f}:", dict(zip(STARTS, found.x.round(3).tolist(), strict=True)))
+
+
 if __name__ == "__main__":
-    main()
+    fit() if "--fit" in sys.argv else main()
