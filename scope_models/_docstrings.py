@@ -23,6 +23,13 @@ _AXES = """Returns
 -------
 matplotlib.axes.Axes
     The Axes."""
+_THREE = """axes : sequence of matplotlib.axes.Axes, optional
+    Three Axes to draw into; a new figure by default.
+
+Returns
+-------
+numpy.ndarray
+    The three Axes."""
 _SHARED = {
     "path": _PATH,
     "written": _WRITTEN,
@@ -30,6 +37,7 @@ _SHARED = {
     "ax": _AX,
     "draw": f"{_AX}\n\n{_AXES}",
     "axes": _AXES,
+    "draw_three": _THREE,
 }
 
 

@@ -381,8 +381,10 @@ class Target:
         ----------
         flux : array_like or `~lightkurve.LightCurve`, optional
             The light curve; by default `lightcurve`.
-        duration, method : float, {"lightkurve", "everest"}, optional
-            Time scale in hours, and convention, see `scope_models.photometry.cdpp`.
+        duration : float, optional
+            Time scale in hours.
+        method : {"lightkurve", "everest"}, optional
+            Convention, see `scope_models.photometry.cdpp`.
 
         Returns
         -------
@@ -423,6 +425,7 @@ class Target:
     to_lightcurve = _forwarded("to_lightcurve")
     plot, animate = _forwarded("plot"), _forwarded("animate")
 
+    @documented()
     def display_detector(self, oversample=20, *, axes=None):
         """Draw sensitivity, PSF and pixels of the first cadence (the paper's figure 3).
 
@@ -430,13 +433,7 @@ class Target:
         ----------
         oversample : int, optional
             Samples per pixel along each axis of the first two.
-        axes : sequence of `~matplotlib.axes.Axes`, optional
-            Three Axes to draw into; a new figure by default.
-
-        Returns
-        -------
-        `~numpy.ndarray`
-            The three Axes.
+        {draw_three}
         """
         from scope_models.plotting import plot_detector
 

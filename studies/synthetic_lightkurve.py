@@ -83,7 +83,8 @@ def write(name, signal, cards, folder):
     ]  # fmt: skip
     truth = fits.BinTableHDU.from_columns(columns, name="SIMULATED_SIGNAL")
     truth.header.update(cards)
-    hdus[3:] = [truth]
+    del hdus[3:]
+    hdus.append(truth)
     hdus[0].header["NEXTEND"] = len(hdus) - 1
     for hdu in hdus:
         if "DATE" in hdu.header:

@@ -122,13 +122,7 @@ def plot_detector(sensitivity, psf, image, oversample=1, *, aperture=None, axes=
         Samples per pixel of the first two along each axis.
     aperture : array_like of bool, optional
         Mask ``(ny, nx)`` whose outline is drawn on the image.
-    axes : sequence of `~matplotlib.axes.Axes`, optional
-        Three Axes to draw into; a new figure by default.
-
-    Returns
-    -------
-    `~numpy.ndarray`
-        The three Axes.
+    {draw_three}
 
     Examples
     --------
