@@ -31,6 +31,12 @@ def pytest_cmdline_main(config):
         config.option.numprocesses, config.option.dist = "auto", "loadfile"
 
 
+@pytest.hookimpl(trylast=True)
+def pytest_collection_finish():
+    """Leave all that is imported by now out of each later collection of garbage."""
+    gc.freeze()
+
+
 @pytest.fixture(autouse=True)
 def _doctests_leave_no_files(request, tmp_path_factory, monkeypatch):
     """Run each doctest in a temporary folder, and close the files and figures that it leaves open.

@@ -77,7 +77,10 @@ def test_variable_star_is_kept(neighbor):
 
 @pytest.mark.parametrize(
     ("regime", "neighbors", "n"),
-    [("k2-1x-neighbor-variable", None, 300), ("rest-eclipses-30pct-neighbor", "find", 500)],
+    [
+        ("k2-1x-neighbor-variable", None, 300),
+        pytest.param("rest-eclipses-30pct-neighbor", "find", 500, marks=pytest.mark.slow),
+    ],
 )
 def test_neighbors_that_vary_and_stars_at_rest(regime, neighbors, n):
     sky = make_sky(regime, 21, n_cadences=n)
@@ -106,8 +109,8 @@ def test_constant_light_in_the_wings_of_an_eclipsing_star(regime):
 def test_bumps_of_a_real_prf(shared_data, neighbors, amplitude):
     """They follow the star, but look like other stars if these need no peak."""
     folder = shared_data / "tess_prf"
-    detector = Detector.tess(shape=(11, 11), psf=PRF.from_tess(folder, 2, 3, 557, 513))
-    star = Star(10, 5.2, 4.9, signal=1 + amplitude * np.sin(np.arange(230) / 20))
+    detector = Detector.tess(shape=(9, 9), psf=PRF.from_tess(folder, 2, 3, 557, 513))
+    star = Star(10, 4.2, 3.9, signal=1 + amplitude * np.sin(np.arange(230) / 20))
     tpf = simulate(star, detector, Motion.tess(230, seed=3), seed=3).to_tpf()
     corrector = PLDCorrector(tpf, neighbors=neighbors)
     with warnings.catch_warnings():

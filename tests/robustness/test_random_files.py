@@ -126,6 +126,7 @@ def test_detrend(file, tmp_path):
         assert "star.fits" in text.splitlines()[-1], text
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::scope_models.exceptions.DetrendingWarning")
 def test_deep_eclipses_beside_constant_light():
     """The depth is 0.9, of which 5 faint neighbors and the motion by 1.5 px take nothing."""
