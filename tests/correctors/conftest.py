@@ -7,6 +7,7 @@ import pytest
 from lightkurve import KeplerTargetPixelFile
 from scipy.special import erf
 
+from scope_models.correctors import PLDCorrector
 from scope_models.io import TPFMetadata
 from scope_models.io.tpf import make_tpf_hdulist
 from scope_models.photometry import cdpp
@@ -99,3 +100,11 @@ def fake_star():
 def star():
     """Return a star of 12th magnitude with 400 cadences; do not change it."""
     return make_fake_star()
+
+
+@pytest.fixture(scope="session")
+def corrected(star):
+    """Return the corrector of the star after its default call; do not call it again."""
+    corrector = PLDCorrector(star.tpf)
+    corrector.correct()
+    return corrector

@@ -25,14 +25,6 @@ def crowded():
     return make_sky("k2-1x-rr-lyrae-neighbor", seed=0, n_cadences=400)
 
 
-def test_a_constant_neighbor_does_not_erase_the_star(crowded):
-    corrector = PLDCorrector(crowded.to_tpf())
-    lc = corrector.correct()
-    assert corrector.model.clean is not None
-    assert 0.02 < corrector.result.contamination < 0.3
-    assert score(lc, crowded).amplitude == pytest.approx(1, abs=0.03)
-
-
 def test_measured_fractions_erase_it_and_warn(crowded):
     corrector = PLDCorrector(crowded.to_tpf(), "all")
     crowded_too = pytest.warns(DetrendingWarning, match="of other stars")

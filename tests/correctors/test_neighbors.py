@@ -60,6 +60,7 @@ def test_positions_are_those_of_the_target(neighbor):
 
 def test_light_that_is_taken_off(neighbor):
     sky, corrector = neighbor
+    assert corrector.model.clean is not None
     own, other = (
         np.nanmedian(light[:, corrector.aperture_mask].sum(axis=1))
         for light in (sky.star_light, sky.neighbor_light)

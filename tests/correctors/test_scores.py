@@ -11,17 +11,15 @@ from scope_models.correctors import PLDCorrector
 from scope_models.photometry import cdpp
 
 
-def test_score_of_a_star(star):
-    corrector = PLDCorrector(star.tpf)
-    corrector.correct()
-    mask = corrector.aperture_mask
+def test_score_of_a_star(star, corrected):
+    mask = corrected.aperture_mask
     noise = star.noise[:, mask].sum(axis=1) / np.median(star.expected[:, mask].sum(axis=1))
-    scores = score(corrector, noise)
+    scores = score(corrected, noise)
     # 30 windows: the scatter is known to 13 percent, and what is left of the noise to 10
     assert 0.6 < scores["held_out_mad"] < 1.4
     assert 0.7 < scores["held_out_rms"] < 1.3
     assert 0.7 < scores["held_out_pull"] < 1.3
-    expected = cdpp(corrector.corrected_lc) / cdpp(1 + noise)
+    expected = cdpp(corrected.corrected_lc) / cdpp(1 + noise)
     assert scores["residual_lightkurve"] == pytest.approx(expected, rel=0.01)
 
 

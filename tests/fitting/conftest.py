@@ -36,6 +36,12 @@ def observation(psf):
 
 
 @pytest.fixture(scope="session")
+def default(observation):
+    """Return the fit of the observation without arguments."""
+    return fit_tpf(observation.to_tpf())
+
+
+@pytest.fixture(scope="session")
 def fit(observation, curvature):
     """Return the fit of all that made the observation."""
     return fit_tpf(observation.to_tpf(), psf=2, sensitivity=curvature)

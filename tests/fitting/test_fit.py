@@ -504,12 +504,11 @@ class TestDefault:
         information = np.sqrt(np.sum(fit.observed_err**-2.0, axis=(1, 2)))
         assert np.abs(by_background / information).max() < 0.1
 
-    def test_simulated_star(self, observation):
+    def test_simulated_star(self, default):
         """Where the model is true, the response between pixels is fitted with it."""
-        fit = fit_tpf(observation.to_tpf())
-        assert fit.options["interpixel"] == 0.01
-        assert fit.names[0] == "sigma_x_0"
-        assert abs(fit.reduced_chi2 - 1) < 5 * np.sqrt(2 / fit.dof)
+        assert default.options["interpixel"] == 0.01
+        assert default.names[0] == "sigma_x_0"
+        assert abs(default.reduced_chi2 - 1) < 5 * np.sqrt(2 / default.dof)
 
     def test_wrong_psf(self):
         """Where it is not, b is 1, and another model is chosen if it is better."""

@@ -46,18 +46,18 @@ def test_messy_pixels_are_described(sky, fit):
         assert fit_tpf(sky.to_tpf(), psf=1, **held).reduced_chi2 > 1.5 * fit.reduced_chi2
 
 
-def test_default_follows_from_the_pixels(sky, fit, observation):
+def test_default_follows_from_the_pixels(sky, fit, default):
     """Pixels that no PSF describes get their own responses, unless something else is given."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", FitWarning)
-        default = fit_tpf(sky.to_tpf())
+        messy = fit_tpf(sky.to_tpf())
         few = fit_tpf(sky.to_tpf()[:99], options=FitOptions(max_steps=1))
         given = fit_tpf(sky.to_tpf()[:120], interpixel=0.0, options=FitOptions(max_steps=1))
-    np.testing.assert_array_equal(default.flux, fit.flux)
-    assert default.response
+    np.testing.assert_array_equal(messy.flux, fit.flux)
+    assert messy.response
     assert not few.response
     assert not given.response
-    assert not fit_tpf(observation.to_tpf()).response
+    assert not default.response
 
 
 def test_the_steps_are_bounded_by_their_work(sky, fit, monkeypatch):
