@@ -11,16 +11,15 @@ In cadence t the light of pixel p is
 with the brightness a, the position x, the focus w and the background c (a plane) of the cadence,
 and smooth functions of position G, W and N of each pixel. Over the aperture G adds up to 1, W and N
 to nothing. N is the difference between the constant light and the star's in the image; it counts
-only where the star itself varies strongly (v). Pixels and cadences are fitted in turn.
+only where the star itself varies strongly (v). Pixels and cadences are fitted in turn; the light is
+then a least-squares estimate with the errors of noise and of this model.
 """
-
-from copy import copy
 
 import numpy as np
 
 from scope_models.correctors._constant_light import constant_light
 from scope_models.correctors._position import Features, Widening
-from scope_models.correctors._smoothing import CLIP, NO_WEIGHT, Smoother, quantile
+from scope_models.correctors._smoothing import CLIP, NO_WEIGHT, TRANSIT, Smoother, quantile
 from scope_models.correctors._states import CleanPixels
 
 __all__ = ["clean_pixels"]
@@ -37,8 +36,6 @@ _ITERATIONS, _MORE_ITERATIONS = 7, 12
 #: positions and focus are less than these parts of their errors, and the star does not vary
 #: strongly.
 _FEWEST_ITERATIONS, _SMALL_STEPS = 4, (0.15, 0.15, 0.15, 0.2)
-#: Tolerance: and once images may change slowly.
-_REFINEMENTS = 3
 #: Branch: iterations after which the focus has an image of its own, and constant light counts.
 _FOCUS_FROM, _CONSTANT_FROM = 2, 3
 #: Prior: standard deviations: position about POS_CORR (px), relative width.
@@ -51,8 +48,6 @@ _FAST, _STRONG = 0.25, 0.02
 #: Prior: relative change of the light in the aperture with position, for telling it from
 #: variability.
 _RESPONSE_PRIOR = 0.05
-#: Branch: noise of the brightness of images, in units of the sum's, below which it is used.
-_LESS_NOISE = 0.9
 #: Branch: part of the light in the aperture above which the level of dark pixels is background.
 _BACKGROUND = 0.05
 #: Branch: cosmic rays exceed so many standard deviations.
@@ -61,9 +56,6 @@ _HIT = 4.5
 #: far: cosmic rays exceed it, too. Largest ratio of light to noise in a pixel from which on this
 #: and ``CLIP`` hold; of fainter stars cosmic rays are a larger part of the light than such errors.
 _MISFIT, _BRIGHT = 0.05, 5000.0
-#: Prior: images change with time as polynomials of one degree in so many days, up to so many
-#: columns, by about this part of a pixel's light.
-_DAYS_PER_DEGREE, _MOST_SLOW, _SLOW_CHANGE = 10.0, 60, 0.03
 #: Branch: constant light in the aperture, relative, below which it does not count; and the
 #: iteration at which that is decided.
 _FAINT, _DECIDED = 0.004, 5
@@ -72,7 +64,7 @@ _FAINT, _DECIDED = 0.004, 5
 _SLOW = 0.05
 
 
-def clean_pixels(time, flux, flux_err, position, grid, aperture, *, use=None, kind="auto"):
+def clean_pixels(time, flux, flux_err, position, grid, aperture, *, use=None):
     """Predict the pixel fractions of a star.
 
     Parameters
@@ -89,8 +81,6 @@ def clean_pixels(time, flux, flux_err, position, grid, aperture, *, use=None, ki
         Pixels that are summed.
     use : ndarray of bool, optional
         Cadences from which everything that they share is learned, ``(n,)``; by default all.
-    kind : {"auto", "sum", "weighted"}, optional
-        The light: sum of the pixels, or brightness of the fitted images.
 
     Returns
     -------
@@ -107,19 +97,7 @@ def clean_pixels(time, flux, flux_err, position, grid, aperture, *, use=None, ki
         if converged and iteration >= _FEWEST_ITERATIONS - 1 and not state.varies:
             break
     images = state.images()
-    state.fit_brightness(images)
-    light, error = state.summed(flux_err, images)
-    # beside a star that varies strongly images hold what does not: constant light
-    steady = kind == "auto" and not state.varies
-    if kind == "weighted" or (steady and quantile(state.error) < quantile(error)):
-        fitted = copy(state)
-        found = fitted.refine()
-        brightness = fitted.brightness_like(light)
-        part = state.roughness(brightness) / state.roughness(light)
-        if kind == "weighted" or part < _LESS_NOISE:
-            error = np.maximum(fitted.error, part * error)
-            return fitted.result(brightness, error, found, weighted=True)
-    return state.result(light, error, images, weighted=False)
+    return state.result(*state.light(flux_err, images), images)
 
 
 class _State:
@@ -154,10 +132,6 @@ class _State:
         self._place = np.where(self.known, _POSITION_PRIOR**-2, 1e-2)
         self.features = Features(self.z[use], _SCALE, _TOLERANCE, _MAX_RANK)
         self.coarse = Features(self.z[use], _COARSE_SCALE, _COARSE_TOLERANCE, _COARSE_RANK)
-        coarse, span = self.coarse(self.expected)[1], time[-1] - time[0]
-        degree = min(round(span / _DAYS_PER_DEGREE), _MOST_SLOW // coarse.shape[1])
-        slow = np.polynomial.legendre.legvander(2 * (time - time[0]) / span - 1, degree)[:, 1:]
-        self.slow = _SLOW_CHANGE * (slow[:, :, None] * coarse[:, None]).reshape(n, -1)
 
     @property
     def varies(self):
@@ -192,15 +166,13 @@ class _State:
         self.expected = np.where(known[:, None], expected, columns @ slope)
         self.z = self.expected.copy()
 
-    def fit_pixels(self, iteration, *, slow=False):
+    def fit_pixels(self, iteration):
         """Fit the functions of position of all pixels at once: ridge regression."""
         _, basis, coarse = self._functions()
         a, v, w = self.brightness[:, None], self.variable[:, None], self.focus[:, None]
         parts = [a * basis]
         if iteration >= _FOCUS_FROM:
             parts.append(2 * a * w * coarse)  # the prior's standard deviation is 2
-        if slow:
-            parts.append(a * self.slow)
         strong = v.any()
         if strong:
             parts.append(-v * coarse)
@@ -211,11 +183,9 @@ class _State:
         ridge = self.variance / self.scale**2
         coefficients = vectors @ (right / (np.maximum(values, 0)[:, None] + ridge))
         rank, few = basis.shape[1], coarse.shape[1]
-        self._main, self._focus, self._slow, self._constant = coefficients[:rank], None, None, None
+        self._main, self._focus, self._constant = coefficients[:rank], None, None
         if iteration >= _FOCUS_FROM:
             self._focus = 2 * coefficients[rank : rank + few]
-        if slow:
-            self._slow = coefficients[rank + few :][: self.slow.shape[1]]
         if strong:
             self._constant = coefficients[-few:]
 
@@ -228,8 +198,8 @@ class _State:
     def images(self):
         """Return G, the whole image, its derivatives by x, y and w, and N or nothing.
 
-        Sums are as stated. The image has the focus and slow changes of each cadence, once these
-        have images of their own.
+        Sums are as stated. The image has the focus of each cadence, once this has an image of its
+        own.
         """
         inside, weights = self.aperture, self.features.weights(self._main)
         kernel, _, coarse = self._functions()
@@ -256,8 +226,6 @@ class _State:
             if self._constant is not None:
                 constant = without_sum(coarse, self._constant)
         whole = image.copy() if self._focus is None else image + self.focus[:, None] * focus
-        if self._slow is not None:
-            whole += without_sum(self.slow / total, self._slow)
         return image, whole, [*slopes, focus], constant
 
     def _normalize(self, image, slopes):
@@ -356,7 +324,7 @@ class _State:
             rest += self.variable[:, None] * constant
         return rest
 
-    def _normal_equations(self, images, rest, n_planes=3):
+    def _normal_equations(self, images, rest):
         """Return the Hessian and the right side of each cadence's least squares, ``(k, k, n)``.
 
         The images are those of brightness, position, and focus. They are overwritten.
@@ -365,8 +333,8 @@ class _State:
         for values in (*images, rest):
             np.multiply(values, root, out=values)
             values[damaged] = 0
-        planes = self.planes[:, :n_planes] * root[:, None]
-        first, k = len(images), len(images) + n_planes
+        planes = self.planes * root[:, None]
+        first, k = len(images), len(images) + 3
         hessian, right = np.zeros((k, k, len(rest))), np.zeros((k, len(rest)))
         for i, values in enumerate(images):
             for j in range(i + 1):
@@ -382,21 +350,38 @@ class _State:
         right[1:first] *= self.brightness
         return hessian, right
 
-    def fit_brightness(self, images):
-        """Fit brightness, positions and focus at the smoothed background.
+    def light(self, flux_err, images):
+        """Return the star's light and its error: least squares at the smoothed background.
 
-        The smoothed focus is as uncertain as it varies: the brightness of images is much more
-        sensitive to the width than a sum is.
+        Of the means of 6.5 h the model misses in each pixel what their variance has beyond noise.
+        These errors, as the images, add up to nothing over the aperture: where they dominate, the
+        light is the sum, and where noise does, it has optimal weights. The focus is as uncertain
+        as it varies: such weights are much more sensitive to the width than a sum is. Pixels with
+        cosmic rays are replaced, and what the focus moves over the border is put back.
         """
         _, image, slopes, constant = images
         rest = self._rest(image, constant)
-        columns = [values.copy() for values in (image, *slopes)]
-        hessian, right = self._normal_equations(columns, rest, 0)
+        rest[~self.good] = 0.0
+        use, mean = self.use, image[self.use].mean(axis=0)
+        width = min(max(round(TRANSIT / self.smoothed.step), 1), use.sum() // 10)
+        windows = rest[use][: use.sum() // width * width].reshape(-1, width, rest.shape[1])
+        misfit = np.maximum(windows.mean(axis=1).var(axis=0) - self.noise / width, 0)
+        balance = np.eye(len(mean)) - np.outer(np.where(self.aperture, mean, 0), self.aperture)
+        covariance = np.diag(self.noise) + width * (balance * misfit) @ balance.T
+        root = np.linalg.inv(np.linalg.cholesky(covariance)).T
+        scale = [1.0, *3 * [self.brightness[:, None]]]
+        columns = [a * (part @ root) for a, part in zip(scale, (image, *slopes), strict=True)]
+        hessian = np.array([[np.einsum("ij,ij->i", a, b) for b in columns] for a in columns])
         hessian[[1, 2], [1, 2]] += self._place
-        hessian[3, 3] += 1 / max(np.var(self.focus[self.use]), 1e-12)
-        step, error = _solved(hessian, right)
-        self.brightness = self.brightness + np.clip(step[0], -0.3, 0.3)
-        self.error = error[0]
+        hessian[3, 3] += 1 / max(np.var(self.focus[use]), 1e-12)
+        first = np.zeros(hessian.shape[1:])
+        first[0] = 1
+        parts = zip(_solved(hessian, first)[0][:, :, None], columns, strict=True)
+        weights = sum(size * column for size, column in parts) @ root.T
+        kept = self._kept(images)
+        light = self.brightness + np.sum(weights * rest, axis=1)
+        error = np.sqrt(np.sum((weights * flux_err) ** 2, axis=1)) / self.unit
+        return light * kept, error * kept
 
     def _set_background(self, plane, errors, iteration):
         """Smooth the background as far as the data are for it; jumps of a cadence stay."""
@@ -455,19 +440,6 @@ class _State:
             use = known & (np.abs(rest).max(axis=1) < 0.1)
         self.z = self.z + columns @ change
 
-    def summed(self, flux_err, images):
-        """Return the sum over the aperture, cosmic rays replaced, and its error.
-
-        What the focus moves over the border of the aperture is put back.
-        """
-        _, image, _, constant = images
-        light = self.y - self.background
-        light[~self.good] -= self._rest(image, constant)[~self.good]
-        light = light[:, self.aperture].sum(axis=1)
-        error = np.sqrt((flux_err[:, self.aperture] ** 2).sum(axis=1)) / self.unit
-        kept = self._kept(images)
-        return light * kept, error * kept
-
     def _kept(self, images):
         """Return the light that the aperture would hold at constant focus, over what it holds.
 
@@ -481,7 +453,7 @@ class _State:
         moved = focus * (slopes[2] @ outside)
         return np.maximum(whole + moved, 0.1) / np.maximum(whole - lost, 0.1)
 
-    def result(self, light, error, images, *, weighted):
+    def result(self, light, error, images):
         """Return a light and the fractions."""
         still, image, slopes, constant = images
         other, inside = self._constant_light(image, slopes[:2], constant), self.aperture
@@ -497,20 +469,7 @@ class _State:
             focus=focus,
             constant=self.unit * quantile(other[self.use]),
             repaired=~self.good,
-            weighted=weighted,
         )
-
-    def refine(self):
-        """Let the images change slowly, at the focus that was found, and return them."""
-        focus = self.focus
-        for _ in range(_REFINEMENTS):
-            self.fit_pixels(_ITERATIONS, slow=True)
-            self.fit_cadences(_ITERATIONS)
-            self.focus = focus
-        self.fit_pixels(_ITERATIONS, slow=True)
-        images = self.images()
-        self.fit_brightness(images)
-        return images
 
     @property
     def bright(self):
@@ -522,19 +481,6 @@ class _State:
         """Return values smoothed by a kernel of so many days."""
         weight = np.where(self.use, 1.0, NO_WEIGHT)
         return self.smoothed.lines(values, weight, days / self.smoothed.step)[0]
-
-    def roughness(self, light):
-        """Return the typical change from cadence to cadence that positions do not explain."""
-        fit, change = self._functions()[1][self.use], light[self.use] - 1
-        return quantile(np.abs(np.diff(change - _explained(fit, fit, change))))
-
-    def brightness_like(self, light):
-        """Return the brightness with the sum's dependence on position and focus."""
-        columns = np.column_stack([self._functions()[1], self.focus]) * self.brightness[:, None]
-        change = (self.brightness - light)[self.use]
-        noise = 1.05 * quantile(np.abs(np.diff(change)))
-        ridge = (noise / _RESPONSE_PRIOR) ** 2
-        return self.brightness - _explained(columns, columns[self.use], change, ridge)
 
     def _constant_light(self, image, slopes, constant):
         """Return the constant light in the aperture, if the star's variability shows it."""

@@ -37,8 +37,6 @@ __all__ = ["PLDModel", "PLDOptions", "Settings"]
 #: Branch: an error with fewer usable cadences.
 _FEWEST_CADENCES = 30
 _FRACTIONS = ("auto", "predicted", "measured")
-#: Kinds of the light that is corrected.
-FLUXES = ("auto", "sum", "weighted")
 #: Branch: part of the cadences with much light for which predicted fractions must exist.
 _CREDIBLE = 0.9
 #: Branch: with a variance of the noise over that of FLUX_ERR above this predicted fractions may
@@ -63,15 +61,6 @@ class PLDOptions(Value):
         Times (days) at which the coefficients of order 1 may change. By default where the sense of
         the roll reverses. The change has a prior variance of its own, which vanishes if nothing
         changes.
-    flux : {"auto", "sum", "weighted"}, optional
-        The light that is corrected: the sum over the aperture, or the star's brightness as a
-        least-squares fit of its image to all pixels gives it, in units of that sum. The image,
-        which follows position, focus and slow changes, is learned from the same pixels. Where
-        background and readout are the noise, as for faint stars, the fit is less noisy. By default
-        it is taken if the star does not vary strongly, and it is expected to have less noise than
-        the sum and changes less than 0.9 times as much from cadence to cadence. Moving apertures,
-        full pixels, measured fractions, and fewer than
-        200 cadences or 4 pixels allow the sum only.
     saturation : "auto", None or float, optional
         Flux in e-/s above which a pixel is saturated, by default that of the mission if it is
         known. A full pixel stays full when the star dims, so that its share of the light would
@@ -107,7 +96,6 @@ class PLDOptions(Value):
 
     trend: str = "gp"
     segments: object = "auto"
-    flux: str = "auto"
     saturation: object = "auto"
     background: int = integer(3, 1)
     background_aperture_mask: object = None
@@ -119,7 +107,6 @@ class PLDOptions(Value):
     def __post_init__(self):
         check_fields(self)
         checked_choice("trend", self.trend, tuple(_TRENDS))
-        checked_choice("flux", self.flux, FLUXES)
         for name in ("pld_aperture_mask", "background_aperture_mask"):
             if isinstance(getattr(self, name), np.ndarray):
                 object.__setattr__(self, name, frozen(getattr(self, name)))
@@ -226,7 +213,7 @@ class PLDModel:
         clean = None
         plain = options.fractions != "measured" and regressor_mask is None and not background
         if plain and can_predict(pixels, saturation, use):
-            predicted, clean = with_predicted_fractions(pixels, series.pos_corr, use, options.flux)
+            predicted, clean = with_predicted_fractions(pixels, series.pos_corr, use)
             bright = pixels.usable & (pixels.total > np.median(pixels.total[use]) / 2)
             if clean and predicted.usable[bright].mean() > _CREDIBLE:
                 extra["focus"] = focus_columns(clean, pixels.usable, use)
@@ -236,7 +223,6 @@ class PLDModel:
                 pixels, saturation = predicted, None
             else:  # the model of the pixels has diverged
                 clean = None
-        _check_weighted(options, clean)
         if clean is None:
             if "background" not in extra:
                 extra["level"] = level_column(pixels, use)
@@ -329,7 +315,7 @@ def fit_pixels(pixels, options, series, cadence_mask=None, **transit):
 
     fitted = fitted_with(options)
     clean = fitted.model.clean
-    if options.fractions != "auto" or options.flux == "weighted" or clean is None:
+    if options.fractions != "auto" or clean is None:
         return fitted
     # beside other light measured fractions follow the star
     most = _MISFIT if fitted.contrast_error < CONTAMINATED else NOISY
@@ -339,14 +325,6 @@ def fit_pixels(pixels, options, series, cadence_mask=None, **transit):
     measured = fitted_with(replace(options, fractions="measured"))
     both = fitted.cadence_mask & fitted.model.pixels.usable & measured.model.pixels.usable
     return measured if _gain(measured, fitted, both) > _DECISIVE else fitted
-
-
-def _check_weighted(options, clean):
-    if options.flux == "weighted" and not (clean and clean.weighted):
-        raise ValueError(
-            '`flux="weighted"` needs a model of the pixels: predicted fractions, a fixed '
-            "aperture, at least 200 cadences and 4 pixels, and none that is full"
-        )
 
 
 def _check_enough(use):

@@ -355,12 +355,11 @@ def can_predict(pixels, saturation, use):
     return not full and np.ptp(flux, axis=0).max() > 0 and bool((error > 0).any())
 
 
-def with_predicted_fractions(pixels, pos_corr, cadence_mask=None, kind="auto"):
+def with_predicted_fractions(pixels, pos_corr, cadence_mask=None):
     """Return the star's light with predicted pixel fractions in place of the measured pixels.
 
-    Images and constant light are learned from the cadences of ``cadence_mask``, by default all;
-    ``kind`` is ``flux`` of `PLDCorrector.correct`, the sum for moving apertures. The ``total`` of
-    the returned pixels is the light without background and without the constant light that is
+    Images and constant light are learned from the cadences of ``cadence_mask``, by default all.
+    The ``total`` of the returned pixels is the light without background and without the constant light that is
     known, their ``flux`` the predicted fractions at constant focus times this. Second come the
     `CleanPixels`; None, with the pixels as they were, if the equations are singular.
     """
@@ -382,7 +381,6 @@ def with_predicted_fractions(pixels, pos_corr, cadence_mask=None, kind="auto"):
                 np.stack([columns, rows], axis=1),
                 pixels.aperture[known],
                 use=None if cadence_mask is None else cadence_mask[use],
-                kind=kind if pixels.weights is None else "sum",
             )
     except np.linalg.LinAlgError:
         _warn("the model of the pixels is singular: measured fractions are taken")

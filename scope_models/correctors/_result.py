@@ -21,14 +21,12 @@ from scope_models.correctors._injection import (
     warn_of_unmasked,
 )
 from scope_models.correctors._pixels import LARGEST_CORRECTION
+from scope_models.correctors._smoothing import TRANSIT
 from scope_models.correctors._solution import Solution
 from scope_models.exceptions import DetrendingWarning
 
 __all__ = ["CONTAMINATED", "NOISY", "PLDFit"]
 
-#: Prior: duration of a transit of a habitable planet, of which CDPP is the noise (Christiansen et
-#: al. 2012).
-_TRANSIT_HOURS = 6.5
 #: Warning: parts from which on a warning is given: outliers, constant light, changes of the flux
 #: that measured fractions explain; and the noise's variance over FLUX_ERR squared. Smaller
 #: apertures lose light when the star moves, which the fractions explain.
@@ -215,7 +213,7 @@ class PLDFit:
     def window(self):
         """Number of cadences in 6.5 hours, 13 for long cadences."""
         step = float(np.median(np.diff(self.solution.time)))
-        return int(np.clip(round(_TRANSIT_HOURS / 24 / step), 1, len(self.solution.alpha) // 2))
+        return int(np.clip(round(TRANSIT / step), 1, len(self.solution.alpha) // 2))
 
     @property
     def transit_survival(self):
@@ -400,9 +398,8 @@ class PLDFit:
         return self.model.clean is None and bool(self._change > _FOLLOWING)
 
     @property
-    def weighted(self):
-        """Whether the flux is the brightness of fitted images, and not the sum of pixels."""
-        return self.model.clean is not None and self.model.clean.weighted
+    def _fractions(self):
+        return "measured" if self.model.clean is None else "predicted"
 
     @property
     def contamination(self):
@@ -550,11 +547,7 @@ class PLDFit:
         """Return the fit of the same pixels with the star's light times ``exp(column)``."""
         model = self.model
         source = model.source.dimmed(np.exp(column), model.clean)
-        options = replace(
-            model.options,
-            fractions="predicted" if model.clean else "measured",
-            flux="weighted" if self.weighted else "sum",
-        )
+        options = replace(model.options, fractions=self._fractions)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", DetrendingWarning)
             again = type(model).from_pixels(
@@ -696,12 +689,11 @@ class PLDFit:
 
     def _rows(self):
         """Return labels and values for the short table."""
-        fractions = "measured" if self.model.clean is None else "predicted"
         rows = [
             ("cadences in the fit", f"{self.n_used}"),
             ("outliers", f"{self.n_outliers}"),
             ("noise variance / FLUX_ERR^2", f"{self.noise_scale:.3f}"),
-            ("fractions, flux", f"{fractions}, {'weighted' if self.weighted else 'sum'}"),
+            ("fractions", self._fractions),
             ("constant light taken off", f"{100 * self.contamination:.1f} %"),
         ]
         if self.crowding < 1:

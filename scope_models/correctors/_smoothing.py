@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
 
-__all__ = ["CLIP", "NO_WEIGHT", "Smoother", "quantile"]
+__all__ = ["CLIP", "NO_WEIGHT", "TRANSIT", "Smoother", "quantile"]
 
 #: Tolerance: weight of cadences that do not count.
 NO_WEIGHT = 1e-6
@@ -14,6 +14,9 @@ _WIDTHS = (1.5, 3.0, 6.0, 12.0, 24.0, 48.0)
 _WIDE = 12.0
 #: Branch: outliers exceed so many standard deviations.
 CLIP = 6.0
+#: Prior: duration in days of a transit of a habitable planet, of which CDPP is the noise
+#: (Christiansen et al. 2012).
+TRANSIT = 6.5 / 24
 
 
 class Smoother:

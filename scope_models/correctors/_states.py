@@ -11,8 +11,7 @@ __all__ = ["CleanPixels"]
 class CleanPixels:
     """The light of a star without background, and predicted pixel fractions.
 
-    The ``light`` is the sum of the pixels, cosmic rays replaced, or of faint stars the brightness
-    of the fitted images, where its expected error is smaller (``weighted``); constant light is
+    The ``light`` is that of the aperture, by least squares, cosmic rays replaced; constant light is
     taken off where it is known, and what the focus moves over the border of the aperture is put
     back. The ``background`` is relative to its median where the dark pixels may hold the star's
     wings.
@@ -28,7 +27,6 @@ class CleanPixels:
     focus: np.ndarray  # relative change of the PSF's width without short dips, (n,)
     constant: float  # median of the constant light that was taken off, e-/s
     repaired: np.ndarray  # pixels whose light was replaced by the model's, (n, n_pixels)
-    weighted: bool
 
     def leaks(self):
         """Return the states by name, and the light that positions and width move in each pixel."""
