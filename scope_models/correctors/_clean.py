@@ -36,6 +36,8 @@ _ITERATIONS, _MORE_ITERATIONS = 7, 12
 #: positions and focus are less than these parts of their errors, and the star does not vary
 #: strongly.
 _FEWEST_ITERATIONS, _SMALL_STEPS = 4, (0.15, 0.15, 0.15, 0.2)
+#: Tolerance: and once images may change slowly.
+_REFINEMENTS = 3
 #: Branch: iterations after which the focus has an image of its own, and constant light counts.
 _FOCUS_FROM, _CONSTANT_FROM = 2, 3
 #: Prior: standard deviations: position about POS_CORR (px), relative width.
@@ -56,6 +58,9 @@ _HIT = 4.5
 #: far: cosmic rays exceed it, too. Largest ratio of light to noise in a pixel from which on this
 #: and ``CLIP`` hold; of fainter stars cosmic rays are a larger part of the light than such errors.
 _MISFIT, _BRIGHT = 0.05, 5000.0
+#: Prior: images change with time as polynomials of one degree in so many days; tolerance: with so
+#: many columns.
+_DAYS_PER_DEGREE, _MOST_SLOW = 10.0, 60
 #: Branch: constant light in the aperture, relative, below which it does not count; and the
 #: iteration at which that is decided.
 _FAINT, _DECIDED = 0.004, 5
@@ -64,7 +69,7 @@ _FAINT, _DECIDED = 0.004, 5
 _SLOW = 0.05
 
 
-def clean_pixels(time, flux, flux_err, position, grid, aperture, *, use=None):
+def clean_pixels(time, flux, flux_err, position, grid, aperture, *, use=None, changing=False):
     """Predict the pixel fractions of a star.
 
     Parameters
@@ -81,6 +86,8 @@ def clean_pixels(time, flux, flux_err, position, grid, aperture, *, use=None):
         Pixels that are summed.
     use : ndarray of bool, optional
         Cadences from which everything that they share is learned, ``(n,)``; by default all.
+    changing : bool, optional
+        Whether the images change slowly with time.
 
     Returns
     -------
@@ -96,7 +103,7 @@ def clean_pixels(time, flux, flux_err, position, grid, aperture, *, use=None):
         converged = state.fit_cadences(iteration)
         if converged and iteration >= _FEWEST_ITERATIONS - 1 and not state.varies:
             break
-    images = state.images()
+    images = state.refine() if changing else state.images()
     return state.result(*state.light(flux_err, images), images)
 
 
@@ -109,7 +116,7 @@ class _State:
         typical = quantile(flux[use].T)
         offset = (grid - grid.mean(axis=0)) / np.maximum(np.ptp(grid, axis=0), 1)
         self.planes = np.column_stack([np.ones(n_pixels), offset])
-        dark = np.argsort(typical)[: max(3, n_pixels // 4)]
+        self.dark = dark = np.argsort(typical)[: max(3, n_pixels // 4)]
         # unless that may be the star's wings
         level = quantile(typical[dark])
         much = level * aperture.sum() > _BACKGROUND * typical[aperture].sum()
@@ -127,6 +134,7 @@ class _State:
         self.scale = np.maximum(quantile(self.y[use].T, 0.98), 3 * np.sqrt(self.noise))
         self.good = np.ones((n, n_pixels), dtype=bool)
         self.focus, self.variable = np.zeros((2, n))
+        self.fluctuation, self.slow = 0.0, np.zeros((n, 0))
         self._start_positions(position, total)
         self.smoothed, self._last = Smoother(time, use), None
         self._place = np.where(self.known, _POSITION_PRIOR**-2, 1e-2)
@@ -173,6 +181,7 @@ class _State:
         parts = [a * basis]
         if iteration >= _FOCUS_FROM:
             parts.append(2 * a * w * coarse)  # the prior's standard deviation is 2
+            parts.append(a * self.slow)
         strong = v.any()
         if strong:
             parts.append(-v * coarse)
@@ -186,8 +195,20 @@ class _State:
         self._main, self._focus, self._constant = coefficients[:rank], None, None
         if iteration >= _FOCUS_FROM:
             self._focus = 2 * coefficients[rank : rank + few]
+            rows = slice(rank + few, rank + few + self.slow.shape[1])
+            self._slow = coefficients[rows]
+            self._rescale(vectors[rows] ** 2 @ (ridge / (np.maximum(values, 0)[:, None] + ridge)))
         if strong:
             self._constant = coefficients[-few:]
+
+    def _rescale(self, posterior):
+        """Give slow changes their most likely variance (MacKay 1992).
+
+        ``posterior`` is their variance in units of the prior's, ``(n_columns, n_pixels)``.
+        """
+        if self._slow.size:
+            size = np.sqrt(np.sum((self._slow / self.scale) ** 2) / np.sum(1 - posterior))
+            self.slow, self._slow = self.slow * size, self._slow / size
 
     def _functions(self):
         """Return kernels, functions and coarse functions of the positions, which are kept."""
@@ -198,8 +219,8 @@ class _State:
     def images(self):
         """Return G, the whole image, its derivatives by x, y and w, and N or nothing.
 
-        Sums are as stated. The image has the focus of each cadence, once this has an image of its
-        own.
+        Sums are as stated. The image has the focus and slow changes of each cadence, once these
+        have images of their own.
         """
         inside, weights = self.aperture, self.features.weights(self._main)
         kernel, _, coarse = self._functions()
@@ -225,7 +246,9 @@ class _State:
             focus = without_sum(coarse / total, self._focus)
             if self._constant is not None:
                 constant = without_sum(coarse, self._constant)
-        whole = image.copy() if self._focus is None else image + self.focus[:, None] * focus
+        whole = image.copy()
+        if self._focus is not None:
+            whole += self.focus[:, None] * focus + without_sum(self.slow / total, self._slow)
         return image, whole, [*slopes, focus], constant
 
     def _normalize(self, image, slopes):
@@ -351,12 +374,13 @@ class _State:
         return hessian, right
 
     def light(self, flux_err, images):
-        """Return the star's light and its error: least squares at the smoothed background.
+        """Return the star's light and its error by least squares.
 
         Of the means of 6.5 h the model misses in each pixel what their variance has beyond noise.
-        These errors, as the images, add up to nothing over the aperture: where they dominate, the
-        light is the sum, and where noise does, it has optimal weights. The focus is as uncertain
-        as it varies: such weights are much more sensitive to the width than a sum is. Pixels with
+        What it misses in dark pixels, too, is more noise. The rest adds up to nothing over the
+        aperture, as images do: where it dominates, the light is the sum, and where noise does, it
+        has optimal weights. The focus is as uncertain as it varies, for such weights are much more
+        sensitive to the width than a sum is, and the background as it fluctuates. Pixels with
         cosmic rays are replaced, and what the focus moves over the border is put back.
         """
         _, image, slopes, constant = images
@@ -365,23 +389,28 @@ class _State:
         use, mean = self.use, image[self.use].mean(axis=0)
         width = min(max(round(TRANSIT / self.smoothed.step), 1), use.sum() // 10)
         windows = rest[use][: use.sum() // width * width].reshape(-1, width, rest.shape[1])
-        misfit = np.maximum(windows.mean(axis=1).var(axis=0) - self.noise / width, 0)
+        missed = windows.mean(axis=1).var(axis=0) - self.noise / width
+        everywhere = max(quantile(missed[self.dark]), 0.0)
         balance = np.eye(len(mean)) - np.outer(np.where(self.aperture, mean, 0), self.aperture)
-        covariance = np.diag(self.noise) + width * (balance * misfit) @ balance.T
+        misfit = (balance * np.maximum(missed - everywhere, 0)) @ balance.T
+        covariance = np.diag(self.noise) + width * (everywhere * np.eye(len(mean)) + misfit)
         root = np.linalg.inv(np.linalg.cholesky(covariance)).T
         scale = [1.0, *3 * [self.brightness[:, None]]]
         columns = [a * (part @ root) for a, part in zip(scale, (image, *slopes), strict=True)]
+        columns.append(np.broadcast_to(root.sum(axis=0), rest.shape))
         hessian = np.array([[np.einsum("ij,ij->i", a, b) for b in columns] for a in columns])
         hessian[[1, 2], [1, 2]] += self._place
         hessian[3, 3] += 1 / max(np.var(self.focus[use]), 1e-12)
+        hessian[4, 4] += 1 / max(self.fluctuation, 1e-12 * self.noise.min())
         first = np.zeros(hessian.shape[1:])
         first[0] = 1
         parts = zip(_solved(hessian, first)[0][:, :, None], columns, strict=True)
         weights = sum(size * column for size, column in parts) @ root.T
         kept = self._kept(images)
         light = self.brightness + np.sum(weights * rest, axis=1)
-        error = np.sqrt(np.sum((weights * flux_err) ** 2, axis=1)) / self.unit
-        return light * kept, error * kept
+        variance = np.sum((weights * flux_err / self.unit) ** 2, axis=1)
+        variance += self.fluctuation * weights.sum(axis=1) ** 2
+        return light * kept, np.sqrt(variance) * kept
 
     def _set_background(self, plane, errors, iteration):
         """Smooth the background as far as the data are for it; jumps of a cadence stay."""
@@ -393,6 +422,8 @@ class _State:
                 typical = 1.4826 * quantile(rest[self.use])
                 jumps = rest > CLIP * np.maximum(error, typical)
                 values[:] = np.where(jumps, values, smooth)
+                if k == 0:
+                    self.fluctuation = max(typical**2 - quantile(error[self.use]) ** 2, 0.0)
         self.plane = plane
 
     def _set_variable(self, iteration):
@@ -462,7 +493,7 @@ class _State:
             light=self.unit * (light - other),
             light_error=self.unit * error,
             shares=np.where(inside, image, 0.0) / self._kept(images)[:, None],
-            still=np.where(inside, still + focus[:, None] * slopes[2], 0.0),
+            still=np.where(inside, image + (focus - self.focus)[:, None] * slopes[2], 0.0),
             outside=still @ ~inside,
             background=self.unit * self.background,
             position=self.z,
@@ -470,6 +501,21 @@ class _State:
             constant=self.unit * quantile(other[self.use]),
             repaired=~self.good,
         )
+
+    def refine(self):
+        """Let the images change slowly, at the focus that was found, and return them."""
+        coarse, span = self.coarse(self.expected)[1], self.time[-1] - self.time[0]
+        degree = min(round(span / _DAYS_PER_DEGREE), _MOST_SLOW // coarse.shape[1])
+        x = 2 * (self.time - self.time[0]) / span - 1
+        slow = np.polynomial.legendre.legvander(x, degree)[:, 1:]
+        self.slow = (slow[:, :, None] * coarse[:, None]).reshape(len(x), -1)
+        focus = self.focus
+        for _ in range(_REFINEMENTS):
+            self.fit_pixels(_ITERATIONS)
+            self.fit_cadences(_ITERATIONS)
+            self.focus = focus
+        self.fit_pixels(_ITERATIONS)
+        return self.images()
 
     @property
     def bright(self):

@@ -36,13 +36,13 @@ __all__ = ["PLDModel", "PLDOptions", "Settings"]
 
 #: Branch: an error with fewer usable cadences.
 _FEWEST_CADENCES = 30
-_FRACTIONS = ("auto", "predicted", "measured")
+_FRACTIONS = ("auto", "predicted", "changing", "measured")
 #: Branch: part of the cadences with much light for which predicted fractions must exist.
 _CREDIBLE = 0.9
 #: Branch: with a variance of the noise over that of FLUX_ERR above this predicted fractions may
 #: have failed. FLUX_ERR of real dark pixels is too small by up to 1.17.
 _MISFIT = 1.17**2
-#: Branch: logarithm of the odds for measured fractions that are decisive on Jeffreys' scale.
+#: Branch: logarithm of the odds for other fractions that are decisive on Jeffreys' scale.
 _DECISIVE = np.log(100)
 #: Prior: number of columns of the constant and the polynomial trend.
 _TRENDS = {"gp": 1, "quadratic": 3}
@@ -213,7 +213,10 @@ class PLDModel:
         clean = None
         plain = options.fractions != "measured" and regressor_mask is None and not background
         if plain and can_predict(pixels, saturation, use):
-            predicted, clean = with_predicted_fractions(pixels, series.pos_corr, use)
+            changing = options.fractions == "changing"
+            predicted, clean = with_predicted_fractions(
+                pixels, series.pos_corr, use, changing=changing
+            )
             bright = pixels.usable & (pixels.total > np.median(pixels.total[use]) / 2)
             if clean and predicted.usable[bright].mean() > _CREDIBLE:
                 extra["focus"] = focus_columns(clean, pixels.usable, use)
@@ -303,10 +306,10 @@ def fit_pixels(pixels, options, series, cadence_mask=None, **transit):
     """Fit pixels, with the fractions that the data support; return a `PLDFit`.
 
     With ``fractions="auto"`` these are the predicted ones. Where they make the light curve rougher
-    than it was, or leave more noise than FLUX_ERR may lack, they may have failed, as under the
-    seeing of the ground, which no smooth focus describes: then measured ones are taken if these
-    predict unseen windows decisively better. ``series`` is the file of the pixels; the rest are
-    arguments of `PLDModel.fit`.
+    than it was, or leave more noise than FLUX_ERR may lack, the model of the pixels lacks something:
+    then images that change slowly are taken, or measured fractions, as under the seeing of the
+    ground, if these predict unseen windows decisively better. ``series`` is the file of the pixels;
+    the rest are arguments of `PLDModel.fit`.
     """
 
     def fitted_with(options):
@@ -322,9 +325,11 @@ def fit_pixels(pixels, options, series, cadence_mask=None, **transit):
     rough = roughness(fitted.corrected()[0]) > WORSE * roughness(pixels.total)
     if clean.constant > 0 or not (rough or fitted.noise_scale > most):
         return fitted
-    measured = fitted_with(replace(options, fractions="measured"))
-    both = fitted.cadence_mask & fitted.model.pixels.usable & measured.model.pixels.usable
-    return measured if _gain(measured, fitted, both) > _DECISIVE else fitted
+    for kind in ("changing", "measured"):
+        other = fitted_with(replace(options, fractions=kind))
+        both = fitted.cadence_mask & fitted.model.pixels.usable & other.model.pixels.usable
+        fitted = other if _gain(other, fitted, both) > _DECISIVE else fitted
+    return fitted
 
 
 def _check_enough(use):
@@ -334,14 +339,14 @@ def _check_enough(use):
         )
 
 
-def _gain(measured, predicted, cadences):
-    """Return by how much measured fractions predict windows better: logarithm of the odds.
+def _gain(fitted, simpler, cadences):
+    """Return by how much a fit predicts windows better than a simpler one: logarithm of the odds.
 
     These are of the means of at least ten windows of 13 h or less, which all other cadences
     predict, without the tenth that is least likely by either.
     """
-    window = min(2 * predicted.window, cadences.sum() // 10)
-    seen = (fit.held_out(window, cadences)[:2] for fit in (measured, predicted))
+    window = min(2 * simpler.window, cadences.sum() // 10)
+    seen = (fit.held_out(window, cadences)[:2] for fit in (fitted, simpler))
     ours, other = (-np.log(error) - 0.5 * (rest / error) ** 2 for rest, error in seen)
     return np.sum((ours - other)[np.argsort(np.minimum(ours, other))[len(ours) // 10 :]])
 

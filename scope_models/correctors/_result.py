@@ -399,7 +399,9 @@ class PLDFit:
 
     @property
     def _fractions(self):
-        return "measured" if self.model.clean is None else "predicted"
+        if self.model.clean is None:
+            return "measured"
+        return "changing" if self.model.options.fractions == "changing" else "predicted"
 
     @property
     def contamination(self):
