@@ -87,7 +87,7 @@ def clean_pixels(time, flux, flux_err, position, grid, aperture, *, use=None, ch
     use : ndarray of bool, optional
         Cadences from which everything that they share is learned, ``(n,)``; by default all.
     changing : bool, optional
-        Whether the images change slowly with time.
+        Whether the images change slowly with time, and the background fluctuates.
 
     Returns
     -------
@@ -134,7 +134,7 @@ class _State:
         self.scale = np.maximum(quantile(self.y[use].T, 0.98), 3 * np.sqrt(self.noise))
         self.good = np.ones((n, n_pixels), dtype=bool)
         self.focus, self.variable = np.zeros((2, n))
-        self.fluctuation, self.slow = 0.0, np.zeros((n, 0))
+        self.slow, self.fluctuation = np.zeros((n, 0)), 0.0
         self._start_positions(position, total)
         self.smoothed, self._last = Smoother(time, use), None
         self._place = np.where(self.known, _POSITION_PRIOR**-2, 1e-2)
@@ -380,8 +380,8 @@ class _State:
         What it misses in dark pixels, too, is more noise. The rest adds up to nothing over the
         aperture, as images do: where it dominates, the light is the sum, and where noise does, it
         has optimal weights. The focus is as uncertain as it varies, for such weights are much more
-        sensitive to the width than a sum is, and the background as it fluctuates. Pixels with
-        cosmic rays are replaced, and what the focus moves over the border is put back.
+        sensitive to the width than a sum is. Pixels with cosmic rays are replaced, and what the
+        focus moves over the border is put back.
         """
         _, image, slopes, constant = images
         rest = self._rest(image, constant)
@@ -422,7 +422,7 @@ class _State:
                 typical = 1.4826 * quantile(rest[self.use])
                 jumps = rest > CLIP * np.maximum(error, typical)
                 values[:] = np.where(jumps, values, smooth)
-                if k == 0:
+                if k == 0 and self.slow.size:
                     self.fluctuation = max(typical**2 - quantile(error[self.use]) ** 2, 0.0)
         self.plane = plane
 
@@ -503,7 +503,7 @@ class _State:
         )
 
     def refine(self):
-        """Let the images change slowly, at the focus that was found, and return them."""
+        """Let images change slowly and the background fluctuate, at the focus that was found."""
         coarse, span = self.coarse(self.expected)[1], self.time[-1] - self.time[0]
         degree = min(round(span / _DAYS_PER_DEGREE), _MOST_SLOW // coarse.shape[1])
         x = 2 * (self.time - self.time[0]) / span - 1
