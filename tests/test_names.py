@@ -207,7 +207,7 @@ BEHAVIOR = {
         < 0.5 * photometry.cdpp(m.corrector.original_lc),
         "PLDFit": lambda m: 0.5 < m.corrector.result.noise_scale < 2,
         "PLDOptions": lambda m: near(
-            m.corrector.correct(1, options=correctors.PLDOptions(flux="sum")).flux.value.mean(),
+            m.corrector.correct(1, options=correctors.PLDOptions(sigma=6.0)).flux.value.mean(),
             m.flux.mean(), 0.01,
         ),
     },

@@ -377,11 +377,11 @@ class _State:
         """Return the star's light and its error by least squares.
 
         Of the means of 6.5 h the model misses in each pixel what their variance has beyond noise.
-        What it misses in dark pixels, too, is more noise. The rest adds up to nothing over the
-        aperture, as images do: where it dominates, the light is the sum, and where noise does, it
-        has optimal weights. The focus is as uncertain as it varies, for such weights are much more
-        sensitive to the width than a sum is. Pixels with cosmic rays are replaced, and what the
-        focus moves over the border is put back.
+        These errors, as the images, add up to nothing over the aperture: where they dominate, the
+        light is the sum, and where noise does, it has optimal weights. The focus is as uncertain
+        as it varies, for such weights are much more sensitive to the width than a sum is. With
+        images that change, what dark pixels miss is more noise, and so is a fluctuating background.
+        Pixels with cosmic rays are replaced, and what the focus moves over the border is put back.
         """
         _, image, slopes, constant = images
         rest = self._rest(image, constant)
@@ -390,7 +390,7 @@ class _State:
         width = min(max(round(TRANSIT / self.smoothed.step), 1), use.sum() // 10)
         windows = rest[use][: use.sum() // width * width].reshape(-1, width, rest.shape[1])
         missed = windows.mean(axis=1).var(axis=0) - self.noise / width
-        everywhere = max(quantile(missed[self.dark]), 0.0)
+        everywhere = max(quantile(missed[self.dark]), 0.0) if self.slow.size else 0.0
         balance = np.eye(len(mean)) - np.outer(np.where(self.aperture, mean, 0), self.aperture)
         misfit = (balance * np.maximum(missed - everywhere, 0)) @ balance.T
         covariance = np.diag(self.noise) + width * (everywhere * np.eye(len(mean)) + misfit)

@@ -342,10 +342,10 @@ def _check_enough(use):
 def _gain(fitted, simpler, cadences):
     """Return by how much a fit predicts windows better than a simpler one: logarithm of the odds.
 
-    These are of the means of at least ten windows of 13 h or less, which all other cadences
+    These are of the means of at least ten windows of 6.5 h or less, which all other cadences
     predict, without the tenth that is least likely by either.
     """
-    window = min(2 * simpler.window, cadences.sum() // 10)
+    window = min(simpler.window, cadences.sum() // 10)
     seen = (fit.held_out(window, cadences)[:2] for fit in (fitted, simpler))
     ours, other = (-np.log(error) - 0.5 * (rest / error) ** 2 for rest, error in seen)
     return np.sum((ours - other)[np.argsort(np.minimum(ours, other))[len(ours) // 10 :]])

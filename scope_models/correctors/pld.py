@@ -172,13 +172,14 @@ class PLDCorrector(LightkurveNames, Corrector):
             returns it for times in days, as an astropy model does. Its
             amplitude is fitted jointly, so that the correction leaves
             unmasked transits alone; see `PLDFit.transit_scale`.
-        fractions : {"auto", "predicted", "measured"}, optional
+        fractions : {"auto", "predicted", "changing", "measured"}, optional
             Pixel fractions as a model of the star, its motion, focus and
-            background predicts them, or as they are measured. Measured
+            background predicts them, also with images that change slowly and a background
+            that fluctuates, or as they are measured. Measured
             fractions follow the star where other light is in the aperture.
             By default predicted ones, unless these make the light curve rougher than it was
-            or leave 1.5 times the noise of FLUX_ERR (seeing), and measured ones predict
-            unseen windows better. ``pld_aperture_mask``,
+            or leave 1.17 times the noise of FLUX_ERR, and others predict
+            unseen windows decisively better. ``pld_aperture_mask``,
             background as a regressor, full pixels and fewer than 200 cadences or 4
             pixels allow measured ones only.
         regressors : object or list, optional

@@ -166,20 +166,28 @@ def test_light_of_a_faint_star_that_moves_far_does_not_follow_its_width():
     assert 0.8 < found.pull < 1.2
 
 
-def test_flux_is_an_open_choice():
-    tpf = make_sky("k2-1x-kp17", seed=6300, n_cadences=800).to_tpf()
-    corrector, spread = PLDCorrector(tpf), {}
-    for flux in ("sum", "weighted", "auto"):
-        lc = corrector.correct(options=PLDOptions(flux=flux))
-        assert corrector.result.weighted == (flux != "sum")
-        spread[flux] = np.nanmedian(np.abs(np.diff(lc.flux.value))) / np.nanmedian(lc.flux.value)
-    assert spread["weighted"] < 0.9 * spread["sum"]
-    assert spread["auto"] == spread["weighted"]
-    assert "predicted, weighted" in str(corrector.result)
-    with pytest.raises(ValueError, match="`flux` must be one of auto, sum, weighted, got 'best'"):
-        corrector.correct(options=PLDOptions(flux="best"))
-    with pytest.raises(ValueError, match='`flux="weighted"` needs a model of the pixels'):
-        corrector.correct(fractions="measured", options=PLDOptions(flux="weighted"))
+def test_light_of_a_faint_star_has_less_noise_than_the_sum():
+    corrector = PLDCorrector(make_sky("k2-1x-kp17", seed=6300, n_cadences=800).to_tpf(), "all")
+    lc, raw = corrector.correct(), corrector.original_lc
+    spread = 1.05 * np.nanmedian(np.abs(np.diff(lc.flux.value / np.nanmedian(lc.flux.value))))
+    assert spread < 0.8 * np.nanmedian(raw.flux_err.value / raw.flux.value)
+
+
+def test_images_change_where_the_data_demand_it():
+    """The background fluctuates from cadence to cadence, alike in all pixels, as in K2's files."""
+    hdus = make_sky("k2-1x-kp17", seed=6300, n_cadences=800).to_tpf().hdu
+    chosen, spread = [], []
+    for size in (0.0, 0.5):
+        hdus[1].data["FLUX"] += size * np.random.default_rng(1).normal(size=(800, 1, 1))
+        corrector = PLDCorrector(KeplerTargetPixelFile(hdus))
+        for fractions in ("auto", "predicted"):
+            flux = corrector.correct(fractions=fractions).flux.value
+            spread.append(np.nanmedian(np.abs(np.diff(flux))) / np.nanmedian(flux))
+        chosen.append("changing" in str(corrector.correct() and corrector.result))
+    assert chosen == [False, True]
+    assert spread[0] == spread[1] < spread[2] < 1.2 * spread[0]
+    assert spread[3] > 1.5 * spread[2]
+    assert 0.9 < corrector.result.noise_scale < 1.3
 
 
 def test_fits_are_compared_on_the_same_windows():

@@ -720,9 +720,9 @@ def real(shared_data, name):
 @pytest.mark.parametrize(
     ("name", "fractions", "largest"),
     [
-        ("k2_tpf/ktwo211956421-c05_lpd-targ.fits.gz", "auto", 780),
+        ("k2_tpf/ktwo211956421-c05_lpd-targ.fits.gz", "auto", 740),
         pytest.param(
-            "k2_tpf/ktwo211983544-c18_lpd-targ.fits.gz", "auto", 1300, marks=pytest.mark.slow
+            "k2_tpf/ktwo211983544-c18_lpd-targ.fits.gz", "auto", 1200, marks=pytest.mark.slow
         ),
         ("k2_tpf/ktwo211983544-c18_lpd-targ.fits.gz", "measured", 1200),
     ],
