@@ -306,10 +306,10 @@ def fit_pixels(pixels, options, series, cadence_mask=None, **transit):
     """Fit pixels, with the fractions that the data support; return a `PLDFit`.
 
     With ``fractions="auto"`` these are the predicted ones. Where they make the light curve rougher
-    than it was, or leave more noise than FLUX_ERR may lack, the model of the pixels lacks something:
-    then images that change slowly are taken, or measured fractions, as under the seeing of the
-    ground, if these predict unseen windows decisively better. ``series`` is the file of the pixels;
-    the rest are arguments of `PLDModel.fit`.
+    than it was, or leave more noise than FLUX_ERR may lack, the model lacks something: then images
+    that change slowly are taken, or measured fractions, as under the seeing of the ground, if these
+    predict unseen windows decisively better. ``series`` is the file of the pixels; the rest are
+    arguments of `PLDModel.fit`.
     """
 
     def fitted_with(options):

@@ -359,9 +359,10 @@ def with_predicted_fractions(pixels, pos_corr, cadence_mask=None, *, changing=Fa
     """Return the star's light with predicted pixel fractions in place of the measured pixels.
 
     Images and constant light are learned from the cadences of ``cadence_mask``, by default all;
-    the images may be ``changing`` slowly. The ``total`` of the returned pixels is the light without background and without the constant light that is
-    known, their ``flux`` the predicted fractions at constant focus times this. Second come the
-    `CleanPixels`; None, with the pixels as they were, if the equations are singular.
+    the images may be ``changing`` slowly. The ``total`` of the returned pixels is the light without
+    background and without the constant light that is known, their ``flux`` the predicted fractions
+    at constant focus times this. Second come the `CleanPixels`; None, with the pixels as they were,
+    if the equations are singular.
     """
     use = pixels.usable.copy()
     known = np.isfinite(pixels.flux[use]).all(axis=0)

@@ -10,7 +10,7 @@ from lightkurve import KeplerTargetPixelFile
 
 from scope_models import Detector, Motion, Star, TransitModel, simulate
 from scope_models.benchmark import make_sky, score
-from scope_models.correctors import PLDCorrector, PLDOptions, _model
+from scope_models.correctors import PLDCorrector, _model
 from scope_models.correctors._model import PLDModel, Settings, _gain
 from scope_models.correctors._pixels import aperture_pixels, background_plane, own_pixels
 from scope_models.effects import Seeing
