@@ -73,7 +73,8 @@ def test_an_exception_is_a_result(study, stars):
     assert "full" not in row
     keys = dict.fromkeys(("apart", "scale", "neighbors"), 0) | {"share": 1.0}
     good = study["rows_of"](stars, found(stars))
-    whole = study["whole"](study["table_of"]([keys | row, keys | good]))
+    rows = [dict.fromkeys(good, np.nan) | keys | values for values in (row, good)]
+    whole = study["whole"](Table(rows))
     assert whole["stars"] == 2
     assert whole["exceptions"] == 1
     assert whole["full score, median"] == good["full"]
