@@ -57,22 +57,24 @@ def detrend(paths, folder, *arguments, **options):
     return detrend_files(paths, folder, *arguments, sweep=QUIET, order=1, **options)
 
 
+def test_tables_files_and_figure(files, tmp_path):
+    import lightkurve
+
+    result = detrend(files, tmp_path / "out")
+    assert result.table["key"].tolist() == ["kp11", "kp12", "kp13"]
+    assert result.table["mag"].tolist() == [11, 12, 13]
+    assert (result.table["cdpp"] < result.table["raw_cdpp"]).all()
+    assert result.table["cdpp"].unit == "ppm"
+    assert "survival" not in result.table.colnames
+    assert result.summary["stars"].tolist() == [1, 1, 1]
+    assert imread(tmp_path / "out" / "figure.png").std() > 0
+    lc = lightkurve.read(tmp_path / "out" / "kp12-lc.fits")
+    assert lc.meta["CDPP"] == pytest.approx(result.table["cdpp"][1], rel=1e-5)
+    assert lc.estimate_cdpp().value == pytest.approx(lc.meta["CDPP"], rel=1e-4)
+
+
+@pytest.mark.usefixtures("empty_figures")
 class TestDetrend:
-    def test_tables_files_and_figure(self, files, tmp_path):
-        import lightkurve
-
-        result = detrend(files, tmp_path / "out")
-        assert result.table["key"].tolist() == ["kp11", "kp12", "kp13"]
-        assert result.table["mag"].tolist() == [11, 12, 13]
-        assert (result.table["cdpp"] < result.table["raw_cdpp"]).all()
-        assert result.table["cdpp"].unit == "ppm"
-        assert "survival" not in result.table.colnames
-        assert result.summary["stars"].tolist() == [1, 1, 1]
-        assert imread(tmp_path / "out" / "figure.png").std() > 0
-        lc = lightkurve.read(tmp_path / "out" / "kp12-lc.fits")
-        assert lc.meta["CDPP"] == pytest.approx(result.table["cdpp"][1], rel=1e-5)
-        assert lc.estimate_cdpp().value == pytest.approx(lc.meta["CDPP"], rel=1e-4)
-
     def test_pixels_that_were_not_collected_are_no_warnings(self, files, tmp_path):
         with fits.open(files[0]) as hdus:
             for name in ("FLUX", "FLUX_ERR"):

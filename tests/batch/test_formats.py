@@ -21,6 +21,8 @@ from scope_models.batch import detrend_files, fit_files, inject_file, read_resul
 from scope_models.cli import main
 from scope_models.exceptions import FailedStarsWarning
 
+pytestmark = pytest.mark.usefixtures("empty_figures")
+
 QUIET = {"progress": False}
 HLSP = {"id": "Test-LCs", "lead": "A. Nobody", "version": "1.0"}
 #: Keywords that MAST requires or recommends for all products, and for light curves.

@@ -12,6 +12,8 @@ from scope_models.cli import main
 from scope_models.exceptions import FitWarning
 from scope_models.io import read_tpf
 
+pytestmark = pytest.mark.usefixtures("empty_figures")
+
 MOTION = Motion.k2_roll(150, seed=3)
 
 
