@@ -1,5 +1,7 @@
 """Light-curve files of corrected stars, and the command that writes them."""
 
+import re
+
 import lightkurve
 import numpy as np
 import pytest
