@@ -577,15 +577,15 @@ def test_singular_pixels_are_a_clear_error(monkeypatch, name):
 @pytest.mark.parametrize(
     ("column", "values", "error"),
     [
-        ("FLUX", lambda flux: np.broadcast_to(flux[:, :, 2:3], flux.shape), None),  # all alike
+        ("FLUX", lambda flux: np.broadcast_to(flux[:, :, 3:4], flux.shape), None),  # all alike
         ("FLUX_ERR", lambda error: 0 * error, "`flux_err` must be positive"),
         ("FLUX_ERR", lambda error: 0 * error + 1e-30, "`tpf` do not constrain .*: check FLUX_ERR"),
     ],
 )
 def test_files_whose_pixels_are_singular(tmp_path, column, values, error):
     """The linear algebra of the pixels' shares fails in a warning or an error of the file."""
-    motion = Motion.k2_roll(30, seed=1)
-    tpf = simulate(Star(12, 2, 2), Detector.k2(shape=(5, 5)), motion, seed=1).to_tpf()
+    motion = Motion.k2_roll(60, seed=1)
+    tpf = simulate(Star(12, 3, 3), Detector.k2(shape=(7, 7)), motion, seed=1).to_tpf()
     data = tpf.hdu[1].data
     data[column][:] = values(data[column].copy())
     path = tmp_path / "singular.fits"
