@@ -134,7 +134,7 @@ class _State:
         self.scale = np.maximum(quantile(self.y[use].T, 0.98), 3 * np.sqrt(self.noise))
         self.good = np.ones((n, n_pixels), dtype=bool)
         self.focus, self.variable = np.zeros((2, n))
-        self.slow, self.fluctuation = np.zeros((n, 0)), 0.0
+        self.slow, self.fluctuation, self.changing = np.zeros((n, 0)), 0.0, False
         self._start_positions(position, total)
         self.smoothed, self._last = Smoother(time, use), None
         self._place = np.where(self.known, _POSITION_PRIOR**-2, 1e-2)
@@ -390,10 +390,10 @@ class _State:
         width = min(max(round(TRANSIT / self.smoothed.step), 1), use.sum() // 10)
         windows = rest[use][: use.sum() // width * width].reshape(-1, width, rest.shape[1])
         missed = windows.mean(axis=1).var(axis=0) - self.noise / width
-        everywhere = max(quantile(missed[self.dark]), 0.0) if self.slow.size else 0.0
+        everywhere = max(quantile(missed[self.dark]), 0.0) if self.changing else 0.0
         balance = np.eye(len(mean)) - np.outer(np.where(self.aperture, mean, 0), self.aperture)
         misfit = (balance * np.maximum(missed - everywhere, 0)) @ balance.T
-        covariance = np.diag(self.noise) + width * (everywhere * np.eye(len(mean)) + misfit)
+        covariance = np.diag(self.noise + width * everywhere) + width * misfit
         root = np.linalg.inv(np.linalg.cholesky(covariance)).T
         scale = [1.0, *3 * [self.brightness[:, None]]]
         columns = [a * (part @ root) for a, part in zip(scale, (image, *slopes), strict=True)]
@@ -422,7 +422,7 @@ class _State:
                 typical = 1.4826 * quantile(rest[self.use])
                 jumps = rest > CLIP * np.maximum(error, typical)
                 values[:] = np.where(jumps, values, smooth)
-                if k == 0 and self.slow.size:
+                if k == 0 and self.changing:
                     self.fluctuation = max(typical**2 - quantile(error[self.use]) ** 2, 0.0)
         self.plane = plane
 
@@ -509,7 +509,7 @@ class _State:
         x = 2 * (self.time - self.time[0]) / span - 1
         slow = np.polynomial.legendre.legvander(x, degree)[:, 1:]
         self.slow = (slow[:, :, None] * coarse[:, None]).reshape(len(x), -1)
-        focus = self.focus
+        self.changing, focus = True, self.focus
         for _ in range(_REFINEMENTS):
             self.fit_pixels(_ITERATIONS)
             self.fit_cadences(_ITERATIONS)

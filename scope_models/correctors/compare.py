@@ -11,6 +11,7 @@ from astropy.table import QTable
 from astropy.units.cds import ppm
 
 from scope_models._checks import checked_cadences
+from scope_models.correctors._smoothing import TRANSIT
 from scope_models.correctors.pld import PLDCorrector
 from scope_models.exceptions import DetrendingWarning
 from scope_models.io import read_tpf
@@ -21,7 +22,6 @@ __all__ = ["ComparisonResult", "compare_correctors"]
 _NAMES = ("raw", "pld", "measured", "lightkurve")
 #: Tolerance: the largest residuals of windows are left out: transits, flares and damaged pixels.
 _KEPT_WINDOWS = 0.9
-_WINDOW_HOURS = 6.5
 #: Columns of a comparison and their units.
 _COLUMNS = {
     "cdpp_lightkurve": ppm,
@@ -253,7 +253,7 @@ def _held_out(models, cadences):
 def _width(found):
     """Return the number of cadences in 6.5 h."""
     step = np.nanmedian(np.diff(found.original_lc.time.value))
-    return max(round(_WINDOW_HOURS / 24 / step), 1)
+    return max(round(TRANSIT / step), 1)
 
 
 def _pass_on(caught, name):

@@ -255,6 +255,18 @@ def test_images_that_change_slowly_are_followed(level):
     assert spread < 0.5 * np.hypot(np.median(np.sqrt((error**2).sum(axis=1))), 81 * level)
 
 
+def test_a_fluctuating_background_counts_in_short_series():
+    """Of 4.4 days, too short for images to change."""
+    x, y, measured = motion()
+    flux, error = observed(2000 * image(x, y), noise=1.0)
+    flux += np.random.default_rng(3).normal(size=(len(TIME), 1))
+    few, every = slice(220), np.ones(len(GRID), bool)
+    data = [values[few] for values in (TIME, flux, error, measured)]
+    curves = [clean_pixels(*data, GRID, every, changing=change).light for change in (False, True)]
+    before, after = (np.median(np.abs(np.diff(light))) for light in curves)
+    assert after < 0.7 * before
+
+
 @pytest.mark.parametrize("wing", [2.0, 3.0])
 def test_light_that_a_wider_psf_loses_beside_the_stamp(wing):
     """Integrals of Gaussians with wings, of two widths."""
