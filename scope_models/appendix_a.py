@@ -9,7 +9,6 @@ import astropy.units as u
 import numpy as np
 
 from scope_models import photometry
-from scope_models._arrays import PER_PIXEL
 from scope_models._checks import checked_choice, checked_integer, checked_number, checked_pair
 from scope_models._docstrings import documented
 from scope_models.effects._noise import check_seed, fresh_seed, noise_terms, stream
@@ -89,16 +88,13 @@ def generate_target(
     >>> star.add_transit(depth=0.01, per=15, dur=0.5, t0=2).add_neighbor(magdiff=2)
     <Target of magnitude 12 with 1 transit and 1 neighbor: 200 cadences of 7 x 7 pixels, seed 1>
     """
-    sources = {"motion": motion, "tpf_path": tpf_path, "ID": ID}
-    motion = checked_number("roll", roll, any_sign=True) * _find_motion(sources, ncadences)
+    motion = _find_motion(motion, tpf_path, ID, ncadences)
     if detector is None:
         detector = Detector.k2(shape=2 * (checked_integer("apsize", apsize, 1),))
     elif not isinstance(detector, Detector):
         raise TypeError(f"`detector` must be a Detector, got {detector!r}")
     if background_level is not None:
-        options = {"unit": u.electron / u.s, "equivalencies": PER_PIXEL}
-        level = checked_number("background_level", background_level, **options)
-        detector = detector.replace(background=level)
+        detector = detector.replace(background=background_level)
     if no_sensitivity_variation:
         detector = detector.without_sensitivity()
     ny, nx = detector.shape
@@ -106,6 +102,7 @@ def generate_target(
     place = middle if coords is None else checked_pair("coords", coords, u.pix)
     if not _on_stamp(place, detector):
         raise ValueError(f"`coords` must be on the stamp of {ny} x {nx} pixels, got {coords!r}")
+    motion = checked_number("roll", roll, any_sign=True) * motion
     target = Target(Star(mag, *place, psf), detector, motion, seed=seed, noise=noise)
     if signal is not None:
         target.add_signal(signal)
@@ -114,8 +111,7 @@ def generate_target(
     if variable:
         target.add_variability()
     if neighbor:
-        name = "neighbor_magdiff"
-        target.add_neighbor(checked_number(name, neighbor_magdiff, u.mag, any_sign=True))
+        target.add_neighbor(neighbor_magdiff)
     return target
 
 
@@ -494,23 +490,19 @@ class Target:
         )  # fmt: skip
 
 
-def _find_motion(sources, ncadences):
+def _find_motion(motion, tpf_path, ID, ncadences):
     """Return the motion of the one source that is given, with the right number of cadences."""
-    given = {name: value for name, value in sources.items() if value is not None}
-    if len(given) > 1:
-        raise ValueError(f"only one of `motion`, `tpf_path` and `ID` may be given, got {[*given]}")
+    if [motion, tpf_path, ID].count(None) < 2:
+        raise ValueError("only one of `motion`, `tpf_path` and `ID` may be given")
     n = 1000 if ncadences is None else checked_integer("ncadences", ncadences, 1)
-    name, motion = given.popitem() if given else ("motion", Motion.k2_roll(n))
-    if name == "tpf_path":
-        motion = Motion.from_file(motion)
-    elif name == "ID":
+    if ID is not None:
         from scope_models.batch import find_files
 
-        target = f"EPIC {checked_integer('ID', motion, 1)}"
-        try:
-            motion = Motion.from_file(*find_files(target))
-        except OSError as error:
-            raise ConnectionError(f"{error}; `tpf_path` takes a file") from error
+        (tpf_path,) = find_files(f"EPIC {checked_integer('ID', ID, 1)}")
+    if tpf_path is not None:
+        motion = Motion.from_file(tpf_path)
+    elif motion is None:
+        motion = Motion.k2_roll(n)
     elif not isinstance(motion, Motion):
         raise TypeError(f"`motion` must be a Motion, got {motion!r}; `tpf_path` takes a file")
     if ncadences is not None and n > (most := len(motion)):

@@ -489,7 +489,8 @@ def _downloaded(name):
             tpf = search[int(np.argmax(seconds))].download()
     except Exception as error:  # of the network, from many libraries
         reason = " ".join(str(error).split())
-        raise OSError(f"{name} is not a file, and the search for it failed: {reason}") from error
+        message = f"{name} is not a file, and the search for it failed: {reason}"
+        raise ConnectionError(message) from error
     if tpf is None:
         raise ValueError(f"{name} is not a file, and no target pixel file was found for this name")
     tpf.hdu.close()
