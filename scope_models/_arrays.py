@@ -30,8 +30,8 @@ def native(array):
     return np.array(array, dtype=array.dtype.newbyteorder("="))
 
 
-def unmasked(value, fill=np.nan):
-    """Return an array without its mask, with ``fill`` where it is masked; keep its unit.
+def unmasked(value):
+    """Return an array without its mask, with NaN where it is masked; keep its unit.
 
     Integer arrays with masked places become float arrays.
     """
@@ -43,7 +43,7 @@ def unmasked(value, fill=np.nan):
     unit = getattr(plain, "unit", getattr(value, "unit", None))
     if np.any(mask):
         filled = np.array(getattr(plain, "value", plain), dtype=float)
-        filled[np.broadcast_to(mask, filled.shape)] = fill
+        filled[np.broadcast_to(mask, filled.shape)] = np.nan
         plain = filled
     return plain if unit is None or hasattr(plain, "unit") else plain << unit
 

@@ -5,9 +5,9 @@ import inspect
 __all__ = ["documented"]
 
 _PATH = """path : str or path-like
-    The file.
+    The file; compressed if the name ends in .gz.
 overwrite : bool, optional
-    Whether to replace a file."""
+    Whether a file that exists is replaced."""
 _WRITTEN = """Returns
 -------
 pathlib.Path
@@ -16,7 +16,8 @@ pathlib.Path
 Raises
 ------
 OSError
-    If the file exists and is not to be replaced, or cannot be written."""
+    If the file exists and is not to be replaced, or cannot be written; what was there before is
+    still there."""
 _AX = """ax : matplotlib.axes.Axes, optional
     Where to draw; a new figure by default."""
 _AXES = """Returns

@@ -9,6 +9,7 @@ import astropy.units as u
 import numpy as np
 
 from scope_models import photometry
+from scope_models._arrays import PER_PIXEL
 from scope_models._checks import checked_choice, checked_integer, checked_number, checked_pair
 from scope_models._docstrings import documented
 from scope_models.effects._noise import check_seed, fresh_seed, noise_terms, stream
@@ -94,7 +95,9 @@ def generate_target(
     elif not isinstance(detector, Detector):
         raise TypeError(f"`detector` must be a Detector, got {detector!r}")
     if background_level is not None:
-        detector = detector.replace(background=background_level)
+        options = {"unit": u.electron / u.s, "equivalencies": PER_PIXEL}
+        level = checked_number("background_level", background_level, **options)
+        detector = detector.replace(background=level)
     if no_sensitivity_variation:
         detector = detector.without_sensitivity()
     ny, nx = detector.shape
@@ -111,7 +114,8 @@ def generate_target(
     if variable:
         target.add_variability()
     if neighbor:
-        target.add_neighbor(neighbor_magdiff)
+        name = "neighbor_magdiff"
+        target.add_neighbor(checked_number(name, neighbor_magdiff, u.mag, any_sign=True))
     return target
 
 
@@ -172,7 +176,7 @@ class Target:
         self.neighbors, self.transits = [], []
         self.seed = fresh_seed() if seed is None else check_seed(seed)
         self.noise = noise_terms(noise)
-        self._aperture, self._corrected, self._made = None, (None, None), {}
+        self._aperture, self._corrected, self._made = None, {}, {}
         _ = self.observation  # errors and warnings come here, not at the first look
 
     def __repr__(self):
@@ -237,8 +241,7 @@ class Target:
     @property
     def _detrended(self):
         """The light curve that `detrend` has made of the scene as it is now, or None."""
-        scene, light_curve = self._corrected
-        return light_curve if scene == self.scene else None
+        return self._corrected.get(self.scene)
 
     @documented(same=_SAME)
     def add_transit(self, depth=0.01, per=15.0, dur=0.5, t0=5.0, *, b=0.0, u1=0.4, u2=0.26):
@@ -367,7 +370,7 @@ class Target:
             options |= {"neighbors": others, "n_frames": pixels.n_reads}
         make = getattr(photometry, f"{method.replace('-', '_')}_aperture")
         self._aperture = make(*methods[method], **options)
-        self._corrected = None, None
+        self._corrected = {}
         return self._aperture
 
     def estimate_cdpp(self, flux=None, duration=6.5, method="lightkurve"):
@@ -414,7 +417,7 @@ class Target:
             inside = planet(tpf.time.value) < 1
             options["transit_mask"] = inside | options.get("transit_mask", False)
         light_curve = PLDCorrector(tpf, aperture_mask=self.aperture).correct(**options)
-        self._corrected = self.scene, light_curve
+        self._corrected = {self.scene: light_curve}
         return light_curve
 
     to_tpf, write = _forwarded("to_tpf"), _forwarded("write")

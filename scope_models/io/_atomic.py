@@ -12,7 +12,7 @@ _PREFIX = ".scope-models-"
 
 
 @contextmanager
-def atomic_path(path, *, overwrite=False, inputs=()):
+def atomic_path(path, *, overwrite=False):
     """Give a temporary path to write to, and move the file into place at the end.
 
     The temporary file is a hidden one in the folder of ``path`` and keeps its suffixes, so that
@@ -21,10 +21,9 @@ def atomic_path(path, *, overwrite=False, inputs=()):
     the temporary file is removed and ``path`` stays as it was.
 
     Without ``overwrite``, neither a file that exists nor one that appears while the body runs is
-    replaced. ``inputs`` are never replaced, also if ``path`` is a link to one of them. Errors are
-    an OSError or a ValueError that names the file.
+    replaced. Errors are an OSError that names the file.
     """
-    target = check_output(path, overwrite=overwrite, inputs=inputs)
+    target = check_output(path, overwrite=overwrite)
     name = _PREFIX + secrets.token_hex(8) + "".join(target.suffixes[-2:])
     temporary = target.with_name(name)
     try:
@@ -48,7 +47,10 @@ def remove_temporaries(folder):
 
 
 def check_output(path, *, overwrite=False, inputs=()):
-    """Return the real place of a file, or raise the errors of `atomic_path` before any work."""
+    """Return the real place of a file, or raise the errors of `atomic_path` before any work.
+
+    ``inputs`` are never replaced, also if ``path`` is a link to one of them: a ValueError.
+    """
     target = Path(os.path.realpath(path))
     for source in inputs:
         both = target.exists() and Path(source).exists()

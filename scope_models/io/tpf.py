@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from scope_models._docstrings import documented
 from scope_models.io._atomic import atomic_path
 from scope_models.io._blocks import CHECKSUM_COMMENT, Block, card_texts, write_blocks
 from scope_models.io._columns import checked_columns, pixel_columns, table_rows
@@ -101,29 +102,19 @@ def make_tpf_hdulist(
     return fits.HDUList([block.hdu() if isinstance(block, Block) else block for block in blocks])
 
 
+@documented()
 def write_tpf(path, *, overwrite=False, **contents):
     """Write a target pixel file, as a whole or not at all.
 
     Parameters
     ----------
-    path : str or path-like
-        The file; compressed if the name ends in .gz.
-    overwrite : bool, optional
-        Whether a file that exists is replaced.
+    {path}
     **contents
         The arguments of `make_tpf_hdulist`.
 
-    Returns
-    -------
-    pathlib.Path
-        The file.
-
-    Raises
-    ------
+    {written}
     TypeError, ValueError
         As `make_tpf_hdulist` does.
-    OSError
-        If the file exists, or cannot be written; what was there before is still there.
 
     Examples
     --------
@@ -141,6 +132,7 @@ def write_tpf(path, *, overwrite=False, **contents):
     return _write(path, lambda stream: write_blocks(blocks, stream), overwrite=overwrite)
 
 
+@documented()
 def write_hdulist(hdulist, path, *, overwrite=False):
     """Write a FITS file with checksums, as a whole or not at all.
 
@@ -148,20 +140,7 @@ def write_hdulist(hdulist, path, *, overwrite=False):
     ----------
     hdulist : astropy.io.fits.HDUList
         What to write. Its headers get the checksums, too.
-    path : str or path-like
-        The file; compressed if the name ends in .gz.
-    overwrite : bool, optional
-        Whether a file that exists is replaced.
-
-    Returns
-    -------
-    pathlib.Path
-        The file.
-
-    Raises
-    ------
-    OSError
-        If the file exists, or cannot be written; what was there before is still there.
+    {write}
 
     Examples
     --------

@@ -50,7 +50,7 @@ Detector
 Raises
 ------
 ValueError
-    If ``cadence`` is unknown.
+    If there is no such preset or cadence.
 TypeError
     If a field is misspelled."""
 _CADENCE = f"""cadence : {{"long", "short"}}, float or Quantity, optional
@@ -223,6 +223,7 @@ class Detector(Value):
         }
 
     @classmethod
+    @documented(changes=_CHANGES)
     def preset(cls, name, cadence=None, **changes):
         """Return a known detector.
 
@@ -233,20 +234,7 @@ class Detector(Value):
             `~scope_models.scene.presets.register_preset`.
         cadence : str, float or Quantity, optional
             Name of a cadence, or its length, in seconds or with a unit; by default the usual one.
-        **changes
-            Any field of `Detector`, to replace the preset's value.
-
-        Returns
-        -------
-        Detector
-            The detector.
-
-        Raises
-        ------
-        ValueError
-            If there is no such preset or cadence.
-        TypeError
-            If a field is misspelled.
+        {changes}
 
         Examples
         --------

@@ -99,7 +99,7 @@ def test_errors_of_the_flux_hold_what_the_gauge_fixes(sky, fit):
 def test_errors_of_a_light_curve_hold_what_follows_the_position(seed):
     """The roll of 6 h is in the flux: in a warning or not, it is in the errors."""
     sky = make_sky("k2-1x-kp14", seed)
-    fit = fitted(sky.to_tpf()[:600])
+    fit = fitted(sky.to_tpf()[:400])
     lc, index = fit.to_lightcurve(), np.searchsorted(sky.cadenceno, fit.cadenceno)
     deviation = fit.flux / sky.true_flux[index]
     good = ~fit.outliers
@@ -265,7 +265,7 @@ def test_errors_of_a_gaussian_hold_the_response_of_the_pixels():
     pulls = []
     for seed in (1, 2):
         star = Star(11.0, x_0=5.2, y_0=4.9, psf=psf)
-        tpf = simulate(star, Detector.k2(), Motion.k2_roll(150), seed=seed).to_tpf()
+        tpf = simulate(star, Detector.k2(), Motion.k2_roll(100), seed=seed).to_tpf()
         fit = fitted(tpf, psf=1)
         pulls += [
             (fit.values[name] - value) / fit.errors[name]
@@ -277,7 +277,7 @@ def test_errors_of_a_gaussian_hold_the_response_of_the_pixels():
 
 def test_errors_of_a_psf_that_only_its_priors_hold():
     """Deep eclipses beside neighbors: the variances are as large as those of the priors."""
-    motion = Motion.k2_roll(100, seed=3)
+    motion = Motion.k2_roll(60, seed=3)
     eclipses = 1 - 0.9 * (motion.time / 2.7 % 1 < 0.06)
     places = np.random.default_rng(3).uniform(0, 6, (3, 2))
     stars = [Star(10.0, 3, 3, signal=eclipses)]
@@ -293,7 +293,7 @@ def test_image_of_the_psf_has_no_rings():
     """Two Gaussians that an empirical term around another Gaussian cannot describe."""
     psf = BivariateGaussianPSF(0.8, 0, 0, 0.4, 0.35, 0.2) + BivariateGaussianPSF(0.2, 0, 0, 1, 1)
     detector = Detector.k2(shape=(9, 9), sensitivity=None, interpixel_scatter=0)
-    observation = simulate(Star(12.0, psf=psf), detector, Motion.k2_roll(120), seed=1)
+    observation = simulate(Star(12.0, psf=psf), detector, Motion.k2_roll(80), seed=1)
     fit = fit_tpf(observation.to_tpf(), response="pixels")
     offset, density, _ = fit.psf_image(2.0, 81)
     used, truth = np.isin(observation.cadenceno, fit.cadenceno), observation.truth

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from astropy.io import fits
 
-from scope_models.io._atomic import atomic_path
+from scope_models.io._atomic import atomic_path, check_output
 from scope_models.io.tpf import write_hdulist
 
 
@@ -210,9 +210,9 @@ def test_input_is_never_replaced(tmp_path, link):
         path = tmp_path / "b.txt"
         link(source, path)
     with pytest.raises(ValueError, match=rf"cannot write .*{path.name}: it is the input .*a\.txt"):
-        save(path, overwrite=True, inputs=[tmp_path / "absent.txt", source])
+        check_output(path, overwrite=True, inputs=[tmp_path / "absent.txt", source])
     assert source.read_text() == "old"
-    save(tmp_path / "c.txt", inputs=[source])
+    assert check_output(tmp_path / "c.txt", inputs=[source]) == tmp_path / "c.txt"
 
 
 def test_message_names_the_file(tmp_path):
