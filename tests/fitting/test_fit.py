@@ -584,7 +584,7 @@ def test_singular_pixels_are_a_clear_error(monkeypatch, name):
 )
 def test_files_whose_pixels_are_singular(tmp_path, column, values, error):
     """The linear algebra of the pixels' shares fails in a warning or an error of the file."""
-    motion = Motion.k2_roll(40, seed=1)
+    motion = Motion.k2_roll(60, seed=1)
     tpf = simulate(Star(12, 3, 3), Detector.k2(shape=(7, 7)), motion, seed=1).to_tpf()
     data = tpf.hdu[1].data
     data[column][:] = values(data[column].copy())
