@@ -19,6 +19,7 @@ from _correctors import METHODS, SURVIVALS, corrected_noise
 from _study import grid, largest
 from astropy.table import Table
 from matplotlib import pyplot as plt
+from matplotlib.figure import Figure
 from matplotlib.image import imread
 
 from scope_models import Detector, Motion, Star, simulate
@@ -47,7 +48,9 @@ STORED = ("tess", "breathing", "last_campaigns")
 
 
 @pytest.fixture(autouse=True)
-def _close():
+def _close(monkeypatch):
+    small = partial(Figure.savefig, dpi=30)  # fewer pixels take less time
+    monkeypatch.setattr("scope_models.plotting._style.save_figure", small)
     yield
     plt.close("all")
 

@@ -39,7 +39,7 @@ def test_stars_of_the_table(shared_data):
 
 
 def test_two_stars_are_corrected(shared_data, tmp_path):
-    arguments = [str(shared_data), str(tmp_path / "rows.csv"), "--cadences", "400", "--stars", "2"]
+    arguments = [str(shared_data), str(tmp_path / "rows.csv"), "--cadences", "300", "--stars", "2"]
     assert main(arguments).n_computed == 2
     assert main(arguments).n_computed == 0  # goes on from what is there
     table = Table.read(tmp_path / "rows.csv")

@@ -35,7 +35,7 @@ def test_drop_within_a_pixel(tmp_path, monkeypatch, capsys):
     for number, name in enumerate(files.values(), start=1):
         detector = Detector.k2(shape=(9, 9)).without_sensitivity()
         star = Star(12.0, 4 + 0.1 * number, 4.0)
-        simulate(star, detector, Motion.k2_roll(400, seed=number), seed=number).write(
+        simulate(star, detector, Motion.k2_roll(200, seed=number), seed=number).write(
             tmp_path / name
         )
     monkeypatch.setattr(drop, "FILES", files)
@@ -51,7 +51,7 @@ def test_drop_within_a_pixel(tmp_path, monkeypatch, capsys):
 @pytest.mark.filterwarnings("ignore::scope_models.exceptions.FitWarning")
 def test_drop_of_stars_of_one_ccd(capsys):
     """Two simulated stars of K2 give the known amplitude; together it is known better."""
-    motion = Motion.k2_roll(250, seed=1)
+    motion = Motion.k2_roll(150, seed=1)
     motion, numbers = motion[motion.quality == 0], []
     for star in range(2):
         tpf, truth = drop.simulated(star, motion)
