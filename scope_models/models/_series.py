@@ -20,6 +20,8 @@ from scope_models.models.integration import PixelPoints, integrate_density, inte
 
 __all__ = ["ImageSeries", "is_gaussian", "unit_images"]
 
+# Width of a panel of interpolation, pixels: most motions stay in the one about the star.
+_SPAN = 1.5
 # Up to this number of positions are integrated one by one, more are interpolated.
 _BATCH = FEW - 4
 # Standard deviations beyond which a normal density holds less than 1e-13 of its light.
@@ -29,8 +31,9 @@ _DARK = 7.5
 class ImageSeries:
     """Images of a star of unit flux at the positions of a series.
 
-    Gaussians are interpolated between places that do not depend on the series: the same position
-    and width give the same pixels to the last bit, however the series is split.
+    Gaussians are interpolated between places that depend on the star's reference position ``at``
+    alone: the same position and width give the same pixels to the last bit, however the series is
+    split.
 
     The PSF is scaled to unit flux, and its first component is put at the star's position; one that
     is integrated over pixels contains the sensitivity, and is not multiplied by it. Positions and
@@ -39,7 +42,7 @@ class ImageSeries:
     with a normal distribution of the star's position along each axis.
     """
 
-    def __init__(self, psf, sensitivity, shape, x, y, widths=None, blur=0.0):
+    def __init__(self, psf, sensitivity, shape, x, y, widths=None, blur=0.0, at=(0, 0)):
         widest = 1.0 if widths is None else np.max(widths)
         self._components, self._stamp = _components(psf), shape
         parts = _with_response(self._components, sensitivity)
@@ -52,7 +55,7 @@ class ImageSeries:
             for _, offset, term, gaussian in parts
         )
         rows, columns = (np.arange(s.start, s.stop, dtype=float) for s in self.window)
-        grid = columns, rows, blur
+        grid = columns, rows, blur, np.rint(at)
         self._parts = [(part, offset, _engine(*form, *grid)) for part, offset, *form in parts]
         self._shape = rows.size, columns.size
 
@@ -169,7 +172,7 @@ def _table_window(reach, shape, ends, offsets, scale):
     return (*found[1], *found[0])
 
 
-def _engine(term, gaussian, columns, rows, blur):
+def _engine(term, gaussian, columns, rows, blur, middle):
     """Return the function of positions and widths that renders one component."""
     if gaussian is None:
         return _directly(term, columns, rows)
@@ -180,13 +183,13 @@ def _engine(term, gaussian, columns, rows, blur):
         return _along_lines(columns, rows, widened, along)
     n = n_terms(rho)
     orders = np.arange(n)[:, np.newaxis]
-    x_axis = AxisPanels(columns, sigma_x, along[0], n, abs(rho))
-    y_axis = AxisPanels(rows, sigma_y, along[1], n, abs(rho))
+    x_axis = AxisPanels(columns, sigma_x, along[0], n, abs(rho), middle[0], _SPAN)
+    y_axis = AxisPanels(rows, sigma_y, along[1], n, abs(rho), middle[1], _SPAN)
     step = series_step(n, columns, rows) // ROWS * ROWS
 
     def tables(x, y):
         """Return the integrals along both axes, in one go where they are in the same panel."""
-        if x_axis.panels is not y_axis.panels or np.rint(x[0]) != np.rint(y[0]):
+        if x_axis.panels is not y_axis.panels:
             return x_axis(x), y_axis(y)
         both = x_axis(np.concatenate([x, y]))
         return both[: x.size], both[x.size :]

@@ -22,7 +22,7 @@ __all__ = [
 _PATIENCE = 5.0
 
 # Pixels and exposures per piece of work: few enough for arrays to stay in the processor's cache.
-_PIECE = 1 << 16
+_PIECE = 1 << 15
 # A pixel with less than this part of a star's light is dark. Interpolation errs by less.
 _DARK = 1e-13
 
@@ -68,7 +68,7 @@ class StarLight:
             whole[:, *self.series.window] = images
             place = x @ self.weights, y @ self.weights
             images = sum((share(*place, cadences) for share in self.shares), whole)
-        np.putmask(images, images < _DARK, 0.0)
+        images[images < _DARK] = 0.0
         flux = self.flux * (self.relative_flux * self.passed)[cadences]
         images *= flux[:, np.newaxis, np.newaxis]
         return images
@@ -114,7 +114,8 @@ def _star_lights(scene, conditions, effects):
             raise ValueError("`psf` must be given for the star or for the detector")
         moved = exposures if exposures.blur and is_gaussian(psf, response) else expanded
         place = moved.x + x_0, moved.y + y_0
-        series = ImageSeries(psf, response, detector.shape, *place, widths, moved.blur)
+        at = x_0, y_0
+        series = ImageSeries(psf, response, detector.shape, *place, widths, moved.blur, at)
         flux, relative = detector.flux_from_mag(star.mag), star.relative_flux(time)
         found = (effect.shares(drawn, conditions, number) for effect, drawn in effects)
         shares = tuple(share for share in found if share is not None)

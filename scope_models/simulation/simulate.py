@@ -137,16 +137,16 @@ def simulate(stars, detector=None, motion=None, *, keep_model=False, chunk_size=
         for part in pieces(scene, chunk_size):
             expected = gather(prepared, part, (images, in_aperture), aperture)
             added, subtracted = pedestal(prepared, part, expected)
-            random = bool(photons or of_sky)
-            if random:
-                charge = poisson_counts(expected, photons) if photons else expected.copy()
             sky = poisson_counts(added, of_sky, expected.shape) if of_sky else added
-            spilled = max(spilled, fill_wells(scene, expected, added))
-            if random:
+            # Without noise one array is both, and is filled once.
+            charge = expected
+            if photons or of_sky:
+                charge = poisson_counts(expected, photons) if photons else expected.copy()
                 fill_wells(scene, charge, sky)
-            charge = np.add(charge, sky, out=charge) if random else expected + sky
+            spilled = max(spilled, fill_wells(scene, expected, added))
             if keep_model:
                 np.divide(expected, scene.detector.exposure_time, out=model[part])
+            charge += sky
             background = (subtracted / scene.detector.exposure_time).astype(np.float32)
             if background.ndim == 2:
                 flux_bkg = np.broadcast_to(background, shape)
@@ -213,10 +213,10 @@ def _record(prepared, part, charges, pedestals, streams, cubes):
         error = np.add(expected, error, out=expected)
     np.sqrt(error, out=error)
     error *= per_second
-    np.maximum(error, _ROUNDING, out=error)
-    rounding = np.abs(electrons, out=electrons)
+    rounding = np.abs(cubes["flux"])
     rounding *= _ROUNDING
-    cubes["flux_err"][...] = np.maximum(error, rounding, out=rounding)
+    error = np.maximum(error, _ROUNDING, out=error).astype(np.float32)
+    np.maximum(error, rounding, out=cubes["flux_err"])
 
 
 def _flag(prepared, cubes):
