@@ -4,6 +4,7 @@ import importlib
 import threading
 from contextlib import ContextDecorator
 from functools import cache
+from itertools import repeat
 
 from threadpoolctl import ThreadpoolController
 
@@ -14,14 +15,25 @@ __all__ = ["one_thread"]
 def _libraries():
     """Return NumPy's and SciPy's libraries of linear algebra; to find them takes milliseconds."""
     importlib.import_module("scipy.linalg")  # SciPy's own is found only once it is loaded
-    return ThreadpoolController().select(user_api="blas")
+    return ThreadpoolController().select(user_api="blas").lib_controllers
 
 
-def _release():
+def _set_threads(numbers):
+    """Set the number of threads of each library, and return the former numbers."""
+    former = []
+    for library, number in zip(_libraries(), numbers, strict=False):
+        former.append(library.num_threads)
+        if number != former[-1]:
+            _release(library)
+            library.set_num_threads(number)
+            _release(library)
+    return former
+
+
+def _release(library):
     """Let any thread set the number of threads; since threadpoolctl 3.8 it has one owner."""
-    for library in _libraries().lib_controllers:
-        if hasattr(library, "clear_controlling_thread"):
-            library.clear_controlling_thread(force=True)
+    if hasattr(library, "clear_controlling_thread"):
+        library.clear_controlling_thread(force=True)
 
 
 class _OneThread(ContextDecorator):
@@ -35,22 +47,19 @@ class _OneThread(ContextDecorator):
     def __init__(self):
         self._lock = threading.Lock()
         self._depth = 0
-        self._limits = None
+        self._former = ()
 
     def __enter__(self):
         with self._lock:
             if self._depth == 0:
-                _release()
-                self._limits = _libraries().limit(limits=1)
+                self._former = _set_threads(repeat(1))
             self._depth += 1
 
     def __exit__(self, *_):
         with self._lock:
             self._depth -= 1
             if self._depth == 0:
-                _release()  # the thread that leaves last need not be the one that came first
-                self._limits.restore_original_limits()
-                _release()
+                _set_threads(self._former)
 
 
 one_thread = _OneThread()

@@ -23,7 +23,7 @@ FEW = 100
 # Rows per matrix product of a panel: with equal shapes, products are equal to the last bit.
 ROWS = 16
 # Width of a panel in the logarithm of the density's width.
-_LOG_STEP = 0.125
+_STEP = 0.125
 
 
 @cache
@@ -181,58 +181,58 @@ class AxisPanels:
     def __call__(self, center, scale=None):
         """Integrals ``(m, n_orders, n)`` at positions and factors on the width ``(m,)``."""
         pixels, _, n_orders = self._arguments
-        place = np.rint((center - self._middle) / self._span)
-        step = None if scale is None else np.rint(np.log(scale) / _LOG_STEP)
-        keys = place if step is None else place + 1j * step
-        if np.all(keys == keys[0]):
-            return self._panel(keys[0], center, scale).reshape(-1, n_orders, pixels.size)
+        at = (center - self._middle) / self._span
+        if scale is not None:
+            at = at + 1j * (np.log(scale) / _STEP)
+        keys = np.rint(at)
+        at -= keys
+        if (keys == keys[0]).all():
+            return self._panel(keys[0], at).reshape(-1, n_orders, pixels.size)
         integrals = np.empty((center.size, n_orders * pixels.size))
         for key in np.unique(keys):
             chosen = keys == key
-            wide = None if scale is None else scale[chosen]
-            integrals[chosen] = self._panel(key, center[chosen], wide)
+            integrals[chosen] = self._panel(key, at[chosen])
         return integrals.reshape(-1, n_orders, pixels.size)
 
-    def _panel(self, key, center, scale):
-        """Integrals within one panel, ``(m, n_orders * n)``."""
-        known = key, scale is None  # a panel at one width is another one
+    def _panel(self, key, at):
+        """Integrals within one panel, from whose middle the places are, ``(m, n_orders * n)``.
+
+        Places are in units of the span; imaginary parts are in the logarithm of the width.
+        """
+        known = key, at.dtype.kind  # a panel at one width is another one
         if known not in self.panels:
-            self.panels[known] = self._expand(key, 1 if scale is None else None)
+            self.panels[known] = self._expand(key)
         expansion, sizes = self.panels[known]
         if expansion is None:
-            sigma = np.full(1, self._sigma) if scale is None else self._sigma * scale
-            return self._direct(center, sigma)
-        rows = -(-center.size // ROWS) * ROWS
-        at = np.zeros(rows)
-        at[: center.size] = 2 * ((center - self._middle) / self._span - key.real)
-        basis = _chebyshev_vandermonde(at, sizes[0])
-        if scale is not None:
-            at[: center.size] = 2 * (np.log(scale) / _LOG_STEP - key.imag)
-            wide = _chebyshev_vandermonde(at, sizes[1])[: sizes[1], np.newaxis]
+            return self._direct(key + at)
+        rows = -(-at.size // ROWS) * ROWS
+        padded = np.zeros(rows, at.dtype)
+        np.multiply(at, 2, out=padded[: at.size])
+        basis = _chebyshev_vandermonde(padded.real, sizes[0])
+        if at.dtype.kind == "c":
+            wide = _chebyshev_vandermonde(padded.imag, sizes[1])[: sizes[1], np.newaxis]
             basis = (wide * basis[: sizes[0]]).reshape(-1, rows)
         blocks = basis[: len(expansion)].reshape(-1, rows // ROWS, ROWS).transpose(1, 2, 0)
-        return (blocks @ expansion).reshape(rows, -1)[: center.size]
+        return (blocks @ expansion).reshape(rows, -1)[: at.size]
 
-    def _direct(self, center, sigma):
+    def _direct(self, at):
+        """Integrals at places ``(m,)``, from the middle of all panels, ``(m, n_orders * n)``."""
         pixels, coefficients, n_orders = self._arguments
-        table = axis_direct(pixels, center, sigma, coefficients, n_orders)
-        return table.reshape(center.size, -1)
+        center, sigma = self._middle + self._span * at.real, self._sigma * np.exp(_STEP * at.imag)
+        return axis_direct(pixels, center, sigma, coefficients, n_orders).reshape(at.size, -1)
 
-    def _expand(self, key, n_scales):
+    def _expand(self, key):
         """Chebyshev coefficients of a panel in position and width, or None, and their numbers."""
-        n_orders = self._needed.size
-        middle = self._sigma * np.exp(_LOG_STEP * key.imag)
-        cycles = 3.85 * self._span / middle * np.exp(_LOG_STEP / 2 * (n_scales is None))
+        n_orders, m = self._needed.size, 1
+        scale = self._span / (self._sigma * np.exp(_STEP * key.imag))
+        if key.dtype.kind == "c":
+            m, scale = 13 + n_orders // 2, scale * np.exp(_STEP / 2)
+        cycles = 3.85 * scale
         n = int(cycles + 5 * np.cbrt(cycles) + 8 + 0.5 * n_orders)
-        m = n_scales or 13 + n_orders // 2
         nodes, along = _chebyshev_rule(n)
         widths, across = _chebyshev_rule(m)
-        sigma = middle * np.exp(_LOG_STEP / 2 * widths) if m > 1 else np.full(1, middle)
-        centers = np.tile(self._middle + self._span * (key.real + nodes / 2), m)
-        values = self._direct(centers, sigma if m == 1 else np.repeat(sigma, n))
-        expansion = along @ values.reshape(m, n, -1)
-        if m > 1:
-            expansion = np.tensordot(across, expansion, axes=1)
+        at = key + (np.tile(nodes, m) + 1j * np.repeat(widths, n)) / 2
+        expansion = np.tensordot(across, along @ self._direct(at).reshape(m, n, -1), axes=1)
         # The last coefficients in either direction are those that a longer series would add to.
         sizes = np.abs(expansion).reshape(m, n, n_orders, -1).max(axis=3) @ self._needed
         # Numbers of coefficients up to the last that matters, one at least.

@@ -72,12 +72,16 @@ class ImageSeries:
         return images
 
     def lost(self, x, y):
-        """Largest part of the star's light that falls off the stamp at a few positions."""
+        """Largest part of the star's light that falls off the stamp at any of the positions.
+
+        It is the largest where they are farthest along the axes or along the diagonals.
+        """
         ny, nx = self._stamp
         ends = x.min() + 0.5, nx - 0.5 - x.max(), y.min() + 0.5, ny - 0.5 - y.max()
         if min(ends) > self._reach:
             return 0.0
-        images = _summed(self._components, self._stamp, x, y)
+        few = sorted({i for u in (x, y, x + y, x - y) for i in (u.argmin(), u.argmax())})
+        images = _summed(self._components, self._stamp, x[few], y[few])
         return min(max(1.0 - float(images.sum(axis=(1, 2)).min()), 0.0), 1.0)
 
 
@@ -111,7 +115,7 @@ def _components(psf):
         fraction = float(term.scale * values["flux"] / total)
         offset = [float(values[n] - without_unit(first[n])) for n in ("x_0", "y_0")]
         values |= {"flux": 1.0, "x_0": 0.0, "y_0": 0.0}
-        unit = replace(term, scale=1.0, densities=(Factor(term.densities[0].model, values),))
+        unit = Term(1.0, (Factor(term.densities[0].model, values),), term.sensitivities)
         components.append((fraction, offset, unit))
     return components
 
@@ -157,8 +161,8 @@ def _window(parts, shape, x, y, widest, blur):
             outer = low + near - reach, high + far + reach
             limits += [min(max(math.ceil(end), 0), shape[1 - axis]) for end in outer]
         windows.append(limits)
-    lows, highs = np.min(windows, axis=0), np.max(windows, axis=0)
-    return slice(int(lows[0]), int(highs[1])), slice(int(lows[2]), int(highs[3]))
+    bottoms, tops, lefts, rights = zip(*windows, strict=True)
+    return slice(min(bottoms), max(tops)), slice(min(lefts), max(rights))
 
 
 def _table_window(reach, shape, ends, offsets, scale):

@@ -1,5 +1,6 @@
 """The sum-of-products form of a compound model, which is then integrated."""
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -108,7 +109,7 @@ class Term:
     def diffusion(self):
         """Standard deviation along each axis with which charge diffuses, pixels; 0 for none."""
         sigmas = [f.values["sigma_d"] for f in self.sensitivities if "sigma_d" in f.values]
-        return float(np.sqrt(sum(np.ravel(pixels_of(s))[0] ** 2 for s in sigmas)))
+        return math.hypot(*(np.ravel(pixels_of(s))[0] for s in sigmas))
 
     def undiffused(self):
         """The product without diffusion."""
@@ -130,8 +131,9 @@ class Term:
 
 def is_pixel_integrated(model):
     """Whether a model's values are fluxes of pixels, as of a PRF or an image of photutils."""
-    if getattr(model, "pixel_integrated", False):
-        return True
+    own = getattr(model, "pixel_integrated", None)
+    if own is not None:
+        return own
     names = {base.__name__ for base in type(model).__mro__}
     known = names & _INTEGRATED_NAMES or type(model).__name__.endswith("PRF")
     return is_photutils(model) and bool(known)

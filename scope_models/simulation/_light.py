@@ -1,5 +1,6 @@
 """The light of the stars of a scene, before any noise."""
 
+import math
 from collections import Counter
 from dataclasses import dataclass
 from functools import reduce
@@ -22,7 +23,7 @@ __all__ = [
 _PATIENCE = 5.0
 
 # Pixels and exposures per piece of work: few enough for arrays to stay in the processor's cache.
-_PIECE = 1 << 15
+_PIECE = 1 << 16
 # A pixel with less than this part of a star's light is dark. Interpolation errs by less.
 _DARK = 1e-13
 
@@ -83,6 +84,7 @@ class Prepared:
     effects: list
     lights: list
     interpixel: np.ndarray
+    positions: np.ndarray
 
 
 def prepare(scene):
@@ -95,20 +97,22 @@ def prepare(scene):
         generator = stream(scene.seed, f"effect {effect.name} {counts[effect.name]}")
         effects.append((effect, effect.draw(conditions, generator)))
     interpixel = scene.detector.interpixel_map(scene.seed)
-    lights = _star_lights(scene, conditions, effects)
-    return Prepared(scene, conditions, effects, lights, interpixel)
+    positions = scene.positions
+    lights = _star_lights(scene, positions, conditions, effects)
+    return Prepared(scene, conditions, effects, lights, interpixel, positions)
 
 
-def _star_lights(scene, conditions, effects):
+def _star_lights(scene, positions, conditions, effects):
     detector, time = scene.detector, scene.motion.time
     widths = _product(effect.width(drawn, conditions) for effect, drawn in effects)
     added = [effect.exposures(drawn, conditions) for effect, drawn in effects]
     exposures = _exposures(scene, added)
     passed = _product(effect.starlight(drawn, conditions) for effect, drawn in effects)
-    passed = np.broadcast_to(1.0 if passed is None else passed, (len(scene.stars), len(time)))
+    ones = np.ones((len(scene.stars), len(time)))
+    passed = ones if passed is None else ones * passed
     expanded, lights = exposures.expanded(), []
     response = detector.sensitivity
-    for number, (star, (x_0, y_0)) in enumerate(shown(scene.stars, scene.positions)):
+    for number, (star, (x_0, y_0)) in enumerate(shown(scene.stars, positions.tolist())):
         psf = detector.psf if star.psf is None else star.psf
         if psf is None:
             raise ValueError("`psf` must be given for the star or for the detector")
@@ -141,12 +145,8 @@ def _product(factors):
 
 def lost_fractions(prepared):
     """Return the largest part of each star's light that the motion takes off the stamp, a list."""
-    motion, positions = prepared.scene.motion, prepared.scene.positions
-    x, y = motion.x, motion.y
-    # Farthest along the axes and along the diagonals.
-    extremes = sorted({i for u in (x, y, x + y, x - y) for i in (u.argmin(), u.argmax())})
-    x, y, rows = x[extremes], y[extremes], shown(prepared.lights, positions)
-    return [light.series.lost(x_0 + x, y_0 + y) for light, (x_0, y_0) in rows]
+    motion, rows = prepared.scene.motion, shown(prepared.lights, prepared.positions.tolist())
+    return [light.series.lost(x_0 + motion.x, y_0 + motion.y) for light, (x_0, y_0) in rows]
 
 
 def _exposures(scene, added):
@@ -241,8 +241,8 @@ def pieces(scene, size=None):
     if size is None:
         # A piece needs up to 80 bytes per pixel, 30 without noise, and the result 12: so many
         # pieces keep the memory below three times the result.
-        pixels = n * int(np.prod(scene.detector.shape))
-        size = -(-n // (scene.n_sub * max(5 if scene.noise else 2, -(-pixels // _PIECE))))
+        pixels = n * math.prod(scene.detector.shape)
+        size = -(-n // (scene.n_sub * max(5 if scene.noise else 3, -(-pixels // _PIECE))))
     size = max(-(-size // ROWS), 1) * ROWS
     return [slice(start, min(start + size, n)) for start in range(0, n, size)]
 

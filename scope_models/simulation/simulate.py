@@ -120,7 +120,7 @@ def simulate(stars, detector=None, motion=None, *, keep_model=False, chunk_size=
         chunk_size = checked_integer("chunk_size", chunk_size, 1)
     prepared = prepare(scene)
     lost = lost_fractions(prepared)
-    x_0, y_0 = scene.positions[0]
+    x_0, y_0 = prepared.positions[0]
     # That of neighbors may fall off the stamp.
     star = f"the star at x_0 = {x_0:g}, y_0 = {y_0:g}"
     _warn_of_loss(f"{star} loses {{}} of its light", lost[0], scene.detector.shape)
@@ -149,7 +149,7 @@ def simulate(stars, detector=None, motion=None, *, keep_model=False, chunk_size=
             charge += sky
             background = (subtracted / scene.detector.exposure_time).astype(np.float32)
             if background.ndim == 2:
-                flux_bkg = np.broadcast_to(background, shape)
+                flux_bkg = background
             else:
                 flux_bkg = np.empty(shape, np.float32) if flux_bkg is None else flux_bkg
                 flux_bkg[part] = background
@@ -158,7 +158,8 @@ def simulate(stars, detector=None, motion=None, *, keep_model=False, chunk_size=
     text = "{} of the charge of a cadence bleeds along full columns"
     _warn_of_loss(text, spilled, scene.detector.shape)
     return Observation(
-        **cubes, flux_bkg=flux_bkg, quality=_flag(prepared, cubes), scene=scene,
+        **cubes, flux_bkg=np.broadcast_to(flux_bkg, shape), scene=scene,
+        quality=_flag(prepared, cubes),
         truth=_truth(prepared, lost, share_of_target(in_aperture), model), aperture=aperture,
         star_images=images * prepared.interpixel / len(scene.motion),
     )  # fmt: skip
@@ -195,7 +196,8 @@ def _record(prepared, part, charges, pedestals, streams, cubes):
     counts = electrons * (1.0 / detector.gain)
     counts += detector.fixed_offset
     np.rint(counts, out=counts)
-    cubes["raw_cnts"][...] = np.minimum(counts, _LARGEST_COUNT, out=counts)
+    counts[counts > _LARGEST_COUNT] = _LARGEST_COUNT
+    cubes["raw_cnts"][...] = counts
     for effect, drawn in reversed(prepared.effects):
         effect.calibrate(drawn, prepared.conditions, part, electrons)
     per_second = 1.0 / detector.exposure_time
@@ -213,10 +215,10 @@ def _record(prepared, part, charges, pedestals, streams, cubes):
         error = np.add(expected, error, out=expected)
     np.sqrt(error, out=error)
     error *= per_second
-    rounding = np.abs(cubes["flux"])
+    np.maximum(error, _ROUNDING, out=error)
+    rounding = np.abs(cubes["flux"], out=cubes["flux_err"])
     rounding *= _ROUNDING
-    error = np.maximum(error, _ROUNDING, out=error).astype(np.float32)
-    np.maximum(error, rounding, out=cubes["flux_err"])
+    np.maximum(error.astype(np.float32), rounding, out=rounding)
 
 
 def _flag(prepared, cubes):
