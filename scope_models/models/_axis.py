@@ -22,6 +22,8 @@ _CHEBYSHEV_TOLERANCE = 1e-14
 FEW = 100
 # Rows per matrix product of a panel: with equal shapes, products are equal to the last bit.
 ROWS = 16
+# Width of a panel in pixels: most motions stay in the panel about the star's place.
+_SPAN = 1.5
 # Width of a panel in the logarithm of the density's width.
 _STEP = 0.125
 
@@ -171,7 +173,7 @@ class AxisPanels:
     their `panels`.
     """
 
-    def __init__(self, pixels, sigma, coefficients, n_orders, rho=0.0, middle=0.0, span=1.0):
+    def __init__(self, pixels, sigma, coefficients, n_orders, rho=0.0, middle=0.0, span=_SPAN):
         self._arguments = pixels, coefficients, n_orders
         self._sigma, self._middle, self._span = sigma, middle, span
         self._needed = np.abs(rho) ** (0.5 * np.arange(n_orders)) / _CHEBYSHEV_TOLERANCE

@@ -20,8 +20,6 @@ from scope_models.models.integration import PixelPoints, integrate_density, inte
 
 __all__ = ["ImageSeries", "is_gaussian", "unit_images"]
 
-# Width of a panel of interpolation, pixels: most motions stay in the one about the star.
-_SPAN = 1.5
 # Up to this number of positions are integrated one by one, more are interpolated.
 _BATCH = FEW - 4
 # Standard deviations beyond which a normal density holds less than 1e-13 of its light.
@@ -187,8 +185,8 @@ def _engine(term, gaussian, columns, rows, blur, middle):
         return _along_lines(columns, rows, widened, along)
     n = n_terms(rho)
     orders = np.arange(n)[:, np.newaxis]
-    x_axis = AxisPanels(columns, sigma_x, along[0], n, abs(rho), middle[0], _SPAN)
-    y_axis = AxisPanels(rows, sigma_y, along[1], n, abs(rho), middle[1], _SPAN)
+    x_axis = AxisPanels(columns, sigma_x, along[0], n, abs(rho), middle[0])
+    y_axis = AxisPanels(rows, sigma_y, along[1], n, abs(rho), middle[1])
     step = series_step(n, columns, rows) // ROWS * ROWS
 
     def tables(x, y):
