@@ -7,7 +7,7 @@ from astropy.table import Table
 PANELS = {
     "terms": ("Terms of Mehler's series", r"$\rho$ ="),
     "nodes": ("Gauss-Legendre nodes along x", r"$\rho$ = 0.9, $\sigma$ ="),
-    "panels": ("Chebyshev coefficients per pixel of motion", r"$\sigma$ ="),
+    "panels": ("Chebyshev coefficients per 1.5 px of motion", r"$\sigma$ ="),
     "samples": ("Samples of a table per pixel", r"$\sigma$ ="),
 }
 
