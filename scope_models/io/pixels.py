@@ -398,21 +398,14 @@ def _has_file(tpf):
     return hasattr(type(tpf), "pipeline_mask")
 
 
-def pos_corr_of(source):
-    """Return POS_CORR of lightkurve's object, pixels, ``(n, 2)``; None if it has none."""
-    columns = [_attribute(source, f"pos_corr{axis}") for axis in (1, 2)]
-    if any(column is None for column in columns):
-        return None
-    return np.column_stack([plain_array(column, "pix", "pos_corr") for column in columns])
-
-
 def positions_of(source):
     """Return the positions of lightkurve's object, as `read_positions` does."""
-    pos_corr = pos_corr_of(source)
-    if _attribute(source, "time") is None or pos_corr is None:
+    names = {"time": "time", "x": "pos_corr1", "y": "pos_corr2"}
+    columns = {name: _attribute(source, attribute) for name, attribute in names.items()}
+    if any(column is None for column in columns.values()):
         kind = type(source).__name__
         raise TypeError(f"`tpf` must have time, POS_CORR1 and POS_CORR2, but {kind} lacks them")
-    columns = dict(zip("xy", pos_corr.T, strict=True))
+    columns |= {axis: plain_array(columns[axis], "pix", "pos_corr") for axis in "xy"}
     if _has_file(source):
         series = read_pixels(source)
         names = ("time", "quality", "cadenceno", "time_format")
