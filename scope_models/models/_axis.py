@@ -11,7 +11,7 @@ from scipy.special import erf
 
 __all__ = [
     "FEW", "ROWS", "AxisPanels", "axis_direct", "axis_table", "gauss_legendre", "gaussian_nodes",
-    "hermite_functions",
+    "hermite_functions", "horner",
 ]  # fmt: skip
 
 # Largest growth of rounding errors, in units of epsilon, that the closed form may have.
@@ -58,7 +58,7 @@ def hermite_functions(z, n):
     return table
 
 
-def _horner(coefficients, x):
+def horner(coefficients, x):
     """Value of a polynomial; for a few numbers this is faster than array code."""
     value = 0.0
     for coefficient in reversed(coefficients):
@@ -106,7 +106,7 @@ def _axis_closed_form(pixels, center, sigma, coefficients, n_orders):
             break
         k = np.arange(j + 1, n_orders)[:, np.newaxis, np.newaxis]
         factor[j + 1 :] /= np.sqrt(k - j)
-        low, high = _horner(row, -0.5), _horner(row, 0.5)
+        low, high = horner(row, -0.5), horner(row, 0.5)
         part = table[: n_orders - 1 - j]
         integrals[j + 1 :] -= factor[j + 1 :] * (high * part[:, 1] - low * part[:, 0])
         factor[j + 1 :] *= sigma

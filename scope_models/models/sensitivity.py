@@ -7,6 +7,7 @@ from astropy import units as u
 from astropy.modeling import Fittable2DModel, Parameter
 
 from scope_models._arrays import plain_array
+from scope_models.models._axis import horner
 from scope_models.models._closed_form import collected
 from scope_models.models._parameters import Domain, check_model_parameters, make_parameters
 
@@ -96,26 +97,19 @@ class SensitivityPolynomial(Fittable2DModel):
 
     def evaluate(self, x, y, *coefficients):
         """Response at the positions, dimensionless."""
-        along_x = _polynomial(_offset(x), coefficients[: self._n_x])
-        return along_x * _polynomial(_offset(y), coefficients[self._n_x :])
+        along_x = horner(coefficients[: self._n_x], _offset(x))
+        return along_x * horner(coefficients[self._n_x :], _offset(y))
 
     def fit_deriv(self, x, y, *coefficients):
         """Derivatives of the response with respect to the coefficients, in their order."""
         u, v = _offset(x), _offset(y)
-        along_x = _polynomial(u, coefficients[: self._n_x])
-        along_y = _polynomial(v, coefficients[self._n_x :])
+        along_x = horner(coefficients[: self._n_x], u)
+        along_y = horner(coefficients[self._n_x :], v)
         n_y = len(coefficients) - self._n_x
         return [u**n * along_y for n in range(self._n_x)] + [along_x * v**n for n in range(n_y)]
 
     def _parameter_units_for_data_units(self, _inputs_unit, _outputs_unit):
         return {}
-
-
-def _polynomial(u, coefficients):
-    value = np.zeros_like(u)
-    for coefficient in coefficients[::-1]:
-        value = value * u + coefficient
-    return value
 
 
 class DiffusionSensitivity(Fittable2DModel):
