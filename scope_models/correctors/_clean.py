@@ -387,13 +387,14 @@ class _State:
         rest = self._rest(image, constant)
         rest[~self.good] = 0.0
         use, mean = self.use, image[self.use].mean(axis=0)
+        noise = self._measured_noise(rest)
         width = min(max(round(TRANSIT / self.smoothed.step), 1), use.sum() // 10)
         windows = rest[use][: use.sum() // width * width].reshape(-1, width, rest.shape[1])
-        missed = windows.mean(axis=1).var(axis=0) - self.noise / width
+        missed = windows.mean(axis=1).var(axis=0) - noise / width
         everywhere = max(quantile(missed[self.dark]), 0.0) if self.changing else 0.0
         balance = np.eye(len(mean)) - np.outer(np.where(self.aperture, mean, 0), self.aperture)
         misfit = (balance * np.maximum(missed - everywhere, 0)) @ balance.T
-        covariance = np.diag(self.noise + width * everywhere) + width * misfit
+        covariance = np.diag(noise + width * everywhere) + width * misfit
         root = np.linalg.inv(np.linalg.cholesky(covariance)).T
         scale = [1.0, *3 * [self.brightness[:, None]]]
         columns = [a * (part @ root) for a, part in zip(scale, (image, *slopes), strict=True)]
@@ -411,6 +412,11 @@ class _State:
         variance = np.sum((weights * flux_err / self.unit) ** 2, axis=1)
         variance += self.fluctuation * weights.sum(axis=1) ** 2
         return light * kept, np.sqrt(variance) * kept
+
+    def _measured_noise(self, rest):
+        """Return the variance of the pixels' noise: what FLUX_ERR lacks, as dark pixels show."""
+        change = np.diff(rest[self.use][:, self.dark], axis=0) / np.sqrt(2 * self.noise[self.dark])
+        return self.noise * max(quantile((1.4826 * quantile(np.abs(change.T))) ** 2), 1.0)
 
     def _set_background(self, plane, errors, iteration):
         """Smooth the background as far as the data are for it; jumps of a cadence stay."""

@@ -254,12 +254,13 @@ class PLDModel:
         columns[usable] = found.columns
         return Regressors(columns, found.groups, found.names)
 
-    def fit(self, cadence_mask=None, *, transit_mask=None, transit_model=None):
+    def fit(self, cadence_mask=None, *, transit_mask=None, transit_model=None, like=None):
         """Fit the model to cadences that may be used and are not in transit; return a `PLDFit`.
 
-        The amplitude of the relative flux of a ``transit_model`` is fitted jointly. A ValueError is
-        raised if no regressor varies, fewer than 30 cadences are left, or the covariance is
-        singular.
+        The amplitude of the relative flux of a ``transit_model`` is fitted jointly. Of ``like``, a
+        fit of a model with the same regressors, cadences, frequencies and time scales are taken
+        over. A ValueError is raised if no regressor varies, fewer than 30 cadences are left, or the
+        covariance is singular.
         """
         pixels, n = self.pixels, len(self.pixels.time)
         usable = pixels.usable
@@ -283,7 +284,8 @@ class PLDModel:
                 allowed,
                 column[usable],
                 self.options,
-                self.clean is not None,
+                predicted=self.clean is not None,
+                like=like and like.solution,
             )
         except np.linalg.LinAlgError as error:
             raise ValueError(
@@ -305,31 +307,30 @@ class PLDModel:
 def fit_pixels(pixels, options, series, cadence_mask=None, **transit):
     """Fit pixels, with the fractions that the data support; return a `PLDFit`.
 
-    With ``fractions="auto"`` these are the predicted ones. Where they make the light curve rougher
-    than it was, or leave more noise than FLUX_ERR may lack, the model lacks something: then images
-    that change slowly are taken, or measured fractions, as under the seeing of the ground, if these
-    predict unseen windows decisively better. ``series`` is the file of the pixels; the rest are
+    With ``fractions="auto"`` these are the predicted ones, of images that change slowly if these
+    predict unseen windows decisively better. Where they make the light curve rougher than it was,
+    or leave more noise than FLUX_ERR may lack, the model lacks something: then measured fractions
+    are tried, as under the seeing of the ground. ``series`` is the file of the pixels; the rest are
     arguments of `PLDModel.fit`.
     """
 
-    def fitted_with(options):
-        model = PLDModel.from_pixels(pixels, options, series, cadence_mask)
-        return model.fit(cadence_mask, **transit)
+    def model_with(options):
+        return PLDModel.from_pixels(pixels, options, series, cadence_mask)
 
-    fitted = fitted_with(options)
+    fitted = model_with(options).fit(cadence_mask, **transit)
     clean = fitted.model.clean
-    if options.fractions != "auto" or clean is None:
+    if options.fractions != "auto" or clean is None or clean.constant > 0:
         return fitted
+    other = model_with(replace(options, fractions="changing"))
+    if _gain(other.fit(cadence_mask, **transit, like=fitted), fitted) > _DECISIVE:
+        fitted = other.fit(cadence_mask, **transit)
     # beside other light measured fractions follow the star
     most = _MISFIT if fitted.contrast_error < CONTAMINATED else NOISY
     rough = roughness(fitted.corrected()[0]) > WORSE * roughness(pixels.total)
-    if clean.constant > 0 or not (rough or fitted.noise_scale > most):
+    if not (rough or fitted.noise_scale > most):
         return fitted
-    for kind in ("changing", "measured"):
-        other = fitted_with(replace(options, fractions=kind))
-        both = fitted.cadence_mask & fitted.model.pixels.usable & other.model.pixels.usable
-        fitted = other if _gain(other, fitted, both) > _DECISIVE else fitted
-    return fitted
+    other = model_with(replace(options, fractions="measured")).fit(cadence_mask, **transit)
+    return other if _gain(other, fitted) > _DECISIVE else fitted
 
 
 def _check_enough(use):
@@ -339,12 +340,15 @@ def _check_enough(use):
         )
 
 
-def _gain(fitted, simpler, cadences):
+def _gain(fitted, simpler):
     """Return by how much a fit predicts windows better than a simpler one: logarithm of the odds.
 
     These are of the means of at least ten windows of 6.5 h or less, which all other cadences
-    predict, without the tenth that is least likely by either.
+    predict, without the tenth that is least likely by either. Cadences that both leave out, as
+    those of a deep eclipse, are in no window.
     """
+    cadences = fitted.used | simpler.used
+    cadences &= fitted.model.pixels.usable & simpler.model.pixels.usable
     window = min(simpler.window, cadences.sum() // 10)
     seen = (fit.held_out(window, cadences)[:2] for fit in (fitted, simpler))
     ours, other = (-np.log(error) - 0.5 * (rest / error) ** 2 for rest, error in seen)

@@ -1,13 +1,13 @@
 """Periodic variability: the frequencies of a star that pulsates, is eclipsed, or rotates fast."""
 
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from astropy.stats import mad_std
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy.ndimage import uniform_filter1d
 
-from scope_models.correctors._regression import Hyperparameters
+from scope_models.correctors._regression import FLAT, Hyperparameters
 
 __all__ = ["find_frequencies", "harmonic_columns"]
 
@@ -18,6 +18,9 @@ _SIGNIFICANT = 40.0
 #: length of the observation: nearer ones share a peak.
 _AT_ONCE, _APART = 6, 1.5
 _ROUNDS = 20
+#: Tolerance: distance of a frequency from a multiple of another one, in the same unit; and a series
+#: is sought whose strongest waves are its harmonics up to this one.
+_NEAR, _STRONGEST = 0.3, 5
 #: Tolerance: largest step of a frequency, in the same unit.
 _LARGEST_SHIFT = 0.2
 #: Prior: at most one frequency, which has three parameters, for so many cadences.
@@ -35,63 +38,136 @@ def harmonic_columns(time, frequencies):
     return np.stack([np.cos(phase), np.sin(phase)], axis=2).reshape(len(time), -1)
 
 
+@dataclass(frozen=True)
+class _Waves:
+    """Harmonics of one frequency, ``count`` of them, and others."""
+
+    others: np.ndarray = field(default_factory=lambda: np.empty(0))
+    base: float = 0.0
+    count: int = 0
+
+    @property
+    def frequencies(self):
+        return np.append(self.base * np.arange(1, self.count + 1), self.others)
+
+    def shifted(self, solution, use):
+        """Return it after one step of Gauss and Newton."""
+        frequencies, count = self.frequencies, self.count
+        trial = solution.with_frequencies(frequencies, use)
+        k, n = trial.n_regressors, solution.n_trend
+        cos, sin = trial.posterior.mean[k + n : k + trial.n_trend].reshape(-1, 2).T
+        phase = 2 * np.pi * np.outer(trial.time, frequencies)
+        slope = 2 * np.pi * trial.time[:, None] * (sin * np.cos(phase) - cos * np.sin(phase))
+        sizes = np.ones(len(self.others))
+        if count:
+            series = slope[:, :count] @ np.arange(1, count + 1)
+            slope, sizes = np.column_stack([series, slope[:, count:]]), np.append(count, sizes)
+        trial = trial.with_flat(slope, use)
+        step = trial.posterior.mean[k + trial.n_trend :] / trial.scale[trial.n_trend :]
+        limit = _LARGEST_SHIFT / np.ptp(trial.data.time) / sizes
+        step = np.clip(step, -limit, limit)
+        base = self.base + step[0] if count else 0.0
+        return _Waves(self.others + step[int(count > 0) :], base, count)
+
+    def gains(self, solution, use):
+        """Return what each frequency gains beside the others: twice the log-likelihood."""
+        fitted = solution.with_frequencies(self.frequencies, use)
+        first = fitted.n_regressors + solution.n_trend
+        rows = first + np.arange(2 * len(self.frequencies)).reshape(-1, 2)
+        mean = fitted.posterior.mean[rows]
+        covariance = fitted.posterior.covariance[rows[:, :, None], rows[:, None, :]]
+        return np.einsum("ij,ij->i", mean, np.linalg.solve(covariance, mean[:, :, None])[:, :, 0])
+
+    def last(self, gains):
+        """Return the number of the last harmonic that is needed."""
+        return int(np.flatnonzero(gains[: self.count] >= _SIGNIFICANT).max(initial=-1)) + 1
+
+    def significant(self, solution, use):
+        """Return it without frequencies that are not needed, the weakest first.
+
+        Of a series the last ones go: the others are its shape.
+        """
+        waves = self
+        while len(waves.frequencies):
+            gain = waves.gains(solution, use)
+            count, gain = waves.last(gain), gain[waves.count :]
+            weak = gain < _SIGNIFICANT
+            if count == waves.count and not weak.any():
+                break
+            # those that share a peak are weak each, but not together: half of them go at once
+            limit = np.median(gain[weak]) if weak.any() else 0.0
+            waves = _Waves(waves.others[~(weak & (gain <= limit))], waves.base, count)
+        return waves
+
+    def likelihood(self, solution, use):
+        """Return the logarithm of the likelihood, with amplitudes as large as the data's."""
+        fitted = solution.with_frequencies(self.frequencies, use)
+        return fitted.log_likelihood + len(self.frequencies) * np.log(FLAT)
+
+
 def find_frequencies(solution, allowed):
     """Return the frequencies of a star's variability, cycles per day, found one after the other.
 
     In each round all columns are fitted together, and the frequencies that explain most of the
-    rest are added. Regressors are among the columns: what they explain is not variability. Of the
+    rest are added. If harmonics of one frequency are more likely, as of eclipses, these take their
+    place. Regressors are among the columns: what they explain is not variability. Of the
     ``solution``, without periodic variability, data and columns are used and not its variances;
     ``allowed`` are cadences that may be used, of all usable ones.
     """
     n_most = allowed.sum() // _CADENCES_PER_FREQUENCY
-    found, rest = np.empty(0), solution.y
+    waves, rest = _Waves(), solution.y
     for _ in range(_ROUNDS):
         # without cadences far from the ones around them: cosmic rays and other accidents
         windows = sliding_window_view(np.pad(rest[allowed], 2, mode="edge"), 5)
         difference = rest[allowed] - np.median(windows, axis=1)
         use = allowed.copy()
         use[allowed] = np.abs(difference) <= _ALONE * max(mad_std(difference), 1e-300)
-        trial = _with_simple_noise(solution.with_frequencies(found, use), rest)
+        trial = _with_simple_noise(solution.with_frequencies(waves.frequencies, use), rest)
         frequency, gain = _spectrum(trial)
         new = _peaks(frequency, gain, 1 / np.ptp(trial.data.time))
-        if not len(new) or len(found) + len(new) > n_most:
+        if not len(new) or len(waves.frequencies) + len(new) > n_most:
             break
-        found = np.append(found, [_refined(f, trial) for f in new])
+        new = [_refined(f, trial) for f in new]
         plain = replace(solution, hyper=trial.hyper)
-        found = found + _shifts(found, plain, use)
-        rest = plain.with_frequencies(found, use).unexplained
-    return _significant(found, replace(solution, hyper=trial.hyper), use)
+        waves = replace(waves, others=np.append(waves.others, new)).shifted(plain, use)
+        waves = _with_series(waves, plain, use, n_most)
+        rest = plain.with_frequencies(waves.frequencies, use).unexplained
+    return waves.significant(replace(solution, hyper=trial.hyper), use).frequencies
 
 
-def _significant(frequencies, trial, use):
-    """Leave out frequencies that are not needed beside the others, the weakest first."""
-    while len(frequencies):
-        fitted = trial.with_frequencies(frequencies, use)
-        first = trial.n_regressors + trial.n_trend
-        rows = first + np.arange(2 * len(frequencies)).reshape(-1, 2)
-        mean = fitted.posterior.mean[rows]
-        covariance = fitted.posterior.covariance[rows[:, :, None], rows[:, None, :]]
-        gain = np.einsum("ij,ij->i", mean, np.linalg.solve(covariance, mean[:, :, None])[:, :, 0])
-        weak = gain < _SIGNIFICANT
-        if not weak.any():
-            break
-        # those that share a peak are weak each, but not together: half of them go at once
-        limit = np.median(gain[weak])
-        frequencies = frequencies[~(weak & (gain <= limit))]
-    return frequencies
+def _with_series(waves, solution, use, n_most):
+    """Return the waves, or harmonics of one frequency and what is left if they are more likely.
 
+    Most of the waves are multiples of the frequency, by less chance than of others.
+    """
+    time = solution.time[use]
+    length, step = np.ptp(time), float(np.median(np.diff(time)))
+    near = _NEAR / length
 
-def _shifts(frequencies, solution, use):
-    """Return one step of Gauss and Newton for each frequency."""
-    trial = solution.with_frequencies(frequencies, use)
-    k, n = trial.n_regressors, solution.n_trend
-    cos, sin = trial.posterior.mean[k + n : k + trial.n_trend].reshape(-1, 2).T
-    phase = 2 * np.pi * np.outer(trial.time, frequencies)
-    slope = 2 * np.pi * trial.time[:, None] * (sin * np.cos(phase) - cos * np.sin(phase))
-    trial = trial.with_flat(slope, use)
-    step = trial.posterior.mean[k + trial.n_trend :] / trial.scale[trial.n_trend :]
-    limit = _LARGEST_SHIFT / np.ptp(trial.data.time)
-    return np.clip(step, -limit, limit)
+    def multiples(frequencies, base):
+        number = np.round(frequencies / base)
+        return (number > 0) & (np.abs(frequencies - base * number) < near)
+
+    pool = np.append(waves.others, np.full(min(waves.count, 1), waves.base))
+    bases = np.unique(pool[:, None] / np.arange(1, _STRONGEST + 1))
+    bases = bases[bases > 2 / length]
+    if not len(bases):
+        return waves
+    found = np.array([multiples(pool, base).sum() for base in bases])
+    best = np.argmax(found * np.log(bases / (2 * near)))
+    if found[best] < max(2, len(pool) / 2):
+        return waves
+    base = bases[best]
+    frequencies = waves.frequencies
+    last, count = round(frequencies[multiples(frequencies, base)].max() / base), 0
+    most = min(int(0.5 / (step * base)), n_most)  # faster ones look like slower ones
+    while count < min(2 * last, most):
+        count = min(2 * last, most)
+        series = _Waves(frequencies[~multiples(frequencies, base)], base, count)
+        series = series.shifted(solution, use).shifted(solution, use)
+        base, last = series.base, series.last(series.gains(solution, use))
+    series = replace(series, count=last)
+    return max(waves, series, key=lambda each: each.likelihood(solution, use))
 
 
 def _with_simple_noise(solution, rest):

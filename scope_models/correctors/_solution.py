@@ -318,13 +318,22 @@ class Solution:
         return np.bincount(self.regressors.groups, used)
 
 
-def fit(make_regressors, time, y, variance, use, flat_columns, options, predicted=False):
+def fit(
+    make_regressors, time, y, variance, use, flat_columns, options, *, predicted=False, like=None
+):
     """Fit, and leave out outliers until there are none.
 
     If the star has frequencies, the fit is made again with columns for them, and the more likely
     one is returned. ``make_regressors`` takes the mask of cadences in use, ``use`` are those that
-    may be; ``flat_columns``, ``(n, m)``, hold a transit or none.
+    may be; ``flat_columns``, ``(n, m)``, hold a transit or none. Of a solution ``like`` that is
+    sought with the same regressors, all but the variances are taken over.
     """
+    if like is not None and len(like.y) == len(y):
+        regressors = make_regressors(like.use)
+        if regressors.names == like.regressors.names:
+            y = y - y[like.use].mean()
+            same = replace(like, y=y, variance=variance, regressors=regressors, predicted=predicted)
+            return replace(same, hyper=fit_columns(same.data, like.hyper))
     regressors = make_regressors(use)
     if not regressors.columns.shape[1]:
         raise NothingToCorrectError("the pixel fractions do not vary")

@@ -177,9 +177,9 @@ class PLDCorrector(LightkurveNames, Corrector):
             background predicts them, also with images that change slowly and a background
             that fluctuates, or as they are measured. Measured
             fractions follow the star where other light is in the aperture.
-            By default predicted ones, unless these make the light curve rougher than it was
-            or leave 1.17 times the noise of FLUX_ERR, and others predict
-            unseen windows decisively better. ``pld_aperture_mask``,
+            By default predicted ones, and those of changing images if they predict unseen windows
+            decisively better; measured ones if they do, and the others make the light curve
+            rougher than it was or leave 1.17 times the noise of FLUX_ERR. ``pld_aperture_mask``,
             background as a regressor, full pixels and fewer than 200 cadences or 4
             pixels allow measured ones only.
         regressors : object or list, optional

@@ -267,6 +267,20 @@ def test_a_fluctuating_background_counts_in_short_series():
     assert after < 0.7 * before
 
 
+@pytest.mark.parametrize("fluctuates", [False, True])
+def test_errors_that_are_too_small_take_no_light(fluctuates):
+    """Of a faint star: they are no misfit of the model, which the weights would avoid."""
+    x, y, measured = motion()
+    flux, error = observed(300 * image(x, y), noise=2.0)
+    every = np.ones(len(GRID), bool)
+    curves = [
+        clean_pixels(TIME, flux, part * error, measured, GRID, every, changing=fluctuates)
+        for part in (1.0, 0.6)
+    ]
+    spread = [np.median(np.abs(np.diff(found.light))) for found in curves]
+    assert spread[1] < 1.02 * spread[0]
+
+
 @pytest.mark.parametrize("wing", [2.0, 3.0])
 def test_light_that_a_wider_psf_loses_beside_the_stamp(wing):
     """Integrals of Gaussians with wings, of two widths."""

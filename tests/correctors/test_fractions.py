@@ -107,8 +107,8 @@ def test_cadences_without_a_factor_are_as_uncertain_as_their_flux(star):
 def test_a_fit_without_half_of_the_cadences_is_an_error(star, monkeypatch):
     original = _model.fit
 
-    def few(*arguments):
-        solution = original(*arguments)
+    def few(*arguments, **options):
+        solution = original(*arguments, **options)
         return replace(solution, use=solution.use & (np.arange(400) % 5 < 2))
 
     monkeypatch.setattr(_model, "fit", few)
@@ -193,18 +193,25 @@ def test_images_change_where_the_data_demand_it():
 def test_fits_are_compared_on_the_same_windows():
     """A tenth of the windows in which one fit is wild counts for neither; chance is no gain."""
     rng = np.random.default_rng(7)
-    shared, all_of_them = rng.standard_normal(200), np.ones(2600, dtype=bool)
+    shared, usable = rng.standard_normal(200), np.ones(2600, dtype=bool)
+    model, seen = SimpleNamespace(pixels=SimpleNamespace(usable=usable)), []
 
-    def fit(residual, error=1.0):
-        return SimpleNamespace(window=13, held_out=lambda *_: (residual, error, None))
+    def fit(residual, error=1.0, left_out=()):
+        def held_out(_, cadences):
+            seen.append(cadences)
+            return residual, error, None
 
-    assert abs(_gain(fit(shared), fit(shared[::-1]), all_of_them)) < np.log(100)
-    assert _gain(fit(shared, 1.0), fit(1.5 * shared, 1.5), all_of_them) > np.log(100)
-    assert _gain(fit(1.5 * shared, 1.5), fit(shared, 1.0), all_of_them) < -np.log(100)
+        used = ~np.isin(np.arange(2600), left_out)
+        return SimpleNamespace(window=13, held_out=held_out, used=used, model=model)
+
+    assert abs(_gain(fit(shared), fit(shared[::-1]))) < np.log(100)
+    assert _gain(fit(shared, 1.0), fit(1.5 * shared, 1.5)) > np.log(100)
+    assert _gain(fit(1.5 * shared, 1.5), fit(shared, 1.0)) < -np.log(100)
     wild = shared.copy()
     wild[:10] *= 1e3
-    assert _gain(fit(wild), fit(1.5 * shared, 1.5), all_of_them) > np.log(100)
-    assert _gain(fit(shared), fit(shared), all_of_them) == 0
+    assert _gain(fit(wild), fit(1.5 * shared, 1.5)) > np.log(100)
+    assert _gain(fit(shared, 1.0, [5, 6]), fit(shared, 1.0, [6, 7])) == 0
+    assert [np.flatnonzero(~each).tolist() for each in seen[-2:]] == [[6], [6]]
 
 
 def test_seeing_of_the_ground_needs_measured_fractions():

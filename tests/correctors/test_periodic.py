@@ -52,6 +52,21 @@ def test_frequencies_are_found():
     assert np.all(np.abs(found - TRUE) < 5 * error)
 
 
+def test_eclipses_are_harmonics_of_one_frequency():
+    """Dips of 2 h each 1.31 d, every other one deeper, and a fast mode: no gap in the series."""
+    period, rng = 1.31, np.random.default_rng(2)
+    y = np.zeros(len(TIME))
+    for depth, start in ((0.02, 0.0), (0.012, 0.5)):
+        phase = ((TIME / period - start + 0.5) % 1 - 0.5) * period
+        y -= depth * np.exp(-0.5 * (phase / 0.04) ** 2)
+    y += 0.002 * np.cos(2 * np.pi * 8.21 * TIME) + rng.normal(0, 1e-4, len(TIME))
+    solution = make_solution(y)
+    found = find_frequencies(solution, solution.use)
+    np.testing.assert_allclose(found[:12], np.arange(1, 13) / period, rtol=1e-4)
+    np.testing.assert_allclose(np.diff(found[:12]), found[0], rtol=1e-9)
+    assert np.abs(found[12:] - 8.21).min() < 1e-3
+
+
 def test_noise_roll_and_slow_change_have_no_frequencies():
     for seed in range(5):
         solution = make_solution(signal(np.zeros(3), 1e-4, seed))

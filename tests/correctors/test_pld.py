@@ -653,7 +653,7 @@ def test_flux_without_noise(fake_star):
 
 
 def test_a_singular_fit_is_a_clear_error(star, monkeypatch):
-    def fail(*_):
+    def fail(*_, **__):
         raise np.linalg.LinAlgError("not positive definite")
 
     monkeypatch.setattr("scope_models.correctors._model.fit", fail)
