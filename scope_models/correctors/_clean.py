@@ -69,7 +69,9 @@ _FAINT, _DECIDED = 0.004, 5
 _SLOW = 0.05
 
 
-def clean_pixels(time, flux, flux_err, position, grid, aperture, *, use=None, changing=False):
+def clean_pixels(
+    time, flux, flux_err, position, grid, aperture, *, use=None, changing=False, state=None
+):
     """Predict the pixel fractions of a star.
 
     Parameters
@@ -88,21 +90,18 @@ def clean_pixels(time, flux, flux_err, position, grid, aperture, *, use=None, ch
         Cadences from which everything that they share is learned, ``(n,)``; by default all.
     changing : bool, optional
         Whether the images change slowly with time, and the background fluctuates.
+    state : object, optional
+        That of a result for the same pixels with images that do not change, which is the start.
 
     Returns
     -------
     CleanPixels
         The result.
     """
-    use = np.ones(len(flux), dtype=bool) if use is None else use
-    state = _State(time, flux, flux_err, position, grid, aperture, use)
-    for iteration in range(_MORE_ITERATIONS):
-        if iteration >= _ITERATIONS and not state.variable.any():
-            break
-        state.fit_pixels(iteration)
-        converged = state.fit_cadences(iteration)
-        if converged and iteration >= _FEWEST_ITERATIONS - 1 and not state.varies:
-            break
+    if state is None:
+        use = np.ones(len(flux), dtype=bool) if use is None else use
+        state = _State(time, flux, flux_err, position, grid, aperture, use)
+        state.converge()
     images = state.refine() if changing else state.images()
     return state.result(*state.light(flux_err, images), images)
 
@@ -173,6 +172,16 @@ class _State:
         self.known = known
         self.expected = np.where(known[:, None], expected, columns @ slope)
         self.z = self.expected.copy()
+
+    def converge(self):
+        """Fit pixels and cadences by turns."""
+        for iteration in range(_MORE_ITERATIONS):
+            if iteration >= _ITERATIONS and not self.variable.any():
+                break
+            self.fit_pixels(iteration)
+            converged = self.fit_cadences(iteration)
+            if converged and iteration >= _FEWEST_ITERATIONS - 1 and not self.varies:
+                break
 
     def fit_pixels(self, iteration):
         """Fit the functions of position of all pixels at once: ridge regression."""
@@ -506,6 +515,7 @@ class _State:
             focus=focus,
             constant=self.unit * quantile(other[self.use]),
             repaired=~self.good,
+            state=self,
         )
 
     def refine(self):

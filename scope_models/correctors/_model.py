@@ -184,10 +184,11 @@ class PLDModel:
     source: Source | None = None
 
     @classmethod
-    def from_pixels(cls, pixels, options, series, cadence_mask=None):
+    def from_pixels(cls, pixels, options, series, cadence_mask=None, *, state=None):
         """Make the model of pixels of a `PixelSeries`.
 
-        Images and components are learned from the cadences of ``cadence_mask``, by default all.
+        Images and components are learned from the cadences of ``cadence_mask``, by default all,
+        beginning at the ``state`` of a model without changing images.
         """
         extra, source = {}, Source(pixels, series, cadence_mask)
         use = pixels.usable & pixels.lit
@@ -215,7 +216,7 @@ class PLDModel:
         if plain and can_predict(pixels, saturation, use):
             changing = options.fractions == "changing"
             predicted, clean = with_predicted_fractions(
-                pixels, series.pos_corr, use, changing=changing
+                pixels, series.pos_corr, use, changing=changing, state=state
             )
             bright = pixels.usable & (pixels.total > np.median(pixels.total[use]) / 2)
             if clean and predicted.usable[bright].mean() > _CREDIBLE:
@@ -314,14 +315,14 @@ def fit_pixels(pixels, options, series, cadence_mask=None, **transit):
     arguments of `PLDModel.fit`.
     """
 
-    def model_with(options):
-        return PLDModel.from_pixels(pixels, options, series, cadence_mask)
+    def model_with(options, state=None):
+        return PLDModel.from_pixels(pixels, options, series, cadence_mask, state=state)
 
     fitted = model_with(options).fit(cadence_mask, **transit)
     clean = fitted.model.clean
     if options.fractions != "auto" or clean is None or clean.constant > 0:
         return fitted
-    other = model_with(replace(options, fractions="changing"))
+    other = model_with(replace(options, fractions="changing"), clean.state)
     if _gain(other.fit(cadence_mask, **transit, like=fitted), fitted) > _DECISIVE:
         fitted = other.fit(cadence_mask, **transit)
     # beside other light measured fractions follow the star

@@ -355,14 +355,14 @@ def can_predict(pixels, saturation, use):
     return not full and np.ptp(flux, axis=0).max() > 0 and bool((error > 0).any())
 
 
-def with_predicted_fractions(pixels, pos_corr, cadence_mask=None, *, changing=False):
+def with_predicted_fractions(pixels, pos_corr, cadence_mask=None, **options):
     """Return the star's light with predicted pixel fractions in place of the measured pixels.
 
     Images and constant light are learned from the cadences of ``cadence_mask``, by default all;
-    the images may be ``changing`` slowly. The ``total`` of the returned pixels is the light without
-    background and without the constant light that is known, their ``flux`` the predicted fractions
-    at constant focus times this. Second come the `CleanPixels`; None, with the pixels as they were,
-    if the equations are singular.
+    ``options`` are others of `clean_pixels`. The ``total`` of the returned pixels is the light
+    without background and without the constant light that is known, their ``flux`` the predicted
+    fractions at constant focus times this. Second come the `CleanPixels`; None, with the pixels as
+    they were, if the equations are singular.
     """
     use = pixels.usable.copy()
     known = np.isfinite(pixels.flux[use]).all(axis=0)
@@ -382,7 +382,7 @@ def with_predicted_fractions(pixels, pos_corr, cadence_mask=None, *, changing=Fa
                 np.stack([columns, rows], axis=1),
                 pixels.aperture[known],
                 use=None if cadence_mask is None else cadence_mask[use],
-                changing=changing,
+                **options,
             )
     except np.linalg.LinAlgError:
         _warn("the model of the pixels is singular: measured fractions are taken")
