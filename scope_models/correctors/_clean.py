@@ -408,7 +408,10 @@ class _State:
         scale = [1.0, *3 * [self.brightness[:, None]]]
         columns = [a * (part @ root) for a, part in zip(scale, (image, *slopes), strict=True)]
         columns.append(np.broadcast_to(root.sum(axis=0), rest.shape))
-        hessian = np.array([[np.einsum("ij,ij->i", a, b) for b in columns] for a in columns])
+        hessian = np.zeros((len(columns), len(columns), len(rest)))
+        for i, column in enumerate(columns):
+            for j in range(i + 1):  # only the lower triangle is used
+                hessian[i, j] = np.einsum("ij,ij->i", column, columns[j])
         hessian[[1, 2], [1, 2]] += self._place
         hessian[3, 3] += 1 / max(np.var(self.focus[use]), 1e-12)
         hessian[4, 4] += 1 / max(self.fluctuation, 1e-12 * self.noise.min())
