@@ -4,7 +4,6 @@ import importlib
 import threading
 from contextlib import ContextDecorator
 from functools import cache
-from itertools import repeat
 
 from threadpoolctl import ThreadpoolController
 
@@ -18,22 +17,12 @@ def _libraries():
     return ThreadpoolController().select(user_api="blas").lib_controllers
 
 
-def _set_threads(numbers):
-    """Set the number of threads of each library, and return the former numbers."""
-    former = []
-    for library, number in zip(_libraries(), numbers, strict=False):
-        former.append(library.num_threads)
-        if number != former[-1]:
-            _release(library)
-            library.set_num_threads(number)
-            _release(library)
-    return former
-
-
-def _release(library):
-    """Let any thread set the number of threads; since threadpoolctl 3.8 it has one owner."""
-    if hasattr(library, "clear_controlling_thread"):
-        library.clear_controlling_thread(force=True)
+def _set_threads(library, number):
+    """Set the number of threads from any thread; since threadpoolctl 3.8 it has one owner."""
+    release = getattr(library, "clear_controlling_thread", lambda force: None)
+    release(force=True)
+    library.set_num_threads(number)
+    release(force=True)
 
 
 class _OneThread(ContextDecorator):
@@ -47,19 +36,23 @@ class _OneThread(ContextDecorator):
     def __init__(self):
         self._lock = threading.Lock()
         self._depth = 0
-        self._former = ()
+        self._limited = []
 
     def __enter__(self):
         with self._lock:
             if self._depth == 0:
-                self._former = _set_threads(repeat(1))
+                numbers = ((library, library.num_threads) for library in _libraries())
+                self._limited = [(library, n) for library, n in numbers if n != 1]
+                for library, _ in self._limited:
+                    _set_threads(library, 1)
             self._depth += 1
 
     def __exit__(self, *_):
         with self._lock:
             self._depth -= 1
             if self._depth == 0:
-                _set_threads(self._former)
+                for library, number in self._limited:
+                    _set_threads(library, number)
 
 
 one_thread = _OneThread()
