@@ -19,10 +19,14 @@ def _libraries():
 
 def _set_threads(library, number):
     """Set the number of threads from any thread; since threadpoolctl 3.8 it has one owner."""
-    release = getattr(library, "clear_controlling_thread", lambda force: None)
-    release(force=True)
+    _release(library)
     library.set_num_threads(number)
-    release(force=True)
+    _release(library)
+
+
+def _release(library):
+    if hasattr(library, "clear_controlling_thread"):
+        library.clear_controlling_thread(force=True)
 
 
 class _OneThread(ContextDecorator):
