@@ -155,6 +155,7 @@ def simulate(stars, detector=None, motion=None, *, keep_model=False, chunk_size=
                 flux_bkg[part] = background
             piece = {name: cube[part] for name, cube in cubes.items()}
             _record(prepared, part, (expected, charge), (added, subtracted), streams, piece)
+    flux_bkg.flags.writeable = False  # then it is not copied
     text = "{} of the charge of a cadence bleeds along full columns"
     _warn_of_loss(text, spilled, scene.detector.shape)
     return Observation(
