@@ -113,11 +113,16 @@ def signal_to_noise_aperture(
     flux = signal + background
     if neighbors is not None:
         flux = flux + np.mean(_images(neighbors, "neighbors", signal.shape), axis=0)
+    mask = grown_aperture(signal, flux, exposure_time, read_noise, n_frames)
+    return _not_empty(mask, "`target` has no light")
+
+
+def grown_aperture(signal, flux, exposure_time, read_noise, n_frames):
+    """Return the mask of `signal_to_noise_aperture` of arrays ``(ny, nx)`` and numbers."""
     variance = flux / exposure_time + n_frames * (read_noise / exposure_time) ** 2
-    order = _grow(signal.ravel(), variance.ravel())
-    mask = np.zeros(signal.size, dtype=bool)
-    mask[order] = True
-    return _not_empty(mask.reshape(signal.shape), "`target` has no light")
+    mask = np.zeros(signal.shape, dtype=bool)
+    mask.flat[_grow(signal.ravel(), variance.ravel())] = True
+    return mask
 
 
 def _grow(signal, variance):

@@ -16,7 +16,7 @@ from scope_models.effects._noise import (
 )
 from scope_models.exceptions import LostLightWarning
 from scope_models.io import Truth
-from scope_models.photometry import signal_to_noise_aperture
+from scope_models.photometry.apertures import grown_aperture
 from scope_models.scene._files import describe_scene, scene_columns
 from scope_models.scene.scene import Scene
 from scope_models.simulation._light import (
@@ -176,11 +176,11 @@ def _choose_aperture(prepared):
     images *= prepared.interpixel
     if not images[0].any():
         return np.ones(detector.shape, dtype=bool)
-    return signal_to_noise_aperture(
-        images[0], detector.exposure_time, neighbors=images[1] if len(images) > 1 else None,
-        background=(detector.background * prepared.interpixel).astype(np.float32),
-        read_noise=detector.read_noise, n_frames=detector.n_reads,
-    )  # fmt: skip
+    flux = images[0] + (detector.background * prepared.interpixel).astype(np.float32)
+    if len(images) > 1:
+        flux += images[1]
+    numbers = detector.exposure_time, detector.read_noise, detector.n_reads
+    return grown_aperture(images[0], flux, *numbers)
 
 
 def _record(prepared, part, charges, pedestals, streams, cubes):

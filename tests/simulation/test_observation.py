@@ -227,6 +227,11 @@ def test_repr_and_read_only(observation):
         observation.flux[0, 0, 0] = 1.0
 
 
+def test_a_constant_background_is_one_image(observation):
+    assert observation.flux_bkg.shape == observation.flux.shape
+    assert observation.flux_bkg.strides[0] == 0
+
+
 def test_centroids_follow_the_motion_of_a_real_file(shared_data, tmp_path):
     motion = Motion.from_file(shared_data / "poscorr" / "ktwo211117077-c04_llc.fits")
     psf = BivariateGaussianPSF(sigma_x=0.6, sigma_y=0.6)
