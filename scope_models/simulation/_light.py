@@ -108,8 +108,7 @@ def _star_lights(scene, positions, conditions, effects):
     added = [effect.exposures(drawn, conditions) for effect, drawn in effects]
     exposures = _exposures(scene, added)
     passed = _product(effect.starlight(drawn, conditions) for effect, drawn in effects)
-    ones = np.ones((len(scene.stars), len(time)))
-    passed = ones if passed is None else ones * passed
+    passed = np.ones((len(scene.stars), len(time))) * (1.0 if passed is None else passed)
     expanded, lights = exposures.expanded(), []
     response = detector.sensitivity
     for number, (star, (x_0, y_0)) in enumerate(shown(scene.stars, positions.tolist())):
