@@ -325,7 +325,8 @@ class _State:
         focus = self.focus + np.clip(step[3], -0.02, 0.02)
         # ... beyond what positions are uncertain by
         ridge = use.sum() * np.diag([0, _POSITION_PRIOR, _POSITION_PRIOR, 0]) ** 2
-        focus -= _explained(columns, columns[use], focus[use], ridge)
+        gram = columns[use].T @ columns[use] + ridge + 1e-9 * use.sum() * np.eye(4)
+        focus -= columns @ np.linalg.solve(gram, columns[use].T @ focus[use])
         late = iteration >= _FOCUS_FROM
         self.focus = self.smoothed(focus, error[3], "focus") if late else focus
         moved = np.abs(np.stack([self.brightness, *self.z.T, self.focus]) - before) / error[:4]
@@ -554,12 +555,6 @@ class _State:
         level = (self.brightness - self.variable)[self.use].mean()
         images = image, image - constant, slopes
         return level * constant_light(*images, self.z, self.grid, self.aperture, self.use)
-
-
-def _explained(columns, fit, values, ridge=0.0):
-    """Return what columns explain of values, whose rows are ``fit``."""
-    gram = fit.T @ fit + (ridge + 1e-9 * len(fit)) * np.eye(fit.shape[1])
-    return columns @ np.linalg.solve(gram, fit.T @ values)
 
 
 def _solved(hessian, right):

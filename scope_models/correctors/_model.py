@@ -23,7 +23,6 @@ from scope_models.correctors._features import Regressors
 from scope_models.correctors._injection import Source, transit_column
 from scope_models.correctors._lightkurve import external_columns, sorted_regressors
 from scope_models.correctors._pixels import (
-    WORSE,
     Pixels,
     can_predict,
     with_predicted_fractions,
@@ -309,10 +308,9 @@ def fit_pixels(pixels, options, series, cadence_mask=None, **transit):
     """Fit pixels, with the fractions that the data support; return a `PLDFit`.
 
     With ``fractions="auto"`` these are the predicted ones, of images that change slowly if these
-    predict unseen windows decisively better. Where they make the light curve rougher than it was,
-    or leave more noise than FLUX_ERR may lack, the model lacks something: then measured fractions
-    are tried, as under the seeing of the ground. ``series`` is the file of the pixels; the rest are
-    arguments of `PLDModel.fit`.
+    predict unseen windows decisively better. Where they leave more noise than FLUX_ERR may lack,
+    the model lacks something: then measured fractions are tried, as under the seeing of the ground.
+    ``series`` is the file of the pixels; the rest are arguments of `PLDModel.fit`.
     """
 
     def model_with(options, state=None):
@@ -327,8 +325,7 @@ def fit_pixels(pixels, options, series, cadence_mask=None, **transit):
         fitted = other.fit(cadence_mask, **transit)
     # beside other light measured fractions follow the star
     most = _MISFIT if fitted.contrast_error < CONTAMINATED else NOISY
-    rough = roughness(fitted.corrected()[0]) > WORSE * roughness(pixels.total)
-    if not (rough or fitted.noise_scale > most):
+    if fitted.noise_scale <= most:
         return fitted
     other = model_with(replace(options, fractions="measured")).fit(cadence_mask, **transit)
     return other if _gain(other, fitted) > _DECISIVE else fitted
@@ -354,8 +351,3 @@ def _gain(fitted, simpler):
     seen = (fit.held_out(window, cadences)[:2] for fit in (fitted, simpler))
     ours, other = (-np.log(error) - 0.5 * (rest / error) ** 2 for rest, error in seen)
     return np.sum((ours - other)[np.argsort(np.minimum(ours, other))[len(ours) // 10 :]])
-
-
-def roughness(flux):
-    """Size of relative changes from cadence to cadence, but for the largest."""
-    return np.nanquantile(np.abs(np.diff(flux)), 0.9) / np.nanmedian(flux)

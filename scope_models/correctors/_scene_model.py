@@ -265,7 +265,9 @@ def solve_states(shape, track, change, flux, variance, priors, floor, steps=2):
         state = np.concatenate([track.stacked, change], axis=1)
         right += precision * np.where(np.isfinite(priors.sigma), priors.mean - state, 0.0)
         step, error = _solve(normal, right, precision)
-        state = state + _bounded(step)
+        step[:, 1:3] = np.clip(step[:, 1:3], -_LARGEST_STEP, _LARGEST_STEP)
+        step[:, 3] = np.clip(step[:, 3], -_LARGEST_BREATH, _LARGEST_BREATH)
+        state = state + step
         track, change = Track(*state[:, :5].T), state[:, 5:]
     return track, change, error
 
@@ -280,12 +282,6 @@ def _solve(normal, right, precision):
     inverse = np.linalg.inv(scaled)
     step = root * (inverse @ (root * right)[:, :, None])[:, :, 0]
     return step, root * np.sqrt(np.maximum(np.einsum("nii->ni", inverse), 0.0))
-
-
-def _bounded(step):
-    step[:, 1:3] = np.clip(step[:, 1:3], -_LARGEST_STEP, _LARGEST_STEP)
-    step[:, 3] = np.clip(step[:, 3], -_LARGEST_BREATH, _LARGEST_BREATH)
-    return step
 
 
 def improve_shape(shape, track, flux, variance, priors, floor, gain=_GAIN):
