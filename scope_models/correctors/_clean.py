@@ -397,7 +397,9 @@ class _State:
         rest = self._rest(image, constant)
         rest[~self.good] = 0.0
         use, mean = self.use, image[self.use].mean(axis=0)
-        noise = self._measured_noise(rest)
+        # FLUX_ERR lacks what dark pixels show
+        change = np.diff(rest[use][:, self.dark], axis=0) / np.sqrt(2 * self.noise[self.dark])
+        noise = self.noise * max(quantile((1.4826 * quantile(np.abs(change.T))) ** 2), 1.0)
         width = min(max(round(TRANSIT / self.smoothed.step), 1), use.sum() // 10)
         windows = rest[use][: use.sum() // width * width].reshape(-1, width, rest.shape[1])
         missed = windows.mean(axis=1).var(axis=0) - noise / width
@@ -425,11 +427,6 @@ class _State:
         variance = np.sum((weights * flux_err / self.unit) ** 2, axis=1)
         variance += self.fluctuation * weights.sum(axis=1) ** 2
         return light * kept, np.sqrt(variance) * kept
-
-    def _measured_noise(self, rest):
-        """Return the variance of the pixels' noise: what FLUX_ERR lacks, as dark pixels show."""
-        change = np.diff(rest[self.use][:, self.dark], axis=0) / np.sqrt(2 * self.noise[self.dark])
-        return self.noise * max(quantile((1.4826 * quantile(np.abs(change.T))) ** 2), 1.0)
 
     def _set_background(self, plane, errors, iteration):
         """Smooth the background as far as the data are for it; jumps of a cadence stay."""

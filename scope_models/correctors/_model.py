@@ -22,11 +22,7 @@ from scope_models.correctors._design import (
 from scope_models.correctors._features import Regressors
 from scope_models.correctors._injection import Source, transit_column
 from scope_models.correctors._lightkurve import external_columns, sorted_regressors
-from scope_models.correctors._pixels import (
-    Pixels,
-    can_predict,
-    with_predicted_fractions,
-)
+from scope_models.correctors._pixels import Pixels, can_predict, with_predicted_fractions
 from scope_models.correctors._result import CONTAMINATED, NOISY, PLDFit
 from scope_models.correctors._solution import fit
 from scope_models.correctors._states import CleanPixels

@@ -127,9 +127,9 @@ def find_frequencies(solution, allowed):
         new = _peaks(frequency, gain, 1 / np.ptp(trial.data.time))
         if not len(new) or len(waves.frequencies) + len(new) > n_most:
             break
-        new = [_refined(f, trial) for f in new]
         plain = replace(solution, hyper=trial.hyper)
         waves = replace(waves, others=np.append(waves.others, new)).shifted(plain, use)
+        waves = waves.shifted(plain, use)
         waves = _with_series(waves, plain, use, n_most)
         rest = plain.with_frequencies(waves.frequencies, use).unexplained
     return waves.significant(replace(solution, hyper=trial.hyper), use).frequencies
@@ -217,18 +217,3 @@ def _peaks(frequency, gain, resolution):
         if len(chosen) == _AT_ONCE:
             break
     return chosen
-
-
-def _refined(frequency, solution):
-    """Return the frequency of the maximum near a point of the grid, by parabolas."""
-    time, alpha = solution.data.time, solution.alpha
-    step = 0.25 / np.ptp(time)
-    for _ in range(3):
-        trial = frequency + step * np.array([-1, 0, 1])
-        low, middle, high = np.abs(np.exp(-2j * np.pi * np.outer(trial, time)) @ alpha) ** 2
-        bend = low - 2 * middle + high
-        if bend >= 0:
-            break
-        frequency += step * float(np.clip(0.5 * (low - high) / bend, -1, 1))
-        step /= 4
-    return frequency
