@@ -447,13 +447,13 @@ class _State:
         if iteration < _CONSTANT_FROM:
             return
         columns, use = self._last[2], self.use  # of the positions before this step
-        change = self.brightness - 1
-        gram, right = columns[use].T @ columns[use], columns[use].T @ change[use]
-        variable = change
+        variable = change = self.brightness - 1
+        # slow changes may be the star's: the response to position is learned from fast ones
+        fast, right = self._change(columns[use]), self._change(change[use])
         for _ in range(3):
-            noise = 1.4826 * quantile(np.abs(variable[use] - quantile(variable[use])))
-            ridge = (noise / _RESPONSE_PRIOR) ** 2 * np.eye(len(gram))
-            variable = change - columns @ np.linalg.solve(gram + ridge, right)
+            noise = 1.4826 * quantile(np.abs(self._change(variable[use]))) / np.sqrt(2)
+            gram = fast.T @ fast + (noise / _RESPONSE_PRIOR) ** 2 * np.eye(fast.shape[1])
+            variable = change - columns @ np.linalg.solve(gram, fast.T @ right)
         strong = self._is_strong(variable[use])
         if strong and iteration >= _DECIDED:
             _, image, slopes, constant = self.images()
@@ -466,11 +466,15 @@ class _State:
 
         Slower changes are no measure of constant light: focus and drifts are as slow.
         """
-        lag = round(_FAST / quantile(np.diff(self.time[self.use])))
-        lag = int(np.clip(lag, 2, len(variable) // 2))  # nights are short
-        changes = [variable[k:] - variable[:-k] for k in (lag, 1)]
+        changes = self._change(variable), np.diff(variable)
         usual = [np.clip(each, quantile(each, 0.02), quantile(each, 0.98)) for each in changes]
         return np.mean(usual[0] ** 2) - np.mean(usual[1] ** 2) > 2 * _STRONG**2
+
+    def _change(self, values):
+        """Return the changes of values in the cadences in use within 6 h."""
+        lag = round(_FAST / quantile(np.diff(self.time[self.use])))
+        lag = int(np.clip(lag, 2, len(values) // 2))  # nights are short
+        return values[lag:] - values[:-lag]
 
     def _anchor(self):
         """Bring positions back to the scale of POS_CORR, without what follows the brightness."""

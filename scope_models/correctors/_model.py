@@ -341,8 +341,8 @@ def _gain(fitted, simpler):
     predict, without the tenth that is least likely by either. Cadences that both leave out, as
     those of a deep eclipse, are in no window.
     """
-    cadences = fitted.used | simpler.used
-    cadences &= fitted.model.pixels.usable & simpler.model.pixels.usable
+    cadences = fitted.model.pixels.usable & simpler.model.pixels.usable
+    cadences &= fitted.used | simpler.used
     window = min(simpler.window, cadences.sum() // 10)
     seen = (fit.held_out(window, cadences)[:2] for fit in (fitted, simpler))
     ours, other = (-np.log(error) - 0.5 * (rest / error) ** 2 for rest, error in seen)
