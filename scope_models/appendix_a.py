@@ -501,7 +501,10 @@ def _find_motion(motion, tpf_path, ID, ncadences):
     if ID is not None:
         from scope_models.batch import find_files
 
-        (tpf_path,) = find_files(f"EPIC {checked_integer('ID', ID, 1)}")
+        try:
+            (tpf_path,) = find_files(f"EPIC {checked_integer('ID', ID, 1)}")
+        except ConnectionError as error:
+            raise ConnectionError(f"{error}; `tpf_path` takes a file") from error
     if tpf_path is not None:
         motion = Motion.from_file(tpf_path)
     elif motion is None:

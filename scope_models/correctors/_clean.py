@@ -90,20 +90,22 @@ def clean_pixels(
         Cadences from which everything that they share is learned, ``(n,)``; by default all.
     changing : bool, optional
         Whether the images change slowly with time, and the background fluctuates.
-    state : object, optional
-        That of a result for the same pixels with images that do not change, which is the start.
+    state : dict, optional
+        Keeps what has been fitted, from which another call for the same pixels goes on.
 
     Returns
     -------
     CleanPixels
         The result.
     """
-    if state is None:
+    state = {} if state is None else state
+    if not state:
         use = np.ones(len(flux), dtype=bool) if use is None else use
-        state = _State(time, flux, flux_err, position, grid, aperture, use)
-        state.converge()
-    images = state.refine() if changing else state.images()
-    return state.result(*state.light(flux_err, images), images)
+        state["fitted"] = _State(time, flux, flux_err, position, grid, aperture, use)
+        state["fitted"].converge()
+    fitted = state["fitted"]
+    images = fitted.refine() if changing else fitted.images()
+    return fitted.result(*fitted.light(flux_err, images), images)
 
 
 class _State:
@@ -520,7 +522,6 @@ class _State:
             focus=focus,
             constant=self.unit * quantile(other[self.use]),
             repaired=~self.good,
-            state=self,
         )
 
     def refine(self):

@@ -1,5 +1,6 @@
 """The model behind pixel level decorrelation: its options and its design matrix."""
 
+import warnings
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -26,6 +27,7 @@ from scope_models.correctors._pixels import Pixels, can_predict, with_predicted_
 from scope_models.correctors._result import CONTAMINATED, NOISY, PLDFit
 from scope_models.correctors._solution import fit
 from scope_models.correctors._states import CleanPixels
+from scope_models.exceptions import DetrendingWarning
 
 __all__ = ["PLDModel", "PLDOptions", "Settings"]
 
@@ -182,8 +184,8 @@ class PLDModel:
     def from_pixels(cls, pixels, options, series, cadence_mask=None, *, state=None):
         """Make the model of pixels of a `PixelSeries`.
 
-        Images and components are learned from the cadences of ``cadence_mask``, by default all,
-        beginning at the ``state`` of a model without changing images.
+        Images and components are learned from the cadences of ``cadence_mask``, by default all;
+        models of the same pixels may share a dictionary ``state``, in which images are kept.
         """
         extra, source = {}, Source(pixels, series, cadence_mask)
         use = pixels.usable & pixels.lit
@@ -309,22 +311,31 @@ def fit_pixels(pixels, options, series, cadence_mask=None, **transit):
     ``series`` is the file of the pixels; the rest are arguments of `PLDModel.fit`.
     """
 
-    def model_with(options, state=None):
+    state = {}
+
+    def model_with(options):
         return PLDModel.from_pixels(pixels, options, series, cadence_mask, state=state)
 
     fitted = model_with(options).fit(cadence_mask, **transit)
     clean = fitted.model.clean
     if options.fractions != "auto" or clean is None or clean.constant > 0:
         return fitted
-    other = model_with(replace(options, fractions="changing"), clean.state)
-    if _gain(other.fit(cadence_mask, **transit, like=fitted), fitted) > _DECISIVE:
-        fitted = other.fit(cadence_mask, **transit)
-    # beside other light measured fractions follow the star
-    most = _MISFIT if fitted.contrast_error < CONTAMINATED else NOISY
-    if fitted.noise_scale <= most:
-        return fitted
-    other = model_with(replace(options, fractions="measured")).fit(cadence_mask, **transit)
-    return other if _gain(other, fitted) > _DECISIVE else fitted
+    with warnings.catch_warnings():  # of models that may not be taken
+        warnings.simplefilter("ignore", DetrendingWarning)
+        try:
+            other = model_with(replace(options, fractions="changing"))
+            trial = other.clean and other.fit(cadence_mask, **transit, like=fitted)
+            if trial and _gain(trial, fitted) > _DECISIVE:
+                fitted = other.fit(cadence_mask, **transit)
+            # beside other light measured fractions follow the star
+            most = _MISFIT if fitted.contrast_error < CONTAMINATED else NOISY
+            if fitted.noise_scale <= most:
+                return fitted
+            other = model_with(replace(options, fractions="measured"))
+            other = other.fit(cadence_mask, **transit)
+            return other if _gain(other, fitted) > _DECISIVE else fitted
+        except ValueError:  # they cannot be fitted
+            return fitted
 
 
 def _check_enough(use):

@@ -27,7 +27,6 @@ class CleanPixels:
     focus: np.ndarray  # relative change of the PSF's width without short dips, (n,)
     constant: float  # median of the constant light that was taken off, e-/s
     repaired: np.ndarray  # pixels whose light was replaced by the model's, (n, n_pixels)
-    state: object = None  # of the fit, where another one may begin
 
     def leaks(self):
         """Return the states by name, and the light that positions and width move in each pixel."""

@@ -192,7 +192,7 @@ class PLDCorrector(LightkurveNames, Corrector):
             Whether the long-term variability stays in the light curve.
             Periodic variability with parts faster than a day always stays.
         options : PLDOptions, optional
-            Long-term variability, segments, kind of light, saturation and clipping.
+            Long-term variability, segments, saturation and clipping.
         **lightkurve_options
             Options of lightkurve's corrector: ``pca_components``, ``pld_aperture_mask``,
             ``background_aperture_mask`` and ``sigma`` are fields of `PLDOptions`; ``pld_order`` is

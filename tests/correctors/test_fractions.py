@@ -10,7 +10,7 @@ from lightkurve import KeplerTargetPixelFile
 
 from scope_models import Detector, Motion, Star, TransitModel, simulate
 from scope_models.benchmark import make_sky, score
-from scope_models.correctors import PLDCorrector, _model
+from scope_models.correctors import PLDCorrector, _clean, _model
 from scope_models.correctors._model import PLDModel, Settings, _gain
 from scope_models.correctors._pixels import aperture_pixels, background_plane, own_pixels
 from scope_models.effects import Seeing
@@ -114,6 +114,30 @@ def test_a_fit_without_half_of_the_cadences_is_an_error(star, monkeypatch):
     monkeypatch.setattr(_model, "fit", few)
     with pytest.raises(ValueError, match=r"240 of 400 cadences deviate from any model.*`sigma`"):
         PLDCorrector(star.tpf).correct()
+
+
+def test_images_that_fail_if_they_change_are_not_taken(star, monkeypatch, recwarn):
+    """Neither an error nor a warning of what was only tried reaches the user."""
+    plain = PLDCorrector(star.tpf).correct(fractions="predicted")
+
+    def refine(self):
+        raise np.linalg.LinAlgError("singular")
+
+    monkeypatch.setattr(_clean._State, "refine", refine)
+    found = PLDCorrector(star.tpf).correct()
+    np.testing.assert_array_equal(found.flux.value, plain.flux.value)
+    original = _model.fit
+
+    def fail(*arguments, like=None, **options):
+        if like is not None:
+            raise np.linalg.LinAlgError("singular")
+        return original(*arguments, **options)
+
+    monkeypatch.undo()
+    monkeypatch.setattr(_model, "fit", fail)
+    found = PLDCorrector(star.tpf).correct()
+    np.testing.assert_array_equal(found.flux.value, plain.flux.value)
+    assert not [each for each in recwarn if "singular" in str(each.message)]
 
 
 def test_background_plane():

@@ -43,11 +43,11 @@ def adaptive(model, i, j, tolerance=1e-12):
 
 
 def dense(values, degree_x, degree_y, pixels):
-    """Integrals by a rule of 6 x 30 nodes per axis, far more than any case needs."""
+    """Integrals by a rule of 12 x 30 nodes per axis, far more than any case needs."""
     x_0, y_0, sigma_x, sigma_y, rho = values
     nodes, weights = np.polynomial.legendre.leggauss(30)
-    panels = (np.arange(6)[:, None] + 0.5 + nodes / 2).ravel() / 6 - 0.5
-    weights = np.tile(weights / 12, 6)
+    panels = (np.arange(12)[:, None] + 0.5 + nodes / 2).ravel() / 12 - 0.5
+    weights = np.tile(weights / 24, 12)
     left = weights * np.polynomial.polynomial.polyval(panels, degree_y)
     right = weights * np.polynomial.polynomial.polyval(panels, degree_x)
     images = np.empty((pixels.size, pixels.size))

@@ -178,7 +178,7 @@ def quick_and(name, quick, whole):
     return pytest.mark.parametrize(name, [quick, pytest.param(whole, marks=pytest.mark.slow)])
 
 
-@quick_and("n", 20, 400)
+@quick_and("n", 50, 400)
 def test_fits_of_noisy_images_are_calibrated(n):
     """astropy's fitter, free shape, on noise realizations at random sub-pixel positions."""
     rng = np.random.default_rng(12)
@@ -209,7 +209,7 @@ def star_field(rng, positions, fluxes, model, shape, noise):
     return image + error * rng.normal(size=shape), error
 
 
-@quick_and("n_side", 4, 16)
+@quick_and("n_side", 6, 16)
 @pytest.mark.parametrize("free", [False, True], ids=["fixed shape", "free shape"])
 def test_photutils_single_stars(free, n_side):
     rng = np.random.default_rng(21)
@@ -268,7 +268,7 @@ def test_photutils_blended_groups(n_side):
         assert pull.std() < 1.7, name
 
 
-@quick_and("n", 10, 120)
+@quick_and("n", 25, 120)
 def test_blended_pairs_are_calibrated_with_astropy(n):
     rng = np.random.default_rng(23)
     model = PRF(two_components(0, 0))

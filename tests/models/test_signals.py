@@ -273,10 +273,10 @@ def test_tabulated_signal():
 @pytest.mark.parametrize("quality", [0.5**0.5, 5.0])
 @pytest.mark.parametrize("timescale", [0.05, 0.25, 2.0])
 def test_stochastic_signal_has_the_stated_cdpp(timescale, quality):
-    """Mean CDPP of thirty draws: filter edges and clipping make up to 3 %, the draws 1 %."""
+    """Mean CDPP of sixty draws: filter edges and clipping make up to 3 %, the draws 1 %."""
     time = np.arange(4000) * LONG_CADENCE
     kwargs = {"timescale": timescale, "quality": quality}
-    values = [cdpp(stochastic_signal(time, 50, seed=i, **kwargs)(time)) for i in range(30)]
+    values = [cdpp(stochastic_signal(time, 50, seed=i, **kwargs)(time)) for i in range(60)]
     assert_allclose(np.mean(values), 50, rtol=0.05)
 
 
