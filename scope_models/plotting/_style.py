@@ -20,10 +20,18 @@ DARK, LIGHT, GRAY = "#08306b", "#f08a24", "0.65"
 FLUX = "Flux (e$^-$ s$^{-1}$)"
 
 
+_TIME_LABEL = """time_label : str, optional
+    Label of the times."""
+_MASK = """aperture : array_like of bool, optional
+    Mask ``(ny, nx)`` whose outline is drawn."""
+_TITLE = """title : str, optional
+    Title of the Axes."""
+
+
 def styled(function):
     """Return a plotting function that draws in the style of the package, with shared docs."""
 
-    @documented()
+    @documented(time_label=_TIME_LABEL, mask=_MASK, title=_TITLE)
     @wraps(function)
     def draw(*args, **kwargs):
         with plt.style.context(STYLE):

@@ -8,16 +8,8 @@ import numpy as np
 
 from scope_models._arrays import plain_array
 from scope_models.photometry.precision import noise_of
-from scope_models.plotting._style import (
-    DARK,
-    GRAY,
-    LIGHT,
-    label_pixels,
-    legend_above,
-    mark_outside,
-    scale_to,
-    styled,
-)
+from scope_models.plotting import _style
+from scope_models.plotting._style import DARK, GRAY, LIGHT, styled
 from scope_models.plotting.images import draw_outline
 
 __all__ = ["plot_comparison", "plot_detrending", "plot_detrending_masks", "plot_states"]
@@ -35,8 +27,7 @@ def plot_comparison(time, fluxes, *, time_label="Time (d)"):
         Days, ``(n_cadences,)``.
     fluxes : dict of str to array_like
         Flux by name; each is divided by its median.
-    time_label : str, optional
-        Label of the times.
+    {time_label}
 
     Returns
     -------
@@ -51,19 +42,16 @@ def plot_comparison(time, fluxes, *, time_label="Time (d)"):
     2
     """
     time, n = plain_array(time, u.day, "time"), len(fluxes)
-    _, axes = plt.subplots(
-        n, 1, figsize=(9, 1 + 1.8 * n), sharex=True, sharey=True, layout="constrained",
-        squeeze=False,
-    )  # fmt: skip
-    axes, shown = axes[:, 0], []
+    size, shared = (9, 1 + 1.8 * n), {"sharex": True, "sharey": True, "squeeze": False}
+    axes, shown = plt.subplots(n, figsize=size, layout="constrained", **shared)[1][:, 0], []
     for ax, (name, flux) in zip(axes, fluxes.items(), strict=True):
         values = plain_array(flux, None, "fluxes")
         relative = values / np.nanmedian(values)
         ax.plot(time, relative, ".", ms=2, color=DARK, label=_label(name, time, values))
-        legend_above(ax, **_LEGEND)
+        _style.legend_above(ax, **_LEGEND)
         ax.set_ylabel("Relative flux")
         shown.append(relative)
-    scale_to(axes[0], *shown)
+    _style.scale_to(axes[0], *shown)
     axes[-1].set_xlabel(time_label)
     return axes
 
@@ -84,8 +72,7 @@ def plot_detrending(
         The two parts of the model in the unit of the flux.
     outliers, masked : array_like of bool, optional
         Cadences that the fit left out, as outliers or by a mask.
-    time_label : str, optional
-        Label of the times.
+    {time_label}
 
     Returns
     -------
@@ -113,12 +100,12 @@ def plot_detrending(
     names = ("Measured flux (e-/s)", "Model (e-/s)", "Corrected flux (e-/s)")
     shown = (flux, flux if systematics is None else systematics, corrected)
     for ax, name, values in zip(axes, names, shown, strict=True):
-        scale_to(ax, values)
-        mark_outside(ax, time, values)
+        _style.scale_to(ax, values)
+        _style.mark_outside(ax, time, values)
         ax.set_ylabel(name)
         ax.ticklabel_format(useOffset=False)
         if ax.get_legend_handles_labels()[0]:
-            legend_above(ax, **_LEGEND)
+            _style.legend_above(ax, **_LEGEND)
     axes[2].set_xlabel(time_label)
     return axes
 
@@ -135,12 +122,9 @@ def plot_detrending_masks(image, aperture, scatter):
 
     Parameters
     ----------
-    image : array_like
-        Typical image in e-/s, ``(ny, nx)``.
-    aperture : array_like of bool
-        Pixels that are summed.
-    scatter : array_like
-        Standard deviation of each pixel's fraction of the light.
+    image, aperture, scatter : array_like
+        Typical image in e-/s, mask of the pixels that are summed, and standard deviation of each
+        pixel's fraction of the light, ``(ny, nx)``.
 
     Returns
     -------
@@ -163,7 +147,7 @@ def plot_detrending_masks(image, aperture, scatter):
         drawn = ax.imshow(values, origin="lower", cmap="cividis")
         ax.figure.colorbar(drawn, ax=ax)
         draw_outline(ax, aperture)
-        label_pixels(ax, title)
+        _style.label_pixels(ax, title)
     return axes
 
 
@@ -182,8 +166,7 @@ def plot_states(time, states, leaks, aperture=None, *, time_label="Time (d)"):
         its standard deviation, ``(ny, nx)``.
     aperture : array_like of bool, optional
         Pixels that are summed, ``(ny, nx)``.
-    time_label : str, optional
-        Label of the times.
+    {time_label}
 
     Returns
     -------
@@ -205,8 +188,8 @@ def plot_states(time, states, leaks, aperture=None, *, time_label="Time (d)"):
     for name, values in states.items():
         ax, state = axes[name], plain_array(values, None, name)
         ax.plot(time, state, ".", ms=2, color=DARK)
-        scale_to(ax, state)
-        mark_outside(ax, time, state)
+        _style.scale_to(ax, state)
+        _style.mark_outside(ax, time, state)
         ax.set_ylabel(name)
         ax.tick_params(labelbottom=False)
     ax.tick_params(labelbottom=True)

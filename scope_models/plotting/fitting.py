@@ -49,8 +49,7 @@ def plot_fit(
         Chi-squared per degree of freedom of each pixel, ``(ny, nx)``.
     time, flux : array_like or `~astropy.units.Quantity`, optional
         Light curve ``(n_cadences,)`` in days and e-/s. Arrows stand for values beyond the scale.
-    time_label : str, optional
-        Label of the times.
+    {time_label}
 
     Returns
     -------
@@ -70,8 +69,7 @@ def plot_fit(
     data, model = plain_array(data, _RATE, "data"), plain_array(model, _RATE, "model")
     residual = plain_array(residual, _RATE, "residual")
     x, y = plain_array(x, u.pix, "x"), plain_array(y, u.pix, "y")
-    if pos_corr is not None:
-        pos_corr = plain_array(pos_corr, u.pix, "pos_corr")
+    pos_corr = None if pos_corr is None else plain_array(pos_corr, u.pix, "pos_corr")
     time = None if time is None else plain_array(time, u.day, "time")
     flux = None if flux is None else plain_array(flux, _RATE, "flux")
     last = ("sensitivity", sensitivity) if sensitivity else ("light curve", flux)
@@ -86,7 +84,9 @@ def plot_fit(
         _draw_psf(axes["psf"], psf, psf_extent, psf_width)
     _draw_positions(axes["positions"], x, y, pos_corr)
     if chi2 is not None:
-        _draw_chi2(axes["chi2"], chi2)
+        shown = axes["chi2"].imshow(chi2, origin="lower", cmap="viridis", norm=LogNorm())
+        label_pixels(axes["chi2"], f"Chi-squared, median {np.nanmedian(chi2):.3g}")
+        _write_numbers(_colorbar(shown, axes["chi2"], "Per degree of freedom"))
     if sensitivity:
         _draw_sensitivity(axes["sensitivity"], sensitivity)
     elif flux is not None:
@@ -111,12 +111,6 @@ def _draw_images(axes, data, model, residual):
     _colorbar(shown, axes["residual"], FLUX)
 
 
-def _draw_chi2(ax, chi2):
-    shown = ax.imshow(chi2, origin="lower", cmap="viridis", norm=LogNorm())
-    label_pixels(ax, f"Chi-squared, median {np.nanmedian(chi2):.3g}")
-    _write_numbers(_colorbar(shown, ax, "Per degree of freedom"))
-
-
 def _write_numbers(bar):
     """Label a logarithmic color bar with numbers."""
     bar.locator = LogLocator(subs=(1, 2, 5))
@@ -132,8 +126,8 @@ def _draw_psf(ax, psf, extent, width):
     extent = None if extent is None else plain_array(extent, u.pix, "psf_extent")
     options = {"extent": extent, "cmap": "viridis", "norm": AsinhNorm(_LINEAR, 0, 1)}
     shown = ax.imshow(psf, origin="lower", **options)
-    ax.set(title="PSF" if width is None else f"PSF, {width}")
-    ax.set(xlabel="Column offset (pixel)", ylabel="Row offset (pixel)")
+    title = "PSF" if width is None else f"PSF, {width}"
+    ax.set(title=title, xlabel="Column offset (pixel)", ylabel="Row offset (pixel)")
     bar = _colorbar(shown, ax, "Relative density")
     bar.set_ticks([0, _LINEAR, 0.1, 1], labels=["0", f"{_LINEAR}", "0.1", "1"])
     bar.minorticks_off()
@@ -192,8 +186,7 @@ def plot_twin(time, real, twin, residuals, *, time_label="Time (d)", labels=None
     residuals : sequence of array_like
         Standard deviation of data less model, in errors, of each pixel ``(ny, nx)``: of the
         star and of its twin.
-    time_label : str, optional
-        Label of the times.
+    {time_label}
     labels : dict, optional
         What is written beside "real" and "twin", as their CDPP.
 

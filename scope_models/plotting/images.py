@@ -9,14 +9,8 @@ from matplotlib.colors import LogNorm
 from matplotlib.patheffects import Normal, Stroke
 
 from scope_models._arrays import plain_array, plain_number
-from scope_models.plotting._style import (
-    FLUX,
-    LIGHT,
-    given_or_new,
-    label_places,
-    legend_above,
-    styled,
-)
+from scope_models.plotting import _style
+from scope_models.plotting._style import FLUX, LIGHT, styled
 
 __all__ = [
     "animate_pixels", "plot_detector", "plot_motion", "plot_pixels", "plot_psf", "plot_scene",
@@ -32,12 +26,10 @@ def plot_pixels(image, aperture=None, *, log=False, title="Pixel image", ax=None
     ----------
     image : array_like
         Flux per pixel ``(ny, nx)`` in e-/s.
-    aperture : array_like of bool, optional
-        Mask ``(ny, nx)`` whose outline is drawn.
+    {mask}
     log : bool, optional
         Scale the colors logarithmically, over at most four decades.
-    title : str, optional
-        Title of the Axes.
+    {title}
     {draw}
 
     Examples
@@ -46,8 +38,7 @@ def plot_pixels(image, aperture=None, *, log=False, title="Pixel image", ax=None
     >>> plot_pixels([[1, 2], [3, 4]], [[False, True], [True, True]]).get_xlabel()
     'Column (pixel)'
     """
-    image = _image(image)
-    norm = None
+    image, norm = _image(image), None
     if log:
         top = np.nanmax(image)
         norm = LogNorm(vmin=max(np.nanmin(image), 1e-4 * top), vmax=top, clip=True)
@@ -67,8 +58,7 @@ def plot_sensitivity(sensitivity, oversample=1, *, title="Sensitivity", ax=None)
         Relative response ``(ny * oversample, nx * oversample)``.
     oversample : int, optional
         Samples per pixel along each axis.
-    title : str, optional
-        Title of the Axes.
+    {title}
     {draw}
 
     Examples
@@ -92,8 +82,7 @@ def plot_psf(psf, oversample=1, *, title="PSF on the detector", ax=None):
         Density ``(ny * oversample, nx * oversample)`` in e-/s per square pixel.
     oversample : int, optional
         Samples per pixel along each axis.
-    title : str, optional
-        Title of the Axes.
+    {title}
     {draw}
 
     Examples
@@ -113,11 +102,9 @@ def plot_detector(sensitivity, psf, image, oversample=1, *, aperture=None, axes=
 
     Parameters
     ----------
-    sensitivity, psf : array_like
-        Maps ``(ny * oversample, nx * oversample)`` of relative response and
-        of flux density in e-/s per square pixel.
-    image : array_like
-        The pixels ``(ny, nx)`` in e-/s.
+    sensitivity, psf, image : array_like
+        Maps ``(ny * oversample, nx * oversample)`` of relative response and of flux density in e-/s
+        per square pixel, and the pixels ``(ny, nx)`` in e-/s.
     oversample : int, optional
         Samples per pixel of the first two along each axis.
     aperture : array_like of bool, optional
@@ -147,10 +134,8 @@ def plot_motion(time, x, y, shape=None, *, time_label="Time (d)", title="Motion"
 
     Parameters
     ----------
-    time : array_like
-        Times ``(n_cadences,)`` in days.
-    x, y : array_like
-        Positions ``(n_cadences,)`` in pixels.
+    time, x, y : array_like
+        Times in days and positions in pixels ``(n_cadences,)``.
     shape : tuple of int, optional
         Shape ``(ny, nx)`` of the stamp, to draw all of it. By default the axes
         are limited to the track, with the edges of the pixels that it crosses.
@@ -166,10 +151,10 @@ def plot_motion(time, x, y, shape=None, *, time_label="Time (d)", title="Motion"
     """
     time = plain_array(time, u.day, "time")
     x, y = plain_array(x, u.pix, "x"), plain_array(y, u.pix, "y")
-    ax = given_or_new(ax, 5, 4.2)
+    ax = _style.given_or_new(ax, 5, 4.2)
     _draw_track(ax, time, x, y, time_label)
     ax.plot(x[0], y[0], "kx", ms=7, mew=1.5, zorder=4, label="first cadence")
-    legend_above(ax)
+    _style.legend_above(ax)
     if shape is None:
         _draw_surroundings(ax, x, y)
     else:
@@ -184,16 +169,13 @@ def plot_scene(time, x, y, shape, places, magnitudes, *, time_label="Time (d)", 
 
     Parameters
     ----------
-    time : array_like
-        Times ``(n_cadences,)`` in days.
-    x, y : array_like
-        Positions of the target ``(n_cadences,)`` in pixels.
+    time, x, y : array_like
+        Times in days and positions of the target in pixels ``(n_cadences,)``.
     shape : tuple of int
         Shape ``(ny, nx)`` of the stamp.
-    places : array_like
-        Columns and rows ``(n_stars, 2)`` of the stars in pixels, the target first.
-    magnitudes : array_like
-        Magnitudes ``(n_stars,)``, written beside the stars; of crowded ones beside the brightest.
+    places, magnitudes : array_like
+        Columns and rows ``(n_stars, 2)`` of the stars in pixels, the target first; and magnitudes
+        ``(n_stars,)``, written beside the stars; of crowded ones beside the brightest.
     time_label : str, optional
         Label of the color bar, which a star at rest does not need.
     {draw}
@@ -208,7 +190,7 @@ def plot_scene(time, x, y, shape, places, magnitudes, *, time_label="Time (d)", 
     time = plain_array(time, u.day, "time")
     x, y = plain_array(x, u.pix, "x"), plain_array(y, u.pix, "y")
     places, magnitudes = plain_array(places, u.pix, "places"), plain_array(magnitudes, None, "mag")
-    ax = given_or_new(ax, 5.4, 4.2)
+    ax = _style.given_or_new(ax, 5.4, 4.2)
     _pixel_axes(ax, (-0.5, shape[1] - 0.5), (-0.5, shape[0] - 0.5))
     size = np.clip(10 ** (-0.2 * (magnitudes - magnitudes[0])), 0.15, 2.5)
     radius = 5 * np.sqrt(size)  # points
@@ -217,16 +199,14 @@ def plot_scene(time, x, y, shape, places, magnitudes, *, time_label="Time (d)", 
         ax.scatter(*places[1:].T, label="other stars", **options)
     if np.ptp(x) or np.ptp(y):
         _draw_track(ax, time, x, y, time_label)
-    ax.scatter(
-        *places[0], s=(2 * radius[0]) ** 2, facecolor="none", edgecolor=LIGHT, lw=2, zorder=5,
-        label="target",
-    )  # fmt: skip
-    legend_above(ax, ncols=2)
+    ring = {"facecolor": "none", "edgecolor": LIGHT, "lw": 2, "zorder": 5}
+    ax.scatter(*places[0], s=(2 * radius[0]) ** 2, label="target", **ring)
+    _style.legend_above(ax, ncols=2)
     ax.set_title("Scene", loc="left")
     order = [0, *(1 + np.argsort(magnitudes[1:]))]
     texts = [f"{magnitudes[i]:.4g}" for i in order]
     ax.figure.draw_without_rendering()  # where the Axes is
-    label_places(ax, places[order], texts, radius[order])
+    _style.label_places(ax, places[order], texts, radius[order])
     return ax
 
 
@@ -244,10 +224,8 @@ def _draw_track(ax, time, x, y, time_label):
 def _draw_surroundings(ax, x, y):
     """Limit the axes to the track, and draw the edges of the pixels that it crosses."""
     half = max(0.6 * max(np.ptp(x), np.ptp(y)), 0.15)
-    limits = []
-    for values in (x, y):
-        middle = (values.min() + values.max()) / 2
-        limits.append((middle - half, middle + half))
+    middles = [(values.min() + values.max()) / 2 for values in (x, y)]
+    limits = [(middle - half, middle + half) for middle in middles]
     for draw, along, across in ((ax.vlines, *limits), (ax.hlines, *limits[::-1])):
         edges = np.arange(np.ceil(along[0] + 0.5), along[1] + 0.5) - 0.5
         draw(edges, *across, color="0.5", lw=0.9, zorder=0)
@@ -265,8 +243,7 @@ def animate_pixels(cube, time=None, aperture=None, *, interval=50, time_label="T
         Flux per pixel ``(n_cadences, ny, nx)`` in e-/s.
     time : array_like, optional
         Times ``(n_cadences,)`` in days, written into the title.
-    aperture : array_like of bool, optional
-        Mask ``(ny, nx)`` whose outline is drawn.
+    {mask}
     interval : float, optional
         Milliseconds per frame.
     time_label : str, optional
@@ -310,7 +287,7 @@ def _image(image):
 
 
 def _draw_image(image, oversample, label, title, ax, **kwargs):
-    ax = given_or_new(ax, 5, 4.2)
+    ax = _style.given_or_new(ax, 5, 4.2)
     ny, nx = (size / oversample for size in image.shape)
     extent = (-0.5, nx - 0.5, -0.5, ny - 0.5)
     shown = ax.imshow(image, origin="lower", extent=extent, interpolation="nearest", **kwargs)

@@ -5,15 +5,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from scope_models._arrays import plain_array, plain_number
-from scope_models.plotting._style import (
-    DARK,
-    LIGHT,
-    given_or_new,
-    legend_above,
-    mark_outside,
-    scale_to,
-    styled,
-)
+from scope_models.plotting import _style
+from scope_models.plotting._style import DARK, LIGHT, styled
 from scope_models.plotting.images import plot_motion, plot_pixels
 
 __all__ = ["plot_fold", "plot_light_curve", "plot_summary"]
@@ -49,7 +42,7 @@ def plot_light_curve(
     >>> [text.get_text() for text in ax.get_legend().get_texts()]
     ['raw, CDPP 23.1 ppm (lightkurve)', 'corrected']
     """
-    ax = given_or_new(ax, 8, 3.2)
+    ax = _style.given_or_new(ax, 8, 3.2)
     time, flux = plain_array(time, u.day, "time"), plain_array(flux, None, "flux")
     cdpp, corrected_cdpp = _ppm(cdpp, "cdpp"), _ppm(corrected_cdpp, "corrected_cdpp")
     relative = flux / np.nanmedian(flux)
@@ -83,8 +76,7 @@ def plot_fold(
         Hours to draw on either side of mid-transit; half a period by default.
     n_bins : int, optional
         Number of bins over the window.
-    title : str, optional
-        Title of the Axes.
+    {title}
     {draw}
 
     Examples
@@ -104,13 +96,12 @@ def plot_fold(
     near = np.isfinite(flux) & (np.abs(phase) <= window)
     if not near.any():
         raise ValueError(f"`window` of {window} h around mid-transit holds no cadence")
-    ax = given_or_new(ax, 6, 3.6)
+    ax = _style.given_or_new(ax, 6, 3.6)
     ax.plot(phase[near], flux[near], ".", ms=3, color="0.75", label="cadences")
     edges = np.linspace(-window, window, n_bins + 1)
     count, _ = np.histogram(phase[near], edges)
     total, _ = np.histogram(phase[near], edges, weights=flux[near])
-    used = count > 0
-    centers = (edges[:-1] + edges[1:]) / 2
+    used, centers = count > 0, (edges[:-1] + edges[1:]) / 2
     ax.plot(centers[used], total[used] / count[used], "o", ms=4.5, color=DARK, label="binned")
     if model is not None:
         order = np.argsort(phase[near])
@@ -128,18 +119,12 @@ def plot_summary(
 
     Parameters
     ----------
-    time : array_like
-        Times ``(n_cadences,)`` in days.
-    image : array_like
-        Pixel image ``(ny, nx)`` in e-/s, such as the first cadence.
-    flux : array_like
-        Raw light curve ``(n_cadences,)``.
-    x, y : array_like
-        Positions of the star ``(n_cadences,)`` in pixels.
+    time, image, flux, x, y : array_like
+        Times in days; pixel image ``(ny, nx)`` in e-/s, such as the first cadence; raw light curve
+        and positions of the star in pixels. But for the image, all are ``(n_cadences,)``.
     corrected : array_like, optional
         Corrected light curve ``(n_cadences,)``.
-    aperture : array_like of bool, optional
-        Mask ``(ny, nx)``.
+    {mask}
     cdpp, corrected_cdpp : float, optional
         Noise of the two light curves in ppm, in lightkurve's convention.
     model : array_like, optional
@@ -167,10 +152,8 @@ def plot_summary(
     mosaic = [["image", "motion"], ["light curve", "light curve"]]
     if corrected is not None:
         mosaic.append(["corrected", "corrected"])
-    heights = [1.5] + [1] * (len(mosaic) - 1)
-    figure, axes = plt.subplot_mosaic(
-        mosaic, figsize=(9, 2 + 2.4 * len(mosaic)), layout="constrained", height_ratios=heights
-    )
+    options = {"layout": "constrained", "height_ratios": [1.5] + [1] * (len(mosaic) - 1)}
+    figure, axes = plt.subplot_mosaic(mosaic, figsize=(9, 2 + 2.4 * len(mosaic)), **options)
     plot_pixels(image, aperture, title="First cadence", ax=axes["image"])
     plot_motion(time, x, y, time_label=time_label, ax=axes["motion"])
     given = {"cdpp": cdpp, "corrected_cdpp": corrected_cdpp, "time_label": time_label}
@@ -188,17 +171,14 @@ def _plot_corrected(ax, time, corrected, model, noise, time_label):
     ax.plot(time, relative, ".", ms=2.5, color=DARK, label="corrected")
     if noise is not None:
         level = np.ones(len(relative)) if model is None else np.asarray(model, dtype=float)
-        noise = np.broadcast_to(noise, level.shape)
-        ax.fill_between(
-            time, level - noise, level + noise, color="0.85", lw=0, zorder=0,
-            label="expected noise, 1 sigma",
-        )  # fmt: skip
-    scale_to(ax, relative)
+        band = {"color": "0.85", "lw": 0, "zorder": 0, "label": "expected noise, 1 sigma"}
+        ax.fill_between(time, level - noise, level + noise, **band)
+    _style.scale_to(ax, relative)
     if model is not None:
         ax.plot(time, model, "-", lw=1.2, color=LIGHT, label="truth")
         low, high = ax.get_ylim()
         ax.set_ylim(min(low, np.nanmin(model)), max(high, np.nanmax(model)))
-    mark_outside(ax, time, relative)
+    _style.mark_outside(ax, time, relative)
     _label(ax, time_label, "Corrected light curve")
 
 
@@ -206,7 +186,7 @@ def _label(ax, xlabel, title):
     ax.set(xlabel=xlabel, ylabel="Relative flux")
     ax.set_title(title, loc="left")
     ax.ticklabel_format(axis="y", useOffset=False)
-    legend_above(ax, ncols=3, markerscale=2, fontsize="small", columnspacing=1.2)
+    _style.legend_above(ax, ncols=3, markerscale=2, fontsize="small", columnspacing=1.2)
 
 
 def _ppm(cdpp, name):
