@@ -20,7 +20,6 @@ FORMATS = "fits", "hlsp", "parquet"
 
 
 def detrended(task, output, seed, *, format="fits", **options):  # noqa: A002, ARG001
-    """Correct a file."""
     from scope_models.correctors import _files  # imports lightkurve
 
     path, survival = task["file"], options.pop("survival", False)
@@ -33,7 +32,17 @@ def detrended(task, output, seed, *, format="fits", **options):  # noqa: A002, A
             options["positions"] = star_positions(tpf, folder / task["positions"])
         corrector = _files.correct_file(tpf, transits, **options)
         series = read_pixels(corrector.tpf)
-        row = _correction_row(corrector, series, survival)
+        header, row = series.header, header_row(series)
+        row["campaign"], row["channel"] = ccd_label(header)
+        row |= {"ra": number_of(header.get("RA_OBJ")), "dec": number_of(header.get("DEC_OBJ"))}
+        row["n_pixels"] = int(corrector.aperture_mask.sum())
+        for prefix, lc in (("raw_", corrector.original_lc), ("", corrector.corrected_lc)):
+            row[f"{prefix}cdpp"] = noise_of(lc)
+            row[f"{prefix}cdpp_everest"] = noise_of(lc, "everest")
+        row["crowding"] = number_of(header.get("CROWDSAP"))
+        if survival:
+            row["survival"] = number_of(getattr(corrector.result, "transit_survival", None))
+        row["n_outliers"] = int(np.sum(corrector.outlier_mask))
         if format == "hlsp":
             collection = Collection(**hlsp)
             collection.name(series.header)  # raises an error if there is none
@@ -48,22 +57,6 @@ def detrended(task, output, seed, *, format="fits", **options):  # noqa: A002, A
         write_hdulist(hdus, output, overwrite=True)
     if format == "hlsp":
         row["sha256"] = sha256(output)
-    return row
-
-
-def _correction_row(corrector, series, survival):
-    header = series.header
-    row = header_row(series)
-    row["campaign"], row["channel"] = ccd_label(header)
-    row |= {"ra": number_of(header.get("RA_OBJ")), "dec": number_of(header.get("DEC_OBJ"))}
-    row["n_pixels"] = int(corrector.aperture_mask.sum())
-    for prefix, lc in (("raw_", corrector.original_lc), ("", corrector.corrected_lc)):
-        row[f"{prefix}cdpp"] = noise_of(lc)
-        row[f"{prefix}cdpp_everest"] = noise_of(lc, "everest")
-    row["crowding"] = number_of(header.get("CROWDSAP"))
-    if survival:
-        row["survival"] = number_of(getattr(corrector.result, "transit_survival", None))
-    row["n_outliers"] = int(np.sum(corrector.outlier_mask))
     return row
 
 
@@ -83,11 +76,8 @@ def partition_of(file, key):
 def write_manifest(table, folder):
     """Write the list of the files of a collection, with their checksums."""
     path = Path(folder).absolute() / "manifest.csv"
-    names = {"output": "file", "sha256": "sha256", "object": "target", "file": "tpf"}
-    listed = table[list(names)]
-    listed["file"] = [Path(file).name for file in listed["file"]]
-    listed.meta.clear()
-    listed = Table(list(listed.itercols()), names=list(names.values()))
+    listed = Table({"file": table["output"], "sha256": table["sha256"], "target": table["object"]})
+    listed["tpf"] = [Path(file).name for file in table["file"]]
     with atomic_path(path, overwrite=True) as temporary:
         listed.write(temporary, format="ascii.csv")
     return path
@@ -103,5 +93,4 @@ def header_row(series):
 
 
 def number_of(value):
-    """Return a number, NaN for anything else."""
     return float(value) if isinstance(value, (int, float)) else np.nan

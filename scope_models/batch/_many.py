@@ -15,7 +15,7 @@ from scope_models._arrays import values_of
 from scope_models.batch._store import FILE
 from scope_models.batch.sweep import run_sweep, star_seed
 
-__all__ = ["FITS", "RUN", "UNITS", "file_state", "run_files"]
+__all__ = ["FITS", "RUN", "UNITS", "file_state", "medians", "run_files"]
 
 #: Arguments of all functions that run over many files.
 RUN = """
@@ -76,7 +76,7 @@ def run_files(
             raise FileExistsError(f"{path} exists already; pass overwrite=True to replace it")
     return run_sweep(
         partial(_worked, work, options, folder, seed), tasks, folder, client, name=name,
-        config={"seed": seed, **options}, units=UNITS, summarize=_medians, draw=draw,
+        config={"seed": seed, **options}, units=UNITS, summarize=_summary, draw=draw,
         inputs=inputs, output=lambda task: folder / task["output"], **(sweep or {}),
     )  # fmt: skip
 
@@ -103,22 +103,25 @@ def _peak_memory():
     return round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / unit, 1)
 
 
-def _medians(table):
+def _summary(table):
     """Return the medians of all columns of numbers, by half magnitudes."""
     left_out = {"bytes", "changed", "mag", *_COST}
-    names = [name for name in table.colnames if table[name].dtype.kind in "fi"]
-    names = [name for name in names if name not in left_out]
+    names = [n for n in table.colnames if table[n].dtype.kind in "fi" and n not in left_out]
     bins = np.round(2 * values_of(table, "mag")) / 2
     rows = []
     for center in (*np.unique(bins[np.isfinite(bins)]), np.nan):
         chosen = np.isnan(bins) if np.isnan(center) else bins == center
         if chosen.any():
-            rows.append({"mag": center, "stars": int(chosen.sum())})
-            for name in names:
-                values = values_of(table[chosen], name)
-                finite = values[np.isfinite(values)]
-                rows[-1][name] = float(np.median(finite)) if len(finite) else np.nan
+            first = {"mag": center, "stars": int(chosen.sum())}
+            rows.append(first | medians(table[chosen], names))
     return Table(rows)
+
+
+def medians(table, names):
+    """Return the median of the finite values of each column, NaN without any."""
+    columns = {name: values_of(table, name) for name in names}
+    finite = {name: values[np.isfinite(values)] for name, values in columns.items()}
+    return {name: float(np.median(v)) if len(v) else np.nan for name, v in finite.items()}
 
 
 def file_state(file):

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from scope_models._arrays import native
 from scope_models.batch._many import UNITS
 from scope_models.batch._store import FILE
 from scope_models.io._atomic import atomic_path
@@ -56,10 +57,8 @@ def write_star(path, row, light_curve):
         columns.append(pa.array([value]))
         fields.append(pa.field(name, columns[-1].type, metadata=unit))
     names = light_curve.dtype.names
-    native = [np.asarray(light_curve[name]) for name in names]
+    lists = [pa.array([native(light_curve[name])]) for name in names]
     names = [name.lower().replace("sap_quality", "quality") for name in names]
-    native = [array.astype(array.dtype.newbyteorder("=")) for array in native]
-    lists = [pa.array([array]) for array in native]
     columns.append(pa.StructArray.from_arrays(lists, names=names))
     fields.append(pa.field("light_curve", columns[-1].type))
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -78,6 +77,5 @@ def data_set_rows(folder):
 
 
 def light_curve_of(path):
-    """Return the arrays of the light curve of a star."""
     lists = _pyarrow().parquet.ParquetFile(path).read(["light_curve"])["light_curve"][0]
     return {name: np.asarray(lists[name].values) for name in lists}

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from scope_models.exceptions import DamagedResultWarning
 
-__all__ = ["FILE", "Store", "read_records"]
+__all__ = ["FILE", "Store", "listed", "read_records"]
 
 #: Name of the file in a results directory.
 FILE = "results.sqlite"
@@ -29,19 +29,14 @@ _SCHEMA = """
 class Store:
     """The records of a sweep, in a results directory or, without one, in memory.
 
-    A record is a dictionary: "task", and either "row" or "error" and "traceback". Records of other
-    tasks than those given are ignored, damaged ones are left out with a warning. The connection
-    holds an exclusive lock on the file, which ends with the process, however it ends. A directory
-    of another configuration, version or origin, or a damaged file, is a ValueError; one that cannot
-    be written to, or that another run is writing to, an OSError.
+    A record is a dictionary: "task", and either "row" or "error" and "traceback". The connection
+    holds an exclusive lock on the file, which ends with the process, however it ends.
     """
 
     def __init__(self, directory, config, inputs, tasks):
         self.directory = directory
         self._path = Path(":memory:") if directory is None else _file_in(directory)
-        self._failed = {}
-        self._synced = time.monotonic()
-        self._connection = None
+        self._failed, self._synced = {}, time.monotonic()
         with self._clear_errors():
             self._connection = sqlite3.connect(self._path, timeout=0, isolation_level=None)
             self._connection.text_factory = bytes  # damaged text may not be UTF-8
@@ -93,16 +88,15 @@ class Store:
                 damaged.append(repr(key)[1:])
                 continue
             record = json.loads(text)
-            task = record["task"]
-            if tasks.get(task["key"]) == task:
-                self._failed[task["key"]] = "error" in record
+            name = record["task"]["key"]
+            if tasks.get(name) == record["task"]:
+                self._failed[name] = "error" in record
         if damaged:
-            shown = ", ".join(damaged[:5]) + (", ..." if len(damaged) > 5 else "")
-            message = f"{self._path}: damaged results ({shown}) are left out and computed again"
+            where = f"{self._path}: damaged results ({listed(damaged)})"
+            message = f"{where} are left out and computed again"
             warnings.warn(message, DamagedResultWarning, stacklevel=5)
 
     def is_done(self, key):
-        """Return whether the star has a result."""
         return self._failed.get(key) is False
 
     def has_failed(self, key):
@@ -114,7 +108,6 @@ class Store:
         return sum(not failed for failed in self._failed.values())
 
     def read(self, key):
-        """Return the record of a star."""
         rows = self._connection.execute("SELECT record FROM stars WHERE key = ?", (key,))
         return json.loads(rows.fetchone()[0])
 
@@ -136,10 +129,7 @@ class Store:
         self._failed[key] = failed
 
     def close(self):
-        """Release the file."""
-        if self._connection is not None:
-            self._connection.close()
-            self._connection = None
+        self._connection.close()
 
     @contextmanager
     def _clear_errors(self):
@@ -199,8 +189,12 @@ def _file_in(directory):
     return path
 
 
+def listed(names):
+    """Return the first names as a text."""
+    return ", ".join(names[:5]) + (", ..." if len(names) > 5 else "")
+
+
 def _code_of(error):
-    """Return the primary code of an error of SQLite."""
     return getattr(error, "sqlite_errorcode", 0) & 0xFF
 
 

@@ -6,10 +6,8 @@ import re
 import signal
 import traceback
 import warnings
-from collections.abc import Callable
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, wait
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
 from functools import partial
 from multiprocessing import resource_tracker
 from numbers import Integral
@@ -18,8 +16,9 @@ import numpy as np
 
 from scope_models._checks import checked_integer
 from scope_models._threads import one_thread
+from scope_models.batch._store import listed
 
-__all__ = ["Job", "LostWorkersError", "check_client", "checked_tasks", "computed"]
+__all__ = ["LostWorkersError", "check_client", "checked_tasks", "computed"]
 
 _DIED = "WorkerDied: the process that computed this star died (killed, out of memory, or a crash)"
 _FREE_NAME = re.compile(r"[A-Za-z0-9]([A-Za-z0-9._+=-]{0,198}[A-Za-z0-9_+=-])?")
@@ -33,22 +32,17 @@ class LostWorkersError(Exception):
     """The workers, or the scheduler that gives them work, are lost."""
 
 
-@dataclass(frozen=True)
-class Job:
-    """Computes stars by a function of a task."""
-
-    measure: Callable
-
-    def __call__(self, tasks):
-        """Return the record of each task: its row, or its failure."""
-        with one_thread:
-            return [self._record(task) for task in tasks]
-
-    def _record(self, task):
-        try:
-            return {"task": task, "row": _checked_values(self.measure(task), "result", task)}
-        except Exception as error:  # noqa: BLE001 - the other stars go on
-            return _failure(task, error)
+def _measured(measure, tasks):
+    """Return the record of each task: its row, or its failure."""
+    records = []
+    with one_thread:
+        for task in tasks:
+            try:
+                row = _checked_values(measure(task), "result", task)
+                records.append({"task": task, "row": row})
+            except Exception as error:  # noqa: BLE001 - the other stars go on
+                records.append(_failure(task, error))
+    return records
 
 
 def _failure(task, error):
@@ -109,13 +103,14 @@ def check_client(client):
         raise TypeError(f"`client` must be {wanted}, got {client!r}")
 
 
-def computed(client, job, tasks, chunk_size, in_flight):
+def computed(client, measure, tasks, chunk_size, in_flight):
     """Yield the records of all tasks as they are finished; the client is as for `run_sweep`.
 
     Stars whose process died are computed again one at a time, so that only the star that kills
     its process is recorded as failed. A LostWorkersError stands for an executor that is broken or
     a scheduler that is lost.
     """
+    job = partial(_measured, measure)
     if client is None:
         for task in tasks:
             yield from job([task])
@@ -126,19 +121,15 @@ def computed(client, job, tasks, chunk_size, in_flight):
         if isinstance(client, (Integral, str)):
             client = stack.enter_context(_dask_client(client))
         suspects = []
-        for chunk, outcome in _completed(client, job, _chunks(tasks, chunk_size), in_flight):
+        starts = range(0, len(tasks), chunk_size)
+        chunks = [tasks[start : start + chunk_size] for start in starts]
+        for chunk, outcome in _completed(client, job, chunks, in_flight):
             if type(outcome).__name__ == "KilledWorker":
                 suspects += chunk
             else:
                 yield from _records(chunk, outcome)
-        for chunk, outcome in _completed(client, job, _chunks(suspects, 1), 1):
+        for chunk, outcome in _completed(client, job, [[task] for task in suspects], 1):
             yield from _records(chunk, outcome)
-
-
-def _chunks(tasks, size):
-    """Return an iterator of lists of at most ``size`` tasks."""
-    tasks = iter(tasks)
-    return iter(lambda: list(itertools.islice(tasks, size)), [])
 
 
 def _records(chunk, outcome):
@@ -154,7 +145,7 @@ def _completed(client, job, chunks, in_flight):
     """Submit chunks, a bounded number at a time; yield each with its result or exception."""
     is_dask = hasattr(client, "get_executor")
     executor = client.get_executor(pure=False) if is_dask else client
-    waiting, lost = {}, []
+    chunks, waiting, lost = iter(chunks), {}, []
     try:
         while True:
             while not lost and len(waiting) < in_flight and (chunk := next(chunks, None)):
@@ -179,9 +170,8 @@ def _completed(client, job, chunks, in_flight):
         for future in waiting:
             future.cancel()
     if lost:
-        keys = sorted(task["key"] for task in lost)
-        shown = ", ".join(keys[:4]) + (", ..." if len(keys) > 4 else "")
-        raise LostWorkersError(f"the workers are lost, with {len(keys)} stars in flight ({shown})")
+        keys = listed(sorted(task["key"] for task in lost))
+        raise LostWorkersError(f"the workers are lost, with {len(lost)} stars in flight ({keys})")
 
 
 @contextmanager

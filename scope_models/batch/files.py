@@ -14,15 +14,9 @@ import numpy as np
 from astropy.table import Table
 
 from scope_models._arrays import LARGEST_DAY, values_of, without_unit
+from scope_models._checks import checked_choice, one_line
 from scope_models._docstrings import documented
-from scope_models.batch._detrend import (
-    FORMATS,
-    archive_name,
-    detrended,
-    header_row,
-    partition_of,
-    write_manifest,
-)
+from scope_models.batch import _detrend
 from scope_models.batch._many import FITS, RUN, run_files
 from scope_models.batch._parquet import check_data_set
 from scope_models.batch._positions import write_motions
@@ -116,33 +110,32 @@ def detrend_files(
     >>> bool((result.table["cdpp"] < result.table["raw_cdpp"]).all())
     True
     """
-    if format not in FORMATS:
-        raise ValueError(f"`format` must be one of {', '.join(FORMATS)}, got {format!r}")
+    checked_choice("format", format, _detrend.FORMATS)
     files, rows, shared = find_files(paths), None, {}
     if planets is not None:
-        rows = _rows_of(planets, ("period", "t0", "duration"), (), files)
+        rows = planet_rows(planets, files, ("period", "t0", "duration"), ())
     if (format == "hlsp") != (hlsp is not None):
         raise ValueError('`hlsp` is needed by, and only by, `format="hlsp"`')
     if format != "fits":
         shared = {"format": format} | {f"hlsp_{name}": hlsp[name] for name in hlsp or {}}
     name_output = None
     if format == "hlsp":
-        name_output = partial(archive_name, Collection(**hlsp))
+        name_output = partial(_detrend.archive_name, Collection(**hlsp))
     elif format == "parquet":
-        name_output = partition_of
+        name_output = _detrend.partition_of
         check_data_set(output_dir, overwrite=overwrite)
     inputs = _catalog(options)
-    if positions_from is not None:
-        positions_from = find_files(positions_from)
-    moved = write_motions(files, output_dir, positions_from)
+    others = None if positions_from is None else find_files(positions_from)
+    moved = write_motions(files, output_dir, others)
     rows = [row | more for row, more in zip(rows or [{}] * len(files), moved, strict=True)]
     result = run_files(
-        detrended, files, output_dir, client, name="detrend", suffix="-lc.fits", rows=rows,
+        _detrend.detrended, files, output_dir, client, name="detrend", suffix="-lc.fits", rows=rows,
         options=shared | options, draw=_noise_figure, overwrite=overwrite, sweep=sweep,
         inputs=inputs, name_output=name_output,
     )  # fmt: skip
     if format == "hlsp":
-        return result.replace(files=(*result.files, write_manifest(result.table, output_dir)))
+        manifest = _detrend.write_manifest(result.table, output_dir)
+        return result.replace(files=(*result.files, manifest))
     return result
 
 
@@ -240,7 +233,7 @@ def inject_files(
     [0.01]
     """
     files = find_files(paths)
-    rows = _rows_of(planets, ("period", "depth"), ("t0", "duration"), files)
+    rows = planet_rows(planets, files)
     return run_files(
         _injected, files, output_dir, client, name="inject", suffix="-injected.fits", rows=rows,
         options={"star": star}, seed=seed, overwrite=overwrite, sweep=sweep,
@@ -306,12 +299,9 @@ def inject_file(path, planet, output, *, star=None, seed=1, overwrite=False):
         injected = inject(tpf, model, light, seed=seed)
     write_hdulist(injected.hdu, output, overwrite=overwrite)
     table = injected.hdu[-1].data
-    return header_row(series) | {
-        "t0": float(model.t0.value),
-        "duration": float(model.duration),
-        "injected_depth": float(-np.min(table["FLUX_ADDED"].sum(axis=(1, 2))) / total) + 0.0,
-        "in_transit": int(np.sum(table["SIGNAL"] < 1)),
-    }
+    depth = float(-np.min(table["FLUX_ADDED"].sum(axis=(1, 2))) / total) + 0.0
+    row = {"t0": float(model.t0.value), "duration": float(model.duration), "injected_depth": depth}
+    return _detrend.header_row(series) | row | {"in_transit": int(np.sum(table["SIGNAL"] < 1))}
 
 
 def _catalog(options):
@@ -322,29 +312,22 @@ def _catalog(options):
     return (options["neighbors"],)
 
 
-def planet_rows(planets, needed=("period", "depth"), further=("t0", "duration")):
-    """Return the given parameters of the planet of each row of a table."""
+def planet_rows(planets, files, needed=("period", "depth"), further=("t0", "duration")):
+    """Return the given parameters of the planet of each file."""
     planets = Table(planets)
     for name in needed:
         if name not in planets.colnames:
             raise ValueError(f"`planets` lacks the column {name}")
-    names = [*needed, *(name for name in further if name in planets.colnames)]
-    return [{n: float(row[n]) for n in names if not np.ma.is_masked(row[n])} for row in planets]
-
-
-def _rows_of(planets, needed, further, files):
-    rows = planet_rows(planets, needed, further)
-    if len(rows) not in {1, len(files)}:
+    if len(planets) not in {1, len(files)}:
         wanted = f"one row, or one for each of the {len(files)} files"
-        raise ValueError(f"`planets` must have {wanted}, got {len(rows)}")
+        raise ValueError(f"`planets` must have {wanted}, got {len(planets)}")
+    names = [*needed, *(name for name in further if name in planets.colnames)]
+    rows = [{n: float(row[n]) for n in names if not np.ma.is_masked(row[n])} for row in planets]
     return rows if len(rows) > 1 else rows * len(files)
 
 
 def planet_model(planet, time, exposure_time):
-    """Return the transits of a planet; at least one must be among the times in days.
-
-    ``planet`` has the period and depth, and if known t0 and duration.
-    """
+    """Return the transits of a planet; at least one must be among the times in days."""
     period = float(planet["period"])
     # 13 h (P / yr)^(1/3) (R / R_sun) (rho / rho_sun)^(-1/3): arXiv:1001.2010, eq. 19.
     duration = float(planet.get("duration", 13 / 24 * (period / 365.25) ** (1 / 3)))
@@ -378,8 +361,8 @@ def simulate_table(
     detector : str, optional
         Name of a preset, or a TOML file of `~scope_models.read_detector`.
     motion : str, optional
-        A file whose POS_CORR columns the stars follow. By default a generated K2 roll for K2, and
-        rest for others.
+        A file whose POS_CORR columns the stars follow. By default a generated K2 roll for K2, the
+        tracking of a telescope for the ground, and rest for others.
     cadences : int, optional
         Cadences of each star; those of the file, if it has fewer.
     seed : int, optional
@@ -405,7 +388,7 @@ def simulate_table(
     >>> sorted(path.name for path in result.files[0].parent.glob("*.fits"))
     ['bright.fits', 'faint.fits']
     """
-    _detector(str(detector))
+    named_detector(str(detector))
     table = Table(table)
     if "mag" not in table.colnames or not len(table):
         raise ValueError("`table` must have a column `mag` and at least one row")
@@ -482,14 +465,12 @@ def _downloaded(name):
     import lightkurve
 
     try:
-        search = lightkurve.search_targetpixelfile(name)
-        tpf = None
+        search, tpf = lightkurve.search_targetpixelfile(name), None
         if len(search):
             seconds = search.exptime.value * (search.author == search.author[0])
             tpf = search[int(np.argmax(seconds))].download()
     except Exception as error:  # of the network, from many libraries
-        reason = " ".join(str(error).split())
-        message = f"{name} is not a file, and the search for it failed: {reason}"
+        message = f"{name} is not a file, and the search for it failed: {one_line(error)}"
         raise ConnectionError(message) from error
     if tpf is None:
         raise ValueError(f"{name} is not a file, and no target pixel file was found for this name")
@@ -497,20 +478,30 @@ def _downloaded(name):
     return tpf.path
 
 
-def _detector(name):
+def named_detector(name, argument="`detector`"):
     if name.endswith(".toml"):
         return read_detector(name)
     if name not in PRESETS:
         known = ", ".join(PRESETS)
-        raise ValueError(f"`detector` must be a TOML file or one of {known}, got {name!r}")
+        raise ValueError(f"{argument} must be a TOML file or one of {known}, got {name!r}")
     return Detector.preset(name)
+
+
+def default_motion(detector, n):
+    """Return the motion without a file: K2 rolls, telescopes on the ground track, others rest."""
+    cadence = detector.cadence_days
+    if detector.mission == "K2":
+        return Motion.k2_roll(n)
+    if detector.mission == "Ground":
+        return Motion.ground(n, cadence=86400 * cadence, pixel_scale=detector.pixel_scale)
+    mission = MISSIONS.get(detector.mission, MISSIONS["Kepler"])
+    return Motion.still(n, cadence=cadence, start=mission.start, time_format=mission.time_format)
 
 
 def _noise_figure(table, _):
     from scope_models.plotting.noise import plot_precision  # imports matplotlib
 
-    columns = ("mag", "raw_cdpp", "cdpp")
-    return plot_precision({name: values_of(table, name) for name in columns})
+    return plot_precision({name: values_of(table, name) for name in ("mag", "raw_cdpp", "cdpp")})
 
 
 def fit_file(path, output, *, sensitivity=False, cadences=None, overwrite=False, **options):
@@ -535,14 +526,9 @@ def fit_file(path, output, *, sensitivity=False, cadences=None, overwrite=False,
 
 def _fitted(task, output, seed, **options):  # noqa: ARG001 - nothing is drawn
     fit = fit_file(task["file"], output, overwrite=True, **options)
-    row = header_row(read_pixels(task["file"])) | {
-        "n_cadences": len(fit.time),
-        "reduced_chi2": float(fit.reduced_chi2),
-        "flux": float(np.nanmedian(without_unit(fit.flux))),
-    }
-    for parameter in fit.parameters:
-        row[str(parameter["name"])] = float(without_unit(parameter["value"]))
-    return row
+    row = _detrend.header_row(read_pixels(task["file"])) | {"n_cadences": len(fit.time)}
+    row |= {"reduced_chi2": float(fit.reduced_chi2), "flux": float(np.nanmedian(fit.flux))}
+    return row | dict(fit.parameters.iterrows("name", "value"))
 
 
 def _injected(task, output, seed, *, star):
@@ -551,15 +537,9 @@ def _injected(task, output, seed, *, star):
 
 
 def _simulated(task, output, seed, *, detector, motion, cadences):
-    detector = _detector(detector)
-    if motion:
-        motion = Motion.from_file(motion)[:cadences]
-    elif detector.mission == "K2":
-        motion = Motion.k2_roll(cadences)
-    else:
-        zero = MISSIONS.get(detector.mission, MISSIONS["Kepler"]).time_format
-        motion = Motion.still(cadences, cadence=detector.cadence_days, time_format=zero)
-    signal = None
+    detector, signal = named_detector(detector), None
+    moved = default_motion(detector, cadences) if not motion else Motion.from_file(motion)
+    motion = moved[:cadences]
     if "depth" in task:
         signal = planet_model(task, motion.time, detector.cadence_days)
     star = Star(task["mag"], task.get("x_0"), task.get("y_0"), signal=signal)

@@ -12,7 +12,7 @@ from astropy.io import fits
 
 from scope_models._arrays import without_unit
 from scope_models._version import __version__
-from scope_models.batch._store import read_records
+from scope_models.batch._store import listed, read_records
 from scope_models.batch.results import read_light_curve, read_results
 from scope_models.io import read_pixels
 from scope_models.io._atomic import atomic_path
@@ -39,7 +39,7 @@ _CONVENTION = (
     "cadences over the root of 13, after a Savitzky-Golay trend of 49 cadences."
 )
 # Stars in a list: as many as one looks at; the table of results has all.
-_OUTLIERS, _EXAMPLES = 8, 5
+_OUTLIERS = 8
 _STYLE = """
 :root { color-scheme: light dark; }
 body { font: 15px/1.5 system-ui, sans-serif; max-width: 1100px; margin: 2em auto; padding: 0 1em; }
@@ -117,7 +117,8 @@ def _summary(table, failures):
         rows.append(("processor time of all", f"{np.sum(seconds) / 3600:.2f} h"))
         rows.append(("peak memory", f"{np.nanmax(without_unit(table['peak_memory'])):.0f} MiB"))
     rows.append(("version", f"scope_models {__version__}"))
-    return _table(rows)
+    lines = ["".join(f"<td>{html.escape(str(cell))}</td>" for cell in row) for row in rows]
+    return "<table>" + "".join(f"<tr>{line}</tr>" for line in lines) + "</table>"
 
 
 def _noise(table):
@@ -155,7 +156,6 @@ def _outliers(folder, table):
 
 
 def _star(folder, row):
-    """Return the figure of a star: its pixels, as far as they are there, motion and light curve."""
     from scope_models.plotting import plot_light_curve, plot_summary  # imports matplotlib
 
     curve = read_light_curve(folder / row["output"])
@@ -184,9 +184,7 @@ def _causes(title, found):
         groups[re.sub(r"\d[\d.,e+-]*", "N", cause)].append((key, message, trace))
     parts = [f"<h2>{title}</h2>"] if groups else []
     for members in sorted(groups.values(), key=len, reverse=True):
-        keys = ", ".join(key for key, *_ in members[:_EXAMPLES])
-        keys += ", ..." if len(members) > _EXAMPLES else ""
-        _, message, trace = members[0]
+        keys, (_, message, trace) = listed([key for key, *_ in members]), members[0]
         text = f"<b>{len(members)}</b> ({html.escape(keys)}): {html.escape(message)}"
         if trace:
             trace = f"<pre>{html.escape(trace)}</pre>"
@@ -196,7 +194,6 @@ def _causes(title, found):
 
 
 def _text(row, name):
-    """Return a text of a row, empty if it has none."""
     return str(row[name]) if name in row.colnames else ""
 
 
@@ -215,8 +212,3 @@ def _image(figure, caption):
 
 def _note(text):
     return f'<p class="note">{html.escape(text)}</p>'
-
-
-def _table(rows):
-    lines = ["".join(f"<td>{html.escape(str(cell))}</td>" for cell in row) for row in rows]
-    return "<table>" + "".join(f"<tr>{line}</tr>" for line in lines) + "</table>"

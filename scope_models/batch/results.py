@@ -70,7 +70,6 @@ def read_results(folder, *, light_curves=False):
 
 
 def read_light_curve(path):
-    """Return the table of a light curve from a FITS or Parquet file."""
     if Path(path).suffix == ".parquet":
         arrays = light_curve_of(path)
     else:

@@ -18,7 +18,7 @@ from scope_models._threads import one_thread
 from scope_models._values import Value
 from scope_models._version import __version__
 from scope_models.batch._store import Store
-from scope_models.batch._workers import Job, LostWorkersError, check_client, checked_tasks, computed
+from scope_models.batch._workers import LostWorkersError, check_client, checked_tasks, computed
 from scope_models.exceptions import FailedStarsWarning
 from scope_models.io._atomic import atomic_path, remove_temporaries
 
@@ -77,10 +77,8 @@ def star_seed(seed, key, purpose=""):
 
     Parameters
     ----------
-    seed : int
-        Seed of all stars.
-    key : str
-        The star's key.
+    seed, key : int, str
+        Seed of all stars, and the star's key.
     purpose : str, optional
         Another purpose gives another, independent seed.
 
@@ -104,12 +102,8 @@ def star_rng(seed, key, purpose="star"):
 
     Parameters
     ----------
-    seed : int
-        Seed of all stars.
-    key : str
-        The star's key.
-    purpose : str, optional
-        Another purpose gives another, independent generator.
+    seed, key, purpose : int, str, str
+        As for `star_seed`.
 
     Returns
     -------
@@ -167,14 +161,12 @@ def run_sweep(
         Function of a task that returns the path of the file that `measure` writes. Stars whose file
         is missing are computed again, and temporary files that a killed run has left beside it are
         removed. By default there is none.
-    summarize : callable, optional
-        Function of the table of results that returns a summary, a table.
-    draw : callable, optional
-        Function of table and summary that returns a figure or None.
-    retry_failed : bool, optional
-        Whether stars that failed in an earlier call are tried again.
-    progress : bool, optional
-        Whether to show a progress bar on the standard error.
+    summarize, draw : callable, optional
+        Function of the table of results that returns a summary, a table; and function of table and
+        summary that returns a figure or None.
+    retry_failed, progress : bool, optional
+        Whether stars that failed in an earlier call are tried again, and whether to show a progress
+        bar on the standard error.
     chunk_size : int, optional
         Stars that a worker gets at a time; more than one saves time if a star takes less than
         some milliseconds.
@@ -244,7 +236,7 @@ def run_sweep(
         if missing:
             bar = tqdm(total=len(tasks), initial=len(tasks) - len(missing), desc=name,
                        unit="star", smoothing=0.05, disable=not progress)  # fmt: skip
-            records = computed(client, Job(measure), missing, chunk_size, in_flight)
+            records = computed(client, measure, missing, chunk_size, in_flight)
             with one_thread, bar, closing(records):
                 _keep(records, store, bar)
         keys = [task["key"] for task in tasks]
@@ -254,7 +246,10 @@ def run_sweep(
         key, reason = failed[0]["task"]["key"], failed[0]["error"]
         message = f"{len(failed)} stars failed, the first one, {key}, with {reason}"
         warnings.warn(message, FailedStarsWarning, stacklevel=2)
-    table, failures = _table(done, units or {}, meta), _failures(failed, meta)
+    table = _table([record["task"] | record["row"] for record in done], units or {}, meta)
+    rows = [(r["task"]["key"], r["error"], json.dumps(r["task"]), r["traceback"]) for r in failed]
+    names = "key", "error", "task", "traceback"
+    failures = Table(rows=rows or None, names=names, dtype=[str] * 4, meta=dict(meta))
     if not done and directory is not None:
         where = _write(failures, directory / "failures.ecsv")
         first = f"the first one with {failed[0]['error']}"
@@ -270,7 +265,6 @@ def run_sweep(
 
 
 def _keep(records, store, bar):
-    """Keep each record, and show how many there are."""
     failed = 0
     try:
         for record in records:
@@ -286,22 +280,12 @@ def _keep(records, store, bar):
         ) from error
 
 
-def _table(done, units, meta):
-    rows = [record["task"] | record["row"] for record in done]
+def _table(rows, units, meta):
     names = list(dict.fromkeys(name for row in rows for name in row))
     table = Table(rows or None, names=names or None, meta=dict(meta))
     for name in units.keys() & set(table.colnames):
         table[name].unit = units[name]
     return table
-
-
-def _failures(failed, meta):
-    rows = [
-        (record["task"]["key"], record["error"], json.dumps(record["task"]), record["traceback"])
-        for record in failed
-    ]
-    names = "key", "error", "task", "traceback"
-    return Table(rows=rows or None, names=names, dtype=[str] * 4, meta=dict(meta))
 
 
 def _written(directory, table, summary, figure, failures):

@@ -12,10 +12,10 @@ __all__ = [
 ]  # fmt: skip
 
 
-def add_command(commands, name, *, example, **texts):
+def add_command(commands, name, run, *, example, **texts):
     """Return the parser of a command, whose help ends with an example."""
     parser = commands.add_parser(name, epilog=f"example: scope-models {example}", **texts)
-    parser.set_defaults(error=parser.error)
+    parser.set_defaults(run=run, parser=parser)
     return parser
 
 
@@ -33,8 +33,7 @@ def add_planet(group, **texts):
 
 def given(arguments, *names):
     """Return the options that have a value, by name."""
-    values = {name: getattr(arguments, name) for name in names}
-    return {name: value for name, value in values.items() if value is not None}
+    return {n: getattr(arguments, n) for n in names if getattr(arguments, n) is not None}
 
 
 def planet_of(arguments):
@@ -78,19 +77,17 @@ def single(arguments):
 
 def refuse_options_of_runs(arguments):
     """Refuse options of many files where there is one."""
-    options = {"--workers": arguments.workers != 1, "--scheduler": arguments.scheduler}
-    for name in filter(options.get, options):
+    if arguments.workers != 1 or arguments.scheduler:
+        name = "--scheduler" if arguments.workers == 1 else "--workers"
         raise ValueError(f"{name} needs an --output-dir")
 
 
 def add_options(parser):
     """Add the options of a run over many files."""
     parser.add_argument(
-        "--output-dir",
-        metavar="FOLDER",
-        help="folder for the files of many inputs and for the tables of results; the same command "
-        "goes on where a run has stopped",
-    )
+        "--output-dir", metavar="FOLDER", help="folder for the files of many inputs and for the "
+        "tables of results; the same command goes on where a run has stopped",
+    )  # fmt: skip
     text = "a TOML file with options of the command, as `order = 1`; those given here go first"
     parser.add_argument("--config", metavar="FILE", help=text)
     parser.add_argument("--overwrite", action="store_true", help="replace files that exist")
@@ -113,13 +110,13 @@ def with_config(argv):
         listed = value if isinstance(value, list) else [value]
         if not all(isinstance(item, (bool, int, float, str)) for item in listed):
             raise ValueError(f"{path}: `{name}` must be a number, text, true, false or a list")
-        option = [] if name == "input" else [f"--{name.replace('_', '-')}"]
-        if isinstance(value, bool):
-            added += option if value else []
-        elif isinstance(value, list):
-            added += [*option, *map(str, value)]
-        else:
-            added.append(f"{option[0]}={value}" if option else str(value))
+        option = f"--{name.replace('_', '-')}"
+        if name == "input":
+            added += map(str, listed)
+        elif isinstance(value, bool):
+            added += [option] if value else []
+        else:  # a negative number alone would be an option
+            added += [option, *map(str, value)] if value is listed else [f"{option}={value}"]
     return [*argv[:1], *added, *argv[1:]]
 
 

@@ -7,26 +7,23 @@ from scope_models.cli import _batch
 
 __all__ = ["add_parser", "run"]
 
-_PIXELS, _LIGHT_CURVE, _FIGURE = "pixels.fits", "light-curve.fits", "summary.png"
+_NAMES = "pixels.fits", "light-curve.fits", "summary.png"
 _MAGNITUDE = 12.0
 
 
 def add_parser(commands):
     """Add the command to the parser of the command line."""
     parser = _batch.add_command(
-        commands,
-        "demo",
+        commands, "demo", run, example="demo --output-dir demo",
         help="simulate and correct a star, without any input",
         description="Simulate a spotted star of magnitude 12 with a planet at twice the "
         "motion of K2, write its target pixel file, its corrected light curve and a figure, and "
         "print its noise about the true signal. Needs no file and no network.",
-        example="demo --output-dir demo",
-    )
+    )  # fmt: skip
     text = "where the files go; it is made if need be (default: scope-models-demo)"
     parser.add_argument("--output-dir", default="scope-models-demo", metavar="FOLDER", help=text)
     parser.add_argument("--overwrite", action="store_true", help="replace files that exist")
     parser.add_argument("--seed", type=int, default=1, help="seed of the noise (default: 1)")
-    parser.set_defaults(run=run)
 
 
 def run(arguments):
@@ -38,7 +35,7 @@ def run(arguments):
     from scope_models.io._atomic import atomic_path, check_output
 
     folder = Path(arguments.output_dir)
-    paths = [folder / name for name in (_PIXELS, _LIGHT_CURVE, _FIGURE)]
+    paths = [folder / name for name in _NAMES]
     folder.mkdir(parents=True, exist_ok=True)
     for path in paths:
         check_output(path, overwrite=arguments.overwrite)
@@ -50,8 +47,7 @@ def run(arguments):
         bar.update()
         bar.set_description("correcting")
         corrector = sm.correctors.PLDCorrector(observation.to_tpf())
-        corrected = corrector.correct()
-        aperture = corrector.aperture_mask
+        corrected, aperture = corrector.correct(), corrector.aperture_mask
         bar.update()
         bar.set_description("writing")
         observation.write(paths[0], overwrite=arguments.overwrite)
@@ -85,9 +81,7 @@ def _observe(motion, seed):
 
 def _table(curves):
     """Return the noise of each light curve as lines of text."""
-    methods = ("lightkurve", "everest")
-    noise = {m: [sm.photometry.cdpp(lc, method=m) for lc in curves.values()] for m in methods}
     lines = ["6.5-hour CDPP of flux over truth (ppm, lightkurve's convention)"]
-    lines += [f"{n:12s}{v:8.1f}" for n, v in zip(curves, noise["lightkurve"], strict=True)]
-    others = ", ".join(f"{value:.1f}" for value in noise["everest"])
-    return "\n".join([*lines, f"EVEREST's convention gives {others}"])
+    lines += [f"{name:12s}{sm.photometry.cdpp(lc):8.1f}" for name, lc in curves.items()]
+    others = [f"{sm.photometry.cdpp(lc, method='everest'):.1f}" for lc in curves.values()]
+    return "\n".join([*lines, f"EVEREST's convention gives {', '.join(others)}"])

@@ -15,6 +15,7 @@ __all__ = ["main"]
 # A command is a module with `add_parser(commands)`, which sets `run(arguments)` as the default
 # of `run`. The next one is added here.
 _COMMANDS = (_demo, _simulate, _files, _results)
+_TERMINATED = "by SIGTERM"
 
 
 class _Parser(argparse.ArgumentParser):
@@ -59,20 +60,14 @@ def main(argv=None):
     except (ImportError, MemoryError, OSError, TypeError, ValueError) as error:
         _write("error", error)
         return 2
-    except KeyboardInterrupt:
-        _write("error", "interrupted")
-        return 130
-    except _TerminatedError:
-        _write("error", "terminated")
-        return 143
-
-
-class _TerminatedError(BaseException):
-    """The process received SIGTERM."""
+    except KeyboardInterrupt as error:
+        terminated = error.args == (_TERMINATED,)
+        _write("error", "terminated" if terminated else "interrupted")
+        return 143 if terminated else 130
 
 
 def _terminate(*_):
-    raise _TerminatedError
+    raise KeyboardInterrupt(_TERMINATED)
 
 
 def _make_parser():

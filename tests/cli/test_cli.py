@@ -255,7 +255,7 @@ ERRORS = {
     "cadences": (["--cadences", "0"], "--cadences must be at least 1, got 0"),
     "detector": (
         ["--detector", "plato"],
-        "--detector must be one of kepler, k2, k2_calibrated, tess",
+        "--detector must be a TOML file or one of kepler, k2, k2_calibrated, tess",
     ),
     "toml": (["--detector", "no-such-file.toml"], "no-such-file.toml"),
     "missing": (["--motion", "no-such-file.fits"], "no-such-file.fits"),
