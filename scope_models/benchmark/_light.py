@@ -11,11 +11,9 @@ def red_noise(rng, time, scale):
     """Return a process of standard deviation 1 that forgets within `scale` days."""
     kept = np.exp(-np.diff(time, prepend=time[0]) / scale)
     noise = rng.normal(size=len(time))
-    values = np.empty(len(time))
-    last = noise[0]
-    for i, (keep, new) in enumerate(zip(kept, noise, strict=True)):
-        last = keep * last + np.sqrt(1 - keep**2) * new if i else last
-        values[i] = last
+    values = noise.copy()
+    for i in range(1, len(time)):
+        values[i] = kept[i] * values[i - 1] + np.sqrt(1 - kept[i] ** 2) * noise[i]
     return values
 
 
@@ -180,25 +178,17 @@ def _rise(rng, time, period, amplitude):
 #: days, the amplitude about half the range; of an eclipsing binary, the depth.
 LIGHTS = {
     "constant": lambda rng, time, period, amplitude: np.ones(len(time)),  # noqa: ARG005
-    "spots": _spots,
     "sine": lambda rng, time, period, amplitude: 1 + amplitude * _wave(rng, time, period),
-    "rr_lyrae": _rr_lyrae,
-    "delta_scuti": _delta_scuti,
-    "eclipsing": _eclipsing,
-    "flaring": _flaring,
-    "bump": _bump,
-    "rise": _rise,
     "walk": lambda rng, time, period, amplitude: 1 + amplitude * red_noise(rng, time, period),
-}
+    "spots": _spots, "rr_lyrae": _rr_lyrae, "delta_scuti": _delta_scuti, "eclipsing": _eclipsing,
+    "flaring": _flaring, "bump": _bump, "rise": _rise,
+}  # fmt: skip
 
 
 def make_transit(rng, time, period, duration):
-    """Return the shape of transits, 0 outside and 1 at most; period and duration are in days.
-
-    An infinite period is a single transit near the middle.
-    """
+    """Return the shape of transits, 0 outside and 1 at most; period and duration are in days."""
     phase = rng.uniform(0.35, 0.65)
-    if np.isinf(period):
+    if np.isinf(period):  # a single one
         since = time - phase * time[-1]
     else:
         since = (time - phase * period + period / 2) % period - period / 2

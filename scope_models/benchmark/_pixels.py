@@ -19,15 +19,11 @@ _CHUNK = 300
 
 @dataclass(frozen=True)
 class PixelResponse:
-    """The transforms of all pixels' response maps.
+    """The transforms of all pixels' response maps."""
 
-    `shape` is rows and columns of the stamp, `transforms` complex, ``(modes, pixels)``, the modes
-    of columns not negative, and `size` the pixels of the periodic field.
-    """
-
-    shape: tuple
-    transforms: np.ndarray
-    size: int
+    shape: tuple  # of the stamp
+    transforms: np.ndarray  # complex, (modes, pixels); no negative modes of columns
+    size: int  # pixels of the periodic field
 
     @property
     def modes(self):
@@ -38,11 +34,7 @@ class PixelResponse:
 
 
 def make_psf(rng, width):
-    """Return a PSF of Gaussians off the center, a Moffat wing and spikes.
-
-    It is a function of ``(x, y)`` from the star, not normalized; `width` is the standard deviation
-    of the core in pixels.
-    """
+    """Return a density of Gaussians off the center, a Moffat wing and spikes, not normalized."""
     cores = [
         (part, *rng.normal(0, 0.25 * width, 2), width * rng.uniform(0.85, 1.5), rng.uniform(0.8, 1))
         for part in (0.5, 0.3, 0.2)
@@ -71,8 +63,7 @@ def make_psf(rng, width):
 def make_response(rng, shape, *, drop, scatter):
     """Return the `PixelResponse` of pixels that differ in sensitivity and within themselves.
 
-    `drop` is the mean relative drop from the center of a pixel to the middle of its edge, `scatter`
-    the relative standard deviation of the pixels' sensitivity.
+    They drop on average by `drop` from center to edge, and scatter by `scatter`, both relative.
     """
     ny, nx = shape
     u = (np.arange(_OVERSAMPLING) + 0.5) / _OVERSAMPLING - 0.5
@@ -99,10 +90,7 @@ def make_response(rng, shape, *, drop, scatter):
 
 
 def render(response, psf, x, y, width):
-    """Return the light ``(n, ny, nx)`` of a star of flux 1 in all pixels.
-
-    `x`, `y` and the relative width of the PSF are given for each cadence.
-    """
+    """Return the light ``(n, ny, nx)`` of a star of flux 1 at positions and widths by cadence."""
     # The series is a polynomial of the width through Chebyshev nodes.
     middle, half = (width.max() + width.min()) / 2, max(np.ptp(width) / 2, 1e-6)
     nodes = np.polynomial.chebyshev.chebpts1(3 + int(np.ceil(25 * half)))
@@ -139,10 +127,7 @@ def _series(response, psf, width):
 
 
 def bleed(electrons, well):
-    """Return images whose pixels above the well have spilled along columns, half up and half down.
-
-    The sum stays, but for what leaves the stamp.
-    """
+    """Return images whose pixels above the well have spilled along columns, half each way."""
     images = electrons.copy()
     full = (images > well).any(axis=(0, 1))
     columns = images[:, :, full]

@@ -37,10 +37,9 @@ class SkyScore:
     pull : float
         Root mean square of the cadences' deviations from the truth over the quoted errors, only
         a constant factor removed.
-    kept : float
-        Part of the cadences that have a corrected flux.
-    floor : float
-        Expected photon, background and read noise of a 6.5-h bin, ppm.
+    kept, floor : float
+        Part of the cadences that have a corrected flux; and expected photon, background and read
+        noise of a 6.5-h bin, ppm.
 
     Examples
     --------
@@ -63,31 +62,29 @@ class SkyScore:
 def score_light_curve(time, flux, error, truth, transit, noise):
     """Return the `SkyScore` of a light curve with errors, both NaN where there is none.
 
-    `truth` is the true relative flux, `transit` its transits alone, `noise` the expected relative
-    noise of a cadence; `time` is in days.
+    `truth`, `transit` in it, and `noise` of a cadence are relative; `time` is in days.
     """
     good = np.isfinite(flux) & np.isfinite(error)
     kept = float(good.mean())
     floor = noise / np.sqrt(_per_bin(time))
     time, flux, error, truth, transit = (a[good] for a in (time, flux, error, truth, transit))
     if good.sum() < _FEWEST or not np.median(flux) > 0:
-        nan = float("nan")
-        return SkyScore(np.inf, np.inf, nan, nan, nan, kept, 1e6 * floor)
+        return SkyScore(np.inf, np.inf, *[float("nan")] * 3, kept, 1e6 * floor)
     ratio = flux / truth
     level = np.median(ratio)
     deviation = ratio / level - 1
     fine = ~outliers(deviation)
     pull = np.sqrt(np.mean((deviation * truth * level / error)[fine] ** 2))
     smooth = deviation[fine] - _running_mean(time[fine], deviation[fine])
+    outside = fine & (transit == 1)
+    varies = outside.any() and truth[outside].std() >= 1e-5
     return SkyScore(
         full=_scatter(time[fine], deviation[fine]) / floor,
         high_passed=_scatter(time[fine], smooth) / floor,
-        amplitude=_amplitude(flux[fine], truth[fine], transit[fine]),
+        amplitude=slope(flux[outside], truth[outside]) if varies else float("nan"),
         depth=_depth(time[fine], flux[fine], truth[fine], transit[fine]),
-        pull=float(pull),
-        kept=kept,
-        floor=1e6 * floor,
-    )
+        pull=float(pull), kept=kept, floor=1e6 * floor,
+    )  # fmt: skip
 
 
 def score_places(time, flux, truth, x, y):
@@ -146,10 +143,7 @@ def outliers(values):
 
 
 def _scatter(time, values):
-    """Return the standard deviation of the means of 13 cadences; bins less than half full go.
-
-    It is infinite, as without any light curve, if all go.
-    """
+    """Return the standard deviation of the means of 13 cadences, infinite without any."""
     _, means, count = binned(time, values)
     if not len(count):
         return np.inf
@@ -162,10 +156,7 @@ def _per_bin(time):
 
 
 def binned(time, values):
-    """Return times, means and numbers of cadences of 6.5-h bins; those less than half full go.
-
-    `values` is of shape ``(..., n)``.
-    """
+    """Return times, means ``(..., m)`` and numbers of cadences of 6.5-h bins, half full or more."""
     size = _per_bin(time)
     number = ((time - time[0]) / np.diff(time).min() + 0.5).astype(int) // size
     count = np.bincount(number)
@@ -181,15 +172,6 @@ def _running_mean(time, values):
     last = np.searchsorted(time, time + _WINDOW / 2)
     total = np.concatenate([[0], np.cumsum(values)])
     return (total[last] - total[first]) / (last - first)
-
-
-def _amplitude(flux, truth, transit):
-    """Return the slope of the flux on the true variability."""
-    outside = transit == 1
-    flux, truth = flux[outside], truth[outside]
-    if not outside.any() or truth.std() < 1e-5:
-        return float("nan")
-    return slope(flux, truth)
 
 
 def slope(flux, truth):

@@ -12,7 +12,7 @@ from astropy.table import Table
 from scope_models._arrays import values_of
 from scope_models._checks import checked_integer
 from scope_models._docstrings import documented
-from scope_models.batch._many import RUN, run_files
+from scope_models.batch._many import RUN, medians, run_files
 from scope_models.benchmark._scores import score_places
 from scope_models.benchmark.regimes import REGIMES
 from scope_models.benchmark.sky import make_sky, score
@@ -177,9 +177,8 @@ def _read(path):
         start = file.read(6)
     if start.startswith(_COMPRESSED):
         raise ValueError(f"{path} has a compression that is not supported: unpack it")
-    is_fits = start.startswith((b"SIMPLE", b"\x1f\x8b"))
     try:
-        if is_fits:
+        if start.startswith((b"SIMPLE", b"\x1f\x8b")):
             with open_fits(path) as hdus:
                 table, cards = first_table(hdus, path), dict(hdus[0].header)
                 lc = Table(table.data)
@@ -233,10 +232,5 @@ def summarize_scores(table):
     rows = []
     for regime in (*dict.fromkeys(regimes), "all"):
         chosen = table if regime == "all" else table[regimes == regime]
-        row = {"regime": str(regime), "stars": len(chosen)}
-        for name in _SCORES:
-            values = values_of(chosen, name)
-            finite = values[np.isfinite(values)]
-            row[name] = float(np.median(finite)) if len(finite) else np.nan
-        rows.append(row)
+        rows.append({"regime": str(regime), "stars": len(chosen)} | medians(chosen, _SCORES))
     return Table(rows=rows)

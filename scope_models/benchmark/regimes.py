@@ -25,10 +25,8 @@ class SkyRegime(Value):
         Photometer and file layout.
     motion : {"k2", "kepler", "tess", "walk", "wheels", "rest", "jitter"}, optional
         Kind of motion.
-    scale : float, optional
-        Factor of the motion.
-    magnitude : float, optional
-        Kp, or T for TESS.
+    scale, magnitude : float, optional
+        Factor of the motion; and Kp, or T for TESS.
     star : str, optional
         Kind of variability: "constant", "spots", "sine", "rr_lyrae", "delta_scuti", "eclipsing",
         "flaring", "bump", "rise" or "walk".
@@ -44,10 +42,8 @@ class SkyRegime(Value):
     neighbors : tuple of (float, float, float), optional
         Magnitude difference, distance in pixels, and amplitude of a variability with a period of
         1.1 d, of each neighbor.
-    focus : float, optional
-        Largest relative change of the PSF's width.
-    focus_period : float, optional
-        Its period, days.
+    focus, focus_period : float, optional
+        Largest relative change of the PSF's width, and its period, days.
     seeing : float, optional
         Standard deviation of fast relative changes of the width, correlated over 1 h: jitter
         within an exposure, or the atmosphere.
@@ -60,10 +56,8 @@ class SkyRegime(Value):
         look as simulated ones with 0.025.
     cadence : float, optional
         Time from cadence to cadence, days.
-    longest : int, optional
-        Most cadences of a star.
-    lost : int, optional
-        Cadences without a flag in which the star is off the stamp.
+    longest, lost : int, optional
+        Most cadences of a star, and those without a flag in which the star is off the stamp.
     positions : {"wrong", "none"}, optional
         POS_CORR of the file, as in `make_sky`.
     apart : bool, optional

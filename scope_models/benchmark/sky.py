@@ -54,28 +54,20 @@ class MessyStar(Value):
         The seeds; that of the noise is None where `seed` is the seed of the noise too.
     positions : str
         Which POS_CORR the file has, as in `make_sky`.
-    time : ndarray, shape (n,)
-        Times in days, NaN where there are no data.
-    cadenceno, quality : ndarray of int, shape (n,)
-        Numbers and flags of the cadences.
+    time, cadenceno, quality : ndarray, shape (n,)
+        Times in days, NaN where there are no data, numbers and flags of the cadences.
     flux, flux_err : ndarray, shape (n, ny, nx)
         Pixels after the pipeline's subtraction of its background, and their formal errors.
     pos_corr1, pos_corr2 : ndarray, shape (n,)
         Offsets with the errors of real files.
-    x, y : ndarray, shape (n,)
-        True positions of the star in the stamp, pixels; NaN where it is off the stamp.
-    width : ndarray, shape (n,)
-        True relative width of the PSF.
-    true_flux : ndarray, shape (n,)
-        True relative flux of the star: variability and transits.
-    transit : ndarray, shape (n,)
-        True transits alone, 1 outside of them.
-    star_light : ndarray, shape (n, ny, nx)
-        The star's own light in each pixel, without noise (and before full pixels spill).
-    neighbor_light, background_light : ndarray, shape (n, ny, nx)
-        The neighbors' light, and the background that is left in `flux`.
-    sky : ndarray, shape (n, ny, nx)
-        Background that the pipeline took off.
+    x, y, width : ndarray, shape (n,)
+        True positions of the star in the stamp, pixels, NaN where it is off the stamp; and true
+        relative width of the PSF.
+    true_flux, transit : ndarray, shape (n,)
+        True relative flux of the star, variability and transits; and the transits alone.
+    star_light, neighbor_light, background_light, sky : ndarray, shape (n, ny, nx)
+        The star's own light in each pixel, without noise (and before full pixels spill), the
+        neighbors' light, the background that is left in `flux`, and what the pipeline took off.
     aperture : ndarray of bool, shape (ny, nx)
         The file's aperture: the pixels whose sum, uncorrected, is expected to scatter least.
     noise : ndarray, shape (n, ny, nx)
@@ -383,9 +375,8 @@ def _measured(offset, rng, time, quality, lost, positions):
 def _best_aperture(light, noise, part):
     """Return the pixels whose sum is the best light curve without a correction.
 
-    Pixels are added by their largest ratio of light to noise, as long as the sum of the noise in
-    6.5 h and of the variance of the light that the aperture loses gets smaller. A cadence is a
-    `part` of a long one.
+    Those with most light over noise are added while the noise in 6.5 h and the variance of the
+    light that is lost get smaller. A cadence is a `part` of a long one.
     """
     n = len(light)
     light, variance = light.reshape(n, -1), (noise**2).mean(axis=0).ravel()
