@@ -8,13 +8,12 @@ from operator import attrgetter
 import astropy.units as u
 import numpy as np
 
-from scope_models import photometry
+import scope_models as sm
 from scope_models._arrays import PER_PIXEL
 from scope_models._checks import checked_choice, checked_integer, checked_number, checked_pair
 from scope_models._docstrings import documented
 from scope_models.effects._noise import check_seed, fresh_seed, noise_terms, stream
 from scope_models.exceptions import LostLightWarning
-from scope_models.models import PRF, TransitModel, sinusoidal_signal
 from scope_models.scene import Detector, Motion, Scene, Star
 from scope_models.simulation import Observation, simulate
 
@@ -40,16 +39,12 @@ def generate_target(
         Magnitude in the mission's band (Kp), and factor on the motion; 1 is K2's, 0 stands still.
     coords : tuple of float, optional
         Reference position (column, row) in pixels from 0; by default the center of the stamp.
-    background_level : float, optional
-        Background in e-/s per pixel; by default that of the detector.
-    neighbor_magdiff : float, optional
-        Magnitude of the neighbor minus `mag`, for ``neighbor=True``.
-    ncadences : int, optional
-        Number of cadences; by default 1000, or all of a shorter motion.
-    apsize : int, optional
-        Rows and columns of the stamp; not used with a `detector`.
-    ID : int, optional
-        EPIC number of a K2 target whose motion is downloaded.
+    background_level, neighbor_magdiff : float, optional
+        Background in e-/s per pixel, by default that of the detector; and magnitude of the neighbor
+        minus `mag`, for ``neighbor=True``.
+    ncadences, apsize, ID : int, optional
+        Number of cadences, by default 1000, or all of a shorter motion; rows and columns of the
+        stamp, not used with a `detector`; EPIC number of a K2 target whose motion is downloaded.
     transit, variable, neighbor : bool, optional
         Add a transit, variability or a neighbor with the defaults of the methods of `Target`.
     tpf_path : str or path-like, optional
@@ -60,10 +55,8 @@ def generate_target(
         See `Target.add_signal`.
     motion : `~scope_models.Motion`, optional
         The motion; without it, `ID` and `tpf_path` it is that of `scope_models.Motion.k2_roll`.
-    psf : `~astropy.modeling.Model`, optional
-        PSF of the star; by default that of the detector.
-    detector : `~scope_models.Detector`, optional
-        The detector; by default ``Detector.k2()`` with a stamp of `apsize`.
+    psf, detector : `~astropy.modeling.Model`, `~scope_models.Detector`, optional
+        PSF of the star, by default the detector's, and detector, by default ``Detector.k2()``.
     noise, seed : optional
         See `Target`.
 
@@ -74,11 +67,9 @@ def generate_target(
 
     Raises
     ------
-    TypeError, ValueError
+    TypeError, ValueError, ConnectionError
         If an argument is of the wrong kind or outside its domain, `ncadences` exceeds the length of
-        the motion, more than one source of motion is given, or the EPIC number is unknown.
-    ConnectionError
-        If the motion of an EPIC number cannot be downloaded.
+        the motion, or the motion is given twice, or not found, or cannot be downloaded.
 
     Examples
     --------
@@ -101,9 +92,8 @@ def generate_target(
     if no_sensitivity_variation:
         detector = detector.without_sensitivity()
     ny, nx = detector.shape
-    middle = (nx - 1) / 2, (ny - 1) / 2
-    place = middle if coords is None else checked_pair("coords", coords, u.pix)
-    if not _on_stamp(place, detector):
+    place = ((nx - 1) / 2, (ny - 1) / 2) if coords is None else coords
+    if not _on_stamp(place := checked_pair("coords", place, u.pix), detector):
         raise ValueError(f"`coords` must be on the stamp of {ny} x {nx} pixels, got {coords!r}")
     motion = checked_number("roll", roll, any_sign=True) * motion
     target = Target(Star(mag, *place, psf), detector, motion, seed=seed, noise=noise)
@@ -114,8 +104,8 @@ def generate_target(
     if variable:
         target.add_variability()
     if neighbor:
-        name = "neighbor_magdiff"
-        target.add_neighbor(checked_number(name, neighbor_magdiff, u.mag, any_sign=True))
+        options = {"unit": u.mag, "any_sign": True}
+        target.add_neighbor(checked_number("neighbor_magdiff", neighbor_magdiff, **options))
     return target
 
 
@@ -157,9 +147,7 @@ class Target:
     Attributes
     ----------
     neighbors, transits : list of `~scope_models.Star`, list of `~scope_models.TransitModel`
-        Its neighbors, and the transits that were added.
-    star, detector, motion, seed, noise
-        See the parameters.
+        Its neighbors, and the transits that were added. The parameters are attributes, too.
 
     Examples
     --------
@@ -188,7 +176,7 @@ class Target:
         )
 
     def _simulated(self, scene):
-        """Return the observation of a scene; those of the last two are kept."""
+        """Those of the last two scenes are kept."""
         if scene not in self._made:
             self._made = dict([*self._made.items()][-1:]) | {scene: simulate(scene)}
         return self._made[scene]
@@ -208,9 +196,7 @@ class Target:
     targetpixelfile = property(
         attrgetter("observation.flux"), doc="Flux without background, e-/s, (n_cadences, ny, nx)."
     )
-    error = property(
-        attrgetter("observation.flux_err"), doc="Its standard deviation, e-/s, of the same shape."
-    )
+    error = property(attrgetter("observation.flux_err"), doc="Its standard deviation, e-/s.")
 
     @property
     def lightcurve(self):
@@ -220,19 +206,17 @@ class Target:
     @property
     def aperture(self):
         """Mask ``(ny, nx)`` that `create_aperture` made, the paper's by default."""
-        if self._aperture is None:
-            return photometry.threshold_aperture(self._noise_free)
-        return self._aperture
+        given = self._aperture
+        return sm.photometry.threshold_aperture(self._noise_free) if given is None else given
 
     @property
     def contamination(self):
         """Share of the neighbors in the aperture's starlight; it dilutes signals of the star."""
         own, *others = self.observation.star_images
-        return 1 - photometry.crowding(own, sum(others, 0 * own), self.aperture)
+        return 1 - sm.photometry.crowding(own, sum(others, 0 * own), self.aperture)
 
     @property
     def _noise_free(self):
-        """Noise-free cube of the star alone."""
         alone = self.scene.replace(stars=self.star, noise=False)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", LostLightWarning)  # the observation has warned
@@ -240,7 +224,6 @@ class Target:
 
     @property
     def _detrended(self):
-        """The light curve that `detrend` has made of the scene as it is now, or None."""
         return self._corrected.get(self.scene)
 
     @documented(same=_SAME)
@@ -249,11 +232,9 @@ class Target:
 
         Parameters
         ----------
-        depth : float, optional
-            Relative drop at mid-transit, between 0 and 1.
-        per, dur, t0 : float, optional
-            Orbital period, time from first to fourth contact, and time of a mid-transit after the
-            first cadence, in days.
+        depth, per, dur, t0 : float, optional
+            Relative drop at mid-transit, between 0 and 1; orbital period, time from first to fourth
+            contact, and time of a mid-transit after the first cadence, in days.
         b, u1, u2 : float, optional
             Impact parameter in stellar radii, and coefficients of quadratic limb darkening.
 
@@ -263,7 +244,7 @@ class Target:
         dur = checked_number("dur", dur, u.day, positive=True)
         t0 = self.time[0] + checked_number("t0", t0, u.day, any_sign=True)
         options = {"b": b, "u1": u1, "u2": u2, "exposure_time": self.detector.cadence_days}
-        planet = TransitModel.from_depth_duration(depth, dur, per, t0, **options)
+        planet = sm.TransitModel.from_depth_duration(depth, dur, per, t0, **options)
         self.add_signal(planet)
         self.transits.append(planet)
         return self
@@ -274,17 +255,15 @@ class Target:
 
         Parameters
         ----------
-        var_amp : float, optional
-            Relative semi-amplitude, between 0 and 1.
-        freq : float, optional
-            Angular frequency in radians per day, of the time t after the first cadence: the period
-            is ``2 * pi / freq`` days.
+        var_amp, freq : float, optional
+            Relative semi-amplitude, between 0 and 1, and angular frequency in radians per day, of
+            the time t after the first cadence: the period is ``2 * pi / freq`` days.
 
         {same}
         """
         var_amp = checked_number("var_amp", var_amp, positive=True)
         period = 2 * np.pi / checked_number("freq", freq, u.rad / u.day, positive=True)
-        return self.add_signal(sinusoidal_signal(var_amp, period, -self.time[0] / period))
+        return self.add_signal(sm.models.sinusoidal_signal(var_amp, period, -self.time[0] / period))
 
     @documented(same=_SAME)
     def add_signal(self, signal):
@@ -309,11 +288,9 @@ class Target:
 
         Parameters
         ----------
-        magdiff : float, optional
-            Its magnitude minus that of the star: positive is fainter.
-        dist, angle : float, optional
-            Its distance from the star in pixels, and direction in degrees from growing columns
-            toward growing rows; by default random, drawn from the seed, and on the stamp.
+        magdiff, dist, angle : float, optional
+            Its magnitude minus that of the star; distance from it in pixels; and direction in
+            degrees from growing columns to growing rows, by default random and on the stamp.
         position : tuple of float, optional
             Its column and row, in place of `dist` and `angle`.
         psf, signal : optional
@@ -360,15 +337,13 @@ class Target:
         """
         own, pixels = self._noise_free, self.detector
         others = self.observation.star_images[1:].sum(axis=0)
-        methods = {
-            "threshold": (own,), "signal-to-noise": (own, pixels.exposure_time),
-            "contamination": (own, others),
-            "circular": (pixels.shape, self.star.x_0, self.star.y_0),
-        }  # fmt: skip
+        methods = {"threshold": (own,), "signal-to-noise": (own, pixels.exposure_time)}
+        methods |= {"contamination": (own, others)}
+        methods |= {"circular": (pixels.shape, self.star.x_0, self.star.y_0)}
         if checked_choice("method", method, methods) == "signal-to-noise":
             options |= {"background": pixels.background, "read_noise": pixels.read_noise}
             options |= {"neighbors": others, "n_frames": pixels.n_reads}
-        make = getattr(photometry, f"{method.replace('-', '_')}_aperture")
+        make = getattr(sm.photometry, f"{method.replace('-', '_')}_aperture")
         self._aperture = make(*methods[method], **options)
         self._corrected = {}
         return self._aperture
@@ -380,10 +355,8 @@ class Target:
         ----------
         flux : array_like or `~lightkurve.LightCurve`, optional
             The light curve; by default `lightcurve`.
-        duration : float, optional
-            Time scale in hours.
-        method : {"lightkurve", "everest"}, optional
-            Convention, see `scope_models.photometry.cdpp`.
+        duration, method : optional
+            Time scale in hours, and convention, see `scope_models.photometry.cdpp`.
 
         Returns
         -------
@@ -392,13 +365,12 @@ class Target:
         """
         flux = self.lightcurve if flux is None else flux
         cadence = None if hasattr(flux, "time") else self.detector.cadence_days
-        return photometry.cdpp(flux, duration, method, cadence=cadence)
+        return sm.photometry.cdpp(flux, duration, method, cadence=cadence)
 
     def detrend(self, **options):
         """De-trend the light curve of `aperture` by pixel-level decorrelation.
 
-        The cadences of the transits that were added are left out of the fit; `plot` draws the
-        result too.
+        The fit leaves out the transits that were added; `plot` draws the result too.
 
         Parameters
         ----------
@@ -410,15 +382,13 @@ class Target:
         `~lightkurve.LightCurve`
             Without the cadences that lightkurve's default quality mask drops.
         """
-        from scope_models.correctors import PLDCorrector
-
         tpf = self.to_tpf()
         for planet in self.transits:
             inside = planet(tpf.time.value) < 1
             options["transit_mask"] = inside | options.get("transit_mask", False)
-        light_curve = PLDCorrector(tpf, aperture_mask=self.aperture).correct(**options)
-        self._corrected = {self.scene: light_curve}
-        return light_curve
+        corrector = sm.PLDCorrector(tpf, aperture_mask=self.aperture)
+        self._corrected = {self.scene: corrector.correct(**options)}
+        return self._detrended
 
     to_tpf, write = _forwarded("to_tpf"), _forwarded("write")
     to_lightcurve = _forwarded("to_lightcurve")
@@ -434,8 +404,6 @@ class Target:
             Samples per pixel along each axis of the first two.
         {draw_three}
         """
-        from scope_models.plotting import plot_detector
-
         detector, truth = self.detector, self.observation.truth
         y, x = (np.indices(oversample * np.array(detector.shape)) + 0.5) / oversample - 0.5
         sensitivity = np.kron(truth.interpixel, np.ones((oversample, oversample)))
@@ -443,12 +411,11 @@ class Target:
             sensitivity = sensitivity * detector.sensitivity(x, y)
         light = np.zeros_like(x)
         for i, star in enumerate(self.scene.stars):
-            psf = detector.psf if star.psf is None else star.psf
-            prf, flux = PRF(psf), truth.flux[i] * truth.relative_flux[i, 0]
+            prf = sm.PRF(psf := detector.psf if star.psf is None else star.psf)
             place = x - truth.x[i, 0] + prf.x_0.value, y - truth.y[i, 0] + prf.y_0.value
-            light += flux * psf(*place) / prf.flux.value
+            light += truth.flux[i] * truth.relative_flux[i, 0] * psf(*place) / prf.flux.value
         maps = sensitivity, light, self.targetpixelfile[0], oversample
-        return plot_detector(*maps, aperture=self.aperture, axes=axes)
+        return sm.plotting.plot_detector(*maps, aperture=self.aperture, axes=axes)
 
     @documented()
     def display_aperture(self, *, ax=None):
@@ -458,16 +425,14 @@ class Target:
         ----------
         {draw}
         """
-        from scope_models.plotting import plot_pixels
-
-        return plot_pixels(self.targetpixelfile[0], self.aperture, title="First cadence", ax=ax)
+        image = self.targetpixelfile[0]
+        return sm.plotting.plot_pixels(image, self.aperture, title="First cadence", ax=ax)
 
     @documented()
     def plot_transit(self, number=0, *, window=None, ax=None):
         """Draw the light curve folded on a transit that was added.
 
-        It is the de-trended one after `Target.detrend` was called. The star's other signals are
-        divided out by their truth.
+        It is the de-trended one after `Target.detrend`. The star's other signals are divided out.
 
         Parameters
         ----------
@@ -477,8 +442,6 @@ class Target:
             Hours to draw on either side of mid-transit; by default twice the transit's duration.
         {draw}
         """
-        from scope_models.plotting import plot_fold
-
         if not 0 <= number < (n := len(self.transits)):
             raise ValueError(f"`number` must be below {n}, the number of transits, got {number}")
         planet, own, flux = self.transits[number], 1 - self.contamination, self.lightcurve
@@ -487,22 +450,19 @@ class Target:
             flux[np.isin(self.motion.cadenceno, detrended.cadenceno)] = detrended.flux.value
         model, window = planet(self.time), 48 * planet.duration if window is None else window
         flux = flux / (1 + own * (self.star.relative_flux(self.time) / model - 1))
-        return plot_fold(
+        return sm.plotting.plot_fold(
             self.time, flux / np.nanmedian(flux), planet.period.value, planet.t0.value,
             model=1 + own * (model - 1), window=window, title="Transit", ax=ax,
         )  # fmt: skip
 
 
 def _find_motion(motion, tpf_path, ID, ncadences):
-    """Return the motion of the one source that is given, with the right number of cadences."""
     if [motion, tpf_path, ID].count(None) < 2:
         raise ValueError("only one of `motion`, `tpf_path` and `ID` may be given")
     n = 1000 if ncadences is None else checked_integer("ncadences", ncadences, 1)
     if ID is not None:
-        from scope_models.batch import find_files
-
         try:
-            (tpf_path,) = find_files(f"EPIC {checked_integer('ID', ID, 1)}")
+            (tpf_path,) = sm.batch.find_files(f"EPIC {checked_integer('ID', ID, 1)}")
         except ConnectionError as error:
             raise ConnectionError(f"{error}; `tpf_path` takes a file") from error
     if tpf_path is not None:
