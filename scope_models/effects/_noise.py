@@ -12,11 +12,12 @@ from collections.abc import Iterable
 from numbers import Integral
 
 import numpy as np
+from scipy.signal import lfilter
 from scipy.special import ndtr
 
 __all__ = [
-    "NOISE_TERMS", "add_quantization", "add_read_noise", "bleed", "check_seed", "fresh_seed",
-    "noise_terms", "poisson_counts", "poisson_quantile", "stream",
+    "NOISE_TERMS", "add_quantization", "add_read_noise", "bleed", "check_seed", "correlated",
+    "fresh_seed", "noise_terms", "poisson_counts", "poisson_quantile", "stream",
 ]  # fmt: skip
 
 NOISE_TERMS = ("photon", "background", "read", "quantization")
@@ -70,6 +71,14 @@ def stream(seed, name):
     key = zlib.crc32(name.encode())
     sequence = np.random.SeedSequence(check_seed(seed), spawn_key=(key,))
     return np.random.Generator(np.random.SFC64(sequence))
+
+
+def correlated(generator, n, correlation):
+    """Return normal noise of unit variance whose correlation decays by e in a number of samples."""
+    kept = np.exp(-1 / correlation) if correlation > 0 else 0.0
+    white = generator.standard_normal(n)
+    white[1:] *= np.sqrt(1 - kept**2)
+    return lfilter([1.0], [1.0, -kept], white)
 
 
 def poisson_quantile(deviate, mean):

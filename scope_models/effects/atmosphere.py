@@ -164,7 +164,6 @@ class Extinction(AirEffect):
     correlation_time: float = number(0.1, "day", positive=True)
 
     def draw(self, conditions, generator):
-        """Return the airmass and the factor of each cadence."""
         time = conditions.time
         column = series_of(self.airmass, time, "airmass")
         change = self.scatter * _red_noise(generator, time, self.correlation_time)
@@ -172,7 +171,6 @@ class Extinction(AirEffect):
         return Drawn({"AIRMASS": np.array(column), "EXTINCTION": factor})
 
     def starlight(self, drawn, conditions):
-        """Return the factor of each cadence."""
         return drawn.columns["EXTINCTION"]
 
 
@@ -248,7 +246,6 @@ class Scintillation(AirEffect):
         return np.sqrt(1e-5 / exposure) * size * height * np.asarray(self.airmass) ** 1.5
 
     def draw(self, conditions, generator):
-        """Return the factor of each cadence and star."""
         sigma = series_of(self.rms(conditions.exposure_time), conditions.time, "airmass")
         log_variance = np.log1p(sigma**2)
         each = [g.standard_normal(len(sigma)) for g in generator.spawn(conditions.n_stars)]
@@ -256,7 +253,6 @@ class Scintillation(AirEffect):
         return Drawn({"SCINTILLATION": factor.T})
 
     def starlight(self, drawn, conditions):
-        """Return the factor of each star and cadence."""
         return drawn.columns["SCINTILLATION"].reshape(-1, conditions.n_stars).T
 
 
@@ -297,11 +293,9 @@ class Seeing(AirEffect):
     airmass: float | np.ndarray = 1.0
 
     def draw(self, conditions, generator):
-        """Return the relative width of each cadence."""
         time = conditions.time
         change = self.scatter * _red_noise(generator, time, self.correlation_time)
         return Drawn({"SEEING": series_of(self.airmass, time, "airmass") ** 0.6 * np.exp(change)})
 
     def width(self, drawn, conditions):
-        """Return the relative width of each cadence."""
         return drawn.columns["SEEING"]

@@ -17,7 +17,6 @@ class SkyEffect(Effect):
     """An effect whose truth has a level for each cadence and a plane over the stamp."""
 
     def pedestal(self, drawn, conditions, part, electrons):
-        """Return the light, and the part of it that is subtracted."""
         level = drawn.columns[self.name.upper()][part] * conditions.exposure_time
         added = level[:, np.newaxis, np.newaxis] * drawn.maps[f"{self.name.upper()}_SHAPE"]
         return added, added * (1 - self.residual)
@@ -85,7 +84,6 @@ class Background(SkyEffect):
         checked_series(self, "left", _RATE)
 
     def draw(self, conditions, generator):
-        """Return the level of each cadence and its shape."""
         time = conditions.time
         level = self.level + self.drift * (time - (time[0] + time[-1]) / 2)
         if np.any(level < 0):
@@ -94,7 +92,6 @@ class Background(SkyEffect):
         return self._drawn(conditions, level)
 
     def pedestal(self, drawn, conditions, part, electrons):
-        """Return the light, and the part of it that is subtracted."""
         added, subtracted = super().pedestal(drawn, conditions, part, electrons)
         if self.left is not None:
             left = self.left[part] * conditions.exposure_time
@@ -160,7 +157,6 @@ class ScatteredLight(SkyEffect):
             object.__setattr__(self, "perigee", checked_number("perigee", days, any_sign=True))
 
     def draw(self, conditions, generator):
-        """Return the light of each cadence and its shape."""
         time = conditions.time
         since = (time - (time[0] if self.perigee is None else self.perigee)) % self.orbit
         nearest = np.minimum(since, self.orbit - since)
@@ -168,7 +164,6 @@ class ScatteredLight(SkyEffect):
         return self._drawn(conditions, self.peak * (np.exp(-nearest / self.time_scale) - least))
 
     def quality(self, drawn, conditions):
-        """Return the mission's bit in cadences with strong light, or None."""
         if self.flag_above is None:
             return None
         strong = drawn.columns["SCATTEREDLIGHT"] > self.flag_above
@@ -215,13 +210,11 @@ class Argabrightening(SkyEffect):
     residual: float = number(0.0, any_sign=True)
 
     def draw(self, conditions, generator):
-        """Return the light of each cadence and its shape."""
         n = len(conditions.time)
         chance, brightness = generator.random(n), generator.standard_exponential(n)
         flash = chance < -np.expm1(-self.rate * conditions.cadence_days)
         return self._drawn(conditions, np.where(flash, self.brightness * brightness, 0.0))
 
     def quality(self, drawn, conditions):
-        """Return the mission's bit in cadences with a flash."""
         bit = conditions.bit("argabrightening")
         return np.where(drawn.columns["ARGABRIGHTENING"] > 0, bit, 0)

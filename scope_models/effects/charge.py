@@ -50,7 +50,6 @@ class Smear(Effect):
     is_light = False  # the response of the pixels is in the charge already
 
     def pedestal(self, drawn, conditions, part, electrons):
-        """Return the smear, and the part of it that is subtracted."""
         part_of_column = conditions.read_time / (self.rows * conditions.int_time)
         column = part_of_column * electrons.sum(axis=1, keepdims=True)
         smear = np.broadcast_to(column, electrons.shape)
@@ -92,13 +91,11 @@ class DarkCurrent(Effect):
     is_light = False
 
     def draw(self, conditions, generator):
-        """Return the dark current of each pixel."""
         deviates = generator.standard_normal(conditions.shape)
         dark = np.maximum(self.level * (1 + self.scatter * deviates), 0.0)
         return Drawn(maps={"DARKCURRENT": dark})
 
     def pedestal(self, drawn, conditions, part, electrons):
-        """Return the dark charge, and the part of it that is subtracted."""
         dark = drawn.maps["DARKCURRENT"]
         subtracted = self.level + (1 - self.residual) * (dark - self.level)
         seconds = conditions.exposure_time
@@ -148,7 +145,6 @@ class BrighterFatter(Effect):
     full_well: float = number(1.08e6, "electron", positive=True)
 
     def charge(self, drawn, conditions, part, electrons):
-        """Move charge over the borders."""
         factor = self.coefficient / (2 * self.full_well * conditions.n_reads)
         squares = factor * electrons**2
         for axis in (1, 2):
@@ -200,11 +196,9 @@ class Undershoot(Effect):
     place = 1  # the amplifier is behind the transfers
 
     def readout(self, drawn, conditions, part, electrons):
-        """Take the undershoot off."""
         self._feed(electrons, -self.amplitude, np.exp(-1 / self.decay))
 
     def calibrate(self, drawn, conditions, part, electrons):
-        """Add the subtracted charge again, except for the residual."""
         before = electrons.copy()
         self._feed(before, self.amplitude, np.exp(-1 / self.decay) + self.amplitude)
         electrons += (1 - self.residual) * (before - electrons)

@@ -79,7 +79,6 @@ class CosmicRays(Effect):
             raise TypeError(f"`rejection` must be True or False, got {self.rejection!r}")
 
     def draw(self, conditions, generator):
-        """Return the hits."""
         (ny, nx), margin = conditions.shape, np.ceil(self.longest)
         n_cadences, frames = len(conditions.time), conditions.n_frames
         seconds = conditions.int_time * (frames if self.rejection else conditions.n_reads)
@@ -102,7 +101,6 @@ class CosmicRays(Effect):
         return Drawn(tables={"COSMICRAYS": {name: values[seen] for name, values in hits.items()}})
 
     def charge(self, drawn, conditions, part, electrons):
-        """Add the charge of the hits, or the part that the rejection leaves."""
         hits = drawn.tables["COSMICRAYS"]
         start, stop = np.searchsorted(hits["CADENCE"], (part.start, part.start + len(electrons)))
         some = {name: values[start:stop] for name, values in hits.items()}

@@ -75,7 +75,6 @@ class Focus(Effect):
             raise ValueError(f"`amplitude` must be below 1, got {self.amplitude}")
 
     def draw(self, conditions, generator):
-        """Return the relative width of each cadence."""
         time = conditions.time
         width = 1 + self.amplitude * np.sin(2 * np.pi * (time / self.period + self.phase))
         for event in self.events:
@@ -88,5 +87,4 @@ class Focus(Effect):
         return Drawn({"FOCUS": width})
 
     def width(self, drawn, conditions):
-        """Return the relative width of each cadence."""
         return drawn.columns["FOCUS"]

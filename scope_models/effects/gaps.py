@@ -53,16 +53,13 @@ class Gaps(Effect):
         object.__setattr__(self, "intervals", frozen(intervals))
 
     def draw(self, conditions, generator):
-        """Return which cadences have no data."""
         time = conditions.time[:, np.newaxis]
         inside = (time >= self.intervals[:, 0]) & (time <= self.intervals[:, 1])
         return Drawn({"GAPS": inside.any(axis=1).astype(float)})
 
     def missing(self, drawn, conditions):
-        """Return which cadences have no data."""
         return drawn.columns["GAPS"] > 0
 
     def quality(self, drawn, conditions):
-        """Return the mission's bit."""
         bit = conditions.bit("no_data") or conditions.bit("manual_exclude")
         return np.where(drawn.columns["GAPS"] > 0, bit, 0)

@@ -3,9 +3,9 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import lfilter
 
 from scope_models._checks import integer, number
+from scope_models.effects._noise import correlated
 from scope_models.effects.base import Drawn, Effect, Exposures
 
 __all__ = ["Jitter"]
@@ -58,7 +58,6 @@ class Jitter(Effect):
     nodes: int = integer(3, 1)
 
     def draw(self, conditions, generator):
-        """Return the mean offset of each cadence, and the blur."""
         n, length = len(conditions.time), conditions.cadence_days * 86400
         r = max(self.correlation_time / length, 0.5 / conditions.n_frames)
         kept = np.exp(-1 / r)
@@ -68,16 +67,13 @@ class Jitter(Effect):
         own = np.sqrt(max(variance - 2 * ends * r * (1 - kept), 0.0))
         offsets = {}
         for axis in "XY":
-            steps = generator.standard_normal(n + 1)
-            steps[1:] *= np.sqrt(1 - kept**2)
-            pointing = lfilter([1.0], [1.0, -kept], steps)
+            pointing = correlated(generator, n + 1, r)
             mean = ends * (pointing[1:] + pointing[:-1]) + own * generator.standard_normal(n)
             offsets[f"JITTER_{axis}"] = self.rms * mean
         blur = self.rms * np.sqrt(max(1 - variance, 0.0))
         return Drawn(offsets | {"JITTER_BLUR": np.full(n, blur)})
 
     def exposures(self, drawn, conditions):
-        """Return the mean offsets, and the blur about them."""
         x, y = (drawn.columns[f"JITTER_{axis}"][:, np.newaxis] for axis in "XY")
         blur = float(drawn.columns["JITTER_BLUR"][0])
         return Exposures(x, y, np.ones(1), blur, self.nodes)

@@ -145,7 +145,6 @@ class NightSky(AirEffect, SkyEffect):
             self._check(name, u.deg, f"between {low} and {high} deg", low, high)
 
     def draw(self, conditions, generator):
-        """Return the sky's background in each cadence."""
         values = {name: getattr(self, name) for name in self.by_cadence}
         series = {name: series_of(v, conditions.time, name) for name, v in values.items()}
         factor = self._relative_brightness(**series)

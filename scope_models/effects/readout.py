@@ -63,7 +63,6 @@ class ChargeTransferInefficiency(Effect):
                 raise ValueError(f"`{name}` must be below 0.1, got {getattr(self, name)}")
 
     def readout(self, drawn, conditions, part, electrons):
-        """Leave charge behind."""
         ny, nx = electrons.shape[1:]
         if self.parallel:
             edge = electrons[:, :1].copy()
@@ -136,7 +135,6 @@ class RollingBands(Effect):
     place = 2  # the electronics that oscillate are behind the amplifier
 
     def draw(self, conditions, generator):
-        """Return the episodes, and the amplitude of each cadence."""
         time, days = conditions.time, conditions.cadence_days
         start, length = time[0] - days / 2, time[-1] - time[0] + days
         n = generator.poisson(self.rate * length)
@@ -156,7 +154,6 @@ class RollingBands(Effect):
         return size * np.exp(2j * np.pi * (phase - self.speed * since / self.spacing))
 
     def readout(self, drawn, conditions, part, electrons):
-        """Add the bands."""
         episodes = drawn.tables["ROLLINGBANDS"]
         if not len(episodes["TIME"]):
             return
@@ -166,6 +163,5 @@ class RollingBands(Effect):
         electrons += bands[:, :, np.newaxis]
 
     def quality(self, drawn, conditions):
-        """Return the mission's bit in cadences with strong bands."""
         strong = drawn.columns["ROLLINGBANDS"] > self.amplitude / 2
         return np.where(strong, conditions.bit("rolling_band"), 0)

@@ -60,7 +60,6 @@ class Throughput(Effect):
         checked_series(self, "series")
 
     def draw(self, conditions, generator):
-        """Return the factor of each cadence."""
         time = conditions.time
         factor = 1 + self.amplitude * np.sin(2 * np.pi * (time / self.period + self.phase))
         factor += self.drift * (time - (time[0] + time[-1]) / 2)
@@ -71,7 +70,6 @@ class Throughput(Effect):
         return Drawn({"THROUGHPUT": factor})
 
     def response(self, drawn, conditions, part):
-        """Return the factor of some cadences."""
         return drawn.columns["THROUGHPUT"][part, np.newaxis, np.newaxis]
 
 
@@ -116,7 +114,6 @@ class SensitivityDropouts(Effect):
     recovery_time: float = number(0.1, "day", positive=True)
 
     def draw(self, conditions, generator):
-        """Return the dropouts."""
         (ny, nx), n_cadences = conditions.shape, len(conditions.time)
         n = generator.poisson(self.rate * ny * nx * n_cadences * conditions.cadence_days)
         events = {
@@ -128,7 +125,6 @@ class SensitivityDropouts(Effect):
         return Drawn(tables={"SENSITIVITYDROPOUTS": events})
 
     def response(self, drawn, conditions, part):
-        """Return the factor of each pixel in some cadences."""
         time = conditions.time[part]
         factor = np.ones((len(time), *conditions.shape))
         events = drawn.tables["SENSITIVITYDROPOUTS"]
@@ -139,7 +135,6 @@ class SensitivityDropouts(Effect):
         return factor
 
     def quality(self, drawn, conditions):
-        """Return the mission's bit in cadences with a dropout."""
         flags = np.zeros(len(conditions.time), dtype=int)
         events = drawn.tables["SENSITIVITYDROPOUTS"]
         flags[events["CADENCE"]] = conditions.bit("sensitivity_dropout")

@@ -112,7 +112,6 @@ class PixelShares(Effect):
         return np.tensordot(polynomials(self.terms, *scaled)[0], self.coefficients, axes=1)
 
     def shares(self, drawn, conditions, star):
-        """Return the function that gives the changes of a star, None for other stars."""
         if star != self.star:
             return None
         own, wanted = self.coefficients.shape[1:], tuple(conditions.shape)

@@ -9,12 +9,11 @@ from typing import ClassVar
 
 import astropy.units as u
 import numpy as np
-from scipy.signal import lfilter
 
 from scope_models._arrays import PER_PIXEL, TIME_ZEROS, plain_time
 from scope_models._checks import check_fields, checked_choice, checked_integer, number
 from scope_models._values import Value
-from scope_models.effects._noise import check_seed, fresh_seed, stream
+from scope_models.effects._noise import check_seed, correlated, fresh_seed, stream
 from scope_models.missions import MISSIONS
 
 __all__ = [
@@ -84,14 +83,6 @@ def _due(time, interval, generator):
     return np.diff(number, prepend=number[0]) > 0
 
 
-def _correlated(generator, n, correlation):
-    """Return normal noise of unit variance whose correlation decays by e in a number of samples."""
-    kept = np.exp(-1 / correlation) if correlation > 0 else 0.0
-    white = generator.standard_normal(n)
-    white[1:] *= np.sqrt(1 - kept**2)
-    return lfilter([1.0], [1.0, -kept], white)
-
-
 @dataclass(frozen=True)
 class KeplerPointing(Pointing):
     r"""The pointing of Kepler, and a star at some distance from the boresight.
@@ -141,14 +132,13 @@ class KeplerPointing(Pointing):
     dump_interval: float = number(2.98, u.day, positive=True)
 
     def track(self, time, streams):
-        """Return where the star goes, and the cadences with a momentum dump."""
         step = time[1] - time[0] if len(time) > 1 else 1.0
         angle = 2 * np.pi * time / _DAYS_PER_YEAR + np.radians(self.phase)
         speed = self.orbital_speed * np.cos(np.radians(self.latitude))
         stretch = speed / _SPEED_OF_LIGHT * (np.cos(angle) - np.cos(angle).mean())
         moved = []
         for axis, degrees in zip("xy", self.field, strict=True):
-            slow = _correlated(streams(f"drift {axis}"), len(time), self.drift_time / step)
+            slow = correlated(streams(f"drift {axis}"), len(time), self.drift_time / step)
             white = streams(f"jitter {axis}").standard_normal(len(time))
             arm = 3600 * degrees / MISSIONS["Kepler"].pixel_scale
             moved.append(stretch * arm + self.drift * slow + self.jitter * white)
@@ -210,13 +200,11 @@ class TESSPointing(Pointing):
     gap_time: float = number(1.13, u.day, positive=True)
 
     def times(self, n_cadences, cadence):
-        """Return the times of cadences, with the gap after each orbit."""
         number = np.arange(n_cadences)
         per_orbit = max(1, round(self.orbit_time / cadence))
         return cadence * number + self.gap_time * (number // per_orbit)
 
     def track(self, time, streams, cadence=_REFERENCE):
-        """Return where the star goes, and the cadences with a momentum dump."""
         n, middle = len(time), self.orbit_time + self.gap_time / 2
         turn = 2 * np.pi * (time - middle) / _DAYS_PER_YEAR
         stretch = self.orbital_speed / _SPEED_OF_LIGHT * np.sin(turn)
@@ -227,7 +215,7 @@ class TESSPointing(Pointing):
             white = streams(f"jitter {'xy'[axis]}").standard_normal(n + 1)
             shaken = (white[1:] - self.blue * white[:-1]) / np.hypot(1, self.blue)
             shaken *= self.jitter[axis] * np.sqrt(_REFERENCE / cadence)
-            slow = _correlated(streams(f"drift {'xy'[axis]}"), n, self.drift_time / cadence)
+            slow = correlated(streams(f"drift {'xy'[axis]}"), n, self.drift_time / cadence)
             arm = 3600 * degrees / MISSIONS["TESS"].pixel_scale
             moved.append(stretch * arm + self.drift * slow + shaken + dumps * kicks[:, axis])
         return (*moved, {"desaturation": dumps})
@@ -292,13 +280,11 @@ class GroundTracking(Pointing):
         return float(np.sqrt(variance) / arcsec)
 
     def times(self, n_cadences, cadence):
-        """Return the times of cadences, with a gap after each night."""
         per_night = max(1, int(self.night / 24 / cadence))
         number = np.arange(n_cadences)
         return number // per_night + cadence * (number % per_night)
 
     def track(self, time, streams):
-        """Return where the star goes."""
         night = np.floor(time + 1e-9).astype(int)
         shaking = np.hypot(self.wind, self.image_motion)
         moved = []
@@ -344,7 +330,6 @@ class RandomWalk(Pointing):
     spread: float = number(0.1, u.pix)
 
     def track(self, time, streams):
-        """Return where the star goes."""
         steps = self.spread * np.sqrt(np.diff(time, prepend=time[0]))
         walk = steps[:, np.newaxis] * streams("walk").standard_normal((len(time), 2))
         x, y = np.cumsum(walk, axis=0).T
@@ -380,7 +365,6 @@ class FailingWheels(Pointing):
     jump_interval: float = number(2.0, u.day, positive=True)
 
     def track(self, time, streams):
-        """Return where the star goes, and the cadences with a jump."""
         x, y, _ = RandomWalk(spread=self.spread).track(time, streams)
         direction = 2 * np.pi * streams("direction").random()
         steps = np.diff(time, prepend=time[0])
@@ -506,7 +490,6 @@ class K2Roll(Pointing):
     cadence: ClassVar[float] = round(MISSIONS["K2"].cadence_days("long"), 14)
 
     def track(self, time, streams):
-        """Return where the star goes, each position the mean over a cadence, and the firings."""
         n_cadences = len(time)
         hours = 24 * self.cadence
         edges = hours * np.arange(n_cadences + 1)
@@ -635,7 +618,6 @@ class K2Campaign18(Pointing):
     field: tuple = number((0.45, 3.16), u.deg)
 
     def track(self, time, streams):
-        """Return where the star goes, and the flagged cadences."""
         roll = K2Roll(field=self.field, reversal=5.8, reversal_interval=37.3, rate_growth=0.027)
         x, y, flags = roll.track(time, streams)
         number = self.cadences[0] + np.arange(len(time))
@@ -699,7 +681,6 @@ class K2FinalCampaign(Pointing):
     field: tuple = number((-4.59, 1.35), u.deg)
 
     def track(self, time, streams):
-        """Return where the star goes, and the flagged cadences."""
         roll = K2Roll(field=self.field)
         x, y, flags = roll.track(time, streams)
         first = time < self.off_target_time
@@ -707,7 +688,7 @@ class K2FinalCampaign(Pointing):
         last = time >= nominal_end
         correlation = self.erratic_time / (24 * K2Roll.cadence)
         angle, dx, dy = (
-            size * last * _correlated(streams(name), len(time), correlation)
+            size * last * correlated(streams(name), len(time), correlation)
             for name, size in (
                 ("erratic roll", self.erratic_roll / _ARCSEC_PER_RADIAN),
                 ("erratic x", self.erratic),
