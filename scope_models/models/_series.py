@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -179,7 +180,7 @@ def _engine(term, gaussian, columns, rows, blur, middle):
     if gaussian is None:
         return _directly(term, columns, rows)
     along = term.polynomials()
-    widened = _widened(*gaussian, np.hypot(blur, term.diffusion))
+    widened = partial(_widened, *gaussian, np.hypot(blur, term.diffusion))
     sigma_x, sigma_y, rho = widened()
     if not uses_series(sigma_x, rho, max(c.size for c in along) - 1):
         return _along_lines(columns, rows, widened, along)
@@ -214,18 +215,11 @@ def _engine(term, gaussian, columns, rows, blur, middle):
     return render
 
 
-def _widened(sigma_x, sigma_y, rho, blur):
-    """Return the function of a factor on the width that gives those of a density that is blurred.
-
-    Focus widens the density, and then it is convolved: sigma_x, sigma_y and rho.
-    """
-
-    def at(widths=1.0):
-        narrow, low = widths * sigma_x, widths * sigma_y
-        wide, tall = np.hypot(narrow, blur), np.hypot(low, blur)
-        return wide, tall, rho * (narrow / wide) * (low / tall)
-
-    return at
+def _widened(sigma_x, sigma_y, rho, blur, widths=1.0):
+    """Return sigma_x, sigma_y and rho of a density that focus widens and then a blur."""
+    narrow, low = widths * sigma_x, widths * sigma_y
+    wide, tall = np.hypot(narrow, blur), np.hypot(low, blur)
+    return wide, tall, rho * (narrow / wide) * (low / tall)
 
 
 def _along_lines(columns, rows, widened, along):

@@ -1,4 +1,4 @@
-"""The sum-of-products form of a compound model, which is then integrated."""
+"""The sum-of-products form of a compound model, and which products integrate in closed form."""
 
 import math
 from dataclasses import dataclass, replace
@@ -6,22 +6,104 @@ from dataclasses import dataclass, replace
 import numpy as np
 from astropy import units as u
 from astropy.modeling import CompoundModel
-from astropy.modeling.models import Const2D
+from astropy.modeling.models import Const2D, Gaussian2D
 
 from scope_models._arrays import is_angle, plain_array
-from scope_models.models._closed_form import FWHM, closed_form, diffused, is_photutils, pixels_of
+from scope_models.models._gaussian import gaussian_pixels
 from scope_models.models._parameters import value_of
 from scope_models.models.sensitivity import DiffusionSensitivity, SensitivityPolynomial
 
-__all__ = ["Factor", "Term", "expand", "is_pixel_integrated", "leaves"]
+__all__ = [
+    "ClosedForm", "Factor", "Term", "closed_form", "expand", "is_pixel_integrated", "leaves",
+    "pixels_of",
+]  # fmt: skip
 
+# Full width at half maximum of a normal density, in standard deviations.
+_FWHM = 2 * np.sqrt(2 * np.log(2))
+# photutils' Gaussians, and the names of their widths.
+_GAUSSIANS = {"GaussianPSF": ("x_fwhm", "y_fwhm"), "CircularGaussianPSF": ("fwhm", "fwhm")}
 # photutils' models whose values are fluxes of pixels; its names for densities end in PSF.
 _INTEGRATED_NAMES = {"ImagePSF", "GriddedPSFModel", "EPSFModel", "FittableImageModel"}
 # Parameters that set the width of a density, and their ratio to a standard deviation.
 _WIDTHS = dict.fromkeys(("sigma", "sigma_x", "sigma_y", "x_stddev", "y_stddev"), 1.0)
-_WIDTHS |= dict.fromkeys(("fwhm", "x_fwhm", "y_fwhm"), FWHM)
+_WIDTHS |= dict.fromkeys(("fwhm", "x_fwhm", "y_fwhm"), _FWHM)
 _WIDTHS |= {"gamma": 1.0, "alpha": 1.0, "radius": 3.0, "r_eff": 1.0}
 _SCALE_OF_OTHERS = 0.3
+
+
+@dataclass(frozen=True, eq=False)
+class ClosedForm:
+    """Integral of a density over pixels without quadrature.
+
+    A model has one by a method ``closed_form(values)`` that returns it; so have the Gaussians of
+    astropy and photutils. The functions are ``pixels(x, y, *parameters, x_coefficients,
+    y_coefficients)`` with columns, rows and the polynomial response along the axes, which returns
+    images ``(..., ny, nx)`` of unit flux, and the same with their derivatives by ``names`` on a new
+    first axis, after the images.
+    """
+
+    flux: object  # integral over the plane
+    parameters: tuple  # numbers or arrays in pixels, x_0 and y_0 first
+    pixels: object
+    derivatives: object = None
+    names: tuple = ()  # parameters of the model
+
+
+def closed_form(model, values):
+    """Return the `ClosedForm` of a density at values of its parameters, or None."""
+    if hasattr(model, "closed_form"):
+        return model.closed_form(values)
+    theta = values.get("theta", 0.0)
+    if isinstance(model, Gaussian2D):
+        names, unit = ("x_mean", "y_mean", "x_stddev", "y_stddev"), u.rad
+        x_0, y_0, long, wide = (pixels_of(values[name]) for name in names)
+        flux = values["amplitude"] * (2 * np.pi * long * wide)
+        if isinstance(values["x_mean"], u.Quantity):
+            flux = flux * values["x_mean"].unit ** 2
+    elif _is_photutils(model) and type(model).__name__ in _GAUSSIANS:
+        names, unit = ("x_0", "y_0", *_GAUSSIANS[type(model).__name__]), u.deg
+        x_0, y_0, long, wide = (pixels_of(values[name]) for name in names)
+        flux, long, wide = values["flux"], long / _FWHM, wide / _FWHM
+    else:
+        return None
+    angle = u.Quantity(theta, unit).to_value(u.rad)
+    cos, sin = np.cos(angle), np.sin(angle)
+    sigma_x, sigma_y = np.hypot(long * cos, wide * sin), np.hypot(long * sin, wide * cos)
+    rho = (long**2 - wide**2) * sin * cos / (sigma_x * sigma_y)
+    return ClosedForm(flux, (x_0, y_0, sigma_x, sigma_y, rho), gaussian_pixels)
+
+
+def _diffused(form, variance):
+    """Return a closed form convolved with a circular Gaussian; None if it is none itself.
+
+    Its last derivative is by the variance, square pixels, under that name.
+    """
+    if form.pixels is not gaussian_pixels:
+        return None
+    x_0, y_0, sigma_x, sigma_y, rho = form.parameters
+    wide, tall = np.sqrt(sigma_x**2 + variance), np.sqrt(sigma_y**2 + variance)
+    narrowed = sigma_x * sigma_y / (wide * tall)
+    parameters = (x_0, y_0, wide, tall, rho * narrowed)
+
+    def derivatives(*arguments):
+        image, by_x, by_y, by_wide, by_tall, by_tilt = form.derivatives(*arguments)
+        tilt = rho * narrowed
+        by_sigma_x = by_wide * sigma_x / wide + by_tilt * tilt * (1 / sigma_x - sigma_x / wide**2)
+        by_sigma_y = by_tall * sigma_y / tall + by_tilt * tilt * (1 / sigma_y - sigma_y / tall**2)
+        by_variance = by_wide / wide + by_tall / tall - by_tilt * tilt * (1 / wide**2 + 1 / tall**2)
+        parts = [image, by_x, by_y, by_sigma_x, by_sigma_y, by_tilt * narrowed, by_variance / 2]
+        return np.stack(np.broadcast_arrays(*parts))
+
+    derivatives = form.derivatives and derivatives
+    return ClosedForm(form.flux, parameters, form.pixels, derivatives, (*form.names, "variance"))
+
+
+def pixels_of(value):
+    return value.to_value(u.pixel) if isinstance(value, u.Quantity) else value
+
+
+def _is_photutils(model):
+    return any(base.__module__.startswith("photutils.") for base in type(model).__mro__)
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +185,7 @@ class Term:
         if form is None or not self.diffusion:
             return form
         flat = all(np.trim_zeros(row, "b").size <= 1 for row in self.polynomials())
-        return diffused(form, self.diffusion**2) if flat else None
+        return _diffused(form, self.diffusion**2) if flat else None
 
     @property
     def diffusion(self):
@@ -136,7 +218,7 @@ def is_pixel_integrated(model):
         return own
     names = {base.__name__ for base in type(model).__mro__}
     known = names & _INTEGRATED_NAMES or type(model).__name__.endswith("PRF")
-    return is_photutils(model) and bool(known)
+    return _is_photutils(model) and bool(known)
 
 
 def leaves(model):

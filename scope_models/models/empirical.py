@@ -4,14 +4,13 @@ import numpy as np
 
 from scope_models._checks import checked_integer
 from scope_models.models._axis import axis_table, hermite_functions
-from scope_models.models._closed_form import ClosedForm, pixels_of
 from scope_models.models._parameters import (
     Domain,
     StarModel,
-    gaussian_box,
     make_parameters,
     one_number,
 )
+from scope_models.models._terms import ClosedForm, pixels_of
 from scope_models.models.psf import BivariateGaussianPSF
 
 __all__ = ["GaussHermitePSF"]
@@ -164,7 +163,7 @@ class GaussHermitePSF(StarModel):
 
     def bounding_box(self, factor=6.5):
         """Rectangle outside which hardly any flux lies: 6.5 widths, and the root of the order."""
-        return gaussian_box(self, factor + np.sqrt(self.order))
+        return BivariateGaussianPSF.bounding_box(self, factor + np.sqrt(self.order))
 
 
 def _orders(name):

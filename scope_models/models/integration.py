@@ -12,8 +12,8 @@ from scope_models._arrays import plain_array, without_unit
 from scope_models._checks import checked_choice
 from scope_models.exceptions import IntegrationWarning
 from scope_models.models._axis import gauss_legendre
-from scope_models.models._closed_form import collected
 from scope_models.models._terms import expand, is_pixel_integrated, leaves
+from scope_models.models.sensitivity import collected
 
 __all__ = ["integrate_pixels"]
 

@@ -614,23 +614,17 @@ def _check_compound(compound, terms):
             lacks = f"no parameter {', '.join(f'`{name}`' for name in missing)}"
             raise ValueError(f"{names} has {lacks}: a component needs flux, x_0 and y_0")
         if is_pixel_integrated(factor.model):
-            _check_integrated(names, factor.model, term.sensitivities)
+            known = f"{names} is already integrated over pixels"
+            if not hasattr(factor.model, "unit_derivatives"):
+                wanted = "use the density instead, or read a table with TabulatedPRF.from_photutils"
+                raise ValueError(f"{known}; {wanted}")
+            if term.sensitivities:
+                raise ValueError(
+                    f"{known}, with the response of the real pixels in it. Multiplied by a "
+                    "sensitivity the response would be counted twice, and outside the integral. "
+                    "Leave the sensitivity out, or use the density of a TabulatedPSF"
+                )
         if factor.size:
             raise ValueError("parameters with more than one value are not supported in a PRF")
         if isinstance(term.scale, u.Quantity) or np.ndim(term.scale):
             raise ValueError("constants of the compound must be plain numbers")
-
-
-def _check_integrated(names, model, sensitivities):
-    """Raise where fluxes of pixels cannot be a component."""
-    if not hasattr(model, "unit_derivatives"):
-        raise ValueError(
-            f"{names} is already integrated over pixels; use the density instead, or read a table "
-            "with TabulatedPRF.from_photutils"
-        )
-    if sensitivities:
-        raise ValueError(
-            f"{names} is already integrated over pixels, with the response of the real pixels in "
-            "it. Multiplied by a sensitivity the response would be counted twice, and outside the "
-            "integral. Leave the sensitivity out, or use the density of a TabulatedPSF"
-        )

@@ -9,8 +9,8 @@ from scipy.interpolate import BSpline, RectBivariateSpline
 from scope_models._arrays import plain_array
 from scope_models._docstrings import documented
 from scope_models.models._axis import gauss_legendre
-from scope_models.models._closed_form import ClosedForm, pixels_of
 from scope_models.models._parameters import StarModel, numbers_of, value_of
+from scope_models.models._terms import ClosedForm, pixels_of
 
 __all__ = ["TabulatedPRF", "TabulatedPSF"]
 
@@ -57,13 +57,6 @@ class _Surface:
         inside &= (sample_y >= -_EDGE) & (sample_y <= ny - 1 + _EDGE)
         return np.where(inside, values.reshape(sample_x.shape), 0.0)
 
-    @cached_property
-    def _coefficients(self):
-        """Knots along y and x, and the matrix of coefficients."""
-        y, x, coefficients = self.spline.tck
-        shape = len(y) - _DEGREE - 1, len(x) - _DEGREE - 1
-        return y, x, np.reshape(coefficients, shape)
-
     def integrals(self, x, y, x_0, y_0, along_x, along_y, *, derivatives=False):
         """Integrals over pixels times polynomials: ``(..., ny, nx)``, or 3 of them.
 
@@ -71,16 +64,15 @@ class _Surface:
         """
         shape = np.broadcast_shapes(np.shape(x_0), np.shape(y_0))
         x_0, y_0 = (np.broadcast_to(p, shape).reshape(-1).astype(float) for p in (x_0, y_0))
-        knots_y, knots_x, matrix = self._coefficients
+        knots_y, knots_x, coefficients = self.spline.tck
+        matrix = np.reshape(coefficients, (len(knots_y) - _DEGREE - 1, -1))
         images = np.empty((3 if derivatives else 1, x_0.size, y.size, x.size))
+        (step_y, step_x), (size_y, size_x) = self.oversampling, self.samples.shape
         slope_x, slope_y = _slopes(knots_x, matrix.T).T, _slopes(knots_y, matrix)
         for start in range(0, x_0.size, _BATCH):
             part = slice(start, start + _BATCH)
-            edges_x = _samples(x, x_0[part], self.origin[0], self.oversampling[1])
-            edges_y = _samples(y, y_0[part], self.origin[1], self.oversampling[0])
-            nx, ny = self.samples.shape[1], self.samples.shape[0]
-            axis_x = _AxisRule(edges_x, self.oversampling[1], nx, along_x)
-            axis_y = _AxisRule(edges_y, self.oversampling[0], ny, along_y)
+            axis_x = _AxisRule(x, x_0[part], self.origin[0], step_x, size_x, along_x)
+            axis_y = _AxisRule(y, y_0[part], self.origin[1], step_y, size_y, along_y)
             base_x, base_y = axis_x.of(knots_x, _DEGREE), axis_y.of(knots_y, _DEGREE)
             images[0, part] = base_y @ matrix @ base_x.transpose(0, 2, 1)
             if derivatives:
@@ -89,8 +81,8 @@ class _Surface:
                 images[1, part] = base_y @ slope_x @ low_x.transpose(0, 2, 1)
                 images[2, part] = low_y @ slope_y @ base_x.transpose(0, 2, 1)
         if derivatives:
-            images[1] *= -self.oversampling[1]
-            images[2] *= -self.oversampling[0]
+            images[1] *= -step_x
+            images[2] *= -step_y
         images = images.reshape((len(images), *shape, y.size, x.size))
         return images if derivatives else images[0]
 
@@ -101,16 +93,12 @@ def _slopes(knots, coefficients):
     return _DEGREE * np.diff(coefficients, axis=0) / width[:, np.newaxis]
 
 
-def _samples(pixels, center, origin, oversampling):
-    """Lower edges of the pixels in samples, shape ``(m, n)``."""
-    return origin + oversampling * (pixels - 0.5 - center[:, np.newaxis])
-
-
 class _AxisRule:
     """Nodes and weights along an axis that integrate a spline times a polynomial exactly."""
 
-    def __init__(self, low, oversampling, size, polynomial):
+    def __init__(self, pixels, center, origin, oversampling, size, polynomial):
         nodes, weights = gauss_legendre((_DEGREE + len(np.atleast_1d(polynomial)) + 1) // 2 + 1)
+        low = origin + oversampling * (pixels - 0.5 - center[:, np.newaxis])  # edges in samples
         inner = np.floor(low)[..., np.newaxis] + np.arange(1, int(np.ceil(oversampling)) + 1)
         high = low + oversampling
         first, last = low[..., np.newaxis], high[..., np.newaxis]
