@@ -364,66 +364,36 @@ _PHOTOMETER = {
     "places": ("channel", "module", "output"), "tpf_class": "KeplerTargetPixelFile",
 }  # fmt: skip
 _KEPLER = Mission(
-    name="Kepler",
-    template="kepler",
+    name="Kepler", template="kepler", run="quarter", absent_columns=("RB_LEVEL",),
     start=131.5,  # about the beginning of quarter 1
-    run="quarter",
-    absent_columns=("RB_LEVEL",),
     # The archive's B16.16 of the flags is too narrow for bit 65536, which stands for no data.
-    displays=("D12.7", "E13.6", "B24.24"),
-    field_center=(290.6667, 44.5),
-    **_PHOTOMETER,
-)
+    displays=("D12.7", "E13.6", "B24.24"), field_center=(290.6667, 44.5), **_PHOTOMETER,
+)  # fmt: skip
 _K2 = Mission(
-    name="K2",
-    template="k2",
+    name="K2", template="k2", run="campaign", absent_columns=(),
     start=2144.1028,  # first time of campaign 3 (ktwo206103150-c03_llc.fits)
-    run="campaign",
-    absent_columns=(),
-    displays=("D14.7", "E14.7", "B24.24"),
-    field_center=(336.6667, -11.0967),
-    **_PHOTOMETER,
-)
+    displays=("D14.7", "E14.7", "B24.24"), field_center=(336.6667, -11.0967), **_PHOTOMETER,
+)  # fmt: skip
+# Frames and offsets: headers of target pixel files. The rest: TESS Instrument Handbook. On board,
+# the mitigation of cosmic rays drops the highest and lowest of ten reads, except in 20-s data.
 _TESS = Mission(
-    name="TESS",
-    telescope="TESS",
-    instrument="TESS Photometer",
-    template="tess",
-    band="T",
-    time_format="btjd",
-    time_unit="BJD - 2457000, days",
+    name="TESS", telescope="TESS", instrument="TESS Photometer", template="tess", band="T",
+    time_format="btjd", time_unit="BJD - 2457000, days",
     start=1325.3,  # about the beginning of sector 1
-    # Frames and offsets: headers of target pixel files. The rest: TESS Instrument Handbook. On
-    # board, the mitigation of cosmic rays drops the highest and lowest of ten reads, except in
-    # 20-s data.
-    pixel_scale=21.0,
-    zero_points=(("handbook", 1.0),),  # +- 0.05 mag
-    zero_point_mag=20.44,
-    int_time=1.98,
-    read_time=0.02,
+    pixel_scale=21.0, zero_points=(("handbook", 1.0),), zero_point_mag=20.44,  # +- 0.05 mag
+    int_time=1.98, read_time=0.02,
     cadences=(
-        Cadence("120 s", 60, 209700, 0.8),
-        Cadence("20 s", 10, 209700),
-        Cadence("200 s", 100, 209700, 0.8),
-        Cadence("600 s", 300, 209700, 0.8),
+        Cadence("120 s", 60, 209700, 0.8), Cadence("20 s", 10, 209700),
+        Cadence("200 s", 100, 209700, 0.8), Cadence("600 s", 300, 209700, 0.8),
         Cadence("1800 s", 900, 209700, 0.8),
     ),
-    well_depth=2e5,
-    quality=_TESS_BITS,
-    quality_column="QUALITY",
-    id_keyword="TICID",
-    magnitude_keyword="TESSMAG",
-    gain_keyword="GAINA",
-    read_noise_keyword="READNOIA",
-    black_keyword="MEANBLCA",
-    offset_keywords=("FXDOFF",),
-    run="sector",
-    places=("camera", "ccd"),
-    absent_columns=("COSMIC_RAYS", "RB_LEVEL"),
-    displays=("D14.7", "E14.7", "B16.16"),
+    well_depth=2e5, quality=_TESS_BITS, quality_column="QUALITY", id_keyword="TICID",
+    magnitude_keyword="TESSMAG", gain_keyword="GAINA", read_noise_keyword="READNOIA",
+    black_keyword="MEANBLCA", offset_keywords=("FXDOFF",), run="sector", places=("camera", "ccd"),
+    absent_columns=("COSMIC_RAYS", "RB_LEVEL"), displays=("D14.7", "E14.7", "B16.16"),
     field_center=(270.0, 66.5607),  # the north ecliptic pole
     tpf_class="TessTargetPixelFile",
-)
+)  # fmt: skip
 # Telescopes on the ground: lightkurve opens no files but those that say Kepler or TESS. The zero
 # point is that of `Detector.ground` with its defaults.
 _GROUND = replace(

@@ -23,10 +23,7 @@ _EXCLUDED = {*range(0x3A, 0x41), *range(0x5B, 0x61)}
 
 @dataclass(frozen=True)
 class Block:
-    """The cards of a header without checksums, as one text, and its data.
-
-    The data are an image, the rows of a table, or None.
-    """
+    """The cards of a header without checksums, as one text, and its image, table or None."""
 
     cards: str
     data: np.ndarray | None = None

@@ -34,15 +34,6 @@ class PixelColumn:
             return shape[0], _ROLLING_BAND_DURATIONS
         return tuple(shape) if self.is_pixels else ()
 
-    def form(self, shape):
-        """Return TFORM."""
-        size = self.image_shape(shape)
-        return f"{size[0] * size[1]}{self.kind}" if size else self.kind
-
-    def dtype(self, shape):
-        """Return the field of a numpy structured type, in FITS byte order."""
-        return self.name, _DTYPES[self.kind], self.image_shape(shape)
-
 
 _TIME = PixelColumn("TIME", "D", "times of mid-cadence")
 _COLUMNS = (
@@ -77,12 +68,10 @@ def pixel_columns(metadata):
 
 
 def table_rows(columns, values, shape):
-    """Return the rows of the pixel table, as they are in the file: a structured array.
-
-    Columns without values hold NaN or the null value. ``shape`` is that of the fluxes.
-    """
+    """Return the pixel table as in the file, NaN or the null value in columns without values."""
     n_cadences, *stamp = shape
-    rows = np.empty(n_cadences, dtype=[column.dtype(stamp) for column in columns])
+    fields = [(item.name, _DTYPES[item.kind], item.image_shape(stamp)) for item in columns]
+    rows = np.empty(n_cadences, dtype=fields)
     as_bytes = rows.view(np.uint8).reshape(n_cadences, -1)
     for column in columns:
         given = values.get(column.name)
@@ -100,10 +89,7 @@ def table_rows(columns, values, shape):
 
 
 def checked_columns(metadata, values):
-    """Check the arrays of a target pixel file against each other; return those that are there.
-
-    ``values`` have lower-case names, the result those of the file.
-    """
+    """Return the arrays that are there, by the names in the file, checked against each other."""
     # Only times, quantities and masked values have these; plain arrays are not copied.
     special = ("unit", "mask", "jd1")
     values = {

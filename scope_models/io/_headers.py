@@ -58,10 +58,7 @@ def make_headers(metadata, time, timecorr, used, aperture):
 
 @cache
 def _template(name):
-    """Return keyword, text and comment of the cards of each header of a layout.
-
-    A card XTENSION begins each header after the first.
-    """
+    """Return keyword, text and comment of the cards of each header of a layout."""
     from astropy.io import fits
 
     headers = [[]]
@@ -131,13 +128,15 @@ def pixel_column_cards(columns, metadata, shape):
     cards, places = [], []
     for n, column in enumerate(columns, 1):
         cards.append((f"TTYPE{n}", column.name, f"column title: {column.title}"))
-        cards.append((f"TFORM{n}", column.form(shape), "column format"))
+        size = column.image_shape(shape)
+        form = f"{size[0] * size[1] if size else ''}{column.kind}"
+        cards.append((f"TFORM{n}", form, "column format"))
         if column.unit:
             cards.append((f"TUNIT{n}", column.unit, "column unit"))
         if column.null is not None:
             cards.append((f"TNULL{n}", column.null, "value of pixels without data"))
         cards.append((f"TDISP{n}", column.display, "column display format"))
-        if size := column.image_shape(shape):
+        if size:
             cards.append((f"TDIM{n}", f"({size[1]},{size[0]})", "column dimensions"))
         if column.is_pixels:
             places += _column_wcs(n, metadata, shape)

@@ -284,10 +284,7 @@ def column_of(table, name, path, ndim=1):
 
 
 def cards_of(*headers):
-    """Return the cards of headers as a dict; later headers go before earlier ones.
-
-    None stands for a blank card. Comments, checksums and sizes of the file's parts are left out.
-    """
+    """Return the facts in headers, of which later ones go first; None stands for a blank card."""
     simple = (str, bool, int, float, complex)
     return {
         key: value if isinstance(value, simple) else None

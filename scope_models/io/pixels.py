@@ -336,40 +336,30 @@ def _of_hdus(hdus, name):
     header = cards_of(hdus[0].header, table.header)
     bits = hdus[2].data if len(hdus) > 2 else None  # where lightkurve finds the aperture
     has_aperture = bits is not None and np.asarray(bits).dtype.kind in "iu"
-    return _series(
-        name, time=np.asarray(column("TIME", np.full(n, np.nan)), dtype=float),
-        cadenceno=column("CADENCENO", np.zeros(n, dtype=int)),
-        quality=column("QUALITY", np.zeros(n, dtype=int)), flux=flux,
-        flux_err=column("FLUX_ERR", np.full(flux.shape, np.nan), ndim=3),
-        flux_bkg=column("FLUX_BKG", ndim=3),
-        pos_corr=None if any(c is None for c in pos_corr) else np.column_stack(pos_corr),
-        aperture=(np.asarray(bits) & _OPTIMAL) > 0 if has_aperture else np.ones(stamp, dtype=bool),
-        header=header, mission=Mission.from_header(header),
-    )  # fmt: skip
-
-
-def _series(name, **values):
-    """Return the series, after checks that its arrays belong together."""
-    n, *stamp = values["flux"].shape
-    for key in ("time", "cadenceno", "quality", "flux_err", "flux_bkg", "pos_corr", "aperture"):
-        array = values[key]
-        if array is None:
-            continue
-        wanted = {"flux_err": (n, *stamp), "flux_bkg": (n, *stamp), "aperture": tuple(stamp)}
-        shape = wanted.get(key, (n, 2) if key == "pos_corr" else (n,))
-        if array.shape != shape:
+    values = {
+        "time": np.asarray(column("TIME", np.full(n, np.nan)), dtype=float),
+        "cadenceno": column("CADENCENO", np.zeros(n, dtype=int)),
+        "quality": column("QUALITY", np.zeros(n, dtype=int)), "flux": flux,
+        "flux_err": column("FLUX_ERR", np.full(flux.shape, np.nan), ndim=3),
+        "flux_bkg": column("FLUX_BKG", ndim=3),
+        "pos_corr": None if any(c is None for c in pos_corr) else np.column_stack(pos_corr),
+        "aperture": (np.asarray(bits) & _OPTIMAL) > 0 if has_aperture else np.ones(stamp, bool),
+    }  # fmt: skip
+    shapes = {"pos_corr": (n, 2), "aperture": tuple(stamp)}
+    for key, array in values.items():
+        shape = shapes.get(key, flux.shape if key.startswith("flux") else (n,))
+        if array is not None and array.shape != shape:
             raise RefusedError(f"{name}: {key} must have the shape {shape}, got {array.shape}")
-        if key in {"cadenceno", "quality"}:
-            if array.dtype.kind not in "iub":
-                raise RefusedError(f"{name}: {key} must hold integers, got {array.dtype}")
-            values[key] = array.astype(np.int64)
+    for key in ("cadenceno", "quality"):
+        if values[key].dtype.kind not in "iub":
+            raise RefusedError(f"{name}: {key} must hold integers, got {values[key].dtype}")
+        values[key] = values[key].astype(np.int64)
     if not values["cadenceno"].any():
         values["cadenceno"] = np.arange(1, n + 1)
-    values["aperture"] = values["aperture"].astype(bool)
     for array in values.values():
-        if isinstance(array, np.ndarray) and array.base is None:
+        if array is not None and array.base is None:
             array.flags.writeable = False  # made here: needs no copy
-    return PixelSeries(**values)
+    return PixelSeries(**values, header=header, mission=Mission.from_header(header))
 
 
 def _check_times(series, name):

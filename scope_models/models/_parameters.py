@@ -10,7 +10,7 @@ from astropy.units import UnitsError
 from scope_models._arrays import is_angle, plain_array, without_unit
 
 __all__ = [
-    "Domain", "StarModel", "check_model_parameters", "make_parameters",
+    "Domain", "StarModel", "check_model_parameters", "gaussian_box", "make_parameters",
     "numbers_of", "one_number", "value_of",
 ]  # fmt: skip
 
@@ -78,6 +78,12 @@ def value_of(parameter):
 def numbers_of(model):
     """Return the value of each parameter of a model as a float, by name."""
     return {name: float(np.ravel(getattr(model, name).value)[0]) for name in model.param_names}
+
+
+def gaussian_box(model, factor):
+    """Rectangle of a half-width of so many sigma_x and sigma_y, as astropy orders it."""
+    d_x, d_y = factor * model.sigma_x, factor * model.sigma_y
+    return ((model.y_0 - d_y, model.y_0 + d_y), (model.x_0 - d_x, model.x_0 + d_x))
 
 
 _TESTS = {

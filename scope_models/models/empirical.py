@@ -7,6 +7,7 @@ from scope_models.models._axis import axis_table, hermite_functions
 from scope_models.models._parameters import (
     Domain,
     StarModel,
+    gaussian_box,
     make_parameters,
     one_number,
 )
@@ -163,7 +164,7 @@ class GaussHermitePSF(StarModel):
 
     def bounding_box(self, factor=6.5):
         """Rectangle outside which hardly any flux lies: 6.5 widths, and the root of the order."""
-        return BivariateGaussianPSF.bounding_box(self, factor + np.sqrt(self.order))
+        return gaussian_box(self, factor + np.sqrt(self.order))
 
 
 def _orders(name):

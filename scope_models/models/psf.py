@@ -10,7 +10,7 @@ from scipy.special import roots_genlaguerre
 
 from scope_models._checks import checked_integer, checked_number
 from scope_models.models._gaussian import gaussian_derivatives, gaussian_pixels
-from scope_models.models._parameters import Domain, StarModel
+from scope_models.models._parameters import Domain, StarModel, gaussian_box
 from scope_models.models._terms import ClosedForm, pixels_of
 
 __all__ = ["BivariateGaussianPSF", "moffat_psf"]
@@ -124,8 +124,7 @@ class BivariateGaussianPSF(StarModel):
 
     def bounding_box(self, factor=6.5):
         """Rectangle outside which less than 2e-10 of the flux lies: 6.5 standard deviations."""
-        d_x, d_y = factor * self.sigma_x, factor * self.sigma_y
-        return ((self.y_0 - d_y, self.y_0 + d_y), (self.x_0 - d_x, self.x_0 + d_x))
+        return gaussian_box(self, factor)
 
 
 def moffat_psf(fwhm, beta=4.765, n_components=8):
