@@ -19,6 +19,7 @@ LONG_CADENCE = MISSIONS["Kepler"].cadence_days("long") * u.day
 #: Length of the Savitzky-Golay filter of each convention, in long cadences.
 _FILTER_CADENCES = {"lightkurve": 101, "everest": 49}
 _FILTER_ORDER = 2
+_SMOOTH = 50
 
 
 def cdpp(lc_or_flux, duration=6.5, method="lightkurve", *, cadence=None, filter_window=None):
@@ -178,16 +179,14 @@ def _everest_cdpp(_time, flux, width, filter_window):
     if len(flux) >= filter_window:
         flux = flux - savgol_filter(flux, filter_window, _FILTER_ORDER)
         flux = flux + 1 - np.median(flux)
-    residual = flux - _smooth(flux, 50) if len(flux) >= 50 else flux
+    residual = flux
+    if len(flux) >= _SMOOTH:  # with a Hann window, the series continued by point reflection
+        window = np.hanning(_SMOOTH)
+        padded = np.pad(flux, _SMOOTH, mode="reflect", reflect_type="odd")
+        smooth = np.convolve(padded, window / window.sum(), mode="same")
+        residual = flux - smooth[_SMOOTH:-_SMOOTH]
     flux = flux[np.abs(residual - np.median(residual)) <= 5 * mad_std(residual)]
     if len(flux) < width:
         raise ValueError("`lc_or_flux` has too few cadences left after clipping")
     windows = np.lib.stride_tricks.sliding_window_view(flux, width)
     return np.median(np.std(windows, axis=1)) / np.sqrt(width)
-
-
-def _smooth(flux, width):
-    """Convolve with a Hann window; the series is continued by point reflection."""
-    window = np.hanning(width)
-    padded = np.pad(flux, width, mode="reflect", reflect_type="odd")
-    return np.convolve(padded, window / window.sum(), mode="same")[width:-width]

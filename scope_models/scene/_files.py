@@ -325,16 +325,8 @@ def _detector_of_toml(values):
         if name not in known:
             raise ValueError(f"`{name}` is not a field of a detector")
     if "effects" in values:
-        given = values["effects"]
-        given = given if isinstance(given, list) else [given]
-        values["effects"] = []
-        for table in given:
-            parameters = dict(table) if isinstance(table, dict) else {}
-            name = parameters.pop("effect", None)
-            if not isinstance(name, str):
-                wanted = "tables with the name of an `effect`"
-                raise ValueError(f"`effects` must be {wanted}, got {name!r}")  # noqa: TRY004
-            values["effects"].append(_named_effect(name)(**parameters))
+        given = _named(values["effects"], "effects", "effect")
+        values["effects"] = [_named_effect(name)(**parameters) for name, parameters in given]
     if "psf" in values:
         values["psf"] = _combined(values["psf"], "psf", None, add)
     given = values.get("sensitivity")
@@ -347,11 +339,17 @@ def _detector_of_toml(values):
 
 def _combined(tables, name, default, combine):
     """Return the sum or the product of the models that tables describe."""
-    models = []
+    given = _named(tables, name, "model", default)
+    return reduce(combine, (make_model({"class": k, "parameters": p}) for k, p in given))
+
+
+def _named(tables, name, key, default=None):
+    """Return the name under a key, and the other values, of one table or several."""
+    found = []
     for table in tables if isinstance(tables, list) else [tables]:
-        if not isinstance(table, dict) or not isinstance(table.get("model", default), str):
-            raise ValueError(f"`{name}` must be a table with the name of its `model`")  # noqa: TRY004
-        parameters = {key: value for key, value in table.items() if key != "model"}
-        kind = table.get("model", default)
-        models.append(make_model({"class": kind, "parameters": parameters}))
-    return reduce(combine, models)
+        if not isinstance(table, dict) or not isinstance(table.get(key, default), str):
+            wanted = f"a table with the name of its `{key}`"
+            raise ValueError(f"`{name}` must be {wanted}, got {table!r}")  # noqa: TRY004
+        parameters = dict(table)
+        found.append((parameters.pop(key, default), parameters))
+    return found

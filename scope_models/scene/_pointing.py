@@ -565,10 +565,7 @@ def cadence_means(times, state, edges):
 
 
 def _red_noise(generator, n, correlation):
-    """Return normal noise of unit variance that forgets itself in ``correlation`` samples.
-
-    A longer series begins like a shorter one.
-    """
+    """Return normal noise of unit variance that forgets itself in ``correlation`` samples."""
     length = math.ceil(_MEMORY * correlation)
     white = generator.standard_normal(n + length)
     if length == 0:

@@ -105,30 +105,19 @@ _KEPLER = {
 _K2 = _KEPLER | {"mission": "K2", "background": 284.0}
 register_preset("kepler", **_KEPLER)
 register_preset("k2", **_K2)
+_CALIBRATED = _K2 | {
+    "sensitivity": SensitivityPolynomial(_FITTED, _FITTED),
+    "interpixel_scatter": 0.011, "interpixel_distribution": "normal",
+    "psf": BivariateGaussianPSF(0.8, sigma_x=0.45, sigma_y=0.45)
+    + BivariateGaussianPSF(0.2, sigma_x=1.261, sigma_y=1.261),
+}  # fmt: skip
+register_preset("k2_calibrated", **_CALIBRATED)
 register_preset(
-    "k2_calibrated",
-    **_K2
-    | {
-        "sensitivity": SensitivityPolynomial(_FITTED, _FITTED),
-        "interpixel_scatter": 0.011,
-        "interpixel_distribution": "normal",
-        "psf": BivariateGaussianPSF(0.8, sigma_x=0.45, sigma_y=0.45)
-        + BivariateGaussianPSF(0.2, sigma_x=1.261, sigma_y=1.261),
-    },
-)
-register_preset(
-    "tess",
-    mission="TESS",
-    shape=(11, 11),
-    gain=5.25,
-    read_noise=10.0,
-    background=134.0,
-    mean_black=6812,
-    sensitivity=SensitivityPolynomial(),
-    interpixel_scatter=0.01,
+    "tess", mission="TESS", shape=(11, 11), gain=5.25, read_noise=10.0, background=134.0,
+    mean_black=6812, sensitivity=SensitivityPolynomial(), interpixel_scatter=0.01,
     psf=BivariateGaussianPSF(0.45, sigma_x=0.55, sigma_y=0.55)
     + BivariateGaussianPSF(0.55, sigma_x=1.25, sigma_y=1.25),
-)
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -164,27 +153,17 @@ def ground_fields(
     throughput = checked_number("throughput", throughput, positive=True)
     photons = _PHOTONS * found.flux * found.width * np.pi / 4 * aperture**2
     return {
-        "mission": "Ground",
-        "shape": (21, 21),
-        "pixel_scale": pixel_scale,
-        "zero_point": throughput * photons,
-        "zero_point_mag": 0.0,
-        "int_time": 60.0,
-        "read_time": 10.0,
-        "gain": 1.0,
-        "read_noise": 7.0,
+        "mission": "Ground", "shape": (21, 21), "pixel_scale": pixel_scale,
+        "zero_point": throughput * photons, "zero_point_mag": 0.0,
+        "int_time": 60.0, "read_time": 10.0, "gain": 1.0, "read_noise": 7.0,
         "background": throughput * photons * 10 ** (-0.4 * found.sky) * pixel_scale**2,
-        "well_depth": 1e5,
-        "interpixel_scatter": 0.002,
-        "interpixel_distribution": "normal",
+        "well_depth": 1e5, "interpixel_scatter": 0.002, "interpixel_distribution": "normal",
         "psf": moffat_psf(seeing / pixel_scale),
         "effects": (
-            Extinction(found.extinction, airmass),
-            Scintillation(aperture, altitude, airmass),
-            Seeing(airmass=airmass),
-            DarkCurrent(0.1),
+            Extinction(found.extinction, airmass), Scintillation(aperture, altitude, airmass),
+            Seeing(airmass=airmass), DarkCurrent(0.1),
         ),
-    }
+    }  # fmt: skip
 
 
 register_preset("ground", **ground_fields())
