@@ -156,7 +156,6 @@ def values_of(table, name):
 
 
 def is_angle(unit):
-    """Return whether a unit, or None, is an angle."""
     return unit is not None and unit.is_equivalent(u.rad)
 
 

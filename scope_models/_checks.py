@@ -87,14 +87,12 @@ def check_fields(instance):
 
 
 def checked_choice(name, value, choices):
-    """Return a value that is one of the choices."""
     if value not in tuple(choices):
         raise ValueError(f"`{name}` must be one of {', '.join(choices)}, got {value!r}")
     return value
 
 
 def checked_integer(name, value, smallest, largest=None):
-    """Return an integer that is not too small or too large."""
     if isinstance(value, bool) or not isinstance(value, Integral):
         raise TypeError(f"`{name}` must be an integer, got {value!r}")
     if value < smallest:
@@ -105,7 +103,6 @@ def checked_integer(name, value, smallest, largest=None):
 
 
 def checked_int32(name, values):
-    """Return an array of integers as one of 32-bit integers."""
     array, limits = np.asarray(values), np.iinfo(np.int32)
     if array.dtype.kind not in "iu":
         raise TypeError(f"`{name}` must hold integers, got {array.dtype}")
@@ -160,7 +157,6 @@ def checked_weights(name, weights, shape):
 
 
 def checked_shape(shape):
-    """Return the shape as a tuple of two positive integers."""
     try:
         ny, nx = shape
     except (TypeError, ValueError):

@@ -30,7 +30,6 @@ class Block:
 
     @classmethod
     def primary(cls, cards, n_extensions):
-        """Return a primary header without data."""
         start = [
             ("SIMPLE", True, "conforms to FITS standard"),
             ("BITPIX", 8, "array data type"),
@@ -42,7 +41,6 @@ class Block:
 
     @classmethod
     def image(cls, data, cards):
-        """Return the extension of an image."""
         size = data.dtype.itemsize * (-8 if data.dtype.kind == "f" else 8)
         start = [
             ("XTENSION", "IMAGE", "Image extension"),

@@ -18,8 +18,6 @@ _DTYPES = {"D": np.dtype(">f8"), "E": np.dtype(">f4"), "J": np.dtype(">i4")}
 
 @dataclass(frozen=True)
 class PixelColumn:
-    """One column of the pixel table."""
-
     name: str
     kind: str
     title: str
@@ -54,7 +52,6 @@ _COLUMNS = (
 
 
 def pixel_columns(metadata):
-    """Return the columns of the mission's pixel table in order."""
     layout = metadata.layout
     displays = dict(zip("DE", layout.displays[:2], strict=True)) | {"J": layout.displays[2]}
     columns = []
@@ -109,7 +106,13 @@ def checked_columns(metadata, values):
     for name in ("pos_corr1", "pos_corr2", "timecorr"):
         if values[name] is not None:
             checked[name.upper()] = _floats(name, values[name], flux.shape[:1])
-    _check_errors(checked)
+    error, background_error = checked["FLUX_ERR"], checked["FLUX_BKG_ERR"]
+    if np.any(error <= 0):
+        raise ValueError(f"`flux_err` must be positive, got {np.nanmin(error)}")
+    if np.any(np.isnan(error) & ~np.isnan(checked["FLUX"])):
+        raise ValueError("`flux_err` must not be NaN where `flux` is not")
+    if np.any(background_error < 0):
+        raise ValueError(f"`flux_bkg_err` must not be negative, got {np.nanmin(background_error)}")
     if values["raw_cnts"] is not None:
         checked["RAW_CNTS"] = _integers("raw_cnts", values["raw_cnts"], flux.shape)
         if checked["RAW_CNTS"].min() < -1:
@@ -134,17 +137,6 @@ def _checked_times(metadata, values, shape):
         raise ValueError(f"`quality` must not be negative, got {quality.min()}")
     no_data = np.where(np.isnan(time), metadata.layout.quality.no_data, 0).astype(np.int32)
     return {"TIME": time, "CADENCENO": number, "QUALITY": quality | no_data}
-
-
-def _check_errors(checked):
-    """Check that errors are positive where there is flux."""
-    error, background_error = checked["FLUX_ERR"], checked["FLUX_BKG_ERR"]
-    if np.any(error <= 0):
-        raise ValueError(f"`flux_err` must be positive, got {np.nanmin(error)}")
-    if np.any(np.isnan(error) & ~np.isnan(checked["FLUX"])):
-        raise ValueError("`flux_err` must not be NaN where `flux` is not")
-    if np.any(background_error < 0):
-        raise ValueError(f"`flux_bkg_err` must not be negative, got {np.nanmin(background_error)}")
 
 
 def _floats(name, values, shape, *, broadcast=False):

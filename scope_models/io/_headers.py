@@ -97,7 +97,6 @@ def _facts(metadata):
 
 
 def _span(metadata, time, timecorr, used):
-    """Return the values of the cards on time."""
     zero, delta, live = metadata.layout.time_zero, metadata.cadence_days, metadata.duty_cycle
     timed = np.flatnonzero(np.isfinite(time))[[0, -1]]
     start, stop = time[timed[0]] - delta / 2, time[timed[1]] + delta / 2

@@ -103,7 +103,6 @@ def ccd_name(cards):
 
 
 def sha256(path):
-    """Return the checksum of a file."""
     with Path(path).open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
@@ -122,7 +121,13 @@ def archive_hdulist(hdus, series, collection, path, cards=()):
         columns = columns + fits.ColDefs([fits.Column("QUALITY", "J", array=old.data[quality])])
     table = fits.BinTableHDU.from_columns(columns, header=old.header, name="LIGHTCURVE")
     table.columns["TIME"].unit = "d"
-    shared = _times(table, series) + _place(series)
+    shared = [
+        *_times(table, series),
+        ("RA_TARG", series.header.get("RA_OBJ"), "[deg] right ascension"),
+        ("DEC_TARG", series.header.get("DEC_OBJ"), "[deg] declination"),
+        ("RADESYS", series.header.get("RADESYS") or "ICRS", "reference frame"),
+        ("FILTER", _INSTRUMENTS.get(series.mission.name, _KEPLER)[1].upper(), "name of the filter"),
+    ]
     for header in (primary, table.header):
         header.remove("DATE-OBS", ignore_missing=True)
         if header.get("RADESYS", "ICRS") == "ICRS":
@@ -139,7 +144,6 @@ def archive_hdulist(hdus, series, collection, path, cards=()):
 
 
 def _times(table, series):
-    """Return the cards of the span of time, in TDB."""
     from astropy.time import Time
 
     first, last = table.header["TSTART"], table.header["TSTOP"]
@@ -157,16 +161,6 @@ def _times(table, series):
         seconds = 86400 * exposure[0] * exposure[1] * int(np.isfinite(table.data["FLUX"]).sum())
         cards.append(("XPOSURE", seconds, "[s] of all cadences, without dead time"))
     return cards
-
-
-def _place(series):
-    band = _INSTRUMENTS.get(series.mission.name, _KEPLER)[1]
-    return [
-        ("RA_TARG", series.header.get("RA_OBJ"), "[deg] right ascension"),
-        ("DEC_TARG", series.header.get("DEC_OBJ"), "[deg] declination"),
-        ("RADESYS", series.header.get("RADESYS") or "ICRS", "reference frame"),
-        ("FILTER", band.upper(), "name of the filter"),
-    ]
 
 
 def _collection_cards(collection, series, path):

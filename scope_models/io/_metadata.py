@@ -137,7 +137,6 @@ class TPFMetadata(Value):
     extra_cards: Mapping = field(default_factory=dict)
 
     def __post_init__(self):
-        """Check every field and bring it to its type."""
         names = {name.lower(): name for name in MISSIONS}
         object.__setattr__(self, "mission", names.get(str(self.mission).lower(), self.mission))
         if self.mission not in MISSIONS:

@@ -92,7 +92,6 @@ def _unreadable(path, reason):
 
 
 def _content(path):
-    """Return the bytes of a file, decompressed."""
     if path.is_dir():
         raise IsADirectoryError(f"{path} is a folder, not a FITS file")
     if not path.exists():
@@ -263,7 +262,6 @@ def time_format_of(header):
 
 
 def first_table(hdus, path):
-    """Return the first binary table of a file."""
     from astropy.io import fits
 
     table = next((hdu for hdu in hdus if isinstance(hdu, fits.BinTableHDU)), None)

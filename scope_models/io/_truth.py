@@ -181,7 +181,6 @@ class Truth(Value):
         return _read_only(np.stack([self.columns[name] for name in names]))
 
     def _found(self, name):
-        """Return the simulated values of each star."""
         if "found" not in self.scene:
             raise ValueError(f"the truth has no {name}: nothing was simulated")
         return _read_only(np.array(self.scene["found"][name]))
@@ -284,7 +283,6 @@ def _table_hdus(tables, taken):
 
 
 def _check_name(argument, name, taken):
-    """Check a name that becomes a column or an extension."""
     if not isinstance(name, str) or not re.fullmatch(r"[A-Za-z0-9_.\-]{1,60}", name):
         wanted = "names of up to 60 letters, digits and _ . -"
         raise ValueError(f"`{argument}` must have {wanted}, got {name!r}")
@@ -333,7 +331,6 @@ def truth_of(hdus):
 
 
 def maps_of(hdus):
-    """Return the images of truth by name."""
     return {hdu.header["MAPNAME"]: native(hdu.data) for hdu in hdus if "MAPNAME" in hdu.header}
 
 

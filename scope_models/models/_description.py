@@ -44,13 +44,11 @@ def describe_model(model):
 
 
 def _value(parameter):
-    """Return the value of a parameter, with its unit if it has one."""
     value = np.asarray(parameter.value).tolist()
     return value if parameter.unit is None else {"value": value, "unit": str(parameter.unit)}
 
 
 def make_model(described):
-    """Return the model of a description."""
     if described is None:
         return None
     if "operator" in described:
@@ -73,7 +71,6 @@ def describe_coord(coord):
 
 
 def make_coord(described):
-    """Return the place on the sky of a description."""
     if described is None:
         return None
     from astropy.coordinates import SkyCoord

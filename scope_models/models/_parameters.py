@@ -71,12 +71,10 @@ def make_parameters(model, parameters):
 
 
 def value_of(parameter):
-    """Return the value of a parameter, with its unit if it has one."""
     return parameter.value if parameter.unit is None else parameter.quantity
 
 
 def numbers_of(model):
-    """Return the value of each parameter of a model as a float, by name."""
     return {name: float(np.ravel(getattr(model, name).value)[0]) for name in model.param_names}
 
 

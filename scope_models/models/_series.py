@@ -95,7 +95,6 @@ def unit_images(psf, shape, x, y):
 
 
 def _summed(components, shape, x, y):
-    """Return the images of `unit_images` of the components of a PSF."""
     columns, rows = (np.arange(n, dtype=float) for n in shape[::-1])
     images = np.zeros((len(x), *shape))
     for fraction, (dx, dy), term in components:
@@ -135,7 +134,8 @@ def _gaussian(term):
     """Return sigma_x, sigma_y and rho of a bivariate normal density, None of any other."""
     form = term.closed_form()
     if form is not None and term.diffusion:  # it is added after the change of focus
-        form = term.undiffused().closed_form()
+        others = tuple(f for f in term.sensitivities if "sigma_d" not in f.values)
+        form = replace(term, sensitivities=others).closed_form()
     if form is None or form.pixels is not gaussian_pixels:
         return None
     return tuple(float(value) for value in form.parameters[2:])

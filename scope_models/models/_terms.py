@@ -1,7 +1,7 @@
 """The sum-of-products form of a compound model, and which products integrate in closed form."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from astropy import units as u
@@ -115,7 +115,6 @@ class Factor:
 
     @classmethod
     def of(cls, model):
-        """The factor that holds a model's present parameters."""
         names = model.param_names if isinstance(model, CompoundModel) else ()
         if any(np.ndim(getattr(model, name).value) for name in names):
             raise ValueError(
@@ -173,7 +172,6 @@ class Term:
     sensitivities: tuple = ()  # SensitivityPolynomial and DiffusionSensitivity
 
     def __mul__(self, other):
-        """The product of two terms is a term."""
         densities = self.densities + other.densities
         return Term(self.scale * other.scale, densities, self.sensitivities + other.sensitivities)
 
@@ -192,11 +190,6 @@ class Term:
         """Standard deviation along each axis with which charge diffuses, pixels; 0 for none."""
         sigmas = [f.values["sigma_d"] for f in self.sensitivities if "sigma_d" in f.values]
         return math.hypot(*(np.ravel(pixels_of(s))[0] for s in sigmas))
-
-    def undiffused(self):
-        """The product without diffusion."""
-        others = tuple(f for f in self.sensitivities if "sigma_d" not in f.values)
-        return replace(self, sensitivities=others)
 
     def polynomials(self):
         """Coefficients along x and along y of the product of all sensitivities."""

@@ -279,17 +279,14 @@ def integrate_pixels(model, shape=None, *, x=None, y=None, method="auto"):
 def _rule(integrand, index, corner_u, corner_v, size, n):
     """Integrals over squares of one size by a rule of n times n nodes."""
     nodes, weights = gauss_legendre(n)
-    result = None
+    result = np.empty(index.size)
     step = max(1, _CHUNK // n**2)
     for start in range(0, index.size, step):
         part = slice(start, start + step)
         u = (corner_u[part, np.newaxis] + size * nodes)[:, np.newaxis, :]
         v = (corner_v[part, np.newaxis] + size * nodes)[:, :, np.newaxis]
         values = np.broadcast_to(integrand(u, v, index[part]), (u.shape[0], n, n))
-        sums = (values @ weights) @ weights
-        if result is None:
-            result = np.empty(index.size)
-        result[part] = sums
+        result[part] = (values @ weights) @ weights
     return result * size**2
 
 

@@ -37,7 +37,6 @@ class _Response:
     names: dict
 
     def factor(self, values):
-        """The sensitivity at values of the PRF's parameters."""
         own = {name: np.asarray(values[source]) for name, source in self.names.items()}
         return Factor(self.model, own)
 
@@ -76,7 +75,6 @@ class _Component:
         return kinds | ({self.fraction: "fraction"} if self.fraction else {})
 
     def own_values(self, values, flux=1.0):
-        """The density's parameters at values of the PRF's."""
         own = {name: values[source] for name, source in self.shape.items()}
         own["flux"] = flux
         for name, offset in zip(("x_0", "y_0"), self.offsets or (None, None), strict=True):
@@ -105,7 +103,11 @@ class _Component:
             image, *parts = points.apply(form.derivatives, form.parameters, along)
         elif hasattr(self.model, "unit_derivatives"):
             names = self.model.param_names[1:]
-            image, *parts = self._of_table(points, values)
+            at = self.own_values(values)
+            x, y = (at[name][..., np.newaxis] for name in ("x_0", "y_0"))
+            shape = [float(at[name]) for name in self.model.param_names[3:]]
+            parts = self.model.unit_derivatives(points.x - x, points.y - y, *shape)
+            image, *parts = (part.reshape((*part.shape[:-1], *points.shape)) for part in parts)
         else:
             names = tuple(name for name in self.model.param_names if name != "flux")
             image = integrate_term(term, points)
@@ -126,14 +128,6 @@ class _Component:
                 monomial = dict.fromkeys(same, 0.0) | {name: 1.0}
                 own[name] = integrate_term(self.term(values | monomial), points)
         return image, own
-
-    def _of_table(self, points, values):
-        """Image of a table and its derivatives by all but its flux."""
-        own = self.own_values(values)
-        x, y = (own[name][..., np.newaxis] for name in ("x_0", "y_0"))
-        shape = [float(own[name]) for name in self.model.param_names[3:]]
-        parts = self.model.unit_derivatives(points.x - x, points.y - y, *shape)
-        return [part.reshape((*part.shape[:-1], *points.shape)) for part in parts]
 
     def _by_quadrature(self, term, points, values, name):
         """Derivative of the image by one of the density's parameters, by quadrature."""

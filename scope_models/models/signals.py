@@ -245,11 +245,10 @@ class TransitModel(Fittable1DModel):
         omega, ecc = plain_number(omega, u.deg, "omega"), plain_number(ecc, u.one, "ecc")
         _require(period > 0, "period", "positive", period)
         _require(0 <= ecc < 1, "ecc", "at least 0 and below 1", ecc)
-        if inc is not None:
-            inc = plain_number(inc, u.deg, "inc")
-        if a is not None:
+        inc = 90.0 if inc is None else plain_number(inc, u.deg, "inc")
+        if density is None:
             a = plain_number(a, u.one, "a")
-        if density is not None:
+        else:
             density = checked_number("density", density, _DENSITY, positive=True) * _DENSITY
             cube = constants.G * density * (period * u.day) ** 2 / (3 * np.pi)
             a = float(np.cbrt(cube.to_value(u.one)))
@@ -258,7 +257,6 @@ class TransitModel(Fittable1DModel):
             cosine = b * (1 + ecc * np.sin(np.radians(omega))) / (a * (1 - ecc**2))
             _require(b >= 0 and cosine <= 1, "b", "at least 0 and within the orbit", b)
             inc = np.degrees(np.arccos(cosine))
-        inc = 90.0 if inc is None else inc
         return cls(period, t0, rp, a, inc, ecc, omega, u1, u2, exposure_time=exposure_time)
 
     @property

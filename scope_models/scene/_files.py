@@ -143,7 +143,6 @@ def read_detector(path):
 
 
 def read_motion(path):
-    """Read a motion; see `scope_models.Motion.read`."""
     if _is_fits(path):
         truth = read_truth(path)
         return _made(path, truth.scene, "motion", lambda: _motion(truth))
@@ -165,7 +164,6 @@ def _is_fits(path):
 
 
 def write_scene(scene, path, *, overwrite):
-    """Write a scene; return its path."""
     columns = scene_columns(scene, [star.relative_flux(scene.motion.time) for star in scene.stars])
     described, maps = describe_scene(scene), _maps(scene.detector)
     blocks = truth_blocks(scene.motion.cadenceno, columns, maps, described, None)
@@ -173,13 +171,11 @@ def write_scene(scene, path, *, overwrite):
 
 
 def write_detector(detector, path, *, overwrite):
-    """Write a detector; return its path."""
     described = {"version": _VERSION, "detector": _describe_detector(detector)}
     return _write(path, scene_blocks(_maps(detector), described), overwrite=overwrite)
 
 
 def write_motion(motion, path, *, overwrite):
-    """Write a motion; return its path."""
     described = {"version": _VERSION, "motion": _describe_motion(motion)}
     blocks = truth_blocks(motion.cadenceno, _motion_columns(motion), {}, described, None)
     return _write(path, blocks, overwrite=overwrite)
@@ -269,7 +265,6 @@ def _describe_motion(motion):
 
 
 def _describe_effect(effect):
-    """Return an effect as the name of its class and its fields."""
     values = {item.name: getattr(effect, item.name) for item in fields(effect)}
     parameters = {name: plain_tree(packed(value), str) for name, value in values.items()}
     return {"class": type(effect).__name__, "parameters": parameters}

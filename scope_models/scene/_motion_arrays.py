@@ -49,7 +49,6 @@ def _checked_shape(array, name, n):
 
 
 def check_increasing(values, name):
-    """Raise an error unless the values increase strictly."""
     steps = np.flatnonzero(~(np.diff(values) > 0))
     if len(steps):
         i = steps[0] + 1
@@ -75,7 +74,18 @@ def repair(time, x, y, quality, cadenceno, time_format, bad, pixel_scale):
     lost = ~usable_positions(np.column_stack([x, y]))
     timeless = ~np.isfinite(time)
     unusable = lost | timeless
-    _check_usable(lost, timeless, bad)
+    limit = f"NaN or at least {LARGEST_OFFSET:g} px"
+    if lost.all():
+        raise ValueError(f"no usable position: all of {n} are {limit}")
+    if timeless.all():
+        raise ValueError(f"no usable time: all of {n} are NaN")
+    if unusable.all():
+        raise ValueError("no cadence with both a usable time and a usable position")
+    if bad == "error" and unusable.any():
+        raise ValueError(
+            f"{lost.sum()} positions are {limit}, and {timeless.sum()} times are NaN, "
+            f"the first of them at index {np.flatnonzero(unusable)[0]}"
+        )
     if bad == "drop":
         time, x, y, flags, number = (v[~unusable] for v in (time, x, y, flags, number))
     else:
@@ -86,22 +96,6 @@ def repair(time, x, y, quality, cadenceno, time_format, bad, pixel_scale):
         y = np.interp(number, number[~lost], y[~lost])
         time = _fill_times(time, number, timeless)
     return time, x, y, flags, number, int(unusable.sum())
-
-
-def _check_usable(lost, timeless, bad):
-    limit = f"NaN or at least {LARGEST_OFFSET:g} px"
-    if lost.all():
-        raise ValueError(f"no usable position: all of {len(lost)} are {limit}")
-    if timeless.all():
-        raise ValueError(f"no usable time: all of {len(timeless)} are NaN")
-    unusable = lost | timeless
-    if unusable.all():
-        raise ValueError("no cadence with both a usable time and a usable position")
-    if bad == "error" and unusable.any():
-        raise ValueError(
-            f"{lost.sum()} positions are {limit}, and {timeless.sum()} times are NaN, "
-            f"the first of them at index {np.flatnonzero(unusable)[0]}"
-        )
 
 
 def _fill_times(time, number, timeless):

@@ -52,7 +52,6 @@ class Pointing(Value):
 
 
 def first_time(start, time_format):
-    """Return the time of a first cadence in days."""
     checked_choice("time_format", time_format, TIME_ZEROS)
     days = plain_time(start, time_format, "start")
     if days.ndim or not np.isfinite(days):

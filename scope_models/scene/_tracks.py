@@ -85,7 +85,11 @@ class _Fit:
             self.prior = np.maximum(np.mean(self.states**2 + variance, axis=0), 1e-16)
             for k in range(len(self.xy)):
                 self.maps[k], self.origin[k], self.factor[k], self.tails[k] = self._track(k)
-            self._widen()
+            # the scatter of the maps of tracks of a kind, of which the prior counts as one
+            square = np.sum((self.maps - np.eye(2)) ** 2, axis=(1, 2)) / 4
+            for error in np.unique(self.given_error):
+                kind = self.given_error == error
+                self.map_error[kind] = np.sqrt((error**2 + square[kind].sum()) / (1 + kind.sum()))
             # all maps times one matrix are the same model: their priors choose it
             weight = self.map_error[:, None, None] ** -2.0
             turned = self.maps.transpose(0, 2, 1) * weight
@@ -94,13 +98,6 @@ class _Fit:
             if np.median(moved) < _SMALL_STEP**2:
                 break
         return self
-
-    def _widen(self):
-        """Take the scatter of the maps of tracks of a kind; its prior counts as one track."""
-        square = np.sum((self.maps - np.eye(2)) ** 2, axis=(1, 2)) / 4
-        for error in np.unique(self.given_error):
-            kind = self.given_error == error
-            self.map_error[kind] = np.sqrt((error**2 + square[kind].sum()) / (1 + kind.sum()))
 
     def _cadences(self, used):
         """Return the states, ``(n, 4)``, and their covariance, from some of the tracks."""

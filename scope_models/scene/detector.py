@@ -164,7 +164,6 @@ class Detector(Value):
     effects: tuple[Effect, ...] = ()
 
     def __post_init__(self):
-        """Check every field and bring it to its type."""
         put = object.__setattr__
         put(self, "shape", checked_shape(self.shape))
         if not isinstance(self.mission, str):

@@ -110,7 +110,6 @@ class Scene(Value):
     metadata: Mapping = field(default_factory=dict, kw_only=True)
 
     def __post_init__(self):
-        """Check every field and bring it to its type."""
         put = partial(object.__setattr__, self)
         put("stars", checked_several("stars", self.stars, Star))
         if not self.stars:
@@ -371,7 +370,6 @@ def _places(scene):
 
 
 def _middle_year(motion):
-    """Return the middle of a motion, Julian years."""
     days = TIME_ZEROS[motion.time_format] + (motion.time[0] + motion.time[-1]) / 2
     return 2000.0 + float(days - 2451545.0) / 365.25
 

@@ -72,7 +72,6 @@ class Star(Value):
     coord: "SkyCoord | None" = None
 
     def __post_init__(self):
-        """Check every field and bring it to its type."""
         put = object.__setattr__
         check_fields(self)
         put(self, "psf", checked_model("psf", self.psf))
@@ -138,7 +137,6 @@ def _checked_signal(signal):
 
 
 def _check_values(signal):
-    """Check that relative fluxes are finite and not negative."""
     if not np.all(np.isfinite(signal)):
         raise ValueError("`signal` must be finite in every cadence")
     if np.any(signal < 0):

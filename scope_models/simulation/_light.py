@@ -88,7 +88,6 @@ class Prepared:
 
 
 def prepare(scene):
-    """Return a scene with the truth of its effects and the light of its stars."""
     conditions = Conditions.of(scene.detector, scene.motion.time, len(scene.stars))
     effects, counts = [], Counter()
     given = (*scene.detector.effects, *scene.effects)
@@ -137,7 +136,6 @@ def shown(*values):
 
 
 def _product(factors):
-    """Return the product of all factors that are given, or None."""
     given = [factor for factor in factors if factor is not None]
     return reduce(mul, given) if given else None
 

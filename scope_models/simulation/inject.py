@@ -211,7 +211,6 @@ def _scene_of(star, series, tpf=None):
 
 
 def _on_stamp(scene):
-    """Return a scene whose last star is on the stamp."""
     (x_0, y_0), (ny, nx) = scene.positions[-1], scene.detector.shape
     if not (-0.5 <= x_0 <= nx - 0.5 and -0.5 <= y_0 <= ny - 0.5):
         place = f"column {x_0:g} and row {y_0:g} of {nx} and {ny}"
@@ -238,7 +237,6 @@ def _at(scene, series):
 
 
 def _simulated(scene):
-    """Return the observation of a scene with its expected flux."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", LostLightWarning)
         return simulate(scene, keep_model=True)
