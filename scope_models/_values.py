@@ -38,23 +38,7 @@ class Value:
         return f"{type(self).__name__}({shown})"
 
     def replace(self, **changes):
-        """Return a copy with other values of some fields.
-
-        Parameters
-        ----------
-        **changes
-            Fields and their new values.
-
-        Returns
-        -------
-        object
-            The copy, of the same class.
-
-        Raises
-        ------
-        TypeError
-            If there is no such field.
-        """
+        """Return a copy with other values of some fields; a TypeError if there is no such field."""
         return dataclasses.replace(self, **changes)
 
 

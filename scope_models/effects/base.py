@@ -282,37 +282,20 @@ class Effect(Value):
         return self.replace(**{n: np.interp(new, time, v) for n, v in values.items() if np.ndim(v)})
 
     def draw(self, conditions, generator):
-        """Return what is drawn from the generator or follows from the parameters.
-
-        A `~scope_models.effects.base.Drawn`.
-        """
+        """Return what is drawn or follows, a `~scope_models.effects.base.Drawn`."""
         return Drawn()
 
     def width(self, drawn, conditions):
         """Return a factor on the width of the PSF, shape (n_cadences,), or None."""
 
     def exposures(self, drawn, conditions):
-        """Return offsets of the stars within each cadence, or None.
-
-        They are `~scope_models.effects.base.Exposures`.
-        """
+        """Return offsets in each cadence, `~scope_models.effects.base.Exposures`, or None."""
 
     def shares(self, drawn, conditions, star):
         """Return a function of columns, rows (m,) and a slice, or None.
 
-        Parameters
-        ----------
-        drawn : Drawn
-            The truth of the effect.
-        conditions : Conditions
-            What it needs of the scene.
-        star : int
-            Number of the star in the scene.
-
-        Returns
-        -------
-        callable or None
-            It returns what is added to the star's images of unit flux, shape (m, ny, nx).
+        It returns what is added to the images of unit flux, shape (m, ny, nx), of the star of a
+        number in the scene.
         """
 
     def starlight(self, drawn, conditions):

@@ -42,11 +42,6 @@ class PixelShares(Effect):
     star : int, optional
         Number of the star in the scene.
 
-    Raises
-    ------
-    TypeError, ValueError
-        If an argument is of the wrong kind or shape.
-
     Notes
     -----
     A share that would be negative is zero in a simulation.

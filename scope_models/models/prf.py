@@ -515,13 +515,7 @@ class PRF(StarModel):
         return images if unit is None else images * unit
 
     def bounding_box(self):
-        """Rectangle that holds all pixels that the components' bounding boxes reach.
-
-        Returns
-        -------
-        bounding_box : tuple
-            ``((y_low, y_high), (x_low, x_high))``, as astropy orders it.
-        """
+        """Rectangle ``((y_low, y_high), (x_low, x_high))`` of the pixels that the star reaches."""
         values = {name: value_of(getattr(self, name)) for name in self.param_names}
         boxes = []
         for component in self._components:

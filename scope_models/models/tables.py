@@ -202,13 +202,7 @@ class _Table(StarModel):
         return [unit, *(flux * part for part in parts)]
 
     def bounding_box(self):
-        """Rectangle that the table covers.
-
-        Returns
-        -------
-        bounding_box : tuple
-            ``((y_low, y_high), (x_low, x_high))``, as astropy orders it.
-        """
+        """Rectangle that the table covers, ``((y_low, y_high), (x_low, x_high))``."""
         box = []
         for axis, center in ((1, self.y_0), (0, self.x_0)):
             low, high = self.reach[axis]

@@ -8,12 +8,13 @@ import numpy as np
 from scope_models._arrays import plain_array, plain_time
 from scope_models._checks import checked_choice, checked_int32
 from scope_models._values import Value
-from scope_models.io.pixels import LARGEST_OFFSET, usable_positions
+from scope_models.io._hlsp import ccd_name
+from scope_models.io.pixels import LARGEST_OFFSET, place_of, usable_positions
 from scope_models.missions import MISSIONS, TIME_ZEROS
 
 __all__ = [
     "MotionStatistics", "as_int32", "as_pixels", "as_times", "check_increasing",
-    "largest_distance", "repair",
+    "largest_distance", "offsets_at", "repair",
 ]  # fmt: skip
 
 # Flags of the mission that has a time format.
@@ -110,6 +111,27 @@ def _fill_times(time, number, timeless):
     filled = np.interp(number, known, values)
     filled += pace * (np.minimum(number - known[0], 0) + np.maximum(number - known[-1], 0))
     return np.where(timeless, filled, time)
+
+
+def offsets_at(motion, time, time_format, cards, shape):
+    """Return what `Motion.offsets` does, at times in days, for the cards and shape of a stamp."""
+    if time_format != motion.time_format:
+        times = f"{motion.time_format.upper()}, those of the file {time_format.upper()}"
+        raise ValueError(f"the times of the motion are {times}")
+    if (ccd := motion.meta.get("ccd")) and (other := ccd_name(cards)) not in {"", ccd}:
+        raise ValueError(f"the motion belongs to {ccd}, the file to {other}")
+    time = np.where(np.isfinite(time), time, np.inf)
+    middles = (motion.time[1:] + motion.time[:-1]) / 2
+    at = np.searchsorted(middles, time)
+    steps = np.diff(motion.time)
+    step = np.median(steps) if len(steps) else MISSIONS["K2"].cadence_days("long")
+    known = np.abs(time - motion.time[at]) < step / 2
+    if not known.any():
+        raise ValueError("the motion has none of the cadences of the file")
+    place = place_of(cards, shape)
+    moved = motion.at(*place) if place is not None and hasattr(motion, "at") else motion
+    pairs = [(moved.x, moved.y), (moved.x_err, moved.y_err)]
+    return tuple(None if x is None else np.where(known, [x[at], y[at]], np.nan).T for x, y in pairs)
 
 
 @dataclass(frozen=True)

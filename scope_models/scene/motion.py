@@ -13,9 +13,8 @@ from scope_models._arrays import PER_PIXEL
 from scope_models._checks import checked_integer, checked_number
 from scope_models._docstrings import documented
 from scope_models._values import Value, html_table
-from scope_models.io._hlsp import ccd_name
 from scope_models.io._opening import read_positions
-from scope_models.io.pixels import place_of, positions_of, read_pixels
+from scope_models.io.pixels import positions_of, read_pixels
 from scope_models.missions import MISSIONS
 from scope_models.scene._motion_arrays import (
     MotionStatistics,
@@ -24,6 +23,7 @@ from scope_models.scene._motion_arrays import (
     as_times,
     check_increasing,
     largest_distance,
+    offsets_at,
     repair,
 )
 from scope_models.scene._pointing import (
@@ -719,23 +719,8 @@ class Motion(Value):
         True
         """
         series = read_pixels(tpf)
-        if series.time_format != self.time_format:
-            times = f"{self.time_format.upper()}, those of the file {series.time_format.upper()}"
-            raise ValueError(f"the times of the motion are {times}")
-        ccd, other = self.meta.get("ccd"), ccd_name(series.header)
-        if ccd and other not in {"", ccd}:
-            raise ValueError(f"the motion belongs to {ccd}, the file to {other}")
-        time = np.where(np.isfinite(series.time), series.time, np.inf)
-        at = np.searchsorted((self.time[1:] + self.time[:-1]) / 2, time)
-        step = np.median(np.diff(self.time)) if len(self) > 1 else _LONG
-        known = np.abs(time - self.time[at]) < step / 2
-        if not known.any():
-            raise ValueError("the motion has none of the cadences of the file")
-        place = place_of(series.header, series.flux.shape[1:])
-        moved = self.at(*place) if place is not None and hasattr(self, "at") else self
-        pairs = (moved.x, moved.y), (moved.x_err, moved.y_err)
-        found = (None if x is None else np.where(known, [x[at], y[at]], np.nan).T for x, y in pairs)
-        return tuple(found)
+        shape = series.flux.shape[1:]
+        return offsets_at(self, series.time, series.time_format, series.header, shape)
 
     @documented()
     def plot(self, ax=None, **options):
