@@ -146,45 +146,38 @@ def _series_derivatives(x, y, parameters, coefficients, out):
             contract(*pair, image[part])
 
 
-class _LineRule:
-    """A Gauss-Legendre rule along x over closed forms along y.
+def _line_images(x, y, parameters, coefficients, out):
+    """Apply a Gauss-Legendre rule along x to closed forms along y: one image, or six.
 
     There the density along y is normal, with the mean ``y_0 + rho sigma_y z_x`` and the width
     ``sigma_y sqrt(1 - rho^2)``. Narrow densities have several panels in a pixel.
     """
+    flux, x_0, y_0, sigma_x, sigma_y, rho = (p[:, np.newaxis] for p in parameters)
+    nodes, weights = _line_nodes(sigma_x, rho, coefficients[0].size - 1)
+    weights = weights * np.polynomial.polynomial.polyval(nodes, coefficients[0])
+    z = ((x[:, np.newaxis] + nodes).ravel() - x_0) / sigma_x
+    middle = y_0 + rho * sigma_y * z
+    width = np.broadcast_to(sigma_y * np.sqrt(1 - rho**2), middle.shape)
+    n_orders, shape = 1 if len(out) == 1 else 3, (-1, x.size, nodes.size)
+    table = axis_direct(y, middle.ravel(), width.ravel(), coefficients[1], n_orders)
+    table = table.reshape(*shape, n_orders, y.size)
+    density = np.exp(-0.5 * z**2) / np.sqrt(2 * np.pi) / sigma_x
+    density *= flux * np.tile(weights, x.size)
 
-    def __init__(self, x, y, parameters, coefficients, n_orders):
-        flux, x_0, y_0, sigma_x, sigma_y, rho = (p[:, np.newaxis] for p in parameters)
-        nodes, weights = _line_nodes(sigma_x, rho, coefficients[0].size - 1)
-        weights = weights * np.polynomial.polynomial.polyval(nodes, coefficients[0])
-        self.z = ((x[:, np.newaxis] + nodes).ravel() - x_0) / sigma_x
-        middle = y_0 + rho * sigma_y * self.z
-        width = np.broadcast_to(sigma_y * np.sqrt(1 - rho**2), middle.shape)
-        table = axis_direct(y, middle.ravel(), width.ravel(), coefficients[1], n_orders)
-        self.shape = -1, x.size, nodes.size
-        self.table = table.reshape(*self.shape, n_orders, y.size)
-        self.density = np.exp(-0.5 * self.z**2) / np.sqrt(2 * np.pi) / sigma_x
-        self.density *= flux * np.tile(weights, x.size)
+    def rule(order, power):
+        """Return sums of order X_k along y times ``z_x^power``, as images."""
+        inner = (density * z**power).reshape(shape)
+        return np.einsum("mxq,mxqy->myx", inner, table[..., order, :])
 
-    def __call__(self, order, power):
-        """Sums of order X_k along y times ``z_x^power``, as images."""
-        weights = (self.density * self.z**power).reshape(self.shape)
-        return np.einsum("mxq,mxqy->myx", weights, self.table[..., order, :])
-
-
-def _line_image(x, y, parameters, coefficients, out):
-    out[0] = _LineRule(x, y, parameters, coefficients, 1)(0, 0)
-
-
-def _line_derivatives(x, y, parameters, coefficients, out):
-    *_, sigma_x, sigma_y, rho = (p[:, np.newaxis, np.newaxis] for p in parameters)
-    rule, rest = _LineRule(x, y, parameters, coefficients, 3), np.sqrt(1 - rho**2)
+    image = out[0] = rule(0, 0)
+    if len(out) == 1:
+        return
+    sigma_x, sigma_y, rho = (p[..., np.newaxis] for p in (sigma_x, sigma_y, rho))
+    rest, slope = np.sqrt(1 - rho**2), rho * sigma_y
     # Derivatives by mean and width along y, times powers of z_x.
     by_mean = [rule(1, power) / (sigma_y * rest) for power in range(3)]
     by_width = np.sqrt(2) * rule(2, 0) / (sigma_y * rest)
-    image, slope = rule(0, 0), rho * sigma_y
-    out[...] = [
-        image,
+    out[1:] = [
         (rule(0, 1) - slope * by_mean[0]) / sigma_x,
         by_mean[0],
         (rule(0, 2) - image - slope * by_mean[1]) / sigma_x,
@@ -202,7 +195,7 @@ def _reached(pixels, center, sigma):
     return slice(int(start), int(stop))
 
 
-def _evaluate(x, y, parameters, coefficients, engines, n_images):
+def _evaluate(x, y, parameters, coefficients, by_series, n_images):
     """Apply the cheaper of two engines, series and line rule, to the pixels within reach."""
     parameters = [np.asarray(p, dtype=float) for p in parameters]
     shape = np.broadcast_shapes(*(p.shape for p in parameters))
@@ -226,7 +219,8 @@ def _evaluate(x, y, parameters, coefficients, engines, n_images):
         rows = _reached(y, values[2], values[4])
         if columns.start < columns.stop and rows.start < rows.stop:
             out = images[:, part, rows, columns]
-            engines[0 if series else 1](x[columns], y[rows], values, coefficients, out)
+            images_of = by_series if series else _line_images
+            images_of(x[columns], y[rows], values, coefficients, out)
     return images.reshape(n_images, *shape, y.size, x.size)
 
 
@@ -240,7 +234,7 @@ def gaussian_pixels(
     """
     parameters = (flux, x_0, y_0, sigma_x, sigma_y, rho)
     coefficients = (x_coefficients, y_coefficients)
-    return _evaluate(x, y, parameters, coefficients, (_series_image, _line_image), 1)[0]
+    return _evaluate(x, y, parameters, coefficients, _series_image, 1)[0]
 
 
 def gaussian_derivatives(
@@ -253,5 +247,4 @@ def gaussian_derivatives(
     """
     parameters = (1.0, x_0, y_0, sigma_x, sigma_y, rho)
     coefficients = (x_coefficients, y_coefficients)
-    engines = (_series_derivatives, _line_derivatives)
-    return _evaluate(x, y, parameters, coefficients, engines, 6)
+    return _evaluate(x, y, parameters, coefficients, _series_derivatives, 6)

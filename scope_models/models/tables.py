@@ -71,13 +71,13 @@ class _Surface:
         slope_x, slope_y = _slopes(knots_x, matrix.T).T, _slopes(knots_y, matrix)
         for start in range(0, x_0.size, _BATCH):
             part = slice(start, start + _BATCH)
-            axis_x = _AxisRule(x, x_0[part], self.origin[0], step_x, size_x, along_x)
-            axis_y = _AxisRule(y, y_0[part], self.origin[1], step_y, size_y, along_y)
-            base_x, base_y = axis_x.of(knots_x, _DEGREE), axis_y.of(knots_y, _DEGREE)
+            axis_x = _axis_rule(x, x_0[part], self.origin[0], step_x, size_x, along_x)
+            axis_y = _axis_rule(y, y_0[part], self.origin[1], step_y, size_y, along_y)
+            base_x, base_y = axis_x(knots_x, _DEGREE), axis_y(knots_y, _DEGREE)
             images[0, part] = base_y @ matrix @ base_x.transpose(0, 2, 1)
             if derivatives:
-                low_x = axis_x.of(knots_x[1:-1], _DEGREE - 1)
-                low_y = axis_y.of(knots_y[1:-1], _DEGREE - 1)
+                low_x = axis_x(knots_x[1:-1], _DEGREE - 1)
+                low_y = axis_y(knots_y[1:-1], _DEGREE - 1)
                 images[1, part] = base_y @ slope_x @ low_x.transpose(0, 2, 1)
                 images[2, part] = low_y @ slope_y @ base_x.transpose(0, 2, 1)
         if derivatives:
@@ -93,34 +93,34 @@ def _slopes(knots, coefficients):
     return _DEGREE * np.diff(coefficients, axis=0) / width[:, np.newaxis]
 
 
-class _AxisRule:
-    """Nodes and weights along an axis that integrate a spline times a polynomial exactly."""
+def _axis_rule(pixels, center, origin, oversampling, size, polynomial):
+    """Return the function of knots and degree that integrates basis functions, times a polynomial.
 
-    def __init__(self, pixels, center, origin, oversampling, size, polynomial):
-        nodes, weights = gauss_legendre((_DEGREE + len(np.atleast_1d(polynomial)) + 1) // 2 + 1)
-        low = origin + oversampling * (pixels - 0.5 - center[:, np.newaxis])  # edges in samples
-        inner = np.floor(low)[..., np.newaxis] + np.arange(1, int(np.ceil(oversampling)) + 1)
-        high = low + oversampling
-        first, last = low[..., np.newaxis], high[..., np.newaxis]
-        edges = np.concatenate([first, np.minimum(inner, last), last], axis=-1)
-        edges = np.clip(edges, 0, size - 1)[..., np.newaxis]
-        step = np.diff(edges, axis=-2)
-        at = edges[..., :-1, :] + step * (nodes + 0.5)
-        within = (at - low[..., np.newaxis, np.newaxis]) / oversampling - 0.5
-        weight = step * weights / oversampling
-        weight = weight * np.polynomial.polynomial.polyval(within, np.atleast_1d(polynomial))
-        self.shape = low.shape
-        self.at = np.clip(at, 0, size - 1).ravel()
-        self.weight = weight.ravel()
+    Over the pixels along an axis, exactly: shape ``(m, n, k)``.
+    """
+    nodes, weights = gauss_legendre((_DEGREE + len(np.atleast_1d(polynomial)) + 1) // 2 + 1)
+    low = origin + oversampling * (pixels - 0.5 - center[:, np.newaxis])  # edges in samples
+    inner = np.floor(low)[..., np.newaxis] + np.arange(1, int(np.ceil(oversampling)) + 1)
+    high = low + oversampling
+    first, last = low[..., np.newaxis], high[..., np.newaxis]
+    edges = np.concatenate([first, np.minimum(inner, last), last], axis=-1)
+    edges = np.clip(edges, 0, size - 1)[..., np.newaxis]
+    step = np.diff(edges, axis=-2)
+    at = edges[..., :-1, :] + step * (nodes + 0.5)
+    within = (at - low[..., np.newaxis, np.newaxis]) / oversampling - 0.5
+    weight = step * weights / oversampling
+    weight = weight * np.polynomial.polynomial.polyval(within, np.atleast_1d(polynomial))
+    at, weight = np.clip(at, 0, size - 1).ravel(), weight.ravel()
 
-    def of(self, knots, degree):
-        """Integrals of the basis functions, shape ``(m, n, k)``."""
-        table = BSpline.design_matrix(self.at, knots, degree)
-        k, n_rows = table.shape[1], int(np.prod(self.shape))
-        row = np.repeat(np.arange(n_rows), self.at.size // n_rows * (degree + 1))
-        weight = np.repeat(self.weight, degree + 1) * table.data
-        sums = np.bincount(row * k + table.indices, weight, minlength=n_rows * k)
-        return sums.reshape(*self.shape, k)
+    def integrals(knots, degree):
+        table = BSpline.design_matrix(at, knots, degree)
+        k = table.shape[1]
+        row = np.repeat(np.arange(low.size), at.size // low.size * (degree + 1))
+        weights = np.repeat(weight, degree + 1) * table.data
+        sums = np.bincount(row * k + table.indices, weights, minlength=low.size * k)
+        return sums.reshape(*low.shape, k)
+
+    return integrals
 
 
 class _Table(StarModel):

@@ -170,7 +170,7 @@ class _Fit:
         density = -np.log(factor) - (_TAILS / 2 + 1) * np.log1p(squares / (_TAILS * factor))
         return density[self.seen[k]].sum() + prior, factor
 
-    def motion(self, time_format, meta):
+    def motion(self, time_format):
         """Return the motion about the place that is known best."""
         light = np.einsum("kn,kna->k", self.tails / self.factor[:, None], self.precision)
         middle = light @ self.place / light.sum()
@@ -184,35 +184,21 @@ class _Fit:
         values |= dict(zip(("x_err", "y_err"), np.sqrt(variance).T, strict=True))
         values |= dict(zip(("roll_err", "scale_err"), error.T, strict=True))
         values = {name: value[known] for name, value in values.items()}
-        return CommonMotion(**values, time_format=time_format, meta=meta, place=tuple(middle))
+        return CommonMotion(**values, time_format=time_format, place=tuple(middle))
 
 
-def fit_tracks(tracks, time_format="bkjd", meta=None):
-    """Fit the common motion of stars of a CCD.
+def fit_tracks(tracks, time_format="bkjd"):
+    """Return the common motion of stars of a CCD, and which tracks that of the others lacks.
 
-    Parameters
-    ----------
-    tracks : sequence of Track
-        Positions of stars; those of one name are of one star.
-    time_format : {"bkjd", "btjd"}, optional
-        Zero of their times.
-    meta : mapping, optional
-        What is known of the source.
-
-    Returns
-    -------
-    motion : CommonMotion
-        The motion.
-    left_out : list of bool
-        Which of the tracks the motion of the others does not explain; they do not count, unless
-        all are.
+    Tracks of one name are of one star. Those that the motion of the others does not explain do not
+    count, unless all are such.
     """
     fit, names = _Fit(tracks).run(), np.array([track.name for track in tracks])
     others = (fit.others(k, names) for k in range(len(names)))
     agree = [given is None or fit.agrees(k, *given) for k, given in enumerate(others)]
     if any(agree) and not all(agree):
         fit = _Fit([track for track, good in zip(tracks, agree, strict=True) if good]).run()
-    return fit.motion(time_format, meta or {}), [not good for good in agree]
+    return fit.motion(time_format), [not good for good in agree]
 
 
 def explains(motion, track, series):

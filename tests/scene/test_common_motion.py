@@ -195,7 +195,9 @@ def test_files_of_other_ccds_and_files_that_fail(series, tmp_path):
 
 
 def test_common_motions_are_values(tmp_path):
-    motion = fit_tracks(list(tracks(50, np.random.default_rng(3))), meta={"stars": ["a"]})[0]
+    motion = fit_tracks(list(tracks(50, np.random.default_rng(3))))[0].replace(
+        meta={"stars": ["a"]}
+    )
     assert Motion.read(motion.write(tmp_path / "motion.fits")) == motion
     assert pickle.loads(pickle.dumps(motion)) == motion  # noqa: S301 - written here
     assert len(motion[10:20].roll_err) == 10
