@@ -28,27 +28,13 @@ _LONGEST_TARGET, _LONGEST_NAME = 30, 90
 
 @dataclass(frozen=True)
 class Collection:
-    """A collection of light curves in an archive; checked when it is made.
-
-    Parameters
-    ----------
-    id : str
-        Its identifier: letters, digits and hyphens, at most 20, the first a letter.
-    lead : str
-        Full name of who leads the project, in ASCII, as FITS headers are.
-    version : str
-        Its version: up to three numbers, as "1.0".
-    title : str, optional
-        Its title, by default the identifier.
-    doi : str, optional
-        Its digital object identifier, which the archive gives.
-    """
+    """A collection of light curves in an archive; checked when it is made."""
 
     id: str
-    lead: str
+    lead: str  # full name of who leads the project
     version: str
-    title: str = ""
-    doi: str = ""
+    title: str = ""  # by default the identifier
+    doi: str = ""  # digital object identifier, which the archive gives
 
     def __post_init__(self):
         for name in ("id", "lead", "version", "title", "doi"):
