@@ -108,7 +108,7 @@ def test_series_and_line_rule_agree(rho):
     pixels = np.arange(5.0)
     series, line = np.zeros((2, 1, 1, 5, 5))
     _gaussian._series_image(pixels, pixels, values, rows, series)
-    _gaussian._line_image(pixels, pixels, values, rows, line)
+    _gaussian._line_images(pixels, pixels, values, rows, line)
     assert np.max(np.abs(series - line)) < 2e-13
 
 
