@@ -51,10 +51,7 @@ def _listed(left):
 
 
 def common_motions(tpfs, *, pixels=True):
-    """Return the common motion of each CCD, and the reason for each file without positions.
-
-    Without ``pixels`` the positions are those of POS_CORR only.
-    """
+    """Return the common motion of each CCD, and the reason for each file without positions."""
     tracks, facts, failed = defaultdict(list), {}, {}
     for number, tpf in enumerate(tpfs, start=1):
         path = isinstance(tpf, str | Path)

@@ -71,10 +71,8 @@ class FitOptions(Value):
 
     Raises
     ------
-    TypeError
-        If a value is of the wrong kind.
-    ValueError
-        If a value is outside its domain.
+    TypeError, ValueError
+        If a value is of the wrong kind, or outside its domain.
 
     Examples
     --------
@@ -197,18 +195,15 @@ class Problem:
 
     @property
     def n_data(self):
-        """Number of pixel values."""
         return int(np.count_nonzero(self._given_weight))
 
     @property
     def n_free(self):
-        """Number of free parameters."""
         n_own = len(self.columns) - 2 * (self.options.positions == "path")
         return self.n_shared + max(self.n_pixels - 1, 0) + len(self.flux) * n_own
 
     @property
     def dof(self):
-        """Pixel values less free parameters, at least 1."""
         return max(self.n_data - self.n_free, 1)
 
     @cached_property
@@ -233,10 +228,7 @@ class Problem:
 
     @property
     def position_error(self):
-        """Standard deviation of the positions about the affine map of POS_CORR, pixels, or None.
-
-        For each cadence, ``(n, 2)``, where the positions have errors.
-        """
+        """Error of the map of POS_CORR, pixels: a number, by cadence and axis, or None."""
         if self.data.pos_err is not None:
             return np.maximum(self.data.pos_err, _PATH_ERROR)
         errors = {"path": _PATH_ERROR, "prior": self.options.position_error}
@@ -259,7 +251,6 @@ class Problem:
 
     @cached_property
     def parameters(self):
-        """The shared parameters, in their order."""
         result = [*self._of_shape]
         for i, axis in enumerate("xy" if self.position_error is not None else ()):
             scale = {"kind": "slope", "prior": self.options.scale_error}
@@ -285,7 +276,6 @@ class Problem:
 
     @property
     def n_shared(self):
-        """Number of shared parameters."""
         return len(self.parameters)
 
     @cached_property
@@ -297,11 +287,7 @@ class Problem:
 
     @cached_property
     def index(self):
-        """Columns of the fluxes of stars and of the backgrounds of files, none if these are 0.
-
-        And of each star but the first its position, of each file but the first its motion: slices
-        of the shared parameters.
-        """
+        """Columns of fluxes and backgrounds; slices of the places of stars and motions of files."""
         names, k = (*self.columns, *(p.name for p in self.parameters)), len(self.columns)
         number = {name: i for i, name in enumerate(names)}
         stars, files = range(len(self.stars)), range(len(self.stamps))
@@ -310,11 +296,9 @@ class Problem:
         fluxes = (number.get(f"flux_star_{i}", number.get(_numbered("flux", i))) for i in stars)
         backgrounds = (number.get(_numbered("background", i)) for i in files)
         return SimpleNamespace(
-            fluxes=list(fluxes),
-            backgrounds=[column for column in backgrounds if column is not None],
-            places=[slice(first, first + 2) for first in places],
-            maps=[slice(first, first + 4) for first in maps],
-        )
+            fluxes=list(fluxes), backgrounds=[c for c in backgrounds if c is not None],
+            places=[slice(i, i + 2) for i in places], maps=[slice(i, i + 4) for i in maps],
+        )  # fmt: skip
 
     @cached_property
     def bounds(self):
@@ -358,12 +342,10 @@ class Problem:
         if self.options.loss == "soft_l1":
             # In units of larger errors, cosmic rays in dark pixels are not outliers.
             scale = float(np.sqrt(typical)) if typical > UNTRUE else 1.0
-        if max(abs(scale / self.error_scale - 1), abs(misfit / self.misfit - 1)) > _SAME:
-            return replace(self, error_scale=scale, misfit=misfit)
-        return self
+        same = max(abs(scale / self.error_scale - 1), abs(misfit / self.misfit - 1)) <= _SAME
+        return self if same else replace(self, error_scale=scale, misfit=misfit)
 
     def values(self, state):
-        """Values of the free parameters of the PRF."""
         return {p.name: float(v) for p, v in zip(self._of_shape, state.shared, strict=False)}
 
     def _map(self, state, stamp):
@@ -400,15 +382,10 @@ class Problem:
         return state.column(columns[stamp]) if columns else np.zeros(len(state.cadence))
 
     def chunks(self):
-        """Slices of cadences."""
-        n = len(self.flux)
-        return [slice(start, min(start + _CHUNK, n)) for start in range(0, n, _CHUNK)]
+        return [slice(i, i + _CHUNK) for i in range(0, len(self.flux), _CHUNK)]
 
     def unit_images(self, state, part, star=0, *, derivatives=False):
-        """Images of unit flux at the fitted pixels of the star's stamp, ``(m, p)``.
-
-        With their derivatives: those by column and row, by the shape of the PSF, and by the focus.
-        """
+        """Unit images at a star's pixels, ``(m, p)``; and derivatives by place, shape and focus."""
         stamp = self.stamps[self.stars[star].stamp]
         x, y = self.xy(state, star)[part].T
         widens = self.options.focus is not None
@@ -460,10 +437,9 @@ class Problem:
             if self.options.loss == "linear":
                 cost += np.sum(residual**2)
             else:
-                scaled = (residual / soft) ** 2
-                cost += 2 * soft**2 * np.sum(np.sqrt(1 + scaled) - 1)
-                factor = (1 + scaled) ** -0.25
-                residual *= factor
+                scaled = 1 + (residual / soft) ** 2
+                cost += 2 * soft**2 * np.sum(np.sqrt(scaled) - 1)
+                residual *= (factor := scaled**-0.25)
                 weight = weight * factor
             design *= weight
             add(part, residual, design)

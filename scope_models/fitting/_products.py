@@ -9,14 +9,7 @@ from scipy.ndimage import median_filter, uniform_filter1d
 from scope_models._arrays import native
 from scope_models._checks import checked_choice
 from scope_models.effects import Background, Focus, PixelShares
-from scope_models.fitting._parameters import (
-    CADENCE_UNITS,
-    STATISTICS,
-    FitParameter,
-    FittedStar,
-    cadence_table,
-    parameter_table,
-)
+from scope_models.fitting import _parameters
 from scope_models.io._opening import RefusedError, making, open_fits
 from scope_models.io.tpf import write_hdulist
 from scope_models.missions import MISSIONS
@@ -87,7 +80,8 @@ def read_fit(path):
 
 def _fields_of(hdus):
     table = hdus["CADENCES"].data
-    columns = {n: native(table[n.upper()]) for n in CADENCE_UNITS if n.upper() in table.names}
+    names = [name for name in _parameters.CADENCE_UNITS if name.upper() in table.names]
+    columns = {name: native(table[name.upper()]) for name in names}
     if "POS_CORR1" in table.names:
         columns["pos_corr"] = np.column_stack([native(table[f"POS_CORR{i}"]) for i in (1, 2)])
     values = {name: native(hdus[name.upper()].data) for name in _IMAGES}
@@ -103,20 +97,21 @@ def _fields_of(hdus):
     detector |= {"sensitivity": model.sensitivity, "shape": tuple(detector["shape"])}
     shares = ({name: unpacked(v) for name, v in one.items()} for one in described["response"])
     response = tuple(PixelShares(**values) for values in shares)
-    options, statistics = described["options"], {n: described.get(n, np.nan) for n in STATISTICS}
+    statistics = {name: described.get(name, np.nan) for name in _parameters.STATISTICS}
+    options = described["options"]
     if options["interpixel"] is None:
         options["interpixel"] = np.inf
-    free = [*map(FitParameter, described["names"], described["kinds"])]
-    parameters = parameter_table(
+    free = [*map(_parameters.FitParameter, described["names"], described["kinds"])]
+    parameters = _parameters.parameter_table(
         model, free, described["parameters"], values["covariance"], described["at_bounds"],
         statistics, response=bool(response),
     )  # fmt: skip
     return values | {
-        "model": model, "parameters": parameters, "cadences": cadence_table(columns),
-        "neighbors": tuple(FittedStar(*star) for star in cube), "statistics": statistics,
-        "time_format": described["time_format"],
+        "model": model, "parameters": parameters, "cadences": _parameters.cadence_table(columns),
+        "neighbors": tuple(_parameters.FittedStar(*star) for star in cube), "options": options,
+        "time_format": described["time_format"], "meta": described["meta"], "response": response,
         "detector": Detector(**detector, interpixel=np.maximum(values["interpixel"], 0.0)),
-        "options": options, "meta": described["meta"], "response": response,
+        "statistics": statistics,
     }  # fmt: skip
 
 
@@ -147,7 +142,6 @@ def _description(fit):
 
 
 def make_scene(fit, positions, signal):
-    """Return the scene of a fit."""
     common = isinstance(positions, Motion)
     if not common:
         checked_choice("positions", positions, ("fitted", "path"))
@@ -159,8 +153,7 @@ def make_scene(fit, positions, signal):
             xy[:, axis] = path + denoised(fit, xy[:, axis] - path, error)
     path = fit.pos_corr
     if common:
-        shape = fit.observed.shape[1:]
-        path, _ = offsets_at(positions, fit.time, fit.time_format, fit.meta, shape)
+        path, _ = offsets_at(positions, fit.time, fit.time_format, fit.meta, fit.shape)
     if common or positions == "path":
         if path is None:
             raise ValueError("`positions` is 'path', but the file had no POS_CORR")
@@ -257,11 +250,7 @@ def _read_noise(fit):
 
 
 def sensitivity_profiles(fit):
-    """The fitted sensitivity along both axes, with its uncertainty; None without a polynomial.
-
-    "offset" and, by axis, value and standard deviation, all of the same shape; NaN where a
-    coefficient is at its bound.
-    """
+    """Offsets and, by axis, fitted sensitivity and error, NaN at a bound; None without one."""
     model = fit.sensitivity
     if not isinstance(model, SensitivityPolynomial):
         return None

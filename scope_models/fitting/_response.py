@@ -13,11 +13,11 @@ from astropy.stats import mad_std
 from scipy.linalg import cho_factor, cho_solve
 
 from scope_models.effects.shares import PixelShares, polynomial_terms, polynomials, scaled_to
-from scope_models.fitting._gather import fitted_fields
 from scope_models.fitting._parameters import cadence_table
 from scope_models.fitting._problem import UNTRUE, State, median_image
 from scope_models.fitting._solver import Errors, psf_covariance
 from scope_models.fitting._start import centroids, linear_start, solved
+from scope_models.fitting.result import fitted_fields
 
 __all__ = ["fit_response"]
 
@@ -105,11 +105,9 @@ class _Shares:
 
     @property
     def order(self):
-        """Order of each term."""
         return self.terms.sum(axis=1)
 
     def richer(self, *degrees):
-        """Return the same shares with more terms."""
         other = copy(self)
         other.degrees, other.terms = degrees, polynomial_terms(*degrees)
         place = {tuple(term): k for k, term in enumerate(other.terms.tolist())}
@@ -128,8 +126,8 @@ class _Shares:
         scaled = [scaled_to(v, limits) for v, limits in zip(values, self.ranges, strict=True)]
         value, *slopes = polynomials(self.terms, *scaled)
         for axis in (0, 1):
-            low, high = self.ranges[axis]
-            slopes[axis] *= np.where(np.abs(scaled[axis]) < 1, 2 / (high - low), 0.0)[:, np.newaxis]
+            inside = np.abs(scaled[axis]) < 1
+            slopes[axis] *= np.where(inside, 2 / np.ptp(self.ranges[axis]), 0.0)[:, np.newaxis]
         return value, *slopes
 
     def psf(self):
@@ -274,10 +272,8 @@ class _Shares:
         """Fit shares and cadences in turn; return whether the cost has settled, and the steps."""
         before = np.inf
         for number in range(steps):
-            self.update()
-            self.improve()
-            self.put_on_path()
-            self.leave_out()
+            for step in (self.update, self.improve, self.put_on_path, self.leave_out):
+                step()
             cost = float(self.costs(self.weight)[self.used & ~self.held].sum())
             if report is not None:
                 report(cost)
@@ -319,8 +315,7 @@ def _choose(shares, report):
 def fit_response(problem, few, state, fits, report=None):
     """Fit the response of each pixel in all cadences; return a `TPFFit` per file.
 
-    ``few`` is the problem of some of the cadences, to which the PSF was fitted with the result
-    ``state``, whose shared parameters are kept, and ``fits`` for each file.
+    ``state`` and ``fits`` are the result for the ``few`` cadences to which the PSF was fitted.
     """
     if (n := len(problem.flux)) < _FEWEST:
         raise ValueError(f'`tpf` has {n} cadences; response="pixels" needs {_FEWEST} or more')
@@ -402,17 +397,13 @@ def _result(shares, errors, psf, n_free, number, fit, *, converged, n_steps):
     parameters["error"][response] = np.nan
     stars = [k for k, star in enumerate(problem.stars) if star.stamp == number]
     return fit.replace(
-        **fields,
-        parameters=parameters,
-        covariance=covariance,
+        **fields, parameters=parameters, covariance=covariance, statistics=statistics,
         cadences=cadence_table(columns | {"held_out": held, "outliers": ~used}),
-        statistics=statistics,
         response=tuple(_effect(shares, k, place) for place, k in enumerate(stars)),
-    )
+    )  # fmt: skip
 
 
 def _effect(shares, star, number):
-    """The shares of a star as an effect of a scene."""
     problem, state = shares.problem, shares.state
     stamp = problem.stamps[problem.stars[star].stamp]
     image = np.zeros((len(shares.terms), *stamp.shape))

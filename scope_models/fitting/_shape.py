@@ -54,20 +54,18 @@ def psf_shape(fit):
     by = np.transpose([_axes(moments + step) - values for step in np.diag(steps)])
     by[-1] = (by[-1] + 90) % 180 - 90
     errors = np.sqrt(np.einsum("ai,ij,aj->a", by / steps, covariance, by / steps))
-    table = Table([list(SHAPE), values, errors, list(SHAPE.values())])
-    table.rename_columns(table.colnames, ("name", "value", "error", "unit"))
+    columns = [*SHAPE], values, errors, [*SHAPE.values()]
+    table = Table(columns, names=("name", "value", "error", "unit"))
     table["value"].info.format, table["error"].info.format = ".4g", ".2g"
     return table
 
 
 def _moments_of_shares(fit):
-    """Moments, as `_moments`, of the Gaussian that fits the typical shares, and their covariance.
-
-    The pixels scatter about it by one part of their light, and of all light in faint ones.
-    """
+    """Moments of the Gaussian that fits the typical shares, and their covariance."""
     x, y, time = (np.median(values) for values in (fit.x, fit.y, fit.time))
     shares = fit.model.unit_images(fit.shape, x, y) + fit.response[0].changes([x], [y], [time])[0]
     used = np.isfinite(fit.fitted).any(axis=0)
+    # The pixels scatter about it by one part of their light, and of all light in faint ones.
     weight = used / (np.abs(shares) + _EVERYWHERE)
     gaussian = PRF(BivariateGaussianPSF())
 

@@ -55,13 +55,11 @@ def _outward(problem, shared, direction):
 
 
 def _directions(problem, held, only):
-    """Directions in which the shared parameters and the map may move, ``(m, r)``.
-
-    Those that are held may not; with ``only``, the others and the map may not either.
-    """
-    if only is not None:
-        return np.eye(problem.n_shared + problem.n_pixels)[:, : problem.n_shared][:, only & ~held]
-    return block_diag(np.eye(problem.n_shared)[:, ~held], problem.free_response)
+    """Directions in which shared parameters and map may move, ``(m, r)``: not what is held."""
+    free = ~held if only is None else only & ~held
+    still = np.zeros((problem.n_pixels, 0))
+    response = problem.free_response if only is None else still
+    return block_diag(np.eye(problem.n_shared)[:, free], response)
 
 
 def _damped(matrix, damping):
@@ -128,13 +126,11 @@ def _step(problem, state, equations, only, damping):
     brake = np.maximum(np.diag(matrix), _FLOOR * np.diag(equations.shared))
     brake[:s] += 1 / reach**2
     matrix = matrix + damping * np.diag(brake)
-    held = more = _outward(problem, state.shared, gradient)
-    while True:
+    held, more = _outward(problem, state.shared, gradient), True
+    while np.any(more):
         basis = _directions(problem, held, only)
         shared = _inverse(matrix, equations.shared, basis) @ gradient
         more = _outward(problem, state.shared, shared) & ~held
-        if not more.any():
-            break
         held = held | more
     room = np.where(shared[:s] < 0, state.shared - lower, upper - state.shared)
     moves = shared[:s] != 0
@@ -197,7 +193,6 @@ def solve(problem, state, max_steps, *, n_steps=0, only=None, loosely=False, rep
 
 
 def covariances(problem, solution):
-    """`Errors` of all parameters."""
     # The errors that are quoted, and the same weights of outliers.
     soft = problem.options.loss_scale * problem.error_scale / problem.misfit
     options = replace(problem.options, loss_scale=soft)
@@ -216,10 +211,7 @@ def covariances(problem, solution):
 
 
 def psf_covariance(problem, state, response):
-    """Covariance of the shared parameters of a fit that took all pixels as even, ``(s, s)``.
-
-    ``response`` holds what the response of each pixel was found to be later, less 1, ``(p,)``.
-    """
+    """Covariance of shared parameters, of a fit without the responses ``(p,)`` found later."""
     options = replace(problem.options, interpixel=np.inf)
     problem = replace(problem, options=options, error_scale=1.0)
     equations = problem.expand(replace(state, interpixel=np.zeros(problem.n_pixels)))

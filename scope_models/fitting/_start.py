@@ -10,19 +10,11 @@ from astropy import units as u
 from astropy.stats import mad_std
 from scipy.ndimage import maximum_filter
 
+from scope_models import models
 from scope_models._arrays import plain_array
 from scope_models.exceptions import FitWarning
 from scope_models.fitting._problem import State, median_image
 from scope_models.io.pixels import star_places, usable_positions
-from scope_models.models import (
-    PRF,
-    BivariateGaussianPSF,
-    CorrectedPRF,
-    DiffusionSensitivity,
-    GaussHermitePSF,
-    SensitivityPolynomial,
-    TabulatedPRF,
-)
 
 __all__ = [
     "APART", "PixelData", "centroids", "find_stars", "is_faint", "linear_start", "make_prf",
@@ -69,7 +61,6 @@ class PixelData:
 
     @property
     def shape(self):
-        """Shape of an image."""
         return self.pixels.shape
 
     def __getitem__(self, cadences):
@@ -79,10 +70,7 @@ class PixelData:
 
 
 def read_data(series, flux_err, detector, n_free, *, saturation, moved):
-    """Take the usable data of a `PixelSeries`; a cadence needs more than ``n_free`` pixels.
-
-    ``moved`` are the positions in place of POS_CORR, and their errors.
-    """
+    """Take the usable data of a `PixelSeries`, with the positions ``moved`` and their errors."""
     flux = np.array(series.flux)
     if not np.isfinite(flux).any():
         raise ValueError("`flux` has no finite value")
@@ -215,9 +203,10 @@ def make_prf(psf, sensitivity, empirical):
     ``psf`` is a number of Gaussian components, a density or a sum of densities, or a PRF;
     ``empirical`` is the order of the empirical term, or of the correction of a table, 0 for none.
     """
-    if isinstance(psf, (PRF, TabulatedPRF)):
-        return _given_prf(psf if isinstance(psf, PRF) else PRF(psf), sensitivity, empirical)
-    if not isinstance(sensitivity, (SensitivityPolynomial, DiffusionSensitivity, type(None))):
+    if isinstance(psf, (models.PRF, models.TabulatedPRF)):
+        return _given_prf(psf, sensitivity, empirical)
+    known = models.SensitivityPolynomial, models.DiffusionSensitivity, type(None)
+    if not isinstance(sensitivity, known):
         wanted = "a SensitivityPolynomial, a DiffusionSensitivity or None"
         raise TypeError(f"`sensitivity` must be {wanted}, got {sensitivity!r}")
     fixed = {}
@@ -226,13 +215,13 @@ def make_prf(psf, sensitivity, empirical):
             raise ValueError(f"`psf` must be 1, 2 or 3 components or a model, got {psf!r}")
         fixed |= {f"{axis}_offset_{k}": False for axis in "xy" for k in range(1, psf)}
         parts = [*zip(_FRACTIONS, _SIGMAS, strict=True)][:psf]
-        psf = reduce(add, (BivariateGaussianPSF(part, 0, 0, s, s) for part, s in parts))
+        psf = reduce(add, (models.BivariateGaussianPSF(part, 0, 0, s, s) for part, s in parts))
     if empirical:
         # A change of its flux or width is a change of the coefficients, which are linear.
-        number, sigma = PRF(psf).n_components, _EMPIRICAL_SIGMA
-        psf = psf + GaussHermitePSF(_EMPIRICAL_FRACTION, 0, 0, sigma, sigma, order=empirical)
+        number, sigma = models.PRF(psf).n_components, _EMPIRICAL_SIGMA
+        psf = psf + models.GaussHermitePSF(_EMPIRICAL_FRACTION, 0, 0, sigma, sigma, order=empirical)
         fixed |= {f"{name}_{number}": True for name in ("flux_fraction", "sigma_x", "sigma_y")}
-    prf = PRF(psf if sensitivity is None else psf * sensitivity, flux=1, x_0=0, y_0=0)
+    prf = models.PRF(psf if sensitivity is None else psf * sensitivity, flux=1, x_0=0, y_0=0)
     if sensitivity is not None:
         fixed |= {name: bool(value) for name, value in sensitivity.fixed.items()}
     return _with_fixed(prf, fixed)
@@ -240,6 +229,7 @@ def make_prf(psf, sensitivity, empirical):
 
 def _given_prf(prf, sensitivity, order):
     """A PRF of the caller, if it is a table times a smooth correction of that order."""
+    prf = prf if isinstance(prf, models.PRF) else models.PRF(prf)
     if sensitivity is not None:
         raise ValueError("`sensitivity` must be left out if `psf` is a PRF")
     table = prf.table
@@ -247,8 +237,8 @@ def _given_prf(prf, sensitivity, order):
         raise ValueError("`empirical` must be left out if `psf` is a PRF but not a table")
     if order:
         values = (getattr(table, name).value for name in ("flux", "x_0", "y_0"))
-        where = {"origin": table.origin, "uncertainty": table.uncertainty}
-        prf = PRF(CorrectedPRF(table.array, table.oversampling, *values, order=order, **where))
+        more = {"origin": table.origin, "uncertainty": table.uncertainty, "order": order}
+        prf = models.PRF(models.CorrectedPRF(table.array, table.oversampling, *values, **more))
     return _with_fixed(prf.copy(), {})
 
 
@@ -260,7 +250,7 @@ def make_rich_prfs(sensitivity):
     """
     for held in (False, True):
         sigma, fixed = _SIGMAS[0], dict.fromkeys(("sigma_x", "sigma_y", "rho"), held)
-        psf = BivariateGaussianPSF(1 - _EMPIRICAL_FRACTION, 0, 0, sigma, sigma, fixed=fixed)
+        psf = models.BivariateGaussianPSF(1 - _EMPIRICAL_FRACTION, 0, 0, sigma, sigma, fixed=fixed)
         for name in ("sigma_x", "sigma_y"):  # a wider one would be background
             psf.bounds[name] = (psf.bounds[name][0], _SIGMAS[1])
         yield make_prf(psf, sensitivity, _RICH_ORDER)
@@ -300,10 +290,7 @@ def starting_state(problem):
 
 
 def centroids(data, place=None):
-    """First moments over the bright pixels around the brightest of each cadence, ``(n, 2)``.
-
-    With the place of a star, column and row, the brightest pixels near it are its own.
-    """
+    """First moments of the bright pixels around the brightest, or near a place, ``(n, 2)``."""
     image = median_image(data.light)
     if image.max() <= 0:
         raise ValueError("no pixel of `tpf` has a positive median flux: there is no star to fit")
@@ -336,10 +323,7 @@ def is_faint(data, target, other):
 
 
 def linear_start(problem, state):
-    """Find the fluxes and backgrounds, in which the model is linear, with the rest of a state.
-
-    The flux of a constant star is the median of what it would be in each cadence.
-    """
+    """Find the fluxes and backgrounds, in which the model is linear, with the rest of a state."""
     shared, cadence, n_stars = state.shared.copy(), state.cadence.copy(), len(problem.stars)
     stamps = problem.slices if problem.options.background == "cadence" else []
     values = np.zeros((len(problem.flux), n_stars + len(stamps)))
@@ -356,7 +340,7 @@ def linear_start(problem, state):
     for value, column in zip(values.T, problem.index.fluxes, strict=False):
         if column < len(problem.columns):
             cadence[:, column] = value
-        else:
+        else:  # of a constant star
             shared[column - len(problem.columns)] = np.median(value)
     if stamps:
         cadence[:, -len(stamps) :] = values[:, n_stars:]

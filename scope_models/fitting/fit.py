@@ -11,22 +11,12 @@ from astropy.modeling import Model
 from scope_models._checks import checked_choice, solvable
 from scope_models._threads import one_thread
 from scope_models.exceptions import FitWarning
+from scope_models.fitting import _start
 from scope_models.fitting._doubts import LARGEST_FLUX, LARGEST_SCATTER, doubts_of
-from scope_models.fitting._gather import make_results
 from scope_models.fitting._problem import FitOptions, FitStar, Problem, Settings
 from scope_models.fitting._response import fit_response
 from scope_models.fitting._solver import covariances, solve
-from scope_models.fitting._start import (
-    APART,
-    centroids,
-    is_faint,
-    linear_start,
-    make_prf,
-    make_rich_prfs,
-    read_data,
-    read_places,
-    starting_state,
-)
+from scope_models.fitting.result import make_results
 from scope_models.io.pixels import read_pixels
 from scope_models.scene.detector import Detector
 from scope_models.scene.motion import Motion
@@ -126,10 +116,8 @@ def fit_tpf(
 
     Raises
     ------
-    TypeError
-        If an argument is of the wrong kind.
-    ValueError
-        If an argument is outside its domain, or the file holds nothing to fit.
+    TypeError, ValueError
+        If an argument is of the wrong kind, or outside its domain, or there is nothing to fit.
 
     Warns
     -----
@@ -170,11 +158,10 @@ def fit_tpf(
         raise TypeError(f"`options` must be FitOptions or None, got {options!r}")
     motion = positions if isinstance(positions, Motion) else None
     options = Settings(
-        **vars(options or FitOptions()),
-        empirical=empirical,
+        **vars(options or FitOptions()), empirical=empirical,
         interpixel=_PRIOR if interpixel is None else interpixel,
         positions=positions if motion is None else "prior",
-    )
+    )  # fmt: skip
     if psf is not None and not isinstance(psf, int | Model):
         raise TypeError(f"`psf` must be a number of components or a model, got {psf!r}")
     several = isinstance(tpf, list | tuple)
@@ -188,8 +175,8 @@ def fit_tpf(
                 message = f'`{name}` must be left out with response="pixels", which contains it'
                 raise ValueError(message)
     series = [read_pixels(file) for file in files]
-    places = read_places(stars, neighbors, series, several=several)
-    prf = make_prf(2 if psf is None else psf, sensitivity, options.empirical)
+    places = _start.read_places(stars, neighbors, series, several=several)
+    prf = _start.make_prf(2 if psf is None else psf, sensitivity, options.empirical)
     # Whether the data choose the PSF, and the response between pixels.
     choice = {"any_psf": psf is None and not empirical, "any_response": interpixel is None}
     with one_thread, solvable(), _progress_bar(progress) as bar:
@@ -227,7 +214,7 @@ def _fit_psf(problem, response, sensitivity, steps, *, any_psf, any_response):
             every, most = replace(few, stamps=problem.stamps), _MANY_STEPS if any_psf else np.inf
             return "psf", tried, _fitted(every, steps, most, guess)
     # The PSF from which the pixels deviate.
-    prfs = [make_prf(1, None, 0), *make_rich_prfs(None)] if any_psf else [problem.prf]
+    prfs = [_start.make_prf(1, None, 0), *_start.make_rich_prfs(None)] if any_psf else [problem.prf]
     plain = {"interpixel": 0.0, "loss": "soft_l1", **_held(problem)}
     rough = [(_with(problem, prf, **plain), _MANY_STEPS) for prf in prfs]
     tried = _tried(rough, steps, few=True, **choice)
@@ -247,12 +234,12 @@ def _candidates(problem, sensitivity, *, simple, any_psf, any_response):
         if any_response:
             yield _with(problem, **plain), np.inf
         return
-    gaussians = [make_prf(number, sensitivity, 0) for number in (1, 2)]
+    gaussians = [_start.make_prf(number, sensitivity, 0) for number in (1, 2)]
     # A model that is true converges fast.
     for prf in gaussians:
         yield _with(problem, prf), _FEW_STEPS
     if not simple:
-        for prf in (gaussians[-1], *make_rich_prfs(sensitivity)):
+        for prf in (gaussians[-1], *_start.make_rich_prfs(sensitivity)):
             yield _with(problem, prf, **plain, **_held(problem)), _MANY_STEPS
 
 
@@ -294,13 +281,13 @@ def _fitted(problem, steps, most, guess=None, *, doubtful=False):
     between pixels is not finished, since the same model without that response is better.
     """
     steps = partial(steps, max_steps=min(problem.options.max_steps, most))
-    state = starting_state(problem)
+    state = _start.starting_state(problem)
     # What the shape of the PSF can imitate is freed when the shape is about right.
     early = {"only": np.array([p.kind != "response" for p in problem.parameters], dtype=bool)}
     if guess is not None:
-        known = {name: getattr(guess.state, name) for name in ("shared", "interpixel")}
-        state, early = linear_start(problem, replace(state, **known)), {"n_steps": guess.n_steps}
-        most = np.inf
+        state = replace(state, shared=guess.state.shared, interpixel=guess.state.interpixel)
+        state = _start.linear_start(problem, state)
+        early, most = {"n_steps": guess.n_steps}, np.inf
     # Scaled from the start: else all residuals are outliers to a robust loss.
     problem = problem.rescaled(state)
     solution = steps(problem, state, loosely=True, **early)
@@ -369,7 +356,7 @@ def _make_problem(series, places, prf, flux_err, options, motion):
         more, saturation = n_free + len(others), options.saturation
         moved = (item.pos_corr, None) if motion is None else motion.offsets(item)
         given = {"saturation": saturation, "moved": moved}
-        stamps.append(read_data(item, flux_err, detectors[-1], more, **given))
+        stamps.append(_start.read_data(item, flux_err, detectors[-1], more, **given))
     if stamps[0].pos_corr is None and options.positions in {"prior", "path"}:
         raise ValueError(f"`positions` is {options.positions!r}, but `tpf` has no POS_CORR")
     common = reduce(np.intersect1d, [stamp.cadenceno for stamp in stamps])
@@ -379,17 +366,17 @@ def _make_problem(series, places, prf, flux_err, options, motion):
         stamps = [stamp[np.isin(stamp.cadenceno, common)] for stamp in stamps]
     stars, first = [], None
     for number, (stamp, (target, others)) in enumerate(zip(stamps, places, strict=True)):
-        center = np.median(centroids(stamp, target), axis=0)
+        center = np.median(_start.centroids(stamp, target), axis=0)
         first = center if first is None else first
         stars.append(FitStar(*(center - first), number))
-        apart = np.hypot(*(others - center).T) > (APART if target is None else -1)
+        apart = np.hypot(*(others - center).T) > (_start.APART if target is None else -1)
         for other in others[apart]:
-            weak = options.neighbor_flux == "auto" and is_faint(stamp, center, other)
+            weak = options.neighbor_flux == "auto" and _start.is_faint(stamp, center, other)
             constant = options.neighbor_flux == "constant" or weak
             stars.append(FitStar(*(other - first), number, constant))
     span, target = stamps[0].time[[0, -1]].tolist(), places[0][0]
-    problem = Problem(tuple(stamps), prf, options, tuple(stars), span, first.tolist(), target)
-    return problem, detectors
+    given = tuple(stamps), prf, options, tuple(stars), span, first.tolist(), target
+    return Problem(*given), detectors
 
 
 @contextmanager

@@ -1,21 +1,31 @@
 """The result of a fit."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import cached_property
 from html import escape
 
 import numpy as np
+from astropy import units as u
 from astropy.table import Table
+from astropy.time import Time
 
+from scope_models._arrays import plain_tree
 from scope_models._docstrings import documented
 from scope_models._values import Value
-from scope_models.fitting._doubts import followed
-from scope_models.fitting._parameters import CADENCE_UNITS, STATISTICS, degrees_of_freedom
+from scope_models.fitting import _parameters, _products, _shape
+from scope_models.fitting._doubts import doubts_of, followed
 from scope_models.models import PRF
 from scope_models.scene.detector import Detector
 
 __all__ = ["TPFFit"]
+
+# Cards that a fit keeps: what the star is, and where the stamp is on detector and sky.
+_FACTS = (
+    *("OBJECT", "KEPLERID", "TICID", "RA_OBJ", "DEC_OBJ", "KEPMAG", "TESSMAG"),
+    *("MISSION", "TELESCOP", "CAMPAIGN", "QUARTER", "SECTOR", "CHANNEL", "CAMERA", "CCD"),
+    *("1CRV5P", "2CRV5P", "1CDLT5", "2CDLT5", "12PC5", "22PC5"),
+)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -105,15 +115,15 @@ class TPFFit(Value):
                 value.flags.writeable = False
 
     def __getattr__(self, name):
-        if name in CADENCE_UNITS:
+        if name in _parameters.CADENCE_UNITS:
             table = self.cadences
             return np.asarray(table[name]) if name in table.colnames else None
-        if name in STATISTICS:
+        if name in _parameters.STATISTICS:
             return self.statistics[name]
         raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
 
     def __dir__(self):
-        return [*super().__dir__(), *CADENCE_UNITS, *STATISTICS]
+        return [*super().__dir__(), *_parameters.CADENCE_UNITS, *_parameters.STATISTICS]
 
     def __repr__(self):
         n, ny, nx = self.observed.shape
@@ -176,7 +186,7 @@ class TPFFit(Value):
     @property
     def dof(self):
         """Degrees of freedom: pixel values less parameters."""
-        return degrees_of_freedom(self.statistics)
+        return _parameters.degrees_of_freedom(self.statistics)
 
     @cached_property
     def residual(self):
@@ -215,8 +225,6 @@ class TPFFit(Value):
         astropy.units.Quantity
             The value.
         """
-        from astropy import units as u
-
         row = dict(zip(self.parameters["name"], self.parameters, strict=True))[name]
         unit = u.electron / u.s if row["unit"] == "e-/s" else row["unit"]
         return u.Quantity(row["value"], unit)
@@ -279,9 +287,7 @@ class TPFFit(Value):
             of each pixel of the Gaussian that fits the typical shares, whose errors hold the
             scatter of the pixels.
         """
-        from scope_models.fitting._shape import psf_shape
-
-        return psf_shape(self)
+        return _shape.psf_shape(self)
 
     def psf_image(self, half=3.0, samples=121):
         """Draw the density of the PSF about the star.
@@ -300,9 +306,7 @@ class TPFFit(Value):
         density, error : ndarray of shape (samples, samples)
             Density over its largest value, and its standard deviation.
         """
-        from scope_models.fitting._shape import psf_image
-
-        return psf_image(self, half, samples)
+        return _shape.psf_image(self, half, samples)
 
     def to_lightcurve(self):
         """Return the fluxes as a light curve.
@@ -314,8 +318,6 @@ class TPFFit(Value):
             errors are those between cadences: the shared parameters scale all fluxes alike. With
             responses of pixels they hold the rms of the flux that follows the position, too.
         """
-        from astropy import units as u
-        from astropy.time import Time
         from lightkurve import LightCurve
 
         unit = u.electron / u.s
@@ -356,9 +358,7 @@ class TPFFit(Value):
         The fitted background is not in the scene: it is what the file left in the pixels. With a
         response of each pixel, it is, and so are the shares of the pixels.
         """
-        from scope_models.fitting._products import make_scene
-
-        return make_scene(self, positions, signal)
+        return _products.make_scene(self, positions, signal)
 
     def summary(self):
         """Return what the fit found, as text.
@@ -368,8 +368,6 @@ class TPFFit(Value):
         str
             Model, residuals, motion, parameters with errors, and doubts.
         """
-        from scope_models.fitting._doubts import doubts_of
-
         n, ny, nx = self.observed.shape
         state = f"{'' if self.converged else 'not '}converged after {self.n_steps} steps"
         typical = np.nanmedian(self.chi2_pixels)
@@ -415,19 +413,17 @@ class TPFFit(Value):
         dict of str to matplotlib.axes.Axes
             The Axes by what they show.
         """
-        from scope_models.fitting._products import sensitivity_profiles
         from scope_models.plotting import plot_fit
 
         offset, density, _ = self.psf_image()
         border = (offset[-1] - offset[0] + offset[1] - offset[0]) / 2
         width, error = self.psf_shape()["value", "error"][0]
-
         return plot_fit(
             np.nanmedian(self.observed, axis=0), np.nanmedian(self.fitted, axis=0),
             np.nanmedian(self.residual, axis=0), self.x, self.y, psf=density,
             psf_extent=(-border, border, -border, border),
             psf_width=f"FWHM {width:.3g} $\\pm$ {error:.1g} px", pos_corr=self.pos_corr,
-            sensitivity=sensitivity_profiles(self), chi2=self.chi2_pixels, time=self.time,
+            sensitivity=_products.sensitivity_profiles(self), chi2=self.chi2_pixels, time=self.time,
             flux=self.flux, time_label=f"Time ({self.time_format.upper()})",
         )  # fmt: skip
 
@@ -439,9 +435,7 @@ class TPFFit(Value):
         ----------
         {write}
         """
-        from scope_models.fitting._products import write_fit
-
-        return write_fit(self, path, overwrite=overwrite)
+        return _products.write_fit(self, path, overwrite=overwrite)
 
     @classmethod
     def read(cls, path):
@@ -462,6 +456,90 @@ class TPFFit(Value):
         ValueError
             If the file does not hold a fit.
         """
-        from scope_models.fitting._products import read_fit
+        return cls(**_products.read_fit(path))
 
-        return cls(**read_fit(path))
+
+def make_results(problem, solution, errors, detectors, series):
+    state, s, results = solution.state, problem.n_shared, []
+    fitted, covariance = problem.model(state), errors.shared[:s, :s].copy()
+    ended = zip(problem.parameters, problem.at_bounds(state), strict=True)
+    at_bounds = [parameter.name for parameter, end in ended if end]
+    for number, (data, pixels) in enumerate(zip(problem.stamps, problem.slices, strict=True)):
+        fields = fitted_fields(problem, state, errors, number, fitted, problem.weight)
+        interpixel, interpixel_err = np.ones(data.shape), np.full(data.shape, np.nan)
+        if problem.n_pixels:
+            interpixel[data.pixels] = 1 + state.interpixel[pixels]
+            variance = np.diag(errors.shared)[s:][pixels]
+            interpixel_err[data.pixels] = np.sqrt(np.maximum(variance, 0))
+        columns, model = fields.pop("cadences"), fields["model"]
+        n_data = int(np.isfinite(fields["observed"]).sum())
+        statistics = {
+            "chi2": float(np.nansum(fields.pop("squares"))), "n_data": n_data,
+            "n_parameters": round(problem.n_free * n_data / problem.n_data),
+            "error_scale": problem.misfit, "converged": solution.converged and not at_bounds,
+            "n_steps": solution.n_steps, "chi2_held_out": np.nan,
+        }  # fmt: skip
+        table = _parameters.parameter_table(
+            model, problem.parameters, state.shared, covariance, at_bounds, statistics,
+            response=False,
+        )  # fmt: skip
+        kept = {key: series[number].header.get(key) for key in _FACTS}
+        changes = {"sensitivity": model.sensitivity, "interpixel": np.maximum(interpixel, 0.0)}
+        results.append(TPFFit(
+            **fields, covariance=covariance, interpixel=interpixel, interpixel_err=interpixel_err,
+            parameters=table, cadences=_parameters.cadence_table(columns), statistics=statistics,
+            time_format=data.time_format, options=asdict(problem.options),
+            detector=detectors[number].replace(**changes),
+            meta=plain_tree({key: v for key, v in kept.items() if v is not None}, str),
+        ))  # fmt: skip
+    return results
+
+
+def fitted_fields(problem, state, errors, number, fitted, weight):
+    """Fields of the fit of a file, with its squares, from model and weights of all pixels."""
+    data, pixels = problem.stamps[number], problem.slices[number]
+    observed, modeled = np.full((2, *data.flux.shape), np.nan)
+    for cube, values in ((observed, problem.flux), (modeled, fitted)):
+        cube[:, data.pixels] = np.where(weight[:, pixels] > 0, values[:, pixels], np.nan)
+    stars = [k for k, star in enumerate(problem.stars) if star.stamp == number]
+    own, *others = (_of_star(problem, state, errors, k) for k in stars)
+    model = problem.prf.copy()
+    middle = {n: float(np.median(own[n.removesuffix("_0")])) for n in ("x_0", "y_0", "flux")}
+    for name, value in (problem.values(state) | middle).items():
+        setattr(model, name, value)
+    column, background = problem.index.fluxes[stars[0]], problem.index.backgrounds
+    columns = {name: getattr(data, name) for name in ("time", "cadenceno", "quality", "pos_corr")}
+    columns |= own | {
+        "flux_scatter": np.sqrt(np.maximum(errors.relative[:, column, column], 0.0)),
+        "background": problem.backgrounds(state, number),
+        "background_err": _deviation(errors, background[number]) if background else 0 * data.time,
+        "focus": 1 + problem.focus(state),
+    }
+    return {
+        "model": model, "cadences": columns, "observed": observed, "fitted": modeled,
+        "neighbors": tuple(_parameters.FittedStar(**values) for values in others),
+        "observed_err": data.flux_err, "squares": ((observed - modeled) / data.flux_err) ** 2,
+    }  # fmt: skip
+
+
+def _of_star(problem, state, errors, star):
+    """Position and flux of a star, and their errors, by name."""
+    n, k, m = errors.mixed.shape
+    by = np.zeros((2, n, k + m))
+    for axis, column, derivative in problem.position_terms(state, star):
+        by[axis, :, column] = derivative
+    own, common = by[..., :k], by[..., k:]
+    variances = np.einsum("ani,nij,anj->an", own, errors.cadence, own)
+    variances += 2 * np.einsum("ani,nij,anj->an", own, errors.mixed, common)
+    variances += np.einsum("ani,ij,anj->an", common, errors.shared, common, optimize=True)
+    (x, y), flux = problem.xy(state, star).T.copy(), np.array(problem.fluxes(state, star))
+    x_err, y_err = np.sqrt(np.maximum(variances, 0.0))
+    flux_err = np.hypot(_deviation(errors, problem.index.fluxes[star]), flux * errors.common[star])
+    return {"x": x, "y": y, "flux": flux, "x_err": x_err, "y_err": y_err, "flux_err": flux_err}
+
+
+def _deviation(errors, column):
+    k = errors.cadence.shape[1]
+    if column < k:
+        return np.sqrt(np.maximum(errors.cadence[:, column, column], 0.0))
+    return np.full(len(errors.cadence), max(errors.shared[column - k, column - k], 0.0) ** 0.5)
