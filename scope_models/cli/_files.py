@@ -185,13 +185,7 @@ def _fit(arguments, path, **options):
     from scope_models.batch.files import fit_file
 
     fit = fit_file(path, arguments.output, **options)
-    table = fit.parameters
-    rows = [
-        f"{row['name']:18s} {row['value']:12.6g} +- {row['error']:<10.2g} {row['unit']}"
-        for row in table[~table["fixed"]]
-    ]
-    rows.append(f"chi-squared per degree of freedom {fit.reduced_chi2:.4g}")
-    return "\n".join([*rows, f"{arguments.output}: {len(fit.time)} cadences"])
+    return f"{fit.summary()}\n{arguments.output}: {len(fit.time)} cadences"
 
 
 def _add_inject(commands):
