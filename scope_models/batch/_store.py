@@ -1,7 +1,6 @@
 """The stars of a sweep in one SQLite file, written by one run at a time."""
 
 import errno
-import hashlib
 import json
 import sqlite3
 import time
@@ -11,6 +10,7 @@ from contextlib import closing, contextmanager
 from pathlib import Path
 
 from scope_models.exceptions import DamagedResultWarning
+from scope_models.io._hlsp import sha256
 
 __all__ = ["FILE", "Store", "listed", "read_records"]
 
@@ -50,10 +50,7 @@ class Store:
 
     def _begin(self, config, inputs):
         """Lock the file, and check that it belongs to the same configuration and inputs."""
-        made = dict(config)
-        for path in inputs:
-            with Path(path).open("rb") as file:
-                made[f"contents of {path}"] = hashlib.file_digest(file, "sha256").hexdigest()
+        made = dict(config) | {f"contents of {path}": sha256(path) for path in inputs}
         execute = self._connection.execute
         # An exclusive lock needs no shared memory, so that network file systems serve too.
         execute("PRAGMA locking_mode = EXCLUSIVE")

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.ndimage import median_filter
 
 from scope_models.scene.motion import K2Roll
 
@@ -135,9 +136,7 @@ def _steps(values, place):
 
 def outliers(values):
     """Return cadences far from their neighbors' median, 2 % at most: cosmic rays and the like."""
-    padded = np.pad(values, 3, mode="edge")
-    local = values - np.median(np.lib.stride_tricks.sliding_window_view(padded, 7), axis=1)
-    size = np.abs(local)
+    size = np.abs(values - median_filter(values, 7, mode="nearest"))
     limit = max(6 * 1.4826 * np.median(size), np.quantile(size, 1 - _MOST_CLIPPED))
     return size > limit
 

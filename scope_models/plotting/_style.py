@@ -6,6 +6,7 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.backend_bases import FigureCanvasBase
+from matplotlib.transforms import Bbox
 
 from scope_models._docstrings import documented
 
@@ -79,26 +80,19 @@ def label_places(ax, places, texts, radii):
 
     Radii of the markers are in points.
     """
-    point = ax.figure.dpi / 72
-    frame, centers = ax.bbox.extents / point, ax.transData.transform(places) / point
-    taken = [(*(c - r), *(c + r)) for c, r in zip(centers, radii, strict=True)]
-    for place, (x, y), text, radius in zip(places, centers, texts, radii, strict=True):
-        width, height, gap = 6.0 * len(text), 10.0, radius + 1.0
-        for right, up in ((1, 1), (1, -1), (-1, 1), (-1, -1)):
-            left = x + gap if right > 0 else x - gap - width
-            low = y + gap if up > 0 else y - gap - height
-            box = left, low, left + width, low + height
-            inside = np.all(box[:2] >= frame[:2]) and np.all(box[2:] <= frame[2:])
-            others = np.array(taken)
-            apart = np.any((others[:, 2:] < box[:2]) | (others[:, :2] > box[2:]), axis=1)
-            if inside and apart.all():
+    point, centers = ax.figure.dpi / 72, ax.transData.transform(places)
+    taken = [Bbox([c - r * point, c + r * point]) for c, r in zip(centers, radii, strict=True)]
+    for place, text, radius in zip(places, texts, radii, strict=True):
+        for ha, va in (("left", "bottom"), ("left", "top"), ("right", "bottom"), ("right", "top")):
+            gap = np.where([ha == "left", va == "bottom"], radius + 1, -radius - 1)
+            where = {"ha": ha, "va": va, "textcoords": "offset points", "zorder": 6}
+            note = ax.annotate(text, place, gap, fontsize="small", **where)
+            box = note.get_window_extent()
+            inside = all(ax.bbox.contains(*corner) for corner in box.get_points())
+            if inside and not box.count_overlaps(taken):
                 taken.append(box)
-                ax.annotate(
-                    text, place, (right * gap, up * gap), textcoords="offset points",
-                    ha="left" if right > 0 else "right", va="bottom" if up > 0 else "top",
-                    fontsize="small", zorder=6,
-                )  # fmt: skip
                 break
+            note.remove()
 
 
 def check_figure_format(path):
