@@ -87,7 +87,7 @@ def check_fields(instance):
 
 
 def checked_choice(name, value, choices):
-    if value not in tuple(choices):
+    if not isinstance(value, str) or value not in choices:
         raise ValueError(f"`{name}` must be one of {', '.join(choices)}, got {value!r}")
     return value
 

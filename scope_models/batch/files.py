@@ -14,7 +14,7 @@ import numpy as np
 from astropy.table import Table
 
 from scope_models._arrays import LARGEST_DAY, values_of, without_unit
-from scope_models._checks import checked_choice, one_line
+from scope_models._checks import checked_choice, checked_number, one_line
 from scope_models._docstrings import documented
 from scope_models.batch import _detrend
 from scope_models.batch._many import FITS, RUN, run_files
@@ -328,7 +328,7 @@ def planet_rows(planets, files, needed=("period", "depth"), further=("t0", "dura
 
 def planet_model(planet, time, exposure_time):
     """Return the transits of a planet; at least one must be among the times in days."""
-    period = float(planet["period"])
+    period = checked_number("period", float(planet["period"]), positive=True)
     # 13 h (P / yr)^(1/3) (R / R_sun) (rho / rho_sun)^(-1/3): arXiv:1001.2010, eq. 19.
     duration = float(planet.get("duration", 13 / 24 * (period / 365.25) ** (1 / 3)))
     t0 = float(planet.get("t0", time.min() + period / 2))

@@ -5,8 +5,6 @@ from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
-from astropy.io.ascii import InconsistentTableError
-from astropy.io.registry import IORegistryError
 from astropy.table import Table
 
 from scope_models._arrays import values_of
@@ -16,7 +14,7 @@ from scope_models.batch._many import RUN, medians, run_files
 from scope_models.benchmark._scores import score_places
 from scope_models.benchmark.regimes import REGIMES
 from scope_models.benchmark.sky import make_sky, score
-from scope_models.io._opening import first_table, open_fits
+from scope_models.io._opening import first_table, open_fits, read_table
 from scope_models.io.tpf import write_hdulist
 
 __all__ = ["benchmark_star", "make_benchmark", "score_light_curves", "summarize_scores"]
@@ -177,15 +175,12 @@ def _read(path):
         start = file.read(6)
     if start.startswith(_COMPRESSED):
         raise ValueError(f"{path} has a compression that is not supported: unpack it")
-    try:
-        if start.startswith((b"SIMPLE", b"\x1f\x8b")):
-            with open_fits(path) as hdus:
-                table, cards = first_table(hdus, path), dict(hdus[0].header)
-                lc = Table(table.data)
-        else:
-            lc, cards = Table.read(path), {}
-    except (IORegistryError, InconsistentTableError, UnicodeDecodeError) as error:
-        raise ValueError(f"{path} is not a table that astropy can read") from error
+    if start.startswith((b"SIMPLE", b"\x1f\x8b")):
+        with open_fits(path) as hdus:
+            table, cards = first_table(hdus, path), dict(hdus[0].header)
+            lc = Table(table.data)
+    else:
+        lc, cards = read_table(path), {}
     lc.rename_columns(lc.colnames, [name.lower() for name in lc.colnames])
     for name in ("cadenceno", "flux", "flux_err"):
         if name not in lc.colnames:

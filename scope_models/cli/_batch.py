@@ -55,7 +55,9 @@ def planets_of(arguments):
         return Table(rows=[planet])
     if planet:
         raise ValueError("--period and --depth cannot be combined with --planets")
-    return Table.read(arguments.planets)
+    from scope_models.io._opening import read_table
+
+    return read_table(arguments.planets)
 
 
 def check_number(arguments, name):

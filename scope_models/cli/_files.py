@@ -120,9 +120,9 @@ def _detrend_options(arguments):
         raise ValueError("--format and --planets need an --output-dir")
     many = {"format": arguments.format, "hlsp": hlsp or None}
     if arguments.planets is not None:
-        from astropy.table import Table
+        from scope_models.io._opening import read_table
 
-        many["planets"] = Table.read(arguments.planets)
+        many["planets"] = read_table(arguments.planets)
     elif planet:
         many["planets"] = {name: [value] for name, value in planet.items()}
     one = {"transits": planet or None}

@@ -138,14 +138,14 @@ def run(arguments):
 
 
 def _run_table(arguments):
-    from astropy.table import Table
+    from scope_models.io._opening import read_table
 
     if arguments.output_dir is None:
         raise ValueError("--table needs an --output-dir")
     for name, value in vars(arguments).items():
         if name not in _OF_TABLES and value != arguments.parser.get_default(name):
             raise ValueError(f"--{name.replace('_', '-')} cannot be combined with --table")
-    table = Table.read(arguments.table)
+    table = read_table(arguments.table)
     options = {"detector": arguments.detector, "motion": arguments.motion or ""}
     options["cadences"] = arguments.cadences or _CADENCES
     options["seed"] = 1 if arguments.seed is None else arguments.seed
@@ -192,9 +192,10 @@ def _make_scene(arguments, detector, motion, fields):
 
 def _make_field(arguments, target, detector, motion, options):
     from astropy.coordinates import SkyCoord
-    from astropy.table import Table
 
-    table = None if arguments.catalog is None else Table.read(arguments.catalog)
+    from scope_models.io._opening import read_table
+
+    table = None if arguments.catalog is None else read_table(arguments.catalog)
     options |= _batch.given(arguments, "orientation", "magnitude_limit", "background_stars")
     coord = SkyCoord(arguments.ra, arguments.dec, unit="deg")
     if arguments.mag is None:

@@ -122,13 +122,15 @@ def choose_aperture(flux, flux_err, pipeline=None, pos_corr=None):
     """
     if len(flux) < _FEWEST:
         raise ValueError(f"`tpf` has {len(flux)} cadences: at least {_FEWEST} are needed")
-    flux = _without_background(flux)
+    given, flux = flux, _without_background(flux)
     finite = np.isfinite(flux).all(axis=(1, 2))
     if finite.sum() < 3:
         seen = np.isfinite(flux).mean(axis=0) > 0.5
         finite = np.isfinite(flux[:, seen]).all(axis=1) if seen.any() else finite
         if finite.sum() < 3:
-            raise ValueError("`tpf` has no pixels with data: no aperture can be chosen")
+            few = "fewer than 3 cadences of `tpf` have data in all pixels"
+            few = few if np.isfinite(given).any() else "`tpf` has no pixels with data"
+            raise ValueError(f"{few}: no aperture can be chosen, give `aperture_mask`")
     values = np.where(np.isfinite(flux[finite]), flux[finite], 0.0)
     count = max(_FEWEST, round(_BRIGHT_PART * len(values)))
     bright = np.partition(values, len(values) - count, axis=0)[-count]
@@ -143,7 +145,8 @@ def choose_aperture(flux, flux_err, pipeline=None, pos_corr=None):
     if not (lit & near).any():
         near = np.ones_like(lit)
     if not (lit & near).any():
-        raise ValueError("no pixel of `tpf` is above its noise: no aperture can be chosen")
+        message = "no pixel of `tpf` is above its noise: no aperture can be chosen"
+        raise ValueError(f"{message}, give `aperture_mask`")
     peak = np.argmax(np.where(lit & near, mean, -np.inf))
     others = lit & ~own_pixels(mean, peak)
     own = (labels == labels.flat[peak]) & ~others

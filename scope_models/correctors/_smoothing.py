@@ -25,7 +25,10 @@ class Smoother:
     def __init__(self, time, use):
         self.time, self.use = time, use
         self.step = quantile(np.diff(time))
-        self._index = np.rint((time - time[0]) / self.step).astype(int)
+        steps = np.diff(np.rint((time - time[0]) / self.step))
+        # beyond the widest kernel, a longer gap is the same
+        steps = np.minimum(steps, 8 * _WIDTHS[-1])
+        self._index = np.concatenate([[0], np.cumsum(steps)]).astype(int)
         self._kernels, self._best = {}, {}
 
     def __call__(self, values, error, name=""):

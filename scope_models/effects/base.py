@@ -331,7 +331,7 @@ def checked_several(name, values, kind):
     """Return one value of a class, or several, as a tuple."""
     if isinstance(values, kind):
         return (values,)
-    if not isinstance(values, Iterable):
+    if not isinstance(values, Iterable) or not getattr(values, "shape", True):
         raise TypeError(f"`{name}` must be {kind.__name__} or a sequence of them, got {values!r}")
     values = tuple(values)
     for value in values:

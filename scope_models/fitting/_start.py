@@ -300,7 +300,8 @@ def centroids(data, place=None):
     if place is not None:
         near = np.hypot(columns - place[0], rows - place[1]) <= _NEAR
         if not near.any():
-            raise ValueError(f"no pixel is within {_NEAR} px of the star at {tuple(place)}")
+            at = f"({place[0]:.6g}, {place[1]:.6g})"
+            raise ValueError(f"no pixel is within {_NEAR} px of the star at {at}")
         image, flux = image * near, flux * near
     # Where the star ever is for some time; a cosmic ray is elsewhere, most often.
     often = np.percentile(flux, _OFTEN, axis=0)

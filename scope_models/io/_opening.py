@@ -16,7 +16,8 @@ from scope_models.missions import TIME_ZEROS, Mission
 
 __all__ = [
     "RefusedError", "cards_of", "checksum_of", "column_of", "conf", "facts_of", "first_table",
-    "making", "naming", "open_fits", "read_columns", "read_positions", "time_format_of",
+    "making", "naming", "open_fits", "read_columns", "read_positions", "read_table",
+    "time_format_of",
 ]  # fmt: skip
 
 #: Limits of files that are read: ``max_bytes``, bytes after decompression, and ``max_ratio``, the
@@ -239,6 +240,19 @@ def read_positions(path):
         "cadenceno": number, "time_format": time_format,
         "meta": {**facts_of(header), "filename": Path(path).name},
     }  # fmt: skip
+
+
+def read_table(path):
+    """Return a table of a file that astropy reads."""
+    from astropy.io.ascii import InconsistentTableError
+    from astropy.io.registry import IORegistryError
+    from astropy.table import Table
+
+    try:
+        return Table.read(path)
+    except (IORegistryError, InconsistentTableError, UnicodeDecodeError) as error:
+        message = f"{path} is not a table that astropy can read, such as .csv, .ecsv or .fits"
+        raise ValueError(message) from error
 
 
 def facts_of(header):

@@ -21,6 +21,7 @@ from scope_models.io._opening import (
     first_table,
     naming,
     open_fits,
+    read_table,
     time_format_of,
 )
 from scope_models.missions import TIME_ZEROS, Mission
@@ -56,7 +57,8 @@ class PixelSeries(Value):
     quality : ndarray of int, shape (n,)
         Quality flags.
     flux, flux_err : ndarray of shape (n, ny, nx)
-        Flux less background and its standard deviation, e-/s; NaN where there is none.
+        Flux less background and its standard deviation, e-/s; NaN where there is none, or infinite
+        values are.
     flux_bkg : ndarray of shape (n, ny, nx) or None
         Background that was subtracted, e-/s; None if the file has none.
     pos_corr : ndarray of shape (n, 2) or None
@@ -214,10 +216,7 @@ def read_pixels(source, *, quality_bitmask=None):
     elif _has_file(source):
         series = _of_hdus(source.hdu, name)[source.quality_mask]
     else:
-        raise TypeError(
-            "`tpf` must be a target pixel file of lightkurve, or the path of one, got "
-            f"{type(source).__name__}"
-        )
+        raise _no_tpf(source)
     if series is not source:
         _check_times(series, name)
     if quality_bitmask is None:
@@ -258,12 +257,10 @@ def read_tpf(source, *, quality_bitmask="default"):
     >>> read_tpf(observation.write("star.fits")).flux.shape
     (50, 11, 11)
     """
-    if isinstance(source, PixelSeries):
-        raise TypeError(
-            "`tpf` must be lightkurve's target pixel file or a path, got a PixelSeries: read the "
-            "file with `read_tpf`"
-        )
     if not isinstance(source, str | PathLike):
+        if not _has_file(source):
+            raise _no_tpf(source)
+        _check_place(cards_of(source.hdu[1].header), "`tpf`")
         return source
     import lightkurve
     from astropy.io import fits
@@ -278,10 +275,7 @@ def read_tpf(source, *, quality_bitmask="default"):
     for name in _OF_LIGHTKURVE:
         if name not in columns:
             raise ValueError(f"lightkurve cannot read {source}: it has no column {name}")
-    for name in ("1CRV5P", "2CRV5P"):
-        value = series.header.get(name)
-        if not (value is None or (isinstance(value, int | float) and abs(value) < 1 << 31)):
-            raise ValueError(f"{source}: {name} must be a detector column or row, got {value!r}")
+    _check_place(series.header, source)
     with naming(source):
         series.without_flagged(quality_bitmask)
     kind = getattr(lightkurve, series.mission.tpf_class)
@@ -319,16 +313,16 @@ def usable_positions(pos_corr):
 def _of_hdus(hdus, name):
     try:
         table = first_table(hdus, name)
+        columns = {key.upper(): key for key in table.columns.names}
+        flux = column_of(table, columns["FLUX"], name, ndim=3) if "FLUX" in columns else None
     except RefusedError as error:
         raise RefusedError(f"{name} is not a target pixel file: {error}") from None
-    columns = {key.upper(): key for key in table.columns.names}
+    if flux is None:
+        raise RefusedError(f"{name} is not a target pixel file: it has no column FLUX")
 
     def column(key, default=None, ndim=1):
         return column_of(table, columns[key], name, ndim) if key in columns else default
 
-    flux = column("FLUX", ndim=3)
-    if flux is None:
-        raise RefusedError(f"{name} is not a target pixel file: it has no column FLUX")
     n, *stamp = flux.shape
     if flux.size == 0:
         raise RefusedError(f"{name} has no pixels: FLUX has the shape {flux.shape}")
@@ -356,6 +350,8 @@ def _of_hdus(hdus, name):
         values[key] = values[key].astype(np.int64)
     if not values["cadenceno"].any():
         values["cadenceno"] = np.arange(1, n + 1)
+    for key in ("flux", "flux_err"):
+        values[key][np.isinf(values[key])] = np.nan  # infinite values are no data
     for array in values.values():
         if array is not None and array.base is None:
             array.flags.writeable = False  # made here: needs no copy
@@ -384,8 +380,24 @@ def _attribute(tpf, name):
 
 
 def _has_file(tpf):
-    """Return whether the object is lightkurve's target pixel file, which has one of FITS."""
-    return hasattr(type(tpf), "pipeline_mask")
+    """Return whether the object is lightkurve's target pixel file of a mission."""
+    return hasattr(type(tpf), "pipeline_mask") and hasattr(tpf, "quality_mask")
+
+
+def _no_tpf(source):
+    got = type(source).__name__
+    if isinstance(source, PixelSeries):
+        got = "a PixelSeries: read the file with `read_tpf`"
+    wanted = "a target pixel file of lightkurve, Kepler's or TESS's, or the path of one"
+    return TypeError(f"`tpf` must be {wanted}, got {got}")
+
+
+def _check_place(header, name):
+    """Refuse a place on the detector with which lightkurve cannot count."""
+    for key in ("1CRV5P", "2CRV5P"):
+        value = header.get(key, 0)
+        if not (isinstance(value, int | float) and abs(value) < 1 << 31):
+            raise ValueError(f"{name}: {key} must be a detector column or row, got {value!r}")
 
 
 def positions_of(source):
@@ -449,9 +461,7 @@ def read_neighbors(path, series):
     Of stars on the sky, the nearest to the target's coordinates, if within a pixel, is the target,
     which is left out.
     """
-    from astropy.table import Table
-
-    table = Table.read(path)
+    table = read_table(path)
     places = star_places("neighbors", table, series)
     kept = ((places > -0.5) & (places < np.array(series.flux.shape[:0:-1]) - 0.5)).all(axis=1)
     on_sky = len(table) and "x" not in map(str.lower, table.colnames)

@@ -217,6 +217,7 @@ def circular_aperture(shape, x_0, y_0, radius, *, min_overlap=0.5):
     """
     from photutils.aperture import CircularAperture  # slow to import
 
+    shape = checked_shape(shape)
     x_0 = checked_number("x_0", x_0, u.pix, any_sign=True)
     y_0 = checked_number("y_0", y_0, u.pix, any_sign=True)
     radius = checked_number("radius", radius, u.pix, positive=True)
@@ -334,7 +335,10 @@ def aperture_flux(flux, aperture, flux_err=None):
         total = np.sum(weighted(flux), axis=1)
         if flux_err is None:
             return total
-        errors = weighted(plain_array(flux_err, _RATE, "flux_err"))
+        error = plain_array(flux_err, _RATE, "flux_err")
+        if error.shape not in {(), flux.shape}:
+            raise ValueError(f"`flux_err` must have shape {flux.shape}, got {error.shape}")
+        errors = weighted(np.broadcast_to(error, flux.shape))
         return total, np.sqrt(np.sum(errors**2, axis=1))
 
 

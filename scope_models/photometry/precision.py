@@ -8,7 +8,7 @@ from scipy.interpolate import interp1d
 from scipy.signal import savgol_filter
 
 from scope_models._arrays import plain_array
-from scope_models._checks import checked_choice, checked_number
+from scope_models._checks import checked_choice, checked_integer, checked_number
 from scope_models.missions import MISSIONS
 
 __all__ = ["cdpp"]
@@ -96,7 +96,7 @@ def cdpp(lc_or_flux, duration=6.5, method="lightkurve", *, cadence=None, filter_
     if filter_window is None:
         length = _FILTER_CADENCES[method] * LONG_CADENCE.to_value(u.day) / days
         filter_window = max(2 * int(length // 2) + 1, _FILTER_ORDER + 1)
-    elif filter_window % 2 != 1 or filter_window <= _FILTER_ORDER:
+    elif checked_integer("filter_window", filter_window, _FILTER_ORDER + 1) % 2 != 1:
         raise ValueError(f"`filter_window` must be odd and at least 3, got {filter_window}")
     estimator = _lightkurve_cdpp if method == "lightkurve" else _everest_cdpp
     result = [_estimate(estimator, time, f, width, filter_window) for f in np.atleast_2d(flux)]

@@ -590,7 +590,7 @@ class Detector(Value):
         Raises
         ------
         ValueError
-            If a magnitude is not finite.
+            If a magnitude is not finite, or so small that single precision does not hold the flux.
 
         Examples
         --------
@@ -601,7 +601,10 @@ class Detector(Value):
         mag = plain_array(mag, u.mag, "mag")
         if not np.all(np.isfinite(mag)):
             raise ValueError(f"`mag` must be finite, got {mag}")
-        flux = self.zero_point * 10.0 ** (-0.4 * (mag - self.zero_point_mag))
+        with np.errstate(over="ignore"):
+            flux = self.zero_point * 10.0 ** (-0.4 * (mag - self.zero_point_mag))
+        if not np.all(flux < np.finfo(np.float32).max):
+            raise ValueError(f"`mag` is too small: {np.max(flux):.3g} e-/s at {np.min(mag)}")
         return float(flux) if flux.ndim == 0 else flux
 
     def interpixel_map(self, seed):

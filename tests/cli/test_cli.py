@@ -278,6 +278,29 @@ class TestErrors:
         assert error.count("\n") == 1
         assert list(tmp_path.iterdir()) == []
 
+    @pytest.mark.parametrize(
+        "argv",
+        [
+            ["simulate", "--table", "stars.txt", "--output-dir", "out"],
+            ["inject", "star.fits", "--planets", "stars.txt", "--output-dir", "out"],
+            ["detrend", "star.fits", "--planets", "stars.txt", "--output-dir", "out"],
+        ],
+    )
+    def test_table_that_is_none(self, capsys, tmp_path, monkeypatch, argv):
+        monkeypatch.chdir(tmp_path)
+        (tmp_path / "stars.txt").write_text("hello")
+        assert main(argv) == 2
+        error = capsys.readouterr().err
+        assert error.startswith("scope-models: error: stars.txt is not a table that astropy can")
+        assert error.count("\n") == 1
+
+    def test_period_of_an_injection(self, command, capsys, tmp_path):
+        _, path = command()
+        capsys.readouterr()
+        options = ["--period", "-3", "--depth", "0.01", "--output", str(tmp_path / "planet.fits")]
+        assert main(["inject", str(path), *options]) == 2
+        assert "`period` must be positive, got -3.0" in capsys.readouterr().err
+
     def test_file_without_positions(self, command, capsys, tmp_path):
         table = fits.BinTableHDU.from_columns([fits.Column("TIME", "D", array=[1.0, 2.0])])
         table.writeto(tmp_path / "other.fits")

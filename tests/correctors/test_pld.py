@@ -9,6 +9,7 @@ from astropy.io import fits
 from astropy.table import QTable
 from lightkurve import KeplerLightCurve, KeplerTargetPixelFile, TessTargetPixelFile
 from lightkurve.correctors.corrector import Corrector
+from lightkurve.targetpixelfile import TargetPixelFile
 
 from scope_models import Detector, Motion, Star, simulate
 from scope_models.correctors import (
@@ -19,6 +20,7 @@ from scope_models.correctors import (
 )
 from scope_models.correctors._model import PLDModel, Settings
 from scope_models.correctors._pixels import aperture_pixels
+from scope_models.correctors._smoothing import Smoother
 from scope_models.effects import RollingBands
 from scope_models.effects._noise import bleed
 from scope_models.exceptions import DetrendingWarning
@@ -609,6 +611,51 @@ def test_pixels_without_data(star):
         PLDCorrector(replaced(star.tpf, FLUX=flux), whole)
     with pytest.raises(ValueError, match="no pixels with data"):
         PLDCorrector(replaced(star.tpf, FLUX=flux))
+
+
+def test_a_pixel_without_data_in_each_cadence(star):
+    flux = star.tpf.flux.value.copy()
+    flux[np.arange(len(flux)), 0, np.arange(len(flux)) % 9] = np.nan
+    with pytest.raises(ValueError, match=r"fewer than 3 cadences .* give `aperture_mask`"):
+        PLDCorrector(replaced(star.tpf, FLUX=flux))
+    mask = np.zeros((9, 9), dtype=bool)
+    mask[3:6, 3:6] = True
+    assert np.isfinite(PLDCorrector(replaced(star.tpf, FLUX=flux), mask).correct().flux).all()
+
+
+def test_infinite_values_are_no_data(star):
+    flux, error = star.tpf.flux.value.copy(), np.full(star.tpf.flux.shape, np.inf)
+    flux[7] = np.inf
+    with pytest.warns(DetrendingWarning, match="FLUX_ERR has no valid values"):
+        corrector = PLDCorrector(replaced(star.tpf, FLUX=flux, FLUX_ERR=error))
+    lc = corrector.correct()
+    assert np.flatnonzero(np.isnan(lc.flux.value)).tolist() == [7]
+
+
+def test_gaps_of_years_take_no_memory(star):
+    time = np.array(star.tpf.time.value)
+    time[200:] += 1e6
+    series = read_pixels(star.tpf).replace(time=time)
+    smoother = Smoother(series.time, np.ones(len(time), dtype=bool))
+    values, error = np.random.default_rng(1).normal(size=len(time)), np.ones(len(time))
+    near = time - np.where(time > 1e6, 1e6 - 500 * smoother.step, 0.0)
+    beside = Smoother(near, np.ones(len(time), dtype=bool))
+    np.testing.assert_allclose(smoother(values, error), beside(values, error), atol=1e-9)
+
+
+@pytest.mark.parametrize("kind", ["HDUList", "TargetPixelFile", "place"])
+def test_files_in_memory_that_are_refused(star, kind):
+    hdus = fits.HDUList([hdu.copy() for hdu in star.tpf.hdu])
+    if kind == "HDUList":
+        with pytest.raises(TypeError, match=r"`tpf` must be a target pixel .* got HDUList"):
+            PLDCorrector(hdus)
+    elif kind == "TargetPixelFile":
+        with pytest.raises(TypeError, match=r"Kepler's or TESS's, .* got TargetPixelFile"):
+            PLDCorrector(TargetPixelFile(hdus))
+    else:
+        hdus[1].header["1CRV5P"] = None
+        with pytest.raises(ValueError, match="1CRV5P must be a detector column or row, got None"):
+            PLDCorrector(KeplerTargetPixelFile(hdus))
 
 
 def test_default_aperture_with_a_pixel_without_data(star):

@@ -223,6 +223,13 @@ def test_no_target_pixel_file(tmp_path, shared_data):
         read_pixels(shared_data / "poscorr" / "ktwo206103150-c03_llc.fits")
 
 
+def test_light_curve_is_no_target_pixel_file(tmp_path):
+    column = fits.Column("FLUX", "E", array=[1.0, 2.0])
+    fits.BinTableHDU.from_columns([column]).writeto(tmp_path / "lc.fits")
+    with pytest.raises(ValueError, match=r"lc\.fits is not a target pixel file: column FLUX"):
+        read_pixels(tmp_path / "lc.fits")
+
+
 def test_usable_positions():
     offsets = [[0.0, 49.9], [np.nan, 0.0], [0.0, -50.0], [-1000.0, 0.0], [np.inf, 0.0]]
     assert usable_positions(offsets).tolist() == [True, False, False, False, False]

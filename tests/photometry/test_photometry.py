@@ -144,6 +144,7 @@ def test_cdpp_of_noiseless_flux_is_zero():
         ({"duration": np.nan}, "`duration` must be finite, got nan"),
         ({"duration": 0.1}, "`duration` must be at least half a cadence"),
         ({"cadence": -1}, "`cadence` must be positive, got -1"),
+        ({"filter_window": 1}, "`filter_window` must be at least 3, got 1"),
         ({"filter_window": 10}, "`filter_window` must be odd and at least 3, got 10"),
         ({"duration": 200}, "must have at least 816 finite cadences, got 500"),
     ],
@@ -230,6 +231,23 @@ def test_contamination_aperture(scene):
     strict = contamination_aperture(target, other, threshold=20, min_fraction=0.95)
     assert strict.sum() < mask.sum()
     assert crowding(target, other, strict) > crowding(target, other, mask)
+
+
+def test_arguments_that_are_refused():
+    with pytest.raises(TypeError, match=r"`shape` must be two integers \(ny, nx\), got 5"):
+        circular_aperture(5, 2, 2, 1)
+    with pytest.raises(ValueError, match="`method` must be one of lightkurve, everest, got"):
+        cdpp(np.ones(500), method=np.array(["lightkurve", "everest"]))
+    with pytest.raises(TypeError, match=r"`filter_window` must be an integer, got '101'"):
+        cdpp(np.ones(500), filter_window="101")
+    with pytest.raises(ValueError, match=r"`flux_err` must have shape \(2, 1, 2\), got \(2,\)"):
+        aperture_flux(np.ones((2, 1, 2)), np.array([[True, True]]), [1.0, 1.0])
+
+
+def test_one_error_for_all_pixels():
+    flux, error = aperture_flux(np.ones((3, 1, 2)), np.array([[True, True]]), 2.0)
+    assert_allclose(flux, 2.0)
+    assert_allclose(error, 8**0.5)
 
 
 def test_circular_aperture():

@@ -289,6 +289,8 @@ def test_flux_from_mag():
     assert Detector.tess().flux_from_mag(10.0) == pytest.approx(1.5e4, rel=1e-3)
     with pytest.raises(ValueError, match="`mag` must be finite, got nan"):
         detector.flux_from_mag(np.nan)
+    with pytest.raises(ValueError, match=r"`mag` is too small: .* e-/s at -500"):
+        detector.flux_from_mag(-500)
 
 
 def test_presets_have_the_sensitivity_of_the_paper():
