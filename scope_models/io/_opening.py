@@ -285,14 +285,19 @@ def first_table(hdus, path):
 
 
 def column_of(table, name, path, ndim=1):
-    """Return a column of numbers, or of images, in native byte order, floats as float64."""
+    """Return a column of numbers, or of images, in native byte order, floats as float64.
+
+    Infinite values of images are NaN.
+    """
     values = np.asarray(table.data[name])
     if values.ndim != ndim or values.dtype.kind not in "iuf":
         what = {1: "one number", 3: "an image of numbers"}[ndim]
         raise RefusedError(f"column {name} of {path} must hold {what} per row")
-    if values.dtype.kind == "f" or ndim == 3:
-        return values.astype(np.float64)
-    return native(values)
+    if ndim == 3:
+        values = values.astype(np.float64)
+        values[np.isinf(values)] = np.nan
+        return values
+    return values.astype(np.float64) if values.dtype.kind == "f" else native(values)
 
 
 def cards_of(*headers):

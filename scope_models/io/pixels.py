@@ -350,8 +350,6 @@ def _of_hdus(hdus, name):
         values[key] = values[key].astype(np.int64)
     if not values["cadenceno"].any():
         values["cadenceno"] = np.arange(1, n + 1)
-    for key in ("flux", "flux_err"):
-        values[key][np.isinf(values[key])] = np.nan  # infinite values are no data
     for array in values.values():
         if array is not None and array.base is None:
             array.flags.writeable = False  # made here: needs no copy
