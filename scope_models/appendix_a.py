@@ -232,9 +232,11 @@ class Target:
 
         Parameters
         ----------
-        depth, per, dur, t0 : float, optional
-            Relative drop at mid-transit, between 0 and 1; orbital period, time from first to fourth
-            contact, and time of a mid-transit after the first cadence, in days.
+        depth : float, optional
+            Relative drop at mid-transit, between 0 and 1.
+        per, dur, t0 : float, optional
+            Orbital period, time from first to fourth contact, and time of a mid-transit after the
+            first cadence, in days.
         b, u1, u2 : float, optional
             Impact parameter in stellar radii, and coefficients of quadratic limb darkening.
 
@@ -255,9 +257,11 @@ class Target:
 
         Parameters
         ----------
-        var_amp, freq : float, optional
-            Relative semi-amplitude, between 0 and 1, and angular frequency in radians per day, of
-            the time t after the first cadence: the period is ``2 * pi / freq`` days.
+        var_amp : float, optional
+            Relative semi-amplitude, between 0 and 1.
+        freq : float, optional
+            Angular frequency in radians per day, of the time t after the first cadence: the period
+            is ``2 * pi / freq`` days.
 
         {same}
         """
@@ -355,8 +359,10 @@ class Target:
         ----------
         flux : array_like or `~lightkurve.LightCurve`, optional
             The light curve; by default `lightcurve`.
-        duration, method : optional
-            Time scale in hours, and convention, see `scope_models.photometry.cdpp`.
+        duration : float, optional
+            Time scale in hours.
+        method : {"lightkurve", "everest"}, optional
+            Convention, see `scope_models.photometry.cdpp`.
 
         Returns
         -------

@@ -122,9 +122,12 @@ def plot_detrending_masks(image, aperture, scatter):
 
     Parameters
     ----------
-    image, aperture, scatter : array_like
-        Typical image in e-/s, mask of the pixels that are summed, and standard deviation of each
-        pixel's fraction of the light, ``(ny, nx)``.
+    image : array_like
+        Typical image in e-/s, ``(ny, nx)``.
+    aperture : array_like of bool
+        Pixels that are summed.
+    scatter : array_like
+        Standard deviation of each pixel's fraction of the light.
 
     Returns
     -------

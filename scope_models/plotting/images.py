@@ -173,9 +173,10 @@ def plot_scene(time, x, y, shape, places, magnitudes, *, time_label="Time (d)", 
         Times in days and positions of the target in pixels ``(n_cadences,)``.
     shape : tuple of int
         Shape ``(ny, nx)`` of the stamp.
-    places, magnitudes : array_like
-        Columns and rows ``(n_stars, 2)`` of the stars in pixels, the target first; and magnitudes
-        ``(n_stars,)``, written beside the stars; of crowded ones beside the brightest.
+    places : array_like
+        Columns and rows ``(n_stars, 2)`` of the stars in pixels, the target first.
+    magnitudes : array_like
+        Magnitudes ``(n_stars,)``, written beside the stars; of crowded ones beside the brightest.
     time_label : str, optional
         Label of the color bar, which a star at rest does not need.
     {draw}

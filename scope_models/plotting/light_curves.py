@@ -119,9 +119,14 @@ def plot_summary(
 
     Parameters
     ----------
-    time, image, flux, x, y : array_like
-        Times in days; pixel image ``(ny, nx)`` in e-/s, such as the first cadence; raw light curve
-        and positions of the star in pixels. But for the image, all are ``(n_cadences,)``.
+    time : array_like
+        Times ``(n_cadences,)`` in days.
+    image : array_like
+        Pixel image ``(ny, nx)`` in e-/s, such as the first cadence.
+    flux : array_like
+        Raw light curve ``(n_cadences,)``.
+    x, y : array_like
+        Positions of the star ``(n_cadences,)`` in pixels.
     corrected : array_like, optional
         Corrected light curve ``(n_cadences,)``.
     {mask}
