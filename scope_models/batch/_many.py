@@ -15,7 +15,7 @@ from scope_models._arrays import values_of
 from scope_models.batch._store import FILE
 from scope_models.batch.sweep import run_sweep, star_seed
 
-__all__ = ["FITS", "RUN", "UNITS", "file_state", "medians", "run_files"]
+__all__ = ["FITS", "RAISES", "RUN", "UNITS", "file_state", "medians", "run_files"]
 
 #: Arguments of all functions that run over many files.
 RUN = """
@@ -26,6 +26,12 @@ overwrite : bool, optional
 sweep : mapping, optional
     Options of `run_sweep`: retry_failed, progress, chunk_size and in_flight.
 """
+#: Errors of all of them.
+RAISES = """
+Raises
+------
+OSError, ValueError, SweepError
+    As `~scope_models.batch.detrend_files`, or if an argument is not as described."""
 #: How the names of FITS files end.
 FITS = re.compile(r"\.(fits|fit|fts)(\.gz)?$", re.IGNORECASE)
 #: Columns of processor time and memory, which differ from run to run.

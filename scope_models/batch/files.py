@@ -17,7 +17,7 @@ from scope_models._arrays import LARGEST_DAY, values_of, without_unit
 from scope_models._checks import checked_choice, checked_number, one_line
 from scope_models._docstrings import documented
 from scope_models.batch import _detrend
-from scope_models.batch._many import FITS, RUN, run_files
+from scope_models.batch._many import FITS, RAISES, RUN, run_files
 from scope_models.batch._parquet import check_data_set
 from scope_models.batch._positions import write_motions
 from scope_models.io import read_pixels, read_tpf
@@ -139,7 +139,7 @@ def detrend_files(
     return result
 
 
-@documented(run=RUN)
+@documented(run=RUN, raises=RAISES)
 def fit_files(paths, output_dir, client=None, *, overwrite=False, sweep=None, **options):
     """Fit PSF, response, positions and fluxes to many target pixel files.
 
@@ -162,10 +162,7 @@ def fit_files(paths, output_dir, client=None, *, overwrite=False, sweep=None, **
         A row per file: chi-squared per degree of freedom, cadences, median flux, and the fitted
         parameters.
 
-    Raises
-    ------
-    OSError, ValueError, SweepError
-        As `detrend_files`.
+    {raises}
 
     Examples
     --------
@@ -184,7 +181,7 @@ def fit_files(paths, output_dir, client=None, *, overwrite=False, sweep=None, **
     )  # fmt: skip
 
 
-@documented(run=RUN)
+@documented(run=RUN, raises=RAISES)
 def inject_files(
     paths, planets, output_dir, client=None, *, overwrite=False, sweep=None, star=None, seed=1
 ):
@@ -214,12 +211,7 @@ def inject_files(
     SweepResult
         A row per file with the planet and the expected depth in all pixels.
 
-    Raises
-    ------
-    ValueError
-        If the table lacks a column or has another number of rows, and as `detrend_files`.
-    OSError, SweepError
-        As `detrend_files`.
+    {raises}
 
     Examples
     --------
@@ -343,7 +335,7 @@ def planet_model(planet, time, exposure_time):
     return model
 
 
-@documented(run=RUN)
+@documented(run=RUN, raises=RAISES)
 def simulate_table(
     table, output_dir, client=None, *, overwrite=False, sweep=None,
     detector="k2", motion="", cadences=1000, seed=1,
@@ -373,12 +365,7 @@ def simulate_table(
     SweepResult
         A row per star: what the table has, and the noise of the aperture.
 
-    Raises
-    ------
-    ValueError
-        If the table has no column ``mag``, and as `detrend_files`.
-    OSError, SweepError
-        As `detrend_files`.
+    {raises}
 
     Examples
     --------

@@ -10,7 +10,7 @@ from astropy.table import Table
 from scope_models._arrays import values_of
 from scope_models._checks import checked_integer
 from scope_models._docstrings import documented
-from scope_models.batch._many import RUN, medians, run_files
+from scope_models.batch._many import RAISES, RUN, medians, run_files
 from scope_models.benchmark._scores import score_places
 from scope_models.benchmark.regimes import REGIMES
 from scope_models.benchmark.sky import make_sky, score
@@ -60,7 +60,7 @@ def benchmark_star(number):
     return make_sky(names[number % len(names)], _FIRST_SEED + number, n_cadences=_CADENCES)
 
 
-@documented(run=RUN)
+@documented(run=RUN, raises=RAISES)
 def make_benchmark(output_dir, client=None, *, overwrite=False, sweep=None, stars=_STARS):
     """Write the target pixel files of the benchmark, without their truth.
 
@@ -79,10 +79,7 @@ def make_benchmark(output_dir, client=None, *, overwrite=False, sweep=None, star
     SweepResult
         A row per star: its regime, and the scores of the uncorrected light curve.
 
-    Raises
-    ------
-    OSError, ValueError
-        As `~scope_models.batch.detrend_files`.
+    {raises}
 
     Examples
     --------

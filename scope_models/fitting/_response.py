@@ -110,8 +110,7 @@ class _Shares:
     def richer(self, *degrees):
         other = copy(self)
         other.degrees, other.terms = degrees, polynomial_terms(*degrees)
-        place = {tuple(term): k for k, term in enumerate(other.terms.tolist())}
-        index = [place[tuple(term)] for term in self.terms.tolist()]
+        index = (other.terms == self.terms[:, np.newaxis]).all(axis=2).argmax(axis=1)
         other.values = [np.zeros((len(other.terms), part.size)) for part in self.size]
         for mine, theirs in zip(self.values, other.values, strict=True):
             theirs[index] = mine
