@@ -9,7 +9,7 @@ from scope_models.batch._parquet import partition, write_star
 from scope_models.batch._positions import file_cards, star_positions
 from scope_models.io import read_pixels, read_tpf
 from scope_models.io._atomic import atomic_path
-from scope_models.io._hlsp import Collection, ccd_label, sha256
+from scope_models.io._light_curves import Collection, ccd_label, sha256
 from scope_models.io._opening import naming
 from scope_models.io.tpf import write_hdulist
 from scope_models.photometry.precision import noise_of

@@ -9,7 +9,7 @@ from scope_models.batch._many import file_state
 from scope_models.exceptions import DetrendingWarning, FitWarning
 from scope_models.fitting._common import common_motions, pos_corr_track
 from scope_models.io import read_pixels
-from scope_models.io._hlsp import ccd_label, sha256
+from scope_models.io._light_curves import ccd_label, sha256
 from scope_models.io._opening import cards_of
 from scope_models.scene import Motion
 from scope_models.scene._tracks import explains

@@ -22,7 +22,7 @@ from scope_models.batch._parquet import check_data_set
 from scope_models.batch._positions import write_motions
 from scope_models.io import read_pixels, read_tpf
 from scope_models.io._atomic import check_output
-from scope_models.io._hlsp import Collection
+from scope_models.io._light_curves import Collection
 from scope_models.io._opening import naming
 from scope_models.io.pixels import read_neighbors
 from scope_models.io.tpf import write_hdulist

@@ -9,7 +9,7 @@ import numpy as np
 from scope_models._checks import one_line
 from scope_models.exceptions import FitWarning
 from scope_models.fitting.fit import fit_tpf
-from scope_models.io._hlsp import ccd_name
+from scope_models.io._light_curves import ccd_name
 from scope_models.io.pixels import place_of, read_pixels, usable_positions
 from scope_models.scene._tracks import Track, fit_tracks
 

@@ -71,7 +71,6 @@ def _template(name):
 
 
 def _facts(metadata):
-    """Return the values of the cards on file, target, place, observing run and electronics."""
     mission, (ra, dec) = metadata.layout, metadata.position
     module, output = metadata.module_and_output
     quarter, seed = metadata.quarter, metadata.seed
@@ -143,7 +142,6 @@ def pixel_column_cards(columns, metadata, shape):
 
 
 def _column_wcs(n, metadata, shape):
-    """Return the cards of detector and sky coordinates of a column of images."""
     sky = tan_projection(metadata, shape)
     cards = [
         (f"WCSN{n}P", "PHYSICAL", "name of the detector coordinates"),

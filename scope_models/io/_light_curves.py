@@ -1,15 +1,27 @@
-"""The door out for light curves: files that keep the header cards of the pixels that stay true."""
+"""The door out for light curves: files that keep the header cards of the pixels that stay true.
+
+Names, keywords and columns of an archive's collection are those of MAST for contributed products:
+"File Naming Convention", "Common Metadata" and "Light-curve Metadata" of
+https://outerspace.stsci.edu/display/MASTDOCS.
+"""
 
 import datetime as dt
+import hashlib
 import re
+from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
 from scope_models._version import __version__
 from scope_models.io._headers import calendar_dates
 from scope_models.io.pixels import read_pixels
+from scope_models.missions import Mission
 
-__all__ = ["make_light_curve_hdulist"]
+__all__ = [
+    "Collection", "archive_hdulist", "ccd_label", "ccd_name", "make_light_curve_hdulist",
+    "run_label", "sha256",
+]  # fmt: skip
 
 _COLLECTED, _OPTIMAL = 1, 2
 # What describes columns, images and their coordinates in the pixels' headers.
@@ -24,6 +36,15 @@ _NO_LONGER_TRUE = {
     *("TSTART", "TSTOP", "TELAPSE", "DATE-OBS", "DATE-END", "LC_START", "LC_END"),
     *("EXPOSURE", "LIVETIME", "NPIXSAP", "NPIXMISS"),
 }
+#: Instrument and filter in names. TESS has one instrument without an acronym, for which the
+#: convention takes a descriptive tag: phot, as in the collection TESS-SPOC of pixel files.
+_INSTRUMENTS = {"TESS": ("phot", "tess")}
+_KEPLER = "kepler", "kepler"
+_RUNS = {"CAMPAIGN": "c{:02d}", "QUARTER": "q{:02d}", "SECTOR": "s{:04d}"}
+_LICENSE = "CC BY 4.0", "https://creativecommons.org/licenses/by/4.0/"
+_ID, _VERSION = re.compile(r"[a-z][a-z0-9-]{0,18}[a-z0-9]"), re.compile(r"\d{1,2}(\.\d{1,2}){0,2}")
+#: Longest name of a target with its run, and of a file.
+_LONGEST_TARGET, _LONGEST_NAME = 30, 90
 
 
 def make_light_curve_hdulist(tpf, columns, *, aperture, cards=()):
@@ -68,7 +89,6 @@ def make_light_curve_hdulist(tpf, columns, *, aperture, cards=()):
 
 
 def _kept(header, left_out=_OF_COLUMNS):
-    """Return the cards of a header that stay true."""
     cards = (card for card in header.cards if card.keyword not in _NO_LONGER_TRUE)
     return [card for card in cards if not left_out.match(card.keyword)]
 
@@ -106,3 +126,147 @@ def _aperture_hdu(tpf, sources, aperture):
         hdu.header.extend(_kept(sources[2], _OF_SIZES), end=True)  # with its coordinates
     hdu.header["NPIXSAP"] = (int(aperture.sum()), "pixels in the aperture of the light curve")
     return hdu
+
+
+@dataclass(frozen=True)
+class Collection:
+    """A collection of light curves in an archive; checked when it is made."""
+
+    id: str
+    lead: str  # full name of who leads the project
+    version: str
+    title: str = ""  # by default the identifier
+    doi: str = ""  # digital object identifier, which the archive gives
+
+    def __post_init__(self):
+        for name in ("id", "lead", "version", "title", "doi"):
+            value = getattr(self, name)
+            if not isinstance(value, str) or not re.fullmatch(r"[ -~]{0,68}", value):
+                wanted = "text of at most 68 ASCII characters"
+                raise ValueError(f"`hlsp_{name}` must be {wanted}, got {value!r}")
+        if not _ID.fullmatch(self.id.lower()):
+            wanted = "2 to 20 letters, digits and hyphens, beginning with a letter"
+            raise ValueError(f"`hlsp_id` must be {wanted}, got {self.id!r}")
+        if not self.lead.strip():
+            raise ValueError("`hlsp_lead` must name the leader of the project")
+        if not _VERSION.fullmatch(self.version):
+            raise ValueError(f"`hlsp_version` must be a version as 1.0, got {self.version!r}")
+
+    def name(self, cards):
+        """Return the name of the file of a star from the cards of its target pixel file."""
+        mission, run = Mission.from_header(cards), run_label(cards)
+        target = re.sub(r"\s+", "", str(cards.get("OBJECT") or "")).lower()
+        target = re.sub(r"[^a-z0-9+.-]+", "-", target).strip("+.-")
+        if mission is None or not target:
+            raise ValueError("the headers must name the mission and the target (OBJECT)")
+        instrument, band = _INSTRUMENTS.get(mission.name, _KEPLER)
+        place = f"{target}-{run}" if run else target
+        name = f"hlsp_{self.id}_{mission.name}_{instrument}_{place}_{band}_v{self.version}_lc.fits"
+        if len(place) > _LONGEST_TARGET or len(name) > _LONGEST_NAME:
+            raise ValueError(f"the name of the target is too long for an archive: {place}")
+        return name.lower()
+
+
+def run_label(cards):
+    """Return campaign, quarter or sector as it is in file names, "c05", "q12" or "s0015"."""
+    for keyword, form in _RUNS.items():
+        number = cards.get(keyword)
+        if isinstance(number, int) and number >= 0:
+            return form.format(number)
+    return ""
+
+
+def ccd_label(cards):
+    """Return campaign, quarter or sector, and channel or camera and CCD; empty if unknown."""
+    channel = cards.get("CHANNEL")
+    if channel is None and "CCD" in cards:
+        channel = f"{cards.get('CAMERA')}-{cards['CCD']}"
+    return run_label(cards), "" if channel is None else str(channel)
+
+
+def ccd_name(cards):
+    """Return campaign and CCD as text, "c05 CCD 31"; empty if both are unknown."""
+    run, ccd = ccd_label(cards)
+    return f"{run} CCD {ccd}".strip() if ccd else run
+
+
+def sha256(path):
+    with Path(path).open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def archive_hdulist(hdus, series, collection, path, cards=()):
+    """Turn the file of a light curve into one of a collection.
+
+    ``hdus`` are those of `make_light_curve_hdulist`, ``series`` the `PixelSeries`, ``path`` the
+    target pixel file; further ``cards`` go into the primary header. Times are TDB in all headers.
+    """
+    from astropy.io import fits
+
+    primary, old = hdus[0].header, hdus[1]
+    quality, columns = series.mission.quality_column, old.columns
+    if quality != "QUALITY":  # lightkurve leaves out flagged cadences of Kepler by the other
+        columns = columns + fits.ColDefs([fits.Column("QUALITY", "J", array=old.data[quality])])
+    table = fits.BinTableHDU.from_columns(columns, header=old.header, name="LIGHTCURVE")
+    table.columns["TIME"].unit = "d"
+    shared = [
+        *_times(table, series),
+        ("RA_TARG", series.header.get("RA_OBJ"), "[deg] right ascension"),
+        ("DEC_TARG", series.header.get("DEC_OBJ"), "[deg] declination"),
+        ("RADESYS", series.header.get("RADESYS") or "ICRS", "reference frame"),
+        ("FILTER", _INSTRUMENTS.get(series.mission.name, _KEPLER)[1].upper(), "name of the filter"),
+    ]
+    for header in (primary, table.header):
+        header.remove("DATE-OBS", ignore_missing=True)
+        if header.get("RADESYS", "ICRS") == "ICRS":
+            header.remove("EQUINOX", ignore_missing=True)
+        for keyword, value, comment in shared:
+            header[keyword] = (value, comment)
+    for keyword, value, comment in (*_collection_cards(collection, series, path), *cards):
+        primary[keyword] = (value, comment)
+    for header in (primary, table.header, *(hdu.header for hdu in hdus[2:])):
+        for card in list(header.cards):  # blank cards say nothing, and fitsverify warns of them
+            if card.value is None or isinstance(card.value, fits.card.Undefined):
+                del header[card.keyword]
+    return fits.HDUList([hdus[0], table, *hdus[2:]])
+
+
+def _times(table, series):
+    from astropy.time import Time
+
+    first, last = table.header["TSTART"], table.header["TSTOP"]
+    days = np.array([first, (first + last) / 2, last])
+    times = Time(series.mission.time_zero, days, format="jd", scale="tdb")
+    cards = [("TIMESYS", "TDB", "barycentric dynamical time")]
+    for name, time in zip(("BEG", "AVG", "END"), times, strict=True):
+        cards += [
+            (f"DATE-{name}", time.isot, "TDB at the barycenter"),
+            (f"MJD-{name.replace('AVG', 'MID')}", float(time.mjd), "[d] TDB at the barycenter"),
+        ]
+    cards.append(("TELAPSE", last - first, "[d] from the first to the last cadence"))
+    exposure = table.header.get("TIMEDEL"), table.header.get("DEADC")
+    if None not in exposure:
+        seconds = 86400 * exposure[0] * exposure[1] * int(np.isfinite(table.data["FLUX"]).sum())
+        cards.append(("XPOSURE", seconds, "[s] of all cadences, without dead time"))
+    return cards
+
+
+def _collection_cards(collection, series, path):
+    cards = [
+        ("HLSPID", collection.id.upper(), "identifier of the collection"),
+        ("HLSPLEAD", collection.lead, "lead of the project"),
+        ("HLSPNAME", collection.title or collection.id, "title of the collection"),
+        ("HLSPTARG", str(series.header.get("OBJECT")), "target"),
+        ("HLSPVER", collection.version, "version of the collection"),
+        ("DOI", collection.doi, "digital object identifier"),
+        ("LICENSE", _LICENSE[0], "license of these data"),
+        ("LICENURL", _LICENSE[1], "its text"),
+        ("OBSERVAT", series.mission.telescope, "observatory"),
+        ("INSTRUME", series.mission.instrument, "instrument"),
+        ("MISSION", series.mission.name, "mission"),
+        ("TPFFILE", Path(path).name[-60:], "target pixel file"),
+        ("TPFSHA", sha256(path), ""),
+    ]
+    if "scope_models" in str(series.header.get("CREATOR")):
+        cards.append(("SIMULATD", True, "simulated pixels"))
+    return cards

@@ -11,7 +11,7 @@ import numpy as np
 from astropy.table import Table
 
 from scope_models._arrays import native
-from scope_models._values import Value
+from scope_models._values import Value, frozen
 from scope_models.io._blocks import Block, column_cards
 
 __all__ = ["Truth", "maps_of", "scene_blocks", "scene_of", "truth_blocks", "truth_of"]
@@ -66,9 +66,7 @@ class Truth(Value):
     model: np.ndarray | None = field(default=None, compare=False)
 
     def __post_init__(self):
-        columns = {name: np.array(values) for name, values in self.columns.items()}
-        for values in columns.values():
-            values.flags.writeable = False
+        columns = {name: frozen(values) for name, values in self.columns.items()}
         object.__setattr__(self, "columns", MappingProxyType(columns))
 
     def __repr__(self):
@@ -116,7 +114,7 @@ class Truth(Value):
     @property
     def interpixel(self):
         """Response of each pixel against the others, shape (ny, nx)."""
-        return _read_only(self.maps["INTERPIXEL"])
+        return frozen(self.maps["INTERPIXEL"])
 
     @property
     def seed(self):
@@ -178,18 +176,12 @@ class Truth(Value):
         names = self._names(prefix)
         if not names:
             raise ValueError(f"the truth has no column {prefix}1")
-        return _read_only(np.stack([self.columns[name] for name in names]))
+        return frozen(np.stack([self.columns[name] for name in names]))
 
     def _found(self, name):
         if "found" not in self.scene:
             raise ValueError(f"the truth has no {name}: nothing was simulated")
-        return _read_only(np.array(self.scene["found"][name]))
-
-
-def _read_only(values):
-    view = np.asarray(values).view()
-    view.flags.writeable = False
-    return view
+        return frozen(self.scene["found"][name])
 
 
 def truth_blocks(cadenceno, columns, maps, scene, tables):

@@ -59,7 +59,6 @@ def make_model(described):
 
 
 def describe_coord(coord):
-    """Return a place on the sky as its ICRS coordinates, proper motion and epoch."""
     place = coord.icrs
     described = {"ra": place.ra.deg.item(), "dec": place.dec.deg.item()}
     if "s" in place.data.differentials:

@@ -375,7 +375,6 @@ class PRF(StarModel):
         return [1.0 - sum(others), *others]
 
     def _images(self, points, values):
-        """Images of the star at the given parameter values."""
         total = None
         for component, fraction in zip(self._components, self._fractions(values), strict=True):
             image = integrate_term(component.term(values, values["flux"] * fraction), points)

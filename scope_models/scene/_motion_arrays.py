@@ -8,7 +8,7 @@ import numpy as np
 from scope_models._arrays import plain_array, plain_time
 from scope_models._checks import checked_choice, checked_int32
 from scope_models._values import Value
-from scope_models.io._hlsp import ccd_name
+from scope_models.io._light_curves import ccd_name
 from scope_models.io.pixels import LARGEST_OFFSET, place_of, usable_positions
 from scope_models.missions import MISSIONS, TIME_ZEROS
 

@@ -6,6 +6,7 @@ from typing import ClassVar
 import numpy as np
 
 from scope_models._arrays import plain_number
+from scope_models._values import frozen
 from scope_models.scene._motion_arrays import as_pixels
 from scope_models.scene.motion import Motion
 
@@ -67,8 +68,7 @@ class CommonMotion(Motion):
             value = as_pixels(getattr(self, name), name, len(self.time))
             if not np.isfinite(value).all() or (name in self.errors_of and value.min() < 0):
                 raise ValueError(f"`{name}` must be finite, and no error below 0")
-            value.flags.writeable = False
-            object.__setattr__(self, name, value)
+            object.__setattr__(self, name, frozen(value))
         object.__setattr__(self, "place", tuple(map(float, self.place)))
 
     def at(self, column, row):

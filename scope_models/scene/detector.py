@@ -207,7 +207,6 @@ class Detector(Value):
         return html_table(f"Detector {self.mission}", self._rows() | {"PSF": psf})
 
     def _rows(self):
-        """Return texts on the fields by their names."""
         spread = f"{self.interpixel_distribution} {self.interpixel_scatter:g}"
         return {
             "stamp": f"{self.shape[0]} x {self.shape[1]} px of {self.pixel_scale:g} arcsec",

@@ -12,7 +12,7 @@ import numpy as np
 from scope_models._arrays import PER_PIXEL
 from scope_models._checks import checked_integer, checked_number
 from scope_models._docstrings import documented
-from scope_models._values import Value, html_table
+from scope_models._values import Value, frozen, html_table
 from scope_models.io._opening import read_positions
 from scope_models.io.pixels import positions_of, read_pixels
 from scope_models.missions import MISSIONS
@@ -154,8 +154,7 @@ class Motion(Value):
         check_increasing(values["time"], "time")
         check_increasing(values["cadenceno"], "cadenceno")
         for name, value in values.items():
-            value.flags.writeable = False
-            object.__setattr__(self, name, value)
+            object.__setattr__(self, name, frozen(value))
         object.__setattr__(self, "meta", MappingProxyType(dict(self.meta)))
 
     def __repr__(self):

@@ -9,7 +9,7 @@ from astropy.modeling import Model
 
 from scope_models._arrays import plain_array, plain_time
 from scope_models._checks import check_fields, checked_model, number
-from scope_models._values import Value
+from scope_models._values import Value, frozen
 from scope_models.models import PRF
 from scope_models.models._description import check_coord
 
@@ -131,9 +131,7 @@ def _checked_signal(signal):
     if values.ndim != 1:
         wanted = "a model, a function of time, a one-dimensional array or None"
         raise TypeError(f"`signal` must be {wanted}, got {signal!r}")
-    _check_values(values)
-    values.flags.writeable = False
-    return values
+    return frozen(_check_values(values))
 
 
 def _check_values(signal):
