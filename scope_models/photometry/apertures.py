@@ -121,26 +121,19 @@ def grown_aperture(signal, flux, exposure_time, read_noise, n_frames):
     """Return the mask of `signal_to_noise_aperture` of arrays ``(ny, nx)`` and numbers."""
     variance = flux / exposure_time + n_frames * (read_noise / exposure_time) ** 2
     mask = np.zeros(signal.shape, dtype=bool)
-    mask.flat[_grow(signal.ravel(), variance.ravel())] = True
-    return mask
-
-
-def _grow(signal, variance):
-    """Return the pixels that each raise the ratio of the sums, in the order found."""
-    chosen, total, total_variance, best = [], 0.0, 0.0, 0.0
-    lit = np.flatnonzero(signal > 0)
-    signal, variance = signal[lit], variance[lit]
+    lit, total, total_variance, best = np.flatnonzero(signal > 0), 0.0, 0.0, 0.0
+    signal, variance = signal.ravel()[lit], variance.ravel()[lit]
     for _ in lit:
         ratio = (total + signal) / np.sqrt(total_variance + variance)
         index = ratio.argmax()
         if ratio[index] <= best:
             break
         best = ratio[index]
-        chosen.append(lit[index])
+        mask.flat[lit[index]] = True
         total += signal[index]
         total_variance += variance[index]
         signal[index] = -np.inf
-    return chosen
+    return mask
 
 
 def contamination_aperture(target, neighbors, *, min_fraction=0.5, threshold=None):

@@ -35,8 +35,7 @@ from scope_models.scene.scene import Scene
 from scope_models.scene.star import Star
 
 __all__ = [
-    "describe_scene", "read_detector", "read_motion", "read_scene", "scene_columns",
-    "write_detector", "write_motion", "write_scene",
+    "describe_scene", "read_detector", "read_motion", "read_scene", "scene_columns", "write",
 ]  # fmt: skip
 
 _VERSION = 3
@@ -163,29 +162,22 @@ def _is_fits(path):
         return stream.read(6).startswith((b"SIMPLE", b"\x1f\x8b"))
 
 
-def write_scene(scene, path, *, overwrite):
-    columns = scene_columns(scene, [star.relative_flux(scene.motion.time) for star in scene.stars])
-    described, maps = describe_scene(scene), _maps(scene.detector)
-    blocks = truth_blocks(scene.motion.cadenceno, columns, maps, described, None)
-    return _write(path, blocks, overwrite=overwrite)
-
-
-def write_detector(detector, path, *, overwrite):
-    described = {"version": _VERSION, "detector": _describe_detector(detector)}
-    return _write(path, scene_blocks(_maps(detector), described), overwrite=overwrite)
-
-
-def write_motion(motion, path, *, overwrite):
-    described = {"version": _VERSION, "motion": _describe_motion(motion)}
-    blocks = truth_blocks(motion.cadenceno, _motion_columns(motion), {}, described, None)
-    return _write(path, blocks, overwrite=overwrite)
-
-
-def _write(path, blocks, *, overwrite):
+def write(value, path, *, overwrite):
+    """Write a scene, a detector or a motion; return the path."""
     from astropy.io import fits
 
     if not str(path).lower().endswith((".fits", ".fits.gz")):
         raise ValueError(f"`path` must end in .fits or .fits.gz, got {path}")
+    if isinstance(value, Detector):
+        described = {"version": _VERSION, "detector": _describe_detector(value)}
+        blocks = scene_blocks(_maps(value), described)
+    elif isinstance(value, Motion):
+        described = {"version": _VERSION, "motion": _describe_motion(value)}
+        blocks = truth_blocks(value.cadenceno, _motion_columns(value), {}, described, None)
+    else:
+        columns = scene_columns(value, [s.relative_flux(value.motion.time) for s in value.stars])
+        given = columns, _maps(value.detector), describe_scene(value), None
+        blocks = truth_blocks(value.motion.cadenceno, *given)
     hdus = [fits.PrimaryHDU(), *(block.hdu() for block in blocks)]
     return write_hdulist(fits.HDUList(hdus), path, overwrite=overwrite)
 

@@ -651,9 +651,9 @@ class Detector(Value):
         >>> Detector.read(detector.write("k2.fits")) == detector
         True
         """
-        from scope_models.scene._files import write_detector
+        from scope_models.scene._files import write
 
-        return write_detector(self, path, overwrite=overwrite)
+        return write(self, path, overwrite=overwrite)
 
     @staticmethod
     def read(path):

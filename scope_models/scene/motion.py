@@ -759,9 +759,9 @@ class Motion(Value):
         >>> Motion.read(motion.write("motion.fits")) == motion
         True
         """
-        from scope_models.scene._files import write_motion
+        from scope_models.scene._files import write
 
-        return write_motion(self, path, overwrite=overwrite)
+        return write(self, path, overwrite=overwrite)
 
     @classmethod
     def read(cls, path):

@@ -332,9 +332,9 @@ class Scene(Value):
         >>> Scene.read(scene.write("scene.fits")) == scene
         True
         """
-        from scope_models.scene._files import write_scene
+        from scope_models.scene._files import write
 
-        return write_scene(self, path, overwrite=overwrite)
+        return write(self, path, overwrite=overwrite)
 
     @classmethod
     def read(cls, path):
