@@ -485,11 +485,8 @@ class Detector(Value):
         >>> type(observation.to_tpf()).__name__
         'TessTargetPixelFile'
         """
-        own = presets.ground_fields(
-            aperture, altitude, band, seeing=seeing, pixel_scale=pixel_scale, airmass=airmass,
-            throughput=throughput,
-        )  # fmt: skip
-        return cls(**(own | changes))
+        seen = seeing, pixel_scale, airmass, throughput
+        return cls(**(presets.ground_fields(aperture, altitude, band, *seen) | changes))
 
     @classmethod
     def from_tpf(cls, tpf, **changes):

@@ -141,10 +141,7 @@ BANDS = MappingProxyType(
 _PHOTONS = 1.51e7  # per s, m2 and relative width of the band, of 1 Jy
 
 
-def ground_fields(
-    aperture=1.0, altitude=2400.0, band="R", *, seeing=1.0, pixel_scale=0.4, airmass=1.0,
-    throughput=0.4,
-):  # fmt: skip
+def ground_fields(aperture, altitude, band, seeing, pixel_scale, airmass, throughput):
     """Return the fields of a detector on a ground-based telescope; see `Detector.ground`."""
     found = BANDS[checked_choice("band", band, BANDS)]
     aperture = checked_number("aperture", aperture, "m", positive=True)
@@ -166,5 +163,5 @@ def ground_fields(
     }  # fmt: skip
 
 
-register_preset("ground", **ground_fields())
+register_preset("ground", **ground_fields(1.0, 2400.0, "R", 1.0, 0.4, 1.0, 0.4))
 _OWN.extend(_REGISTERED)
