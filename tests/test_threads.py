@@ -46,7 +46,7 @@ def during(monkeypatch):
 
     for name in ("cholesky", "eigh", "inv", "lstsq", "pinv", "qr", "solve", "svd"):
         monkeypatch.setattr(np.linalg, name, watched(getattr(np.linalg, name)))
-    module = sys.modules["scope_models.simulation.simulate"]
+    module = sys.modules["scope_models.simulation._light"]
     monkeypatch.setattr(module, "gather", watched(module.gather))
     return seen
 

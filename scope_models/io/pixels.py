@@ -13,17 +13,8 @@ from astropy.time import Time
 from scope_models._arrays import plain_array, plain_time, unmasked, without_unit
 from scope_models._checks import one_line
 from scope_models._values import Value, frozen
-from scope_models.io._opening import (
-    RefusedError,
-    cards_of,
-    column_of,
-    facts_of,
-    first_table,
-    naming,
-    open_fits,
-    read_table,
-    time_format_of,
-)
+from scope_models.io import _opening
+from scope_models.io._opening import RefusedError
 from scope_models.missions import TIME_ZEROS, Mission
 
 __all__ = ["PixelSeries", "read_pixels", "read_tpf", "usable_positions"]
@@ -125,7 +116,7 @@ class PixelSeries(Value):
     @property
     def time_format(self):
         """Name of the zero of the times, "bkjd" or "btjd"; "bkjd" if the headers name none."""
-        return time_format_of(self.header) or "bkjd"
+        return _opening.time_format_of(self.header) or "bkjd"
 
     def without_flagged(self, quality_bitmask="default"):
         """Leave out cadences by their quality flags, as lightkurve does when it reads a file.
@@ -209,7 +200,7 @@ def read_pixels(source, *, quality_bitmask=None):
         series = source
     elif isinstance(source, str | PathLike):
         name = source
-        with open_fits(source) as hdus:
+        with _opening.open_fits(source) as hdus:
             series = _of_hdus(hdus, source)
     elif isinstance(source, fits.HDUList):
         series = _of_hdus(source, name)
@@ -221,7 +212,7 @@ def read_pixels(source, *, quality_bitmask=None):
         _check_times(series, name)
     if quality_bitmask is None:
         quality_bitmask = "default" if isinstance(source, str | PathLike) else "none"
-    with naming(name):
+    with _opening.naming(name):
         return series.without_flagged(quality_bitmask)
 
 
@@ -260,14 +251,14 @@ def read_tpf(source, *, quality_bitmask="default"):
     if not isinstance(source, str | PathLike):
         if not _has_file(source):
             raise _no_tpf(source)
-        _check_place(cards_of(source.hdu[1].header), "`tpf`")
+        _check_place(_opening.cards_of(source.hdu[1].header), "`tpf`")
         return source
     import lightkurve
     from astropy.io import fits
 
-    with open_fits(source) as hdus:
+    with _opening.open_fits(source) as hdus:
         series = _of_hdus(hdus, source)
-        columns = {name.upper() for name in first_table(hdus, source).columns.names}
+        columns = {name.upper() for name in _opening.first_table(hdus, source).columns.names}
         whole = fits.HDUList([hdu for hdu in hdus if hdu.data is None or len(hdu.data) >= 0])
     _check_times(series, source)
     if series.mission is None:
@@ -276,7 +267,7 @@ def read_tpf(source, *, quality_bitmask="default"):
         if name not in columns:
             raise ValueError(f"lightkurve cannot read {source}: it has no column {name}")
     _check_place(series.header, source)
-    with naming(source):
+    with _opening.naming(source):
         series.without_flagged(quality_bitmask)
     kind = getattr(lightkurve, series.mission.tpf_class)
     try:
@@ -312,22 +303,22 @@ def usable_positions(pos_corr):
 
 def _of_hdus(hdus, name):
     try:
-        table = first_table(hdus, name)
+        table = _opening.first_table(hdus, name)
         columns = {key.upper(): key for key in table.columns.names}
-        flux = column_of(table, columns["FLUX"], name, ndim=3) if "FLUX" in columns else None
+        flux = _opening.column_of(table, columns["FLUX"], name, ndim=3) if "FLUX" in columns else None
     except RefusedError as error:
         raise RefusedError(f"{name} is not a target pixel file: {error}") from None
     if flux is None:
         raise RefusedError(f"{name} is not a target pixel file: it has no column FLUX")
 
     def column(key, default=None, ndim=1):
-        return column_of(table, columns[key], name, ndim) if key in columns else default
+        return _opening.column_of(table, columns[key], name, ndim) if key in columns else default
 
     n, *stamp = flux.shape
     if flux.size == 0:
         raise RefusedError(f"{name} has no pixels: FLUX has the shape {flux.shape}")
     pos_corr = [column(f"POS_CORR{axis}") for axis in (1, 2)]
-    header = cards_of(hdus[0].header, table.header)
+    header = _opening.cards_of(hdus[0].header, table.header)
     bits = hdus[2].data if len(hdus) > 2 else None  # where lightkurve finds the aperture
     has_aperture = bits is not None and np.asarray(bits).dtype.kind in "iu"
     values = {
@@ -365,7 +356,7 @@ def _check_times(series, name):
     if steps.size:
         before, after = known[steps[0] : steps[0] + 2]
         raise ValueError(f"the times of {name} must increase, got {after} after {before}")
-    with naming(name):
+    with _opening.naming(name):
         _ = series.time_format
 
 
@@ -410,12 +401,12 @@ def positions_of(source):
         series = read_pixels(source)
         names = ("time", "quality", "cadenceno", "time_format")
         columns |= {name: getattr(series, name) for name in names}
-        return columns | {"meta": facts_of(series.header)}
-    header = cards_of(getattr(source, "meta", None) or {})
+        return columns | {"meta": _opening.facts_of(series.header)}
+    header = _opening.cards_of(getattr(source, "meta", None) or {})
     form = getattr(source.time, "format", None)
     if "BJDREFI" not in header and form in TIME_ZEROS:
         header["BJDREFI"] = int(TIME_ZEROS[form])
-    columns |= {"time_format": time_format_of(header), "meta": facts_of(header)}
+    columns |= {"time_format": _opening.time_format_of(header), "meta": _opening.facts_of(header)}
     for name in ("quality", "cadenceno"):
         value = _attribute(source, name)
         columns[name] = None if value is None else np.asarray(without_unit(value))
@@ -459,7 +450,7 @@ def read_neighbors(path, series):
     Of stars on the sky, the nearest to the target's coordinates, if within a pixel, is the target,
     which is left out.
     """
-    table = read_table(path)
+    table = _opening.read_table(path)
     places = star_places("neighbors", table, series)
     kept = ((places > -0.5) & (places < np.array(series.flux.shape[:0:-1]) - 0.5)).all(axis=1)
     on_sky = len(table) and "x" not in map(str.lower, table.colnames)

@@ -16,16 +16,8 @@ from scope_models._values import Value, frozen, html_table
 from scope_models.io._opening import read_positions
 from scope_models.io.pixels import positions_of, read_pixels
 from scope_models.missions import MISSIONS
-from scope_models.scene._motion_arrays import (
-    MotionStatistics,
-    as_int32,
-    as_pixels,
-    as_times,
-    check_increasing,
-    largest_distance,
-    offsets_at,
-    repair,
-)
+from scope_models.scene import _motion_arrays
+from scope_models.scene._motion_arrays import MotionStatistics
 from scope_models.scene._pointing import (
     FailingWheels,
     GroundTracking,
@@ -137,22 +129,24 @@ class Motion(Value):
     __array_ufunc__ = None
 
     def __post_init__(self):
-        time = as_times(self.time, self.time_format)
+        time = _motion_arrays.as_times(self.time, self.time_format)
         n = len(time)
         quality = np.zeros(n, dtype=np.int32) if self.quality is None else self.quality
         cadenceno = np.arange(1, n + 1) if self.cadenceno is None else self.cadenceno
         values = {"time": time}
-        values |= {name: as_pixels(getattr(self, name), name, n) for name in ("x", "y")}
+        values |= {
+            name: _motion_arrays.as_pixels(getattr(self, name), name, n) for name in ("x", "y")
+        }
         for name, value in values.items():
             if not np.all(np.isfinite(value)):
                 raise ValueError(
                     f"`{name}` must be finite, got {value[~np.isfinite(value)][0]}; "
                     "`Motion.from_arrays` interpolates or drops such cadences"
                 )
-        values["quality"] = as_int32(quality, "quality", n)
-        values["cadenceno"] = as_int32(cadenceno, "cadenceno", n)
-        check_increasing(values["time"], "time")
-        check_increasing(values["cadenceno"], "cadenceno")
+        values["quality"] = _motion_arrays.as_int32(quality, "quality", n)
+        values["cadenceno"] = _motion_arrays.as_int32(cadenceno, "cadenceno", n)
+        _motion_arrays.check_increasing(values["time"], "time")
+        _motion_arrays.check_increasing(values["cadenceno"], "cadenceno")
         for name, value in values.items():
             object.__setattr__(self, name, frozen(value))
         object.__setattr__(self, "meta", MappingProxyType(dict(self.meta)))
@@ -264,7 +258,7 @@ class Motion(Value):
         if pixel_scale is not None:
             pixel_scale = _checked_scale(getattr(pixel_scale, "pixel_scale", pixel_scale))
         given = time, x, y, quality, cadenceno
-        *columns, n_bad = repair(*given, time_format, bad, pixel_scale)
+        *columns, n_bad = _motion_arrays.repair(*given, time_format, bad, pixel_scale)
         return cls(*columns, time_format, {**(meta or {}), "n_bad": n_bad})
 
     @classmethod
@@ -719,7 +713,9 @@ class Motion(Value):
         """
         series = read_pixels(tpf)
         shape = series.flux.shape[1:]
-        return offsets_at(self, series.time, series.time_format, series.header, shape)
+        return _motion_arrays.offsets_at(
+            self, series.time, series.time_format, series.header, shape
+        )
 
     @documented()
     def plot(self, ax=None, **options):
@@ -838,7 +834,7 @@ class Motion(Value):
             raise ValueError(f"all cadences have quality flags of `exclude`, {exclude}")
         x, y = self.x[keep], self.y[keep]
         r = np.hypot(x, y)
-        values = (r.mean(), r.std(), r.max(), largest_distance(x, y))
+        values = (r.mean(), r.std(), r.max(), _motion_arrays.largest_distance(x, y))
         pixel = pixel_scale * u.arcsec / u.pix
         return MotionStatistics(*(float(value) * u.pix for value in values), pixel, len(r))
 

@@ -17,14 +17,7 @@ from scope_models.io.tpf import make_tpf_hdulist
 from scope_models.missions import MISSIONS, TIME_ZEROS
 from scope_models.photometry.precision import noise_of
 from scope_models.scene.scene import Scene, scene_facts
-from scope_models.simulation._light import (
-    fill_wells,
-    gather,
-    pedestal,
-    pieces,
-    prepare,
-    share_of_target,
-)
+from scope_models.simulation import _light
 
 __all__ = ["Observation"]
 
@@ -137,11 +130,11 @@ class Observation(Value):
         """
         if self.truth.model is not None:
             return self.truth.model
-        prepared = prepare(self.scene)
+        prepared = _light.prepare(self.scene)
         model = np.empty(self.flux.shape)
-        for part in pieces(self.scene):
-            electrons = gather(prepared, part)
-            fill_wells(self.scene, electrons, pedestal(prepared, part, electrons)[0])
+        for part in _light.pieces(self.scene):
+            electrons = _light.gather(prepared, part)
+            _light.fill_wells(self.scene, electrons, _light.pedestal(prepared, part, electrons)[0])
             np.divide(electrons, self.detector.exposure_time, out=model[part])
         return model
 
@@ -174,10 +167,10 @@ class Observation(Value):
             return self.truth.target_share
         weights = self.truth.interpixel * aperture
         sums = np.zeros((len(self.stars), len(self.motion)))
-        for number, light in enumerate(prepare(self.scene).lights):
-            for part in pieces(self.scene):
+        for number, light in enumerate(_light.prepare(self.scene).lights):
+            for part in _light.pieces(self.scene):
                 sums[number, part] = np.tensordot(light.images(part), weights[light.window], axes=2)
-        return share_of_target(sums)
+        return _light.share_of_target(sums)
 
     def _checked_aperture(self, aperture_mask):
         if aperture_mask is None:
@@ -439,6 +432,6 @@ class Observation(Value):
         relative = self.truth.relative_flux[0]
         effects = (*self.detector.effects, *self.scene.effects)
         if any(type(effect).starlight is not Effect.starlight for effect in effects):
-            relative = relative * prepare(self.scene).lights[0].passed
+            relative = relative * _light.prepare(self.scene).lights[0].passed
         total = self.truth.flux[0] * relative.mean()
         return {"CROWDSAP": float(light[0] / light.sum()), "FLFRCSAP": float(light[0] / total)}

@@ -7,28 +7,13 @@ from astropy.table import Table
 
 from scope_models._checks import checked_integer
 from scope_models._threads import one_thread
-from scope_models.effects._noise import (
-    add_quantization,
-    add_read_noise,
-    fresh_seed,
-    poisson_counts,
-    stream,
-)
+from scope_models.effects import _noise
 from scope_models.exceptions import LostLightWarning
 from scope_models.io import Truth
 from scope_models.photometry.apertures import grown_aperture
 from scope_models.scene._files import describe_scene, scene_columns
 from scope_models.scene.scene import Scene
-from scope_models.simulation._light import (
-    fill_wells,
-    gather,
-    lost_fractions,
-    pedestal,
-    pieces,
-    prepare,
-    share_of_target,
-    shown,
-)
+from scope_models.simulation import _light
 from scope_models.simulation.observation import Observation
 
 __all__ = ["simulate"]
@@ -115,11 +100,11 @@ def simulate(stars, detector=None, motion=None, *, keep_model=False, chunk_size=
         raise TypeError("a Scene holds detector and motion: `Scene.replace` changes them")
     else:
         scene = stars.replace(**options) if options else stars
-    scene = scene.replace(seed=fresh_seed()) if scene.seed is None else scene
+    scene = scene.replace(seed=_noise.fresh_seed()) if scene.seed is None else scene
     if chunk_size is not None:
         chunk_size = checked_integer("chunk_size", chunk_size, 1)
-    prepared = prepare(scene)
-    lost = lost_fractions(prepared)
+    prepared = _light.prepare(scene)
+    lost = _light.lost_fractions(prepared)
     x_0, y_0 = prepared.positions[0]
     # That of neighbors may fall off the stamp.
     star = f"the star at x_0 = {x_0:g}, y_0 = {y_0:g}"
@@ -130,20 +115,20 @@ def simulate(stars, detector=None, motion=None, *, keep_model=False, chunk_size=
     cubes = {name: np.empty(shape, np.float32) for name in ("flux", "flux_err")}
     cubes["raw_cnts"] = np.empty(shape, np.int32)
     model = np.empty(shape) if keep_model else None
-    streams = {term: stream(scene.seed, term) for term in scene.noise}
+    streams = {term: _noise.stream(scene.seed, term) for term in scene.noise}
     photons, of_sky = streams.get("photon"), streams.get("background")
     spilled, flux_bkg = 0.0, None
     with one_thread:
-        for part in pieces(scene, chunk_size):
-            expected = gather(prepared, part, (images, in_aperture), aperture)
-            added, subtracted = pedestal(prepared, part, expected)
-            sky = poisson_counts(added, of_sky, expected.shape) if of_sky else added
+        for part in _light.pieces(scene, chunk_size):
+            expected = _light.gather(prepared, part, (images, in_aperture), aperture)
+            added, subtracted = _light.pedestal(prepared, part, expected)
+            sky = _noise.poisson_counts(added, of_sky, expected.shape) if of_sky else added
             # Without noise one array is both, and is filled once.
             charge = expected
             if photons or of_sky:
-                charge = poisson_counts(expected, photons) if photons else expected.copy()
-                fill_wells(scene, charge, sky)
-            spilled = max(spilled, fill_wells(scene, expected, added))
+                charge = _noise.poisson_counts(expected, photons) if photons else expected.copy()
+                _light.fill_wells(scene, charge, sky)
+            spilled = max(spilled, _light.fill_wells(scene, expected, added))
             if keep_model:
                 np.divide(expected, scene.detector.exposure_time, out=model[part])
             charge += sky
@@ -161,7 +146,7 @@ def simulate(stars, detector=None, motion=None, *, keep_model=False, chunk_size=
     return Observation(
         **cubes, flux_bkg=np.broadcast_to(flux_bkg, shape), scene=scene,
         quality=_flag(prepared, cubes),
-        truth=_truth(prepared, lost, share_of_target(in_aperture), model), aperture=aperture,
+        truth=_truth(prepared, lost, _light.share_of_target(in_aperture), model), aperture=aperture,
         star_images=images * prepared.interpixel / len(scene.motion),
     )  # fmt: skip
 
@@ -171,7 +156,7 @@ def _choose_aperture(prepared):
     detector, n = prepared.scene.detector, len(prepared.scene.motion)
     some = slice(None, None, -(-n // _APERTURE_CADENCES))
     images = np.zeros((min(len(prepared.lights), 2), *detector.shape))
-    for number, (light,) in enumerate(shown(prepared.lights)):
+    for number, (light,) in enumerate(_light.shown(prepared.lights)):
         images[min(number, 1), *light.window] += light.images(some).mean(axis=0)
     images *= prepared.interpixel
     if not images[0].any():
@@ -191,9 +176,9 @@ def _record(prepared, part, charges, pedestals, streams, cubes):
         for effect, drawn in prepared.effects:
             getattr(effect, stage)(drawn, prepared.conditions, part, electrons)
     if "read" in streams:
-        add_read_noise(electrons, detector.cadence_read_noise, streams["read"])
+        _noise.add_read_noise(electrons, detector.cadence_read_noise, streams["read"])
     if "quantization" in streams:
-        add_quantization(electrons, detector.gain, detector.n_reads, streams["quantization"])
+        _noise.add_quantization(electrons, detector.gain, detector.n_reads, streams["quantization"])
     counts = electrons * (1.0 / detector.gain)
     counts += detector.fixed_offset
     np.rint(counts, out=counts)
