@@ -115,10 +115,8 @@ class Mission(Value):
     ----------
     name : str
         Name, as in the card MISSION and in `Detector.mission <scope_models.Detector>`.
-    telescope : str
-        The card TELESCOP.
-    instrument : str
-        The card INSTRUME.
+    telescope, instrument : str
+        The cards TELESCOP and INSTRUME.
     template : str
         The mission whose headers its files have, in lower case.
     band : str

@@ -131,10 +131,8 @@ class Extinction(AirEffect):
         Coefficient k, mag per airmass. 0.11, 0.07 and 0.05 in V, R and I: Paranal (Patat 2003).
     airmass : float or array_like, optional
         Airmass X, 1 or more, for all cadences or for each: `airmass` computes it.
-    scatter : float or Quantity, optional
-        Standard deviation of c, mag.
-    correlation_time : float or Quantity, optional
-        Correlation time of c, days; the default is assumed.
+    scatter, correlation_time : float or Quantity, optional
+        Standard deviation of c, mag, and its correlation time, days; the default is assumed.
 
     Notes
     -----
@@ -187,10 +185,8 @@ class Scintillation(AirEffect):
 
     Parameters
     ----------
-    aperture : float or Quantity, optional
-        Diameter D of the telescope, m.
-    altitude : float or Quantity, optional
-        Altitude h of the telescope, m.
+    aperture, altitude : float or Quantity, optional
+        Diameter D and altitude h of the telescope, m.
     airmass : float or array_like, optional
         Airmass X, 1 or more, for all cadences or for each.
     coefficient : float, optional

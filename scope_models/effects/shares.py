@@ -35,10 +35,8 @@ class PixelShares(Effect):
         Least and largest column and row of the star, pixels of the stamp.
     time_range : tuple of float, optional
         First and last time, days.
-    degree : int, optional
-        Largest i + j.
-    time_degree : int, optional
-        Largest k; terms with k > 0 have i + j of 3 at most.
+    degree, time_degree : int, optional
+        Largest i + j, and largest k; terms with k > 0 have i + j of 3 at most.
     star : int, optional
         Number of the star in the scene.
 

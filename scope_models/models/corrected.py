@@ -27,10 +27,8 @@ class CorrectedPRF(TabulatedPRF):
         Flux of a pixel at each offset, as for `~scope_models.models.TabulatedPRF`.
     oversampling : float or tuple of float, optional
         Samples per pixel, one number or (y, x).
-    flux : float or `~astropy.units.Quantity`, optional
-        Flux of the star.
-    x_0, y_0 : float or `~astropy.units.Quantity`, optional
-        Position of the star in pixels.
+    flux, x_0, y_0 : float or `~astropy.units.Quantity`, optional
+        Flux of the star, and its position in pixels.
     order : int, optional
         Largest sum n of the orders k and m.
     radius : float or `~astropy.units.Quantity`, optional

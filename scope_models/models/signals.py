@@ -37,14 +37,10 @@ class TransitModel(Fittable1DModel):
 
     Parameters
     ----------
-    period : float or `~astropy.units.Quantity`
-        Orbital period in days.
-    t0 : float or `~astropy.units.Quantity`
-        Time of inferior conjunction (mid-transit) in days.
-    rp : float
-        Radius of the planet in stellar radii.
-    a : float
-        Semi-major axis in stellar radii.
+    period, t0 : float or `~astropy.units.Quantity`
+        Orbital period, and time of inferior conjunction (mid-transit), in days.
+    rp, a : float
+        Radius of the planet, and semi-major axis, in stellar radii.
     inc : float or `~astropy.units.Quantity`
         Inclination of the orbit in degrees; 90 is edge-on.
     ecc : float
@@ -137,10 +133,8 @@ class TransitModel(Fittable1DModel):
         depth : float or `~astropy.units.Quantity`
             Relative drop at mid-transit with limb darkening and for a short
             exposure, between 0 and 1.
-        duration : float or `~astropy.units.Quantity`
-            Time from first to fourth contact in days.
-        period : float or `~astropy.units.Quantity`
-            Orbital period in days.
+        duration, period : float or `~astropy.units.Quantity`
+            Time from first to fourth contact, and orbital period, in days.
         t0 : float or `~astropy.units.Quantity`, optional
             Time of mid-transit in days.
         b : float, optional
@@ -200,10 +194,8 @@ class TransitModel(Fittable1DModel):
         ----------
         period, t0 : float or `~astropy.units.Quantity`
             Period and time of mid-transit in days.
-        rp : float, optional
-            Radius of the planet in stellar radii.
-        a : float, optional
-            Semi-major axis in stellar radii.
+        rp, a : float, optional
+            Radius of the planet, and semi-major axis, in stellar radii.
         density : float or `~astropy.units.Quantity`, optional
             Mean density of the star in g/cm3, in place of `a`.
         inc : float or `~astropy.units.Quantity`, optional

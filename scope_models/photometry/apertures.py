@@ -183,10 +183,8 @@ def circular_aperture(shape, x_0, y_0, radius, *, min_overlap=0.5):
     ----------
     shape : tuple of int
         Shape ``(ny, nx)`` of the mask.
-    x_0, y_0 : float
-        Center (column, row) in pixels.
-    radius : float
-        Radius in pixels.
+    x_0, y_0, radius : float
+        Center (column, row) and radius in pixels.
     min_overlap : float, optional
         Lowest fraction of a pixel's area within the circle, above 0 and at most 1.
 
