@@ -10,7 +10,7 @@ from contextlib import closing, contextmanager
 from pathlib import Path
 
 from scope_models.exceptions import DamagedResultWarning
-from scope_models.io._hlsp import sha256
+from scope_models.io._light_curves import sha256
 
 __all__ = ["FILE", "Store", "listed", "read_records"]
 

@@ -310,7 +310,6 @@ def fit_pixels(pixels, options, series, cadence_mask=None, **transit):
     the model lacks something: then measured fractions are tried, as under the seeing of the ground.
     ``series`` is the file of the pixels; the rest are arguments of `PLDModel.fit`.
     """
-
     state = {}
 
     def model_with(options):

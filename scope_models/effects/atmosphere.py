@@ -131,8 +131,10 @@ class Extinction(AirEffect):
         Coefficient k, mag per airmass. 0.11, 0.07 and 0.05 in V, R and I: Paranal (Patat 2003).
     airmass : float or array_like, optional
         Airmass X, 1 or more, for all cadences or for each: `airmass` computes it.
-    scatter, correlation_time : float or Quantity, optional
-        Standard deviation of c, mag, and its correlation time, days; the default is assumed.
+    scatter : float or Quantity, optional
+        Standard deviation of c, mag.
+    correlation_time : float or Quantity, optional
+        Correlation time of c, days; the default is assumed.
 
     Notes
     -----

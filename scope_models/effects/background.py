@@ -179,8 +179,10 @@ class Argabrightening(SkyEffect):
 
     Parameters
     ----------
-    rate, brightness : float or Quantity, optional
-        Mean number of flashes per day, and their mean brightness, e-/s per pixel.
+    rate : float or Quantity, optional
+        Mean number of flashes per day.
+    brightness : float or Quantity, optional
+        Mean brightness of a flash, e-/s per pixel.
     gradient : tuple of float, optional
         Relative change of the light per pixel along x and y.
     residual : float, optional

@@ -41,8 +41,10 @@ class Conditions(Value):
         Exposure and read-out of one frame, s.
     n_frames, n_reads : int
         Frames of a cadence, and those of them that are summed up.
-    read_noise, background : float
-        Standard deviation of one read, electrons, and background of the detector, e-/s per pixel.
+    read_noise : float
+        Standard deviation of one read, electrons.
+    background : float
+        Background of the detector, e-/s per pixel.
     n_stars : int, optional
         Number of stars.
 

@@ -36,8 +36,10 @@ class CosmicRays(Effect):
         Mean charge of a hit, electrons.
     pixel_size : float or Quantity, optional
         Side of a pixel, micrometers: 27 for Kepler, 15 for TESS.
-    depth, longest : float or Quantity, optional
-        Depth h of the layer, micrometers (assumed), and length at which tracks are cut, pixels.
+    depth : float or Quantity, optional
+        Depth h of the layer, micrometers; assumed.
+    longest : float or Quantity, optional
+        Length at which tracks are cut, pixels.
     rejection : bool, optional
         Whether the highest and the lowest of ten reads are dropped, as on board of TESS.
 

@@ -103,8 +103,10 @@ class RollingBands(Effect):
         default is 20 ppm of the flux of a star of Kp 12, below which Kepler's bands stay.
     duration : float or Quantity, optional
         Standard deviation d of an episode in time, days.
-    spacing, speed : float or Quantity, optional
-        Period :math:`\lambda` of the bands, pixels, and their speed v, pixels per day.
+    spacing : float or Quantity, optional
+        Period :math:`\lambda` of the bands, pixels.
+    speed : float or Quantity, optional
+        Speed v of the bands, pixels per day.
 
     Notes
     -----

@@ -305,7 +305,8 @@ def _of_hdus(hdus, name):
     try:
         table = _opening.first_table(hdus, name)
         columns = {key.upper(): key for key in table.columns.names}
-        flux = _opening.column_of(table, columns["FLUX"], name, ndim=3) if "FLUX" in columns else None
+        known = "FLUX" in columns
+        flux = _opening.column_of(table, columns["FLUX"], name, ndim=3) if known else None
     except RefusedError as error:
         raise RefusedError(f"{name} is not a target pixel file: {error}") from None
     if flux is None:

@@ -85,8 +85,10 @@ class TPFMetadata(Value):
         Frames that are summed up; by default ``n_frames``.
     time_delta : float or Quantity, optional
         Length of a cadence, days; by default that of the frames.
-    gain, read_noise : float or Quantity, optional
-        Electrons per count, and standard deviation of one read, electrons.
+    gain : float or Quantity, optional
+        Electrons per count.
+    read_noise : float or Quantity, optional
+        Standard deviation of one read, electrons.
     mean_black, fixed_offset : int, optional
         Black level of one read, and number added to RAW_CNTS, counts.
     seed : int, optional

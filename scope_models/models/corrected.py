@@ -27,8 +27,10 @@ class CorrectedPRF(TabulatedPRF):
         Flux of a pixel at each offset, as for `~scope_models.models.TabulatedPRF`.
     oversampling : float or tuple of float, optional
         Samples per pixel, one number or (y, x).
-    flux, x_0, y_0 : float or `~astropy.units.Quantity`, optional
-        Flux of the star, and its position in pixels.
+    flux : float or `~astropy.units.Quantity`, optional
+        Flux of the star.
+    x_0, y_0 : float or `~astropy.units.Quantity`, optional
+        Position of the star in pixels.
     order : int, optional
         Largest sum n of the orders k and m.
     radius : float or `~astropy.units.Quantity`, optional

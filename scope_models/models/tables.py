@@ -227,8 +227,10 @@ def _checked_samples(name, array):
 _REST = """
 oversampling : float or tuple of float, optional
     Samples per pixel, one number or (y, x).
-flux, x_0, y_0 : float or `~astropy.units.Quantity`, optional
-    Flux of the star, and its position in pixels.
+flux : float or `~astropy.units.Quantity`, optional
+    Flux of the star.
+x_0, y_0 : float or `~astropy.units.Quantity`, optional
+    Position of the star in pixels.
 origin : tuple of float, optional
     Sample (x, y), counted from 0, where the star is; by default the middle.
 uncertainty : array_like of shape (ny, nx), optional

@@ -232,10 +232,14 @@ class GroundTracking(Pointing):
 
     Parameters
     ----------
-    aperture, seeing : float or Quantity
-        Diameter D of the telescope, m, and full width at half maximum of the seeing, arcsec.
-    wavelength, pixel_scale : float or Quantity
-        Wavelength, nm, and size of a pixel, arcsec.
+    aperture : float or Quantity
+        Diameter D of the telescope, m.
+    seeing : float or Quantity
+        Full width at half maximum of the seeing, arcsec.
+    wavelength : float or Quantity
+        Wavelength, nm.
+    pixel_scale : float or Quantity
+        Size of a pixel, arcsec.
     night : float or Quantity
         Length of a night, hours.
     pointing : float or Quantity
@@ -434,8 +438,10 @@ class K2Roll(Pointing):
         Standard deviation of the residual pointing per axis in arcsec (measured: 0.0030 to 0.0044).
     orbital_speed : float
         Speed :math:`v` in km/s; negative where the field lies ahead, 0 for no aberration.
-    campaign, pixel_scale : float
-        Length :math:`T` of a campaign in days, and size of a pixel in arcsec.
+    campaign : float
+        Length :math:`T` of a campaign in days.
+    pixel_scale : float
+        Size of a pixel in arcsec.
 
     Raises
     ------
