@@ -105,7 +105,8 @@ def clean_pixels(
         state["fitted"].converge()
     fitted = state["fitted"]
     images = fitted.refine() if changing else fitted.images()
-    return fitted.result(*fitted.light(flux_err, images), images)
+    kept = fitted.kept(images)
+    return fitted.result(*fitted.light(flux_err, images, kept), images, kept)
 
 
 class _State:
@@ -385,7 +386,7 @@ class _State:
         right[1:first] *= self.brightness
         return hessian, right
 
-    def light(self, flux_err, images):
+    def light(self, flux_err, images, kept):
         """Return the star's light and its error by least squares.
 
         Of the means of 6.5 h the model misses in each pixel what their variance has beyond noise.
@@ -424,7 +425,6 @@ class _State:
         first[0] = 1
         parts = zip(_solved(hessian, first)[0][:, :, None], columns, strict=True)
         weights = sum(size * column for size, column in parts) @ root.T
-        kept = self._kept(images)
         light = self.brightness + np.sum(weights * rest, axis=1)
         variance = np.sum((weights * flux_err / self.unit) ** 2, axis=1)
         variance += self.fluctuation * weights.sum(axis=1) ** 2
@@ -493,7 +493,7 @@ class _State:
             use = known & (np.abs(rest).max(axis=1) < 0.1)
         self.z = self.z + columns @ change
 
-    def _kept(self, images):
+    def kept(self, images):
         """Return the light that the aperture would hold at constant focus, over what it holds.
 
         A wider PSF moves light to the pixels outside, and out of the stamp.
@@ -506,15 +506,15 @@ class _State:
         moved = focus * (slopes[2] @ outside)
         return np.maximum(whole + moved, 0.1) / np.maximum(whole - lost, 0.1)
 
-    def result(self, light, error, images):
-        """Return a light and the fractions."""
+    def result(self, light, error, images, kept):
+        """Return a light and the fractions, which are ``kept`` as `kept` has it."""
         still, image, slopes, constant = images
         other, inside = self._constant_light(image, slopes[:2], constant), self.aperture
         focus = self._lines(self.focus, _SLOW)  # without short dips
         return CleanPixels(
             light=self.unit * (light - other),
             light_error=self.unit * error,
-            shares=np.where(inside, image, 0.0) / self._kept(images)[:, None],
+            shares=np.where(inside, image, 0.0) / kept[:, None],
             still=np.where(inside, image + (focus - self.focus)[:, None] * slopes[2], 0.0),
             outside=still @ ~inside,
             background=self.unit * self.background,

@@ -155,10 +155,7 @@ class Covariance:
         that all rows below a block enter through one 2 x 2 matrix, which is summed from the
         last row upwards.
         """
-        u, d = self._u, self._d
-        decay = np.exp(-self._c[0] * np.diff(self.time))
-        below = np.concatenate([_sum_below(decay, u, self._w, d), np.zeros((1, 2, 2))])
-        decay = np.append(decay, 0.0)
+        u, d, decay = self._u, self._d, self._decay
         rows = np.zeros((len(starts), width, width))
         tails = np.empty((len(starts), width, 2))
         for j in range(width):
@@ -170,25 +167,28 @@ class Covariance:
                 rows[:, j, k] = column / np.sqrt(d[here])
                 state = decay[here, None] * (state + self._w[here] * column[:, None])
             tails[:, j] = state
-        outside = tails @ below[starts + width] @ tails.transpose(0, 2, 1)
+        outside = tails @ self._below[starts + width] @ tails.transpose(0, 2, 1)
         return rows @ rows.transpose(0, 2, 1) + outside
 
+    @cached_property
+    def _decay(self):
+        """Decay of the states from each row to the next."""
+        return np.append(np.exp(-self._c[0] * np.diff(self.time)), 0.0)
 
-def _sum_below(decay, u, w, d):
-    """S_m = u_m u_m^T / d_m + T^T S_(m+1) T with T = decay (1 - w_m u_m^T)."""
-    n = len(d)
-    s = np.empty((n, 2, 2))
-    s00 = s01 = s11 = 0.0
-    ul, wl, dl, pl = u.tolist(), w.tolist(), d.tolist(), [*(decay**2).tolist(), 0.0]
-    for i in range(n - 1, -1, -1):
-        (u0, u1), (w0, w1), p = ul[i], wl[i], pl[i]
-        a00, a01, a10, a11 = 1 - w0 * u0, -w0 * u1, -w1 * u0, 1 - w1 * u1
-        x0, x1 = s00 * a00 + s01 * a10, s00 * a01 + s01 * a11
-        y0, y1 = s01 * a00 + s11 * a10, s01 * a01 + s11 * a11
-        s00, s01, s11 = (
-            p * (a00 * x0 + a10 * y0) + u0 * u0 / dl[i],
-            p * (a00 * x1 + a10 * y1) + u0 * u1 / dl[i],
-            p * (a01 * x1 + a11 * y1) + u1 * u1 / dl[i],
-        )
-        s[i] = ((s00, s01), (s01, s11))
-    return s
+    @cached_property
+    def _below(self):
+        """S_m = u_m u_m^T / d_m + T^T S_(m+1) T with T = decay (1 - w_m u_m^T), and 0 below."""
+        s = np.zeros((len(self._d) + 1, 2, 2))
+        s00 = s01 = s11 = 0.0
+        rows = zip(*(x[::-1].tolist() for x in (self._u, self._w, self._d, self._decay**2)))
+        for i, ((u0, u1), (w0, w1), d, p) in zip(range(len(s) - 2, -1, -1), rows, strict=True):
+            a00, a01, a10, a11 = 1 - w0 * u0, -w0 * u1, -w1 * u0, 1 - w1 * u1
+            x0, x1 = s00 * a00 + s01 * a10, s00 * a01 + s01 * a11
+            y0, y1 = s01 * a00 + s11 * a10, s01 * a01 + s11 * a11
+            s00, s01, s11 = (
+                p * (a00 * x0 + a10 * y0) + u0 * u0 / d,
+                p * (a00 * x1 + a10 * y1) + u0 * u1 / d,
+                p * (a01 * x1 + a11 * y1) + u1 * u1 / d,
+            )
+            s[i] = ((s00, s01), (s01, s11))
+        return s
