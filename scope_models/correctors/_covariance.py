@@ -1,11 +1,11 @@
-"""Covariance of variability on several time scales and white noise, solved in linear time."""
+"""Covariance of stochastic variability and white noise, solved in linear time."""
 
 from functools import cached_property
 
 import numpy as np
 from celerite2 import backprop, driver
 
-__all__ = ["Covariance", "Noise"]
+__all__ = ["Covariance", "Noise", "RandomWalk"]
 
 
 class Noise:
@@ -37,23 +37,22 @@ class Noise:
 
 
 class Covariance:
-    r"""White noise plus critically smooth stochastic oscillators, factorized by celerite2.
+    r"""White noise plus a critically smooth stochastic oscillator, factorized by celerite2.
 
-    The kernel of each is that of a stochastically driven, damped oscillator of
-    quality :math:`1/\sqrt{2}`, :math:`k(\tau) = \sigma^2 e^{-w|\tau|}
-    (\cos w\tau + \sin w|\tau|)` with :math:`w = \sqrt{2}\,\pi/\rho`. Their ``amplitudes`` are the
-    variances :math:`\sigma^2`, their ``periods`` the undamped :math:`\rho` in days; times in days
-    ``(n,)`` increase, and ``variance`` is that of the white noise. A LinAlgError is raised if the
-    covariance is not positive definite to working precision.
+    The kernel is that of a stochastically driven, damped oscillator of quality
+    :math:`1/\sqrt{2}`, :math:`k(\tau) = \sigma^2 e^{-w|\tau|} (\cos w\tau + \sin w|\tau|)` with
+    :math:`w = \sqrt{2}\,\pi/\rho`. The ``amplitude`` is the variance :math:`\sigma^2`, the
+    ``period`` the undamped :math:`\rho` in days; times in days ``(n,)`` increase, and ``variance``
+    is that of the white noise. A LinAlgError is raised if the covariance is not positive definite
+    to working precision.
     """
 
-    def __init__(self, time, variance, amplitudes, periods):
-        self.time, self.variance = time, variance
-        self.amplitudes = np.asarray(amplitudes, dtype=float)
-        self.rates = np.sqrt(2) * np.pi / np.asarray(periods, dtype=float)
-        self._c, self._a = np.repeat(self.rates, 2), variance + self.amplitudes.sum()
+    def __init__(self, time, variance, amplitude, period):
+        self.time, self.variance, self.amplitude = time, variance, amplitude
+        self.rate, self._a = self._per_period / period, variance + amplitude
         self._u, self._v = self._generators(time)
-        k = len(self._c)
+        k = self._v.shape[1]
+        self._c = np.full(k, self.rate)
         self._d, self._w, self._state = backprop.factor_fwd(
             time, self._c, self._a, self._u, self._v,
             np.empty_like(self._a), np.empty_like(self._v), np.empty((len(time), k, k)),
@@ -62,12 +61,14 @@ class Covariance:
             raise np.linalg.LinAlgError("the covariance is not positive definite")
         self.log_determinant = float(np.sum(np.log(self._d)))
 
+    _per_period = np.sqrt(2) * np.pi
+
     def _generators(self, time):
-        """Return the generators of the lower and the upper triangle, two for each oscillator."""
-        phase = np.outer(time, self.rates)
+        """Return the generators of the lower and the upper triangle, ``(n, 2)``."""
+        phase = self.rate * time
         cos, sin = np.cos(phase), np.sin(phase)
-        lower = self.amplitudes[:, None] * np.stack([cos + sin, sin - cos], axis=2)
-        return lower.reshape(len(time), -1), np.stack([cos, sin], axis=2).reshape(len(time), -1)
+        lower = self.amplitude * np.stack([cos + sin, sin - cos], axis=1)
+        return lower, np.stack([cos, sin], axis=1)
 
     def whiten(self, columns):
         """Return ``Z`` with ``Z.T @ Z = columns.T @ inv(K) @ columns``."""
@@ -94,7 +95,7 @@ class Covariance:
         return driver.general_matmul_upper(time, self.time, self._c, v, self._u, alpha, mean)[:, 0]
 
     def gradient(self, columns, whitened, gram_bar):
-        """Differentiate ``f(C.T @ inv(K) @ C) + log det(K) / 2``, with one oscillator.
+        """Differentiate ``f(C.T @ inv(K) @ C) + log det(K) / 2``.
 
         With B = inv(K) C, a change dK of K changes the argument of f by -B^T dK B: no derivative
         has to be carried through the factorization's recursions for all columns.
@@ -119,7 +120,7 @@ class Covariance:
         The derivative is :math:`2 \sigma^2 w\tau e^{-w\tau} \sin w\tau`; the factor
         :math:`\tau` is a difference of times, so that four pairs of generators make it.
         """
-        (amplitude,), (rate,), t = self.amplitudes, self.rates, self.time
+        amplitude, rate, t = self.amplitude, self.rate, self.time
         cos, sin = self._v.T
         u = 2 * amplitude * rate * np.stack([t * sin, t * cos, sin, cos], axis=1)
         v = np.stack([cos, -sin, -t * cos, t * sin], axis=1)
@@ -136,12 +137,12 @@ class Covariance:
     def _determinant_gradient(self):
         """Derivatives of half of log det K, as of `gradient`."""
         c_bar, a_bar, u_bar, v_bar = self._determinant_bars
-        (amplitude,), (cos, sin) = self.amplitudes, self._v.T
+        amplitude, (cos, sin) = self.amplitude, self._v.T
         amplitude_bar = amplitude * a_bar.sum() + np.sum(u_bar * self._u)
         # d/d(phase) of the generators; a longer period turns the phase back
         du = amplitude * np.stack([cos - sin, cos + sin], axis=1)
         dv = np.stack([-sin, cos], axis=1)
-        turned = np.sum((u_bar * du + v_bar * dv) * (self.rates * self.time[:, None]))
+        turned = np.sum((u_bar * du + v_bar * dv) * (self.rate * self.time[:, None]))
         return a_bar, float(amplitude_bar), float(-turned - np.sum(c_bar * self._c))
 
     def inverse_diagonal(self):
@@ -149,7 +150,7 @@ class Covariance:
         return 2 * self._determinant_bars[1]
 
     def inverse_blocks(self, starts, width):
-        """Return the diagonal blocks of ``inv(K)`` of one oscillator, ``(n_blocks, width, width)``.
+        """Return the diagonal blocks of ``inv(K)``, shape ``(n_blocks, width, width)``.
 
         With K = L D L^T, a column of inv(L) is a recursion through a state of two numbers, so
         that all rows below a block enter through one 2 x 2 matrix, which is summed from the
@@ -192,3 +193,16 @@ class Covariance:
             )
             s[i] = ((s00, s01), (s01, s11))
         return s
+
+
+class RandomWalk(Covariance):
+    """White noise plus a random walk with a weak pull back: its kernel is an exponential.
+
+    It falls by a factor e in a ``period``. Neither gradient nor blocks are those of this kernel.
+    """
+
+    _per_period = 1.0
+
+    def _generators(self, time):
+        ones = np.ones((len(time), 1))
+        return self.amplitude * ones, ones

@@ -7,6 +7,7 @@ from astropy.stats import mad_std
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy.ndimage import uniform_filter1d
 
+from scope_models.correctors._covariance import RandomWalk
 from scope_models.correctors._regression import FLAT, Hyperparameters
 
 __all__ = ["find_frequencies", "harmonic_columns"]
@@ -25,8 +26,6 @@ _NEAR, _STRONGEST = 0.3, 5
 _LARGEST_SHIFT = 0.2
 #: Prior: at most one frequency, which has three parameters, for so many cadences.
 _CADENCES_PER_FREQUENCY = 8
-#: Prior: period in days of the slow process, which stands for all that is not periodic.
-_SLOW = 5.0
 #: Branch: cadences that differ from the median of five by so many standard deviations are left out
 #: of the search.
 _ALONE = 10.0
@@ -36,6 +35,16 @@ def harmonic_columns(time, frequencies):
     """Return a cosine and a sine per frequency, ``(n_cadences, 2 n_frequencies)``."""
     phase = 2 * np.pi * np.outer(time, frequencies)
     return np.stack([np.cos(phase), np.sin(phase)], axis=2).reshape(len(time), -1)
+
+
+class _Walk(Hyperparameters):
+    """A random walk as slow process: a smooth one would be as slow rotation is."""
+
+    def process(self, time, variance):
+        return RandomWalk(time, self.noise_scale * variance, self.amplitude, self.period)
+
+    def density(self, frequency):
+        return 2 * self.amplitude * self.period / (1 + (2 * np.pi * frequency * self.period) ** 2)
 
 
 @dataclass(frozen=True)
@@ -171,7 +180,10 @@ def _with_series(waves, solution, use, n_most):
 
 
 def _with_simple_noise(solution, rest):
-    """Return a fit whose noise and slow process are those of a rest, with weak priors."""
+    """Return a fit whose noise and slow process are those of a rest, with weak priors.
+
+    All that is slow and not periodic is a random walk.
+    """
     rest = rest[solution.use]
     jitter = mad_std(np.diff(rest, 2)) / np.sqrt(6)
     variance = np.median(solution.data.variance)
@@ -180,7 +192,8 @@ def _with_simple_noise(solution, rest):
     unit = float(np.var(solution.y[solution.use])) / solution.data.sizes
     if solution.data.most is not None:
         unit = np.minimum(unit, solution.data.most)
-    hyper = Hyperparameters(max(jitter**2 / variance, 1.0), unit, slow, _SLOW)
+    length = float(np.ptp(solution.data.time))
+    hyper = _Walk(max(jitter**2 / variance, 1.0), unit, slow, length)
     return replace(solution, hyper=hyper)
 
 

@@ -124,7 +124,7 @@ class Hyperparameters:
         """Return the covariance of everything but the columns."""
         if self.amplitude is None:
             return Noise(self.noise_scale * variance)
-        return Covariance(time, self.noise_scale * variance, [self.amplitude], [self.period])
+        return Covariance(time, self.noise_scale * variance, self.amplitude, self.period)
 
     def density(self, frequency):
         """Return the power spectral density of the long-term process (per cycle per day)."""

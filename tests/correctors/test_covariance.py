@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from scope_models.correctors._covariance import Covariance, Noise
+from scope_models.correctors._covariance import Covariance, Noise, RandomWalk
 
 AMPLITUDE, PERIOD = 2.3, 1.7
 
@@ -29,7 +29,7 @@ def both(request, problem):
     time, variance, _ = problem
     if request.param == "noise":
         return Noise(variance), np.diag(variance)
-    return Covariance(time, variance, [AMPLITUDE], [PERIOD]), kernel(time, time) + np.diag(variance)
+    return Covariance(time, variance, AMPLITUDE, PERIOD), kernel(time, time) + np.diag(variance)
 
 
 def test_solve(both, problem):
@@ -41,20 +41,20 @@ def test_solve(both, problem):
     assert found.log_determinant == pytest.approx(np.linalg.slogdet(dense)[1], abs=1e-11)
 
 
-def test_several_oscillators(problem):
+def test_random_walk(problem):
     time, variance, columns = problem
     other = np.sort(np.random.default_rng(1).uniform(-1, 6, 20))
 
-    def sum_of_kernels(t_1, t_2):
-        return kernel(t_1, t_2) + kernel(t_1, t_2, 0.4, 0.3)
+    def exponential(t_1, t_2):
+        return AMPLITUDE * np.exp(-np.abs(t_1[:, None] - t_2) / PERIOD)
 
-    dense = sum_of_kernels(time, time) + np.diag(variance)
-    found = Covariance(time, variance, [AMPLITUDE, 0.4], [PERIOD, 0.3])
+    dense = exponential(time, time) + np.diag(variance)
+    found = RandomWalk(time, variance, AMPLITUDE, PERIOD)
     solved = np.linalg.solve(dense, columns)
     np.testing.assert_allclose(found.solve(columns), solved, atol=1e-12)
     assert found.log_determinant == pytest.approx(np.linalg.slogdet(dense)[1], abs=1e-11)
     np.testing.assert_allclose(found.inverse_diagonal(), np.diag(np.linalg.inv(dense)), atol=1e-12)
-    expected = sum_of_kernels(other, time) @ solved[:, 0]
+    expected = exponential(other, time) @ solved[:, 0]
     np.testing.assert_allclose(found.predict(solved[:, 0], other), expected, atol=1e-11)
 
 
@@ -78,7 +78,7 @@ def test_predict(problem):
     time, variance, columns = problem
     other = np.sort(np.random.default_rng(1).uniform(-1, 6, 20))
     alpha = np.linalg.solve(kernel(time, time) + np.diag(variance), columns[:, 0])
-    found = Covariance(time, variance, [AMPLITUDE], [PERIOD]).predict(alpha, other)
+    found = Covariance(time, variance, AMPLITUDE, PERIOD).predict(alpha, other)
     np.testing.assert_allclose(found, kernel(other, time) @ alpha, atol=1e-11)
 
 
@@ -92,7 +92,7 @@ def test_gradient(problem):
         gram = columns.T @ np.linalg.solve(dense, columns)
         return np.sum(weights * gram) + 0.5 * np.linalg.slogdet(dense)[1]
 
-    process = Covariance(time, variance, [AMPLITUDE], [PERIOD])
+    process = Covariance(time, variance, AMPLITUDE, PERIOD)
     by_variance, by_amplitude, by_period = process.gradient(
         columns, process.whiten(columns), weights
     )
