@@ -39,7 +39,7 @@ _FEWEST_ITERATIONS, _SMALL_STEPS = 4, (0.15, 0.15, 0.15, 0.2)
 #: Tolerance: and once images may change slowly.
 _REFINEMENTS = 3
 #: Branch: iterations after which the focus has an image of its own, and constant light counts.
-_FOCUS_FROM, _CONSTANT_FROM = 2, 3
+_FOCUS_FROM = 2
 #: Prior: standard deviations: position about POS_CORR (px), relative width.
 _POSITION_PRIOR, _FOCUS_PRIOR = 0.02, 0.02
 #: Branch: POS_CORR that deviates by more is wrong (px).
@@ -446,7 +446,7 @@ class _State:
 
     def _set_variable(self, iteration):
         """Find the star's own variability: what is no function of position in its brightness."""
-        if iteration < _CONSTANT_FROM:
+        if iteration < _FOCUS_FROM:
             return
         columns, use = self._last[2], self.use  # of the positions before this step
         variable = change = self.brightness - 1
@@ -464,13 +464,12 @@ class _State:
         self.variable = variable if strong else np.zeros_like(variable)
 
     def _is_strong(self, variable):
-        """Return whether the star varies much within 6 h, apart from noise and rare jumps.
+        """Return whether the star varies much within 6 h, apart from noise and jumps.
 
         Slower changes are no measure of constant light: focus and drifts are as slow.
         """
-        changes = self._change(variable), np.diff(variable)
-        usual = [np.clip(each, quantile(each, 0.02), quantile(each, 0.98)) for each in changes]
-        return np.mean(usual[0] ** 2) - np.mean(usual[1] ** 2) > 2 * _STRONG**2
+        slow = np.mean(self._change(variable) ** 2)
+        return slow - np.mean(np.diff(variable) ** 2) > 2 * _STRONG**2
 
     def _change(self, values):
         """Return the changes of values in the cadences in use within 6 h."""

@@ -22,8 +22,9 @@ _ROUNDS = 20
 #: Tolerance: distance of a frequency from a multiple of another one, in the same unit, far less than
 #: that of two peaks; and a series is sought of which one of the waves is a harmonic up to this one.
 _NEAR, _STRONGEST = 0.3, 5
-#: Tolerance: largest step of a frequency, in the same unit.
-_LARGEST_SHIFT = 0.2
+#: Tolerance: largest step of a frequency, in the same unit, and number of steps, which end with a
+#: small one.
+_LARGEST_SHIFT, _STEPS, _SMALL_SHIFT = 0.2, 10, 0.01
 #: Prior: at most one frequency, which has three parameters, for so many cadences.
 _CADENCES_PER_FREQUENCY = 8
 #: Branch: cadences that differ from the median of five by so many standard deviations are left out
@@ -59,8 +60,18 @@ class _Waves:
     def frequencies(self):
         return np.append(self.base * np.arange(1, self.count + 1), self.others)
 
-    def shifted(self, solution, use):
-        """Return it after one step of Gauss and Newton."""
+    def settled(self, solution, use):
+        """Return it after steps of Gauss and Newton."""
+        waves, length = self, np.ptp(solution.time[use])
+        for _ in range(_STEPS):
+            before, waves = waves, waves._shifted(solution, use)
+            change = np.abs(waves.frequencies - before.frequencies)
+            if change.max(initial=0) * length < _SMALL_SHIFT:
+                break
+        return waves
+
+    def _shifted(self, solution, use):
+        """Return it after one step."""
         frequencies, count = self.frequencies, self.count
         trial = solution.with_frequencies(frequencies, use)
         k, n = trial.n_regressors, solution.n_trend
@@ -137,8 +148,7 @@ def find_frequencies(solution, allowed):
         if not len(new) or len(waves.frequencies) + len(new) > n_most:
             break
         plain = replace(solution, hyper=trial.hyper)
-        waves = replace(waves, others=np.append(waves.others, new)).shifted(plain, use)
-        waves = waves.shifted(plain, use)
+        waves = replace(waves, others=np.append(waves.others, new)).settled(plain, use)
         waves = _with_series(waves, plain, use, n_most)
         rest = plain.with_frequencies(waves.frequencies, use).unexplained
     return waves.significant(replace(solution, hyper=trial.hyper), use).frequencies
@@ -173,7 +183,7 @@ def _with_series(waves, solution, use, n_most):
     while count < min(2 * last, most):
         count = min(2 * last, most)
         series = _Waves(frequencies[~multiples(frequencies, base)], base, count)
-        series = series.shifted(solution, use).shifted(solution, use)
+        series = series.settled(solution, use)
         base, last = series.base, series.last(series.gains(solution, use))
     series = replace(series, count=last)
     return max(waves, series, key=lambda each: each.likelihood(solution, use))

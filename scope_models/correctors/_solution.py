@@ -26,6 +26,9 @@ _REFITS = 2
 #: Tolerance: part of the cadences without which the columns and the time scales stay: only the
 #: variances are fitted again.
 _LITTLE = 0.01
+#: Prior: standard deviation of the logarithm of the noise's variance in units of FLUX_ERR's, which
+#: that of real dark pixels exceeds by up to 1.17 twice: more is nothing that white noise explains.
+_NOISE_ERROR = 0.16
 #: Branch: cycles per day: a star without any frequency above this has long-term variability alone.
 _FAST = 1.0
 
@@ -387,10 +390,13 @@ def _evidence(solution, allowed):
     """Log-likelihood with the outliers, which may be anywhere in the range of the data.
 
     The amplitudes of waves and short changes are as large as the data's, not as wide as flat priors
-    are.
+    are. What noise is beyond FLUX_ERR is a misfit, which a likelihood of white noise takes for too
+    little.
     """
     n_outliers = allowed.sum() - solution.use.sum()
     value = solution.log_likelihood - n_outliers * np.log(np.ptp(solution.y[allowed]))
+    if solution.predicted:
+        value -= 0.5 * (np.log(solution.hyper.noise_scale) / _NOISE_ERROR) ** 2
     return value + (len(solution.frequencies) + solution.n_short / 2) * np.log(FLAT)
 
 

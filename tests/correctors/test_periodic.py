@@ -52,6 +52,22 @@ def test_frequencies_are_found():
     assert np.all(np.abs(found - TRUE) < 5 * error)
 
 
+def test_slow_rotation_is_found():
+    """A wave of 3.1 d, which a smooth process would explain as well, and its harmonic."""
+    rng = np.random.default_rng(3)
+    y = 0.01 * np.sin(2 * np.pi * TIME / 3.1) + 0.004 * np.cos(4 * np.pi * TIME / 3.1)
+    solution = make_solution(y + rng.normal(0, 1e-4, len(TIME)))
+    found = np.sort(find_frequencies(solution, solution.use))
+    np.testing.assert_allclose(found, [1 / 3.1, 2 / 3.1], rtol=1e-3)
+
+
+def test_a_random_walk_has_no_frequencies():
+    rng = np.random.default_rng(4)
+    y = np.cumsum(rng.normal(0, 3e-4, len(TIME))) + rng.normal(0, 1e-4, len(TIME))
+    solution = make_solution(y)
+    assert not len(find_frequencies(solution, solution.use))
+
+
 def test_eclipses_are_harmonics_of_one_frequency():
     """Dips of 2 h each 1.31 d, every other one deeper, and a fast mode: no gap in the series."""
     period, rng = 1.31, np.random.default_rng(2)
