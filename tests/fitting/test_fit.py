@@ -409,6 +409,20 @@ def test_real_star_follows_pos_corr(shared_data):
     assert row > 0.9
 
 
+def test_a_constant_shows_no_star():
+    tpf = simulate(Star(12.0), Detector.k2(shape=(5, 5)), Motion.k2_roll(60), seed=1).to_tpf()
+    tpf.hdu[1].data["FLUX"] = 5.0
+    with pytest.warns(FitWarning, match=r"no star is seen: its mean flux is .* e-/s"):
+        fit_tpf(tpf, psf=1)
+
+
+def test_given_neighbors_near_the_target_are_not_left_out_silently():
+    tpf = simulate(Star(12.0), Detector.k2(shape=(5, 5)), Motion.k2_roll(60), seed=1).to_tpf()
+    with pytest.warns(FitWarning, match=r"1 of `neighbors` within 1\.5 px of the target are left"):
+        fit = fit_tpf(tpf, psf=1, neighbors=[[2.0, 2.0]])
+    assert fit.neighbors == ()
+
+
 def test_light_curve(fit):
     curve = fit.to_lightcurve()
     assert curve.flux.unit == u.electron / u.s
