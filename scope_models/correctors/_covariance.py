@@ -181,8 +181,9 @@ class Covariance:
         """S_m = u_m u_m^T / d_m + T^T S_(m+1) T with T = decay (1 - w_m u_m^T), and 0 below."""
         s = np.zeros((len(self._d) + 1, 2, 2))
         s00 = s01 = s11 = 0.0
-        rows = zip(*(x[::-1].tolist() for x in (self._u, self._w, self._d, self._decay**2)))
-        for i, ((u0, u1), (w0, w1), d, p) in zip(range(len(s) - 2, -1, -1), rows, strict=True):
+        arrays = self._u, self._w, self._d, self._decay**2, np.arange(len(self._d))
+        rows = zip(*(array[::-1].tolist() for array in arrays), strict=True)
+        for (u0, u1), (w0, w1), d, p, i in rows:
             a00, a01, a10, a11 = 1 - w0 * u0, -w0 * u1, -w1 * u0, 1 - w1 * u1
             x0, x1 = s00 * a00 + s01 * a10, s00 * a01 + s01 * a11
             y0, y1 = s01 * a00 + s11 * a10, s01 * a01 + s11 * a11

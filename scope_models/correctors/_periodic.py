@@ -19,8 +19,8 @@ _SIGNIFICANT = 40.0
 #: length of the observation: nearer ones share a peak.
 _AT_ONCE, _APART = 6, 1.5
 _ROUNDS = 20
-#: Tolerance: distance of a frequency from a multiple of another one, in the same unit, far less than
-#: that of two peaks; and a series is sought of which one of the waves is a harmonic up to this one.
+#: Tolerance: distance of a frequency from a multiple of another one, in the same unit, far less
+#: than that of two peaks; and a series is sought of which a wave is a harmonic up to this one.
 _NEAR, _STRONGEST = 0.3, 5
 #: Tolerance: largest step of a frequency, in the same unit, and number of steps, which end with a
 #: small one.

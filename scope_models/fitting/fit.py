@@ -122,8 +122,8 @@ def fit_tpf(
     Warns
     -----
     FitWarning
-        If data or neighbors are left out, no star is seen, the fit has not converged, the motion
-        does not constrain the sensitivity, or the model does not describe the pixels.
+        If data are left out, no star is seen, the fit has not converged, the motion does not
+        constrain the sensitivity, or the model does not describe the pixels.
 
     Notes
     -----
@@ -181,10 +181,6 @@ def fit_tpf(
     choice = {"any_psf": psf is None and not empirical, "any_response": interpixel is None}
     with one_thread, solvable(), _progress_bar(progress) as bar:
         problem, detectors = _make_problem(series, places, prf, flux_err, options, motion)
-        lost = sum(len(others) + 1 for _, others in places) - len(problem.stars)
-        if lost and not (several or isinstance(neighbors, str)):
-            message = f"{lost} of `neighbors` within {_start.APART} px of the target are left out"
-            warnings.warn(f"{message}: `stars` takes all stars", FitWarning, stacklevel=2)
         steps = partial(solve, report=bar)
         response, tried, fitted = _fit_psf(problem, response, sensitivity, steps, **choice)
         fits = make_results(*fitted, covariances(*fitted), detectors, series)

@@ -120,7 +120,7 @@ def test_images_that_fail_if_they_change_are_not_taken(star, monkeypatch, recwar
     """Neither an error nor a warning of what was only tried reaches the user."""
     plain = PLDCorrector(star.tpf).correct(fractions="predicted")
 
-    def refine(self):
+    def refine(_):
         raise np.linalg.LinAlgError("singular")
 
     monkeypatch.setattr(_clean._State, "refine", refine)

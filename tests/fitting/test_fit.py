@@ -416,13 +416,6 @@ def test_a_constant_shows_no_star():
         fit_tpf(tpf, psf=1)
 
 
-def test_given_neighbors_near_the_target_are_not_left_out_silently():
-    tpf = simulate(Star(12.0), Detector.k2(shape=(5, 5)), Motion.k2_roll(60), seed=1).to_tpf()
-    with pytest.warns(FitWarning, match=r"1 of `neighbors` within 1\.5 px of the target are left"):
-        fit = fit_tpf(tpf, psf=1, neighbors=[[2.0, 2.0]])
-    assert fit.neighbors == ()
-
-
 def test_light_curve(fit):
     curve = fit.to_lightcurve()
     assert curve.flux.unit == u.electron / u.s

@@ -316,7 +316,7 @@ class TestRefused:
             inject(tpf, np.ones(20))
 
     def test_light_curve(self, tpf):
-        with pytest.raises(TypeError, match=r"`tpf` must be .* a path, got a KeplerLightCurve"):
+        with pytest.raises(TypeError, match=r"`tpf` must be .* path of one, got KeplerLightCurve"):
             inject(tpf.to_lightcurve(), np.ones(20))
 
     def test_another_shape(self, tpf):
