@@ -14,12 +14,15 @@ _MAGNITUDE = 12.0
 def add_parser(commands):
     """Add the command to the parser of the command line."""
     parser = _batch.add_command(
-        commands, "demo", run, example="demo --output-dir demo",
+        commands,
+        "demo",
+        run,
+        example="demo --output-dir demo",
         help="simulate and correct a star, without any input",
         description="Simulate a spotted star of magnitude 12 with a planet at twice the "
         "motion of K2, write its target pixel file, its corrected light curve and a figure, and "
         "print its noise about the true signal. Needs no file and no network.",
-    )  # fmt: skip
+    )
     text = "where the files go; it is made if need be (default: scope-models-demo)"
     parser.add_argument("--output-dir", default="scope-models-demo", metavar="FOLDER", help=text)
     parser.add_argument("--overwrite", action="store_true", help="replace files that exist")

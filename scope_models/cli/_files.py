@@ -28,9 +28,12 @@ def _add_command(commands, name, one, output, **texts):
     """
     parser = _batch.add_command(commands, name, _run, **texts)
     parser.add_argument(
-        "input", nargs="+", metavar="IN", help="target pixel files, or EPIC, KIC or TIC numbers "
+        "input",
+        nargs="+",
+        metavar="IN",
+        help="target pixel files, or EPIC, KIC or TIC numbers "
         "such as 'EPIC 211956421', whose files are downloaded",
-    )  # fmt: skip
+    )
     parser.add_argument("--output", metavar="OUT", help=f"{output} of a single input")
     _batch.add_options(parser)
     names = []
@@ -60,13 +63,16 @@ def _run(arguments):
 
 def _add_detrend(commands):
     parser, add = _add_command(
-        commands, "detrend", _detrend, "the light-curve file",
+        commands,
+        "detrend",
+        _detrend,
+        "the light-curve file",
         help="correct the light curve of a target pixel file",
         description="Remove pointing systematics from a target pixel file of Kepler, K2 or TESS, "
         "or of a simulation, by pixel level decorrelation. Writes a light-curve file that "
         "lightkurve opens, and a figure.",
         example="detrend star.fits --output lc.fits",
-    )  # fmt: skip
+    )
     text = "the figure (default: the output's name with .png)"
     parser.add_argument("--figure", metavar="FILE", help=text)
     add("--order", "pixel fractions that are multiplied (default: 2)", type=int)
@@ -80,23 +86,31 @@ def _add_detrend(commands):
     add("--aperture", text, dest="aperture_mask", choices=("pipeline", "threshold", "all"))
     add("--neighbors", _NEIGHBORS, metavar="TABLE")
     parser.add_argument(
-        "--positions-from", nargs="+", metavar="FILE", help="target pixel files of stars on the "
+        "--positions-from",
+        nargs="+",
+        metavar="FILE",
+        help="target pixel files of stars on the "
         "same CCD, whose common motion gives the positions (default: POS_CORR, and with "
         "--output-dir the POS_CORR of other files of the run on the same CCD where it is missing "
         "or disagrees with these)",
-    )  # fmt: skip
+    )
     masked = parser.add_argument_group("transits that are left out of the fit")
     _batch.add_planet(
-        masked, period="period of a planet, days", t0="a mid-transit, days as in the file",
+        masked,
+        period="period of a planet, days",
+        t0="a mid-transit, days as in the file",
         duration="of its transits, days",
-    )  # fmt: skip
+    )
     text = "a table that astropy reads with these columns: one row for each file"
     masked.add_argument("--planets", metavar="TABLE", help=text)
     group = parser.add_argument_group("files for archives, with --output-dir")
     group.add_argument(
-        "--format", choices=("fits", "hlsp", "parquet"), default="fits", help="fits: a file per "
+        "--format",
+        choices=("fits", "hlsp", "parquet"),
+        default="fits",
+        help="fits: a file per "
         "star; hlsp: files as in an archive's collection; parquet: one data set (default: fits)",
-    )  # fmt: skip
+    )
     for name, text in (
         ("hlsp-id", "identifier of the collection, for --format hlsp"),
         ("lead", "name of who leads it"),
@@ -153,29 +167,36 @@ def _detrend(arguments, path, **options):
 
 def _add_fit(commands):
     _, add = _add_command(
-        commands, "fit", _fit, "the file to write",
+        commands,
+        "fit",
+        _fit,
+        "the file to write",
         help="fit PSF, sensitivity, positions and fluxes to a target pixel file",
         description="Fit one model to all pixels and cadences of a target pixel file, and write "
         "the parameters with their errors, the light curve and the model's pixels to a FITS file.",
         example="fit star.fits --components 2 --robust --output fit.fits",
-    )  # fmt: skip
+    )
     text = "Gaussian components of the PSF (default: what describes the pixels)"
     add("--components", text, dest="psf", type=int, choices=(1, 2, 3))
     text = "order of an empirical term in the PSF (default: none)"
     add("--empirical", text, type=int, metavar="N")
     add("--sensitivity", "fit a quadratic response within the pixels", action="store_true")
     add(
-        "--interpixel", "standard deviation of the response between pixels; 0: all alike (default: "
-        "0.01 if the PSF describes the pixels, else 0)", type=float, metavar="S",
-    )  # fmt: skip
+        "--interpixel",
+        "standard deviation of the response between pixels; 0: all alike (default: "
+        "0.01 if the PSF describes the pixels, else 0)",
+        type=float,
+        metavar="S",
+    )
     add("--neighbors", _NEIGHBORS, metavar="TABLE")
     text = "what POS_CORR is used for (default: start)"
     add("--positions", text, choices=("start", "free", "prior", "path"))
     add(
-        "--response", "pixels: the share of each pixel is a smooth function of position and time; "
+        "--response",
+        "pixels: the share of each pixel is a smooth function of position and time; "
         "auto: where no PSF describes the pixels (default: auto)",
         choices=("auto", "psf", "pixels"),
-    )  # fmt: skip
+    )
     text = "a loss that suits data with cosmic rays"
     add("--robust", text, dest="loss", action="store_const", const="soft_l1")
     add("--cadences", "only the first N cadences", type=int, metavar="N")
@@ -190,23 +211,31 @@ def _fit(arguments, path, **options):
 
 def _add_inject(commands):
     parser, add = _add_command(
-        commands, "inject", _inject, "the file to write",
+        commands,
+        "inject",
+        _inject,
+        "the file to write",
         help="add transits to the pixels of a target pixel file",
         description="Multiply the light of the star in a target pixel file, real or simulated, by "
         "the transits of a planet, with the photon noise that belongs to it. Neighbors and "
         "background stay.",
         example="inject star.fits --period 4.2 --depth 0.001 --output planet.fits",
-    )  # fmt: skip
+    )
     _batch.add_planet(parser)
     parser.add_argument(
-        "--planets", metavar="TABLE", help="a table that astropy reads with the columns period and "
+        "--planets",
+        metavar="TABLE",
+        help="a table that astropy reads with the columns period and "
         "depth, and if wanted t0 and duration: one row for each file",
-    )  # fmt: skip
+    )
     add(
-        "--star", "the light that is dimmed: scene, that of a simulated file; fit, that of a fit "
+        "--star",
+        "the light that is dimmed: scene, that of a simulated file; fit, that of a fit "
         "of the PSF; or the share of the star in all pixels (default: the scene if there is one, "
-        "else the fit)", type=_light, metavar="LIGHT",
-    )  # fmt: skip
+        "else the fit)",
+        type=_light,
+        metavar="LIGHT",
+    )
     add("--seed", "seed of the photon noise (default: 1)", type=int, default=1)
 
 

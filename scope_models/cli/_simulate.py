@@ -10,27 +10,39 @@ __all__ = ["add_parser", "run"]
 _CADENCES = 1000
 # The options that go together with --table.
 _OF_TABLES = (
-    "table", "output_dir", "overwrite", "workers", "scheduler", "detector", "motion", "cadences",
+    "table",
+    "output_dir",
+    "overwrite",
+    "workers",
+    "scheduler",
+    "detector",
+    "motion",
+    "cadences",
     "seed",
-)  # fmt: skip
+)
 _RUNS = ("campaign", "quarter", "sector", "channel", "camera", "ccd")
 
 
 def add_parser(commands):
     """Add the command to the parser of the command line."""
     parser = _batch.add_command(
-        commands, "simulate", run, help="write a target pixel file of a star",
+        commands,
+        "simulate",
+        run,
+        help="write a target pixel file of a star",
         description="Simulate the pixels of a star along a spacecraft's motion, and write them "
         "with the truth to a target pixel file that lightkurve opens.",
         example="simulate --mag 12 --period 4.2 --depth 0.001 --output star.fits",
-    )  # fmt: skip
+    )
     add = parser.add_argument
     add("--output", metavar="FILE", help="the file to write")
     add(
-        "--table", metavar="TABLE", help="simulate each row of a table that astropy reads (columns "
+        "--table",
+        metavar="TABLE",
+        help="simulate each row of a table that astropy reads (columns "
         "mag and, if wanted, name, x_0, y_0, period, t0, depth, duration) into --output-dir, with "
         "--detector, --motion, --cadences and --seed for all",
-    )  # fmt: skip
+    )
     _batch.add_options(parser)
     add("--seed", type=int, help="makes the result reproducible")
     add("--target-id", type=int, default=1, metavar="N", help="KEPLERID or TICID")
@@ -43,10 +55,12 @@ def add_parser(commands):
 
 def _add_motion(add):
     add(
-        "--motion", metavar="FILE", help="target pixel or light-curve file of Kepler, K2 or TESS "
+        "--motion",
+        metavar="FILE",
+        help="target pixel or light-curve file of Kepler, K2 or TESS "
         "whose POS_CORR columns the star follows (default: a generated K2 roll for --detector k2, "
         "the tracking of a telescope for ground; for the others the star rests)",
-    )  # fmt: skip
+    )
     add("--scale", type=float, default=1.0, help="factor on the motion (default: 1)")
     add("--cadences", type=int, metavar="N", help="only the first N cadences")
     text = "exposures within a cadence to average the motion over (default: 1)"
@@ -72,16 +86,19 @@ def _add_sky(add):
         ("orientation", "DEG", "position angle of growing rows from north to east (default: 0)"),
         ("magnitude-limit", "MAG", "leave out fainter stars of --catalog"),
         (
-            "background-stars", "MAG",
+            "background-stars",
+            "MAG",
             "draw stars down to this magnitude by the mean counts in this direction",
         ),
-    ):  # fmt: skip
+    ):
         add(f"--{name}", type=float, metavar=metavar, help=text)
     add(
-        "--catalog", metavar="FILE", help="a table that astropy reads, as of Gaia, with the "
+        "--catalog",
+        metavar="FILE",
+        help="a table that astropy reads, as of Gaia, with the "
         "columns ra, dec and a magnitude, and if wanted pmra, pmdec and ref_epoch: its stars are "
         "target and neighbors; needs --ra and --dec",
-    )  # fmt: skip
+    )
     for name in _RUNS:
         add(f"--{name}", type=int, metavar="N", help=f"{name}, for the file's headers")
 
@@ -98,9 +115,12 @@ def _add_detector(group):
     add("--mission-effects", action="store_true", help=text)
     add = group.add_mutually_exclusive_group().add_argument
     add(
-        "--noise", nargs="+", metavar="TERM", help="only these noise terms, of photon, background, "
+        "--noise",
+        nargs="+",
+        metavar="TERM",
+        help="only these noise terms, of photon, background, "
         "read and quantization (default: the first three)",
-    )  # fmt: skip
+    )
     add("--no-noise", action="store_true", help="expected counts without noise")
 
 
