@@ -35,7 +35,8 @@ from scope_models.scene.scene import Scene
 from scope_models.scene.star import Star
 
 __all__ = [
-    "describe_scene", "read_detector", "read_motion", "read_scene", "scene_columns", "write",
+    "describe_scene", "read_detector", "read_motion", "read_scene", "scene_columns",
+    "write_object",
 ]  # fmt: skip
 
 _VERSION = 3
@@ -162,7 +163,7 @@ def _is_fits(path):
         return stream.read(6).startswith((b"SIMPLE", b"\x1f\x8b"))
 
 
-def write(value, path, *, overwrite):
+def write_object(value, path, *, overwrite):
     """Write a scene, a detector or a motion; return the path."""
     from astropy.io import fits
 

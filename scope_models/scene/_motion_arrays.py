@@ -13,8 +13,8 @@ from scope_models.io.pixels import LARGEST_OFFSET, place_of, usable_positions
 from scope_models.missions import MISSIONS, TIME_ZEROS
 
 __all__ = [
-    "MotionStatistics", "as_int32", "as_pixels", "as_times", "check_increasing",
-    "largest_distance", "offsets_at", "repair",
+    "MotionStatistics", "as_pixels", "check_increasing", "checked_arrays", "largest_distance",
+    "offsets_at", "repair",
 ]  # fmt: skip
 
 # Flags of the mission that has a time format.
@@ -27,18 +27,22 @@ def as_pixels(value, name, n, pixel_scale=None):
     return _checked_shape(np.array(array), name, n)
 
 
-def as_times(value, time_format):
-    """Return a new one-dimensional array of times in days, at least one."""
+def checked_arrays(time, x, y, quality, cadenceno, time_format, pixel_scale=None):
+    """Return new arrays of days, pixels, flags and growing numbers, all of one length."""
     checked_choice("time_format", time_format, TIME_ZEROS)
-    time = np.array(plain_time(value, time_format, "time"))
+    time = np.array(plain_time(time, time_format, "time"))
     if time.size == 0:
         raise ValueError("`time` is empty: a motion must have at least one cadence")
-    return _checked_shape(time, "time", time.size)
-
-
-def as_int32(value, name, n):
-    """Return a new one-dimensional int32 array of n integers."""
-    return _checked_shape(np.array(checked_int32(name, value)), name, n)
+    n = len(_checked_shape(time, "time", time.size))
+    x, y = as_pixels(x, "x", n, pixel_scale), as_pixels(y, "y", n, pixel_scale)
+    quality = np.zeros(n, np.int32) if quality is None else quality
+    number = np.arange(1, n + 1) if cadenceno is None else cadenceno
+    quality, number = (
+        _checked_shape(np.array(checked_int32(name, value)), name, n)
+        for name, value in (("quality", quality), ("cadenceno", number))
+    )
+    check_increasing(number, "cadenceno")
+    return time, x, y, quality, number
 
 
 def _checked_shape(array, name, n):
@@ -65,21 +69,16 @@ def repair(time, x, y, quality, cadenceno, time_format, bad, pixel_scale):
     `Motion.from_arrays`.
     """
     checked_choice("bad", bad, ("interpolate", "drop", "error"))
-    time = as_times(time, time_format)
-    n = len(time)
-    x, y = as_pixels(x, "x", n, pixel_scale), as_pixels(y, "y", n, pixel_scale)
-    flags = as_int32(np.zeros(n, np.int32) if quality is None else quality, "quality", n)
-    number = as_int32(np.arange(1, n + 1) if cadenceno is None else cadenceno, "cadenceno", n)
-    check_increasing(number, "cadenceno")
-
+    given = time, x, y, quality, cadenceno
+    time, x, y, flags, number = checked_arrays(*given, time_format, pixel_scale)
     lost = ~usable_positions(np.column_stack([x, y]))
     timeless = ~np.isfinite(time)
     unusable = lost | timeless
     limit = f"NaN or at least {LARGEST_OFFSET:g} px"
     if lost.all():
-        raise ValueError(f"no usable position: all of {n} are {limit}")
+        raise ValueError(f"no usable position: all of {len(time)} are {limit}")
     if timeless.all():
-        raise ValueError(f"no usable time: all of {n} are NaN")
+        raise ValueError(f"no usable time: all of {len(time)} are NaN")
     if unusable.all():
         raise ValueError("no cadence with both a usable time and a usable position")
     if bad == "error" and unusable.any():

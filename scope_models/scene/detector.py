@@ -23,7 +23,7 @@ from scope_models.io.pixels import read_pixels
 from scope_models.missions import MISSIONS, choose_cadence, full_flux
 from scope_models.models import PRF, BivariateGaussianPSF
 from scope_models.models._description import model_in_pixels
-from scope_models.scene import presets
+from scope_models.scene import _writing, presets
 
 if TYPE_CHECKING:
     from astropy.modeling import Model
@@ -633,24 +633,7 @@ class Detector(Value):
             deviates = generator.standard_normal(self.shape)
         return np.maximum(1.0 + self.interpixel_scatter * deviates, 0.0)
 
-    @documented()
-    def write(self, path, overwrite=False):
-        """Write the detector, with its PSF, as .fits or .fits.gz.
-
-        Parameters
-        ----------
-        {write}
-
-        Examples
-        --------
-        >>> from scope_models import Detector
-        >>> detector = Detector.k2(shape=(9, 9), background=200.0)
-        >>> Detector.read(detector.write("k2.fits")) == detector
-        True
-        """
-        from scope_models.scene._files import write
-
-        return write(self, path, overwrite=overwrite)
+    write = _writing.write
 
     @staticmethod
     def read(path):
@@ -665,13 +648,6 @@ class Detector(Value):
         -------
         Detector
             The detector.
-
-        Examples
-        --------
-        >>> from scope_models import Detector
-        >>> Detector.read("absent.toml")
-        Traceback (most recent call last):
-        FileNotFoundError: [Errno 2] No such file or directory: 'absent.toml'
         """
         from scope_models.scene._files import read_detector
 

@@ -16,7 +16,7 @@ from scope_models._values import Value, frozen, html_table
 from scope_models.io._opening import read_positions
 from scope_models.io.pixels import positions_of, read_pixels
 from scope_models.missions import MISSIONS
-from scope_models.scene import _motion_arrays
+from scope_models.scene import _motion_arrays, _writing
 from scope_models.scene._motion_arrays import MotionStatistics
 from scope_models.scene._pointing import (
     FailingWheels,
@@ -41,10 +41,9 @@ _KEPLER, _K2, _TESS = (MISSIONS[name] for name in ("Kepler", "K2", "TESS"))
 _LONG = K2Roll.cadence  # days
 _COLUMNS = ("time", "x", "y", "quality", "cadenceno")
 _LAST = {18: K2Campaign18, 19: K2FinalCampaign}
-_CADENCE = """cadence : float or Quantity, optional
-    Time between cadences, {unit}."""
-# What all generators have in common, from the seed on.
-_REST = """seed : int or None, optional
+# What all generators have in common, from the cadence or the seed on.
+_CADENCE = "cadence : float or Quantity, optional\n    Time between cadences, {}.\n"
+_REST = """{cadence}seed : int or None, optional
     Seed of all random numbers; None takes a new one, which ``meta["seed"]`` holds.
 start : float, Quantity or Time, optional
     Time of the first cadence, {zero}; {start}.
@@ -63,8 +62,9 @@ TypeError, ValueError
 """
 
 
-def _rest(kind, zero="BKJD", start="by default that of a campaign of the mission"):
-    return _REST.format(kind=f"`~scope_models.scene.motion.{kind}`", zero=zero, start=start)
+def _rest(kind, unit="", zero="BKJD", start="by default that of a campaign of the mission"):
+    kind, cadence = f"`~scope_models.scene.motion.{kind}`", _CADENCE.format(unit) if unit else ""
+    return _REST.format(kind=kind, cadence=cadence, zero=zero, start=start)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -129,26 +129,16 @@ class Motion(Value):
     __array_ufunc__ = None
 
     def __post_init__(self):
-        time = _motion_arrays.as_times(self.time, self.time_format)
-        n = len(time)
-        quality = np.zeros(n, dtype=np.int32) if self.quality is None else self.quality
-        cadenceno = np.arange(1, n + 1) if self.cadenceno is None else self.cadenceno
-        values = {"time": time}
-        values |= {
-            name: _motion_arrays.as_pixels(getattr(self, name), name, n) for name in ("x", "y")
-        }
-        for name, value in values.items():
+        given = (getattr(self, name) for name in _COLUMNS)
+        values = _motion_arrays.checked_arrays(*given, self.time_format)
+        for name, value in zip(_COLUMNS, values, strict=True):
             if not np.all(np.isfinite(value)):
                 raise ValueError(
                     f"`{name}` must be finite, got {value[~np.isfinite(value)][0]}; "
                     "`Motion.from_arrays` interpolates or drops such cadences"
                 )
-        values["quality"] = _motion_arrays.as_int32(quality, "quality", n)
-        values["cadenceno"] = _motion_arrays.as_int32(cadenceno, "cadenceno", n)
-        _motion_arrays.check_increasing(values["time"], "time")
-        _motion_arrays.check_increasing(values["cadenceno"], "cadenceno")
-        for name, value in values.items():
             object.__setattr__(self, name, frozen(value))
+        _motion_arrays.check_increasing(self.time, "time")
         object.__setattr__(self, "meta", MappingProxyType(dict(self.meta)))
 
     def __repr__(self):
@@ -491,7 +481,7 @@ class Motion(Value):
         return cls(**generate(KeplerPointing(**parameters), n_cadences, days, start, seed, _KEPLER))
 
     @classmethod
-    @documented(rest=_rest("TESSPointing", "BTJD"))
+    @documented(rest=_rest("TESSPointing", zero="BTJD"))
     def tess(cls, n_cadences=None, *, cadence="120 s", seed=1, start=_TESS.start, **parameters):
         """Generate the motion of a TESS star over a sector of two orbits.
 
@@ -561,7 +551,7 @@ class Motion(Value):
         return motion.replace(cadenceno=number, meta=meta)
 
     @classmethod
-    @documented(cadence=_CADENCE.format(unit="s"), rest=_rest("GroundTracking", "BTJD"))
+    @documented(rest=_rest("GroundTracking", "s", "BTJD"))
     def ground(cls, n_cadences=1000, *, cadence=60.0, seed=1, start=_TESS.start, **parameters):
         """Generate the motion of a star on a ground-based telescope, night by night.
 
@@ -572,7 +562,6 @@ class Motion(Value):
         ----------
         n_cadences : int, optional
             Number of exposures.
-        {cadence}
         {rest}
 
         Examples
@@ -586,7 +575,7 @@ class Motion(Value):
         return cls(**generate(GroundTracking(**parameters), n_cadences, days, start, seed, _TESS))
 
     @classmethod
-    @documented(cadence=_CADENCE.format(unit="days"), rest=_rest("RandomWalk"))
+    @documented(rest=_rest("RandomWalk", "days"))
     def random_walk(cls, n_cadences=1000, *, cadence=_LONG, seed=1, start=_K2.start, **parameters):
         """Generate a random walk for tests of correctors; no mission moves like this.
 
@@ -594,7 +583,6 @@ class Motion(Value):
         ----------
         n_cadences : int, optional
             Number of cadences. A longer series begins like a shorter one.
-        {cadence}
         {rest}
 
         Examples
@@ -607,7 +595,7 @@ class Motion(Value):
         return cls(**generate(RandomWalk(**parameters), n_cadences, days, start, seed, _K2))
 
     @classmethod
-    @documented(cadence=_CADENCE.format(unit="days"), rest=_rest("FailingWheels"))
+    @documented(rest=_rest("FailingWheels", "days"))
     def failing_wheels(
         cls, n_cadences=1000, *, cadence=_LONG, seed=1, start=_K2.start, **parameters
     ):
@@ -617,7 +605,6 @@ class Motion(Value):
         ----------
         n_cadences : int, optional
             Number of cadences. A longer series begins like a shorter one.
-        {cadence}
         {rest}
 
         Examples
@@ -740,24 +727,7 @@ class Motion(Value):
         label = {"time_label": f"Time ({self.time_format.upper()})"}
         return plot_motion(self.time, self.x, self.y, ax=ax, **(label | options))
 
-    @documented()
-    def write(self, path, overwrite=False):
-        """Write the motion as .fits or .fits.gz.
-
-        Parameters
-        ----------
-        {write}
-
-        Examples
-        --------
-        >>> from scope_models import Motion
-        >>> motion = Motion.k2_roll(10)
-        >>> Motion.read(motion.write("motion.fits")) == motion
-        True
-        """
-        from scope_models.scene._files import write
-
-        return write(self, path, overwrite=overwrite)
+    write = _writing.write
 
     @classmethod
     def read(cls, path):

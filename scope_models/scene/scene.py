@@ -17,6 +17,7 @@ from scope_models.io import TPFMetadata
 from scope_models.io._headers import tan_projection
 from scope_models.missions import TIME_ZEROS
 from scope_models.models._description import check_coord, sky_place
+from scope_models.scene import _writing
 from scope_models.scene.catalog import find_target, place_stars, read_catalog, star_frame
 from scope_models.scene.detector import Detector
 from scope_models.scene.motion import Motion
@@ -317,24 +318,7 @@ class Scene(Value):
         mags = [star.mag for star in self.stars]
         return plot_scene(motion.time, x, y, shape, positions, mags, time_label=label, ax=ax)
 
-    @documented()
-    def write(self, path, overwrite=False):
-        """Write the scene, without simulating it, as .fits or .fits.gz.
-
-        Parameters
-        ----------
-        {write}
-
-        Examples
-        --------
-        >>> from scope_models import Detector, Motion, Scene, Star
-        >>> scene = Scene(Star(12.0), Detector.k2(), Motion.still(10), seed=1)
-        >>> Scene.read(scene.write("scene.fits")) == scene
-        True
-        """
-        from scope_models.scene._files import write
-
-        return write(self, path, overwrite=overwrite)
+    write = _writing.write
 
     @classmethod
     def read(cls, path):
@@ -349,13 +333,6 @@ class Scene(Value):
         -------
         Scene
             The scene.
-
-        Examples
-        --------
-        >>> from scope_models import Scene
-        >>> Scene.read("absent.fits")
-        Traceback (most recent call last):
-        FileNotFoundError: no such file: absent.fits
         """
         from scope_models.scene._files import read_scene
 
