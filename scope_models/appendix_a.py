@@ -5,7 +5,6 @@ import warnings
 from functools import wraps
 from operator import attrgetter
 
-import astropy.units as u
 import numpy as np
 
 import scope_models as sm
@@ -13,9 +12,6 @@ from scope_models._arrays import PER_PIXEL
 from scope_models._checks import checked_choice, checked_integer, checked_number, checked_pair
 from scope_models._docstrings import documented
 from scope_models.effects._noise import check_seed, fresh_seed, noise_terms, stream
-from scope_models.exceptions import LostLightWarning
-from scope_models.scene import Detector, Motion, Scene, Star
-from scope_models.simulation import Observation, simulate
 
 __all__ = ["Target", "generate_target"]
 
@@ -28,8 +24,8 @@ _SAME = """Returns
 def generate_target(
     mag=12.0, roll=1.0, coords=None, background_level=None, neighbor_magdiff=1.0, ncadences=None,
     apsize=7, ID=None, transit=False, variable=False, neighbor=False, tpf_path=None,
-    no_sensitivity_variation=False, signal=None, *, motion=None, psf=None, detector=None,
-    noise=True, seed=None,
+    no_sensitivity_variation=False, signal=None, *, noise=True, seed=None, motion=None, psf=None,
+    detector=None,
 ):  # fmt: skip
     """Simulate a star on a moving detector, as in the paper's Appendix A.
 
@@ -51,14 +47,12 @@ def generate_target(
         A target pixel or light-curve file whose motion is taken.
     no_sensitivity_variation : bool, optional
         Let all pixels respond alike and evenly, as a control.
-    signal : optional
-        See `Target.add_signal`.
+    signal, noise, seed : optional
+        See `Target.add_signal` and `Target`.
     motion : `~scope_models.Motion`, optional
         The motion; without it, `ID` and `tpf_path` it is that of `scope_models.Motion.k2_roll`.
     psf, detector : `~astropy.modeling.Model`, `~scope_models.Detector`, optional
         PSF of the star, by default the detector's, and detector, by default ``Detector.k2()``.
-    noise, seed : optional
-        See `Target`.
 
     Returns
     -------
@@ -77,26 +71,24 @@ def generate_target(
     >>> star = scope.generate_target(mag=12, ncadences=200, seed=1)
     >>> star.targetpixelfile.shape, star.lightcurve.shape
     ((200, 7, 7), (200,))
-    >>> star.add_transit(depth=0.01, per=15, dur=0.5, t0=2).add_neighbor(magdiff=2)
-    <Target of magnitude 12 with 1 transit and 1 neighbor: 200 cadences of 7 x 7 pixels, seed 1>
     """
     motion = _find_motion(motion, tpf_path, ID, ncadences)
     if detector is None:
-        detector = Detector.k2(shape=2 * (checked_integer("apsize", apsize, 1),))
-    elif not isinstance(detector, Detector):
+        detector = sm.Detector.k2(shape=2 * (checked_integer("apsize", apsize, 1),))
+    elif not isinstance(detector, sm.Detector):
         raise TypeError(f"`detector` must be a Detector, got {detector!r}")
     if background_level is not None:
-        options = {"unit": u.electron / u.s, "equivalencies": PER_PIXEL}
+        options = {"unit": "electron / s", "equivalencies": PER_PIXEL}
         level = checked_number("background_level", background_level, **options)
         detector = detector.replace(background=level)
     if no_sensitivity_variation:
         detector = detector.without_sensitivity()
     ny, nx = detector.shape
     place = ((nx - 1) / 2, (ny - 1) / 2) if coords is None else coords
-    if not _on_stamp(place := checked_pair("coords", place, u.pix), detector):
+    if not _on_stamp(place := checked_pair("coords", place, "pix"), detector):
         raise ValueError(f"`coords` must be on the stamp of {ny} x {nx} pixels, got {coords!r}")
     motion = checked_number("roll", roll, any_sign=True) * motion
-    target = Target(Star(mag, *place, psf), detector, motion, seed=seed, noise=noise)
+    target = Target(sm.Star(mag, *place, psf), detector, motion, seed=seed, noise=noise)
     if signal is not None:
         target.add_signal(signal)
     if transit:
@@ -104,22 +96,21 @@ def generate_target(
     if variable:
         target.add_variability()
     if neighbor:
-        options = {"unit": u.mag, "any_sign": True}
+        options = {"unit": "mag", "any_sign": True}
         target.add_neighbor(checked_number("neighbor_magdiff", neighbor_magdiff, **options))
     return target
 
 
 def _forwarded(name):
     """Return a method of the observation, with aperture and light curve of the target."""
-    method = getattr(Observation, name)
-    signature = inspect.signature(method)
+    method = getattr(sm.Observation, name)
 
     @wraps(method)
     def forwarded(self, *arguments, **options):
-        given = signature.bind(self.observation, *arguments, **options)
+        given = inspect.signature(method).bind(self.observation, *arguments, **options)
         given.arguments.setdefault("aperture_mask", self.aperture)
-        if "corrected" in signature.parameters:
-            given.arguments.setdefault("corrected", self._detrended)
+        if "corrected" in given.signature.parameters:
+            given.arguments.setdefault("corrected", self._corrected.get(self.scene))
         return method(*given.args, **given.kwargs)
 
     return forwarded
@@ -153,8 +144,8 @@ class Target:
     --------
     >>> from scope_models import Detector, Motion, Star, Target
     >>> star = Target(Star(12.0, 5, 5), Detector.k2(), Motion.still(100), seed=1)
-    >>> star.add_transit(depth=0.01, per=15, dur=0.5, t0=1)
-    <Target of magnitude 12 with 1 transit and 0 neighbors: 100 cadences of 11 x 11 pixels, seed 1>
+    >>> star.add_transit(depth=0.01, per=15, dur=0.5, t0=1).add_neighbor(magdiff=2)
+    <Target of magnitude 12 with 1 transit and 1 neighbor: 100 cadences of 11 x 11 pixels, seed 1>
     """
 
     def __init__(self, star, detector, motion, *, seed=None, noise=True):
@@ -178,14 +169,14 @@ class Target:
     def _simulated(self, scene):
         """Those of the last two scenes are kept."""
         if scene not in self._made:
-            self._made = dict([*self._made.items()][-1:]) | {scene: simulate(scene)}
+            self._made = dict([*self._made.items()][-1:]) | {scene: sm.simulate(scene)}
         return self._made[scene]
 
     @property
     def scene(self):
         """The `~scope_models.Scene` of the star, its neighbors, the pixels and the motion."""
         stars = [self.star, *self.neighbors]
-        return Scene(stars, self.detector, self.motion, seed=self.seed, noise=self.noise)
+        return sm.Scene(stars, self.detector, self.motion, seed=self.seed, noise=self.noise)
 
     @property
     def observation(self):
@@ -219,12 +210,8 @@ class Target:
     def _noise_free(self):
         alone = self.scene.replace(stars=self.star, noise=False)
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", LostLightWarning)  # the observation has warned
+            warnings.simplefilter("ignore", sm.exceptions.LostLightWarning)  # it has warned
             return self._simulated(alone).flux
-
-    @property
-    def _detrended(self):
-        return self._corrected.get(self.scene)
 
     @documented(same=_SAME)
     def add_transit(self, depth=0.01, per=15.0, dur=0.5, t0=5.0, *, b=0.0, u1=0.4, u2=0.26):
@@ -232,19 +219,17 @@ class Target:
 
         Parameters
         ----------
-        depth : float, optional
-            Relative drop at mid-transit, between 0 and 1.
-        per, dur, t0 : float, optional
-            Orbital period, time from first to fourth contact, and time of a mid-transit after the
-            first cadence, in days.
+        depth, per, dur, t0 : float, optional
+            Relative drop at mid-transit, between 0 and 1; and, in days, orbital period, time from
+            first to fourth contact, and time of a mid-transit after the first cadence.
         b, u1, u2 : float, optional
             Impact parameter in stellar radii, and coefficients of quadratic limb darkening.
 
         {same}
         """
-        per = checked_number("per", per, u.day, positive=True)
-        dur = checked_number("dur", dur, u.day, positive=True)
-        t0 = self.time[0] + checked_number("t0", t0, u.day, any_sign=True)
+        days = ("per", per), ("dur", dur)
+        per, dur = (checked_number(*item, "day", positive=True) for item in days)
+        t0 = self.time[0] + checked_number("t0", t0, "day", any_sign=True)
         options = {"b": b, "u1": u1, "u2": u2, "exposure_time": self.detector.cadence_days}
         planet = sm.TransitModel.from_depth_duration(depth, dur, per, t0, **options)
         self.add_signal(planet)
@@ -257,16 +242,14 @@ class Target:
 
         Parameters
         ----------
-        var_amp : float, optional
-            Relative semi-amplitude, between 0 and 1.
-        freq : float, optional
-            Angular frequency in radians per day, of the time t after the first cadence: the period
-            is ``2 * pi / freq`` days.
+        var_amp, freq : float, optional
+            Relative semi-amplitude, between 0 and 1; and angular frequency in radians per day, of
+            the time t after the first cadence: the period is ``2 * pi / freq`` days.
 
         {same}
         """
         var_amp = checked_number("var_amp", var_amp, positive=True)
-        period = 2 * np.pi / checked_number("freq", freq, u.rad / u.day, positive=True)
+        period = 2 * np.pi / checked_number("freq", freq, "rad / day", positive=True)
         return self.add_signal(sm.models.sinusoidal_signal(var_amp, period, -self.time[0] / period))
 
     @documented(same=_SAME)
@@ -280,7 +263,7 @@ class Target:
 
         {same}
         """
-        more = Star(self.star.mag, signal=signal).relative_flux(self.time)
+        more = sm.Star(self.star.mag, signal=signal).relative_flux(self.time)
         self.star = self.star.replace(signal=self.star.relative_flux(self.time) * more)
         return self
 
@@ -303,21 +286,21 @@ class Target:
 
         {same}
         """
-        mag = self.star.mag + checked_number("magdiff", magdiff, u.mag, any_sign=True)
+        mag = self.star.mag + checked_number("magdiff", magdiff, "mag", any_sign=True)
         scale = {"pixel_scale": self.detector.pixel_scale}  # converts angles
         angles = stream(self.seed, f"neighbor {len(self.neighbors)}").uniform(0, 360, 1000)
         if angle is not None:
-            angles = [checked_number("angle", angle, u.deg, any_sign=True)]
-        along = checked_number("dist", dist, u.pix, **scale) * np.exp(1j * np.radians(angles))
+            angles = [checked_number("angle", angle, "deg", any_sign=True)]
+        along = checked_number("dist", dist, "pix", **scale) * np.exp(1j * np.radians(angles))
         places = [(self.star.x_0 + d.real, self.star.y_0 + d.imag) for d in along]
         if position is not None:
-            places = [checked_pair("position", position, u.pix, **scale)]
+            places = [checked_pair("position", position, "pix", **scale)]
         # Of random angles the first one on the stamp.
         place = next((place for place in places if _on_stamp(place, self.detector)), None)
         if place is None:
             text = "the neighbor at column {:.2f}, row {:.2f} is off the stamp of {} x {} pixels"
             raise ValueError(text.format(*places[0], *self.detector.shape))
-        neighbor = Star(mag, *place, psf, signal)
+        neighbor = sm.Star(mag, *place, psf, signal)
         neighbor.relative_flux(self.time)  # a signal that does not fit is an error here
         self.neighbors.append(neighbor)
         return self
@@ -359,10 +342,8 @@ class Target:
         ----------
         flux : array_like or `~lightkurve.LightCurve`, optional
             The light curve; by default `lightcurve`.
-        duration : float, optional
-            Time scale in hours.
-        method : {"lightkurve", "everest"}, optional
-            Convention, see `scope_models.photometry.cdpp`.
+        duration, method : float, {"lightkurve", "everest"}, optional
+            Time scale in hours, and convention: see `scope_models.photometry.cdpp`.
 
         Returns
         -------
@@ -392,9 +373,9 @@ class Target:
         for planet in self.transits:
             inside = planet(tpf.time.value) < 1
             options["transit_mask"] = inside | options.get("transit_mask", False)
-        corrector = sm.PLDCorrector(tpf, aperture_mask=self.aperture)
-        self._corrected = {self.scene: corrector.correct(**options)}
-        return self._detrended
+        corrected = sm.PLDCorrector(tpf, aperture_mask=self.aperture).correct(**options)
+        self._corrected = {self.scene: corrected}
+        return corrected
 
     to_tpf, write = _forwarded("to_tpf"), _forwarded("write")
     to_lightcurve = _forwarded("to_lightcurve")
@@ -442,16 +423,15 @@ class Target:
 
         Parameters
         ----------
-        number : int, optional
-            Which of `transits`.
-        window : float, optional
-            Hours to draw on either side of mid-transit; by default twice the transit's duration.
+        number, window : int, float, optional
+            Which of `transits`, and hours to draw on either side of mid-transit; by default twice
+            the transit's duration.
         {draw}
         """
         if not 0 <= number < (n := len(self.transits)):
             raise ValueError(f"`number` must be below {n}, the number of transits, got {number}")
         planet, own, flux = self.transits[number], 1 - self.contamination, self.lightcurve
-        if (detrended := self._detrended) is not None:
+        if (detrended := self._corrected.get(self.scene)) is not None:
             flux = np.full(len(self.motion), np.nan)
             flux[np.isin(self.motion.cadenceno, detrended.cadenceno)] = detrended.flux.value
         model, window = planet(self.time), 48 * planet.duration if window is None else window
@@ -472,10 +452,10 @@ def _find_motion(motion, tpf_path, ID, ncadences):
         except ConnectionError as error:
             raise ConnectionError(f"{error}; `tpf_path` takes a file") from error
     if tpf_path is not None:
-        motion = Motion.from_file(tpf_path)
+        motion = sm.Motion.from_file(tpf_path)
     elif motion is None:
-        motion = Motion.k2_roll(n)
-    elif not isinstance(motion, Motion):
+        motion = sm.Motion.k2_roll(n)
+    elif not isinstance(motion, sm.Motion):
         raise TypeError(f"`motion` must be a Motion, got {motion!r}; `tpf_path` takes a file")
     if ncadences is not None and n > (most := len(motion)):
         raise ValueError(f"`ncadences` must be at most {most}, the length of the motion, got {n}")

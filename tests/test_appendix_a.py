@@ -543,7 +543,7 @@ def test_edits_leave_nothing_old_behind():
     assert target.contamination > alone == 0
     assert len(target.observation.stars) == 2
     assert not np.array_equal(target.targetpixelfile, before)
-    assert target._detrended is None
+    assert target.scene not in target._corrected
     target.neighbors.clear()
     assert_array_equal(target.targetpixelfile, before)
     target.detector = target.detector.replace(background=1000.0)
