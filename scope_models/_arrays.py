@@ -31,10 +31,7 @@ def native(array):
 
 
 def unmasked(value):
-    """Return an array without its mask, with NaN where it is masked; keep its unit.
-
-    Integer arrays with masked places become float arrays.
-    """
+    """Return an array with its unit, without its mask, as floats with NaN where it was masked."""
     mask = getattr(value, "mask", None)
     if mask is None or callable(mask):  # a method of pandas' series
         return value
@@ -133,10 +130,7 @@ def without_unit(value):
 
 
 def plain_tree(value, other=None):
-    """Return nested mappings, sequences and numpy's numbers as those of Python.
-
-    ``other`` is called for a value that JSON cannot hold; by default it stays.
-    """
+    """Return nested values as Python's own; ``other`` is called for what JSON cannot hold."""
     if isinstance(value, np.generic):
         return value.item()
     if value is None or isinstance(value, (str, int, float)):

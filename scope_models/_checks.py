@@ -66,10 +66,7 @@ def integer(default, smallest, largest=None, **options):
 
 
 def check_fields(instance):
-    """Bring fields of a frozen dataclass, each a `number` or `integer`, to type.
-
-    None stays where it is the default.
-    """
+    """Bring each `number` and `integer` of a frozen dataclass to type; None stays as a default."""
     for item in fields(instance):
         name, value, known = item.name, getattr(instance, item.name), item.metadata
         if not known or (value is None and item.default is None):

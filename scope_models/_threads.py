@@ -30,11 +30,9 @@ def _release(library):
 
 
 class _OneThread(ContextDecorator):
-    """One thread for BLAS, from the first entry to the last exit of any thread.
+    """One thread for BLAS, from the first entry to the last exit of any thread of the process.
 
-    The matrices are small: further threads wait actively for most of their time, and their number
-    changes the rounding of the results. The limit holds for the process; the number of threads
-    before the first entry is restored at the last exit.
+    The matrices are small: further threads wait, and their number changes the rounding of results.
     """
 
     def __init__(self):

@@ -12,10 +12,7 @@ __all__ = ["Value", "frozen", "html_table", "value_key"]
 
 
 class Value:
-    """Mixin of frozen dataclasses that are equal if their fields are.
-
-    Arrays among the fields are read-only; fields with ``compare=False`` do not count.
-    """
+    """Mixin of frozen dataclasses that are equal if their fields with ``compare=True`` are."""
 
     def __eq__(self, other):
         if type(other) is not type(self):

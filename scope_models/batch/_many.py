@@ -50,12 +50,11 @@ def run_files(
     work, names, folder, client, *, name, suffix, options, rows=None, inputs=(), are_files=True,
     seed=1, draw=None, overwrite=False, sweep=None, name_output=None,
 ):  # fmt: skip
-    """Run a function that writes a file over many files or names.
+    """Run a function that writes a file over many files or names, after checks of the outputs.
 
-    Options and outputs are checked first. ``work(task, output, seed, **options)`` writes a file and
-    returns a row. The tasks hold ``rows`` and, where they are files, the names. ``inputs`` are
-    files on which all results depend; none of both is replaced. ``name_output(file, key)`` returns
-    the output's path in the folder, by default the key with the suffix.
+    ``work(task, output, seed, **options)`` returns a row. The tasks hold ``rows`` and, where they
+    are files, the names; ``inputs`` are files on which all results depend. By default outputs
+    are the keys with the suffix, else what ``name_output(file, key)`` returns.
     """
     for option, value in options.items():
         if not isinstance(value, (bool, int, float, str, type(None))):

@@ -30,8 +30,7 @@ _KEYWORDS = (
 def write_motions(files, folder, positions_from=None):
     """Write the common motion of each CCD; return what the task of each file has of it.
 
-    The motion is that of ``positions_from``, from their pixels and POS_CORR, for all files of their
-    CCDs; else that of POS_CORR of some of the files, for those whose own is missing or disagrees.
+    By default it is that of POS_CORR, for files whose own is missing or disagrees.
     """
     given, groups, written = positions_from is not None, defaultdict(list), {}
     places = [_place(file) for file in files]

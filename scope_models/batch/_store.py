@@ -27,10 +27,9 @@ _SCHEMA = """
 
 
 class Store:
-    """The records of a sweep, in a results directory or, without one, in memory.
+    """The records of a sweep, in a results directory or in memory: "task" and "row" or "error".
 
-    A record is a dictionary: "task", and either "row" or "error" and "traceback". The connection
-    holds an exclusive lock on the file, which ends with the process, however it ends.
+    The exclusive lock on the file ends with the process, however it ends.
     """
 
     def __init__(self, directory, config, inputs, tasks):
@@ -109,10 +108,7 @@ class Store:
         return json.loads(rows.fetchone()[0])
 
     def add(self, record):
-        """Keep a record in a transaction of its own; a failure does not replace a result.
-
-        Nothing of a record is left if it cannot be written, which is an OSError.
-        """
+        """Keep a record in a transaction of its own; a failure does not replace a result."""
         key, failed = record["task"]["key"], "error" in record
         if failed and self.is_done(key):
             return

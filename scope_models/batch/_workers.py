@@ -106,9 +106,7 @@ def check_client(client):
 def computed(client, measure, tasks, chunk_size, in_flight):
     """Yield the records of all tasks as they are finished; the client is as for `run_sweep`.
 
-    Stars whose process died are computed again one at a time, so that only the star that kills
-    its process is recorded as failed. A LostWorkersError stands for an executor that is broken or
-    a scheduler that is lost.
+    Stars whose process died are computed again one at a time: only the one that kills it fails.
     """
     job = partial(_measured, measure)
     if client is None:
@@ -215,10 +213,7 @@ def _dask_client(where):
 
 @contextmanager
 def _later_interrupts():
-    """Block interrupts here until the given function is called, and for good in new processes.
-
-    Otherwise an interrupt of the terminal's process group prints a traceback of each worker.
-    """
+    """Block interrupts, whose tracebacks workers would print, until the function is called."""
     if not hasattr(signal, "pthread_sigmask"):  # Windows
         yield lambda: None
         return

@@ -61,10 +61,7 @@ def make_psf(rng, width):
 
 
 def make_response(rng, shape, *, drop, scatter):
-    """Return the `PixelResponse` of pixels that differ in sensitivity and within themselves.
-
-    They drop on average by `drop` from center to edge, and scatter by `scatter`, both relative.
-    """
+    """Return the `PixelResponse` of pixels with a mean `drop` to their edges and a `scatter`."""
     ny, nx = shape
     u = (np.arange(_OVERSAMPLING) + 0.5) / _OVERSAMPLING - 0.5
     n = ny * nx

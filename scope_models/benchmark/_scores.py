@@ -61,10 +61,7 @@ class SkyScore:
 
 
 def score_light_curve(time, flux, error, truth, transit, noise):
-    """Return the `SkyScore` of a light curve with errors, both NaN where there is none.
-
-    `truth`, `transit` in it, and `noise` of a cadence are relative; `time` is in days.
-    """
+    """Return the `SkyScore` of a light curve; all but `time`, in days, is relative."""
     good = np.isfinite(flux) & np.isfinite(error)
     kept = float(good.mean())
     floor = noise / np.sqrt(_per_bin(time))

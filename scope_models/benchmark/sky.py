@@ -373,11 +373,7 @@ def _measured(offset, rng, time, quality, lost, positions):
 
 
 def _best_aperture(light, noise, part):
-    """Return the pixels whose sum is the best light curve without a correction.
-
-    Those with most light over noise are added while the noise in 6.5 h and the variance of the
-    light that is lost get smaller. A cadence is a `part` of a long one.
-    """
+    """Return the pixels whose sum scatters least in 6.5 h; a cadence is a `part` of a long one."""
     n = len(light)
     light, variance = light.reshape(n, -1), (noise**2).mean(axis=0).ravel()
     order = np.argsort(-np.quantile(light, 0.98, axis=0) / variance)

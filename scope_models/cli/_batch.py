@@ -138,10 +138,7 @@ def client_of(arguments):
 
 
 def run(name, arguments, *inputs, **options):
-    """Call a function for many files, print its results, return the status.
-
-    It is 1 if a file has failed; ``inputs`` and ``options`` are for the function.
-    """
+    """Call a function for many files and print its results; return 1 if a file has failed."""
     for option in ("output", "figure"):
         if getattr(arguments, option, None) is not None:
             raise ValueError(f"--{option} cannot be combined with --output-dir")

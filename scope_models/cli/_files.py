@@ -23,8 +23,7 @@ def add_parser(commands):
 def _add_command(commands, name, one, output, **texts):
     """Return the parser of a command and a function that adds one of its options.
 
-    ``one`` treats a single file; ``NAME_files`` of `scope_models.batch` treats many. Both take the
-    options by their ``dest``.
+    ``one`` treats a file, ``NAME_files`` of `scope_models.batch` many, with options by ``dest``.
     """
     parser = _batch.add_command(commands, name, _run, **texts)
     parser.add_argument(

@@ -63,11 +63,7 @@ def noise_terms(noise):
 
 
 def stream(seed, name):
-    """Return the random generator of one named effect, at its beginning.
-
-    The streams of different names are independent, and each depends on the seed and its own name
-    only.
-    """
+    """Return the random generator of one named effect, independent of all others."""
     key = zlib.crc32(name.encode())
     sequence = np.random.SeedSequence(check_seed(seed), spawn_key=(key,))
     return np.random.Generator(np.random.SFC64(sequence))
@@ -116,10 +112,7 @@ def poisson_quantile(deviate, mean):
 
 
 def _asymptotic_quantile(deviate, mean):
-    """Return the asymptotic quantile of a large mean: a polynomial of the deviate.
-
-    Its coefficients have the shape of the mean, which may be that of one image.
-    """
+    """Return the asymptotic quantile: a polynomial of the deviate, for means of any shape."""
     root, inverse = np.sqrt(mean), 1.0 / mean
     inverse_root = root * inverse
     counts = deviate * (inverse / 270.0)
@@ -155,10 +148,7 @@ def _searched_quantile(deviate, mean):
 
 
 def poisson_counts(mean, generator, shape=None):
-    """Return Poisson counts of means, electrons, with which ``shape`` broadcasts.
-
-    Each count, a whole number as a float, uses up one normal deviate.
-    """
+    """Return Poisson counts of means, electrons; each uses up one normal deviate of ``shape``."""
     shape = np.shape(mean) if shape is None else shape
     return poisson_quantile(generator.standard_normal(shape), mean)
 
@@ -186,16 +176,12 @@ def add_quantization(electrons, gain, n_reads, generator):
 
 
 def bleed(charge, well_depth, background=0.0):
-    """Let the charge beyond the well depth bleed along the column, in place.
+    """Let the charge ``(..., ny, nx)`` beyond the well depth bleed along the column, in place.
 
-    Half of the excess of a pixel moves up its column (to larger y) and half down. It fills every
-    pixel that it meets up to the well depth, so that charge is conserved; what passes the edge of
-    the stamp is lost. Where streams from two saturated places meet, neither has precedence.
-    ``charge`` is of shape ``(..., ny, nx)``; the ``background`` is charge that is in the wells
-    besides and stays where it is.
-
-    Transfer along the column is taken as perfect. The flight pipeline's constant for Kepler,
-    0.9996 per pixel, would leave 0.4 % of the charge behind over ten pixels.
+    Half of a pixel's excess moves up its column and half down, and fills every pixel that it meets;
+    what passes the edge of the stamp is lost. The ``background`` is in the wells besides and stays.
+    Transfer is taken as perfect: the flight pipeline's constant for Kepler, 0.9996 per pixel, would
+    leave 0.4 % of the charge behind over ten pixels.
     """
     capacity = well_depth - np.asarray(background)
     full = np.any(charge > capacity, axis=-2)

@@ -164,8 +164,7 @@ def _of_flux(fit):
 def followed(fit):
     """Return the rms of the flux that a quadratic form of the position explains, 0 if by chance.
 
-    Slow changes do not count. The noise of each cadence is independent; of what else is left there
-    are as many independent values as spans of the smoothing.
+    Slow changes do not count; spans of the smoothing are taken as independent.
     """
     good = _good(fit)
     if good.sum() < _FEWEST:

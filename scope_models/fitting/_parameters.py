@@ -56,9 +56,8 @@ class FitParameter(Value):
 def fit_parameters(prf, shape):
     """Return the free shared parameters of a PRF on an image, without flux and position.
 
-    Kinds come from the models (`~scope_models.PRF.parameter_kinds`), never from names. Bounds are
-    the model's, narrowed by what a kind allows: a component that is wider than half the stamp is
-    background, and at a pixel's edge no term of a response takes away all of it or doubles it.
+    Bounds are the model's, narrowed by their kinds: a component wider than half the stamp is
+    background, and no term of a response takes away all of it at a pixel's edge, or doubles it.
     """
     kinds, powers = prf.parameter_kinds, prf.response_powers
     result, start = [], numbers_of(prf)

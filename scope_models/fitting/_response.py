@@ -312,10 +312,7 @@ def _choose(shares, report):
 
 
 def fit_response(problem, few, state, fits, report=None):
-    """Fit the response of each pixel in all cadences; return a `TPFFit` per file.
-
-    ``state`` and ``fits`` are the result for the ``few`` cadences to which the PSF was fitted.
-    """
+    """Return a `TPFFit` per file with responses of pixels, from the fit of ``few`` cadences."""
     if (n := len(problem.flux)) < _FEWEST:
         raise ValueError(f'`tpf` has {n} cadences; response="pixels" needs {_FEWEST} or more')
     corr = problem.data.pos_corr

@@ -257,10 +257,7 @@ def make_rich_prfs(sensitivity):
 
 
 def _with_fixed(prf, fixed):
-    """Fix parameters of a PRF, and what pixels do not constrain.
-
-    The constants of the sensitivity are the flux, and diffusion is a wider Gaussian.
-    """
+    """Fix parameters of a PRF, its constants (the flux), and diffusion beside a free width."""
     kinds = prf.parameter_kinds
     held = {name for name, (_, power) in prf.response_powers.items() if power == 0}
     if any(kind == "width" and not getattr(prf, name).fixed for name, kind in kinds.items()):

@@ -255,8 +255,7 @@ def _held(problem):
 def _tried(candidates, steps, *, few, any_psf, any_response):
     """Fit models until one describes some of the pixels; return problems and solutions, by rank.
 
-    No more cadences than are needed for a choice or, with ``few``, for a rough model; else a guess
-    may have up to twice as many.
+    They have the cadences that a choice needs; a guess, without ``few``, up to twice as many.
     """
     tried = []
     for problem, most in candidates:

@@ -13,15 +13,11 @@ _PREFIX = ".scope-models-"
 
 @contextmanager
 def atomic_path(path, *, overwrite=False):
-    """Give a temporary path to write to, and move the file into place at the end.
+    """Give a temporary path to write to, and move the file into place at the end, in one step.
 
-    The temporary file is a hidden one in the folder of ``path`` and keeps its suffixes, so that
-    writers recognize the format. When the body ends, it becomes ``path`` in one step: whoever
-    opens ``path`` sees the old file, the new file or none, and never a part. When the body raises,
-    the temporary file is removed and ``path`` stays as it was.
-
-    Without ``overwrite``, neither a file that exists nor one that appears while the body runs is
-    replaced. Errors are an OSError that names the file.
+    It is a hidden file beside ``path`` with the same suffixes. When the body raises, it is removed
+    and ``path`` stays as it was. Without ``overwrite``, neither a file that exists nor one that
+    appears meanwhile is replaced. Errors are an OSError that names the file.
     """
     target = check_output(path, overwrite=overwrite)
     name = _PREFIX + secrets.token_hex(8) + "".join(target.suffixes[-2:])
@@ -47,10 +43,7 @@ def remove_temporaries(folder):
 
 
 def check_output(path, *, overwrite=False, inputs=()):
-    """Return the real place of a file, or raise the errors of `atomic_path` before any work.
-
-    ``inputs`` are never replaced, also if ``path`` is a link to one of them: a ValueError.
-    """
+    """Return the real place of a file, or raise the errors of `atomic_path`; inputs are refused."""
     target = Path(os.path.realpath(path))
     for source in inputs:
         both = target.exists() and Path(source).exists()

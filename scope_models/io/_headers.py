@@ -26,8 +26,7 @@ _MAX_CARD_INTEGER = 2**63 - 1  # larger seeds are written as text, for readers w
 def make_headers(metadata, time, timecorr, used, aperture):
     """Return the cards of file, pixel table (without its columns) and aperture, as texts.
 
-    ``time`` and ``timecorr`` are days ``(n,)``, NaN where unknown; ``used`` is the number of
-    cadences with a time and any flux; ``aperture`` holds bits, 1 for collected and 2 for optimal.
+    Times are days, NaN where unknown; ``used`` cadences have a time and any flux.
     """
     optimal, collected = aperture & 2 > 0, aperture & 1 > 0
     sky = {key: value for key, (value, _) in tan_projection(metadata, aperture.shape).items()}

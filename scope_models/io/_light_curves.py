@@ -48,13 +48,10 @@ _LONGEST_TARGET, _LONGEST_NAME = 30, 90
 
 
 def make_light_curve_hdulist(tpf, columns, *, aperture, cards=()):
-    """Return the FITS file of a light curve of lightkurve's target pixel file.
+    """Return the FITS file of a light curve, which lightkurve reads, of its target pixel file.
 
-    Cards of the target pixel file that stay true (the star, the detector, the zero of time,
-    exposures) are kept, with their comments; those of its columns, its aperture and its span of
-    time are not. lightkurve reads the file as a ``KeplerLightCurve`` or ``TessLightCurve``. The
-    first of the columns is TIME, in days; ``aperture`` are the pixels that were summed, and
-    ``cards``, keywords with values and comments, are added to the primary header.
+    Cards that stay true are kept; those on columns, aperture and span of time are not. The first
+    of the columns is TIME, in days; ``cards`` (with comments) go into the primary header.
     """
     from astropy.io import fits
 
@@ -196,10 +193,9 @@ def sha256(path):
 
 
 def archive_hdulist(hdus, series, collection, path, cards=()):
-    """Turn the file of a light curve into one of a collection.
+    """Turn the file of a light curve of a `PixelSeries` into one of a collection; times are TDB.
 
-    ``hdus`` are those of `make_light_curve_hdulist`, ``series`` the `PixelSeries`, ``path`` the
-    target pixel file; further ``cards`` go into the primary header. Times are TDB in all headers.
+    ``path`` is the target pixel file; further ``cards`` go into the primary header.
     """
     from astropy.io import fits
 

@@ -46,10 +46,9 @@ class RefusedError(ValueError):
 def open_fits(path):
     """Open a FITS file to read, with one kind of error for all kinds of damage.
 
-    The file is read into memory, up to the limits in `scope_models.io.conf`, and each header's
-    claims are checked before its data are read. The HDUs stay usable after the context. Whatever
-    else than a file that is not there is wrong with it ends in one ValueError that names it; a
-    checksum that does not match warns.
+    It is read into memory, up to the limits in `scope_models.io.conf`, and each header is checked
+    before its data are read. The HDUs stay usable. Damage is a ValueError that names the file, and
+    a checksum that does not match a warning.
     """
     # Not imported with the package: it takes a quarter of the time that the package has for that.
     from astropy.io import fits
@@ -204,10 +203,9 @@ def checksum_of(data, start=0):
 
 
 def read_columns(path, required, optional=()):
-    """Return one-dimensional columns of numbers, by upper-case name, of a file's first table.
+    """Return columns of numbers, by upper-case name, of a file's first table, and its cards.
 
-    ``required`` are names that must be there, ``optional`` others. Floats are float64, and integers
-    keep their type. The cards of the headers come second.
+    Floats are float64, integers keep their type.
     """
     with open_fits(path) as hdus:
         table = first_table(hdus, path)
@@ -224,10 +222,7 @@ def read_columns(path, required, optional=()):
 
 
 def read_positions(path):
-    """Return arguments of `Motion.from_arrays`, unchecked, of a target pixel or light-curve file.
-
-    Quality flags, cadence numbers and the format of the times are None where the file has none.
-    """
+    """Return arguments of `Motion.from_arrays`, unchecked, of a file; None for what it lacks."""
     columns, header = read_columns(path, _POSITIONS, ("QUALITY", "SAP_QUALITY", "CADENCENO"))
     time, x, y = (columns[name].astype(float) for name in _POSITIONS)
     number = columns.get("CADENCENO")
@@ -285,10 +280,7 @@ def first_table(hdus, path):
 
 
 def column_of(table, name, path, ndim=1):
-    """Return a column of numbers, or of images, in native byte order, floats as float64.
-
-    Infinite values of images are NaN.
-    """
+    """Return a column of numbers or images, native; floats are float64, infinite pixels NaN."""
     values = np.asarray(table.data[name])
     if values.ndim != ndim or values.dtype.kind not in "iuf":
         what = {1: "one number", 3: "an image of numbers"}[ndim]

@@ -222,10 +222,7 @@ def _truth_block(cadenceno, columns):
 
 
 def _vectors(arrays):
-    """Return arrays that fit into the columns of a table, and the names of those that were joined.
-
-    FITS allows 999 columns. Beyond that X1, X2, ... become the column X of vectors.
-    """
+    """Return arrays for at most 999 columns, X1, X2, ... as vectors X, and the names of these."""
     if len(arrays) <= _MOST_COLUMNS:
         return arrays, []
     stems = Counter(name.rstrip("0123456789") for name in arrays)
@@ -300,10 +297,7 @@ def _scene_block(scene):
 
 
 def _parts(text):
-    """Return a text in JSON in parts that CFITSIO reads.
-
-    No part may end with a blank, which FITS drops; in JSON an escape can stand for it.
-    """
+    """Return JSON in parts that CFITSIO reads, with no blank at an end, which FITS drops."""
     if len(text) <= _LONGEST_TEXT:
         return [text]
     text = json.dumps(json.loads(text), separators=(",", ":")).replace(" ", "\\u0020")

@@ -38,10 +38,7 @@ def gauss_legendre(n):
 
 
 def gaussian_nodes(scale, degree):
-    """Nodes per pixel and axis that integrate a Gaussian to about 1e-13 of its flux.
-
-    ``scale`` is its smallest standard deviation in pixels, ``degree`` that of a polynomial factor.
-    """
+    """Nodes per pixel that integrate a Gaussian of this sigma times a polynomial to about 1e-13."""
     return int(np.ceil(5 + 2.1 / scale)) + (degree + 1) // 2
 
 
@@ -197,10 +194,7 @@ class AxisPanels:
         return integrals.reshape(-1, n_orders, pixels.size)
 
     def _panel(self, key, at):
-        """Integrals within one panel, from whose middle the places are, ``(m, n_orders * n)``.
-
-        Places are in units of the span; imaginary parts are in the logarithm of the width.
-        """
+        """Integrals in a panel, ``(m, n_orders * n)``: places in spans, widths imaginary."""
         known = key, at.dtype.kind  # a panel at one width is another one
         if known not in self.panels:
             self.panels[known] = self._expand(key)
@@ -246,10 +240,7 @@ class AxisPanels:
 
 
 def axis_table(pixels, center, sigma, coefficients, n_orders=1, rho=0.0):
-    """Return the function of a slice of the positions that gives integrals ``(m, n_orders, n)``.
-
-    Many positions ``(m,)`` of one width are interpolated by `AxisPanels`.
-    """
+    """Return the function of a slice of positions that gives integrals ``(m, n_orders, n)``."""
     low, high = center.min(), center.max()
     if sigma.size == 1 and center.size > FEW * (1 + high - low):
         place = (low + high) / 2, 1.001 * (high - low) + 1e-6

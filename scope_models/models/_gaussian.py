@@ -242,8 +242,7 @@ def gaussian_derivatives(
 ):
     """The integrals of `gaussian_pixels` for unit flux, and derivatives: ``(6, ..., ny, nx)``.
 
-    The derivatives are by x_0, y_0, sigma_x, sigma_y and rho. The integrals are linear in the
-    coefficients, whose derivatives are integrals of monomials.
+    The derivatives are by x_0, y_0, sigma_x, sigma_y and rho.
     """
     parameters = (1.0, x_0, y_0, sigma_x, sigma_y, rho)
     coefficients = (x_coefficients, y_coefficients)

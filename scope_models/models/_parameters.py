@@ -58,10 +58,7 @@ class StarModel(Fittable2DModel):
 
 
 def make_parameters(model, parameters):
-    """Give a model parameters of its own, by name, after those of its class.
-
-    It is called before the model's ``__init__``. A description stands for a parameter of default 0.
-    """
+    """Give a model own parameters, or their descriptions, by name, before its ``__init__``."""
     model.param_names = tuple(dict.fromkeys((*model.param_names, *parameters)))
     for name, given in parameters.items():
         plain = isinstance(given, str)

@@ -30,14 +30,12 @@ _DARK = 7.5
 class ImageSeries:
     """Images of a star of unit flux at the positions of a series.
 
-    Gaussians are interpolated between places that depend on the star's reference position ``at``
-    alone: the same position and width give the same pixels to the last bit, however the series is
-    split.
+    Gaussians are interpolated between places that depend on the reference position ``at`` alone:
+    the same position and width give the same pixels to the last bit, however the series is split.
 
-    The PSF is scaled to unit flux, and its first component is put at the star's position; one that
-    is integrated over pixels contains the sensitivity, and is not multiplied by it. Positions and
-    factors on the width are all of the series or their extremes, which choose the rows and columns
-    that the star lights, `window`. With a ``blur``, px, images of sums of Gaussians are convolved
+    The first component of the PSF is put at the star's position; one that is integrated over pixels
+    contains the sensitivity. Positions and factors on the width, or their extremes, choose the
+    `window` that the star lights. With a ``blur``, px, images of sums of Gaussians are convolved
     with a normal distribution of the star's position along each axis.
     """
 
@@ -71,10 +69,7 @@ class ImageSeries:
         return images
 
     def lost(self, x, y):
-        """Largest part of the star's light that falls off the stamp at any of the positions.
-
-        It is the largest where they are farthest along the axes or along the diagonals.
-        """
+        """Largest part of the light off the stamp: where it is farthest on axes and diagonals."""
         ny, nx = self._stamp
         ends = x.min() + 0.5, nx - 0.5 - x.max(), y.min() + 0.5, ny - 0.5 - y.max()
         if min(ends) > self._reach:

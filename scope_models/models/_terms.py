@@ -35,11 +35,10 @@ _SCALE_OF_OTHERS = 0.3
 class ClosedForm:
     """Integral of a density over pixels without quadrature.
 
-    A model has one by a method ``closed_form(values)`` that returns it; so have the Gaussians of
-    astropy and photutils. The functions are ``pixels(x, y, *parameters, x_coefficients,
-    y_coefficients)`` with columns, rows and the polynomial response along the axes, which returns
-    images ``(..., ny, nx)`` of unit flux, and the same with their derivatives by ``names`` on a new
-    first axis, after the images.
+    A model has one by a method ``closed_form(values)``; so have the Gaussians of astropy and
+    photutils. ``pixels(x, y, *parameters, x_coefficients, y_coefficients)``, with columns, rows and
+    the polynomial response along the axes, returns images ``(..., ny, nx)`` of unit flux;
+    ``derivatives`` the same and those by ``names`` on a new first axis.
     """
 
     flux: object  # integral over the plane
@@ -74,10 +73,7 @@ def closed_form(model, values):
 
 
 def _diffused(form, variance):
-    """Return a closed form convolved with a circular Gaussian; None if it is none itself.
-
-    Its last derivative is by the variance, square pixels, under that name.
-    """
+    """Convolve a closed form with a circular Gaussian; the last slope is by variance."""
     if form.pixels is not gaussian_pixels:
         return None
     x_0, y_0, sigma_x, sigma_y, rho = form.parameters

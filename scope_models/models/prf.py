@@ -55,9 +55,8 @@ class _Response:
 class _Component:
     """One density or table of a PRF, and which parameter of the PRF feeds which of its own.
 
-    ``shape`` leads from its own parameters but flux, x_0 and y_0 to those of the PRF. ``fraction``
-    is the parameter that holds its part of the flux, None for the first component, which has the
-    rest; ``offsets`` are those of its position relative to the star, or ().
+    ``shape`` leads from its own parameters to those of the PRF. ``fraction`` and ``offsets`` hold
+    part of the flux and position relative to the star; the first has the rest, and is the star.
     """
 
     model: object

@@ -76,10 +76,7 @@ def mark_outside(ax, x, *series):
 
 
 def label_places(ax, places, texts, radii):
-    """Write texts beside places, the first ones first, and leave out overlapping ones.
-
-    Radii of the markers are in points.
-    """
+    """Write texts beside places without overlaps; markers have radii in points."""
     point, centers = ax.figure.dpi / 72, ax.transData.transform(places)
     taken = [Bbox([c - r * point, c + r * point]) for c, r in zip(centers, radii, strict=True)]
     for place, text, radius in zip(places, texts, radii, strict=True):

@@ -63,11 +63,7 @@ def check_increasing(values, name):
 
 
 def repair(time, x, y, quality, cadenceno, time_format, bad, pixel_scale):
-    """Interpolate, drop or refuse cadences without a usable time or position.
-
-    Returns new arrays, and the number of cadences with unusable values; the arguments are those of
-    `Motion.from_arrays`.
-    """
+    """Interpolate, drop or refuse unusable cadences, as `Motion.from_arrays`; count them."""
     checked_choice("bad", bad, ("interpolate", "drop", "error"))
     given = time, x, y, quality, cadenceno
     time, x, y, flags, number = checked_arrays(*given, time_format, pixel_scale)

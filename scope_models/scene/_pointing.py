@@ -530,10 +530,7 @@ class K2Roll(Pointing):
         return cadence_means(times, state, edges), times[fired]
 
     def _fire_thrusters(self, times, rate, acceleration, offsets, factors):
-        """Let the roll drift from a reset on, and reset it where it has left the deadband.
-
-        Angle, rate and acceleration from each occasion on, ``(n, 3)``, and where thrusters fired.
-        """
+        """Return angle, rate, acceleration from each occasion on, and where thrusters fired."""
         state = np.empty((len(times), 3))
         fired = np.zeros(len(times), dtype=bool)
         angle, last = offsets[0], 0

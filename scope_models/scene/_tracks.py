@@ -153,10 +153,7 @@ class _Fit:
         return self._cadences(others) if others.any() else None
 
     def agrees(self, k, states, covariance):
-        """Whether a motion explains a track better than noise alone.
-
-        It does too where the track is that motion within its errors.
-        """
+        """Whether a motion explains a track better than noise alone, or within its errors."""
         moved = self._evidence(k, states, covariance, self.map_error[k])[0]
         alone = self._evidence(k, 0 * states, 0 * covariance, self.map_error[k])[0]
         return moved > alone or self._evidence(k, states, covariance, _NO_MAP)[1] <= 1
@@ -190,8 +187,7 @@ class _Fit:
 def fit_tracks(tracks, time_format="bkjd"):
     """Return the common motion of stars of a CCD, and which tracks that of the others lacks.
 
-    Tracks of one name are of one star. Those that the motion of the others does not explain do not
-    count, unless all are such.
+    Tracks of a name are of a star. Those that are not explained do not count, unless all are so.
     """
     fit, names = _Fit(tracks).run(), np.array([track.name for track in tracks])
     others = (fit.others(k, names) for k in range(len(names)))

@@ -30,11 +30,9 @@ _DARK = 1e-13
 
 @dataclass(frozen=True, eq=False)
 class StarLight:
-    """One star of a scene: where its light falls in each cadence, and how much of it.
+    """One star of a scene: places ``(n_cadences, k)`` of k exposures in each cadence, and light.
 
-    Its places ``x`` and ``y``, ``(n_cadences, k)``, are those of k exposures in each cadence with
-    ``weights``; ``flux`` is in e-/s at the star's magnitude, and ``relative_flux`` and ``passed``,
-    the factor of the effects, are those of each cadence.
+    ``flux`` is in e-/s at its magnitude, ``passed`` the factor of the effects in each cadence.
     """
 
     x: np.ndarray
@@ -159,11 +157,10 @@ def _exposures(scene, added):
 
 
 def gather(prepared, cadences, sums=None, aperture=None):
-    """Return the electrons that the light of all stars makes in a slice of cadences.
+    """Return the electrons that the light of all stars makes in some cadences, before bleeding.
 
-    The wells have not filled yet. ``sums`` are taken on the way, e-/s: each star's light of all
-    cadences, ``(n_stars, ny, nx)``, and that in an ``aperture``, ``(n_stars, n_cadences)``, both
-    with the response of the pixels.
+    ``sums`` are taken on the way, e-/s: each star's light of all cadences, ``(n_stars, ny, nx)``,
+    and that in an ``aperture``, ``(n_stars, n_cadences)``, with the response of the pixels.
     """
     scene, interpixel = prepared.scene, prepared.interpixel
     n = len(range(*cadences.indices(len(scene.motion))))
@@ -216,11 +213,7 @@ def pedestal(prepared, cadences, electrons):
 
 
 def fill_wells(scene, electrons, background):
-    """Let the charge beyond the depth of the wells bleed, in place.
-
-    Electrons of the background fill the wells too. Returns the largest part of the charge of a
-    cadence that bleeds off the stamp.
-    """
+    """Let the charge beyond full wells bleed, in place; return the largest part off the stamp."""
     if scene.detector.well_depth is None:
         return 0.0
     depth = scene.detector.well_depth * scene.detector.n_reads

@@ -121,11 +121,9 @@ def inject(tpf, signal=None, star=None, *, seed=None, noise=True):
 
 @dataclass(frozen=True, eq=False)
 class _Change:
-    """A change of the expected flux, e-/s, and of the noise.
+    """A change of the expected flux, e-/s, and of the noise; ``after`` simulates the changed scene.
 
-    ``kept`` is the factor on the residuals that the changed flux has if ``residual`` is None, and
-    that it is to get if the residuals are given. ``after`` simulates the scene of the file after
-    the change.
+    ``kept`` is the factor on the residuals, given ones or those that the changed flux has.
     """
 
     expected: np.ndarray
