@@ -127,8 +127,8 @@ def _of_positions(fit):
 
 
 def _of_flux(fit):
-    shared = np.maximum(fit.flux_err**2 - fit.flux_scatter**2, 0.0)
-    light, error = np.mean(fit.flux), np.sqrt(np.mean(shared + fit.flux_scatter**2 / len(fit.flux)))
+    # A PSF that leaves the whole flux open, as on a small stamp, hides no star.
+    light, error = np.mean(fit.flux), np.sqrt(np.mean(fit.flux_scatter**2) / len(fit.flux))
     if abs(light) < LARGEST_SCATTER * error:
         yield f"no star is seen: its mean flux is {light:.3g} +- {error:.2g} e-/s"
     for number, star in enumerate((fit, *fit.neighbors)):

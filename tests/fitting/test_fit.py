@@ -416,6 +416,13 @@ def test_a_constant_shows_no_star():
         fit_tpf(tpf, psf=1)
 
 
+def test_a_psf_that_leaves_the_flux_open_hides_no_star():
+    scene = Star(17.0), Detector.k2(shape=(3, 3)), Motion.still(10)
+    fit, doubts = messages_of(simulate(*scene, seed=1).to_tpf(), psf=2)
+    assert "no star" not in doubts
+    assert fit.flux.mean() < fit.flux_err.mean()
+
+
 def test_light_curve(fit):
     curve = fit.to_lightcurve()
     assert curve.flux.unit == u.electron / u.s
