@@ -104,22 +104,23 @@ def with_config(argv):
     if path is None:
         return argv
     try:
-        values = tomllib.loads(Path(path).read_text(encoding="utf-8"))
+        values = tomllib.loads(Path(path).read_text(encoding="utf-8-sig"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise ValueError(f"{path} is not valid TOML: {error}") from error
-    added = []
+    inputs, added = [], []
     for name, value in values.items():
         listed = value if isinstance(value, list) else [value]
         if not all(isinstance(item, (bool, int, float, str)) for item in listed):
             raise ValueError(f"{path}: `{name}` must be a number, text, true, false or a list")
         option = f"--{name.replace('_', '-')}"
         if name == "input":
-            added += map(str, listed)
+            inputs += map(str, listed)
         elif isinstance(value, bool):
             added += [option] if value else []
         else:  # a negative number alone would be an option
             added += [option, *map(str, value)] if value is listed else [f"{option}={value}"]
-    return [*argv[:1], *added, *argv[1:]]
+    # The option between the file's and those given here ends a list of values.
+    return [*argv[:1], *inputs, *added, f"--config={path}", *argv[1:]]
 
 
 def add_workers(parser):

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from scope_models._arrays import native
+from scope_models._arrays import native, plain_tree
 from scope_models._checks import one_line
 from scope_models.exceptions import DamagedFileWarning
 from scope_models.missions import TIME_ZEROS, Mission
@@ -244,10 +244,13 @@ def read_table(path):
     from astropy.table import Table
 
     try:
-        return Table.read(path)
+        table = Table.read(path)
     except (IORegistryError, InconsistentTableError, UnicodeDecodeError) as error:
         message = f"{path} is not a table that astropy can read, such as .csv, .ecsv or .fits"
         raise ValueError(message) from error
+    for name in table.colnames[:1]:  # spreadsheets begin files in UTF-8 with a mark
+        table.rename_column(name, name.removeprefix("\ufeff"))
+    return table
 
 
 def facts_of(header):
@@ -293,11 +296,14 @@ def column_of(table, name, path, ndim=1):
 
 
 def cards_of(*headers):
-    """Return the facts in headers, of which later ones go first; None stands for a blank card."""
+    """Return the facts in headers, of which later ones go first; None stands for a blank card.
+
+    Headers in memory also hold numpy's numbers, as those of lightkurve's cutouts do.
+    """
     simple = (str, bool, int, float, complex)
     return {
         key: value if isinstance(value, simple) else None
         for header in headers
-        for key, value in header.items()
+        for key, value in plain_tree(dict(header.items())).items()
         if key not in _NO_FACTS and not key.startswith("NAXIS")
     }

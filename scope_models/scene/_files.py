@@ -137,7 +137,7 @@ def read_detector(path):
             described, maps = scene_of(hdus), maps_of(hdus)
         return _made(path, described, "detector", lambda: _detector(described["detector"], maps))
     try:
-        return _detector_of_toml(tomllib.loads(Path(path).read_text(encoding="utf-8")))
+        return _detector_of_toml(tomllib.loads(Path(path).read_text(encoding="utf-8-sig")))
     except (TypeError, ValueError, RecursionError) as error:
         raise ValueError(f"{path}: {error}") from error
 

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from astropy.io import fits
 
-from scope_models.io import TPFMetadata, read_truth, write_tpf
+from scope_models.correctors import PLDCorrector
+from scope_models.io import TPFMetadata, read_pixels, read_truth, write_tpf
 from scope_models.io.tpf import make_tpf_hdulist
 
 FRAMES = {"int_time": 6.019802903270, "read_time": 0.518948526144, "n_frames": 270}
@@ -219,6 +220,8 @@ def test_cutout(tpf):
     assert corner == (2, 2)
     assert np.array_equal(cut.flux.value, tpf.flux.value[:, 2:7, 2:7])
     assert len(cut.to_lightcurve(aperture_mask="all")) == 698
+    assert len(PLDCorrector(cut, aperture_mask="all").original_lc) == 698
+    assert read_pixels(cut).header["1CRV5P"] == 742
 
 
 def test_round_trip(tpf, tmp_path, lightkurve):

@@ -12,7 +12,7 @@ from astropy.table import Table
 
 from scope_models.exceptions import DamagedFileWarning
 from scope_models.io import conf
-from scope_models.io._opening import open_fits, read_columns
+from scope_models.io._opening import open_fits, read_columns, read_table
 
 BLOCK = 2880
 pytestmark = pytest.mark.filterwarnings(
@@ -220,3 +220,11 @@ def test_threads_read_the_same_file(path):
     with ThreadPoolExecutor(8) as pool:
         for time in pool.map(lambda _: read_columns(path, ["TIME"])[0]["TIME"], range(64)):
             assert np.array_equal(time, np.arange(500.0))
+
+
+def test_tables_of_spreadsheets(tmp_path):
+    """They begin with a byte-order mark, and end lines as Windows does."""
+    (tmp_path / "stars.csv").write_bytes("\ufeffmag,name\r\n12.5,a b\r\n".encode())
+    table = read_table(tmp_path / "stars.csv")
+    assert table.colnames == ["mag", "name"]
+    assert list(table[0]) == [12.5, "a b"]
