@@ -4,6 +4,7 @@ import os
 import re
 import sys
 import time
+import unicodedata
 import warnings
 from functools import partial
 from pathlib import Path
@@ -61,7 +62,8 @@ def run_files(
             raise TypeError(f"`{option}` must be a number, text, or true or false, got {value!r}")
     folder, tasks, keys, written = Path(folder).absolute(), [], {}, {}
     for file, row in zip(names, rows or [{}] * len(names), strict=True):
-        key = re.sub(r"[^A-Za-z0-9._+=-]", "_", FITS.sub("", Path(file).name)).strip("._-")
+        stem = unicodedata.normalize("NFC", FITS.sub("", Path(file).name))
+        key = re.sub(r"[^\w.+=-]", "_", stem).strip("._-")
         if key in keys:
             raise ValueError(f"{keys[key]} and {file} would both become {key}{suffix}")
         keys[key] = file

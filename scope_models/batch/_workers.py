@@ -21,7 +21,7 @@ from scope_models.batch._store import listed
 __all__ = ["LostWorkersError", "check_client", "checked_tasks", "computed"]
 
 _DIED = "WorkerDied: the process that computed this star died (killed, out of memory, or a crash)"
-_FREE_NAME = re.compile(r"[A-Za-z0-9]([A-Za-z0-9._+=-]{0,198}[A-Za-z0-9_+=-])?")
+_FREE_NAME = re.compile(r"[^\W_]([\w.+=-]{0,198}[\w+=-])?")
 # Seconds between two checks of the connection to a scheduler.
 _POLL = 5.0
 _ADDRESS = re.compile(r"[a-z]+://.+|[^/\\]+:[0-9]+")

@@ -6,6 +6,7 @@ failures are those of `~scope_models.batch.run_sweep`.
 
 import os
 import re
+import unicodedata
 from dataclasses import fields
 from functools import partial
 from pathlib import Path
@@ -531,7 +532,8 @@ def _simulated(task, output, seed, *, detector, motion, cadences):
         signal = planet_model(task, motion.time, detector.cadence_days)
     star = Star(task["mag"], task.get("x_0"), task.get("y_0"), signal=signal)
     observation = simulate(star, detector, motion, seed=seed)
-    observation.write(output, overwrite=True, metadata={"object_name": task["key"]})
+    name = unicodedata.normalize("NFKD", task["key"]).encode("ascii", "ignore").decode()
+    observation.write(output, overwrite=True, metadata={"object_name": name or None})
     flux = observation.flux[:, observation.aperture].sum(axis=1, dtype=float)
     n_pixels = int(observation.aperture.sum())
     return {"n_cadences": len(motion), "n_pixels": n_pixels, "cdpp": noise_of(flux)}

@@ -192,6 +192,17 @@ class TestOthers:
         assert scene.stars[0].mag == table["mag"][6]
         assert scene.stars[0].x_0 == table["x_0"][6]
 
+    def test_names_keep_letters_of_all_alphabets(self, files, tmp_path):
+        names = ["\u661f.fits", "e\u0301toile a.fits.gz"]  # the second as macOS writes it
+        given = [file.rename(tmp_path / name) for file, name in zip(files, names, strict=False)]
+        result = fit_files(given, tmp_path / "out", psf=1, cadences=20, sweep=QUIET)
+        assert result.table["key"].tolist() == ["\u661f", "\xe9toile_a"]
+        assert (tmp_path / "out" / "\xe9toile_a-fit.fits").exists()
+        table = {"name": ["\xe9toile", "\u661f"], "mag": [12, 13]}
+        simulate_table(table, tmp_path / "stars", cadences=20, sweep=QUIET)
+        written = [fits.getheader(tmp_path / "stars" / f"{name}.fits") for name in table["name"]]
+        assert [header["OBJECT"] for header in written] == ["etoile", "SIM 1"]
+
     def test_another_motion_in_the_same_place_is_refused(self, files, tmp_path):
         options = {"motion": tmp_path / "motion.fits", "cadences": 20, "sweep": QUIET}
         for file in files[:2]:
@@ -557,6 +568,18 @@ class TestCommandLine:
         arguments = [*arguments[:-1], tmp_path / "other", "--order", "2", "--workers", "1"]
         assert self.run(capsys, *arguments)[0] == 0
         assert Table.read(tmp_path / "other" / "results.ecsv").meta["order"] == 2
+
+    @pytest.mark.parametrize("text", ["", "input = 'a.fits'\r\n", "\ufeff"])
+    def test_lists_in_a_file_of_options_end(self, tmp_path, capsys, text):
+        """They take none of the inputs; some editors begin files with a byte-order mark."""
+        config = tmp_path / "options.toml"
+        given = f"{text}positions_from = ['c.fits', 'd.fits']\r\n"
+        config.write_bytes(given.encode())
+        inputs = [] if "input" in text else ["a.fits"]
+        arguments = ["detrend", "--config", config, *inputs, "--output", tmp_path / "b.fits"]
+        status, _, stderr = self.run(capsys, *arguments)
+        assert (status, stderr.count("no such file")) == (2, 2)
+        assert "a.fits" not in stderr
 
     @pytest.mark.parametrize(
         "text, message",
