@@ -117,7 +117,7 @@ def _add_detrend(commands):
         ("title", "its title"),
         ("doi", "its digital object identifier"),
     ):
-        group.add_argument(f"--{name}", metavar=name[-2:].upper(), help=text)
+        group.add_argument(f"--{name}", metavar="TEXT", help=text)
 
 
 def _detrend_options(arguments):
