@@ -202,14 +202,15 @@ def _truth_block(cadenceno, columns):
     for name, values in columns.items():
         _check_name("truth_columns", name, taken)
         taken.add(name.upper())
-        array = np.asarray(values, dtype=float)
+        array = np.asarray(values)
+        array = array.astype(np.int32 if np.can_cast(array.dtype, np.int32) else float)
         if array.shape[:1] != cadenceno.shape or 0 in array.shape:
             wanted = f"a row for each of the {len(cadenceno)} cadences"
             found = f"got the shape {array.shape}"
             raise ValueError(f"`truth_columns` {name} must have {wanted}, {found}")
         arrays[name] = array
     arrays, numbered = _vectors(arrays)
-    fields = [(name, ">f8", array.shape[1:]) for name, array in arrays.items()]
+    fields = [(name, f">{a.dtype.str[1:]}", a.shape[1:]) for name, a in arrays.items()]
     rows = np.empty(len(cadenceno), dtype=[("CADENCENO", ">i4"), *fields[1:]])
     for name, array in arrays.items():
         rows[name] = array

@@ -355,15 +355,16 @@ class TestTruth:
         contents = contents_of(mission)
         contents["truth_columns"]["stars"] = np.arange(120.0).reshape(60, 2) / 3
         contents["truth_columns"]["X"][3] = np.nan
+        flags = contents["truth_columns"]["QUALITY"] = np.arange(60, dtype=np.int32)
         hdus = make_tpf_hdulist(**contents)
         path = write_hdulist(hdus, tmp_path / "star.fits")
         compressed = write_tpf(tmp_path / "star.fits.gz", **contents)
         for source in (path, str(path), compressed, hdus):
             truth = read_truth(source)
-            assert truth.table.colnames == ["CADENCENO", "X", "Y", "FLUX", "stars"]
+            assert truth.table.colnames == ["CADENCENO", "X", "Y", "FLUX", "stars", "QUALITY"]
             assert np.array_equal(truth.table["CADENCENO"], contents["cadenceno"])
             for name, values in contents["truth_columns"].items():
-                assert truth.table[name].dtype == np.float64
+                assert truth.table[name].dtype == (np.int32 if values is flags else np.float64)
                 assert np.array_equal(truth.table[name], values, equal_nan=True)
             assert list(truth.maps) == ["INTERPIX"]
             assert np.array_equal(truth.maps["INTERPIX"], contents["truth_maps"]["INTERPIX"])
