@@ -1,22 +1,40 @@
-"""Corrects one file of many, and writes the light curve in the format of the run."""
+"""Corrects one file of many, with positions of other stars of its CCD where its own are wrong."""
 
+import hashlib
+import warnings
+from collections import defaultdict
 from pathlib import Path
 
 import numpy as np
 from astropy.table import Table
 
-from scope_models.batch._parquet import partition, write_star
-from scope_models.batch._positions import file_cards, star_positions
+from scope_models.batch._many import file_state
+from scope_models.batch.results import partition, write_star
+from scope_models.exceptions import DetrendingWarning, FitWarning
+from scope_models.fitting._common import common_motions, explains, pos_corr_track
 from scope_models.io import read_pixels, read_tpf
 from scope_models.io._atomic import atomic_path
 from scope_models.io._light_curves import Collection, ccd_label, sha256
-from scope_models.io._opening import naming
+from scope_models.io._opening import cards_of, naming
 from scope_models.io.tpf import write_hdulist
 from scope_models.photometry.precision import noise_of
+from scope_models.scene import Motion
 
-__all__ = ["FORMATS", "archive_name", "detrended", "header_row", "partition_of", "write_manifest"]
+__all__ = [
+    "FORMATS", "archive_name", "detrended", "header_row", "partition_of", "write_manifest",
+    "write_motions",
+]  # fmt: skip
 
 FORMATS = "fits", "hlsp", "parquet"
+# Files of a CCD whose POS_CORR give the motion of its other stars: a limit of time.
+_MOST = 12
+# Folder of the motions, and stars at least that outvote another one.
+_FOLDER, _MAJORITY = "positions", 3
+# All cards would take longer, for all files of a run before the first is corrected.
+_KEYWORDS = (
+    "MISSION", "TELESCOP", "OBJECT", "CAMPAIGN", "QUARTER", "SECTOR", "CHANNEL", "CAMERA", "CCD",
+    "TIMEDEL",
+)  # fmt: skip
 
 
 def detrended(task, output, seed, *, format="fits", **options):  # noqa: A002, ARG001
@@ -94,3 +112,103 @@ def header_row(series):
 
 def number_of(value):
     return float(value) if isinstance(value, (int, float)) else np.nan
+
+
+def write_motions(files, folder, positions_from=None):
+    """Write the common motion of each CCD; return what the task of each file has of it.
+
+    By default it is that of POS_CORR, for files whose own is missing or disagrees.
+    """
+    given, groups, written = positions_from is not None, defaultdict(list), {}
+    places = [_place(file) for file in files]
+    sources = positions_from if given else files
+    for file, place in zip(sources, map(_place, sources) if given else places, strict=True):
+        if given or all(place[:2]):
+            groups[place].append(file)
+    if others := set(groups) - set(places):
+        text = f"no file of the run is of the same CCD as {groups[min(others)][0]}"
+        warnings.warn(text, FitWarning, stacklevel=3)
+    folder = Path(folder) / _FOLDER
+    for place in set(groups) & set(places):
+        name, sources = "-".join(filter(None, place)) or "motion", groups[place]
+        if not given:
+            sources = sources[:: -(-len(sources) // _MOST)]
+        path = not given and _unchanged(folder, name)
+        if path or (path := _write_motion(folder, name, sources, given=given)):
+            written[place] = f"{_FOLDER}/{path.name}"
+    return [{"positions": written.get(place, "")} if written else {} for place in places]
+
+
+def _unchanged(folder, name):
+    """Return the motion of files of a run that have not changed since, or None."""
+    for path in folder.glob(f"{name}-????????.fits"):
+        meta = Motion.read(path).meta
+        states = [(file_state(file), state) for file, state in meta["sources"].items()]
+        if not meta["given"] and all(now == then or now["bytes"] < 0 for now, then in states):
+            return path
+    return None
+
+
+def _write_motion(folder, name, files, *, given):
+    """Write the common motion of a CCD; return its file, named by the contents of all, or None."""
+    contents = sorted((Path(file).name, sha256(file)) for file in files)
+    path = folder / f"{name}-{hashlib.sha256(repr(contents).encode()).hexdigest()[:8]}.fits"
+    if path.exists():
+        return path
+    if given:
+        motion = Motion.from_tpfs(files)
+    elif len(files) > 1 and (found := common_motions(files, pixels=False)[0]):
+        motion = max(found.values(), key=lambda motion: motion.meta["n_files"])
+    else:
+        return None
+    folder.mkdir(parents=True, exist_ok=True)
+    sources = {str(Path(file).absolute()): file_state(file) for file in files}
+    motion = motion.replace(meta={**motion.meta, "given": given, "sources": sources})
+    return motion.write(path, overwrite=True)
+
+
+def _place(file):
+    """Return campaign, CCD and length of the cadences of a file, as its headers have them."""
+    cards = file_cards(file)
+    step = cards.get("TIMEDEL")
+    return *ccd_label(cards), f"{86400 * step:.0f}s" if isinstance(step, float) else ""
+
+
+def star_positions(tpf, path):
+    """Return the motion of a CCD for a star; None if its own positions agree with it."""
+    motion, series = Motion.read(path), read_pixels(tpf)
+    stars = f"{len(motion.meta['stars'])} stars of {motion.meta['ccd'] or 'the same CCD'}"
+    if motion.meta["given"]:
+        warnings.warn(f"positions come from {stars}", DetrendingWarning, stacklevel=2)
+        return motion
+    try:
+        motion.offsets(series)
+    except ValueError:  # it has none of the cadences
+        return None
+    track = pos_corr_track("", series)
+    if not motion.meta["stars"]:  # they disagree
+        return None
+    if track is None:
+        message = f"POS_CORR is missing: positions come from {stars}"
+    else:
+        outvoted = len(motion.meta["stars"]) >= _MAJORITY
+        if not outvoted or explains(motion, track, series):
+            return None
+        message = f"POS_CORR disagrees with that of other stars: positions come from {stars}"
+    warnings.warn(message, DetrendingWarning, stacklevel=2)
+    return motion
+
+
+def file_cards(file):
+    """Return the cards that name a target pixel file; none of one that cannot be read."""
+    from astropy.io import fits
+    from astropy.utils.data import get_readable_fileobj
+
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            with get_readable_fileobj(file, encoding="binary") as stream:
+                headers = [fits.Header.fromfile(stream) for _ in range(2)]
+                return cards_of(*({key: h[key] for key in _KEYWORDS if key in h} for h in headers))
+    except (OSError, ValueError, IndexError, EOFError, fits.VerifyError):
+        return {}

@@ -19,8 +19,7 @@ from scope_models._checks import checked_choice, checked_number, one_line
 from scope_models._docstrings import documented
 from scope_models.batch import _detrend
 from scope_models.batch._many import FITS, RAISES, RUN, run_files
-from scope_models.batch._parquet import check_data_set
-from scope_models.batch._positions import write_motions
+from scope_models.batch.results import check_data_set
 from scope_models.io import read_pixels, read_tpf
 from scope_models.io._atomic import check_output
 from scope_models.io._light_curves import Collection
@@ -127,7 +126,7 @@ def detrend_files(
         check_data_set(output_dir, overwrite=overwrite)
     inputs = _catalog(options)
     others = None if positions_from is None else find_files(positions_from)
-    moved = write_motions(files, output_dir, others)
+    moved = _detrend.write_motions(files, output_dir, others)
     rows = [row | more for row, more in zip(rows or [{}] * len(files), moved, strict=True)]
     result = run_files(
         _detrend.detrended, files, output_dir, client, name="detrend", suffix="-lc.fits", rows=rows,

@@ -1,7 +1,8 @@
-"""Positions of the stars of several files, and the common motion of a CCD from them."""
+"""The common motion of the stars of a CCD, from their positions in the pixels and POS_CORR."""
 
 import warnings
 from collections import defaultdict
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -11,10 +12,18 @@ from scope_models.exceptions import FitWarning
 from scope_models.fitting.fit import fit_tpf
 from scope_models.io._light_curves import ccd_name
 from scope_models.io.pixels import place_of, read_pixels, usable_positions
-from scope_models.scene._tracks import Track, fit_tracks
+from scope_models.scene.common import CommonMotion
 
-__all__ = ["common_motion", "common_motions", "pos_corr_track"]
+__all__ = [
+    "Track", "common_motion", "common_motions", "explains", "fit_tracks", "pos_corr_track",
+]  # fmt: skip
 
+# Degrees of freedom of Student's t of residuals: a prior for tails.
+_TAILS = 4.0
+# Steps at most, and change of the positions, in their errors, that ends them: tolerances.
+_MOST_STEPS, _SMALL_STEP, _STEPS_OF_NOISE = 60, 0.1, 10
+# Standard deviation of a map that is 1.
+_NO_MAP = 1e-6
 # Prior: map of fitted positions about 1, from errors of the PSF: `_problem._MAP_PRIOR`.
 _MAP_ERROR = 0.3
 # Prior: what POS_CORR of real files deviates by, pixels, and relative.
@@ -107,3 +116,195 @@ def _tracks(name, series, *, pixels):
         given = _place_of(series), fit.cadenceno, fit.time, xy, error, _MAP_ERROR
         tracks.append(Track(name, "the position in the pixels", *given))
     return tracks
+
+
+@dataclass(frozen=True)
+class Track:
+    """Positions of a star, up to an offset and a linear map."""
+
+    name: str  # of the star
+    kind: str  # where its positions are from
+    place: tuple  # column and row on the CCD
+    cadenceno: np.ndarray  # (n,)
+    time: np.ndarray  # (n,), days
+    xy: np.ndarray  # (n, 2), px; NaN where unknown
+    error: np.ndarray  # (n, 2), px: the least that they can have
+    map_error: float  # standard deviation of the map about 1
+
+
+class _Fit:
+    """Pointing, roll and scale of each cadence, and the map and the noise of each track.
+
+    Expectation maximization: the states of the cadences are normal about 0, and the residuals of a
+    track follow Student's t, with the variance of its errors times a factor of at least 1.
+    """
+
+    def __init__(self, tracks):
+        self.number = np.unique(np.concatenate([track.cadenceno for track in tracks]))
+        n, shape = len(tracks), (len(self.number), 2)
+        self.xy, self.precision = np.zeros((n, *shape)), np.zeros((n, *shape))
+        self.time = np.full(shape[0], np.inf)
+        for k, track in enumerate(tracks):
+            known = np.isfinite(track.xy + track.error).all(axis=1) & np.isfinite(track.time)
+            at = np.searchsorted(self.number, track.cadenceno[known])
+            self.xy[k, at] = track.xy[known] - np.median(track.xy[known], axis=0)
+            self.precision[k, at] = track.error[known] ** -2.0
+            self.time[at] = np.minimum(self.time[at], track.time[known])
+        self.seen = self.precision[..., 0] > 0
+        self.place = np.array([track.place for track in tracks], dtype=float)
+        self.center = self.place.mean(axis=0)
+        offset = self.place - self.center
+        self.size = np.sqrt(np.mean(np.sum(offset**2, axis=1))) or 1.0
+        self.arms = self._arms(offset)
+        self.given_error = np.array([track.map_error for track in tracks])
+        self.map_error = self.given_error.copy()
+        self.maps, self.origin = np.stack([np.eye(2)] * n), np.zeros((n, 2))
+        self.factor, self.tails = np.ones(n), self.seen.astype(float)
+        self._start()
+
+    def _arms(self, offset):
+        """What a star's displacement is linear in: pointing, roll and scale, ``(k, 2, 4)``."""
+        (x, y), one, zero = offset.T / self.size, np.ones(len(offset)), np.zeros(len(offset))
+        return np.stack([[one, zero, -y, x], [zero, one, x, y]]).transpose(2, 0, 1)
+
+    def _start(self):
+        """Begin with the median of all tracks."""
+        middle = np.ma.median(np.ma.array(self.xy, mask=self.precision == 0), axis=0).filled(0)
+        self.states = np.column_stack([middle, np.zeros_like(middle)])
+        self.covariance = np.zeros((len(middle), 4, 4))
+        self.prior = np.repeat(np.maximum(np.mean(middle**2, axis=0).max(), 1e-12), 4)
+        for k in range(len(self.xy)):
+            square = np.mean(self.precision[k] * (self.xy[k] - middle) ** 2, axis=1)[self.seen[k]]
+            self.factor[k] = max(np.median(square) / np.log(2), 1.0)  # of an exponential
+            self.maps[k], self.origin[k], self.factor[k], self.tails[k] = self._track(k)
+
+    def run(self):
+        """Fit until the states stay."""
+        for _ in range(_MOST_STEPS):
+            before = self.states
+            self.states, self.covariance = self._cadences(np.ones(len(self.xy), dtype=bool))
+            variance = np.diagonal(self.covariance, axis1=1, axis2=2)
+            self.prior = np.maximum(np.mean(self.states**2 + variance, axis=0), 1e-16)
+            for k in range(len(self.xy)):
+                self.maps[k], self.origin[k], self.factor[k], self.tails[k] = self._track(k)
+            # the scatter of the maps of tracks of a kind, of which the prior counts as one
+            square = np.sum((self.maps - np.eye(2)) ** 2, axis=(1, 2)) / 4
+            for error in np.unique(self.given_error):
+                kind = self.given_error == error
+                self.map_error[kind] = np.sqrt((error**2 + square[kind].sum()) / (1 + kind.sum()))
+            # all maps times one matrix are the same model: their priors choose it
+            weight = self.map_error[:, None, None] ** -2.0
+            turned = self.maps.transpose(0, 2, 1) * weight
+            self.maps = self.maps @ np.linalg.solve((turned @ self.maps).sum(0), turned.sum(0))
+            moved = np.abs(self.states - before)[:, :2] ** 2 / variance[:, :2]
+            if np.median(moved) < _SMALL_STEP**2:
+                break
+        return self
+
+    def _cadences(self, used):
+        """Return the states, ``(n, 4)``, and their covariance, from some of the tracks."""
+        weight = self.tails[used] / self.factor[used, None]
+        weight = weight[..., None] * self.precision[used]  # (k, n, 2)
+        rows = self.maps[used] @ self.arms[used]  # (k, 2, 4)
+        squares = np.einsum("kai,kaj->kaij", rows, rows)
+        normal = np.einsum("kna,kaij->nij", weight, squares, optimize=True)
+        moved = weight * (self.xy - self.origin[:, None])[used]
+        right = np.einsum("kna,kai->ni", moved, rows, optimize=True)
+        covariance = np.linalg.inv(normal + np.diag(1 / self.prior))
+        return (covariance @ right[..., None])[..., 0], covariance
+
+    def _regress(self, k, states, covariance, map_error, tails, factor):
+        """Return the map and origin of a track, its squared residuals, and the evidence's prior."""
+        moved = states @ self.arms[k].T
+        spread = self.arms[k] @ covariance @ self.arms[k].T
+        design = np.column_stack([moved, np.ones(len(moved))])
+        values, squares, precision, evidence = [], [], map_error**-2.0, 0.0
+        for axis in (0, 1):
+            weight = tails * self.precision[k, :, axis] / factor
+            normal = (design * weight[:, None]).T @ design
+            normal[:2, :2] += np.tensordot(weight, spread, axes=1)
+            marginal = normal[:2, :2] - np.outer(normal[:2, 2], normal[:2, 2]) / normal[2, 2]
+            evidence -= np.linalg.slogdet(np.eye(2) + marginal / precision)[1] / 2
+            right = design.T @ (weight * self.xy[k, :, axis])
+            normal[[0, 1], [0, 1]] += precision
+            right[axis] += precision
+            value = np.linalg.solve(normal, right)
+            evidence -= precision * np.sum((value[:2] - np.eye(2)[axis]) ** 2) / 2
+            rest = (self.xy[k, :, axis] - design @ value) ** 2
+            rest += np.einsum("i,nij,j->n", value[:2], spread, value[:2])
+            squares.append(rest * self.precision[k, :, axis])
+            values.append(value)
+        values = np.array(values)
+        return values[:, :2], values[:, 2], np.sum(squares, axis=0), evidence
+
+    def _track(self, k):
+        """Return map, origin, factor of the variance, and weights of the tails of a track."""
+        given = self.states, self.covariance, self.map_error[k], self.tails[k], self.factor[k]
+        maps, origin, squares, _ = self._regress(k, *given)
+        return maps, origin, *self._noise(k, squares, self.factor[k])
+
+    def _noise(self, k, squares, factor):
+        """Return the factor of the variance, and the weights, from residuals."""
+        seen = self.seen[k]
+        tails = np.where(seen, (_TAILS + 2) / (_TAILS + squares / factor), 0.0)
+        return max(np.sum(tails * squares) / (2 * seen.sum()), 1.0), tails
+
+    def others(self, k, names):
+        """Return the motion of the tracks of other stars, as `agrees` takes it; None without."""
+        others = names != names[k]
+        return self._cadences(others) if others.any() else None
+
+    def agrees(self, k, states, covariance):
+        """Whether a motion explains a track better than noise alone, or within its errors."""
+        moved = self._evidence(k, states, covariance, self.map_error[k])[0]
+        alone = self._evidence(k, 0 * states, 0 * covariance, self.map_error[k])[0]
+        return moved > alone or self._evidence(k, states, covariance, _NO_MAP)[1] <= 1
+
+    def _evidence(self, k, states, covariance, map_error):
+        """Return the logarithm of the evidence of a track, and the factor of its variance."""
+        factor, tails = self.factor[k], self.tails[k]
+        for _ in range(_STEPS_OF_NOISE):
+            *_, squares, prior = self._regress(k, states, covariance, map_error, tails, factor)
+            factor, tails = self._noise(k, squares, factor)
+        density = -np.log(factor) - (_TAILS / 2 + 1) * np.log1p(squares / (_TAILS * factor))
+        return density[self.seen[k]].sum() + prior, factor
+
+    def motion(self, time_format):
+        """Return the motion about the place that is known best."""
+        light = np.einsum("kn,kna->k", self.tails / self.factor[:, None], self.precision)
+        middle = light @ self.place / light.sum()
+        arms = self._arms((middle - self.center)[None])[0]
+        variance = np.diagonal(arms @ self.covariance @ arms.T, axis1=1, axis2=2)
+        x, y = (self.states @ arms.T).T
+        error = np.sqrt(np.diagonal(self.covariance, axis1=1, axis2=2)[:, 2:]) / self.size
+        known = self.seen.any(axis=0)
+        values = {"x": x, "y": y, "time": self.time, "cadenceno": self.number}
+        values |= dict(zip(("roll", "scale"), self.states[:, 2:].T / self.size, strict=True))
+        values |= dict(zip(("x_err", "y_err"), np.sqrt(variance).T, strict=True))
+        values |= dict(zip(("roll_err", "scale_err"), error.T, strict=True))
+        values = {name: value[known] for name, value in values.items()}
+        return CommonMotion(**values, time_format=time_format, place=tuple(middle))
+
+
+def fit_tracks(tracks, time_format="bkjd"):
+    """Return the common motion of stars of a CCD, and which tracks that of the others lacks.
+
+    Tracks of a name are of a star. Those that are not explained do not count, unless all are so.
+    """
+    fit, names = _Fit(tracks).run(), np.array([track.name for track in tracks])
+    others = (fit.others(k, names) for k in range(len(names)))
+    agree = [given is None or fit.agrees(k, *given) for k, given in enumerate(others)]
+    if any(agree) and not all(agree):
+        fit = _Fit([track for track, good in zip(tracks, agree, strict=True) if good]).run()
+    return fit.motion(time_format), [not good for good in agree]
+
+
+def explains(motion, track, series):
+    """Whether a motion explains the positions of the star of a `PixelSeries`, its track."""
+    moved, error = motion.offsets(series)
+    known = np.isfinite(moved)
+    fit = _Fit([replace(track, xy=np.where(known, track.xy, np.nan))])
+    states, covariance = np.zeros((len(moved), 4)), np.zeros((len(moved), 4, 4))
+    states[:, :2] = np.where(known, moved, 0)
+    covariance[:, [0, 1], [0, 1]] = np.where(known, error, 0) ** 2
+    return fit.agrees(0, states, covariance)

@@ -78,7 +78,7 @@ class UnpicklableError(Exception):
 
 def write_rows(folder, numbers):
     """Write stars of a Parquet data set, as a worker of `detrend_files` does."""
-    from scope_models.batch._parquet import partition, write_star
+    from scope_models.batch.results import partition, write_star
 
     for n in numbers:
         key, time = f"star{n:05d}", np.arange(20.0) + n

@@ -18,8 +18,8 @@ from scope_models import (
     simulate,
 )
 from scope_models.exceptions import FitWarning
+from scope_models.fitting._common import Track, fit_tracks
 from scope_models.scene import CommonMotion
-from scope_models.scene._tracks import Track, fit_tracks
 
 MOTION = Motion.k2_roll(300, seed=1)
 
