@@ -13,7 +13,6 @@ __all__ = ["MISSIONS", "TIME_ZEROS", "Cadence", "Mission", "QualityBits"]
 
 # A length names the cadence that differs by less: a Kepler long cadence is called 30 minutes.
 _CADENCE_TOLERANCE = 0.03
-_SECONDS_PER_DAY = 86400.0
 # Depth of the shallowest wells over the median.
 _FULL_FRACTION = 0.877
 
@@ -306,7 +305,7 @@ class Mission(Value):
         >>> round(MISSIONS["K2"].cadence_days("long"), 7)
         0.0204336
         """
-        return self.cadence(choice).n_frames * self.frame_time / _SECONDS_PER_DAY
+        return self.cadence(choice).n_frames * self.frame_time / 86400
 
 
 def full_flux(well_depth, int_time, background=0.0):

@@ -80,7 +80,8 @@ def read_results(folder, *, light_curves=False):
 
 def read_light_curve(path):
     if Path(path).suffix == ".parquet":
-        arrays = light_curve_of(path)
+        lists = _pyarrow().parquet.ParquetFile(path).read(["light_curve"])["light_curve"][0]
+        arrays = {name: np.asarray(lists[name].values) for name in lists}
     else:
         with fits.open(path) as hdus:
             arrays = {name.lower(): np.array(hdus[1].data[name]) for name in hdus[1].data.names}
@@ -139,8 +140,3 @@ def data_set_rows(folder):
     data = pa.dataset.dataset(Path(folder) / DATA_SET, format="parquet", partitioning=hive)
     names = [name for name in data.schema.names if name != "light_curve"]
     return data.to_table(columns=names).to_pylist()
-
-
-def light_curve_of(path):
-    lists = _pyarrow().parquet.ParquetFile(path).read(["light_curve"])["light_curve"][0]
-    return {name: np.asarray(lists[name].values) for name in lists}

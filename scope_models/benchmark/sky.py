@@ -135,12 +135,6 @@ class MessyStar(Value):
         -------
         lightkurve.KeplerTargetPixelFile or lightkurve.TessTargetPixelFile
             The file, without truth.
-
-        Examples
-        --------
-        >>> from scope_models.benchmark import make_sky
-        >>> make_sky("k2-1x-kp14", seed=6, n_cadences=100).to_tpf().targetid
-        7
         """
         from lightkurve import KeplerTargetPixelFile, TessTargetPixelFile
 

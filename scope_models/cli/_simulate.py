@@ -9,17 +9,8 @@ __all__ = ["add_parser", "run"]
 
 _CADENCES = 1000
 # The options that go together with --table.
-_OF_TABLES = (
-    "table",
-    "output_dir",
-    "overwrite",
-    "workers",
-    "scheduler",
-    "detector",
-    "motion",
-    "cadences",
-    "seed",
-)
+_OF_RUNS = ("table", "output_dir", "overwrite", "workers", "scheduler")
+_OF_TABLES = (*_OF_RUNS, "detector", "motion", "cadences", "seed")
 _RUNS = ("campaign", "quarter", "sector", "channel", "camera", "ccd")
 
 

@@ -16,8 +16,8 @@ from scipy.signal import lfilter
 from scipy.special import ndtr
 
 __all__ = [
-    "NOISE_TERMS", "add_quantization", "add_read_noise", "bleed", "check_seed", "correlated",
-    "fresh_seed", "noise_terms", "poisson_counts", "poisson_quantile", "stream",
+    "NOISE_TERMS", "add_quantization", "bleed", "check_seed", "correlated", "fresh_seed",
+    "noise_terms", "poisson_counts", "poisson_quantile", "stream",
 ]  # fmt: skip
 
 NOISE_TERMS = ("photon", "background", "read", "quantization")
@@ -151,12 +151,6 @@ def poisson_counts(mean, generator, shape=None):
     """Return Poisson counts of means, electrons; each uses up one normal deviate of ``shape``."""
     shape = np.shape(mean) if shape is None else shape
     return poisson_quantile(generator.standard_normal(shape), mean)
-
-
-def add_read_noise(electrons, sigma, generator):
-    """Add normal noise of a standard deviation to the electrons of each cadence, in place."""
-    electrons += sigma * generator.standard_normal(electrons.shape)
-    return electrons
 
 
 def add_quantization(electrons, gain, n_reads, generator):

@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from html import escape
+from operator import attrgetter
 
 import numpy as np
 from astropy import units as u
@@ -137,10 +138,8 @@ class TPFFit(Value):
         lines = [escape(s) for s in self.summary().splitlines() if not s.startswith("  ")]
         return f"<p>{'<br>'.join(lines)}</p>{self.parameters._repr_html_()}"
 
-    @property
-    def shape(self):
-        """Shape (ny, nx) of an image."""
-        return self.interpixel.shape
+    shape = property(attrgetter("interpixel.shape"), doc="Shape (ny, nx) of an image.")
+    sensitivity = property(attrgetter("model.sensitivity"), doc="The fitted sensitivity, or None.")
 
     @cached_property
     def _free(self):
@@ -172,11 +171,6 @@ class TPFFit(Value):
         model = self.model.copy()
         model.x_0, model.y_0 = 0.0, 0.0
         return model.psf
-
-    @property
-    def sensitivity(self):
-        """The fitted sensitivity, or None."""
-        return self.model.sensitivity
 
     @property
     def reduced_chi2(self):

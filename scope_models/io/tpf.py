@@ -28,7 +28,6 @@ __all__ = ["TPFMetadata", "make_tpf_hdulist", "read_truth", "write_hdulist", "wr
 _COSMIC_RAYS = "TARGET COSMIC RAY"
 _COLLECTED, _OPTIMAL = 1, 2
 _COMPRESSION = 6
-_SECONDS_PER_DAY = 86400.0
 _LONG_CADENCE = 0.01  # days: between the 58.8 s and the 29.4 min of the Kepler photometer
 _MODULES = (2, 3, 4, *range(6, 21), 22, 23, 24)  # those at the corners are fine-guidance sensors
 # Fields that a mission, and a detector, have by the same name.
@@ -270,7 +269,7 @@ class TPFMetadata(Value):
         """Length of a cadence, days."""
         if self.time_delta is not None:
             return self.time_delta
-        return self.n_frames * self.frame_time / _SECONDS_PER_DAY
+        return self.n_frames * self.frame_time / 86400
 
     @property
     def is_long_cadence(self):

@@ -1,6 +1,7 @@
 """Tabulated PSFs and PRFs, which splines interpolate and integrate."""
 
 from functools import cached_property, partial
+from operator import attrgetter
 
 import numpy as np
 from astropy import units as u
@@ -148,20 +149,16 @@ class _Table(StarModel):
             self._error = _Surface(error, self._surface.oversampling, self._surface.origin)
         super().__init__(flux=flux, x_0=x_0, y_0=y_0, **kwargs)
 
-    @property
-    def array(self):
-        """The samples, read-only (ndarray of shape (ny, nx))."""
-        return self._surface.samples
-
-    @property
-    def oversampling(self):
-        """Samples per pixel along y and x (tuple of float)."""
-        return self._surface.oversampling
-
-    @property
-    def origin(self):
-        """Sample, counted from 0, where the star is, along x and y (tuple of float)."""
-        return self._surface.origin
+    array = property(
+        attrgetter("_surface.samples"), doc="The samples, read-only (ndarray of shape (ny, nx))."
+    )
+    oversampling = property(
+        attrgetter("_surface.oversampling"), doc="Samples per pixel along y and x (tuple of float)."
+    )
+    origin = property(
+        attrgetter("_surface.origin"),
+        doc="Sample, counted from 0, where the star is, along x and y (tuple of float).",
+    )
 
     @property
     def uncertainty(self):

@@ -172,12 +172,6 @@ class MotionStatistics(Value):
         -------
         MotionStatistics
             The statistics with mean, std, maximum and extent in arcsec.
-
-        Examples
-        --------
-        >>> from scope_models import Motion
-        >>> Motion([0, 1], [0.0, 0.3], [0.0, 0.4]).statistics(4.0).in_arcsec().maximum
-        <Quantity 2. arcsec>
         """
         names = ("mean", "std", "maximum", "extent")
         if self.mean.unit == u.arcsec:
@@ -192,12 +186,6 @@ class MotionStatistics(Value):
         -------
         astropy.table.QTable
             One column with its unit for each of the attributes.
-
-        Examples
-        --------
-        >>> from scope_models import Motion
-        >>> len(Motion([0, 1], [0.0, 0.3], [0.0, 0.4]).statistics().to_table())
-        1
         """
         from astropy.table import QTable
 

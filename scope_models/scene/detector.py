@@ -32,7 +32,6 @@ __all__ = ["ZERO_POINTS", "Detector"]
 
 #: Zero points of the missions, by name.
 ZERO_POINTS = {name: dict(mission.zero_points) for name, mission in MISSIONS.items()}
-_SECONDS_PER_DAY = 86400.0
 _DISTRIBUTIONS = ("uniform", "normal")
 _RATE = u.electron / u.s
 _INTEGERS = ("n_frames", "mean_black", "fixed_offset")
@@ -546,7 +545,7 @@ class Detector(Value):
     @property
     def cadence_days(self):
         """Length of a cadence, days."""
-        return self.n_frames * self.frame_time / _SECONDS_PER_DAY
+        return self.n_frames * self.frame_time / 86400
 
     @property
     def duty_cycle(self):
@@ -660,12 +659,6 @@ class Detector(Value):
         -------
         Detector
             The control: no variation within a pixel, none between pixels.
-
-        Examples
-        --------
-        >>> from scope_models import Detector
-        >>> Detector.k2().without_sensitivity().sensitivity is None
-        True
         """
         return replace(self, sensitivity=None, interpixel=None, interpixel_scatter=0.0)
 

@@ -98,12 +98,6 @@ class Star(Value):
         ------
         ValueError
             If the signal has another length, or is negative or not finite.
-
-        Examples
-        --------
-        >>> from scope_models import Star
-        >>> Star(12.0).relative_flux([0.0, 1.0])
-        array([1., 1.])
         """
         time = plain_time(time, None, "time")
         if self.signal is None:

@@ -15,8 +15,8 @@ from scope_models.models._axis import ROWS
 from scope_models.models._series import ImageSeries, is_gaussian
 
 __all__ = [
-    "Prepared", "StarLight", "fill_wells", "gather", "lost_fractions", "pedestal", "pieces",
-    "prepare", "share_of_target", "shown",
+    "Prepared", "StarLight", "fill_wells", "gather", "pedestal", "pieces", "prepare",
+    "share_of_target", "shown",
 ]  # fmt: skip
 
 # Seconds after which a bar shows the progress.
@@ -136,12 +136,6 @@ def shown(*values):
 def _product(factors):
     given = [factor for factor in factors if factor is not None]
     return reduce(mul, given) if given else None
-
-
-def lost_fractions(prepared):
-    """Return the largest part of each star's light that the motion takes off the stamp, a list."""
-    motion, rows = prepared.scene.motion, shown(prepared.lights, prepared.positions.tolist())
-    return [light.series.lost(x_0 + motion.x, y_0 + motion.y) for light, (x_0, y_0) in rows]
 
 
 def _exposures(scene, added):

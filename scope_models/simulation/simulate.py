@@ -104,7 +104,8 @@ def simulate(stars, detector=None, motion=None, *, keep_model=False, chunk_size=
     if chunk_size is not None:
         chunk_size = checked_integer("chunk_size", chunk_size, 1)
     prepared = _light.prepare(scene)
-    lost = _light.lost_fractions(prepared)
+    rows = _light.shown(prepared.lights, prepared.positions.tolist())
+    lost = [light.series.lost(x + scene.motion.x, y + scene.motion.y) for light, (x, y) in rows]
     x_0, y_0 = prepared.positions[0]
     # That of neighbors may fall off the stamp.
     star = f"the star at x_0 = {x_0:g}, y_0 = {y_0:g}"
@@ -176,7 +177,7 @@ def _record(prepared, part, charges, pedestals, streams, cubes):
         for effect, drawn in prepared.effects:
             getattr(effect, stage)(drawn, prepared.conditions, part, electrons)
     if "read" in streams:
-        _noise.add_read_noise(electrons, detector.cadence_read_noise, streams["read"])
+        electrons += detector.cadence_read_noise * streams["read"].standard_normal(electrons.shape)
     if "quantization" in streams:
         _noise.add_quantization(electrons, detector.gain, detector.n_reads, streams["quantization"])
     counts = electrons * (1.0 / detector.gain)

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from scipy.stats import chi2, kstest, norm, poisson
 
+from scope_models import Detector, Motion, Star, simulate
 from scope_models.effects._noise import (
     NOISE_TERMS,
     add_quantization,
-    add_read_noise,
     check_seed,
     fresh_seed,
     noise_terms,
@@ -139,7 +139,9 @@ def test_quantile_broadcasts():
 
 
 def test_read_noise_is_normal():
-    noise = add_read_noise(np.zeros(100_000), 90 * np.sqrt(270), stream(1, "read"))
+    detector = Detector.k2(read_noise=90.0, background=0.0)
+    observation = simulate(Star(40.0), detector, Motion.still(800), seed=1, noise="read")
+    noise = observation.flux.ravel() * detector.exposure_time
     assert kstest(noise, norm(0, 90 * np.sqrt(270)).cdf).pvalue > 1e-3
 
 
