@@ -64,8 +64,7 @@ class PixelSeries(Value):
 
     Examples
     --------
-    >>> from scope_models import Detector, Motion, Star, simulate
-    >>> from scope_models.io import read_pixels
+    >>> from scope_models import Detector, Motion, Star, read_pixels, simulate
     >>> observation = simulate(Star(12.0), Detector.k2(), Motion.still(50), seed=1)
     >>> series = read_pixels(observation.write("star.fits"))
     >>> series
@@ -186,8 +185,7 @@ def read_pixels(source, *, quality_bitmask=None):
 
     Examples
     --------
-    >>> from scope_models import Detector, Motion, Star, simulate
-    >>> from scope_models.io import read_pixels
+    >>> from scope_models import Detector, Motion, Star, read_pixels, simulate
     >>> observation = simulate(Star(12.0), Detector.k2(), Motion.still(50), seed=1)
     >>> series = read_pixels(observation.write("star.fits"))
     >>> series.flux.shape, series.header["OBJECT"], series.mission.name

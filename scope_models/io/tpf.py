@@ -344,8 +344,7 @@ def make_tpf_hdulist(
     Examples
     --------
     >>> import numpy as np
-    >>> from scope_models.io import TPFMetadata
-    >>> from scope_models.io.tpf import make_tpf_hdulist
+    >>> from scope_models.io.tpf import TPFMetadata, make_tpf_hdulist
     >>> metadata = TPFMetadata(mission="K2", target_id=7)
     >>> flux = np.ones((3, 5, 4))
     >>> hdus = make_tpf_hdulist(

@@ -47,8 +47,7 @@ class CorrectedPRF(TabulatedPRF):
     Examples
     --------
     >>> import numpy as np
-    >>> from scope_models import PRF, BivariateGaussianPSF
-    >>> from scope_models.models import CorrectedPRF
+    >>> from scope_models.models import PRF, BivariateGaussianPSF, CorrectedPRF
     >>> y, x = np.mgrid[-45:46, -45:46] / 9
     >>> samples = PRF(BivariateGaussianPSF())(x, y)
     >>> wider = CorrectedPRF(samples, 9, order=2, c_2_0=0.1, c_0_2=0.1)

@@ -54,8 +54,7 @@ class GaussHermitePSF(StarModel):
 
     Examples
     --------
-    >>> from scope_models import integrate_pixels
-    >>> from scope_models.models import GaussHermitePSF
+    >>> from scope_models.models import GaussHermitePSF, integrate_pixels
     >>> psf = GaussHermitePSF(100, sigma_x=0.6, sigma_y=0.6, order=3, c_3_0=0.1)
     >>> print(integrate_pixels(psf, x=[-1, 0, 1], y=[0, 0, 0]).round(2))
     [12.11 35.44 11.24]

@@ -166,8 +166,7 @@ class DiffusionSensitivity(Fittable2DModel):
 
     Examples
     --------
-    >>> from scope_models import BivariateGaussianPSF, integrate_pixels
-    >>> from scope_models.models import DiffusionSensitivity
+    >>> from scope_models.models import BivariateGaussianPSF, DiffusionSensitivity, integrate_pixels
     >>> sensitivity = DiffusionSensitivity(0.15)
     >>> print(f"{sensitivity(3, 7):.4f} {sensitivity(2.5, 7):.4f}")
     0.9983 0.4996

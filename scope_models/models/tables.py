@@ -295,8 +295,7 @@ class TabulatedPRF(_Table):
     Examples
     --------
     >>> import numpy as np
-    >>> from scope_models import PRF, BivariateGaussianPSF
-    >>> from scope_models.models import TabulatedPRF
+    >>> from scope_models.models import PRF, BivariateGaussianPSF, TabulatedPRF
     >>> y, x = np.mgrid[-45:46, -45:46] / 9
     >>> table = TabulatedPRF(PRF(BivariateGaussianPSF())(x, y), oversampling=9)
     >>> image = PRF(table).render((5, 5), flux=100, x_0=2.1, y_0=2)

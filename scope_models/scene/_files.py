@@ -68,8 +68,7 @@ def read_scene(path):
     Examples
     --------
     >>> import numpy as np
-    >>> from scope_models import Detector, Motion, Star, simulate
-    >>> from scope_models.scene import read_scene
+    >>> from scope_models import Detector, Motion, Star, read_scene, simulate
     >>> observation = simulate(Star(12.0), Detector.k2(), Motion.still(10), seed=1)
     >>> path = observation.write("star.fits")
     >>> again = simulate(read_scene(path))

@@ -90,7 +90,9 @@ class KeplerPointing(Pointing):
     \mathrm{yr} + \phi)` at the ecliptic latitude :math:`\beta`, so that a star at :math:`(X, Y)`
     drifts by :math:`s (X, Y)` less the mean. To this come slow red noise, the heaters' cycle and
     white jitter. Numbers without another source are measured on POS_CORR of Kepler-62 in quarter
-    5, whose range of 0.122 x 0.090 px the default place and phase reproduce.
+    5, with a range along columns and rows of 0.123 and 0.092 px, here 0.122 and 0.090 px, and a
+    robust scatter about a running median of 49 cadences of 0.00022 and 0.00020 px, here 0.00024
+    and 0.00027 px.
 
     Parameters
     ----------

@@ -456,11 +456,7 @@ class Motion(Value):
     @classmethod
     @documented(rest=_rest("KeplerPointing"))
     def kepler(cls, n_cadences=4500, *, cadence="long", seed=1, start=_KEPLER.start, **parameters):
-        """Generate the motion of a Kepler star over a quarter.
-
-        Compared with Kepler-62 in quarter 5 (4634 cadences): range along columns and rows 0.123 and
-        0.092 px there, 0.122 and 0.090 px here; robust scatter about a running median of 49
-        cadences 0.00022 and 0.00020 px there, 0.00024 and 0.00027 px here.
+        """Generate the motion of a Kepler star over a quarter, by default that of Kepler-62.
 
         Parameters
         ----------
@@ -484,10 +480,6 @@ class Motion(Value):
     @documented(rest=_rest("TESSPointing", zero="BTJD"))
     def tess(cls, n_cadences=None, *, cadence="120 s", seed=1, start=_TESS.start, **parameters):
         """Generate the motion of a TESS star over a sector of two orbits.
-
-        Compared with TIC 273589987 in sector 15 (100 cadences of 120 s): scatter along columns and
-        rows 0.0027 and 0.0051 px there and here, correlation from one cadence to the next -0.31
-        there and here.
 
         Parameters
         ----------

@@ -72,8 +72,7 @@ def register_preset(name, *, cadences=(), **fields):
 
     Examples
     --------
-    >>> from scope_models import Detector
-    >>> from scope_models.scene import register_preset
+    >>> from scope_models.scene import Detector, register_preset
     >>> _ = register_preset(
     ...     "survey", mission="survey", shape=(11, 11), zero_point=2e4, zero_point_mag=10.0,
     ...     int_time=4.0, n_frames=15, pixel_scale=20.0, read_noise=8.0)

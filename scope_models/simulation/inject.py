@@ -71,8 +71,7 @@ def inject(tpf, signal=None, star=None, *, seed=None, noise=True):
 
     Examples
     --------
-    >>> from scope_models import Detector, Motion, Star, TransitModel, simulate
-    >>> from scope_models.simulation import inject
+    >>> from scope_models import Detector, Motion, Star, TransitModel, inject, simulate
     >>> tpf = simulate(Star(12.0), Detector.k2(), Motion.k2_roll(200), seed=1).to_tpf()
     >>> planet = TransitModel.from_depth_duration(
     ...     0.01, duration=0.2, period=2.0, t0=tpf.time.value[50], exposure_time=0.0204)
