@@ -11,6 +11,7 @@ import numpy as np
 from astropy.io import fits
 
 from scope_models._arrays import without_unit
+from scope_models._values import html_table
 from scope_models._version import __version__
 from scope_models.batch._store import listed, read_records
 from scope_models.batch.results import read_light_curve, read_results
@@ -44,8 +45,8 @@ _STYLE = """
 :root { color-scheme: light dark; }
 body { font: 15px/1.5 system-ui, sans-serif; max-width: 1100px; margin: 2em auto; padding: 0 1em; }
 h1, h2 { font-weight: 600; } img { max-width: 100%; } table { border-collapse: collapse; }
-td { padding: .2em .8em; text-align: right; border-bottom: 1px solid #8886; }
-td:first-child { text-align: left; } pre { overflow-x: auto; background: #8882; }
+th, td { padding: .2em .8em; text-align: right; border-bottom: 1px solid #8886; }
+th { text-align: left; font-weight: 400; } pre { overflow-x: auto; background: #8882; }
 figure { display: inline-block; vertical-align: top; width: 48%; min-width: min(440px, 100%); }
 figure { margin: 1em 0; } figure:first-of-type { width: 100%; }
 figcaption, .note { opacity: 0.8; font-size: 90%; }
@@ -106,19 +107,17 @@ def write_report(folder, output=None):
 
 
 def _summary(table, failures):
-    rows = [("stars", len(table)), ("failed", len(failures))]
+    rows = {"stars": len(table), "failed": len(failures)}
     if "cdpp_everest" in table.colnames:
         raw, now = (without_unit(table[name]) for name in ("raw_cdpp_everest", "cdpp_everest"))
-        rows.append(("median noise over raw", f"{np.nanmedian(now / raw):.2f}"))
-        rows.append(("noisier than raw", int(np.sum(now > raw))))
+        rows["median noise over raw"] = f"{np.nanmedian(now / raw):.2f}"
+        rows["noisier than raw"] = int(np.sum(now > raw))
     if "seconds" in table.colnames:
         seconds = without_unit(table["seconds"])
-        rows.append(("processor time per file", f"{np.median(seconds):.2f} s"))
-        rows.append(("processor time of all", f"{np.sum(seconds) / 3600:.2f} h"))
-        rows.append(("peak memory", f"{np.nanmax(without_unit(table['peak_memory'])):.0f} MiB"))
-    rows.append(("version", f"scope_models {__version__}"))
-    lines = ["".join(f"<td>{html.escape(str(cell))}</td>" for cell in row) for row in rows]
-    return "<table>" + "".join(f"<tr>{line}</tr>" for line in lines) + "</table>"
+        rows["processor time per file"] = f"{np.median(seconds):.2f} s"
+        rows["processor time of all"] = f"{np.sum(seconds) / 3600:.2f} h"
+        rows["peak memory"] = f"{np.nanmax(without_unit(table['peak_memory'])):.0f} MiB"
+    return html_table(f"scope_models {__version__}", rows)
 
 
 def _noise(table):
