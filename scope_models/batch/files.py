@@ -79,10 +79,9 @@ def detrend_files(
     Returns
     -------
     SweepResult
-        A row per file with its noise before and after in ppm (6.5-h CDPP, lightkurve's as
-        ``cdpp`` and EVEREST's as ``cdpp_everest``), crowding as the header has it, transit
-        survival if it is wanted, and warnings; medians by magnitude;
-        failures; and the files.
+        A row per file with its noise before and after in ppm (6.5-h CDPP, lightkurve's as ``cdpp``
+        and EVEREST's as ``cdpp_everest``), crowding as the header has it, transit survival if it is
+        wanted, and warnings; medians by magnitude; failures; and the files.
 
     Raises
     ------
@@ -152,9 +151,8 @@ def fit_files(paths, output_dir, client=None, *, overwrite=False, sweep=None, **
     {run}
     **options
         Arguments of `~scope_models.fit_tpf` and `~scope_models.fitting.FitOptions` that are
-        numbers, text, or true or false;
-        ``sensitivity=True`` fits a quadratic response, ``cadences=N`` uses the first N only,
-        ``neighbors`` is "find" or the file of a catalog.
+        numbers, text, or true or false; ``sensitivity=True`` fits a quadratic response,
+        ``cadences=N`` uses the first N only, ``neighbors`` is "find" or the file of a catalog.
 
     Returns
     -------

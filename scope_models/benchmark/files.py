@@ -124,12 +124,11 @@ def score_light_curves(paths):
     Returns
     -------
     astropy.table.Table
-        A row per file: "file", "regime" and the fields of
-        `~scope_models.benchmark.SkyScore`. The truth with the noise of its pixels has 1 in
-        ``full``, ``high_passed``, ``amplitude``, ``depth`` and ``pull``. For codes of photometry,
-        "bias" is the standard deviation of what depends on the place within the pixel, "step" the
-        root mean square of the steps where the star crosses from pixel to pixel, both in ppm and
-        less the expected noise: 0 for the truth.
+        A row per file: "file", "regime" and the fields of `~scope_models.benchmark.SkyScore`. The
+        truth with the noise of its pixels has 1 in ``full``, ``high_passed``, ``amplitude``,
+        ``depth`` and ``pull``. For codes of photometry, "bias" is the standard deviation of what
+        depends on the place within the pixel, "step" the root mean square of the steps where the
+        star crosses from pixel to pixel, both in ppm and less the expected noise: 0 for the truth.
 
     Raises
     ------
