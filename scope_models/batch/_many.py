@@ -64,6 +64,8 @@ def run_files(
     for file, row in zip(names, rows or [{}] * len(names), strict=True):
         stem = unicodedata.normalize("NFC", FITS.sub("", Path(file).name))
         key = re.sub(r"[^\w.+=-]", "_", stem).strip("._-")
+        if not key:
+            raise ValueError(f"the name of {file} has no letter or digit for that of its output")
         if key in keys:
             raise ValueError(f"{keys[key]} and {file} would both become {key}{suffix}")
         keys[key] = file

@@ -74,7 +74,7 @@ def make_light_curve_hdulist(tpf, columns, *, aperture, cards=()):
     primary.header["TELESCOP"] = (series.mission.telescope, "telescope")
     for keyword, value, comment in cards:
         primary.header[keyword] = (value, comment)
-    table = fits.BinTableHDU.from_columns(columns, name="LIGHTCURVE")
+    table = fits.BinTableHDU.from_columns(columns, name="LIGHTCURVE", ver=1)
     table.header["TUNIT1"] = (f"BJD - {series.mission.time_zero:.0f}", "days, barycentric (TDB)")
     table.header.extend(_kept(sources[1]), end=True)
     table.header["BJDREFI"] = (int(series.mission.time_zero), "reference of TIME, integer part")

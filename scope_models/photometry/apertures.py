@@ -311,8 +311,10 @@ def aperture_flux(flux, aperture, flux_err=None):
     """
     flux = plain_array(flux, _RATE, "flux")
     aperture = np.asarray(aperture)
-    if flux.ndim != 3 or aperture.shape not in (flux.shape, flux.shape[1:]):
-        wanted = f"{flux.shape[-2:]} or {flux.shape}"
+    if flux.ndim != 3:
+        raise ValueError(f"`flux` must have the shape (n_cadences, ny, nx), got {flux.shape}")
+    if aperture.shape not in (flux.shape, flux.shape[1:]):
+        wanted = f"{flux.shape[1:]} or {flux.shape}"
         raise ValueError(f"`aperture` must have shape {wanted}, got {aperture.shape}")
     is_mask = aperture.dtype == bool and aperture.ndim == 2
     weights = 1.0 if is_mask else np.broadcast_to(aperture.astype(float), flux.shape)

@@ -203,6 +203,10 @@ class TestOthers:
         written = [fits.getheader(tmp_path / "stars" / f"{name}.fits") for name in table["name"]]
         assert [header["OBJECT"] for header in written] == ["etoile", "SIM 1"]
 
+    def test_a_name_without_letters(self, files, tmp_path):
+        with pytest.raises(ValueError, match=r"the name of .*_\.fits has no letter or digit"):
+            fit_files([files[0].rename(tmp_path / "_.fits")], tmp_path / "out", sweep=QUIET)
+
     def test_another_motion_in_the_same_place_is_refused(self, files, tmp_path):
         options = {"motion": tmp_path / "motion.fits", "cadences": 20, "sweep": QUIET}
         for file in files[:2]:

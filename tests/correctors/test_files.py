@@ -6,6 +6,7 @@ import lightkurve
 import numpy as np
 import pytest
 from astropy.io import fits
+from astropy.timeseries import TimeSeries
 
 from scope_models.cli import main
 from scope_models.correctors import PLDCorrector, detrend_file
@@ -42,6 +43,15 @@ def test_lightkurve_reads_the_file(tpf_file, tmp_path):
     np.testing.assert_allclose(raw, corrector.original_lc.flux.value, rtol=1e-6)
     assert lc.flux.unit == corrected.flux.unit
     assert lc.meta["TARGETID"] == 7
+
+
+@pytest.mark.filterwarnings("ignore::astropy.units.UnitsWarning")
+def test_astropy_reads_the_file(tpf_file, tmp_path):
+    corrector = detrend_file(tpf_file, tmp_path / "lc.fits", order=1)
+    series = TimeSeries.read(tmp_path / "lc.fits", format="kepler.fits")
+    corrected = corrector.corrected_lc
+    np.testing.assert_allclose((series.time - corrected.time).sec, 0, atol=1e-4)
+    np.testing.assert_allclose(series["flux"].value, corrected.flux.value, rtol=1e-6)
 
 
 def test_path_gives_what_the_object_gives(tpf_file):

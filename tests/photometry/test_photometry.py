@@ -242,6 +242,8 @@ def test_arguments_that_are_refused():
         cdpp(np.ones(500), filter_window="101")
     with pytest.raises(ValueError, match=r"`flux_err` must have shape \(2, 1, 2\), got \(2,\)"):
         aperture_flux(np.ones((2, 1, 2)), np.array([[True, True]]), [1.0, 1.0])
+    with pytest.raises(ValueError, match=r"`flux` must have the shape \(n_c.*got \(1, 2\)"):
+        aperture_flux(np.ones((1, 2)), np.array([[True, True]]))
 
 
 def test_one_error_for_all_pixels():
