@@ -14,7 +14,7 @@ from scope_models import models
 from scope_models._arrays import plain_array
 from scope_models.exceptions import FitWarning
 from scope_models.fitting._problem import State, median_image
-from scope_models.io.pixels import star_places, usable_positions
+from scope_models.io.pixels import star_places, target_among, usable_positions
 
 __all__ = [
     "APART", "PixelData", "centroids", "find_stars", "is_faint", "linear_start", "make_prf",
@@ -26,8 +26,8 @@ __all__ = [
 _LEAST_PART, _LEAST_SIGNIFICANCE = 0.05, 10.0
 # Most stars that are found: time goes with their square.
 _MOST_FOUND = 11
-# Maxima so near a star are its own, pixels.
-APART = 1.5
+# Maxima so near a star are its own, and a given star so near the target is the target, pixels.
+APART, _ITSELF = 1.5, 0.3
 # Given stars farther outside of the pixels have no light in them, pixels.
 _FARTHEST = 5.0
 _SIGMAS, _FRACTIONS = (0.5, 1.1, 2.0), (0.7, 0.25, 0.05)
@@ -140,22 +140,26 @@ def _drop_saturated(flux, limit):
 
 
 def read_places(stars, neighbors, series, *, several):
-    """Per file, the position of the target or None, and those of the other stars, ``(k, 2)``."""
+    """Per file, the position of the target or None, and those of the other stars, ``(k, 2)``.
+
+    Third comes the distance from the target within which other stars are the target, pixels.
+    """
     if stars is not None and neighbors is not None:
         raise ValueError("give either `stars` or `neighbors`, not both")
     name, given = ("stars", stars) if neighbors is None else ("neighbors", neighbors)
     if given is None:
-        return [(None, np.zeros((0, 2)))] * len(series)
+        return [(None, np.zeros((0, 2)), 0.0)] * len(series)
     if not several or isinstance(given, str):
         given = [given] * len(series)
     if len(given) != len(series):
         raise ValueError(f"`{name}` must be positions for each of {len(series)} files")
     found = [*map(partial(_positions, name), given, series)]
     if name == "neighbors":
-        return [(None, positions) for positions in found]
+        own = APART if isinstance(neighbors, str) else _ITSELF
+        return [(None, positions, own) for positions in found]
     if not all(map(len, found)):
         raise ValueError("`stars` must have at least the target")
-    return [(positions[0], positions[1:]) for positions in found]
+    return [(positions[0], positions[1:], -np.inf) for positions in found]
 
 
 def _positions(name, places, series):
@@ -171,6 +175,9 @@ def _positions(name, places, series):
         )
     else:
         found = star_places(name, places, series)
+        target = target_among(places, series) if name == "neighbors" else None
+        if target is not None:
+            found = found[np.hypot(*(found - target).T) > _ITSELF]
         size = np.array(series.flux.shape[:0:-1])  # columns, rows
         kept = (np.abs(found - (size - 1) / 2) - size / 2 <= _FARTHEST).all(axis=1)
         if name == "stars":

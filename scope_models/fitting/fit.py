@@ -80,7 +80,8 @@ def fit_tpf(
         the local maxima of the median image, the brightest first. By default one star, where the
         light is. For several files, a sequence of them.
     neighbors : as ``stars``, optional
-        Positions of the other stars only; "find": the maxima more than 1.5 px from the target.
+        Positions of the other stars only; the target among places on the sky is left out. "find":
+        the maxima more than 1.5 px from the target.
     empirical : int, optional
         Order of a `~scope_models.models.GaussHermitePSF` that is added to the PSF; 0 for none.
         Its width and its part of the flux are fixed, its coefficients have a prior of standard
@@ -349,7 +350,7 @@ def _make_problem(series, places, prf, flux_err, options, motion):
         raise ValueError("`focus` needs a PSF with a width: a Gaussian or an empirical term")
     n_free = 1 + 2 * (options.positions != "path") + (options.background == "cadence")
     detectors, stamps = [], []
-    for item, (_, others) in zip(series, places, strict=True):
+    for item, (_, others, _) in zip(series, places, strict=True):
         changes = {} if item.mission else {"mission": "Kepler"}
         detectors.append(Detector.from_tpf(item, psf=None, sensitivity=None, **changes))
         more, saturation = n_free + len(others), options.saturation
@@ -364,12 +365,11 @@ def _make_problem(series, places, prf, flux_err, options, motion):
     if len(stamps) > 1:
         stamps = [stamp[np.isin(stamp.cadenceno, common)] for stamp in stamps]
     stars, first = [], None
-    for number, (stamp, (target, others)) in enumerate(zip(stamps, places, strict=True)):
+    for number, (stamp, (target, others, own)) in enumerate(zip(stamps, places, strict=True)):
         center = np.median(_start.centroids(stamp, target), axis=0)
         first = center if first is None else first
         stars.append(FitStar(*(center - first), number))
-        apart = np.hypot(*(others - center).T) > (_start.APART if target is None else -1)
-        for other in others[apart]:
+        for other in others[np.hypot(*(others - center).T) > own]:
             weak = options.neighbor_flux == "auto" and _start.is_faint(stamp, center, other)
             constant = options.neighbor_flux == "constant" or weak
             stars.append(FitStar(*(other - first), number, constant))

@@ -452,12 +452,20 @@ def read_neighbors(path, series):
     table = _opening.read_table(path)
     places = star_places("neighbors", table, series)
     kept = ((places > -0.5) & (places < np.array(series.flux.shape[:0:-1]) - 0.5)).all(axis=1)
-    on_sky = len(table) and "x" not in map(str.lower, table.colnames)
-    target = target_place(series) if on_sky else None
-    if target is not None:
+    target = target_among(table, series)
+    if target is not None and len(table):
         distance = np.hypot(*(places - target).T)
         kept[np.argmin(distance)] &= distance.min() > 1
     return table[kept]
+
+
+def target_among(places, series):
+    """Return the target's column and row for places on the sky; None for others or if unknown."""
+    from astropy.coordinates import SkyCoord
+
+    names = {name.lower() for name in getattr(places, "colnames", ("x", "y"))}
+    on_sky = isinstance(places, SkyCoord) or not {"x", "y"} <= names
+    return target_place(series) if on_sky else None
 
 
 def target_place(series):

@@ -12,6 +12,7 @@ from scope_models import (
     BivariateGaussianPSF,
     Detector,
     Motion,
+    Scene,
     Star,
     TPFFit,
     fit_tpf,
@@ -71,6 +72,34 @@ def test_two_stars(pair, how):
                 continue  # the mean response of each star's pixels is not known
             assert np.abs(pulls(values, errors, truth)).max() < 6, (k, name)
     assert fit.values["x_star_1"] == pytest.approx(PLACES[1][0] - PLACES[0][0], abs=0.01)
+
+
+def test_a_close_neighbor():
+    """Also where its light moves the centroid."""
+    place = (PLACES[0][0] + 0.9, PLACES[0][1] + 0.8)
+    stars = Star(12.0, *PLACES[0]), Star(12.6, *place)
+    observation = simulate(stars, DETECTOR, Motion.k2_roll(60), seed=4)
+    fit, messages = messages_of(observation.to_tpf(), 1, neighbors=[place], interpixel=0)
+    assert messages == ""
+    used = np.isin(observation.cadenceno, fit.cadenceno)
+    for k, star in enumerate((fit, *fit.neighbors)):
+        truth = truth_of(observation, "flux", k)[used]
+        assert np.abs(pulls(star.flux, star.flux_err, truth)).max() < 5
+
+
+def test_catalogs_may_hold_the_target():
+    """On the sky it is where the coordinates of the file are, wherever the telescope points."""
+    motion = Motion.still(40)
+    scene = Scene(
+        [Star(12.0, *PLACES[0]), Star(13.0, *PLACES[1])], DETECTOR,
+        motion.replace(x=np.full(40, 0.7)), seed=1, ra=10.0, dec=5.0,
+    )  # fmt: skip
+    tpf = simulate(scene).to_tpf()
+    catalog = tpf.wcs.pixel_to_world(*np.transpose(PLACES))
+    for neighbors in (catalog, Table({"ra": catalog.ra, "dec": catalog.dec})):
+        fit = fit_tpf(tpf, 1, neighbors=neighbors, interpixel=0)
+        assert len(fit.neighbors) == 1
+        assert fit.values["x_star_1"] == pytest.approx(PLACES[1][0] - PLACES[0][0], abs=0.01)
 
 
 def test_constant_neighbor():
