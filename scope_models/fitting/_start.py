@@ -17,8 +17,8 @@ from scope_models.fitting._problem import State, median_image
 from scope_models.io.pixels import star_places, target_among, usable_positions
 
 __all__ = [
-    "APART", "PixelData", "centroids", "find_stars", "is_faint", "linear_start", "make_prf",
-    "make_rich_prfs", "read_data", "read_places", "solved", "starting_state",
+    "APART", "PixelData", "centroids", "find_stars", "is_faint", "linear_start", "located",
+    "make_prf", "make_rich_prfs", "read_data", "read_places", "solved", "starting_state",
 ]  # fmt: skip
 
 # A local maximum of the median image is a star if it is brighter than this part of the brightest
@@ -140,10 +140,7 @@ def _drop_saturated(flux, limit):
 
 
 def read_places(stars, neighbors, series, *, several):
-    """Per file, the position of the target or None, and those of the other stars, ``(k, 2)``.
-
-    Third comes the distance from the target within which other stars are the target, pixels.
-    """
+    """Per file, the arguments of `located` that follow the data."""
     if stars is not None and neighbors is not None:
         raise ValueError("give either `stars` or `neighbors`, not both")
     name, given = ("stars", stars) if neighbors is None else ("neighbors", neighbors)
@@ -155,8 +152,10 @@ def read_places(stars, neighbors, series, *, several):
         raise ValueError(f"`{name}` must be positions for each of {len(series)} files")
     found = [*map(partial(_positions, name), given, series)]
     if name == "neighbors":
-        own = APART if isinstance(neighbors, str) else _ITSELF
-        return [(None, positions, own) for positions in found]
+        if isinstance(neighbors, str):
+            return [(None, positions, APART) for positions in found]
+        targets = map(_target_on_sky, given, series)
+        return [(*pair, _ITSELF) for pair in zip(targets, found, strict=True)]
     if not all(map(len, found)):
         raise ValueError("`stars` must have at least the target")
     return [(positions[0], positions[1:], -np.inf) for positions in found]
@@ -186,6 +185,32 @@ def _positions(name, places, series):
     if not kept.all():
         warnings.warn(message, FitWarning, stacklevel=4)
     return found[kept]
+
+
+def _target_on_sky(places, series):
+    """Return the maximum at the target's coordinates if places are on the sky, else None."""
+    target = target_among(places, series)
+    if target is None:
+        return None
+    peaks = find_stars(series.flux)
+    near = peaks[np.hypot(*(peaks - target).T) <= APART]
+    return near[0] if len(near) else None
+
+
+def located(data, target, others, own):
+    """Return where the target is sought, None for the brightest light; its center; other stars.
+
+    Those within ``own`` pixels of the target are the target. But a given star at the brightest
+    light is another one if there is light of no given star.
+    """
+    center = np.median(centroids(data, target), axis=0)
+    itself = np.hypot(*(others - center).T) <= own
+    if target is None and own < APART and itself.any():
+        peaks = find_stars(data.light)
+        apart = (np.hypot(*(peaks[:, None] - others).T) > APART).all(axis=0)
+        if apart.any():
+            return located(data, peaks[apart][0], others, own)
+    return target, center, others[~itself]
 
 
 def find_stars(flux):

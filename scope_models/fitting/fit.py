@@ -80,8 +80,9 @@ def fit_tpf(
         the local maxima of the median image, the brightest first. By default one star, where the
         light is. For several files, a sequence of them.
     neighbors : as ``stars``, optional
-        Positions of the other stars only; the target among places on the sky is left out. "find":
-        the maxima more than 1.5 px from the target.
+        Positions of the other stars only, of which none is the target, even where one is brighter;
+        the target among places on the sky is left out. "find": the maxima more than 1.5 px from
+        the target.
     empirical : int, optional
         Order of a `~scope_models.models.GaussHermitePSF` that is added to the PSF; 0 for none.
         Its width and its part of the flux are fixed, its coefficients have a prior of standard
@@ -364,16 +365,15 @@ def _make_problem(series, places, prf, flux_err, options, motion):
         raise ValueError("the files have no cadence in common")
     if len(stamps) > 1:
         stamps = [stamp[np.isin(stamp.cadenceno, common)] for stamp in stamps]
-    stars, first = [], None
-    for number, (stamp, (target, others, own)) in enumerate(zip(stamps, places, strict=True)):
-        center = np.median(_start.centroids(stamp, target), axis=0)
-        first = center if first is None else first
+    found = [_start.located(stamp, *item) for stamp, item in zip(stamps, places, strict=True)]
+    stars, (target, first, _) = [], found[0]
+    for number, (stamp, (_, center, others)) in enumerate(zip(stamps, found, strict=True)):
         stars.append(FitStar(*(center - first), number))
-        for other in others[np.hypot(*(others - center).T) > own]:
+        for other in others:
             weak = options.neighbor_flux == "auto" and _start.is_faint(stamp, center, other)
             constant = options.neighbor_flux == "constant" or weak
             stars.append(FitStar(*(other - first), number, constant))
-    span, target = stamps[0].time[[0, -1]].tolist(), places[0][0]
+    span = stamps[0].time[[0, -1]].tolist()
     given = tuple(stamps), prf, options, tuple(stars), span, first.tolist(), target
     return Problem(*given), detectors
 
