@@ -41,7 +41,8 @@ class Observation(Value):
     flux_bkg : ndarray of shape (n_cadences, ny, nx)
         Background that was subtracted, e-/s. It is the true level.
     raw_cnts : ndarray of int, shape (n_cadences, ny, nx)
-        Digital numbers of the whole cadence, with background and fixed offset.
+        Digital numbers of the whole cadence, at least 0, with background and fixed offset; -1
+        where there are no data.
     quality : ndarray of int, shape (n_cadences,)
         Quality flags: those of the motion and of the effects.
     scene : Scene

@@ -183,7 +183,7 @@ def _record(prepared, part, charges, pedestals, streams, cubes):
     counts = electrons * (1.0 / detector.gain)
     counts += detector.fixed_offset
     np.rint(counts, out=counts)
-    counts[counts > _LARGEST_COUNT] = _LARGEST_COUNT
+    np.clip(counts, 0, _LARGEST_COUNT, out=counts)
     cubes["raw_cnts"][...] = counts
     for effect, drawn in reversed(prepared.effects):
         effect.calibrate(drawn, prepared.conditions, part, electrons)

@@ -180,6 +180,16 @@ def test_write_and_read(observation, tmp_path):
     assert np.array_equal(truth.maps["INTERPIXEL"], observation.truth.interpixel)
 
 
+def test_no_offset_and_no_background(tmp_path):
+    """A converter gives no negative counts, and -1 stands for no data."""
+    detector = Detector.k2(background=0.0, fixed_offset=0, shape=(7, 7))
+    dark = simulate(Star(16.0), detector, Motion.k2_roll(20), seed=1)
+    assert dark.flux.min() < 0
+    assert dark.raw_cnts.min() == 0
+    raw = fits.getdata(dark.write(tmp_path / "star.fits"))["RAW_CNTS"]
+    assert np.array_equal(raw, dark.raw_cnts)
+
+
 def test_the_file_gives_back_the_truth(observation, tmp_path):
     truth = read_truth(observation.write(tmp_path / "star.fits"))
     assert type(truth) is type(observation.truth)
