@@ -16,6 +16,7 @@ from scope_models.missions import MISSIONS
 from scope_models.models import PRF, SensitivityPolynomial
 from scope_models.models._description import describe_model, make_model, packed, unpacked
 from scope_models.models._parameters import numbers_of
+from scope_models.scene._files import describe_effect, make_effect
 from scope_models.scene._motion_arrays import offsets_at
 from scope_models.scene.detector import Detector
 from scope_models.scene.motion import Motion
@@ -27,7 +28,7 @@ __all__ = [
 ]  # fmt: skip
 
 _CREATOR, _VERSION = "scope_models fit", 2
-_NOT_OF_THE_DETECTOR = ("sensitivity", "interpixel", "psf")
+_NOT_OF_THE_DETECTOR = ("sensitivity", "interpixel", "psf", "effects")
 _IMAGES = ("covariance", "interpixel", "interpixel_err", "observed", "observed_err", "fitted")
 # Two periods of the roll of K2: what is faster is the pixels', not the star's.
 SMOOTHING_DAYS = 0.5
@@ -95,6 +96,7 @@ def _fields_of(hdus):
         parameter.value, parameter.fixed = value, prf["fixed"][name]
         parameter.bounds = tuple(prf["bounds"][name])
     detector |= {"sensitivity": model.sensitivity, "shape": tuple(detector["shape"])}
+    detector["effects"] = [make_effect(effect) for effect in detector["effects"]]
     shares = ({name: unpacked(v) for name, v in one.items()} for one in described["response"])
     response = tuple(PixelShares(**values) for values in shares)
     statistics = {name: described.get(name, np.nan) for name in _parameters.STATISTICS}
@@ -128,7 +130,8 @@ def _description(fit):
             "fixed": {name: bool(fixed) for name, fixed in model.fixed.items()},
             "bounds": {name: list(bounds) for name, bounds in model.bounds.items()},
         },
-        "detector": {n: detector[n] for n in detector if n not in _NOT_OF_THE_DETECTOR},
+        "detector": {n: detector[n] for n in detector if n not in _NOT_OF_THE_DETECTOR}
+        | {"effects": [describe_effect(effect) for effect in fit.detector.effects]},
         "names": list(fit.names),
         "kinds": fit.parameters["kind"][: len(fit.names)].tolist(),
         "at_bounds": list(fit.at_bounds),

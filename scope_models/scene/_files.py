@@ -35,8 +35,8 @@ from scope_models.scene.scene import Scene
 from scope_models.scene.star import Star
 
 __all__ = [
-    "describe_scene", "read_detector", "read_motion", "read_scene", "scene_columns",
-    "write_object",
+    "describe_effect", "describe_scene", "make_effect", "read_detector", "read_motion",
+    "read_scene", "scene_columns", "write_object",
 ]  # fmt: skip
 
 _VERSION = 3
@@ -81,7 +81,7 @@ def read_scene(path):
         described = truth.scene
         detector = _detector(described["detector"], truth.maps)
         stars = [_star(star, i, truth.columns) for i, star in enumerate(described["stars"], 1)]
-        effects = [_effect(effect) for effect in described["effects"]]
+        effects = [make_effect(effect) for effect in described["effects"]]
         return Scene(stars, detector, _motion(truth), effects=effects, **described["options"])
 
     return _made(path, truth.scene, "scene", scene)
@@ -219,7 +219,7 @@ def describe_scene(scene):
         "detector": _describe_detector(scene.detector),
         "motion": _describe_motion(scene.motion),
         "options": plain_tree(options, str),
-        "effects": [_describe_effect(effect) for effect in scene.effects],
+        "effects": [describe_effect(effect) for effect in scene.effects],
     }
 
 
@@ -256,13 +256,13 @@ def _describe_motion(motion):
     return {"time_format": motion.time_format, "meta": plain_tree(motion.meta, str)} | place
 
 
-def _describe_effect(effect):
+def describe_effect(effect):
     values = {item.name: getattr(effect, item.name) for item in fields(effect)}
     parameters = {name: plain_tree(packed(value), str) for name, value in values.items()}
     return {"class": type(effect).__name__, "parameters": parameters}
 
 
-def _effect(described):
+def make_effect(described):
     values = {name: unpacked(value) for name, value in described["parameters"].items()}
     kind = _named_effect(described["class"])
     return kind(**(_OLD_FIELDS.get(kind.__name__, {}) | values))
@@ -279,7 +279,7 @@ def _describe_detector(detector):
         described[name] = describe_model(described[name])
     described["shape"] = list(detector.shape)
     described["interpixel"] = detector.interpixel is not None
-    described["effects"] = [_describe_effect(effect) for effect in detector.effects]
+    described["effects"] = [describe_effect(effect) for effect in detector.effects]
     return described
 
 
@@ -289,7 +289,7 @@ def _detector(described, maps):
         values[name] = make_model(values[name])
     values["shape"] = tuple(values["shape"])
     values["interpixel"] = maps["INTERPIXEL"] if values["interpixel"] else None
-    values["effects"] = [_effect(described) for described in values["effects"]]
+    values["effects"] = [make_effect(described) for described in values["effects"]]
     return Detector(**values)
 
 

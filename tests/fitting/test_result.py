@@ -88,6 +88,14 @@ def test_file_holds_everything(fit, tmp_path):
     assert [file.name for file in tmp_path.iterdir()] == ["fit.fits"]
 
 
+def test_file_of_a_telescope_on_the_ground(tmp_path):
+    """Its detector has effects of the atmosphere."""
+    scene = Star(17.0), Detector.ground(), Motion.ground(20)
+    fit = fit_tpf(simulate(*scene, seed=1).to_tpf(), psf=1, interpixel=0)
+    assert fit.detector.effects
+    assert TPFFit.read(fit.write(tmp_path / "fit.fits")) == fit
+
+
 def test_other_files_are_refused(tmp_path):
     path = tmp_path / "other.fits"
     fits.PrimaryHDU().writeto(path)
