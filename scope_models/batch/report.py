@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from astropy.io import fits
 
-from scope_models._arrays import without_unit
+from scope_models._arrays import values_of, without_unit
 from scope_models._values import html_table
 from scope_models._version import __version__
 from scope_models.batch._store import listed, read_records
@@ -89,7 +89,7 @@ def write_report(folder, output=None):
     failures = [record for record in read_records(folder) if "error" in record]
     table = read_results(folder)
     parts = [_summary(table, failures)]
-    if "cdpp_everest" in table.colnames:
+    if np.isfinite(values_of(table, "cdpp_everest")).any():
         parts += [_noise(table), _outliers(folder, table)]
     warned = [(row["key"], row["warnings"], "") for row in table if _text(row, "warnings")]
     failed = [(row["task"]["key"], row["error"], row["traceback"]) for row in failures]
@@ -108,15 +108,17 @@ def write_report(folder, output=None):
 
 def _summary(table, failures):
     rows = {"stars": len(table), "failed": len(failures)}
-    if "cdpp_everest" in table.colnames:
-        raw, now = (without_unit(table[name]) for name in ("raw_cdpp_everest", "cdpp_everest"))
+    raw, now = (values_of(table, name) for name in ("raw_cdpp_everest", "cdpp_everest"))
+    if np.isfinite(now / raw).any():
         rows["median noise over raw"] = f"{np.nanmedian(now / raw):.2f}"
         rows["noisier than raw"] = int(np.sum(now > raw))
     if "seconds" in table.colnames:
         seconds = without_unit(table["seconds"])
         rows["processor time per file"] = f"{np.median(seconds):.2f} s"
         rows["processor time of all"] = f"{np.sum(seconds) / 3600:.2f} h"
-        rows["peak memory"] = f"{np.nanmax(without_unit(table['peak_memory'])):.0f} MiB"
+        memory = values_of(table, "peak_memory")
+        if np.isfinite(memory).any():
+            rows["peak memory"] = f"{np.nanmax(memory):.0f} MiB"
     return html_table(f"scope_models {__version__}", rows)
 
 

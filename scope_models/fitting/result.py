@@ -16,6 +16,7 @@ from scope_models._docstrings import documented
 from scope_models._values import Value
 from scope_models.fitting import _parameters, _products, _shape
 from scope_models.fitting._doubts import doubts_of, followed
+from scope_models.fitting._problem import median_image
 from scope_models.models import PRF
 from scope_models.scene.detector import Detector
 
@@ -412,10 +413,11 @@ class TPFFit(Value):
         offset, density, _ = self.psf_image()
         border = (offset[-1] - offset[0] + offset[1] - offset[0]) / 2
         width, error = self.psf_shape()["value", "error"][0]
+        seen = np.isfinite(self.observed).any(axis=0)
+        cubes = self.observed, self.fitted, self.residual
+        images = (np.where(seen, median_image(cube), np.nan) for cube in cubes)
         return plot_fit(
-            np.nanmedian(self.observed, axis=0), np.nanmedian(self.fitted, axis=0),
-            np.nanmedian(self.residual, axis=0), self.x, self.y, psf=density,
-            psf_extent=(-border, border, -border, border),
+            *images, self.x, self.y, psf=density, psf_extent=(-border, border, -border, border),
             psf_width=f"FWHM {width:.3g} $\\pm$ {error:.1g} px", pos_corr=self.pos_corr,
             sensitivity=_products.sensitivity_profiles(self), chi2=self.chi2_pixels, time=self.time,
             flux=self.flux, time_label=f"Time ({self.time_format.upper()})",

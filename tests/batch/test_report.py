@@ -139,6 +139,15 @@ def test_all_have_failed(tmp_path):
     assert dict(row for row in page.rows if len(row) == 2)["failed"] == "1"
 
 
+def test_stars_too_short_for_a_noise(tmp_path):
+    scene = Star(11), Detector.tess(), Motion.tess(60)
+    path = simulate(*scene, seed=1).write(tmp_path / "short.fits")
+    detrend_files([path], tmp_path / "out", order=1, sweep=QUIET)
+    page = Page(write_report(tmp_path / "out").read_text(encoding="utf-8"))
+    assert "nan" not in page.text.lower().split()
+    assert "median noise over raw" not in page.text
+
+
 def test_other_runs(plain, tmp_path):
     page = Page(write_report(plain, tmp_path / "page.html").read_text(encoding="utf-8"))
     assert dict(row for row in page.rows if len(row) == 2)["stars"] == "2"

@@ -166,6 +166,14 @@ def test_figure_without_a_sensitivity_has_the_light_curve(observation):
     plt.close("all")
 
 
+def test_figure_with_pixels_that_are_left_out():
+    tpf = simulate(Star(12.0), Detector.k2(shape=(7, 7)), Motion.k2_roll(30), seed=1).to_tpf()
+    tpf.hdu[1].data["FLUX"][:, :, 0] = np.nan
+    axes = fit_tpf(tpf, 1).plot()
+    assert np.isnan(axes["data"].images[0].get_array()[:, 0].filled(np.nan)).all()
+    plt.close("all")
+
+
 def test_twin_figure_shows_the_series_and_not_the_outliers():
     curve = 1 + 0.01 * np.sin(np.arange(400))
     wild = curve.copy()
