@@ -2,6 +2,7 @@
 
 import argparse
 import importlib
+import io
 import signal
 import sys
 import warnings
@@ -50,6 +51,8 @@ def main(argv=None):
         arguments = _make_parser().parse_args(given)
         if argv is None:  # as a program: incomplete files are removed before the end
             signal.signal(signal.SIGTERM, _terminate)
+            if isinstance(sys.stdout, io.TextIOWrapper):  # names of files can be printed
+                sys.stdout.reconfigure(errors="backslashreplace")
         # Its logger takes over warnings when it is imported: before ours, which print one line.
         importlib.import_module("astropy")
         with warnings.catch_warnings(), one_thread:

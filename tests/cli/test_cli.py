@@ -1,5 +1,6 @@
 """The command line: what it writes and prints, and how it fails."""
 
+import os
 import shlex
 import subprocess
 import sys
@@ -381,6 +382,19 @@ def test_answers_without_heavy_imports(argv):
     assert result.returncode == 0
     assert result.stdout
     assert result.stderr == "[]"
+
+
+def test_names_that_the_terminal_cannot_show(tmp_path):
+    code = "import sys; from scope_models.cli import main; sys.exit(main())"
+    path = tmp_path / "\u661f.fits"
+    command = [sys.executable, "-X", "utf8=0", "-c", code, "simulate", "--mag", "12"]
+    result = subprocess.run(
+        [*command, "--cadences", "3", "--output", path], capture_output=True, text=True,
+        check=False, env=os.environ | {"PYTHONIOENCODING": "ascii"},
+    )  # fmt: skip
+    assert (result.returncode, result.stderr) == (0, "")
+    assert "\\u661f.fits: 3 cadences" in result.stdout
+    assert path.exists()
 
 
 def test_interrupt_during_the_first_import_is_one_line(monkeypatch, capsys):
