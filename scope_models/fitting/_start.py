@@ -26,8 +26,9 @@ __all__ = [
 _LEAST_PART, _LEAST_SIGNIFICANCE = 0.05, 10.0
 # Most stars that are found: time goes with their square.
 _MOST_FOUND = 11
-# Maxima so near a star are its own, and a given star so near the target is the target, pixels.
-APART, _ITSELF = 1.5, 0.3
+# Maxima so near a star are its own, pixels; and the half of a pixel within which a given star is
+# the target, whose coordinates may be of another epoch.
+APART, _ITSELF = 1.5, 0.5
 # Given stars farther outside of the pixels have no light in them, pixels.
 _FARTHEST = 5.0
 _SIGMAS, _FRACTIONS = (0.5, 1.1, 2.0), (0.7, 0.25, 0.05)

@@ -110,7 +110,8 @@ def test_catalogs_may_hold_the_target():
         motion.replace(x=np.full(40, 0.7)), seed=1, ra=10.0, dec=5.0,
     )  # fmt: skip
     tpf = simulate(scene).to_tpf()
-    catalog = tpf.wcs.pixel_to_world(*np.transpose(PLACES))
+    moved = np.add(PLACES, [[0.36, 0.0], [0.0, 0.0]])  # as a star with a large proper motion
+    catalog = tpf.wcs.pixel_to_world(*moved.T)
     for neighbors in (catalog, Table({"ra": catalog.ra, "dec": catalog.dec})):
         fit = fit_tpf(tpf, 1, neighbors=neighbors, interpixel=0)
         assert len(fit.neighbors) == 1
