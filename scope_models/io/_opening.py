@@ -300,10 +300,11 @@ def cards_of(*headers):
 
     Headers in memory also hold numpy's numbers, as those of lightkurve's cutouts do.
     """
-    simple = (str, bool, int, float, complex)
-    return {
-        key: value if isinstance(value, simple) else None
-        for header in headers
-        for key, value in plain_tree(dict(header.items())).items()
-        if key not in _NO_FACTS and not key.startswith("NAXIS")
-    }
+    facts = {}
+    for header in headers:
+        for key, value in plain_tree(dict(header.items())).items():
+            if key in _NO_FACTS or key.startswith("NAXIS"):
+                continue
+            known = isinstance(value, (str, bool, int, float, complex))
+            facts[key] = value if known else facts.get(key)
+    return facts

@@ -156,6 +156,16 @@ def test_quality_bits(observation):
         series.replace(quality=np.ones(n, dtype=int)).without_flagged(1)
 
 
+def test_blank_cards_of_the_table_hide_nothing(hdus):
+    """As TELESCOP in the files of lightkurve's TargetPixelFileFactory."""
+    hdus[1].header["TELESCOP"] = hdus[1].header["RA_OBJ"] = None
+    del hdus[0].header["MISSION"]
+    series = read_pixels(hdus)
+    assert series.mission.name == "Kepler"
+    assert series.header["RA_OBJ"] == hdus[0].header["RA_OBJ"]
+    assert series.header["CAMPAIGN"] is None
+
+
 def test_cadences_without_numbers_are_counted(hdus):
     def zeros(hdus):
         hdus[1].data["CADENCENO"][:] = 0
