@@ -109,6 +109,7 @@ def _light(fit):
 
 
 def _of_positions(fit):
+    remedy = "" if fit.options["positions"] == "path" else 'positions="path" or '
     for axis, slope, size in zip("xy", fit.path_scale(), fit.shape[::-1], strict=True):
         position, error = getattr(fit, axis), np.median(getattr(fit, f"{axis}_err"))
         if not _SCALES[0] < slope < _SCALES[1] and np.isfinite(slope):
@@ -117,7 +118,7 @@ def _of_positions(fit):
             if differs and path * max(1.0, abs(slope)) > _LEAST_MOTION:
                 yield (
                     f"the fitted motion along {axis} is {slope:.2g} times that of POS_CORR: the "
-                    'PSF may have absorbed it; positions="path" or a richer PSF prevents it'
+                    f"PSF may have absorbed it; {remedy}a richer PSF prevents it"
                 )
         if not 0 <= np.median(position) <= size - 1:
             yield f"the star is at the edge of the pixels: {axis} = {np.median(position):.2f}"

@@ -423,6 +423,15 @@ def test_a_psf_that_leaves_the_flux_open_hides_no_star():
     assert fit.flux.mean() < fit.flux_err.mean()
 
 
+@pytest.mark.parametrize("positions", ["start", "path"])
+def test_remedies_are_not_those_that_were_tried(positions):
+    psf = BivariateGaussianPSF(0.6, 0, 0, 0.25, 0.25) + BivariateGaussianPSF(0.4, 0.2, 0, 1, 1)
+    tpf = make(2 * Motion.k2_roll(60), psf=psf)
+    doubts = messages_of(tpf, 1, interpixel=0, positions=positions)[1]
+    assert "times that of POS_CORR" in doubts
+    assert ('positions="path"' in doubts) == (positions == "start")
+
+
 def test_light_curve(fit):
     curve = fit.to_lightcurve()
     assert curve.flux.unit == u.electron / u.s
