@@ -22,12 +22,13 @@ _LIMITS = {"correlation": (-0.95, 0.95), "diffusion": (0.0, 1.0), "offset": (-2.
 _PRIORS = {"coefficient": 10.0, "correction": 0.1}
 _LARGEST_MOVE = 0.3
 _UNITS = {"width": "pix", "diffusion": "pix", "offset": "pix", "position": "pix", "flux": "e-/s"}
+_RATES = ("flux", "flux_err", "flux_scatter", "background", "background_err")
 # Columns of `TPFFit.cadences`, and their units.
 CADENCE_UNITS = {
     "time": "d",
     **dict.fromkeys(("cadenceno", "quality", "focus", "held_out", "outliers"), ""),
     **dict.fromkeys(("x", "x_err", "y", "y_err", "pos_corr"), "pixel"),
-    **dict.fromkeys(("flux", "flux_err", "flux_scatter", "background", "background_err"), "e-/s"),
+    **dict.fromkeys(_RATES, "electron / s"),
 }
 # Entries of `TPFFit.statistics`.
 STATISTICS = tuple(

@@ -49,6 +49,7 @@ def write_fit(fit, path, *, overwrite):
     columns = []
     for column in fit.cadences.itercols():
         name, unit = column.name.upper(), str(column.unit or "") or None
+        unit = "e-/s" if unit == "electron / s" else unit  # FITS has no electron
         kind = {"i": "K", "u": "K", "b": "L"}.get(column.dtype.kind, "D")
         parts = [column] if column.ndim == 1 else column.T
         names = [name] if column.ndim == 1 else [f"{name}1", f"{name}2"]

@@ -5,6 +5,7 @@ import io
 
 import numpy as np
 import pytest
+from astropy import units as u
 from astropy.io import fits
 from astropy.table import Table
 from astropy.utils.diff import report_diff_values
@@ -86,6 +87,13 @@ def test_file_holds_everything(fit, tmp_path):
         fit.write(path)
     fit.write(path, overwrite=True)
     assert [file.name for file in tmp_path.iterdir()] == ["fit.fits"]
+
+
+def test_units_are_those_of_astropy(fit, tmp_path):
+    for one in (fit, TPFFit.read(fit.write(tmp_path / "fit.fits"))):
+        flux = one.cadences["flux"].quantity
+        np.testing.assert_allclose(flux.to_value(u.electron / u.hour), 3600 * fit.flux)
+    assert fits.getheader(tmp_path / "fit.fits", "CADENCES")["TUNIT1"] == "d"
 
 
 def test_file_of_a_telescope_on_the_ground(tmp_path):
