@@ -219,9 +219,11 @@ class Target:
 
         Parameters
         ----------
-        depth, per, dur, t0 : float, optional
-            Relative drop at mid-transit, between 0 and 1; and, in days, orbital period, time from
-            first to fourth contact, and time of a mid-transit after the first cadence.
+        depth : float, optional
+            Relative drop at mid-transit, between 0 and 1.
+        per, dur, t0 : float, optional
+            In days: orbital period, time from first to fourth contact, and time of a mid-transit
+            after the first cadence.
         b, u1, u2 : float, optional
             Impact parameter in stellar radii, and coefficients of quadratic limb darkening.
 
@@ -242,9 +244,11 @@ class Target:
 
         Parameters
         ----------
-        var_amp, freq : float, optional
-            Relative semi-amplitude, between 0 and 1; and angular frequency in radians per day, of
-            the time t after the first cadence: the period is ``2 * pi / freq`` days.
+        var_amp : float, optional
+            Relative semi-amplitude, between 0 and 1.
+        freq : float, optional
+            Angular frequency in radians per day, of the time t after the first cadence: the period
+            is ``2 * pi / freq`` days.
 
         {same}
         """
@@ -342,8 +346,10 @@ class Target:
         ----------
         flux : array_like or `~lightkurve.LightCurve`, optional
             The light curve; by default `lightcurve`.
-        duration, method : float, {"lightkurve", "everest"}, optional
-            Time scale in hours, and convention: see `scope_models.photometry.cdpp`.
+        duration : float, optional
+            Time scale in hours.
+        method : {"lightkurve", "everest"}, optional
+            See `scope_models.photometry.cdpp`.
 
         Returns
         -------
@@ -423,9 +429,10 @@ class Target:
 
         Parameters
         ----------
-        number, window : int, float, optional
-            Which of `transits`, and hours to draw on either side of mid-transit; by default twice
-            the transit's duration.
+        number : int, optional
+            Which of `transits`.
+        window : float, optional
+            Hours to draw on either side of mid-transit; by default twice the transit's duration.
         {draw}
         """
         if not 0 <= number < (n := len(self.transits)):
