@@ -10,7 +10,7 @@ from scipy.ndimage import uniform_filter1d
 from scope_models.correctors._covariance import RandomWalk
 from scope_models.correctors._regression import FLAT, Hyperparameters
 
-__all__ = ["find_frequencies", "harmonic_columns"]
+__all__ = ["find_waves", "harmonic_columns"]
 
 #: Prior: twice the gain of the likelihood's logarithm that a pair of columns must bring. White
 #: noise exceeds it at one of 10^8 frequencies.
@@ -59,6 +59,15 @@ class _Waves:
     @property
     def frequencies(self):
         return np.append(self.base * np.arange(1, self.count + 1), self.others)
+
+    def improbability(self, n):
+        """Return minus the logarithm of the prior of frequencies that may be anywhere.
+
+        A series of ``n`` cadences resolves ``n / 2`` of them. Amplitudes are as large as the data,
+        not as wide as flat priors are.
+        """
+        free = len(self.others) + (self.count > 0)
+        return free * np.log(n / 2) - len(self.frequencies) * np.log(FLAT)
 
     def settled(self, solution, use):
         """Return it after steps of Gauss and Newton."""
@@ -120,13 +129,13 @@ class _Waves:
         return waves
 
     def likelihood(self, solution, use):
-        """Return the logarithm of the likelihood, with amplitudes as large as the data's."""
+        """Return the logarithm of the likelihood, with the prior of the frequencies."""
         fitted = solution.with_frequencies(self.frequencies, use)
-        return fitted.log_likelihood + len(self.frequencies) * np.log(FLAT)
+        return fitted.log_likelihood - self.improbability(use.sum())
 
 
-def find_frequencies(solution, allowed):
-    """Return the frequencies of a star's variability, cycles per day, found one after the other.
+def find_waves(solution, allowed):
+    """Return the `_Waves` of a star's variability, found one after the other.
 
     In each round all columns are fitted together, and the frequencies that explain most of the
     rest are added. If harmonics of one frequency are more likely, as of eclipses, these take their
@@ -151,7 +160,7 @@ def find_frequencies(solution, allowed):
         waves = replace(waves, others=np.append(waves.others, new)).settled(plain, use)
         waves = _with_series(waves, plain, use, n_most)
         rest = plain.with_frequencies(waves.frequencies, use).unexplained
-    return waves.significant(replace(solution, hyper=trial.hyper), use).frequencies
+    return waves.significant(replace(solution, hyper=trial.hyper), use)
 
 
 def _with_series(waves, solution, use, n_most):

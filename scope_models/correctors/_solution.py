@@ -5,7 +5,7 @@ from functools import cached_property
 
 import numpy as np
 
-from scope_models.correctors._periodic import find_frequencies, harmonic_columns
+from scope_models.correctors._periodic import find_waves, harmonic_columns
 from scope_models.correctors._regression import (
     FLAT,
     Data,
@@ -359,10 +359,11 @@ def fit(
 
     solution = likeliest(first)
     if options.trend == "gp":
-        frequencies = find_frequencies(solution, use)
-        if len(frequencies):
-            periodic = likeliest(first.with_frequencies(frequencies, use))
-            solution = max(solution, periodic, key=lambda s: _evidence(s, use))
+        waves = find_waves(solution, use)
+        if len(waves.frequencies):
+            periodic = likeliest(first.with_frequencies(waves.frequencies, use))
+            gain = _evidence(periodic, use) - _evidence(solution, use)
+            solution = periodic if gain > waves.improbability(use.sum()) else solution
     if not solution.n_short:
         return solution.with_returned(use, options)
     # the shape of a short change is not learned from
@@ -389,15 +390,14 @@ def _without_outliers(solution, make_regressors, options):
 def _evidence(solution, allowed):
     """Log-likelihood with the outliers, which may be anywhere in the range of the data.
 
-    The amplitudes of waves and short changes are as large as the data's, not as wide as flat priors
-    are. What noise is beyond FLUX_ERR is a misfit, which a likelihood of white noise takes for too
-    little.
+    The sizes of short changes are as large as the data's, not as wide as flat priors are. What
+    noise is beyond FLUX_ERR is a misfit, which a likelihood of white noise takes for too little.
     """
     n_outliers = allowed.sum() - solution.use.sum()
     value = solution.log_likelihood - n_outliers * np.log(np.ptp(solution.y[allowed]))
     if solution.predicted:
         value -= 0.5 * (np.log(solution.hyper.noise_scale) / _NOISE_ERROR) ** 2
-    return value + (len(solution.frequencies) + solution.n_short / 2) * np.log(FLAT)
+    return value + solution.n_short / 2 * np.log(FLAT)
 
 
 def _flat_columns(time, extra, n_trend):

@@ -6,7 +6,7 @@ import pytest
 from scope_models.benchmark import REGIMES, make_sky, score
 from scope_models.correctors import PLDCorrector, PLDOptions
 from scope_models.correctors._features import Regressors
-from scope_models.correctors._periodic import find_frequencies, harmonic_columns
+from scope_models.correctors._periodic import find_waves, harmonic_columns
 from scope_models.correctors._regression import Hyperparameters
 from scope_models.correctors._solution import Solution, fit
 
@@ -46,7 +46,7 @@ def test_frequencies_are_found():
     """To an error of sqrt(6 / n) sigma / (pi T A), Montgomery and O'Donoghue 1999."""
     amplitudes, noise = np.array([0.02, 0.005, 0.001]), 1e-4
     solution = make_solution(signal(amplitudes, noise))
-    found = np.sort(find_frequencies(solution, solution.use))
+    found = np.sort(find_waves(solution, solution.use).frequencies)
     assert len(found) == 3
     error = np.sqrt(6 / len(TIME)) * noise / (np.pi * np.ptp(TIME) * amplitudes)
     assert np.all(np.abs(found - TRUE) < 5 * error)
@@ -57,7 +57,7 @@ def test_slow_rotation_is_found():
     rng = np.random.default_rng(3)
     y = 0.01 * np.sin(2 * np.pi * TIME / 3.1) + 0.004 * np.cos(4 * np.pi * TIME / 3.1)
     solution = make_solution(y + rng.normal(0, 1e-4, len(TIME)))
-    found = np.sort(find_frequencies(solution, solution.use))
+    found = np.sort(find_waves(solution, solution.use).frequencies)
     np.testing.assert_allclose(found, [1 / 3.1, 2 / 3.1], rtol=1e-3)
 
 
@@ -65,7 +65,7 @@ def test_a_random_walk_has_no_frequencies():
     rng = np.random.default_rng(4)
     y = np.cumsum(rng.normal(0, 3e-4, len(TIME))) + rng.normal(0, 1e-4, len(TIME))
     solution = make_solution(y)
-    assert not len(find_frequencies(solution, solution.use))
+    assert not len(find_waves(solution, solution.use).frequencies)
 
 
 def test_eclipses_are_harmonics_of_one_frequency():
@@ -77,7 +77,7 @@ def test_eclipses_are_harmonics_of_one_frequency():
         y -= depth * np.exp(-0.5 * (phase / 0.04) ** 2)
     y += 0.002 * np.cos(2 * np.pi * 8.21 * TIME) + rng.normal(0, 1e-4, len(TIME))
     solution = make_solution(y)
-    found = find_frequencies(solution, solution.use)
+    found = find_waves(solution, solution.use).frequencies
     np.testing.assert_allclose(found[:12], np.arange(1, 13) / period, rtol=1e-4)
     np.testing.assert_allclose(np.diff(found[:12]), found[0], rtol=1e-9)
     assert np.abs(found[12:] - 8.21).min() < 1e-3
@@ -86,14 +86,14 @@ def test_eclipses_are_harmonics_of_one_frequency():
 def test_noise_roll_and_slow_change_have_no_frequencies():
     for seed in range(5):
         solution = make_solution(signal(np.zeros(3), 1e-4, seed))
-        assert len(find_frequencies(solution, solution.use)) == 0
+        assert len(find_waves(solution, solution.use).frequencies) == 0
 
 
 def test_single_outliers_do_not_hide_a_pulsation():
     y = signal(np.array([0.002, 0, 0]), 1e-4)
     y[[100, 333, 620]] += [0.3, -0.1, 0.2]
     solution = make_solution(y)
-    assert find_frequencies(solution, solution.use) == pytest.approx([TRUE[0]], abs=1e-4)
+    assert find_waves(solution, solution.use).frequencies == pytest.approx([TRUE[0]], abs=1e-4)
 
 
 def test_fast_modes_are_no_multiples_of_one():
@@ -102,7 +102,7 @@ def test_fast_modes_are_no_multiples_of_one():
     waves = np.cos(2 * np.pi * np.outer(TIME, modes) + rng.uniform(0, 6, 4))
     y = waves @ [0.003, 0.002, 0.004, 0.003] + rng.normal(0, 1e-4, len(TIME))
     solution = make_solution(y)
-    found = np.sort(find_frequencies(solution, solution.use))
+    found = np.sort(find_waves(solution, solution.use).frequencies)
     np.testing.assert_allclose(found, modes, atol=1e-3)
 
 
@@ -113,7 +113,7 @@ def test_frequencies_of_variability_at_all_frequencies_are_less_likely_than_a_pr
     for k in range(1, len(y)):
         y[k] = 0.95 * y[k - 1] + 1e-3 * rng.normal()
     solution = make_solution(y, 3e-4)
-    assert len(find_frequencies(solution, solution.use)) > 5
+    assert len(find_waves(solution, solution.use).frequencies) > 5
     data = TIME, y, solution.variance, solution.use, np.empty((len(y), 0))
     found = fit(lambda use: solution.regressors, *data, PLDOptions())  # noqa: ARG005
     assert found.frequencies == ()
