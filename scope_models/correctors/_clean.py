@@ -16,9 +16,16 @@ then a least-squares estimate with the errors of noise and of this model.
 """
 
 import numpy as np
+from scipy import ndimage
 
 from scope_models.correctors._constant_light import constant_light
-from scope_models.correctors._position import Features, Widening
+from scope_models.correctors._position import (
+    FEWEST_DARK,
+    REWEIGHTS,
+    Features,
+    Widening,
+    dark_plane,
+)
 from scope_models.correctors._smoothing import CLIP, NO_WEIGHT, TRANSIT, Smoother, quantile
 from scope_models.correctors._states import CleanPixels
 
@@ -50,6 +57,10 @@ _FAST, _STRONG = 0.25, 0.02
 #: Prior: relative change of the light in the aperture with position, for telling it from
 #: variability.
 _RESPONSE_PRIOR = 0.05
+#: Prior: degree of the waves along the rows in cadences with rolling bands.
+_BANDS = 4
+#: Tolerance: width (px) of the rings of the star's profile, and cadences that it is taken from.
+_RING, _ENOUGH = 0.5, 500
 #: Branch: part of the light in the aperture above which the level of dark pixels is background.
 _BACKGROUND = 0.05
 #: Branch: cosmic rays exceed so many standard deviations.
@@ -70,7 +81,17 @@ _SLOW = 0.05
 
 
 def clean_pixels(
-    time, flux, flux_err, position, grid, aperture, *, use=None, changing=False, state=None
+    time,
+    flux,
+    flux_err,
+    position,
+    grid,
+    aperture,
+    *,
+    use=None,
+    banded=None,
+    changing=False,
+    state=None,
 ):
     """Predict the pixel fractions of a star.
 
@@ -88,6 +109,8 @@ def clean_pixels(
         Pixels that are summed.
     use : ndarray of bool, optional
         Cadences from which everything that they share is learned, ``(n,)``; by default all.
+    banded : ndarray of bool, optional
+        Cadences with waves in the background along the rows, ``(n,)``; by default none.
     changing : bool, optional
         Whether the images change slowly with time, and the background fluctuates.
     state : dict, optional
@@ -101,7 +124,8 @@ def clean_pixels(
     state = {} if state is None else state
     if not state:
         use = np.ones(len(flux), dtype=bool) if use is None else use
-        state["fitted"] = _State(time, flux, flux_err, position, grid, aperture, use)
+        banded = np.zeros(len(flux), dtype=bool) if banded is None else banded
+        state["fitted"] = _State(time, flux, flux_err, position, grid, aperture, use, banded)
         state["fitted"].converge()
     fitted = state["fitted"]
     images = fitted.refine() if changing else fitted.images()
@@ -112,32 +136,52 @@ def clean_pixels(
 class _State:
     """The model and its parameters while they are fitted; fluxes in units of the star's."""
 
-    def __init__(self, time, flux, flux_err, position, grid, aperture, use):
+    def __init__(self, time, flux, flux_err, position, grid, aperture, use, banded):
         n, n_pixels = flux.shape
         self.time, self.grid, self.aperture, self.use = time, grid, aperture, use
+        self.banded = banded
         typical = quantile(flux[use].T)
         offset = (grid - grid.mean(axis=0)) / np.maximum(np.ptp(grid, axis=0), 1)
         self.planes = np.column_stack([np.ones(n_pixels), offset])
-        self.dark = dark = np.argsort(typical)[: max(3, n_pixels // 4)]
+        n_terms = 3 if n_pixels // 4 >= FEWEST_DARK else 1  # few pixels show no slope
+        slope = dark_plane(typical, self.planes)[:n_terms]
+        above = typical - self.planes[:, :n_terms] @ slope
+        self.dark = dark = np.argsort(above)[: max(3, n_pixels // 4)]
+        if banded.any():
+            rows = 2 * (grid[:, 1] - grid[:, 1].min()) / max(np.ptp(grid[:, 1]), 1) - 1
+            waves = np.polynomial.legendre.legvander(rows, _BANDS)[:, 2:]
+            self.planes = np.column_stack([self.planes, waves])
         # unless that may be the star's wings
         level = quantile(typical[dark])
         much = level * aperture.sum() > _BACKGROUND * typical[aperture].sum()
-        self.base = np.array([level if much else 0.0, 0.0, 0.0])
-        planes = np.zeros((n, 3)) + self.base
-        planes[:, 0] += quantile(flux[:, dark] - typical[dark])
+        self.base = np.zeros(self.planes.shape[1])
+        self.base[0] = level if much else 0.0
+        planes = np.zeros((n, len(self.base))) + self.base
+        planes[:, :n_terms] += _planes((flux - typical)[:, dark], self.planes[dark, :n_terms])
         total = (flux - planes @ self.planes.T)[:, aperture].sum(axis=1)
         self.unit = quantile(total[use])
         self.y, self.plane = flux / self.unit, planes / self.unit
         self.base = self.base / self.unit
         self.brightness = total / self.unit
+        # waves are as strong as what dark pixels have beyond noise, in episodes with flags
+        self.waves = np.zeros(n)
+        if banded.any():
+            change = (flux - typical)[:, dark] / self.unit
+            spread = (1.4826 * quantile(np.abs(change - quantile(change)[:, None]))) ** 2
+            excess = spread - quantile(spread[use])
+            width = max(round(TRANSIT / quantile(np.diff(time))), 1)
+            excess = ndimage.median_filter(excess, width)
+            episodes, _ = ndimage.label(banded | (excess > 0))
+            excess[~np.isin(episodes, episodes[banded])] = 0.0
+            self.waves = np.sqrt(np.maximum(excess, 0.0))
         self.noise = (quantile(flux_err[use].T) / self.unit) ** 2
         self.variance = self.noise
         self.widened = Widening(grid, aperture)
-        self.scale = np.maximum(quantile(self.y[use].T, 0.98), 3 * np.sqrt(self.noise))
         self.good = np.ones((n, n_pixels), dtype=bool)
         self.focus, self.variable = np.zeros((2, n))
         self.slow, self.fluctuation, self.changing = np.zeros((n, 0)), 0.0, False
         self._start_positions(position, total)
+        self.scale = self._most_light()
         self.smoothed, self._last = Smoother(time, use), None
         self._place = np.where(self.known, _POSITION_PRIOR**-2, 1e-2)
         self.features = Features(self.z[use], _SCALE, _TOLERANCE, _MAX_RANK)
@@ -173,8 +217,26 @@ class _State:
         expected = offset - quantile(offset[fit].T)
         slope = np.linalg.lstsq(columns[fit], expected[fit], rcond=None)[0]
         self.known = known
-        self.expected = np.where(known[:, None], expected, columns @ slope)
+        # where the star was seen: without light there is no centroid
+        near = np.clip(columns @ slope, expected[fit].min(axis=0), expected[fit].max(axis=0))
+        self.expected = np.where(known[:, None], expected, near)
         self.z = self.expected.copy()
+
+    def _most_light(self):
+        """Return what each pixel may hold: most of its light, or more by the star's profile.
+
+        Few cadences show what pixels hold at rare places; pixels as near the star do.
+        """
+        light, least = (self.y - self.background)[self.use], 3 * np.sqrt(self.noise)
+        distance = np.hypot(*(self.grid - self.center - self.z[self.use, None]).T)
+        few = slice(None, None, max(len(light) // _ENOUGH, 1))
+        rings = (distance[:, few] / _RING).astype(int)
+        inside = [light[few].T[rings == k] for k in range(rings.max() + 1)]
+        profile = [max(quantile(values, 0.98), least.min()) for values in inside if values.size]
+        places = _RING * (np.unique(rings) + 0.5)
+        profile = np.log(np.maximum.accumulate(profile[::-1])[::-1])
+        expected = np.exp(np.interp(distance.min(axis=1), places, profile))
+        return np.maximum(np.maximum(quantile(light.T, 0.98), expected), least)
 
     def converge(self):
         """Fit pixels and cadences by turns."""
@@ -303,6 +365,7 @@ class _State:
         hessian, right = self._normal_equations([image, *slopes], rest)
         level = np.abs(self.plane[self.use, 0] - self.base[0])
         tilt = max(1.4826 * quantile(level) + abs(self.base[0]), 1e-9)
+        tilt = np.maximum(self.waves, tilt)
         # a cadence may have outliers in all pixels: steps are of the size of the star's light
         priors = [
             (0, 1.0, 0.0),
@@ -313,6 +376,8 @@ class _State:
             (5, tilt**-2, self.base[1] - self.plane[:, 1]),
             (6, tilt**-2, self.base[2] - self.plane[:, 2]),
         ]
+        flat = np.maximum(self.waves, 1e-9) ** -2.0
+        priors += [(4 + k, flat, -self.plane[:, k]) for k in range(3, len(self.base))]
         for k, weight, distance in priors:
             hessian[k, k] += weight
             right[k] += weight * distance
@@ -370,7 +435,7 @@ class _State:
             np.multiply(values, root, out=values)
             values[damaged] = 0
         planes = self.planes * root[:, None]
-        first, k = len(images), len(images) + 3
+        first, k = len(images), len(images) + planes.shape[1]
         hessian, right = np.zeros((k, k, len(rest))), np.zeros((k, len(rest)))
         for i, values in enumerate(images):
             for j in range(i + 1):
@@ -431,15 +496,15 @@ class _State:
         return light * kept, np.sqrt(variance) * kept
 
     def _set_background(self, plane, errors, iteration):
-        """Smooth the background as far as the data are for it; jumps of a cadence stay."""
+        """Smooth the background as far as the data are for it; jumps and bands stay."""
         plane = plane - quantile(plane[self.use].T) + self.base
         if iteration >= _FOCUS_FROM:
-            for k, (values, error) in enumerate(zip(plane.T, errors.T, strict=True)):
+            for k, (values, error) in enumerate(zip(plane.T[:3], errors.T[:3], strict=True)):
                 smooth = self.smoothed(values, error, f"background {k}")
                 rest = np.abs(values - smooth)
                 typical = 1.4826 * quantile(rest[self.use])
                 jumps = rest > CLIP * np.maximum(error, typical)
-                values[:] = np.where(jumps, values, smooth)
+                values[:] = np.where(jumps | self.banded, values, smooth)
                 if k == 0 and self.changing:
                     self.fluctuation = max(typical**2 - quantile(error[self.use]) ** 2, 0.0)
         self.plane = plane
@@ -556,6 +621,21 @@ class _State:
         level = (self.brightness - self.variable)[self.use].mean()
         images = image, image - constant, slopes
         return level * constant_light(*images, self.z, self.grid, self.aperture, self.use)
+
+
+def _planes(change, terms):
+    """Return robust coefficients of changes of pixels ``(n, n_pixels)``, ``(n, n_terms)``.
+
+    A star that moves far, or a cosmic ray, is in some of the pixels.
+    """
+    found = np.zeros((len(change), terms.shape[1]))
+    found[:, 0] = quantile(change)
+    for _ in range(REWEIGHTS):
+        rest = np.abs(change - found @ terms.T)
+        weight = 1 / (1 + (rest / np.maximum(3 * quantile(rest)[:, None], 1e-300)) ** 2)
+        gram = np.einsum("np,pi,pj->nij", weight, terms, terms, optimize=True)
+        found = np.linalg.solve(gram, ((weight * change) @ terms)[:, :, None])[:, :, 0]
+    return found
 
 
 def _solved(hessian, right):

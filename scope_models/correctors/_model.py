@@ -317,7 +317,7 @@ def fit_pixels(pixels, options, series, cadence_mask=None, **transit):
 
     fitted = model_with(options).fit(cadence_mask, **transit)
     clean = fitted.model.clean
-    if options.fractions != "auto" or clean is None or clean.constant > 0:
+    if options.fractions != "auto" or clean is None:
         return fitted
     with warnings.catch_warnings():  # of models that may not be taken
         warnings.simplefilter("ignore", DetrendingWarning)

@@ -150,7 +150,7 @@ def light_of_neighbors(pixels, series, cadence_mask, neighbors=None):
     """
     given = isinstance(neighbors, KnownNeighbors)
     usable = np.flatnonzero(pixels.usable)
-    use = (cadence_mask & pixels.lit)[usable]
+    use = pixels.quiet(cadence_mask & pixels.lit)[usable]
     total = pixels.total[usable]
     use &= total > np.median(total[use]) / 2  # what is left in eclipses may be of others
     pos_corr, reach = None, 3.0
@@ -169,6 +169,7 @@ def light_of_neighbors(pixels, series, cadence_mask, neighbors=None):
     )
     flux, error = pixels.flux[usable][:, *box], pixels.flux_err[usable][:, *box]
     good = np.isfinite(flux) & (error > 0)
+    good[pixels.banded[usable]] = False
     flux, variance = np.where(good, flux, 0.0), np.where(good, error, np.inf) ** 2
     origin = np.array([box[1].start, box[0].start])
     peak = np.array(peak[::-1]) - origin

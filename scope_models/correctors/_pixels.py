@@ -9,7 +9,7 @@ from scipy import ndimage
 
 from scope_models._checks import checked_weights
 from scope_models.correctors._clean import clean_pixels
-from scope_models.correctors._position import precise_aperture
+from scope_models.correctors._position import DARK_PART, FEWEST_DARK, dark_plane, precise_aperture
 from scope_models.correctors._smoothing import quantile
 from scope_models.exceptions import DetrendingWarning
 from scope_models.io.pixels import usable_positions
@@ -58,9 +58,6 @@ _MARGIN = 2
 _SAME_STAR, _SAME_COLUMN = 0.85, 0.7
 #: Branch: pixels of other stars count from this part of the star's brightest pixel on.
 _OTHER_STAR = 0.02
-#: Branch: the background is first sought in this part of the pixels, in so many at least for a
-#: slope.
-_DARK_PART, _FEWEST_DARK, _PLANE_FITS = 0.3, 8, 5
 #: Branch: fewer cadences or pixels do not determine how the fractions change with position.
 _CADENCES_TO_PREDICT, _PIXELS_TO_PREDICT = 200, 4
 
@@ -89,6 +86,8 @@ class Pixels:
         The target's share of the aperture's light: all but that in pixels of other stars.
     lit : ndarray of bool, optional
         Cadences that show the star, ``(n_cadences,)``; from the others nothing is learned.
+    banded : ndarray of bool, optional
+        Cadences with rolling bands, ``(n_cadences,)``.
     neighbors : NeighborLight, optional
         Other stars whose light was taken off.
     """
@@ -104,7 +103,13 @@ class Pixels:
     own: np.ndarray | None = None
     crowding: float = 1.0
     lit: np.ndarray | bool = True
+    banded: np.ndarray | None = None
     neighbors: object = None
+
+    def quiet(self, use):
+        """Return the cadences in use without rolling bands, unless these are in most."""
+        quiet = use & ~self.banded
+        return quiet if quiet.sum() > use.sum() / 2 else use
 
     @property
     def weighted(self):
@@ -179,9 +184,9 @@ def _without_background(flux):
     known = np.isfinite(typical)
     if not known.any():
         return flux
-    dark = known & (typical <= np.quantile(typical[known], _DARK_PART))
+    dark = known & (typical <= np.quantile(typical[known], DARK_PART))
     terms = _plane_terms(flux.shape[1:])
-    if dark.sum() < _FEWEST_DARK:
+    if dark.sum() < FEWEST_DARK:
         terms = terms[:, :, :1]
     more = (flux[:, dark] - typical[dark]) @ np.linalg.pinv(terms[dark]).T
     return (
@@ -237,17 +242,8 @@ def background_plane(image):
 
     The image, ``(ny, nx)``, is NaN where there are no data.
     """
-    terms = _plane_terms(image.shape)
-    known = np.isfinite(image)
-    dark = known & (image <= np.quantile(image[known], _DARK_PART))
-    if dark.sum() < _FEWEST_DARK:
-        return np.full(image.shape, np.median(image[dark]))
-    for _ in range(_PLANE_FITS):
-        plane = terms @ np.linalg.lstsq(terms[dark], image[dark], rcond=None)[0]
-        rest = image - plane
-        spread = 1.4826 * np.median(np.abs(rest[dark]))
-        dark = known & (rest <= 2.5 * spread)
-    return plane
+    terms, known = _plane_terms(image.shape), np.isfinite(image)
+    return terms @ dark_plane(image[known], terms[known])
 
 
 def aperture_pixels(series, aperture):
@@ -258,10 +254,11 @@ def aperture_pixels(series, aperture):
     """
     time, flux, flux_err = series.time, series.flux, series.flux_err
     weights, chosen = None, aperture is None
+    bands = series.mission.quality.rolling_band if series.mission else 0
+    banded = (series.quality & bands) != 0
+    banded &= banded.mean() < 0.5
     if aperture is None:
-        bands = series.mission.quality.rolling_band if series.mission else 0
-        dark = (series.quality & bands) == 0  # rolling bands light up pixels without stars
-        dark |= dark.sum() < _CADENCES_TO_PREDICT
+        dark = ~banded  # rolling bands light up pixels without stars
         positions = None if series.pos_corr is None else series.pos_corr[dark]
         aperture = choose_aperture(flux[dark], flux_err[dark], series.aperture, positions)
     elif np.ndim(aperture) == 3:
@@ -291,7 +288,7 @@ def aperture_pixels(series, aperture):
     if chosen:
         _compare_pipeline(series, aperture, positive)
     totals = total, total_err, positive
-    return Pixels(time, flux, flux_err, aperture, *totals, weights, own, crowding, lit)
+    return Pixels(time, flux, flux_err, aperture, *totals, weights, own, crowding, lit, banded)
 
 
 _REMEDY = 'compare `aperture_mask="pipeline"`'
@@ -368,6 +365,7 @@ def with_predicted_fractions(pixels, pos_corr, cadence_mask=None, **options):
     they were, if the equations are singular.
     """
     use = pixels.usable.copy()
+    learned = use if cadence_mask is None else use & cadence_mask
     known = np.isfinite(pixels.flux[use]).all(axis=0)
     rows, columns = np.nonzero(known)
     if pos_corr is None:
@@ -384,7 +382,8 @@ def with_predicted_fractions(pixels, pos_corr, cadence_mask=None, **options):
                 pos_corr[use],
                 np.stack([columns, rows], axis=1),
                 pixels.aperture[known],
-                use=None if cadence_mask is None else cadence_mask[use],
+                use=pixels.quiet(learned)[use],
+                banded=pixels.banded[use],
                 **options,
             )
     except np.linalg.LinAlgError:

@@ -5,7 +5,17 @@ from scipy.linalg import cholesky, solve_triangular
 
 from scope_models.correctors._smoothing import quantile
 
-__all__ = ["REWEIGHTS", "Features", "Widening", "along_position", "polynomials", "precise_aperture"]
+__all__ = [
+    "DARK_PART",
+    "FEWEST_DARK",
+    "REWEIGHTS",
+    "Features",
+    "Widening",
+    "along_position",
+    "dark_plane",
+    "polynomials",
+    "precise_aperture",
+]
 
 #: Prior: degree of the polynomials of position by which light changes.
 _DEGREE = 3
@@ -15,6 +25,9 @@ _ENOUGH = 500
 REWEIGHTS = 10
 #: Prior: part of the variance of lost light that is expected to remain: a tenth of the amplitude.
 _LOST = 0.01
+#: Branch: the background is first sought in this part of the pixels, in so many at least for a
+#: slope.
+DARK_PART, FEWEST_DARK, _PLANE_FITS = 0.3, 8, 5
 #: Tolerance: cadences whose arrays a processor's cache holds.
 _BLOCK = 128
 
@@ -139,6 +152,21 @@ def along_position(values, position, use):
         rest = np.abs(values - fitted)
         weight = use / (1 + (rest / (3 * max(np.median(rest[use]), 1e-12))) ** 2)
     return fitted
+
+
+def dark_plane(image, terms):
+    """Return the coefficients of a plane through the darkest pixels.
+
+    The image is ``(n_pixels,)``, ``terms`` are one and two coordinates of each, ``(n_pixels, 3)``.
+    """
+    dark = image <= np.quantile(image, DARK_PART)
+    if dark.sum() < FEWEST_DARK:
+        return np.array([np.median(image[dark]), 0.0, 0.0])
+    for _ in range(_PLANE_FITS):
+        plane = np.linalg.lstsq(terms[dark], image[dark], rcond=None)[0]
+        rest = image - terms @ plane
+        dark = rest <= 2.5 * 1.4826 * np.median(np.abs(rest[dark]))
+    return plane
 
 
 def precise_aperture(light, variance, position):

@@ -34,24 +34,30 @@ class Smoother:
     def __call__(self, values, error, name=""):
         """Smooth with the width of the least median leave-one-out error.
 
-        Cadences that are not in use take the values of those around them. Widths are tried from
-        the next narrower one on than was best for the series of a name the last time.
+        The course is drawn to its mean by Wiener's factor, its variance over the sum of this and of
+        the variance of its noise: noise has no course. Cadences that are not in use take the values
+        of those around them. Widths are tried from the next narrower one on than was best for the
+        series of a name the last time.
         """
         use = self.use
         typical = quantile(error[use])
         start = np.where(use, (typical / np.maximum(error, 0.3 * typical)) ** 2, NO_WEIGHT)
         values = np.where(use, values, np.interp(self.time, self.time[use], values[use]))
-        least, best, weight = np.inf, values, start
+        least, weight = np.inf, start
         for k in range(max(self._best.get(name, 0) - 1, 0), len(_WIDTHS)):
-            smooth, size, weight = self.lines(values, start, _WIDTHS[k], weight)
+            smooth, size, weight, part = self.lines(values, start, _WIDTHS[k], weight)
             if size < least:
-                least, best, self._best[name] = size, smooth, k
-        return best
+                least, best, self._best[name] = size, (smooth, part), k
+        smooth, part = best
+        noise = (1.4826 * least) ** 2 * part
+        mean, signal = smooth[use].mean(), max(smooth[use].var() - noise[use].mean(), 0.0)
+        return mean + signal / np.maximum(signal + noise, 1e-300) * (smooth - mean)
 
     def lines(self, values, start, width, weight=None):
-        """Return robust local linear fits, the median of leave-one-out errors, and the weights.
+        """Return robust local linear fits, the median of leave-one-out errors, weights, and noise.
 
-        The weights are those of the start, but for outliers; the search may begin with others.
+        The weights are those of the start, but for outliers; the search may begin with others. The
+        noise is the variance of the fits over that of values of weight one.
         """
         weight = start if weight is None else weight
         for _ in range(3):
@@ -64,7 +70,8 @@ class Smoother:
             before, weight = weight, np.where(rest > CLIP * 1.4826 * size, NO_WEIGHT, 1.0) * start
             if (weight == before).all():
                 break
-        return smooth, size, weight
+        # squares of a Gaussian's weights add up to the largest one over the root of two
+        return smooth, size, weight, s2 / determinant / np.sqrt(2)
 
     def _moments(self, weight, data, width):
         """Return moments of the weights about each cadence, to order 2, and of the data, to 1."""

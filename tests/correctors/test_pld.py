@@ -25,6 +25,7 @@ from scope_models.effects import RollingBands
 from scope_models.effects._noise import bleed
 from scope_models.exceptions import DetrendingWarning
 from scope_models.io import read_pixels
+from scope_models.missions import MISSIONS
 from scope_models.models import TransitModel
 from scope_models.photometry import cdpp
 
@@ -479,6 +480,20 @@ def test_default_aperture_leaves_rolling_bands_out():
         for effects in ([], [bands])
     ]
     assert sizes[1] <= sizes[0] + 2
+
+
+def test_cadences_with_rolling_bands_are_as_good_as_others():
+    """A faint star, and an episode of strong bands in every five days."""
+    detector, motion = Detector.k2(shape=(11, 11)), Motion.k2_roll(800, seed=2)
+    bands = RollingBands(rate=0.2, amplitude=10.0)
+    tpf = simulate(Star(17), detector, motion, seed=1, effects=bands).to_tpf()
+    lc = PLDCorrector(tpf).correct()
+    flagged = (lc.quality & MISSIONS["K2"].quality.rolling_band) > 0
+    assert 0.05 < flagged.mean() < 0.5
+    flux = lc.flux.value / np.nanmedian(lc.flux.value)
+    part, others = (flux[one] - 1 for one in (flagged, ~flagged))
+    assert np.nanstd(part) < 1.5 * np.nanstd(others)
+    assert abs(np.nanmean(part)) < 0.3 * np.nanstd(others)
 
 
 def test_default_aperture_leaves_another_star_out(fake_star):
