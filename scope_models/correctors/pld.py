@@ -32,6 +32,7 @@ from scope_models.correctors._pixels import (
 from scope_models.correctors._solution import NothingToCorrectError
 from scope_models.exceptions import DetrendingWarning
 from scope_models.io import read_pixels, read_tpf
+from scope_models.scene.motion import Motion
 
 __all__ = ["PLDCorrector"]
 
@@ -225,6 +226,8 @@ class PLDCorrector(LightkurveNames, Corrector):
         settings = Settings(**settings, fractions=fractions, regressors=regressors)
         series = self._series
         if positions is not None:
+            if not isinstance(positions, Motion):
+                raise TypeError(f"`positions` must be a Motion or None, got {positions!r}")
             series = series.replace(pos_corr=positions.offsets(series)[0])
         n = len(self._pixels.time)
         mask = checked_cadences("cadence_mask", cadence_mask, n, default=True)

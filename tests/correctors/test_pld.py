@@ -573,6 +573,7 @@ def correct(tpf, *, options=None, **arguments):
         ({"order": True}, TypeError, "`order` must be an integer"),
         ({"cadence_mask": np.ones(5, bool)}, ValueError, r"`cadence_mask` must have shape"),
         ({"cadence_mask": np.ones(400)}, TypeError, "`cadence_mask` must be boolean"),
+        ({"positions": np.zeros((400, 2))}, TypeError, "`positions` must be a Motion or None"),
         ({"transit_mask": np.arange(400)}, TypeError, "`transit_mask` must be boolean"),
         ({"cadence_mask": np.arange(400) < 20}, ValueError, "at least 30 usable cadences.*got 20"),
         ({"transit_mask": np.ones(400, bool)}, ValueError, "at least 30 usable cadences.*got 0"),
@@ -782,19 +783,22 @@ def real(shared_data, name):
 @pytest.mark.parametrize(
     ("name", "fractions", "largest"),
     [
-        ("k2_tpf/ktwo211956421-c05_lpd-targ.fits.gz", "auto", 740),
+        ("k2_tpf/ktwo211956421-c05_lpd-targ.fits.gz", "auto", 710),
         pytest.param(
-            "k2_tpf/ktwo211983544-c18_lpd-targ.fits.gz", "auto", 1200, marks=pytest.mark.slow
+            "k2_tpf/ktwo211983544-c18_lpd-targ.fits.gz", "auto", 1160, marks=pytest.mark.slow
         ),
-        ("k2_tpf/ktwo211983544-c18_lpd-targ.fits.gz", "measured", 1200),
+        ("k2_tpf/ktwo211983544-c18_lpd-targ.fits.gz", "measured", 1150),
     ],
 )
 def test_k2_stars(shared_data, name, fractions, largest):
-    """lightkurve's best orders and apertures reach 794 and 1641 ppm, EVEREST 2 675 and 1121."""
+    """lightkurve's best orders and apertures reach 794 and 1641 ppm, EVEREST 2 675 and 1121.
+
+    Without outliers.
+    """
     tpf = real(shared_data, name)
     corrector = PLDCorrector(tpf)
     lc = corrector.correct(fractions=fractions)
-    assert cdpp(lc, method="everest") < largest
+    assert cdpp(lc[~corrector.outlier_mask], method="everest") < largest
     assert corrector.result.breaks
     assert corrector.result.n_outliers < 0.04 * len(lc)
 
