@@ -34,7 +34,7 @@ class CleanPixels:
         states = {
             "Column (pixel)": self.position[:, 0],
             "Row (pixel)": self.position[:, 1],
-            "Relative width": self.focus,
+            "Relative width": np.round(self.focus - np.median(self.focus), 12),
             "Background (e-/s)": background - np.median(background),
         }
         moving = list(states)[:3]

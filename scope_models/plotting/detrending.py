@@ -199,7 +199,8 @@ def plot_states(time, states, leaks, aperture=None, *, time_label="Time (d)"):
     ax.set_xlabel(time_label)
     for name, image in leaks.items():
         ax, leak = axes[f"leak, {name}"], 100 * plain_array(image, u.one, "leaks")
-        most = np.nanmax(np.abs(leak)) or 1.0
+        most = np.nanmax(np.abs(leak))
+        most = most if most > 1e-9 else 1.0  # less is rounded
         shown = ax.imshow(leak, origin="lower", cmap="RdBu_r", vmin=-most, vmax=most)
         figure.colorbar(shown, ax=ax, label="Light (%)")
         if aperture is not None:
