@@ -1,4 +1,4 @@
-"""List the constants of the correctors: place, name, value, kind and reason.
+"""List the constants of the correctors and the pixel model: place, name, value, kind, reason.
 
     python studies/constants.py
 
@@ -16,13 +16,14 @@ from pathlib import Path
 
 KINDS = ("prior", "tolerance", "warning", "branch")
 COLUMNS = ("module", "name", "value", "kind", "reason")
-FOLDER = Path(__file__).parents[1] / "scope_models" / "correctors"
+PACKAGE = Path(__file__).parents[1] / "scope_models"
+FOLDERS = PACKAGE / "correctors", PACKAGE / "pixelmodel"
 
 
-def constants(folder=FOLDER):
-    """Return a dictionary for each number with a name."""
+def constants(*folders):
+    """Return a dictionary for each number with a name in folders, by default the package's."""
     found = []
-    for path in sorted(folder.glob("*.py")):
+    for path in sorted(path for folder in folders or FOLDERS for path in folder.glob("*.py")):
         text = path.read_text(encoding="utf-8")
         lines, comment, end = text.splitlines(), "", 0
         for node in (node for node in ast.parse(text).body if isinstance(node, ast.Assign)):

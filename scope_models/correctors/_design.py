@@ -10,25 +10,21 @@ from scope_models.correctors._features import (
     contrast_columns,
     power_columns,
     principal_columns,
-    roll_reversals,
     shared_columns,
 )
 from scope_models.correctors._pixels import aperture_pixels
-from scope_models.correctors._position import along_position, polynomials
 from scope_models.correctors._saturation import without_saturation
-from scope_models.correctors._smoothing import Smoother, quantile
 from scope_models.io import read_pixels
+from scope_models.pixelmodel.smoothing import Smoother, quantile
 
 __all__ = [
     "DesignOptions",
     "background_columns",
-    "constant_columns",
     "focus_columns",
     "level_column",
     "make_regressors",
     "other_columns",
     "outside_column",
-    "segment_breaks",
 ]
 
 #: Tolerance: columns are dropped when they could not change the flux by this part of its noise's
@@ -100,17 +96,6 @@ def _completed(columns, use, noise):
     return principal_columns(centered, fit, _TOLERANCE * noise)
 
 
-def segment_breaks(segments, pixels, use):
-    """Return the times at which segments begin, given or found from the cadences in ``use``."""
-    if segments is None:
-        return ()
-    time = pixels.time[use]
-    if not (isinstance(segments, str) and segments == "auto"):
-        return tuple(float(b) for b in np.sort(segments) if time[0] < b <= time[-1])
-    tracks = _components(pixels.flux[use][:, pixels.aperture], pixels.total[use])
-    return roll_reversals(time, tracks[:, 0]) if tracks.shape[1] else ()
-
-
 def _components(flux, total, fit=None):
     """Return the principal components of pixels over the sum."""
     relative = flux / total[:, None]
@@ -128,22 +113,6 @@ def focus_columns(clean, usable, use):
     focus = clean.focus[:, None] / _FOCUS_UNIT
     columns = np.full((len(usable), 3), np.nan)
     columns[usable] = np.concatenate([focus, focus * clean.position / size], axis=1)
-    return columns
-
-
-def constant_columns(clean, usable, use):
-    """Return what constant light that the aperture gains and loses with position does to the light.
-
-    Beside a star of relative brightness s it counts as 1/s: the columns are powers of the position
-    in units of its range, times 1/s - 1. Brightness that the position explains is not the star's.
-    """
-    size = np.maximum(np.ptp(clean.position[use[usable]], axis=0), 1e-12)
-    powers = polynomials(clean.position / size)[:, 1:]
-    powers -= powers[use[usable]].mean(axis=0)
-    typical = along_position(clean.light, clean.position, use[usable])
-    faint = typical / np.where(clean.light > 0, clean.light, np.nan) - 1
-    columns = np.full((len(usable), powers.shape[1]), np.nan)
-    columns[usable] = powers * faint[:, None]
     return columns
 
 

@@ -1,10 +1,8 @@
 """Regressors of pixel level decorrelation: products of pixel fractions, and their segments."""
 
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
-from astropy.stats import mad_std
 from scipy.linalg import helmert, solve_triangular
 
 __all__ = [
@@ -13,7 +11,6 @@ __all__ = [
     "contrast_columns",
     "power_columns",
     "principal_columns",
-    "roll_reversals",
     "shared_columns",
 ]
 
@@ -126,28 +123,3 @@ def contrast_columns(columns, time, breaks, use):
     member = (segment[:, None] == present).astype(float)
     contrasts = member @ helmert(len(present)).T
     return (contrasts[:, :, None] * columns[:, None, :]).reshape(len(columns), -1)
-
-
-def roll_reversals(time, track, window=2.0):
-    """Return the times, a tuple, at which the sense of the spacecraft's roll reverses.
-
-    Between two thruster firings the star drifts one way along its ``track``, the direction in which
-    it moves most, and each firing throws it back. The sense of the drift is the sign of the median
-    step within a ``window`` in days; a reversal counts when it lasts.
-    """
-    width = round(window / np.median(np.diff(time)))
-    n_windows = len(time) // max(width, 1)
-    if width < 16 or n_windows < 4:
-        return ()
-    sense = []  # the sign of the median step, 0 if it is within three standard errors of none
-    for steps in np.array_split(np.diff(track), n_windows):
-        median, error = np.median(steps), 1.2533 * mad_std(steps) / np.sqrt(len(steps))
-        sense.append(int(np.sign(median)) if np.abs(median) > 3 * error else 0)
-    drifting = np.flatnonzero(sense)
-    reversals = []
-    for i, j in pairwise(drifting):
-        before = sense[max(i - 2, 0) : i + 1].count(sense[i])
-        after = sense[j : j + 3].count(sense[j])
-        if sense[i] != sense[j] and min(before, after) >= 2:
-            reversals.append(float(time[(i + j + 1) * len(time) // (2 * n_windows)]))
-    return tuple(reversals)

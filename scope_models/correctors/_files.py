@@ -127,7 +127,7 @@ def make_archive_hdulist(corrector, path, collection, *, survival=False):
     if result is not None:
         cards += [
             ("CROWDING", result.crowding, "share of the target in the aperture, at most"),
-            ("CONTAMIN", result.contamination, "constant light taken off, share"),
+            ("CONTAMIN", result.contamination, "light of neighbors taken off, share"),
             *_held_out(corrector),
         ]
     hdus = make_lightcurve_hdulist(corrector, survival=survival)

@@ -16,9 +16,10 @@ from scope_models.correctors._pixels import (
     own_pixels,
     typical_image,
 )
-from scope_models.correctors._scene_start import NoLightError, fit_gaussians
 from scope_models.exceptions import DetrendingWarning
 from scope_models.photometry import aperture_flux
+from scope_models.pixelmodel.star import IMAGE_ERROR
+from scope_models.pixelmodel.start import NoLightError, fit_gaussians
 
 __all__ = [
     "Source",
@@ -27,22 +28,18 @@ __all__ = [
     "depth_ratio",
     "fitted_depth",
     "no_survival",
-    "taken_off",
     "transit_column",
     "warn_of_unmasked",
 ]
 
 #: Branch: peaks below this part of the star's are no neighbors.
 _FAINTEST = 0.02
-#: Prior: relative errors of profile and image when the light is shared out, and their absolute ones
-#: in units of the star's light.
-_MISFIT, _LEVEL = 0.03, 1e-3
+#: Prior: relative error of profile and image when the light is shared out.
+_MISFIT = 0.03
 _ROUNDS = 6
 #: Branch: distance (px) from the star within which no other one is sought, and number of places
 #: tried.
 _NEAREST, _MOST_PLACES = 1.4, 12
-#: Prior: part of constant light that is uncertain when the star's variability shows it.
-_UNCERTAIN = 0.04
 #: Warning: part of a transit outside of the mask above which its depth is not trusted.
 _UNMASKED = 0.1
 #: Tolerance: the irrational number whose multiples spread boxes evenly, at places without a period.
@@ -96,18 +93,14 @@ class Source:
             light[use] = flux
         return light
 
-    def star_part(self, clean):
-        """Return the star's part of the aperture's light less constant light that was found."""
-        return min((1 - self.other_light) / (1 - _constant_part(clean)), 1.0)
-
-    def contrast_error(self, clean):
-        """Return the uncertain part of the light that was not taken off, or may be none."""
-        found, other = _constant_part(clean), self.other_light
-        light = _UNCERTAIN * max(found, other) if found > 0 else other
+    @property
+    def contrast_error(self):
+        """The uncertain part of the light that was not taken off, or may be none."""
         if self.pixels.neighbors is None:
-            return float(light)
-        image = _LEVEL * np.sqrt(self.pixels.aperture.sum())
-        return float(np.linalg.norm([light, image, _MISFIT * (1 / self.pixels.crowding - 1)]))
+            return self.other_light
+        image = IMAGE_ERROR * np.sqrt(self.pixels.aperture.sum())
+        subtracted = _MISFIT * (1 / self.pixels.crowding - 1)
+        return float(np.linalg.norm([self.other_light, image, subtracted]))
 
     def dimmed(self, signal, clean):
         """Return the same with the star's light multiplied with a signal ``(n_cadences,)``."""
@@ -118,17 +111,6 @@ class Source:
         total, _ = aperture_flux(flux, weights, pixels.flux_err)
         usable = pixels.usable & (np.nan_to_num(total) > 0)
         return replace(self, pixels=replace(pixels, flux=flux, total=total, usable=usable))
-
-
-def taken_off(pixels, clean):
-    """Return the part of the aperture's light that was taken off: of neighbors, and constant."""
-    share = 1.0 if pixels.neighbors is None else pixels.crowding
-    return 1 - share * (1 - _constant_part(clean))
-
-
-def _constant_part(clean):
-    """Return the part of the aperture's light that was found to be constant."""
-    return 0.0 if clean is None else clean.constant / (clean.constant + np.median(clean.light))
 
 
 def _star_share(image, aperture):
@@ -163,11 +145,11 @@ def _shared_out(image, places, near):
     if not total > 0:
         raise NoLightError("the pixels of `tpf` hold no light near the target")
     own = np.where(near, image, 0.0)
-    error = 1 / (_MISFIT * np.abs(image) + _LEVEL * total).ravel()
+    error = 1 / (_MISFIT * np.abs(image) + IMAGE_ERROR * total).ravel()
     for _ in range(_ROUNDS if len(places) > 1 else 1):
         values = own[near] / total
         u, v = (d[near] for d in distances[0])
-        profile = fit_gaussians(u, v, values, 1 / (_MISFIT * np.abs(values) + _LEVEL))
+        profile = fit_gaussians(u, v, values, 1 / (_MISFIT * np.abs(values) + IMAGE_ERROR))
         light = np.stack([profile(*d).ravel() for d in distances], axis=1)
         found = np.linalg.lstsq(light * error[:, None], image.ravel() * error, rcond=None)[0]
         light *= np.maximum(found, 0.0)

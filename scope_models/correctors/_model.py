@@ -12,22 +12,20 @@ from scope_models._values import Value, frozen
 from scope_models.correctors._design import (
     DesignOptions,
     background_columns,
-    constant_columns,
     focus_columns,
     level_column,
     make_regressors,
     other_columns,
     outside_column,
-    segment_breaks,
 )
 from scope_models.correctors._features import Regressors
 from scope_models.correctors._injection import Source, transit_column
 from scope_models.correctors._lightkurve import external_columns, sorted_regressors
 from scope_models.correctors._pixels import Pixels, can_predict, with_predicted_fractions
-from scope_models.correctors._result import CONTAMINATED, NOISY, PLDFit
+from scope_models.correctors._result import CONTAMINATED, PLDFit
 from scope_models.correctors._solution import fit
-from scope_models.correctors._states import CleanPixels
 from scope_models.exceptions import DetrendingWarning
+from scope_models.pixelmodel.star import StarModel
 
 __all__ = ["PLDModel", "PLDOptions", "Settings"]
 
@@ -54,10 +52,9 @@ class PLDOptions(Value):
     ----------
     trend : {"gp", "quadratic"}, optional
         Long-term variability: a Gaussian process or a polynomial.
-    segments : "auto", None or sequence of float, optional
-        Times (days) at which the coefficients of order 1 may change. By default where the sense of
-        the roll reverses. The change has a prior variance of its own, which vanishes if nothing
-        changes.
+    segments : sequence of float, optional
+        Times (days) at which the coefficients of order 1 may change. The change has a prior
+        variance of its own, which vanishes if nothing changes.
     saturation : "auto", None or float, optional
         Flux in e-/s above which a pixel is saturated, by default that of the mission if it is
         known. A full pixel stays full when the star dims, so that its share of the light would
@@ -92,7 +89,7 @@ class PLDOptions(Value):
     """
 
     trend: str = "gp"
-    segments: object = "auto"
+    segments: object = ()
     saturation: object = "auto"
     background: int = integer(3, 1)
     background_aperture_mask: object = None
@@ -136,18 +133,16 @@ class Settings(PLDOptions):
 
 
 def _checked_segments(segments):
-    """Return "auto", None or times in days."""
-    if segments is None or (isinstance(segments, str) and segments == "auto"):
-        return segments
+    """Return times in days."""
+    if segments is None:
+        return ()
     try:
         breaks = np.atleast_1d(plain_time(segments, None, "segments")).ravel()
     except TypeError:
         breaks = np.array([np.nan])
     if not np.isfinite(breaks).all():
-        raise ValueError(
-            f'`segments` must be "auto", None or a sequence of times, got {segments!r}'
-        )
-    return tuple(breaks)
+        raise ValueError(f"`segments` must be None or a sequence of times, got {segments!r}")
+    return tuple(np.sort(breaks).tolist())
 
 
 def _checked_saturation(saturation):
@@ -177,7 +172,7 @@ class PLDModel:
     pixels: Pixels
     options: PLDOptions
     design: DesignOptions
-    clean: CleanPixels | None = None
+    clean: StarModel | None = None
     source: Source | None = None
 
     @classmethod
@@ -219,8 +214,6 @@ class PLDModel:
             if clean and predicted.usable[bright].mean() > _CREDIBLE:
                 extra["focus"] = focus_columns(clean, pixels.usable, use)
                 extra["aperture"] = outside_column(clean, pixels.usable)
-                if clean.constant > 0:
-                    extra["constant light"] = constant_columns(clean, pixels.usable, use)
                 pixels, saturation = predicted, None
             else:  # the model of the pixels has diverged
                 clean = None
@@ -228,7 +221,8 @@ class PLDModel:
             if "background" not in extra:
                 extra["level"] = level_column(pixels, use)
             pixels = pixels.weighted
-        breaks = segment_breaks(options.segments, pixels, use & pixels.usable)
+        time = pixels.time[use & pixels.usable]
+        breaks = tuple(b for b in options.segments if time[0] < b <= time[-1])
         design = DesignOptions(
             options.order, saturation, breaks, extra, options.pca_components or None, regressor_mask
         )
@@ -307,7 +301,7 @@ def fit_pixels(pixels, options, series, cadence_mask=None, **transit):
 
     With ``fractions="auto"`` these are the predicted ones, of images that change slowly if these
     predict unseen windows decisively better. Where they leave more noise than FLUX_ERR may lack,
-    the model lacks something: then measured fractions are tried, as under the seeing of the ground.
+    and no other light that measured fractions would follow the star by, these are tried too.
     ``series`` is the file of the pixels; the rest are arguments of `PLDModel.fit`.
     """
     state = {}
@@ -316,8 +310,7 @@ def fit_pixels(pixels, options, series, cadence_mask=None, **transit):
         return PLDModel.from_pixels(pixels, options, series, cadence_mask, state=state)
 
     fitted = model_with(options).fit(cadence_mask, **transit)
-    clean = fitted.model.clean
-    if options.fractions != "auto" or clean is None:
+    if options.fractions != "auto" or fitted.model.clean is None:
         return fitted
     with warnings.catch_warnings():  # of models that may not be taken
         warnings.simplefilter("ignore", DetrendingWarning)
@@ -326,12 +319,9 @@ def fit_pixels(pixels, options, series, cadence_mask=None, **transit):
             trial = other.clean and other.fit(cadence_mask, **transit, like=fitted)
             if trial and _gain(trial, fitted) > _DECISIVE:
                 fitted = other.fit(cadence_mask, **transit)
-            # beside other light measured fractions follow the star
-            most = _MISFIT if fitted.contrast_error < CONTAMINATED else NOISY
-            if fitted.noise_scale <= most:
+            if fitted.noise_scale < _MISFIT or fitted.contrast_error > CONTAMINATED:
                 return fitted
-            other = model_with(replace(options, fractions="measured"))
-            other = other.fit(cadence_mask, **transit)
+            other = model_with(replace(options, fractions="measured")).fit(cadence_mask, **transit)
             return other if _gain(other, fitted) > _DECISIVE else fitted
         except ValueError:  # they cannot be fitted
             return fitted

@@ -8,12 +8,12 @@ from astropy.stats import mad_std
 from scipy import ndimage
 
 from scope_models._checks import checked_weights
-from scope_models.correctors._clean import clean_pixels
-from scope_models.correctors._position import DARK_PART, FEWEST_DARK, dark_plane, precise_aperture
-from scope_models.correctors._smoothing import quantile
 from scope_models.exceptions import DetrendingWarning
 from scope_models.io.pixels import usable_positions
 from scope_models.photometry import aperture_flux, cdpp
+from scope_models.pixelmodel.position import DARK_PART, FEWEST_DARK, dark_plane, precise_aperture
+from scope_models.pixelmodel.smoothing import quantile
+from scope_models.pixelmodel.star import fit_star
 
 __all__ = [
     "LARGEST_CORRECTION",
@@ -358,11 +358,10 @@ def can_predict(pixels, saturation, use):
 def with_predicted_fractions(pixels, pos_corr, cadence_mask=None, **options):
     """Return the star's light with predicted pixel fractions in place of the measured pixels.
 
-    Images and constant light are learned from the cadences of ``cadence_mask``, by default all;
-    ``options`` are others of `clean_pixels`. The ``total`` of the returned pixels is the light
-    without background and without the constant light that is known, their ``flux`` the predicted
-    fractions at constant focus times this. Second come the `CleanPixels`; None, with the pixels as
-    they were, if the equations are singular.
+    Images are learned from the cadences of ``cadence_mask``, by default all; ``options`` are
+    others of `fit_star`. The ``total`` of the returned pixels is the light without background,
+    their ``flux`` the predicted fractions at constant focus times this. Second comes the
+    `StarModel`; None, with the pixels as they were, if the equations are singular.
     """
     use = pixels.usable.copy()
     learned = use if cadence_mask is None else use & cadence_mask
@@ -375,7 +374,7 @@ def with_predicted_fractions(pixels, pos_corr, cadence_mask=None, **options):
     typical = np.median(error[valid])
     try:
         with np.errstate(all="ignore"):  # of a model that fails
-            clean = clean_pixels(
+            clean = fit_star(
                 pixels.time[use],
                 pixels.flux[use][:, known],
                 np.where(valid, error, typical)[:, known],
@@ -391,7 +390,6 @@ def with_predicted_fractions(pixels, pos_corr, cadence_mask=None, **options):
         return pixels, None
     light, light_error = clean.light, clean.light_error
     if pixels.weights is not None:
-        clean = replace(clean, constant=0.0)
         light, light_error = _light_in_window(pixels, clean, use, known)
     flux = np.zeros_like(pixels.flux)
     cube = np.zeros((use.sum(), *known.shape))

@@ -41,8 +41,6 @@ _ROUNDS, _TOLERANCE = 5, 0.05
 #: Prior: bounds of the period in days. What is faster than a transit is not a trend. With a longer
 #: period a straight line would cost little, and the star's would undo that of a slow drift.
 _SHORTEST_PERIOD, SLOWEST = 0.5, 5.0
-#: Tolerance: variances of a group's part that are tried against others, in units of the data's.
-_SCAN = (1e-3, 0.03, 1.0, 30.0, 300.0)
 #: Tolerance: number of means, or up to twice as many, that find the best start.
 _FEW = 1000
 #: Tolerance: where the search begins: the process' variance, and that of each group's part of the
@@ -355,33 +353,16 @@ def fit_hyperparameters(data, start=None, *, trend=True):
     width = len(data.y) // _ENOUGH
     if width > 1:
         return fit_columns(data, fit_hyperparameters(data.averaged(width), start, trend=trend))
-    best, scan = _best_start(data, trend) if start is None else _Trial.at(data, start), True
+    best = _best_start(data, trend) if start is None else _Trial.at(data, start)
     for k in range(_ROUNDS):
         value = best.value
-        trial = _scanned(best) if scan else best
-        scan = start is None and trial is not best
-        best = max(best, _fit_scales(trial), key=_value)
+        best = max(best, _fit_scales(best), key=_value)
         if best.hyper.amplitude is None or (k > 0 and best.value < value + _TOLERANCE):
             break  # nor would the process change
         best = max(best, _fit_process(best), key=_value)
         if best.value < value + _TOLERANCE:
             break
     return best.hyper
-
-
-def _scanned(trial):
-    """Try other variances of one group after the other, far from the present ones.
-
-    Groups explain much the same, so that the likelihood has several maxima, and from a variance
-    of nothing there is no slope back.
-    """
-    for g, unit in enumerate(trial.data.spread / trial.data.sizes):
-        start = trial.hyper.variances
-        for factor in _SCAN:
-            variances = start.copy()
-            variances[g] = factor * unit
-            trial = max(trial, trial.changed(variances), key=_value)
-    return trial
 
 
 def _best_start(data, trend):

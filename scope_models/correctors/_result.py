@@ -16,22 +16,21 @@ from scope_models.correctors._injection import (
     depth_ratio,
     fitted_depth,
     no_survival,
-    taken_off,
     transit_column,
     warn_of_unmasked,
 )
 from scope_models.correctors._pixels import LARGEST_CORRECTION
-from scope_models.correctors._smoothing import TRANSIT
 from scope_models.correctors._solution import Solution
 from scope_models.exceptions import DetrendingWarning
+from scope_models.pixelmodel.smoothing import TRANSIT
 
-__all__ = ["CONTAMINATED", "NOISY", "PLDFit"]
+__all__ = ["CONTAMINATED", "PLDFit"]
 
 #: Warning: parts from which on a warning is given: outliers, constant light, changes of the flux
 #: that measured fractions explain; and the noise's variance over FLUX_ERR squared. Smaller
 #: apertures lose light when the star moves, which the fractions explain.
 _WHOLE = 9
-_MANY, CONTAMINATED, _FOLLOWING, NOISY = 0.1, 0.02, 0.05, 9.0
+_MANY, CONTAMINATED, _FOLLOWING, _NOISY = 0.1, 0.02, 0.05, 9.0
 #: Warning: wings of neighbors may give more light, and light that was taken off is known better.
 _BLENDED = 0.1
 #: Warning: nothing of a depth survives or all of it: 0 to 1, with what the light that was taken off
@@ -364,8 +363,8 @@ class PLDFit:
         if self.contamination > CONTAMINATED:
             if self.contamination > _BLENDED:
                 found.append(
-                    f"{100 * self.contamination:.1f} % of the light in the aperture was taken off: "
-                    "of other stars, or constant"
+                    f"{100 * self.contamination:.1f} % of the light in the aperture was taken off, "
+                    "that of other stars"
                 )
         elif crowded or self.contrast_error > _BLENDED:
             part = 1 - self.crowding if crowded else self.contrast_error
@@ -380,7 +379,7 @@ class PLDFit:
                 "with other light in the aperture they follow the star, and its variability is "
                 'lost; compare `fractions="predicted"`'
             )
-        if self.noise_scale > NOISY:
+        if self.noise_scale > _NOISY:
             found.append(
                 f"the noise has {self.noise_scale:.0f} times the variance of FLUX_ERR: the star "
                 "varies faster than the trend model, or systematics are left"
@@ -405,8 +404,9 @@ class PLDFit:
 
     @property
     def contamination(self):
-        """Light of neighbors and constant light that was taken off, as a part of all light."""
-        return taken_off(self.model.pixels, self.model.clean)
+        """Light of neighbors that was taken off, as a part of all light."""
+        pixels = self.model.pixels
+        return 0.0 if pixels.neighbors is None else 1 - pixels.crowding
 
     @property
     def neighbors(self):
@@ -423,19 +423,21 @@ class PLDFit:
     @cached_property
     def contrast_error(self):
         """Relative uncertainty of depths and amplitudes due to other light in the aperture."""
-        source = self.model.source
-        return 0.0 if source is None else source.contrast_error(self.model.clean)
+        source, clean = self.model.source, self.model.clean
+        known = 0.0 if source is None else source.contrast_error
+        return max(known, 0.0 if clean is None else clean.constant)
 
     @property
     def crowding(self):
         """Target's share of the aperture's light, at most.
 
-        The rest is in pixels in which other stars are brightest, or of a star whose light is
-        blended with the target's and has no peak of its own.
+        The rest is in pixels in which other stars are brightest, of a star whose light is blended
+        with the target's and has no peak of its own, or does not vary as the target does.
         """
-        pixels, source = self.model.pixels, self.model.source
+        pixels, source, clean = self.model.pixels, self.model.source, self.model.clean
         blended = source is not None and pixels.own is not None and pixels.own.all()
-        return min(pixels.crowding, 1 - source.other_light if blended else 1.0)
+        other = source.other_light if blended else 0.0
+        return min(pixels.crowding, 1 - other, 1 - clean.constant if clean else 1.0)
 
     @one_thread
     def covariance(self, cadences):
@@ -572,7 +574,7 @@ class PLDFit:
         Then the transit is taken out of the star's light in the pixels, and everything is
         done again: what the fit still finds is the response of the chain, pixel fractions and
         all. The amplitude is the one that leaves no transit in the fit. It is relative to all
-        light in the aperture, less constant light that was taken off.
+        light in the aperture, less that of neighbors that was taken off.
 
         Parameters
         ----------
@@ -606,7 +608,7 @@ class PLDFit:
 
     def _without_response(self, column, found, error):
         """Return the amplitude whose removal from the pixels leaves no transit, and its error."""
-        share = self.model.source.star_part(self.model.clean)
+        share = 1 - self.model.source.other_light
         taken, left, response = [0.0], [found], share
         while len(left) <= _REMOVALS and abs(left[-1]) > _NOTHING * error:
             step = left[-1] / response
@@ -696,7 +698,7 @@ class PLDFit:
             ("outliers", f"{self.n_outliers}"),
             ("noise variance / FLUX_ERR^2", f"{self.noise_scale:.3f}"),
             ("fractions", self._fractions),
-            ("constant light taken off", f"{100 * self.contamination:.1f} %"),
+            ("light of neighbors taken off", f"{100 * self.contamination:.1f} %"),
         ]
         if self.crowding < 1:
             rows.append(("of other stars", f"{100 * (1 - self.crowding):.1f} %"))

@@ -43,7 +43,6 @@ _EXPECTED = {
     "segments": 1e-4,
     "focus": 1e-5,
     "aperture": 1.0,
-    "constant light": 0.003,
 }
 #: Prior: ... of measured ones.
 _MEASURED = {"level": 1.0}

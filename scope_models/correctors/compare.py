@@ -11,11 +11,11 @@ from astropy.table import QTable
 from astropy.units.cds import ppm
 
 from scope_models._checks import checked_cadences
-from scope_models.correctors._smoothing import TRANSIT
 from scope_models.correctors.pld import PLDCorrector
 from scope_models.exceptions import DetrendingWarning
 from scope_models.io import read_tpf
 from scope_models.photometry import cdpp
+from scope_models.pixelmodel.smoothing import TRANSIT
 
 __all__ = ["ComparisonResult", "compare_correctors"]
 

@@ -9,7 +9,7 @@ from astropy.coordinates import SkyCoord
 from astropy.table import Table
 
 from scope_models import Detector, Motion, Star, simulate
-from scope_models.benchmark import make_sky, score
+from scope_models.benchmark import SkyRegime, make_sky, score
 from scope_models.correctors import PLDCorrector
 from scope_models.exceptions import DetrendingWarning, LostLightWarning
 from scope_models.io import read_pixels
@@ -104,6 +104,26 @@ def test_constant_light_in_the_wings_of_an_eclipsing_star(regime):
     assert 0.5 < found.pull < 1.5
     remark = f"{100 * corrector.result.contamination:.1f} % of the light in the aperture was taken"
     assert remark in " ".join(corrector.result.remarks())
+
+
+@pytest.mark.parametrize(
+    ("mission", "star"), [("K2", "rr_lyrae"), ("K2", "eclipsing"), ("TESS", "rr_lyrae")]
+)
+def test_a_blended_star_keeps_its_variability(mission, star):
+    """A neighbor within the PSF cannot be subtracted: that the light is diluted is stated."""
+    tess = {"mission": "TESS", "motion": "tess", "magnitude": 9.0, "focus": 0.001}
+    variability = {"star": star, "period": 0.55 if star == "rr_lyrae" else 2.3, "amplitude": 0.2}
+    options = variability | (tess if mission == "TESS" else {})
+    sky = make_sky(SkyRegime("blend", neighbors=((1, 1.1, 0.0),), **options), 31, n_cadences=600)
+    corrector = corrected(sky)
+    remarks = " ".join(corrector.result.remarks())
+    assert "of other stars: depths and amplitudes are too small" in remarks
+    own, others = (
+        light[:, corrector.aperture_mask].sum() for light in (sky.star_light, sky.neighbor_light)
+    )
+    share = own / (own + others)
+    assert score(corrector.corrected_lc, sky).amplitude == pytest.approx(share, abs=0.02)
+    assert share < corrector.result.crowding < 0.95
 
 
 @pytest.mark.parametrize(("neighbors", "amplitude"), [(None, 0.0), (None, 0.005), ("find", 0.0)])

@@ -10,10 +10,10 @@ import numpy as np
 from astropy.coordinates import SkyCoord
 from scipy.optimize import lsq_linear
 
-from scope_models.correctors._scene_model import Shape, Track, render
-from scope_models.correctors._splines import make_grid
 from scope_models.exceptions import DetrendingWarning
 from scope_models.io.pixels import star_places, target_place
+from scope_models.pixelmodel.scene import Shape, Track, render
+from scope_models.pixelmodel.splines import make_grid
 
 __all__ = [
     "NEAREST",
@@ -24,7 +24,6 @@ __all__ = [
     "first_shape",
     "first_track",
     "fit_gaussians",
-    "in_places",
 ]
 
 #: Tolerance: widths of the Gaussians whose sum is the first guess, in units of the star's.
@@ -343,7 +342,7 @@ def find_neighbors(shape, track, flux, variance, known, refit, places=None):
         trial = _settled(shape, track, flux, variance, tried, refit)
         if trial is None or not _separate(trial[2], np.median(trial[1].flux)):
             break
-        if places is not None and not in_places(places, trial[1], *trial[2][:, 1:].T).all():
+        if places is not None and not _in_places(places, trial[1], *trial[2][:, 1:].T).all():
             break
         shape, track, found = trial
     return replace(shape, neighbors=found, first_neighbors=found), track
@@ -391,7 +390,7 @@ def _brightest_rest(shape, track, flux, variance, found, places):
     for _, dx, dy in found:
         good &= np.hypot(du - dx, dv - dy) > NEAREST
     if places is not None:
-        good &= in_places(places, track, du, dv)
+        good &= _in_places(places, track, du, dv)
     if not good.any():
         return None
     j, i = np.unravel_index(np.argmax(np.where(good, rest, -np.inf)), rest.shape)
@@ -402,7 +401,7 @@ def _brightest_rest(shape, track, flux, variance, found, places):
     return np.array([weight.sum(), *place])
 
 
-def in_places(places, track, du, dv):
+def _in_places(places, track, du, dv):
     """Return whether distances from the target are in pixels in which neighbors may be."""
     inside = np.pad(places, 1)  # but not on the border
     center = (np.median(track.y) + dv, np.median(track.x) + du)

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 
-from scope_models.correctors._smoothing import quantile
+from scope_models.pixelmodel.smoothing import quantile
 
 __all__ = [
     "DARK_PART",
@@ -11,7 +11,6 @@ __all__ = [
     "REWEIGHTS",
     "Features",
     "Widening",
-    "along_position",
     "dark_plane",
     "polynomials",
     "precise_aperture",
@@ -140,18 +139,6 @@ def polynomials(position):
     x, y = position.T
     powers = [(i, n - i) for n in range(_DEGREE + 1) for i in range(n + 1)]
     return np.column_stack([x**i * y**j for i, j in powers])
-
-
-def along_position(values, position, use):
-    """Return a robust fit of polynomials of position."""
-    columns = polynomials(position / np.maximum(np.abs(position[use]).max(axis=0), 1e-9))
-    weight = use.astype(float)
-    for _ in range(REWEIGHTS):
-        root = np.sqrt(weight)
-        fitted = columns @ np.linalg.lstsq(columns * root[:, None], values * root, rcond=None)[0]
-        rest = np.abs(values - fitted)
-        weight = use / (1 + (rest / (3 * max(np.median(rest[use]), 1e-12))) ** 2)
-    return fitted
 
 
 def dark_plane(image, terms):

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy.special import erf
 
-from scope_models.correctors._clean import clean_pixels
-from scope_models.correctors._position import Widening, precise_aperture
-from scope_models.correctors._smoothing import Smoother
+from scope_models.pixelmodel.position import Widening, precise_aperture
+from scope_models.pixelmodel.smoothing import Smoother
+from scope_models.pixelmodel.star import IMAGE_ERROR, fit_star
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 
@@ -44,7 +44,7 @@ def observed(light, seed=2, noise=2.0):
 
 def clean(light, measured, **options):
     flux, error = observed(light)
-    return clean_pixels(TIME, flux, error, measured, GRID, np.ones(len(GRID), bool), **options)
+    return fit_star(TIME, flux, error, measured, GRID, np.ones(len(GRID), bool), **options)
 
 
 def deviation(shares, true):
@@ -92,7 +92,7 @@ def test_light_that_the_focus_moves_over_the_border_is_put_back():
     width = SIGMA * (1 + 0.004 * np.sin(2 * np.pi * TIME / 7))
     flux, error = observed(FLUX * image(x, y, width))
     aperture = np.hypot(*(GRID - 4).T) < 1.2  # it holds 86 % of the light
-    found = clean_pixels(TIME, flux, error, measured, GRID, aperture)
+    found = fit_star(TIME, flux, error, measured, GRID, aperture)
 
     def slope(light):
         columns = np.column_stack([x, y, x * x, x * y, y * y, width / SIGMA, np.ones(len(x))])
@@ -115,14 +115,15 @@ def test_fractions_do_not_follow_a_transit():
     assert np.abs(change).max() < measured_change
 
 
-def test_constant_neighbor_of_a_variable_star_is_taken_off():
+def test_shares_do_not_follow_a_variable_star_beside_a_constant_neighbor():
     x, y, measured = motion()
     bright = 1 + 0.15 * np.sin(2 * np.pi * TIME / 0.55)
     neighbor = 0.4 * FLUX * image(x + 3, y)
     found = clean(FLUX * bright[:, None] * image(x, y) + neighbor, measured)
-    np.testing.assert_allclose(found.constant, 0.4 * FLUX, rtol=0.03)
-    slope = np.polyfit(bright, found.light / np.median(found.light), 1)
-    np.testing.assert_allclose(slope[0] / (slope[0] + slope[1]), 1, atol=0.02)
+    # five widths of the PSF apart, nearly all of the other light shows, less errors of 81 pixels
+    assert 0.96 < (found.constant + 9 * IMAGE_ERROR) / (0.4 / 1.4) < 1
+    slope = np.polyfit(bright, found.light / FLUX, 1)
+    np.testing.assert_allclose(slope, [1, 0.4], atol=0.005)
     both = FLUX * image(x, y) + neighbor
     true = both / both.sum(axis=1, keepdims=True)
     follows = np.polyfit(bright, found.shares - true, 1)[0]
@@ -205,7 +206,7 @@ def test_rolling_bands_are_background():
     bands = np.where(banded[:, None], 20 * np.sin(2 * np.pi * rows), 0.0)
     flux, error = observed(3000 * image(x, y) + bands)
     inside = image(x, y).mean(axis=0) > 1e-3
-    found = clean_pixels(TIME, flux, error, measured, GRID, inside, use=~banded, banded=banded)
+    found = fit_star(TIME, flux, error, measured, GRID, inside, use=~banded, banded=banded)
     part = found.light / np.median(found.light) - 1
     wave = bands[banded][:, inside].sum(axis=1) / 3000
     assert part[banded].std() < 1.3 * part[~banded].std() < 0.1 * wave.std()
@@ -215,7 +216,7 @@ def test_rolling_bands_are_background():
 def test_light_of_a_faint_star_has_less_noise_than_the_sum():
     x, y, measured = motion()
     flux, error = observed(800 * image(x, y))
-    found = clean_pixels(TIME, flux, error, measured, GRID, np.ones(len(GRID), bool))
+    found = fit_star(TIME, flux, error, measured, GRID, np.ones(len(GRID), bool))
     assert np.median(found.light_error) < 0.6 * np.sqrt((error**2).sum(axis=1)).mean()
     noise = np.diff(found.light).std() / np.sqrt(2)
     np.testing.assert_allclose(noise, np.median(found.light_error), rtol=0.15)
@@ -225,7 +226,7 @@ def test_light_of_a_faint_star_has_less_noise_than_the_sum():
 def test_faint_noisy_star_is_not_taken_for_a_variable_one():
     x, y, measured = motion()
     flux, error = observed(300 * image(x, y) + 100 * image(x + 3, y))
-    found = clean_pixels(TIME, flux, error, measured, GRID, np.ones(len(GRID), bool))
+    found = fit_star(TIME, flux, error, measured, GRID, np.ones(len(GRID), bool))
     assert found.constant == 0
 
 
@@ -255,7 +256,7 @@ def faint(seed=5):
 def test_light_of_a_faint_star_with_cosmic_rays():
     flux, error, measured, rays = faint()
     x, y, _ = motion()
-    found = clean_pixels(TIME, flux, error, measured, GRID, np.ones(len(GRID), bool))
+    found = fit_star(TIME, flux, error, measured, GRID, np.ones(len(GRID), bool))
     # the bound of unbiased weights for a known image without rays; the sum has twice that noise
     shares = image(x, y)
     bound = np.median(1 / np.sqrt((shares**2 / error**2).sum(axis=1)))
@@ -274,7 +275,7 @@ def test_light_is_the_sum_where_images_are_wrong():
     true = true * (1 + moved - (true * moved).sum(axis=1, keepdims=True))
     flux, error = observed(FLUX * true)
     inside = image(x, y).mean(axis=0) > 1e-3
-    found = clean_pixels(TIME, flux, error, measured, GRID, inside)
+    found = fit_star(TIME, flux, error, measured, GRID, inside)
     part = found.light / (FLUX * true[:, inside].sum(axis=1))
     means = part[:494].reshape(-1, 13).mean(axis=1)
     assert np.std(means) < 1.3 * np.median(found.light_error / found.light) / np.sqrt(13)
@@ -290,7 +291,7 @@ def test_images_that_change_slowly_are_followed(level):
     flux, error = observed(2000 * true, noise=1.0)
     flux += level * np.random.default_rng(3).normal(size=(len(TIME), 1))
     every = np.ones(len(GRID), bool)
-    found = clean_pixels(TIME, flux, error, measured, GRID, every, changing=True)
+    found = fit_star(TIME, flux, error, measured, GRID, every, changing=True)
     assert deviation(found.shares, true) < 0.4 * deviation(image(x, y), true)
     spread = 1.05 * np.median(np.abs(np.diff(found.light)))
     assert 0.8 * spread < np.median(found.light_error) < 1.25 * spread
@@ -304,7 +305,7 @@ def test_a_fluctuating_background_counts_in_short_series():
     flux += np.random.default_rng(3).normal(size=(len(TIME), 1))
     few, every = slice(220), np.ones(len(GRID), bool)
     data = [values[few] for values in (TIME, flux, error, measured)]
-    curves = [clean_pixels(*data, GRID, every, changing=change).light for change in (False, True)]
+    curves = [fit_star(*data, GRID, every, changing=change).light for change in (False, True)]
     before, after = (np.median(np.abs(np.diff(light))) for light in curves)
     assert after < 0.7 * before
 
@@ -321,7 +322,7 @@ def test_errors_that_are_too_small_take_no_light(fluctuates):
     def scatter(seed, part):
         flux, error = observed(300 * image(x, y), seed)
         data = (TIME, flux, part * error, measured, GRID, every)
-        return np.median(np.abs(np.diff(clean_pixels(*data, changing=fluctuates).light)))
+        return np.median(np.abs(np.diff(fit_star(*data, changing=fluctuates).light)))
 
     ratios = [scatter(seed, 0.6) / scatter(seed, 1.0) for seed in range(8)]
     assert np.mean(ratios) < 1.05

@@ -1,0 +1,1 @@
+"""The model of a star's pixels: its light, positions and widths, and its neighbors."""

@@ -1,0 +1,176 @@
+"""The light of a star's neighbors, by a model of all pixels near it."""
+
+from dataclasses import replace
+
+import numpy as np
+from astropy.stats import mad_std
+
+from scope_models.pixelmodel.scene import (
+    MEDIAN_SQUARE,
+    Priors,
+    between,
+    improve_shape,
+    measure_floor,
+    misfit,
+    neighbor_images,
+    residuals,
+    solve_states,
+    solve_track,
+    without_level,
+)
+from scope_models.pixelmodel.smoothing import Smoother
+from scope_models.pixelmodel.start import (
+    NEAREST,
+    NoLightError,
+    centroids,
+    find_neighbors,
+    first_shape,
+    first_track,
+)
+
+__all__ = ["fit_neighbors"]
+
+#: Tolerance: cadences that constrain the shape, and largest number of its steps.
+_SHAPE_CADENCES, _SHAPE_STEPS = 250, 40
+#: Tolerance: model errors relative to the light that are allowed in the steps of the shape, one
+#: after the other; never below a fifth of those that are measured.
+_FLOORS = (1e-2, 3e-3, 1e-3, 3e-4, 1e-4)
+#: Prior: standard deviations of positions (px) with and without POS_CORR, and of widths.
+_POSITION, _FREE_POSITION, _WIDTH = 0.05, 0.3, 0.01
+#: Prior: ... and of widths about their smooth course.
+_HELD = 1e-5
+#: Prior: standard deviations of the pixels' gains in the first steps of the shape, and later.
+_GAINS = (1e-4, 1e-3, 5e-3, 0.015)
+#: Tolerance: after these steps the priors of the PRF are about what has been found: stars at rest
+#: need it.
+_ANCHORS = (2, 4, 6)
+#: Branch: pixels that deviate by more standard deviations are left out, in less than this part of
+#: the cadences.
+_SIGMA, _MOST_HITS = 6.0, 0.05
+
+
+def fit_neighbors(time, flux, variance, pos_corr, peak, use, known, places):
+    """
+    Return shape, track, and the neighbors' light; None without any.
+
+    Parameters
+    ----------
+    time : ndarray
+        Days, ``(n,)``.
+    flux, variance : ndarray
+        Pixels ``(n, ny, nx)`` in e-/s, finite; infinite variance where there are no data.
+    pos_corr : ndarray or None
+        ``(n, 2)``.
+    peak : ndarray
+        Column and row of the target in a typical cadence.
+    use : ndarray of bool
+        Cadences from which the shape is learned.
+    known : KnownNeighbors or None
+        Other stars; None: they are found.
+    places : ndarray of bool or None
+        Pixels in which they may be.
+
+    Raises
+    ------
+    NoLightError
+        If the model describes another star than the one at the peak.
+    """
+    n, rng = len(flux), np.random.default_rng(0)
+    pixels = flux[use], variance[use]
+    # a first guess without the light around known neighbors
+    theirs = False if known is None else known.nearer(peak, flux.shape[1:])
+    (x, y), measured = first_track(np.where(theirs, 0.0, flux), pos_corr, peak)
+    own = np.where(theirs, np.inf, pixels[1])
+    shape, track = first_shape(pixels[0], own, x[use], y[use], rng)
+
+    def refit(images):
+        some = images[::10], x[use][::10], y[use][::10]
+        shifts = (np.median(c - s) for c, s in zip(centroids(*some), some[1:], strict=True))
+        column, row = (s[use] + shift for s, shift in zip((x, y), shifts, strict=True))
+        return first_shape(images, variance[use], column, row, np.random.default_rng(0))
+
+    shape, track = find_neighbors(shape, track, *pixels, known, refit, places)
+    if not len(shape.neighbors):
+        return None
+    shift = np.median(track.stacked[:, 1:3] - np.column_stack([x, y])[use], axis=0)
+    start = np.zeros((n, 5))
+    start[:, 0] = np.median(track.flux)
+    start[:, 1:3] = np.column_stack([x, y]) + shift
+    sigma = np.full((n, 5), np.inf)
+    sigma[:, 1:3] = np.where(measured, _POSITION, _FREE_POSITION)[:, None]
+    sigma[:, 3] = _WIDTH
+    sub = np.flatnonzero(use)
+    sub = sub[np.unique(np.linspace(0, len(sub) - 1, _SHAPE_CADENCES).astype(int))]
+    noise, schedule = variance[sub], _FLOORS[0]
+    priors = Priors(start, sigma)
+    part = type(track)(*start[sub].T)
+    shape = without_level(shape, part[::10])
+    part = solve_track(shape, part, flux[sub], noise, priors[sub], schedule)
+    for step in range(_SHAPE_STEPS):
+        gain = _GAINS[min(step, len(_GAINS) - 1)]
+        shape, part, stuck = _step(shape, part, (flux[sub], noise, priors[sub], schedule), gain)
+        floor = measure_floor(shape, part, flux[sub], variance[sub])
+        schedule = max(_FLOORS[min(step + 1, len(_FLOORS) - 1)], floor / 5)
+        if step >= 1:
+            noise = _without_hits(shape, part, flux[sub], variance[sub], floor)
+        if step == 1 and measured.mean() > 0.5:
+            errors = part.stacked[:, 1:3] - start[sub, 1:3]
+            tight = np.clip(1.5 * max(mad_std(errors, axis=0)), 0.003, _POSITION)
+            sigma[:, 1:3] = np.where(measured, tight, _FREE_POSITION)[:, None]
+        if step in _ANCHORS:
+            shape = replace(shape, prior_mean=shape.coefficients)
+        if stuck and step >= len(_GAINS):
+            break
+    floor = max(floor, _FLOORS[-1])
+    track = solve_track(shape, type(track)(*start.T), flux, variance, priors, floor)
+    clean = _without_hits(shape, track, flux, variance, floor)
+    if np.hypot(*(np.median(track.stacked[use, 1:3], axis=0) - peak)) > NEAREST:
+        raise NoLightError("the model has left the target")
+    track, change = _varying(time, shape, track, flux, clean, priors, floor, use)
+    return shape, track, np.array(neighbor_images(shape, track, change))
+
+
+def _step(shape, track, data, gain):
+    """Improve shape and states, by less than a whole Gauss-Newton step if that is too much."""
+    before = misfit(shape, track, *data, gain)
+    whole = improve_shape(shape, track, *data, gain)
+    for part in (1.0, 0.4, 0.15):
+        trial = between(shape, whole, part)
+        moved = solve_track(trial, track, *data, steps=2)
+        after = misfit(trial, moved, *data, gain)
+        if after < before:
+            return trial, moved, after > 0.99 * before
+    return shape, track, True
+
+
+def _without_hits(shape, track, flux, variance, floor):
+    """Return the variances, infinite in the few pixels that deviate, as cosmic rays do."""
+    rest, light = residuals(shape, track, flux)
+    deviation = np.abs(rest) / np.sqrt(variance + (4 * floor * light) ** 2)
+    hit = deviation > _SIGMA
+    often = hit.mean(axis=0) > _MOST_HITS  # here the model errs
+    return np.where(hit & ~often, np.inf, variance)
+
+
+def _varying(time, shape, track, flux, variance, priors, floor, use):
+    """
+    Fit the states with smooth widths, and neighbors that may vary.
+
+    The variance of each neighbor's flux is what its values have beyond their errors, so that a
+    constant one stays constant.
+    """
+    m = len(shape.neighbors)
+    change = np.zeros((len(flux), m))
+    mean = np.concatenate([priors.mean, change], axis=1)
+    sigma = np.concatenate([priors.sigma, np.full_like(change, np.inf)], axis=1)
+    sigma[:, 3] = np.inf
+    data = flux, variance
+    track, change, error = solve_states(shape, track, change, *data, Priors(mean, sigma), floor)
+    mean[:, 3], sigma[:, 3] = Smoother(time, use)(track.width, error[:, 3]), _HELD
+    track, change, error = solve_states(shape, track, change, *data, Priors(mean, sigma), floor)
+    middle = np.median(change[use], axis=0)
+    noise = np.median(error[use, 5:] ** 2, axis=0)
+    size = np.median((change[use] - middle) ** 2, axis=0) / MEDIAN_SQUARE
+    mean[:, 5:] = middle
+    sigma[:, 5:] = np.sqrt(np.maximum(size - noise, 1e-6 * noise))
+    return solve_states(shape, track, change, *data, Priors(mean, sigma), floor)[:2]

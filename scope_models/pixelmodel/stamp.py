@@ -1,0 +1,191 @@
+"""The pixels of a star that a model is fitted to, and where the fit begins."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import ndimage
+
+from scope_models.pixelmodel.position import (
+    FEWEST_DARK,
+    REWEIGHTS,
+    Features,
+    Widening,
+    dark_plane,
+)
+from scope_models.pixelmodel.smoothing import TRANSIT, Smoother, quantile
+
+__all__ = ["POSITION_PRIOR", "Stamp", "States", "make_stamp"]
+
+#: Prior: standard deviation of a position about POS_CORR (px).
+POSITION_PRIOR = 0.02
+#: Prior: scale (px) of the images as functions of position, and of their changes.
+_SCALE, _COARSE_SCALE = 0.8, 1.0
+#: Tolerance: what is left of kernels at most, and the largest number of functions.
+_TOLERANCE, _COARSE_TOLERANCE = 1e-9, 1e-4
+_MAX_RANK, _COARSE_RANK = 200, 25
+#: Branch: POS_CORR that deviates by more is wrong (px).
+_ABSURD = 12.0
+#: Prior: degree of the waves along the rows in cadences with rolling bands.
+_BANDS = 4
+#: Tolerance: width (px) of the rings of the star's profile, and cadences that it is taken from.
+_RING, _ENOUGH = 0.5, 500
+#: Branch: part of the light in the aperture above which the level of dark pixels is background.
+_BACKGROUND = 0.05
+
+
+@dataclass(frozen=True, eq=False)
+class Stamp:
+    """Pixels of a star, in units of its flux, and all that a fit takes as given."""
+
+    time: np.ndarray  # days, (n,)
+    light: np.ndarray  # (n, n_pixels)
+    noise: np.ndarray  # typical variance of each pixel, (n_pixels,)
+    unit: float  # e-/s
+    grid: np.ndarray  # column and row of each pixel, (n_pixels, 2)
+    aperture: np.ndarray  # pixels whose sum is the light, (n_pixels,)
+    use: np.ndarray  # cadences from which everything that they share is learned, (n,)
+    banded: np.ndarray  # cadences with rolling bands, (n,)
+    planes: np.ndarray  # level, slopes and waves of the background, (n_pixels, k)
+    base: np.ndarray  # typical background in these, (k,)
+    waves: np.ndarray  # standard deviation of the waves in each cadence, (n,)
+    dark: np.ndarray  # indices of dark pixels
+    center: np.ndarray  # typical column and row of the star
+    expected: np.ndarray  # position relative to the center as POS_CORR has it, px, (n, 2)
+    known: np.ndarray  # cadences with POS_CORR, (n,)
+    scale: np.ndarray  # standard deviation of an image before the fit, (n_pixels,)
+    features: Features  # functions of position for the images,
+    coarse: Features  # and for their changes
+    widening: Widening
+    smoothed: Smoother
+
+    def functions(self, position):
+        """Return kernels of position, and the functions for images and for their changes."""
+        return *self.features(position), self.coarse(position)[1]
+
+    @property
+    def place(self):
+        """Weight of the expected position in each cadence, 1/px^2."""
+        return np.where(self.known, POSITION_PRIOR**-2, 1e-2)
+
+
+@dataclass(frozen=True, eq=False)
+class States:
+    """What differs from cadence to cadence, and which pixels count."""
+
+    brightness: np.ndarray  # (n,)
+    position: np.ndarray  # relative to the center, px, (n, 2)
+    focus: np.ndarray  # relative change of the PSF's width, (n,)
+    variable: np.ndarray  # strong variability of the star, 0 if there is none, (n,)
+    plane: np.ndarray  # coefficients of the background, (n, k)
+    variance: np.ndarray  # of each pixel about the model, (n_pixels,)
+    good: np.ndarray  # pixels without cosmic rays, (n, n_pixels)
+    fluctuation: float = 0.0  # variance of the background from cadence to cadence
+
+
+def make_stamp(time, flux, flux_err, position, grid, aperture, use=None, banded=None):
+    """Return a `Stamp`, with arguments as `fit_star` has them, and the first `States`."""
+    n, n_pixels = flux.shape
+    use = np.ones(n, dtype=bool) if use is None else use
+    banded = np.zeros(n, dtype=bool) if banded is None else banded
+    typical = quantile(flux[use].T)
+    offset = (grid - grid.mean(axis=0)) / np.maximum(np.ptp(grid, axis=0), 1)
+    planes = np.column_stack([np.ones(n_pixels), offset])
+    n_terms = 3 if n_pixels // 4 >= FEWEST_DARK else 1  # few pixels show no slope
+    slope = dark_plane(typical, planes)[:n_terms]
+    dark = np.argsort(typical - planes[:, :n_terms] @ slope)[: max(3, n_pixels // 4)]
+    if banded.any():
+        rows = 2 * (grid[:, 1] - grid[:, 1].min()) / max(np.ptp(grid[:, 1]), 1) - 1
+        waves = np.polynomial.legendre.legvander(rows, _BANDS)[:, 2:]
+        planes = np.column_stack([planes, waves])
+    # unless that may be the star's wings
+    level = quantile(typical[dark])
+    base = np.zeros(planes.shape[1])
+    if level * aperture.sum() > _BACKGROUND * typical[aperture].sum():
+        base[0] = level
+    plane = np.zeros((n, len(base))) + base
+    plane[:, :n_terms] += _planes((flux - typical)[:, dark], planes[dark, :n_terms])
+    total = (flux - plane @ planes.T)[:, aperture].sum(axis=1)
+    unit = quantile(total[use])
+    light, plane, noise = flux / unit, plane / unit, (quantile(flux_err[use].T) / unit) ** 2
+    own = light - plane @ planes.T
+    smoothed = Smoother(time, use)
+    waves = np.zeros(n)
+    if banded.any():
+        waves = _wave_sizes((flux - typical)[:, dark] / unit, banded, use, smoothed.step)
+    inside = own[:, aperture], grid[aperture]
+    center, expected, known = _expected(*inside, position, total / unit, use)
+    scale = _most_light(own[use], 3 * np.sqrt(noise), grid - center - expected[use, None])
+    stamp = Stamp(
+        time, light, noise, unit, grid, aperture, use, banded, planes, base / unit, waves, dark,
+        center, expected, known, scale,
+        Features(expected[use], _SCALE, _TOLERANCE, _MAX_RANK),
+        Features(expected[use], _COARSE_SCALE, _COARSE_TOLERANCE, _COARSE_RANK),
+        Widening(grid, aperture), smoothed,
+    )  # fmt: skip
+    zero, good = np.zeros(n), np.ones((n, n_pixels), dtype=bool)
+    return stamp, States(total / unit, expected, zero, zero, plane, noise, good)
+
+
+def _planes(change, terms):
+    """Return robust coefficients of changes of pixels ``(n, n_pixels)``, ``(n, n_terms)``.
+
+    A star that moves far, or a cosmic ray, is in some of the pixels.
+    """
+    found = np.zeros((len(change), terms.shape[1]))
+    found[:, 0] = quantile(change)
+    for _ in range(REWEIGHTS):
+        rest = np.abs(change - found @ terms.T)
+        weight = 1 / (1 + (rest / np.maximum(3 * quantile(rest)[:, None], 1e-300)) ** 2)
+        gram = np.einsum("np,pi,pj->nij", weight, terms, terms, optimize=True)
+        found = np.linalg.solve(gram, ((weight * change) @ terms)[:, :, None])[:, :, 0]
+    return found
+
+
+def _wave_sizes(change, banded, use, step):
+    """Return how strong waves are: what dark pixels have beyond noise, in episodes with flags."""
+    spread = (1.4826 * quantile(np.abs(change - quantile(change)[:, None]))) ** 2
+    excess = spread - quantile(spread[use])
+    excess = ndimage.median_filter(excess, max(round(TRANSIT / step), 1))
+    episodes, _ = ndimage.label(banded | (excess > 0))
+    excess[~np.isin(episodes, episodes[banded])] = 0.0
+    return np.sqrt(np.maximum(excess, 0.0))
+
+
+def _expected(light, grid, position, total, use):
+    """Return the typical place of the star, and positions relative to it by POS_CORR.
+
+    Where that is unknown or absurd, they are centroids in its scale.
+    """
+    centroid = light @ grid / total[:, None]
+    center = quantile(centroid[use].T)
+    centroid = centroid - center
+    known = np.isfinite(position).all(axis=1)
+    offset = np.where(known[:, None], position, 0.0)
+    fit = known & use
+    middle = quantile(offset[fit].T) if fit.any() else np.zeros(2)
+    known &= np.abs(offset - middle).max(axis=1) < _ABSURD
+    fit &= known
+    if fit.sum() < 0.2 * use.sum() or np.ptp(offset[fit], axis=0).max() == 0:
+        return center, centroid, np.ones(len(known), dtype=bool)
+    columns = np.column_stack([centroid, np.ones(len(centroid))])
+    expected = offset - quantile(offset[fit].T)
+    slope = np.linalg.lstsq(columns[fit], expected[fit], rcond=None)[0]
+    # where the star was seen: without light there is no centroid
+    near = np.clip(columns @ slope, expected[fit].min(axis=0), expected[fit].max(axis=0))
+    return center, np.where(known[:, None], expected, near), known
+
+
+def _most_light(light, least, away):
+    """Return what each pixel may hold: most of its light, or more by the star's profile.
+
+    Few cadences show what pixels hold at rare places; pixels as near the star do.
+    """
+    distance = np.hypot(*away.T)
+    few = slice(None, None, max(len(light) // _ENOUGH, 1))
+    rings = (distance[:, few] / _RING).astype(int)
+    inside = [light[few].T[rings == k] for k in range(rings.max() + 1)]
+    profile = [max(quantile(values, 0.98), least.min()) for values in inside if values.size]
+    places = _RING * (np.unique(rings) + 0.5)
+    profile = np.log(np.maximum.accumulate(profile[::-1])[::-1])
+    expected = np.exp(np.interp(distance.min(axis=1), places, profile))
+    return np.maximum(np.maximum(quantile(light.T, 0.98), expected), least)

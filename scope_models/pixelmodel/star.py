@@ -1,0 +1,562 @@
+r"""Pixel fractions that neither the star's brightness nor photon noise can move.
+
+Measured fractions of a pixel follow the star when there is other light in the aperture, and they
+hold the same photon noise as the flux that they are to explain. Here the fractions are predicted.
+In cadence t the light of pixel p is
+
+.. math::
+
+    F_p(t) = a_t \left[G_p(x_t) + w_t W_p(x_t) + w_t^2 Q_p(x_t) + S_p(x_t, t)\right]
+             - v_t N_p(x_t) + c_{tp},
+
+with the brightness a, the position x, the relative width w and the background c (a plane) of the
+cadence, and smooth functions of position G, W, Q and N of each pixel. S changes slowly with time.
+Over the aperture G adds up to 1, the others to nothing. N is the difference between the constant
+light and the star's in the image; it counts only where the star itself varies strongly (v). The
+variances of S and N are the most likely ones (MacKay 1992, Neural Computation, 4, 415). Images
+and cadences are fitted in turn; the light is then a least-squares estimate with the errors of noise
+and of this model.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from scope_models.pixelmodel.smoothing import CLIP, NO_WEIGHT, TRANSIT, quantile
+from scope_models.pixelmodel.stamp import POSITION_PRIOR, make_stamp
+
+__all__ = ["IMAGE_ERROR", "StarModel", "fit_star"]
+
+#: Prior: error of an image in each pixel, in units of the star's light.
+IMAGE_ERROR = 1e-3
+
+#: Prior: standard deviation of the relative width of the PSF.
+_WIDTH_PRIOR = 0.02
+#: Prior: standard deviations of changes of an image in units of its own before the fit. A relative
+#: width and its square change the center of a Gaussian PSF by 2 and 3. The data give those of slow
+#: changes and of constant light; this is where they begin.
+_CHANGES = {"width": 2.0, "square": 3.0, "slow": 1.0, "constant": 1.0}
+#: Tolerance: number of steps at most, and at least. The fit ends if the median steps of brightness,
+#: both positions and width are less than these parts of their errors.
+_MOST_STEPS, _FEWEST_STEPS, _SMALL_STEPS = 12, 4, np.array([0.15, 0.15, 0.15, 0.2])
+#: Tolerance: number of steps once images may change slowly.
+_REFINEMENTS = 3
+#: Tolerance: steps after which widths have images of their own, and constant light counts.
+_LATE = 2
+#: Branch: time in days, and standard deviation of changes of the star within it above which
+#: constant light can be learned.
+_FAST, _STRONG = 0.25, 0.02
+#: Prior: relative change of the light in the aperture with position, for telling it from
+#: variability.
+_RESPONSE_PRIOR = 0.05
+#: Branch: cosmic rays exceed so many standard deviations.
+_HIT = 4.5
+#: Branch: part of a pixel's light by which the functions of position may miss where the star moves
+#: far: cosmic rays exceed it, too. Largest ratio of light to noise in a pixel from which on this
+#: and ``CLIP`` hold; of fainter stars cosmic rays are a larger part of the light than such errors.
+_MISFIT, _BRIGHT = 0.05, 5000.0
+#: Branch: width in days of the kernel beyond which outliers of the focus are dips, and none of the
+#: focus.
+_SLOW = 0.05
+#: Prior: images change with time as polynomials of one degree in so many days; tolerance: with so
+#: many columns.
+_DAYS_PER_DEGREE, _MOST_SLOW = 10.0, 60
+
+
+@dataclass(frozen=True)
+class StarModel:
+    """The light of a star without background, and predicted pixel fractions.
+
+    The ``light`` is that of the aperture, by least squares, cosmic rays replaced; what a change of
+    the width moves over the border of the aperture is put back. The ``background`` is relative to
+    its median where the dark pixels may hold the star's wings.
+    """
+
+    light: np.ndarray  # e-/s, (n,)
+    light_error: np.ndarray  # standard deviation of its noise, e-/s, (n,)
+    shares: np.ndarray  # fractions of this light (n, n_pixels), 0 outside of the aperture
+    still: np.ndarray  # those of the light at the width without short dips; they add up to 1
+    outside: np.ndarray  # the star's light in its other pixels over that inside, (n,)
+    background: np.ndarray  # e-/s, (n, n_pixels)
+    position: np.ndarray  # relative to the median, px, (n, 2)
+    focus: np.ndarray  # relative change of the PSF's width without short dips, (n,)
+    constant: float  # part of the light that does not vary with the star, at least
+    repaired: np.ndarray  # pixels whose light was replaced by the model's, (n, n_pixels)
+
+    def leaks(self):
+        """Return the states by name, and the light that positions and width move in each pixel."""
+        background = np.mean(self.background, axis=1)
+        states = {
+            "Column (pixel)": self.position[:, 0],
+            "Row (pixel)": self.position[:, 1],
+            "Relative width": np.round(self.focus - np.median(self.focus), 12),
+            "Background (e-/s)": background - np.median(background),
+        }
+        moving = list(states)[:3]
+        columns = np.column_stack([np.ones_like(self.focus), *(states[name] for name in moving)])
+        slopes = np.linalg.lstsq(columns, self.shares, rcond=None)[0][1:]
+        sizes = np.std(columns[:, 1:], axis=0)
+        return states, dict(zip(moving, sizes[:, np.newaxis] * slopes, strict=True))
+
+
+@dataclass(frozen=True, eq=False)
+class _Shape:
+    """Coefficients of the images, which all cadences share."""
+
+    main: np.ndarray  # of the functions of position, (rank, n_pixels)
+    changes: dict  # of the coarse functions, by the names of `_CHANGES`; empty at first
+    sizes: dict  # their standard deviations, as in `_CHANGES`
+
+
+@dataclass(frozen=True, eq=False)
+class _Images:
+    """Images of unit light at the positions of a fit."""
+
+    still: np.ndarray  # at the typical width, (n, n_pixels)
+    whole: np.ndarray  # with the width and slow changes of each cadence
+    slopes: list  # derivatives by x, y and width
+    constant: np.ndarray | float  # N
+
+
+def fit_star(time, flux, flux_err, position, grid, aperture, *, use=None, banded=None,
+             changing=False, state=None):  # fmt: skip
+    """Predict the pixel fractions of a star.
+
+    Parameters
+    ----------
+    time : ndarray
+        Days, ``(n,)``.
+    flux, flux_err : ndarray
+        All pixels with data, ``(n, n_pixels)``, e-/s.
+    position : ndarray
+        POS_CORR ``(n, 2)``, columns and rows, px; NaN where unknown.
+    grid : ndarray
+        Column and row of each pixel ``(n_pixels, 2)``.
+    aperture : ndarray of bool
+        Pixels that are summed.
+    use : ndarray of bool, optional
+        Cadences from which everything that they share is learned, ``(n,)``; by default all.
+    banded : ndarray of bool, optional
+        Cadences with waves in the background along the rows, ``(n,)``; by default none.
+    changing : bool, optional
+        Whether the images change slowly with time, and the background fluctuates.
+    state : dict, optional
+        Keeps what has been fitted, from which another call for the same pixels goes on.
+
+    Returns
+    -------
+    StarModel
+        The result.
+    """
+    state = {} if state is None else state
+    if not state:
+        state["fitted"] = _converged(
+            *make_stamp(time, flux, flux_err, position, grid, aperture, use, banded)
+        )
+    stamp, states, shape = state["fitted"]
+    slow = None
+    if changing:
+        slow = _slow_functions(stamp)
+        states, shape = _refined(stamp, states, shape, slow)
+    functions = stamp.functions(states.position)
+    images = _images(stamp, states, shape, functions, slow)
+    light, error = _light(stamp, states, images, flux_err, changing=changing)
+    return _result(stamp, states, images, light, error)
+
+
+def _converged(stamp, states):
+    """Fit images and cadences by turns; return the stamp and both."""
+    shape = _Shape(np.empty(0), {}, _CHANGES)
+    for step in range(_MOST_STEPS):
+        before, functions = states, stamp.functions(states.position)
+        shape = _fit_shape(stamp, states, shape, functions, late=step >= _LATE)
+        states, errors, shape = _fit_states(stamp, states, shape, functions, step)
+        moved = [
+            np.abs(new - old) / error
+            for new, old, error in zip(_courses(states), _courses(before), errors, strict=True)
+        ]
+        small = (quantile(np.array(moved)[:, stamp.use]) < _SMALL_STEPS).all()
+        if small and step >= _FEWEST_STEPS - 1:
+            break
+    return stamp, states, shape
+
+
+def _courses(states):
+    return states.brightness, *states.position.T, states.focus
+
+
+def _refined(stamp, states, shape, slow):
+    """Let images change slowly and the background fluctuate, at the width that was found."""
+    focus = states.focus
+    for _ in range(_REFINEMENTS):
+        functions = stamp.functions(states.position)
+        shape = _fit_shape(stamp, states, shape, functions, late=True, slow=slow)
+        states, _, shape = _fit_states(stamp, states, shape, functions, _MOST_STEPS, slow)
+        states = replace(states, focus=focus)
+    functions = stamp.functions(states.position)
+    return states, _fit_shape(stamp, states, shape, functions, late=True, slow=slow)
+
+
+def _slow_functions(stamp):
+    """Return functions of position and slow time, ``(n, m)``."""
+    coarse, span = stamp.coarse(stamp.expected)[1], stamp.time[-1] - stamp.time[0]
+    degree = min(round(span / _DAYS_PER_DEGREE), _MOST_SLOW // coarse.shape[1])
+    x = 2 * (stamp.time - stamp.time[0]) / span - 1
+    slow = np.polynomial.legendre.legvander(x, degree)[:, 1:]
+    return (slow[:, :, None] * coarse[:, None]).reshape(len(x), -1)
+
+
+def _fit_shape(stamp, states, shape, functions, *, late, slow=None):
+    """Fit the functions of position of all pixels at once: ridge regression."""
+    _, basis, coarse = functions
+    a, w = states.brightness[:, None], states.focus[:, None]
+    parts, sizes = {}, dict(shape.sizes)
+    if late:
+        parts = {"width": a * w * coarse, "square": a * w**2 * coarse}
+        if slow is not None:
+            parts["slow"] = a * slow
+    if states.variable.any():
+        parts["constant"] = -states.variable[:, None] * coarse
+    columns = [a * basis, *(sizes[name] * part for name, part in parts.items())]
+    first = np.cumsum([0, *(part.shape[1] for part in columns)])
+    columns = np.concatenate(columns, axis=1)
+    columns[~(stamp.use & states.good.all(axis=1))] = 0
+    values, vectors = np.linalg.eigh(columns.T @ columns)
+    right = vectors.T @ (columns.T @ (stamp.light - states.plane @ stamp.planes.T))
+    ridge = states.variance / stamp.scale**2
+    inverse = 1 / (np.maximum(values, 0)[:, None] + ridge)
+    coefficients = vectors @ (right * inverse)
+    changes = {}
+    for name, start, end in zip(parts, first[1:], first[2:], strict=False):
+        rows, size = slice(start, end), sizes[name]
+        changes[name] = size * coefficients[rows]
+        if name in {"slow", "constant"}:
+            free = np.sum(1 - vectors[rows] ** 2 @ (ridge * inverse))
+            square = np.sum((coefficients[rows] / stamp.scale) ** 2)
+            sizes[name] = size * np.sqrt((square + 1e-12) / (free + 1e-12))
+    return _Shape(coefficients[: first[1]], changes, sizes)
+
+
+def _images(stamp, states, shape, functions, slow=None):
+    """Return the `_Images` of a shape; sums over the aperture are as stated."""
+    inside, weights = stamp.aperture, stamp.features.weights(shape.main)
+    kernel, _, coarse = functions
+    total = (kernel @ weights[:, inside].sum(axis=1))[:, None]
+    kernel = kernel / total
+    image, few = kernel @ weights, coarse / total
+
+    def without_sum(columns, coefficients):
+        """Return images whose sum over the aperture is taken off in the shape of the star."""
+        values = columns @ coefficients
+        values -= (columns @ coefficients[:, inside].sum(axis=1))[:, None] * image
+        return values
+
+    # multiples of the image drop out with the sums
+    slopes = [without_sum(kernel, moved) for moved in stamp.features.slope_weights(weights)]
+    whole, changes, constant, w = image.copy(), shape.changes, 0.0, states.focus[:, None]
+    if "constant" in changes:
+        constant = without_sum(coarse, changes["constant"])
+    if "width" in changes:
+        by_width = without_sum(few, changes["width"])
+        square = w * without_sum(few, changes["square"])
+        whole += w * (by_width + square)
+        slopes.append(by_width + 2 * square)
+    else:  # a PSF that widens about the star's center
+        far = stamp.grid - stamp.center - states.position[:, None]
+        by_width = far[:, :, 0] * slopes[0] + far[:, :, 1] * slopes[1] - 2 * image
+        slopes.append(by_width - image * (by_width @ inside)[:, None])
+    if slow is not None:
+        whole += without_sum(slow / total, changes["slow"])
+    return _Images(image, whole, slopes, constant)
+
+
+def _with_unit(stamp, states, shape, images, coarse):
+    """Give the focus the unit of a relative width, and its image the light of the wings.
+
+    Where pixels are dark a wider PSF is like more background: the level of its image there is
+    that of the widening. Returned are states, shape and images.
+    """
+    use, outside, changes = stamp.use, ~stamp.aperture, dict(shape.changes)
+    wider = stamp.widening(images.still[use], stamp.center + states.position[use])
+    fitted = images.slopes[2][use].mean(axis=0)
+    signal = [(values**2 / states.variance).sum() + 1e-12 for values in (fitted, wider)]
+    size = np.sqrt(signal[0] / signal[1])
+    changes["width"] = changes["width"] / size
+    changes["square"] = changes["square"] / size**2
+    states, slope = replace(states, focus=states.focus * size), images.slopes[2] / size
+    if outside.any():
+        wing = quantile((wider - fitted / size)[outside])
+        one = np.linalg.lstsq(coarse[use], np.ones(use.sum()), rcond=None)[0]
+        changes["width"] = changes["width"] + wing * one[:, None]
+        slope += wing * (1 - stamp.aperture.sum() * images.still)
+    images = replace(images, slopes=[*images.slopes[:2], slope])
+    return states, replace(shape, changes=changes), images
+
+
+def _rest(stamp, states, images):
+    """Return what images and background leave of the light."""
+    rest = stamp.light - states.plane @ stamp.planes.T
+    rest -= states.brightness[:, None] * images.whole
+    if np.ndim(images.constant):
+        rest += states.variable[:, None] * images.constant
+    return rest
+
+
+def _fit_states(stamp, states, shape, functions, step, slow=None):
+    """Improve brightness, background, position and focus of each cadence: one linear step.
+
+    Return the states, the errors of brightness, positions and focus, and the shape, in whose unit
+    the focus is.
+    """
+    images = _images(stamp, states, shape, functions, slow)
+    if "width" in shape.changes:
+        states, shape, images = _with_unit(stamp, states, shape, images, functions[2])
+    rest, use = _rest(stamp, states, images), stamp.use
+    spread = 1.4826 * quantile(np.abs(rest[use].T))
+    states = replace(states, variance=np.maximum(stamp.noise, spread**2))
+    if step > 0:
+        states = replace(states, good=_without_hits(stamp, states, images, rest))
+    hessian, right = _normal_equations(stamp, states, images, rest)
+    level = np.abs(states.plane[use, 0] - stamp.base[0])
+    tilt = max(1.4826 * quantile(level) + abs(stamp.base[0]), 1e-9)
+    tilt, flat = np.maximum(stamp.waves, tilt) ** -2.0, np.maximum(stamp.waves, 1e-9) ** -2.0
+    back = stamp.expected - states.position
+    # a cadence may have outliers in all pixels: steps are of the size of the star's light
+    priors = [
+        (0, 1.0, 0.0),
+        (1, stamp.place, back[:, 0]),
+        (2, stamp.place, back[:, 1]),
+        (3, _WIDTH_PRIOR**-2, -states.focus),
+        (4, 1.0, 0.0),
+    ]
+    more = (stamp.base - states.plane).T[1:]
+    priors += [(5 + k, tilt if k < 2 else flat, distance) for k, distance in enumerate(more)]
+    for k, weight, distance in priors:
+        hessian[k, k] += weight
+        right[k] += weight * distance
+    change, error = _solved(hessian, right)
+    brightness = states.brightness + np.clip(change[0], -0.3, 0.3)
+    position = states.position + np.clip(change[1:3], -0.1, 0.1).T
+    variable = _variable(stamp, functions[1], brightness) if step >= _LATE else states.variable
+    position = _on_scale(stamp, position, variable)
+    focus = states.focus + np.clip(change[3], -0.02, 0.02)
+    focus = _without_other_causes(stamp, focus, position, variable)
+    if step >= _LATE:
+        focus = stamp.smoothed(focus, error[3], "focus")
+    plane = states.plane + change[4:].T
+    plane, fluctuation = _background(stamp, plane, error[4:].T, late=step >= _LATE)
+    states = replace(
+        states, brightness=brightness, position=position, focus=focus, variable=variable,
+        plane=plane, fluctuation=fluctuation,
+    )  # fmt: skip
+    return states, error[:4], shape
+
+
+def _without_hits(stamp, states, images, rest):
+    """Return pixels that are not far above the model in one cadence only, as cosmic rays are.
+
+    In faint stars' pixels, brightness and position follow a cosmic ray in part: less is left.
+    """
+    sigma = np.sqrt(states.variance)
+    bright = min((stamp.scale / sigma).max() / _BRIGHT, 1.0)
+    columns = np.stack([part.mean(axis=0) for part in (images.whole, *images.slopes[:2])], axis=1)
+    columns /= sigma[:, None]
+    hessian = columns.T @ columns + np.diag([0, POSITION_PRIOR**-2, POSITION_PRIOR**-2])
+    leverage = np.einsum("ij,ji->i", columns, np.linalg.solve(hessian, columns.T))
+    least = (_HIT + bright * (CLIP - _HIT)) * sigma * np.sqrt(1 - (1 - bright) * leverage)
+    hot = rest > least + bright * _MISFIT * np.abs(images.whole)
+    seen = np.pad(hot & stamp.use[:, None], ((1, 1), (0, 0)))
+    return ~hot | seen[:-2] | seen[2:]
+
+
+def _normal_equations(stamp, states, images, rest):
+    """Return the Hessian and the right side of each cadence's least squares, ``(k, k, n)``.
+
+    The parameters are brightness, position, focus and the background's.
+    """
+    root, damaged = 1 / np.sqrt(states.variance), np.nonzero(~states.good)
+    *parts, rest = (values * root for values in (images.whole, *images.slopes, rest))
+    for values in (*parts, rest):
+        values[damaged] = 0
+    planes = stamp.planes * root[:, None]
+    first, k = len(parts), len(parts) + planes.shape[1]
+    hessian, right = np.zeros((k, k, len(rest))), np.zeros((k, len(rest)))
+    for i, values in enumerate(parts):
+        for j in range(i + 1):
+            hessian[i, j] = np.einsum("ij,ij->i", values, parts[j])
+        hessian[first:, i] = (values @ planes).T
+        right[i] = np.einsum("ij,ij->i", values, rest)
+    right[first:] = (rest @ planes).T
+    hessian[first:, first:] = (planes.T @ planes)[:, :, None]
+    for cadence, pixel in zip(*damaged, strict=True):
+        hessian[first:, first:, cadence] -= np.outer(planes[pixel], planes[pixel])
+    hessian[1:first] *= states.brightness
+    hessian[:, 1:first] *= states.brightness
+    right[1:first] *= states.brightness
+    return hessian, right
+
+
+def _background(stamp, plane, errors, *, late):
+    """Return the smoothed background, in which jumps and bands stay, and its fluctuation."""
+    plane, fluctuation = plane - quantile(plane[stamp.use].T) + stamp.base, 0.0
+    if late:
+        for k, (values, error) in enumerate(zip(plane.T[:3], errors.T[:3], strict=True)):
+            smooth = stamp.smoothed(values, error, f"background {k}")
+            rest = np.abs(values - smooth)
+            typical = 1.4826 * quantile(rest[stamp.use])
+            jumps = rest > CLIP * np.maximum(error, typical)
+            values[:] = np.where(jumps | stamp.banded, values, smooth)
+            if k == 0:
+                fluctuation = max(typical**2 - quantile(error[stamp.use]) ** 2, 0.0)
+    return plane, fluctuation
+
+
+def _variable(stamp, columns, brightness):
+    """Return the star's own variability if it is strong: no function of position; else zeros.
+
+    The ``columns`` are functions of position. Slow changes are no measure of constant light, for
+    focus and drifts are as slow.
+    """
+    use = stamp.use
+    variable = change = brightness - 1
+    lag = round(_FAST / quantile(np.diff(stamp.time[use])))
+    lag = int(np.clip(lag, 2, use.sum() // 2))  # nights are short
+
+    def changes(values):
+        return values[use][lag:] - values[use][:-lag]
+
+    # the response to position is learned from fast changes, for slow ones may be the star's
+    fast, right = changes(columns), changes(change)
+    for _ in range(3):
+        noise = np.mean(changes(variable) ** 2) / 2
+        gram = fast.T @ fast + noise / _RESPONSE_PRIOR**2 * np.eye(fast.shape[1])
+        variable = change - columns @ np.linalg.solve(gram, fast.T @ right)
+    jumps = np.mean(np.diff(variable[use]) ** 2)
+    strong = np.mean(changes(variable) ** 2) - jumps > 2 * _STRONG**2
+    return variable if strong else np.zeros_like(variable)
+
+
+def _on_scale(stamp, position, variable):
+    """Bring positions back to the scale of POS_CORR, without what follows the brightness."""
+    known = use = stamp.known & stamp.use
+    columns = np.column_stack([position, np.ones(len(position)), variable])
+    weight = np.diag([4e-4, 4e-4, 0.0, 4e-4])  # toward no change, where POS_CORR has no say
+    change = np.zeros((4, 2))
+    for _ in range(3):
+        gram = columns[use].T @ columns[use] + weight
+        gram[2, 2] += 1e-9
+        change = np.linalg.solve(gram, columns[use].T @ (stamp.expected - position)[use])
+        rest = stamp.expected - position - columns @ change
+        use = known & (np.abs(rest).max(axis=1) < 0.1)
+    return position + columns @ change
+
+
+def _without_other_causes(stamp, focus, position, variable):
+    """Return the focus without what positions, beyond their uncertainty, and brightness explain."""
+    use, center = stamp.use, position[stamp.use].mean(axis=0)
+    columns = np.column_stack([np.ones(len(use)), position - center, variable])
+    ridge = use.sum() * np.diag([0, POSITION_PRIOR, POSITION_PRIOR, 0]) ** 2
+    gram = columns[use].T @ columns[use] + ridge + 1e-9 * use.sum() * np.eye(4)
+    return focus - columns @ np.linalg.solve(gram, columns[use].T @ focus[use])
+
+
+def _light(stamp, states, images, flux_err, *, changing):
+    """Return the star's light and its error by least squares.
+
+    Of the means of 6.5 h the model misses in each pixel what their variance has beyond noise.
+    These errors, as the images, add up to nothing over the aperture: where they dominate, the
+    light is the sum, and where noise does, it has optimal weights. The focus is as uncertain
+    as it varies, for such weights are much more sensitive to the width than a sum is. With
+    images that change, what dark pixels miss is more noise, and so is a fluctuating background.
+    Pixels with cosmic rays are replaced.
+    """
+    rest = _rest(stamp, states, images)
+    rest[~states.good] = 0.0
+    use, mean, dark = stamp.use, images.whole[stamp.use].mean(axis=0), stamp.dark
+    # FLUX_ERR lacks what dark pixels show
+    change = np.diff(rest[use][:, dark], axis=0) / np.sqrt(2 * stamp.noise[dark])
+    noise = stamp.noise * max(quantile((1.4826 * quantile(np.abs(change.T))) ** 2), 1.0)
+    width = min(max(round(TRANSIT / stamp.smoothed.step), 1), use.sum() // 10)
+    windows = rest[use][: use.sum() // width * width].reshape(-1, width, rest.shape[1])
+    missed = windows.mean(axis=1).var(axis=0) - noise / width
+    everywhere = max(quantile(missed[dark]), 0.0) if changing else 0.0
+    fluctuation = states.fluctuation if changing else 0.0
+    balance = np.eye(len(mean)) - np.outer(np.where(stamp.aperture, mean, 0), stamp.aperture)
+    misfit = (balance * np.maximum(missed - everywhere, 0)) @ balance.T
+    covariance = np.diag(noise + width * everywhere) + width * misfit
+    root = np.linalg.inv(np.linalg.cholesky(covariance)).T
+    columns = [images.whole @ root]
+    columns += [states.brightness[:, None] * (slope @ root) for slope in images.slopes]
+    columns.append(np.broadcast_to(root.sum(axis=0), rest.shape))
+    hessian = np.zeros((len(columns), len(columns), len(rest)))
+    for i, column in enumerate(columns):
+        for j in range(i + 1):  # only the lower triangle is used
+            hessian[i, j] = np.einsum("ij,ij->i", column, columns[j])
+    hessian[[1, 2], [1, 2]] += stamp.place
+    hessian[3, 3] += 1 / max(np.var(states.focus[use]), 1e-12)
+    hessian[4, 4] += 1 / max(fluctuation, 1e-12 * stamp.noise.min())
+    first = np.zeros(hessian.shape[1:])
+    first[0] = 1
+    parts = zip(_solved(hessian, first)[0][:, :, None], columns, strict=True)
+    weights = sum(size * column for size, column in parts) @ root.T
+    light = states.brightness + np.sum(weights * rest, axis=1)
+    variance = np.sum((weights * flux_err / stamp.unit) ** 2, axis=1)
+    return light, np.sqrt(variance + fluctuation * weights.sum(axis=1) ** 2)
+
+
+def _kept(stamp, states, images, focus):
+    """Return the light that the aperture would hold at constant focus, over what it holds.
+
+    A wider PSF moves light to the pixels outside, and out of the stamp.
+    """
+    outside = ~stamp.aperture
+    lost = focus * stamp.widening.lost(images.still, stamp.center + states.position)
+    whole = np.maximum(1 + images.still @ outside, 0.1)
+    moved = focus * (images.slopes[2] @ outside)
+    return np.maximum(whole + moved, 0.1) / np.maximum(whole - lost, 0.1)
+
+
+def _result(stamp, states, images, light, light_error):
+    """Return the `StarModel` of a light and its error.
+
+    Beside constant light the image is narrower or wider in a dip of the star: in fractions and
+    light, the width has no short dips.
+
+    N is the part of constant light times the difference of its image and the star's. Both add up to
+    1, so that absolute values of the difference add up to 2 at most. Errors of images add to them.
+    """
+    inside, weight = stamp.aperture, np.where(stamp.use, 1.0, NO_WEIGHT)
+    focus = stamp.smoothed.lines(states.focus, weight, _SLOW / stamp.smoothed.step)[0]
+    kept = _kept(stamp, states, images, focus)
+    still = images.whole + (focus - states.focus)[:, None] * images.slopes[2]
+    difference = np.mean(np.broadcast_to(images.constant, still.shape)[stamp.use], axis=0)
+    constant = np.abs(difference[inside]).sum() / 2
+    error = IMAGE_ERROR * np.sqrt(inside.sum())
+    return StarModel(
+        light=stamp.unit * light * kept,
+        light_error=stamp.unit * light_error * kept,
+        shares=np.where(inside, images.whole, 0.0) / kept[:, None],
+        still=np.where(inside, still, 0.0),
+        outside=images.still @ ~inside,
+        background=stamp.unit * (states.plane @ stamp.planes.T),
+        position=states.position,
+        focus=focus,
+        constant=float(max(constant - error, 0.0)),
+        repaired=~states.good,
+    )
+
+
+def _solved(hessian, right):
+    """Solve many small systems at once by Cholesky factors.
+
+    Parameters are a Hessian ``(k, k, n)``, of which the lower triangle is used, and a right side
+    ``(k, n)``. Returned are the solution and its standard deviations, ``(k, n)``.
+    """
+    inverse = np.zeros_like(hessian)  # of the factor
+    for i in range(len(right)):
+        row = np.einsum("jkn,kn->jn", inverse[:i, :i], hessian[i, :i])
+        pivot = (1 + 1e-9) * hessian[i, i] - np.einsum("jn,jn->n", row, row)
+        inverse[i, i] = 1 / np.sqrt(np.maximum(pivot, 1e-30))
+        inverse[i, :i] = -inverse[i, i] * np.einsum("jn,jkn->kn", row, inverse[:i, :i])
+    solution = np.einsum("jin,jn->in", inverse, np.einsum("ijn,jn->in", inverse, right))
+    return solution, np.sqrt(np.einsum("jin,jin->in", inverse, inverse))
