@@ -4,13 +4,14 @@
     python studies/fifty_digits.py errors docs/data/fifty_digits.ecsv
 
 "truth" writes integrals of correlated Gaussians times polynomials, and derivatives, at hard places;
-"errors" the error against the number of terms, nodes, Chebyshev coefficients and samples, which
-``docs/figures/fifty_digits.py`` draws. Both need mpmath.
+"errors" the error against the number of terms, nodes, panels, Chebyshev coefficients and samples,
+and that of the hard places, which ``docs/figures/fifty_digits.py`` draws. Both need mpmath.
 """
 
 import argparse
 from functools import cache
 from itertools import pairwise
+from pathlib import Path
 
 import mpmath as mp
 import numpy as np
@@ -120,10 +121,45 @@ def gaussian_errors():
             yield kind, (rho if kind == "terms" else sigma), order, error, chosen
         _gaussian.n_terms, _gaussian.gaussian_nodes = kept
     for sigma in (0.15, 0.5, 1.5):
-        yield from panel_errors(sigma)
+        yield from axis_errors(sigma)
 
 
-def panel_errors(sigma):
+def panel_errors():
+    """Yield errors of the line rule at the corner of a pixel, as its panels get more."""
+    pixels, kept, nodes_of = np.arange(7.0), _gaussian._PANEL, _gaussian.gaussian_nodes  # noqa: SLF001
+    rows = tuple(np.array(row) for row in (X_ROW, Y_ROW))
+    for sigma, rho in ((0.1, 0.9), (0.02, 0.5), (0.3, 0.9999)):
+        values = [np.array([v]) for v in (1.0, 3.5, 3.5, sigma, sigma, rho)]
+        arguments = [mp.mpf(float(v[0])) for v in values[1:]]
+        truth = {pixel: exact(*pixel, *arguments) for pixel in ((3, 3), (4, 4), (3, 4), (5, 5))}
+        scale = sigma * np.sqrt(1 - rho**2)
+        chosen = int(np.ceil(kept / scale))
+        nodes = nodes_of(scale * chosen, 3)
+        _gaussian.gaussian_nodes = lambda *_, nodes=nodes: nodes
+        for number in sorted({*range(1, 2 * chosen, max(1, chosen // 12)), chosen}):
+            _gaussian._PANEL = (number - 0.5) * scale  # noqa: SLF001
+            image = np.zeros((1, 1, 7, 7))
+            _gaussian._line_images(pixels, pixels, values, rows, image)  # noqa: SLF001
+            error = max(abs(float(image[0, 0, j, i] - v)) for (i, j), v in truth.items())
+            yield "panels", float(f"{scale:.2g}"), number, error, chosen
+        _gaussian._PANEL, _gaussian.gaussian_nodes = kept, nodes_of  # noqa: SLF001
+
+
+def place_errors():
+    """Yield the largest error at the hard places against the width, for each correlation."""
+    path = Path(__file__).parents[1] / "tests" / "data" / "fifty_digits.ecsv"
+    pixels, errors = np.arange(12.0), {}
+    for row in Table.read(path):
+        values = [float(row[name]) for name in NAMES]
+        image = _gaussian.gaussian_pixels(pixels, pixels, *values, X_ROW, Y_ROW)
+        truth = float(row["integral_and_slopes"].split()[0])
+        key = abs(row["rho"]), row["sigma_x"]
+        errors[key] = max(errors.get(key, 0), abs(image[row["row"], row["column"]] - truth))
+    for (rho, sigma), error in errors.items():
+        yield "places", rho, sigma, error, 0
+
+
+def axis_errors(sigma):
     """Yield errors of the integrals along an axis as a Chebyshev series of the position grows."""
     pixels, row = np.arange(7.0), np.array(X_ROW)
     panels = _axis.AxisPanels(pixels, sigma, row, 1)
@@ -133,7 +169,7 @@ def panel_errors(sigma):
     ((key, (expansion, sizes)),) = panels.panels.items()
     for order in sorted({*range(2, sizes[0], 2), sizes[0]}):
         panels.panels[key] = expansion[:order], [order, 1]
-        yield "panels", sigma, order, np.abs(panels(at)[:, 0] - truth).max(), sizes[0]
+        yield "coefficients", sigma, order, np.abs(panels(at)[:, 0] - truth).max(), sizes[0]
     panels.panels[key] = expansion, sizes
 
 
@@ -160,7 +196,7 @@ def main():
     if options.kind == "truth":
         return write_truth(options.path)
     names = ("kind", "case", "order", "error", "chosen")
-    rows = [*gaussian_errors(), *table_errors()]
+    rows = [*gaussian_errors(), *panel_errors(), *table_errors(), *place_errors()]
     table = Table(rows=rows, names=names)
     stamp(table, "python studies/fifty_digits.py errors docs/data/fifty_digits.ecsv")
     return table.write(options.path, overwrite=True)
