@@ -1,18 +1,23 @@
 """Fluxes of pixels of a star by this package and by others: first they agree, then the clock.
 
 1000 positions of 9 x 9 pixels without noise and without a sensitivity. The error is the largest
-difference from a rule of 40 x 40 nodes in each pixel, as part of the flux, at 20 of the positions.
-Times are processor times of calls in turn; memory is the largest that Python held in a call. In
-each pair of columns ours comes first. GaussianPRF is integrated over pixels since photutils 3.1.
-lkprf and pandorapsf are compared if they are installed: lkprf with a file of Kepler's format that
-holds the PRF of a Gaussian, and a scene of pandorapsf with samples of a Gaussian, 40 in a pixel.
-The last lines are the error of a first-order shift of an image (image plus offset times its
-derivative), by which scenes of pandorapsf follow motions within half a pixel.
+difference from a rule of 40 x 40 nodes in each pixel, as part of the flux, at 20 of the positions;
+the script ends if ours exceeds 1e-7. Times are processor times of calls in turn; memory is the
+largest that Python held in a call. In each pair of columns ours comes first. GaussianPRF is
+integrated over pixels since photutils 3.1.
+
+lkprf, pandorapsf and GalSim are compared if they are installed: lkprf with a file of Kepler's
+format that holds the PRF of a Gaussian, and a scene of pandorapsf with samples of a Gaussian, 40 in
+a pixel. "simulate" is the whole simulation of a star that moves, with times, errors and quality;
+GalSim draws one image after the other. The last lines are the error of a first-order shift of an
+image (image plus offset times its derivative), by which scenes of pandorapsf follow motions within
+half a pixel.
 
 Run as ``OMP_NUM_THREADS=1 python benchmarks/prf.py``.
 """
 
 import tempfile
+from importlib.util import find_spec
 from pathlib import Path
 
 import astropy.units as u
@@ -21,11 +26,20 @@ from _common import peak_memory, report_environment, seconds
 from astropy.io import fits
 from photutils.psf import CircularGaussianPRF, GaussianPRF, ImagePSF
 
-from scope_models import PRF, BivariateGaussianPSF, Detector, integrate_pixels
+from scope_models import (
+    PRF,
+    BivariateGaussianPSF,
+    Detector,
+    Motion,
+    Star,
+    integrate_pixels,
+    simulate,
+)
 from scope_models.models import TabulatedPRF
 
 N, SIZE, SIGMA, CHECKED = 1000, 9, 0.5, slice(None, None, 50)
 FWHM = 2 * np.sqrt(2 * np.log(2))
+AGREE = 1e-7  # error of tables, and of pixels with 32 bits
 
 
 def exact(psf, x, y):
@@ -37,6 +51,16 @@ def exact(psf, x, y):
         density = psf(at - x_0, (at - y_0)[:, None]).reshape(SIZE, 40, SIZE, 40)
         images.append(np.einsum("jlik,l,k->ji", density, weights, weights))
     return np.array(images)
+
+
+def simulation(x, y, psf):
+    """Return a call that simulates a star of flux 1, in units of 1e6 e-/s, at these positions."""
+    detector = Detector.kepler(
+        shape=(SIZE, SIZE), psf=psf, zero_point=1e6, zero_point_mag=12.0, background=0.0,
+        well_depth=None, effects=(),
+    ).without_sensitivity()  # fmt: skip
+    motion = Motion.from_arrays(120 + np.arange(N) / 48, x - SIZE // 2, y - SIZE // 2)
+    return lambda: simulate(Star(12.0), detector, motion, noise=False).flux / 1e6
 
 
 def cases(x, y):
@@ -57,6 +81,11 @@ def cases(x, y):
             lambda m=ours: integrate_pixels(m, (SIZE, SIZE)),
             lambda m=model, s=shape: m.evaluate(*arguments, *places, *s),
         )  # fmt: skip
+        if not rho:
+            yield (
+                "simulate, CircularGaussianPRF", psf, simulation(x, y, psf),
+                lambda m=model, s=shape: m.evaluate(*arguments, *places, *s),
+            )  # fmt: skip
     half = 5 * SIZE
     y_at, x_at = np.mgrid[-half : half + 1, -half : half + 1] / SIZE
     psf = BivariateGaussianPSF(1, 0, 0, SIGMA, SIGMA)
@@ -114,9 +143,25 @@ def pandora_case(x, y, _):
     )  # fmt: skip
 
 
+def galsim_case(x, y, _):
+    """Return the case of images that GalSim draws."""
+    import galsim
+
+    star, psf = galsim.Gaussian(sigma=SIGMA), BivariateGaussianPSF(1, 0, 0, SIGMA, SIGMA)
+    offsets = np.column_stack([x, y]) - SIZE // 2
+
+    def draw():
+        images = [galsim.ImageD(SIZE, SIZE, scale=1.0) for _ in offsets]
+        for image, offset in zip(images, offsets, strict=True):
+            star.drawImage(image, offset=offset)
+        return np.array([image.array for image in images])
+
+    return "simulate, GalSim", psf, simulation(x, y, psf), draw
+
+
 def installed_cases(x, y, folder):
     """Yield the cases of packages that are not dependencies, where they are installed."""
-    for make in (lkprf_case, pandora_case):
+    for make in (lkprf_case, pandora_case, galsim_case):
         try:
             yield make(x, y, folder)
         except ImportError as error:
@@ -127,6 +172,8 @@ def report(name, psf, ours, theirs, x, y):
     """Print errors, times and memory of a case."""
     truth = exact(psf, x[CHECKED], y[CHECKED])
     errors = [np.abs(call()[CHECKED] - truth).max() for call in (ours, theirs)]
+    if errors[0] > AGREE:
+        raise SystemExit(f"{name}: our error is {errors[0]:.0e}, more than {AGREE:.0e} of the flux")
     times = seconds(ours, theirs)
     memory = [peak_memory(call) for call in (ours, theirs)]
     (error, time, peak), (error_2, time_2, peak_2) = zip(errors, times, memory, strict=True)
@@ -138,7 +185,8 @@ def report(name, psf, ours, theirs, x, y):
 
 def main():
     """Print the environment, and errors, times and memory of both sides."""
-    report_environment("photutils")
+    rivals = [name for name in ("lkprf", "pandorapsf", "galsim") if find_spec(name)]
+    report_environment("photutils", *rivals)
     x, y = SIZE // 2 + np.random.default_rng(1).uniform(-0.5, 0.5, (2, N))
     print(f"{'':30} {'error':>17} {'time (ms)':>15} {'ratio':>6} {'memory (MB)':>13}")
     with tempfile.TemporaryDirectory() as folder:
