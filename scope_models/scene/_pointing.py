@@ -407,10 +407,12 @@ class K2Roll(Pointing):
     All parameters but ``rate_scatter`` may be quantities.
     The defaults describe EPIC 205998445 (campaign 3). They are measured on the POS_CORR columns of
     stars in campaigns 3, 4, 5 and 18, where the distance from the boresight times one roll angle
-    reproduces every star of a campaign. Momentum dumps every two days are not modeled. Over whole
-    campaigns they give a standard deviation along the roll of 0.052 px per degree from the
-    boresight, 0.033 px of it faster than a day; six stars of these campaigns have 0.054 to 0.070
-    and 0.033 to 0.041, for which ``solar_rate=4.5`` gives 0.063 and 0.039.
+    reproduces every star of a campaign. Momentum dumps every two days are not modeled. Over 1000
+    cadences they give a standard deviation along the roll of 0.044 px per degree from the
+    boresight, 0.030 px of it faster than a day, as a star of campaign 3 (0.045 and 0.030). Over
+    whole campaigns they give 0.052 and 0.033, where six stars have 0.054 to 0.070 and 0.033 to
+    0.041: real rates differ between the senses of roll, 3.3 and 6.1 arcsec/h in campaign 3. For
+    whole campaigns ``solar_rate=4.5`` is closer, 0.063 and 0.039.
 
     Parameters
     ----------
