@@ -82,8 +82,6 @@ class Focus(Effect):
             width += self.thermal * np.exp(-since / self.thermal_time) * (time >= event)
         if self.series is not None:
             width *= series_of(self.series, time, "series", "width")
-        if not np.all(width > 0):
-            raise ValueError(f"the width of the PSF must be positive, got {width.min():g}")
         return Drawn({"FOCUS": width})
 
     def width(self, drawn, conditions):

@@ -26,6 +26,8 @@ ROWS = 16
 _SPAN = 1.5
 # Width of a panel in the logarithm of the density's width.
 _STEP = 0.125
+# Nodes beyond which a panel takes longer than its positions: of densities below 0.006 pixels.
+_MOST_NODES = 1000
 
 
 @cache
@@ -224,7 +226,10 @@ class AxisPanels:
         if key.dtype.kind == "c":
             m, scale = 13 + n_orders // 2, scale * np.exp(_STEP / 2)
         cycles = 3.85 * scale
-        n = int(cycles + 5 * np.cbrt(cycles) + 8 + 0.5 * n_orders)
+        n = cycles + 5 * np.cbrt(cycles) + 8 + 0.5 * n_orders
+        if n > _MOST_NODES:
+            return None, None
+        n = int(n)
         nodes, along = _chebyshev_rule(n)
         widths, across = _chebyshev_rule(m)
         at = key + (np.tile(nodes, m) + 1j * np.repeat(widths, n)) / 2

@@ -26,6 +26,8 @@ _PATIENCE = 5.0
 _PIECE = 1 << 16
 # A pixel with less than this part of a star's light is dark. Interpolation errs by less.
 _DARK = 1e-13
+# Relative width of the PSF from which integrals over pixels find all of its light.
+_NARROWEST = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,10 +103,12 @@ def prepare(scene):
 
 def _star_lights(scene, positions, conditions, effects):
     detector, time = scene.detector, scene.motion.time
-    widths = _product(effect.width(drawn, conditions) for effect, drawn in effects)
+    factors = (effect.width(drawn, conditions) for effect, drawn in effects)
+    widths = _checked("width of the PSF", _product(factors), _NARROWEST)
     added = [effect.exposures(drawn, conditions) for effect, drawn in effects]
     exposures = _exposures(scene, added)
-    passed = _product(effect.starlight(drawn, conditions) for effect, drawn in effects)
+    factors = (effect.starlight(drawn, conditions) for effect, drawn in effects)
+    passed = _checked("light that passes the atmosphere and the telescope", _product(factors))
     passed = np.ones((len(scene.stars), len(time))) * (1.0 if passed is None else passed)
     expanded, lights = exposures.expanded(), []
     response = detector.sensitivity
@@ -136,6 +140,16 @@ def shown(*values):
 def _product(factors):
     given = [factor for factor in factors if factor is not None]
     return reduce(mul, given) if given else None
+
+
+def _checked(noun, factor, low=0.0):
+    """Return the factor of all effects, which must be finite and have no smaller value."""
+    if factor is not None and not np.all(np.isfinite(factor) & (factor >= low)):
+        raise ValueError(
+            f"the relative {noun} must be finite and at least {low:g}, "
+            f"got {np.min(factor):g} to {np.max(factor):g}"
+        )
+    return factor
 
 
 def _exposures(scene, added):

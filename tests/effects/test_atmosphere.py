@@ -8,7 +8,7 @@ from astropy.time import Time
 from astropy.utils import iers
 from photutils.psf import MoffatPSF
 
-from scope_models import Detector, Motion, Star, read_scene, simulate
+from scope_models import BivariateGaussianPSF, Detector, Motion, Star, read_scene, simulate
 from scope_models.effects import (
     Extinction,
     NightSky,
@@ -111,6 +111,38 @@ def test_seeing_widens_the_image():
         simulate(Star(12.0), BARE, long, seed=1, effects=Seeing(0.1)).truth.columns["SEEING"]
     )
     assert noise.std() == pytest.approx(0.1, rel=0.1)
+
+
+@pytest.mark.parametrize("psf", [BivariateGaussianPSF(), BivariateGaussianPSF(rho=0.9)])
+def test_light_of_any_seeing(psf):
+    detector = Detector.ground(
+        effects=(), psf=psf, shape=(9, 9), interpixel_scatter=0.0, well_depth=None
+    )
+    scene = Star(12.0, 4.2, 4.1), detector, Motion.still(300)
+    observation = simulate(*scene, seed=1, noise=False, effects=Seeing(1.7))
+    width = observation.truth.columns["SEEING"]
+    light = observation.model() / detector.flux_from_mag(12.0)
+    assert width.min() < 0.005
+    assert width.max() > 60
+    narrow, wide = width < 0.1, width > 20
+    np.testing.assert_allclose(light[narrow, 4, 4], 1, atol=1e-3)
+    density = psf(0, 0) / width[wide] ** 2
+    np.testing.assert_allclose(light[wide, 4, 4], density, rtol=5e-3)
+    with pytest.raises(ValueError, match=r"relative width of the PSF must be .* at least 0.001"):
+        simulate(*scene, seed=1, effects=Seeing(7.0))
+
+
+def test_a_narrow_star_that_moves_within_its_pixel():
+    detector = BARE.replace(psf=BivariateGaussianPSF(sigma_x=1e-6, sigma_y=1e-6))
+    motion = Motion(np.arange(300.0), np.linspace(-0.4, 0.4, 300), np.zeros(300))
+    light = simulate(Star(12.0), detector, motion, noise=False).model()[:, 1, 1]
+    np.testing.assert_allclose(light, detector.flux_from_mag(12.0), rtol=1e-12)
+
+
+@pytest.mark.filterwarnings("ignore:overflow")
+def test_light_that_is_not_finite():
+    with pytest.raises(ValueError, match=r"the relative light that passes .* must be finite"):
+        simulate(Star(12.0), BARE, Motion.still(9), seed=1, effects=Extinction(scatter=1e9))
 
 
 @pytest.mark.parametrize("beta", [3.5, 4.765])

@@ -213,7 +213,7 @@ class Nothing(Effect):
 @pytest.mark.parametrize(
     "make, error, message",
     [
-        (lambda: Focus(series=[1.0, -1.0]), ValueError, "width of the PSF must be positive"),
+        (lambda: Focus(series=[1.0, -1.0]), ValueError, "width of the PSF must be finite and at le"),
         (lambda: Focus(series=[1.0]), ValueError, "one width for each of the 2 cadences, got 1"),
         (lambda: Focus(1.0), ValueError, "`amplitude` must be below 1, got 1"),
         (lambda: Focus(0.1, period=0), ValueError, "`period` must be positive"),
