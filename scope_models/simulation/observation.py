@@ -50,7 +50,8 @@ class Observation(Value):
     truth : ~scope_models.io.Truth
         What lies behind the pixels.
     aperture : ndarray of bool, shape (ny, nx)
-        Pixels of the highest signal-to-noise ratio of the target; all if it has no light there.
+        Pixels of the highest signal-to-noise ratio of the target, whose charge may bleed; all if
+        it has no light there.
     star_images : ndarray of shape (n_stars, ny, nx)
         Mean flux of each star in the pixels, with their response, before saturation, e-/s.
 

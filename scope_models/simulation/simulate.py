@@ -153,20 +153,24 @@ def simulate(stars, detector=None, motion=None, *, keep_model=False, chunk_size=
 
 
 def _choose_aperture(prepared):
-    """Return the pixels of the highest signal-to-noise ratio of the target in some cadences."""
+    """Return the pixels of the highest signal-to-noise ratio of the target, with its bleeding."""
     detector, n = prepared.scene.detector, len(prepared.scene.motion)
     some = slice(None, None, -(-n // _APERTURE_CADENCES))
-    images = np.zeros((min(len(prepared.lights), 2), *detector.shape))
+    target, stars = np.zeros((2, len(range(*some.indices(n))), *detector.shape))
     for number, (light,) in enumerate(_light.shown(prepared.lights)):
-        images[min(number, 1), *light.window] += light.images(some).mean(axis=0)
-    images *= prepared.interpixel
-    if not images[0].any():
+        images = light.images(some)
+        stars[:, *light.window] += images
+        if number == 0:
+            target[:, *light.window] = images
+    background = (detector.background * prepared.interpixel).astype(np.float32)
+    for images in (target, stars):
+        images *= prepared.interpixel * detector.exposure_time
+        _light.fill_wells(prepared.scene, images, background * detector.exposure_time)
+    signal, flux = (images.mean(axis=0) / detector.exposure_time for images in (target, stars))
+    if not signal.any():
         return np.ones(detector.shape, dtype=bool)
-    flux = images[0] + (detector.background * prepared.interpixel).astype(np.float32)
-    if len(images) > 1:
-        flux += images[1]
     numbers = detector.exposure_time, detector.read_noise, detector.n_reads
-    return grown_aperture(images[0], flux, *numbers)
+    return grown_aperture(signal, flux + background, *numbers)
 
 
 def _record(prepared, part, charges, pedestals, streams, cubes):

@@ -262,6 +262,20 @@ def test_saturated_charge_is_conserved_in_its_columns():
     np.testing.assert_allclose(still, still[::-1], rtol=0, atol=1e-9 * depth)
 
 
+@pytest.mark.parametrize("mag", [8.5, 9.5])
+def test_the_aperture_of_a_saturated_star_holds_what_bleeds(mag):
+    detector = Detector.k2(shape=(61, 11), interpixel_scatter=0.0)
+    stars = [Star(mag, 3.0, 30.0), Star(mag, 8.0, 30.0)]  # the other one bleeds as much
+    observation = simulate(stars, detector, Motion.k2_roll(40), seed=1)
+    bled = simulate(stars[0], detector, Motion.k2_roll(40), noise=False).model().mean(axis=0)
+    inside = observation.aperture
+    full = bled > 0.99 * bled.max()
+    assert full[:, 3].sum() > 4
+    assert inside[full].all()
+    assert bled[inside].sum() > 0.99 * bled.sum()
+    assert not inside[:, 8].any()
+
+
 def test_saturated_pixels_do_not_depend_on_the_chunks():
     arguments = (Star(11.0), Detector.k2(), 5 * Motion.k2_roll(100))
     one, many = (simulate(*arguments, seed=1, chunk_size=size) for size in (100, 3))
