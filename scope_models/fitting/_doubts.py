@@ -6,7 +6,7 @@ from scipy.stats import f as f_distribution
 from scope_models.fitting._products import SMOOTHING_DAYS, smoothed
 from scope_models.fitting._start import APART, find_stars
 
-__all__ = ["LARGEST_FLUX", "LARGEST_SCATTER", "doubts_of", "followed"]
+__all__ = ["CERTAIN", "LARGEST_FLUX", "LARGEST_SCATTER", "doubts_of", "followed"]
 
 # The paper's sensitivity is lower by this at the edge of a pixel than at its center: a coefficient
 # whose error there is larger has not been measured.
@@ -21,8 +21,8 @@ _SCALES, _LEAST_MOTION = (0.9, 1.1), 0.01
 LARGEST_FLUX = 2.0
 # Reduced chi-squared from which a model does not describe the pixels.
 _LARGEST_CHI2 = 100.0
-# Errors beyond which a flux is negative, and probability of what is not by chance.
-_CERTAIN, _CHANCE = 5.0, 0.01
+# Errors beyond which a flux is negative, or is light, and probability of what is not by chance.
+CERTAIN, _CHANCE = 5.0, 0.01
 # Cadences from which the flux is compared with the position.
 _FEWEST = 20
 
@@ -133,7 +133,7 @@ def _of_flux(fit):
     if abs(light) < LARGEST_SCATTER * error:
         yield f"no star is seen: its mean flux is {light:.3g} +- {error:.2g} e-/s"
     for number, star in enumerate((fit, *fit.neighbors)):
-        negative = np.sum(star.flux < -_CERTAIN * star.flux_err)
+        negative = np.sum(star.flux < -CERTAIN * star.flux_err)
         if negative:
             name = f"neighbor {number}" if number else "the star"
             yield f"the flux of {name} is negative in {negative} cadences"

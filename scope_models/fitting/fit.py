@@ -7,12 +7,13 @@ from functools import partial, reduce
 
 import numpy as np
 from astropy.modeling import Model
+from astropy.stats import mad_std
 
 from scope_models._checks import checked_choice, solvable
 from scope_models._threads import one_thread
 from scope_models.exceptions import FitWarning
 from scope_models.fitting import _start
-from scope_models.fitting._doubts import LARGEST_FLUX, LARGEST_SCATTER, doubts_of
+from scope_models.fitting._doubts import CERTAIN, LARGEST_FLUX, LARGEST_SCATTER, doubts_of
 from scope_models.fitting._problem import FitOptions, FitStar, Problem, Settings
 from scope_models.fitting._response import fit_response
 from scope_models.fitting._solver import covariances, solve
@@ -205,22 +206,31 @@ def _fit_psf(problem, response, sensitivity, steps, *, any_psf, any_response):
     """Return the kind of response, models that were tried, and the problem and its solution."""
     choice = {"any_psf": any_psf, "any_response": any_response}
     left = all(choice.values()) and sensitivity is None and problem.options.focus is None
-    simple = response == "auto" and left and len(problem.flux) >= _ENOUGH
-    if response != "pixels":
+    seen = _is_seen(problem)
+    simple = response == "auto" and left and len(problem.flux) >= _ENOUGH and seen
+    if response != "pixels" or not seen:
         candidates = _candidates(problem, sensitivity, simple=simple, **choice)
+        if not seen:  # no model is better than another
+            candidates = [(next(candidates)[0], _FEW_STEPS)]
         tried = _tried(candidates, steps, few=any_psf, **choice)
         few, guess = tried[0]
         if not simple or _is_true(few, guess, strictly=True):
             if len(few.flux) == len(problem.flux):
                 return "psf", tried, tried[0]
             every, most = replace(few, stamps=problem.stamps), _MANY_STEPS if any_psf else np.inf
-            return "psf", tried, _fitted(every, steps, most, guess)
+            return "psf", tried, _fitted(every, steps, most if seen else 1, guess)
     # The PSF from which the pixels deviate.
     prfs = [_start.make_prf(1, None, 0), *_start.make_rich_prfs(None)] if any_psf else [problem.prf]
     plain = {"interpixel": 0.0, "loss": "soft_l1", **_held(problem)}
     rough = [(_with(problem, prf, **plain), _MANY_STEPS) for prf in prfs]
     tried = _tried(rough, steps, few=True, **choice)
     return "pixels", tried, tried[0]
+
+
+def _is_seen(problem):
+    """Whether the star's flux where the fit starts is above what the noise of a place makes."""
+    flux = problem.fluxes(_start.starting_state(problem))
+    return np.median(flux) > CERTAIN * mad_std(flux) / np.sqrt(len(flux))
 
 
 def _with(problem, prf=None, **options):

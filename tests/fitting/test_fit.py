@@ -416,6 +416,24 @@ def test_a_constant_shows_no_star():
         fit_tpf(tpf, psf=1)
 
 
+@pytest.mark.parametrize("options", [{}, {"psf": 2}, {"response": "pixels"}])
+def test_a_fit_of_noise_ends_soon(options):
+    motion = Motion.k2_roll(150)
+    tpf = simulate(Star(40.0), Detector.k2(shape=(7, 7)), motion, seed=1).to_tpf()
+    fit, doubts = messages_of(tpf, **options)
+    assert "no star is seen: its mean flux is" in doubts
+    assert fit.n_steps < 50
+    assert not fit.response
+
+
+def test_an_outlier_hides_no_star():
+    tpf = make(Motion.k2_roll(150), mag=17.0)
+    tpf.flux[70] += 1e6
+    fit, doubts = messages_of(tpf, psf=1)
+    assert "no star" not in doubts
+    assert fit.converged
+
+
 def test_a_psf_that_leaves_the_flux_open_hides_no_star():
     scene = Star(17.0), Detector.k2(shape=(3, 3)), Motion.still(10)
     fit, doubts = messages_of(simulate(*scene, seed=1).to_tpf(), psf=2)
