@@ -78,8 +78,9 @@ def check_fields(instance):
             value = checked_pair(name, value, known["unit"], **options)
         else:
             value = checked_number(name, value, known["unit"], **known["signs"], **options)
-            if value > known["at_most"]:
-                raise ValueError(f"`{name}` must not be above {known['at_most']}, got {value}")
+            if abs(value) > (most := known["at_most"]):
+                wanted = f"be within -{most} to {most}" if value < 0 else f"not be above {most}"
+                raise ValueError(f"`{name}` must {wanted}, got {value}")
         object.__setattr__(instance, name, value)
 
 

@@ -122,7 +122,7 @@ class TPFMetadata(Value):
     n_frames: int | None = integer(None, 1)
     object_name: str | None = None
     ra: float | None = number(None, u.deg, any_sign=True)
-    dec: float | None = number(None, u.deg, any_sign=True)
+    dec: float | None = number(None, u.deg, any_sign=True, at_most=90)
     x_0: float | None = number(None, u.pix, any_sign=True)
     y_0: float | None = number(None, u.pix, any_sign=True)
     orientation: float = number(0.0, u.deg, any_sign=True)
@@ -159,8 +159,6 @@ class TPFMetadata(Value):
             if getattr(self, name) is None:
                 object.__setattr__(self, name, value)
         check_fields(self)
-        if self.dec is not None and abs(self.dec) > 90:
-            raise ValueError(f"`dec` must be within -90 to 90, got {self.dec}")
         if self.n_readouts is not None and self.n_readouts > self.n_frames:
             given = f"{self.n_readouts} of {self.n_frames}"
             raise ValueError(f"`n_readouts` must not exceed `n_frames`, got {given}")
@@ -535,6 +533,8 @@ def _aperture_bits(aperture, shape):
 
 def _write(path, write, *, overwrite):
     """Open a stream to a file that is there as a whole or not at all, and write to it."""
+    if not Path(path).name.lower().endswith((".fits", ".fits.gz")):
+        raise ValueError(f"`path` must end in .fits or .fits.gz, got {path}")
     with atomic_path(path, overwrite=overwrite) as temporary, temporary.open("wb") as stream:
         if temporary.suffix.lower() == ".gz":
             # No name and no time in it: the same contents give the same file.

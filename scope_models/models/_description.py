@@ -87,7 +87,11 @@ def check_coord(coord):
 
     if not isinstance(coord, SkyCoord) or not coord.isscalar:
         raise TypeError(f"`coord` must be one SkyCoord, got {coord!r}")
-    if not np.isfinite(coord.icrs.ra.deg + coord.icrs.dec.deg):
+    try:
+        place = coord.icrs
+    except (AttributeError, TypeError, ValueError) as error:
+        raise ValueError(f"`coord` must convert to ICRS, got {coord!r}: {error}") from error
+    if not np.isfinite(place.ra.deg + place.dec.deg):
         raise ValueError(f"`coord` must be finite, got {coord!r}")
     if "s" in coord.data.differentials and coord.obstime is None:
         raise ValueError("`coord` must have an `obstime`, because it has a proper motion")

@@ -166,8 +166,6 @@ def write_object(value, path, *, overwrite):
     """Write a scene, a detector or a motion; return the path."""
     from astropy.io import fits
 
-    if not str(path).lower().endswith((".fits", ".fits.gz")):
-        raise ValueError(f"`path` must end in .fits or .fits.gz, got {path}")
     if isinstance(value, Detector):
         described = {"version": _VERSION, "detector": _describe_detector(value)}
         blocks = scene_blocks(_maps(value), described)

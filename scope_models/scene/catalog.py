@@ -155,7 +155,11 @@ def read_catalog(table, mission, magnitude, ref_epoch, year):
     """Return places at a time (Julian year), and magnitudes, of a catalog's stars."""
     if table is None:
         return None, np.zeros(0)
-    table = Table(table)
+    try:
+        table = Table(table)
+    except (TypeError, ValueError) as error:
+        kind = type(table).__name__
+        raise TypeError(f"`table` must be a Table or a mapping of columns, got {kind}") from error
     band = MISSIONS[mission].band if mission in MISSIONS else ""
     names = _MAGNITUDES.get(band, ()) + _ANY_MAGNITUDE
     names = names if magnitude is None else (magnitude.lower(),)

@@ -103,7 +103,7 @@ class Scene(Value):
     target_id: int | None = integer(None, 1, kw_only=True)
     object_name: str | None = field(default=None, kw_only=True)
     ra: float | None = number(None, "deg", any_sign=True, kw_only=True)
-    dec: float | None = number(None, "deg", any_sign=True, kw_only=True)
+    dec: float | None = number(None, "deg", any_sign=True, at_most=90, kw_only=True)
     orientation: float | None = number(None, "deg", any_sign=True, kw_only=True)
     matrix: tuple[float, float, float, float] | None = field(default=None, kw_only=True)
     column: int | None = integer(None, 0, kw_only=True)

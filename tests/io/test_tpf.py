@@ -528,7 +528,7 @@ class TestChecks:
             ("K2", {"pixel_scale": 0}, ValueError, "`pixel_scale` must be positive"),
             ("K2", {"pixel_scale": "4"}, TypeError, "`pixel_scale` must be a number"),
             ("K2", {"ra": np.nan}, ValueError, "`ra` must be finite"),
-            ("K2", {"dec": 91.0}, ValueError, "`dec` must be within -90 to 90"),
+            ("K2", {"dec": 91.0}, ValueError, "`dec` must not be above 90, got 91"),
             ("K2", {"sector": 3}, ValueError, "`sector` must not be given for K2"),
             ("TESS", {"channel": 3}, ValueError, "`channel` must not be given for TESS"),
             ("K2", {"channel": 85}, ValueError, "`channel` must be at most 84"),
