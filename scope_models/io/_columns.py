@@ -153,8 +153,8 @@ def _floats(name, values, shape, *, broadcast=False):
         raise ValueError(f"`{name}` must have the shape {shape}, got {array.shape}")
     if array.dtype.kind != "f":
         return array.astype(float)
-    if np.any(np.isinf(array)):
-        raise ValueError(f"`{name}` must not be infinite")
+    if np.any(np.abs(array) > np.finfo(np.float32).max):
+        raise ValueError(f"`{name}` must not be infinite, and fit into single precision")
     return array
 
 

@@ -457,6 +457,7 @@ class TestChecks:
             ("raw_cnts", (0, 0, 0), 2**31, "`raw_cnts` must fit into 32 bits"),
             ("raw_cnts", (0, 0, 0), -2, "`raw_cnts` must not be negative"),
             ("flux", (3, 0, 0), np.inf, "`flux` must not be infinite"),
+            ("flux", (3, 0, 0), -1e39, "`flux` must .* fit into single precision"),
             ("flux_err", (3, 0, 0), 0.0, "`flux_err` must be positive, got 0.0"),
             ("flux_err", (3, 0, 0), -1.0, "`flux_err` must be positive, got -1.0"),
             ("flux_err", (3, 0, 0), np.nan, "`flux_err` must not be NaN where `flux` is not"),
