@@ -206,6 +206,8 @@ def _evaluate(x, y, parameters, coefficients, by_series, n_images):
     flat = [p.reshape(1) if alone else np.broadcast_to(p, shape).reshape(n) for p, alone in pairs]
     coefficients = [np.atleast_1d(np.asarray(c, dtype=float)) for c in coefficients]
     degree = max(c.size for c in coefficients) - 1
+    singular = np.abs(flat[5]) >= 1
+    flat[5] = np.where(singular, 0.0, flat[5])
     series = uses_series(flat[3], flat[5], degree)
     step = max(n, 1)
     if not series:
@@ -221,6 +223,7 @@ def _evaluate(x, y, parameters, coefficients, by_series, n_images):
             out = images[:, part, rows, columns]
             images_of = by_series if series else _line_images
             images_of(x[columns], y[rows], values, coefficients, out)
+    images[:, np.broadcast_to(singular, n)] = np.nan
     return images.reshape(n_images, *shape, y.size, x.size)
 
 

@@ -85,6 +85,7 @@ _TESTS = {
     "finite": np.isfinite,
     "positive": lambda value: np.isfinite(value) & (value > 0),
     "inside (-1, 1)": lambda value: np.abs(value) < 1,
+    "from -1 to 1": lambda value: np.abs(value) <= 1,
     "at least 0": lambda value: np.isfinite(value) & (value >= 0),
     "at least 0 and below 1": lambda value: (value >= 0) & (value < 1),
 }
@@ -111,6 +112,9 @@ def check_model_parameters(model):
         parameter = getattr(model, name)
         Domain(name, "finite")(model, parameter.value)
         parameter.validate(parameter.value)
+        # photutils sets all parameters to 1 for a moment.
+        if getattr(model, "parameter_kinds", {}).get(name) == "correlation":
+            Domain(name, "inside (-1, 1)")(model, parameter.value)
 
 
 def one_number(name, value):

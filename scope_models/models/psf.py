@@ -77,7 +77,7 @@ class BivariateGaussianPSF(StarModel):
     rho = Parameter(description="Correlation coefficient", default=0.0, bounds=_RHO)
     sigma_x.validator(Domain("sigma_x", "positive"))
     sigma_y.validator(Domain("sigma_y", "positive"))
-    rho.validator(Domain("rho", "inside (-1, 1)"))
+    rho.validator(Domain("rho", "from -1 to 1"))
 
     #: Kinds of the parameters in a fit.
     parameter_kinds: ClassVar = {"sigma_x": "width", "sigma_y": "width", "rho": "correlation"}
@@ -87,7 +87,8 @@ class BivariateGaussianPSF(StarModel):
 
     @staticmethod
     def evaluate(x, y, flux, x_0, y_0, sigma_x, sigma_y, rho):
-        """Density at the positions, in units of flux per square pixel."""
+        """Density at the positions, in units of flux per square pixel; NaN if it is singular."""
+        rho = np.where(np.abs(rho) < 1, rho, np.nan)
         z_x = (x - x_0) / sigma_x
         z_y = (y - y_0) / sigma_y
         rest = 1 - rho**2

@@ -228,6 +228,8 @@ def test_photutils_single_stars(free, n_side):
         assert_calibrated(pulls(result[f"{name}_fit"], result[f"{name}_err"], truth), name)
     if free:
         assert_calibrated(pulls(result["sigma_x_fit"], result["sigma_x_err"], 0.6), "sigma_x")
+    residual = photometry.make_residual_image(image, psf_shape=(11, 11)) / error
+    assert residual.std() == pytest.approx(1, abs=0.1)
 
 
 def blended_pairs(rng, n_side):

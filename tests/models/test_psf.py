@@ -7,7 +7,7 @@ from astropy.modeling.models import Gaussian2D
 from scipy.integrate import dblquad
 from scipy.stats import multivariate_normal
 
-from scope_models import BivariateGaussianPSF
+from scope_models import PRF, BivariateGaussianPSF, SensitivityPolynomial
 
 
 def test_is_the_standard_bivariate_normal():
@@ -51,7 +51,7 @@ def test_without_correlation_is_astropys():
         ({"sigma_x": 0.0}, "`sigma_x` must be positive, got 0.0"),
         ({"sigma_y": -1.0}, "`sigma_y` must be positive, got -1.0"),
         ({"rho": 1.0}, r"`rho` must be inside \(-1, 1\), got 1.0"),
-        ({"rho": -1.5}, r"`rho` must be inside \(-1, 1\), got -1.5"),
+        ({"rho": -1.5}, "`rho` must be from -1 to 1, got -1.5"),
         ({"flux": np.nan}, "`flux` must be finite, got nan"),
         ({"x_0": np.inf}, "`x_0` must be finite, got inf"),
         ({"sigma_x": [0.5, -0.5]}, "`sigma_x` must be positive, got -0.5"),
@@ -66,10 +66,20 @@ def test_bad_values_are_refused_later_too():
     psf = BivariateGaussianPSF()
     with pytest.raises(ValueError, match="`sigma_x` must be positive, got -2"):
         psf.sigma_x = -2
-    with pytest.raises(ValueError, match="`rho` must be inside"):
-        psf.rho = 1
+    with pytest.raises(ValueError, match="`rho` must be from -1 to 1, got 1.5"):
+        psf.rho = 1.5
     with pytest.raises(TypeError, match="sigma"):
         BivariateGaussianPSF(sigma=1)
+
+
+def test_a_singular_density_has_no_value():
+    psf = BivariateGaussianPSF(rho=0.9)
+    prf = PRF(psf * SensitivityPolynomial())
+    for model in (psf, prf):
+        model.rho = -1.0
+        assert np.isnan(model([0.0, 2.0], [0.0, 1.0])).all()
+    with pytest.raises(ValueError, match=r"`rho` must be inside"):
+        PRF(psf)
 
 
 def test_units():
