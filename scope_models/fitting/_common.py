@@ -62,6 +62,8 @@ def _listed(left):
 def common_motions(tpfs, *, pixels=True):
     """Return the common motion of each CCD, and the reason for each file without positions."""
     tracks, facts, failed = defaultdict(list), {}, {}
+    if isinstance(tpfs, str | Path) or hasattr(tpfs, "flux"):
+        tpfs = [tpfs]  # a file could be iterated over, too
     for number, tpf in enumerate(tpfs, start=1):
         path = isinstance(tpf, str | Path)
         name = Path(tpf).name if path else f"file {number}"

@@ -394,7 +394,8 @@ def positions_of(source):
     columns = {name: _attribute(source, attribute) for name, attribute in names.items()}
     if any(column is None for column in columns.values()):
         kind = type(source).__name__
-        raise TypeError(f"`tpf` must have time, POS_CORR1 and POS_CORR2, but {kind} lacks them")
+        message = f"`tpf` must have time, POS_CORR1 and POS_CORR2, but {kind} lacks them"
+        raise TypeError(f"{message}; `Motion.from_file` reads files")
     columns |= {axis: plain_array(columns[axis], "pix", "pos_corr") for axis in "xy"}
     if _has_file(source):
         series = read_pixels(source)

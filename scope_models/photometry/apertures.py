@@ -8,7 +8,7 @@ import astropy.units as u
 import numpy as np
 
 from scope_models._arrays import PER_PIXEL, plain_array, plain_number
-from scope_models._checks import checked_mask, checked_number, checked_shape
+from scope_models._checks import checked_integer, checked_mask, checked_number, checked_shape
 
 __all__ = [
     "aperture_flux", "circular_aperture", "contamination_aperture", "crowding", "flux_fraction",
@@ -108,8 +108,9 @@ def signal_to_noise_aperture(
     exposure_time = checked_number("exposure_time", exposure_time, u.s, positive=True)
     read_noise = checked_number("read_noise", read_noise, u.electron)
     background = plain_array(background, _RATE, "background", equivalencies=PER_PIXEL)
-    if np.any(background < 0) or n_frames < 1:
-        raise ValueError("`background` and `n_frames` must not be negative")
+    n_frames = checked_integer("n_frames", n_frames, 1)
+    if not np.all(background >= 0):
+        raise ValueError("`background` must not be negative")
     flux = signal + background
     if neighbors is not None:
         flux = flux + np.mean(_images(neighbors, "neighbors", signal.shape), axis=0)

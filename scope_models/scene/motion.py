@@ -350,7 +350,7 @@ class Motion(Value):
 
         Parameters
         ----------
-        tpfs : sequence of lightkurve.TargetPixelFile, str or path-like
+        tpfs : lightkurve.TargetPixelFile, str or path-like, or a sequence of them
             Files of one CCD in one campaign, quarter or sector, with the same cadences. Of files
             of several CCDs, those of the CCD with the most files.
 

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from scope_models._arrays import plain_array
-from scope_models._checks import checked_integer, checked_mask
+from scope_models._checks import checked_choice, checked_integer, checked_mask
 from scope_models._docstrings import documented
 from scope_models._values import Value, frozen, html_table
 from scope_models.effects import Effect
@@ -21,6 +21,8 @@ from scope_models.simulation import _light
 
 __all__ = ["Observation"]
 
+# lightkurve's masks.
+_MASKS = ("pipeline", "threshold", "default", "background", "all")
 # What files have as it is here.
 _WRITTEN = ("cadenceno", "raw_cnts", "flux", "flux_err", "flux_bkg", "flux_bkg_err", "quality")
 
@@ -221,7 +223,8 @@ class Observation(Value):
         Parameters
         ----------
         aperture_mask : array_like of bool, shape (ny, nx), or str, optional
-            The pixels, or a name of lightkurve's masks. The default is `aperture`.
+            The pixels, or lightkurve's "pipeline", "threshold", "default", "background" or "all".
+            The default is `aperture`.
         metadata : mapping, optional
             See `to_tpf`.
         quality_bitmask : str or int, optional
@@ -245,10 +248,11 @@ class Observation(Value):
         50
         """
         tpf = self.to_tpf(metadata=metadata, quality_bitmask=quality_bitmask)
-        mask = aperture_mask
-        if not isinstance(mask, str):
-            mask = self._checked_aperture(mask)
-        return tpf.to_lightcurve(aperture_mask=mask)
+        if isinstance(aperture_mask, str):
+            checked_choice("aperture_mask", aperture_mask, _MASKS)
+        else:
+            aperture_mask = self._checked_aperture(aperture_mask)
+        return tpf.to_lightcurve(aperture_mask=aperture_mask)
 
     @documented()
     def write(self, path, overwrite=False, *, aperture_mask=None, metadata=None):

@@ -303,6 +303,8 @@ IMAGE = np.ones((3, 3))
         (lambda: signal_to_noise_aperture(0 * IMAGE, 1), "`target` has no light"),
         (lambda: signal_to_noise_aperture(IMAGE, 0), "`exposure_time` must be positive, got 0"),
         (lambda: signal_to_noise_aperture(IMAGE, 1, read_noise=-1), "must not be negative"),
+        (lambda: signal_to_noise_aperture(IMAGE, 1, background=np.nan), "must not be negative"),
+        (lambda: signal_to_noise_aperture(IMAGE, 1, n_frames=0), "`n_frames` must be at least 1"),
         (lambda: contamination_aperture(IMAGE, 2 * IMAGE), "neighbors dominate every pixel"),
         (lambda: contamination_aperture(IMAGE, np.ones((2, 2))), r"must have \(3, 3\) pixels"),
         (

@@ -187,9 +187,9 @@ def test_files_of_other_ccds_and_files_that_fail(series, tmp_path):
         motion = Motion.from_tpfs(files)
     assert motion.meta["n_files"] == 2
     with pytest.warns(FitWarning, match="one file of c05 CCD 1 1765 s: no other star confirms it"):
-        Motion.from_tpfs([of(1)])
+        assert Motion.from_tpfs(of(1)) == Motion.from_tpfs([of(1)])
     with pytest.raises(ValueError, match=r"no file has positions: broken\.fits"):
-        Motion.from_tpfs(files[3:])
+        Motion.from_tpfs(str(files[3]))
     with pytest.raises(ValueError, match=r"`tpfs` is empty"):
         Motion.from_tpfs([])
 

@@ -157,6 +157,8 @@ def test_bad_apertures(observation, mask, message, tmp_path):
 def test_apertures_by_name_and_of_integers(observation):
     ours = observation.to_lightcurve(observation.aperture.astype(int))
     assert np.array_equal(ours.flux, observation.to_lightcurve("pipeline").flux)
+    with pytest.raises(ValueError, match="`aperture_mask` must be one of pipeline, threshold, def"):
+        observation.to_lightcurve("thresh")
 
 
 def test_write_and_read(observation, tmp_path):
