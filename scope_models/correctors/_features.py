@@ -78,10 +78,10 @@ def _pivoted_cholesky(points, order, tolerance, max_rank):
     """Return the pivots, the triangular factor of their kernel, and the mean of what is left."""
     rest = np.einsum("ij,ij->i", points, points) ** order
     factor = np.zeros((min(max_rank, len(points)), len(points)))
-    pivots = []
+    pivots, precision = [], len(points) * np.finfo(float).eps * rest.max(initial=0.0)
     for k in range(len(factor)):
         pivot = int(np.argmax(rest))
-        if rest.mean() < tolerance or rest[pivot] <= 0:
+        if rest.mean() < tolerance or rest[pivot] <= precision:
             break
         column = (points @ points[pivot]) ** order - factor[:k, pivot] @ factor[:k]
         factor[k] = column / np.sqrt(rest[pivot])
