@@ -13,6 +13,8 @@ from scope_models.missions import MISSIONS
 
 __all__ = ["Conditions", "Drawn", "Effect", "Exposures"]
 
+# Events of one observation: cosmic rays take some 100 bytes each.
+_MOST_EVENTS = 1e8
 _RAISES = """
 Raises
 ------
@@ -347,6 +349,14 @@ def checked_series(effect, name, unit=""):
         if values.ndim != 1 or not np.all(np.isfinite(values)):
             raise ValueError(f"`{name}` must be a finite one-dimensional array")
         object.__setattr__(effect, name, frozen(values))
+
+
+def number_of_events(generator, expected):
+    """Return a Poisson number of events, which memory must hold."""
+    if not expected <= _MOST_EVENTS:
+        message = f"`rate` makes {expected:.3g} events; at most {_MOST_EVENTS:g} are drawn"
+        raise ValueError(message)
+    return generator.poisson(expected)
 
 
 def series_of(value, time, name, noun="number"):

@@ -8,7 +8,7 @@ from scipy.special import ndtr
 
 from scope_models._arrays import plain_array
 from scope_models._checks import number
-from scope_models.effects.base import Drawn, Effect
+from scope_models.effects.base import Drawn, Effect, number_of_events
 
 __all__ = ["CosmicRays"]
 
@@ -83,7 +83,7 @@ class CosmicRays(Effect):
         n_cadences, frames = len(conditions.time), conditions.n_frames
         seconds = conditions.int_time * (frames if self.rejection else conditions.n_reads)
         area = (ny + 2 * margin) * (nx + 2 * margin) * (self.pixel_size * 1e-4) ** 2
-        n = generator.poisson(self.rate * area * seconds * n_cadences)
+        n = number_of_events(generator, self.rate * area * seconds * n_cadences)
         cadence = np.sort(generator.integers(n_cadences, size=n))
         x = generator.uniform(-0.5 - margin, nx - 0.5 + margin, n)
         y = generator.uniform(-0.5 - margin, ny - 0.5 + margin, n)

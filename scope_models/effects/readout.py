@@ -6,7 +6,7 @@ import numpy as np
 from scipy.special import xlog1py
 
 from scope_models._checks import integer, number
-from scope_models.effects.base import Drawn, Effect
+from scope_models.effects.base import Drawn, Effect, number_of_events
 
 __all__ = ["ChargeTransferInefficiency", "RollingBands"]
 
@@ -137,7 +137,7 @@ class RollingBands(Effect):
     def draw(self, conditions, generator):
         time, days = conditions.time, conditions.cadence_days
         start, length = time[0] - days / 2, time[-1] - time[0] + days
-        n = generator.poisson(self.rate * length)
+        n = number_of_events(generator, self.rate * length)
         episodes = {
             "TIME": np.sort(start + length * generator.random(n)),
             "AMPLITUDE": self.amplitude * generator.standard_exponential(n),

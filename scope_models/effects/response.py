@@ -5,7 +5,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from scope_models._checks import number
-from scope_models.effects.base import Drawn, Effect, checked_series, series_of
+from scope_models.effects.base import (
+    Drawn,
+    Effect,
+    checked_series,
+    number_of_events,
+    series_of,
+)
 
 __all__ = ["SensitivityDropouts", "Throughput"]
 
@@ -115,7 +121,8 @@ class SensitivityDropouts(Effect):
 
     def draw(self, conditions, generator):
         (ny, nx), n_cadences = conditions.shape, len(conditions.time)
-        n = generator.poisson(self.rate * ny * nx * n_cadences * conditions.cadence_days)
+        expected = self.rate * ny * nx * n_cadences * conditions.cadence_days
+        n = number_of_events(generator, expected)
         events = {
             "CADENCE": np.sort(generator.integers(n_cadences, size=n)),
             "ROW": generator.integers(ny, size=n),

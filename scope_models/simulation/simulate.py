@@ -164,7 +164,7 @@ def _choose_aperture(prepared):
             target[:, *light.window] = images
     background = (detector.background * prepared.interpixel).astype(np.float32)
     for images in (target, stars):
-        images *= prepared.interpixel * detector.exposure_time
+        np.multiply(images, prepared.interpixel * detector.exposure_time, out=images)
         _light.fill_wells(prepared.scene, images, background * detector.exposure_time)
     signal, flux = (images.mean(axis=0) / detector.exposure_time for images in (target, stars))
     if not signal.any():

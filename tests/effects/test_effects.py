@@ -213,7 +213,7 @@ class Nothing(Effect):
 @pytest.mark.parametrize(
     "make, error, message",
     [
-        (lambda: Focus(series=[1.0, -1.0]), ValueError, "width of the PSF must be finite and at le"),
+        (lambda: Focus(series=[1.0, -1.0]), ValueError, "width of the PSF must be finite and at"),
         (lambda: Focus(series=[1.0]), ValueError, "one width for each of the 2 cadences, got 1"),
         (lambda: Focus(1.0), ValueError, "`amplitude` must be below 1, got 1"),
         (lambda: Focus(0.1, period=0), ValueError, "`period` must be positive"),
@@ -236,6 +236,9 @@ class Nothing(Effect):
         (lambda: CosmicRays(electrons=0), ValueError, "`electrons` must be positive"),
         (lambda: CosmicRays(rate=1 / u.s), ValueError, "`rate` must be in"),
         (lambda: CosmicRays(pixel_size=0), ValueError, "`pixel_size` must be positive"),
+        (lambda: CosmicRays(rate=1e9), ValueError, r"`rate` makes .* events; at most 1e\+08 are"),
+        (lambda: RollingBands(rate=1e12), ValueError, "`rate` makes .* events; at most"),
+        (lambda: SensitivityDropouts(rate=1e9), ValueError, "`rate` makes .* events; at most"),
         (lambda: CosmicRays(depth=-1), ValueError, "`depth` must be positive"),
         (lambda: CosmicRays(longest=0), ValueError, "`longest` must be positive"),
         (lambda: CosmicRays(rejection=1), TypeError, "`rejection` must be True or False"),

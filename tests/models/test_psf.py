@@ -66,7 +66,7 @@ def test_bad_values_are_refused_later_too():
     psf = BivariateGaussianPSF()
     with pytest.raises(ValueError, match="`sigma_x` must be positive, got -2"):
         psf.sigma_x = -2
-    with pytest.raises(ValueError, match="`rho` must be from -1 to 1, got 1.5"):
+    with pytest.raises(ValueError, match=r"`rho` must be from -1 to 1, got 1.5"):
         psf.rho = 1.5
     with pytest.raises(TypeError, match="sigma"):
         BivariateGaussianPSF(sigma=1)
