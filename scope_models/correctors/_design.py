@@ -15,7 +15,7 @@ from scope_models.correctors._features import (
 from scope_models.correctors._pixels import aperture_pixels
 from scope_models.correctors._saturation import without_saturation
 from scope_models.io import read_pixels
-from scope_models.pixelmodel.smoothing import Smoother, quantile
+from scope_models.pixelmodel._smoothing import Smoother, quantile
 
 __all__ = [
     "DesignOptions",

@@ -18,8 +18,8 @@ from scope_models.correctors._pixels import (
 )
 from scope_models.exceptions import DetrendingWarning
 from scope_models.photometry import aperture_flux
-from scope_models.pixelmodel.star import IMAGE_ERROR
-from scope_models.pixelmodel.start import NoLightError, fit_gaussians
+from scope_models.pixelmodel._star import IMAGE_ERROR
+from scope_models.pixelmodel._start import NoLightError, fit_gaussians
 
 __all__ = [
     "Source",

@@ -25,7 +25,7 @@ from scope_models.correctors._pixels import Pixels, can_predict, with_predicted_
 from scope_models.correctors._result import CONTAMINATED, PLDFit
 from scope_models.correctors._solution import fit
 from scope_models.exceptions import DetrendingWarning
-from scope_models.pixelmodel.star import StarModel
+from scope_models.pixelmodel._star import StarModel
 
 __all__ = ["PLDModel", "PLDOptions", "Settings"]
 

@@ -8,9 +8,9 @@ import numpy as np
 from astropy.table import QTable
 
 from scope_models.io.pixels import read_neighbors, usable_positions
-from scope_models.pixelmodel.neighbors import fit_neighbors
-from scope_models.pixelmodel.position import polynomials
-from scope_models.pixelmodel.start import KnownNeighbors, NoLightError, centroids
+from scope_models.pixelmodel._neighbors import fit_neighbors
+from scope_models.pixelmodel._position import polynomials
+from scope_models.pixelmodel._start import KnownNeighbors, NoLightError, centroids
 
 __all__ = ["NeighborLight", "given_neighbors", "light_of_neighbors", "without_neighbors"]
 

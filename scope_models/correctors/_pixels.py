@@ -11,9 +11,9 @@ from scope_models._checks import checked_weights
 from scope_models.exceptions import DetrendingWarning
 from scope_models.io.pixels import usable_positions
 from scope_models.photometry import aperture_flux, cdpp
-from scope_models.pixelmodel.position import DARK_PART, FEWEST_DARK, dark_plane, precise_aperture
-from scope_models.pixelmodel.smoothing import quantile
-from scope_models.pixelmodel.star import fit_star
+from scope_models.pixelmodel._position import DARK_PART, FEWEST_DARK, dark_plane, precise_aperture
+from scope_models.pixelmodel._smoothing import quantile
+from scope_models.pixelmodel._star import fit_star
 
 __all__ = [
     "LARGEST_CORRECTION",

@@ -22,7 +22,7 @@ from scope_models.correctors._injection import (
 from scope_models.correctors._pixels import LARGEST_CORRECTION
 from scope_models.correctors._solution import Solution
 from scope_models.exceptions import DetrendingWarning
-from scope_models.pixelmodel.smoothing import TRANSIT
+from scope_models.pixelmodel._smoothing import TRANSIT
 
 __all__ = ["CONTAMINATED", "PLDFit"]
 

@@ -15,7 +15,7 @@ from scope_models.correctors.pld import PLDCorrector
 from scope_models.exceptions import DetrendingWarning
 from scope_models.io import read_tpf
 from scope_models.photometry import cdpp
-from scope_models.pixelmodel.smoothing import TRANSIT
+from scope_models.pixelmodel._smoothing import TRANSIT
 
 __all__ = ["ComparisonResult", "compare_correctors"]
 

@@ -123,7 +123,7 @@ def test_images_that_fail_if_they_change_are_not_taken(star, monkeypatch, recwar
     def refined(*_):
         raise np.linalg.LinAlgError("singular")
 
-    monkeypatch.setattr("scope_models.pixelmodel.star._refined", refined)
+    monkeypatch.setattr("scope_models.pixelmodel._star._refined", refined)
     found = PLDCorrector(star.tpf).correct()
     np.testing.assert_array_equal(found.flux.value, plain.flux.value)
     original = _model.fit

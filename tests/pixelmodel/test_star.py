@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy.special import erf
 
-from scope_models.pixelmodel.position import Widening, precise_aperture
-from scope_models.pixelmodel.smoothing import Smoother
-from scope_models.pixelmodel.star import IMAGE_ERROR, fit_star
+from scope_models.pixelmodel._position import Widening, precise_aperture
+from scope_models.pixelmodel._smoothing import Smoother
+from scope_models.pixelmodel._star import IMAGE_ERROR, fit_star
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 

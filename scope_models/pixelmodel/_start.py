@@ -12,8 +12,8 @@ from scipy.optimize import lsq_linear
 
 from scope_models.exceptions import DetrendingWarning
 from scope_models.io.pixels import star_places, target_place
-from scope_models.pixelmodel.scene import Shape, Track, render
-from scope_models.pixelmodel.splines import make_grid
+from scope_models.pixelmodel._scene import Shape, Track, render
+from scope_models.pixelmodel._splines import make_grid
 
 __all__ = [
     "NEAREST",

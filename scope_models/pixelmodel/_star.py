@@ -22,8 +22,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from scope_models.pixelmodel.smoothing import CLIP, NO_WEIGHT, TRANSIT, quantile
-from scope_models.pixelmodel.stamp import POSITION_PRIOR, make_stamp
+from scope_models.pixelmodel._smoothing import CLIP, NO_WEIGHT, TRANSIT, quantile
+from scope_models.pixelmodel._stamp import POSITION_PRIOR, make_stamp
 
 __all__ = ["IMAGE_ERROR", "StarModel", "fit_star"]
 

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 
-from scope_models.pixelmodel.smoothing import quantile
+from scope_models.pixelmodel._smoothing import quantile
 
 __all__ = [
     "DARK_PART",

@@ -6,7 +6,7 @@ import numpy as np
 from scipy import sparse
 from scipy.linalg import cho_factor, cho_solve
 
-from scope_models.pixelmodel.splines import SplineGrid
+from scope_models.pixelmodel._splines import SplineGrid
 
 __all__ = [
     "MEDIAN_SQUARE",

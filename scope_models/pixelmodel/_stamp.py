@@ -5,14 +5,14 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import ndimage
 
-from scope_models.pixelmodel.position import (
+from scope_models.pixelmodel._position import (
     FEWEST_DARK,
     REWEIGHTS,
     Features,
     Widening,
     dark_plane,
 )
-from scope_models.pixelmodel.smoothing import TRANSIT, Smoother, quantile
+from scope_models.pixelmodel._smoothing import TRANSIT, Smoother, quantile
 
 __all__ = ["POSITION_PRIOR", "Stamp", "States", "make_stamp"]
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 from astropy.stats import mad_std
 
-from scope_models.pixelmodel.scene import (
+from scope_models.pixelmodel._scene import (
     MEDIAN_SQUARE,
     Priors,
     between,
@@ -18,8 +18,8 @@ from scope_models.pixelmodel.scene import (
     solve_track,
     without_level,
 )
-from scope_models.pixelmodel.smoothing import Smoother
-from scope_models.pixelmodel.start import (
+from scope_models.pixelmodel._smoothing import Smoother
+from scope_models.pixelmodel._start import (
     NEAREST,
     NoLightError,
     centroids,
