@@ -440,7 +440,7 @@ def _on_scale(stamp, position, variable):
     """Bring positions back to the scale of POS_CORR, without what follows the brightness."""
     known = use = stamp.known & stamp.use
     columns = np.column_stack([position, np.ones(len(position)), variable])
-    weight = np.diag([4e-4, 4e-4, 0.0, 4e-4])  # toward no change, where POS_CORR has no say
+    weight = np.diag([4e-4, 4e-4, 0.0, 4e-4])  # toward no change where POS_CORR is unknown
     change = np.zeros((4, 2))
     for _ in range(3):
         gram = columns[use].T @ columns[use] + weight
