@@ -6,11 +6,10 @@ In cadence t the light of pixel p is
 
 .. math::
 
-    F_p(t) = a_t \left[G_p(x_t) + w_t W_p(x_t) + w_t^2 Q_p(x_t) + S_p(x_t, t)\right]
-             - v_t N_p(x_t) + c_{tp},
+    F_p(t) = a_t \left[G_p(x_t) + w_t W_p(x_t) + S_p(x_t, t)\right] - v_t N_p(x_t) + c_{tp},
 
 with the brightness a, the position x, the relative width w and the background c (a plane) of the
-cadence, and smooth functions of position G, W, Q and N of each pixel. S changes slowly with time.
+cadence, and smooth functions of position G, W and N of each pixel. S changes slowly with time.
 Over the aperture G adds up to 1, the others to nothing. N is the difference between the constant
 light and the star's in the image; it counts only where the star itself varies strongly (v). The
 variances of S and N are the most likely ones (MacKay 1992, Neural Computation, 4, 415). Images
@@ -33,9 +32,9 @@ IMAGE_ERROR = 1e-3
 #: Prior: standard deviation of the relative width of the PSF.
 _WIDTH_PRIOR = 0.02
 #: Prior: standard deviations of changes of an image in units of its own before the fit. A relative
-#: width and its square change the center of a Gaussian PSF by 2 and 3. The data give those of slow
-#: changes and of constant light; this is where they begin.
-_CHANGES = {"width": 2.0, "square": 3.0, "slow": 1.0, "constant": 1.0}
+#: width changes the center of a Gaussian PSF by 2. The data give those of slow changes and of
+#: constant light; this is where they begin.
+_CHANGES = {"width": 2.0, "slow": 1.0, "constant": 1.0}
 #: Tolerance: number of steps at most, and at least. The fit ends if the median steps of brightness,
 #: both positions and width are less than these parts of their errors.
 _MOST_STEPS, _FEWEST_STEPS, _SMALL_STEPS = 12, 4, np.array([0.15, 0.15, 0.15, 0.2])
@@ -106,6 +105,7 @@ class _Shape:
     main: np.ndarray  # of the functions of position, (rank, n_pixels)
     changes: dict  # of the coarse functions, by the names of `_CHANGES`; empty at first
     sizes: dict  # their standard deviations, as in `_CHANGES`
+    error: np.ndarray | float = 0.0  # of the mean of N, (n_pixels,)
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,16 +161,29 @@ def fit_star(time, flux, flux_err, position, grid, aperture, *, use=None, banded
     functions = stamp.functions(states.position)
     images = _images(stamp, states, shape, functions, slow)
     light, error = _light(stamp, states, images, flux_err, changing=changing)
-    return _result(stamp, states, images, light, error)
+    return _result(stamp, states, images, light, error, shape.error)
 
 
 def _converged(stamp, states):
-    """Fit images and cadences by turns; return the stamp and both."""
-    shape = _Shape(np.empty(0), {}, _CHANGES)
-    for step in range(_MOST_STEPS):
+    """Fit images and cadences by turns; return the stamp and both.
+
+    If no light is seen that is constant beside a star that varies strongly, there is none.
+    """
+    states, shape = _by_turns(stamp, states, _Shape(np.empty(0), {}, _CHANGES), 0)
+    if states.variable.any():
+        images = _images(stamp, states, shape, stamp.functions(states.position))
+        if not _constant_light(stamp, images, shape.error):
+            states = replace(states, variable=np.zeros_like(states.variable))
+            states, shape = _by_turns(stamp, states, shape, _LATE, alone=True)
+    return stamp, states, shape
+
+
+def _by_turns(stamp, states, shape, first, *, alone=False):
+    """Fit images and cadences by turns from a step on, a star ``alone`` without constant light."""
+    for step in range(first, _MOST_STEPS):
         before, functions = states, stamp.functions(states.position)
         shape = _fit_shape(stamp, states, shape, functions, late=step >= _LATE)
-        states, errors, shape = _fit_states(stamp, states, shape, functions, step)
+        states, errors, shape = _fit_states(stamp, states, shape, functions, step, alone=alone)
         moved = [
             np.abs(new - old) / error
             for new, old, error in zip(_courses(states), _courses(before), errors, strict=True)
@@ -178,7 +191,7 @@ def _converged(stamp, states):
         small = (quantile(np.array(moved)[:, stamp.use]) < _SMALL_STEPS).all()
         if small and step >= _FEWEST_STEPS - 1:
             break
-    return stamp, states, shape
+    return states, shape
 
 
 def _courses(states):
@@ -187,11 +200,12 @@ def _courses(states):
 
 def _refined(stamp, states, shape, slow):
     """Let images change slowly and the background fluctuate, at the width that was found."""
-    focus = states.focus
+    focus, alone = states.focus, not states.variable.any()
     for _ in range(_REFINEMENTS):
         functions = stamp.functions(states.position)
         shape = _fit_shape(stamp, states, shape, functions, late=True, slow=slow)
-        states, _, shape = _fit_states(stamp, states, shape, functions, _MOST_STEPS, slow)
+        steps = {"slow": slow, "alone": alone}
+        states, _, shape = _fit_states(stamp, states, shape, functions, _MOST_STEPS, **steps)
         states = replace(states, focus=focus)
     functions = stamp.functions(states.position)
     return states, _fit_shape(stamp, states, shape, functions, late=True, slow=slow)
@@ -212,7 +226,7 @@ def _fit_shape(stamp, states, shape, functions, *, late, slow=None):
     a, w = states.brightness[:, None], states.focus[:, None]
     parts, sizes = {}, dict(shape.sizes)
     if late:
-        parts = {"width": a * w * coarse, "square": a * w**2 * coarse}
+        parts = {"width": a * w * coarse}
         if slow is not None:
             parts["slow"] = a * slow
     if states.variable.any():
@@ -226,15 +240,18 @@ def _fit_shape(stamp, states, shape, functions, *, late, slow=None):
     ridge = states.variance / stamp.scale**2
     inverse = 1 / (np.maximum(values, 0)[:, None] + ridge)
     coefficients = vectors @ (right * inverse)
-    changes = {}
+    changes, error = {}, 0.0
     for name, start, end in zip(parts, first[1:], first[2:], strict=False):
         rows, size = slice(start, end), sizes[name]
         changes[name] = size * coefficients[rows]
-        if name in {"slow", "constant"}:
+        if name != "width":  # which has no unit but that of its prior
             free = np.sum(1 - vectors[rows] ** 2 @ (ridge * inverse))
             square = np.sum((coefficients[rows] / stamp.scale) ** 2)
             sizes[name] = size * np.sqrt((square + 1e-12) / (free + 1e-12))
-    return _Shape(coefficients[: first[1]], changes, sizes)
+        if name == "constant":
+            mean = size * coarse[stamp.use].mean(axis=0) @ vectors[rows]
+            error = np.sqrt(states.variance * (mean**2 @ inverse))
+    return _Shape(coefficients[: first[1]], changes, sizes, error)
 
 
 def _images(stamp, states, shape, functions, slow=None):
@@ -258,9 +275,8 @@ def _images(stamp, states, shape, functions, slow=None):
         constant = without_sum(coarse, changes["constant"])
     if "width" in changes:
         by_width = without_sum(few, changes["width"])
-        square = w * without_sum(few, changes["square"])
-        whole += w * (by_width + square)
-        slopes.append(by_width + 2 * square)
+        whole += w * by_width
+        slopes.append(by_width)
     else:  # a PSF that widens about the star's center
         far = stamp.grid - stamp.center - states.position[:, None]
         by_width = far[:, :, 0] * slopes[0] + far[:, :, 1] * slopes[1] - 2 * image
@@ -282,7 +298,6 @@ def _with_unit(stamp, states, shape, images, coarse):
     signal = [(values**2 / states.variance).sum() + 1e-12 for values in (fitted, wider)]
     size = np.sqrt(signal[0] / signal[1])
     changes["width"] = changes["width"] / size
-    changes["square"] = changes["square"] / size**2
     states, slope = replace(states, focus=states.focus * size), images.slopes[2] / size
     if outside.any():
         wing = quantile((wider - fitted / size)[outside])
@@ -302,7 +317,7 @@ def _rest(stamp, states, images):
     return rest
 
 
-def _fit_states(stamp, states, shape, functions, step, slow=None):
+def _fit_states(stamp, states, shape, functions, step, slow=None, *, alone=False):
     """Improve brightness, background, position and focus of each cadence: one linear step.
 
     Return the states, the errors of brightness, positions and focus, and the shape, in whose unit
@@ -337,7 +352,9 @@ def _fit_states(stamp, states, shape, functions, step, slow=None):
     change, error = _solved(hessian, right)
     brightness = states.brightness + np.clip(change[0], -0.3, 0.3)
     position = states.position + np.clip(change[1:3], -0.1, 0.1).T
-    variable = _variable(stamp, functions[1], brightness) if step >= _LATE else states.variable
+    variable = states.variable
+    if step >= _LATE and not alone:
+        variable = _variable(stamp, functions[1], brightness)
     position = _on_scale(stamp, position, variable)
     focus = states.focus + np.clip(change[3], -0.02, 0.02)
     focus = _without_other_causes(stamp, focus, position, variable)
@@ -516,22 +533,27 @@ def _kept(stamp, states, images, focus):
     return np.maximum(whole + moved, 0.1) / np.maximum(whole - lost, 0.1)
 
 
-def _result(stamp, states, images, light, light_error):
+def _constant_light(stamp, images, error):
+    """Return the least part of the light that is constant.
+
+    N is this part times the difference of its image and the star's. Both add up to 1, so that
+    absolute values of the difference add up to 2 at most, less what errors add to them.
+    """
+    constant = np.broadcast_to(images.constant, images.whole.shape)[stamp.use].mean(axis=0)
+    size = np.abs(constant) - np.hypot(IMAGE_ERROR, error)
+    return max(float(size[stamp.aperture].sum() / 2), 0.0)
+
+
+def _result(stamp, states, images, light, light_error, image_error):
     """Return the `StarModel` of a light and its error.
 
     Beside constant light the image is narrower or wider in a dip of the star: in fractions and
     light, the width has no short dips.
-
-    N is the part of constant light times the difference of its image and the star's. Both add up to
-    1, so that absolute values of the difference add up to 2 at most. Errors of images add to them.
     """
     inside, weight = stamp.aperture, np.where(stamp.use, 1.0, NO_WEIGHT)
     focus = stamp.smoothed.lines(states.focus, weight, _SLOW / stamp.smoothed.step)[0]
     kept = _kept(stamp, states, images, focus)
     still = images.whole + (focus - states.focus)[:, None] * images.slopes[2]
-    difference = np.mean(np.broadcast_to(images.constant, still.shape)[stamp.use], axis=0)
-    constant = np.abs(difference[inside]).sum() / 2
-    error = IMAGE_ERROR * np.sqrt(inside.sum())
     return StarModel(
         light=stamp.unit * light * kept,
         light_error=stamp.unit * light_error * kept,
@@ -541,7 +563,7 @@ def _result(stamp, states, images, light, light_error):
         background=stamp.unit * (states.plane @ stamp.planes.T),
         position=states.position,
         focus=focus,
-        constant=float(max(constant - error, 0.0)),
+        constant=_constant_light(stamp, images, image_error),
         repaired=~states.good,
     )
 
