@@ -17,13 +17,15 @@ def make_figure():
     """Return the figure: a star of one regime of the messy sky, and four light curves of it."""
     sky = make_sky("k2-1x-rr-lyrae-neighbor", 100, n_cadences=900)
     tpf = sky.to_tpf()
+    both = tpf.create_threshold_mask(3)  # an aperture that holds both stars
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of the variability, which is the subject of the figure
+        corrector = PLDCorrector(tpf, both)
         curves = {
-            "before correction": tpf.to_lightcurve(),
-            "lightkurve's PLDCorrector": LightkurvePLD(tpf).correct(),
-            'PLDCorrector, fractions="measured"': PLDCorrector(tpf).correct(fractions="measured"),
-            "PLDCorrector": PLDCorrector(tpf).correct(),
+            "before correction": tpf.to_lightcurve(aperture_mask=both),
+            "lightkurve's PLDCorrector": LightkurvePLD(tpf, both).correct(),
+            'PLDCorrector, fractions="measured"': corrector.correct(fractions="measured"),
+            "PLDCorrector": corrector.correct(),
         }
     figure, axes = plt.subplots(
         len(curves), 1, figsize=(8, 7), sharex=True, sharey=True, layout="constrained"
