@@ -158,16 +158,13 @@ class Covariance:
         """
         u, d, decay = self._u, self._d, self._decay
         rows = np.zeros((len(starts), width, width))
-        tails = np.empty((len(starts), width, 2))
-        for j in range(width):
-            column, state = np.ones(len(starts)), np.zeros((len(starts), 2))
-            for k in range(j, width):
-                here = starts + k
-                if k > j:
-                    column = -np.einsum("ij,ij->i", u[here], state)
-                rows[:, j, k] = column / np.sqrt(d[here])
-                state = decay[here, None] * (state + self._w[here] * column[:, None])
-            tails[:, j] = state
+        tails = np.zeros((len(starts), width, 2))
+        for k in range(width):
+            here = starts + k
+            columns = -(tails @ u[here, :, None])[:, :, 0]
+            columns[:, k] = 1.0
+            rows[:, :, k] = columns / np.sqrt(d[here, None])
+            tails = decay[here, None, None] * (tails + columns[:, :, None] * self._w[here, None])
         outside = tails @ self._below[starts + width] @ tails.transpose(0, 2, 1)
         return rows @ rows.transpose(0, 2, 1) + outside
 

@@ -213,9 +213,10 @@ def box_signal(used, width, depth):
 
 @one_thread
 def fitted_depth(fitted, column):
-    """Return amplitude and error of a transit at fixed regressors."""
+    """Return amplitude and error of a transit at fixed regressors, with cadences left out for it."""
     usable, solution = fitted.model.pixels.usable, fitted.solution
-    solution = solution.with_flat(column[usable], solution.use | fitted.transit_mask[usable])
+    column, use = column[usable], solution.use | fitted.transit_mask[usable]
+    solution = solution.with_flat(column, use | fitted.cadence_mask[usable] & column.any(axis=1))
     return solution.without_outliers(fitted.model.options).flat_coefficient(-1)
 
 

@@ -22,7 +22,7 @@ from scope_models.correctors._features import Regressors
 from scope_models.correctors._injection import Source, transit_column
 from scope_models.correctors._lightkurve import external_columns, sorted_regressors
 from scope_models.correctors._pixels import Pixels, can_predict, with_predicted_fractions
-from scope_models.correctors._result import CONTAMINATED, PLDFit
+from scope_models.correctors._result import PLDFit
 from scope_models.correctors._solution import fit
 from scope_models.exceptions import DetrendingWarning
 from scope_models.pixelmodel._star import StarModel
@@ -301,7 +301,8 @@ def fit_pixels(pixels, options, series, cadence_mask=None, **transit):
 
     With ``fractions="auto"`` these are the predicted ones, of images that change slowly if these
     predict unseen windows decisively better. Where they leave more noise than FLUX_ERR may lack,
-    and no other light that measured fractions would follow the star by, these are tried too.
+    measured ones are tried too, unless they may follow the star by more than its noise, with the
+    light beside it that may be left.
     ``series`` is the file of the pixels; the rest are arguments of `PLDModel.fit`.
     """
     state = {}
@@ -319,7 +320,9 @@ def fit_pixels(pixels, options, series, cadence_mask=None, **transit):
             trial = other.clean and other.fit(cadence_mask, **transit, like=fitted)
             if trial and _gain(trial, fitted) > _DECISIVE:
                 fitted = other.fit(cadence_mask, **transit)
-            if fitted.noise_scale < _MISFIT or fitted.contrast_error > CONTAMINATED:
+            following = fitted.contrast_error * np.std(fitted.solution.y)
+            seen = following**2 > np.median(fitted.solution.variance)
+            if fitted.noise_scale < _MISFIT or seen:
                 return fitted
             other = model_with(replace(options, fractions="measured")).fit(cadence_mask, **transit)
             return other if _gain(other, fitted) > _DECISIVE else fitted

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 from astropy.table import QTable
 
+from scope_models.correctors._pixels import without_background
 from scope_models.io.pixels import read_neighbors, usable_positions
 from scope_models.pixelmodel._neighbors import fit_neighbors
 from scope_models.pixelmodel._position import polynomials
@@ -170,8 +171,9 @@ def _holds_constant_light(pixels, usable, pos_corr):
     A star's pixels are its light times functions of position. Centroids follow constant light, so
     that only POS_CORR counts. The star varies if that is more than errors of POS_CORR make.
     """
-    total = pixels.total[usable] / np.median(pixels.total[usable])
-    light = np.nan_to_num(pixels.flux[usable][:, pixels.aperture]) / np.median(pixels.total[usable])
+    light = np.nan_to_num(without_background(pixels.flux[usable])[:, pixels.aperture])
+    total = light.sum(axis=1)
+    light, total = light / np.median(total), total / np.median(total)
     functions = np.ones((len(total), 1))
     if pos_corr is not None and np.isfinite(pos_corr).all(axis=1).mean() > 0.5:
         known = np.isfinite(pos_corr).all(axis=1)

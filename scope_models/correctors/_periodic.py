@@ -22,9 +22,9 @@ _ROUNDS = 20
 #: Tolerance: distance of a frequency from a multiple of another one, in the same unit, far less
 #: than that of two peaks; and a series is sought of which a wave is a harmonic up to this one.
 _NEAR, _STRONGEST = 0.3, 5
-#: Tolerance: largest step of a frequency, in the same unit, and number of steps, which end with a
-#: small one.
-_LARGEST_SHIFT, _STEPS, _SMALL_SHIFT = 0.2, 10, 0.01
+#: Tolerance: standard deviation of the prior of a step of a frequency, in the same unit, and number
+#: of steps, which end with a small one.
+_SHIFT, _STEPS, _SMALL_SHIFT = 0.2, 10, 0.01
 #: Prior: at most one frequency, which has three parameters, for so many cadences.
 _CADENCES_PER_FREQUENCY = 8
 #: Branch: cadences that differ from the median of five by so many standard deviations are left out
@@ -63,40 +63,38 @@ class _Waves:
     def improbability(self, n):
         """Return minus the logarithm of the prior of frequencies that may be anywhere.
 
-        A series of ``n`` cadences resolves ``n / 2`` of them. Amplitudes are as large as the data,
-        not as wide as flat priors are.
+        A series of ``n`` cadences resolves ``n / 2`` of them.
         """
-        free = len(self.others) + (self.count > 0)
-        return free * np.log(n / 2) - len(self.frequencies) * np.log(FLAT)
+        return (len(self.others) + (self.count > 0)) * np.log(n / 2)
 
     def settled(self, solution, use):
-        """Return it after steps of Gauss and Newton."""
-        waves, length = self, np.ptp(solution.time[use])
+        """Return it after steps of Gauss and Newton, of frequencies and amplitudes together."""
+        waves, amplitudes, length = self, None, np.ptp(solution.time[use])
         for _ in range(_STEPS):
-            before, waves = waves, waves._shifted(solution, use)
+            before, (waves, amplitudes) = waves, waves._shifted(solution, use, amplitudes)
             change = np.abs(waves.frequencies - before.frequencies)
             if change.max(initial=0) * length < _SMALL_SHIFT:
                 break
         return waves
 
-    def _shifted(self, solution, use):
-        """Return it after one step."""
-        frequencies, count = self.frequencies, self.count
-        trial = solution.with_frequencies(frequencies, use)
+    def _shifted(self, solution, use, amplitudes):
+        """Return it after one step, and the amplitudes of each cosine and sine."""
+        trial, count = solution.with_frequencies(self.frequencies, use), self.count
         k, n = trial.n_regressors, solution.n_trend
-        cos, sin = trial.posterior.mean[k + n : k + trial.n_trend].reshape(-1, 2).T
-        phase = 2 * np.pi * np.outer(trial.time, frequencies)
-        slope = 2 * np.pi * trial.time[:, None] * (sin * np.cos(phase) - cos * np.sin(phase))
+        rows = slice(k + n, k + trial.n_trend)
+        amplitudes = trial.posterior.mean[rows] if amplitudes is None else amplitudes
+        waves = trial.flat[:, n : trial.n_trend]
+        slope = waves[:, ::2] * amplitudes[1::2] - waves[:, 1::2] * amplitudes[::2]
+        slope *= 2 * np.pi * trial.time[:, None]
         sizes = np.ones(len(self.others))
         if count:
             series = slope[:, :count] @ np.arange(1, count + 1)
             slope, sizes = np.column_stack([series, slope[:, count:]]), np.append(count, sizes)
-        trial = trial.with_flat(slope, use)
-        step = trial.posterior.mean[k + trial.n_trend :] / trial.scale[trial.n_trend :]
-        limit = _LARGEST_SHIFT / np.ptp(trial.data.time) / sizes
-        step = np.clip(step, -limit, limit)
+        unit = _SHIFT / np.ptp(trial.data.time) / sizes / np.sqrt(FLAT * trial.data.spread)
+        mean = trial.with_more(slope * unit, use).posterior.mean
+        step = unit * mean[rows.stop : rows.stop + len(unit)]
         base = self.base + step[0] if count else 0.0
-        return _Waves(self.others + step[int(count > 0) :], base, count)
+        return _Waves(self.others + step[int(count > 0) :], base, count), mean[rows]
 
     def gains(self, solution, use):
         """Return what each frequency gains beside the others: twice the log-likelihood."""

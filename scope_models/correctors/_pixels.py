@@ -31,6 +31,7 @@ __all__ = [
     "typical_image",
     "warn_of_pipeline",
     "with_predicted_fractions",
+    "without_background",
 ]
 
 #: Branch: share of the star's light that a pixel must hold to belong to the default aperture.
@@ -127,7 +128,7 @@ def choose_aperture(flux, flux_err, pipeline=None, pos_corr=None):
     """
     if len(flux) < _FEWEST:
         raise ValueError(f"`tpf` has {len(flux)} cadences: at least {_FEWEST} are needed")
-    given, flux = flux, _without_background(flux)
+    given, flux = flux, without_background(flux)
     finite = np.isfinite(flux).all(axis=(1, 2))
     if finite.sum() < 3:
         seen = np.isfinite(flux).mean(axis=0) > 0.5
@@ -178,7 +179,7 @@ def typical_image(flux):
         return np.nanmedian(flux, axis=0)
 
 
-def _without_background(flux):
+def without_background(flux):
     """Subtract a plane from each image: that of the typical one, and what its dark pixels add."""
     typical = typical_image(flux)
     known = np.isfinite(typical)

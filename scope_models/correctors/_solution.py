@@ -272,8 +272,9 @@ class Solution:
         return replace(self, flat=flat, scale=scale, use=use, n_short=0)
 
     def with_short(self, columns):
-        """Return the same model with columns of short changes."""
-        return self._inserted(columns, self.use, n_short=columns.shape[1])
+        """Return the same model with columns of short changes, as large as the data's."""
+        columns = columns / np.sqrt(FLAT)
+        return self.with_more(columns, self.use, n_short=columns.shape[1])
 
     def without_short(self, allowed):
         """Return the model, not fitted, of allowed cadences that are in no short change."""
@@ -284,13 +285,13 @@ class Solution:
         return replace(self, use=allowed & ~short, **changed)
 
     def with_frequencies(self, frequencies, use):
-        """Return the same model with periodic variability and other cadences."""
-        columns = harmonic_columns(self.time, frequencies)
+        """Return the same model with periodic variability, as large as the data's."""
+        columns = harmonic_columns(self.time, frequencies) / np.sqrt(FLAT)
         frequencies = (*self.frequencies, *map(float, frequencies))
         n = self.n_trend + columns.shape[1]
-        return self._inserted(columns, use, n_trend=n, frequencies=frequencies)
+        return self.with_more(columns, use, n_trend=n, frequencies=frequencies)
 
-    def _inserted(self, columns, use, **changes):
+    def with_more(self, columns, use, **changes):
         """Return the same model with more columns after the trend's, and other cadences."""
         n, ones = self.n_trend, np.ones(columns.shape[1])
         flat = np.concatenate([self.flat[:, :n], columns, self.flat[:, n:]], axis=1)
@@ -389,14 +390,13 @@ def _without_outliers(solution, make_regressors, options):
 def _evidence(solution, allowed):
     """Log-likelihood with the outliers, which may be anywhere in the range of the data.
 
-    The sizes of short changes are as large as the data's, not as wide as flat priors are. What
-    noise is beyond FLUX_ERR is a misfit, which a likelihood of white noise takes for too little.
+    What noise is beyond FLUX_ERR is a misfit, which a likelihood of white noise takes for too little.
     """
     n_outliers = allowed.sum() - solution.use.sum()
     value = solution.log_likelihood - n_outliers * np.log(np.ptp(solution.y[allowed]))
     if solution.predicted:
         value -= 0.5 * (np.log(solution.hyper.noise_scale) / _NOISE_ERROR) ** 2
-    return value + solution.n_short / 2 * np.log(FLAT)
+    return value
 
 
 def _flat_columns(time, extra, n_trend):

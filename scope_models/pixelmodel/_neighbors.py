@@ -18,7 +18,7 @@ from scope_models.pixelmodel._scene import (
     solve_track,
     without_level,
 )
-from scope_models.pixelmodel._smoothing import Smoother
+from scope_models.pixelmodel._smoothing import CLIP, Smoother
 from scope_models.pixelmodel._start import (
     NEAREST,
     NoLightError,
@@ -44,9 +44,8 @@ _GAINS = (1e-4, 1e-3, 5e-3, 0.015)
 #: Tolerance: after these steps the priors of the PRF are about what has been found: stars at rest
 #: need it.
 _ANCHORS = (2, 4, 6)
-#: Branch: pixels that deviate by more standard deviations are left out, in less than this part of
-#: the cadences.
-_SIGMA, _MOST_HITS = 6.0, 0.05
+#: Branch: outliers in less than this part of the cadences are cosmic rays.
+_MOST_HITS = 0.05
 
 
 def fit_neighbors(time, flux, variance, pos_corr, peak, use, known, places):
@@ -147,7 +146,7 @@ def _without_hits(shape, track, flux, variance, floor):
     """Return the variances, infinite in the few pixels that deviate, as cosmic rays do."""
     rest, light = residuals(shape, track, flux)
     deviation = np.abs(rest) / np.sqrt(variance + (4 * floor * light) ** 2)
-    hit = deviation > _SIGMA
+    hit = deviation > CLIP
     often = hit.mean(axis=0) > _MOST_HITS  # here the model errs
     return np.where(hit & ~often, np.inf, variance)
 

@@ -22,7 +22,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from scope_models.pixelmodel._smoothing import CLIP, NO_WEIGHT, TRANSIT, quantile
-from scope_models.pixelmodel._stamp import POSITION_PRIOR, make_stamp
+from scope_models.pixelmodel._stamp import make_stamp
 
 __all__ = ["IMAGE_ERROR", "StarModel", "fit_star"]
 
@@ -48,12 +48,9 @@ _FAST, _STRONG = 0.25, 0.02
 #: Prior: relative change of the light in the aperture with position, for telling it from
 #: variability.
 _RESPONSE_PRIOR = 0.05
-#: Branch: cosmic rays exceed so many standard deviations.
-_HIT = 4.5
-#: Branch: part of a pixel's light by which the functions of position may miss where the star moves
-#: far: cosmic rays exceed it, too. Largest ratio of light to noise in a pixel from which on this
-#: and ``CLIP`` hold; of fainter stars cosmic rays are a larger part of the light than such errors.
-_MISFIT, _BRIGHT = 0.05, 5000.0
+#: Branch: cosmic rays exceed this part of a pixel's light, by which the functions of position may
+#: miss where the star moves far.
+_MISFIT = 0.05
 #: Branch: width in days of the kernel beyond which outliers of the focus are dips, and none of the
 #: focus.
 _SLOW = 0.05
@@ -357,7 +354,6 @@ def _fit_states(stamp, states, shape, functions, step, slow=None, *, alone=False
         variable = _variable(stamp, functions[1], brightness)
     position = _on_scale(stamp, position, variable)
     focus = states.focus + np.clip(change[3], -0.02, 0.02)
-    focus = _without_other_causes(stamp, focus, position, variable)
     if step >= _LATE:
         focus = stamp.smoothed(focus, error[3], "focus")
     plane = states.plane + change[4:].T
@@ -370,18 +366,8 @@ def _fit_states(stamp, states, shape, functions, step, slow=None, *, alone=False
 
 
 def _without_hits(stamp, states, images, rest):
-    """Return pixels that are not far above the model in one cadence only, as cosmic rays are.
-
-    In faint stars' pixels, brightness and position follow a cosmic ray in part: less is left.
-    """
-    sigma = np.sqrt(states.variance)
-    bright = min((stamp.scale / sigma).max() / _BRIGHT, 1.0)
-    columns = np.stack([part.mean(axis=0) for part in (images.whole, *images.slopes[:2])], axis=1)
-    columns /= sigma[:, None]
-    hessian = columns.T @ columns + np.diag([0, POSITION_PRIOR**-2, POSITION_PRIOR**-2])
-    leverage = np.einsum("ij,ji->i", columns, np.linalg.solve(hessian, columns.T))
-    least = (_HIT + bright * (CLIP - _HIT)) * sigma * np.sqrt(1 - (1 - bright) * leverage)
-    hot = rest > least + bright * _MISFIT * np.abs(images.whole)
+    """Return pixels that are not far above the model in one cadence only, as cosmic rays are."""
+    hot = rest > CLIP * np.sqrt(states.variance) + _MISFIT * np.abs(images.whole)
     seen = np.pad(hot & stamp.use[:, None], ((1, 1), (0, 0)))
     return ~hot | seen[:-2] | seen[2:]
 
@@ -466,15 +452,6 @@ def _on_scale(stamp, position, variable):
         rest = stamp.expected - position - columns @ change
         use = known & (np.abs(rest).max(axis=1) < 0.1)
     return position + columns @ change
-
-
-def _without_other_causes(stamp, focus, position, variable):
-    """Return the focus without what positions, beyond their uncertainty, and brightness explain."""
-    use, center = stamp.use, position[stamp.use].mean(axis=0)
-    columns = np.column_stack([np.ones(len(use)), position - center, variable])
-    ridge = use.sum() * np.diag([0, POSITION_PRIOR, POSITION_PRIOR, 0]) ** 2
-    gram = columns[use].T @ columns[use] + ridge + 1e-9 * use.sum() * np.eye(4)
-    return focus - columns @ np.linalg.solve(gram, columns[use].T @ focus[use])
 
 
 def _light(stamp, states, images, flux_err, *, changing):

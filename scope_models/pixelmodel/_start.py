@@ -13,6 +13,7 @@ from scipy.optimize import lsq_linear
 from scope_models.exceptions import DetrendingWarning
 from scope_models.io.pixels import star_places, target_place
 from scope_models.pixelmodel._scene import Shape, Track, render
+from scope_models.pixelmodel._smoothing import CLIP
 from scope_models.pixelmodel._splines import make_grid
 
 __all__ = [
@@ -211,9 +212,9 @@ _TARGET_ITSELF, _FARTHEST = 0.3, 5.0
 
 #: Branch: least distance from the target (px), and largest number of neighbors.
 NEAREST, _MOST = 1.4, 6
-#: Branch: what the model leaves counts as a star if it is so many times its error, so many times
-#: the target's light there, and so large a part of the target's flux.
-_SIGMA, _OVER_STAR, _LEAST = 6.0, 0.7, 4e-3
+#: Branch: what the model leaves counts as a star if it is an outlier, so many times the target's
+#: light there, and so large a part of the target's flux.
+_OVER_STAR, _LEAST = 0.7, 4e-3
 #: Tolerance: steps (px) of the derivative by a neighbor's place, and of the place itself.
 _STEP, _LARGEST_MOVE = 0.05, 0.3
 #: Tolerance: most turns of a first fit, and change of fluxes (relative to the brightest neighbor)
@@ -385,7 +386,7 @@ def _brightest_rest(shape, track, flux, variance, found, places):
     rest, error, (du, dv) = _stacked(flux - star - images.others, variance, track)
     light, _, _ = _stacked(star + images.others, variance, track)
     rest = rest - np.median(rest[np.isfinite(error)])
-    good = rest > np.maximum(_OVER_STAR * light, _SIGMA * error)
+    good = rest > np.maximum(_OVER_STAR * light, CLIP * error)
     good &= (rest > _LEAST * typical * shape.coefficients.max()) & (np.hypot(du, dv) > NEAREST)
     for _, dx, dy in found:
         good &= np.hypot(du - dx, dv - dy) > NEAREST
