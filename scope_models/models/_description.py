@@ -22,7 +22,7 @@ __all__ = [
 
 _OPERATORS = {"+": operator.add, "-": operator.sub, "*": operator.mul}
 # Where the names of models in files are looked up, in this order.
-_MODULES = ("scope_models.models", "scope_models.models.variability")
+_MODULES = ("scope_models.models", "scope_models.models.signals")
 _MODULES += ("astropy.modeling.models", "photutils.psf")
 _LARGEST_ARRAY = 1 << 26  # bytes of an array in a file, unpacked
 
