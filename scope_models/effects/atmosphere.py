@@ -1,14 +1,14 @@
 """The atmosphere above a telescope on the ground: extinction, scintillation and seeing."""
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from astropy.coordinates import FK5, EarthLocation, SkyCoord
 from astropy.time import Time
 
-from scope_models._arrays import plain_array, plain_time
+from scope_models._arrays import plain_time
 from scope_models._checks import checked_number, number
-from scope_models._values import frozen
 from scope_models.effects.base import Drawn, Effect, series_of
 from scope_models.missions import TIME_ZEROS
 
@@ -92,19 +92,7 @@ def airmass(time, coord, location):
 class AirEffect(Effect):
     """An effect with an airmass, a number or one for each cadence."""
 
-    by_cadence = ("airmass",)
-
-    def __post_init__(self):
-        super().__post_init__()
-        self._check("airmass", "", "1 or more, one number or one for each cadence", 1)
-
-    def _check(self, name, unit, domain, low, high=np.inf):
-        """Bring a field, one number or one for each cadence, to its unit."""
-        values = plain_array(getattr(self, name), unit, name)
-        inside = np.isfinite(values) & (values >= low) & (values <= high)
-        if values.ndim > 1 or not np.all(inside):
-            raise ValueError(f"`{name}` must be {domain}")
-        object.__setattr__(self, name, frozen(values) if values.ndim else float(values))
+    by_cadence: ClassVar = {"airmass": ("", 1)}
 
 
 def _red_noise(generator, time, correlation_time):

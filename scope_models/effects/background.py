@@ -1,6 +1,7 @@
 """Diffuse light, of the sky in space and on the ground, and the residual of its subtraction."""
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import astropy.units as u
 import numpy as np
@@ -10,13 +11,12 @@ from astropy.time import Time
 from scope_models._arrays import plain_time
 from scope_models._checks import checked_number, number
 from scope_models.effects.atmosphere import AirEffect, horizon_altitude, of_date, sidereal_time
-from scope_models.effects.base import Drawn, Effect, checked_series, series_of
+from scope_models.effects.base import Drawn, Effect, series_of
 from scope_models.missions import TIME_ZEROS
 
 __all__ = ["Argabrightening", "Background", "NightSky", "ScatteredLight", "moon_geometry"]
 
 _RATE = "electron / s"
-_DOMAINS = {"moon_altitude": (-90, 90), "moon_separation": (0, 180), "moon_phase": (0, 180)}
 
 
 class SkyEffect(Effect):
@@ -83,11 +83,7 @@ class Background(SkyEffect):
     residual: float = number(0.0, any_sign=True)
     left: np.ndarray | None = None
 
-    by_cadence = ("left",)
-
-    def __post_init__(self):
-        super().__post_init__()
-        checked_series(self, "left", _RATE)
+    by_cadence: ClassVar = {"left": (_RATE,)}
 
     def draw(self, conditions, generator):
         time = conditions.time
@@ -344,12 +340,11 @@ class NightSky(AirEffect, SkyEffect):
     gradient: tuple[float, float] = number((0.0, 0.0))
     residual: float = number(0.0, any_sign=True)
 
-    by_cadence = ("airmass", *_DOMAINS)
-
-    def __post_init__(self):
-        super().__post_init__()
-        for name, (low, high) in _DOMAINS.items():
-            self._check(name, u.deg, f"between {low} and {high} deg", low, high)
+    by_cadence: ClassVar = AirEffect.by_cadence | {
+        "moon_altitude": ("deg", -90, 90),
+        "moon_separation": ("deg", 0, 180),
+        "moon_phase": ("deg", 0, 180),
+    }
 
     def draw(self, conditions, generator):
         values = {name: getattr(self, name) for name in self.by_cadence}

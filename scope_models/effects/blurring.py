@@ -5,6 +5,7 @@ and the flux stays: :math:`p_w(x, y) = p(x_0 + (x - x_0) / w, y_0 + (y - y_0) / 
 """
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
@@ -64,14 +65,13 @@ class Focus(Effect):
     events: np.ndarray = ()
     series: np.ndarray | None = None
 
-    by_cadence = ("series",)
+    by_cadence: ClassVar = {"series": ("",)}
 
     def __post_init__(self):
         super().__post_init__()
         if self.events is not None:
             object.__setattr__(self, "events", plain_time(self.events, None, "events"))
         checked_series(self, "events", "day")
-        checked_series(self, "series")
         if abs(self.amplitude) >= 1:
             raise ValueError(f"`amplitude` must be below 1, got {self.amplitude}")
 

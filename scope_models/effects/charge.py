@@ -152,11 +152,10 @@ class BrighterFatter(Effect):
         factor = self.coefficient / (2 * self.full_well * conditions.n_reads)
         squares = factor * electrons**2
         for axis in (1, 2):
-            moved = -np.diff(squares, axis=axis)
-            low, high = ([slice(None)] * 3 for _ in range(2))
-            low[axis], high[axis] = slice(None, -1), slice(1, None)
-            electrons[tuple(low)] -= moved
-            electrons[tuple(high)] += moved
+            moved = -np.diff(squares, axis=axis).swapaxes(1, axis)
+            pixels = electrons.swapaxes(1, axis)
+            pixels[:, :-1] -= moved
+            pixels[:, 1:] += moved
 
 
 @dataclass(frozen=True, eq=False, repr=False)

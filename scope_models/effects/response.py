@@ -1,13 +1,14 @@
 """Changes of the response in time: of all pixels, of single pixels, and cadences without data."""
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
 from scope_models._arrays import plain_array, plain_time
 from scope_models._checks import number
 from scope_models._values import frozen
-from scope_models.effects.base import Drawn, Effect, checked_series, number_of_events, series_of
+from scope_models.effects.base import Drawn, Effect, number_of_events, series_of
 
 __all__ = ["Gaps", "SensitivityDropouts", "Throughput"]
 
@@ -55,11 +56,7 @@ class Throughput(Effect):
     drift: float = number(0.0, "1 / day", any_sign=True)
     series: np.ndarray | None = None
 
-    by_cadence = ("series",)
-
-    def __post_init__(self):
-        super().__post_init__()
-        checked_series(self, "series")
+    by_cadence: ClassVar = {"series": ("",)}
 
     def draw(self, conditions, generator):
         time = conditions.time
