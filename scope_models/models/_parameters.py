@@ -10,8 +10,8 @@ from astropy.units import UnitsError
 from scope_models._arrays import is_angle, plain_array, without_unit
 
 __all__ = [
-    "Domain", "StarModel", "check_model_parameters", "gaussian_box", "make_parameters",
-    "numbers_of", "one_number", "value_of",
+    "Domain", "StarModel", "check_model_parameters", "gaussian_box", "make_coefficients",
+    "make_parameters", "numbers_of", "one_number", "value_of",
 ]  # fmt: skip
 
 
@@ -65,6 +65,14 @@ def make_parameters(model, parameters):
         parameter = Parameter(name, default=0.0, description=given) if plain else given
         parameter.model = model
         model.__dict__[name] = parameter
+
+
+def make_coefficients(model, order, function):
+    """Give a model the coefficients ``c_k_m`` of orders k + m up to one; return all (k, m)."""
+    places = [(n - m, m) for n in range(1, order + 1) for m in range(n + 1)]
+    text = f"Coefficient of {function}_{{}} {function}_{{}}"
+    make_parameters(model, {f"c_{k}_{m}": text.format(k, m) for k, m in places})
+    return places
 
 
 def value_of(parameter):

@@ -15,7 +15,7 @@ from scope_models.models._parameters import (
     Domain,
     StarModel,
     gaussian_box,
-    make_parameters,
+    make_coefficients,
     one_number,
 )
 from scope_models.models._terms import ClosedForm, pixels_of
@@ -244,21 +244,18 @@ class GaussHermitePSF(StarModel):
     def __init__(self, flux=1.0, x_0=0.0, y_0=0.0, sigma_x=0.5, sigma_y=0.5, order=None, **kwargs):
         given = [name for name in kwargs if name.startswith("c_")]
         if order is None:
-            order = max([4, *(sum(_orders(name)) for name in given)])
+            order = max([4, *(sum(map(int, name.split("_")[1:])) for name in given)])
         self.order = checked_integer("order", order, 1, 20)
-        n_terms = range(1, self.order + 1)
-        values = {f"c_{n - m}_{m}": 0.0 for n in n_terms for m in range(n + 1)}
-        unknown = set(given) - set(values)
+        self._places = make_coefficients(self, self.order, "h")
+        unknown = set(given) - set(self.param_names)
         if unknown:
             listed = ", ".join(sorted(unknown))
             raise ValueError(f"`order` {self.order} has no coefficient {listed}")
         for name in given:
             if np.ndim(kwargs[name]):
                 raise ValueError(f"`{name}` must be one number, got {np.size(kwargs[name])} values")
-        places = {name: _orders(name) for name in values}
-        make_parameters(self, {n: f"Coefficient of h_{k} h_{m}" for n, (k, m) in places.items()})
-        values |= {"flux": flux, "x_0": x_0, "y_0": y_0, "sigma_x": sigma_x, "sigma_y": sigma_y}
-        super().__init__(**(values | kwargs))
+        kwargs = dict.fromkeys(self.param_names[5:], 0.0) | kwargs
+        super().__init__(flux, x_0, y_0, sigma_x, sigma_y, **kwargs)
 
     @property
     def parameter_kinds(self):
@@ -267,38 +264,35 @@ class GaussHermitePSF(StarModel):
         return kinds | dict.fromkeys(self.param_names[5:], "coefficient")
 
     def _matrix(self, coefficients):
-        """Coefficients as a matrix ``[m, k]``, and the places of the free ones in it."""
-        places = [_orders(name) for name in self.param_names[5:]]
+        """Coefficients as a matrix ``[m, k]``."""
         matrix = np.zeros((self.order + 1, self.order + 1))
         matrix[0, 0] = 1.0
-        for (k, m), value in zip(places, coefficients, strict=True):
+        for (k, m), value in zip(self._places, coefficients, strict=True):
             matrix[m, k] = one_number(f"c_{k}_{m}", value)
-        return matrix, places
+        return matrix
 
     def evaluate(self, x, y, flux, x_0, y_0, sigma_x, sigma_y, *coefficients):
         """Density at the positions, in units of flux per square pixel."""
-        matrix, _ = self._matrix(coefficients)
         along_x, along_y = (
             hermite_functions(np.asarray((u - u_0) / sigma, dtype=float), self.order + 1)
             for u, u_0, sigma in ((x, x_0, sigma_x), (y, y_0, sigma_y))
         )
-        density = np.einsum("lk,k...,l...->...", matrix, along_x, along_y)
+        density = np.einsum("lk,k...,l...->...", self._matrix(coefficients), along_x, along_y)
         return density * (flux / (sigma_x * sigma_y))
 
     def fit_deriv(self, x, y, flux, x_0, y_0, sigma_x, sigma_y, *coefficients):
         """Derivatives of the density with respect to the parameters, in their order."""
-        matrix, places = self._matrix(coefficients)
         tables = []
         for u, u_0, sigma in ((x, x_0, sigma_x), (y, y_0, sigma_y)):
             table = hermite_functions(np.asarray((u - u_0) / sigma, dtype=float), self.order + 3)
             tables.append(np.moveaxis(table, 0, -1) / sigma)
-        given = *tables, sigma_x, sigma_y, matrix, places
+        given = *tables, sigma_x, sigma_y, self._matrix(coefficients), self._places
         unit, *parts = _derivatives(*given, lambda x, y: np.sum(x * y, axis=-1))
         return [unit, *(flux * part for part in parts)]
 
     def _engine(self, coefficients, *, derivatives=False):
         """Return the integrator of the density of unit flux and, if wanted, its derivatives."""
-        matrix, places = self._matrix(coefficients)
+        matrix, places = self._matrix(coefficients), self._places
 
         def engine(x, y, x_0, y_0, sigma_x, sigma_y, along_x, along_y):
             shape = np.broadcast_shapes(*map(np.shape, (x_0, y_0, sigma_x, sigma_y)))
@@ -340,11 +334,6 @@ class GaussHermitePSF(StarModel):
     def bounding_box(self, factor=6.5):
         """Rectangle outside which hardly any flux lies: 6.5 widths, and the root of the order."""
         return gaussian_box(self, factor + np.sqrt(self.order))
-
-
-def _orders(name):
-    _, k, m = name.split("_")
-    return int(k), int(m)
 
 
 def _outer_pixels(along_x, along_y):

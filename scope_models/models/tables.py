@@ -12,7 +12,7 @@ from scope_models._arrays import plain_array
 from scope_models._checks import checked_integer, checked_number
 from scope_models._docstrings import documented
 from scope_models.models._axis import gauss_legendre
-from scope_models.models._parameters import StarModel, make_parameters, numbers_of, value_of
+from scope_models.models._parameters import StarModel, make_coefficients, numbers_of, value_of
 from scope_models.models._terms import ClosedForm, pixels_of
 
 __all__ = ["CorrectedPRF", "TabulatedPRF", "TabulatedPSF"]
@@ -436,17 +436,12 @@ class CorrectedPRF(TabulatedPRF):
     ):
         self.order = order = checked_integer("order", order, 1)
         self.radius = checked_number("radius", radius, "pix", positive=True)
-        names = {f"c_{k}_{m}": f"Coefficient of T_{k} T_{m}" for k, m in self._orders()}
-        make_parameters(self, names)
-        kwargs = dict.fromkeys(names, 0.0) | kwargs
+        self._places = make_coefficients(self, order, "T")
+        kwargs = dict.fromkeys(self.param_names[3:], 0.0) | kwargs
         super().__init__(array, oversampling, flux, x_0, y_0, **kwargs)
         along_x, along_y = (chebyshev.chebvander(self._t(d)[0], order) for d in self._offsets())
         means = along_y.T @ self.array @ along_x / self.array.sum()
-        self._means = np.array([means[m, k] for k, m in self._orders()])
-
-    def _orders(self):
-        n = self.order
-        return [(k, s - k) for s in range(1, n + 1) for k in range(s, -1, -1)]
+        self._means = np.array([means[m, k] for k, m in self._places])
 
     @property
     def arguments(self):
@@ -475,7 +470,7 @@ class CorrectedPRF(TabulatedPRF):
             lower = chebyshev.chebvander(t, self.order - 1)
             slopes.append((lower @ matrix) * slope[..., np.newaxis])
         factor, factor_x, factor_y, by_coefficient = 1.0, 0.0, 0.0, []
-        for (k, m), mean, c in zip(self._orders(), self._means, coefficients, strict=True):
+        for (k, m), mean, c in zip(self._places, self._means, coefficients, strict=True):
             term = values[0][..., k] * values[1][..., m] - mean
             by_coefficient.append(table * term)
             factor = factor + c * term
@@ -486,8 +481,7 @@ class CorrectedPRF(TabulatedPRF):
 
     def evaluate(self, x, y, flux, x_0, y_0, *coefficients):
         """Flux in the pixels."""
-        axes = ("x", x, x_0), ("y", y, y_0)
-        offsets = [plain_array(a, "pix", n) - plain_array(b, "pix", f"{n}_0") for n, a, b in axes]
+        offsets = _number(x) - _number(x_0), _number(y) - _number(y_0)
         return flux * self.unit_derivatives(*offsets, *coefficients)[0]
 
     def to_photutils(self):
