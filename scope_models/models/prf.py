@@ -389,14 +389,13 @@ class PRF(StarModel):
         if all(np.size(value) == 1 for value in values.values()):
             values = {name: float(np.reshape(value, -1)[0]) for name, value in values.items()}
             images = self._images(PixelPoints(x, y), values)
-            return images if unit is None else images * unit
-        # One star per pixel, seen from that pixel.
-        x, y, *arrays = np.broadcast_arrays(x, y, *values.values())
-        values = {name: a.reshape(-1) for name, a in zip(values, arrays, strict=True)}
-        values["x_0"], values["y_0"] = values["x_0"] - x.ravel(), values["y_0"] - y.ravel()
-        for name in (name for response in self._responses for name in response.names.values()):
-            values[name] = one_number(name, values[name])
-        images = self._images(PixelPoints(0.0, 0.0), values).reshape(x.shape)
+        else:  # one star per pixel, seen from that pixel
+            x, y, *arrays = np.broadcast_arrays(x, y, *values.values())
+            values = {name: a.reshape(-1) for name, a in zip(values, arrays, strict=True)}
+            values["x_0"], values["y_0"] = values["x_0"] - x.ravel(), values["y_0"] - y.ravel()
+            for name in (name for response in self._responses for name in response.names.values()):
+                values[name] = one_number(name, values[name])
+            images = self._images(PixelPoints(0.0, 0.0), values).reshape(x.shape)
         return images if unit is None else images * unit
 
     def fit_deriv(self, x, y, *parameters):

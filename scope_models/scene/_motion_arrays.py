@@ -4,6 +4,7 @@ from dataclasses import dataclass, fields
 
 import astropy.units as u
 import numpy as np
+from astropy.table import QTable
 
 from scope_models._arrays import plain_array, plain_time
 from scope_models._checks import checked_choice, checked_int32
@@ -187,8 +188,6 @@ class MotionStatistics(Value):
         astropy.table.QTable
             One column with its unit for each of the attributes.
         """
-        from astropy.table import QTable
-
         return QTable([{item.name: getattr(self, item.name) for item in fields(self)}])
 
 
