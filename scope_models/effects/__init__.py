@@ -1,13 +1,13 @@
 """Effects of sky, telescope and detector on light and charge, besides noise and saturation."""
 
-from scope_models.effects.atmosphere import Extinction, Scintillation, Seeing, airmass
-from scope_models.effects.background import (
-    Argabrightening,
-    Background,
-    NightSky,
-    ScatteredLight,
+from scope_models.effects.atmosphere import (
+    Extinction,
+    Scintillation,
+    Seeing,
+    airmass,
     moon_geometry,
 )
+from scope_models.effects.background import Argabrightening, Background, NightSky, ScatteredLight
 from scope_models.effects.base import Effect
 from scope_models.effects.blurring import Focus, Jitter
 from scope_models.effects.charge import (

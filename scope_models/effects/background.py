@@ -3,18 +3,14 @@
 from dataclasses import dataclass
 from typing import ClassVar
 
-import astropy.units as u
 import numpy as np
-from astropy.coordinates import CartesianRepresentation, SkyCoord, get_body, get_sun
-from astropy.time import Time
 
 from scope_models._arrays import plain_time
 from scope_models._checks import checked_number, number
-from scope_models.effects.atmosphere import AirEffect, horizon_altitude, of_date, sidereal_time
+from scope_models.effects.atmosphere import AirEffect
 from scope_models.effects.base import Drawn, Effect, series_of
-from scope_models.missions import TIME_ZEROS
 
-__all__ = ["Argabrightening", "Background", "NightSky", "ScatteredLight", "moon_geometry"]
+__all__ = ["Argabrightening", "Background", "NightSky", "ScatteredLight"]
 
 _RATE = "electron / s"
 
@@ -220,60 +216,6 @@ class Argabrightening(SkyEffect):
     def quality(self, drawn, conditions):
         bit = conditions.bit("argabrightening")
         return np.where(drawn.columns["ARGABRIGHTENING"] > 0, bit, 0)
-
-
-def moon_geometry(time, coord, location):
-    """Return where the Moon is, seen from the star and from the observatory.
-
-    Parameters
-    ----------
-    time : array_like or Time
-        Times, BTJD.
-    coord : SkyCoord
-        The star.
-    location : EarthLocation
-        The observatory.
-
-    Returns
-    -------
-    dict of str to ndarray
-        Fields of `NightSky`: ``moon_altitude``, ``moon_separation`` from the star and
-        ``moon_phase``, the angle between Sun and Earth at the Moon; deg. Altitude and separation
-        are those at the observatory, without refraction.
-
-    Raises
-    ------
-    TypeError
-        If an argument is of the wrong kind.
-
-    Examples
-    --------
-    >>> from astropy.coordinates import EarthLocation, SkyCoord
-    >>> from scope_models.effects import moon_geometry
-    >>> paranal = EarthLocation.from_geodetic(-70.40, -24.63, 2635)
-    >>> moon = moon_geometry([1386.7], SkyCoord("06h -20d"), paranal)  # 2018-09-25, full Moon
-    >>> bool(moon["moon_phase"] < 10)
-    True
-    """
-    days = np.atleast_1d(plain_time(time, "btjd", "time"))
-    star = of_date(coord, days[0])
-    times = Time(TIME_ZEROS["btjd"], days, format="jd", scale="tdb")
-    moon, sun = get_body("moon", times, ephemeris="builtin"), get_sun(times)
-    elongation = moon.separation(sun, origin_mismatch="ignore").rad
-    sun_side = (sun.distance / moon.distance).to_value(u.one)
-    phase = np.arctan2(sun_side * np.sin(elongation), 1 - sun_side * np.cos(elongation))
-    # The observatory is up to an Earth's radius from the center: a degree of parallax.
-    sidereal = np.radians(sidereal_time(days, location))
-    radius, east = np.hypot(location.x, location.y), location.lon.rad + sidereal
-    height = np.full(days.shape, location.z.to_value(u.m)) * u.m
-    observatory = CartesianRepresentation(radius * np.cos(east), radius * np.sin(east), height)
-    center = of_date(SkyCoord(moon.ra, moon.dec, moon.distance), days[0])
-    seen = SkyCoord(center.cartesian - observatory, frame=star)
-    return {
-        "moon_altitude": horizon_altitude(days, seen, location),
-        "moon_separation": seen.separation(star).deg,
-        "moon_phase": np.degrees(np.abs(phase)),
-    }
 
 
 @dataclass(frozen=True, eq=False, repr=False)
