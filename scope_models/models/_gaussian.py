@@ -224,24 +224,20 @@ def _evaluate(x, y, parameters, coefficients, by_series, n_images):
     return images.reshape(n_images, *shape, y.size, x.size)
 
 
-def gaussian_pixels(
-    x, y, x_0, y_0, sigma_x, sigma_y, rho, x_coefficients=(1,), y_coefficients=(1,)
-):
+def gaussian_pixels(x, y, x_0, y_0, sigma_x, sigma_y, rho, along_x=(1,), along_y=(1,)):
     """Integrate normal densities ``(...)`` times a polynomial over pixels: ``(..., ny, nx)``.
 
-    ``x`` and ``y`` are the centers of the pixel columns ``(nx,)`` and rows ``(ny,)``; the
-    coefficients are those of the polynomials in u and v, the constants first.
+    ``x`` and ``y`` are the centers of the pixel columns ``(nx,)`` and rows ``(ny,)``; ``along_x``
+    and ``along_y`` the coefficients of the polynomials in u and v, the constants first.
     """
-    parameters, rows = (x_0, y_0, sigma_x, sigma_y, rho), (x_coefficients, y_coefficients)
-    return _evaluate(x, y, parameters, rows, _series_image, 1)[0]
+    parameters = x_0, y_0, sigma_x, sigma_y, rho
+    return _evaluate(x, y, parameters, (along_x, along_y), _series_image, 1)[0]
 
 
-def gaussian_derivatives(
-    x, y, x_0, y_0, sigma_x, sigma_y, rho, x_coefficients=(1,), y_coefficients=(1,)
-):
+def gaussian_derivatives(x, y, x_0, y_0, sigma_x, sigma_y, rho, along_x=(1,), along_y=(1,)):
     """The integrals of `gaussian_pixels`, and derivatives: ``(6, ..., ny, nx)``.
 
     The derivatives are by x_0, y_0, sigma_x, sigma_y and rho.
     """
-    parameters, rows = (x_0, y_0, sigma_x, sigma_y, rho), (x_coefficients, y_coefficients)
-    return _evaluate(x, y, parameters, rows, _series_derivatives, 6)
+    parameters = x_0, y_0, sigma_x, sigma_y, rho
+    return _evaluate(x, y, parameters, (along_x, along_y), _series_derivatives, 6)

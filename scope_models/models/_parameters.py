@@ -11,7 +11,7 @@ from scope_models._arrays import is_angle, plain_array, without_unit
 
 __all__ = [
     "Domain", "StarModel", "check_model_parameters", "gaussian_box", "make_coefficients",
-    "make_parameters", "numbers_of", "one_number", "value_of",
+    "make_parameters", "numbers_of", "value_of",
 ]  # fmt: skip
 
 
@@ -123,11 +123,3 @@ def check_model_parameters(model):
         # photutils sets all parameters to 1 for a moment.
         if getattr(model, "parameter_kinds", {}).get(name) == "correlation":
             Domain(name, "inside (-1, 1)")(model, parameter.value)
-
-
-def one_number(name, value):
-    """Return the one value of an array that holds the same number everywhere."""
-    value = np.reshape(value, -1)
-    if value.size > 1 and np.ptp(value):
-        raise ValueError(f"`{name}` must be one number, got {np.unique(value).size} values")
-    return value[0]

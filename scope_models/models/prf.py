@@ -10,14 +10,8 @@ from astropy.modeling import Parameter
 from astropy.modeling.models import Const2D
 
 from scope_models._arrays import plain_array, without_unit
-from scope_models.models._parameters import (
-    StarModel,
-    make_parameters,
-    numbers_of,
-    one_number,
-    value_of,
-)
-from scope_models.models._terms import Factor, Term, expand, is_pixel_integrated
+from scope_models.models._parameters import StarModel, make_parameters, numbers_of, value_of
+from scope_models.models._terms import Factor, Term, expand, is_pixel_integrated, one_number
 from scope_models.models.grids import PRFGrid
 from scope_models.models.integration import PixelPoints, integrate_density, integrate_term
 from scope_models.models.tables import TabulatedPRF

@@ -11,14 +11,8 @@ from scipy.special import roots_genlaguerre
 from scope_models._checks import checked_integer, checked_number
 from scope_models.models._axis import axis_table, hermite_functions
 from scope_models.models._gaussian import gaussian_derivatives, gaussian_pixels
-from scope_models.models._parameters import (
-    Domain,
-    StarModel,
-    gaussian_box,
-    make_coefficients,
-    one_number,
-)
-from scope_models.models._terms import ClosedForm, pixels_of
+from scope_models.models._parameters import Domain, StarModel, gaussian_box, make_coefficients
+from scope_models.models._terms import ClosedForm, one_number, pixels_of
 
 __all__ = ["BivariateGaussianPSF", "GaussHermitePSF", "moffat_psf"]
 
