@@ -396,16 +396,13 @@ class PRF(StarModel):
         """Derivatives of the flux in the pixels with respect to the parameters, in their order."""
         numbers = (float(np.reshape(without_unit(value), -1)[0]) for value in parameters)
         values = dict(zip(self.param_names, numbers, strict=True))
-        points = PixelPoints(x, y)
-        image, derivatives = self._unit_derivatives(points, values)
-        names = self.param_names[1:]
-        return [image, *(values["flux"] * derivatives[name] for name in names)]
+        image, derivatives = self._unit_derivatives(PixelPoints(x, y), values)
+        return [image, *(values["flux"] * derivatives[name] for name in self.param_names[1:])]
 
     def _unit_derivatives(self, points, values):
         """Images of unit flux, and their derivatives by parameter, without the flux."""
         total, derivatives, images = 0.0, {}, []
-        fractions = self._fractions(values)
-        for component, fraction in zip(self._components, fractions, strict=True):
+        for component, fraction in zip(self._components, self._fractions(values), strict=True):
             image, own = component.derivatives(points, values)
             images.append(image)
             total = total + fraction * image
