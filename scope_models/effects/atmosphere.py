@@ -1,32 +1,34 @@
-"""The atmosphere above a telescope on the ground: extinction, scintillation and seeing."""
+"""The atmosphere above a telescope on the ground, and the places of star and Moon in its sky."""
 
 from dataclasses import dataclass
+from typing import ClassVar
 
+import astropy.units as u
 import numpy as np
-from astropy.coordinates import FK5, EarthLocation, SkyCoord
+from astropy import coordinates
 from astropy.time import Time
 
-from scope_models._arrays import plain_array, plain_time
+from scope_models._arrays import plain_time
 from scope_models._checks import checked_number, number
-from scope_models._values import frozen
 from scope_models.effects.base import Drawn, Effect, series_of
 from scope_models.missions import TIME_ZEROS
 
-__all__ = ["Extinction", "Scintillation", "Seeing", "airmass"]
+__all__ = ["Extinction", "Scintillation", "Seeing", "airmass", "moon_geometry"]
 
 _TDB_MINUS_UTC = 69.184  # s, since 2017; 1 s is 15 arcsec of hour angle
 
 
 def of_date(coord, day):
     """Return a coordinate at the equinox of a time, BTJD."""
-    if not isinstance(coord, SkyCoord):
+    if not isinstance(coord, coordinates.SkyCoord):
         raise TypeError(f"`coord` must be a SkyCoord, got {coord!r}")
-    return coord.transform_to(FK5(equinox=Time(TIME_ZEROS["btjd"], day, format="jd", scale="tdb")))
+    equinox = Time(TIME_ZEROS["btjd"], day, format="jd", scale="tdb")
+    return coord.transform_to(coordinates.FK5(equinox=equinox))
 
 
 def sidereal_time(days, location):
     """Return the mean sidereal time of Greenwich, deg, at times in days of BTJD."""
-    if not isinstance(location, EarthLocation):
+    if not isinstance(location, coordinates.EarthLocation):
         raise TypeError(f"`location` must be an EarthLocation, got {location!r}")
     utc = days - _TDB_MINUS_UTC / 86400 + (TIME_ZEROS["btjd"] - 2451545.0)
     return 280.46061837 + 360.98564736629 * utc  # Astronomical Almanac; UT1 - UTC is below 0.9 s
@@ -89,22 +91,65 @@ def airmass(time, coord, location):
     return np.maximum(1 / (sine + 0.50572 * (altitude + 6.07995) ** -1.6364), 1.0)
 
 
+def moon_geometry(time, coord, location):
+    """Return where the Moon is, seen from the star and from the observatory.
+
+    Parameters
+    ----------
+    time : array_like or Time
+        Times, BTJD.
+    coord : SkyCoord
+        The star.
+    location : EarthLocation
+        The observatory.
+
+    Returns
+    -------
+    dict of str to ndarray
+        Fields of `NightSky`: ``moon_altitude``, ``moon_separation`` from the star and
+        ``moon_phase``, the angle between Sun and Earth at the Moon; deg. Altitude and separation
+        are those at the observatory, without refraction.
+
+    Raises
+    ------
+    TypeError
+        If an argument is of the wrong kind.
+
+    Examples
+    --------
+    >>> from astropy.coordinates import EarthLocation, SkyCoord
+    >>> from scope_models.effects import moon_geometry
+    >>> paranal = EarthLocation.from_geodetic(-70.40, -24.63, 2635)
+    >>> moon = moon_geometry([1386.7], SkyCoord("06h -20d"), paranal)  # 2018-09-25, full Moon
+    >>> bool(moon["moon_phase"] < 10)
+    True
+    """
+    days = np.atleast_1d(plain_time(time, "btjd", "time"))
+    star = of_date(coord, days[0])
+    times = Time(TIME_ZEROS["btjd"], days, format="jd", scale="tdb")
+    moon, sun = coordinates.get_body("moon", times, ephemeris="builtin"), coordinates.get_sun(times)
+    elongation = moon.separation(sun, origin_mismatch="ignore").rad
+    sun_side = (sun.distance / moon.distance).to_value(u.one)
+    phase = np.arctan2(sun_side * np.sin(elongation), 1 - sun_side * np.cos(elongation))
+    # The observatory is up to an Earth's radius from the center: a degree of parallax.
+    sidereal = np.radians(sidereal_time(days, location))
+    radius, east = np.hypot(location.x, location.y), location.lon.rad + sidereal
+    height = np.full(days.shape, location.z.to_value(u.m)) * u.m
+    place = radius * np.cos(east), radius * np.sin(east), height
+    observatory = coordinates.CartesianRepresentation(*place)
+    center = of_date(coordinates.SkyCoord(moon.ra, moon.dec, moon.distance), days[0])
+    seen = coordinates.SkyCoord(center.cartesian - observatory, frame=star)
+    return {
+        "moon_altitude": horizon_altitude(days, seen, location),
+        "moon_separation": seen.separation(star).deg,
+        "moon_phase": np.degrees(np.abs(phase)),
+    }
+
+
 class AirEffect(Effect):
     """An effect with an airmass, a number or one for each cadence."""
 
-    by_cadence = ("airmass",)
-
-    def __post_init__(self):
-        super().__post_init__()
-        self._check("airmass", "", "1 or more, one number or one for each cadence", 1)
-
-    def _check(self, name, unit, domain, low, high=np.inf):
-        """Bring a field, one number or one for each cadence, to its unit."""
-        values = plain_array(getattr(self, name), unit, name)
-        inside = np.isfinite(values) & (values >= low) & (values <= high)
-        if values.ndim > 1 or not np.all(inside):
-            raise ValueError(f"`{name}` must be {domain}")
-        object.__setattr__(self, name, frozen(values) if values.ndim else float(values))
+    by_cadence: ClassVar = {"airmass": ("", 1)}
 
 
 def _red_noise(generator, time, correlation_time):

@@ -1,14 +1,16 @@
-"""Background: diffuse light, and the residual of its subtraction."""
+"""Diffuse light, of the sky in space and on the ground, and the residual of its subtraction."""
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
 from scope_models._arrays import plain_time
 from scope_models._checks import checked_number, number
-from scope_models.effects.base import Drawn, Effect, checked_series, series_of
+from scope_models.effects.atmosphere import AirEffect
+from scope_models.effects.base import Drawn, Effect, series_of
 
-__all__ = ["Argabrightening", "Background", "ScatteredLight"]
+__all__ = ["Argabrightening", "Background", "NightSky", "ScatteredLight"]
 
 _RATE = "electron / s"
 
@@ -77,11 +79,7 @@ class Background(SkyEffect):
     residual: float = number(0.0, any_sign=True)
     left: np.ndarray | None = None
 
-    by_cadence = ("left",)
-
-    def __post_init__(self):
-        super().__post_init__()
-        checked_series(self, "left", _RATE)
+    by_cadence: ClassVar = {"left": (_RATE,)}
 
     def draw(self, conditions, generator):
         time = conditions.time
@@ -218,3 +216,92 @@ class Argabrightening(SkyEffect):
     def quality(self, drawn, conditions):
         bit = conditions.bit("argabrightening")
         return np.where(drawn.columns["ARGABRIGHTENING"] > 0, bit, 0)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class NightSky(AirEffect, SkyEffect):
+    r"""Brightness of the sky by airmass and Moon.
+
+    The detector's background is the dark sky at the zenith. Toward the horizon it has the factor
+    :math:`X 10^{-0.4 k (X - 1)}`, and scattered moonlight adds, in nanolamberts [1]_,
+
+    .. math:: B = f(\rho)\, 10^{-0.4 (3.84 + 0.026 \alpha + 4 \times 10^{-9} \alpha^4)}\,
+              10^{-0.4 k X_m} \left(1 - 10^{-0.4 k X}\right) , \qquad
+              f(\rho) = 10^{5.36} (1.06 + \cos^2 \rho) + 10^{6.15 - \rho / 40}
+
+    with the angle :math:`\rho` from the Moon, its phase angle :math:`\alpha`, the airmass X of the
+    star and :math:`X_m = (1 - 0.96 \sin^2 z_m)^{-1/2}` of the Moon at the zenith distance
+    :math:`z_m`; the dark sky has :math:`34.08\, e^{20.7233 - 0.92104 V}` for V mag per square
+    arcsecond. The formula is for the V band; in others moonlight is taken to have the same ratio
+    to the dark sky.
+
+    Parameters
+    ----------
+    airmass : float or array_like, optional
+        Airmass of the star, 1 or more, for all cadences or for each.
+    moon_altitude, moon_separation, moon_phase : float, array_like or Quantity, optional
+        Altitude of the Moon, its separation from the star and its phase angle (0 is full, 180
+        new), deg, for all cadences or for each: `moon_geometry` computes them. Below the horizon
+        the Moon gives no light.
+    extinction : float or Quantity, optional
+        Coefficient k, mag per airmass; the default is that of V at Paranal [2]_.
+    dark_sky : float or Quantity, optional
+        Brightness V of the dark sky at the zenith, mag per square arcsecond; Paranal [2]_.
+    gradient : tuple of float, optional
+        Relative change of the light per pixel along x and y.
+    residual : float, optional
+        Part of the light that the subtraction of the background leaves in the flux.
+
+    Notes
+    -----
+    The truth has what the sky adds to the detector's background (e-/s per pixel) in the column
+    NIGHTSKY, and its relative shape in the map NIGHTSKY_SHAPE. The model is good to 8 to 23 % [1]_.
+
+    References
+    ----------
+    .. [1] Krisciunas, K. & Schaefer, B. E. 1991, PASP 103, 1033.
+    .. [2] Patat, F. 2003, A&A 400, 1183.
+
+    Examples
+    --------
+    >>> from scope_models import Detector, Motion, Star, simulate
+    >>> from scope_models.effects import NightSky
+    >>> full = NightSky(moon_altitude=50.0, moon_separation=60.0, moon_phase=5.0)
+    >>> detector = Detector.tess(background=10.0)
+    >>> truth = simulate(Star(10.0), detector, Motion.ground(1), effects=full).truth
+    >>> print(truth.columns["NIGHTSKY"].round(0))
+    [96.]
+    """
+
+    airmass: float | np.ndarray = 1.0
+    moon_altitude: float | np.ndarray = -90.0
+    moon_separation: float | np.ndarray = 90.0
+    moon_phase: float | np.ndarray = 180.0
+    extinction: float = number(0.11, "mag")
+    dark_sky: float = number(21.6, "mag")
+    gradient: tuple[float, float] = number((0.0, 0.0))
+    residual: float = number(0.0, any_sign=True)
+
+    by_cadence: ClassVar = AirEffect.by_cadence | {
+        "moon_altitude": ("deg", -90, 90),
+        "moon_separation": ("deg", 0, 180),
+        "moon_phase": ("deg", 0, 180),
+    }
+
+    def draw(self, conditions, generator):
+        values = {name: getattr(self, name) for name in self.by_cadence}
+        series = {name: series_of(v, conditions.time, name) for name, v in values.items()}
+        factor = self._relative_brightness(**series)
+        return self._drawn(conditions, conditions.background * (factor - 1))
+
+    def _relative_brightness(self, airmass, moon_altitude, moon_separation, moon_phase):
+        """Return the brightness of the sky relative to the dark sky at the zenith."""
+        k = self.extinction
+        dark = airmass * 10 ** (-0.4 * k * (airmass - 1))
+        zenith = 34.08 * np.exp(20.7233 - 0.92104 * self.dark_sky)
+        scattering = 10**5.36 * (1.06 + np.cos(np.radians(moon_separation)) ** 2)
+        scattering += 10 ** (6.15 - moon_separation / 40)
+        moon = 10 ** (-0.4 * (3.84 + 0.026 * moon_phase + 4e-9 * moon_phase**4))
+        path = (1 - 0.96 * np.cos(np.radians(moon_altitude)) ** 2) ** -0.5
+        light = scattering * moon * 10 ** (-0.4 * k * path) * (1 - 10 ** (-0.4 * k * airmass))
+        return dark + np.where(moon_altitude > 0, light, 0.0) / zenith

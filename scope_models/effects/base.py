@@ -3,6 +3,7 @@
 import inspect
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields
+from typing import ClassVar
 
 import numpy as np
 
@@ -245,8 +246,9 @@ class Effect(Value):
     is_light = True
     #: Place among the effects of a stage; effects of one place act in the order of their names.
     place = 0
-    #: Names of the parameters that may have one value for each cadence.
-    by_cadence = ()
+    #: Parameters that have one value for each cadence, with their unit; or, if there are limits,
+    #: one for all or for each.
+    by_cadence: ClassVar = {}
 
     def __init_subclass__(cls, **options):
         """Complete the docstring: all effects check their parameters alike."""
@@ -259,6 +261,8 @@ class Effect(Value):
 
     def __post_init__(self):
         check_fields(self)
+        for name, domain in self.by_cadence.items():
+            checked_series(self, name, *domain)
 
     @property
     def name(self):
@@ -342,13 +346,20 @@ def checked_several(name, values, kind):
     return values
 
 
-def checked_series(effect, name, unit=""):
-    """Bring a field of an effect, one finite number for each cadence or None, to its unit."""
-    if getattr(effect, name) is not None:
-        values = plain_array(getattr(effect, name), unit, name)
-        if values.ndim != 1 or not np.all(np.isfinite(values)):
-            raise ValueError(f"`{name}` must be a finite one-dimensional array")
-        object.__setattr__(effect, name, frozen(values))
+def checked_series(effect, name, unit, low=None, high=np.inf):
+    """Bring a field of an effect to its unit: a finite array or None, or a number in its limits."""
+    if low is None and getattr(effect, name) is None:
+        return
+    values = plain_array(getattr(effect, name), unit, name)
+    if low is None:
+        right, wanted = values.ndim == 1, "a finite one-dimensional array"
+    else:
+        right = values.ndim <= 1 and np.all((values >= low) & (values <= high))
+        wanted = f"{low} or more" if high == np.inf else f"between {low} and {high} {unit}"
+        wanted += ", one number or one for each cadence"
+    if not right or not np.all(np.isfinite(values)):
+        raise ValueError(f"`{name}` must be {wanted}")
+    object.__setattr__(effect, name, frozen(values) if values.ndim else float(values))
 
 
 def number_of_events(generator, expected):

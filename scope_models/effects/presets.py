@@ -1,10 +1,9 @@
 """The effects of each mission whose numbers have a source."""
 
 from scope_models.effects.background import ScatteredLight
-from scope_models.effects.charge import Smear, Undershoot
+from scope_models.effects.blurring import Focus
+from scope_models.effects.charge import RollingBands, Smear, Undershoot
 from scope_models.effects.cosmic_rays import CosmicRays
-from scope_models.effects.focus import Focus
-from scope_models.effects.readout import RollingBands
 
 __all__ = ["mission_effects"]
 

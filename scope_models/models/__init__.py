@@ -1,15 +1,17 @@
 """Models of light, of the response of pixels, of their integrals, and of stars' variability."""
 
-from scope_models.models.corrected import CorrectedPRF
-from scope_models.models.empirical import GaussHermitePSF
 from scope_models.models.grids import PRFGrid
 from scope_models.models.integration import integrate_pixels
 from scope_models.models.prf import PRF
-from scope_models.models.psf import BivariateGaussianPSF, moffat_psf
+from scope_models.models.psf import BivariateGaussianPSF, GaussHermitePSF, moffat_psf
 from scope_models.models.sensitivity import DiffusionSensitivity, SensitivityPolynomial
-from scope_models.models.signals import TransitModel
-from scope_models.models.tables import TabulatedPRF, TabulatedPSF
-from scope_models.models.variability import sinusoidal_signal, stochastic_signal, tabulated_signal
+from scope_models.models.signals import (
+    TransitModel,
+    sinusoidal_signal,
+    stochastic_signal,
+    tabulated_signal,
+)
+from scope_models.models.tables import CorrectedPRF, TabulatedPRF, TabulatedPSF
 
 __all__ = [
     "PRF", "BivariateGaussianPSF", "CorrectedPRF", "DiffusionSensitivity", "GaussHermitePSF",

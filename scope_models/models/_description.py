@@ -9,7 +9,9 @@ from itertools import chain
 
 import numpy as np
 from astropy import units as u
+from astropy.coordinates import SkyCoord
 from astropy.modeling import CompoundModel, Model
+from astropy.time import Time
 
 from scope_models._arrays import is_angle, plain_array
 from scope_models.models._parameters import value_of
@@ -22,9 +24,11 @@ __all__ = [
 
 _OPERATORS = {"+": operator.add, "-": operator.sub, "*": operator.mul}
 # Where the names of models in files are looked up, in this order.
-_MODULES = ("scope_models.models", "scope_models.models.variability")
+_MODULES = ("scope_models.models", "scope_models.models.signals")
 _MODULES += ("astropy.modeling.models", "photutils.psf")
 _LARGEST_ARRAY = 1 << 26  # bytes of an array in a file, unpacked
+_PLACE = {"ra": u.deg, "dec": u.deg}
+_MOVES = dict.fromkeys(("pm_ra_cosdec", "pm_dec"), u.mas / u.yr)
 
 
 def describe_model(model):
@@ -60,10 +64,8 @@ def make_model(described):
 
 def describe_coord(coord):
     place = coord.icrs
-    described = {"ra": place.ra.deg.item(), "dec": place.dec.deg.item()}
-    if "s" in place.data.differentials:
-        for name in ("pm_ra_cosdec", "pm_dec"):
-            described[name] = getattr(place, name).to_value(u.mas / u.yr).item()
+    units = _PLACE | (_MOVES if "s" in place.data.differentials else {})
+    described = {name: getattr(place, name).to_value(unit).item() for name, unit in units.items()}
     if coord.obstime is not None:
         described["epoch"] = coord.obstime.jyear.item()
     return described
@@ -72,19 +74,14 @@ def describe_coord(coord):
 def make_coord(described):
     if described is None:
         return None
-    from astropy.coordinates import SkyCoord
-    from astropy.time import Time
-
-    units = {"ra": u.deg, "dec": u.deg, "pm_ra_cosdec": u.mas / u.yr, "pm_dec": u.mas / u.yr}
-    values = {name: described[name] * unit for name, unit in units.items() if name in described}
+    units = (_PLACE | _MOVES).items()
+    values = {name: described[name] * unit for name, unit in units if name in described}
     epoch = described.get("epoch")
     return SkyCoord(**values, obstime=None if epoch is None else Time(epoch, format="jyear"))
 
 
 def check_coord(coord):
     """Check that a coordinate is one place on the sky, with an epoch if it moves."""
-    from astropy.coordinates import SkyCoord
-
     if not isinstance(coord, SkyCoord) or not coord.isscalar:
         raise TypeError(f"`coord` must be one SkyCoord, got {coord!r}")
     try:

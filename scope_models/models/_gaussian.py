@@ -81,15 +81,12 @@ def contract(y_table, x_table, out):
 
 
 def _tables(x, y, parameters, coefficients, n_orders):
-    """Tables along both axes, and the weights flux rho^k."""
-    flux, x_0, y_0, sigma_x, sigma_y, rho = parameters
+    """Tables along both axes, and the weights rho^k."""
+    x_0, y_0, sigma_x, sigma_y, rho = parameters
     largest = np.max(np.abs(rho))
-    powers = flux[:, np.newaxis] * rho[:, np.newaxis] ** np.arange(n_orders)
-    return (
-        axis_table(x, x_0, sigma_x, coefficients[0], n_orders, largest),
-        axis_table(y, y_0, sigma_y, coefficients[1], n_orders, largest),
-        powers[..., np.newaxis],
-    )
+    x_axis = axis_table(x, x_0, sigma_x, coefficients[0], n_orders, largest)
+    y_axis = axis_table(y, y_0, sigma_y, coefficients[1], n_orders, largest)
+    return x_axis, y_axis, rho[:, np.newaxis, np.newaxis] ** np.arange(n_orders)[:, np.newaxis]
 
 
 def series_step(n_terms, x, y):
@@ -152,7 +149,7 @@ def _line_images(x, y, parameters, coefficients, out):
     There the density along y is normal, with the mean ``y_0 + rho sigma_y z_x`` and the width
     ``sigma_y sqrt(1 - rho^2)``. Narrow densities have several panels in a pixel.
     """
-    flux, x_0, y_0, sigma_x, sigma_y, rho = (p[:, np.newaxis] for p in parameters)
+    x_0, y_0, sigma_x, sigma_y, rho = (p[:, np.newaxis] for p in parameters)
     nodes, weights = _line_nodes(sigma_x, rho, coefficients[0].size - 1)
     weights = weights * np.polynomial.polynomial.polyval(nodes, coefficients[0])
     z = ((x[:, np.newaxis] + nodes).ravel() - x_0) / sigma_x
@@ -162,7 +159,7 @@ def _line_images(x, y, parameters, coefficients, out):
     table = axis_direct(y, middle.ravel(), width.ravel(), coefficients[1], n_orders)
     table = table.reshape(*shape, n_orders, y.size)
     density = np.exp(-0.5 * z**2) / np.sqrt(2 * np.pi) / sigma_x
-    density *= flux * np.tile(weights, x.size)
+    density *= np.tile(weights, x.size)
 
     def rule(order, power):
         """Return sums of order X_k along y times ``z_x^power``, as images."""
@@ -201,24 +198,24 @@ def _evaluate(x, y, parameters, coefficients, by_series, n_images):
     shape = np.broadcast_shapes(*(p.shape for p in parameters))
     n = prod(shape)
     # A parameter common to all densities stays a single number for speed; not the positions.
-    common = [p.size == 1 and i not in {1, 2} for i, p in enumerate(parameters)]
+    common = [p.size == 1 and i > 1 for i, p in enumerate(parameters)]
     pairs = zip(parameters, common, strict=True)
     flat = [p.reshape(1) if alone else np.broadcast_to(p, shape).reshape(n) for p, alone in pairs]
     coefficients = [np.atleast_1d(np.asarray(c, dtype=float)) for c in coefficients]
     degree = max(c.size for c in coefficients) - 1
-    singular = np.abs(flat[5]) >= 1
-    flat[5] = np.where(singular, 0.0, flat[5])
-    series = uses_series(flat[3], flat[5], degree)
+    singular = np.abs(flat[4]) >= 1
+    flat[4] = np.where(singular, 0.0, flat[4])
+    series = uses_series(flat[2], flat[4], degree)
     step = max(n, 1)
     if not series:
-        n_nodes = max(x.size * y.size, 1) * _line_nodes(flat[3], flat[5], degree)[0].size
+        n_nodes = max(x.size * y.size, 1) * _line_nodes(flat[2], flat[4], degree)[0].size
         step = max(1, _LINE_CHUNK // n_nodes)
     images = np.zeros((n_images, n, y.size, x.size))
     for start in range(0, n, step):
         part = slice(start, start + step)
         values = [p if alone else p[part] for p, alone in zip(flat, common, strict=True)]
-        columns = _reached(x, values[1], values[3])
-        rows = _reached(y, values[2], values[4])
+        columns = _reached(x, values[0], values[2])
+        rows = _reached(y, values[1], values[3])
         if columns.start < columns.stop and rows.start < rows.stop:
             out = images[:, part, rows, columns]
             images_of = by_series if series else _line_images
@@ -227,26 +224,20 @@ def _evaluate(x, y, parameters, coefficients, by_series, n_images):
     return images.reshape(n_images, *shape, y.size, x.size)
 
 
-def gaussian_pixels(
-    x, y, x_0, y_0, sigma_x, sigma_y, rho, x_coefficients=(1,), y_coefficients=(1,), flux=1.0
-):
+def gaussian_pixels(x, y, x_0, y_0, sigma_x, sigma_y, rho, along_x=(1,), along_y=(1,)):
     """Integrate normal densities ``(...)`` times a polynomial over pixels: ``(..., ny, nx)``.
 
-    ``x`` and ``y`` are the centers of the pixel columns ``(nx,)`` and rows ``(ny,)``; the
-    coefficients are those of the polynomials in u and v, the constants first.
+    ``x`` and ``y`` are the centers of the pixel columns ``(nx,)`` and rows ``(ny,)``; ``along_x``
+    and ``along_y`` the coefficients of the polynomials in u and v, the constants first.
     """
-    parameters = (flux, x_0, y_0, sigma_x, sigma_y, rho)
-    coefficients = (x_coefficients, y_coefficients)
-    return _evaluate(x, y, parameters, coefficients, _series_image, 1)[0]
+    parameters = x_0, y_0, sigma_x, sigma_y, rho
+    return _evaluate(x, y, parameters, (along_x, along_y), _series_image, 1)[0]
 
 
-def gaussian_derivatives(
-    x, y, x_0, y_0, sigma_x, sigma_y, rho, x_coefficients=(1,), y_coefficients=(1,)
-):
-    """The integrals of `gaussian_pixels` for unit flux, and derivatives: ``(6, ..., ny, nx)``.
+def gaussian_derivatives(x, y, x_0, y_0, sigma_x, sigma_y, rho, along_x=(1,), along_y=(1,)):
+    """The integrals of `gaussian_pixels`, and derivatives: ``(6, ..., ny, nx)``.
 
     The derivatives are by x_0, y_0, sigma_x, sigma_y and rho.
     """
-    parameters = (1.0, x_0, y_0, sigma_x, sigma_y, rho)
-    coefficients = (x_coefficients, y_coefficients)
-    return _evaluate(x, y, parameters, coefficients, _series_derivatives, 6)
+    parameters = x_0, y_0, sigma_x, sigma_y, rho
+    return _evaluate(x, y, parameters, (along_x, along_y), _series_derivatives, 6)

@@ -10,8 +10,8 @@ from astropy.units import UnitsError
 from scope_models._arrays import is_angle, plain_array, without_unit
 
 __all__ = [
-    "Domain", "StarModel", "check_model_parameters", "gaussian_box", "make_parameters",
-    "numbers_of", "one_number", "value_of",
+    "Domain", "StarModel", "check_model_parameters", "gaussian_box", "make_coefficients",
+    "make_parameters", "numbers_of", "value_of",
 ]  # fmt: skip
 
 
@@ -67,6 +67,14 @@ def make_parameters(model, parameters):
         model.__dict__[name] = parameter
 
 
+def make_coefficients(model, order, function):
+    """Give a model the coefficients ``c_k_m`` of orders k + m up to one; return all (k, m)."""
+    places = [(n - m, m) for n in range(1, order + 1) for m in range(n + 1)]
+    text = f"Coefficient of {function}_{{}} {function}_{{}}"
+    make_parameters(model, {f"c_{k}_{m}": text.format(k, m) for k, m in places})
+    return places
+
+
 def value_of(parameter):
     return parameter.value if parameter.unit is None else parameter.quantity
 
@@ -115,11 +123,3 @@ def check_model_parameters(model):
         # photutils sets all parameters to 1 for a moment.
         if getattr(model, "parameter_kinds", {}).get(name) == "correlation":
             Domain(name, "inside (-1, 1)")(model, parameter.value)
-
-
-def one_number(name, value):
-    """Return the one value of an array that holds the same number everywhere."""
-    value = np.reshape(value, -1)
-    if value.size > 1 and np.ptp(value):
-        raise ValueError(f"`{name}` must be one number, got {np.unique(value).size} values")
-    return value[0]

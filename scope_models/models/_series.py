@@ -7,15 +7,8 @@ from functools import partial
 import numpy as np
 
 from scope_models._arrays import without_unit
+from scope_models.models import _gaussian
 from scope_models.models._axis import FEW, ROWS, AxisPanels
-from scope_models.models._gaussian import (
-    REACH,
-    contract,
-    gaussian_pixels,
-    n_terms,
-    series_step,
-    uses_series,
-)
 from scope_models.models._terms import Factor, Term, expand, is_pixel_integrated
 from scope_models.models.integration import PixelPoints, integrate_density, integrate_term
 
@@ -121,17 +114,17 @@ def _with_response(components, sensitivity):
         several = [Term()] if is_pixel_integrated(unit.densities[0].model) else responses
         for response in several:
             term = unit * response
-            parts.append((fraction, offset, term, _gaussian(term)))
+            parts.append((fraction, offset, term, _normal(term)))
     return parts
 
 
-def _gaussian(term):
+def _normal(term):
     """Return sigma_x, sigma_y and rho of a bivariate normal density, None of any other."""
     form = term.closed_form()
     if form is not None and term.diffusion:  # it is added after the change of focus
         others = tuple(f for f in term.sensitivities if "sigma_d" not in f.values)
         form = replace(term, sensitivities=others).closed_form()
-    if form is None or form.pixels is not gaussian_pixels:
+    if form is None or form.pixels is not _gaussian.gaussian_pixels:
         return None
     return tuple(float(value) for value in form.parameters[2:])
 
@@ -149,7 +142,7 @@ def _window(parts, shape, x, y, widest, blur):
             continue
         blurred, limits = math.hypot(blur, term.diffusion), []
         for axis in (1, 0):
-            reach = REACH * math.hypot(widest * gaussian[axis], blurred) + 0.5
+            reach = _gaussian.REACH * math.hypot(widest * gaussian[axis], blurred) + 0.5
             near, far = sorted((offsets[axis], widest * offsets[axis]))
             low, high = ends[axis]
             outer = low + near - reach, high + far + reach
@@ -177,13 +170,13 @@ def _engine(term, gaussian, columns, rows, blur, middle):
     along = term.polynomials()
     widened = partial(_widened, *gaussian, np.hypot(blur, term.diffusion))
     sigma_x, sigma_y, rho = widened()
-    if not uses_series(sigma_x, rho, max(c.size for c in along) - 1):
+    if not _gaussian.uses_series(sigma_x, rho, max(c.size for c in along) - 1):
         return _along_lines(columns, rows, widened, along)
-    n = n_terms(rho)
+    n = _gaussian.n_terms(rho)
     orders = np.arange(n)[:, np.newaxis]
     x_axis = AxisPanels(columns, sigma_x, along[0], n, abs(rho), middle[0])
     y_axis = AxisPanels(rows, sigma_y, along[1], n, abs(rho), middle[1])
-    step = series_step(n, columns, rows) // ROWS * ROWS
+    step = _gaussian.series_step(n, columns, rows) // ROWS * ROWS
 
     def tables(x, y):
         """Return the integrals along both axes, in one go where they are in the same panel."""
@@ -204,7 +197,7 @@ def _engine(term, gaussian, columns, rows, blur, middle):
                 y_table = y_axis(y[part], tall / sigma_y)
             if n > 1:
                 y_table *= np.reshape(tilt, (-1, 1, 1)) ** orders
-            contract(y_table, x_table, images[part])
+            _gaussian.contract(y_table, x_table, images[part])
         return images
 
     return render
@@ -225,8 +218,8 @@ def _along_lines(columns, rows, widened, along):
         step = _BATCH if widths is None else 1  # the rule follows from the narrowest of a batch
         for start in range(0, x.size, step):
             part = slice(start, start + step)
-            shape = widened() if widths is None else widened(widths[part])
-            images[part] = gaussian_pixels(columns, rows, x[part], y[part], *shape, *along)
+            form = widened() if widths is None else widened(widths[part])
+            images[part] = _gaussian.gaussian_pixels(columns, rows, x[part], y[part], *form, *along)
         return images
 
     return render

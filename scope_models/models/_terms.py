@@ -15,7 +15,7 @@ from scope_models.models.sensitivity import DiffusionSensitivity, SensitivityPol
 
 __all__ = [
     "ClosedForm", "Factor", "Term", "closed_form", "expand", "is_pixel_integrated", "leaves",
-    "pixels_of",
+    "one_number", "pixels_of",
 ]  # fmt: skip
 
 # Full width at half maximum of a normal density, in standard deviations.
@@ -36,7 +36,7 @@ class ClosedForm:
     """Integral of a density over pixels without quadrature.
 
     A model has one by a method ``closed_form(values)``; so have the Gaussians of astropy and
-    photutils. ``pixels(x, y, *parameters, x_coefficients, y_coefficients)``, with columns, rows and
+    photutils. ``pixels(x, y, *parameters, along_x, along_y)``, with columns, rows and
     the polynomial response along the axes, returns images ``(..., ny, nx)`` of unit flux;
     ``derivatives`` the same and those by ``names`` on a new first axis.
     """
@@ -96,6 +96,14 @@ def _diffused(form, variance):
 
 def pixels_of(value):
     return value.to_value(u.pixel) if isinstance(value, u.Quantity) else value
+
+
+def one_number(name, value):
+    """Return the one value of an array that holds the same number everywhere."""
+    value = np.reshape(value, -1)
+    if value.size > 1 and np.ptp(value):
+        raise ValueError(f"`{name}` must be one number, got {np.unique(value).size} values")
+    return value[0]
 
 
 def _is_photutils(model):

@@ -1,5 +1,6 @@
 """Integration of models over pixels: the one place where a density becomes a flux."""
 
+import math
 import warnings
 from functools import reduce
 from operator import add
@@ -70,6 +71,11 @@ class PixelPoints:
         points.on_grid = points.whole = True
         return points
 
+    def repeated(self, lead):
+        """Columns and rows of the points for each of ``lead`` images, and the image's number."""
+        n = math.prod(lead)
+        return np.tile(self.x, n), np.tile(self.y, n), np.repeat(np.arange(n), self.x.size)
+
     def gather(self, images):
         """Values at the points from images on the grid, ``(..., ny, nx) -> (..., *shape)``."""
         if not self.whole:
@@ -103,18 +109,14 @@ def integrate_density(term, points, evaluate=None):
     """
     along_x, along_y = term.polynomials()
     lead = np.broadcast_shapes(*(factor.size for factor in term.densities), ())
-    n_images = int(np.prod(lead, dtype=int))
-    n_points = points.x.size
-    image = np.repeat(np.arange(n_images), n_points)
-    x, y = np.tile(points.x, n_images), np.tile(points.y, n_images)
+    x, y, image = points.repeated(lead)
     # Charge diffuses into a pixel from those around it.
     sigma = term.diffusion
     reach = int(np.ceil(_DIFFUSION_REACH * sigma))
     near = np.arange(-reach, reach + 1)
     dx, dy = (np.repeat(d.ravel(), x.size) for d in np.meshgrid(near, near))
-    image, x, y = np.tile(image, near.size**2), np.tile(x, near.size**2), np.tile(y, near.size**2)
-    x, y = x + dx, y + dy
-    units = []
+    x, y, image = (np.tile(values, near.size**2) for values in (x, y, image))
+    x, y, units = x + dx, y + dy, []
 
     def product(x_at, y_at, index):
         result = 1.0
@@ -155,8 +157,7 @@ def integrate_term(term, points, method="auto"):
             sum(c * (0.5 ** (n + 1) - (-0.5) ** (n + 1)) / (n + 1) for n, c in enumerate(row))
             for row in (along_x, along_y)
         )
-        images = np.full(points.shape, mean_x * mean_y)
-        return _spread(term.scale, points) * images
+        return _spread(term.scale, points) * np.full(points.shape, mean_x * mean_y)
     if any(is_pixel_integrated(factor.model) for factor in term.densities):
         return _spread(term.scale, points) * _already_integrated(term, points)
     form = None if method == "quadrature" else term.closed_form()
@@ -182,16 +183,12 @@ def _already_integrated(term, points):
             "within a pixel it has no meaning, because the product has to be integrated jointly. "
             "Use the density instead (BivariateGaussianPSF, GaussianPSF, MoffatPSF, ...)"
         )
-    factor = term.densities[0]
-    lead = factor.size
-    n_images = int(np.prod(lead, dtype=int))
-    x, y = np.tile(points.x, n_images), np.tile(points.y, n_images)
-    image = np.repeat(np.arange(n_images), points.x.size)
-    values = factor.evaluate(x, y, image)
+    (factor,) = term.densities
+    values = factor.evaluate(*points.repeated(factor.size))
     if isinstance(values, u.Quantity) and values.unit.is_equivalent(u.pixel**2):
         values = values / u.pixel**2
     response = np.sum(along_x) * np.sum(along_y)
-    return response * values.reshape(*lead, *points.shape)
+    return response * values.reshape(*factor.size, *points.shape)
 
 
 def integrate_pixels(model, shape=None, *, x=None, y=None, method="auto"):

@@ -10,14 +10,8 @@ from astropy.modeling import Parameter
 from astropy.modeling.models import Const2D
 
 from scope_models._arrays import plain_array, without_unit
-from scope_models.models._parameters import (
-    StarModel,
-    make_parameters,
-    numbers_of,
-    one_number,
-    value_of,
-)
-from scope_models.models._terms import Factor, Term, expand, is_pixel_integrated
+from scope_models.models._parameters import StarModel, make_parameters, numbers_of, value_of
+from scope_models.models._terms import Factor, Term, expand, is_pixel_integrated, one_number
 from scope_models.models.grids import PRFGrid
 from scope_models.models.integration import PixelPoints, integrate_density, integrate_term
 from scope_models.models.tables import TabulatedPRF
@@ -389,30 +383,26 @@ class PRF(StarModel):
         if all(np.size(value) == 1 for value in values.values()):
             values = {name: float(np.reshape(value, -1)[0]) for name, value in values.items()}
             images = self._images(PixelPoints(x, y), values)
-            return images if unit is None else images * unit
-        # One star per pixel, seen from that pixel.
-        x, y, *arrays = np.broadcast_arrays(x, y, *values.values())
-        values = {name: a.reshape(-1) for name, a in zip(values, arrays, strict=True)}
-        values["x_0"], values["y_0"] = values["x_0"] - x.ravel(), values["y_0"] - y.ravel()
-        for name in (name for response in self._responses for name in response.names.values()):
-            values[name] = one_number(name, values[name])
-        images = self._images(PixelPoints(0.0, 0.0), values).reshape(x.shape)
+        else:  # one star per pixel, seen from that pixel
+            x, y, *arrays = np.broadcast_arrays(x, y, *values.values())
+            values = {name: a.reshape(-1) for name, a in zip(values, arrays, strict=True)}
+            values["x_0"], values["y_0"] = values["x_0"] - x.ravel(), values["y_0"] - y.ravel()
+            for name in (name for response in self._responses for name in response.names.values()):
+                values[name] = one_number(name, values[name])
+            images = self._images(PixelPoints(0.0, 0.0), values).reshape(x.shape)
         return images if unit is None else images * unit
 
     def fit_deriv(self, x, y, *parameters):
         """Derivatives of the flux in the pixels with respect to the parameters, in their order."""
         numbers = (float(np.reshape(without_unit(value), -1)[0]) for value in parameters)
         values = dict(zip(self.param_names, numbers, strict=True))
-        points = PixelPoints(x, y)
-        image, derivatives = self._unit_derivatives(points, values)
-        names = self.param_names[1:]
-        return [image, *(values["flux"] * derivatives[name] for name in names)]
+        image, derivatives = self._unit_derivatives(PixelPoints(x, y), values)
+        return [image, *(values["flux"] * derivatives[name] for name in self.param_names[1:])]
 
     def _unit_derivatives(self, points, values):
         """Images of unit flux, and their derivatives by parameter, without the flux."""
         total, derivatives, images = 0.0, {}, []
-        fractions = self._fractions(values)
-        for component, fraction in zip(self._components, fractions, strict=True):
+        for component, fraction in zip(self._components, self._fractions(values), strict=True):
             image, own = component.derivatives(points, values)
             images.append(image)
             total = total + fraction * image

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 from astropy.modeling import Model
+from astropy.table import QTable
 
 from scope_models._arrays import plain_tree
 from scope_models._checks import checked_choice
@@ -145,8 +146,6 @@ def read_motion(path):
     if _is_fits(path):
         truth = read_truth(path)
         return _made(path, truth.scene, "motion", lambda: _motion(truth))
-    from astropy.table import QTable
-
     try:
         text = Path(path).read_text(encoding="utf-8")
         table = QTable.read(text.splitlines(), format="ascii.ecsv")

@@ -4,6 +4,7 @@ from dataclasses import dataclass, fields
 
 import astropy.units as u
 import numpy as np
+from astropy.table import QTable
 
 from scope_models._arrays import plain_array, plain_time
 from scope_models._checks import checked_choice, checked_int32
@@ -71,10 +72,9 @@ def repair(time, x, y, quality, cadenceno, time_format, bad, pixel_scale):
     timeless = ~np.isfinite(time)
     unusable = lost | timeless
     limit = f"NaN or at least {LARGEST_OFFSET:g} px"
-    if lost.all():
-        raise ValueError(f"no usable position: all of {len(time)} are {limit}")
-    if timeless.all():
-        raise ValueError(f"no usable time: all of {len(time)} are NaN")
+    for noun, wrong, reason in (("position", lost, limit), ("time", timeless, "NaN")):
+        if wrong.all():
+            raise ValueError(f"no usable {noun}: all of {len(time)} are {reason}")
     if unusable.all():
         raise ValueError("no cadence with both a usable time and a usable position")
     if bad == "error" and unusable.any():
@@ -187,8 +187,6 @@ class MotionStatistics(Value):
         astropy.table.QTable
             One column with its unit for each of the attributes.
         """
-        from astropy.table import QTable
-
         return QTable([{item.name: getattr(self, item.name) for item in fields(self)}])
 
 

@@ -691,10 +691,8 @@ class Motion(Value):
         True
         """
         series = read_pixels(tpf)
-        shape = series.flux.shape[1:]
-        return _motion_arrays.offsets_at(
-            self, series.time, series.time_format, series.header, shape
-        )
+        stamp = series.header, series.flux.shape[1:]
+        return _motion_arrays.offsets_at(self, series.time, series.time_format, *stamp)
 
     @documented()
     def plot(self, ax=None, **options):

@@ -11,8 +11,8 @@ from numpy.testing import assert_allclose
 from scipy.integrate import quad
 from scipy.optimize import brentq
 
-from scope_models.models.signals import TransitModel
-from scope_models.models.variability import (
+from scope_models.models.signals import (
+    TransitModel,
     sinusoidal_signal,
     stochastic_signal,
     tabulated_signal,
@@ -230,7 +230,7 @@ def test_shapes_and_missing_times():
         (lambda: TransitModel(a=-1), "`a` must be positive, got -1"),
         (lambda: TransitModel(rp=-0.1), "`rp` must be at least 0, got -0.1"),
         (lambda: TransitModel(ecc=1), "`ecc` must be at least 0 and below 1, got 1"),
-        (lambda: TransitModel(exposure_time=-1), "`exposure_time` must be at least 0, got -1"),
+        (lambda: TransitModel(exposure_time=-1), "`exposure_time` must not be negative, got -1"),
         (lambda: TransitModel(period=[1, 2]), "parameters of a TransitModel must be scalars"),
         (lambda: TransitModel.from_depth_duration(0, 0.1, 3), "`depth` must be between 0 and 1"),
         (lambda: TransitModel.from_depth_duration(1, 0.1, 3), "`depth` must be between 0 and 1"),
