@@ -15,8 +15,8 @@ from scope_models.fitting._parameters import FitParameter, fit_parameters
 from scope_models.models._parameters import numbers_of
 
 __all__ = [
-    "LARGEST_MOVE", "UNTRUE", "FitOptions", "FitStar", "NormalEquations", "Problem", "Settings",
-    "State", "median_image",
+    "LARGEST_MOVE", "MEDIAN_SQUARE", "UNTRUE", "FitOptions", "FitStar", "NormalEquations",
+    "Problem", "Settings", "State", "median_image",
 ]  # fmt: skip
 
 # Cadences whose derivatives are held at once.
@@ -26,7 +26,7 @@ UNTRUE, _SAME = 1.5, 0.02
 # ... and standard deviations of the light-weighted mean that are chance.
 _CHANCE = 3.0
 # Median of the square of a standard normal deviate.
-_MEDIAN_SQUARE = 0.4549364
+MEDIAN_SQUARE = 0.4549364
 # Standard deviation of the relative change of the PSF's width before the fit.
 _FOCUS_PRIOR = 0.05
 # Standard deviation of the scale of the motion about that of POS_CORR.
@@ -179,8 +179,7 @@ class Problem:
 
     @cached_property
     def _given_weight(self):
-        good = np.isfinite(self._joined("flux"))
-        return np.where(good, 1 / np.where(good, self._joined("flux_err"), 1.0), 0.0)
+        return np.nan_to_num(1 / self._joined("flux_err"))
 
     @cached_property
     def weight(self):
@@ -253,11 +252,10 @@ class Problem:
     def parameters(self):
         result = [*self._of_shape]
         for i, axis in enumerate("xy" if self.position_error is not None else ()):
-            scale = {"kind": "slope", "prior": self.options.scale_error}
-            result += [
-                FitParameter(f"{axis}_const", "position"),
-                *(FitParameter(f"{axis}_by_corr{j + 1}", **scale, center=i == j) for j in (0, 1)),
-            ]
+            result.append(FitParameter(f"{axis}_const", "position"))
+            for j, prior in enumerate([self.options.scale_error] * 2):
+                name = f"{axis}_by_corr{j + 1}"
+                result.append(FitParameter(name, "slope", prior=prior, center=float(i == j)))
         for i in range(1, len(self.stamps)):
             for axis, of in ("xx", "xy", "yx", "yy"):
                 prior = {"prior": _MAP_PRIOR, "center": axis == of, "start": float(axis == of)}
@@ -327,7 +325,7 @@ class Problem:
         squares[self._given_weight == 0] = np.nan
         # Medians: neither cosmic rays nor single bad pixels count.
         seen = np.any(self._given_weight, axis=0)
-        typical = np.median(np.nanmedian(squares[:, seen], axis=0)) / _MEDIAN_SQUARE
+        typical = np.median(np.nanmedian(squares[:, seen], axis=0)) / MEDIAN_SQUARE
         # Most parameters hang on the pixels with light, most pixels have none.
         light = self._light_parts
         n_light = 1 / np.sum(light**2)

@@ -14,7 +14,7 @@ from astropy.time import Time
 from scope_models._arrays import plain_tree
 from scope_models._docstrings import documented
 from scope_models._values import Value
-from scope_models.fitting import _parameters, _products, _shape
+from scope_models.fitting import _parameters, _products
 from scope_models.fitting._doubts import doubts_of, followed
 from scope_models.fitting._problem import median_image
 from scope_models.models import PRF
@@ -282,7 +282,7 @@ class TPFFit(Value):
             of each pixel of the Gaussian that fits the typical shares, whose errors hold the
             scatter of the pixels.
         """
-        return _shape.psf_shape(self)
+        return _products.psf_shape(self)
 
     def psf_image(self, half=3.0, samples=121):
         """Draw the density of the PSF about the star.
@@ -301,7 +301,7 @@ class TPFFit(Value):
         density, error : ndarray of shape (samples, samples)
             Density over its largest value, and its standard deviation.
         """
-        return _shape.psf_image(self, half, samples)
+        return _products.psf_image(self, half, samples)
 
     def to_lightcurve(self):
         """Return the fluxes as a light curve.
@@ -455,8 +455,9 @@ class TPFFit(Value):
         return cls(**_products.read_fit(path))
 
 
-def make_results(problem, solution, errors, detectors, series):
-    state, s, results = solution.state, problem.n_shared, []
+def make_results(solution, errors, detectors, series):
+    problem, state, results = solution.problem, solution.state, []
+    s = problem.n_shared
     fitted, covariance = problem.model(state), errors.shared[:s, :s].copy()
     ended = zip(problem.parameters, problem.at_bounds(state), strict=True)
     at_bounds = [parameter.name for parameter, end in ended if end]
