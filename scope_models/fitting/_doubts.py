@@ -17,10 +17,9 @@ LARGEST_SCATTER = 3.0
 # Fitted motion over that of POS_CORR that is not in doubt, and the motion, pixels, from which it is
 # checked.
 _SCALES, _LEAST_MOTION = (0.9, 1.1), 0.01
-# Flux over the light in the pixels from which a model has invented it.
-LARGEST_FLUX = 2.0
-# Reduced chi-squared from which a model does not describe the pixels.
-_LARGEST_CHI2 = 100.0
+# Flux over the light in the pixels from which a model has invented it, and reduced chi-squared from
+# which it does not describe them.
+LARGEST_FLUX, _LARGEST_CHI2 = 2.0, 100.0
 # Errors beyond which a flux is negative, or is light, and probability of what is not by chance.
 CERTAIN, _CHANCE = 5.0, 0.01
 # Cadences from which the flux is compared with the position.

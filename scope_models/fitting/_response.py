@@ -21,32 +21,27 @@ from scope_models.fitting.result import fitted_fields
 
 __all__ = ["fit_response"]
 
-# Degrees in position and time that are tried, one after the other.
+# Degrees in position and time that are tried, one after the other; coefficients in a pixel of many
+# stars at most: time goes with their square.
 _LADDER = ((1, 1), (2, 2), (3, 3), (4, 4), (5, 6), (6, 8), (8, 8), (10, 8))
-# Coefficients in a pixel of many stars: time goes with their square.
 _MOST_TERMS = 450
 # Multiplications at most in all steps, half of them for the choice: 30 s, for one core makes 0.8 to
 # 1.0e10 a second with 6 to 108 terms if a step's cadences take as many as the shares of 80 terms.
 _MOST_WORK, _CADENCE_TERMS = 3e11, 80
-# Steps on each rung, and by how much the next one must lower the cost of held-out cadences.
-_TRIAL_STEPS, _LEAST_GAIN = 4, 1e-2
-# Cost per pixel of the held-out cadences from which a model is far off.
-_FAR = 2.0
-# Every tenth cadence is held out, from the sixth on.
-_EVERY, _FIRST = 10, 5
-# Cadences that a response needs.
-_FEWEST = 20
-# Standard deviation of positions about POS_CORR: pixels, and parts of the motion, at most.
-_POSITION_ERROR, _POSITION_PART = 0.1, 0.5
-# ... where positions are free.
-_LOOSE = 10.0
+# Steps on each rung, and by how much the next one must lower the cost of held-out cadences, unless
+# their cost per pixel is that of a model that is far off.
+_TRIAL_STEPS, _LEAST_GAIN, _FAR = 4, 1e-2, 2.0
+# Every tenth cadence is held out, from the sixth on; cadences that a response needs.
+_EVERY, _FIRST, _FEWEST = 10, 5, 20
+# Standard deviation of positions about POS_CORR: pixels, and parts of the motion, at most; where
+# positions are free.
+_POSITION_ERROR, _POSITION_PART, _LOOSE = 0.1, 0.5, 10.0
 # Standard deviations of the shares to begin with, relative to a pixel's share plus a part of all
 # light that every pixel may hold; smallest one.
 _FIRST_PRIOR, _EVERYWHERE, _LEAST_PRIOR = 0.3, 0.003, 1e-6
-# Pixels beyond so many errors are hits, unless so large a part of the pixel's values is.
-_HIT, _MOST_HITS = 5.0, 0.02
-# Cadences beyond so many robust standard deviations of chi-squared are outliers.
-_OUTLIER = 6.0
+# Pixels beyond so many errors are hits, unless so large a part of the pixel's values is. Cadences
+# beyond so many robust standard deviations of chi-squared are outliers.
+_HIT, _MOST_HITS, _OUTLIER = 5.0, 0.02, 6.0
 # Motion that agrees with POS_CORR so well is put on its scale.
 _LEAST_R2, _SCALES = 0.5, (0.5, 2.0)
 # Largest steps of a position, pixels; change of the cost that is none, relative and in parts of its

@@ -22,25 +22,21 @@ __all__ = [
 ]  # fmt: skip
 
 # A local maximum of the median image is a star if it is brighter than this part of the brightest
-# pixel, and than so many errors of the median image.
-_LEAST_PART, _LEAST_SIGNIFICANCE = 0.05, 10.0
-# Most stars that are found: time goes with their square.
-_MOST_FOUND = 11
+# pixel, and than so many errors of the median image. Most that are found: time goes with their
+# square.
+_LEAST_PART, _LEAST_SIGNIFICANCE, _MOST_FOUND = 0.05, 10.0, 11
 # Maxima so near a star are its own, pixels; and the half of a pixel within which a given star is
 # the target, whose coordinates may be of another epoch.
 APART, _ITSELF = 1.5, 0.5
 # Given stars farther outside of the pixels have no light in them, pixels.
 _FARTHEST = 5.0
 _SIGMAS, _FRACTIONS = (0.5, 1.1, 2.0), (0.7, 0.25, 0.05)
-# The empirical term: part of the flux, and width of its first function. From 0.7 to 0.8 the real
-# stars of the documentation are described best.
-_EMPIRICAL_FRACTION, _EMPIRICAL_SIGMA = 0.02, 0.75
-# Its order in the models of `make_rich_prfs`.
-_RICH_ORDER = 6
-# Pixels that are brighter than this part of the brightest one give the first positions.
-_BRIGHT = 0.1
-# ... within so many pixels of it, and where so high a percentile over the cadences is bright.
-_NEAR, _OFTEN = 2, 98
+# The empirical term: part of the flux, width of its first function, and order in the models of
+# `make_rich_prfs`. Widths from 0.7 to 0.8 describe the real stars of the documentation best.
+_EMPIRICAL_FRACTION, _EMPIRICAL_SIGMA, _RICH_ORDER = 0.02, 0.75, 6
+# Pixels that are brighter than this part of the brightest one give the first positions, within so
+# many pixels of it, and where so high a percentile over the cadences is bright.
+_BRIGHT, _NEAR, _OFTEN = 0.1, 2, 98
 # Stars fainter than this part of the target are constant by default.
 _FAINT = 0.1
 
@@ -336,26 +332,25 @@ def is_faint(data, target, other):
 
 def linear_start(problem, state):
     """Find the fluxes and backgrounds, in which the model is linear, with the rest of a state."""
-    shared, cadence, n_stars = state.shared.copy(), state.cadence.copy(), len(problem.stars)
-    stamps = problem.slices if problem.options.background == "cadence" else []
-    values = np.zeros((len(problem.flux), n_stars + len(stamps)))
+    shared, cadence, k = state.shared.copy(), state.cadence.copy(), len(problem.columns)
+    each = problem.options.background == "cadence"
+    columns = problem.index.fluxes + problem.index.backgrounds * each
+    values = np.zeros((len(problem.flux), len(columns)))
     for part in problem.chunks():
-        design = np.zeros((*problem.flux[part].shape, values.shape[1]))
-        for k, star in enumerate(problem.stars):
-            design[:, problem.slices[star.stamp], k] = problem.unit_images(state, part, k)
-        for i, pixels in enumerate(stamps):
-            design[:, pixels, n_stars + i] = 1.0
+        design = np.zeros((*problem.flux[part].shape, len(columns)))
+        for i, star in enumerate(problem.stars):
+            design[:, problem.slices[star.stamp], i] = problem.unit_images(state, part, i)
+        for i, pixels in enumerate(problem.slices if each else (), start=len(problem.stars)):
+            design[:, pixels, i] = 1.0
         weight = problem.weight[part]
         design = (design * weight[..., None]).transpose(0, 2, 1)
         right = design @ (weight * problem.flux[part])[..., None]
         values[part] = solved(design @ design.transpose(0, 2, 1), right)[..., 0]
-    for value, column in zip(values.T, problem.index.fluxes, strict=False):
-        if column < len(problem.columns):
+    for value, column in zip(values.T, columns, strict=True):
+        if column < k:
             cadence[:, column] = value
         else:  # of a constant star
-            shared[column - len(problem.columns)] = np.median(value)
-    if stamps:
-        cadence[:, -len(stamps) :] = values[:, n_stars:]
+            shared[column - k] = np.median(value)
     return State(shared, state.interpixel, cadence)
 
 

@@ -35,10 +35,9 @@ _EXCESS = 5.0
 _POSITION_PART, _HELD = 0.1, 0.001
 # Part of the light in the stamp below which a model has invented it; every so many cadences.
 _LEAST_INSIDE, _SOME = 0.8, 10
-# Seconds after which a fit shows its progress.
-_PATIENCE = 5.0
-# How often errors are scaled, at most, where the model is not true.
-_RESCALINGS = 8
+# Seconds after which a fit shows its progress, and how often errors are scaled, at most, where the
+# model is not true.
+_PATIENCE, _RESCALINGS = 5.0, 8
 # So many images of stars and values of pixels at most, and cadences at least, give the first guess
 # for those of a long series.
 _FEW, _FEW_VALUES, _FEWEST = 300, 30_000, 50
@@ -367,10 +366,10 @@ def _make_problem(series, places, prf, flux_err, options, motion):
     for item, (_, others, _) in zip(series, places, strict=True):
         changes = {} if item.mission else {"mission": "Kepler"}
         detectors.append(Detector.from_tpf(item, psf=None, sensitivity=None, **changes))
-        more, saturation = n_free + len(others), options.saturation
         moved = (item.pos_corr, None) if motion is None else motion.offsets(item)
-        given = {"saturation": saturation, "moved": moved}
-        stamps.append(_start.read_data(item, flux_err, detectors[-1], more, **given))
+        given = {"saturation": options.saturation, "moved": moved}
+        given["n_free"] = n_free + len(others)
+        stamps.append(_start.read_data(item, flux_err, detectors[-1], **given))
     if stamps[0].pos_corr is None and options.positions in {"prior", "path"}:
         raise ValueError(f"`positions` is {options.positions!r}, but `tpf` has no POS_CORR")
     common = reduce(np.intersect1d, [stamp.cadenceno for stamp in stamps])
