@@ -109,18 +109,17 @@ def _fields_of(hdus):
     shares = ({name: unpacked(v) for name, v in one.items()} for one in described["response"])
     response = tuple(PixelShares(**values) for values in shares)
     statistics = {name: described.get(name, np.nan) for name in _parameters.STATISTICS}
-    options = described["options"]
-    if options["interpixel"] is None:
-        options["interpixel"] = np.inf
+    if described["options"]["interpixel"] is None:
+        described["options"]["interpixel"] = np.inf
     free = [*map(_parameters.FitParameter, described["names"], described["kinds"])]
     parameters = _parameters.parameter_table(
         model, free, described["parameters"], values["covariance"], described["at_bounds"],
         statistics, response=bool(response),
     )  # fmt: skip
-    return values | {
+    kept = {name: described[name] for name in ("options", "time_format", "meta")}
+    return values | kept | {
         "model": model, "parameters": parameters, "cadences": _parameters.cadence_table(columns),
-        "neighbors": tuple(_parameters.FittedStar(*star) for star in cube), "options": options,
-        "time_format": described["time_format"], "meta": described["meta"], "response": response,
+        "neighbors": tuple(_parameters.FittedStar(*star) for star in cube), "response": response,
         "detector": Detector(**detector, interpixel=np.maximum(values["interpixel"], 0.0)),
         "statistics": statistics,
     }  # fmt: skip
@@ -210,9 +209,10 @@ def _identity(cards, mission):
 def _signal(fit, kind):
     if kind == "constant":
         return None
-    relative = fit.flux / np.median(fit.flux)
+    typical = np.median(fit.flux)
+    relative = fit.flux / typical
     if kind == "smooth" and fit.response:
-        relative = denoised(fit, fit.flux, fit.flux_scatter) / np.median(fit.flux)
+        relative = denoised(fit, fit.flux, fit.flux_scatter) / typical
     elif kind == "smooth":
         # Sums of pixels: unlike fitted fluxes they do not depend on errors of the PSF.
         cubes = (cube - fit.background[:, None, None] for cube in (fit.observed, fit.fitted))
@@ -268,7 +268,7 @@ def sensitivity_profiles(fit):
     for axis in "xy":
         powers = {name: offset**power for name, (of, power) in model.powers.items() if of == axis}
         value = sum(getattr(model, name).value * term for name, term in powers.items())
-        free = [name for name in powers if name in fit.names]
+        free = [name for name in fit.names if name in powers]
         index = [fit.names.index(name) for name in free]
         terms = np.array([powers[name] for name in free]).reshape(-1, len(offset))
         variance = np.einsum("iu,ij,ju->u", terms, fit.covariance[np.ix_(index, index)], terms)

@@ -13,7 +13,7 @@ from astropy.stats import mad_std
 from scipy.linalg import cho_factor, cho_solve
 
 from scope_models.effects.shares import PixelShares, polynomial_terms, polynomials, scaled_to
-from scope_models.fitting._parameters import cadence_table
+from scope_models.fitting._parameters import cadence_table, parameter_table
 from scope_models.fitting._problem import MEDIAN_SQUARE, UNTRUE, State, median_image
 from scope_models.fitting._solver import Errors, psf_covariance
 from scope_models.fitting._start import centroids, linear_start, solved
@@ -378,12 +378,11 @@ def _result(shares, errors, psf, n_free, number, fit, *, converged, n_steps):
         "converged": converged and fit.converged and not fit.at_bounds, "n_steps": n_steps,
         "chi2_held_out": float(np.nansum(squares[out]) / left),
     }  # fmt: skip
-    s, parameters = len(fit.names), fit.parameters.copy()
     covariance = psf * statistics["error_scale"] ** 2
-    known = np.isfinite(parameters["error"][:s])
-    parameters["error"][:s] = np.where(known, np.sqrt(np.diag(covariance)), np.nan)
-    response = np.isin(parameters["name"], list(fit.model.response_powers))
-    parameters["error"][response] = np.nan
+    parameters = parameter_table(
+        fit.model, problem.parameters, shares.state.shared, covariance, fit.at_bounds, statistics,
+        response=True,
+    )  # fmt: skip
     return fit.replace(
         **fields, parameters=parameters, covariance=covariance, statistics=statistics,
         cadences=cadence_table(columns | {"held_out": held, "outliers": ~used}),

@@ -249,9 +249,9 @@ class TPFFit(Value):
             return np.nan, np.nan
         basis = np.column_stack([np.ones(len(self.x)), self.pos_corr])
         xy = np.column_stack([self.x, self.y])
-        rest = xy - basis @ np.linalg.lstsq(basis, xy, rcond=None)[0]
-        pairs = zip(rest.var(axis=0), xy.var(axis=0), strict=True)
-        return tuple(float(1 - left / all_) if all_ else np.nan for left, all_ in pairs)
+        left = (xy - basis @ np.linalg.lstsq(basis, xy, rcond=None)[0]).var(axis=0)
+        variance = np.where(xy.var(axis=0) > 0, xy.var(axis=0), np.nan)
+        return tuple((1 - left / variance).tolist())
 
     def path_scale(self):
         """Return the fitted motion over that of POS_CORR.
@@ -480,14 +480,14 @@ def make_results(solution, errors, detectors, series):
             model, problem.parameters, state.shared, covariance, at_bounds, statistics,
             response=False,
         )  # fmt: skip
-        kept = {key: series[number].header.get(key) for key in _FACTS}
+        cards = series[number].header
         changes = {"sensitivity": model.sensitivity, "interpixel": np.maximum(interpixel, 0.0)}
         results.append(TPFFit(
             **fields, covariance=covariance, interpixel=interpixel, interpixel_err=interpixel_err,
             parameters=table, cadences=_parameters.cadence_table(columns), statistics=statistics,
             time_format=data.time_format, options=asdict(problem.options),
             detector=detectors[number].replace(**changes),
-            meta=plain_tree({key: v for key, v in kept.items() if v is not None}, str),
+            meta=plain_tree({k: cards[k] for k in _FACTS if cards.get(k) is not None}, str),
         ))  # fmt: skip
     return results
 
