@@ -36,16 +36,15 @@ _MODEL = {
 
 def common_motion(tpfs):
     """Return the motion of the CCD with the most files; see `scope_models.Motion.from_tpfs`."""
-    motions, failed = common_motions(tpfs)
-    if not (motions or failed):
+    motions, left = common_motions(tpfs)
+    if not (motions or left):
         raise ValueError("`tpfs` is empty")
     if not motions:
-        raise ValueError(f"no file has positions: {_listed(failed)}")
+        raise ValueError(f"no file has positions: {_listed(left)}")
     label, motion = max(motions.items(), key=lambda item: item[1].meta["n_files"])
-    left = failed | dict(motion.meta["left_out"])
-    for other in motions:
-        if other != label:
-            left[other] = f"another CCD than {label}, {motions[other].meta['n_files']} files"
+    left = left | dict(motion.meta["left_out"])
+    for other in motions.keys() - {label}:
+        left[other] = f"another CCD than {label}, {motions[other].meta['n_files']} files"
     if left:
         what = "left out" if motion.meta["stars"] else "no two stars agree"
         warnings.warn(f"{what}: {_listed(left)}", FitWarning, stacklevel=3)
@@ -61,32 +60,30 @@ def _listed(left):
 
 def common_motions(tpfs, *, pixels=True):
     """Return the common motion of each CCD, and the reason for each file without positions."""
-    tracks, facts, failed = defaultdict(list), {}, {}
+    tracks, motions, failed = defaultdict(list), {}, {}
     if isinstance(tpfs, str | Path) or hasattr(tpfs, "flux"):
         tpfs = [tpfs]  # a file could be iterated over, too
     for number, tpf in enumerate(tpfs, start=1):
-        path = isinstance(tpf, str | Path)
-        name = Path(tpf).name if path else f"file {number}"
+        name = Path(tpf).name if isinstance(tpf, str | Path) else f"file {number}"
         try:
             series = read_pixels(tpf)
             found = _tracks(name, series, pixels=pixels)
         except (OSError, TypeError, ValueError, np.linalg.LinAlgError) as error:
-            found, failed[name] = [], one_line(error)
+            failed[name] = one_line(error)
+            continue
         if found:
-            ccd = ccd_name(series.header)
-            label = f"{ccd} {86400 * np.nanmedian(np.diff(series.time)):.0f} s".strip()
-            tracks[label] += found
-            facts[label] = ccd, series.time_format
-    motions = {}
-    for label, group in tracks.items():
-        ccd, time_format = facts[label]
+            step = 86400 * np.nanmedian(np.diff(series.time))
+            tracks[ccd_name(series.header), f"{step:.0f} s", series.time_format] += found
+    for (ccd, step, time_format), group in tracks.items():
         motion, left = fit_tracks(group, time_format)
-        judged = [*zip(group, left, strict=True)]
-        used = {track.name for track, out in judged if not out}
-        kinds = {track.name: track.kind for track, out in judged if out}
-        reasons = {name: f"{kind} disagrees with the other stars" for name, kind in kinds.items()}
-        meta = {"ccd": ccd, "n_files": len(used | kinds.keys()), "stars": sorted(used)}
-        motions[label] = motion.replace(meta=meta | {"left_out": reasons})
+        reasons, stars = {}, set()
+        for track, out in zip(group, left, strict=True):
+            if out:
+                reasons[track.name] = f"{track.kind} disagrees with the other stars"
+            else:
+                stars.add(track.name)
+        meta = {"ccd": ccd, "n_files": len(stars | reasons.keys()), "stars": sorted(stars)}
+        motions[f"{ccd} {step}".strip()] = motion.replace(meta=meta | {"left_out": reasons})
     return motions, failed
 
 
@@ -96,9 +93,8 @@ def pos_corr_track(name, series):
     if not np.any(known):
         return None
     xy = np.where(known[:, None], series.pos_corr, np.nan)
-    error, place = np.full(xy.shape, _POS_CORR_ERROR), _place_of(series)
-    given = place, series.cadenceno, series.time, xy, error, _POS_CORR_SCALE
-    return Track(name, "POS_CORR", *given)
+    given = _place_of(series), series.cadenceno, series.time, xy
+    return Track(name, "POS_CORR", *given, np.full(xy.shape, _POS_CORR_ERROR), _POS_CORR_SCALE)
 
 
 def _place_of(series):
@@ -112,11 +108,10 @@ def _tracks(name, series, *, pixels):
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             fit = fit_tpf(series, **_MODEL)
-        xy, error = np.stack([fit.x, fit.y], 1), np.stack([fit.x_err, fit.y_err], 1)
         # errors of the noise alone: the scatter about the others gives the rest
-        error = error / fit.statistics["error_scale"]
-        given = _place_of(series), fit.cadenceno, fit.time, xy, error, _MAP_ERROR
-        tracks.append(Track(name, "the position in the pixels", *given))
+        error = np.stack([fit.x_err, fit.y_err], 1) / fit.error_scale
+        given = _place_of(series), fit.cadenceno, fit.time, np.stack([fit.x, fit.y], 1), error
+        tracks.append(Track(name, "the position in the pixels", *given, _MAP_ERROR))
     return tracks
 
 
@@ -162,33 +157,30 @@ class _Fit:
         self.map_error = self.given_error.copy()
         self.maps, self.origin = np.stack([np.eye(2)] * n), np.zeros((n, 2))
         self.factor, self.tails = np.ones(n), self.seen.astype(float)
-        self._start()
+        # begin with the median of all tracks
+        middle = np.ma.median(np.ma.array(self.xy, mask=self.precision == 0), axis=0).filled(0)
+        self.states = np.column_stack([middle, np.zeros_like(middle)])
+        self.covariance = np.zeros((len(middle), 4, 4))
+        self.prior = np.repeat(np.maximum(np.mean(middle**2, axis=0).max(), 1e-12), 4)
+        for k in range(n):
+            square = np.mean(self.precision[k] * (self.xy[k] - middle) ** 2, axis=1)[self.seen[k]]
+            self.factor[k] = max(np.median(square) / np.log(2), 1.0)  # of an exponential
+            self._fit_track(k)
 
     def _arms(self, offset):
         """What a star's displacement is linear in: pointing, roll and scale, ``(k, 2, 4)``."""
         (x, y), one, zero = offset.T / self.size, np.ones(len(offset)), np.zeros(len(offset))
         return np.stack([[one, zero, -y, x], [zero, one, x, y]]).transpose(2, 0, 1)
 
-    def _start(self):
-        """Begin with the median of all tracks."""
-        middle = np.ma.median(np.ma.array(self.xy, mask=self.precision == 0), axis=0).filled(0)
-        self.states = np.column_stack([middle, np.zeros_like(middle)])
-        self.covariance = np.zeros((len(middle), 4, 4))
-        self.prior = np.repeat(np.maximum(np.mean(middle**2, axis=0).max(), 1e-12), 4)
-        for k in range(len(self.xy)):
-            square = np.mean(self.precision[k] * (self.xy[k] - middle) ** 2, axis=1)[self.seen[k]]
-            self.factor[k] = max(np.median(square) / np.log(2), 1.0)  # of an exponential
-            self.maps[k], self.origin[k], self.factor[k], self.tails[k] = self._track(k)
-
     def run(self):
         """Fit until the states stay."""
         for _ in range(_MOST_STEPS):
             before = self.states
-            self.states, self.covariance = self._cadences(np.ones(len(self.xy), dtype=bool))
+            self.states, self.covariance = self.cadences(np.ones(len(self.xy), dtype=bool))
             variance = np.diagonal(self.covariance, axis1=1, axis2=2)
             self.prior = np.maximum(np.mean(self.states**2 + variance, axis=0), 1e-16)
             for k in range(len(self.xy)):
-                self.maps[k], self.origin[k], self.factor[k], self.tails[k] = self._track(k)
+                self._fit_track(k)
             # the scatter of the maps of tracks of a kind, of which the prior counts as one
             square = np.sum((self.maps - np.eye(2)) ** 2, axis=(1, 2)) / 4
             for error in np.unique(self.given_error):
@@ -203,7 +195,7 @@ class _Fit:
                 break
         return self
 
-    def _cadences(self, used):
+    def cadences(self, used):
         """Return the states, ``(n, 4)``, and their covariance, from some of the tracks."""
         weight = self.tails[used] / self.factor[used, None]
         weight = weight[..., None] * self.precision[used]  # (k, n, 2)
@@ -239,11 +231,11 @@ class _Fit:
         values = np.array(values)
         return values[:, :2], values[:, 2], np.sum(squares, axis=0), evidence
 
-    def _track(self, k):
-        """Return map, origin, factor of the variance, and weights of the tails of a track."""
+    def _fit_track(self, k):
+        """Fit map, origin, factor of the variance, and weights of the tails of a track."""
         given = self.states, self.covariance, self.map_error[k], self.tails[k], self.factor[k]
-        maps, origin, squares, _ = self._regress(k, *given)
-        return maps, origin, *self._noise(k, squares, self.factor[k])
+        self.maps[k], self.origin[k], squares, _ = self._regress(k, *given)
+        self.factor[k], self.tails[k] = self._noise(k, squares, self.factor[k])
 
     def _noise(self, k, squares, factor):
         """Return the factor of the variance, and the weights, from residuals."""
@@ -251,15 +243,10 @@ class _Fit:
         tails = np.where(seen, (_TAILS + 2) / (_TAILS + squares / factor), 0.0)
         return max(np.sum(tails * squares) / (2 * seen.sum()), 1.0), tails
 
-    def others(self, k, names):
-        """Return the motion of the tracks of other stars, as `agrees` takes it; None without."""
-        others = names != names[k]
-        return self._cadences(others) if others.any() else None
-
     def agrees(self, k, states, covariance):
         """Whether a motion explains a track better than noise alone, or within its errors."""
-        moved = self._evidence(k, states, covariance, self.map_error[k])[0]
-        alone = self._evidence(k, 0 * states, 0 * covariance, self.map_error[k])[0]
+        moved, _ = self._evidence(k, states, covariance, self.map_error[k])
+        alone, _ = self._evidence(k, 0 * states, 0 * covariance, self.map_error[k])
         return moved > alone or self._evidence(k, states, covariance, _NO_MAP)[1] <= 1
 
     def _evidence(self, k, states, covariance, map_error):
@@ -274,17 +261,13 @@ class _Fit:
     def motion(self, time_format):
         """Return the motion about the place that is known best."""
         light = np.einsum("kn,kna->k", self.tails / self.factor[:, None], self.precision)
-        middle = light @ self.place / light.sum()
-        arms = self._arms((middle - self.center)[None])[0]
-        variance = np.diagonal(arms @ self.covariance @ arms.T, axis1=1, axis2=2)
-        x, y = (self.states @ arms.T).T
-        error = np.sqrt(np.diagonal(self.covariance, axis1=1, axis2=2)[:, 2:]) / self.size
-        known = self.seen.any(axis=0)
-        values = {"x": x, "y": y, "time": self.time, "cadenceno": self.number}
-        values |= dict(zip(("roll", "scale"), self.states[:, 2:].T / self.size, strict=True))
-        values |= dict(zip(("x_err", "y_err"), np.sqrt(variance).T, strict=True))
-        values |= dict(zip(("roll_err", "scale_err"), error.T, strict=True))
-        values = {name: value[known] for name, value in values.items()}
+        middle, known = light @ self.place / light.sum(), self.seen.any(axis=0)
+        # x, y, roll and scale
+        matrix = np.vstack([self._arms((middle - self.center)[None])[0], np.eye(4)[2:] / self.size])
+        values = dict(zip(CommonMotion.offsets_of, matrix @ self.states[known].T, strict=True))
+        variance = np.diagonal(matrix @ self.covariance[known] @ matrix.T, axis1=1, axis2=2)
+        values |= dict(zip(CommonMotion.errors_of, np.sqrt(variance).T, strict=True))
+        values |= {"time": self.time[known], "cadenceno": self.number[known]}
         return CommonMotion(**values, time_format=time_format, place=tuple(middle))
 
 
@@ -294,8 +277,8 @@ def fit_tracks(tracks, time_format="bkjd"):
     Tracks of a name are of a star. Those that are not explained do not count, unless all are so.
     """
     fit, names = _Fit(tracks).run(), np.array([track.name for track in tracks])
-    others = (fit.others(k, names) for k in range(len(names)))
-    agree = [given is None or fit.agrees(k, *given) for k, given in enumerate(others)]
+    others = [names != name for name in names]
+    agree = [not o.any() or fit.agrees(k, *fit.cadences(o)) for k, o in enumerate(others)]
     if any(agree) and not all(agree):
         fit = _Fit([track for track, good in zip(tracks, agree, strict=True) if good]).run()
     return fit.motion(time_format), [not good for good in agree]

@@ -17,10 +17,9 @@ LARGEST_SCATTER = 3.0
 # Fitted motion over that of POS_CORR that is not in doubt, and the motion, pixels, from which it is
 # checked.
 _SCALES, _LEAST_MOTION = (0.9, 1.1), 0.01
-# Flux over the light in the pixels from which a model has invented it.
-LARGEST_FLUX = 2.0
-# Reduced chi-squared from which a model does not describe the pixels.
-_LARGEST_CHI2 = 100.0
+# Flux over the light in the pixels from which a model has invented it, and reduced chi-squared from
+# which it does not describe them.
+LARGEST_FLUX, _LARGEST_CHI2 = 2.0, 100.0
 # Errors beyond which a flux is negative, or is light, and probability of what is not by chance.
 CERTAIN, _CHANCE = 5.0, 0.01
 # Cadences from which the flux is compared with the position.
@@ -29,11 +28,10 @@ _FEWEST = 20
 
 def doubts_of(fit):
     """Return what is doubtful about a fit, a message for each doubt."""
-    parts = _of_convergence, _of_sensitivity, _of_pixels, _of_positions, _of_flux
-    return [doubt for part in parts for doubt in part(fit)]
+    return [*_of_parameters(fit), *_of_pixels(fit), *_of_positions(fit), *_of_flux(fit)]
 
 
-def _of_convergence(fit):
+def _of_parameters(fit):
     if not fit.converged and not fit.at_bounds:
         yield (
             f"the fit has not converged after {fit.n_steps} steps: chi-squared {fit.chi2:.6g}, "
@@ -44,13 +42,8 @@ def _of_convergence(fit):
     if others:
         ended = f"the fit ends at bounds, {', '.join(others)}"
         yield f"{ended}: the model does not describe the pixels; try another `psf`"
-
-
-def _of_sensitivity(fit):
-    for name, (axis, power) in fit.model.response_powers.items():
-        if name not in fit.names:
-            continue
-        value, error = fit.values[name], fit.errors[name]
+    for name in filter(powers.get, fit.names):
+        (axis, power), value, error = powers[name], fit.values[name], fit.errors[name]
         if name in fit.at_bounds:
             yield (
                 f"the sensitivity is at its bound, {name} = {value:.3g}: it describes "
@@ -76,7 +69,7 @@ def _of_pixels(fit):
             f"the response between pixels scatters by {100 * scatter:.2g} %, but its prior is "
             f"{100 * prior:.2g} %: it describes errors of the PSF; interpixel=0 leaves it out"
         )
-    light, invented = np.nanmedian(_light(fit)), np.median(fit.flux)
+    light, invented = np.median(_light(fit)), np.median(fit.flux)
     if invented > LARGEST_FLUX * light > 0:
         yield (
             f"the flux is {invented:.4g} e-/s, but the pixels hold {light:.4g}: the PSF has most "
@@ -91,21 +84,21 @@ def _of_pixels(fit):
         )
         stars = np.array([np.median([star.x, star.y], axis=1) for star in (fit, *fit.neighbors)])
         away = np.linalg.norm(find_stars(fit.observed)[:, None] - stars, axis=2).min(axis=1)
-        others = np.sum(away > APART)
-        if others:
+        if others := np.sum(away > APART):
             yield (
                 f"{others} other maxi{'mum' if others == 1 else 'ma'} of the median image may be "
                 'other stars: neighbors="find" fits them'
             )
 
 
-def _good(fit):
-    return np.ones(len(fit.time), dtype=bool) if fit.outliers is None else ~fit.outliers
-
-
 def _light(fit):
     """Light in the pixels of each cadence, e-/s."""
     return np.nansum(fit.observed - fit.background[:, None, None], axis=(1, 2))
+
+
+def _described(fit):
+    """Cadences that are no outliers."""
+    return np.ones(len(fit.time), dtype=bool) if fit.outliers is None else ~fit.outliers
 
 
 def _of_positions(fit):
@@ -122,8 +115,7 @@ def _of_positions(fit):
                 )
         if not 0 <= np.median(position) <= size - 1:
             yield f"the star is at the edge of the pixels: {axis} = {np.median(position):.2f}"
-        lost = np.sum((position <= -1) | (position >= size))
-        if lost:
+        if lost := np.sum((position <= -1) | (position >= size)):
             yield f"in {lost} cadences the fitted {axis} ends at its bounds, off the pixels"
 
 
@@ -133,8 +125,7 @@ def _of_flux(fit):
     if abs(light) < LARGEST_SCATTER * error:
         yield f"no star is seen: its mean flux is {light:.3g} +- {error:.2g} e-/s"
     for number, star in enumerate((fit, *fit.neighbors)):
-        negative = np.sum(star.flux < -CERTAIN * star.flux_err)
-        if negative:
+        if negative := np.sum(star.flux < -CERTAIN * star.flux_err):
             name = f"neighbor {number}" if number else "the star"
             yield f"the flux of {name} is negative in {negative} cadences"
     if fit.response and fit.neighbors:
@@ -142,20 +133,17 @@ def _of_flux(fit):
             'response="pixels" divides the light of several stars between them by the PSF: the '
             "fluxes of the fainter ones have larger errors than those given"
         )
-    good = _good(fit)
     seen = np.isfinite(fit.observed)
     whole = seen.sum(axis=(1, 2)) == seen.any(axis=0).sum()
-    steps = np.diff(np.column_stack([fit.flux, _light(fit)])[good & whole], axis=0)
+    steps = np.diff(np.column_stack([fit.flux, _light(fit)])[whole & _described(fit)], axis=0)
+    ours, pixels = np.sqrt(np.sum(steps**2, axis=0) / max(len(steps), 1))
     error = float(np.sqrt(np.mean(fit.flux_scatter**2)))
-    if len(steps):
-        ours, pixels = np.sqrt(np.mean(steps**2, axis=0))
-        if ours > LARGEST_FLUX * np.hypot(pixels, error):
-            yield (
-                f"the flux changes by {ours:.3g} e-/s from cadence to cadence, and the light in "
-                f"the pixels by {pixels:.3g}: the data allow several solutions"
-            )
-    explained = followed(fit)
-    if explained > LARGEST_SCATTER * error:
+    if ours > LARGEST_FLUX * np.hypot(pixels, error):
+        yield (
+            f"the flux changes by {ours:.3g} e-/s from cadence to cadence, and the light in "
+            f"the pixels by {pixels:.3g}: the data allow several solutions"
+        )
+    if (explained := followed(fit)) > LARGEST_SCATTER * error:
         yield (
             f"the flux varies with the position of the star by {explained:.3g} e-/s rms, but its "
             f"error is {error:.3g}: the model does not separate the two"
@@ -167,7 +155,7 @@ def followed(fit):
 
     Slow changes do not count; spans of the smoothing are taken as independent.
     """
-    good = _good(fit)
+    good = _described(fit)
     if good.sum() < _FEWEST:
         return 0.0
     time, x, y, flux = (values[good] for values in (fit.time, fit.x, fit.y, fit.flux))

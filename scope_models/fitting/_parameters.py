@@ -13,9 +13,9 @@ __all__ = [
     "degrees_of_freedom", "fit_parameters", "parameter_table",
 ]  # fmt: skip
 
-# Narrower PSFs are the same to a pixel.
+# Narrower PSFs are the same to a pixel. Tighter correlations only cost time; charge that diffuses
+# farther is not collected in pixels.
 _LEAST_WIDTH = 0.1
-# Tighter correlations only cost time; charge that diffuses farther is not collected in pixels.
 _LIMITS = {"correlation": (-0.95, 0.95), "diffusion": (0.0, 1.0), "offset": (-2.0, 2.0)}
 # Standard deviations of the coefficients of an empirical term, whose first one is 1, and of the
 # correction of a table.
@@ -31,9 +31,8 @@ CADENCE_UNITS = {
     **dict.fromkeys(_RATES, "electron / s"),
 }
 # Entries of `TPFFit.statistics`.
-STATISTICS = tuple(
-    "chi2 n_data n_parameters error_scale converged n_steps chi2_held_out".split()  # noqa: SIM905
-)
+STATISTICS = ("chi2", "n_data", "n_parameters", "error_scale", "converged", "n_steps")
+STATISTICS += ("chi2_held_out",)
 # Chi-squared per degree of freedom above which coefficients of a sensitivity are not measured: they
 # describe errors of the PSF long before these are seen in chi-squared.
 _TRUE_CHI2 = 1.1
@@ -60,27 +59,24 @@ def fit_parameters(prf, shape):
     Bounds are the model's, narrowed by their kinds: a component wider than half the stamp is
     background, and no term of a response takes away all of it at a pixel's edge, or doubles it.
     """
-    kinds, powers = prf.parameter_kinds, prf.response_powers
-    result, start = [], numbers_of(prf)
+    powers, numbers, result = prf.response_powers, numbers_of(prf), []
     for name in prf.param_names[3:]:
-        parameter = getattr(prf, name)
+        parameter, kind = getattr(prf, name), prf.parameter_kinds.get(name, "other")
         if parameter.fixed:
             continue
-        kind, step, relative = kinds.get(name, "other"), np.inf, False
-        prior = _PRIORS.get(kind, np.inf)
         narrow = _LIMITS.get(kind, (-np.inf, np.inf))
         if kind == "width":
             narrow = _LEAST_WIDTH, max(shape) / 2
         elif kind == "response":
             narrow = -(2.0 ** powers[name][1]), 2.0 ** powers[name][1]
-        given = zip(parameter.bounds, (-np.inf, np.inf), strict=True)
-        low, high = (end if bound is None else bound for bound, end in given)
-        low, high = max(low, narrow[0]), min(high, narrow[1])
-        if kind in {"correlation", "fraction", "offset", "diffusion"}:
-            step = _LARGEST_MOVE
-        elif kind == "width" or (kind == "other" and low > 0):
-            step, relative = _LARGEST_MOVE, True
-        result.append(FitParameter(name, kind, low, high, step, relative, prior, start=start[name]))
+        low, high = parameter.bounds
+        low = narrow[0] if low is None else max(low, narrow[0])
+        high = narrow[1] if high is None else min(high, narrow[1])
+        relative = kind == "width" or (kind == "other" and low > 0)
+        moves = relative or kind in {"correlation", "fraction", "offset", "diffusion"}
+        step, prior = _LARGEST_MOVE if moves else np.inf, _PRIORS.get(kind, np.inf)
+        given = low, high, step, relative, prior
+        result.append(FitParameter(name, kind, *given, start=numbers[name]))
     return tuple(result)
 
 

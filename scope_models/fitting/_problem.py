@@ -15,31 +15,25 @@ from scope_models.fitting._parameters import FitParameter, fit_parameters
 from scope_models.models._parameters import numbers_of
 
 __all__ = [
-    "LARGEST_MOVE", "UNTRUE", "FitOptions", "FitStar", "NormalEquations", "Problem", "Settings",
-    "State", "median_image",
+    "LARGEST_MOVE", "MEDIAN_SQUARE", "UNTRUE", "FitOptions", "FitStar", "NormalEquations",
+    "Problem", "Settings", "State", "median_image",
 ]  # fmt: skip
 
 # Cadences whose derivatives are held at once.
 _CHUNK = 256
-# Mean squared residual from which the errors are scaled, and change of scale that is none.
-UNTRUE, _SAME = 1.5, 0.02
-# ... and standard deviations of the light-weighted mean that are chance.
-_CHANCE = 3.0
+# Mean squared residual from which the errors are scaled, change of scale that is none, and standard
+# deviations of the light-weighted mean that are chance.
+UNTRUE, _SAME, _CHANCE = 1.5, 0.02, 3.0
 # Median of the square of a standard normal deviate.
-_MEDIAN_SQUARE = 0.4549364
-# Standard deviation of the relative change of the PSF's width before the fit.
-_FOCUS_PRIOR = 0.05
-# Standard deviation of the scale of the motion about that of POS_CORR.
-_SCALE_PRIOR = 0.02
+MEDIAN_SQUARE = 0.4549364
+# Standard deviations before the fit: of the relative change of the PSF's width, of the scale of the
+# motion about that of POS_CORR, and of the motion in a file about that in the first one, relative.
+_FOCUS_PRIOR, _SCALE_PRIOR, _MAP_PRIOR = 0.05, 0.02, 0.3
 # Standard deviation of positions about POS_CORR that are nothing but its map, pixels: a tenth of
 # the photon noise of a centroid at Kp 9 (0.6 px / sqrt(4e9 electrons)).
 _PATH_ERROR = 1e-6
-# Largest step of a position, pixels.
-LARGEST_MOVE = 0.3
-# Standard deviation of the motion in a file about that in the first one, relative.
-_MAP_PRIOR = 0.3
-# How far another star may be from its first guess, pixels.
-_STAR_MOVE = 1.0
+# Largest step of a position, and how far another star may be from its first guess, pixels.
+LARGEST_MOVE, _STAR_MOVE = 0.3, 1.0
 
 
 @dataclass(frozen=True, kw_only=True, repr=False, eq=False)
@@ -179,8 +173,7 @@ class Problem:
 
     @cached_property
     def _given_weight(self):
-        good = np.isfinite(self._joined("flux"))
-        return np.where(good, 1 / np.where(good, self._joined("flux_err"), 1.0), 0.0)
+        return np.nan_to_num(1 / self._joined("flux_err"))
 
     @cached_property
     def weight(self):
@@ -253,11 +246,10 @@ class Problem:
     def parameters(self):
         result = [*self._of_shape]
         for i, axis in enumerate("xy" if self.position_error is not None else ()):
-            scale = {"kind": "slope", "prior": self.options.scale_error}
-            result += [
-                FitParameter(f"{axis}_const", "position"),
-                *(FitParameter(f"{axis}_by_corr{j + 1}", **scale, center=i == j) for j in (0, 1)),
-            ]
+            result.append(FitParameter(f"{axis}_const", "position"))
+            for j in (0, 1):
+                prior = {"prior": self.options.scale_error, "center": float(i == j)}
+                result.append(FitParameter(f"{axis}_by_corr{j + 1}", "slope", **prior))
         for i in range(1, len(self.stamps)):
             for axis, of in ("xx", "xy", "yx", "yy"):
                 prior = {"prior": _MAP_PRIOR, "center": axis == of, "start": float(axis == of)}
@@ -266,9 +258,9 @@ class Problem:
             for axis, start in (("x", star.x), ("y", star.y)):
                 reach = start - _STAR_MOVE, start + _STAR_MOVE, LARGEST_MOVE
                 result.append(FitParameter(f"{axis}_star_{k}", "position", *reach, start=start))
-        names = [f"flux_star_{k}" for k, star in enumerate(self.stars) if star.constant]
+        names = [_flux_of(k) for k, star in enumerate(self.stars) if star.constant]
         if self.options.background == "constant":
-            names += [_numbered("background", i) for i in range(len(self.stamps))]
+            names += map(_background_of, range(len(self.stamps)))
         result += [FitParameter(name, "flux") for name in names]
         n_focus = self.focus_basis.shape[1]
         result += [FitParameter(f"focus_{i}", "focus", prior=_FOCUS_PRIOR) for i in range(n_focus)]
@@ -281,9 +273,9 @@ class Problem:
     @cached_property
     def columns(self):
         """Names of the parameters of a cadence."""
-        fluxes = (_numbered("flux", k) for k, s in enumerate(self.stars) if not s.constant)
+        fluxes = (_flux_of(k) for k, star in enumerate(self.stars) if not star.constant)
         number = len(self.stamps) if self.options.background == "cadence" else 0
-        return ("x", "y", *fluxes, *(_numbered("background", i) for i in range(number)))
+        return ("x", "y", *fluxes, *map(_background_of, range(number)))
 
     @cached_property
     def index(self):
@@ -293,10 +285,10 @@ class Problem:
         stars, files = range(len(self.stars)), range(len(self.stamps))
         places = [number.get(f"x_star_{i}", 0) - k for i in stars]
         maps = [number.get(f"x_by_x_{i}", 0) - k for i in files]
-        fluxes = (number.get(f"flux_star_{i}", number.get(_numbered("flux", i))) for i in stars)
-        backgrounds = (number.get(_numbered("background", i)) for i in files)
+        backgrounds = (number.get(_background_of(i)) for i in files)
         return SimpleNamespace(
-            fluxes=list(fluxes), backgrounds=[c for c in backgrounds if c is not None],
+            fluxes=[number[_flux_of(i)] for i in stars],
+            backgrounds=[c for c in backgrounds if c is not None],
             places=[slice(i, i + 2) for i in places], maps=[slice(i, i + 4) for i in maps],
         )  # fmt: skip
 
@@ -327,7 +319,7 @@ class Problem:
         squares[self._given_weight == 0] = np.nan
         # Medians: neither cosmic rays nor single bad pixels count.
         seen = np.any(self._given_weight, axis=0)
-        typical = np.median(np.nanmedian(squares[:, seen], axis=0)) / _MEDIAN_SQUARE
+        typical = np.median(np.nanmedian(squares[:, seen], axis=0)) / MEDIAN_SQUARE
         # Most parameters hang on the pixels with light, most pixels have none.
         light = self._light_parts
         n_light = 1 / np.sum(light**2)
@@ -434,13 +426,13 @@ class Problem:
             residual, design, light = self._linearize(state, part)
             weight = self.weight[part]
             residual *= weight
-            if self.options.loss == "linear":
-                cost += np.sum(residual**2)
-            else:
-                scaled = 1 + (residual / soft) ** 2
-                cost += 2 * soft**2 * np.sum(np.sqrt(scaled) - 1)
+            squares = residual**2
+            if self.options.loss == "soft_l1":
+                scaled = 1 + squares / soft**2
+                squares = 2 * soft**2 * (np.sqrt(scaled) - 1)
                 residual *= (factor := scaled**-0.25)
                 weight = weight * factor
+            cost += np.sum(squares)
             design *= weight
             add(part, residual, design)
             if self.n_pixels:
@@ -513,6 +505,9 @@ def median_image(cube):
     return image
 
 
-def _numbered(name, k):
-    """Name of what belongs to star or file k; that of the first one has no number."""
-    return f"{name}_{k}" if k else name
+def _flux_of(star):
+    return f"flux_star_{star}" if star else "flux"
+
+
+def _background_of(file):
+    return f"background_{file}" if file else "background"

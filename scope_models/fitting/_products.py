@@ -1,10 +1,12 @@
-"""The file of a fit, the twin of its star, and profiles of the sensitivity."""
+"""The file of a fit, the twin of its star, and shapes with errors to first order."""
 
 import json
 
 import numpy as np
 from astropy.stats import mad_std
+from astropy.table import Table
 from scipy.ndimage import median_filter, uniform_filter1d
+from scipy.optimize import least_squares
 
 from scope_models._arrays import native
 from scope_models._checks import checked_choice
@@ -13,7 +15,7 @@ from scope_models.fitting import _parameters
 from scope_models.io._opening import RefusedError, making, open_fits
 from scope_models.io.tpf import write_hdulist
 from scope_models.missions import MISSIONS
-from scope_models.models import PRF, SensitivityPolynomial
+from scope_models.models import PRF, BivariateGaussianPSF, SensitivityPolynomial
 from scope_models.models._description import describe_model, make_model, packed, unpacked
 from scope_models.models._parameters import numbers_of
 from scope_models.scene._files import describe_effect, make_effect
@@ -24,7 +26,8 @@ from scope_models.scene.scene import Scene
 from scope_models.scene.star import Star
 
 __all__ = [
-    "SMOOTHING_DAYS", "make_scene", "read_fit", "sensitivity_profiles", "smoothed", "write_fit",
+    "SMOOTHING_DAYS", "make_scene", "psf_image", "psf_shape", "read_fit", "sensitivity_profiles",
+    "smoothed", "write_fit",
 ]  # fmt: skip
 
 _CREATOR, _VERSION = "scope_models fit", 2
@@ -37,6 +40,12 @@ _FAINT = 0.05
 _FEWEST_CADENCES = 20
 # Bands of frequency in which power is compared with that of the noise.
 _BANDS = 40
+# Step of a derivative in errors of the parameter, and at most.
+_STEP, _LARGEST_STEP = 0.05, 1e-3
+# Pixels from the center to which the contour may reach; directions and radii in which it is sought.
+_REACH, _DIRECTIONS, _RADII = 8.0, 90, 801
+# Part of all light that any pixel may hold besides the image of a Gaussian.
+_EVERYWHERE = 0.003
 
 
 def write_fit(fit, path, *, overwrite):
@@ -48,13 +57,12 @@ def write_fit(fit, path, *, overwrite):
     primary.header["FITVERS"] = (_VERSION, "version of this format")
     columns = []
     for column in fit.cadences.itercols():
-        name, unit = column.name.upper(), str(column.unit or "") or None
-        unit = "e-/s" if unit == "electron / s" else unit  # FITS has no electron
+        unit = {"": None, "electron / s": "e-/s"}  # FITS has no electron
+        unit = unit.get(text := str(column.unit or ""), text)
         kind = {"i": "K", "u": "K", "b": "L"}.get(column.dtype.kind, "D")
-        parts = [column] if column.ndim == 1 else column.T
-        names = [name] if column.ndim == 1 else [f"{name}1", f"{name}2"]
-        for key, part in zip(names, parts, strict=True):
-            columns.append(fits.Column(key, kind, unit=unit, array=np.asarray(part)))
+        for number, part in enumerate(np.atleast_2d(column.T), start=1):
+            name = f"{column.name.upper()}{number if column.ndim > 1 else ''}"
+            columns.append(fits.Column(name, kind, unit=unit, array=np.asarray(part)))
     neighbors = np.array([list(vars(star).values()) for star in fit.neighbors], dtype=float)
     text = np.frombuffer(json.dumps(_description(fit)).encode(), dtype=np.uint8)
     hdus = [
@@ -101,18 +109,17 @@ def _fields_of(hdus):
     shares = ({name: unpacked(v) for name, v in one.items()} for one in described["response"])
     response = tuple(PixelShares(**values) for values in shares)
     statistics = {name: described.get(name, np.nan) for name in _parameters.STATISTICS}
-    options = described["options"]
-    if options["interpixel"] is None:
-        options["interpixel"] = np.inf
+    if described["options"]["interpixel"] is None:
+        described["options"]["interpixel"] = np.inf
     free = [*map(_parameters.FitParameter, described["names"], described["kinds"])]
     parameters = _parameters.parameter_table(
         model, free, described["parameters"], values["covariance"], described["at_bounds"],
         statistics, response=bool(response),
     )  # fmt: skip
-    return values | {
+    kept = {name: described[name] for name in ("options", "time_format", "meta")}
+    return values | kept | {
         "model": model, "parameters": parameters, "cadences": _parameters.cadence_table(columns),
-        "neighbors": tuple(_parameters.FittedStar(*star) for star in cube), "options": options,
-        "time_format": described["time_format"], "meta": described["meta"], "response": response,
+        "neighbors": tuple(_parameters.FittedStar(*star) for star in cube), "response": response,
         "detector": Detector(**detector, interpixel=np.maximum(values["interpixel"], 0.0)),
         "statistics": statistics,
     }  # fmt: skip
@@ -146,16 +153,15 @@ def _description(fit):
 
 
 def make_scene(fit, positions, signal):
-    common = isinstance(positions, Motion)
+    common, path = isinstance(positions, Motion), fit.pos_corr
     if not common:
         checked_choice("positions", positions, ("fitted", "path"))
     checked_choice("signal", signal, ("smooth", "fitted", "constant"))
     xy = np.column_stack([fit.x, fit.y])
-    if fit.response and fit.pos_corr is not None:
-        for axis, error in enumerate((fit.x_err, fit.y_err)):
-            path = fit.pos_corr[:, axis]
-            xy[:, axis] = path + denoised(fit, xy[:, axis] - path, error)
-    path = fit.pos_corr
+    if fit.response and path is not None:
+        errors = fit.x_err, fit.y_err
+        parts = zip(path.T, xy.T, errors, strict=True)
+        xy = np.column_stack([p + denoised(fit, place - p, error) for p, place, error in parts])
     if common:
         path, _ = offsets_at(positions, fit.time, fit.time_format, fit.meta, fit.shape)
     if common or positions == "path":
@@ -168,8 +174,7 @@ def make_scene(fit, positions, signal):
     if flux <= 0:
         raise ValueError(f"the star has no flux to simulate: its median is {flux:g} e-/s")
     detector = fit.detector.replace(read_noise=_read_noise(fit))
-    middle = np.median(xy, axis=0).tolist()
-    stars = []
+    middle, stars = np.median(xy, axis=0).tolist(), []
     for star in (fit, *fit.neighbors):
         *place, light = (float(np.median(values)) for values in (star.x, star.y, star.flux))
         if light > 0:
@@ -182,8 +187,7 @@ def make_scene(fit, positions, signal):
     if fit.response:
         left = denoised(fit, fit.background, fit.background_err)
         effects += (*fit.response, Background(left=left))
-    identity = _identity(fit.meta, detector.mission)
-    return Scene(stars, detector, motion, effects=effects, **identity)
+    return Scene(stars, detector, motion, effects=effects, **_identity(fit.meta, detector.mission))
 
 
 def _identity(cards, mission):
@@ -205,9 +209,10 @@ def _identity(cards, mission):
 def _signal(fit, kind):
     if kind == "constant":
         return None
-    relative = fit.flux / np.median(fit.flux)
+    typical = np.median(fit.flux)
+    relative = fit.flux / typical
     if kind == "smooth" and fit.response:
-        relative = denoised(fit, fit.flux, fit.flux_scatter) / np.median(fit.flux)
+        relative = denoised(fit, fit.flux, fit.flux_scatter) / typical
     elif kind == "smooth":
         # Sums of pixels: unlike fitted fluxes they do not depend on errors of the PSF.
         cubes = (cube - fit.background[:, None, None] for cube in (fit.observed, fit.fitted))
@@ -263,10 +268,110 @@ def sensitivity_profiles(fit):
     for axis in "xy":
         powers = {name: offset**power for name, (of, power) in model.powers.items() if of == axis}
         value = sum(getattr(model, name).value * term for name, term in powers.items())
-        free = [name for name in powers if name in fit.names]
+        free = [name for name in fit.names if name in powers]
         index = [fit.names.index(name) for name in free]
         terms = np.array([powers[name] for name in free]).reshape(-1, len(offset))
         variance = np.einsum("iu,ij,ju->u", terms, fit.covariance[np.ix_(index, index)], terms)
         known = all(fit.errors[name] > 0 for name in free)
         profiles[axis] = value, np.sqrt(np.maximum(variance, 0.0)) if known else variance * np.nan
     return profiles
+
+
+def _with_slopes(fit, measure):
+    """Return a measure of the PSF, and its derivatives by the free parameters, ``(s, ...)``."""
+    value = measure(fit.psf)
+    slopes = np.zeros((len(fit.names), *value.shape))
+    for slope, name in zip(slopes, fit.names, strict=True):
+        if name in fit.model.param_names and fit.errors[name] > 0:
+            model, step = fit.model.copy(), min(_STEP * fit.errors[name], _LARGEST_STEP)
+            setattr(model, name, fit.values[name] + step)
+            slope[:] = (measure(fit.replace(model=model).psf) - value) / step
+    return value, slopes
+
+
+def psf_image(fit, half=3.0, samples=121):
+    """Offsets of a grid about the star, the density there over its largest value, and its error."""
+    offset = np.linspace(-half, half, samples)
+    density, slopes = _with_slopes(fit, lambda psf: np.asarray(psf(*np.meshgrid(offset, offset))))
+    variance = np.einsum("iyx,ij,jyx->yx", slopes, fit.covariance, slopes, optimize=True)
+    return offset, density / density.max(), np.sqrt(np.maximum(variance, 0.0)) / density.max()
+
+
+def psf_shape(fit):
+    """Return the table that `TPFFit.psf_shape` describes."""
+    if fit.response:
+        moments, covariance = _moments_of_shares(fit)
+    else:
+        offset, density, _ = psf_image(fit, 2.0, 81)
+        row, column = np.unravel_index(np.argmax(density), density.shape)
+        center = offset[column], offset[row]
+        moments, slopes = _with_slopes(fit, lambda psf: _moments(psf, *center))
+        covariance = slopes.T @ fit.covariance @ slopes
+    values = _axes(moments)
+    # Small steps, for the axes of a circle have no direction.
+    steps = np.minimum(_STEP * np.sqrt(np.diag(covariance)) + 1e-12, _LARGEST_STEP * moments[0])
+    by = np.transpose([_axes(moments + step) - values for step in np.diag(steps)])
+    by[-1] = (by[-1] + 90) % 180 - 90
+    errors = np.sqrt(np.einsum("ai,ij,aj->a", by / steps, covariance, by / steps))
+    names = ("fwhm", "fwhm_major", "fwhm_minor", "ellipticity", "angle")
+    columns = {"name": names, "value": values, "error": errors}
+    table = Table(columns | {"unit": ("pix", "pix", "pix", "", "deg")})
+    table["value"].info.format, table["error"].info.format = ".4g", ".2g"
+    return table
+
+
+def _moments_of_shares(fit):
+    """Moments of the Gaussian that fits the typical shares, and their covariance."""
+    x, y, time = (np.median(values) for values in (fit.x, fit.y, fit.time))
+    shares = fit.model.unit_images(fit.shape, x, y) + fit.response[0].changes([x], [y], [time])[0]
+    used = np.isfinite(fit.fitted).any(axis=0)
+    # The pixels scatter about it by one part of their light, and of all light in faint ones.
+    weight = used / (np.abs(shares) + _EVERYWHERE)
+    gaussian = PRF(BivariateGaussianPSF())
+
+    def residual(values):
+        gaussian.parameters = values
+        return (weight * (gaussian.unit_images(fit.shape) * values[0] - shares))[used]
+
+    lower = [0.0, x - 2, y - 2, *[0.1] * 2, -0.95]
+    upper = [2.0, x + 2, y + 2, *[10.0] * 2, 0.95]
+    found = least_squares(residual, [1.0, x, y, 0.5, 0.5, 0.0], bounds=(lower, upper))
+    sigma_x, sigma_y, rho = found.x[3:]
+    # Mostly the bright pixels determine the Gaussian: their number, and how far they scatter.
+    light = np.abs(shares)[used]
+    number = light.sum() ** 2 / np.sum(light**2)
+    variance = (light @ found.fun**2) / light.sum() * number / max(number - len(found.x), 1)
+    covariance = variance * np.linalg.pinv(found.jac.T @ found.jac)[3:, 3:]
+    # Of the area above half of the largest value, of a Gaussian.
+    unit = np.log(4) / 4
+    by = np.diag([2 * sigma_x, 2 * sigma_y, sigma_x * sigma_y])
+    by[2, :2] = rho * sigma_y, rho * sigma_x
+    moments = np.array([sigma_x**2, sigma_y**2, rho * sigma_x * sigma_y])
+    return unit * moments, unit**2 * by @ covariance @ by.T
+
+
+def _moments(psf, x, y):
+    """Second moments xx, yy and xy of the area above half of the value in the center."""
+    angle = np.arange(_DIRECTIONS) * (2 * np.pi / _DIRECTIONS)
+    cos, sin = np.cos(angle), np.sin(angle)
+    radii = np.linspace(0, _REACH, _RADII)
+    density = np.asarray(psf(x + np.outer(radii, cos), y + np.outer(radii, sin)))
+    above = density - density[0] / 2
+    first = np.argmax(above < 0, axis=0)
+    if not first.all():
+        return np.full(3, np.nan)
+    inner, outer = np.take_along_axis(above, np.stack([first - 1, first]), axis=0)
+    r = radii[first] - radii[1] * outer / (outer - inner)
+    area = np.mean(r**2) / 2
+    mean = [np.mean(r**3 * part) / (3 * area) for part in (cos, sin)]
+    squares = [np.mean(r**4 * part) / (4 * area) for part in (cos * cos, sin * sin, cos * sin)]
+    return np.array(squares) - [mean[0] ** 2, mean[1] ** 2, mean[0] * mean[1]]
+
+
+def _axes(moments):
+    """Return the rows of the table for an ellipse with these second moments."""
+    xx, yy, xy = moments
+    half, turned = (xx + yy) / 2, np.hypot((xx - yy) / 2, xy)
+    major, minor = 4 * np.sqrt(half + turned), 4 * np.sqrt(half - turned)
+    angle = np.degrees(np.arctan2(2 * xy, xx - yy)) / 2
+    return np.array([np.sqrt(major * minor), major, minor, 1 - minor / major, angle])

@@ -13,40 +13,35 @@ from astropy.stats import mad_std
 from scipy.linalg import cho_factor, cho_solve
 
 from scope_models.effects.shares import PixelShares, polynomial_terms, polynomials, scaled_to
-from scope_models.fitting._parameters import cadence_table
-from scope_models.fitting._problem import UNTRUE, State, median_image
+from scope_models.fitting._parameters import cadence_table, parameter_table
+from scope_models.fitting._problem import MEDIAN_SQUARE, UNTRUE, State, median_image
 from scope_models.fitting._solver import Errors, psf_covariance
 from scope_models.fitting._start import centroids, linear_start, solved
 from scope_models.fitting.result import fitted_fields
 
 __all__ = ["fit_response"]
 
-# Degrees in position and time that are tried, one after the other.
+# Degrees in position and time that are tried, one after the other; coefficients in a pixel of many
+# stars at most: time goes with their square.
 _LADDER = ((1, 1), (2, 2), (3, 3), (4, 4), (5, 6), (6, 8), (8, 8), (10, 8))
-# Coefficients in a pixel of many stars: time goes with their square.
 _MOST_TERMS = 450
 # Multiplications at most in all steps, half of them for the choice: 30 s, for one core makes 0.8 to
 # 1.0e10 a second with 6 to 108 terms if a step's cadences take as many as the shares of 80 terms.
 _MOST_WORK, _CADENCE_TERMS = 3e11, 80
-# Steps on each rung, and by how much the next one must lower the cost of held-out cadences.
-_TRIAL_STEPS, _LEAST_GAIN = 4, 1e-2
-# Cost per pixel of the held-out cadences from which a model is far off.
-_FAR = 2.0
-# Every tenth cadence is held out, from the sixth on.
-_EVERY, _FIRST = 10, 5
-# Cadences that a response needs.
-_FEWEST = 20
-# Standard deviation of positions about POS_CORR: pixels, and parts of the motion, at most.
-_POSITION_ERROR, _POSITION_PART = 0.1, 0.5
-# ... where positions are free.
-_LOOSE = 10.0
+# Steps on each rung, and by how much the next one must lower the cost of held-out cadences, unless
+# their cost per pixel is that of a model that is far off.
+_TRIAL_STEPS, _LEAST_GAIN, _FAR = 4, 1e-2, 2.0
+# Every tenth cadence is held out, from the sixth on; cadences that a response needs.
+_EVERY, _FIRST, _FEWEST = 10, 5, 20
+# Standard deviation of positions about POS_CORR: pixels, and parts of the motion, at most; where
+# positions are free.
+_POSITION_ERROR, _POSITION_PART, _LOOSE = 0.1, 0.5, 10.0
 # Standard deviations of the shares to begin with, relative to a pixel's share plus a part of all
 # light that every pixel may hold; smallest one.
 _FIRST_PRIOR, _EVERYWHERE, _LEAST_PRIOR = 0.3, 0.003, 1e-6
-# Pixels beyond so many errors are hits, unless so large a part of the pixel's values is.
-_HIT, _MOST_HITS = 5.0, 0.02
-# Cadences beyond so many robust standard deviations of chi-squared are outliers.
-_OUTLIER = 6.0
+# Pixels beyond so many errors are hits, unless so large a part of the pixel's values is. Cadences
+# beyond so many robust standard deviations of chi-squared are outliers.
+_HIT, _MOST_HITS, _OUTLIER = 5.0, 0.02, 6.0
 # Motion that agrees with POS_CORR so well is put on its scale.
 _LEAST_R2, _SCALES = 0.5, (0.5, 2.0)
 # Largest steps of a position, pixels; change of the cost that is none, relative and in parts of its
@@ -68,7 +63,7 @@ class _Shares:
 
     def __init__(self, problem, state, center, error):
         self.problem, self.center, self.error = problem, center, error
-        #: Values, weights, and masks of the cadences in use and of those that are held out.
+        # Values, weights, and masks of the cadences in use and of those that are held out.
         self.state, self.weight = state, problem.weight
         self.used, self.held = np.ones(len(center), dtype=bool), np.zeros(len(center), dtype=bool)
         self.held[_FIRST::_EVERY] = True
@@ -76,15 +71,13 @@ class _Shares:
         pad, time = _PAD[0] * (high - low) + _PAD[1], problem.data.time
         last = max(time.max(), time.min() + 1)
         self.ranges = (*zip(low - pad, high + pad, strict=True), (time.min(), last))
-        weight = problem.weight
-        errors = np.array([1 / np.median(w[w > 0]) if w.any() else np.inf for w in weight.T])
+        errors = np.array([1 / np.median(w[w > 0]) if w.any() else np.inf for w in self.weight.T])
         # Images of the PSF, with their derivatives, and where each cadence was then.
-        self.images, self.places = [], np.full((len(weight), 2), np.inf)
-        #: Typical share of each star in a pixel, and its change: 0 where another
-        #: star than the first of its file has too little light to learn from.
-        self.size, self.unit = [], []
-        #: Effect of a common factor, and the weights of the sum that stays the PSF's.
-        self.gauges = []
+        self.images, self.places = [], np.full((len(center), 2), np.inf)
+        # Typical share of each star in a pixel; its change, 0 where another star than the first of
+        # its file has too little light to learn from; effect of a common factor, and the weights
+        # of the sum that stays the PSF's.
+        self.size, self.unit, self.gauges = [], [], []
         stamps = [star.stamp for star in problem.stars]
         self.firsts = [stamps.index(stamp) for stamp in range(len(problem.stamps))]
         for k, star in enumerate(problem.stars):
@@ -94,14 +87,14 @@ class _Shares:
             faint = errors[problem.slices[star.stamp]] / abs(np.median(problem.fluxes(state, k)))
             parts = size * learns
             share = parts / (parts + _FAINT * faint)
-            self.images.append(np.zeros((3, len(weight), size.size)))
+            self.images.append(np.zeros((3, len(center), size.size)))
             self.size.append(size)
             self.unit.append((size + _EVERYWHERE) * learns)
             self.gauges.append((parts / (parts @ share), share))
         self.degrees, self.terms = (0, 0), polynomial_terms(0, 0)
         self.width = np.array([_FIRST_PRIOR])
         self.values = [np.zeros((1, size.size)) for size in self.size]
-        self.covariance, self.n_free = [None] * weight.shape[1], 0.0
+        self.covariance, self.n_free = [None] * self.weight.shape[1], 0.0
 
     @property
     def order(self):
@@ -125,8 +118,8 @@ class _Shares:
         scaled = [scaled_to(v, limits) for v, limits in zip(values, self.ranges, strict=True)]
         value, *slopes = polynomials(self.terms, *scaled)
         for axis in (0, 1):
-            inside = np.abs(scaled[axis]) < 1
-            slopes[axis] *= np.where(inside, 2 / np.ptp(self.ranges[axis]), 0.0)[:, np.newaxis]
+            rate = np.where(np.abs(scaled[axis]) < 1, 2 / np.ptp(self.ranges[axis]), 0.0)
+            slopes[axis] *= rate[:, np.newaxis]
         return value, *slopes
 
     def psf(self):
@@ -139,8 +132,8 @@ class _Shares:
                 image, by = self.problem.unit_images(self.state, some, k, derivatives=True)
                 part[:, some] = image, *by[:2]
         self.places[moved] = xy[moved]
-        away = (xy - self.places).T[..., np.newaxis]
-        return [(p[0] + away[0] * p[1] + away[1] * p[2], p[1], p[2]) for p in self.images]
+        right, up = (xy - self.places).T[..., np.newaxis]
+        return [(image + right * x + up * y, x, y) for image, x, y in self.images]
 
     def residual(self, *, slopes=False):
         """Data less model ``(n, p)``, and derivatives of the model by the columns of cadences."""
@@ -211,8 +204,8 @@ class _Shares:
         """Typical share of each pixel over that of the PSF, less 1, ``(p,)``."""
         light = np.zeros((2, self.weight.shape[1]))
         for k, star in enumerate(self.problem.stars):
-            flux = np.median(self.problem.fluxes(self.state, k))
-            parts = flux * np.array([self.values[k][0], self.size[k]])
+            parts = np.array([self.values[k][0], self.size[k]])
+            parts *= np.median(self.problem.fluxes(self.state, k))
             light[:, self.problem.slices[star.stamp]] += parts
         return light[0] / np.maximum(light[1], _LEAST_PRIOR)
 
@@ -239,14 +232,13 @@ class _Shares:
         corr, used, cadence = self.problem.data.pos_corr, self.used, self.state.cadence.copy()
         if corr is None or not corr.std(axis=0).all():
             return
-        basis = self.problem.basis
-        for axis in (0, 1):
-            away = cadence[:, axis] - self.center[:, axis]
-            slopes = np.linalg.lstsq(basis[used], away[used], rcond=None)[0]
-            rest = away[used] - basis[used] @ slopes
-            agreement = 1 - rest.var() / max(cadence[used, axis].var(), 1e-300)
-            if agreement > _LEAST_R2 and _SCALES[0] < 1 + slopes[1 + axis] < _SCALES[1]:
-                cadence[:, axis] -= basis @ slopes
+        basis, away = self.problem.basis, cadence[:, :2] - self.center
+        slopes = np.linalg.lstsq(basis[used], away[used], rcond=None)[0]
+        rest = (away - basis @ slopes)[used].var(axis=0)
+        agrees = rest < (1 - _LEAST_R2) * cadence[used, :2].var(axis=0)
+        scale = 1 + np.diag(slopes[1:])
+        agrees &= (_SCALES[0] < scale) & (scale < _SCALES[1])
+        cadence[:, :2] -= basis @ (slopes * agrees)
         self.state = replace(self.state, cadence=cadence)
 
     def costs(self, weight):
@@ -259,7 +251,7 @@ class _Shares:
         good = self.problem.weight > 0
         squares = (self.problem.weight * self.residual()) ** 2
         typical = median_image(np.where(good, squares, np.nan))
-        hit = squares > _HIT**2 * np.maximum(typical / 0.455, 1.0)
+        hit = squares > _HIT**2 * np.maximum(typical / MEDIAN_SQUARE, 1.0)
         hit &= hit[self.used].mean(axis=0) <= _MOST_HITS
         # Where many pixels are hit, the cadence is wrong and not the pixel.
         hit &= (hit.sum(axis=1) <= max(0.1 * good.shape[1], 2))[:, np.newaxis]
@@ -270,15 +262,15 @@ class _Shares:
     def climb(self, steps, report):
         """Fit shares and cadences in turn; return whether the cost has settled, and the steps."""
         before = np.inf
-        for number in range(steps):
+        for number in range(1, steps + 1):
             for step in (self.update, self.improve, self.put_on_path, self.leave_out):
                 step()
             cost = float(self.costs(self.weight)[self.used & ~self.held].sum())
             if report is not None:
                 report(cost)
             small = max(_SAME * cost, _SMALL * np.sqrt(self.weight.size))
-            if number > 2 and abs(before - cost) < small:
-                return True, number + 1
+            if number > 3 and abs(before - cost) < small:
+                return True, number
             before = cost
         return False, steps
 
@@ -311,8 +303,9 @@ def _choose(shares, report):
     return best, steps, max(int(left), _TRIAL_STEPS)
 
 
-def fit_response(problem, few, state, fits, report=None):
-    """Return a `TPFFit` per file with responses of pixels, from the fit of ``few`` cadences."""
+def fit_response(problem, solution, fits, report=None):
+    """Return a `TPFFit` per file with responses of pixels, from the fit of few cadences."""
+    few, state = solution.problem, solution.state
     if (n := len(problem.flux)) < _FEWEST:
         raise ValueError(f'`tpf` has {n} cadences; response="pixels" needs {_FEWEST} or more')
     corr = problem.data.pos_corr
@@ -332,7 +325,7 @@ def fit_response(problem, few, state, fits, report=None):
     settled, more = shares.climb(most, report)
     shares.improve(steps=3)
     errors, n_free = _errors(shares)
-    psf = psf_covariance(few, state, shares.responses())
+    psf = psf_covariance(solution, shares.responses())
     ended = {"converged": settled, "n_steps": steps + more}
     return [_result(shares, errors, psf, n_free, *pair, **ended) for pair in enumerate(fits)]
 
@@ -367,9 +360,9 @@ def _errors(shares):
 
 def _result(shares, errors, psf, n_free, number, fit, *, converged, n_steps):
     """Return the fit of the PSF to a file with the response of its pixels."""
-    problem, state, used, held = shares.problem, shares.state, shares.used, shares.held
+    problem, used, held = shares.problem, shares.used, shares.held
     modeled = problem.flux - shares.residual()
-    fields = fitted_fields(problem, state, errors, number, modeled, shares.weight)
+    fields = fitted_fields(problem, shares.state, errors, number, modeled, shares.weight)
     squares, columns = fields.pop("squares"), fields.pop("cadences")
     squares[~used] = np.nan
     n_data = np.isfinite(squares).sum(axis=(1, 2))
@@ -385,26 +378,26 @@ def _result(shares, errors, psf, n_free, number, fit, *, converged, n_steps):
         "converged": converged and fit.converged and not fit.at_bounds, "n_steps": n_steps,
         "chi2_held_out": float(np.nansum(squares[out]) / left),
     }  # fmt: skip
-    s, parameters = len(fit.names), fit.parameters.copy()
     covariance = psf * statistics["error_scale"] ** 2
-    known = np.isfinite(parameters["error"][:s])
-    parameters["error"][:s] = np.where(known, np.sqrt(np.diag(covariance)), np.nan)
-    response = np.isin(parameters["name"], list(fit.model.response_powers))
-    parameters["error"][response] = np.nan
-    stars = [k for k, star in enumerate(problem.stars) if star.stamp == number]
+    parameters = parameter_table(
+        fit.model, problem.parameters, shares.state.shared, covariance, fit.at_bounds, statistics,
+        response=True,
+    )  # fmt: skip
     return fit.replace(
         **fields, parameters=parameters, covariance=covariance, statistics=statistics,
         cadences=cadence_table(columns | {"held_out": held, "outliers": ~used}),
-        response=tuple(_effect(shares, k, place) for place, k in enumerate(stars)),
+        response=tuple(_effects(shares, number)),
     )  # fmt: skip
 
 
-def _effect(shares, star, number):
-    problem, state = shares.problem, shares.state
-    stamp = problem.stamps[problem.stars[star].stamp]
-    image = np.zeros((len(shares.terms), *stamp.shape))
-    image[:, stamp.pixels] = shares.values[star]
-    # The polynomials are those of the first star's position, wherever the others are.
-    away = (problem.xy(state, star) - problem.xy(state))[0]
-    columns, rows = (tuple(np.add(shares.ranges[i], away[i]).tolist()) for i in (0, 1))
-    return PixelShares(image, columns, rows, shares.ranges[2], *shares.degrees, star=number)
+def _effects(shares, stamp):
+    """Yield the effect of each star of a file."""
+    problem, state, pixels = shares.problem, shares.state, shares.problem.stamps[stamp].pixels
+    stars = [k for k, star in enumerate(problem.stars) if star.stamp == stamp]
+    for number, k in enumerate(stars):
+        image = np.zeros((len(shares.terms), *pixels.shape))
+        image[:, pixels] = shares.values[k]
+        # The polynomials are those of the first star's position, wherever the others are.
+        away = (problem.xy(state, k) - problem.xy(state))[0]
+        columns, rows = (tuple(np.add(shares.ranges[i], away[i]).tolist()) for i in (0, 1))
+        yield PixelShares(image, columns, rows, shares.ranges[2], *shares.degrees, star=number)

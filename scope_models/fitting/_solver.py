@@ -5,32 +5,29 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import block_diag
 
-from scope_models.fitting._problem import LARGEST_MOVE, NormalEquations, State
+from scope_models.fitting._problem import LARGEST_MOVE, NormalEquations, Problem, State
 
 __all__ = ["Errors", "Solution", "covariances", "psf_covariance", "solve"]
 
 # Less damping at the start lets a PSF that starts far off become a point, from which nothing leads
-# back.
-_FIRST_DAMPING, _LEAST_DAMPING, _LARGEST_DAMPING = 1e-1, 1e-8, 1e8
-# Damping where the start is the result of a fit.
-_LATER_DAMPING = 1e-3
-# Damping that makes a difference after a step that failed.
-_SOBER = 1e-5
+# back; damping where the start is the result of a fit.
+_FIRST_DAMPING, _LATER_DAMPING = 1e-1, 1e-3
+# Limits of the damping, and what makes a difference after a step that failed.
+_LEAST_DAMPING, _LARGEST_DAMPING, _SOBER = 1e-8, 1e8, 1e-5
 # A fit ends where an undamped step would lower the cost by less than this, absolutely or
 # relatively: all parameters together are within a tenth of a standard deviation of the minimum.
-_ABSOLUTE, _RELATIVE = 1e-2, 1e-6
-# ... the latter for a first guess.
-_LOOSE = 1e-4
-# Directions of the scaled matrix below this are not determined at all.
-_FLOOR = 1e-13
-# ... and below this their gradient is a rounding error.
-_KNOWN = 1e-11
+# The last one is the latter for a first guess.
+_ABSOLUTE, _RELATIVE, _LOOSE = 1e-2, 1e-6, 1e-4
+# Directions of the scaled matrix below this are not determined at all, and below the other one
+# their gradient is a rounding error.
+_FLOOR, _KNOWN = 1e-13, 1e-11
 
 
 @dataclass(frozen=True, eq=False)
 class Solution:
     """The state after the last iteration."""
 
+    problem: Problem
     state: State  # the best parameters
     equations: NormalEquations  # the expansion there
     converged: bool  # whether an undamped step would change next to nothing
@@ -56,10 +53,10 @@ def _outward(problem, shared, direction):
 
 def _directions(problem, held, only):
     """Directions in which shared parameters and map may move, ``(m, r)``: not what is held."""
-    free = ~held if only is None else only & ~held
-    still = np.zeros((problem.n_pixels, 0))
-    response = problem.free_response if only is None else still
-    return block_diag(np.eye(problem.n_shared)[:, free], response)
+    response = problem.free_response
+    if only is not None:
+        held, response = held | ~only, response[:, :0]
+    return block_diag(np.eye(problem.n_shared)[:, ~held], response)
 
 
 def _damped(matrix, damping):
@@ -189,16 +186,17 @@ def solve(problem, state, max_steps, *, n_steps=0, only=None, loosely=False, rep
         before, near = near, converged()
         if before:  # one more step, beyond the tolerance
             break
-    return Solution(state, equations, bool(near), n_steps)
+    return Solution(problem, state, equations, bool(near), n_steps)
 
 
-def covariances(problem, solution):
+def covariances(solution):
     # The errors that are quoted, and the same weights of outliers.
+    problem, state = solution.problem, solution.state
     soft = problem.options.loss_scale * problem.error_scale / problem.misfit
     options = replace(problem.options, loss_scale=soft)
     problem = replace(problem, error_scale=problem.misfit, options=options)
-    state, equations = solution.state, problem.expand(solution.state)
-    matrix, gradient, _, _ = _eliminate(equations)
+    equations = problem.expand(state)
+    matrix, gradient, *_ = _eliminate(equations)
     basis = _directions(problem, _outward(problem, state.shared, gradient), None)
     shared = _inverse(matrix, equations.shared, basis)
     alone = np.linalg.inv(_damped(equations.cadence, 0.0))
@@ -210,10 +208,10 @@ def covariances(problem, solution):
     return Errors(shared, cadence, relative, mixed, np.zeros((len(problem.stars), 1)))
 
 
-def psf_covariance(problem, state, response):
+def psf_covariance(solution, response):
     """Covariance of shared parameters, of a fit without the responses ``(p,)`` found later."""
-    options = replace(problem.options, interpixel=np.inf)
-    problem = replace(problem, options=options, error_scale=1.0)
+    options, state = replace(solution.problem.options, interpixel=np.inf), solution.state
+    problem = replace(solution.problem, options=options, error_scale=1.0)
     equations = problem.expand(replace(state, interpixel=np.zeros(problem.n_pixels)))
     matrix, s = _eliminate(equations)[0], problem.n_shared
     basis = np.eye(s)[:, ~problem.at_bounds(state)]

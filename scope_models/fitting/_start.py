@@ -1,7 +1,7 @@
 """The pixels of a fit, its stars, and its starting values."""
 
 import warnings
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial, reduce
 from operator import add
 
@@ -14,7 +14,7 @@ from scope_models import models
 from scope_models._arrays import plain_array
 from scope_models.exceptions import FitWarning
 from scope_models.fitting._problem import State, median_image
-from scope_models.io.pixels import star_places, target_among, usable_positions
+from scope_models.io.pixels import PixelSeries, star_places, target_among, usable_positions
 
 __all__ = [
     "APART", "PixelData", "centroids", "find_stars", "is_faint", "linear_start", "located",
@@ -22,52 +22,44 @@ __all__ = [
 ]  # fmt: skip
 
 # A local maximum of the median image is a star if it is brighter than this part of the brightest
-# pixel, and than so many errors of the median image.
-_LEAST_PART, _LEAST_SIGNIFICANCE = 0.05, 10.0
-# Most stars that are found: time goes with their square.
-_MOST_FOUND = 11
+# pixel, and than so many errors of the median image. Most that are found: time goes with their
+# square.
+_LEAST_PART, _LEAST_SIGNIFICANCE, _MOST_FOUND = 0.05, 10.0, 11
 # Maxima so near a star are its own, pixels; and the half of a pixel within which a given star is
 # the target, whose coordinates may be of another epoch.
 APART, _ITSELF = 1.5, 0.5
 # Given stars farther outside of the pixels have no light in them, pixels.
 _FARTHEST = 5.0
 _SIGMAS, _FRACTIONS = (0.5, 1.1, 2.0), (0.7, 0.25, 0.05)
-# The empirical term: part of the flux, and width of its first function. From 0.7 to 0.8 the real
-# stars of the documentation are described best.
-_EMPIRICAL_FRACTION, _EMPIRICAL_SIGMA = 0.02, 0.75
-# Its order in the models of `make_rich_prfs`.
-_RICH_ORDER = 6
-# Pixels that are brighter than this part of the brightest one give the first positions.
-_BRIGHT = 0.1
-# ... within so many pixels of it, and where so high a percentile over the cadences is bright.
-_NEAR, _OFTEN = 2, 98
+# The empirical term: part of the flux, width of its first function, and order in the models of
+# `make_rich_prfs`. Widths from 0.7 to 0.8 describe the real stars of the documentation best.
+_EMPIRICAL_FRACTION, _EMPIRICAL_SIGMA, _RICH_ORDER = 0.02, 0.75, 6
+# Pixels that are brighter than this part of the brightest one give the first positions, within so
+# many pixels of it, and where so high a percentile over the cadences is bright.
+_BRIGHT, _NEAR, _OFTEN = 0.1, 2, 98
 # Stars fainter than this part of the target are constant by default.
 _FAINT = 0.1
 
 
-@dataclass(frozen=True, eq=False)
-class PixelData:
-    """Pixels and cadences of a target pixel file that a fit uses."""
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class PixelData(PixelSeries):
+    """Pixels and cadences of a target pixel file that a fit uses, NaN where they are not used.
 
-    time: np.ndarray  # (n,), days
-    cadenceno: np.ndarray
-    quality: np.ndarray
-    flux: np.ndarray  # (n, ny, nx), e-/s; NaN where not used
-    flux_err: np.ndarray
+    Unusable POS_CORR are interpolated, and None if there are fewer than three others.
+    """
+
     light: np.ndarray  # flux with saturated pixels, for the first guess of the positions
-    pos_corr: np.ndarray | None  # (n, 2), interpolated where it is unusable; None if absent
-    pos_err: np.ndarray | None  # (n, 2), infinite there; None if unknown
+    pos_err: np.ndarray | None  # (n, 2), infinite where POS_CORR is interpolated; None if unknown
     pixels: np.ndarray  # (ny, nx), bool: those with data
-    time_format: str
 
     @property
     def shape(self):
         return self.pixels.shape
 
     def __getitem__(self, cadences):
-        """Return the data of some cadences."""
-        values = [*vars(self).items()][:8]
-        return replace(self, **{k: v if v is None else v[cadences] for k, v in values})
+        error = self.pos_err if self.pos_err is None else self.pos_err[cadences]
+        own = {"light": self.light[cadences], "pos_err": error}
+        return super().__getitem__(cadences).replace(**own)
 
 
 def read_data(series, flux_err, detector, n_free, *, saturation, moved):
@@ -79,7 +71,7 @@ def read_data(series, flux_err, detector, n_free, *, saturation, moved):
     if flux_err is not None:
         error = plain_array(flux_err, u.electron / u.s, "flux_err")
     try:
-        error = np.array(np.broadcast_to(error, flux.shape))
+        error = np.broadcast_to(error, flux.shape)
     except ValueError:
         message = f"`flux_err` must broadcast to {flux.shape}, got shape {error.shape}"
         raise ValueError(message) from None
@@ -87,17 +79,16 @@ def read_data(series, flux_err, detector, n_free, *, saturation, moved):
     light = flux.copy()
     if saturation:
         _drop_saturated(flux, detector.full_flux)
-    good = np.isfinite(flux) & np.isfinite(error)
+    good = np.isfinite(flux)
     cadences = np.isfinite(series.time) & (good.sum(axis=(1, 2)) > n_free)
     if not cadences.any() or good.any(axis=0).sum() <= n_free:
         raise ValueError("`tpf` has no cadence with enough pixels to fit")
-    flux, error = (np.where(good, values, np.nan)[cadences] for values in (flux, error))
+    flux, error = flux[cadences], np.where(good, error, np.nan)[cadences]
     if not (median_image(flux) > 0).any():
         raise ValueError("no usable pixel of `tpf` has a positive median: there is no star to fit")
-    series = series[cadences]
     pos_corr, pos_err = (value if value is None else value[cadences] for value in moved)
-    usable = None if pos_corr is None else usable_positions(pos_corr)
-    if usable is None or usable.sum() < 3:
+    usable = False if pos_corr is None else usable_positions(pos_corr)
+    if np.sum(usable) < 3:
         pos_corr = pos_err = None
     else:  # straight lines over unusable cadences
         number = np.arange(len(usable))
@@ -105,11 +96,9 @@ def read_data(series, flux_err, detector, n_free, *, saturation, moved):
         pos_corr = np.column_stack(lines)
         if pos_err is not None:
             pos_err = np.where(usable[:, None], pos_err, np.inf)
-    return PixelData(
-        **{name: getattr(series, name) for name in ("time", "cadenceno", "quality", "time_format")},
-        flux=flux, flux_err=error, light=light[cadences], pos_corr=pos_corr, pos_err=pos_err,
-        pixels=np.isfinite(flux).any(axis=0),
-    )  # fmt: skip
+    values = {"flux": flux, "flux_err": error, "light": light[cadences], "pos_corr": pos_corr}
+    values |= {"pos_err": pos_err, "pixels": np.isfinite(flux).any(axis=0)}
+    return PixelData(**vars(series[cadences]) | values)
 
 
 def _drop_bad_errors(flux, error):
@@ -151,19 +140,11 @@ def read_places(stars, neighbors, series, *, several):
         given = [given] * len(series)
     if len(given) != len(series):
         raise ValueError(f"`{name}` must be positions for each of {len(series)} files")
-    found = [*map(partial(_positions, name), given, series)]
-    if name == "neighbors":
-        if isinstance(neighbors, str):
-            return [(None, positions, APART) for positions in found]
-        targets = map(_target_on_sky, given, series)
-        return [(*pair, _ITSELF) for pair in zip(targets, found, strict=True)]
-    if not all(map(len, found)):
-        raise ValueError("`stars` must have at least the target")
-    return [(positions[0], positions[1:], -np.inf) for positions in found]
+    return [*map(partial(_read_places, name), given, series)]
 
 
-def _positions(name, places, series):
-    """Return columns and rows of stars in a stamp, ``(k, 2)``, of `star_places` or "find"."""
+def _read_places(name, places, series):
+    target, own = None, APART
     if isinstance(places, str):
         if places != "find":
             raise ValueError(f'`{name}` must be positions or "find", got {places!r}')
@@ -174,28 +155,24 @@ def _positions(name, places, series):
             f"fitted; `{name}` takes the positions of more"
         )
     else:
-        found = star_places(name, places, series)
-        target = target_among(places, series) if name == "neighbors" else None
-        if target is not None:
-            found = found[np.hypot(*(found - target).T) > _ITSELF]
+        found, own = star_places(name, places, series), _ITSELF
         size = np.array(series.flux.shape[:0:-1])  # columns, rows
         kept = (np.abs(found - (size - 1) / 2) - size / 2 <= _FARTHEST).all(axis=1)
         if name == "stars":
             kept[:1] = True  # the target, which is checked against the pixels
+        elif (on_sky := target_among(places, series)) is not None:
+            itself = np.hypot(*(found - on_sky).T) <= _ITSELF
+            found, kept = found[~itself], kept[~itself]
+            peaks = find_stars(series.flux)
+            target = next(iter(peaks[np.hypot(*(peaks - on_sky).T) <= APART]), None)
         message = f"{(~kept).sum()} of `{name}` are far outside of the pixels and are left out"
     if not kept.all():
         warnings.warn(message, FitWarning, stacklevel=4)
-    return found[kept]
-
-
-def _target_on_sky(places, series):
-    """Return the maximum at the target's coordinates if places are on the sky, else None."""
-    target = target_among(places, series)
-    if target is None:
-        return None
-    peaks = find_stars(series.flux)
-    near = peaks[np.hypot(*(peaks - target).T) <= APART]
-    return near[0] if len(near) else None
+    if name == "neighbors":
+        return target, found[kept], own
+    if not kept.any():
+        raise ValueError("`stars` must have at least the target")
+    return found[0], found[1:][kept[1:]], -np.inf
 
 
 def located(data, target, others, own):
@@ -346,7 +323,7 @@ def centroids(data, place=None):
 
 
 def is_faint(data, target, other):
-    """Whether the light around a star is less than a tenth of that around the target."""
+    """Return whether the light around a star is less than a tenth of that around the target."""
     image = median_image(data.light)
     row, column = np.indices(image.shape)
     near = [image[np.hypot(column - x, row - y) <= 1.0].max(initial=0) for x, y in (target, other)]
@@ -355,26 +332,25 @@ def is_faint(data, target, other):
 
 def linear_start(problem, state):
     """Find the fluxes and backgrounds, in which the model is linear, with the rest of a state."""
-    shared, cadence, n_stars = state.shared.copy(), state.cadence.copy(), len(problem.stars)
-    stamps = problem.slices if problem.options.background == "cadence" else []
-    values = np.zeros((len(problem.flux), n_stars + len(stamps)))
+    shared, cadence, k = state.shared.copy(), state.cadence.copy(), len(problem.columns)
+    each = problem.options.background == "cadence"
+    columns = problem.index.fluxes + problem.index.backgrounds * each
+    values = np.zeros((len(problem.flux), len(columns)))
     for part in problem.chunks():
-        design = np.zeros((*problem.flux[part].shape, values.shape[1]))
-        for k, star in enumerate(problem.stars):
-            design[:, problem.slices[star.stamp], k] = problem.unit_images(state, part, k)
-        for i, pixels in enumerate(stamps):
-            design[:, pixels, n_stars + i] = 1.0
+        design = np.zeros((*problem.flux[part].shape, len(columns)))
+        for i, star in enumerate(problem.stars):
+            design[:, problem.slices[star.stamp], i] = problem.unit_images(state, part, i)
+        for i, pixels in enumerate(problem.slices if each else (), start=len(problem.stars)):
+            design[:, pixels, i] = 1.0
         weight = problem.weight[part]
         design = (design * weight[..., None]).transpose(0, 2, 1)
         right = design @ (weight * problem.flux[part])[..., None]
         values[part] = solved(design @ design.transpose(0, 2, 1), right)[..., 0]
-    for value, column in zip(values.T, problem.index.fluxes, strict=False):
-        if column < len(problem.columns):
+    for value, column in zip(values.T, columns, strict=True):
+        if column < k:
             cadence[:, column] = value
         else:  # of a constant star
-            shared[column - len(problem.columns)] = np.median(value)
-    if stamps:
-        cadence[:, -len(stamps) :] = values[:, n_stars:]
+            shared[column - k] = np.median(value)
     return State(shared, state.interpixel, cadence)
 
 

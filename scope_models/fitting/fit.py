@@ -35,10 +35,9 @@ _EXCESS = 5.0
 _POSITION_PART, _HELD = 0.1, 0.001
 # Part of the light in the stamp below which a model has invented it; every so many cadences.
 _LEAST_INSIDE, _SOME = 0.8, 10
-# Seconds after which a fit shows its progress.
-_PATIENCE = 5.0
-# How often errors are scaled, at most, where the model is not true.
-_RESCALINGS = 8
+# Seconds after which a fit shows its progress, and how often errors are scaled, at most, where the
+# model is not true.
+_PATIENCE, _RESCALINGS = 5.0, 8
 # So many images of stars and values of pixels at most, and cadences at least, give the first guess
 # for those of a long series.
 _FEW, _FEW_VALUES, _FEWEST = 300, 30_000, 50
@@ -185,10 +184,10 @@ def fit_tpf(
     with one_thread, solvable(), _progress_bar(progress) as bar:
         problem, detectors = _make_problem(series, places, prf, flux_err, options, motion)
         steps = partial(solve, report=bar)
-        response, tried, fitted = _fit_psf(problem, response, sensitivity, steps, **choice)
-        fits = make_results(*fitted, covariances(*fitted), detectors, series)
+        response, tried, solution = _fit_psf(problem, response, sensitivity, steps, **choice)
+        fits = make_results(solution, covariances(solution), detectors, series)
         if response == "pixels":
-            fits = fit_response(problem, fitted[0], fitted[1].state, fits, bar)
+            fits = fit_response(problem, solution, fits, bar)
     for flux in _rivals(tried, fits[0]):
         message = (
             f"another model describes the pixels as well, with a flux of {flux:.4g} e-/s in place "
@@ -203,7 +202,7 @@ def fit_tpf(
 
 
 def _fit_psf(problem, response, sensitivity, steps, *, any_psf, any_response):
-    """Return the kind of response, models that were tried, and the problem and its solution."""
+    """Return the kind of response, the solutions of all models of few cadences, and the best."""
     choice = {"any_psf": any_psf, "any_response": any_response}
     left = all(choice.values()) and sensitivity is None and problem.options.focus is None
     seen = _is_seen(problem)
@@ -213,12 +212,12 @@ def _fit_psf(problem, response, sensitivity, steps, *, any_psf, any_response):
         if not seen:  # no model is better than another
             candidates = [(next(candidates)[0], _FEW_STEPS)]
         tried = _tried(candidates, steps, few=any_psf, **choice)
-        few, guess = tried[0]
-        if not simple or _is_true(few, guess, strictly=True):
+        few = tried[0].problem
+        if not simple or _is_true(tried[0], strictly=True):
             if len(few.flux) == len(problem.flux):
                 return "psf", tried, tried[0]
             every, most = replace(few, stamps=problem.stamps), _MANY_STEPS if any_psf else np.inf
-            return "psf", tried, _fitted(every, steps, most if seen else 1, guess)
+            return "psf", tried, _fitted(every, steps, most if seen else 1, tried[0])
     # The PSF from which the pixels deviate.
     prfs = [_start.make_prf(1, None, 0), *_start.make_rich_prfs(None)] if any_psf else [problem.prf]
     plain = {"interpixel": 0.0, "loss": "soft_l1", **_held(problem)}
@@ -265,27 +264,27 @@ def _held(problem):
 
 
 def _tried(candidates, steps, *, few, any_psf, any_response):
-    """Fit models until one describes some of the pixels; return problems and solutions, by rank.
+    """Fit models until one describes some of the pixels; return the solutions by rank.
 
     They have the cadences that a choice needs; a guess, without ``few``, up to twice as many.
     """
     tried = []
     for problem, most in candidates:
         # A simpler model after a richer one takes its place where that one ends at a bound.
-        if tried and problem.n_shared < tried[-1][0].n_shared and not _ends(*tried[-1]):
+        if tried and problem.n_shared < tried[-1].problem.n_shared and not _ends(tried[-1]):
             continue
         values = _FEW_VALUES // problem.flux.shape[1]
         enough = max(min(_FEW // len(problem.stars), values), _FEWEST)
         every = max((len(problem.flux) + few * (enough - 1)) // enough, 1)
         thin = replace(problem, stamps=tuple(s[::every] for s in problem.stamps))
         tried.append(_fitted(thin, steps, most, doubtful=any_psf and any_response))
-        if _is_true(*tried[-1], strictly=any_psf):
+        if _is_true(tried[-1], strictly=any_psf):
             break
-    return sorted(tried, key=lambda item: _rank(*item))
+    return sorted(tried, key=_rank)
 
 
 def _fitted(problem, steps, most, guess=None, *, doubtful=False):
-    """Fit everything, with errors that are scaled to the residuals; return problem and solution.
+    """Fit everything, with errors that are scaled to the residuals; return the solution.
 
     After ``most`` steps the errors stay. ``guess``: the solution for some of the cadences, which
     constrain nearly as well what all share. ``doubtful``: a model that is not true with a response
@@ -306,53 +305,56 @@ def _fitted(problem, steps, most, guess=None, *, doubtful=False):
         scaled = problem.rescaled(solution.state)
         given_up = doubtful and problem.n_pixels > 0 and remaining < _RESCALINGS - 2
         if given_up and solution.converged and scaled.misfit > 1:
-            return scaled, solution
+            return replace(solution, problem=scaled)
         changed = scaled is not problem and remaining > 0 and solution.n_steps < most
         problem = scaled
         solution = steps(problem, solution.state, n_steps=solution.n_steps, loosely=changed)
         if not changed:
             break
-    return problem, solution
+    return solution
 
 
 def _rivals(tried, fit):
     """Fluxes, other than that of a fit, of models whose cost is as low as that of the best."""
-    costs = [solution.equations.cost * problem.error_scale**2 for problem, solution in tried]
-    chance = costs[0] * np.sqrt(2 / tried[0][0].dof)
-    error = np.hypot(np.median(fit.flux_err), np.median(fit.flux_scatter))
-    for (problem, solution), cost in zip(tried, costs, strict=True):
-        flux = np.median(problem.fluxes(solution.state))
-        strange = _rank(problem, solution)[1]
-        other = abs(flux - np.median(fit.flux)) > 3 * error
-        if abs(cost - costs[0]) < chance and not strange and other:
+    best, error = tried[0].problem, np.hypot(np.median(fit.flux_err), np.median(fit.flux_scatter))
+    costs = [found.equations.cost * found.problem.error_scale**2 for found in tried]
+    for found, cost in zip(tried, costs, strict=True):
+        flux = np.median(found.problem.fluxes(found.state))
+        as_good = abs(cost - costs[0]) < costs[0] * np.sqrt(2 / best.dof)
+        if as_good and abs(flux - np.median(fit.flux)) > 3 * error and not _is_strange(found):
             yield flux
 
 
-def _is_true(problem, solution, *, strictly=False):
+def _is_true(solution, *, strictly=False):
     """Whether the model describes the pixels, with a response that agrees with its prior."""
-    prior, response = problem.options.interpixel, solution.state.interpixel
-    agrees = not prior or np.std(response) <= LARGEST_SCATTER * prior
+    problem, prior = solution.problem, solution.problem.options.interpixel
+    agrees = not prior or np.std(solution.state.interpixel) <= LARGEST_SCATTER * prior
     excess = solution.equations.cost / problem.dof - 1
     enough = solution.converged and excess < _EXCESS * np.sqrt(2 / problem.dof)
     return problem.misfit == 1.0 and agrees and (enough or not strictly)
 
 
-def _ends(problem, solution):
+def _ends(solution):
     """Whether the solution is at a bound, or not converged."""
-    return bool(problem.at_bounds(solution.state).any()) or not solution.converged
+    return bool(solution.problem.at_bounds(solution.state).any()) or not solution.converged
 
 
-def _rank(problem, solution):
-    """Order of models: with a flux that is in the pixels, converged inside the bounds, and true."""
-    state = solution.state
+def _is_strange(solution):
+    """Whether the flux is not in the pixels."""
+    problem, state = solution.problem, solution.state
     light = np.median(problem.flux[:, problem.slices[0]].sum(axis=1))
-    strange = not 0 < np.median(problem.fluxes(state)) < LARGEST_FLUX * abs(light)
     images = problem.unit_images(state, slice(None, None, _SOME))
-    strange |= np.median(images.sum(axis=1)) < _LEAST_INSIDE
+    inside = np.median(images.sum(axis=1)) >= _LEAST_INSIDE
+    return not (inside and 0 < np.median(problem.fluxes(state)) < LARGEST_FLUX * abs(light))
+
+
+def _rank(solution):
+    """Order of models: with a flux that is in the pixels, converged inside the bounds, and true."""
+    problem = solution.problem
     # A free response between pixels describes errors of the PSF where the model is not true.
-    absorbs = bool(problem.options.interpixel) and not _is_true(problem, solution)
+    absorbs = bool(problem.options.interpixel) and not _is_true(solution)
     information = solution.equations.cost + problem.n_shared * np.log(problem.n_data)
-    return absorbs, strange, _ends(problem, solution), problem.misfit, information
+    return absorbs, _is_strange(solution), _ends(solution), problem.misfit, information
 
 
 def _make_problem(series, places, prf, flux_err, options, motion):
@@ -364,10 +366,10 @@ def _make_problem(series, places, prf, flux_err, options, motion):
     for item, (_, others, _) in zip(series, places, strict=True):
         changes = {} if item.mission else {"mission": "Kepler"}
         detectors.append(Detector.from_tpf(item, psf=None, sensitivity=None, **changes))
-        more, saturation = n_free + len(others), options.saturation
         moved = (item.pos_corr, None) if motion is None else motion.offsets(item)
-        given = {"saturation": saturation, "moved": moved}
-        stamps.append(_start.read_data(item, flux_err, detectors[-1], more, **given))
+        given = {"saturation": options.saturation, "moved": moved}
+        given["n_free"] = n_free + len(others)
+        stamps.append(_start.read_data(item, flux_err, detectors[-1], **given))
     if stamps[0].pos_corr is None and options.positions in {"prior", "path"}:
         raise ValueError(f"`positions` is {options.positions!r}, but `tpf` has no POS_CORR")
     common = reduce(np.intersect1d, [stamp.cadenceno for stamp in stamps])

@@ -14,7 +14,7 @@ from astropy.time import Time
 from scope_models._arrays import plain_tree
 from scope_models._docstrings import documented
 from scope_models._values import Value
-from scope_models.fitting import _parameters, _products, _shape
+from scope_models.fitting import _parameters, _products
 from scope_models.fitting._doubts import doubts_of, followed
 from scope_models.fitting._problem import median_image
 from scope_models.models import PRF
@@ -249,9 +249,9 @@ class TPFFit(Value):
             return np.nan, np.nan
         basis = np.column_stack([np.ones(len(self.x)), self.pos_corr])
         xy = np.column_stack([self.x, self.y])
-        rest = xy - basis @ np.linalg.lstsq(basis, xy, rcond=None)[0]
-        pairs = zip(rest.var(axis=0), xy.var(axis=0), strict=True)
-        return tuple(float(1 - left / all_) if all_ else np.nan for left, all_ in pairs)
+        left = (xy - basis @ np.linalg.lstsq(basis, xy, rcond=None)[0]).var(axis=0)
+        variance = np.where(xy.var(axis=0) > 0, xy.var(axis=0), np.nan)
+        return tuple((1 - left / variance).tolist())
 
     def path_scale(self):
         """Return the fitted motion over that of POS_CORR.
@@ -282,7 +282,7 @@ class TPFFit(Value):
             of each pixel of the Gaussian that fits the typical shares, whose errors hold the
             scatter of the pixels.
         """
-        return _shape.psf_shape(self)
+        return _products.psf_shape(self)
 
     def psf_image(self, half=3.0, samples=121):
         """Draw the density of the PSF about the star.
@@ -301,7 +301,7 @@ class TPFFit(Value):
         density, error : ndarray of shape (samples, samples)
             Density over its largest value, and its standard deviation.
         """
-        return _shape.psf_image(self, half, samples)
+        return _products.psf_image(self, half, samples)
 
     def to_lightcurve(self):
         """Return the fluxes as a light curve.
@@ -455,8 +455,9 @@ class TPFFit(Value):
         return cls(**_products.read_fit(path))
 
 
-def make_results(problem, solution, errors, detectors, series):
-    state, s, results = solution.state, problem.n_shared, []
+def make_results(solution, errors, detectors, series):
+    problem, state, results = solution.problem, solution.state, []
+    s = problem.n_shared
     fitted, covariance = problem.model(state), errors.shared[:s, :s].copy()
     ended = zip(problem.parameters, problem.at_bounds(state), strict=True)
     at_bounds = [parameter.name for parameter, end in ended if end]
@@ -479,14 +480,14 @@ def make_results(problem, solution, errors, detectors, series):
             model, problem.parameters, state.shared, covariance, at_bounds, statistics,
             response=False,
         )  # fmt: skip
-        kept = {key: series[number].header.get(key) for key in _FACTS}
+        cards = series[number].header
         changes = {"sensitivity": model.sensitivity, "interpixel": np.maximum(interpixel, 0.0)}
         results.append(TPFFit(
             **fields, covariance=covariance, interpixel=interpixel, interpixel_err=interpixel_err,
             parameters=table, cadences=_parameters.cadence_table(columns), statistics=statistics,
             time_format=data.time_format, options=asdict(problem.options),
             detector=detectors[number].replace(**changes),
-            meta=plain_tree({key: v for key, v in kept.items() if v is not None}, str),
+            meta=plain_tree({k: cards[k] for k in _FACTS if cards.get(k) is not None}, str),
         ))  # fmt: skip
     return results
 
