@@ -149,8 +149,8 @@ def test_a_star_alone_is_corrected_as_without_a_search(constant):
 
 def test_transits_are_not_diluted():
     """The difference of two files with the same noise is the transit, of the star's own flux."""
-    sky = make_sky("k2-1x-neighbor-close", 13, n_cadences=300)
-    dimming = np.where(np.abs(np.arange(300) % 150 - 70) < 6, 0.02, 0.0)
+    sky = make_sky("k2-1x-neighbor-close", 13, n_cadences=250)
+    dimming = np.where(np.abs(np.arange(250) % 125 - 70) < 6, 0.02, 0.0)
     tpf = sky.to_tpf()
     rows = np.isin(np.asarray(tpf.hdu[1].data["CADENCENO"]), sky.cadenceno)
     light = np.zeros(tpf.hdu[1].data["FLUX"].shape)

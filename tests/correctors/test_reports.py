@@ -210,6 +210,20 @@ def test_held_out_windows_may_hold_outliers(fake_star):
         corrector.held_out(13, everything[1:])
 
 
+def test_errors_of_held_out_windows_are_at_least_the_noise(star, monkeypatch):
+    """Rounding can make the variance of windows of cadences without weight negative."""
+    corrector = PLDCorrector(star.tpf)
+    corrector.correct(order=1)
+    result = corrector.result
+    n = result.n_used // 13
+    noise = result.solution.white_variance[result.used][: 13 * n].reshape(n, 13).sum(axis=1)
+    for variance in (-1e-12, 0.0, 1.0):
+        dense = np.zeros((n, 13)), np.full((n, 13, 13), variance)
+        monkeypatch.setattr(type(result.solution), "held_out", lambda *_, found=dense: found)
+        _, error, _ = corrector.held_out(13)
+        np.testing.assert_allclose(error, np.sqrt(np.maximum(noise, 169 * variance)) / 13)
+
+
 @pytest.mark.parametrize(
     ("seen", "match"),
     [
