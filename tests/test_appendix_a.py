@@ -386,7 +386,7 @@ def test_figures_from_the_object():
     assert set(target.plot()) == {"image", "motion", "light curve"}
     model = target.plot_transit().lines[2].get_ydata()
     assert_allclose(1 - model.min(), 0.01 * (1 - target.contamination), rtol=0.01)
-    target.animate(step=100).to_jshtml()
+    target.animate(step=N // 2).to_jshtml()
 
 
 def test_figures_after_detrending():

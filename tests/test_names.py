@@ -218,7 +218,7 @@ BEHAVIOR = {
         "fit_tpf": lambda m: near(np.median(m.fit.x), 3.1 + np.median(m.motion.x), 0.02),
     },
     "scope_models.plotting": {
-        "animate_pixels": lambda m: plotting.animate_pixels(m.observation.flux[:3]).to_jshtml(),
+        "animate_pixels": lambda m: plotting.animate_pixels(m.observation.flux[:2]).to_jshtml(),
         "plot_detector": lambda _: len(plotting.plot_detector(IMAGE, IMAGE, IMAGE)) == 3,
         "plot_fit": lambda m: len(
             plotting.plot_fit(IMAGE, IMAGE, 0 * IMAGE, m.fit.x, m.fit.y)

@@ -180,7 +180,9 @@ def fitted(name):
             given = {name: value}
             of_call = {"flux_err"} & given.keys()
             few = FitOptions(max_steps=1, **({} if of_call else given))
-            return fit_tpf(observation.to_tpf(), options=few, **(given if of_call else {})).flux
+            return fit_tpf(
+                observation.to_tpf(), psf=1, options=few, **(given if of_call else {})
+            ).flux
 
     return read
 

@@ -55,8 +55,8 @@ def test_corrected_noise_is_that_of_the_pixels(seed, order):
     curve = corrector.correct(order=order)
     level = np.nanmedian(curve.flux.value)
     scatter = np.nanstd(curve.flux.value) / level  # the star is constant
-    assert scatter < 1.2 * np.median(noise / light)
-    assert 0.8 < scatter / np.nanmedian(curve.flux_err.value / level) < 1.2
+    assert scatter < 1.12 * np.median(noise / light)
+    assert 0.9 < scatter / np.nanmedian(curve.flux_err.value / level) < 1.1
     assert np.nanstd(corrector.original_lc.flux.value) / level > 50 * scatter
 
 
@@ -68,7 +68,7 @@ def test_fit_finds_positions_shape_and_constant_flux(seed):
     tpf = observation.to_tpf()
     fixed = SensitivityPolynomial(fixed={"ax1": True, "ay1": True})
     fit = fit_tpf(tpf, psf=1, sensitivity=fixed)
-    assert fit.reduced_chi2 == pytest.approx(1, abs=0.05)
+    assert fit.reduced_chi2 == pytest.approx(1, abs=0.02)  # 0.006
     for name, true in (("sigma_x", 0.55), ("sigma_y", 0.5), ("rho", 0.1)):
         assert abs(fit.values[name] - true) < 5 * fit.errors[name]
     for name in ("x", "y"):

@@ -40,11 +40,14 @@ def command(tmp_path):
 
 @pytest.fixture(scope="module")
 def demo(tmp_path_factory):
-    """Return the folder and the output of one run of the demonstration."""
-    folder = tmp_path_factory.mktemp("demo") / "new" / "folder"
+    """Return the folder and the output of one run, in a terminal that cannot show its name."""
+    folder = tmp_path_factory.mktemp("demo") / "new" / "\u661f"
     code = "import sys; from scope_models.cli import main; sys.exit(main())"
-    command = [sys.executable, "-c", code, "demo", "--output-dir", str(folder)]
-    result = subprocess.run(command, capture_output=True, text=True, check=False)
+    command = [sys.executable, "-X", "utf8=0", "-c", code, "demo", "--output-dir", folder]
+    result = subprocess.run(
+        command, capture_output=True, text=True, check=False,
+        env=os.environ | {"PYTHONIOENCODING": "ascii"},
+    )  # fmt: skip
     assert result.returncode == 0, result.stderr
     return folder, result.stdout, result.stderr
 
@@ -69,6 +72,10 @@ def noise_table(text):
 class TestDemo:
     def test_says_nothing_on_standard_error(self, demo):
         assert demo[2] == ""
+
+    def test_names_that_the_terminal_cannot_show(self, demo):
+        assert "/new/\\u661f/pixels.fits\n" in demo[1]
+        assert demo[0].is_dir()
 
     def test_pixels_are_read_by_lightkurve(self, demo):
         with read(demo[0] / "pixels.fits") as tpf:
@@ -382,19 +389,6 @@ def test_answers_without_heavy_imports(argv):
     assert result.returncode == 0
     assert result.stdout
     assert result.stderr == "[]"
-
-
-def test_names_that_the_terminal_cannot_show(tmp_path):
-    code = "import sys; from scope_models.cli import main; sys.exit(main())"
-    path = tmp_path / "\u661f.fits"
-    command = [sys.executable, "-X", "utf8=0", "-c", code, "simulate", "--mag", "12"]
-    result = subprocess.run(
-        [*command, "--cadences", "3", "--output", path], capture_output=True, text=True,
-        check=False, env=os.environ | {"PYTHONIOENCODING": "ascii"},
-    )  # fmt: skip
-    assert (result.returncode, result.stderr) == (0, "")
-    assert "\\u661f.fits: 3 cadences" in result.stdout
-    assert path.exists()
 
 
 def test_interrupt_during_the_first_import_is_one_line(monkeypatch, capsys):

@@ -31,7 +31,7 @@ def test_measured_fractions_erase_it_and_warn(crowded):
     follows = pytest.warns(DetrendingWarning, match=r"measured fractions explain changes of \d+ %")
     with follows, crowded_too:
         lc = corrector.correct(fractions="measured")
-    assert abs(score(lc, crowded).amplitude) < 0.05
+    assert abs(score(lc, crowded).amplitude) < 0.01  # 5e-5
     true = (crowded.neighbor_light / (crowded.neighbor_light + crowded.star_light)).mean()
     assert 0.5 * true < 1 - corrector.result.crowding < 0.4
     assert "of other stars" in str(corrector.result)
@@ -50,7 +50,7 @@ def test_predicted_fractions_hold_no_noise(star):
         for m in (predicted, measured)
     ]
     assert rough[0] < rough[1]
-    assert predicted.fit().noise_scale == pytest.approx(1, abs=0.3)
+    assert predicted.fit().noise_scale == pytest.approx(1, abs=0.05)
 
 
 @pytest.mark.filterwarnings("ignore::scope_models.exceptions.DetrendingWarning")
@@ -64,7 +64,7 @@ def test_measured_fractions_under_the_seeing_of_the_ground():
         flux = corrector.correct(fractions=fractions).flux.value
         scatter[fractions] = np.nanstd(flux) / np.nanmedian(flux)
     assert corrector.model.clean is None
-    assert scatter["auto"] == scatter["measured"] < 0.5 * scatter["predicted"]
+    assert scatter["auto"] == scatter["measured"] < 0.2 * scatter["predicted"]  # 0.1
 
 
 def test_a_focus_that_hardly_changes_takes_no_slow_variability():
@@ -79,7 +79,7 @@ def test_a_focus_that_hardly_changes_takes_no_slow_variability():
     lc = corrector.correct(transit_mask=planet(corrector.original_lc.time.value) < 1)
     assert corrector.model.clean is not None
     ratio = lc.flux.value / (planet * variability)(lc.time.value)
-    assert np.nanstd(ratio) / np.nanmedian(ratio) < 2e-4  # the noise has 9e-5
+    assert np.nanstd(ratio) / np.nanmedian(ratio) < 1.4e-4  # 1.05e-4; the noise has 9e-5
 
 
 def test_fractions_is_checked(star):
@@ -101,7 +101,7 @@ def test_cadences_without_a_factor_are_as_uncertain_as_their_flux(star):
         lc = corrector.correct(order=1, fractions="measured")
     assert np.isfinite(lc.flux.value).all()
     assert np.flatnonzero(lc.flux_err.value >= lc.flux.value).tolist() == [50]
-    assert np.nanmax(lc.flux.value) < 2 * np.nanmedian(lc.flux.value)
+    assert np.nanmax(lc.flux.value) < 1.01 * np.nanmedian(lc.flux.value)  # 1.0002
 
 
 def test_a_fit_without_half_of_the_cadences_is_an_error(star, monkeypatch):
@@ -186,15 +186,15 @@ def test_transits_in_a_crowded_field_are_no_change_of_focus():
 def test_light_of_a_faint_star_that_moves_far_does_not_follow_its_width():
     sky = make_sky("k2-5x-kp15", seed=2001, n_cadences=1500)
     found = score(PLDCorrector(sky.to_tpf()).correct(), sky)
-    assert found.full < 1.5  # 4.1 with the brightness at the smoothed focus
-    assert 0.8 < found.pull < 1.2
+    assert found.full < 1.0  # 0.67; 4.1 with the brightness at the smoothed focus
+    assert 0.9 < found.pull < 1.1  # 0.98
 
 
 def test_light_of_a_faint_star_has_less_noise_than_the_sum():
     corrector = PLDCorrector(make_sky("k2-1x-kp17", seed=6300, n_cadences=800).to_tpf(), "all")
     lc, raw = corrector.correct(), corrector.original_lc
     spread = 1.05 * np.nanmedian(np.abs(np.diff(lc.flux.value / np.nanmedian(lc.flux.value))))
-    assert spread < 0.8 * np.nanmedian(raw.flux_err.value / raw.flux.value)
+    assert spread < 0.6 * np.nanmedian(raw.flux_err.value / raw.flux.value)  # 0.47
 
 
 def test_images_change_where_the_data_demand_it():
@@ -209,9 +209,9 @@ def test_images_change_where_the_data_demand_it():
             spread.append(np.nanmedian(np.abs(np.diff(flux))) / np.nanmedian(flux))
         chosen.append("changing" in str(corrector.correct() and corrector.result))
     assert chosen == [False, True]
-    assert spread[0] == spread[1] < spread[2] < 1.2 * spread[0]
+    assert spread[0] == spread[1] < spread[2] < 1.1 * spread[0]  # 1.02
     assert spread[3] > 1.5 * spread[2]
-    assert 0.9 < corrector.result.noise_scale < 1.3
+    assert 0.95 < corrector.result.noise_scale < 1.2  # 1.08
 
 
 def test_fits_are_compared_on_the_same_windows():
@@ -244,4 +244,4 @@ def test_seeing_of_the_ground_needs_measured_fractions():
     lc = corrector.correct()
     change = np.log(lc.flux.value / sky.true_flux[lc.cadenceno - 1])
     assert corrector.result.model.clean is None
-    assert np.nanstd(change) < 1e-3
+    assert np.nanstd(change) < 5e-4  # 2.8e-4

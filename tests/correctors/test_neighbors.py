@@ -46,16 +46,16 @@ def test_neighbor_is_found_where_it_is(neighbor):
     light = np.nanmean(sky.neighbor_light, axis=0)
     v, u = np.mgrid[: light.shape[0], : light.shape[1]]
     assert len(found) == 1
-    assert found["x"][0].value == pytest.approx((light * u).sum() / light.sum(), abs=0.3)
-    assert found["y"][0].value == pytest.approx((light * v).sum() / light.sum(), abs=0.3)
-    assert found["flux"][0].value == pytest.approx(light.sum(), rel=0.1)
+    assert found["x"][0].value == pytest.approx((light * u).sum() / light.sum(), abs=0.15)
+    assert found["y"][0].value == pytest.approx((light * v).sum() / light.sum(), abs=0.15)
+    assert found["flux"][0].value == pytest.approx(light.sum(), rel=0.03)  # 0.8 % apart
 
 
 def test_positions_are_those_of_the_target(neighbor):
     sky, corrector = neighbor
     keep = np.isin(sky.cadenceno, np.asarray(corrector.tpf.cadenceno))
     change = corrector.result.positions - np.stack([sky.x, sky.y], axis=1)[keep]
-    assert np.nanstd(change, axis=0).max() < 0.02
+    assert np.nanstd(change, axis=0).max() < 0.008  # 0.0034
 
 
 def test_light_that_is_taken_off(neighbor):
@@ -65,15 +65,15 @@ def test_light_that_is_taken_off(neighbor):
         np.nanmedian(light[:, corrector.aperture_mask].sum(axis=1))
         for light in (sky.star_light, sky.neighbor_light)
     )
-    assert corrector.result.crowding == pytest.approx(own / (own + other), abs=0.02)
-    assert corrector.result.contamination == pytest.approx(other / (own + other), abs=0.02)
+    assert corrector.result.crowding == pytest.approx(own / (own + other), abs=1e-3)  # 1e-4
+    assert corrector.result.contamination == pytest.approx(other / (own + other), abs=1e-3)
 
 
 def test_variable_star_is_kept(neighbor):
     sky, corrector = neighbor
     found = score(corrector.corrected_lc, sky)
-    assert found.amplitude == pytest.approx(1, abs=0.01)
-    assert found.full < 0.2 * score(corrector.original_lc, sky).full
+    assert found.amplitude == pytest.approx(1, abs=0.002)  # 3e-4
+    assert found.full < 0.02 * score(corrector.original_lc, sky).full
 
 
 @pytest.mark.parametrize(
@@ -122,7 +122,7 @@ def test_a_blended_star_keeps_its_variability(mission, star):
         light[:, corrector.aperture_mask].sum() for light in (sky.star_light, sky.neighbor_light)
     )
     share = own / (own + others)
-    assert score(corrector.corrected_lc, sky).amplitude == pytest.approx(share, abs=0.02)
+    assert score(corrector.corrected_lc, sky).amplitude == pytest.approx(share, abs=0.005)
     assert share < corrector.result.crowding < 0.95
 
 
@@ -149,8 +149,8 @@ def test_a_star_alone_is_corrected_as_without_a_search(constant):
 
 def test_transits_are_not_diluted():
     """The difference of two files with the same noise is the transit, of the star's own flux."""
-    sky = make_sky("k2-1x-neighbor-close", 13, n_cadences=300)
-    dimming = np.where(np.abs(np.arange(300) % 150 - 70) < 6, 0.02, 0.0)
+    sky = make_sky("k2-1x-neighbor-close", 13, n_cadences=250)
+    dimming = np.where(np.abs(np.arange(250) % 125 - 70) < 6, 0.02, 0.0)
     tpf = sky.to_tpf()
     rows = np.isin(np.asarray(tpf.hdu[1].data["CADENCENO"]), sky.cadenceno)
     light = np.zeros(tpf.hdu[1].data["FLUX"].shape)

@@ -93,7 +93,7 @@ def test_orders(star, order):
     lc = corrector.correct(order)
     assert f"order {order}" in corrector.result.groups
     assert f"order {order + 1}" not in corrector.result.groups
-    assert cdpp(lc) < 1.05 * star.floor(corrector)
+    assert cdpp(lc) < star.floor(corrector)  # 0.92 of it
 
 
 def test_result(corrected):
@@ -156,7 +156,7 @@ def test_jitter_is_what_flux_err_does_not_say(star, corrected):
     corrector.correct(fractions="measured")
     original = PLDCorrector(star.tpf, corrected.aperture_mask)
     original.correct(fractions="measured")
-    assert corrector.result.noise_scale == pytest.approx(4 * original.result.noise_scale, rel=0.02)
+    assert corrector.result.noise_scale == pytest.approx(4 * original.result.noise_scale, rel=0.005)
     error = np.median(corrector.original_lc.flux_err / corrector.original_lc.flux).value
     expected = error * np.sqrt(corrector.result.noise_scale - 1)
     assert corrector.result.jitter == pytest.approx(expected, rel=0.01)
@@ -164,7 +164,7 @@ def test_jitter_is_what_flux_err_does_not_say(star, corrected):
 
 
 def test_overfit_metric(corrected):
-    assert 0.5 < corrected.compute_overfit_metric(n_samples=2) <= 1
+    assert 0.75 < corrected.compute_overfit_metric(n_samples=2) <= 1
 
 
 def test_masked_cadences_are_corrected(star, corrected):
@@ -207,7 +207,7 @@ def test_nan_cadences_stay_nan(star):
     assert set(np.flatnonzero(np.isnan(lc.flux_err.value))) == {5, 17}
     assert len(lc) == 400
     assert corrector.result.n_used + corrector.result.n_outliers == 398
-    assert 0 < corrector.compute_overfit_metric(n_samples=1) <= 1
+    assert 0.7 < corrector.compute_overfit_metric(n_samples=1) <= 1
 
 
 def test_outliers_are_reported_and_not_fitted(star, corrected):
@@ -218,8 +218,8 @@ def test_outliers_are_reported_and_not_fitted(star, corrected):
     assert {50, 200} <= set(np.flatnonzero(corrector.outlier_mask))
     assert corrector.result.n_outliers <= 3
     ratio = (lc.flux / corrected.corrected_lc.flux).value
-    assert ratio[50] == pytest.approx(1.01, abs=2e-4)
-    assert ratio[200] == pytest.approx(0.98, abs=2e-4)
+    assert ratio[50] == pytest.approx(1.01, abs=2e-5)
+    assert ratio[200] == pytest.approx(0.98, abs=2e-5)
 
 
 def dips(n, depth):
@@ -240,7 +240,7 @@ def test_transits_keep_their_depth(fake_star, how):
     else:
         corrector.correct(transit_model=signal)
         scale, error = corrector.result.transit_scale, corrector.result.transit_scale_err
-    assert error < 0.03
+    assert error < 0.02
     assert scale == pytest.approx(1, abs=3 * error)
     lc = corrector.corrected_lc
     flux = (lc.flux / np.median(lc.flux)).value
@@ -291,8 +291,8 @@ def test_survival_tells_what_an_unmasked_transit_loses(fake_star):
     flux = (lc.flux / np.median(lc.flux)).value
     depth = np.mean(flux[signal == 1]) - np.mean(flux[signal < 1])
     survival = corrector.result.transit_survival
-    assert abs(survival - 1) < 3 * corrector.result.transit_survival_err < 0.02
-    assert depth / 1e-3 == pytest.approx(survival, abs=0.06)
+    assert abs(survival - 1) < 3 * corrector.result.transit_survival_err < 0.015
+    assert depth / 1e-3 == pytest.approx(survival, abs=0.03)  # 0.013
 
 
 def test_transit_model_may_be_a_function(fake_star):
@@ -321,7 +321,7 @@ def test_long_term_variability(variable, restore):
     expected = variable.signal if restore else np.ones(500)
     expected = expected / np.median(expected)
     assert np.std(flux - expected) < 1.3 * np.median(lc.flux_err / lc.flux).value
-    assert np.std(variable.signal) > 20 * np.std(flux - expected)
+    assert np.std(variable.signal) > 40 * np.std(flux - expected)
     assert np.all(lc.flux_err > 0)
 
 
@@ -332,7 +332,7 @@ def test_quadratic_trend(fake_star):
     lc = corrector.correct(restore_trend=False, options=PLDOptions(trend="quadratic"))
     assert np.isnan(corrector.result.trend_sigma)
     flux = (lc.flux / np.median(lc.flux)).value
-    assert np.std(flux) < 1.2 * np.median(lc.flux_err / lc.flux).value
+    assert np.std(flux) < 1.1 * np.median(lc.flux_err / lc.flux).value
     restored = corrector.correct(options=PLDOptions(trend="quadratic"))
     ratio = (restored.flux / lc.flux).value
     np.testing.assert_allclose(
@@ -348,7 +348,7 @@ def test_segments(fake_star):
     assert corrector.result.breaks == (middle,)
     assert "segments" in corrector.result.groups
     # the same pixels all the time: nothing changes at the break
-    assert corrector.result.effective_parameters[-1] < 3
+    assert corrector.result.effective_parameters[-1] < 0.1  # 1e-3
     corrector.correct(options=PLDOptions(segments=None))
     assert corrector.result.breaks == ()
 
@@ -375,7 +375,7 @@ def test_background_that_leaks_is_removed(star):
         order=1, regressors="background", options=PLDOptions(background=2)
     )
     clean = PLDCorrector(star.tpf, mask).correct(order=1, fractions="measured")
-    assert cdpp(lc) < 1.15 * cdpp(clean)
+    assert cdpp(lc) < 1.05 * cdpp(clean)
 
 
 def test_background_of_measured_fractions_is_removed_by_default(star):
@@ -403,7 +403,7 @@ def test_saturation_of_the_mission(star):
     # no pixel of this star is full; some are above 1e4 e-/s
     np.testing.assert_array_equal(flux["auto"], flux[None])
     assert np.any(flux[1e4] != flux[None])
-    assert cdpp(flux[1e4]) < 1.05 * star.floor(corrector)
+    assert cdpp(flux[1e4]) < star.floor(corrector)  # 0.94 of it
 
 
 def test_full_pixels_do_not_eat_transits(fake_star):
@@ -423,10 +423,10 @@ def test_full_pixels_do_not_eat_transits(fake_star):
         lc = corrector.corrected_lc.flux.value
         depths[saturation] = 1 - np.median(lc[signal < 1]) / np.median(lc[signal == 1])
     assert depths["auto"] > 0.85e-3
-    assert depths[None] < 0.6e-3
+    assert depths[None] < 0.1e-3
     corrector.correct(transit_mask=signal < 1)
     scale, error = corrector.fit_transit(signal)
-    assert error < 0.03
+    assert error < 0.01  # 0.005
     assert scale == pytest.approx(1, abs=4 * error)
 
 
@@ -444,9 +444,9 @@ def test_a_full_star_that_moves_reaches_the_noise(fake_star):
         raw = cdpp(corrector.original_lc.flux.value / signal, method=method)
         left = cdpp(corrector.corrected_lc.flux.value / signal, method=method)
         assert left < 1.1 * cdpp(floor, method=method)
-        assert left < 0.2 * raw
+        assert left < 0.06 * raw  # 0.03
     scale, error = corrector.fit_transit(signal)
-    assert error < 0.03
+    assert error < 0.01  # 0.004
     assert scale == pytest.approx(1, abs=3 * error)
     corrector.correct()
     lc = corrector.corrected_lc.flux.value
@@ -460,7 +460,7 @@ def test_aperture(star):
     lc = corrector.correct()
     np.testing.assert_array_equal(corrector.aperture_mask, mask)
     total = star.tpf.flux.value[:, mask].sum(axis=1)
-    assert np.median(lc.flux.value) == pytest.approx(np.median(total), rel=1e-3)
+    assert np.median(lc.flux.value) == pytest.approx(np.median(total), rel=5e-4)
 
 
 def test_default_aperture_holds_the_star(fake_star):
@@ -494,7 +494,7 @@ def test_cadences_with_rolling_bands_are_as_good_as_others():
     flux = lc.flux.value / np.nanmedian(lc.flux.value)
     part, others = (flux[one] - 1 for one in (flagged, ~flagged))
     assert np.nanstd(part) < 1.5 * np.nanstd(others)
-    assert abs(np.nanmean(part)) < 0.3 * np.nanstd(others)
+    assert abs(np.nanmean(part)) < 0.05 * np.nanstd(others)
 
 
 def test_default_aperture_leaves_another_star_out(fake_star):
@@ -713,7 +713,7 @@ def test_flux_without_noise(fake_star):
     corrector = PLDCorrector(target.tpf)
     lc = corrector.correct()
     assert np.isfinite(lc.flux).all()
-    assert np.std(lc.flux) < 0.1 * np.std(corrector.original_lc.flux)
+    assert np.std(lc.flux) < 0.03 * np.std(corrector.original_lc.flux)
 
 
 def test_a_singular_fit_is_a_clear_error(star, monkeypatch):
@@ -752,7 +752,7 @@ def test_all_errors_are_invalid(star, bad):
     with pytest.warns(DetrendingWarning, match="FLUX_ERR has no valid values"):
         corrector = PLDCorrector(replaced(star.tpf, FLUX_ERR=errors), mask)
     lc = corrector.correct()
-    assert cdpp(lc) < 1.05 * star.floor(corrector)
+    assert cdpp(lc) < star.floor(corrector)  # 0.91 of it
 
 
 def test_one_pixel(star):
@@ -855,7 +855,7 @@ def test_kepler_62_keeps_its_planets(kepler_62):
             kepler_62_depth(lc, planet) for lc in (corrector.original_lc, masked, unmasked)
         )
         assert found == pytest.approx(raw, abs=2 * error)
-        assert free == pytest.approx(found, rel=0.03)
+        assert free == pytest.approx(found, rel=0.015)  # 0.6 %
 
 
 def test_tess_star(shared_data):

@@ -131,7 +131,7 @@ def test_means_of_many_cadences_find_the_same(monkeypatch):
     for enough in (10_000, 1500):
         monkeypatch.setattr(_regression, "_ENOUGH", enough)
         values.append(log_likelihood(data, fit_hyperparameters(data)))
-    assert values[1] == pytest.approx(values[0], abs=2)
+    assert values[1] == pytest.approx(values[0], abs=0.2)
     assert values[1] > log_likelihood(data, truth) - 0.3
 
 

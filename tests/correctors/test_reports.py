@@ -102,7 +102,7 @@ def test_a_depth_is_not_taken_from_wild_cadences():
     assert found == pytest.approx(0.9, abs=4 * size)
     assert size == pytest.approx(1e-3 / 0.01 / np.sqrt(40 * 0.7), rel=0.5)
     flux[152], error[152] = 1e5, 1e6
-    assert depth_ratio(signal, flux, error)[0] == pytest.approx(found, abs=0.05)
+    assert depth_ratio(signal, flux, error)[0] == pytest.approx(found, abs=0.01)
     assert np.isnan(depth_ratio(np.zeros(400), flux, error)).all()
 
 
@@ -141,7 +141,7 @@ def test_a_neighbor_that_dilutes_is_reported(fake_star, ratio, width):
     assert corrector.result.crowding == pytest.approx(own / whole, abs=0.05)
     flux = lc.flux.value / np.median(lc.flux.value)
     depth = (np.median(flux[signal == 1]) - np.median(flux[signal < 1])) / 0.01
-    assert depth == pytest.approx(own / whole, abs=0.03)
+    assert depth == pytest.approx(own / whole, abs=0.015)
     assert corrector.result.survival(signal) == pytest.approx(depth, abs=0.05)
 
 
@@ -160,7 +160,7 @@ def test_transits_are_no_outliers(fake_star, depth):
     assert not (result.dips & result.used).any()
     flux = lc[~corrector.outlier_mask].flux.value
     seen = np.median(flux[transit[~corrector.outlier_mask]]) / np.median(flux)
-    assert 1 - seen == pytest.approx(depth, rel=0.1)
+    assert 1 - seen == pytest.approx(depth, rel=0.04)
 
 
 @pytest.mark.parametrize("wild", ["lost", "lost without POS_CORR", "POS_CORR alone"])
@@ -182,7 +182,7 @@ def test_a_cadence_with_the_star_off_the_stamp_spoils_no_other(fake_star, wild, 
     others = np.arange(400) != 250
     expected = star.expected.sum(axis=(1, 2))[others]
     scatter = [np.std(np.diff(flux[others])) / np.median(flux[others]) for flux in (before, after)]
-    assert scatter[1] == pytest.approx(scatter[0], rel=0.02)
+    assert scatter[1] == pytest.approx(scatter[0], rel=0.005)
     truth = np.median(expected) if "alone" in wild else 0.0
     assert np.isnan(after[250]) or abs(after[250] - truth) < 5 * error[250]
 
@@ -205,9 +205,23 @@ def test_held_out_windows_may_hold_outliers(fake_star):
     assert residual[3] == pytest.approx(rest[window].mean(), rel=1e-4)
     few = corrector.held_out(13)
     assert few[2].tolist() == np.flatnonzero(corrector.result.used).tolist()
-    assert error[10] == pytest.approx(few[1][10], rel=0.2)
+    assert error[10] == pytest.approx(few[1][10], rel=0.01)
     with pytest.raises(ValueError, match="`cadences` must have shape"):
         corrector.held_out(13, everything[1:])
+
+
+def test_errors_of_held_out_windows_are_at_least_the_noise(star, monkeypatch):
+    """Rounding can make the variance of windows of cadences without weight negative."""
+    corrector = PLDCorrector(star.tpf)
+    corrector.correct(order=1)
+    result = corrector.result
+    n = result.n_used // 13
+    noise = result.solution.white_variance[result.used][: 13 * n].reshape(n, 13).sum(axis=1)
+    for variance in (-1e-12, 0.0, 1.0):
+        dense = np.zeros((n, 13)), np.full((n, 13, 13), variance)
+        monkeypatch.setattr(type(result.solution), "held_out", lambda *_, found=dense: found)
+        _, error, _ = corrector.held_out(13)
+        np.testing.assert_allclose(error, np.sqrt(np.maximum(noise, 169 * variance)) / 13)
 
 
 @pytest.mark.parametrize(
@@ -264,7 +278,7 @@ def test_a_star_that_vanishes_beside_constant_light(fake_star):
     assert corrector.result.contamination > 0.1
     flux = lc.flux.value
     assert np.isfinite(flux[~eclipsed]).all()
-    assert np.std(flux[~eclipsed]) < 0.002 * np.median(flux[~eclipsed])
+    assert np.std(flux[~eclipsed]) < 6e-4 * np.median(flux[~eclipsed])
 
 
 def test_a_ghost_in_masked_cadences_changes_nothing_else(fake_star):
@@ -277,7 +291,7 @@ def test_a_ghost_in_masked_cadences_changes_nothing_else(fake_star):
     star.tpf.hdu[1].data["FLUX"][150:220] += ghost.astype(np.float32)
     again = PLDCorrector(star.tpf, before.aperture_mask)
     found = again.correct(cadence_mask=mask).flux.value[mask]
-    assert np.std(found / np.median(found) - plain / np.median(plain)) < 2e-5
+    assert np.std(found / np.median(found) - plain / np.median(plain)) < 1e-9
     assert again.result.neighbors is None
 
 
@@ -303,5 +317,5 @@ def test_transits_are_put_into_the_light_that_was_chosen(fake_star, monkeypatch,
         return original(cls, pixels, options, *arguments)
 
     monkeypatch.setattr(PLDModel, "from_pixels", classmethod(from_pixels))
-    assert 0.5 < fit.survival() < 1.5
+    assert 0.95 < fit.survival() < 1.05
     assert made == [fractions]

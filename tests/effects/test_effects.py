@@ -65,8 +65,14 @@ def scene(*effects, n=60, **fields):
     return Scene(stars, Detector.k2(), Motion.k2_roll(n), seed=5, effects=effects, **fields)
 
 
+@pytest.fixture(scope="module")
+def no_effects():
+    """Return the pixels without an effect."""
+    return simulate(scene()).flux
+
+
 @pytest.mark.parametrize("name", EFFECTS)
-def test_an_effect_is_in_the_file(name, tmp_path):
+def test_an_effect_is_in_the_file(name, tmp_path, no_effects):
     observation = simulate(scene(EFFECTS[name]))
     path = observation.write(tmp_path / "star.fits")
     assert read_truth(path) == observation.truth
@@ -74,7 +80,7 @@ def test_an_effect_is_in_the_file(name, tmp_path):
     again = simulate(read_scene(path))
     for cube in ("flux", "flux_err", "flux_bkg", "raw_cnts", "quality"):
         assert np.array_equal(getattr(again, cube), getattr(observation, cube), equal_nan=True)
-    assert not np.array_equal(observation.flux, simulate(scene()).flux)
+    assert not np.array_equal(observation.flux, no_effects)
 
 
 @pytest.mark.parametrize("name", EFFECTS)

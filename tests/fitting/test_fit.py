@@ -115,7 +115,7 @@ class TestTruth:
     def test_model_is_the_simulators(self, fit, observation):
         used, _ = truth_of(observation, fit)
         model = observation.model()[used]
-        assert np.abs(fit.fitted - model).max() < 8 * fit.observed_err.max()
+        assert np.abs(fit.fitted - model).max() < 4 * fit.observed_err.max()
         np.testing.assert_allclose(fit.residual, fit.observed - fit.fitted)
 
     @pytest.mark.slow
@@ -184,7 +184,7 @@ class TestOptions:
         psf = CircularGaussianPSF(fwhm=1.0)
         psf.fwhm.fixed = False
         fit = fit_tpf(make(n=20), psf)
-        assert fit.values["fwhm"] == pytest.approx(0.5 * np.sqrt(8 * np.log(2)), rel=0.01)
+        assert fit.values["fwhm"] == pytest.approx(0.5 * np.sqrt(8 * np.log(2)), rel=0.003)
 
     def test_table(self):
         """A PRF with nothing to fit but the cadences' own parameters."""
@@ -201,8 +201,8 @@ class TestOptions:
     def test_path(self):
         tpf = make()
         fit = fit_tpf(tpf, 1, positions="path")
-        assert fit.values["x_by_corr1"] == pytest.approx(1, abs=0.02)
-        assert fit.values["y_by_corr1"] == pytest.approx(0, abs=0.02)
+        assert fit.values["x_by_corr1"] == pytest.approx(1, abs=0.008)
+        assert fit.values["y_by_corr1"] == pytest.approx(0, abs=0.002)
         assert fit.x.std() > 0
         assert np.all(fit.x_err > 0)
         loose = fit_tpf(tpf, 1, positions="prior", options=FitOptions(position_error=1.0))
@@ -227,7 +227,7 @@ class TestOptions:
         assert "does not describe" in messages
         soft, _ = messages_of(tpf, 1, options=FitOptions(loss="soft_l1"))
         moved = [np.abs(fit.x - clean.x).max() for fit in (soft, hard)]
-        assert moved[0] < 0.3 * moved[1]
+        assert moved[0] < 0.06 * moved[1]
 
     def test_empirical_term_describes_another_psf(self):
         psf = BivariateGaussianPSF(0.6, 0, 0, 0.4, 0.5) + BivariateGaussianPSF(
@@ -264,7 +264,7 @@ class TestBadInput:
         assert len(fit.time) == len(clean.time) - 1
         assert np.isnan(fit.residual[:, :, 6]).all()
         assert np.isnan(fit.chi2_pixels[:, 6]).all()
-        assert fit.values["sigma_x"] == pytest.approx(clean.values["sigma_x"], abs=0.002)
+        assert fit.values["sigma_x"] == pytest.approx(clean.values["sigma_x"], abs=5e-5)
 
     def test_errors_zero_or_absent(self):
         tpf = make()
@@ -543,7 +543,7 @@ class TestDefault:
             residual / np.sqrt(1 + (residual / 3) ** 2) / fit.observed_err, (1, 2)
         )
         information = np.sqrt(np.sum(fit.observed_err**-2.0, axis=(1, 2)))
-        assert np.abs(by_background / information).max() < 0.1
+        assert np.abs(by_background / information).max() < 0.01
 
     def test_simulated_star(self, default):
         """Where the model is true, the response between pixels is fitted with it."""
@@ -576,13 +576,13 @@ class TestDefault:
         tpf = make()
         tpf.pos_corr1 = 3 * tpf.pos_corr1
         fit, messages = messages_of(tpf, 1)
-        assert fit.path_scale()[0] == pytest.approx(1 / 3, rel=0.05)
+        assert fit.path_scale()[0] == pytest.approx(1 / 3, rel=0.01)
         assert "the fitted motion along x is 0.33 times that of POS_CORR" in messages
         for factor in (-1, 1.15, 0.85):
             turned = make(n=40)
             turned.pos_corr1 = turned.pos_corr1 / factor
             fit, messages = messages_of(turned, 1)
-            assert fit.path_scale()[0] == pytest.approx(factor, abs=0.04)
+            assert fit.path_scale()[0] == pytest.approx(factor, abs=0.015)
             assert "the fitted motion along x is" in messages
             assert "along y" not in messages
 

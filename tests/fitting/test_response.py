@@ -37,13 +37,13 @@ def fit(sky):
 def test_messy_pixels_are_described(sky, fit):
     assert fit.converged
     assert 0.95 < fit.reduced_chi2 < 1.12
-    assert abs(fit.chi2_held_out / fit.reduced_chi2 - 1) < 0.1
+    assert abs(fit.chi2_held_out / fit.reduced_chi2 - 1) < 0.03
     assert fit.held_out.sum() == len(fit.time) // 10
     # A PSF alone does not describe them.
     held = {"positions": "prior", "interpixel": 0.0}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", FitWarning)
-        assert fit_tpf(sky.to_tpf(), psf=1, **held).reduced_chi2 > 1.5 * fit.reduced_chi2
+        assert fit_tpf(sky.to_tpf(), psf=1, **held).reduced_chi2 > 10 * fit.reduced_chi2
 
 
 def test_default_follows_from_the_pixels(sky, fit, default):
@@ -92,7 +92,7 @@ def test_errors_of_the_flux_hold_what_the_gauge_fixes(sky, fit):
     relative = fit.flux / sky.true_flux[index]
     deviation = np.abs(relative / np.median(relative) - 1)
     assert np.all(fit.flux_err > fit.flux_scatter)
-    assert np.quantile(deviation / (fit.flux_err / fit.flux), 0.95) < 2
+    assert np.quantile(deviation / (fit.flux_err / fit.flux), 0.95) < 0.4  # 0.13
 
 
 @pytest.mark.parametrize("seed", [2002, pytest.param(2005, marks=pytest.mark.slow)])

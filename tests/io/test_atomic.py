@@ -116,29 +116,28 @@ def test_fits_writer_that_fails_half_way(tmp_path, monkeypatch):
 KILLED = """
 import sys, time
 from scope_models.io._atomic import atomic_path
-with atomic_path(sys.argv[1], overwrite=True) as temporary:
-    with temporary.open("w") as stream:
-        stream.write("half")
-        stream.flush()
-        print("writing", flush=True)
-        time.sleep(60)
+one, two = (atomic_path(path, overwrite=True) for path in sys.argv[1:])
+with one as first, two as second, first.open("w") as stream, second.open("w") as other:
+    for half in (stream, other):
+        half.write("half")
+        half.flush()
+    print("writing", flush=True)
+    time.sleep(60)
 """
 
 
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="needs POSIX signals")
-@pytest.mark.parametrize("before", [None, "old"])
-def test_killed_writer_leaves_what_was_there(tmp_path, before):
-    path = tmp_path / "a.txt"
-    if before:
-        path.write_text(before)
+def test_killed_writer_leaves_what_was_there(tmp_path):
+    new, path = tmp_path / "new.txt", tmp_path / "old.txt"
+    path.write_text("old")
     with subprocess.Popen(
-        [sys.executable, "-c", KILLED, str(path)], stdout=subprocess.PIPE, text=True
+        [sys.executable, "-c", KILLED, new, path], stdout=subprocess.PIPE, text=True
     ) as process:
         assert process.stdout.readline() == "writing\n"
         process.kill()
         process.wait()
-    assert path.exists() == bool(before)
-    assert not before or path.read_text() == before
+    assert not new.exists()
+    assert path.read_text() == "old"
 
 
 REWRITING = """

@@ -73,7 +73,7 @@ def test_four_pixels_are_one_of_twice_the_size(shape, x_0, y_0):
     assert np.max(np.abs(pairs - large[: len(pairs), : len(pairs)])) < TOLERANCE
 
 
-@every
+@hypothesis.settings(every, max_examples=40)  # of each of five derivatives
 @hypothesis.given(shapes, offsets, offsets, rows, rows, st.floats(-0.1, 0.1))
 def test_derivatives_add_up_to_the_difference(shape, x_0, y_0, x_row, y_row, part):
     """The integral of a derivative from one value to another is the difference of the images."""

@@ -61,11 +61,11 @@ def test_fractions_of_a_star_with_focus_and_background():
     found = clean(FLUX * true + background[:, None], measured)
     noise = np.sqrt((2.0**2 + FLUX * true / 1600).sum(axis=1).mean()) / FLUX  # of measured ones
     assert deviation(found.shares, true) < 0.5 * noise
-    assert (found.background - background[:, None]).std() < 0.5
+    assert (found.background - background[:, None]).std() < 0.25
     # nothing is lost beside the stamp, but for the noise of its border
     np.testing.assert_allclose(found.shares.sum(axis=1), 1, atol=0.1 * noise)
     assert found.constant == 0
-    assert deviation(found.still, true) < 0.5 * deviation(image(x, y), true)
+    assert deviation(found.still, true) < 0.15 * deviation(image(x, y), true)
 
 
 def test_slow_background_that_is_steeper_than_dark_pixels_show():
@@ -84,7 +84,7 @@ def test_light_of_a_star_that_is_far_away_once():
     x[250] += 2.5
     measured[250, 0] += 2.5
     found = clean(FLUX * image(x, y), measured)
-    assert abs(found.light[250] / np.median(found.light) - 1) < 0.005
+    assert abs(found.light[250] / np.median(found.light) - 1) < 0.0015
 
 
 def test_light_that_the_focus_moves_over_the_border_is_put_back():
@@ -136,7 +136,7 @@ def test_cosmic_rays_are_replaced():
     light[200, 40] += 3000
     found = clean(light, measured)
     assert found.repaired[200, 40]
-    assert abs(found.light[200] / np.median(found.light) - 1) < 2e-3
+    assert abs(found.light[200] / np.median(found.light) - 1) < 8e-4
 
 
 def test_absurd_and_unknown_positions_do_no_harm():
@@ -194,8 +194,8 @@ def test_smoothing_leaves_little_of_noise():
     noise = np.random.default_rng(4).normal(size=(20, len(TIME)))
     smoother = Smoother(TIME, np.ones(len(TIME), dtype=bool))
     left = [smoother(values, np.ones(len(TIME))).std() for values in noise]
-    # the widest kernel leaves 0.077 on average
-    assert np.median(left) < 0.05
+    # to nothing, mostly; the widest kernel leaves 0.077 on average
+    assert np.median(left) < 1e-9
 
 
 def test_rolling_bands_are_background():
@@ -217,7 +217,7 @@ def test_light_of_a_faint_star_has_less_noise_than_the_sum():
     x, y, measured = motion()
     flux, error = observed(800 * image(x, y))
     found = fit_star(TIME, flux, error, measured, GRID, np.ones(len(GRID), bool))
-    assert np.median(found.light_error) < 0.6 * np.sqrt((error**2).sum(axis=1)).mean()
+    assert np.median(found.light_error) < 0.4 * np.sqrt((error**2).sum(axis=1)).mean()
     noise = np.diff(found.light).std() / np.sqrt(2)
     np.testing.assert_allclose(noise, np.median(found.light_error), rtol=0.15)
     np.testing.assert_allclose(np.median(found.light), 800, rtol=0.02)
@@ -292,7 +292,7 @@ def test_images_that_change_slowly_are_followed(level):
     flux += level * np.random.default_rng(3).normal(size=(len(TIME), 1))
     every = np.ones(len(GRID), bool)
     found = fit_star(TIME, flux, error, measured, GRID, every, changing=True)
-    assert deviation(found.shares, true) < 0.4 * deviation(image(x, y), true)
+    assert deviation(found.shares, true) < 0.2 * deviation(image(x, y), true)
     spread = 1.05 * np.median(np.abs(np.diff(found.light)))
     assert 0.8 * spread < np.median(found.light_error) < 1.25 * spread
     assert spread < 0.5 * np.hypot(np.median(np.sqrt((error**2).sum(axis=1))), 81 * level)
@@ -307,7 +307,7 @@ def test_a_fluctuating_background_counts_in_short_series():
     data = [values[few] for values in (TIME, flux, error, measured)]
     curves = [fit_star(*data, GRID, every, changing=change).light for change in (False, True)]
     before, after = (np.median(np.abs(np.diff(light))) for light in curves)
-    assert after < 0.7 * before
+    assert after < 0.5 * before
 
 
 @pytest.mark.parametrize("fluctuates", [False, True])

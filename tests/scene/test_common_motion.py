@@ -115,11 +115,11 @@ def check_channel(n):
 
 
 def test_motion_of_a_channel():
-    _, stars, found = check_channel(90)
+    _, stars, found = check_channel(75)
     assert found.meta["n_files"] == 20
     assert len(found.meta["stars"]) == 20
     # an eclipsing star beside a neighbor, without its POS_CORR
-    series, motion = stars[9].replace(pos_corr=None), truth(90)
+    series, motion = stars[9].replace(pos_corr=None), truth(75)
     moved, error = motion.offsets(series)
     assert not error.any()
     rest = []

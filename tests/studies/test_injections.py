@@ -31,7 +31,7 @@ def test_tables_of_everest(shared_data):
 def test_deep_transits_of_two_stars_survive(shared_data, tmp_path, monkeypatch):
     depths = DEPTHS[:2]
     monkeypatch.setattr(injections, "DEPTHS", depths)
-    arguments = [str(shared_data), str(tmp_path / "stars.csv"), "--cadences", "250", "--stars", "2"]
+    arguments = [str(shared_data), str(tmp_path / "stars.csv"), "--cadences", "150", "--stars", "2"]
     assert main(arguments).n_computed == 2
     assert main(arguments).n_computed == 0  # goes on from what is there
     rows = Table.read(tmp_path / "stars.csv")

@@ -1,9 +1,13 @@
 """Injection and recovery of transits."""
 
+import contextlib
+import io
+
 import numpy as np
 import pytest
 from _search import Found, fit_shape, flattened, isolated, search
 from astropy.table import Table
+from matplotlib.image import imread
 from recovery import Recovery, main, measure, tasks
 
 from scope_models import TransitModel
@@ -20,12 +24,20 @@ def scales(request):
 
 
 @pytest.fixture(scope="module")
-def result(scales, tmp_path_factory):
-    """Return the results of a small grid."""
+def run(scales, tmp_path_factory):
+    """Return the results of a small grid, and what was printed."""
     folder = str(tmp_path_factory.mktemp("recovery") / "run")
     grid = ["--magnitudes", "12", "15", "--depths", "0", "50", "1000", "--stars", "1"]
     grid += ["--cadences", "500", "--periods", "2", "4"]
-    return main([*grid, "--scales", *map(str, scales), "--directory", folder])
+    with contextlib.redirect_stdout(io.StringIO()) as printed:
+        result = main([*grid, "--scales", *map(str, scales), "--directory", folder])
+    return result, printed.getvalue()
+
+
+@pytest.fixture(scope="module")
+def result(run):
+    """Return the results of a small grid."""
+    return run[0]
 
 
 def light_curve(depth, noise=100e-6, n=1000, seed=1):
@@ -172,6 +184,14 @@ class TestStudy:
         assert said["joint_depth_ratio"] == pytest.approx(mean, abs=1e-4)
         assert abs(said["found_depth_ratio"] - 1) < 4 * said["found_depth_ratio_error"]
         assert 0.9 < said["survival"] < 1.1
+
+    def test_files_and_what_is_printed(self, run, scales):
+        result, printed = run
+        assert printed.splitlines()[0] == f"recovery: {6 * len(scales)} stars, 0 failed"
+        names = ["results.ecsv", "summary.ecsv", "figure.png"]
+        assert [path.name for path in result.files] == names
+        assert np.all(result.table["white_noise"] > 0)
+        assert imread(result.files[2]).std() > 0
 
     def test_tables_are_read_back(self, result):
         table = Table.read(result.files[0])

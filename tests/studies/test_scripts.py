@@ -51,7 +51,7 @@ def test_drop_within_a_pixel(tmp_path, monkeypatch, capsys):
 @pytest.mark.filterwarnings("ignore::scope_models.exceptions.FitWarning")
 def test_drop_of_stars_of_one_ccd(capsys):
     """Two simulated stars of K2 give the known amplitude; together it is known better."""
-    motion = Motion.k2_roll(150, seed=1)
+    motion = Motion.k2_roll(100, seed=1)
     motion, numbers = motion[motion.quality == 0], []
     for star in range(2):
         tpf, truth = drop.simulated(star, motion)
