@@ -17,7 +17,7 @@ __all__ = ["plot_comparison", "plot_detrending", "plot_detrending_masks", "plot_
 _LEGEND = {"fontsize": "small", "ncols": 3, "markerscale": 2}
 
 
-@styled
+@styled(time=u.day)
 def plot_comparison(time, fluxes, *, time_label="Time (d)"):
     """Draw light curves below each other on one scale.
 
@@ -41,9 +41,8 @@ def plot_comparison(time, fluxes, *, time_label="Time (d)"):
     >>> len(axes)
     2
     """
-    time, n = plain_array(time, u.day, "time"), len(fluxes)
-    size, shared = (9, 1 + 1.8 * n), {"sharex": True, "sharey": True, "squeeze": False}
-    axes, shown = plt.subplots(n, figsize=size, layout="constrained", **shared)[1][:, 0], []
+    n, shown, shared = len(fluxes), [], {"sharex": True, "sharey": True, "squeeze": False}
+    axes = plt.subplots(n, figsize=(9, 1 + 1.8 * n), layout="constrained", **shared)[1][:, 0]
     for ax, (name, flux) in zip(axes, fluxes.items(), strict=True):
         values = plain_array(flux, None, "fluxes")
         relative = values / np.nanmedian(values)
@@ -56,7 +55,7 @@ def plot_comparison(time, fluxes, *, time_label="Time (d)"):
     return axes
 
 
-@styled
+@styled(time=u.day, flux=None, corrected=None)
 def plot_detrending(
     time, flux, corrected, *, systematics=None, trend=None, outliers=None, masked=None,
     time_label="Time (d)",
@@ -86,8 +85,6 @@ def plot_detrending(
     >>> [ax.get_ylabel() for ax in axes]
     ['Measured flux (e-/s)', 'Model (e-/s)', 'Corrected flux (e-/s)']
     """
-    time, flux = plain_array(time, u.day, "time"), plain_array(flux, None, "flux")
-    corrected = plain_array(corrected, None, "corrected")
     _, axes = plt.subplots(3, 1, figsize=(9, 7), sharex=True, layout="constrained")
     axes[0].plot(time, flux, ".", ms=2, color=GRAY, label=_label("measured", time, flux))
     for values, color, name in ((systematics, DARK, "systematics"), (trend, LIGHT, "trend")):
@@ -116,7 +113,7 @@ def _label(name, time, flux):
     return name if np.isnan(noise) else f"{name}, CDPP {noise:.0f} ppm (lightkurve)"
 
 
-@styled
+@styled(image=u.electron / u.s, scatter=u.one)
 def plot_detrending_masks(image, aperture, scatter):
     """Draw an aperture over the star and over the pixels' share in the systematics.
 
@@ -144,8 +141,6 @@ def plot_detrending_masks(image, aperture, scatter):
     aperture = np.asarray(aperture, dtype=bool)
     _, axes = plt.subplots(1, 2, figsize=(9, 4), layout="constrained")
     titles = ("Flux (e-/s)", "Scatter of the pixel fractions")
-    image = plain_array(image, u.electron / u.s, "image")
-    scatter = plain_array(scatter, u.one, "scatter")
     for ax, values, title in zip(axes, (image, scatter), titles, strict=True):
         drawn = ax.imshow(values, origin="lower", cmap="cividis")
         ax.figure.colorbar(drawn, ax=ax)
@@ -154,7 +149,7 @@ def plot_detrending_masks(image, aperture, scatter):
     return axes
 
 
-@styled
+@styled(time=u.day)
 def plot_states(time, states, leaks, aperture=None, *, time_label="Time (d)"):
     """Draw the states of a star's images in time, and the light that each moves between the pixels.
 
@@ -184,7 +179,6 @@ def plot_states(time, states, leaks, aperture=None, *, time_label="Time (d)"):
     >>> sorted(axes)
     ['Column (pixel)', 'leak, Column (pixel)']
     """
-    time = plain_array(time, u.day, "time")
     mosaic = [[f"leak, {name}" if name in leaks else ".", name] for name in states]
     figure = plt.figure(figsize=(11, 1.2 + 2.1 * len(states)), layout="constrained")
     axes = figure.subplot_mosaic(mosaic, width_ratios=(1, 2.2), empty_sentinel=".")
