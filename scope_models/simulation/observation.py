@@ -27,6 +27,7 @@ _MASKS = ("pipeline", "threshold", "default", "background", "all")
 _WRITTEN = ("cadenceno", "raw_cnts", "flux", "flux_err", "flux_bkg", "flux_bkg_err", "quality")
 
 
+@documented()
 @dataclass(frozen=True, eq=False, repr=False)
 class Observation(Value):
     """The pixels of a simulation, with the truth.
@@ -254,7 +255,6 @@ class Observation(Value):
             aperture_mask = self._checked_aperture(aperture_mask)
         return tpf.to_lightcurve(aperture_mask=aperture_mask)
 
-    @documented()
     def write(self, path, overwrite=False, *, aperture_mask=None, metadata=None):
         """Write a target pixel file with the truth, .fits or .fits.gz.
 
@@ -330,7 +330,6 @@ class Observation(Value):
             time_label=self._time_label, title=self.scene.object_name if title is None else title,
         )  # fmt: skip
 
-    @documented()
     def animate(self, aperture_mask=None, *, step=1, interval=50, ax=None):
         """Animate the pixels, with the outline of an aperture.
 
