@@ -119,8 +119,7 @@ def computed(client, measure, tasks, chunk_size, in_flight):
         if isinstance(client, (Integral, str)):
             client = stack.enter_context(_dask_client(client))
         suspects = []
-        starts = range(0, len(tasks), chunk_size)
-        chunks = [tasks[start : start + chunk_size] for start in starts]
+        chunks = [tasks[i : i + chunk_size] for i in range(0, len(tasks), chunk_size)]
         for chunk, outcome in _completed(client, job, chunks, in_flight):
             if type(outcome).__name__ == "KilledWorker":
                 suspects += chunk
