@@ -21,6 +21,8 @@ def of_date(coord, day):
     """Return a coordinate at the equinox of a time, BTJD."""
     if not isinstance(coord, SkyCoord):
         raise TypeError(f"`coord` must be a SkyCoord, got {coord!r}")
+    if any(getattr(coord.frame, name, 0) is None for name in ("obstime", "location")):
+        raise TypeError("`coord` must be on the sky, as ICRS, or have obstime and location")
     return coord.transform_to(FK5(equinox=Time(TIME_ZEROS["btjd"], day, format="jd", scale="tdb")))
 
 

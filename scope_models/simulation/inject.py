@@ -83,6 +83,8 @@ def inject(tpf, signal=None, star=None, *, seed=None, noise=True):
     from astropy.io import fits
     from lightkurve.targetpixelfile import TargetPixelFile
 
+    if not isinstance(noise, bool | np.bool_):
+        raise TypeError(f"`noise` must be True or False, got {noise!r}")
     original = read_tpf(tpf)
     if not isinstance(original, TargetPixelFile):
         kind = type(original).__name__
