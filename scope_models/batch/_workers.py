@@ -92,7 +92,6 @@ def _checked_values(values, kind, task=()):
 
 
 def check_client(client):
-    """Refuse objects that cannot compute stars."""
     if isinstance(client, Integral) and not isinstance(client, bool):
         checked_integer("client", client, 1)
     elif isinstance(client, str):

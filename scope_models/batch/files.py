@@ -466,8 +466,7 @@ def named_detector(name, argument="`detector`"):
         return read_detector(name)
     if name in PRESETS:
         return Detector.preset(name)
-    known = ", ".join(PRESETS)
-    raise ValueError(f"{argument} must be a TOML file or one of {known}, got {name!r}")
+    raise ValueError(f"{argument} must be a TOML file or one of {', '.join(PRESETS)}, got {name!r}")
 
 
 def default_motion(detector, n):

@@ -52,7 +52,6 @@ def planet_of(arguments):
 
 
 def planets_of(arguments):
-    """Return the table of planets."""
     from astropy.table import Table
 
     planet = planet_of(arguments)
@@ -68,7 +67,6 @@ def planets_of(arguments):
 
 
 def check_number(arguments, name):
-    """Refuse a number below 1."""
     value = getattr(arguments, name, None)
     if value is not None and value < 1:
         raise ValueError(f"--{name} must be at least 1, got {value}")
@@ -154,8 +152,7 @@ def run(name, arguments, *inputs, **options):
         return 1
     for key, error in result.failures.iterrows("key", "error"):
         print(f"scope-models: failed: {key}: {one_line(error)}", file=sys.stderr)
-    total = len(result.table) + len(result.failures)
-    print(f"{total} stars, {len(result.failures)} failed")
+    print(f"{len(result.table) + len(result.failures)} stars, {len(result.failures)} failed")
     for file in result.files:
         print(file)
     return 1 if len(result.failures) else 0

@@ -12,7 +12,6 @@ _MAGNITUDE = 12.0
 
 
 def add_parser(commands):
-    """Add the command to the parser of the command line."""
     text = "simulate and correct a star, without any input"
     _, add = _batch.add_command(commands, run, "demo --output-dir demo", text)
     text = "where the files go; it is made if need be (default: scope-models-demo)"
@@ -74,7 +73,6 @@ def run(arguments):
 
 
 def _observe(motion, seed):
-    """Return the star of the demonstration on a motion."""
     detector = sm.Detector.k2()
     planet = sm.TransitModel.from_depth_duration(
         0.001, 0.25, 4.1, motion.time[0] + 2.0, exposure_time=detector.cadence_days

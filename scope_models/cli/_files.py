@@ -15,7 +15,6 @@ _NEIGHBORS = (
 
 
 def add_parser(commands):
-    """Add the three commands to the parser of the command line."""
     _add_detrend(commands)
     _add_fit(commands)
     _add_inject(commands)
@@ -37,7 +36,6 @@ def _add_command(commands, one, output, example, text):
 
 
 def _run(arguments):
-    """Treat one file or many; return the exit status."""
     _batch.check_number(arguments, "cadences")
     options = _batch.given(arguments, *arguments.names)
     if arguments.command == "inject":
@@ -188,7 +186,6 @@ def _add_inject(commands):
 
 
 def _light(text):
-    """Return the light as `inject_files` takes it."""
     try:
         return float(text)
     except ValueError:

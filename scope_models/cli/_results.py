@@ -6,7 +6,6 @@ __all__ = ["add_parser"]
 
 
 def add_parser(commands):
-    """Add the three commands to the parser of the command line."""
     text = "write a page about a run over many files"
     _, add = _batch.add_command(commands, _report, "report corrected", text)
     add("folder", "the --output-dir of the run", metavar="FOLDER")

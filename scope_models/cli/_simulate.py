@@ -13,7 +13,6 @@ _RUNS = ("campaign", "quarter", "sector", "channel", "camera", "ccd")
 
 
 def add_parser(commands):
-    """Add the command to the parser of the command line."""
     text = "write a target pixel file of a star"
     example = "simulate --mag 12 --period 4.2 --depth 0.001 --output star.fits"
     parser, add = _batch.add_command(commands, run, example, text)

@@ -17,11 +17,13 @@ from scope_models._version import __version__
 from scope_models.io._blocks import card_texts
 
 __all__ = [
-    "PixelColumn", "calendar_dates", "checked_columns", "make_headers", "pixel_column_cards",
-    "pixel_columns", "table_rows", "tan_projection",
+    "WCS_NAMES", "PixelColumn", "calendar_dates", "checked_columns", "make_headers",
+    "pixel_column_cards", "pixel_columns", "table_rows", "tan_projection",
 ]  # fmt: skip
 
 _LAYOUTS = Path(__file__).with_name("layouts")
+#: Names of cards on the coordinates of an image, and of those of a column without their numbers.
+WCS_NAMES = {"CTYPE": "CTYP", "CRPIX": "CRPX", "CRVAL": "CRVL", "CUNIT": "CUNI", "CDELT": "CDLT"}
 _MATRIX = ("PC1_1", "PC1_2", "PC2_1", "PC2_2")
 _PROTECTED = ("SIMPLE", "BITPIX", "EXTEND", "NEXTEND", "EXTNAME", "EXTVER", "CHECKSUM", "DATASUM")
 _CARDS = {
@@ -201,12 +203,11 @@ def _column_wcs(n, metadata, shape):
         (f"1CRP{n}P", 1, "first pixel of axis 1"), (f"2CRP{n}P", 1, "first pixel of axis 2"),
         (f"WCAX{n}", 2, "axes of the sky coordinates"),
     ]  # fmt: skip
-    short = {"CTYPE": "CTYP", "CRPIX": "CRPX", "CRVAL": "CRVL", "CUNIT": "CUNI", "CDELT": "CDLT"}
     for keyword, (value, comment) in sky.items():
         if keyword.startswith("PC"):
             cards.append((f"{keyword[2]}{keyword[4]}PC{n}", value, comment))
         else:
-            cards.append((f"{keyword[5]}{short[keyword[:5]]}{n}", value, comment))
+            cards.append((f"{keyword[5]}{WCS_NAMES[keyword[:5]]}{n}", value, comment))
     return cards
 
 

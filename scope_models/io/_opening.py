@@ -235,7 +235,6 @@ def read_positions(path):
 
 
 def read_table(path):
-    """Return a table of a file that astropy reads."""
     from astropy.io.ascii import InconsistentTableError
     from astropy.io.registry import IORegistryError
     from astropy.table import Table

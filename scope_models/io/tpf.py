@@ -172,7 +172,6 @@ class TPFMetadata(Value):
         self._check_place()
 
     def _check_place(self):
-        """Check that time and place are those of the mission, and a channel is one."""
         layout = self.layout
         places = "channel", "module", "output", "camera", "ccd"
         for name in ("quarter", "campaign", "sector", *places):

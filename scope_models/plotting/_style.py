@@ -54,12 +54,10 @@ def styled(function=None, /, **units):
 
 
 def given_or_new(ax, width, height):
-    """Return the given Axes, or a new figure's."""
     return plt.subplots(figsize=(width, height), layout="constrained")[1] if ax is None else ax
 
 
 def label_pixels(ax, title):
-    """Label the axes of an image of pixels."""
     ax.set(title=title, xlabel="Column (pixel)", ylabel="Row (pixel)")
 
 

@@ -109,7 +109,6 @@ def _draw_images(axes, data, model, residual):
 
 
 def _write_numbers(bar):
-    """Label a logarithmic color bar with numbers."""
     bar.locator = LogLocator(subs=(1, 2, 5))
     bar.formatter = FuncFormatter(lambda value, _: f"{value:g}")
     bar.ax.yaxis.set_minor_formatter(NullFormatter())

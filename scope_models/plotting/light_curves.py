@@ -191,7 +191,6 @@ def _label(ax, xlabel, title):
 
 
 def _ppm(cdpp, name):
-    """Return a CDPP in ppm, or None."""
     return None if cdpp is None else plain_number(cdpp, u.Unit(1e-6), name)
 
 

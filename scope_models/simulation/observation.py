@@ -278,8 +278,7 @@ class Observation(Value):
         >>> observation.write("star.fits").name
         'star.fits'
         """
-        arguments = self._tpf_arguments(metadata, aperture_mask)
-        return write_tpf(path, overwrite=overwrite, **arguments)
+        return write_tpf(path, overwrite=overwrite, **self._tpf_arguments(metadata, aperture_mask))
 
     def plot(self, corrected=None, aperture_mask=None, *, title=None):
         """Draw pixels, motion and light curves in one figure.
@@ -395,14 +394,12 @@ class Observation(Value):
         return full
 
     def _tpf_arguments(self, metadata: Mapping | None, aperture_mask):
-        """Return the arguments for the writer of target pixel files."""
         aperture = self._checked_aperture(aperture_mask)
         if self.detector.mission not in MISSIONS:
             wanted = "Kepler, K2 or TESS (or Ground) to make a target pixel file"
             raise ValueError(f"`mission` must be {wanted}, got {self.detector.mission!r}")
         facts = scene_facts(self.scene) | dict(metadata or {})
-        extra = facts.get("extra_cards") or {}
-        facts["extra_cards"] = self._aperture_cards(aperture) | dict(extra)
+        facts["extra_cards"] = self._aperture_cards(aperture) | dict(facts.get("extra_cards") or {})
         truth = {name: v for name, v in self.truth.columns.items() if name != "CADENCENO"}
         truth["TARGET_SHARE"] = self.target_share(aperture)
         metadata = TPFMetadata.of(self.detector, **facts)
@@ -430,7 +427,6 @@ class Observation(Value):
         return time
 
     def _aperture_cards(self, aperture):
-        """Return the cards on the target's light in an aperture."""
         light = self.star_images[:, aperture].sum(axis=1)
         if not light[0] > 0:
             return {}
