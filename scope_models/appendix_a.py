@@ -152,15 +152,12 @@ class Target:
 
     def __repr__(self):
         (ny, nx), n, m = self.detector.shape, len(self.transits), len(self.neighbors)
-        return (
-            f"<Target of magnitude {self.star.mag:g} with {n} transit{'s' * (n != 1)} and "
-            f"{m} neighbor{'s' * (m != 1)}: {len(self.motion)} cadences of {ny} x {nx} pixels, "
-            f"seed {self.seed}>"
-        )
+        added = f"{n} transit{'s' * (n != 1)} and {m} neighbor{'s' * (m != 1)}"
+        size = f"{len(self.motion)} cadences of {ny} x {nx} pixels"
+        return f"<Target of magnitude {self.star.mag:g} with {added}: {size}, seed {self.seed}>"
 
     def _simulated(self, scene):
-        """Those of the last two scenes are kept."""
-        if scene not in self._made:
+        if scene not in self._made:  # the last two are kept
             self._made = dict([*self._made.items()][-1:]) | {scene: sm.simulate(scene)}
         return self._made[scene]
 
@@ -233,9 +230,11 @@ class Target:
 
         Parameters
         ----------
-        var_amp, freq : float, optional
-            Relative semi-amplitude, between 0 and 1; and angular frequency in radians per day, of
-            the time t after the first cadence: the period is ``2 * pi / freq`` days.
+        var_amp : float, optional
+            Relative semi-amplitude, between 0 and 1.
+        freq : float, optional
+            Angular frequency in radians per day, of the time t after the first cadence: the period
+            is ``2 * pi / freq`` days.
 
         {same}
         """
@@ -320,8 +319,7 @@ class Target:
             options |= {"background": pixels.background, "read_noise": pixels.read_noise}
             options |= {"neighbors": others, "n_frames": pixels.n_reads}
         make = getattr(sm.photometry, f"{method.replace('-', '_')}_aperture")
-        self._aperture = make(*methods[method], **options)
-        self._corrected = {}
+        self._aperture, self._corrected = make(*methods[method], **options), {}
         return self._aperture
 
     def estimate_cdpp(self, flux=None, duration=6.5, method="lightkurve"):
@@ -331,8 +329,10 @@ class Target:
         ----------
         flux : array_like or `~lightkurve.LightCurve`, optional
             The light curve; by default `lightcurve`.
-        duration, method : float, {"lightkurve", "everest"}, optional
-            Time scale in hours; and convention, see `scope_models.photometry.cdpp`.
+        duration : float, optional
+            Time scale in hours.
+        method : {"lightkurve", "everest"}, optional
+            See `scope_models.photometry.cdpp`.
 
         Returns
         -------
@@ -383,9 +383,8 @@ class Target:
         """
         detector, truth = self.detector, self.observation.truth
         y, x = (np.indices(oversample * np.array(detector.shape)) + 0.5) / oversample - 0.5
-        sensitivity = np.kron(truth.interpixel, np.ones((oversample, oversample)))
-        if detector.sensitivity is not None:
-            sensitivity = sensitivity * detector.sensitivity(x, y)
+        sensitivity = 1.0 if detector.sensitivity is None else detector.sensitivity(x, y)
+        sensitivity = sensitivity * np.kron(truth.interpixel, np.ones((oversample, oversample)))
         light = np.zeros_like(x)
         for i, star in enumerate(self.scene.stars):
             prf = sm.PRF(psf := detector.psf if star.psf is None else star.psf)
@@ -411,9 +410,10 @@ class Target:
 
         Parameters
         ----------
-        number, window : int, float, optional
-            Which of `transits`; and hours to draw on either side of mid-transit, by default twice
-            the transit's duration.
+        number : int, optional
+            Which of `transits`.
+        window : float, optional
+            Hours to draw on either side of mid-transit; by default twice the transit's duration.
         {draw}
         """
         if not 0 <= number < (n := len(self.transits)):
