@@ -7,8 +7,8 @@ import warnings
 from pathlib import Path
 
 __all__ = [
-    "add_command", "add_options", "add_planet", "adder", "check_number", "given", "planet_of",
-    "planets_of", "refuse_options_of_runs", "run", "single", "with_config",
+    "add_command", "add_options", "add_planet", "add_workers", "adder", "check_number", "client_of",
+    "given", "planet_of", "planets_of", "refuse_options_of_runs", "run", "single", "with_config",
 ]  # fmt: skip
 
 
@@ -97,9 +97,20 @@ def add_options(parser):
     text = "a TOML file with options of the command, as `order = 1`; those given here go first"
     add("--config", text, metavar="FILE")
     add("--overwrite", "replace files that exist", action="store_true")
+    add_workers(parser)
+
+
+def add_workers(parser):
+    """Add ``--workers`` and ``--scheduler``, which exclude each other."""
     add = adder(parser.add_mutually_exclusive_group())
     add("--workers", "processes on this machine (default: 1)", type=int, default=1, metavar="N")
     add("--scheduler", "address of a Dask scheduler, as tls://host:8786", metavar="ADDRESS")
+
+
+def client_of(arguments):
+    """Return the `client` of `run_sweep`."""
+    check_number(arguments, "workers")
+    return arguments.scheduler or (None if arguments.workers == 1 else arguments.workers)
 
 
 def with_config(argv):
@@ -134,8 +145,7 @@ def run(name, arguments, *inputs, **options):
     for option in ("output", "figure"):
         if getattr(arguments, option, None) is not None:
             raise ValueError(f"--{option} cannot be combined with --output-dir")
-    check_number(arguments, "workers")
-    client = arguments.scheduler or (None if arguments.workers == 1 else arguments.workers)
+    client = client_of(arguments)
     from scope_models import batch, benchmark
     from scope_models._checks import one_line
     from scope_models.exceptions import FailedStarsWarning
