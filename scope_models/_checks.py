@@ -12,7 +12,7 @@ from scope_models._arrays import plain_number
 __all__ = [
     "check_fields", "checked_cadences", "checked_choice", "checked_int32", "checked_integer",
     "checked_mask", "checked_matrix", "checked_model", "checked_number", "checked_pair",
-    "checked_shape", "checked_weights", "integer", "number", "one_line", "solvable",
+    "checked_shape", "checked_weights", "integer", "number", "on_stamp", "one_line", "solvable",
 ]  # fmt: skip
 
 
@@ -160,6 +160,11 @@ def checked_shape(shape):
     except (TypeError, ValueError):
         raise TypeError(f"`shape` must be two integers (ny, nx), got {shape!r}") from None
     return checked_integer("shape", ny, 1), checked_integer("shape", nx, 1)
+
+
+def on_stamp(place, shape):
+    """Return whether a column and row are within the pixels of a shape (ny, nx)."""
+    return all(-0.5 <= p <= n - 0.5 for p, n in zip(place, shape[::-1], strict=True))
 
 
 def checked_cadences(name, mask, n, *, default):

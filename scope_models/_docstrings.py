@@ -43,13 +43,15 @@ _SHARED = {
 
 
 def documented(**parts):
-    """Decorate a function or class whose docstring has ``{name}`` in the place of shared parts."""
+    """Decorate a function, or a class and its methods, with ``{name}`` for shared parts in docs."""
 
     def complete(decorated):
-        text = inspect.cleandoc(decorated.__doc__ or "") + "\n"
-        for name, part in (_SHARED | parts).items():
-            text = text.replace(f"{{{name}}}", part.strip())
-        decorated.__doc__ = text
+        for item in (decorated, *(vars(decorated).values() if inspect.isclass(decorated) else ())):
+            if item is decorated or inspect.isfunction(item):
+                text = inspect.cleandoc(item.__doc__ or "") + "\n"
+                for name, part in (_SHARED | parts).items():
+                    text = text.replace(f"{{{name}}}", part.strip())
+                item.__doc__ = text
         return decorated
 
     return complete

@@ -19,14 +19,10 @@ def _libraries():
 
 def _set_threads(library, number):
     """Set the number of threads from any thread; since threadpoolctl 3.8 it has one owner."""
-    _release(library)
+    release = getattr(library, "clear_controlling_thread", lambda **_: None)
+    release(force=True)
     library.set_num_threads(number)
-    _release(library)
-
-
-def _release(library):
-    if hasattr(library, "clear_controlling_thread"):
-        library.clear_controlling_thread(force=True)
+    release(force=True)
 
 
 class _OneThread(ContextDecorator):
@@ -43,8 +39,7 @@ class _OneThread(ContextDecorator):
     def __enter__(self):
         with self._lock:
             if self._depth == 0:
-                numbers = ((library, library.num_threads) for library in _libraries())
-                self._limited = [(library, n) for library, n in numbers if n != 1]
+                self._limited = [(one, n) for one in _libraries() if (n := one.num_threads) != 1]
                 for library, _ in self._limited:
                     _set_threads(library, 1)
             self._depth += 1

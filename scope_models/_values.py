@@ -24,8 +24,7 @@ class Value:
 
     def __reduce__(self):
         # by the constructor, which makes arrays and mappings read-only again
-        names = [item.name for item in dataclasses.fields(self) if item.init]
-        values = {name: getattr(self, name) for name in names}
+        values = {f.name: getattr(self, f.name) for f in dataclasses.fields(self) if f.init}
         plain = {k: dict(v) if isinstance(v, Mapping) else v for k, v in values.items()}
         return partial(type(self), **plain), ()
 
@@ -82,8 +81,7 @@ def value_key(value):
             own.setdefault(name, getattr(value, name, None))
         parts = {name: (np.asarray(p.value), str(p.unit)) for name, p in values.items()}, own
     elif hasattr(value, "__dataclass_fields__"):
-        names = [item.name for item in dataclasses.fields(value) if item.compare]
-        parts = [getattr(value, name) for name in names]
+        parts = [getattr(value, f.name) for f in dataclasses.fields(value) if f.compare]
     elif hasattr(value, "icrs"):  # a SkyCoord
         place, epoch = value.icrs, getattr(value.obstime, "jyear", None)
         moves = ("pm_ra_cosdec", "pm_dec") if "s" in place.data.differentials else ()

@@ -8,17 +8,12 @@ from operator import attrgetter
 import numpy as np
 
 import scope_models as sm
+from scope_models import _checks
 from scope_models._arrays import PER_PIXEL
-from scope_models._checks import checked_choice, checked_integer, checked_number, checked_pair
 from scope_models._docstrings import documented
 from scope_models.effects._noise import check_seed, fresh_seed, noise_terms, stream
 
 __all__ = ["Target", "generate_target"]
-
-_SAME = """Returns
--------
-`Target`
-    The same object."""
 
 
 def generate_target(
@@ -74,20 +69,20 @@ def generate_target(
     """
     motion = _find_motion(motion, tpf_path, ID, ncadences)
     if detector is None:
-        detector = sm.Detector.k2(shape=2 * (checked_integer("apsize", apsize, 1),))
+        detector = sm.Detector.k2(shape=2 * (_checks.checked_integer("apsize", apsize, 1),))
     elif not isinstance(detector, sm.Detector):
         raise TypeError(f"`detector` must be a Detector, got {detector!r}")
     if background_level is not None:
-        options = {"unit": "electron / s", "equivalencies": PER_PIXEL}
-        level = checked_number("background_level", background_level, **options)
+        given = "background_level", background_level, "electron / s"
+        level = _checks.checked_number(*given, equivalencies=PER_PIXEL)
         detector = detector.replace(background=level)
     if no_sensitivity_variation:
         detector = detector.without_sensitivity()
     ny, nx = detector.shape
     place = ((nx - 1) / 2, (ny - 1) / 2) if coords is None else coords
-    if not _on_stamp(place := checked_pair("coords", place, "pix"), detector):
+    if not _checks.on_stamp(place := _checks.checked_pair("coords", place, "pix"), detector.shape):
         raise ValueError(f"`coords` must be on the stamp of {ny} x {nx} pixels, got {coords!r}")
-    motion = checked_number("roll", roll, any_sign=True) * motion
+    motion = _checks.checked_number("roll", roll, any_sign=True) * motion
     target = Target(sm.Star(mag, *place, psf), detector, motion, seed=seed, noise=noise)
     if signal is not None:
         target.add_signal(signal)
@@ -96,14 +91,13 @@ def generate_target(
     if variable:
         target.add_variability()
     if neighbor:
-        options = {"unit": "mag", "any_sign": True}
-        target.add_neighbor(checked_number("neighbor_magdiff", neighbor_magdiff, **options))
+        given = "neighbor_magdiff", neighbor_magdiff, "mag"
+        target.add_neighbor(_checks.checked_number(*given, any_sign=True))
     return target
 
 
-def _forwarded(name):
+def _forwarded(method):
     """Return a method of the observation, with aperture and light curve of the target."""
-    method = getattr(sm.Observation, name)
 
     @wraps(method)
     def forwarded(self, *arguments, **options):
@@ -116,6 +110,7 @@ def _forwarded(name):
     return forwarded
 
 
+@documented(same="Returns\n-------\n`Target`\n    The same object.")
 class Target:
     """A simulated star, its neighbors and its pixels.
 
@@ -130,10 +125,8 @@ class Target:
         The star, with all signals that were added; its position must be given.
     detector, motion : `~scope_models.Detector`, `~scope_models.Motion`
         The pixels and the motion.
-    seed : int, optional
-        The seed; by default a new one.
-    noise : bool or iterable of str, optional
-        The noise terms, see `~scope_models.simulate`.
+    seed, noise : int, bool or iterable of str, optional
+        The seed, by default a new one; and the noise terms, see `~scope_models.simulate`.
 
     Attributes
     ----------
@@ -152,23 +145,19 @@ class Target:
         if star.x_0 is None or star.y_0 is None:
             raise ValueError("`star` must have a position (x_0, y_0)")
         self.star, self.detector, self.motion = star, detector, motion
-        self.neighbors, self.transits = [], []
+        self.neighbors, self.transits, self.noise = [], [], noise_terms(noise)
         self.seed = fresh_seed() if seed is None else check_seed(seed)
-        self.noise = noise_terms(noise)
         self._aperture, self._corrected, self._made = None, {}, {}
         _ = self.observation  # errors and warnings come here, not at the first look
 
     def __repr__(self):
         (ny, nx), n, m = self.detector.shape, len(self.transits), len(self.neighbors)
-        return (
-            f"<Target of magnitude {self.star.mag:g} with {n} transit{'s' * (n != 1)} and "
-            f"{m} neighbor{'s' * (m != 1)}: {len(self.motion)} cadences of {ny} x {nx} pixels, "
-            f"seed {self.seed}>"
-        )
+        added = f"{n} transit{'s' * (n != 1)} and {m} neighbor{'s' * (m != 1)}"
+        size = f"{len(self.motion)} cadences of {ny} x {nx} pixels"
+        return f"<Target of magnitude {self.star.mag:g} with {added}: {size}, seed {self.seed}>"
 
     def _simulated(self, scene):
-        """Those of the last two scenes are kept."""
-        if scene not in self._made:
+        if scene not in self._made:  # the last two are kept
             self._made = dict([*self._made.items()][-1:]) | {scene: sm.simulate(scene)}
         return self._made[scene]
 
@@ -213,7 +202,6 @@ class Target:
             warnings.simplefilter("ignore", sm.exceptions.LostLightWarning)  # it has warned
             return self._simulated(alone).flux
 
-    @documented(same=_SAME)
     def add_transit(self, depth=0.01, per=15.0, dur=0.5, t0=5.0, *, b=0.0, u1=0.4, u2=0.26):
         """Let a planet on a circular orbit transit the star.
 
@@ -230,15 +218,13 @@ class Target:
         {same}
         """
         days = ("per", per), ("dur", dur)
-        per, dur = (checked_number(*item, "day", positive=True) for item in days)
-        t0 = self.time[0] + checked_number("t0", t0, "day", any_sign=True)
+        per, dur = (_checks.checked_number(*item, "day", positive=True) for item in days)
+        t0 = self.time[0] + _checks.checked_number("t0", t0, "day", any_sign=True)
         options = {"b": b, "u1": u1, "u2": u2, "exposure_time": self.detector.cadence_days}
         planet = sm.TransitModel.from_depth_duration(depth, dur, per, t0, **options)
-        self.add_signal(planet)
-        self.transits.append(planet)
+        self.add_signal(planet).transits.append(planet)
         return self
 
-    @documented(same=_SAME)
     def add_variability(self, var_amp=0.005, freq=0.25):
         """Let the star vary sinusoidally, by ``1 + var_amp * sin(freq * t)``.
 
@@ -252,11 +238,10 @@ class Target:
 
         {same}
         """
-        var_amp = checked_number("var_amp", var_amp, positive=True)
-        period = 2 * np.pi / checked_number("freq", freq, "rad / day", positive=True)
+        var_amp = _checks.checked_number("var_amp", var_amp, positive=True)
+        period = 2 * np.pi / _checks.checked_number("freq", freq, "rad / day", positive=True)
         return self.add_signal(sm.models.sinusoidal_signal(var_amp, period, -self.time[0] / period))
 
-    @documented(same=_SAME)
     def add_signal(self, signal):
         """Multiply the star's flux with a signal.
 
@@ -271,7 +256,6 @@ class Target:
         self.star = self.star.replace(signal=self.star.relative_flux(self.time) * more)
         return self
 
-    @documented(same=_SAME)
     def add_neighbor(
         self, magdiff=1.0, dist=1.7, *, angle=None, position=None, psf=None, signal=None
     ):
@@ -290,17 +274,18 @@ class Target:
 
         {same}
         """
-        mag = self.star.mag + checked_number("magdiff", magdiff, "mag", any_sign=True)
+        mag = self.star.mag + _checks.checked_number("magdiff", magdiff, "mag", any_sign=True)
         scale = {"pixel_scale": self.detector.pixel_scale}  # converts angles
         angles = stream(self.seed, f"neighbor {len(self.neighbors)}").uniform(0, 360, 1000)
         if angle is not None:
-            angles = [checked_number("angle", angle, "deg", any_sign=True)]
-        along = checked_number("dist", dist, "pix", **scale) * np.exp(1j * np.radians(angles))
+            angles = [_checks.checked_number("angle", angle, "deg", any_sign=True)]
+        distance = _checks.checked_number("dist", dist, "pix", **scale)
+        along = distance * np.exp(1j * np.radians(angles))
         places = [(self.star.x_0 + d.real, self.star.y_0 + d.imag) for d in along]
         if position is not None:
-            places = [checked_pair("position", position, "pix", **scale)]
+            places = [_checks.checked_pair("position", position, "pix", **scale)]
         # Of random angles the first one on the stamp.
-        place = next((place for place in places if _on_stamp(place, self.detector)), None)
+        place = next((p for p in places if _checks.on_stamp(p, self.detector.shape)), None)
         if place is None:
             text = "the neighbor at column {:.2f}, row {:.2f} is off the stamp of {} x {} pixels"
             raise ValueError(text.format(*places[0], *self.detector.shape))
@@ -326,17 +311,15 @@ class Target:
         `~numpy.ndarray`
             Boolean mask ``(ny, nx)``, also kept as `aperture`.
         """
-        own, pixels = self._noise_free, self.detector
+        own, pixels, star = self._noise_free, self.detector, self.star
         others = self.observation.star_images[1:].sum(axis=0)
         methods = {"threshold": (own,), "signal-to-noise": (own, pixels.exposure_time)}
-        methods |= {"contamination": (own, others)}
-        methods |= {"circular": (pixels.shape, self.star.x_0, self.star.y_0)}
-        if checked_choice("method", method, methods) == "signal-to-noise":
+        methods |= {"contamination": (own, others), "circular": (pixels.shape, star.x_0, star.y_0)}
+        if _checks.checked_choice("method", method, methods) == "signal-to-noise":
             options |= {"background": pixels.background, "read_noise": pixels.read_noise}
             options |= {"neighbors": others, "n_frames": pixels.n_reads}
         make = getattr(sm.photometry, f"{method.replace('-', '_')}_aperture")
-        self._aperture = make(*methods[method], **options)
-        self._corrected = {}
+        self._aperture, self._corrected = make(*methods[method], **options), {}
         return self._aperture
 
     def estimate_cdpp(self, flux=None, duration=6.5, method="lightkurve"):
@@ -383,11 +366,12 @@ class Target:
         self._corrected = {self.scene: corrected}
         return corrected
 
-    to_tpf, write = _forwarded("to_tpf"), _forwarded("write")
-    to_lightcurve = _forwarded("to_lightcurve")
-    plot, animate = _forwarded("plot"), _forwarded("animate")
+    to_tpf = _forwarded(sm.Observation.to_tpf)
+    to_lightcurve = _forwarded(sm.Observation.to_lightcurve)
+    write = _forwarded(sm.Observation.write)
+    plot = _forwarded(sm.Observation.plot)
+    animate = _forwarded(sm.Observation.animate)
 
-    @documented()
     def display_detector(self, oversample=20, *, axes=None):
         """Draw sensitivity, PSF and pixels of the first cadence (the paper's figure 3).
 
@@ -399,9 +383,8 @@ class Target:
         """
         detector, truth = self.detector, self.observation.truth
         y, x = (np.indices(oversample * np.array(detector.shape)) + 0.5) / oversample - 0.5
-        sensitivity = np.kron(truth.interpixel, np.ones((oversample, oversample)))
-        if detector.sensitivity is not None:
-            sensitivity = sensitivity * detector.sensitivity(x, y)
+        sensitivity = 1.0 if detector.sensitivity is None else detector.sensitivity(x, y)
+        sensitivity = sensitivity * np.kron(truth.interpixel, np.ones((oversample, oversample)))
         light = np.zeros_like(x)
         for i, star in enumerate(self.scene.stars):
             prf = sm.PRF(psf := detector.psf if star.psf is None else star.psf)
@@ -410,7 +393,6 @@ class Target:
         maps = sensitivity, light, self.targetpixelfile[0], oversample
         return sm.plotting.plot_detector(*maps, aperture=self.aperture, axes=axes)
 
-    @documented()
     def display_aperture(self, *, ax=None):
         """Draw the pixels of the first cadence with the outline of the aperture.
 
@@ -421,7 +403,6 @@ class Target:
         image = self.targetpixelfile[0]
         return sm.plotting.plot_pixels(image, self.aperture, title="First cadence", ax=ax)
 
-    @documented()
     def plot_transit(self, number=0, *, window=None, ax=None):
         """Draw the light curve folded on a transit that was added.
 
@@ -452,10 +433,10 @@ class Target:
 def _find_motion(motion, tpf_path, ID, ncadences):
     if [motion, tpf_path, ID].count(None) < 2:
         raise ValueError("only one of `motion`, `tpf_path` and `ID` may be given")
-    n = 1000 if ncadences is None else checked_integer("ncadences", ncadences, 1)
+    n = 1000 if ncadences is None else _checks.checked_integer("ncadences", ncadences, 1)
     if ID is not None:
         try:
-            (tpf_path,) = sm.batch.find_files(f"EPIC {checked_integer('ID', ID, 1)}")
+            (tpf_path,) = sm.batch.find_files(f"EPIC {_checks.checked_integer('ID', ID, 1)}")
         except ConnectionError as error:
             raise ConnectionError(f"{error}; `tpf_path` takes a file") from error
     if tpf_path is not None:
@@ -467,7 +448,3 @@ def _find_motion(motion, tpf_path, ID, ncadences):
     if ncadences is not None and n > (most := len(motion)):
         raise ValueError(f"`ncadences` must be at most {most}, the length of the motion, got {n}")
     return motion[:n]
-
-
-def _on_stamp(place, detector):
-    return all(-0.5 <= p <= n - 0.5 for p, n in zip(place, detector.shape[::-1], strict=True))

@@ -102,7 +102,6 @@ def write_manifest(table, folder):
 
 
 def header_row(series):
-    """Return name, mission and magnitude from the header."""
     header, mission = series.header, series.mission
     row = {"object": str(header.get("OBJECT") or ""), "n_cadences": len(series)}
     row["mission"] = mission.name if mission else ""

@@ -92,7 +92,6 @@ def _checked_values(values, kind, task=()):
 
 
 def check_client(client):
-    """Refuse objects that cannot compute stars."""
     if isinstance(client, Integral) and not isinstance(client, bool):
         checked_integer("client", client, 1)
     elif isinstance(client, str):
@@ -119,8 +118,7 @@ def computed(client, measure, tasks, chunk_size, in_flight):
         if isinstance(client, (Integral, str)):
             client = stack.enter_context(_dask_client(client))
         suspects = []
-        starts = range(0, len(tasks), chunk_size)
-        chunks = [tasks[start : start + chunk_size] for start in starts]
+        chunks = [tasks[i : i + chunk_size] for i in range(0, len(tasks), chunk_size)]
         for chunk, outcome in _completed(client, job, chunks, in_flight):
             if type(outcome).__name__ == "KilledWorker":
                 suspects += chunk

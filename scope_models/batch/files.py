@@ -38,6 +38,7 @@ __all__ = [
 
 _NAME = re.compile(r"(EPIC|KIC|TIC)[ -]?\d+", re.IGNORECASE)
 _PLANET = ("period", "t0", "depth", "duration")
+_COLUMNS = ("name", "mag", "x_0", "y_0", *_PLANET)
 
 
 @documented(run=RUN)
@@ -110,27 +111,26 @@ def detrend_files(
     True
     """
     checked_choice("format", format, _detrend.FORMATS)
-    files, rows, shared = find_files(paths), None, {}
+    files, inputs = find_files(paths), _catalog(options)
+    rows = name_output = None
     if planets is not None:
         rows = planet_rows(planets, files, ("period", "t0", "duration"), ())
     if (format == "hlsp") != (hlsp is not None):
         raise ValueError('`hlsp` is needed by, and only by, `format="hlsp"`')
     if format != "fits":
-        shared = {"format": format} | {f"hlsp_{name}": hlsp[name] for name in hlsp or {}}
-    name_output = None
+        options |= {"format": format} | {f"hlsp_{name}": hlsp[name] for name in hlsp or {}}
     if format == "hlsp":
         name_output = partial(_detrend.archive_name, Collection(**hlsp))
     elif format == "parquet":
         name_output = _detrend.partition_of
         check_data_set(output_dir, overwrite=overwrite)
-    inputs = _catalog(options)
     others = None if positions_from is None else find_files(positions_from)
     moved = _detrend.write_motions(files, output_dir, others)
     rows = [row | more for row, more in zip(rows or [{}] * len(files), moved, strict=True)]
     result = run_files(
         _detrend.detrended, files, output_dir, client, name="detrend", suffix="-lc.fits", rows=rows,
-        options=shared | options, draw=_noise_figure, overwrite=overwrite, sweep=sweep,
-        inputs=inputs, name_output=name_output,
+        options=options, draw=_noise_figure, overwrite=overwrite, sweep=sweep, inputs=inputs,
+        name_output=name_output,
     )  # fmt: skip
     if format == "hlsp":
         manifest = _detrend.write_manifest(result.table, output_dir)
@@ -172,10 +172,9 @@ def fit_files(paths, output_dir, client=None, *, overwrite=False, sweep=None, **
     >>> result.table["n_cadences"].tolist()
     [95]
     """
-    inputs = _catalog(options)
     return run_files(
         _fitted, find_files(paths), output_dir, client, name="fit", suffix="-fit.fits",
-        options=options, inputs=inputs, overwrite=overwrite, sweep=sweep,
+        inputs=_catalog(options), options=options, overwrite=overwrite, sweep=sweep,
     )  # fmt: skip
 
 
@@ -223,10 +222,9 @@ def inject_files(
     [0.01]
     """
     files = find_files(paths)
-    rows = planet_rows(planets, files)
     return run_files(
-        _injected, files, output_dir, client, name="inject", suffix="-injected.fits", rows=rows,
-        options={"star": star}, seed=seed, overwrite=overwrite, sweep=sweep,
+        _injected, files, output_dir, client, name="inject", suffix="-injected.fits", seed=seed,
+        rows=planet_rows(planets, files), options={"star": star}, overwrite=overwrite, sweep=sweep,
     )  # fmt: skip
 
 
@@ -275,7 +273,7 @@ def inject_file(path, planet, output, *, star=None, seed=1, overwrite=False):
     check_output(output, overwrite=overwrite, inputs=[path])
     tpf = read_tpf(path)
     series = read_pixels(tpf)
-    total = np.median(np.where(np.isfinite(series.flux), series.flux, 0).sum(axis=(1, 2)))
+    total = np.median(np.nansum(series.flux, axis=(1, 2)))
     if not total > 0:
         raise ValueError(f"{path} has no light in its pixels")
     if star is None:
@@ -377,10 +375,10 @@ def simulate_table(
     table = Table(table)
     if "mag" not in table.colnames or not len(table):
         raise ValueError("`table` must have a column `mag` and at least one row")
-    known = ("name", "mag", "x_0", "y_0", *_PLANET)
-    if unknown := [name for name in table.colnames if name not in known]:
-        listed = ", ".join(known)
-        raise ValueError(f"`table` has an unknown column {unknown[0]}; known are {listed}")
+    for name in table.colnames:
+        if name not in _COLUMNS:
+            known = ", ".join(_COLUMNS)
+            raise ValueError(f"`table` has an unknown column {name}; known are {known}")
     planet = set(_PLANET) & set(table.colnames)
     if planet and not {"period", "depth"} <= planet:
         raise ValueError(f"`table` must have period and depth of a planet, got {sorted(planet)}")
@@ -435,8 +433,6 @@ def find_files(paths):
     for path in paths:
         text = os.fspath(path)
         if not Path(text).exists() and not FITS.search(text):
-            if not _NAME.fullmatch(text):
-                raise FileNotFoundError(f"{text}: no such file, and not an EPIC, KIC or TIC number")
             text = _downloaded(text)
         key = os.path.realpath(text)
         if key in found:
@@ -447,6 +443,8 @@ def find_files(paths):
 
 def _downloaded(name):
     """Return the path of the first target pixel file of the longest cadence of its pipeline."""
+    if not _NAME.fullmatch(name):
+        raise FileNotFoundError(f"{name}: no such file, and not an EPIC, KIC or TIC number")
     import lightkurve
 
     try:
@@ -466,10 +464,9 @@ def _downloaded(name):
 def named_detector(name, argument="`detector`"):
     if name.endswith(".toml"):
         return read_detector(name)
-    if name not in PRESETS:
-        known = ", ".join(PRESETS)
-        raise ValueError(f"{argument} must be a TOML file or one of {known}, got {name!r}")
-    return Detector.preset(name)
+    if name in PRESETS:
+        return Detector.preset(name)
+    raise ValueError(f"{argument} must be a TOML file or one of {', '.join(PRESETS)}, got {name!r}")
 
 
 def default_motion(detector, n):
@@ -484,7 +481,7 @@ def default_motion(detector, n):
 
 
 def _noise_figure(table, _):
-    from scope_models.plotting.noise import plot_precision  # imports matplotlib
+    from scope_models.plotting.detrending import plot_precision  # imports matplotlib
 
     return plot_precision({name: values_of(table, name) for name in ("mag", "raw_cdpp", "cdpp")})
 

@@ -123,8 +123,7 @@ def _summary(table, failures):
 
 
 def _noise(table):
-    """Return the figure of the noise and the published medians."""
-    from scope_models.plotting.noise import plot_precision  # imports matplotlib
+    from scope_models.plotting.detrending import plot_precision  # imports matplotlib
 
     columns = {"mag": "mag", "raw_cdpp": "raw_cdpp_everest", "cdpp": "cdpp_everest"}
     stars = {name: without_unit(table[column]) for name, column in columns.items()}

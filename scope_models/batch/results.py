@@ -62,7 +62,12 @@ def read_results(folder, *, light_curves=False):
     """
     folder = Path(folder)
     if (folder / DATA_SET).is_dir() and not (folder / FILE).exists():
-        rows = data_set_rows(folder)
+        pa = _pyarrow()
+        text = pa.schema([("campaign", pa.string()), ("channel", pa.string())])
+        hive = pa.dataset.partitioning(text, flavor="hive")
+        data = pa.dataset.dataset(folder / DATA_SET, format="parquet", partitioning=hive)
+        names = [name for name in data.schema.names if name != "light_curve"]
+        rows = data.to_table(columns=names).to_pylist()
     else:
         records = read_records(folder)
         rows = [record["task"] | record["row"] for record in records if "row" in record]
@@ -130,13 +135,3 @@ def write_star(path, row, light_curve):
     path.parent.mkdir(parents=True, exist_ok=True)
     with atomic_path(path, overwrite=True) as temporary:
         pa.parquet.write_table(pa.table(columns, schema=pa.schema(fields)), temporary)
-
-
-def data_set_rows(folder):
-    """Return the rows of a data set without the light curves."""
-    pa = _pyarrow()
-    text = pa.schema([("campaign", pa.string()), ("channel", pa.string())])
-    hive = pa.dataset.partitioning(text, flavor="hive")
-    data = pa.dataset.dataset(Path(folder) / DATA_SET, format="parquet", partitioning=hive)
-    names = [name for name in data.schema.names if name != "light_curve"]
-    return data.to_table(columns=names).to_pylist()

@@ -25,12 +25,11 @@ class PixelResponse:
     transforms: np.ndarray  # complex, (modes, pixels); no negative modes of columns
     size: int  # pixels of the periodic field
 
-    @property
-    def modes(self):
-        """Return angular frequencies of rows and of columns, radians per pixel."""
-        highest = int(_HIGHEST * self.size)
-        unit = 2 * np.pi / self.size
-        return unit * np.arange(-highest, highest + 1), unit * np.arange(highest + 1)
+
+def _modes(size):
+    """Return angular frequencies of rows and of columns, radians per pixel."""
+    highest, unit = int(_HIGHEST * size), 2 * np.pi / size
+    return unit * np.arange(-highest, highest + 1), unit * np.arange(highest + 1)
 
 
 def make_psf(rng, width):
@@ -73,8 +72,7 @@ def make_response(rng, shape, *, drop, scatter):
     maps += np.einsum("pab,ai,bj->pij", rng.normal(0, 1, (n, 4, 4)) * sizes, waves, waves)
     maps *= rng.normal(1, scatter, n)[:, None, None]
     size = max(shape) + 2 * _MARGIN
-    response = PixelResponse(shape, np.empty(0), size)
-    rows, columns = response.modes
+    rows, columns = _modes(size)
     # The maps are constant within each of their cells, whose transform is a sinc.
     cell = 2 * np.pi * _OVERSAMPLING
     phase_y = np.exp(1j * np.outer(rows, u)) * np.sinc(rows / cell)[:, None]
@@ -95,7 +93,7 @@ def render(response, psf, x, y, width):
     degree = len(nodes) - 1
     values = np.polynomial.chebyshev.chebvander((width - middle) / half, degree)
     shares = values @ np.linalg.inv(np.polynomial.chebyshev.chebvander(nodes, degree))
-    rows, columns = response.modes
+    rows, columns = _modes(response.size)
     images = np.empty((len(x), response.transforms.shape[1]))
     for first in range(0, len(x), _CHUNK):
         part = slice(first, first + _CHUNK)
@@ -115,7 +113,7 @@ def _series(response, psf, width):
     x, y = np.meshgrid(place / width, place / width)
     values = psf(x, y)
     values /= values.sum()
-    rows, columns = response.modes
+    rows, columns = _modes(response.size)
     left = np.exp(-1j * np.outer(rows, samples))
     right = np.exp(-1j * np.outer(columns, samples))
     coefficients = left @ values @ right.T

@@ -7,16 +7,23 @@ import warnings
 from pathlib import Path
 
 __all__ = [
-    "add_command", "add_options", "add_planet", "add_workers", "check_number", "client_of",
+    "add_command", "add_options", "add_planet", "add_workers", "adder", "check_number", "client_of",
     "given", "planet_of", "planets_of", "refuse_options_of_runs", "run", "single", "with_config",
 ]  # fmt: skip
 
 
-def add_command(commands, name, run, *, example, **texts):
-    """Return the parser of a command, whose help ends with an example."""
-    parser = commands.add_parser(name, epilog=f"example: scope-models {example}", **texts)
+def add_command(commands, run, example, text):
+    """Return the parser of a command, which `run` describes, and a function that adds an option."""
+    name, description = example.split()[0], " ".join((run.__doc__ or "").split())
+    texts = {"help": text, "description": description, "epilog": f"example: scope-models {example}"}
+    parser = commands.add_parser(name, **texts)
     parser.set_defaults(run=run, parser=parser)
-    return parser
+    return parser, adder(parser)
+
+
+def adder(group):
+    """Return a function that adds an option with its text to a parser or a group."""
+    return lambda flag, text, **settings: group.add_argument(flag, help=text, **settings)
 
 
 def add_planet(group, **texts):
@@ -45,7 +52,6 @@ def planet_of(arguments):
 
 
 def planets_of(arguments):
-    """Return the table of planets."""
     from astropy.table import Table
 
     planet = planet_of(arguments)
@@ -61,7 +67,6 @@ def planets_of(arguments):
 
 
 def check_number(arguments, name):
-    """Refuse a number below 1."""
     value = getattr(arguments, name, None)
     if value is not None and value < 1:
         raise ValueError(f"--{name} must be at least 1, got {value}")
@@ -86,14 +91,26 @@ def refuse_options_of_runs(arguments):
 
 def add_options(parser):
     """Add the options of a run over many files."""
-    parser.add_argument(
-        "--output-dir", metavar="FOLDER", help="folder for the files of many inputs and for the "
-        "tables of results; the same command goes on where a run has stopped",
-    )  # fmt: skip
+    add = adder(parser)
+    text = "folder for the files of many inputs and for the tables of results; the same command "
+    add("--output-dir", f"{text}goes on where a run has stopped", metavar="FOLDER")
     text = "a TOML file with options of the command, as `order = 1`; those given here go first"
-    parser.add_argument("--config", metavar="FILE", help=text)
-    parser.add_argument("--overwrite", action="store_true", help="replace files that exist")
+    add("--config", text, metavar="FILE")
+    add("--overwrite", "replace files that exist", action="store_true")
     add_workers(parser)
+
+
+def add_workers(parser):
+    """Add ``--workers`` and ``--scheduler``, which exclude each other."""
+    add = adder(parser.add_mutually_exclusive_group())
+    add("--workers", "processes on this machine (default: 1)", type=int, default=1, metavar="N")
+    add("--scheduler", "address of a Dask scheduler, as tls://host:8786", metavar="ADDRESS")
+
+
+def client_of(arguments):
+    """Return the `client` of `run_sweep`."""
+    check_number(arguments, "workers")
+    return arguments.scheduler or (None if arguments.workers == 1 else arguments.workers)
 
 
 def with_config(argv):
@@ -123,26 +140,12 @@ def with_config(argv):
     return [*argv[:1], *inputs, *added, f"--config={path}", *argv[1:]]
 
 
-def add_workers(parser):
-    """Add ``--workers`` and ``--scheduler``, which exclude each other."""
-    group = parser.add_mutually_exclusive_group()
-    text = "processes on this machine (default: 1)"
-    group.add_argument("--workers", type=int, default=1, metavar="N", help=text)
-    text = "address of a Dask scheduler, as tls://host:8786"
-    group.add_argument("--scheduler", metavar="ADDRESS", help=text)
-
-
-def client_of(arguments):
-    """Return the `client` of `run_sweep`."""
-    check_number(arguments, "workers")
-    return arguments.scheduler or (None if arguments.workers == 1 else arguments.workers)
-
-
 def run(name, arguments, *inputs, **options):
     """Call a function for many files and print its results; return 1 if a file has failed."""
     for option in ("output", "figure"):
         if getattr(arguments, option, None) is not None:
             raise ValueError(f"--{option} cannot be combined with --output-dir")
+    client = client_of(arguments)
     from scope_models import batch, benchmark
     from scope_models._checks import one_line
     from scope_models.exceptions import FailedStarsWarning
@@ -151,16 +154,15 @@ def run(name, arguments, *inputs, **options):
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", FailedStarsWarning)  # the failures are listed below
             result = getattr(batch, name, getattr(benchmark, name, None))(
-                *inputs, output_dir=arguments.output_dir, client=client_of(arguments),
-                overwrite=arguments.overwrite, sweep={"progress": sys.stderr.isatty()}, **options,
+                *inputs, output_dir=arguments.output_dir, client=client, **options,
+                overwrite=arguments.overwrite, sweep={"progress": sys.stderr.isatty()},
             )  # fmt: skip
     except (ModuleNotFoundError, batch.SweepError) as error:
         print(f"scope-models: error: {one_line(error)}", file=sys.stderr)
         return 1
     for key, error in result.failures.iterrows("key", "error"):
         print(f"scope-models: failed: {key}: {one_line(error)}", file=sys.stderr)
-    total = len(result.table) + len(result.failures)
-    print(f"{total} stars, {len(result.failures)} failed")
+    print(f"{len(result.table) + len(result.failures)} stars, {len(result.failures)} failed")
     for file in result.files:
         print(file)
     return 1 if len(result.failures) else 0

@@ -12,25 +12,20 @@ _MAGNITUDE = 12.0
 
 
 def add_parser(commands):
-    """Add the command to the parser of the command line."""
-    parser = _batch.add_command(
-        commands,
-        "demo",
-        run,
-        example="demo --output-dir demo",
-        help="simulate and correct a star, without any input",
-        description="Simulate a spotted star of magnitude 12 with a planet at twice the "
-        "motion of K2, write its target pixel file, its corrected light curve and a figure, and "
-        "print its noise about the true signal. Needs no file and no network.",
-    )
+    text = "simulate and correct a star, without any input"
+    _, add = _batch.add_command(commands, run, "demo --output-dir demo", text)
     text = "where the files go; it is made if need be (default: scope-models-demo)"
-    parser.add_argument("--output-dir", default="scope-models-demo", metavar="FOLDER", help=text)
-    parser.add_argument("--overwrite", action="store_true", help="replace files that exist")
-    parser.add_argument("--seed", type=int, default=1, help="seed of the noise (default: 1)")
+    add("--output-dir", text, default="scope-models-demo", metavar="FOLDER")
+    add("--overwrite", "replace files that exist", action="store_true")
+    add("--seed", "seed of the noise (default: 1)", type=int, default=1)
 
 
 def run(arguments):
-    """Simulate and correct the star, write the files and print the table."""
+    """Simulate a spotted star of magnitude 12 with a planet at twice the motion of K2.
+
+    Writes its target pixel file, its corrected light curve and a figure, and prints its noise about
+    the true signal. Needs no file and no network.
+    """
     import numpy as np
     from tqdm import tqdm
 
@@ -68,23 +63,19 @@ def run(arguments):
     for name, lc in curves.items():
         seen = np.isin(observation.cadenceno, lc.cadenceno)
         curves[name] = lc / observation.truth.relative_flux[0, seen]
-    print(_table(curves))
-    print("\n".join(["", "Written:", *(f"  {path}" for path in paths)]))
+    print("6.5-hour CDPP of flux over truth (ppm, lightkurve's convention)")
+    for name, lc in curves.items():
+        print(f"{name:12s}{sm.photometry.cdpp(lc):8.1f}")
+    others = [f"{sm.photometry.cdpp(lc, method='everest'):.1f}" for lc in curves.values()]
+    print(f"EVEREST's convention gives {', '.join(others)}", "", "Written:", sep="\n")
+    for path in paths:
+        print(f"  {path}")
 
 
 def _observe(motion, seed):
-    """Return the star of the demonstration on a motion."""
     detector = sm.Detector.k2()
     planet = sm.TransitModel.from_depth_duration(
         0.001, 0.25, 4.1, motion.time[0] + 2.0, exposure_time=detector.cadence_days
     )
     signal = planet * sm.models.sinusoidal_signal(0.002, period=9.0)
     return sm.simulate(sm.Star(_MAGNITUDE, signal=signal), detector, motion, seed=seed)
-
-
-def _table(curves):
-    """Return the noise of each light curve as lines of text."""
-    lines = ["6.5-hour CDPP of flux over truth (ppm, lightkurve's convention)"]
-    lines += [f"{name:12s}{sm.photometry.cdpp(lc):8.1f}" for name, lc in curves.items()]
-    others = [f"{sm.photometry.cdpp(lc, method='everest'):.1f}" for lc in curves.values()]
-    return "\n".join([*lines, f"EVEREST's convention gives {', '.join(others)}"])

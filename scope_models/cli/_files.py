@@ -15,37 +15,27 @@ _NEIGHBORS = (
 
 
 def add_parser(commands):
-    """Add the three commands to the parser of the command line."""
-    for add in (_add_detrend, _add_fit, _add_inject):
-        add(commands)
+    _add_detrend(commands)
+    _add_fit(commands)
+    _add_inject(commands)
 
 
-def _add_command(commands, name, one, output, **texts):
+def _add_command(commands, one, output, example, text):
     """Return the parser of a command and a function that adds one of its options.
 
     ``one`` treats a file, ``NAME_files`` of `scope_models.batch` many, with options by ``dest``.
     """
-    parser = _batch.add_command(commands, name, _run, **texts)
-    parser.add_argument(
-        "input",
-        nargs="+",
-        metavar="IN",
-        help="target pixel files, or EPIC, KIC or TIC numbers "
-        "such as 'EPIC 211956421', whose files are downloaded",
-    )
-    parser.add_argument("--output", metavar="OUT", help=f"{output} of a single input")
+    parser, add_any = _batch.add_command(commands, one, example, text)
+    text = "target pixel files, or EPIC, KIC or TIC numbers such as 'EPIC 211956421', whose files "
+    add_any("input", f"{text}are downloaded", nargs="+", metavar="IN")
+    add_any("--output", f"{output} of a single input", metavar="OUT")
     _batch.add_options(parser)
     names = []
-    parser.set_defaults(command=name, one=one, names=names)
-
-    def add(flag, text, **settings):
-        names.append(parser.add_argument(flag, help=text, **settings).dest)
-
-    return parser, add
+    parser.set_defaults(run=_run, command=example.split()[0], one=one, names=names)
+    return parser, lambda *option, **settings: names.append(add_any(*option, **settings).dest)
 
 
 def _run(arguments):
-    """Treat one file or many; return the exit status."""
     _batch.check_number(arguments, "cadences")
     options = _batch.given(arguments, *arguments.names)
     if arguments.command == "inject":
@@ -61,19 +51,11 @@ def _run(arguments):
 
 
 def _add_detrend(commands):
-    parser, add = _add_command(
-        commands,
-        "detrend",
-        _detrend,
-        "the light-curve file",
-        help="correct the light curve of a target pixel file",
-        description="Remove pointing systematics from a target pixel file of Kepler, K2 or TESS, "
-        "or of a simulation, by pixel level decorrelation. Writes a light-curve file that "
-        "lightkurve opens, and a figure.",
-        example="detrend star.fits --output lc.fits",
-    )
-    text = "the figure (default: the output's name with .png)"
-    parser.add_argument("--figure", metavar="FILE", help=text)
+    text = "correct the light curve of a target pixel file"
+    example = "detrend star.fits --output lc.fits"
+    parser, add = _add_command(commands, _detrend, "the light-curve file", example, text)
+    add_any = _batch.adder(parser)
+    add_any("--figure", "the figure (default: the output's name with .png)", metavar="FILE")
     add("--order", "pixel fractions that are multiplied (default: 2)", type=int)
     text = "model of the long-term variability (default: gp)"
     add("--trend", text, choices=("gp", "quadratic"))
@@ -84,40 +66,28 @@ def _add_detrend(commands):
     text = "pixels that are summed (default: those whose sum is most precise)"
     add("--aperture", text, dest="aperture_mask", choices=("pipeline", "threshold", "all"))
     add("--neighbors", _NEIGHBORS, metavar="TABLE")
-    parser.add_argument(
-        "--positions-from",
-        nargs="+",
-        metavar="FILE",
-        help="target pixel files of stars on the "
-        "same CCD, whose common motion gives the positions (default: POS_CORR, and with "
-        "--output-dir the POS_CORR of other files of the run on the same CCD where it is missing "
-        "or disagrees with these)",
+    text = (
+        "target pixel files of stars on the same CCD, whose common motion gives the positions "
+        "(default: POS_CORR, and with --output-dir the POS_CORR of other files of the run on the "
+        "same CCD where it is missing or disagrees with these)"
     )
+    add_any("--positions-from", text, nargs="+", metavar="FILE")
     masked = parser.add_argument_group("transits that are left out of the fit")
     _batch.add_planet(
-        masked,
-        period="period of a planet, days",
-        t0="a mid-transit, days as in the file",
+        masked, period="period of a planet, days", t0="a mid-transit, days as in the file",
         duration="of its transits, days",
-    )
+    )  # fmt: skip
     text = "a table that astropy reads with these columns: one row for each file"
     masked.add_argument("--planets", metavar="TABLE", help=text)
-    group = parser.add_argument_group("files for archives, with --output-dir")
-    group.add_argument(
-        "--format",
-        choices=("fits", "hlsp", "parquet"),
-        default="fits",
-        help="fits: a file per "
-        "star; hlsp: files as in an archive's collection; parquet: one data set (default: fits)",
-    )
-    for name, text in (
-        ("hlsp-id", "identifier of the collection, for --format hlsp"),
-        ("lead", "name of who leads it"),
-        ("version", "its version, as 1.0"),
-        ("title", "its title"),
-        ("doi", "its digital object identifier"),
-    ):
-        group.add_argument(f"--{name}", metavar="TEXT", help=text)
+    add_any = _batch.adder(parser.add_argument_group("files for archives, with --output-dir"))
+    text = "fits: a file per star; hlsp: files as in an archive's collection; parquet: one data set"
+    formats = "fits", "hlsp", "parquet"
+    add_any("--format", f"{text} (default: fits)", choices=formats, default="fits")
+    add_any("--hlsp-id", "identifier of the collection, for --format hlsp", metavar="TEXT")
+    add_any("--lead", "name of who leads it", metavar="TEXT")
+    add_any("--version", "its version, as 1.0", metavar="TEXT")
+    add_any("--title", "its title", metavar="TEXT")
+    add_any("--doi", "its digital object identifier", metavar="TEXT")
 
 
 def _detrend_options(arguments):
@@ -147,7 +117,11 @@ def _detrend_options(arguments):
 
 
 def _detrend(arguments, path, **options):
-    """Correct a file and return its noise before and after."""
+    """Remove pointing systematics from a target pixel file by pixel level decorrelation.
+
+    The file is one of Kepler, K2 or TESS, or of a simulation. Writes a light-curve file that
+    lightkurve opens, and a figure.
+    """
     output = arguments.output
     figure = Path(arguments.figure or Path(output).with_suffix(".png"))
     corrector = sm.correctors.detrend_file(path, output, figure=figure, **options)
@@ -165,43 +139,32 @@ def _detrend(arguments, path, **options):
 
 
 def _add_fit(commands):
-    _, add = _add_command(
-        commands,
-        "fit",
-        _fit,
-        "the file to write",
-        help="fit PSF, sensitivity, positions and fluxes to a target pixel file",
-        description="Fit one model to all pixels and cadences of a target pixel file, and write "
-        "the parameters with their errors, the light curve and the model's pixels to a FITS file.",
-        example="fit star.fits --components 2 --robust --output fit.fits",
-    )
+    text = "fit PSF, sensitivity, positions and fluxes to a target pixel file"
+    example = "fit star.fits --components 2 --robust --output fit.fits"
+    _, add = _add_command(commands, _fit, "the file to write", example, text)
     text = "Gaussian components of the PSF (default: what describes the pixels)"
     add("--components", text, dest="psf", type=int, choices=(1, 2, 3))
     text = "order of an empirical term in the PSF (default: none)"
     add("--empirical", text, type=int, metavar="N")
     add("--sensitivity", "fit a quadratic response within the pixels", action="store_true")
-    add(
-        "--interpixel",
-        "standard deviation of the response between pixels; 0: all alike (default: "
-        "0.01 if the PSF describes the pixels, else 0)",
-        type=float,
-        metavar="S",
-    )
+    text = "standard deviation of the response between pixels; 0: all alike (default: 0.01 if the "
+    add("--interpixel", f"{text}PSF describes the pixels, else 0)", type=float, metavar="S")
     add("--neighbors", _NEIGHBORS, metavar="TABLE")
     text = "what POS_CORR is used for (default: start)"
     add("--positions", text, choices=("start", "free", "prior", "path"))
-    add(
-        "--response",
-        "pixels: the share of each pixel is a smooth function of position and time; "
-        "auto: where no PSF describes the pixels (default: auto)",
-        choices=("auto", "psf", "pixels"),
-    )
+    text = "pixels: the share of each pixel is a smooth function of position and time; auto: where "
+    text += "no PSF describes the pixels (default: auto)"
+    add("--response", text, choices=("auto", "psf", "pixels"))
     text = "a loss that suits data with cosmic rays"
     add("--robust", text, dest="loss", action="store_const", const="soft_l1")
     add("--cadences", "only the first N cadences", type=int, metavar="N")
 
 
 def _fit(arguments, path, **options):
+    """Fit one model to all pixels and cadences of a target pixel file.
+
+    Writes the parameters with their errors, the light curve and the model's pixels to a FITS file.
+    """
     from scope_models.batch.files import fit_file
 
     fit = fit_file(path, arguments.output, **options)
@@ -209,37 +172,20 @@ def _fit(arguments, path, **options):
 
 
 def _add_inject(commands):
-    parser, add = _add_command(
-        commands,
-        "inject",
-        _inject,
-        "the file to write",
-        help="add transits to the pixels of a target pixel file",
-        description="Multiply the light of the star in a target pixel file, real or simulated, by "
-        "the transits of a planet, with the photon noise that belongs to it. Neighbors and "
-        "background stay.",
-        example="inject star.fits --period 4.2 --depth 0.001 --output planet.fits",
-    )
+    text = "add transits to the pixels of a target pixel file"
+    example = "inject star.fits --period 4.2 --depth 0.001 --output planet.fits"
+    parser, add = _add_command(commands, _inject, "the file to write", example, text)
     _batch.add_planet(parser)
-    parser.add_argument(
-        "--planets",
-        metavar="TABLE",
-        help="a table that astropy reads with the columns period and "
-        "depth, and if wanted t0 and duration: one row for each file",
-    )
-    add(
-        "--star",
-        "the light that is dimmed: scene, that of a simulated file; fit, that of a fit "
-        "of the PSF; or the share of the star in all pixels (default: the scene if there is one, "
-        "else the fit)",
-        type=_light,
-        metavar="LIGHT",
-    )
+    text = "a table that astropy reads with the columns period and depth, and if wanted t0 and "
+    text += "duration: one row for each file"
+    parser.add_argument("--planets", metavar="TABLE", help=text)
+    text = "the light that is dimmed: scene, that of a simulated file; fit, that of a fit of the "
+    text += "PSF; or the share of the star in all pixels (default: the scene if there is one, else "
+    add("--star", f"{text}the fit)", type=_light, metavar="LIGHT")
     add("--seed", "seed of the photon noise (default: 1)", type=int, default=1)
 
 
 def _light(text):
-    """Return the light as `inject_files` takes it."""
     try:
         return float(text)
     except ValueError:
@@ -247,7 +193,11 @@ def _light(text):
 
 
 def _inject(arguments, path, planets, **options):
-    """Inject into a file and return where and how deep the transits are."""
+    """Multiply the light of the star in a target pixel file by the transits of a planet.
+
+    The file is real or simulated, and the photon noise that belongs to it changes too. Neighbors
+    and background stay.
+    """
     from scope_models.batch.files import inject_file, planet_rows
 
     (planet,) = planet_rows(planets, [path])

@@ -6,62 +6,53 @@ __all__ = ["add_parser"]
 
 
 def add_parser(commands):
-    """Add the three commands to the parser of the command line."""
-    parser = _batch.add_command(
-        commands,
-        "report",
-        _report,
-        example="report corrected",
-        help="write a page about a run over many files",
-        description="Write one HTML page about a run: noise against magnitude, outliers with their "
-        "pixels, light curves and positions, warnings, and failures by cause. It holds all of its "
-        "figures and needs no network.",
-    )
-    parser.add_argument("folder", metavar="FOLDER", help="the --output-dir of the run")
-    text = "the page (default: report.html in the folder)"
-    parser.add_argument("--output", metavar="FILE", help=text)
-    parser = _batch.add_command(
-        commands,
-        "benchmark",
-        _write,
-        help="write target pixel files whose truth is known",
-        description="Write 200 target pixel files of messy stars (motion, focus, neighbors, "
-        "background, variability, transits), the same on every machine. Correct them with any "
-        "pipeline, then let `scope-models score` compare the light curves with the truth.",
-        example="benchmark --stars 5 --output-dir skies",
-    )
+    text = "write a page about a run over many files"
+    _, add = _batch.add_command(commands, _report, "report corrected", text)
+    add("folder", "the --output-dir of the run", metavar="FOLDER")
+    add("--output", "the page (default: report.html in the folder)", metavar="FILE")
+    example = "benchmark --stars 5 --output-dir skies"
+    text = "write target pixel files whose truth is known"
+    parser, add = _batch.add_command(commands, _write, example, text)
     _batch.add_options(parser)
-    parser.add_argument("--stars", type=int, default=200, metavar="N", help="only the first N")
-    parser = _batch.add_command(
-        commands,
-        "score",
-        _score,
-        help="compare corrected light curves of the benchmark with the truth",
-        description="Print the medians of the scores by regime. full and high_passed: scatter in "
-        "6.5 h about the truth over that of the noise; amplitude and depth: part of variability "
-        "and transits that is kept; pull: deviations over quoted errors; kept: part of the "
-        "cadences. The truth with its noise has 1 everywhere. bias and step, in ppm and 0 for the "
-        "truth: dependence on the place within the pixel, and steps from pixel to pixel.",
-        example="score corrected/sky0001-lc.fits --output scores.ecsv",
-    )
-    parser.add_argument("input", nargs="+", metavar="LC", help="light-curve files")
-    parser.add_argument("--output", metavar="TABLE", help="write the scores of each file, as ECSV")
-    parser.add_argument("--overwrite", action="store_true", help="replace the table if it exists")
+    add("--stars", "only the first N", type=int, default=200, metavar="N")
+    example = "score corrected/sky0001-lc.fits --output scores.ecsv"
+    text = "compare corrected light curves of the benchmark with the truth"
+    _, add = _batch.add_command(commands, _score, example, text)
+    add("input", "light-curve files", nargs="+", metavar="LC")
+    add("--output", "write the scores of each file, as ECSV", metavar="TABLE")
+    add("--overwrite", "replace the table if it exists", action="store_true")
 
 
 def _report(arguments):
+    """Write one HTML page about a run.
+
+    Noise against magnitude, outliers with their pixels, light curves and positions, warnings, and
+    failures by cause. It holds all of its figures and needs no network.
+    """
     from scope_models.batch import write_report
 
     print(write_report(arguments.folder, arguments.output))
 
 
 def _write(arguments):
+    """Write 200 target pixel files of messy stars, the same on every machine.
+
+    They have motion, focus, neighbors, background, variability and transits. Correct them with any
+    pipeline, then let `scope-models score` compare the light curves with the truth.
+    """
     if arguments.output_dir is None:
         arguments.parser.error("the following arguments are required: --output-dir")
     return _batch.run("make_benchmark", arguments, stars=arguments.stars)
 
 
 def _score(arguments):
+    """Print the medians of the scores by regime.
+
+    full and high_passed: scatter in 6.5 h about the truth over that of the noise; amplitude and
+    depth: part of variability and transits that is kept; pull: deviations over quoted errors; kept:
+    part of the cadences. The truth with its noise has 1 everywhere. bias and step, in ppm and 0 for
+    the truth: dependence on the place within the pixel, and steps from pixel to pixel.
+    """
     from scope_models.benchmark import score_light_curves, summarize_scores
     from scope_models.io._atomic import atomic_path, check_output
 

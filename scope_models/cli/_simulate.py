@@ -1,7 +1,5 @@
 """``scope-models simulate``: a target pixel file of one star, and its neighbors."""
 
-from functools import partial
-
 import scope_models as sm
 from scope_models.cli import _batch
 
@@ -9,114 +7,98 @@ __all__ = ["add_parser", "run"]
 
 _CADENCES = 1000
 # The options that go together with --table.
-_OF_RUNS = ("table", "output_dir", "overwrite", "workers", "scheduler")
-_OF_TABLES = (*_OF_RUNS, "detector", "motion", "cadences", "seed")
+_OF_TABLES = ("table", "output_dir", "overwrite", "workers", "scheduler", "detector", "motion")
+_OF_TABLES += ("cadences", "seed")
 _RUNS = ("campaign", "quarter", "sector", "channel", "camera", "ccd")
 
 
 def add_parser(commands):
-    """Add the command to the parser of the command line."""
-    parser = _batch.add_command(
-        commands,
-        "simulate",
-        run,
-        help="write a target pixel file of a star",
-        description="Simulate the pixels of a star along a spacecraft's motion, and write them "
-        "with the truth to a target pixel file that lightkurve opens.",
-        example="simulate --mag 12 --period 4.2 --depth 0.001 --output star.fits",
+    text = "write a target pixel file of a star"
+    example = "simulate --mag 12 --period 4.2 --depth 0.001 --output star.fits"
+    parser, add = _batch.add_command(commands, run, example, text)
+    add("--output", "the file to write", metavar="FILE")
+    text = (
+        "simulate each row of a table that astropy reads (columns mag and, if wanted, name, x_0, "
+        "y_0, period, t0, depth, duration) into --output-dir, with --detector, --motion, "
+        "--cadences and --seed for all"
     )
-    add = parser.add_argument
-    add("--output", metavar="FILE", help="the file to write")
-    add(
-        "--table",
-        metavar="TABLE",
-        help="simulate each row of a table that astropy reads (columns "
-        "mag and, if wanted, name, x_0, y_0, period, t0, depth, duration) into --output-dir, with "
-        "--detector, --motion, --cadences and --seed for all",
-    )
+    add("--table", text, metavar="TABLE")
     _batch.add_options(parser)
-    add("--seed", type=int, help="makes the result reproducible")
-    add("--target-id", type=int, default=1, metavar="N", help="KEPLERID or TICID")
-    add("--name", help="name of the target in the file")
-    _add_motion(parser.add_argument_group("motion").add_argument)
+    add("--seed", "makes the result reproducible", type=int)
+    add("--target-id", "KEPLERID or TICID", type=int, default=1, metavar="N")
+    add("--name", "name of the target in the file")
+    _add_motion(parser.add_argument_group("motion"))
     _add_star(parser.add_argument_group("star"))
-    _add_sky(parser.add_argument_group("sky").add_argument)
+    _add_sky(parser.add_argument_group("sky"))
     _add_detector(parser.add_argument_group("detector"))
 
 
-def _add_motion(add):
-    add(
-        "--motion",
-        metavar="FILE",
-        help="target pixel or light-curve file of Kepler, K2 or TESS "
-        "whose POS_CORR columns the star follows (default: a generated K2 roll for --detector k2, "
-        "the tracking of a telescope for ground; for the others the star rests)",
+def _add_motion(group):
+    add = _batch.adder(group)
+    text = (
+        "target pixel or light-curve file of Kepler, K2 or TESS whose POS_CORR columns the star "
+        "follows (default: a generated K2 roll for --detector k2, the tracking of a telescope for "
+        "ground; for the others the star rests)"
     )
-    add("--scale", type=float, default=1.0, help="factor on the motion (default: 1)")
-    add("--cadences", type=int, metavar="N", help="only the first N cadences")
+    add("--motion", text, metavar="FILE")
+    add("--scale", "factor on the motion (default: 1)", type=float, default=1.0)
+    add("--cadences", "only the first N cadences", type=int, metavar="N")
     text = "exposures within a cadence to average the motion over (default: 1)"
-    add("--n-sub", type=int, default=1, metavar="N", help=text)
+    add("--n-sub", text, type=int, default=1, metavar="N")
 
 
 def _add_star(group):
-    add = partial(group.add_argument, type=float)
-    add("--mag", help="magnitude, Kp or T; needed without --table and --catalog")
+    add = _batch.adder(group)
+    add("--mag", "magnitude, Kp or T; needed without --table and --catalog", type=float)
     text = "column and row, pixels from 0 (default: the middle)"
-    add("--position", nargs=2, metavar=("X", "Y"), help=text)
+    add("--position", text, type=float, nargs=2, metavar=("X", "Y"))
     text = "widths, in pixels, and correlation of a Gaussian PSF (default: the detector's)"
-    add("--psf", nargs=3, metavar=("SIGMA_X", "SIGMA_Y", "RHO"), help=text)
+    add("--psf", text, type=float, nargs=3, metavar=("SIGMA_X", "SIGMA_Y", "RHO"))
     _batch.add_planet(group)
-    several = {"nargs": 3, "action": "append", "default": [], "metavar": ("MAG", "X", "Y")}
-    add("--neighbor", help="another star on the stamp; may be repeated", **several)
+    several = {"type": float, "nargs": 3, "action": "append", "default": []}
+    text = "another star on the stamp; may be repeated"
+    add("--neighbor", text, metavar=("MAG", "X", "Y"), **several)
 
 
-def _add_sky(add):
-    for name, metavar, text in (
-        ("ra", "DEG", "right ascension of the target"),
-        ("dec", "DEG", "declination of the target"),
-        ("orientation", "DEG", "position angle of growing rows from north to east (default: 0)"),
-        ("magnitude-limit", "MAG", "leave out fainter stars of --catalog"),
-        (
-            "background-stars",
-            "MAG",
-            "draw stars down to this magnitude by the mean counts in this direction",
-        ),
-    ):
-        add(f"--{name}", type=float, metavar=metavar, help=text)
-    add(
-        "--catalog",
-        metavar="FILE",
-        help="a table that astropy reads, as of Gaia, with the "
-        "columns ra, dec and a magnitude, and if wanted pmra, pmdec and ref_epoch: its stars are "
-        "target and neighbors; needs --ra and --dec",
+def _add_sky(group):
+    add, degrees = _batch.adder(group), {"type": float, "metavar": "DEG"}
+    add("--ra", "right ascension of the target", **degrees)
+    add("--dec", "declination of the target", **degrees)
+    text = "position angle of growing rows from north to east (default: 0)"
+    add("--orientation", text, **degrees)
+    text = "leave out fainter stars of --catalog"
+    add("--magnitude-limit", text, type=float, metavar="MAG")
+    text = "draw stars down to this magnitude by the mean counts in this direction"
+    add("--background-stars", text, type=float, metavar="MAG")
+    text = (
+        "a table that astropy reads, as of Gaia, with the columns ra, dec and a magnitude, and if "
+        "wanted pmra, pmdec and ref_epoch: its stars are target and neighbors; needs --ra and --dec"
     )
+    add("--catalog", text, metavar="FILE")
     for name in _RUNS:
-        add(f"--{name}", type=int, metavar="N", help=f"{name}, for the file's headers")
+        add(f"--{name}", f"{name}, for the file's headers", type=int, metavar="N")
 
 
 def _add_detector(group):
-    add, preset = group.add_argument, "kepler, k2, k2_calibrated, tess or ground"
-    text = f"the preset, {preset}, or a TOML file of your own detector (default: k2)"
-    add("--detector", default="k2", metavar="NAME", help=text)
-    text = "rows and columns of the stamp"
-    add("--shape", type=int, nargs=2, metavar=("NY", "NX"), help=text)
+    add, presets = _batch.adder(group), "kepler, k2, k2_calibrated, tess or ground"
+    text = f"the preset, {presets}, or a TOML file of your own detector (default: k2)"
+    add("--detector", text, default="k2", metavar="NAME")
+    add("--shape", "rows and columns of the stamp", type=int, nargs=2, metavar=("NY", "NX"))
     text = "pixels that all respond alike, and evenly within: the control"
-    add("--no-sensitivity", action="store_true", help=text)
+    add("--no-sensitivity", text, action="store_true")
     text = "with the effects of the detector's mission: cosmic rays, smear and others"
-    add("--mission-effects", action="store_true", help=text)
-    add = group.add_mutually_exclusive_group().add_argument
-    add(
-        "--noise",
-        nargs="+",
-        metavar="TERM",
-        help="only these noise terms, of photon, background, "
-        "read and quantization (default: the first three)",
-    )
-    add("--no-noise", action="store_true", help="expected counts without noise")
+    add("--mission-effects", text, action="store_true")
+    add = _batch.adder(group.add_mutually_exclusive_group())
+    text = "only these noise terms, of photon, background, read and quantization (default: the "
+    add("--noise", f"{text}first three)", nargs="+", metavar="TERM")
+    add("--no-noise", "expected counts without noise", action="store_true")
 
 
 def run(arguments):
-    """Simulate the star and write the file; return the exit status."""
+    """Simulate the pixels of a star along a spacecraft's motion.
+
+    Writes them with the truth to a target pixel file that lightkurve opens.
+    """
     from scope_models.batch.files import named_detector
     from scope_models.io._atomic import check_output
 

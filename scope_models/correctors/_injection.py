@@ -213,7 +213,7 @@ def box_signal(used, width, depth):
 
 @one_thread
 def fitted_depth(fitted, column):
-    """Return amplitude and error of a transit at fixed regressors, with cadences left out for it."""
+    """Return amplitude and error of a transit at fixed regressors, with all cadences in it."""
     usable, solution = fitted.model.pixels.usable, fitted.solution
     column, use = column[usable], solution.use | fitted.transit_mask[usable]
     solution = solution.with_flat(column, use | fitted.cadence_mask[usable] & column.any(axis=1))

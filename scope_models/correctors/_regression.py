@@ -341,8 +341,8 @@ def fit_hyperparameters(data, start=None, *, trend=True):
 
     The columns' parameters are improved at fixed process, where only a small matrix enters,
     and the process' with the columns compressed, by turns. The search begins with a slow process as
-    large as the noise, or without one if ``trend`` is False, unless a start is given. Of very many cadences,
-    means are searched first.
+    large as the noise, or without one if ``trend`` is False, unless a start is given. Of very many
+    cadences, means are searched first.
     """
     width = len(data.y) // _ENOUGH
     if width > 1:

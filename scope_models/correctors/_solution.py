@@ -390,7 +390,8 @@ def _without_outliers(solution, make_regressors, options):
 def _evidence(solution, allowed):
     """Log-likelihood with the outliers, which may be anywhere in the range of the data.
 
-    What noise is beyond FLUX_ERR is a misfit, which a likelihood of white noise takes for too little.
+    What noise is beyond FLUX_ERR is a misfit, which a likelihood of white noise takes for too
+    little.
     """
     n_outliers = allowed.sum() - solution.use.sum()
     value = solution.log_likelihood - n_outliers * np.log(np.ptp(solution.y[allowed]))

@@ -22,6 +22,8 @@ def of_date(coord, day):
     """Return a coordinate at the equinox of a time, BTJD."""
     if not isinstance(coord, coordinates.SkyCoord):
         raise TypeError(f"`coord` must be a SkyCoord, got {coord!r}")
+    if any(getattr(coord.frame, name, 0) is None for name in ("obstime", "location")):
+        raise TypeError("`coord` must be on the sky, as ICRS, or have obstime and location")
     equinox = Time(TIME_ZEROS["btjd"], day, format="jd", scale="tdb")
     return coord.transform_to(coordinates.FK5(equinox=equinox))
 

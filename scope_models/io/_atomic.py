@@ -20,8 +20,7 @@ def atomic_path(path, *, overwrite=False):
     appears meanwhile is replaced. Errors are an OSError that names the file.
     """
     target = check_output(path, overwrite=overwrite)
-    name = _PREFIX + secrets.token_hex(8) + "".join(target.suffixes[-2:])
-    temporary = target.with_name(name)
+    temporary = target.with_name(_PREFIX + secrets.token_hex(8) + "".join(target.suffixes[-2:]))
     try:
         yield temporary
         if overwrite and target.exists():

@@ -1,18 +1,29 @@
-"""The headers of a target pixel file: a template for each mission, and the computed cards."""
+"""The headers and the pixel table of a target pixel file.
+
+A template for each mission and the computed cards; the columns, and checks of their values.
+"""
 
 import datetime as dt
 import warnings
+from dataclasses import dataclass, replace
 from functools import cache, lru_cache
 from pathlib import Path
 
 import numpy as np
 
+from scope_models._arrays import plain_array, plain_time
+from scope_models._checks import checked_int32
 from scope_models._version import __version__
 from scope_models.io._blocks import card_texts
 
-__all__ = ["calendar_dates", "make_headers", "pixel_column_cards", "tan_projection"]
+__all__ = [
+    "WCS_NAMES", "PixelColumn", "calendar_dates", "checked_columns", "make_headers",
+    "pixel_column_cards", "pixel_columns", "table_rows", "tan_projection",
+]  # fmt: skip
 
 _LAYOUTS = Path(__file__).with_name("layouts")
+#: Names of cards on the coordinates of an image, and of those of a column without their numbers.
+WCS_NAMES = {"CTYPE": "CTYP", "CRPIX": "CRPX", "CRVAL": "CRVL", "CUNIT": "CUNI", "CDELT": "CDLT"}
 _MATRIX = ("PC1_1", "PC1_2", "PC2_1", "PC2_2")
 _PROTECTED = ("SIMPLE", "BITPIX", "EXTEND", "NEXTEND", "EXTNAME", "EXTVER", "CHECKSUM", "DATASUM")
 _CARDS = {
@@ -21,6 +32,45 @@ _CARDS = {
     "READTIME": "read_time", "FRAMETIM": "frame_time", "NUM_FRM": "n_frames", "NREADOUT": "reads",
 }  # fmt: skip
 _MAX_CARD_INTEGER = 2**63 - 1  # larger seeds are written as text, for readers with 64-bit integers
+_ROLLING_BAND_DURATIONS = 5
+_CUBES = "flux", "flux_err", "flux_bkg", "flux_bkg_err", "cosmic_rays"
+_UNITS = dict.fromkeys(_CUBES, "electron / s")
+_UNITS |= {"timecorr": "d", "pos_corr1": "pix", "pos_corr2": "pix"}
+_DTYPES = {"D": np.dtype(">f8"), "E": np.dtype(">f4"), "J": np.dtype(">i4")}
+
+
+@dataclass(frozen=True)
+class PixelColumn:
+    name: str
+    kind: str
+    title: str
+    unit: str = ""
+    display: str = ""
+    null: int | None = None
+    is_pixels: bool = False
+
+    def image_shape(self, shape):
+        """Return the shape of a cell's value, () for a number."""
+        if self.name == "RB_LEVEL":
+            return shape[0], _ROLLING_BAND_DURATIONS
+        return tuple(shape) if self.is_pixels else ()
+
+
+_COLUMNS = (
+    PixelColumn("TIME", "D", "times of mid-cadence"),
+    PixelColumn("TIMECORR", "E", "barycentric minus spacecraft time", "d"),
+    PixelColumn("CADENCENO", "J", "number of the cadence", display="I10"),
+    PixelColumn("RAW_CNTS", "J", "raw counts", "count", "I8", -1, is_pixels=True),
+    PixelColumn("FLUX", "E", "flux less background", "e-/s", is_pixels=True),
+    PixelColumn("FLUX_ERR", "E", "standard deviation of it", "e-/s", is_pixels=True),
+    PixelColumn("FLUX_BKG", "E", "background", "e-/s", is_pixels=True),
+    PixelColumn("FLUX_BKG_ERR", "E", "its uncertainty", "e-/s", is_pixels=True),
+    PixelColumn("COSMIC_RAYS", "E", "cosmic rays", "e-/s", is_pixels=True),
+    PixelColumn("QUALITY", "J", "quality flags"),
+    PixelColumn("POS_CORR1", "E", "offset in columns", "pixel"),
+    PixelColumn("POS_CORR2", "E", "offset in rows", "pixel"),
+    PixelColumn("RB_LEVEL", "E", "rolling bands, none sought", "sigma"),
+)
 
 
 def make_headers(metadata, time, timecorr, used, aperture):
@@ -153,12 +203,11 @@ def _column_wcs(n, metadata, shape):
         (f"1CRP{n}P", 1, "first pixel of axis 1"), (f"2CRP{n}P", 1, "first pixel of axis 2"),
         (f"WCAX{n}", 2, "axes of the sky coordinates"),
     ]  # fmt: skip
-    short = {"CTYPE": "CTYP", "CRPIX": "CRPX", "CRVAL": "CRVL", "CUNIT": "CUNI", "CDELT": "CDLT"}
     for keyword, (value, comment) in sky.items():
         if keyword.startswith("PC"):
             cards.append((f"{keyword[2]}{keyword[4]}PC{n}", value, comment))
         else:
-            cards.append((f"{keyword[5]}{short[keyword[:5]]}{n}", value, comment))
+            cards.append((f"{keyword[5]}{WCS_NAMES[keyword[:5]]}{n}", value, comment))
     return cards
 
 
@@ -229,3 +278,106 @@ def _checked_card(keyword, given):
     if isinstance(value, str) and "EVEREST" in value.upper() and keyword.upper() == "COMMENT":
         raise ValueError("`extra_cards` must have no COMMENT with EVEREST: readers misread it")
     return card
+
+
+def pixel_columns(mission):
+    displays, columns = dict(zip("DEJ", mission.displays, strict=True)), []
+    for item in _COLUMNS:
+        unit = mission.time_unit if item.name == "TIME" else item.unit
+        if item.name not in mission.absent_columns:
+            columns.append(replace(item, unit=unit, display=item.display or displays[item.kind]))
+    return columns
+
+
+def table_rows(columns, values):
+    """Return the pixel table as in the file, NaN or the null value in columns without values."""
+    n_cadences, *stamp = values["FLUX"].shape
+    fields = [(item.name, _DTYPES[item.kind], item.image_shape(stamp)) for item in columns]
+    rows = np.empty(n_cadences, dtype=fields)
+    as_bytes = rows.view(np.uint8).reshape(n_cadences, -1)
+    for column in columns:
+        given = values.get(column.name)
+        field, start = rows.dtype.fields[column.name]
+        if given is None:
+            rows[column.name] = np.nan if column.null is None else column.null
+        elif given.ndim == 3:
+            # One swap of bytes in one piece, then rows of bytes: 5 times faster than by field.
+            swapped = np.ascontiguousarray(given, dtype=field.base)
+            cells = swapped.view(np.uint8).reshape(n_cadences, -1)
+            as_bytes[:, start : start + field.itemsize] = cells
+        else:
+            rows[column.name] = given
+    return rows
+
+
+def checked_columns(mission, values):
+    """Return the arrays that are there, by the names in the file, checked against each other."""
+    # Only times, quantities and masked values have these; plain arrays are not copied.
+    special = ("unit", "mask", "jd1")
+    for name, unit in _UNITS.items():
+        if any(hasattr(values[name], attribute) for attribute in special):
+            values[name] = plain_array(values[name], unit, name)
+    flux = np.asarray(values["flux"])
+    if flux.ndim != 3 or 0 in flux.shape:
+        raise ValueError(f"`flux` must have the shape (n_cadences, ny, nx), got {flux.shape}")
+    checked = _checked_times(mission, values, flux.shape[:1])
+    for name in _UNITS:
+        if values[name] is not None:
+            shape = flux.shape if name in _CUBES else flux.shape[:1]
+            checked[name.upper()] = _floats(name, values[name], shape, broadcast=name in _CUBES)
+    error, background_error = checked["FLUX_ERR"], checked["FLUX_BKG_ERR"]
+    if np.any(error <= 0):
+        raise ValueError(f"`flux_err` must be positive, got {np.nanmin(error)}")
+    if np.any(np.isnan(error) & ~np.isnan(checked["FLUX"])):
+        raise ValueError("`flux_err` must not be NaN where `flux` is not")
+    if np.any(background_error < 0):
+        raise ValueError(f"`flux_bkg_err` must not be negative, got {np.nanmin(background_error)}")
+    if values["raw_cnts"] is not None:
+        checked["RAW_CNTS"] = _integers("raw_cnts", values["raw_cnts"], flux.shape)
+        if checked["RAW_CNTS"].min() < -1:
+            raise ValueError("`raw_cnts` must not be negative, except -1 where there are no data")
+    return checked
+
+
+def _checked_times(mission, values, shape):
+    """Return times, cadence numbers and quality flags: no data where Kepler and K2 have no time."""
+    time = _floats("time", plain_time(values["time"], mission.time_format, "time"), shape)
+    known = time[np.isfinite(time)]
+    if known.size == 0:
+        raise ValueError("`time` must have a finite value")
+    if np.any(np.diff(known) <= 0):
+        raise ValueError("`time` must increase from cadence to cadence")
+    number = _integers("cadenceno", values["cadenceno"], shape)
+    if number[0] < 1 or np.any(np.diff(number) <= 0):
+        raise ValueError(f"`cadenceno` must increase from at least 1, got {number[0]} first")
+    quality = _integers("quality", values["quality"], shape)
+    if quality.min() < 0:
+        raise ValueError(f"`quality` must not be negative, got {quality.min()}")
+    no_data = np.where(np.isnan(time), mission.quality.no_data, 0).astype(np.int32)
+    return {"TIME": time, "CADENCENO": number, "QUALITY": quality | no_data}
+
+
+def _floats(name, values, shape, *, broadcast=False):
+    """Return an array of floats of a shape, without infinities."""
+    array = np.asarray(values)
+    if array.dtype.kind not in "iufb":
+        raise TypeError(f"`{name}` must be an array of numbers, got {array.dtype}")
+    if broadcast:
+        try:
+            array = np.broadcast_to(array, shape)
+        except ValueError:
+            raise ValueError(f"`{name}` must fit the shape {shape}, got {array.shape}") from None
+    if array.shape != shape:
+        raise ValueError(f"`{name}` must have the shape {shape}, got {array.shape}")
+    if array.dtype.kind != "f":
+        return array.astype(float)
+    if np.any(np.abs(array) > np.finfo(np.float32).max):
+        raise ValueError(f"`{name}` must not be infinite, and fit into single precision")
+    return array
+
+
+def _integers(name, values, shape):
+    array = checked_int32(name, values)
+    if array.shape != shape:
+        raise ValueError(f"`{name}` must have the shape {shape}, got {array.shape}")
+    return array

@@ -41,7 +41,6 @@ _NO_LONGER_TRUE = {
 _INSTRUMENTS = {"TESS": ("phot", "tess")}
 _KEPLER = "kepler", "kepler"
 _RUNS = {"CAMPAIGN": "c{:02d}", "QUARTER": "q{:02d}", "SECTOR": "s{:04d}"}
-_LICENSE = "CC BY 4.0", "https://creativecommons.org/licenses/by/4.0/"
 _ID, _VERSION = re.compile(r"[a-z][a-z0-9-]{0,18}[a-z0-9]"), re.compile(r"\d{1,2}(\.\d{1,2}){0,2}")
 #: Longest name of a target with its run, and of a file.
 _LONGEST_TARGET, _LONGEST_NAME = 30, 90
@@ -91,7 +90,6 @@ def _kept(header, left_out=_OF_COLUMNS):
 
 
 def _span(time, series):
-    """Return the cards of the span of time of the cadences that are left."""
     known = np.asarray(time, dtype=float)
     known = known[np.isfinite(known)]
     if not known.size:
@@ -255,8 +253,8 @@ def _collection_cards(collection, series, path):
         ("HLSPTARG", str(series.header.get("OBJECT")), "target"),
         ("HLSPVER", collection.version, "version of the collection"),
         ("DOI", collection.doi, "digital object identifier"),
-        ("LICENSE", _LICENSE[0], "license of these data"),
-        ("LICENURL", _LICENSE[1], "its text"),
+        ("LICENSE", "CC BY 4.0", "license of these data"),
+        ("LICENURL", "https://creativecommons.org/licenses/by/4.0/", "its text"),
         ("OBSERVAT", series.mission.telescope, "observatory"),
         ("INSTRUME", series.mission.instrument, "instrument"),
         ("MISSION", series.mission.name, "mission"),

@@ -102,9 +102,7 @@ def _content(path):
     if size == 0:
         raise ValueError(f"{path} is empty")
     with path.open("rb") as stream:
-        packed = stream.read(len(_GZIP)) == _GZIP
-        stream.seek(0)
-        if not packed:
+        if not stream.peek(2).startswith(_GZIP):
             if size > limit:
                 raise _too_large(path, limit)
             return stream.read()
@@ -179,10 +177,9 @@ def _check_columns(hdu, path):
     n_columns = hdu.header["TFIELDS"]
     if isinstance(n_columns, bool) or not 0 <= n_columns <= _MOST:
         raise _refused(path, f"TFIELDS is {n_columns}")
-    width = hdu.columns.dtype.itemsize
-    if width > (length := hdu.header["NAXIS1"]):
-        reason = f"the columns of a table have {width:,} bytes, its rows {length:,}"
-        raise _refused(path, reason)
+    width, length = hdu.columns.dtype.itemsize, hdu.header["NAXIS1"]
+    if width > length:
+        raise _refused(path, f"the columns of a table have {width:,} bytes, its rows {length:,}")
     for number in range(1, n_columns + 1):
         if not isinstance(hdu.header.get(f"TTYPE{number}"), str):
             raise _refused(path, f"TTYPE{number} is absent or not text")
@@ -238,7 +235,6 @@ def read_positions(path):
 
 
 def read_table(path):
-    """Return a table of a file that astropy reads."""
     from astropy.io.ascii import InconsistentTableError
     from astropy.io.registry import IORegistryError
     from astropy.table import Table

@@ -5,6 +5,7 @@ import re
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from itertools import count, takewhile
 from types import MappingProxyType
 
 import numpy as np
@@ -166,10 +167,8 @@ class Truth(Value):
 
     def _names(self, prefix):
         """Return the names of a column for star 1, 2, ..."""
-        names = []
-        while f"{prefix}{len(names) + 1}" in self.columns:
-            names.append(f"{prefix}{len(names) + 1}")
-        return names
+        names = (f"{prefix}{n}" for n in count(1))
+        return list(takewhile(self.columns.__contains__, names))
 
     def _stack(self, prefix):
         """Return a column of all stars, shape (n_stars, n_cadences)."""
@@ -186,15 +185,31 @@ class Truth(Value):
 
 def truth_blocks(cadenceno, columns, maps, scene, tables):
     """Return the extensions that hold a truth; the arguments are those of `make_tpf_hdulist`."""
-    maps = maps or {}
-    tables = _table_hdus(tables or {}, {name.upper() for name in maps})
-    return [_truth_block(cadenceno, columns or {}), *scene_blocks(maps, scene, tables)]
+    from astropy.io import fits
+
+    maps, hdus = maps or {}, []
+    taken = _TPF_NAMES | {name.upper() for name in maps}
+    for name, table in (tables or {}).items():
+        _check_name("truth_tables", name, taken | {hdu.name for hdu in hdus})
+        hdu = fits.table_to_hdu(Table(table, meta={}))
+        hdu.name = name.upper()
+        hdu.header["TABNAME"] = (name, "name of the list of truth")
+        hdus.append(hdu)
+    return [_truth_block(cadenceno, columns or {}), *scene_blocks(maps, scene, hdus)]
 
 
-def scene_blocks(maps, scene, tables=()):
+def scene_blocks(maps, scene, further=()):
     """Return the extensions that hold images, further extensions, and what JSON can hold."""
-    blocks = [*_map_blocks(maps), *tables]
-    return blocks if scene is None else [*blocks, _scene_block(scene)]
+    blocks = {}
+    for name, values in maps.items():
+        _check_name("truth_maps", name, _TPF_NAMES | blocks.keys())
+        array = np.array(values, dtype=float)
+        if array.ndim != 2 or 0 in array.shape:
+            raise ValueError(f"`truth_maps` {name} must be an image, got the shape {array.shape}")
+        cards = [("MAPNAME", name, "name of the map of truth")]
+        cards.append(("EXTNAME", name.upper(), "extension name"))
+        blocks[name.upper()] = Block.image(array, cards)
+    return [*blocks.values(), *further, *([] if scene is None else [_scene_block(scene)])]
 
 
 def _truth_block(cadenceno, columns):
@@ -217,8 +232,7 @@ def _truth_block(cadenceno, columns):
     cards = column_cards(rows, {"CADENCENO": "number of the cadence"})
     cards.append(("EXTNAME", "TRUTH", "extension name"))
     if numbered:
-        comment = "columns of vectors: a value for each star"
-        cards.append((_NUMBERED, " ".join(numbered), comment))
+        cards.append((_NUMBERED, " ".join(numbered), "columns of vectors: a value for each star"))
     return Block.table(rows, cards)
 
 
@@ -235,41 +249,6 @@ def _vectors(arrays):
     gone = {f"{stem}{i + 1}" for stem, array in joined.items() for i in range(array.shape[1])}
     left = {name: array for name, array in arrays.items() if name not in gone}
     return {**left, **joined}, list(joined)
-
-
-def _columns_of(hdu):
-    """Return the columns of the TRUTH table by name, vectors as numbered columns."""
-    columns = {name: native(hdu.data[name]) for name in hdu.columns.names}
-    for name in str(hdu.header.get(_NUMBERED, "")).split():
-        vectors = columns.pop(name)
-        columns |= {f"{name}{i + 1}": values for i, values in enumerate(vectors.T)}
-    return columns
-
-
-def _map_blocks(maps):
-    blocks = {}
-    for name, values in maps.items():
-        _check_name("truth_maps", name, _TPF_NAMES | blocks.keys())
-        array = np.array(values, dtype=float)
-        if array.ndim != 2 or 0 in array.shape:
-            raise ValueError(f"`truth_maps` {name} must be an image, got the shape {array.shape}")
-        cards = [("MAPNAME", name, "name of the map of truth")]
-        cards.append(("EXTNAME", name.upper(), "extension name"))
-        blocks[name.upper()] = Block.image(array, cards)
-    return list(blocks.values())
-
-
-def _table_hdus(tables, taken):
-    from astropy.io import fits
-
-    hdus = []
-    for name, table in tables.items():
-        _check_name("truth_tables", name, _TPF_NAMES | taken | {hdu.name for hdu in hdus})
-        hdu = fits.table_to_hdu(Table(table, meta={}))
-        hdu.name = name.upper()
-        hdu.header["TABNAME"] = (name, "name of the list of truth")
-        hdus.append(hdu)
-    return hdus
 
 
 def _check_name(argument, name, taken):
@@ -309,12 +288,16 @@ def truth_of(hdus):
     """Return the truth in an HDU list; None if it has no TRUTH table."""
     if "TRUTH" not in hdus or hdus["TRUTH"].columns.names[:1] != ["CADENCENO"]:
         return None
-    tables = {
-        hdu.header["TABNAME"]: Table({name: native(hdu.data[name]) for name in hdu.columns.names})
-        for hdu in hdus
-        if "TABNAME" in hdu.header
-    }
-    return Truth(_columns_of(hdus["TRUTH"]), maps_of(hdus), scene_of(hdus), tables)
+    columns = _columns_of(hdus["TRUTH"])
+    for name in str(hdus["TRUTH"].header.get(_NUMBERED, "")).split():  # vectors
+        columns |= {f"{name}{i}": values for i, values in enumerate(columns.pop(name).T, start=1)}
+    lists = [hdu for hdu in hdus if "TABNAME" in hdu.header]
+    tables = {hdu.header["TABNAME"]: Table(_columns_of(hdu)) for hdu in lists}
+    return Truth(columns, maps_of(hdus), scene_of(hdus), tables)
+
+
+def _columns_of(hdu):
+    return {name: native(hdu.data[name]) for name in hdu.columns.names}
 
 
 def maps_of(hdus):

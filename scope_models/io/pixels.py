@@ -14,6 +14,7 @@ from scope_models._arrays import plain_array, plain_time, unmasked, without_unit
 from scope_models._checks import one_line
 from scope_models._values import Value, frozen
 from scope_models.io import _opening
+from scope_models.io._headers import WCS_NAMES
 from scope_models.io._opening import RefusedError
 from scope_models.missions import TIME_ZEROS, Mission
 
@@ -21,13 +22,9 @@ __all__ = ["PixelSeries", "read_pixels", "read_tpf", "usable_positions"]
 
 _OPTIMAL = 2  # the bit of the optimal aperture in the APERTURE extension
 _OF_LIGHTKURVE = ("TIME", "CADENCENO", "FLUX", "FLUX_ERR", "QUALITY")
-#: Keywords of the WCS of the column FLUX, and their names in an image.
-_WCS = {
-    "1CTYP5": "CTYPE1", "2CTYP5": "CTYPE2", "1CRPX5": "CRPIX1", "2CRPX5": "CRPIX2",
-    "1CRVL5": "CRVAL1", "2CRVL5": "CRVAL2", "1CUNI5": "CUNIT1", "2CUNI5": "CUNIT2",
-    "1CDLT5": "CDELT1", "2CDLT5": "CDELT2", "11PC5": "PC1_1", "12PC5": "PC1_2",
-    "21PC5": "PC2_1", "22PC5": "PC2_2",
-}  # fmt: skip
+#: Keywords of the WCS of the column FLUX, the fifth, and their names in an image.
+_WCS = {f"{n}{own}5": f"{name}{n}" for name, own in WCS_NAMES.items() for n in "12"}
+_WCS |= {f"{n}{m}PC5": f"PC{n}_{m}" for n in "12" for m in "12"}
 #: Offsets of this size and more mark missing positions: archive files have -83 to -1023 px.
 LARGEST_OFFSET = 50.0
 
@@ -347,7 +344,6 @@ def _of_hdus(hdus, name):
 
 
 def _check_times(series, name):
-    """Refuse times that no series has."""
     known = series.time[np.isfinite(series.time)]
     if not known.size:
         raise ValueError(f"{name} has no usable time: all of {len(series)} are NaN")
@@ -465,8 +461,9 @@ def target_among(places, series):
     from astropy.coordinates import SkyCoord
 
     names = {name.lower() for name in getattr(places, "colnames", ("x", "y"))}
-    on_sky = isinstance(places, SkyCoord) or not {"x", "y"} <= names
-    return target_place(series) if on_sky else None
+    if isinstance(places, SkyCoord) or not {"x", "y"} <= names:
+        return target_place(series)
+    return None
 
 
 def target_place(series):

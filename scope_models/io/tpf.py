@@ -15,10 +15,9 @@ from scope_models._arrays import DIGITAL, PER_PIXEL
 from scope_models._checks import check_fields, checked_matrix, integer, number
 from scope_models._docstrings import documented
 from scope_models._values import Value
+from scope_models.io import _headers
 from scope_models.io._atomic import atomic_path
 from scope_models.io._blocks import CHECKSUM_COMMENT, Block, card_texts, write_blocks
-from scope_models.io._columns import checked_columns, pixel_columns, table_rows
-from scope_models.io._headers import make_headers, pixel_column_cards
 from scope_models.io._opening import open_fits
 from scope_models.io._truth import truth_blocks, truth_of
 from scope_models.missions import MISSIONS
@@ -34,7 +33,6 @@ _MODULES = (2, 3, 4, *range(6, 21), 22, 23, 24)  # those at the corners are fine
 _OF_MISSION = ("pixel_scale", "int_time", "read_time")
 _OF_DETECTOR = (*_OF_MISSION, "mission", "n_frames", "gain", "read_noise", "mean_black")
 _OF_DETECTOR += ("fixed_offset",)
-_RUNS = ("quarter", "campaign", "sector")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -174,9 +172,9 @@ class TPFMetadata(Value):
         self._check_place()
 
     def _check_place(self):
-        """Check that time and place are those of the mission, and a channel is one."""
         layout = self.layout
-        for name in (*_RUNS, "channel", "module", "output", "camera", "ccd"):
+        places = "channel", "module", "output", "camera", "ccd"
+        for name in ("quarter", "campaign", "sector", *places):
             given = getattr(self, name)
             if given is not None and name not in {layout.run, *layout.places}:
                 raise ValueError(f"`{name}` must not be given for {self.mission}, got {given}")
@@ -439,13 +437,11 @@ def read_truth(source):
     Traceback (most recent call last):
     FileNotFoundError: no such file: absent.fits
     """
-    hdus, name = getattr(source, "hdu", source), "the target pixel file"
-    if isinstance(hdus, str | PathLike):
-        name = source
-        with open_fits(source) as opened:
-            truth = truth_of(opened)
+    if isinstance(source, str | PathLike):
+        with open_fits(source) as hdus:
+            truth, name = truth_of(hdus), source
     else:
-        truth = truth_of(hdus)
+        truth, name = truth_of(getattr(source, "hdu", source)), "the target pixel file"
     if truth is None:
         raise ValueError(f"{name} holds no truth: it has no TRUTH table with CADENCENO")
     return truth
@@ -465,16 +461,14 @@ def _tpf_blocks(
         columns["cadenceno"] = np.arange(1, n_cadences + 1)
     if columns["quality"] is None:
         columns["quality"] = np.zeros(n_cadences, dtype=np.int32)
-    values = checked_columns(metadata, columns)
-    aperture = _aperture_bits(aperture, values["FLUX"].shape[1:])
+    values = _headers.checked_columns(metadata.layout, columns)
+    layout, shape = _headers.pixel_columns(metadata.layout), values["FLUX"].shape[1:]
+    aperture = _aperture_bits(aperture, shape)
     used = np.isfinite(values["TIME"]) & np.isfinite(values["FLUX"]).any(axis=(1, 2))
-    timecorr = values.get("TIMECORR", np.full(n_cadences, np.nan))
-    counted = int(used.sum())
-    primary, table, image = make_headers(metadata, values["TIME"], timecorr, counted, aperture)
-    layout, shape = pixel_columns(metadata), values["FLUX"].shape
-    definitions = pixel_column_cards(layout, metadata, shape[1:])
-    rows = table_rows(layout, values, shape)
-    blocks = [Block.table(rows, [*definitions, *table]), Block.image(aperture, image)]
+    times = values["TIME"], values.get("TIMECORR", np.full(n_cadences, np.nan)), int(used.sum())
+    primary, table, image = _headers.make_headers(metadata, *times, aperture)
+    cards = [*_headers.pixel_column_cards(layout, metadata, shape), *table]
+    blocks = [Block.table(_headers.table_rows(layout, values), cards), Block.image(aperture, image)]
     if "COSMIC_RAYS" in metadata.layout.absent_columns:
         blocks.append(_cosmic_ray_hdu(metadata, values))
     truth = truth_columns, truth_maps, scene, truth_tables
@@ -508,7 +502,7 @@ def _cosmic_ray_hdu(metadata, values):
             fits.Column("RAWY", "I", "pixel", array=metadata.row + row, disp="I4"),
             fits.Column("COSMIC_RAY", "E", "e-/s", array=rays[cadence, row, column], disp="E14.7"),
         ],
-        name=_COSMIC_RAYS,
+        name="TARGET COSMIC RAY",
     )
     hdu.header.insert("EXTNAME", ("INHERIT", True, "the primary header holds here too"))
     hdu.header["EXTVER"] = (1, "version of extension")

@@ -123,6 +123,12 @@ class TransitModel(Fittable1DModel):
         """Arguments of an equal model, without its parameters (dict)."""
         return {"exposure_time": self.exposure_time}
 
+    def prepare_inputs(self, *inputs, **options):
+        """Check the inputs as astropy's models do, and refuse a Time, whose zero is unknown."""
+        if any(isinstance(value, Time) for value in inputs):
+            raise TypeError("times must be days with the zero of `t0`, as `time.value`, got a Time")
+        return super().prepare_inputs(*inputs, **options)
+
     def _in_units(self):
         """Return the value of each parameter in its documented unit."""
         return {name: _number(name, value_of(getattr(self, name))) for name in self.param_names}

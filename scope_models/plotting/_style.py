@@ -1,6 +1,7 @@
 """Style, panels and labels of all figures, and how they are saved."""
 
-from functools import wraps
+import inspect
+from functools import partial, wraps
 from pathlib import Path
 
 import matplotlib.pyplot as plt
@@ -8,6 +9,7 @@ import numpy as np
 from matplotlib.backend_bases import FigureCanvasBase
 from matplotlib.transforms import Bbox
 
+from scope_models._arrays import plain_array
 from scope_models._docstrings import documented
 
 __all__ = [
@@ -29,25 +31,33 @@ _TITLE = """title : str, optional
     Title of the Axes."""
 
 
-def styled(function):
-    """Return a plotting function that draws in the style of the package, with shared docs."""
+def styled(function=None, /, **units):
+    """Decorate a plotting function: the style of the package, shared docs, arrays in their units.
+
+    The arguments that are named become arrays, None stays; a unit of None stands for any.
+    """
+    if function is None:
+        return partial(styled, **units)
+    signature = inspect.signature(function)
 
     @documented(time_label=_TIME_LABEL, mask=_MASK, title=_TITLE)
     @wraps(function)
     def draw(*args, **kwargs):
+        given = signature.bind(*args, **kwargs)
+        for name, value in given.arguments.items():
+            if name in units and value is not None:
+                given.arguments[name] = plain_array(value, units[name], name)
         with plt.style.context(STYLE):
-            return function(*args, **kwargs)
+            return function(*given.args, **given.kwargs)
 
     return draw
 
 
 def given_or_new(ax, width, height):
-    """Return the given Axes, or a new figure's."""
     return plt.subplots(figsize=(width, height), layout="constrained")[1] if ax is None else ax
 
 
 def label_pixels(ax, title):
-    """Label the axes of an image of pixels."""
     ax.set(title=title, xlabel="Column (pixel)", ylabel="Row (pixel)")
 
 

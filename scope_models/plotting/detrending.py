@@ -1,4 +1,4 @@
-"""Figures of a corrector: removed systematics, remaining light curve, and pixels."""
+"""Figures of corrections: removed systematics, remaining light curve, pixels, and noise."""
 
 from types import SimpleNamespace
 
@@ -12,12 +12,14 @@ from scope_models.plotting import _style
 from scope_models.plotting._style import DARK, GRAY, LIGHT, styled
 from scope_models.plotting.images import draw_outline
 
-__all__ = ["plot_comparison", "plot_detrending", "plot_detrending_masks", "plot_states"]
+__all__ = [
+    "plot_comparison", "plot_detrending", "plot_detrending_masks", "plot_precision", "plot_states",
+]  # fmt: skip
 
 _LEGEND = {"fontsize": "small", "ncols": 3, "markerscale": 2}
 
 
-@styled
+@styled(time=u.day)
 def plot_comparison(time, fluxes, *, time_label="Time (d)"):
     """Draw light curves below each other on one scale.
 
@@ -41,9 +43,8 @@ def plot_comparison(time, fluxes, *, time_label="Time (d)"):
     >>> len(axes)
     2
     """
-    time, n = plain_array(time, u.day, "time"), len(fluxes)
-    size, shared = (9, 1 + 1.8 * n), {"sharex": True, "sharey": True, "squeeze": False}
-    axes, shown = plt.subplots(n, figsize=size, layout="constrained", **shared)[1][:, 0], []
+    n, shown, shared = len(fluxes), [], {"sharex": True, "sharey": True, "squeeze": False}
+    axes = plt.subplots(n, figsize=(9, 1 + 1.8 * n), layout="constrained", **shared)[1][:, 0]
     for ax, (name, flux) in zip(axes, fluxes.items(), strict=True):
         values = plain_array(flux, None, "fluxes")
         relative = values / np.nanmedian(values)
@@ -56,7 +57,7 @@ def plot_comparison(time, fluxes, *, time_label="Time (d)"):
     return axes
 
 
-@styled
+@styled(time=u.day, flux=None, corrected=None)
 def plot_detrending(
     time, flux, corrected, *, systematics=None, trend=None, outliers=None, masked=None,
     time_label="Time (d)",
@@ -86,8 +87,6 @@ def plot_detrending(
     >>> [ax.get_ylabel() for ax in axes]
     ['Measured flux (e-/s)', 'Model (e-/s)', 'Corrected flux (e-/s)']
     """
-    time, flux = plain_array(time, u.day, "time"), plain_array(flux, None, "flux")
-    corrected = plain_array(corrected, None, "corrected")
     _, axes = plt.subplots(3, 1, figsize=(9, 7), sharex=True, layout="constrained")
     axes[0].plot(time, flux, ".", ms=2, color=GRAY, label=_label("measured", time, flux))
     for values, color, name in ((systematics, DARK, "systematics"), (trend, LIGHT, "trend")):
@@ -116,7 +115,7 @@ def _label(name, time, flux):
     return name if np.isnan(noise) else f"{name}, CDPP {noise:.0f} ppm (lightkurve)"
 
 
-@styled
+@styled(image=u.electron / u.s, scatter=u.one)
 def plot_detrending_masks(image, aperture, scatter):
     """Draw an aperture over the star and over the pixels' share in the systematics.
 
@@ -144,8 +143,6 @@ def plot_detrending_masks(image, aperture, scatter):
     aperture = np.asarray(aperture, dtype=bool)
     _, axes = plt.subplots(1, 2, figsize=(9, 4), layout="constrained")
     titles = ("Flux (e-/s)", "Scatter of the pixel fractions")
-    image = plain_array(image, u.electron / u.s, "image")
-    scatter = plain_array(scatter, u.one, "scatter")
     for ax, values, title in zip(axes, (image, scatter), titles, strict=True):
         drawn = ax.imshow(values, origin="lower", cmap="cividis")
         ax.figure.colorbar(drawn, ax=ax)
@@ -154,7 +151,7 @@ def plot_detrending_masks(image, aperture, scatter):
     return axes
 
 
-@styled
+@styled(time=u.day)
 def plot_states(time, states, leaks, aperture=None, *, time_label="Time (d)"):
     """Draw the states of a star's images in time, and the light that each moves between the pixels.
 
@@ -184,7 +181,6 @@ def plot_states(time, states, leaks, aperture=None, *, time_label="Time (d)"):
     >>> sorted(axes)
     ['Column (pixel)', 'leak, Column (pixel)']
     """
-    time = plain_array(time, u.day, "time")
     mosaic = [[f"leak, {name}" if name in leaks else ".", name] for name in states]
     figure = plt.figure(figsize=(11, 1.2 + 2.1 * len(states)), layout="constrained")
     axes = figure.subplot_mosaic(mosaic, width_ratios=(1, 2.2), empty_sentinel=".")
@@ -208,3 +204,41 @@ def plot_states(time, states, leaks, aperture=None, *, time_label="Time (d)"):
         ax.set(xlabel="Column (pixel)" if name == list(leaks)[-1] else "", ylabel="Row (pixel)")
     axes[f"leak, {next(iter(leaks))}"].set_title("Light that one standard deviation moves")
     return axes
+
+
+@styled
+def plot_precision(stars, published=None, *, convention="lightkurve"):
+    """Draw the noise of stars before and after a correction over their magnitude.
+
+    Parameters
+    ----------
+    stars : mapping of str to array_like
+        Per star, ``(n,)`` each: "mag", "raw_cdpp" and "cdpp" (ppm). NaN is not drawn.
+    published : mapping of str to array_like, optional
+        "mag", and medians of other light curves at these magnitudes by their names, drawn as lines.
+    convention : str, optional
+        Convention of the CDPP, which the label names.
+
+    Returns
+    -------
+    `~matplotlib.figure.Figure`
+        The figure.
+
+    Examples
+    --------
+    >>> from scope_models.plotting.detrending import plot_precision
+    >>> stars = {"mag": [12.0, 14.0], "raw_cdpp": [200, 300], "cdpp": [25, 60]}
+    >>> plot_precision(stars).axes[0].get_xlabel()
+    'Magnitude'
+    """
+    figure, ax = plt.subplots(figsize=(6.4, 4.6), layout="constrained")
+    mag = np.asarray(stars["mag"], dtype=float)
+    ax.plot(mag, stars["raw_cdpp"], "s", ms=4, color=GRAY, label="before")
+    ax.plot(mag, stars["cdpp"], "o", ms=4, color=DARK, label="corrected")
+    medians = dict(published or {})
+    center = medians.pop("mag", None)
+    for (name, values), style in zip(medians.items(), ("-", "--", "-.", ":"), strict=False):
+        ax.plot(center, values, style, color=LIGHT, label=name)
+    ax.set(yscale="log", xlabel="Magnitude", ylabel=f"6.5-h CDPP (ppm, {convention})")
+    ax.legend(fontsize="small")
+    return figure

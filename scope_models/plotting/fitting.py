@@ -17,7 +17,10 @@ _TITLES = {"data": "Data, median", "model": "Model, median", "residual": "Residu
 _LINEAR = 0.01
 
 
-@styled
+@styled(
+    data=_RATE, model=_RATE, residual=_RATE, x=u.pix, y=u.pix, pos_corr=u.pix, psf_extent=u.pix,
+    time=u.day, flux=_RATE,
+)  # fmt: skip
 def plot_fit(
     data, model, residual, x, y, *, psf=None, psf_extent=None, psf_width=None, pos_corr=None,
     sensitivity=None, chi2=None, time=None, flux=None, time_label="Time (d)",
@@ -66,12 +69,6 @@ def plot_fit(
     >>> sorted(axes)
     ['data', 'model', 'positions', 'residual']
     """
-    data, model = plain_array(data, _RATE, "data"), plain_array(model, _RATE, "model")
-    residual = plain_array(residual, _RATE, "residual")
-    x, y = plain_array(x, u.pix, "x"), plain_array(y, u.pix, "y")
-    pos_corr = None if pos_corr is None else plain_array(pos_corr, u.pix, "pos_corr")
-    time = None if time is None else plain_array(time, u.day, "time")
-    flux = None if flux is None else plain_array(flux, _RATE, "flux")
     last = ("sensitivity", sensitivity) if sensitivity else ("light curve", flux)
     below = [name for name, part in (("chi2", chi2), last) if part is not None]
     above = [*_TITLES, *(["psf"] if psf is not None else [])]
@@ -112,7 +109,6 @@ def _draw_images(axes, data, model, residual):
 
 
 def _write_numbers(bar):
-    """Label a logarithmic color bar with numbers."""
     bar.locator = LogLocator(subs=(1, 2, 5))
     bar.formatter = FuncFormatter(lambda value, _: f"{value:g}")
     bar.ax.yaxis.set_minor_formatter(NullFormatter())
@@ -123,7 +119,6 @@ def _colorbar(shown, ax, label):
 
 
 def _draw_psf(ax, psf, extent, width):
-    extent = None if extent is None else plain_array(extent, u.pix, "psf_extent")
     options = {"extent": extent, "cmap": "viridis", "norm": AsinhNorm(_LINEAR, 0, 1)}
     shown = ax.imshow(psf, origin="lower", **options)
     title = "PSF" if width is None else f"PSF, {width}"
@@ -172,7 +167,7 @@ def _draw_sensitivity(ax, sensitivity):
     ax.legend(fontsize="small")
 
 
-@styled
+@styled(time=u.day)
 def plot_twin(time, real, twin, residuals, *, time_label="Time (d)", labels=None):
     """Compare a star with its simulated twin.
 
@@ -204,7 +199,7 @@ def plot_twin(time, real, twin, residuals, *, time_label="Time (d)", labels=None
     >>> axes["twin"].get_title()
     'Twin'
     """
-    labels, time = labels or {}, plain_array(time, u.day, "time")
+    labels = labels or {}
     real, twin, residuals = (
         [plain_array(item, u.one, name) for item in items]
         for name, items in (("real", real), ("twin", twin), ("residuals", residuals))

@@ -8,7 +8,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.colors import LogNorm
 from matplotlib.patheffects import Normal, Stroke
 
-from scope_models._arrays import plain_array, plain_number
+from scope_models._arrays import plain_number
 from scope_models.plotting import _style
 from scope_models.plotting._style import FLUX, LIGHT, styled
 
@@ -18,7 +18,7 @@ __all__ = [
 ]  # fmt: skip
 
 
-@styled
+@styled(image=None)
 def plot_pixels(image, aperture=None, *, log=False, title="Pixel image", ax=None):
     """Draw a pixel image, with the outline of an aperture.
 
@@ -38,7 +38,7 @@ def plot_pixels(image, aperture=None, *, log=False, title="Pixel image", ax=None
     >>> plot_pixels([[1, 2], [3, 4]], [[False, True], [True, True]]).get_xlabel()
     'Column (pixel)'
     """
-    image, norm = _image(image), None
+    norm = None
     if log:
         top = np.nanmax(image)
         norm = LogNorm(vmin=max(np.nanmin(image), 1e-4 * top), vmax=top, clip=True)
@@ -48,7 +48,7 @@ def plot_pixels(image, aperture=None, *, log=False, title="Pixel image", ax=None
     return ax
 
 
-@styled
+@styled(sensitivity=None)
 def plot_sensitivity(sensitivity, oversample=1, *, title="Sensitivity", ax=None):
     """Draw the sensitivity of the detector at sub-pixel resolution.
 
@@ -68,11 +68,10 @@ def plot_sensitivity(sensitivity, oversample=1, *, title="Sensitivity", ax=None)
     >>> plot_sensitivity(np.ones((20, 30)), oversample=10).get_xlim()
     (np.float64(-0.5), np.float64(2.5))
     """
-    image = _image(sensitivity)
-    return _draw_image(image, oversample, "Relative sensitivity", title, ax, cmap="gray")
+    return _draw_image(sensitivity, oversample, "Relative sensitivity", title, ax, cmap="gray")
 
 
-@styled
+@styled(psf=None)
 def plot_psf(psf, oversample=1, *, title="PSF on the detector", ax=None):
     """Draw the light that falls on the detector at sub-pixel resolution.
 
@@ -93,7 +92,7 @@ def plot_psf(psf, oversample=1, *, title="PSF on the detector", ax=None):
     'PSF on the detector'
     """
     label = "Flux density (e$^-$ s$^{-1}$ pixel$^{-2}$)"
-    return _draw_image(_image(psf), oversample, label, title, ax, cmap="viridis")
+    return _draw_image(psf, oversample, label, title, ax, cmap="viridis")
 
 
 @styled
@@ -128,7 +127,7 @@ def plot_detector(sensitivity, psf, image, oversample=1, *, aperture=None, axes=
     return np.asarray(axes)
 
 
-@styled
+@styled(time=u.day, x=u.pix, y=u.pix)
 def plot_motion(time, x, y, shape=None, *, time_label="Time (d)", title="Motion", ax=None):
     """Draw the track of a star over the pixel grid, colored by time.
 
@@ -149,8 +148,6 @@ def plot_motion(time, x, y, shape=None, *, time_label="Time (d)", title="Motion"
     >>> plot_motion([0, 1, 2], [2, 2.3, 2.1], [3, 3.1, 3], shape=(6, 5)).get_ylim()
     (np.float64(-0.5), np.float64(5.5))
     """
-    time = plain_array(time, u.day, "time")
-    x, y = plain_array(x, u.pix, "x"), plain_array(y, u.pix, "y")
     ax = _style.given_or_new(ax, 5, 4.2)
     _draw_track(ax, time, x, y, time_label)
     ax.plot(x[0], y[0], "kx", ms=7, mew=1.5, zorder=4, label="first cadence")
@@ -163,7 +160,7 @@ def plot_motion(time, x, y, shape=None, *, time_label="Time (d)", title="Motion"
     return ax
 
 
-@styled
+@styled(time=u.day, x=u.pix, y=u.pix, places=u.pix, magnitudes=None)
 def plot_scene(time, x, y, shape, places, magnitudes, *, time_label="Time (d)", ax=None):
     """Draw the stars of a stamp, larger if they are brighter, with the track of the target.
 
@@ -188,9 +185,6 @@ def plot_scene(time, x, y, shape, places, magnitudes, *, time_label="Time (d)", 
     >>> [text.get_text() for text in ax.texts]
     ['12', '14']
     """
-    time = plain_array(time, u.day, "time")
-    x, y = plain_array(x, u.pix, "x"), plain_array(y, u.pix, "y")
-    places, magnitudes = plain_array(places, u.pix, "places"), plain_array(magnitudes, None, "mag")
     ax = _style.given_or_new(ax, 5.4, 4.2)
     _pixel_axes(ax, (-0.5, shape[1] - 0.5), (-0.5, shape[0] - 0.5))
     size = np.clip(10 ** (-0.2 * (magnitudes - magnitudes[0])), 0.15, 2.5)
@@ -234,7 +228,7 @@ def _draw_surroundings(ax, x, y):
     ax.set_aspect("equal")
 
 
-@styled
+@styled(cube=None, time=u.day)
 def animate_pixels(cube, time=None, aperture=None, *, interval=50, time_label="Time (d)", ax=None):
     """Animate a stamp, cadence by cadence.
 
@@ -263,8 +257,6 @@ def animate_pixels(cube, time=None, aperture=None, *, interval=50, time_label="T
     >>> animation = animate_pixels(np.random.default_rng(1).random((3, 4, 5)))
     >>> html = animation.to_jshtml()
     """
-    cube = plain_array(cube, None, "cube")
-    time = None if time is None else plain_array(time, u.day, "time")
     if cube.ndim != 3:
         raise ValueError(f"`cube` must have shape (n_cadences, ny, nx), got {cube.shape}")
     ax = plot_pixels(cube[0], aperture, title="", ax=ax)
@@ -280,14 +272,9 @@ def animate_pixels(cube, time=None, aperture=None, *, interval=50, time_label="T
     return FuncAnimation(ax.figure, draw, frames=len(cube), interval=interval)
 
 
-def _image(image):
-    image = plain_array(image, None, "image")
+def _draw_image(image, oversample, label, title, ax, **kwargs):
     if image.ndim != 2:
         raise ValueError(f"an image must have two dimensions, got shape {image.shape}")
-    return image
-
-
-def _draw_image(image, oversample, label, title, ax, **kwargs):
     ax = _style.given_or_new(ax, 5, 4.2)
     ny, nx = (size / oversample for size in image.shape)
     extent = (-0.5, nx - 0.5, -0.5, ny - 0.5)

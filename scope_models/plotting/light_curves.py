@@ -4,7 +4,7 @@ import astropy.units as u
 import matplotlib.pyplot as plt
 import numpy as np
 
-from scope_models._arrays import plain_array, plain_number
+from scope_models._arrays import plain_number
 from scope_models.plotting import _style
 from scope_models.plotting._style import DARK, LIGHT, styled
 from scope_models.plotting.images import plot_motion, plot_pixels
@@ -12,7 +12,7 @@ from scope_models.plotting.images import plot_motion, plot_pixels
 __all__ = ["plot_fold", "plot_light_curve", "plot_summary"]
 
 
-@styled
+@styled(time=u.day, flux=None, corrected=None)
 def plot_light_curve(
     time, flux, corrected=None, *, cdpp=None, corrected_cdpp=None, convention="lightkurve",
     model=None, time_label="Time (d)", title="Light curve", ax=None,
@@ -43,12 +43,10 @@ def plot_light_curve(
     ['raw, CDPP 23.1 ppm (lightkurve)', 'corrected']
     """
     ax = _style.given_or_new(ax, 8, 3.2)
-    time, flux = plain_array(time, u.day, "time"), plain_array(flux, None, "flux")
     cdpp, corrected_cdpp = _ppm(cdpp, "cdpp"), _ppm(corrected_cdpp, "corrected_cdpp")
     relative = flux / np.nanmedian(flux)
     ax.plot(time, relative, ".", ms=3.5, color=LIGHT, label=_with_cdpp("raw", cdpp, convention))
     if corrected is not None:
-        corrected = plain_array(corrected, None, "corrected")
         relative = corrected / np.nanmedian(corrected)
         label = _with_cdpp("corrected", corrected_cdpp, convention)
         ax.plot(time, relative, ".", ms=2.5, color=DARK, label=label)
@@ -58,7 +56,7 @@ def plot_light_curve(
     return ax
 
 
-@styled
+@styled(time=u.day, flux=None)
 def plot_fold(
     time, flux, period, t0, *, model=None, window=None, n_bins=60, title="Folded", ax=None
 ):
@@ -87,7 +85,6 @@ def plot_fold(
     >>> plot_fold(time, np.ones(200), 1.5, 0.5, window=6).get_xlabel()
     'Time from mid-transit (h)'
     """
-    time, flux = plain_array(time, u.day, "time"), plain_array(flux, None, "flux")
     period, t0 = plain_number(period, u.day, "period"), plain_number(t0, u.day, "t0")
     if not period > 0:
         raise ValueError(f"`period` must be positive, got {period}")
@@ -110,7 +107,7 @@ def plot_fold(
     return ax
 
 
-@styled
+@styled(time=u.day, corrected=None)
 def plot_summary(
     time, image, flux, x, y, *, corrected=None, aperture=None, cdpp=None, corrected_cdpp=None,
     model=None, noise=None, time_label="Time (d)", title=None,
@@ -171,7 +168,6 @@ def plot_summary(
 
 def _plot_corrected(ax, time, corrected, model, noise, time_label):
     """Draw the corrected light curve alone, on its own scale."""
-    time, corrected = plain_array(time, u.day, "time"), plain_array(corrected, None, "corrected")
     relative = corrected / np.nanmedian(corrected)
     ax.plot(time, relative, ".", ms=2.5, color=DARK, label="corrected")
     if noise is not None:
@@ -195,7 +191,6 @@ def _label(ax, xlabel, title):
 
 
 def _ppm(cdpp, name):
-    """Return a CDPP in ppm, or None."""
     return None if cdpp is None else plain_number(cdpp, u.Unit(1e-6), name)
 
 

@@ -118,8 +118,8 @@ def _star_lights(scene, positions, conditions, effects):
             raise ValueError("`psf` must be given for the star or for the detector")
         moved = exposures if exposures.blur and is_gaussian(psf, response) else expanded
         place = moved.x + x_0, moved.y + y_0
-        at = x_0, y_0
-        series = ImageSeries(psf, response, detector.shape, *place, widths, moved.blur, at)
+        given = *place, widths, moved.blur, (x_0, y_0)
+        series = ImageSeries(psf, response, detector.shape, *given)
         flux, relative = detector.flux_from_mag(star.mag), star.relative_flux(time)
         found = (effect.shares(drawn, conditions, number) for effect, drawn in effects)
         shares = tuple(share for share in found if share is not None)

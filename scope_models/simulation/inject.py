@@ -6,6 +6,7 @@ from numbers import Real
 
 import numpy as np
 
+from scope_models._checks import on_stamp
 from scope_models.exceptions import LostLightWarning
 from scope_models.io import read_pixels, read_tpf
 from scope_models.scene._files import read_scene
@@ -82,6 +83,8 @@ def inject(tpf, signal=None, star=None, *, seed=None, noise=True):
     from astropy.io import fits
     from lightkurve.targetpixelfile import TargetPixelFile
 
+    if not isinstance(noise, bool | np.bool_):
+        raise TypeError(f"`noise` must be True or False, got {noise!r}")
     original = read_tpf(tpf)
     if not isinstance(original, TargetPixelFile):
         kind = type(original).__name__
@@ -209,7 +212,7 @@ def _scene_of(star, series, tpf=None):
 
 def _on_stamp(scene):
     (x_0, y_0), (ny, nx) = scene.positions[-1], scene.detector.shape
-    if not (-0.5 <= x_0 <= nx - 0.5 and -0.5 <= y_0 <= ny - 0.5):
+    if not on_stamp((x_0, y_0), (ny, nx)):
         place = f"column {x_0:g} and row {y_0:g} of {nx} and {ny}"
         raise ValueError(f"`star` is outside the stamp: {place}")
     return scene

@@ -27,6 +27,7 @@ _MASKS = ("pipeline", "threshold", "default", "background", "all")
 _WRITTEN = ("cadenceno", "raw_cnts", "flux", "flux_err", "flux_bkg", "flux_bkg_err", "quality")
 
 
+@documented()
 @dataclass(frozen=True, eq=False, repr=False)
 class Observation(Value):
     """The pixels of a simulation, with the truth.
@@ -254,7 +255,6 @@ class Observation(Value):
             aperture_mask = self._checked_aperture(aperture_mask)
         return tpf.to_lightcurve(aperture_mask=aperture_mask)
 
-    @documented()
     def write(self, path, overwrite=False, *, aperture_mask=None, metadata=None):
         """Write a target pixel file with the truth, .fits or .fits.gz.
 
@@ -278,8 +278,7 @@ class Observation(Value):
         >>> observation.write("star.fits").name
         'star.fits'
         """
-        arguments = self._tpf_arguments(metadata, aperture_mask)
-        return write_tpf(path, overwrite=overwrite, **arguments)
+        return write_tpf(path, overwrite=overwrite, **self._tpf_arguments(metadata, aperture_mask))
 
     def plot(self, corrected=None, aperture_mask=None, *, title=None):
         """Draw pixels, motion and light curves in one figure.
@@ -330,7 +329,6 @@ class Observation(Value):
             time_label=self._time_label, title=self.scene.object_name if title is None else title,
         )  # fmt: skip
 
-    @documented()
     def animate(self, aperture_mask=None, *, step=1, interval=50, ax=None):
         """Animate the pixels, with the outline of an aperture.
 
@@ -396,14 +394,12 @@ class Observation(Value):
         return full
 
     def _tpf_arguments(self, metadata: Mapping | None, aperture_mask):
-        """Return the arguments for the writer of target pixel files."""
         aperture = self._checked_aperture(aperture_mask)
         if self.detector.mission not in MISSIONS:
             wanted = "Kepler, K2 or TESS (or Ground) to make a target pixel file"
             raise ValueError(f"`mission` must be {wanted}, got {self.detector.mission!r}")
         facts = scene_facts(self.scene) | dict(metadata or {})
-        extra = facts.get("extra_cards") or {}
-        facts["extra_cards"] = self._aperture_cards(aperture) | dict(extra)
+        facts["extra_cards"] = self._aperture_cards(aperture) | dict(facts.get("extra_cards") or {})
         truth = {name: v for name, v in self.truth.columns.items() if name != "CADENCENO"}
         truth["TARGET_SHARE"] = self.target_share(aperture)
         metadata = TPFMetadata.of(self.detector, **facts)
@@ -431,7 +427,6 @@ class Observation(Value):
         return time
 
     def _aperture_cards(self, aperture):
-        """Return the cards on the target's light in an aperture."""
         light = self.star_images[:, aperture].sum(axis=1)
         if not light[0] > 0:
             return {}

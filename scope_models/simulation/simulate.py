@@ -1,6 +1,9 @@
 """The simulator: a scene gives pixels, and the truth behind them."""
 
+import math
+import os
 import warnings
+from contextlib import contextmanager
 
 import numpy as np
 from astropy.table import Table
@@ -61,7 +64,8 @@ def simulate(stars, detector=None, motion=None, *, keep_model=False, chunk_size=
     Raises
     ------
     TypeError, ValueError
-        If an argument is of the wrong kind or outside its domain.
+        If an argument is of the wrong kind or outside its domain, the charge of a pixel is beyond
+        single precision, or the pixels need more memory than the machine has.
 
     Warns
     -----
@@ -103,6 +107,7 @@ def simulate(stars, detector=None, motion=None, *, keep_model=False, chunk_size=
     scene = scene.replace(seed=_noise.fresh_seed()) if scene.seed is None else scene
     if chunk_size is not None:
         chunk_size = checked_integer("chunk_size", chunk_size, 1)
+    _check_memory(scene)
     prepared = _light.prepare(scene)
     rows = _light.shown(prepared.lights, prepared.positions.tolist())
     lost = [light.series.lost(x + scene.motion.x, y + scene.motion.y) for light, (x, y) in rows]
@@ -110,7 +115,6 @@ def simulate(stars, detector=None, motion=None, *, keep_model=False, chunk_size=
     # That of neighbors may fall off the stamp.
     star = f"the star at x_0 = {x_0:g}, y_0 = {y_0:g}"
     _warn_of_loss(f"{star} loses {{}} of its light", lost[0], scene.detector.shape)
-    aperture = _choose_aperture(prepared)
     shape = (len(scene.motion), *scene.detector.shape)
     images, in_aperture = (np.zeros((len(scene.stars), *n)) for n in (shape[1:], shape[:1]))
     cubes = {name: np.empty(shape, np.float32) for name in ("flux", "flux_err")}
@@ -119,7 +123,8 @@ def simulate(stars, detector=None, motion=None, *, keep_model=False, chunk_size=
     streams = {term: _noise.stream(scene.seed, term) for term in scene.noise}
     photons, of_sky = streams.get("photon"), streams.get("background")
     spilled, flux_bkg = 0.0, None
-    with one_thread:
+    with one_thread, _in_range():
+        aperture = _choose_aperture(prepared)
         for part in _light.pieces(scene, chunk_size):
             expected = _light.gather(prepared, part, (images, in_aperture), aperture)
             added, subtracted = _light.pedestal(prepared, part, expected)
@@ -150,6 +155,32 @@ def simulate(stars, detector=None, motion=None, *, keep_model=False, chunk_size=
         truth=_truth(prepared, lost, _light.share_of_target(in_aperture), model), aperture=aperture,
         star_images=images * prepared.interpixel / len(scene.motion),
     )  # fmt: skip
+
+
+def _check_memory(scene):
+    """Refuse a scene whose pixels alone are more than the memory of the machine."""
+    if "SC_PHYS_PAGES" not in getattr(os, "sysconf_names", ()):  # Windows
+        return
+    shape = len(scene.motion), *scene.detector.shape
+    # The result, and the smallest piece of work without noise; see `_light.pieces`.
+    needed = math.prod(shape[1:]) * (12 * shape[0] + 30 * _light.pieces(scene, 1)[0].stop)
+    there = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    if 0 < there < needed:
+        sizes = f"{needed / 1e9:,.0f} GB of memory, and the machine has {there / 1e9:,.0f} GB"
+        raise ValueError(f"pixels of the shape {shape} need {sizes}: give a smaller `shape`")
+
+
+@contextmanager
+def _in_range():
+    """Raise charge that overflows as an error of the scene."""
+    try:
+        with np.errstate(over="raise"):
+            yield
+    except FloatingPointError as error:
+        raise ValueError(
+            "the charge of a pixel is beyond single precision, 3.4e38: a star, the background or "
+            f"an effect is too bright ({error})"
+        ) from error
 
 
 def _choose_aperture(prepared):

@@ -264,6 +264,8 @@ def test_extinction_is_not_light_outside_the_aperture():
         (lambda: Detector.ground(effects=[1]), "`effects` must hold Effect objects"),
         (lambda: moffat_psf(2.0, 1.0), "`beta` must be above 1"),
         (lambda: airmass([1400.0], "star", PARANAL), "`coord` must be a SkyCoord"),
+        (lambda: airmass([1400.0], SkyCoord(10, 60, unit="deg", frame="altaz"), PARANAL),
+         "`coord` must be on the sky, as ICRS, or have obstime and location"),
         (lambda: airmass([1400.0], STAR, "here"), "`location` must be an EarthLocation"),
         (lambda: airmass([1400.0], STAR.directional_offset_by(0, 130 * u.deg), PARANAL),
          "`coord` must be above the horizon"),

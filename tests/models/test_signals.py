@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from astropy import units as u
 from astropy.modeling.fitting import TRFLSQFitter
+from astropy.time import Time
 from numpy.testing import assert_allclose
 from scipy.integrate import quad
 from scipy.optimize import brentq
@@ -278,6 +279,12 @@ def test_stochastic_signal_has_the_stated_cdpp(timescale, quality):
     kwargs = {"timescale": timescale, "quality": quality}
     draws = [stochastic_signal(time, 50, seed=i, **kwargs)(time) for i in range(60)]
     assert_allclose(np.mean(cdpp(draws)), 50, rtol=0.05)
+
+
+def test_time_with_a_zero_of_its_own_is_refused():
+    planet = TransitModel(period=3, t0=1)
+    with pytest.raises(TypeError, match=r"days with the zero of `t0`, as `time.value`, got a"):
+        planet(Time([2454834.0, 2454835.0], format="jd", scale="tdb"))
 
 
 def test_stochastic_signal_on_short_cadences_and_other_durations():

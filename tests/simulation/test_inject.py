@@ -302,6 +302,11 @@ class TestRefused:
         with pytest.raises(error, match=message):
             inject(tpf, np.ones(20), star)
 
+    @pytest.mark.parametrize("noise", ["no", None, ("photon",)])
+    def test_noise(self, tpf, noise):
+        with pytest.raises(TypeError, match="`noise` must be True or False, got "):
+            inject(tpf, np.ones(20), noise=noise)
+
     def test_neither(self, tpf):
         with pytest.raises(TypeError, match="`star` must be a Star if there is no `signal`"):
             inject(tpf)

@@ -10,6 +10,7 @@ from scipy.integrate import dblquad
 from scipy.stats import norm
 
 from scope_models import Detector, Motion, Scene, Star, simulate
+from scope_models.effects import BrighterFatter, DarkCurrent
 from scope_models.effects._noise import NOISE_TERMS
 from scope_models.exceptions import LostLightWarning, ScopeModelsWarning
 from scope_models.models import BivariateGaussianPSF
@@ -458,3 +459,18 @@ def test_a_star_far_off_the_stamp_adds_no_light(place, rho):
     scene = Detector.k2(), Motion.k2_roll(50)
     alone = simulate(Star(12.0), *scene, seed=1)
     np.testing.assert_array_equal(simulate([Star(12.0), far], *scene, seed=1).flux, alone.flux)
+
+
+@pytest.mark.parametrize("n", [1, 50])
+def test_pixels_beyond_the_memory_are_refused_before_any_is_made(n):
+    scene = Scene(Star(12.0), Detector.k2(shape=(40_000, 40_000)), Motion.still(n), seed=1)
+    message = rf"shape \({n}, 40000, 40000\) need [\d,]+ GB of memory, and the machine has \d+ GB"
+    with pytest.raises(ValueError, match=message):
+        simulate(scene)
+
+
+@pytest.mark.parametrize("level", [1e30, 1e300])
+def test_charge_beyond_single_precision_is_refused(level):
+    scene = Star(12.0), Detector.k2(well_depth=None), Motion.still(3)
+    with pytest.raises(ValueError, match="the charge of a pixel is beyond single precision"):
+        simulate(*scene, seed=1, effects=[DarkCurrent(level), BrighterFatter()])
