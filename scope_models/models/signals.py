@@ -123,11 +123,10 @@ class TransitModel(Fittable1DModel):
         """Arguments of an equal model, without its parameters (dict)."""
         return {"exposure_time": self.exposure_time}
 
-    def prepare_inputs(self, *inputs, **options):
-        """Check the inputs as astropy's models do, and refuse a Time, whose zero is unknown."""
-        if any(isinstance(value, Time) for value in inputs):
+    def __call__(self, *args, **kwargs):
+        if any(isinstance(value, Time) for value in args):
             raise TypeError("times must be days with the zero of `t0`, as `time.value`, got a Time")
-        return super().prepare_inputs(*inputs, **options)
+        return super().__call__(*args, **kwargs)
 
     def _in_units(self):
         """Return the value of each parameter in its documented unit."""
