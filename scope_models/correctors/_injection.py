@@ -10,6 +10,7 @@ from scope_models._arrays import plain_array
 from scope_models._checks import checked_number
 from scope_models._threads import one_thread
 from scope_models.correctors._pixels import (
+    OTHER_STAR,
     Pixels,
     at_one_place,
     background_plane,
@@ -19,9 +20,10 @@ from scope_models.correctors._pixels import (
 from scope_models.exceptions import DetrendingWarning
 from scope_models.photometry import aperture_flux
 from scope_models.pixelmodel._star import IMAGE_ERROR
-from scope_models.pixelmodel._start import NoLightError, fit_gaussians
+from scope_models.pixelmodel._start import NEAREST, NoLightError, fit_gaussians
 
 __all__ = [
+    "SHARE_ERROR",
     "Source",
     "box_signal",
     "checked_depth",
@@ -32,18 +34,12 @@ __all__ = [
     "warn_of_unmasked",
 ]
 
-#: Branch: peaks below this part of the star's are no neighbors.
-_FAINTEST = 0.02
 #: Prior: relative error of profile and image when the light is shared out.
-_MISFIT = 0.03
-_ROUNDS = 6
-#: Branch: distance (px) from the star within which no other one is sought, and number of places
-#: tried.
-_NEAREST, _MOST_PLACES = 1.4, 12
+SHARE_ERROR = 0.03
+#: Tolerance: times that it is shared out, and number of places that are tried for another star.
+_ROUNDS, _MOST_PLACES = 6, 12
 #: Warning: part of a transit outside of the mask above which its depth is not trusted.
 _UNMASKED = 0.1
-#: Tolerance: the irrational number whose multiples spread boxes evenly, at places without a period.
-_GOLDEN = (np.sqrt(5) - 1) / 2
 #: Tolerance: boxes are at least so many times their width apart, and there are so many at most.
 _APART, _MOST_BOXES = 8, 8
 
@@ -99,7 +95,7 @@ class Source:
         if self.pixels.neighbors is None:
             return self.other_light
         image = IMAGE_ERROR * np.sqrt(self.pixels.aperture.sum())
-        subtracted = _MISFIT * (1 / self.pixels.crowding - 1)
+        subtracted = SHARE_ERROR * (1 / self.pixels.crowding - 1)
         return float(np.linalg.norm([self.other_light, image, subtracted]))
 
     def dimmed(self, signal, clean):
@@ -120,7 +116,7 @@ def _star_share(image, aperture):
     left = ~stars[0]
     while left.any():
         other = int(np.argmax(np.where(left, image, -np.inf)))
-        if image.flat[other] < _FAINTEST * image.flat[peak]:
+        if image.flat[other] < OTHER_STAR * image.flat[peak]:
             break
         stars.append(own_pixels(image, other) & left)
         left &= ~stars[-1]
@@ -145,11 +141,11 @@ def _shared_out(image, places, near):
     if not total > 0:
         raise NoLightError("the pixels of `tpf` hold no light near the target")
     own = np.where(near, image, 0.0)
-    error = 1 / (_MISFIT * np.abs(image) + IMAGE_ERROR * total).ravel()
+    error = 1 / (SHARE_ERROR * np.abs(image) + IMAGE_ERROR * total).ravel()
     for _ in range(_ROUNDS if len(places) > 1 else 1):
         values = own[near] / total
         u, v = (d[near] for d in distances[0])
-        profile = fit_gaussians(u, v, values, 1 / (_MISFIT * np.abs(values) + IMAGE_ERROR))
+        profile = fit_gaussians(u, v, values, 1 / (SHARE_ERROR * np.abs(values) + IMAGE_ERROR))
         light = np.stack([profile(*d).ravel() for d in distances], axis=1)
         found = np.linalg.lstsq(light * error[:, None], image.ravel() * error, rcond=None)[0]
         light *= np.maximum(found, 0.0)
@@ -176,8 +172,8 @@ def _blended_share(image, aperture):
         return alone
     share, least = alone, least / 2
     rows, columns = np.indices(image.shape)
-    far = np.hypot(columns - star[0], rows - star[1]) > _NEAREST
-    bright = far & (image > _FAINTEST * image.max())
+    far = np.hypot(columns - star[0], rows - star[1]) > NEAREST
+    bright = far & (image > OTHER_STAR * image.max())
     order = np.argsort(np.where(bright, -misfit, np.inf), axis=None)
     for other in order[: min(bright.sum(), _MOST_PLACES)]:
         place = other % image.shape[1], other // image.shape[1]
@@ -200,13 +196,16 @@ def _center(image):
 
 
 def box_signal(used, width, depth):
-    """Return boxes of ``width`` of the used cadences, at places without a period."""
+    """Return boxes of ``width`` of the used cadences, at places without a period.
+
+    Multiples of the golden ratio spread them evenly.
+    """
     rows = np.flatnonzero(used)
     number = int(np.clip(len(rows) // (_APART * width), 1, _MOST_BOXES))
-    signal = np.ones(len(used))
+    signal, golden = np.ones(len(used)), (np.sqrt(5) - 1) / 2
     room = len(rows) / number - width
     for k in range(number):
-        first = int(k * len(rows) / number + max(room, 0) * ((k + 1) * _GOLDEN % 1))
+        first = int(k * len(rows) / number + max(room, 0) * ((k + 1) * golden % 1))
         signal[rows[first : first + width]] -= depth
     return signal
 

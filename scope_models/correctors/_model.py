@@ -23,7 +23,7 @@ from scope_models.correctors._injection import Source, transit_column
 from scope_models.correctors._lightkurve import external_columns, sorted_regressors
 from scope_models.correctors._pixels import Pixels, can_predict, with_predicted_fractions
 from scope_models.correctors._result import PLDFit
-from scope_models.correctors._solution import fit
+from scope_models.correctors._solution import NOISE_ERROR, fit
 from scope_models.exceptions import DetrendingWarning
 from scope_models.pixelmodel._star import StarModel
 
@@ -34,9 +34,6 @@ _FEWEST_CADENCES = 30
 _FRACTIONS = ("auto", "predicted", "changing", "measured")
 #: Branch: part of the cadences with much light for which predicted fractions must exist.
 _CREDIBLE = 0.9
-#: Branch: with a variance of the noise over that of FLUX_ERR above this predicted fractions may
-#: have failed. FLUX_ERR of real dark pixels is too small by up to 1.17.
-_MISFIT = 1.17**2
 #: Branch: logarithm of the odds for other fractions that are decisive on Jeffreys' scale.
 _DECISIVE = np.log(100)
 #: Prior: number of columns of the constant and the polynomial trend.
@@ -322,7 +319,7 @@ def fit_pixels(pixels, options, series, cadence_mask=None, **transit):
                 fitted = other.fit(cadence_mask, **transit)
             following = fitted.contrast_error * np.std(fitted.solution.y)
             seen = following**2 > np.median(fitted.solution.variance)
-            if fitted.noise_scale < _MISFIT or seen:
+            if np.log(fitted.noise_scale) < 2 * NOISE_ERROR or seen:
                 return fitted
             other = model_with(replace(options, fractions="measured")).fit(cadence_mask, **transit)
             return other if _gain(other, fitted) > _DECISIVE else fitted

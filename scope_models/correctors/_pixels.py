@@ -12,12 +12,13 @@ from scope_models.exceptions import DetrendingWarning
 from scope_models.io.pixels import usable_positions
 from scope_models.photometry import aperture_flux, cdpp
 from scope_models.pixelmodel._position import DARK_PART, FEWEST_DARK, dark_plane, precise_aperture
-from scope_models.pixelmodel._smoothing import quantile
+from scope_models.pixelmodel._smoothing import CLIP, quantile
 from scope_models.pixelmodel._star import fit_star
 
 __all__ = [
     "LARGEST_CORRECTION",
     "NOISIER",
+    "OTHER_STAR",
     "UNKNOWN_NOISE",
     "WORSE",
     "Pixels",
@@ -39,9 +40,6 @@ _SMALLEST_SHARE = 1e-3
 #: Branch: in this part of the cadences, and in so many at least: light that a rare excursion
 #: carries out of the aperture would be lost
 _BRIGHT_PART, _FEWEST = 0.002, 3
-#: Branch: and at least so many standard deviations of its noise, which pure noise passes in less
-#: than one of 10^5 cadences.
-_SIGNIFICANCE = 4.5
 #: Branch: a correction that changes the flux by a larger factor than this, against the others, is
 #: none.
 LARGEST_CORRECTION = 30.0
@@ -58,7 +56,7 @@ _MARGIN = 2
 #: where the charge of full pixels goes.
 _SAME_STAR, _SAME_COLUMN = 0.85, 0.7
 #: Branch: pixels of other stars count from this part of the star's brightest pixel on.
-_OTHER_STAR = 0.02
+OTHER_STAR = 0.02
 #: Branch: fewer cadences or pixels do not determine how the fractions change with position.
 _CADENCES_TO_PREDICT, _PIXELS_TO_PREDICT = 200, 4
 
@@ -144,8 +142,8 @@ def choose_aperture(flux, flux_err, pipeline=None, pos_corr=None):
         warnings.simplefilter("ignore", RuntimeWarning)  # pixels without errors
         noise = np.nan_to_num(np.nanmedian(flux_err[finite], axis=0))
     mean = np.median(values, axis=0)
-    light = np.median(np.where(mean > _SIGNIFICANCE * noise / 3, values, 0).sum(axis=(1, 2)))
-    lit = bright > np.maximum(_SIGNIFICANCE * noise, _SMALLEST_SHARE * light)
+    light = np.median(np.where(mean > CLIP * noise / 3, values, 0).sum(axis=(1, 2)))
+    lit = bright > np.maximum(CLIP * noise, _SMALLEST_SHARE * light)
     labels, _ = ndimage.label(lit)
     near = np.ones_like(lit) if pipeline is None or not pipeline.any() else pipeline
     if not (lit & near).any():
@@ -282,7 +280,7 @@ def aperture_pixels(series, aperture):
         if away.any():
             _warn(f"{away.sum()} cadences are left out: POS_CORR and light are off the stamp")
         positive &= ~away
-    noise = _SIGNIFICANCE * total_err
+    noise = CLIP * total_err
     lit = positive & ((total > noise) | (total > typical - noise))
     places = None if series.pos_corr is None else series.pos_corr[positive]
     own, crowding = _own_light(flux[positive], aperture, places)
@@ -319,7 +317,7 @@ def warn_of_pipeline(series, aperture, flux):
     its = np.nansum(series.flux[good][:, other], axis=1)
     sizes = [_jumps(values) for values in (flux[good], its)]
     # 0.76: standard deviation of the absolute value of a normal variable over its mean
-    if sizes[1] > 0 and sizes[0] / sizes[1] > 1 + _SIGNIFICANCE * 0.76 * np.sqrt(2 / len(its)):
+    if sizes[1] > 0 and sizes[0] / sizes[1] > 1 + CLIP * 0.76 * np.sqrt(2 / len(its)):
         part = sizes[0] / sizes[1]
         _warn(f"the light curve has {part:.1f} times the noise of the pipeline's: {_REMEDY}")
 
@@ -335,11 +333,11 @@ def _own_light(flux, aperture, pos_corr):
     typical = typical_image(flux)
     image = np.nan_to_num(typical - background_plane(typical))
     peak = np.argmax(np.where(aperture, image, -np.inf))
-    others = ~own_pixels(image, peak) & (image > _OTHER_STAR * image.flat[peak])
+    others = ~own_pixels(image, peak) & (image > OTHER_STAR * image.flat[peak])
     if others.any() and pos_corr is not None and np.isfinite(pos_corr).any():
         still = np.nan_to_num(at_one_place(flux, pos_corr))  # one that moves far has two peaks
         first = np.argmax(np.where(aperture, still, -np.inf))
-        others &= ~own_pixels(still, first) & (still > _OTHER_STAR * still.flat[first])
+        others &= ~own_pixels(still, first) & (still > OTHER_STAR * still.flat[first])
     return ~others, 1 - float(image[aperture & others].sum() / image[aperture].sum())
 
 

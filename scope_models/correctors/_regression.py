@@ -23,8 +23,6 @@ __all__ = [
 
 #: Prior: variance of the columns with flat priors, in units of the data's.
 FLAT = 1e4
-#: Tolerance: a number of the process' power spectrum.
-_SQRT_2 = np.sqrt(2)
 #: Prior: standard deviation of the logarithm of a group's prior variance about what is expected.
 _SPREAD = 2.0
 #: Prior: and about its limit, beyond it.
@@ -123,7 +121,8 @@ class Hyperparameters:
         """Return the power spectral density of the long-term process (per cycle per day)."""
         if self.amplitude is None:
             return np.zeros_like(frequency)
-        return _SQRT_2 / np.pi * self.amplitude * self.period / (1 + (frequency * self.period) ** 4)
+        power = self.amplitude * self.period / (1 + (frequency * self.period) ** 4)
+        return np.sqrt(2) / np.pi * power
 
     def prior(self, data):
         """Return the prior variance of each column."""

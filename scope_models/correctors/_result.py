@@ -11,6 +11,7 @@ from scipy import ndimage
 from scope_models._checks import checked_cadences, checked_integer
 from scope_models._threads import one_thread
 from scope_models.correctors._injection import (
+    SHARE_ERROR,
     box_signal,
     checked_depth,
     depth_ratio,
@@ -31,8 +32,6 @@ __all__ = ["CONTAMINATED", "PLDFit"]
 #: apertures lose light when the star moves, which the fractions explain.
 _WHOLE = 9
 _MANY, CONTAMINATED, _FOLLOWING, _NOISY = 0.1, 0.02, 0.05, 9.0
-#: Warning: wings of neighbors may give more light, and light that was taken off is known better.
-_BLENDED = 0.1
 #: Warning: nothing of a depth survives or all of it: 0 to 1, with what the light that was taken off
 #: may be wrong by. Every random file of ``tests/robustness`` is held to the same bounds.
 _SURVIVALS = (-0.05, 1.15)
@@ -42,8 +41,6 @@ _OBVIOUS, _SHALLOW, _DEEP = 10.0, 1e-3, 0.3
 #: Tolerance: largest number of times that a transit is taken out of the pixels, and what may be
 #: left, in errors.
 _REMOVALS, _NOTHING = 3, 0.2
-#: Prior: uncertain part of the light of other stars in the aperture.
-_SHARE_ERROR = 0.03
 #: Tolerance: the first removal in errors, at least; and bounds of the response of the chain.
 _AT_LEAST, _RESPONSES = 3.0, (0.1, 2.0)
 #: Tolerance: largest change of the flux's logarithm by which a transit is taken out at once.
@@ -361,12 +358,12 @@ class PLDFit:
             )
         crowded = 1 - self.model.pixels.crowding > CONTAMINATED
         if self.contamination > CONTAMINATED:
-            if self.contamination > _BLENDED:
+            if self.contamination > _MANY:
                 found.append(
                     f"{100 * self.contamination:.1f} % of the light in the aperture was taken off, "
                     "that of other stars"
                 )
-        elif crowded or self.contrast_error > _BLENDED:
+        elif crowded or self.contrast_error > _MANY:
             part = 1 - self.crowding if crowded else self.contrast_error
             found.append(
                 f"about {100 * part:.0f} % of the light in the aperture is of other stars: depths "
@@ -621,7 +618,7 @@ class PLDFit:
                 response = np.clip((left[-1] - found) / step, *_RESPONSES)
             left.append(found)
         scale = share * (taken[-1] + left[-1] / response)
-        error = np.hypot(error * share / response, _SHARE_ERROR * (1 - share) * scale)
+        error = np.hypot(error * share / response, SHARE_ERROR * (1 - share) * scale)
         return float(scale), float(error)
 
     @one_thread

@@ -17,7 +17,7 @@ from scope_models.correctors._regression import (
 )
 from scope_models.correctors._short import short_changes, with_edges
 
-__all__ = ["NothingToCorrectError", "Solution", "fit"]
+__all__ = ["NOISE_ERROR", "NothingToCorrectError", "Solution", "fit"]
 
 #: Tolerance: factor of the variance of cadences that have next to no weight.
 _NO_WEIGHT = 1e6
@@ -28,7 +28,7 @@ _REFITS = 2
 _LITTLE = 0.01
 #: Prior: standard deviation of the logarithm of the noise's variance in units of FLUX_ERR's, which
 #: that of real dark pixels exceeds by up to 1.17 twice: more is nothing that white noise explains.
-_NOISE_ERROR = 0.16
+NOISE_ERROR = 0.16
 #: Branch: cycles per day: a star without any frequency above this has long-term variability alone.
 _FAST = 1.0
 
@@ -396,7 +396,7 @@ def _evidence(solution, allowed):
     n_outliers = allowed.sum() - solution.use.sum()
     value = solution.log_likelihood - n_outliers * np.log(np.ptp(solution.y[allowed]))
     if solution.predicted:
-        value -= 0.5 * (np.log(solution.hyper.noise_scale) / _NOISE_ERROR) ** 2
+        value -= 0.5 * (np.log(solution.hyper.noise_scale) / NOISE_ERROR) ** 2
     return value
 
 

@@ -124,6 +124,7 @@ class TransitModel(Fittable1DModel):
         return {"exposure_time": self.exposure_time}
 
     def __call__(self, *args, **kwargs):
+        """Evaluate the model at times in days."""
         if any(isinstance(value, Time) for value in args):
             raise TypeError("times must be days with the zero of `t0`, as `time.value`, got a Time")
         return super().__call__(*args, **kwargs)

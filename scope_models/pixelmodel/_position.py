@@ -7,6 +7,7 @@ from scope_models.pixelmodel._smoothing import quantile
 
 __all__ = [
     "DARK_PART",
+    "ENOUGH",
     "FEWEST_DARK",
     "REWEIGHTS",
     "Features",
@@ -19,7 +20,7 @@ __all__ = [
 #: Prior: degree of the polynomials of position by which light changes.
 _DEGREE = 3
 #: Tolerance: images that a mean is taken of.
-_ENOUGH = 500
+ENOUGH = 500
 #: Tolerance: changes of weights of robust fits.
 REWEIGHTS = 10
 #: Prior: part of the variance of lost light that is expected to remain: a tenth of the amplitude.
@@ -97,7 +98,7 @@ class Widening:
 
     def __call__(self, images, center):
         """Return the mean change of images ``(n, n_pixels)`` of a star at centers ``(n, 2)``."""
-        few = slice(None, None, max(len(images) // _ENOUGH, 1))
+        few = slice(None, None, max(len(images) // ENOUGH, 1))
         change = np.zeros(images.shape[1])
         for light, wider in self._wider(images[few], center[few]):
             change += (wider - light * (self.aperture @ wider)).sum(axis=1)

@@ -6,6 +6,7 @@ import numpy as np
 from scipy import ndimage
 
 from scope_models.pixelmodel._position import (
+    ENOUGH,
     FEWEST_DARK,
     REWEIGHTS,
     Features,
@@ -27,8 +28,8 @@ _MAX_RANK, _COARSE_RANK = 200, 25
 _ABSURD = 12.0
 #: Prior: degree of the waves along the rows in cadences with rolling bands.
 _BANDS = 4
-#: Tolerance: width (px) of the rings of the star's profile, and cadences that it is taken from.
-_RING, _ENOUGH = 0.5, 500
+#: Tolerance: width (px) of the rings of the star's profile.
+_RING = 0.5
 #: Branch: part of the light in the aperture above which the level of dark pixels is background.
 _BACKGROUND = 0.05
 
@@ -181,7 +182,7 @@ def _most_light(light, least, away):
     Few cadences show what pixels hold at rare places; pixels as near the star do.
     """
     distance = np.hypot(*away.T)
-    few = slice(None, None, max(len(light) // _ENOUGH, 1))
+    few = slice(None, None, max(len(light) // ENOUGH, 1))
     rings = (distance[:, few] / _RING).astype(int)
     inside = [light[few].T[rings == k] for k in range(rings.max() + 1)]
     profile = [max(quantile(values, 0.98), least.min()) for values in inside if values.size]
