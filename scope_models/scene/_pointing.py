@@ -411,8 +411,9 @@ class K2Roll(Pointing):
     cadences they give a standard deviation along the roll of 0.044 px per degree from the
     boresight, 0.030 px of it faster than a day, as a star of campaign 3 (0.045 and 0.030). Over
     whole campaigns they give 0.052 and 0.033, where six stars have 0.054 to 0.070 and 0.033 to
-    0.041: real rates differ between the senses of roll, 3.3 and 6.1 arcsec/h in campaign 3. For
-    whole campaigns ``solar_rate=4.5`` is closer, 0.063 and 0.039.
+    0.041: real rates are twice as large from the second reversal on, 6.1 instead of 3.3 arcsec/h in
+    campaign 3, which is not modeled. For whole campaigns ``solar_rate=4.5`` is closer, 0.063 and
+    0.039.
 
     Parameters
     ----------
@@ -420,7 +421,7 @@ class K2Roll(Pointing):
         Distance :math:`(X, Y)` of the star from the boresight along columns and rows in degrees.
     solar_rate : float
         Amplitude :math:`R` of the roll rate in arcsec/h, from columns to rows before the first
-        reversal (measured: 2.1 to 6.1, in the first weeks of campaign 3: 3.3).
+        reversal (measured: 2.1 to 3.3 before the second reversal, 3.7 to 6.1 after it).
     reversal, reversal_interval : float
         Time :math:`t_r` of the first reversal from the beginning, and the time :math:`T_r` from one
         reversal to the next, in days (measured in campaign 3: 9.3 and 36).

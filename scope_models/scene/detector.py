@@ -333,7 +333,8 @@ class Detector(Value):
         -----
         Every value is that of `k2` but these. The study is on the page on calibration; the fit is
         ``python studies/paper/calibrate_k2_motion.py``. Of the values that fit alike, these also
-        give EPIC 205998445 its noise.
+        give EPIC 205998445 its noise within a quarter; its own is that of the whole campaign, the
+        simulated one that of the first 500 cadences, in which the roll is slow.
 
         ======================= ==================== ==========================================
         field                   value                source

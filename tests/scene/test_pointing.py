@@ -301,6 +301,8 @@ def test_tables_for_notebooks():
 # Boresights of the campaigns (K2 mission pages), deg
 BORESIGHTS = {3: (336.6653, -11.0967), 4: (59.0759, 18.6606), 5: (130.1576, 16.8296)}
 BORESIGHTS[18] = (130.1610, 16.8279)
+# Days of the second reversal (docs/data/motion_files.ecsv; the first of campaign 5 is before it)
+SECOND_REVERSAL = {3: 45.1, 4: 43.1, 5: 37.2, 18: 43.1}
 ROLLING = [
     "poscorr/ktwo206103150-c03_llc.fits",
     "poscorr/ktwo211117077-c04_llc.fits",
@@ -311,13 +313,18 @@ ROLLING = [
 ]
 
 
-def _along_roll(motion, degrees):
-    """Return the standard deviation along the roll, and of what is faster than a day, px/deg."""
+def _roll_of(motion):
+    """Return the good cadences of a motion, and their offsets along the roll."""
     bits = MISSIONS["K2"].quality
     motion = motion[motion.quality & (bits.rejected | bits.thruster_firing) == 0]
     offsets = np.column_stack([motion.x, motion.y])
     offsets -= np.median(offsets, axis=0)
-    along = offsets @ np.linalg.svd(offsets, full_matrices=False)[2][0]
+    return motion, offsets @ np.linalg.svd(offsets, full_matrices=False)[2][0]
+
+
+def _along_roll(motion, degrees):
+    """Return the standard deviation along the roll, and of what is faster than a day, px/deg."""
+    motion, along = _roll_of(motion)
     slow = [np.median(along[np.abs(motion.time - t) < 0.5]) for t in motion.time]
     return along.std() / degrees, (along - slow).std() / degrees
 
@@ -349,3 +356,15 @@ def test_amplitude_of_the_roll_over_campaigns(shared_data):
     np.testing.assert_allclose(np.max(real, axis=0), [0.070, 0.041], atol=6e-4)
     for rate, amplitude in ((3.0, (0.052, 0.033)), (4.5, (0.063, 0.039))):
         np.testing.assert_allclose(_made_roll(3600, rate), amplitude, atol=1e-3)
+
+
+@pytest.mark.parametrize("name", ROLLING)
+def test_real_rates_double_at_the_second_reversal(shared_data, name):
+    """Median steps from 25 to 10 days before it, and from 3 to 18 days after it."""
+    motion, along = _roll_of(Motion.from_file(shared_data / name))
+    day = motion.time - motion.time[0] - SECOND_REVERSAL[motion.meta["campaign"]]
+    one = np.diff(motion.cadenceno) == 1
+    before, after = (
+        np.median(np.diff(along)[one & (day[1:] > low) & (day[1:] < low + 15)]) for low in (-25, 3)
+    )
+    assert -2.5 < after / before < -1.9
