@@ -298,8 +298,8 @@ def fit_pixels(pixels, options, series, cadence_mask=None, **transit):
 
     With ``fractions="auto"`` these are the predicted ones, of images that change slowly if these
     predict unseen windows decisively better. Where they leave more noise than FLUX_ERR may lack,
-    measured ones are tried too, unless they may follow the star by more than its noise, with the
-    light beside it that may be left.
+    measured ones are tried too, unless they may follow the star by more than the noise of 6.5 h,
+    with the light beside it that may be left.
     ``series`` is the file of the pixels; the rest are arguments of `PLDModel.fit`.
     """
     state = {}
@@ -318,7 +318,7 @@ def fit_pixels(pixels, options, series, cadence_mask=None, **transit):
             if trial and _gain(trial, fitted) > _DECISIVE:
                 fitted = other.fit(cadence_mask, **transit)
             following = fitted.contrast_error * np.std(fitted.solution.y)
-            seen = following**2 > np.median(fitted.solution.variance)
+            seen = following**2 > np.median(fitted.solution.variance) / fitted.window
             if np.log(fitted.noise_scale) < 2 * NOISE_ERROR or seen:
                 return fitted
             other = model_with(replace(options, fractions="measured")).fit(cadence_mask, **transit)
