@@ -12,8 +12,8 @@ NO_WEIGHT = 1e-6
 _WIDTHS = (1.5, 3.0, 6.0, 12.0, 24.0, 48.0)
 #: Tolerance: kernels of this width and wider ones are convolved by Fourier transforms.
 _WIDE = 12.0
-#: Branch: outliers exceed so many standard deviations, as noise does in one of 3.5 million pixels.
-CLIP = 5.0
+#: Branch: outliers exceed so many standard deviations, as noise does in one of 300,000 pixels.
+CLIP = 4.5
 #: Prior: duration in days of a transit of a habitable planet, of which CDPP is the noise
 #: (Christiansen et al. 2012).
 TRANSIT = 6.5 / 24
