@@ -94,9 +94,7 @@ class Source:
         """The uncertain part of the light that was not taken off, or may be none."""
         if self.pixels.neighbors is None:
             return self.other_light
-        image = IMAGE_ERROR * np.sqrt(self.pixels.aperture.sum())
-        subtracted = SHARE_ERROR * (1 / self.pixels.crowding - 1)
-        return float(np.linalg.norm([self.other_light, image, subtracted]))
+        return float(np.hypot(self.other_light, SHARE_ERROR * (1 / self.pixels.crowding - 1)))
 
     def dimmed(self, signal, clean):
         """Return the same with the star's light multiplied with a signal ``(n_cadences,)``."""
