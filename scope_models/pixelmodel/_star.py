@@ -22,7 +22,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from scope_models.pixelmodel._smoothing import CLIP, NO_WEIGHT, TRANSIT, quantile
-from scope_models.pixelmodel._stamp import make_stamp
+from scope_models.pixelmodel._stamp import POSITION_PRIOR, make_stamp
 
 __all__ = ["IMAGE_ERROR", "StarModel", "fit_star"]
 
@@ -354,6 +354,7 @@ def _fit_states(stamp, states, shape, functions, step, slow=None, *, alone=False
         variable = _variable(stamp, functions[1], brightness)
     position = _on_scale(stamp, position, variable)
     focus = states.focus + np.clip(change[3], -0.02, 0.02)
+    focus = _without_other_causes(stamp, focus, position, variable)
     if step >= _LATE:
         focus = stamp.smoothed(focus, error[3], "focus")
     plane = states.plane + change[4:].T
@@ -452,6 +453,15 @@ def _on_scale(stamp, position, variable):
         rest = stamp.expected - position - columns @ change
         use = known & (np.abs(rest).max(axis=1) < 0.1)
     return position + columns @ change
+
+
+def _without_other_causes(stamp, focus, position, variable):
+    """Return the focus without what positions, beyond their uncertainty, and brightness explain."""
+    use, center = stamp.use, position[stamp.use].mean(axis=0)
+    columns = np.column_stack([np.ones(len(use)), position - center, variable])
+    ridge = use.sum() * np.diag([0, POSITION_PRIOR, POSITION_PRIOR, 0]) ** 2
+    gram = columns[use].T @ columns[use] + ridge + 1e-9 * use.sum() * np.eye(4)
+    return focus - columns @ np.linalg.solve(gram, columns[use].T @ focus[use])
 
 
 def _light(stamp, states, images, flux_err, *, changing):
