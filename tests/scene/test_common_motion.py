@@ -53,7 +53,7 @@ def test_a_motion_replaces_pos_corr():
     without = PLDCorrector(with_positions)
     without._series = without._series.replace(pos_corr=None)
     flux = without.correct(order=1, positions=MOTION).flux.value
-    np.testing.assert_allclose(flux, expected, rtol=5e-9)  # POS_CORR has single precision
+    np.testing.assert_allclose(flux, expected, rtol=1e-9)
 
 
 def truth(n):
