@@ -247,3 +247,16 @@ def test_outliers_are_clipped(data):
 def test_process_is_used(data, hyper):
     kind = type(hyper.process(data.time, data.variance))
     assert (kind is Covariance) == (hyper.amplitude is not None)
+
+
+def test_search_from_a_strong_process_finds_nothing_better():
+    """Dips that repeat fast look like noise to a search that begins with a faint process."""
+    rng, n = np.random.default_rng(0), 600
+    time = 0.0204 * np.arange(n)
+    y = np.log(np.where(np.arange(n) // 7 % 4 == 0, 0.7, 1.0))
+    columns = np.column_stack([0.02 * rng.normal(size=(n, 7)), np.ones(n)])
+    y = y - y.mean() + 3e-4 * rng.normal(size=n)
+    data = Data(time, y, np.full(n, 9e-8), columns, np.zeros(7, dtype=int), 1)
+    start = Hyperparameters(1.0, data.spread / data.sizes, data.spread, 5.0)
+    strong = log_likelihood(data, fit_hyperparameters(data, start))
+    assert log_likelihood(data, fit_hyperparameters(data)) > strong - 0.1
