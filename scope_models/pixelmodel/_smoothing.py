@@ -37,10 +37,11 @@ class Smoother:
         The course is drawn to its mean by Wiener's factor, its variance over the sum of this and of
         the variance of its noise: noise has no course. Cadences that are not in use take the values
         of those around them. Widths are tried from the next narrower one on than was best for the
-        series of a name the last time.
+        series of a name the last time. Values that are far from any course beside their errors, as
+        seeing is, are their own course: noise that is small beside them leaks nowhere.
         """
         use = self.use
-        typical = quantile(error[use])
+        typical, own = quantile(error[use]), values
         start = np.where(use, (typical / np.maximum(error, 0.3 * typical)) ** 2, NO_WEIGHT)
         values = np.where(use, values, np.interp(self.time, self.time[use], values[use]))
         least, weight = np.inf, start
@@ -49,9 +50,16 @@ class Smoother:
             if size < least:
                 least, best, self._best[name] = size, (smooth, part), k
         smooth, part = best
+        if 1.4826 * quantile(np.abs(values - smooth)[use]) > CLIP * typical:
+            return own
         noise = (1.4826 * least) ** 2 * part
         mean, signal = smooth[use].mean(), max(smooth[use].var() - noise[use].mean(), 0.0)
         return mean + signal / np.maximum(signal + noise, 1e-300) * (smooth - mean)
+
+    def without_dips(self, values, start, width):
+        """Return values, and robust local lines of a width in place of outliers."""
+        smooth, size = self.lines(values, start, width)[:2]
+        return np.where(np.abs(values - smooth) > CLIP * 1.4826 * size, smooth, values)
 
     def lines(self, values, start, width, weight=None):
         """Return robust local linear fits, the median of leave-one-out errors, weights, and noise.

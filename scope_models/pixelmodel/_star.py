@@ -6,10 +6,11 @@ In cadence t the light of pixel p is
 
 .. math::
 
-    F_p(t) = a_t \left[G_p(x_t) + w_t W_p(x_t) + S_p(x_t, t)\right] - v_t N_p(x_t) + c_{tp},
+    F_p(t) = a_t \left[G_p(x_t) + w_t W_p(x_t) + w_t^2 Q_p(x_t) + S_p(x_t, t)\right]
+             - v_t N_p(x_t) + c_{tp},
 
 with the brightness a, the position x, the relative width w and the background c (a plane) of the
-cadence, and smooth functions of position G, W and N of each pixel. S changes slowly with time.
+cadence, and smooth functions of position G, W, Q and N of each pixel. S changes slowly with time.
 Over the aperture G adds up to 1, the others to nothing. N is the difference between the constant
 light and the star's in the image; it counts only where the star itself varies strongly (v). The
 variances of S and N are the most likely ones (MacKay 1992, Neural Computation, 4, 415). Images
@@ -29,12 +30,12 @@ __all__ = ["IMAGE_ERROR", "StarModel", "fit_star"]
 #: Prior: error of an image in each pixel, in units of the star's light.
 IMAGE_ERROR = 1e-3
 
-#: Prior: standard deviation of the relative width of the PSF.
-_WIDTH_PRIOR = 0.02
+#: Prior: standard deviation of the relative width of the PSF, that of seeing at a good site.
+_WIDTH_PRIOR = 0.2
 #: Prior: standard deviations of changes of an image in units of its own before the fit. A relative
-#: width changes the center of a Gaussian PSF by 2. The data give those of slow changes and of
-#: constant light; this is where they begin.
-_CHANGES = {"width": 2.0, "slow": 1.0, "constant": 1.0}
+#: width changes the center of a Gaussian PSF by 2, its square by 3. The data give those of slow
+#: changes and of constant light; this is where they begin.
+_CHANGES = {"width": 2.0, "squared": 3.0, "slow": 1.0, "constant": 1.0}
 #: Tolerance: number of steps at most, and at least. The fit ends if the median steps of brightness,
 #: both positions and width are less than these parts of their errors.
 _MOST_STEPS, _FEWEST_STEPS, _SMALL_STEPS = 12, 4, np.array([0.15, 0.15, 0.15, 0.2])
@@ -103,6 +104,7 @@ class _Shape:
     changes: dict  # of the coarse functions, by the names of `_CHANGES`; empty at first
     sizes: dict  # their standard deviations, as in `_CHANGES`
     error: np.ndarray | float = 0.0  # of the mean of N, (n_pixels,)
+    doubt: np.ndarray | float = 0.0  # variance of the model's light, (n, n_pixels)
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,7 +159,7 @@ def fit_star(time, flux, flux_err, position, grid, aperture, *, use=None, banded
         states, shape = _refined(stamp, states, shape, slow)
     functions = stamp.functions(states.position)
     images = _images(stamp, states, shape, functions, slow)
-    light, error = _light(stamp, states, images, flux_err, changing=changing)
+    light, error = _light(stamp, states, shape, images, flux_err, changing=changing)
     return _result(stamp, states, images, light, error, shape.error)
 
 
@@ -223,7 +225,7 @@ def _fit_shape(stamp, states, shape, functions, *, late, slow=None):
     a, w = states.brightness[:, None], states.focus[:, None]
     parts, sizes = {}, dict(shape.sizes)
     if late:
-        parts = {"width": a * w * coarse}
+        parts = {"width": a * w * coarse, "squared": a * w**2 * coarse}
         if slow is not None:
             parts["slow"] = a * slow
     if states.variable.any():
@@ -231,9 +233,9 @@ def _fit_shape(stamp, states, shape, functions, *, late, slow=None):
     columns = [a * basis, *(sizes[name] * part for name, part in parts.items())]
     first = np.cumsum([0, *(part.shape[1] for part in columns)])
     columns = np.concatenate(columns, axis=1)
-    columns[~(stamp.use & states.good.all(axis=1))] = 0
-    values, vectors = np.linalg.eigh(columns.T @ columns)
-    right = vectors.T @ (columns.T @ (stamp.light - states.plane @ stamp.planes.T))
+    seen = np.where((stamp.use & states.good.all(axis=1))[:, None], columns, 0)
+    values, vectors = np.linalg.eigh(seen.T @ seen)
+    right = vectors.T @ (seen.T @ (stamp.light - states.plane @ stamp.planes.T))
     ridge = states.variance / stamp.scale**2
     inverse = 1 / (np.maximum(values, 0)[:, None] + ridge)
     coefficients = vectors @ (right * inverse)
@@ -241,14 +243,15 @@ def _fit_shape(stamp, states, shape, functions, *, late, slow=None):
     for name, start, end in zip(parts, first[1:], first[2:], strict=False):
         rows, size = slice(start, end), sizes[name]
         changes[name] = size * coefficients[rows]
-        if name != "width":  # which has no unit but that of its prior
+        if name not in ("width", "squared"):  # which has no unit but that of its prior
             free = np.sum(1 - vectors[rows] ** 2 @ (ridge * inverse))
             square = np.sum((coefficients[rows] / stamp.scale) ** 2)
             sizes[name] = size * np.sqrt((square + 1e-12) / (free + 1e-12))
         if name == "constant":
             mean = size * coarse[stamp.use].mean(axis=0) @ vectors[rows]
             error = np.sqrt(states.variance * (mean**2 @ inverse))
-    return _Shape(coefficients[: first[1]], changes, sizes, error)
+    doubt = (columns @ vectors) ** 2 @ (states.variance * inverse)
+    return _Shape(coefficients[: first[1]], changes, sizes, error, doubt)
 
 
 def _images(stamp, states, shape, functions, slow=None):
@@ -272,8 +275,9 @@ def _images(stamp, states, shape, functions, slow=None):
         constant = without_sum(coarse, changes["constant"])
     if "width" in changes:
         by_width = without_sum(few, changes["width"])
-        whole += w * by_width
-        slopes.append(by_width)
+        squared = without_sum(few, changes["squared"])
+        whole += w * by_width + w**2 * squared
+        slopes.append(by_width + 2 * w * squared)
     else:  # a PSF that widens about the star's center
         far = stamp.grid - stamp.center - states.position[:, None]
         by_width = far[:, :, 0] * slopes[0] + far[:, :, 1] * slopes[1] - 2 * image
@@ -295,6 +299,7 @@ def _with_unit(stamp, states, shape, images, coarse):
     signal = [(values**2 / states.variance).sum() + 1e-12 for values in (fitted, wider)]
     size = np.sqrt(signal[0] / signal[1])
     changes["width"] = changes["width"] / size
+    changes["squared"] = changes["squared"] / size**2
     states, slope = replace(states, focus=states.focus * size), images.slopes[2] / size
     if outside.any():
         wing = quantile((wider - fitted / size)[outside])
@@ -327,7 +332,7 @@ def _fit_states(stamp, states, shape, functions, step, slow=None, *, alone=False
     spread = 1.4826 * quantile(np.abs(rest[use].T))
     states = replace(states, variance=np.maximum(stamp.noise, spread**2))
     if step > 0:
-        states = replace(states, good=_without_hits(stamp, states, images, rest))
+        states = replace(states, good=_without_hits(stamp, states, images, rest, shape.doubt))
     hessian, right = _normal_equations(stamp, states, images, rest)
     level = np.abs(states.plane[use, 0] - stamp.base[0])
     tilt = max(1.4826 * quantile(level) + abs(stamp.base[0]), 1e-9)
@@ -353,7 +358,7 @@ def _fit_states(stamp, states, shape, functions, step, slow=None, *, alone=False
     if step >= _LATE and not alone:
         variable = _variable(stamp, functions[1], brightness)
     position = _on_scale(stamp, position, variable)
-    focus = states.focus + np.clip(change[3], -0.02, 0.02)
+    focus = states.focus + np.clip(change[3], -_WIDTH_PRIOR, _WIDTH_PRIOR)
     focus = _without_other_causes(stamp, focus, position, variable)
     if step >= _LATE:
         focus = stamp.smoothed(focus, error[3], "focus")
@@ -366,9 +371,9 @@ def _fit_states(stamp, states, shape, functions, step, slow=None, *, alone=False
     return states, error[:4], shape
 
 
-def _without_hits(stamp, states, images, rest):
+def _without_hits(stamp, states, images, rest, doubt):
     """Return pixels that are not far above the model in one cadence only, as cosmic rays are."""
-    hot = rest > CLIP * np.sqrt(states.variance) + _MISFIT * np.abs(images.whole)
+    hot = rest > CLIP * np.sqrt(states.variance + doubt) + _MISFIT * np.abs(images.whole)
     seen = np.pad(hot & stamp.use[:, None], ((1, 1), (0, 0)))
     return ~hot | seen[:-2] | seen[2:]
 
@@ -464,15 +469,15 @@ def _without_other_causes(stamp, focus, position, variable):
     return focus - columns @ np.linalg.solve(gram, columns[use].T @ focus[use])
 
 
-def _light(stamp, states, images, flux_err, *, changing):
+def _light(stamp, states, shape, images, flux_err, *, changing):
     """Return the star's light and its error by least squares.
 
-    Of the means of 6.5 h the model misses in each pixel what their variance has beyond noise.
-    These errors, as the images, add up to nothing over the aperture: where they dominate, the
-    light is the sum, and where noise does, it has optimal weights. The focus is as uncertain
-    as it varies, for such weights are much more sensitive to the width than a sum is. With
-    images that change, what dark pixels miss is more noise, and so is a fluctuating background.
-    Pixels with cosmic rays are replaced.
+    Of the means of 6.5 h the model misses in each pixel what their variance has beyond noise, and
+    at rare places images are uncertain. These errors, as the images, add up to nothing over the
+    aperture: where they dominate, the light is the sum, and where noise does, it has optimal
+    weights. The focus is as uncertain as it varies, for such weights are much more sensitive to the
+    width than a sum is. With images that change, what dark pixels miss is more noise, and so is a
+    fluctuating background. Pixels with cosmic rays are replaced.
     """
     rest = _rest(stamp, states, images)
     rest[~states.good] = 0.0
@@ -489,9 +494,15 @@ def _light(stamp, states, images, flux_err, *, changing):
     misfit = (balance * np.maximum(missed - everywhere, 0)) @ balance.T
     covariance = np.diag(noise + width * everywhere) + width * misfit
     root = np.linalg.inv(np.linalg.cholesky(covariance)).T
-    columns = [images.whole @ root]
-    columns += [states.brightness[:, None] * (slope @ root) for slope in images.slopes]
-    columns.append(np.broadcast_to(root.sum(axis=0), rest.shape))
+    # at rare places images are uncertain: in all pixels alike, so that one set of axes does
+    typical = shape.doubt[use].mean(axis=0)
+    sizes, axes = np.linalg.eigh(root.T @ (balance * typical) @ balance.T @ root)
+    root = root @ axes
+    factor = shape.doubt.sum(axis=1, keepdims=True) / typical.sum()
+    gain = 1 / np.sqrt(1 + factor * np.maximum(sizes, 0))
+    columns = [gain * (images.whole @ root)]
+    columns += [gain * states.brightness[:, None] * (slope @ root) for slope in images.slopes]
+    columns.append(gain * root.sum(axis=0))
     hessian = np.zeros((len(columns), len(columns), len(rest)))
     for i, column in enumerate(columns):
         for j in range(i + 1):  # only the lower triangle is used
@@ -502,7 +513,7 @@ def _light(stamp, states, images, flux_err, *, changing):
     first = np.zeros(hessian.shape[1:])
     first[0] = 1
     parts = zip(_solved(hessian, first)[0][:, :, None], columns, strict=True)
-    weights = sum(size * column for size, column in parts) @ root.T
+    weights = (gain * sum(size * column for size, column in parts)) @ root.T
     light = states.brightness + np.sum(weights * rest, axis=1)
     variance = np.sum((weights * flux_err / stamp.unit) ** 2, axis=1)
     return light, np.sqrt(variance + fluctuation * weights.sum(axis=1) ** 2)
@@ -538,7 +549,7 @@ def _result(stamp, states, images, light, light_error, image_error):
     light, the width has no short dips.
     """
     inside, weight = stamp.aperture, np.where(stamp.use, 1.0, NO_WEIGHT)
-    focus = stamp.smoothed.lines(states.focus, weight, _SLOW / stamp.smoothed.step)[0]
+    focus = stamp.smoothed.without_dips(states.focus, weight, _SLOW / stamp.smoothed.step)
     kept = _kept(stamp, states, images, focus)
     still = images.whole + (focus - states.focus)[:, None] * images.slopes[2]
     return StarModel(

@@ -54,17 +54,19 @@ def test_predicted_fractions_hold_no_noise(star):
 
 
 @pytest.mark.filterwarnings("ignore::scope_models.exceptions.DetrendingWarning")
-def test_measured_fractions_under_the_seeing_of_the_ground():
-    """The PSF's width is another one in each exposure, which no smooth focus describes."""
+@pytest.mark.filterwarnings("ignore::scope_models.exceptions.LostLightWarning")
+@pytest.mark.parametrize(("seed", "fractions"), [(6, "predicted"), (7, "measured")])
+def test_seeing_of_the_ground(seed, fractions):
+    """The width is another one in each exposure; where the star drifts out, the model fails."""
     detector = Detector.ground(shape=(17, 17), effects=(Seeing(),))
-    tpf = simulate(Star(14.5, 8, 8), detector, Motion.ground(240, seed=6), seed=6).to_tpf()
-    corrector = PLDCorrector(tpf)
-    scatter = {}
-    for fractions in ("predicted", "measured", "auto"):
-        flux = corrector.correct(fractions=fractions).flux.value
-        scatter[fractions] = np.nanstd(flux) / np.nanmedian(flux)
-    assert corrector.model.clean is None
-    assert scatter["auto"] == scatter["measured"] < 0.2 * scatter["predicted"]  # 0.1
+    motion = Motion.ground(240, seed=seed)
+    corrector = PLDCorrector(simulate(Star(14.5, 8, 8), detector, motion, seed=seed).to_tpf())
+    lc = corrector.correct()
+    assert (corrector.model.clean is None) == (fractions == "measured")
+    good = ~corrector.outlier_mask
+    assert good.sum() >= 237
+    flux, error = lc.flux.value[good], lc.flux_err.value[good]
+    assert np.std(flux) < 1.2 * np.median(error)
 
 
 def test_a_focus_that_hardly_changes_takes_no_slow_variability():
@@ -238,10 +240,10 @@ def test_fits_are_compared_on_the_same_windows():
     assert [np.flatnonzero(~each).tolist() for each in seen[-2:]] == [[6], [6]]
 
 
-def test_seeing_of_the_ground_needs_measured_fractions():
+def test_predicted_fractions_follow_the_seeing_of_a_bright_star():
     sky = make_sky("ground-seeing", seed=6302, n_cadences=800)
     corrector = PLDCorrector(sky.to_tpf())
-    lc = corrector.correct()
-    change = np.log(lc.flux.value / sky.true_flux[lc.cadenceno - 1])
-    assert corrector.result.model.clean is None
-    assert np.nanstd(change) < 5e-4  # 2.8e-4
+    lc = corrector.correct(fractions="predicted")
+    change = np.log(lc.flux.value / sky.true_flux[lc.cadenceno - 1])[~corrector.outlier_mask]
+    assert np.nanstd(change) < 5e-4  # 3.0e-4
+    assert corrector.outlier_mask.sum() < 10
