@@ -1,7 +1,5 @@
 """The light of a star's neighbors, by a model of all pixels near it."""
 
-from dataclasses import replace
-
 import numpy as np
 from astropy.stats import mad_std
 
@@ -41,9 +39,6 @@ _POSITION, _FREE_POSITION, _WIDTH = 0.05, 0.3, 0.01
 _HELD = 1e-5
 #: Prior: standard deviations of the pixels' gains in the first steps of the shape, and later.
 _GAINS = (1e-4, 1e-3, 5e-3, 0.015)
-#: Tolerance: after these steps the priors of the PRF are about what has been found: stars at rest
-#: need it.
-_ANCHORS = (2, 4, 6)
 #: Branch: outliers in less than this part of the cadences are cosmic rays.
 _MOST_HITS = 0.05
 
@@ -116,8 +111,6 @@ def fit_neighbors(time, flux, variance, pos_corr, peak, use, known, places):
             errors = part.stacked[:, 1:3] - start[sub, 1:3]
             tight = np.clip(1.5 * max(mad_std(errors, axis=0)), 0.003, _POSITION)
             sigma[:, 1:3] = np.where(measured, tight, _FREE_POSITION)[:, None]
-        if step in _ANCHORS:
-            shape = replace(shape, prior_mean=shape.coefficients)
         if stuck and step >= len(_GAINS):
             break
     floor = max(floor, _FLOORS[-1])

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import sparse
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import block_diag, cho_factor, cho_solve
 
 from scope_models.pixelmodel._splines import SplineGrid
 
@@ -28,6 +28,9 @@ __all__ = [
 #: Prior: standard deviations of the PRF about the first guess (relative, and in units of its
 #: peak), of the pixels' gains, and of a neighbor's place (px) and flux (relative).
 _PRF_RELATIVE, _PRF_ABSOLUTE, _GAIN, _PLACE, _FLUX = 0.25, 2e-3, 0.015, 0.1, 0.3
+#: Prior: the PRF's deviation is a Gaussian process of a scale (px) along both axes, but for a part
+#: of its variance: a star at rest shows its values in the pixels, of which the slopes follow.
+_SMOOTH, _ROUGH = 1.0, 1e-3
 #: Tolerance: the median of the squares of a normal variable of unit variance.
 MEDIAN_SQUARE = 0.455
 #: Prior: the PRF's sum over pixels is about 1, wherever in a pixel the star is: places along an
@@ -310,36 +313,36 @@ def improve_shape(shape, track, flux, variance, priors, floor, gain=_GAIN):
     normal = (columns.T @ columns).toarray() - projected.T @ projected
     left = data[:, : own.shape[1]].ravel()
     right = columns.T @ left - projected.T @ inner.ravel()
-    mean, sigma, state = _shape_prior(shape, gain)
-    normal[np.diag_indices_from(normal)] += sigma**-2.0
-    right += sigma**-2.0 * (mean - state)
+    away, precision = _shape_prior(shape, gain)
+    normal += precision
+    right -= precision @ away
     matrix, values = _about_prf(shape)
     k = grid.size**2
     normal[:k, :k] += matrix.T @ matrix
-    right[:k] += matrix.T @ (values - matrix @ state[:k])
+    right[:k] += matrix.T @ (values - matrix @ shape.coefficients.ravel())
     unit = 1 / np.sqrt(np.diag(normal))
     step = unit * cho_solve(cho_factor(normal * unit[:, None] * unit + 1e-10 * np.eye(len(unit))),
                             unit * right)  # fmt: skip
-    state = state + step
-    p = shape.gains.size
+    p = k + shape.gains.size
     return replace(
         shape,
-        coefficients=state[:k].reshape(grid.size, grid.size),
-        gains=state[k : k + p].reshape(shape.gains.shape),
-        neighbors=state[k + p :].reshape(-1, 3),
+        coefficients=shape.coefficients + step[:k].reshape(grid.size, grid.size),
+        gains=shape.gains + step[k:p].reshape(shape.gains.shape),
+        neighbors=shape.neighbors + step[p:].reshape(-1, 3),
     )
 
 
 def _shape_prior(shape, gain):
-    """Return means, standard deviations and present values of all that cadences share."""
-    peak = shape.prior_mean.max()
-    m = shape.first_neighbors
-    mean = [shape.prior_mean.ravel(), np.ones(shape.gains.size), m.ravel()]
-    prf = _PRF_RELATIVE * np.abs(shape.prior_mean.ravel()) + _PRF_ABSOLUTE * peak
+    """Return what all that cadences share is away from its mean by, and the prior's precision."""
+    first, m, centers = shape.prior_mean, shape.first_neighbors, shape.grid.centers
+    prf = (_PRF_RELATIVE * np.abs(first) + _PRF_ABSOLUTE * first.max()).ravel()
     around = np.stack([_FLUX * m[:, 0], *np.full((2, len(m)), _PLACE)], axis=1)
-    sigma = [prf, np.full(shape.gains.size, gain), around.ravel()]
-    now = [shape.coefficients.ravel(), shape.gains.ravel(), shape.neighbors.ravel()]
-    return tuple(np.concatenate(parts) for parts in (mean, sigma, now))
+    along = (1 - _ROUGH) * np.exp(-0.5 * ((centers[:, None] - centers) / _SMOOTH) ** 2)
+    along = np.linalg.inv(along + _ROUGH * np.eye(len(centers)))
+    others = np.append(np.full(shape.gains.size, gain), around)
+    away = [shape.coefficients - first, shape.gains - 1, shape.neighbors - m]
+    precision = block_diag(np.kron(along, along) / np.outer(prf, prf), np.diag(others**-2.0))
+    return np.concatenate([part.ravel() for part in away]), precision
 
 
 def _sums_over_pixels(grid):
@@ -427,10 +430,10 @@ def misfit(shape, track, flux, variance, priors, floor, gain):
     rest, _ = residuals(shape, track, flux)
     value = np.sum(rest**2 / (variance + (floor * np.abs(flux)) ** 2))
     value += np.nansum(((track.stacked - priors.mean) / priors.sigma) ** 2)
-    mean, sigma, state = _shape_prior(shape, gain)
+    away, precision = _shape_prior(shape, gain)
     matrix, values = _about_prf(shape)
     value += np.sum((matrix @ shape.coefficients.ravel() - values) ** 2)
-    return float(value + np.sum(((state - mean) / sigma) ** 2))
+    return float(value + away @ precision @ away)
 
 
 def between(old, new, part):
