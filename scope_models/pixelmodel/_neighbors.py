@@ -19,6 +19,7 @@ from scope_models.pixelmodel._scene import (
 from scope_models.pixelmodel._smoothing import CLIP, Smoother
 from scope_models.pixelmodel._start import (
     NEAREST,
+    KnownNeighbors,
     NoLightError,
     centroids,
     find_neighbors,
@@ -69,20 +70,12 @@ def fit_neighbors(time, flux, variance, pos_corr, peak, use, known, places):
     NoLightError
         If the model describes another star than the one at the peak.
     """
-    n, rng = len(flux), np.random.default_rng(0)
-    pixels = flux[use], variance[use]
+    n, pixels = len(flux), (flux[use], variance[use])
     # a first guess without the light around known neighbors
     theirs = False if known is None else known.nearer(peak, flux.shape[1:])
     (x, y), measured = first_track(np.where(theirs, 0.0, flux), pos_corr, peak)
-    own = np.where(theirs, np.inf, pixels[1])
-    shape, track = first_shape(pixels[0], own, x[use], y[use], rng)
-
-    def refit(images):
-        some = images[::10], x[use][::10], y[use][::10]
-        shifts = (np.median(c - s) for c, s in zip(centroids(*some), some[1:], strict=True))
-        column, row = (s[use] + shift for s, shift in zip((x, y), shifts, strict=True))
-        return first_shape(images, variance[use], column, row, np.random.default_rng(0))
-
+    refit = _first_models(pixels[1], x[use], y[use], follow=not measured.any())
+    shape, track = refit(pixels[0], theirs)
     shape, track = find_neighbors(shape, track, *pixels, known, refit, places)
     if not len(shape.neighbors):
         return None
@@ -113,6 +106,11 @@ def fit_neighbors(time, flux, variance, pos_corr, peak, use, known, places):
             sigma[:, 1:3] = np.where(measured, tight, _FREE_POSITION)[:, None]
         if stuck and step >= len(_GAINS):
             break
+    apart = np.hypot(*shape.neighbors[:, 1:].T) > NEAREST
+    if known is None and not apart.all():  # the others were bumps of the PRF
+        stars = np.median(part.stacked[:, 1:3], axis=0) + shape.neighbors[apart, 1:]
+        known = KnownNeighbors(stars, None)
+        return fit_neighbors(time, flux, variance, pos_corr, peak, use, known, None)
     floor = max(floor, _FLOORS[-1])
     track = solve_track(shape, type(track)(*start.T), flux, variance, priors, floor)
     clean = _without_hits(shape, track, flux, variance, floor)
@@ -120,6 +118,24 @@ def fit_neighbors(time, flux, variance, pos_corr, peak, use, known, places):
         raise NoLightError("the model has left the target")
     track, change = _varying(time, shape, track, flux, clean, priors, floor, use)
     return shape, track, np.array(neighbor_images(shape, track, change))
+
+
+def _first_models(variance, x, y, *, follow):
+    """Return a function that makes a first model of the target from images.
+
+    It leaves out pixels, and takes positions to be near x and y but for a shift, or to ``follow``
+    the images.
+    """
+    some = slice(None, None, 1 if follow else 10)
+
+    def make(images, left_out=False):
+        moved = centroids(np.where(left_out, 0.0, images)[some], x[some], y[some])
+        if not follow:
+            moved = [a + np.median(b - a[some]) for a, b in zip((x, y), moved, strict=True)]
+        own = np.where(left_out, np.inf, variance)
+        return first_shape(images, own, *moved, np.random.default_rng(0))
+
+    return make
 
 
 def _step(shape, track, data, gain):

@@ -350,19 +350,25 @@ def find_neighbors(shape, track, flux, variance, known, refit, places=None):
 
 
 def _settled(shape, track, flux, variance, found, refit):
-    """Measure the neighbors and the target's first model by turns; None if that does not settle."""
+    """Measure the neighbors and the target's first model by turns; None if that does not settle.
+
+    Meanwhile pixels nearer to a neighbor are left out of the first model.
+    """
+    star = np.array([np.median(track.x), np.median(track.y)])
+    theirs = KnownNeighbors(star + found[:, 1:], None).nearer(star, flux.shape[1:])
+    change, images = np.inf, flux
     for _ in range(_MOST_TURNS):
-        before, found = found, _measured(shape, track, flux, variance, found, move=True)
         old = track
         try:
-            shape, track = refit(flux - _light_of(shape, track, found))
+            shape, track = refit(images, theirs)
         except NoLightError:
             return None
-        moved = [np.median(track.x - old.x), np.median(track.y - old.y)]
-        found = found - [0.0, *moved]
-        change = (found - before) / [*np.max(found[:, :1], axis=0), 1.0, 1.0]
+        found = found - [0.0, np.median(track.x - old.x), np.median(track.y - old.y)]
         if np.abs(change).max() < _SETTLED:
-            return shape, track, found
+            return *refit(images), found
+        before, found = found, _measured(shape, track, flux, variance, found, move=True)
+        change = (found - before) / [*np.max(found[:, :1], axis=0), 1.0, 1.0]
+        images = flux - _light_of(shape, track, found)
     return None
 
 
