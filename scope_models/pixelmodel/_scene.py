@@ -27,7 +27,7 @@ __all__ = [
 
 #: Prior: standard deviations of the PRF about the first guess (relative, and in units of its
 #: peak), of the pixels' gains, and of a neighbor's place (px) and flux (relative).
-_PRF_RELATIVE, _PRF_ABSOLUTE, _GAIN, _PLACE, _FLUX = 0.25, 2e-3, 0.015, 0.1, 0.3
+_PRF_RELATIVE, _PRF_ABSOLUTE, _GAIN, _PLACE, _FLUX = 0.25, 2e-4, 0.015, 0.1, 0.3
 #: Prior: the PRF's deviation is a Gaussian process of a scale (px) along both axes, but for a part
 #: of its variance: a star at rest shows its values in the pixels, of which the slopes follow.
 _SMOOTH, _ROUGH = 1.0, 1e-3
