@@ -32,20 +32,15 @@ _EXCESS = 0.1
 _ENOUGH = 4000
 #: Tolerance: a search ends when a step improves the likelihood's logarithm by about so much.
 _PRECISION = 1e-3
-#: Tolerance: steps of a search at most, and of those that only find the best start.
-_STEPS, _FEW_STEPS = 60, 10
+#: Tolerance: steps of a search at most.
+_STEPS = 60
 #: Tolerance: largest number of rounds; they end when one improves the logarithm by less.
 _ROUNDS, _TOLERANCE = 5, 0.05
 #: Prior: bounds of the period in days. What is faster than a transit is not a trend. With a longer
 #: period a straight line would cost little, and the star's would undo that of a slow drift.
 _SHORTEST_PERIOD, SLOWEST = 0.5, 5.0
-#: Tolerance: number of means, or up to twice as many, that find the best start.
-_FEW = 1000
-#: Tolerance: where the search begins: the process' variance, and that of each group's part of the
-#: model, in units of the data's; and the process' period in days.
-_STARTS = ((None, 1.0, 5.0), (0.3, 0.1, 2.0), (1.0, 1.0, 5.0))
-#: Tolerance: the largest variance of a group's part, in the same unit. More is not needed, and less
-#: well conditioned.
+#: Tolerance: the largest variance of a group's part of the model, in units of the data's. More is
+#: not needed, and less well conditioned.
 _LARGEST = 1e3
 _value = attrgetter("value")
 
@@ -250,7 +245,7 @@ class _Trial:
         return -0.5 * value - self.data.improbability(self.hyper.variances)[0]
 
 
-def _fit_scales(trial, n_steps=_STEPS):
+def _fit_scales(trial):
     """Maximize over the variances and a factor of noise and long-term process alike."""
     data, hyper, n = trial.data, trial.hyper, len(trial.data.y)
 
@@ -272,11 +267,11 @@ def _fit_scales(trial, n_steps=_STEPS):
     unit = np.log(data.spread / data.sizes)
     least = np.log(data.least_noise / hyper.noise_scale)
     bounds = [(least, 12.0), *zip(unit - 30, unit + np.log(_LARGEST), strict=True)]
-    factor, *variances = _minimize(objective, [1.0, *hyper.variances], bounds, n, n_steps)
+    factor, *variances = _minimize(objective, [1.0, *hyper.variances], bounds, n)
     return trial.changed(np.array(variances), factor)
 
 
-def _minimize(objective, start, bounds, n, n_steps=_STEPS):
+def _minimize(objective, start, bounds, n):
     """Minimize over positive parameters, and return these.
 
     The first one is the noise, which ``n`` data determine much better than the others: its unit is
@@ -291,7 +286,7 @@ def _minimize(objective, start, bounds, n, n_steps=_STEPS):
 
     bounds = np.array(bounds) / unit[:, None]
     start = np.clip(np.log(start) / unit, *bounds.T)
-    options = {"maxiter": n_steps, "ftol": _PRECISION / n}
+    options = {"maxiter": _STEPS, "ftol": _PRECISION / n}
     result = minimize(scaled, start, jac=True, method="L-BFGS-B", bounds=bounds, options=options)
     return [float(value) for value in np.exp(result.x * unit)]
 
@@ -344,10 +339,9 @@ def fit_hyperparameters(data, start=None, *, trend=True):
     """Maximize the marginal likelihood.
 
     The columns' parameters are improved at fixed process, where only a small matrix enters,
-    and the process' with the columns compressed, by turns. Whether a slow change
-    is variability or systematics can make two maxima, so that there are several starts unless one
-    is given, with a long-term process or, if ``trend`` is False, without. Of very many cadences,
-    means are searched first.
+    and the process' with the columns compressed, by turns. Whether a slow change is variability or
+    systematics can make two maxima, so that there are two starts unless one is given, or, if
+    ``trend`` is False, one without a process. Of very many cadences, means are searched first.
     """
     width = len(data.y) // _ENOUGH
     if width > 1:
@@ -365,14 +359,11 @@ def fit_hyperparameters(data, start=None, *, trend=True):
 
 
 def _best_start(data, trend):
-    """Fit the columns' parameters in several places, to means, and return the most likely one."""
-    noise, unit = float(np.median(data.variance)), data.spread / data.sizes
-    if not trend:
-        return _Trial.at(data, Hyperparameters(1.0, unit, None, 1.0))
-    starts = [
-        Hyperparameters(1.0, part * unit, 0.1 * noise if a is None else a * data.spread, period)
-        for a, part, period in _STARTS
-    ]
-    few = data.averaged(max(len(data.y) // _FEW, 1))
-    fitted = [_fit_scales(_Trial.at(few, hyper), _FEW_STEPS) for hyper in starts]
-    return _Trial.at(data, max(fitted, key=_value).hyper)
+    """Return the better of two starts: the columns as large as the data, or the slow process.
+
+    The other one is as small as the noise, or there is no process.
+    """
+    sizes = float(np.median(data.variance)), data.spread
+    pairs = (sizes, sizes[::-1]) if trend else ((None, data.spread),)
+    starts = (Hyperparameters(1.0, part / data.sizes, size, SLOWEST) for size, part in pairs)
+    return max((_fit_scales(_Trial.at(data, start)) for start in starts), key=_value)
